@@ -1,0 +1,134 @@
+//! The world at one instant.
+
+use crate::{Camera, Material, Texture};
+use glam::{Vec2, Vec3};
+use std::sync::Arc;
+
+/// Everything that preview and tracer need to know of one frame, in world space.
+#[derive(Debug, Clone)]
+pub struct Frame {
+    /// Frame number.
+    pub number: u32,
+    /// The camera at this instant.
+    pub camera: Camera,
+    /// All triangles, in world space; shared between frames in which nothing moves.
+    pub geometry: Arc<Geometry>,
+    /// Materials at this instant (an animated light changes its emission), by index.
+    pub materials: Arc<[Material]>,
+    /// Textures by [`crate::TextureId`].
+    pub textures: Arc<[Texture]>,
+    /// Lights without surface. Area lights are the triangles whose material emits.
+    pub points: Vec<PointLight>,
+    /// Distant lights.
+    pub suns: Vec<Sun>,
+    /// What rays meet that leave the scene.
+    pub environment: Environment,
+}
+
+/// Indexed triangles with their attribution.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Geometry {
+    /// Vertex positions, metres, finite.
+    pub positions: Vec<Vec3>,
+    /// Unit shading normals, one per vertex; `Vec3::ZERO` where a face has none (use the geometric normal).
+    pub normals: Vec<Vec3>,
+    /// Texture coordinates, one per vertex.
+    pub uvs: Vec<Vec2>,
+    /// Vertex indices, counter-clockwise seen from the front. Triangles of zero area are left out by the loader.
+    pub triangles: Vec<[u32; 3]>,
+    /// Stratum (object, material) of each triangle: index into `strata`.
+    pub triangle_stratum: Vec<u32>,
+    /// The (object, material) pairs of the scene, the same for every frame of a shot.
+    pub strata: Strata,
+}
+
+/// The table of (object, material) pairs. A stratum's index is its id in every preview and forecast.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Strata {
+    /// Object names by object id.
+    pub objects: Vec<String>,
+    /// (object id, material index) by stratum.
+    pub pairs: Vec<(u32, u32)>,
+}
+
+impl Strata {
+    /// Number of (object, material) pairs.
+    pub fn len(&self) -> usize {
+        self.pairs.len()
+    }
+
+    /// Whether the scene has no object at all.
+    pub fn is_empty(&self) -> bool {
+        self.pairs.is_empty()
+    }
+}
+
+impl Geometry {
+    /// The three corners of a triangle.
+    pub fn corners(&self, triangle: u32) -> [Vec3; 3] {
+        self.triangles[triangle as usize].map(|v| self.positions[v as usize])
+    }
+
+    /// Object id of a triangle.
+    pub fn object(&self, triangle: u32) -> u32 {
+        self.strata.pairs[self.triangle_stratum[triangle as usize] as usize].0
+    }
+
+    /// Material index of a triangle.
+    pub fn material(&self, triangle: u32) -> u32 {
+        self.strata.pairs[self.triangle_stratum[triangle as usize] as usize].1
+    }
+
+    /// Unit geometric normal by the winding.
+    pub fn geometric_normal(&self, triangle: u32) -> Vec3 {
+        let [a, b, c] = self.corners(triangle);
+        (b - a).as_dvec3().cross((c - a).as_dvec3()).normalize_or_zero().as_vec3()
+    }
+
+    /// Texture coordinates at barycentrics (u, v) of corners 1 and 2.
+    pub fn uv(&self, triangle: u32, u: f32, v: f32) -> Vec2 {
+        let [a, b, c] = self.triangles[triangle as usize].map(|i| self.uvs[i as usize]);
+        a * (1.0 - u - v) + b * u + c * v
+    }
+}
+
+/// Light from a point, with an optional cone (glTF spot light).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PointLight {
+    /// Where it is, metres.
+    pub position: Vec3,
+    /// Radiant intensity, W/sr per channel.
+    pub intensity: Vec3,
+    /// Unit axis and cosines of the inner and outer cone angle of a spot light.
+    pub cone: Option<(Vec3, f32, f32)>,
+}
+
+/// A distant light of small angular size.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sun {
+    /// Unit vector towards the sun's centre.
+    pub direction: Vec3,
+    /// Irradiance on a surface that faces it, W/m² per channel.
+    pub irradiance: Vec3,
+    /// Angular diameter in degrees; 0 is a delta light with hard shadows.
+    pub angle_deg: f32,
+}
+
+/// What surrounds the scene.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub enum Environment {
+    /// Nothing: black.
+    #[default]
+    Black,
+    /// The same radiance from everywhere.
+    Constant(Vec3),
+    /// Latitude-longitude image, y up; texture index, scale, rotation about y in degrees.
+    Image {
+        /// The image, linear.
+        texture: crate::TextureId,
+        /// Multiplier of the image's radiance.
+        scale: f32,
+        /// Rotation about +y, degrees, counter-clockwise seen from above.
+        rotation_deg: f32,
+    },
+}
