@@ -1,0 +1,189 @@
+//! Quotes: what a frame and a job will cost, as distributions.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::Money;
+
+/// A forecast of one number: its mean and the values that it stays below with probability 50, 80 and 95 %.
+#[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
+pub struct Quantiles {
+    /// Expected value.
+    pub mean: f64,
+    /// Median.
+    pub p50: f64,
+    /// 80 % quantile.
+    pub p80: f64,
+    /// 95 % quantile.
+    pub p95: f64,
+}
+
+impl Quantiles {
+    /// A number that is known: all four values alike.
+    pub const fn known(value: f64) -> Self {
+        Self { mean: value, p50: value, p80: value, p95: value }
+    }
+
+    /// The value at a confidence.
+    pub const fn at(&self, confidence: Confidence) -> f64 {
+        match confidence {
+            Confidence::P50 => self.p50,
+            Confidence::P80 => self.p80,
+            Confidence::P95 => self.p95,
+        }
+    }
+}
+
+/// As [`Quantiles`], for money.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+pub struct MoneyQuantiles {
+    /// Expected value.
+    pub mean: Money,
+    /// Median.
+    pub p50: Money,
+    /// 80 % quantile.
+    pub p80: Money,
+    /// 95 % quantile.
+    pub p95: Money,
+}
+
+/// How sure the planner has to be.
+#[derive(
+    Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default, Serialize, Deserialize, ToSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Confidence {
+    /// As likely as not.
+    P50,
+    /// Four times out of five.
+    #[default]
+    P80,
+    /// Nineteen times out of twenty.
+    P95,
+}
+
+impl Confidence {
+    /// The probability, between 0 and 1.
+    pub const fn probability(self) -> f64 {
+        match self {
+            Confidence::P50 => 0.50,
+            Confidence::P80 => 0.80,
+            Confidence::P95 => 0.95,
+        }
+    }
+
+    /// The name, as in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Confidence::P50 => "p50",
+            Confidence::P80 => "p80",
+            Confidence::P95 => "p95",
+        }
+    }
+}
+
+/// Forecast numbers of rays, by category as in [`crate::Rays`].
+#[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
+pub struct RayQuantiles {
+    /// From the camera.
+    pub primary: Quantiles,
+    /// Towards lights.
+    pub shadow: Quantiles,
+    /// Straight on through thin glass and cut-outs.
+    pub transparent: Quantiles,
+    /// Off perfect mirrors.
+    pub reflected: Quantiles,
+    /// Into and out of solid glass.
+    pub refracted: Quantiles,
+    /// Ambient gathers.
+    pub ambient: Quantiles,
+    /// Off glossy surfaces.
+    pub specular: Quantiles,
+}
+
+impl RayQuantiles {
+    /// The forecasts in the order of [`crate::Rays::NAMES`].
+    pub const fn to_array(&self) -> [Quantiles; 7] {
+        [
+            self.primary,
+            self.shadow,
+            self.transparent,
+            self.reflected,
+            self.refracted,
+            self.ambient,
+            self.specular,
+        ]
+    }
+
+    /// The forecasts from an array in the order of [`crate::Rays::NAMES`].
+    pub const fn from_array(rays: [Quantiles; 7]) -> Self {
+        let [primary, shadow, transparent, reflected, refracted, ambient, specular] = rays;
+        Self { primary, shadow, transparent, reflected, refracted, ambient, specular }
+    }
+}
+
+/// The forecast of one frame.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct FrameForecast {
+    /// Frame number.
+    pub frame: u32,
+    /// Rays by category.
+    pub rays: RayQuantiles,
+    /// Irradiance cache records, one forecast a level; empty without a cache.
+    pub cache_records: Vec<Quantiles>,
+    /// Deterministic count of operations.
+    pub work: Quantiles,
+    /// CPU seconds over all threads, on a node of speed 1.
+    pub cpu_seconds: Quantiles,
+}
+
+/// The forecast of all frames together. Quantiles of sums: not the sums of the frames' quantiles.
+#[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
+pub struct ForecastTotals {
+    /// Rays by category.
+    pub rays: RayQuantiles,
+    /// Irradiance cache records, one forecast a level.
+    pub cache_records: Vec<Quantiles>,
+    /// Deterministic count of operations.
+    pub work: Quantiles,
+    /// CPU seconds over all threads, on a node of speed 1.
+    pub cpu_seconds: Quantiles,
+}
+
+/// What was profiled.
+#[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+pub struct Profiled {
+    /// The profiled frames, ascending.
+    pub frames: Vec<u32>,
+    /// Profiled pixels, over all of these frames.
+    pub pixels: u64,
+}
+
+/// What the forecast itself took: previews and profiling.
+#[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
+pub struct SpentOnForecast {
+    /// Deterministic count of operations.
+    pub work: u64,
+    /// CPU seconds.
+    pub cpu_seconds: f64,
+    /// `work` over the forecast's mean total work.
+    pub fraction_of_forecast: f64,
+}
+
+/// A job's quote, as `forelight forecast --json` and `GET /v1/jobs/{id}/forecast` give it.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct ForecastDoc {
+    /// One forecast a frame, ascending.
+    pub frames: Vec<FrameForecast>,
+    /// All frames together.
+    pub total: ForecastTotals,
+    /// What the quote rests on.
+    pub profiled: Profiled,
+    /// What the quote took.
+    pub spent: SpentOnForecast,
+    /// Whether the quantiles have been calibrated on past jobs; if not, they rest on the statistics alone.
+    pub calibrated: bool,
+    /// The total in money, at the mean price of the farm's nodes; absent without nodes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cost: Option<MoneyQuantiles>,
+}

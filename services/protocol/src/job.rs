@@ -1,0 +1,297 @@
+//! Jobs and their frames.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::{
+    ArtifactHash, BundleRef, Confidence, FrameForecast, FrameSet, JobId, JobVerdict, Money, NodeId,
+    PageToken, PlanId, Quantiles, RenderSettings, RenderSettingsRequest, RenderStats, SceneSummary,
+    Timestamp,
+};
+
+/// A new job.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct JobRequest {
+    /// A name for people: 1 to 200 characters.
+    pub name: String,
+    /// The project that the job is booked on: 1 to 200 characters.
+    #[serde(default = "default_project")]
+    pub project: String,
+    /// What to render.
+    pub bundle: BundleRef,
+    /// Which frames.
+    pub frames: FrameSet,
+    /// How good.
+    #[serde(default)]
+    pub settings: RenderSettingsRequest,
+    /// Pixels to profile per profiled frame, 16 to 1,000,000.
+    #[serde(default = "default_samples")]
+    #[schema(default = 256, minimum = 16, maximum = 1_000_000)]
+    pub samples: u32,
+    /// Frames to profile at most, 1 to 1000.
+    #[serde(default = "default_profile_frames")]
+    #[schema(default = 5, minimum = 1, maximum = 1000)]
+    pub profile_frames: u32,
+    /// When all frames have to be there; absent: whenever.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub deadline: Option<Timestamp>,
+    /// The most that the job may cost, micro-units; absent: no limit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<Money>,
+    /// How sure the plan has to be of deadline and budget.
+    #[serde(default)]
+    pub confidence: Confidence,
+    /// Among jobs with the same deadline the greater goes first: -1000 to 1000.
+    #[serde(default)]
+    #[schema(default = 0, minimum = -1000, maximum = 1000)]
+    pub priority: i32,
+}
+
+fn default_project() -> String {
+    "default".to_owned()
+}
+
+fn default_samples() -> u32 {
+    256
+}
+
+fn default_profile_frames() -> u32 {
+    5
+}
+
+/// Where a job stands.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum JobState {
+    /// The frames are being previewed.
+    Previewing,
+    /// Some frames are being profiled.
+    Profiling,
+    /// The forecast is there and the farm is booked.
+    Booked,
+    /// At least one frame has been handed to a worker.
+    Rendering,
+    /// All frames are there.
+    Done,
+    /// A task failed too often; `error` says how.
+    Failed,
+    /// Someone cancelled it.
+    Cancelled,
+}
+
+impl JobState {
+    /// All states, in the order of a job's life.
+    pub const ALL: [JobState; 7] = [
+        JobState::Previewing,
+        JobState::Profiling,
+        JobState::Booked,
+        JobState::Rendering,
+        JobState::Done,
+        JobState::Failed,
+        JobState::Cancelled,
+    ];
+
+    /// The name, as in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            JobState::Previewing => "previewing",
+            JobState::Profiling => "profiling",
+            JobState::Booked => "booked",
+            JobState::Rendering => "rendering",
+            JobState::Done => "done",
+            JobState::Failed => "failed",
+            JobState::Cancelled => "cancelled",
+        }
+    }
+
+    /// The state of this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|state| state.name() == name)
+    }
+
+    /// Whether nothing will change any more.
+    pub const fn is_final(self) -> bool {
+        matches!(self, JobState::Done | JobState::Failed | JobState::Cancelled)
+    }
+}
+
+impl fmt::Display for JobState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// A job.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct Job {
+    /// Its id.
+    pub id: JobId,
+    /// Name for people.
+    pub name: String,
+    /// The project that it is booked on.
+    pub project: String,
+    /// Where it stands.
+    pub state: JobState,
+    /// What it renders.
+    pub bundle: BundleRef,
+    /// What is in the bundle.
+    pub scene: SceneSummary,
+    /// Which frames.
+    pub frames: FrameSet,
+    /// How good, complete.
+    pub settings: RenderSettings,
+    /// Pixels to profile per profiled frame.
+    pub samples: u32,
+    /// Frames to profile at most.
+    pub profile_frames: u32,
+    /// When all frames have to be there.
+    pub deadline: Option<Timestamp>,
+    /// The most that it may cost.
+    pub budget: Option<Money>,
+    /// How sure the plan has to be.
+    pub confidence: Confidence,
+    /// Among jobs with the same deadline the greater goes first.
+    pub priority: i32,
+    /// Frames in all.
+    pub frames_total: u32,
+    /// Frames that are there.
+    pub frames_done: u32,
+    /// The part of the forecast work that is done, 0 to 1: of the frames where there is no forecast yet.
+    pub progress: f64,
+    /// The plan's word on deadline and budget; absent until booked.
+    pub verdict: Option<JobVerdict>,
+    /// The plan that booked it.
+    pub plan_id: Option<PlanId>,
+    /// When the last frame is expected; absent until booked, and once final.
+    pub eta: Option<Timestamp>,
+    /// What went wrong, if it failed.
+    pub error: Option<String>,
+    /// When it was submitted.
+    pub created_at: Timestamp,
+    /// When it was done, failed or cancelled.
+    pub finished_at: Option<Timestamp>,
+}
+
+/// One page of jobs, newest first.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct JobPage {
+    /// The jobs.
+    pub items: Vec<Job>,
+    /// Where the next page starts; absent on the last.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub next_page_token: Option<PageToken>,
+}
+
+/// What a POST of the same job would say; nothing was kept.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct JobCheck {
+    /// What is in the bundle.
+    pub scene: SceneSummary,
+    /// Which frames.
+    pub frames: FrameSet,
+    /// How many.
+    pub frames_total: u32,
+    /// How good, complete.
+    pub settings: RenderSettings,
+}
+
+/// Where a frame stands.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum FrameState {
+    /// Not yet to be rendered: the job is being forecast.
+    Waiting,
+    /// To be rendered.
+    Ready,
+    /// With a worker.
+    Leased,
+    /// There.
+    Done,
+    /// Failed too often.
+    Failed,
+    /// Its job failed or was cancelled before it was rendered.
+    Cancelled,
+}
+
+/// Where and when a frame is to be rendered.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct FrameBooking {
+    /// On which node.
+    pub node_id: NodeId,
+    /// That node's name.
+    pub node: String,
+    /// From when.
+    pub start: Timestamp,
+    /// Until when.
+    pub end: Timestamp,
+}
+
+/// The artefacts of a frame, as far as they are there.
+#[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+pub struct FrameArtifacts {
+    /// Object and material ids in colour.
+    pub preview_png: Option<ArtifactHash>,
+    /// Cost of each pixel in colour.
+    pub cost_map_png: Option<ArtifactHash>,
+    /// The image, for looking at.
+    pub image_png: Option<ArtifactHash>,
+    /// The image, linear.
+    pub image_exr: Option<ArtifactHash>,
+}
+
+/// Forecast against actual for one number.
+#[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct FrameFigure {
+    /// What was forecast.
+    pub forecast: Quantiles,
+    /// What it was; absent until the frame is done.
+    pub actual: Option<f64>,
+    /// Forecast mean over actual, minus one; absent until the frame is done, or if the actual is 0.
+    pub error: Option<f64>,
+}
+
+/// One frame of a job: what was said, and what was.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct FrameRow {
+    /// Frame number.
+    pub frame: u32,
+    /// Where it stands.
+    pub state: FrameState,
+    /// What was forecast, in full; absent until the job is forecast.
+    pub forecast: Option<FrameForecast>,
+    /// What it took, in full; absent until the frame is done.
+    pub actual: Option<RenderStats>,
+    /// Work: forecast, actual, error.
+    pub work: Option<FrameFigure>,
+    /// CPU seconds: forecast (on a node of speed 1), actual (brought to a node of speed 1), error.
+    pub cpu_seconds: Option<FrameFigure>,
+    /// Where and when it was to be rendered.
+    pub booked: Option<FrameBooking>,
+    /// The node that has it or rendered it.
+    pub node: Option<NodeId>,
+    /// How often it was handed out.
+    pub attempts: u32,
+    /// How far the worker is, 0 to 1.
+    pub progress: f64,
+    /// When the last worker started.
+    pub started: Option<Timestamp>,
+    /// When the result was committed.
+    pub finished: Option<Timestamp>,
+    /// Its images.
+    pub artifacts: FrameArtifacts,
+    /// The last error, if there was one.
+    pub error: Option<String>,
+}
+
+/// One page of frames, ascending.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct FramePage {
+    /// The frames.
+    pub items: Vec<FrameRow>,
+    /// Where the next page starts; absent on the last.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub next_page_token: Option<PageToken>,
+}

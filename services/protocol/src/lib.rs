@@ -1,0 +1,66 @@
+//! The words on the wire: every type of forelight's REST API, once, for server, worker and command line.
+//!
+//! Conventions that hold everywhere:
+//! * **Time** is [`Timestamp`]: integer microseconds UTC in memory and in the database, RFC 3339 with six
+//!   fractional digits in JSON. Durations are integers that carry their unit in the name (`_nanos`, `_micros`, `_ms`).
+//! * **Money** is [`Money`]: integer micro-units of the farm's one currency.
+//! * **Work** is the renderer's deterministic count of operations, an integer on which two runs agree.
+//! * **Ids** are UUIDs of version 7, so that they sort by age, each with a type of its own.
+//! * **Enumerations** are snake_case strings. An enumeration that carries data is an object with one key, the
+//!   variant's name (`{"render": {…}}`), because only then can an error in it be pointed at.
+//! * Types that a client sends refuse unknown fields: a misspelt option is an error, not a silent default.
+
+mod artifact;
+mod bundle;
+mod dashboard;
+mod event;
+mod forecast;
+mod frames;
+mod ids;
+mod job;
+mod lease;
+mod money;
+mod node;
+mod page;
+mod plan;
+mod problem;
+mod role;
+mod settings;
+mod stats;
+mod task;
+mod time;
+mod track_record;
+
+pub use artifact::{ArtifactHash, ArtifactStored, MalformedHash};
+pub use bundle::{Bundle, BundleRef, BundleSource, SceneSummary};
+pub use dashboard::{Dashboard, DashboardCounts, DashboardJob, DashboardNode, NodeActivity, TaskCounts};
+pub use event::{Event, EventKind};
+pub use forecast::{
+    Confidence, ForecastDoc, ForecastTotals, FrameForecast, MoneyQuantiles, Profiled, Quantiles,
+    RayQuantiles, SpentOnForecast,
+};
+pub use frames::{FrameSet, MalformedFrames};
+pub use ids::{BookingId, BundleId, EventId, JobId, LeaseId, NodeId, PlanId, TaskId};
+pub use job::{
+    FrameArtifacts, FrameBooking, FrameFigure, FramePage, FrameRow, FrameState, Job, JobCheck, JobPage,
+    JobRequest, JobState,
+};
+pub use lease::{
+    ClaimRequest, Lease, LeaseOrder, ReleaseRequest, RenewRequest, Renewal, ResultAnswer, ResultRequest,
+    TaskError,
+};
+pub use money::Money;
+pub use node::{Node, NodeChange, NodePage, NodeRegistration};
+pub use page::PageToken;
+pub use plan::{Booking, BookingPage, JobVerdict, Plan, PlanReason, Verdict};
+pub use problem::{Problem, ProblemKind};
+pub use role::{Role, UnknownRole};
+pub use settings::{MaterialMode, RenderSettings, RenderSettingsRequest};
+pub use stats::{Rays, RenderStats};
+pub use task::{
+    FixedCosts, FrameStrata, PreviewBackend, PreviewResult, PreviewSpec, ProfileArtifacts, ProfileResult,
+    ProfileSample, ProfileSpec, RenderArtifacts, RenderResult, RenderSpec, Spent, StratumName, TaskKind,
+    TaskResult, TaskSpec,
+};
+pub use time::{MalformedTime, Timestamp};
+pub use track_record::{QuantileHits, TrackRecord, TrackRecordRow};

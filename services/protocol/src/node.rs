@@ -1,0 +1,82 @@
+//! Nodes.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::{Money, NodeId, PageToken, TaskId, Timestamp};
+
+/// A node announces itself. A node of the same name is updated, and keeps its id.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NodeRegistration {
+    /// Its name, unique on the farm: 1 to 100 characters.
+    pub name: String,
+    /// Speed of one of its cores against the reference: above 0, to 1000.
+    #[serde(default = "default_speed")]
+    #[schema(default = 1.0, exclusive_minimum = 0, maximum = 1000)]
+    pub speed: f64,
+    /// Micro-units per hour, 0 or more.
+    #[serde(default)]
+    pub price_per_hour: Money,
+    /// Cores that its worker uses, 1 to 4096.
+    #[serde(default = "default_cores")]
+    #[schema(default = 1, minimum = 1, maximum = 4096)]
+    pub cores: u32,
+}
+
+fn default_speed() -> f64 {
+    1.0
+}
+
+fn default_cores() -> u32 {
+    1
+}
+
+/// A change to a node; what is left out stays.
+#[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NodeChange {
+    /// Whether to hand it no further tasks.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub drain: Option<bool>,
+    /// Speed of one of its cores against the reference.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(exclusive_minimum = 0, maximum = 1000)]
+    pub speed: Option<f64>,
+    /// Micro-units per hour.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub price_per_hour: Option<Money>,
+}
+
+/// A node.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct Node {
+    /// Its id.
+    pub id: NodeId,
+    /// Its name.
+    pub name: String,
+    /// Speed of one of its cores against the reference.
+    pub speed: f64,
+    /// Micro-units per hour.
+    pub price_per_hour: Money,
+    /// Cores that its worker uses.
+    pub cores: u32,
+    /// Whether it gets no further tasks.
+    pub drain: bool,
+    /// The task that it holds, if any.
+    pub task_id: Option<TaskId>,
+    /// When it was first registered.
+    pub created_at: Timestamp,
+    /// When it was last heard of.
+    pub last_seen_at: Timestamp,
+}
+
+/// One page of nodes, oldest first.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct NodePage {
+    /// The nodes.
+    pub items: Vec<Node>,
+    /// Where the next page starts; absent on the last.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub next_page_token: Option<PageToken>,
+}

@@ -1,0 +1,98 @@
+//! What a frame took.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// Numbers of rays by what sent them out.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Rays {
+    /// From the camera.
+    pub primary: u64,
+    /// Towards lights.
+    pub shadow: u64,
+    /// Straight on through thin glass and cut-outs.
+    pub transparent: u64,
+    /// Off perfect mirrors.
+    pub reflected: u64,
+    /// Into and out of solid glass.
+    pub refracted: u64,
+    /// Ambient gathers.
+    pub ambient: u64,
+    /// Off glossy surfaces.
+    pub specular: u64,
+}
+
+impl Rays {
+    /// The names of the categories, in the order of [`Rays::to_array`].
+    pub const NAMES: [&'static str; 7] =
+        ["primary", "shadow", "transparent", "reflected", "refracted", "ambient", "specular"];
+
+    /// The numbers in the order of [`Rays::NAMES`].
+    pub const fn to_array(self) -> [u64; 7] {
+        [
+            self.primary,
+            self.shadow,
+            self.transparent,
+            self.reflected,
+            self.refracted,
+            self.ambient,
+            self.specular,
+        ]
+    }
+
+    /// The numbers from an array in the order of [`Rays::NAMES`].
+    pub const fn from_array(rays: [u64; 7]) -> Self {
+        let [primary, shadow, transparent, reflected, refracted, ambient, specular] = rays;
+        Self { primary, shadow, transparent, reflected, refracted, ambient, specular }
+    }
+
+    /// All rays.
+    pub fn total(self) -> u64 {
+        self.to_array().into_iter().fold(0, u64::saturating_add)
+    }
+}
+
+/// The true cost of one rendered frame, as `forelight render --stats` writes it.
+///
+/// All totals are those of the whole frame and do not depend on whether profiled pixels were taken over; the
+/// `reused_…` fields are the part of them that this run did not have to trace again.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RenderStats {
+    /// Frame number.
+    pub frame: u32,
+    /// Image width in pixels.
+    pub width: u32,
+    /// Image height in pixels.
+    pub height: u32,
+    /// Camera paths per pixel.
+    pub spp: u32,
+    /// The effects that the frame called for, by name, sorted.
+    pub effects: Vec<String>,
+    /// Rays by category.
+    pub rays: Rays,
+    /// Irradiance cache records, one number a level; empty without a cache.
+    #[serde(default)]
+    pub cache_records: Vec<u64>,
+    /// Deterministic count of operations.
+    pub work: u64,
+    /// CPU seconds over all threads.
+    pub cpu_seconds: f64,
+    /// Seconds that this run took, from start to end.
+    pub wall_seconds: f64,
+    /// Largest resident memory of the process, in bytes; 0 where the system does not say.
+    pub peak_rss_bytes: u64,
+    /// Pixels taken over from profiling.
+    #[serde(default)]
+    pub reused_pixels: u64,
+    /// Rays of these pixels.
+    #[serde(default)]
+    pub reused_rays: u64,
+    /// Work of these pixels.
+    #[serde(default)]
+    pub reused_work: u64,
+    /// CPU seconds of these pixels when they were profiled.
+    #[serde(default)]
+    pub reused_cpu_seconds: f64,
+}

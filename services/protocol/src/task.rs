@@ -1,0 +1,310 @@
+//! Tasks: what workers are asked to do, and what they answer.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::{ArtifactHash, BundleSource, JobId, RenderSettings, RenderStats};
+
+/// The kinds of tasks.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum TaskKind {
+    /// See what the camera sees, in all frames.
+    Preview,
+    /// Trace a few pixels of one frame and measure them.
+    Profile,
+    /// Render one frame.
+    Render,
+}
+
+impl TaskKind {
+    /// All kinds, in the order of a job's life.
+    pub const ALL: [TaskKind; 3] = [TaskKind::Preview, TaskKind::Profile, TaskKind::Render];
+
+    /// The name, as in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            TaskKind::Preview => "preview",
+            TaskKind::Profile => "profile",
+            TaskKind::Render => "render",
+        }
+    }
+
+    /// The kind of this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+}
+
+impl fmt::Display for TaskKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// What is to be done. In JSON an object with one key: `{"preview": {…}}`.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum TaskSpec {
+    /// See what the camera sees.
+    Preview(PreviewSpec),
+    /// Trace and measure a few pixels.
+    Profile(ProfileSpec),
+    /// Render a frame.
+    Render(RenderSpec),
+}
+
+impl TaskSpec {
+    /// The kind of task.
+    pub const fn kind(&self) -> TaskKind {
+        match self {
+            TaskSpec::Preview(_) => TaskKind::Preview,
+            TaskSpec::Profile(_) => TaskKind::Profile,
+            TaskSpec::Render(_) => TaskKind::Render,
+        }
+    }
+
+    /// The frame that the task is about; `None` for a preview, which is about all frames.
+    pub const fn frame(&self) -> Option<u32> {
+        match self {
+            TaskSpec::Preview(_) => None,
+            TaskSpec::Profile(spec) => Some(spec.frame),
+            TaskSpec::Render(spec) => Some(spec.frame),
+        }
+    }
+
+    /// Where the bundle is.
+    pub const fn bundle(&self) -> &BundleSource {
+        match self {
+            TaskSpec::Preview(spec) => &spec.bundle,
+            TaskSpec::Profile(spec) => &spec.bundle,
+            TaskSpec::Render(spec) => &spec.bundle,
+        }
+    }
+}
+
+/// Preview these frames: object and material of every pixel.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct PreviewSpec {
+    /// The job.
+    pub job_id: JobId,
+    /// Its bundle.
+    pub bundle: BundleSource,
+    /// The frames, ascending.
+    pub frames: Vec<u32>,
+    /// Its settings.
+    pub settings: RenderSettings,
+}
+
+/// Profile one frame: choose about `samples` pixels over the frame's strata, trace them to the end with the job's
+/// settings, and measure each.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct ProfileSpec {
+    /// The job.
+    pub job_id: JobId,
+    /// Its bundle.
+    pub bundle: BundleSource,
+    /// The frame.
+    pub frame: u32,
+    /// Pixels to profile.
+    pub samples: u32,
+    /// Seed of the choice of pixels. The pixels' own random numbers come from `settings.seed`, as in the render.
+    pub phase_seed: u64,
+    /// The job's settings.
+    pub settings: RenderSettings,
+}
+
+/// Render one frame.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct RenderSpec {
+    /// The job.
+    pub job_id: JobId,
+    /// Its bundle.
+    pub bundle: BundleSource,
+    /// The frame.
+    pub frame: u32,
+    /// The job's settings.
+    pub settings: RenderSettings,
+    /// The finished pixels of this frame's profile, to be taken over; absent if the frame was not profiled.
+    pub profile: Option<ArtifactHash>,
+}
+
+/// What came of it. In JSON an object with one key: `{"preview": {…}}`.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum TaskResult {
+    /// Of a preview.
+    Preview(PreviewResult),
+    /// Of a profile.
+    Profile(ProfileResult),
+    /// Of a render.
+    Render(RenderResult),
+}
+
+impl TaskResult {
+    /// The kind of task that gives such a result.
+    pub const fn kind(&self) -> TaskKind {
+        match self {
+            TaskResult::Preview(_) => TaskKind::Preview,
+            TaskResult::Profile(_) => TaskKind::Profile,
+            TaskResult::Render(_) => TaskKind::Render,
+        }
+    }
+
+    /// The artefacts that the result names, which have to be there before it can be committed.
+    pub fn artifacts(&self) -> Vec<ArtifactHash> {
+        match self {
+            TaskResult::Preview(result) => {
+                result.frames.iter().filter_map(|frame| frame.preview_png).collect()
+            }
+            TaskResult::Profile(result) => {
+                std::iter::once(result.artifacts.profile).chain(result.artifacts.preview_png).collect()
+            }
+            TaskResult::Render(result) => {
+                let RenderArtifacts { image_exr, image_png, cost_map_png, preview_png } = result.artifacts;
+                [image_exr, image_png, cost_map_png].into_iter().chain(preview_png).collect()
+            }
+        }
+    }
+}
+
+/// Operations and time that something took.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Spent {
+    /// Deterministic count of operations.
+    pub work: u64,
+    /// CPU time over all threads, in nanoseconds.
+    pub cpu_nanos: u64,
+}
+
+/// A stratum: the pixels that show one material of one object.
+#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct StratumName {
+    /// The object's name.
+    pub object: String,
+    /// The material's name.
+    pub material: String,
+}
+
+/// What made the preview.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PreviewBackend {
+    /// A graphics processor, or a software one.
+    Gpu,
+    /// The tracer's own camera rays.
+    Cpu,
+}
+
+/// How many pixels of a frame show each stratum.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FrameStrata {
+    /// Frame number.
+    pub frame: u32,
+    /// Pixels by stratum, in the order of [`PreviewResult::strata`] and as many.
+    pub pixels: Vec<u32>,
+    /// Pixels that show nothing. With `pixels` they make up the whole image.
+    pub background: u32,
+    /// The preview as an image.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub preview_png: Option<ArtifactHash>,
+}
+
+/// The result of a preview.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PreviewResult {
+    /// All strata that any frame shows, each once.
+    pub strata: Vec<StratumName>,
+    /// One entry a frame, in the order of the spec.
+    pub frames: Vec<FrameStrata>,
+    /// What made it.
+    pub backend: PreviewBackend,
+    /// What it took.
+    pub spent: Spent,
+}
+
+/// One profiled pixel.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ProfileSample {
+    /// The pixel: row × width + column, from the top left.
+    pub pixel: u32,
+    /// Index into [`ProfileResult::strata`]; the number of strata stands for the background.
+    pub stratum: u32,
+    /// Deterministic count of operations of all its camera paths.
+    pub work: u64,
+    /// CPU time of all its camera paths, in nanoseconds.
+    pub cpu_nanos: u64,
+    /// Rays by category, in the order of [`crate::Rays::NAMES`].
+    pub rays: [u64; 7],
+}
+
+/// Costs that a frame has whatever its pixels show.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FixedCosts {
+    /// Loading the bundle and setting up the frame.
+    pub load: Spent,
+    /// Building the acceleration structure.
+    pub build: Spent,
+}
+
+/// The artefacts of a profile.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ProfileArtifacts {
+    /// The finished pixels with their radiance and counters, for the render to take over.
+    pub profile: ArtifactHash,
+    /// The frame's preview as an image.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub preview_png: Option<ArtifactHash>,
+}
+
+/// The result of a profile.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ProfileResult {
+    /// The frame.
+    pub frame: u32,
+    /// The names of the strata that the samples refer to. Matched with the preview's by name: the order may differ.
+    pub strata: Vec<StratumName>,
+    /// The profiled pixels, each once.
+    pub samples: Vec<ProfileSample>,
+    /// Costs beside the pixels.
+    pub fixed: FixedCosts,
+    /// What the whole task took.
+    pub spent: Spent,
+    /// Its artefacts.
+    pub artifacts: ProfileArtifacts,
+}
+
+/// The artefacts of a render.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RenderArtifacts {
+    /// The image, linear, OpenEXR.
+    pub image_exr: ArtifactHash,
+    /// The image, for looking at.
+    pub image_png: ArtifactHash,
+    /// Cost of each pixel in colour.
+    pub cost_map_png: ArtifactHash,
+    /// Object and material ids in colour.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub preview_png: Option<ArtifactHash>,
+}
+
+/// The result of a render.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RenderResult {
+    /// What the frame took.
+    pub stats: RenderStats,
+    /// Its artefacts.
+    pub artifacts: RenderArtifacts,
+}

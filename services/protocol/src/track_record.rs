@@ -1,0 +1,60 @@
+//! How often the quotes were right.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::{JobId, PageToken, Quantiles, Timestamp};
+
+/// How many actuals were at or below a forecast quantile.
+#[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
+pub struct QuantileHits {
+    /// Actual at or below the P50, frames.
+    pub p50: u64,
+    /// Actual at or below the P80, frames.
+    pub p80: u64,
+    /// Actual at or below the P95, frames.
+    pub p95: u64,
+}
+
+/// One finished frame: forecast against actual.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct TrackRecordRow {
+    /// The job.
+    pub job_id: JobId,
+    /// The frame.
+    pub frame: u32,
+    /// When it was finished.
+    pub finished: Timestamp,
+    /// Forecast work.
+    pub work_forecast: Quantiles,
+    /// Actual work.
+    pub work_actual: f64,
+    /// Forecast CPU seconds on a node of speed 1.
+    pub cpu_forecast: Quantiles,
+    /// Actual CPU seconds, brought to a node of speed 1.
+    pub cpu_actual: f64,
+}
+
+/// The record of all finished frames, and a page of them, newest first.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct TrackRecord {
+    /// Finished frames that had a forecast.
+    pub frames: u64,
+    /// Hits of the work quantiles.
+    pub work_hits: QuantileHits,
+    /// Hits of the CPU time quantiles.
+    pub cpu_hits: QuantileHits,
+    /// Mean over frames of |forecast mean / actual − 1| of work; absent without frames.
+    pub work_mean_absolute_error: Option<f64>,
+    /// Mean over frames of |forecast mean / actual − 1| of CPU time; absent without frames.
+    pub cpu_mean_absolute_error: Option<f64>,
+    /// Sum of forecast means over sum of actuals, minus one, of work; absent without frames.
+    pub work_bias: Option<f64>,
+    /// Sum of forecast means over sum of actuals, minus one, of CPU time; absent without frames.
+    pub cpu_bias: Option<f64>,
+    /// The frames.
+    pub items: Vec<TrackRecordRow>,
+    /// Where the next page starts; absent on the last.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub next_page_token: Option<PageToken>,
+}
