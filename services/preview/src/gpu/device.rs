@@ -1,0 +1,159 @@
+//! The Vulkan device: which one, and how its failures become errors.
+
+use crate::error::PreviewError;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::time::{Duration, Instant};
+
+/// How long one submission may take. A software driver on a busy machine takes seconds for the largest tiles; a device
+/// that is silent for this long hangs.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// An open device with its queue, and the first failure that it reported outside of a call.
+pub(crate) struct Device {
+    pub device: wgpu::Device,
+    pub queue: wgpu::Queue,
+    /// Name and kind of the adapter, for messages.
+    pub name: String,
+    fault: Arc<Mutex<Option<String>>>,
+}
+
+impl Device {
+    /// Opens the best adapter that can do what is needed: a discrete GPU before an integrated before a virtual one, a
+    /// software renderer last.
+    pub fn open() -> Result<Self, PreviewError> {
+        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
+            backends: wgpu::Backends::VULKAN,
+            flags: wgpu::InstanceFlags::empty(),
+            ..wgpu::InstanceDescriptor::new_without_display_handle()
+        });
+        let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::VULKAN));
+        adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
+            wgpu::DeviceType::DiscreteGpu => 0,
+            wgpu::DeviceType::IntegratedGpu => 1,
+            wgpu::DeviceType::VirtualGpu => 2,
+            wgpu::DeviceType::Other => 3,
+            wgpu::DeviceType::Cpu => 4,
+        });
+        let mut reasons = Vec::new();
+        for adapter in &adapters {
+            match Self::open_adapter(adapter) {
+                Ok(device) => return Ok(device),
+                Err(reason) => reasons.push(format!("{}: {reason}", adapter.get_info().name)),
+            }
+        }
+        if reasons.is_empty() {
+            reasons.push("no Vulkan adapter found".into());
+        }
+        Err(PreviewError::NoDevice(reasons.join("; ")))
+    }
+
+    fn open_adapter(adapter: &wgpu::Adapter) -> Result<Self, String> {
+        if !adapter.features().contains(wgpu::Features::PRIMITIVE_INDEX) {
+            return Err("it does not number primitives".into());
+        }
+        // Everything else fits the defaults that every device supports; a scene's buffers may be as large as the device allows.
+        let offered = adapter.limits();
+        let limits = wgpu::Limits {
+            max_buffer_size: offered.max_buffer_size,
+            max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,
+            ..wgpu::Limits::default()
+        };
+        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("preview"),
+            required_features: wgpu::Features::PRIMITIVE_INDEX,
+            required_limits: limits,
+            ..wgpu::DeviceDescriptor::default()
+        }))
+        .map_err(|error| error.to_string())?;
+        let fault = Arc::new(Mutex::new(None));
+        let note = |fault: &Arc<Mutex<Option<String>>>, message: String| {
+            fault.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(message);
+        };
+        let uncaptured = Arc::clone(&fault);
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(&uncaptured, error.to_string())));
+        let lost = Arc::clone(&fault);
+        device.set_device_lost_callback(move |reason, message| {
+            if reason != wgpu::DeviceLostReason::Destroyed {
+                note(&lost, format!("lost: {message}"));
+            }
+        });
+        let info = adapter.get_info();
+        Ok(Self {
+            device,
+            queue,
+            name: format!("{} ({:?}, {})", info.name, info.device_type, info.driver),
+            fault,
+        })
+    }
+
+    /// Most bytes of one buffer that shaders read.
+    pub fn most_bytes(&self) -> u64 {
+        let limits = self.device.limits();
+        limits.max_buffer_size.min(limits.max_storage_buffer_binding_size)
+    }
+
+    /// An uninitialised (zero) buffer.
+    pub fn buffer(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+        self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size,
+            usage,
+            mapped_at_creation: false,
+        })
+    }
+
+    /// Submits `commands`, waits for them and hands the bytes of `buffer` to `read`. Adds the wait to `waited`, nanoseconds.
+    pub fn run_and_read<T>(
+        &self,
+        commands: wgpu::CommandBuffer,
+        buffer: &wgpu::Buffer,
+        bytes: u64,
+        waited: &mut u64,
+        read: impl FnOnce(&[u8]) -> T,
+    ) -> Result<T, PreviewError> {
+        let start = Instant::now();
+        let submission = self.queue.submit([commands]);
+        let (mapped, outcome) = mpsc::channel();
+        buffer.map_async(wgpu::MapMode::Read, ..bytes, move |result| {
+            // The receiver is gone only when the wait has failed already.
+            let _ = mapped.send(result);
+        });
+        self.wait(submission)?;
+        *waited += start.elapsed().as_nanos() as u64;
+        outcome
+            .try_recv()
+            .map_err(|_| self.failure("the result was not delivered"))?
+            .map_err(|error| self.failure(&error.to_string()))?;
+        let value = {
+            let view = buffer.get_mapped_range(..bytes).map_err(|error| self.failure(&error.to_string()))?;
+            read(&view)
+        };
+        buffer.unmap();
+        self.healthy()?;
+        Ok(value)
+    }
+
+    fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), PreviewError> {
+        let poll = wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(PATIENCE) };
+        // wgpu panics when the device is lost while it waits; a lost device must not take the process with it.
+        match catch_unwind(AssertUnwindSafe(|| self.device.poll(poll))) {
+            Ok(Ok(_)) => self.healthy(),
+            Ok(Err(wgpu::PollError::Timeout)) => Err(PreviewError::Timeout { seconds: PATIENCE.as_secs() }),
+            Ok(Err(error)) => Err(self.failure(&error.to_string())),
+            Err(_) => Err(self.failure("lost while waiting for it")),
+        }
+    }
+
+    /// The failure reported outside of a call, if there was one.
+    pub fn healthy(&self) -> Result<(), PreviewError> {
+        match &*self.fault.lock().unwrap_or_else(PoisonError::into_inner) {
+            Some(message) => Err(PreviewError::Device(message.clone())),
+            None => Ok(()),
+        }
+    }
+
+    fn failure(&self, otherwise: &str) -> PreviewError {
+        self.healthy().err().unwrap_or_else(|| PreviewError::Device(otherwise.into()))
+    }
+}

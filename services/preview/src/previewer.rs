@@ -1,0 +1,171 @@
+//! Which maker previews, and what it remembers from frame to frame.
+
+use crate::cost::Cost;
+use crate::cpu::Cpu;
+use crate::error::PreviewError;
+use crate::gpu::Gpu;
+use crate::preview::{Counts, Preview};
+use forelight_scene::Frame;
+use std::fmt;
+use std::str::FromStr;
+use thiserror::Error;
+
+/// Who previews: the value of `--preview`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Choice {
+    /// The GPU where a usable Vulkan device is, the CPU twin otherwise, and when the device fails or the scene does not fit it.
+    #[default]
+    Auto,
+    /// The GPU or an error.
+    Gpu,
+    /// The CPU twin.
+    Cpu,
+}
+
+impl fmt::Display for Choice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Auto => "auto",
+            Self::Gpu => "gpu",
+            Self::Cpu => "cpu",
+        })
+    }
+}
+
+/// A word that is no [`Choice`].
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error("{0:?} is not one of auto, gpu, cpu")]
+pub struct ParseChoiceError(String);
+
+impl FromStr for Choice {
+    type Err = ParseChoiceError;
+
+    fn from_str(word: &str) -> Result<Self, Self::Err> {
+        match word {
+            "auto" => Ok(Self::Auto),
+            "gpu" => Ok(Self::Gpu),
+            "cpu" => Ok(Self::Cpu),
+            _ => Err(ParseChoiceError(word.into())),
+        }
+    }
+}
+
+/// Makes previews. What a frame shares with the one before (geometry, textures) stays where it is: on the device, or in the
+/// CPU twin's tree.
+pub struct Previewer {
+    choice: Choice,
+    gpu: Option<Gpu>,
+    cpu: Cpu,
+    /// Whether this frame's scene did not fit the device, so that the log says it once.
+    warned: bool,
+    cost: Cost,
+}
+
+impl Previewer {
+    /// Opens the device where `choice` wants one, and says once in the log which way previews are made, and why.
+    ///
+    /// # Errors
+    /// [`PreviewError::NoDevice`] or [`PreviewError::Device`], for [`Choice::Gpu`] only.
+    pub fn new(choice: Choice) -> Result<Self, PreviewError> {
+        let gpu = match choice {
+            Choice::Cpu => {
+                tracing::info!("previews on the CPU: as chosen");
+                None
+            }
+            Choice::Gpu | Choice::Auto => match Gpu::open() {
+                Ok(gpu) => {
+                    tracing::info!(adapter = gpu.name(), "previews on the GPU");
+                    Some(gpu)
+                }
+                Err(error) if choice == Choice::Gpu => return Err(error),
+                Err(error) => {
+                    tracing::info!(reason = %error, "previews on the CPU");
+                    None
+                }
+            },
+        };
+        Ok(Self { choice, gpu, cpu: Cpu::default(), warned: false, cost: Cost::default() })
+    }
+
+    /// `"gpu"` or `"cpu"`.
+    pub fn backend(&self) -> &'static str {
+        if self.gpu.is_some() { "gpu" } else { "cpu" }
+    }
+
+    /// Name, kind and driver of the GPU in use.
+    pub fn adapter(&self) -> Option<&str> {
+        self.gpu.as_ref().map(Gpu::name)
+    }
+
+    /// What the last call of `preview` or `counts` took; zero after an error.
+    pub fn cost(&self) -> Cost {
+        self.cost
+    }
+
+    /// What each pixel of the frame shows, at the camera's resolution and pixel centres.
+    ///
+    /// # Errors
+    /// [`PreviewError::EmptyImage`], [`PreviewError::ImageTooLarge`] or [`PreviewError::Camera`] for a frame that has no image;
+    /// what befalls the device, for [`Choice::Gpu`] only.
+    pub fn preview(&mut self, frame: &Frame) -> Result<Preview, PreviewError> {
+        self.make(|gpu| gpu.preview(frame), |cpu| cpu.preview(frame))
+    }
+
+    /// How many pixels of the frame show each stratum. The same numbers as `preview(frame)?.counts()`; on the GPU, nothing else is
+    /// brought back.
+    ///
+    /// # Errors
+    /// As [`Previewer::preview`].
+    pub fn counts(&mut self, frame: &Frame) -> Result<Counts, PreviewError> {
+        self.make(|gpu| gpu.counts(frame), |cpu| cpu.counts(frame))
+    }
+
+    fn make<T>(
+        &mut self,
+        on_gpu: impl FnOnce(&mut Gpu) -> Result<(T, Cost), PreviewError>,
+        on_cpu: impl FnOnce(&mut Cpu) -> Result<(T, Cost), PreviewError>,
+    ) -> Result<T, PreviewError> {
+        self.cost = Cost::default();
+        if let Some(gpu) = &mut self.gpu {
+            match on_gpu(gpu) {
+                Ok((value, cost)) => {
+                    self.cost = cost;
+                    return Ok(value);
+                }
+                Err(error) if self.choice == Choice::Gpu => return Err(error),
+                Err(error @ PreviewError::DoesNotFit { .. }) => {
+                    if !self.warned {
+                        tracing::warn!(reason = %error, "previewing on the CPU what does not fit the GPU");
+                        self.warned = true;
+                    }
+                }
+                Err(
+                    error @ (PreviewError::Timeout { .. }
+                    | PreviewError::Device(_)
+                    | PreviewError::NoDevice(_)),
+                ) => {
+                    tracing::warn!(reason = %error, "previews on the CPU from here on");
+                    self.gpu = None;
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        let (value, cost) = on_cpu(&mut self.cpu)?;
+        self.cost = cost;
+        Ok(value)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_choice_reads_as_it_is_written() {
+        for choice in [Choice::Auto, Choice::Gpu, Choice::Cpu] {
+            assert_eq!(choice.to_string().parse(), Ok(choice));
+        }
+        let error = "both".parse::<Choice>().expect_err("no choice");
+        assert_eq!(error.to_string(), "\"both\" is not one of auto, gpu, cpu");
+    }
+}
