@@ -19,8 +19,10 @@ impl Bvh {
     /// If an index is out of range; the loader of a scene has checked that.
     pub fn build(positions: &[Vec3], triangles: &[[u32; 3]]) -> Self {
         let corner = |i: u32| Vec3A::from(positions[i as usize]);
-        let input: Vec<Triangle> =
-            triangles.iter().map(|&[a, b, c]| Triangle { v0: corner(a), v1: corner(b), v2: corner(c) }).collect();
+        let input: Vec<Triangle> = triangles
+            .iter()
+            .map(|&[a, b, c]| Triangle { v0: corner(a), v1: corner(b), v2: corner(c) })
+            .collect();
         if input.is_empty() {
             return Self::default();
         }
@@ -48,7 +50,8 @@ impl Collapse<'_> {
             for (slot, &child) in self.frontier(binary).iter().enumerate() {
                 let source = self.binary.nodes[child as usize];
                 let (lower, upper) = (source.aabb.min.to_array(), source.aabb.max.to_array());
-                let reference = if source.is_leaf() { self.leaf(&source) } else { self.out.nodes.len() as u32 };
+                let reference =
+                    if source.is_leaf() { self.leaf(&source) } else { self.out.nodes.len() as u32 };
                 let node = &mut self.out.nodes[wide as usize];
                 for axis in 0..3 {
                     node.bounds[0][axis][slot] = lower[axis];
@@ -71,9 +74,8 @@ impl Collapse<'_> {
         let nodes = &self.binary.nodes;
         let mut frontier = vec![root];
         while frontier.len() < 8 {
-            let largest = (0..frontier.len())
-                .filter(|&i| !nodes[frontier[i] as usize].is_leaf())
-                .max_by(|&i, &j| {
+            let largest =
+                (0..frontier.len()).filter(|&i| !nodes[frontier[i] as usize].is_leaf()).max_by(|&i, &j| {
                     let area = |k: usize| nodes[frontier[k] as usize].aabb.half_area();
                     area(i).total_cmp(&area(j)).then(j.cmp(&i))
                 });

@@ -1,0 +1,121 @@
+//! Light from outside the scene.
+
+use crate::geometry::{direction_to_lat_long, lat_long_to_direction};
+use forelight_scene::{Environment, Frame, Texture};
+use glam::{Vec2, Vec3};
+use std::f32::consts::PI;
+use std::sync::Arc;
+
+/// What rays that leave the scene meet.
+#[derive(Debug, Clone)]
+pub enum Sky {
+    Black,
+    Constant(Vec3),
+    Image(Box<SkyImage>),
+}
+
+/// A latitude-longitude image with the distribution of its light.
+#[derive(Debug, Clone)]
+pub struct SkyImage {
+    textures: Arc<[Texture]>,
+    texture: usize,
+    scale: f32,
+    /// Rotation about +y as cosine and sine.
+    rotation: (f32, f32),
+    /// Cumulative light of the rows, and of each row's texels; last entries 1.
+    rows: Vec<f32>,
+    columns: Vec<Vec<f32>>,
+}
+
+impl Sky {
+    pub fn new(frame: &Frame) -> Self {
+        match frame.environment {
+            Environment::Black => Self::Black,
+            Environment::Constant(radiance) if radiance.max_element() <= 0.0 => Self::Black,
+            Environment::Constant(radiance) => Self::Constant(radiance),
+            Environment::Image { texture, scale, rotation_deg } => {
+                SkyImage::new(frame, texture.0 as usize, scale, rotation_deg)
+                    .map_or(Self::Black, |image| Self::Image(Box::new(image)))
+            }
+        }
+    }
+
+    pub fn is_black(&self) -> bool {
+        matches!(self, Self::Black)
+    }
+
+    /// Radiance from direction `d` (unit).
+    pub fn radiance(&self, d: Vec3) -> Vec3 {
+        match self {
+            Self::Black => Vec3::ZERO,
+            Self::Constant(radiance) => *radiance,
+            Self::Image(image) => image.radiance(d),
+        }
+    }
+}
+
+impl SkyImage {
+    fn new(frame: &Frame, texture: usize, scale: f32, rotation_deg: f32) -> Option<Self> {
+        let image = frame.textures.get(texture)?;
+        let (width, height) = (image.width as usize, image.height as usize);
+        let (mut rows, mut columns) = (Vec::with_capacity(height), Vec::with_capacity(height));
+        let mut total = 0.0f64;
+        for y in 0..height {
+            // A texel's weight is its largest channel times the solid angle of its row. Bilinear lookup spreads light into the
+            // neighbouring texels, so each counts its neighbours too: no direction of light has density zero.
+            let sin = libm::sin((y as f64 + 0.5) / height as f64 * std::f64::consts::PI);
+            let mut sum = 0.0f64;
+            let row: Vec<f64> = (0..width)
+                .map(|x| {
+                    let mut weight = 0.0f32;
+                    for dy in [-1i64, 0, 1] {
+                        let row = (y as i64 + dy).clamp(0, height as i64 - 1) as usize;
+                        for dx in [width - 1, 0, 1] {
+                            weight =
+                                weight.max(image.texel_color(row * width + (x + dx) % width).max_element());
+                        }
+                    }
+                    sum += f64::from(weight.max(0.0)) * sin;
+                    sum
+                })
+                .collect();
+            columns.push(row.iter().map(|&c| if sum > 0.0 { (c / sum) as f32 } else { 1.0 }).collect());
+            total += sum;
+            rows.push(total);
+        }
+        if !(total > 0.0 && total.is_finite() && scale > 0.0) {
+            return None;
+        }
+        let rows = rows.iter().map(|&r| (r / total) as f32).collect();
+        let angle = rotation_deg.to_radians();
+        let rotation = (libm::cosf(angle), libm::sinf(angle));
+        Some(Self { textures: frame.textures.clone(), texture, scale, rotation, rows, columns })
+    }
+
+    fn radiance(&self, d: Vec3) -> Vec3 {
+        let (c, s) = self.rotation;
+        let local = Vec3::new(c * d.x - s * d.z, d.y, s * d.x + c * d.z);
+        let uv = direction_to_lat_long(local);
+        self.scale * self.textures[self.texture].color(Vec2::new(uv.x, 1.0 - uv.y))
+    }
+
+    /// A direction in proportion to its light, and its density per steradian.
+    pub fn sample(&self, u: Vec2) -> Option<(Vec3, f32)> {
+        let (y, v, row_share) = invert(&self.rows, u.y);
+        let (x, w, texel_share) = invert(&self.columns[y], u.x);
+        let (width, height) = (self.columns[y].len() as f32, self.rows.len() as f32);
+        let (local, sin) = lat_long_to_direction(Vec2::new((x as f32 + w) / width, (y as f32 + v) / height));
+        let density = row_share * texel_share * width * height / (2.0 * PI * PI * sin);
+        let (c, s) = self.rotation;
+        let world = Vec3::new(c * local.x + s * local.z, local.y, -s * local.x + c * local.z);
+        (density.is_finite() && density > 0.0).then_some((world, density))
+    }
+}
+
+/// The entry of a cumulative distribution that holds `u`, the position within it, and its share.
+fn invert(cumulative: &[f32], u: f32) -> (usize, f32, f32) {
+    let index = cumulative.partition_point(|&c| c <= u).min(cumulative.len() - 1);
+    let below = if index == 0 { 0.0 } else { cumulative[index - 1] };
+    let share = cumulative[index] - below;
+    (index, if share > 0.0 { ((u - below) / share).clamp(0.0, 0.999_999_9) } else { 0.5 }, share)
+}

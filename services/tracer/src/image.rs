@@ -1,0 +1,152 @@
+//! Finished images: linear EXR with identity and cost layers, a tone-mapped PNG, and the cost map.
+
+use crate::{Pixel, RAY_NAMES, Rays};
+use exr::prelude as exr;
+use forelight_scene::Frame;
+use glam::Vec3;
+use std::path::Path;
+
+/// All pixels of a frame.
+#[derive(Debug, Clone)]
+pub struct Image {
+    /// Pixels.
+    pub width: u32,
+    /// Pixels.
+    pub height: u32,
+    /// Row-major.
+    pub pixels: Vec<Pixel>,
+    /// Which pixels were taken over from a profile.
+    pub reused: Vec<bool>,
+}
+
+/// Why an image could not be written.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot write {path}: {reason}")]
+pub struct ImageError {
+    path: String,
+    reason: String,
+}
+
+/// Rays, work and CPU time summed over pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Totals {
+    /// Number of pixels.
+    pub pixels: u64,
+    /// Rays by category.
+    pub rays: Rays,
+    /// Deterministic work.
+    pub work: u64,
+    /// CPU time, nanoseconds.
+    pub cpu_nanos: u64,
+}
+
+impl Totals {
+    /// Sums pixels in their order.
+    pub fn of<'a>(pixels: impl Iterator<Item = &'a Pixel>) -> Self {
+        pixels.fold(Self::default(), |mut t, p| {
+            t.pixels += 1;
+            t.rays.iter_mut().zip(p.rays).for_each(|(sum, r)| *sum += u64::from(r));
+            t.work += p.work;
+            t.cpu_nanos += p.cpu_nanos;
+            t
+        })
+    }
+}
+
+impl Image {
+    /// Sums over all pixels, as if nothing had been taken over.
+    pub fn totals(&self) -> Totals {
+        Totals::of(self.pixels.iter())
+    }
+
+    /// Sums over the pixels that were taken over.
+    pub fn reused_totals(&self) -> Totals {
+        Totals::of(self.pixels.iter().zip(&self.reused).filter(|p| *p.1).map(|p| p.0))
+    }
+
+    /// Writes an OpenEXR file: R, G, B (linear Rec. 709), `object.id` and `material.id` (1 + index, 0 where nothing was hit),
+    /// `cost.work`, `cost.cpu_nanos` and `rays.NAME`. Identity and ray channels are u32, costs f32.
+    pub fn write_exr(&self, path: &Path, frame: &Frame) -> Result<(), ImageError> {
+        use exr::{
+            AnyChannel, AnyChannels, Encoding, FlatSamples, Image as ExrImage, Layer, LayerAttributes,
+        };
+        let floats = |f: &dyn Fn(&Pixel) -> f32| FlatSamples::F32(self.pixels.iter().map(f).collect());
+        let integers = |f: &dyn Fn(&Pixel) -> u32| FlatSamples::U32(self.pixels.iter().map(f).collect());
+        let pair = |p: &Pixel| frame.geometry.strata.pairs.get(p.stratum as usize);
+        let mut channels: exr::SmallVec<[AnyChannel<FlatSamples>; 4]> = exr::SmallVec::new();
+        for (c, name) in ["R", "G", "B"].into_iter().enumerate() {
+            channels.push(AnyChannel::new(name, floats(&|p| p.color[c])));
+        }
+        channels.push(AnyChannel::new("object.id", integers(&|p| pair(p).map_or(0, |ids| ids.0 + 1))));
+        channels.push(AnyChannel::new("material.id", integers(&|p| pair(p).map_or(0, |ids| ids.1 + 1))));
+        channels.push(AnyChannel::new("cost.work", floats(&|p| p.work as f32)));
+        channels.push(AnyChannel::new("cost.cpu_nanos", floats(&|p| p.cpu_nanos as f32)));
+        for (k, name) in RAY_NAMES.into_iter().enumerate() {
+            channels.push(AnyChannel::new(format!("rays.{name}").as_str(), integers(&|p| p.rays[k])));
+        }
+        let layer = Layer::new(
+            (self.width as usize, self.height as usize),
+            LayerAttributes::default(),
+            Encoding::SMALL_FAST_LOSSLESS,
+            AnyChannels::sort(channels),
+        );
+        use exr::WritableImage;
+        let error = |e: exr::Error| ImageError { path: path.display().to_string(), reason: e.to_string() };
+        // One thread: an image is written while other tasks render.
+        ExrImage::from_layer(layer).write().non_parallel().to_file(path).map_err(error)
+    }
+
+    /// The image as a person looks at it: tone-mapped to sRGB.
+    pub fn picture(&self) -> image::RgbImage {
+        self.paint(|p| tone_map(Vec3::from_array(p.color)))
+    }
+
+    /// Work per pixel in the paper's scale (figures 4 and 6): cyan is cheapest, then blue, to red for the dearest.
+    /// Scaled linearly up to the 99.5th percentile, so that one pixel does not turn all others cyan.
+    pub fn cost_map(&self) -> image::RgbImage {
+        let mut sorted: Vec<u64> = self.pixels.iter().map(|p| p.work).collect();
+        sorted.sort_unstable();
+        let at = |share: f64| sorted[((sorted.len() - 1) as f64 * share) as usize] as f32;
+        let (lowest, highest) = (at(0.0), at(0.995));
+        let range = (highest - lowest).max(1.0);
+        self.paint(|p| cost_color((p.work as f32 - lowest) / range))
+    }
+
+    fn paint(&self, color: impl Fn(&Pixel) -> [u8; 3]) -> image::RgbImage {
+        image::RgbImage::from_fn(self.width, self.height, |x, y| {
+            image::Rgb(color(&self.pixels[(y * self.width + x) as usize]))
+        })
+    }
+}
+
+/// Filmic curve with a soft shoulder above 0.6, the same for every channel, then the sRGB transfer function.
+fn tone_map(color: Vec3) -> [u8; 3] {
+    const KNEE: f32 = 0.6;
+    color.to_array().map(|c| {
+        let c = if c.is_finite() { c.max(0.0) } else { 0.0 };
+        let over = (c - KNEE).max(0.0) / (1.0 - KNEE);
+        let display = if c <= KNEE { c } else { KNEE + (1.0 - KNEE) * (over / (1.0 + over)) };
+        let encoded = if display <= 0.003_130_8 {
+            12.92 * display
+        } else {
+            1.055 * libm::powf(display, 1.0 / 2.4) - 0.055
+        };
+        (encoded * 255.0 + 0.5) as u8
+    })
+}
+
+/// The paper's false colours: `t` in [0, 1] from cyan over blue, green and yellow to red.
+pub fn cost_color(t: f32) -> [u8; 3] {
+    const STOPS: [[f32; 3]; 6] = [
+        [0.0, 0.9, 0.9],
+        [0.0, 0.35, 0.95],
+        [0.1, 0.1, 0.6],
+        [0.1, 0.65, 0.2],
+        [0.95, 0.85, 0.1],
+        [0.85, 0.05, 0.05],
+    ];
+    let position = t.clamp(0.0, 1.0) * (STOPS.len() - 1) as f32;
+    let i = (position as usize).min(STOPS.len() - 2);
+    let f = position - i as f32;
+    std::array::from_fn(|c| ((STOPS[i][c] * (1.0 - f) + STOPS[i + 1][c] * f) * 255.0 + 0.5) as u8)
+}

@@ -1,0 +1,611 @@
+//! The `ambient` integrator: distribution ray tracing after Whitted, Cook and Ward.
+//!
+//! At every diffuse or glossy surface all lights are sampled (next-event estimation); mirrors, glass and glossy lobes are
+//! followed; the first `ambient_bounces` diffuse hits gather their hemisphere. Light is counted once: a ray that leaves a
+//! diffuse surface does not see what that surface sampled, unless a mirror or glass lies between (then sampling could not
+//! have found it); a glossy lobe and the lights share theirs by multiple importance sampling (Veach 1997, balance heuristic).
+
+use crate::cost::{Category, Counters};
+use crate::environment::Sky;
+use crate::fresnel;
+use crate::geometry::{self, Basis};
+use crate::microfacet as ggx;
+use crate::random::{Purpose, Sampler};
+use crate::response::{Coat, Glossy, Response, Tint};
+use crate::tracer::Tracer;
+use forelight_bvh::{Hit, Ray, offset_origin};
+use forelight_scene::{Color, Surface};
+use glam::{Vec2, Vec3};
+use std::cell::Cell;
+
+/// On the camera's own tree, a branch that adds less than this share of the pixel survives only by roulette.
+const FAINT: f32 = 0.02;
+
+/// Which lights a ray may see when it meets them.
+#[derive(Debug, Clone, Copy)]
+enum Arrival {
+    /// All: the ray comes from the camera or from a mirror.
+    Everything,
+    /// None: the diffuse surface that it left has sampled them.
+    Nothing,
+    /// Area lights with the weight that light sampling leaves; `density` per steradian at the glossy surface,
+    /// `travelled` metres since (straight through panes).
+    Shared { density: f32, travelled: f32 },
+}
+
+/// A ray with what its origin knows.
+#[derive(Debug, Clone, Copy)]
+struct Segment {
+    ray: Ray,
+    arrival: Arrival,
+    /// Diffuse bounces so far.
+    level: u32,
+    /// Mirror, glass and glossy hits since the last of them.
+    depth: u32,
+    /// Hits so far: the random numbers' dimension.
+    vertex: u32,
+    /// Largest channel of what this ray adds to the pixel.
+    weight: f32,
+}
+
+/// A point of a surface, seen from where the ray came from.
+struct Point {
+    position: Vec3,
+    /// Geometric normal by the winding.
+    geometric: Vec3,
+    /// Shading frame, its normal on the viewer's side.
+    basis: Basis,
+    /// Unit direction to the viewer, world and local.
+    viewer: Vec3,
+    wi: Vec3,
+    uv: Vec2,
+    material: usize,
+    stratum: u32,
+    distance: f32,
+}
+
+/// The tracing of one pixel.
+pub struct Pixels<'a> {
+    tracer: &'a Tracer,
+    sampler: Sampler,
+    pub counters: Counters,
+    /// Stratum that the first camera ray met.
+    pub stratum: Option<u32>,
+}
+
+impl<'a> Pixels<'a> {
+    pub fn new(tracer: &'a Tracer, sampler: Sampler) -> Self {
+        Self { tracer, sampler, counters: Counters::default(), stratum: None }
+    }
+
+    /// One camera sample of the pixel at column `x` and row `y`.
+    pub fn sample(&mut self, x: u32, y: u32) -> Vec3 {
+        let camera = &self.tracer.frame.camera;
+        let jitter = self.sampler.next(Purpose::Pixel, 0);
+        let direction = camera.direction(Vec2::new(x as f32, y as f32) + jitter);
+        let mut ray = Ray::new(camera.origin, direction.normalize());
+        if camera.aperture_radius > 0.0 {
+            let lens = geometry::disc(self.sampler.next(Purpose::Lens, 0)) * camera.aperture_radius;
+            let focus = camera.origin + direction * camera.focus_distance;
+            ray.origin = camera.origin + lens.x * camera.right + lens.y * camera.up;
+            ray.direction = (focus - ray.origin).normalize();
+        }
+        self.counters.ray(Category::Primary);
+        let arrival = Arrival::Everything;
+        self.radiance(Segment { ray, arrival, level: 0, depth: 0, vertex: 0, weight: 1.0 })
+    }
+
+    /// Radiance that arrives along a segment.
+    fn radiance(&mut self, s: Segment) -> Vec3 {
+        let Some(hit) = self.closest(&s.ray) else {
+            return self.leave(&s);
+        };
+        let p = self.point(&s, &hit);
+        if s.vertex == 0 && self.stratum.is_none() {
+            self.stratum = Some(p.stratum);
+        }
+        let material = &self.tracer.materials[p.material];
+        if material.opacity < 1.0 && self.sampler.next(Purpose::Opacity, s.vertex).x >= material.opacity {
+            self.counters.ray(Category::Transparent);
+            return self.radiance(self.straight(&s, &p));
+        }
+        self.counters.shadings += 1;
+        let emitted = if material.is_emissive() { self.emission(&s, &p) } else { Vec3::ZERO };
+        emitted
+            + match material.surface {
+                Surface::Lambert { albedo } => {
+                    let diffuse = self.color(&albedo, p.uv);
+                    self.reflecting(&s, &p, Response { diffuse, coat: None, glossy: None })
+                }
+                Surface::Plastic { albedo, ior, alpha } => self.plastic(&s, &p, &albedo, ior, alpha),
+                Surface::Metal { f0, alpha } => {
+                    let f0 = self.color(&f0, p.uv);
+                    if alpha < ggx::SMOOTH {
+                        let share = fresnel::conductor(p.wi.z, f0);
+                        self.mirror(&s, &p, share)
+                    } else {
+                        let glossy = Some(Glossy { alpha, fresnel: Tint::Conductor(f0) });
+                        self.reflecting(&s, &p, Response { diffuse: Vec3::ZERO, coat: None, glossy })
+                    }
+                }
+                Surface::ThinGlass { ior, transmittance } => self.pane(&s, &p, ior, &transmittance),
+                Surface::Glass { ior, transmittance, alpha } => {
+                    self.glass(&s, &p, ior, &transmittance, alpha)
+                }
+            }
+    }
+
+    /// What a ray sees that leaves the scene.
+    fn leave(&mut self, s: &Segment) -> Vec3 {
+        let tracer = self.tracer;
+        match s.arrival {
+            Arrival::Nothing => Vec3::ZERO,
+            Arrival::Shared { .. } => tracer.sky.radiance(s.ray.direction),
+            Arrival::Everything => {
+                let suns = tracer.frame.suns.iter().map(|sun| {
+                    let height = cap_height(sun.angle_deg);
+                    if height > 0.0 && s.ray.direction.dot(sun.direction) >= 1.0 - height {
+                        sun.irradiance / (std::f32::consts::TAU * height)
+                    } else {
+                        Vec3::ZERO
+                    }
+                });
+                tracer.sky.radiance(s.ray.direction) + suns.sum::<Vec3>()
+            }
+        }
+    }
+
+    /// Light that the surface sends towards the viewer by itself.
+    fn emission(&mut self, s: &Segment, p: &Point) -> Vec3 {
+        let material = &self.tracer.materials[p.material];
+        let cos = p.geometric.dot(p.viewer);
+        let cos = if material.emits_both_sides { cos.abs() } else { cos };
+        if cos <= 0.0 {
+            return Vec3::ZERO;
+        }
+        let weight = match s.arrival {
+            Arrival::Nothing => return Vec3::ZERO,
+            Arrival::Everything => 1.0,
+            Arrival::Shared { density, travelled } => match self.tracer.luminaires.of_stratum(p.stratum) {
+                Some(index) => {
+                    let luminaire = &self.tracer.luminaires.all[index];
+                    let distance = travelled + p.distance;
+                    let by_light =
+                        distance * distance / (cos * luminaire.area) * self.tracer.luminaires.expected(index);
+                    density / (density + by_light)
+                }
+                None => 1.0,
+            },
+        };
+        let emission = material.emission;
+        weight * self.color(&emission, p.uv)
+    }
+
+    /// Diffuse and glossy surfaces: lights sampled, hemisphere gathered, lobe followed.
+    fn reflecting(&mut self, s: &Segment, p: &Point, response: Response) -> Vec3 {
+        let mut total = Vec3::ZERO;
+        if response.has_diffuse() || response.glossy.is_some() {
+            total += self.direct(p, &response, s.vertex);
+        }
+        if response.has_diffuse() && s.level < self.tracer.settings.ambient_bounces {
+            total += self.gather(s, p, &response);
+        }
+        if let Some(glossy) = response.glossy
+            && let Some((wo, share, density)) =
+                glossy.sample(p.wi, self.sampler.next(Purpose::Glossy, s.vertex))
+        {
+            let arrival = Arrival::Shared { density, travelled: 0.0 };
+            total += self.follow(s, p, p.basis.to_world(wo), share, Category::Specular, arrival);
+        }
+        total
+    }
+
+    fn plastic(&mut self, s: &Segment, p: &Point, albedo: &Color, ior: f32, alpha: f32) -> Vec3 {
+        let diffuse = self.color(albedo, p.uv);
+        let coat = Some(Coat { ior, internal: self.tracer.internal[p.material] });
+        if alpha >= ggx::SMOOTH {
+            let glossy = Some(Glossy { alpha, fresnel: Tint::Dielectric(ior) });
+            return self.reflecting(s, p, Response { diffuse, coat, glossy });
+        }
+        let share = Vec3::splat(fresnel::dielectric(p.wi.z, ior).reflectance);
+        self.reflecting(s, p, Response { diffuse, coat, glossy: None }) + self.mirror(s, p, share)
+    }
+
+    fn mirror(&mut self, s: &Segment, p: &Point, share: Vec3) -> Vec3 {
+        let direction = ggx::reflect(p.viewer, p.basis.normal);
+        self.follow(s, p, direction, share, Category::Reflected, Arrival::Everything)
+    }
+
+    fn pane(&mut self, s: &Segment, p: &Point, ior: f32, transmittance: &Color) -> Vec3 {
+        let reflectance = fresnel::pane(p.wi.z, ior);
+        let through = (1.0 - reflectance) * self.color(transmittance, p.uv);
+        let straight = self.straight(s, p).arrival;
+        let forward = |this: &mut Self, share| {
+            this.follow(s, p, s.ray.direction, share, Category::Transparent, straight)
+        };
+        self.split(s, p, reflectance, through, forward)
+    }
+
+    fn glass(&mut self, s: &Segment, p: &Point, ior: f32, transmittance: &Color, alpha: f32) -> Vec3 {
+        let eta = if p.geometric.dot(p.viewer) > 0.0 { ior } else { 1.0 / ior };
+        let normal = if alpha < ggx::SMOOTH {
+            p.basis.normal
+        } else {
+            p.basis.to_world(ggx::sample_visible(p.wi, alpha, self.sampler.next(Purpose::Glossy, s.vertex)))
+        };
+        let cos_i = p.viewer.dot(normal);
+        let interface = fresnel::dielectric(cos_i, eta);
+        // Radiance is compressed into the smaller cone of the denser medium: 1/η² on the way in, η² on the way out.
+        let through = (1.0 - interface.reflectance) * self.color(transmittance, p.uv) / (eta * eta);
+        if alpha < ggx::SMOOTH {
+            let direction = ggx::refract(p.viewer, normal, eta, interface.cos_t);
+            let forward = |this: &mut Self, share| {
+                this.follow(s, p, direction, share, Category::Refracted, Arrival::Everything)
+            };
+            return self.split(s, p, interface.reflectance, through, forward);
+        }
+        // Rough glass: one of the two directions about the microfacet, weighted by the masking on the other side.
+        let reflects = self.sampler.next(Purpose::Lobe, s.vertex).x < interface.reflectance;
+        let direction = if reflects {
+            ggx::reflect(p.viewer, normal)
+        } else {
+            ggx::refract(p.viewer, normal, eta, interface.cos_t)
+        };
+        let wo = p.basis.to_local(direction);
+        if (wo.z > 0.0) != reflects {
+            return Vec3::ZERO;
+        }
+        let up = wo.with_z(wo.z.abs());
+        let masking = ggx::masking_shadowing(p.wi, up, alpha) / ggx::masking(p.wi, alpha);
+        let (share, category) = if reflects {
+            (Vec3::splat(masking), Category::Specular)
+        } else {
+            (masking * through / (1.0 - interface.reflectance), Category::Refracted)
+        };
+        self.follow(s, p, direction, share, category, Arrival::Everything)
+    }
+
+    /// Reflection and transmission of a smooth interface: both on the camera's first hit, else one of them by chance.
+    fn split(
+        &mut self,
+        s: &Segment,
+        p: &Point,
+        reflectance: f32,
+        through: Vec3,
+        forward: impl Fn(&mut Self, Vec3) -> Vec3,
+    ) -> Vec3 {
+        if s.level == 0 && s.depth == 0 {
+            let reflected = self.mirror(s, p, Vec3::splat(reflectance));
+            return reflected + forward(self, through);
+        }
+        if self.sampler.next(Purpose::Lobe, s.vertex).x < reflectance {
+            self.mirror(s, p, Vec3::ONE)
+        } else {
+            forward(self, through / (1.0 - reflectance))
+        }
+    }
+
+    /// `share` × the radiance from `direction`, with roulette for branches that hardly matter.
+    fn follow(
+        &mut self,
+        s: &Segment,
+        p: &Point,
+        direction: Vec3,
+        share: Vec3,
+        category: Category,
+        arrival: Arrival,
+    ) -> Vec3 {
+        let largest = share.max_element();
+        if largest <= 0.0 || s.depth >= self.tracer.settings.max_depth {
+            return Vec3::ZERO;
+        }
+        let importance = if s.level == 0 { s.weight * largest / FAINT } else { 2.0 * largest };
+        let survival = importance.min(1.0);
+        if survival < 1.0 && self.sampler.next(Purpose::Roulette, s.vertex).x >= survival {
+            return Vec3::ZERO;
+        }
+        self.counters.ray(category);
+        let share = share / survival;
+        let ray = leaving(p, direction);
+        let weight = s.weight * share.max_element();
+        share
+            * self.radiance(Segment {
+                ray,
+                arrival,
+                level: s.level,
+                depth: s.depth + 1,
+                vertex: s.vertex + 1,
+                weight,
+            })
+    }
+
+    /// The segment beyond a surface that lets light pass straight.
+    fn straight(&self, s: &Segment, p: &Point) -> Segment {
+        let arrival = match s.arrival {
+            Arrival::Shared { density, travelled } => {
+                Arrival::Shared { density, travelled: travelled + p.distance }
+            }
+            other => other,
+        };
+        Segment { ray: leaving(p, s.ray.direction), arrival, vertex: s.vertex + 1, ..*s }
+    }
+
+    /// Indirect diffuse light: the mean over stratified, cosine-weighted rays.
+    fn gather(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
+        let divisions = self.tracer.settings.ambient_divisions;
+        let count = if s.level == 0 {
+            ((divisions as f32 * s.weight).ceil() as u32).clamp(1, divisions)
+        } else {
+            (divisions >> (3 * s.level).min(31)).max(1)
+        };
+        let mut sum = Vec3::ZERO;
+        for _ in 0..count {
+            let wo = geometry::cosine_hemisphere(self.sampler.next(Purpose::Gather, s.vertex));
+            if wo.z <= 0.0 {
+                continue;
+            }
+            self.counters.ray(Category::Ambient);
+            let share = response.diffuse(p.wi, wo);
+            sum += share
+                * self.radiance(Segment {
+                    ray: leaving(p, p.basis.to_world(wo)),
+                    arrival: Arrival::Nothing,
+                    level: s.level + 1,
+                    depth: 0,
+                    vertex: s.vertex + 1,
+                    weight: s.weight * share.max_element(),
+                });
+        }
+        sum / count as f32
+    }
+
+    /// Light straight from the lights.
+    fn direct(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
+        self.area_lights(p, response, vertex)
+            + self.point_lights(p, response)
+            + self.suns(p, response, vertex)
+            + self.sky(p, response, vertex)
+    }
+
+    fn area_lights(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
+        let tracer = self.tracer;
+        let count = tracer.luminaires.samples();
+        if count == 0 {
+            return Vec3::ZERO;
+        }
+        let points = self.sampler.draw(Purpose::Light, vertex);
+        let choices = self.sampler.draw(Purpose::LightChoice, vertex);
+        let mut sum = Vec3::ZERO;
+        for i in 0..count {
+            let (index, expected) = tracer.luminaires.choose(i, self.sampler.related(choices, i as u32).x);
+            let luminaire = &tracer.luminaires.all[index];
+            let light = luminaire.sample(&tracer.frame, self.sampler.related(points, index as u32));
+            let to = light.position - p.position;
+            let distance2 = to.length_squared();
+            let direction = to / distance2.sqrt();
+            let wo = p.basis.to_local(direction);
+            let cos = -direction.dot(light.normal);
+            let cos_light = if luminaire.both_sides { cos.abs() } else { cos };
+            // Written so that a light point on the surface itself (0/0) is left out.
+            if !(wo.z > 0.0 && cos_light > 0.0) {
+                continue;
+            }
+            let (diffuse, glossy, by_lobe) = response.evaluate(p.wi, wo);
+            let density = distance2 / (cos_light * luminaire.area) * expected;
+            let reflected = (diffuse + glossy * (density / (density + by_lobe))) / density;
+            if reflected.max_element() <= 0.0 {
+                continue;
+            }
+            let emission = tracer.materials[luminaire.material as usize].emission;
+            let target = offset_origin(light.position, light.normal * cos.signum());
+            let passed = self.shadow(p, direction, Some(target));
+            if passed != Vec3::ZERO {
+                sum += passed * reflected * self.color(&emission, light.uv);
+            }
+        }
+        sum
+    }
+
+    fn point_lights(&mut self, p: &Point, response: &Response) -> Vec3 {
+        let tracer = self.tracer;
+        let mut sum = Vec3::ZERO;
+        for light in &tracer.frame.points {
+            let to = light.position - p.position;
+            let distance2 = to.length_squared();
+            let direction = to / distance2.sqrt();
+            let wo = p.basis.to_local(direction);
+            let cone = light.cone.map_or(1.0, |(axis, inner, outer)| {
+                let t = ((-direction.dot(axis) - outer) / (inner - outer)).clamp(0.0, 1.0);
+                t * t // KHR_lights_punctual's recommended falloff
+            });
+            if wo.z > 0.0 && cone > 0.0 {
+                let (diffuse, glossy, _) = response.evaluate(p.wi, wo);
+                let arriving = light.intensity * (cone / distance2);
+                let reflected = (diffuse + glossy) * arriving;
+                if reflected.max_element() > 0.0 {
+                    sum += reflected * self.shadow(p, direction, Some(light.position));
+                }
+            }
+        }
+        sum
+    }
+
+    fn suns(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
+        let tracer = self.tracer;
+        if tracer.frame.suns.is_empty() {
+            return Vec3::ZERO;
+        }
+        let points = self.sampler.draw(Purpose::Sun, vertex);
+        let mut sum = Vec3::ZERO;
+        for (i, sun) in tracer.frame.suns.iter().enumerate() {
+            let height = cap_height(sun.angle_deg);
+            let local = geometry::cap(self.sampler.related(points, i as u32), height);
+            let direction = Basis::new(sun.direction).to_world(local);
+            let wo = p.basis.to_local(direction);
+            if wo.z > 0.0 {
+                let (diffuse, glossy, _) = response.evaluate(p.wi, wo);
+                let reflected = (diffuse + glossy) * sun.irradiance;
+                if reflected.max_element() > 0.0 {
+                    sum += reflected * self.shadow(p, direction, None);
+                }
+            }
+        }
+        sum
+    }
+
+    /// Light from the environment on the diffuse lobe; the glossy lobe finds it by its own rays.
+    fn sky(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
+        let tracer = self.tracer;
+        if tracer.sky.is_black() || !response.has_diffuse() {
+            return Vec3::ZERO;
+        }
+        let u = self.sampler.next(Purpose::Sky, vertex);
+        let (direction, wo, value) = match &tracer.sky {
+            Sky::Black => return Vec3::ZERO,
+            Sky::Constant(radiance) => {
+                let wo = geometry::cosine_hemisphere(u);
+                (p.basis.to_world(wo), wo, response.diffuse(p.wi, wo) * *radiance)
+            }
+            Sky::Image(image) => {
+                let Some((direction, density)) = image.sample(u) else { return Vec3::ZERO };
+                let wo = p.basis.to_local(direction);
+                let cos = wo.z.max(0.0) / (std::f32::consts::PI * density);
+                (direction, wo, response.diffuse(p.wi, wo) * tracer.sky.radiance(direction) * cos)
+            }
+        };
+        if wo.z > 0.0 && value.max_element() > 0.0 {
+            value * self.shadow(p, direction, None)
+        } else {
+            Vec3::ZERO
+        }
+    }
+
+    /// Share of light that gets from `target` (or from infinity along `direction`) to the point.
+    fn shadow(&mut self, p: &Point, direction: Vec3, target: Option<Vec3>) -> Vec3 {
+        self.counters.ray(Category::Shadow);
+        let mut ray = leaving(p, direction);
+        if let Some(target) = target {
+            ray.direction = target - ray.origin;
+            ray.t_max = 1.0;
+        }
+        let tracer = self.tracer;
+        let steps = &mut self.counters.traversal;
+        if !tracer.masked && !tracer.shadows_pass {
+            return if tracer.bvh.any(&ray, |_| true, steps) { Vec3::ZERO } else { Vec3::ONE };
+        }
+        // Does anything opaque block it? If not, does anything colour it?
+        let coloured = Cell::new(false);
+        let texels = Cell::new(0);
+        let blocks = |hit: &Hit| {
+            let material = &tracer.materials[tracer.frame.geometry.material(hit.primitive) as usize];
+            if !tracer.present(hit, &texels) {
+                return false;
+            }
+            let passes = material.opacity < 1.0 || matches!(material.surface, Surface::ThinGlass { .. });
+            coloured.set(coloured.get() | passes);
+            !passes
+        };
+        let blocked = tracer.bvh.any(&ray, blocks, steps);
+        self.counters.texels += texels.get();
+        match (blocked, coloured.get()) {
+            (true, _) => Vec3::ZERO,
+            (false, false) => Vec3::ONE,
+            (false, true) => self.transmission(ray),
+        }
+    }
+
+    /// Product of what the panes and cut-outs along an unblocked shadow ray let through.
+    fn transmission(&mut self, mut ray: Ray) -> Vec3 {
+        let tracer = self.tracer;
+        let mut passed = Vec3::ONE;
+        for _ in 0..tracer.settings.max_depth {
+            let Some(hit) = self.closest(&ray) else { return passed };
+            self.counters.ray(Category::Transparent);
+            let geometry = &tracer.frame.geometry;
+            let material = &tracer.materials[geometry.material(hit.primitive) as usize];
+            passed *= match material.surface {
+                Surface::ThinGlass { ior, transmittance } => {
+                    let normal = geometry.geometric_normal(hit.primitive);
+                    let cos = normal.dot(ray.direction).abs() / ray.direction.length();
+                    let color = self.color(&transmittance, geometry.uv(hit.primitive, hit.u, hit.v));
+                    let pane = (1.0 - fresnel::pane(cos, ior)) * color;
+                    pane * material.opacity + (1.0 - material.opacity)
+                }
+                _ => Vec3::splat(1.0 - material.opacity),
+            };
+            let normal = geometry.geometric_normal(hit.primitive);
+            let next = offset_origin(
+                hit.position(geometry.corners(hit.primitive)),
+                normal * normal.dot(ray.direction).signum(),
+            );
+            if ray.t_max.is_finite() {
+                ray.direction = ray.origin + ray.direction - next;
+            }
+            ray.origin = next;
+        }
+        Vec3::ZERO
+    }
+
+    fn closest(&mut self, ray: &Ray) -> Option<Hit> {
+        let steps = &mut self.counters.traversal;
+        if !self.tracer.masked {
+            return self.tracer.bvh.closest(ray, |_| true, steps);
+        }
+        let texels = Cell::new(0);
+        let hit = self.tracer.bvh.closest(ray, |hit| self.tracer.present(hit, &texels), steps);
+        self.counters.texels += texels.get();
+        hit
+    }
+
+    fn point(&self, s: &Segment, hit: &Hit) -> Point {
+        let geometry = &self.tracer.frame.geometry;
+        let corners = geometry.corners(hit.primitive);
+        let position = hit.position(corners);
+        let geometric = geometry.geometric_normal(hit.primitive);
+        let [a, b, c] = geometry.triangles[hit.primitive as usize].map(|i| geometry.normals[i as usize]);
+        let shading = if a == Vec3::ZERO || b == Vec3::ZERO || c == Vec3::ZERO {
+            geometric
+        } else {
+            ((1.0 - hit.u - hit.v) * a + hit.u * b + hit.v * c).normalize_or(geometric)
+        };
+        let viewer = -s.ray.direction;
+        let side = if shading.dot(viewer) < 0.0 { -1.0 } else { 1.0 };
+        let basis = Basis::new(shading * side);
+        let mut wi = basis.to_local(viewer);
+        wi.z = wi.z.max(1e-6); // an exactly grazing viewer would divide by zero in the glossy lobe
+        let stratum = geometry.triangle_stratum[hit.primitive as usize];
+        Point {
+            position,
+            geometric,
+            basis,
+            viewer,
+            wi,
+            uv: geometry.uv(hit.primitive, hit.u, hit.v),
+            material: geometry.strata.pairs[stratum as usize].1 as usize,
+            stratum,
+            distance: hit.t,
+        }
+    }
+
+    fn color(&mut self, color: &Color, uv: Vec2) -> Vec3 {
+        match color.texture {
+            None => color.factor,
+            Some(texture) => {
+                self.counters.texels += 1;
+                color.factor * self.tracer.frame.textures[texture.0 as usize].color(uv)
+            }
+        }
+    }
+}
+
+/// A ray from the point into `direction`, started off the surface on that side.
+fn leaving(p: &Point, direction: Vec3) -> Ray {
+    let side = if p.geometric.dot(direction) < 0.0 { -p.geometric } else { p.geometric };
+    Ray::new(offset_origin(p.position, side), direction)
+}
+
+/// 1 − cos of half an angular diameter, without cancellation: 2 sin²(θ/2).
+fn cap_height(angle_deg: f32) -> f32 {
+    let s = libm::sinf(angle_deg.to_radians() * 0.25);
+    2.0 * s * s
+}

@@ -1,0 +1,39 @@
+//! How light gets from the lights to the camera, and what finding out took.
+//!
+//! A [`Tracer`] holds what one frame needs (tree, lights, materials); [`Tracer::pixel`] computes one finished
+//! [`Pixel`]: its colour, the rays by category, the deterministic `work` and the CPU time. A pixel depends on the
+//! frame, the [`Settings`] and its own index alone, so an image has the same bits whatever the threads, the tiles, the
+//! order, and whether some pixels came from a [`Profile`].
+//!
+//! | file | subject |
+//! | --- | --- |
+//! | `settings` | what the user asks for |
+//! | `random` | counter-based random numbers, scrambled (0,2)-sequences |
+//! | `geometry` | frames of reference and maps from the square to disc, hemisphere and cap |
+//! | `fresnel`, `microfacet` | reflectance of interfaces, GGX |
+//! | `response` | a material at a point, ready to be lit |
+//! | `lights`, `environment` | where light comes from, and how to choose points on it |
+//! | `integrator` | the recursion of the `ambient` integrator |
+//! | `cost` | counters, `work`, clocks |
+//! | `tracer`, `profile`, `image` | a frame's pixels, some of them, and all of them |
+
+mod cost;
+mod environment;
+mod fingerprint;
+mod fresnel;
+mod geometry;
+mod image;
+mod integrator;
+mod lights;
+mod microfacet;
+mod profile;
+mod random;
+mod response;
+mod settings;
+mod tracer;
+
+pub use cost::{Cost, RAY_NAMES, Rays, process_cpu_nanos, thread_cpu_nanos};
+pub use image::{Image, ImageError, Totals, cost_color};
+pub use profile::{Profile, ProfileError};
+pub use settings::{MaterialOverride, Settings, SettingsError};
+pub use tracer::{Pixel, Tracer};

@@ -1,0 +1,135 @@
+//! Area lights: which triangles emit, and how to choose points on them.
+
+use crate::geometry;
+use forelight_scene::Frame;
+use glam::{Vec2, Vec3};
+
+/// All emitting triangles of one (object, material): sampled as one light, uniformly by area.
+#[derive(Debug, Clone)]
+pub struct Luminaire {
+    pub material: u32,
+    pub both_sides: bool,
+    /// Total area, m².
+    pub area: f32,
+    triangles: Vec<u32>,
+    /// Cumulative share of the area by triangle; the last entry is 1.
+    cumulative: Vec<f32>,
+}
+
+/// A point chosen on a luminaire.
+pub struct LightPoint {
+    pub position: Vec3,
+    /// Unit geometric normal by the winding.
+    pub normal: Vec3,
+    pub uv: Vec2,
+}
+
+/// The area lights of a frame.
+#[derive(Debug, Clone, Default)]
+pub struct Luminaires {
+    pub all: Vec<Luminaire>,
+    /// Luminaire of each stratum, `u32::MAX` for those that do not emit.
+    of_stratum: Vec<u32>,
+    /// Cumulative share of the power, by luminaire.
+    cumulative: Vec<f32>,
+}
+
+/// With more luminaires than this, each shading point draws this many of them in proportion to their power.
+const CHOSEN: usize = 8;
+
+impl Luminaires {
+    /// Collects the emitting triangles. Those without area emit nothing.
+    pub fn new(frame: &Frame) -> Self {
+        let geometry = &frame.geometry;
+        let mut members: Vec<Vec<(u32, f64)>> = vec![Vec::new(); geometry.strata.len()];
+        let emits = |s: u32| frame.materials[geometry.strata.pairs[s as usize].1 as usize].is_emissive();
+        for (t, &stratum) in geometry.triangle_stratum.iter().enumerate() {
+            if emits(stratum) {
+                let [a, b, c] = geometry.corners(t as u32).map(|p| p.as_dvec3());
+                let area = (b - a).cross(c - a).length() * 0.5;
+                if area > 0.0 && area.is_finite() {
+                    members[stratum as usize].push((t as u32, area));
+                }
+            }
+        }
+        let mut luminaires = Self { of_stratum: vec![u32::MAX; members.len()], ..Self::default() };
+        let mut powers = Vec::new();
+        for (stratum, members) in members.iter().enumerate().filter(|(_, m)| !m.is_empty()) {
+            let material = geometry.strata.pairs[stratum].1;
+            let emitter = &frame.materials[material as usize];
+            let total: f64 = members.iter().map(|m| m.1).sum();
+            let mut sum = 0.0;
+            let cumulative = members.iter().map(|m| {
+                sum += m.1;
+                (sum / total) as f32
+            });
+            luminaires.of_stratum[stratum] = luminaires.all.len() as u32;
+            luminaires.all.push(Luminaire {
+                material,
+                both_sides: emitter.emits_both_sides,
+                area: total as f32,
+                cumulative: cumulative.collect(),
+                triangles: members.iter().map(|m| m.0).collect(),
+            });
+            powers.push(total * f64::from(emitter.emission.factor.max_element()));
+        }
+        let total: f64 = powers.iter().sum();
+        let mut sum = 0.0;
+        luminaires.cumulative = powers
+            .iter()
+            .map(|p| {
+                sum += p;
+                (sum / total) as f32
+            })
+            .collect();
+        luminaires
+    }
+
+    /// The luminaire that a triangle's stratum belongs to.
+    pub fn of_stratum(&self, stratum: u32) -> Option<usize> {
+        let index = *self.of_stratum.get(stratum as usize)?;
+        (index != u32::MAX).then_some(index as usize)
+    }
+
+    /// How many luminaires a shading point samples.
+    pub fn samples(&self) -> usize {
+        self.all.len().min(CHOSEN)
+    }
+
+    /// The `i`-th of [`Self::samples`] choices for the random number `u`: a luminaire, and the expected number of times
+    /// that a shading point samples it.
+    pub fn choose(&self, i: usize, u: f32) -> (usize, f32) {
+        if self.all.len() <= CHOSEN {
+            return (i, 1.0);
+        }
+        let position = (i as f32 + u) / CHOSEN as f32;
+        let index = self.cumulative.partition_point(|&c| c <= position).min(self.all.len() - 1);
+        (index, self.expected(index))
+    }
+
+    /// Expected number of samples that a shading point spends on a luminaire.
+    pub fn expected(&self, index: usize) -> f32 {
+        if self.all.len() <= CHOSEN {
+            return 1.0;
+        }
+        let below = if index == 0 { 0.0 } else { self.cumulative[index - 1] };
+        (self.cumulative[index] - below) * CHOSEN as f32
+    }
+}
+
+impl Luminaire {
+    /// A uniform point of the surface.
+    pub fn sample(&self, frame: &Frame, u: Vec2) -> LightPoint {
+        let i = self.cumulative.partition_point(|&c| c <= u.x).min(self.triangles.len() - 1);
+        let below = if i == 0 { 0.0 } else { self.cumulative[i - 1] };
+        let within = ((u.x - below) / (self.cumulative[i] - below)).clamp(0.0, 1.0);
+        let triangle = self.triangles[i];
+        let (b, c) = geometry::triangle(Vec2::new(if within.is_nan() { 0.5 } else { within }, u.y));
+        let corners = frame.geometry.corners(triangle);
+        LightPoint {
+            position: (1.0 - b - c) * corners[0] + b * corners[1] + c * corners[2],
+            normal: frame.geometry.geometric_normal(triangle),
+            uv: frame.geometry.uv(triangle, b, c),
+        }
+    }
+}

@@ -1,0 +1,155 @@
+//! Finished pixels as an artefact: traced once while forecasting, taken over by the render.
+
+use crate::Pixel;
+
+/// Leading bytes of the format, with its version.
+const MAGIC: &[u8; 8] = b"FLprof01";
+const HEADER: usize = 8 + 4 + 32 + 4;
+const PIXEL: usize = 4 + 12 + 28 + 8 + 8 + 4;
+const CHECKSUM: usize = 32;
+
+/// Finished pixels of one frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Profile {
+    /// Frame number.
+    pub frame: u32,
+    /// [`crate::Tracer::fingerprint`] of the image that the pixels belong to.
+    pub fingerprint: [u8; 32],
+    /// Row-major pixel index, and the pixel.
+    pub pixels: Vec<(u32, Pixel)>,
+}
+
+/// Why bytes are not a profile.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ProfileError {
+    /// The leading bytes are others.
+    #[error("not a profile of this version (it must begin with FLprof01)")]
+    Foreign,
+    /// Shorter or longer than its header says.
+    #[error("truncated profile: {found} bytes where {expected} were expected")]
+    Length {
+        /// Bytes given.
+        found: usize,
+        /// Bytes that the header announces.
+        expected: usize,
+    },
+    /// The checksum differs.
+    #[error("damaged profile: the checksum does not match")]
+    Damaged,
+}
+
+impl Profile {
+    /// Little-endian: magic, frame, fingerprint, count, pixels (index, colour, rays, work, CPU nanoseconds, stratum), BLAKE3
+    /// of all before.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let mut out = Vec::with_capacity(HEADER + self.pixels.len() * PIXEL + CHECKSUM);
+        out.extend_from_slice(MAGIC);
+        out.extend_from_slice(&self.frame.to_le_bytes());
+        out.extend_from_slice(&self.fingerprint);
+        out.extend_from_slice(&(self.pixels.len() as u32).to_le_bytes());
+        for (index, pixel) in &self.pixels {
+            out.extend_from_slice(&index.to_le_bytes());
+            pixel.color.iter().for_each(|c| out.extend_from_slice(&c.to_le_bytes()));
+            pixel.rays.iter().for_each(|r| out.extend_from_slice(&r.to_le_bytes()));
+            out.extend_from_slice(&pixel.work.to_le_bytes());
+            out.extend_from_slice(&pixel.cpu_nanos.to_le_bytes());
+            out.extend_from_slice(&pixel.stratum.to_le_bytes());
+        }
+        let checksum = blake3::hash(&out);
+        out.extend_from_slice(checksum.as_bytes());
+        out
+    }
+
+    /// Reads what [`Self::to_bytes`] wrote.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, ProfileError> {
+        if bytes.len() < 8 || &bytes[..8] != MAGIC {
+            return Err(ProfileError::Foreign);
+        }
+        let length = |expected| Err(ProfileError::Length { found: bytes.len(), expected });
+        if bytes.len() < HEADER + CHECKSUM {
+            return length(HEADER + CHECKSUM);
+        }
+        let mut reader = Reader { bytes: &bytes[8..] };
+        let frame = reader.u32();
+        let fingerprint = reader.take();
+        let count = reader.u32() as usize;
+        let expected = HEADER + count * PIXEL + CHECKSUM;
+        if bytes.len() != expected {
+            return length(expected);
+        }
+        let (body, checksum) = bytes.split_at(bytes.len() - CHECKSUM);
+        if blake3::hash(body).as_bytes() != checksum {
+            return Err(ProfileError::Damaged);
+        }
+        let pixels = (0..count)
+            .map(|_| {
+                let index = reader.u32();
+                let color = std::array::from_fn(|_| f32::from_le_bytes(reader.take()));
+                let rays = std::array::from_fn(|_| reader.u32());
+                let (work, cpu_nanos) = (reader.u64(), reader.u64());
+                (index, Pixel { color, rays, work, cpu_nanos, stratum: reader.u32() })
+            })
+            .collect();
+        Ok(Self { frame, fingerprint, pixels })
+    }
+
+    /// Whether every pixel index lies inside an image of that many pixels.
+    pub fn fits(&self, pixels: usize) -> bool {
+        self.pixels.iter().all(|p| (p.0 as usize) < pixels)
+    }
+}
+
+/// Reads from bytes whose length has been checked.
+struct Reader<'a> {
+    bytes: &'a [u8],
+}
+
+impl Reader<'_> {
+    fn take<const N: usize>(&mut self) -> [u8; N] {
+        let (head, rest) = self.bytes.split_at(N);
+        self.bytes = rest;
+        std::array::from_fn(|i| head[i])
+    }
+
+    fn u32(&mut self) -> u32 {
+        u32::from_le_bytes(self.take())
+    }
+
+    fn u64(&mut self) -> u64 {
+        u64::from_le_bytes(self.take())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn profile() -> Profile {
+        let pixel = |i| Pixel {
+            color: [0.5, f32::MIN_POSITIVE, 3.0e7],
+            rays: [1, 2, 3, 4, 5, 6, i],
+            work: u64::MAX - 7,
+            cpu_nanos: 12_345,
+            stratum: i,
+        };
+        Profile { frame: 7, fingerprint: [9; 32], pixels: (0..5).map(|i| (i * 31, pixel(i))).collect() }
+    }
+
+    #[test]
+    fn a_profile_reads_back_as_it_was_written() {
+        assert_eq!(Profile::from_bytes(&profile().to_bytes()), Ok(profile()));
+    }
+
+    #[test]
+    fn every_truncation_and_every_flipped_bit_is_refused() {
+        let bytes = profile().to_bytes();
+        for length in 0..bytes.len() {
+            assert!(Profile::from_bytes(&bytes[..length]).is_err(), "{length} bytes were accepted");
+        }
+        for bit in 0..bytes.len() * 8 {
+            let mut damaged = bytes.clone();
+            damaged[bit / 8] ^= 1 << (bit % 8);
+            assert!(Profile::from_bytes(&damaged).is_err(), "bit {bit} was not missed");
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! Counter-based random numbers and scrambled (0,2)-sequences.
+//!
+//! Every number is a hash of (seed, frame, pixel, dimension, index): there is no stream and no state that threads could
+//! share. Within a pixel and a dimension, successive points form a Sobol' (0,2)-sequence under nested uniform
+//! scrambling (Owen 1995) by hashing (Laine and Karras 2011), with the order of points scrambled in the same way
+//! (Burley 2020, "Practical Hash-based Owen Scrambling"), so that dimensions do not correlate.
+
+use glam::Vec2;
+
+/// Finaliser of SplitMix64 (Steele, Lea, Flood 2014): mixes all bits of its input.
+pub fn hash(value: u64) -> u64 {
+    let mut z = value.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+/// What a random point is used for. Together with the vertex of the path it makes a dimension.
+#[derive(Debug, Clone, Copy)]
+pub enum Purpose {
+    Pixel,
+    Lens,
+    Light,
+    LightChoice,
+    Gather,
+    Lobe,
+    Glossy,
+    Sky,
+    Sun,
+    Roulette,
+    Opacity,
+}
+
+/// Vertices of a path beyond this one share their dimensions (with different points).
+const VERTICES: usize = 16;
+const PURPOSES: usize = 11;
+
+/// The random points of one pixel.
+pub struct Sampler {
+    key: u64,
+    drawn: [u32; VERTICES * PURPOSES],
+}
+
+impl Sampler {
+    /// Points for one pixel of one frame.
+    pub fn new(seed: u64, frame: u32, pixel: u32) -> Self {
+        let key = hash(hash(seed) ^ (u64::from(frame) << 32 | u64::from(pixel)));
+        Self { key, drawn: [0; VERTICES * PURPOSES] }
+    }
+
+    /// The next point in [0, 1)² of this purpose at path vertex `vertex`.
+    pub fn next(&mut self, purpose: Purpose, vertex: u32) -> Vec2 {
+        let (dimension, index) = self.draw(purpose, vertex);
+        self.point(dimension, index)
+    }
+
+    /// The next index of this purpose, for several related points: pass it to [`Sampler::related`].
+    pub fn draw(&mut self, purpose: Purpose, vertex: u32) -> (u64, u32) {
+        let dimension = (vertex as usize).min(VERTICES - 1) * PURPOSES + purpose as usize;
+        let index = self.drawn[dimension];
+        self.drawn[dimension] = index.wrapping_add(1);
+        (dimension as u64, index)
+    }
+
+    /// Point `index` of a family of sequences, one for each `member`.
+    pub fn related(&self, (dimension, index): (u64, u32), member: u32) -> Vec2 {
+        self.point(dimension | (u64::from(member) + 1) << 16, index)
+    }
+
+    fn point(&self, dimension: u64, index: u32) -> Vec2 {
+        let key = hash(self.key ^ dimension.wrapping_mul(0xd6e8_feb8_6659_fd93));
+        let index = reversed_scramble(index.reverse_bits(), hash(key) as u32).reverse_bits();
+        // First dimension: van der Corput, the bit reversal itself; second: Sobol' with primitive polynomial x + 1.
+        let x = reversed_scramble(index, key as u32).reverse_bits();
+        let y = reversed_scramble(sobol_second(index).reverse_bits(), (key >> 32) as u32).reverse_bits();
+        Vec2::new(unit(x), unit(y))
+    }
+}
+
+/// The 24 leading bits as a number in [0, 1).
+fn unit(bits: u32) -> f32 {
+    (bits >> 8) as f32 * (1.0 / (1 << 24) as f32)
+}
+
+/// Second dimension of the Sobol' sequence: the columns of its matrix are the rows of Pascal's triangle modulo 2.
+fn sobol_second(index: u32) -> u32 {
+    let mut result = 0;
+    let mut column = 1u32 << 31;
+    let mut rest = index;
+    while rest != 0 {
+        if rest & 1 == 1 {
+            result ^= column;
+        }
+        column ^= column >> 1;
+        rest >>= 1;
+    }
+    result
+}
+
+/// Nested uniform scrambling of a number given by its reversed bits: each bit is flipped by a hash of the bits
+/// below it. The steps only ever carry upwards, which is what makes the permutation nested (constants by Vegdahl 2021).
+fn reversed_scramble(mut x: u32, seed: u32) -> u32 {
+    x ^= x.wrapping_mul(0x3d20_adea);
+    x = x.wrapping_add(seed);
+    x = x.wrapping_mul((seed >> 16) | 1);
+    x ^= x.wrapping_mul(0x0552_6c56);
+    x ^= x.wrapping_mul(0x53a2_2864);
+    x
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_power_of_two_of_points_fills_every_elementary_interval_once() {
+        let sampler = |pixel| Sampler::new(7, 3, pixel);
+        for pixel in 0..4 {
+            for log in 0..7u32 {
+                let mut s = sampler(pixel);
+                let points: Vec<Vec2> = (0..1 << log).map(|_| s.next(Purpose::Gather, 1)).collect();
+                for columns in 0..=log {
+                    let (w, h) = (1usize << columns, 1usize << (log - columns));
+                    let mut cells = vec![0; w * h];
+                    for p in &points {
+                        cells[(p.y * h as f32) as usize * w + (p.x * w as f32) as usize] += 1;
+                    }
+                    assert!(cells.iter().all(|&c| c == 1), "pixel {pixel}, 2^{log} points in {w} × {h}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn dimensions_and_pixels_do_not_correlate() {
+        let mut worst = 0.0f64;
+        for member in 0..8 {
+            let s = Sampler::new(1, 0, 5);
+            let product: f64 = (0..256)
+                .map(|i| {
+                    let a = s.related((3, i), member).x - 0.5;
+                    let b = s.related((3, i), member + 1).x - 0.5;
+                    f64::from(a * b)
+                })
+                .sum();
+            worst = worst.max((product / 256.0 * 12.0).abs());
+        }
+        assert!(worst < 0.3, "correlation {worst}");
+    }
+}

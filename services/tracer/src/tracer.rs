@@ -1,0 +1,271 @@
+//! A frame, ready to be traced.
+
+use crate::cost::{Cost, build_work, thread_cpu_nanos};
+use crate::environment::Sky;
+use crate::fingerprint::fingerprint;
+use crate::fresnel;
+use crate::image::Image;
+use crate::integrator::Pixels;
+use crate::lights::Luminaires;
+use crate::profile::Profile;
+use crate::random::Sampler;
+use crate::{MaterialOverride, Settings};
+use forelight_bvh::{Bvh, Hit};
+use forelight_scene::{Color, Frame, Material, Surface};
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+use std::cell::Cell;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Instant;
+
+/// Edge of the square tiles in which an image is worked off, pixels.
+const TILE: u32 = 16;
+
+/// One finished pixel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pixel {
+    /// Linear Rec. 709 radiance, the mean over the samples.
+    pub color: [f32; 3],
+    /// Rays by category, in the order of [`crate::RAY_NAMES`].
+    pub rays: [u32; 7],
+    /// Deterministic work.
+    pub work: u64,
+    /// CPU time, nanoseconds.
+    pub cpu_nanos: u64,
+    /// Stratum that the first camera sample met, or [`Pixel::NOTHING`].
+    pub stratum: u32,
+}
+
+impl Pixel {
+    /// Stratum of a pixel whose first sample met no surface.
+    pub const NOTHING: u32 = u32::MAX;
+}
+
+/// Everything that tracing a frame needs. Cheap to share between threads.
+pub struct Tracer {
+    pub(crate) frame: Frame,
+    pub(crate) settings: Settings,
+    pub(crate) bvh: Arc<Bvh>,
+    pub(crate) materials: Vec<Material>,
+    pub(crate) luminaires: Luminaires,
+    pub(crate) sky: Sky,
+    /// Internal diffuse reflectance of each coated material.
+    pub(crate) internal: Vec<f32>,
+    /// Whether any surface is cut out by a texture.
+    pub(crate) masked: bool,
+    /// Whether shadow rays may pass any surface (panes, partial opacity).
+    pub(crate) shadows_pass: bool,
+    build: Cost,
+}
+
+impl Tracer {
+    /// Builds the tree and finds the lights. The camera is resized to the settings' width and height.
+    pub fn new(frame: &Frame, settings: &Settings) -> Self {
+        let start = thread_cpu_nanos();
+        let bvh = Arc::new(Bvh::build(&frame.geometry.positions, &frame.geometry.triangles));
+        let cpu_nanos = thread_cpu_nanos() - start;
+        let work = build_work(frame.geometry.triangles.len(), bvh.size().0);
+        Self { build: Cost { work, cpu_nanos }, ..Self::with_bvh(frame, settings, bvh) }
+    }
+
+    /// The same over a tree that exists already, for the same geometry.
+    pub fn with_bvh(frame: &Frame, settings: &Settings, bvh: Arc<Bvh>) -> Self {
+        let mut frame = frame.clone();
+        frame.camera = frame.camera.resized(settings.width, settings.height);
+        let materials: Vec<Material> = match settings.materials {
+            MaterialOverride::Full => frame.materials.to_vec(),
+            MaterialOverride::Lambert => frame.materials.iter().map(as_lambert).collect(),
+        };
+        let internal = materials.iter().map(|m| match m.surface {
+            Surface::Plastic { ior, .. } => fresnel::internal_diffuse(ior),
+            _ => 0.0,
+        });
+        Self {
+            internal: internal.collect(),
+            masked: materials.iter().any(|m| m.mask.is_some()),
+            shadows_pass: materials
+                .iter()
+                .any(|m| m.opacity < 1.0 || matches!(m.surface, Surface::ThinGlass { .. })),
+            luminaires: Luminaires::new(&frame),
+            sky: Sky::new(&frame),
+            materials,
+            settings: settings.clone(),
+            bvh,
+            frame,
+            build: Cost::default(),
+        }
+    }
+
+    /// The tree, to be shared with the preview's CPU twin or with another frame of the same geometry.
+    pub fn bvh(&self) -> &Arc<Bvh> {
+        &self.bvh
+    }
+
+    /// The frame as it is traced.
+    pub fn frame(&self) -> &Frame {
+        &self.frame
+    }
+
+    /// What building the tree took; nothing if it existed.
+    pub fn build_cost(&self) -> Cost {
+        self.build
+    }
+
+    /// Hash of all that a pixel's value depends on: frame, settings, and the version of this tracer.
+    pub fn fingerprint(&self) -> [u8; 32] {
+        fingerprint(&self.frame, &self.settings)
+    }
+
+    /// The effects that this frame calls for, each a short name.
+    pub fn effects(&self) -> Vec<String> {
+        let surfaces = || self.materials.iter().map(|m| &m.surface);
+        let rough = |alpha: f32| alpha >= crate::microfacet::SMOOTH;
+        let textured = |m: &Material| {
+            m.emission.texture.is_some()
+                || match m.surface {
+                    Surface::Lambert { albedo } | Surface::Plastic { albedo, .. } => albedo.texture.is_some(),
+                    Surface::Metal { f0, .. } => f0.texture.is_some(),
+                    Surface::ThinGlass { transmittance, .. } | Surface::Glass { transmittance, .. } => {
+                        transmittance.texture.is_some()
+                    }
+                }
+        };
+        let smooth_reflection = |s: &Surface| match *s {
+            Surface::Metal { alpha, .. } | Surface::Plastic { alpha, .. } => !rough(alpha),
+            _ => false,
+        };
+        let glossy_reflection = |s: &Surface| match *s {
+            Surface::Metal { alpha, .. } | Surface::Plastic { alpha, .. } => rough(alpha),
+            _ => false,
+        };
+        let candidates = [
+            ("area lights", !self.luminaires.all.is_empty()),
+            ("point lights", !self.frame.points.is_empty()),
+            ("sun", !self.frame.suns.is_empty()),
+            ("environment", !self.sky.is_black()),
+            ("transparent shadows", self.shadows_pass),
+            ("mirror", surfaces().any(smooth_reflection)),
+            ("glossy", surfaces().any(glossy_reflection)),
+            ("refraction", surfaces().any(|s| matches!(s, Surface::Glass { .. }))),
+            ("thin glass", surfaces().any(|s| matches!(s, Surface::ThinGlass { .. }))),
+            ("textures", self.materials.iter().any(textured)),
+            ("cut-outs", self.materials.iter().any(Material::is_cutout)),
+            ("ambient", self.settings.ambient_bounces > 0),
+            ("depth of field", self.frame.camera.aperture_radius > 0.0),
+        ];
+        candidates.into_iter().filter(|c| c.1).map(|c| c.0.to_owned()).collect()
+    }
+
+    /// One finished pixel by its row-major index. Its colour, rays and work depend on nothing but frame, settings and index.
+    pub fn pixel(&self, index: u32) -> Pixel {
+        let start = Instant::now();
+        let (x, y) = (index % self.settings.width, index / self.settings.width);
+        let sampler = Sampler::new(self.settings.seed, self.frame.number, index);
+        let mut pixels = Pixels::new(self, sampler);
+        let mut sum = DVec3::ZERO;
+        for _ in 0..self.settings.spp {
+            sum += pixels.sample(x, y).as_dvec3();
+        }
+        let color = (sum / f64::from(self.settings.spp)).as_vec3().to_array();
+        Pixel {
+            color,
+            rays: pixels.counters.rays,
+            work: pixels.counters.work(),
+            cpu_nanos: start.elapsed().as_nanos() as u64,
+            stratum: pixels.stratum.unwrap_or(Pixel::NOTHING),
+        }
+    }
+
+    /// Finished pixels by index, in the order given.
+    pub fn profile(&self, pixels: &[u32]) -> Vec<Pixel> {
+        timed(|| pixels.iter().map(|&i| self.pixel(i)).collect())
+    }
+
+    /// The whole image, on the current rayon pool: pixels of `reuse` are taken over, the others traced. `progress` is told the
+    /// number of pixels done, now and then; `None` is the answer when `cancel` was set.
+    ///
+    /// # Panics
+    /// If `reuse` was made for another image: compare fingerprints first.
+    pub fn render(
+        &self,
+        reuse: Option<&Profile>,
+        progress: &(dyn Fn(u64) + Sync),
+        cancel: &AtomicBool,
+    ) -> Option<Image> {
+        let (width, height) = (self.settings.width, self.settings.height);
+        let mut known: Vec<Option<Pixel>> = vec![None; (width * height) as usize];
+        if let Some(profile) = reuse {
+            assert_eq!(profile.fingerprint, self.fingerprint(), "the profile belongs to another image");
+            for (index, pixel) in &profile.pixels {
+                known[*index as usize] = Some(*pixel);
+            }
+        }
+        let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
+        let done = AtomicU64::new(0);
+        let tiles: Vec<Vec<(u32, Pixel)>> = (0..columns * rows)
+            .into_par_iter()
+            .map(|tile| {
+                if cancel.load(Ordering::Relaxed) {
+                    return Vec::new();
+                }
+                let (x0, y0) = (tile % columns * TILE, tile / columns * TILE);
+                let indices: Vec<u32> = (y0..(y0 + TILE).min(height))
+                    .flat_map(|y| (x0..(x0 + TILE).min(width)).map(move |x| y * width + x))
+                    .collect();
+                let traced: Vec<u32> =
+                    indices.iter().copied().filter(|&i| known[i as usize].is_none()).collect();
+                let finished = self.profile(&traced);
+                progress(done.fetch_add(indices.len() as u64, Ordering::Relaxed) + indices.len() as u64);
+                traced.into_iter().zip(finished).collect()
+            })
+            .collect();
+        if cancel.load(Ordering::Relaxed) {
+            return None;
+        }
+        let reused = known.iter().map(Option::is_some).collect();
+        for (index, pixel) in tiles.into_iter().flatten() {
+            known[index as usize] = Some(pixel);
+        }
+        let pixels: Option<Vec<Pixel>> = known.into_iter().collect();
+        Some(Image { width, height, pixels: pixels?, reused })
+    }
+
+    /// Whether a surface is there at a hit, or cut out by its texture.
+    pub(crate) fn present(&self, hit: &Hit, texels: &Cell<u64>) -> bool {
+        let geometry = &self.frame.geometry;
+        match self.materials[geometry.material(hit.primitive) as usize].mask {
+            None => true,
+            Some(mask) => {
+                texels.set(texels.get() + 1);
+                let uv = geometry.uv(hit.primitive, hit.u, hit.v);
+                self.frame.textures[mask.texture.0 as usize].alpha(uv) >= mask.cutoff
+            }
+        }
+    }
+}
+
+/// Traces a batch of pixels and turns their wall-clock times into CPU time: a pixel's clock is cheap but counts what other
+/// processes took; the thread's CPU clock is exact but too dear to read twice a pixel. So each pixel gets the share of the
+/// batch's CPU time that it had of the batch's wall time.
+fn timed(trace: impl FnOnce() -> Vec<Pixel>) -> Vec<Pixel> {
+    let start = thread_cpu_nanos();
+    let mut pixels = trace();
+    let cpu = thread_cpu_nanos() - start;
+    let wall: u64 = pixels.iter().map(|p| p.cpu_nanos).sum();
+    if wall > 0 {
+        for p in &mut pixels {
+            p.cpu_nanos = (u128::from(p.cpu_nanos) * u128::from(cpu) / u128::from(wall)) as u64;
+        }
+    }
+    pixels
+}
+
+/// The material as two-sided Lambert: its diffuse colour or texture, 0.5 grey for metals and glass. Emission stays.
+fn as_lambert(material: &Material) -> Material {
+    let albedo = match material.surface {
+        Surface::Lambert { albedo } | Surface::Plastic { albedo, .. } => albedo,
+        _ => Color::plain(Vec3::splat(0.5)),
+    };
+    Material { surface: Surface::Lambert { albedo }, ..material.clone() }
+}

@@ -1,0 +1,105 @@
+//! The same bits, whoever renders.
+
+mod support;
+
+use forelight_scene::{Color, Environment, Frame, Surface};
+use forelight_tracer::{Image, Pixel, Profile, Settings, Tracer};
+use glam::Vec3;
+use std::sync::atomic::AtomicBool;
+use support::{Builder, lambert, material};
+
+/// Everything at once: diffuse, glossy, glass, pane, area light, sky.
+fn frame() -> Frame {
+    let color = Color::plain(Vec3::new(0.9, 0.8, 0.7));
+    let plastic = Surface::Plastic { albedo: color, ior: 1.5, alpha: 0.1 };
+    let glass = Surface::Glass { ior: 1.5, transmittance: color, alpha: 0.0 };
+    let pane = Surface::ThinGlass { ior: 1.5, transmittance: color };
+    Builder::default()
+        .quad(
+            Vec3::new(-5.0, -1.0, 5.0),
+            Vec3::new(10.0, 0.0, 0.0),
+            Vec3::new(0.0, 0.0, -10.0),
+            material("floor", lambert(0.6), 0.0),
+        )
+        .sphere(Vec3::new(-0.8, 0.0, 0.0), 0.7, material("glass", glass, 0.0))
+        .sphere(Vec3::new(0.8, -0.2, 0.0), 0.7, material("plastic", plastic, 0.0))
+        .quad(Vec3::new(-0.4, -1.0, 1.0), Vec3::X, Vec3::Y, material("pane", pane, 0.0))
+        .quad(Vec3::new(-0.5, 3.0, -0.5), Vec3::X, Vec3::Z, material("light", lambert(0.0), 20.0))
+        .frame(Vec3::new(0.0, 0.5, 4.0), Vec3::ZERO, 40, Environment::Constant(Vec3::splat(0.2)))
+}
+
+fn settings() -> Settings {
+    Settings {
+        width: 40,
+        height: 28,
+        spp: 2,
+        ambient_bounces: 2,
+        ambient_divisions: 8,
+        ..Settings::default()
+    }
+}
+
+fn with_threads(threads: usize, reuse: Option<&Profile>) -> Image {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+    let tracer = Tracer::new(&frame(), &settings());
+    pool.install(|| tracer.render(reuse, &|_| {}, &AtomicBool::new(false))).expect("nobody cancels")
+}
+
+fn bits(pixels: &[Pixel]) -> Vec<([u32; 3], [u32; 7], u64, u32)> {
+    pixels.iter().map(|p| (p.color.map(f32::to_bits), p.rays, p.work, p.stratum)).collect()
+}
+
+#[test]
+fn one_two_and_seven_threads_give_the_same_bits() {
+    let one = with_threads(1, None);
+    assert!(
+        one.totals().rays.iter().all(|&r| r > 0),
+        "every kind of ray must be exercised: {:?}",
+        one.totals()
+    );
+    for threads in [2, 7] {
+        assert_eq!(bits(&one.pixels), bits(&with_threads(threads, None).pixels), "{threads} threads");
+    }
+}
+
+#[test]
+fn profiled_pixels_taken_over_give_the_same_image_and_are_not_traced_again() {
+    let tracer = Tracer::new(&frame(), &settings());
+    let chosen: Vec<u32> = (0..40 * 28).filter(|i| i % 7 == 3).rev().collect();
+    let pixels = chosen.iter().copied().zip(tracer.profile(&chosen)).collect();
+    let profile = Profile { frame: 0, fingerprint: tracer.fingerprint(), pixels };
+    let profile = Profile::from_bytes(&profile.to_bytes()).expect("reads back");
+    let whole = with_threads(2, None);
+    let with_reuse = with_threads(2, Some(&profile));
+    assert_eq!(bits(&whole.pixels), bits(&with_reuse.pixels));
+    assert_eq!(with_reuse.reused_totals().pixels, chosen.len() as u64);
+    assert_eq!(whole.totals().work, with_reuse.totals().work);
+    // Taken over means taken over: the profile's own clock readings are still there.
+    for (index, pixel) in &profile.pixels {
+        assert_eq!(with_reuse.pixels[*index as usize].cpu_nanos, pixel.cpu_nanos);
+    }
+}
+
+#[test]
+fn a_fingerprint_changes_with_anything_that_changes_the_image() {
+    let base = Tracer::new(&frame(), &settings()).fingerprint();
+    let moved = {
+        let mut f = frame();
+        f.camera.origin.x += 1e-3;
+        Tracer::new(&f, &settings()).fingerprint()
+    };
+    let reseeded = Tracer::new(&frame(), &Settings { seed: 1, ..settings() }).fingerprint();
+    let later = Tracer::new(&Frame { number: 1, ..frame() }, &settings()).fingerprint();
+    let all = [base, moved, reseeded, later];
+    for i in 0..all.len() {
+        for j in 0..i {
+            assert_ne!(all[i], all[j], "{i} and {j}");
+        }
+    }
+}
+
+#[test]
+fn a_cancelled_render_has_no_image() {
+    let tracer = Tracer::new(&frame(), &settings());
+    assert!(tracer.render(None, &|_| {}, &AtomicBool::new(true)).is_none());
+}
