@@ -1,0 +1,95 @@
+//! What the readers of geometry files fill: objects, materials, textures, lights and cameras of one scene.
+
+use crate::bundle::Bundle;
+use crate::camera_source::NodeCamera;
+use crate::error::SceneError;
+use crate::images::TextureLibrary;
+use crate::shot::Shot;
+use crate::{Color, Material, Surface};
+use glam::Vec3;
+
+/// A light on a node of a glTF file.
+#[derive(Debug, Clone)]
+pub(crate) struct NodeLight {
+    pub(crate) node: usize,
+    pub(crate) kind: NodeLightKind,
+}
+
+#[derive(Debug, Clone)]
+pub(crate) enum NodeLightKind {
+    /// Radiant intensity, W/sr; cosines of the inner and outer cone angle.
+    Point { intensity: Vec3, cone: Option<(f32, f32)> },
+    /// Irradiance, W/m².
+    Directional { irradiance: Vec3 },
+}
+
+/// A scene that is being put together.
+pub(crate) struct Assembly<'a> {
+    pub(crate) bundle: &'a Bundle,
+    /// Frames per second, by which glTF times become frames.
+    pub(crate) fps: f64,
+    pub(crate) shot: Shot,
+    pub(crate) materials: Vec<Material>,
+    pub(crate) textures: TextureLibrary<'a>,
+    pub(crate) lights: Vec<NodeLight>,
+    pub(crate) cameras: Vec<NodeCamera>,
+    /// Frame of the last key of an animation in a geometry file.
+    pub(crate) last_key: Option<f64>,
+    pub(crate) warnings: Vec<String>,
+}
+
+impl<'a> Assembly<'a> {
+    pub(crate) fn new(bundle: &'a Bundle, fps: f64) -> Self {
+        Self {
+            bundle,
+            fps,
+            shot: Shot::default(),
+            materials: Vec::new(),
+            textures: TextureLibrary::new(bundle),
+            lights: Vec::new(),
+            cameras: Vec::new(),
+            last_key: None,
+            warnings: Vec::new(),
+        }
+    }
+
+    /// Keeps a warning, and tells it to the log.
+    pub(crate) fn warn(&mut self, warning: String) {
+        tracing::warn!("{warning}");
+        self.warnings.push(warning);
+    }
+
+    /// Adds a material and returns its index.
+    pub(crate) fn add_material(&mut self, material: Material) -> u32 {
+        self.materials.push(material);
+        self.materials.len() as u32 - 1
+    }
+
+    /// Holds the scene's size so far, with `more` triangles and vertices, against the limits.
+    pub(crate) fn check_size(&self, file: &str, triangles: u64, vertices: u64) -> Result<(), SceneError> {
+        let limit = self.bundle.limits().triangles;
+        let found = self.shot.triangle_count() + triangles;
+        if found > limit {
+            return Err(SceneError::Limit { file: file.to_owned(), what: "triangles", found, limit });
+        }
+        // Vertices that no triangle uses cost memory too, and their indices must fit 32 bits.
+        let (found, limit) =
+            (self.shot.vertex_count() + vertices, limit.saturating_mul(3).min(u64::from(u32::MAX)));
+        if found > limit {
+            return Err(SceneError::Limit { file: file.to_owned(), what: "vertices", found, limit });
+        }
+        Ok(())
+    }
+}
+
+/// An opaque material that emits nothing.
+pub(crate) fn plain_material(name: &str, surface: Surface) -> Material {
+    Material {
+        name: name.to_owned(),
+        surface,
+        emission: Color::plain(Vec3::ZERO),
+        emits_both_sides: false,
+        opacity: 1.0,
+        mask: None,
+    }
+}

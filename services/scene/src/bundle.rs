@@ -1,0 +1,312 @@
+//! The folder or archive that holds a scene. Nothing outside it can be reached, and nothing in it can cost more
+//! than the [`Limits`] allow.
+
+use crate::error::SceneError;
+use crate::limits::{Limits, RATIO_MATTERS_FROM};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use zip::ZipArchive;
+
+/// A readable bundle. Paths in it are relative, with `/`.
+///
+/// A `.zip` may hold the scene at its root or in one folder that holds everything.
+pub struct Bundle {
+    name: String,
+    store: Store,
+    limits: Limits,
+    usage: Mutex<Usage>,
+}
+
+enum Store {
+    /// The folder's canonical path.
+    Folder(PathBuf),
+    Archive {
+        archive: Mutex<ZipArchive<BufReader<File>>>,
+        /// Archive index by path.
+        index: BTreeMap<String, usize>,
+    },
+}
+
+/// What was read so far: the hash of every file, and all bytes together.
+#[derive(Default)]
+struct Usage {
+    bytes: u64,
+    files: BTreeMap<String, blake3::Hash>,
+}
+
+impl Bundle {
+    /// Opens a folder or a `.zip` file.
+    ///
+    /// # Errors
+    /// When there is neither; when an archive is damaged, too large, encrypted, or holds a path that is absolute or leaves
+    /// the archive, or a symbolic link.
+    pub fn open(path: &Path, limits: &Limits) -> Result<Self, SceneError> {
+        let shown = path.display().to_string();
+        let io = |source| SceneError::Io { file: shown.clone(), source };
+        let canonical = path.canonicalize().map_err(io)?;
+        let own_name = if canonical.is_dir() { canonical.file_name() } else { canonical.file_stem() };
+        let name = own_name.map_or_else(|| "scene".to_owned(), |own| own.to_string_lossy().into_owned());
+        let store = if canonical.is_dir() {
+            Store::Folder(canonical)
+        } else {
+            let file = File::open(&canonical).map_err(io)?;
+            open_archive(&shown, file, limits)?
+        };
+        Ok(Self { name, store, limits: *limits, usage: Mutex::default() })
+    }
+
+    /// The folder's or archive's own name, without extension.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The limits that the bundle was opened with.
+    pub fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    /// Whether a file of this path is there.
+    pub fn contains(&self, path: &str) -> bool {
+        match &self.store {
+            Store::Folder(root) => is_inside(path) && root.join(path).is_file(),
+            Store::Archive { index, .. } => index.contains_key(path),
+        }
+    }
+
+    /// The files at the top level, sorted.
+    pub fn top_level(&self) -> Result<Vec<String>, SceneError> {
+        let mut names = Vec::new();
+        match &self.store {
+            Store::Folder(root) => {
+                let io = |source| SceneError::Io { file: self.name.clone(), source };
+                for entry in root.read_dir().map_err(io)?.take(self.limits.entries) {
+                    let entry = entry.map_err(io)?;
+                    if let (Ok(name), true) = (entry.file_name().into_string(), entry.path().is_file()) {
+                        names.push(name);
+                    }
+                }
+                names.sort_unstable();
+            }
+            Store::Archive { index, .. } => names.extend(index.keys().filter(|p| !p.contains('/')).cloned()),
+        }
+        Ok(names)
+    }
+
+    /// All bytes of a file.
+    ///
+    /// # Errors
+    /// When the path leaves the bundle (also through a symbolic link), is not a file, or passes a limit.
+    pub fn read(&self, path: &str) -> Result<Vec<u8>, SceneError> {
+        if !is_inside(path) {
+            return Err(SceneError::file(path, "the path does not stay inside the bundle"));
+        }
+        let bytes = match &self.store {
+            Store::Folder(root) => self.read_from_folder(root, path)?,
+            Store::Archive { archive, index } => {
+                let at = *index.get(path).ok_or_else(|| missing(path))?;
+                self.read_from_archive(&mut lock(archive), path, at)?
+            }
+        };
+        let mut usage = lock(&self.usage);
+        usage.bytes += bytes.len() as u64;
+        self.check(path, "bytes read from the bundle", usage.bytes, self.limits.total_bytes)?;
+        if !usage.files.contains_key(path) {
+            usage.files.insert(path.to_owned(), blake3::hash(&bytes));
+        }
+        self.check(path, "files in the bundle", usage.files.len() as u64, self.limits.entries as u64)?;
+        Ok(bytes)
+    }
+
+    /// Hash (BLAKE3) of the paths and contents of all files read so far: the same for a folder and its archive.
+    pub fn digest(&self) -> [u8; 32] {
+        let mut hasher = blake3::Hasher::new();
+        for (path, hash) in &lock(&self.usage).files {
+            hasher.update(&(path.len() as u64).to_le_bytes());
+            hasher.update(path.as_bytes());
+            hasher.update(hash.as_bytes());
+        }
+        *hasher.finalize().as_bytes()
+    }
+
+    fn read_from_folder(&self, root: &Path, path: &str) -> Result<Vec<u8>, SceneError> {
+        let io = |source| SceneError::Io { file: path.to_owned(), source };
+        let real = root.join(path).canonicalize().map_err(io)?;
+        if !real.starts_with(root) {
+            return Err(SceneError::file(path, "a symbolic link leads out of the bundle"));
+        }
+        let metadata = real.metadata().map_err(io)?;
+        if !metadata.is_file() {
+            return Err(SceneError::file(path, "is not a regular file"));
+        }
+        self.check(path, "bytes", metadata.len(), self.limits.file_bytes)?;
+        let mut bytes = Vec::with_capacity(metadata.len() as usize);
+        // The file may grow while it is read, so the limit is enforced on the bytes themselves.
+        File::open(&real)
+            .and_then(|file| file.take(self.limits.file_bytes.saturating_add(1)).read_to_end(&mut bytes))
+            .map_err(io)?;
+        self.check(path, "bytes", bytes.len() as u64, self.limits.file_bytes)?;
+        Ok(bytes)
+    }
+
+    fn read_from_archive(
+        &self,
+        archive: &mut ZipArchive<BufReader<File>>,
+        path: &str,
+        at: usize,
+    ) -> Result<Vec<u8>, SceneError> {
+        let damaged = |e: &dyn std::fmt::Display| SceneError::file(path, format!("cannot be expanded: {e}"));
+        let entry = archive.by_index(at).map_err(|e| damaged(&e))?;
+        // The directory of an archive may lie about sizes: what counts is what comes out.
+        let (compressed, allowed) = (entry.compressed_size(), entry.size().min(self.limits.file_bytes));
+        let mut bytes = Vec::new();
+        entry.take(allowed.saturating_add(1)).read_to_end(&mut bytes).map_err(|e| damaged(&e))?;
+        self.check(path, "expanded bytes", bytes.len() as u64, allowed)?;
+        check_ratio(path, bytes.len() as u64, compressed, &self.limits)?;
+        Ok(bytes)
+    }
+
+    fn check(&self, file: &str, what: &'static str, found: u64, limit: u64) -> Result<(), SceneError> {
+        if found > limit {
+            return Err(SceneError::Limit { file: file.to_owned(), what, found, limit });
+        }
+        Ok(())
+    }
+}
+
+impl std::fmt::Debug for Bundle {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Bundle").field("name", &self.name).finish_non_exhaustive()
+    }
+}
+
+fn missing(path: &str) -> SceneError {
+    SceneError::Io { file: path.to_owned(), source: std::io::ErrorKind::NotFound.into() }
+}
+
+/// A poisoned lock means that another reader panicked; the data behind these locks is valid at every instant.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn check_ratio(file: &str, expanded: u64, compressed: u64, limits: &Limits) -> Result<(), SceneError> {
+    let ratio = expanded / compressed.max(1);
+    if expanded > RATIO_MATTERS_FROM && ratio > limits.compression_ratio {
+        return Err(SceneError::Limit {
+            file: file.to_owned(),
+            what: "expanded bytes for each compressed byte",
+            found: ratio,
+            limit: limits.compression_ratio,
+        });
+    }
+    Ok(())
+}
+
+/// Reads the archive's directory and refuses everything that must not be expanded, before anything is.
+fn open_archive(shown: &str, file: File, limits: &Limits) -> Result<Store, SceneError> {
+    let mut archive = ZipArchive::new(BufReader::new(file))
+        .map_err(|e| SceneError::file(shown, format!("is neither a folder nor a readable .zip: {e}")))?;
+    if archive.len() > limits.entries {
+        let (found, limit) = (archive.len() as u64, limits.entries as u64);
+        return Err(SceneError::Limit { file: shown.to_owned(), what: "archive entries", found, limit });
+    }
+    let mut index = BTreeMap::new();
+    let mut total = 0u64;
+    for at in 0..archive.len() {
+        let entry = archive
+            .by_index_raw(at)
+            .map_err(|e| SceneError::file(shown, format!("entry {at} of the archive is damaged: {e}")))?;
+        let path = std::str::from_utf8(entry.name_raw())
+            .map_err(|_| SceneError::file(shown, format!("the name of archive entry {at} is not UTF-8")))?;
+        let file = format!("{shown}/{path}");
+        if entry.is_symlink() {
+            return Err(SceneError::file(file, "symbolic links are not allowed in an archive"));
+        }
+        if !is_inside(path.strip_suffix('/').unwrap_or(path)) {
+            return Err(SceneError::file(file, "the archive entry does not stay inside the bundle"));
+        }
+        if entry.is_dir() {
+            continue;
+        }
+        if entry.encrypted() {
+            return Err(SceneError::file(file, "the archive entry is encrypted"));
+        }
+        if entry.size() > limits.file_bytes {
+            let (found, limit) = (entry.size(), limits.file_bytes);
+            return Err(SceneError::Limit { file, what: "expanded bytes", found, limit });
+        }
+        check_ratio(&file, entry.size(), entry.compressed_size(), limits)?;
+        total = total.saturating_add(entry.size());
+        if total > limits.total_bytes {
+            let (what, limit) = ("expanded bytes of the archive", limits.total_bytes);
+            return Err(SceneError::Limit { file: shown.to_owned(), what, found: total, limit });
+        }
+        index.insert(path.to_owned(), at);
+    }
+    Ok(Store::Archive { archive: Mutex::new(archive), index: without_common_folder(index) })
+}
+
+/// Whoever zips a folder often gets the folder inside the archive: where one folder holds everything, it is the bundle.
+fn without_common_folder(index: BTreeMap<String, usize>) -> BTreeMap<String, usize> {
+    let common =
+        index.keys().next().and_then(|first| first.split_once('/')).map(|(folder, _)| format!("{folder}/"));
+    match common {
+        Some(folder) if index.keys().all(|path| path.starts_with(&folder)) => {
+            index.into_iter().map(|(path, at)| (path[folder.len()..].to_owned(), at)).collect()
+        }
+        _ => index,
+    }
+}
+
+/// Whether a path is relative, uses `/` only, and has no empty, `.` or `..` component.
+fn is_inside(path: &str) -> bool {
+    !path.contains(['\\', ':', '\0']) && path.split('/').all(|part| !matches!(part, "" | "." | ".."))
+}
+
+/// The path that `reference` means in the file `from`: relative to that file's folder, `.` and `..` resolved.
+///
+/// # Errors
+/// A reason, when the reference is empty, absolute, uses `\` or a drive or scheme, or leaves the bundle.
+pub(crate) fn resolve(from: &str, reference: &str) -> Result<String, String> {
+    if reference.is_empty() {
+        return Err("the path is empty".into());
+    }
+    if reference.contains('\\') {
+        return Err(format!("`{reference}`: a path in a bundle is written with `/`"));
+    }
+    if reference.starts_with('/') || reference.contains([':', '\0']) {
+        return Err(format!("`{reference}`: a path in a bundle is relative"));
+    }
+    let mut parts: Vec<&str> =
+        from.rsplit_once('/').map_or_else(Vec::new, |(folder, _)| folder.split('/').collect());
+    for part in reference.split('/') {
+        match part {
+            "" | "." => {}
+            ".." if parts.pop().is_none() => return Err(format!("`{reference}` leaves the bundle")),
+            ".." => {}
+            _ => parts.push(part),
+        }
+    }
+    Ok(parts.join("/"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn references_resolve_relative_to_the_file_that_names_them() {
+        assert_eq!(resolve("scene.mtl", "textures/wood.jpg").as_deref(), Ok("textures/wood.jpg"));
+        assert_eq!(resolve("models/a.gltf", "../textures/./wood.jpg").as_deref(), Ok("textures/wood.jpg"));
+        assert_eq!(resolve("models/a.gltf", "a.bin").as_deref(), Ok("models/a.bin"));
+    }
+
+    #[test]
+    fn references_that_leave_the_bundle_are_refused() {
+        for bad in ["", "../x", "a/../../x", "/etc/passwd", "C:/x", "a\\b", "file:x", "a\0b"] {
+            assert!(resolve("scene.json", bad).is_err(), "{bad:?} was accepted");
+        }
+    }
+}

@@ -1,0 +1,386 @@
+//! `scene.json`, version 1: what it may say, and what of it makes sense.
+//!
+//! Reading happens in two steps. Serde turns the text into the raw types below and refuses unknown keys and wrong types; then
+//! every value is checked for its meaning. Both steps name the JSON pointer of what is wrong.
+
+use crate::animation::Animated;
+use crate::camera_source::{FovAxis, LookAt};
+use crate::error::SceneError;
+use crate::limits::{LARGEST_COORDINATE, Limits};
+use crate::tracks::{self, ObjectTrack, RawTrack};
+use glam::DVec3;
+use serde::Deserialize;
+
+/// The version of the format that this crate understands.
+const VERSION: u64 = 1;
+
+/// Frames per second where nothing else is said.
+pub(crate) const DEFAULT_FPS: f64 = 24.0;
+
+/// Brightest radiance, intensity or irradiance that is accepted, in its own unit.
+const BRIGHTEST: f64 = 1e12;
+
+/// A `scene.json` that makes sense by itself.
+#[derive(Debug)]
+pub(crate) struct Description {
+    pub(crate) name: Option<String>,
+    /// Paths of geometry files, in the bundle.
+    pub(crate) geometry: Vec<String>,
+    pub(crate) camera: Option<LookAt>,
+    pub(crate) environment: EnvironmentSource,
+    pub(crate) lights: Vec<LightSource>,
+    pub(crate) fps: f64,
+    /// Number of frames, where it is said or follows from the tracks.
+    pub(crate) frames: Option<u32>,
+    /// Tracks that move objects; those of camera and lights are in these already.
+    pub(crate) object_tracks: Vec<ObjectTrack>,
+}
+
+#[derive(Debug)]
+pub(crate) enum EnvironmentSource {
+    Black,
+    Constant(DVec3),
+    Image { path: String, scale: f64, rotation_deg: f64 },
+}
+
+/// A light of `scene.json`.
+#[derive(Debug)]
+pub(crate) enum LightSource {
+    Quad { corner: DVec3, edge_u: DVec3, edge_v: DVec3, radiance: Animated<DVec3> },
+    Point { position: DVec3, intensity: Animated<DVec3> },
+    Sun { direction: DVec3, irradiance: Animated<DVec3>, angle_deg: f64 },
+}
+
+#[derive(Deserialize)]
+struct VersionOnly {
+    version: Option<serde_json::Value>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawScene {
+    #[serde(rename = "version")]
+    _version: u64,
+    name: Option<String>,
+    geometry: Vec<String>,
+    camera: Option<RawCamera>,
+    environment: Option<RawEnvironment>,
+    #[serde(default)]
+    lights: Vec<RawLight>,
+    animation: Option<RawAnimation>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawCamera {
+    origin: [f64; 3],
+    target: [f64; 3],
+    #[serde(default = "up")]
+    up: [f64; 3],
+    fov_deg: f64,
+    #[serde(default)]
+    fov_axis: FovAxis,
+    width: u32,
+    height: u32,
+    #[serde(default)]
+    aperture_radius: f64,
+    focus_distance: Option<f64>,
+}
+
+fn up() -> [f64; 3] {
+    [0.0, 1.0, 0.0]
+}
+
+/// All keys of all environments: which of them belong to the given `type` is checked afterwards, because an
+/// internally tagged enum would lose the pointer to what is wrong.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawEnvironment {
+    r#type: String,
+    radiance: Option<[f64; 3]>,
+    path: Option<String>,
+    scale: Option<f64>,
+    rotation_deg: Option<f64>,
+}
+
+/// All keys of all lights, see [`RawEnvironment`].
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawLight {
+    r#type: String,
+    corner: Option<[f64; 3]>,
+    edge_u: Option<[f64; 3]>,
+    edge_v: Option<[f64; 3]>,
+    radiance: Option<[f64; 3]>,
+    position: Option<[f64; 3]>,
+    intensity: Option<[f64; 3]>,
+    direction: Option<[f64; 3]>,
+    irradiance: Option<[f64; 3]>,
+    angle_deg: Option<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawAnimation {
+    fps: Option<f64>,
+    frames: Option<u32>,
+    #[serde(default)]
+    tracks: Vec<RawTrack>,
+}
+
+impl Description {
+    /// Reads the text of a `scene.json`; `file` is its path for messages.
+    pub(crate) fn parse(file: &str, text: &[u8], limits: &Limits) -> Result<Self, SceneError> {
+        // An editor's byte order mark is no reason to refuse a file.
+        let text = text.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(text);
+        check_version(file, text)?;
+        let mut deserializer = serde_json::Deserializer::from_slice(text);
+        let raw: RawScene = serde_path_to_error::deserialize(&mut deserializer)
+            .map_err(|e| SceneError::pointer(file, json_pointer(e.path()), e.inner().to_string()))?;
+        deserializer.end().map_err(|e| SceneError::file(file, e.to_string()))?;
+        Checker { file }.scene(raw, limits)
+    }
+}
+
+/// The version comes first: another version may have other keys, and the message should say so.
+fn check_version(file: &str, text: &[u8]) -> Result<(), SceneError> {
+    let probe: VersionOnly =
+        serde_json::from_slice(text).map_err(|e| SceneError::file(file, e.to_string()))?;
+    match probe.version {
+        Some(version) if version.as_u64() == Some(VERSION) => Ok(()),
+        Some(version) => Err(SceneError::pointer(
+            file,
+            "/version",
+            format!("version {version} is not understood; this program understands version {VERSION}"),
+        )),
+        None => Err(SceneError::pointer(
+            file,
+            "/version",
+            format!("is missing; this program understands version {VERSION}"),
+        )),
+    }
+}
+
+/// The path of a deserialisation error as a JSON pointer (RFC 6901).
+fn json_pointer(path: &serde_path_to_error::Path) -> String {
+    use serde_path_to_error::Segment;
+    let mut pointer = String::new();
+    for segment in path.iter() {
+        pointer.push('/');
+        match segment {
+            Segment::Seq { index } => pointer.push_str(&index.to_string()),
+            Segment::Map { key } => pointer.push_str(&key.replace('~', "~0").replace('/', "~1")),
+            Segment::Enum { variant } => pointer.push_str(variant),
+            Segment::Unknown => pointer.push('?'),
+        }
+    }
+    pointer
+}
+
+/// Checks of single values, with the file's name for messages.
+pub(crate) struct Checker<'a> {
+    pub(crate) file: &'a str,
+}
+
+impl Checker<'_> {
+    pub(crate) fn fail<T>(&self, pointer: &str, reason: impl Into<String>) -> Result<T, SceneError> {
+        Err(SceneError::pointer(self.file, pointer, reason))
+    }
+
+    /// A position or an edge, metres.
+    pub(crate) fn coordinates(&self, pointer: &str, value: [f64; 3]) -> Result<DVec3, SceneError> {
+        if value.iter().any(|c| c.abs() > LARGEST_COORDINATE) {
+            return self.fail(pointer, format!("a coordinate is larger than {LARGEST_COORDINATE:e} m"));
+        }
+        Ok(DVec3::from_array(value))
+    }
+
+    /// A unit vector along `value`.
+    fn direction(&self, pointer: &str, value: [f64; 3]) -> Result<DVec3, SceneError> {
+        let direction = self.coordinates(pointer, value)?.try_normalize();
+        direction.map_or_else(|| self.fail(pointer, "the vector has no length"), Ok)
+    }
+
+    /// Radiance, intensity or irradiance.
+    pub(crate) fn light(&self, pointer: &str, value: [f64; 3]) -> Result<DVec3, SceneError> {
+        if value.iter().any(|c| !(0.0..=BRIGHTEST).contains(c)) {
+            return self.fail(pointer, format!("every channel must lie in 0 to {BRIGHTEST:e}"));
+        }
+        Ok(DVec3::from_array(value))
+    }
+
+    /// Angle of view, degrees.
+    pub(crate) fn field_of_view(&self, pointer: &str, value: f64) -> Result<f64, SceneError> {
+        if !(value > 0.0 && value < 180.0) {
+            return self
+                .fail(pointer, format!("{value}: the field of view must lie between 0 and 180 degrees"));
+        }
+        Ok(value)
+    }
+
+    fn scene(&self, raw: RawScene, limits: &Limits) -> Result<Description, SceneError> {
+        if raw.geometry.is_empty() {
+            return self.fail("/geometry", "names no file");
+        }
+        let mut geometry = Vec::new();
+        for (i, reference) in raw.geometry.iter().enumerate() {
+            geometry.push(self.path(&format!("/geometry/{i}"), reference)?);
+        }
+        let mut camera = raw.camera.map(|c| self.camera(c, limits)).transpose()?;
+        let environment = raw.environment.map_or(Ok(EnvironmentSource::Black), |e| self.environment(e))?;
+        let mut lights = Vec::new();
+        for (i, light) in raw.lights.into_iter().enumerate() {
+            lights.push(self.light_source(&format!("/lights/{i}"), light)?);
+        }
+        let animation = raw.animation.unwrap_or(RawAnimation { fps: None, frames: None, tracks: Vec::new() });
+        let fps = animation.fps.unwrap_or(DEFAULT_FPS);
+        if !(fps > 0.0 && fps <= 10_000.0) {
+            return self.fail("/animation/fps", format!("{fps}: must be more than 0 and at most 10000"));
+        }
+        let (object_tracks, last_key) = tracks::apply(self, animation.tracks, camera.as_mut(), &mut lights)?;
+        let frames = match animation.frames {
+            Some(0) => return self.fail("/animation/frames", "a shot has at least one frame"),
+            Some(frames) if frames > limits.frames => {
+                let (found, limit) = (u64::from(frames), u64::from(limits.frames));
+                let file = format!("{}: /animation/frames", self.file);
+                return Err(SceneError::Limit { file, what: "frames", found, limit });
+            }
+            Some(frames) => Some(frames),
+            // A saturating conversion; `Scene::load` holds the result against the limit.
+            None => last_key.map(|frame| (frame.ceil().max(0.0) as u32).saturating_add(1)),
+        };
+        let name = raw.name;
+        Ok(Description { name, geometry, camera, environment, lights, fps, frames, object_tracks })
+    }
+
+    fn path(&self, pointer: &str, reference: &str) -> Result<String, SceneError> {
+        crate::bundle::resolve(self.file, reference).or_else(|reason| self.fail(pointer, reason))
+    }
+
+    fn camera(&self, raw: RawCamera, limits: &Limits) -> Result<LookAt, SceneError> {
+        for (pointer, size) in [("/camera/width", raw.width), ("/camera/height", raw.height)] {
+            if size == 0 {
+                return self.fail(pointer, "an image has at least one pixel");
+            }
+        }
+        let pixels = u64::from(raw.width) * u64::from(raw.height);
+        if pixels > limits.image_pixels {
+            let (file, limit) = (format!("{}: /camera", self.file), limits.image_pixels);
+            return Err(SceneError::Limit { file, what: "pixels of the image", found: pixels, limit });
+        }
+        if !(0.0..=LARGEST_COORDINATE).contains(&raw.aperture_radius) {
+            return self.fail("/camera/aperture_radius", "must not be negative");
+        }
+        if let Some(distance) = raw.focus_distance
+            && !(distance > 0.0 && distance <= LARGEST_COORDINATE)
+        {
+            return self.fail("/camera/focus_distance", "must be more than 0");
+        }
+        Ok(LookAt {
+            origin: Animated::Constant(self.coordinates("/camera/origin", raw.origin)?),
+            target: Animated::Constant(self.coordinates("/camera/target", raw.target)?),
+            up: Animated::Constant(self.coordinates("/camera/up", raw.up)?),
+            fov_deg: Animated::Constant(self.field_of_view("/camera/fov_deg", raw.fov_deg)?),
+            fov_axis: raw.fov_axis,
+            width: raw.width,
+            height: raw.height,
+            aperture_radius: raw.aperture_radius,
+            focus_distance: raw.focus_distance,
+        })
+    }
+
+    fn environment(&self, raw: RawEnvironment) -> Result<EnvironmentSource, SceneError> {
+        let keys = [
+            ("radiance", raw.radiance.is_some()),
+            ("path", raw.path.is_some()),
+            ("scale", raw.scale.is_some()),
+            ("rotation_deg", raw.rotation_deg.is_some()),
+        ];
+        match raw.r#type.as_str() {
+            "constant" => {
+                self.only("/environment", "a constant environment", &["radiance"], &keys)?;
+                let radiance = self.required("/environment/radiance", raw.radiance)?;
+                Ok(EnvironmentSource::Constant(self.light("/environment/radiance", radiance)?))
+            }
+            "image" => {
+                self.only("/environment", "an image environment", &["path", "scale", "rotation_deg"], &keys)?;
+                let reference = self.required("/environment/path", raw.path)?;
+                let (scale, rotation_deg) = (raw.scale.unwrap_or(1.0), raw.rotation_deg.unwrap_or(0.0));
+                if !(0.0..=BRIGHTEST).contains(&scale) {
+                    return self.fail("/environment/scale", format!("must lie in 0 to {BRIGHTEST:e}"));
+                }
+                if rotation_deg.abs() > 1e6 {
+                    return self.fail("/environment/rotation_deg", "must lie in -1e6 to 1e6");
+                }
+                let path = self.path("/environment/path", &reference)?;
+                Ok(EnvironmentSource::Image { path, scale, rotation_deg })
+            }
+            other => self.fail("/environment/type", format!("`{other}` is not one of `constant`, `image`")),
+        }
+    }
+
+    fn light_source(&self, at: &str, raw: RawLight) -> Result<LightSource, SceneError> {
+        let keys = [
+            ("corner", raw.corner.is_some()),
+            ("edge_u", raw.edge_u.is_some()),
+            ("edge_v", raw.edge_v.is_some()),
+            ("radiance", raw.radiance.is_some()),
+            ("position", raw.position.is_some()),
+            ("intensity", raw.intensity.is_some()),
+            ("direction", raw.direction.is_some()),
+            ("irradiance", raw.irradiance.is_some()),
+            ("angle_deg", raw.angle_deg.is_some()),
+        ];
+        let pointer = |key: &str| format!("{at}/{key}");
+        let point = |key, value| self.coordinates(&pointer(key), self.required(&pointer(key), value)?);
+        let light = |key, value| {
+            let value = self.light(&pointer(key), self.required(&pointer(key), value)?)?;
+            Ok::<_, SceneError>(Animated::Constant(value))
+        };
+        match raw.r#type.as_str() {
+            "quad" => {
+                self.only(at, "a quad light", &["corner", "edge_u", "edge_v", "radiance"], &keys)?;
+                let corner = point("corner", raw.corner)?;
+                let (edge_u, edge_v) = (point("edge_u", raw.edge_u)?, point("edge_v", raw.edge_v)?);
+                // The sine of the angle between the edges; NaN where an edge has no length.
+                let sine = edge_u.cross(edge_v).length() / (edge_u.length() * edge_v.length());
+                if sine.is_nan() || sine < 1e-6 {
+                    return self.fail(at, "`edge_u` and `edge_v` are parallel or have no length");
+                }
+                Ok(LightSource::Quad { corner, edge_u, edge_v, radiance: light("radiance", raw.radiance)? })
+            }
+            "point" => {
+                self.only(at, "a point light", &["position", "intensity"], &keys)?;
+                let position = point("position", raw.position)?;
+                Ok(LightSource::Point { position, intensity: light("intensity", raw.intensity)? })
+            }
+            "sun" => {
+                self.only(at, "a sun", &["direction", "irradiance", "angle_deg"], &keys)?;
+                let given = self.required(&pointer("direction"), raw.direction)?;
+                let direction = self.direction(&pointer("direction"), given)?;
+                let angle_deg = raw.angle_deg.unwrap_or(0.0);
+                if !(0.0..180.0).contains(&angle_deg) {
+                    return self.fail(&pointer("angle_deg"), "must be at least 0 and less than 180 degrees");
+                }
+                Ok(LightSource::Sun {
+                    direction,
+                    irradiance: light("irradiance", raw.irradiance)?,
+                    angle_deg,
+                })
+            }
+            other => self.fail(&pointer("type"), format!("`{other}` is not one of `quad`, `point`, `sun`")),
+        }
+    }
+
+    fn required<T>(&self, pointer: &str, value: Option<T>) -> Result<T, SceneError> {
+        value.map_or_else(|| self.fail(pointer, "is missing"), Ok)
+    }
+
+    /// Refuses keys that are known, but not of this kind of thing.
+    fn only(&self, at: &str, what: &str, allowed: &[&str], keys: &[(&str, bool)]) -> Result<(), SceneError> {
+        match keys.iter().find(|(key, given)| *given && !allowed.contains(key)) {
+            Some((key, _)) => self.fail(&format!("{at}/{key}"), format!("{what} has no key `{key}`")),
+            None => Ok(()),
+        }
+    }
+}

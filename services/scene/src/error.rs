@@ -1,0 +1,97 @@
+//! What can be wrong with a scene: every error is one line that names the file, the place in it and the reason.
+
+use std::fmt;
+
+/// Why a scene, or one frame of it, cannot be had.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    /// A file is not there or cannot be read.
+    #[error("{file}: cannot be read: {source}")]
+    Io {
+        /// Path as the bundle names it.
+        file: String,
+        /// What the operating system says.
+        source: std::io::Error,
+    },
+    /// A file is there and says something that no scene may say.
+    #[error("{file}: {place}{reason}")]
+    Malformed {
+        /// Path as the bundle names it.
+        file: String,
+        /// Where in the file.
+        place: Place,
+        /// What is wrong there.
+        reason: String,
+    },
+    /// A bundle asks for more than the [`crate::Limits`] allow.
+    #[error("{file}: {what}: {found} is more than the limit of {limit}")]
+    Limit {
+        /// Path as the bundle names it.
+        file: String,
+        /// What is counted, with its unit.
+        what: &'static str,
+        /// How much there is, at least.
+        found: u64,
+        /// How much is allowed.
+        limit: u64,
+    },
+    /// A frame outside the shot.
+    #[error("frame {frame} is outside the shot, which has frames 0 to {last}")]
+    FrameOutside {
+        /// The frame asked for.
+        frame: u32,
+        /// The last frame of the shot.
+        last: u32,
+    },
+}
+
+/// A place in a file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Place {
+    /// The file as a whole.
+    Whole,
+    /// A line, counted from 1.
+    Line(usize),
+    /// A JSON pointer (RFC 6901); the empty pointer is the whole document.
+    Pointer(String),
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Place::Whole => Ok(()),
+            Place::Line(line) => write!(f, "line {line}: "),
+            Place::Pointer(pointer) if pointer.is_empty() => Ok(()),
+            Place::Pointer(pointer) => write!(f, "{pointer}: "),
+        }
+    }
+}
+
+impl SceneError {
+    /// An error about a file as a whole.
+    pub(crate) fn file(file: impl Into<String>, reason: impl Into<String>) -> Self {
+        Self::Malformed { file: file.into(), place: Place::Whole, reason: reason.into() }
+    }
+
+    /// This error as the reason of one in another file, at `place`. A passed limit stays what it is.
+    pub(crate) fn within(self, file: &str, place: Place, context: &str) -> Self {
+        match self {
+            Self::Limit { .. } => self,
+            other => Self::Malformed { file: file.to_owned(), place, reason: format!("{context}: {other}") },
+        }
+    }
+
+    /// An error in one line of a file.
+    pub(crate) fn line(file: impl Into<String>, line: usize, reason: impl Into<String>) -> Self {
+        Self::Malformed { file: file.into(), place: Place::Line(line), reason: reason.into() }
+    }
+
+    /// An error at a JSON pointer.
+    pub(crate) fn pointer(
+        file: impl Into<String>,
+        pointer: impl Into<String>,
+        reason: impl Into<String>,
+    ) -> Self {
+        Self::Malformed { file: file.into(), place: Place::Pointer(pointer.into()), reason: reason.into() }
+    }
+}

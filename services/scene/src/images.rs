@@ -1,0 +1,101 @@
+//! Textures of a scene: each image decoded once, whatever names it.
+
+use crate::bundle::Bundle;
+use crate::error::SceneError;
+use crate::{Texels, Texture, TextureId};
+use image::{ImageFormat, ImageReader};
+use std::collections::BTreeMap;
+use std::io::Cursor;
+
+/// The textures loaded so far, by the name of their source.
+pub(crate) struct TextureLibrary<'a> {
+    bundle: &'a Bundle,
+    textures: Vec<Texture>,
+    by_name: BTreeMap<String, TextureId>,
+    pixels: u64,
+}
+
+impl<'a> TextureLibrary<'a> {
+    pub(crate) fn new(bundle: &'a Bundle) -> Self {
+        Self { bundle, textures: Vec::new(), by_name: BTreeMap::new(), pixels: 0 }
+    }
+
+    /// The texture in a file of the bundle.
+    pub(crate) fn load(&mut self, path: &str) -> Result<TextureId, SceneError> {
+        if let Some(&id) = self.by_name.get(path) {
+            return Ok(id);
+        }
+        let bytes = self.bundle.read(path)?;
+        self.decode(path, &bytes)
+    }
+
+    /// The texture in `bytes`; a second call with the same name gives the same texture.
+    pub(crate) fn decode(&mut self, name: &str, bytes: &[u8]) -> Result<TextureId, SceneError> {
+        if let Some(&id) = self.by_name.get(name) {
+            return Ok(id);
+        }
+        let refused = |e: image::ImageError| SceneError::file(name, format!("is not a readable image: {e}"));
+        let open = || {
+            // Contents, not names, say what a file is.
+            let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format();
+            let reader = reader.map_err(|e| SceneError::file(name, e.to_string()))?;
+            match reader.format() {
+                Some(
+                    format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Hdr | ImageFormat::OpenExr),
+                ) => Ok((reader, format)),
+                _ => Err(SceneError::file(
+                    name,
+                    "is not an image that is understood (PNG, JPEG, Radiance HDR, OpenEXR)",
+                )),
+            }
+        };
+        let (width, height) = open()?.0.into_dimensions().map_err(refused)?;
+        if width == 0 || height == 0 {
+            return Err(SceneError::file(name, "the image has no pixels"));
+        }
+        self.pixels += u64::from(width) * u64::from(height);
+        let limit = self.bundle.limits().texture_pixels;
+        if self.pixels > limit {
+            let (file, found) = (name.to_owned(), self.pixels);
+            return Err(SceneError::Limit { file, what: "texels of all textures", found, limit });
+        }
+        let (mut reader, format) = open()?;
+        // The size is known and allowed: 16 bytes a pixel, and a margin for the decoder and for what a file carries
+        // beside the pixels.
+        let mut limits = image::Limits::default();
+        limits.max_alloc = Some(u64::from(width) * u64::from(height) * 16 + (64 << 20));
+        reader.limits(limits);
+        let decoded = reader.decode().map_err(refused)?;
+        let texels = match format {
+            ImageFormat::Png | ImageFormat::Jpeg => {
+                Texels::Srgb8(decoded.into_rgba8().pixels().map(|p| p.0).collect())
+            }
+            _ => linear(name, &decoded.into_rgb32f(), width)?,
+        };
+        let id = TextureId(self.textures.len() as u32);
+        self.textures.push(Texture { name: name.to_owned(), width, height, texels });
+        self.by_name.insert(name.to_owned(), id);
+        Ok(id)
+    }
+
+    pub(crate) fn texture(&self, id: TextureId) -> &Texture {
+        &self.textures[id.0 as usize]
+    }
+
+    pub(crate) fn into_textures(self) -> Vec<Texture> {
+        self.textures
+    }
+}
+
+/// Linear texels; filters and denoisers leave small negative values in images of light, which count as black.
+fn linear(name: &str, image: &image::Rgb32FImage, width: u32) -> Result<Texels, SceneError> {
+    let mut texels = Vec::with_capacity(image.len() / 3);
+    for (i, pixel) in image.pixels().enumerate() {
+        if !pixel.0.iter().all(|c| c.is_finite()) {
+            let (x, y) = (i % width as usize, i / width as usize);
+            return Err(SceneError::file(name, format!("the pixel in column {x}, row {y} is not finite")));
+        }
+        texels.push(pixel.0.map(|c| c.max(0.0)));
+    }
+    Ok(Texels::Linear(texels))
+}

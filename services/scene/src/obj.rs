@@ -1,0 +1,339 @@
+//! OBJ geometry, read by `tobj`.
+//!
+//! [`check`] goes through the text first, because `tobj` names no lines in its errors, lets NaN pass, does not
+//! say when a material is missing, and mixes up the attributes of an object where only some faces have normals or texture
+//! coordinates. What it hands on has none of these: attributes never change within a model, as it starts a new model
+//! of the same name where they do.
+
+use crate::assembly::{Assembly, plain_material};
+use crate::error::{Place, SceneError};
+use crate::shot::{Mesh, Node, Part, Placement};
+use crate::{Color, Surface};
+use glam::{Vec2, Vec3};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// The name `tobj` gives to faces before the first `o` or `g`.
+const UNNAMED: &str = "unnamed_object";
+
+/// A checked OBJ file.
+struct Checked {
+    /// Text for `tobj`, the libraries first.
+    text: Vec<u8>,
+    /// Material libraries as they are named, with the line that names them.
+    libraries: Vec<(String, usize)>,
+    /// Materials that are used, with the first line that does.
+    materials: BTreeMap<String, usize>,
+    /// Keys without a meaning here, and how often they occur.
+    ignored: BTreeMap<String, usize>,
+}
+
+/// Reads an OBJ file and its material libraries into the assembly.
+pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneError> {
+    let checked = check(path, &assembly.bundle.read(path)?, assembly.bundle.limits().triangles)?;
+    warn_ignored(assembly, path, &checked.ignored);
+    let libraries = load_libraries(assembly, path, &checked.libraries)?;
+    let options =
+        tobj::LoadOptions { single_index: true, triangulate: true, ignore_points: true, ignore_lines: true };
+    let mut sources = Vec::new();
+    for (_, file, library) in &libraries {
+        sources.extend(library.0.iter().map(|material| (file.clone(), material.clone())));
+    }
+    for (name, line) in &checked.materials {
+        if !sources.iter().any(|(_, material)| material.name == *name) {
+            return Err(SceneError::line(
+                path,
+                *line,
+                format!("no material library has a material `{name}`"),
+            ));
+        }
+    }
+    let (models, _) = tobj::load_obj_buf(&mut checked.text.as_slice(), &options, |name| {
+        let found = libraries.iter().find(|(reference, ..)| name == std::path::Path::new(reference));
+        found.map_or(Err(tobj::LoadError::OpenFileFailed), |(_, _, library)| Ok(library.clone()))
+    })
+    .map_err(|e| SceneError::file(path, e.to_string()))?;
+    if models.iter().all(|model| model.mesh.indices.is_empty()) {
+        return Err(SceneError::file(path, "has no face"));
+    }
+
+    let first_material = assembly.materials.len() as u32;
+    for (file, source) in &sources {
+        let material = crate::mtl::material(assembly, file, source)?;
+        assembly.add_material(material);
+    }
+    place(assembly, path, models, first_material)
+}
+
+/// A library: its name in the OBJ file, its path in the bundle, and what `tobj` makes of it.
+type Library = (String, String, (Vec<tobj::Material>, LibraryIndex));
+/// `tobj`'s own index from names to positions.
+type LibraryIndex = std::collections::HashMap<String, usize>;
+
+fn load_libraries(
+    assembly: &mut Assembly<'_>,
+    path: &str,
+    named: &[(String, usize)],
+) -> Result<Vec<Library>, SceneError> {
+    let mut libraries: Vec<Library> = Vec::new();
+    for (reference, line) in named {
+        if libraries.iter().any(|(known, ..)| known == reference) {
+            continue;
+        }
+        let fail = |reason: String| SceneError::line(path, *line, format!("`mtllib`: {reason}"));
+        let file = crate::bundle::resolve(path, reference).map_err(&fail)?;
+        let bytes =
+            assembly.bundle.read(&file).map_err(|e| e.within(path, Place::Line(*line), "`mtllib`"))?;
+        let (canonical, ignored) = crate::mtl::check(&file, &bytes)?;
+        warn_ignored(assembly, &file, &ignored);
+        let library = tobj::load_mtl_buf(&mut canonical.as_bytes())
+            .map_err(|e| SceneError::file(&file, e.to_string()))?;
+        libraries.push((reference.clone(), file, library));
+    }
+    Ok(libraries)
+}
+
+/// Turns models into parts. Models of the same name are one object, which may have several materials.
+fn place(
+    assembly: &mut Assembly<'_>,
+    path: &str,
+    models: Vec<tobj::Model>,
+    first_material: u32,
+) -> Result<(), SceneError> {
+    let file: Arc<str> = path.into();
+    let mut objects: BTreeMap<String, (u32, usize)> = BTreeMap::new();
+    let mut grey = None;
+    for tobj::Model { mesh, name } in models {
+        if mesh.indices.is_empty() {
+            continue;
+        }
+        assembly.check_size(path, mesh.indices.len() as u64 / 3, mesh.positions.len() as u64 / 3)?;
+        let (object, node) = match objects.get(&name) {
+            Some(&known) => known,
+            None => {
+                let (object, renamed) = assembly.shot.add_object(&name);
+                let unique = assembly.shot.strata.objects[object as usize].clone();
+                if renamed {
+                    assembly
+                        .warn(format!("{path}: another file has an object `{name}`; this one is `{unique}`"));
+                }
+                assembly.shot.nodes.push(Node::new(unique, None, Placement::IDENTITY));
+                let node = assembly.shot.nodes.len() - 1;
+                objects.insert(name.clone(), (object, node));
+                (object, node)
+            }
+        };
+        let material = match mesh.material_id {
+            Some(id) => first_material + id as u32,
+            None => *grey.get_or_insert_with(|| {
+                assembly.warn(format!("{path}: faces of `{name}` have no material and are shown in grey"));
+                let albedo = Color::plain(Vec3::splat(0.5));
+                assembly.add_material(plain_material("(no material)", Surface::Lambert { albedo }))
+            }),
+        };
+        let stratum = assembly.shot.stratum(object, material);
+        let mesh = Arc::new(local_mesh(&mesh));
+        assembly.shot.parts.push(Part { node, stratum, mesh, file: file.clone() });
+    }
+    Ok(())
+}
+
+fn local_mesh(mesh: &tobj::Mesh) -> Mesh {
+    let triples = |flat: &[f32]| flat.chunks_exact(3).map(Vec3::from_slice).collect::<Vec<_>>();
+    let positions = triples(&mesh.positions);
+    let mut normals = triples(&mesh.normals);
+    for normal in &mut normals {
+        *normal = unit_or_zero(*normal);
+    }
+    normals.resize(positions.len(), Vec3::ZERO);
+    let mut uvs: Vec<Vec2> = mesh.texcoords.chunks_exact(2).map(Vec2::from_slice).collect();
+    uvs.resize(positions.len(), Vec2::ZERO);
+    let triangles = mesh.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
+    Mesh { positions, normals, uvs, triangles }
+}
+
+/// The unit vector along `v`; zero where it has no direction. Computed in `f64`, as squares of small numbers vanish in `f32`.
+pub(crate) fn unit_or_zero(v: Vec3) -> Vec3 {
+    v.as_dvec3().normalize_or_zero().as_vec3()
+}
+
+/// One warning for all keys that a file has and nobody reads.
+fn warn_ignored(assembly: &mut Assembly<'_>, file: &str, ignored: &BTreeMap<String, usize>) {
+    if !ignored.is_empty() {
+        let keys: Vec<String> = ignored.iter().map(|(key, count)| format!("`{key}` ({count}×)")).collect();
+        assembly.warn(format!("{file}: these keys are ignored: {}", keys.join(", ")));
+    }
+}
+
+/// The text of a file, or an error with the line where it stops to be UTF-8.
+pub(crate) fn text<'a>(file: &str, bytes: &'a [u8]) -> Result<&'a str, SceneError> {
+    let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
+    std::str::from_utf8(bytes).map_err(|e| {
+        let line = 1 + bytes[..e.valid_up_to()].iter().filter(|&&b| b == b'\n').count();
+        SceneError::line(file, line, "is not UTF-8 text")
+    })
+}
+
+fn check(file: &str, bytes: &[u8], triangle_limit: u64) -> Result<Checked, SceneError> {
+    let text = text(file, bytes)?;
+    let mut check = Check {
+        out: Vec::with_capacity(text.len() + 1024),
+        name: UNNAMED,
+        format: None,
+        counts: [0; 3],
+        triangles: 0,
+        libraries: Vec::new(),
+        materials: BTreeMap::new(),
+        ignored: BTreeMap::new(),
+    };
+    for (i, line) in text.lines().enumerate() {
+        check.line(line.trim(), i + 1).map_err(|reason| SceneError::line(file, i + 1, reason))?;
+        if check.triangles > triangle_limit {
+            let (found, limit) = (check.triangles, triangle_limit);
+            return Err(SceneError::Limit { file: file.to_owned(), what: "triangles", found, limit });
+        }
+    }
+    // A library may be named after the faces that use it; `tobj` wants it before.
+    let mut text: Vec<u8> = Vec::with_capacity(check.out.len() + 1024);
+    for (library, _) in &check.libraries {
+        text.extend_from_slice(format!("mtllib {library}\n").as_bytes());
+    }
+    text.append(&mut check.out);
+    let Check { libraries, materials, ignored, .. } = check;
+    Ok(Checked { text, libraries, materials, ignored })
+}
+
+struct Check<'a> {
+    out: Vec<u8>,
+    /// Name of the current object.
+    name: &'a str,
+    /// Whether the faces of the current model have (texture coordinates, normals).
+    format: Option<(bool, bool)>,
+    /// Positions, texture coordinates and normals so far.
+    counts: [usize; 3],
+    triangles: u64,
+    libraries: Vec<(String, usize)>,
+    materials: BTreeMap<String, usize>,
+    ignored: BTreeMap<String, usize>,
+}
+
+impl<'a> Check<'a> {
+    fn line(&mut self, line: &'a str, number: usize) -> Result<(), String> {
+        let (key, rest) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
+        let rest = rest.trim();
+        match key {
+            "" | "s" => {}
+            "v" => self.position(rest)?,
+            "vt" => {
+                let words = numbers::<3>("vt", rest, 1)?;
+                self.counts[1] += 1;
+                let v = if words == 1 { " 0" } else { "" };
+                self.write(&["vt ", rest, v]);
+            }
+            "vn" => {
+                numbers::<3>("vn", rest, 3)?;
+                self.counts[2] += 1;
+                self.write(&["vn ", rest]);
+            }
+            "f" => self.face(rest)?,
+            "o" | "g" => {
+                self.name = if rest.is_empty() { UNNAMED } else { rest };
+                self.format = None;
+                self.write(&["o ", self.name]);
+            }
+            "usemtl" | "mtllib" if rest.is_empty() => return Err(format!("`{key}` names nothing")),
+            "usemtl" => {
+                self.materials.entry(rest.to_owned()).or_insert(number);
+                self.write(&["usemtl ", rest]);
+            }
+            "mtllib" => self.libraries.push((rest.to_owned(), number)),
+            _ if key.starts_with('#') => {}
+            _ => *self.ignored.entry(key.to_owned()).or_insert(0) += 1,
+        }
+        Ok(())
+    }
+
+    fn write(&mut self, parts: &[&str]) {
+        for part in parts {
+            self.out.extend_from_slice(part.as_bytes());
+        }
+        self.out.push(b'\n');
+    }
+
+    /// A position: 3 numbers, or 4 with a weight, or 6 with a colour, which is left out.
+    fn position(&mut self, rest: &str) -> Result<(), String> {
+        self.counts[0] += 1;
+        match numbers::<6>("v", rest, 3)? {
+            3 => self.write(&["v ", rest]),
+            4 if rest.split_whitespace().nth(3).and_then(|w| w.parse::<f32>().ok()) == Some(0.0) => {
+                return Err("`v`: the weight is zero".into());
+            }
+            4 => self.write(&["v ", rest]),
+            6 => {
+                let words: Vec<&str> = rest.split_whitespace().take(3).collect();
+                self.write(&["v ", &words.join(" ")]);
+            }
+            other => return Err(format!("`v` takes 3 numbers, not {other}")),
+        }
+        Ok(())
+    }
+
+    fn face(&mut self, rest: &str) -> Result<(), String> {
+        let mut corners = 0u64;
+        let mut format = None;
+        for corner in rest.split_whitespace() {
+            let mut has = [false; 3];
+            let mut indices = corner.split('/');
+            for (kind, has) in has.iter_mut().enumerate() {
+                if let Some(index) = indices.next().filter(|index| !index.is_empty()) {
+                    self.index(kind, index)?;
+                    *has = true;
+                }
+            }
+            if !has[0] || indices.next().is_some() {
+                return Err(format!("`f`: `{corner}` is not `v`, `v/vt`, `v//vn` or `v/vt/vn`"));
+            }
+            if *format.get_or_insert((has[1], has[2])) != (has[1], has[2]) {
+                return Err("`f`: the corners have not all the same attributes".into());
+            }
+            corners += 1;
+        }
+        if corners < 3 {
+            return Err(format!("`f`: a face has at least 3 corners, not {corners}"));
+        }
+        if self.format.is_some() && self.format != format {
+            self.write(&["o ", self.name]);
+        }
+        self.format = format;
+        self.triangles += corners - 2;
+        self.write(&["f ", rest]);
+        Ok(())
+    }
+
+    /// Checks an index: from 1, or negative from the last one so far.
+    fn index(&self, kind: usize, text: &str) -> Result<(), String> {
+        let count = self.counts[kind];
+        let index: i64 = text.parse().map_err(|_| format!("`f`: `{text}` is not an index"))?;
+        if index == 0 || index.unsigned_abs() > count as u64 {
+            let what = ["vertex", "texture coordinate", "normal"][kind];
+            return Err(format!("`f`: there is no {what} {index}; there are {count} so far"));
+        }
+        Ok(())
+    }
+}
+
+/// Checks that `text` is at least `least` and at most `N` finite numbers; returns how many.
+fn numbers<const N: usize>(key: &str, text: &str, least: usize) -> Result<usize, String> {
+    let mut count = 0;
+    for word in text.split_whitespace() {
+        let value: f32 = word.parse().map_err(|_| format!("`{key}`: `{word}` is not a number"))?;
+        if !value.is_finite() {
+            return Err(format!("`{key}`: {word} is not finite"));
+        }
+        count += 1;
+    }
+    if count < least || count > N {
+        return Err(format!("`{key}` takes {least} to {N} numbers, not {count}"));
+    }
+    Ok(count)
+}

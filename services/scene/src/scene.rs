@@ -1,0 +1,463 @@
+//! A scene for a whole shot, and its frames.
+
+use crate::animation::Animated;
+use crate::assembly::{Assembly, NodeLight, NodeLightKind, plain_material};
+use crate::bundle::Bundle;
+use crate::camera_source::{CameraSource, default_view};
+use crate::description::{DEFAULT_FPS, Description, EnvironmentSource, LightSource};
+use crate::error::{Place, SceneError};
+use crate::limits::Limits;
+use crate::shot::{Baked, Mesh, Node, Part, Placement, Shot};
+use crate::{
+    Camera, Color, Environment, Frame, Geometry, Material, PointLight, Strata, Sun, Surface, Texture,
+};
+use glam::{DMat4, DVec3, Vec2, Vec3};
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// The file that describes a bundle.
+const DESCRIPTION: &str = "scene.json";
+
+/// Everything that a bundle says, ready to be looked at frame by frame.
+///
+/// Frames can be made from several threads at once. While nothing moves, all frames hold the same [`Geometry`].
+#[derive(Debug)]
+pub struct Scene {
+    name: String,
+    /// The file that errors of single frames name.
+    file: String,
+    fps: f64,
+    frames: u32,
+    warnings: Vec<String>,
+    digest: [u8; 32],
+    camera: CameraSource,
+    shot: Shot,
+    /// Which nodes move.
+    moving: Vec<bool>,
+    /// World matrices and geometry of frame 0.
+    still_world: Vec<DMat4>,
+    still: Baked,
+    /// World matrices and geometry of the last frame that was made of a moving scene.
+    recent: Mutex<Option<(Vec<DMat4>, Arc<Geometry>)>>,
+    materials: Arc<[Material]>,
+    /// Emission over time, by material.
+    emission: Vec<(usize, Animated<DVec3>)>,
+    textures: Arc<[Texture]>,
+    /// Point lights and suns of the description.
+    lights: Vec<LightSource>,
+    node_lights: Vec<NodeLight>,
+    environment: Environment,
+}
+
+impl Scene {
+    /// Loads a bundle: a folder, a `.zip`, or one `.gltf` or `.glb` file (whose folder then is the bundle).
+    ///
+    /// A bundle without `scene.json` holds one glTF file, which is the scene. Where nothing says so otherwise:
+    /// - fps is 24, and the shot ends with the last key of any animation;
+    /// - without a camera, the view is from the front right and above onto the whole bounding box, 1280 × 720 pixels;
+    /// - without any light, a glTF scene stands in a white environment of radiance 1.
+    ///
+    /// Each of the last two is told as a warning.
+    ///
+    /// # Errors
+    /// The first thing that is wrong with the bundle, with the file, the place in it and the reason.
+    pub fn load(path: &Path, limits: &Limits) -> Result<Self, SceneError> {
+        let (root, single) = match single_file(path) {
+            Some((folder, file)) => (folder, Some(file)),
+            None => (path, None),
+        };
+        let bundle = Bundle::open(root, limits)?;
+        match single {
+            Some(file) if file != DESCRIPTION => Self::of_gltf(&bundle, &file),
+            _ if bundle.contains(DESCRIPTION) => Self::of_description(&bundle),
+            _ => Self::of_gltf(&bundle, &only_geometry(&bundle)?),
+        }
+    }
+
+    /// Number of frames; they are numbered from 0.
+    pub fn frame_count(&self) -> u32 {
+        self.frames
+    }
+
+    /// Frames per second.
+    pub fn fps(&self) -> f64 {
+        self.fps
+    }
+
+    /// Short name of the scene.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// What was noticed while loading and did not keep the scene from being loaded; one line each.
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
+    }
+
+    /// Hash (BLAKE3) of the paths and contents of all files that the scene was loaded from.
+    pub fn digest(&self) -> [u8; 32] {
+        self.digest
+    }
+
+    /// The (object, material) pairs, the same for every frame.
+    pub fn strata(&self) -> &Strata {
+        &self.shot.strata
+    }
+
+    /// The camera at a frame.
+    ///
+    /// # Errors
+    /// When the number is outside the shot, or the camera's node has no orientation there.
+    pub fn camera(&self, frame: u32) -> Result<Camera, SceneError> {
+        self.check_number(frame)?;
+        match &self.camera {
+            CameraSource::LookAt(_) => self.camera_at(frame, &[]),
+            CameraSource::Node(_) => self.camera_at(frame, &self.shot.world(f64::from(frame))),
+        }
+    }
+
+    /// The world at a frame.
+    ///
+    /// # Errors
+    /// When the number is outside the shot, or something moves farther away than positions can tell.
+    pub fn frame(&self, number: u32) -> Result<Frame, SceneError> {
+        self.frame_with(number, None)
+    }
+
+    /// The world at a frame, with another image size (width, height) as by [`Camera::resized`].
+    ///
+    /// # Errors
+    /// As [`Scene::frame`]; and when the size is zero.
+    pub fn frame_with(&self, number: u32, size: Option<(u32, u32)>) -> Result<Frame, SceneError> {
+        self.check_number(number)?;
+        let time = f64::from(number);
+        let world = self.shot.world(time);
+        let mut camera = self.camera_at(number, &world)?;
+        if let Some((width, height)) = size {
+            if width == 0 || height == 0 {
+                return Err(SceneError::file(&self.file, "an image has at least one pixel"));
+            }
+            camera = camera.resized(width, height);
+        }
+        let (points, suns) = self.lights_at(time, &world);
+        Ok(Frame {
+            number,
+            camera,
+            geometry: self.geometry_at(world)?,
+            materials: self.materials_at(time),
+            textures: self.textures.clone(),
+            points,
+            suns,
+            environment: self.environment.clone(),
+        })
+    }
+
+    fn check_number(&self, frame: u32) -> Result<(), SceneError> {
+        if frame >= self.frames {
+            return Err(SceneError::FrameOutside { frame, last: self.frames - 1 });
+        }
+        Ok(())
+    }
+
+    fn camera_at(&self, frame: u32, world: &[DMat4]) -> Result<Camera, SceneError> {
+        match &self.camera {
+            CameraSource::LookAt(look_at) => look_at
+                .at(f64::from(frame))
+                .map_err(|reason| SceneError::pointer(&self.file, "/camera", reason)),
+            CameraSource::Node(camera) => camera
+                .at(&world[camera.node])
+                .map_err(|reason| SceneError::file(&self.file, format!("{reason} at frame {frame}"))),
+        }
+    }
+
+    fn geometry_at(&self, world: Vec<DMat4>) -> Result<Arc<Geometry>, SceneError> {
+        if world == self.still_world {
+            return Ok(self.still.geometry.clone());
+        }
+        // The lock is not held while vertices are computed, so frames of several threads do not wait for each other.
+        let recent = || self.recent.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, geometry)) = recent().as_ref().filter(|(known, _)| *known == world) {
+            return Ok(geometry.clone());
+        }
+        let geometry = Arc::new(self.shot.bake_moving(&world, &self.moving, &self.still)?);
+        *recent() = Some((world, geometry.clone()));
+        Ok(geometry)
+    }
+
+    fn materials_at(&self, time: f64) -> Arc<[Material]> {
+        if self.emission.iter().all(|(_, radiance)| radiance.is_constant()) {
+            return self.materials.clone();
+        }
+        let mut materials = self.materials.to_vec();
+        for (material, radiance) in &self.emission {
+            materials[*material].emission.factor = light_at(radiance, time);
+        }
+        materials.into()
+    }
+
+    fn lights_at(&self, time: f64, world: &[DMat4]) -> (Vec<PointLight>, Vec<Sun>) {
+        let (mut points, mut suns) = (Vec::new(), Vec::new());
+        for light in &self.lights {
+            match light {
+                LightSource::Quad { .. } => {}
+                LightSource::Point { position, intensity } => points.push(PointLight {
+                    position: position.as_vec3(),
+                    intensity: light_at(intensity, time),
+                    cone: None,
+                }),
+                LightSource::Sun { direction, irradiance, angle_deg } => suns.push(Sun {
+                    direction: direction.as_vec3(),
+                    irradiance: light_at(irradiance, time),
+                    angle_deg: *angle_deg as f32,
+                }),
+            }
+        }
+        for light in &self.node_lights {
+            let world = &world[light.node];
+            // glTF lights shine along −z. A node of zero scale has no direction; any will do.
+            let back = world.z_axis.truncate().try_normalize().unwrap_or(DVec3::Z).as_vec3();
+            match light.kind {
+                NodeLightKind::Point { intensity, cone } => points.push(PointLight {
+                    position: world.w_axis.truncate().as_vec3(),
+                    intensity,
+                    cone: cone.map(|(inner, outer)| (-back, inner, outer)),
+                }),
+                NodeLightKind::Directional { irradiance } => {
+                    suns.push(Sun { direction: back, irradiance, angle_deg: 0.0 });
+                }
+            }
+        }
+        (points, suns)
+    }
+
+    fn of_gltf(bundle: &Bundle, path: &str) -> Result<Self, SceneError> {
+        let mut assembly = Assembly::new(bundle, DEFAULT_FPS);
+        load_geometry(&mut assembly, path)?;
+        let name = path.rsplit_once('.').map_or(path, |(stem, _)| stem).to_owned();
+        let said = Said { file: path.to_owned(), name, ..Said::default() };
+        Self::finish(assembly, said)
+    }
+
+    fn of_description(bundle: &Bundle) -> Result<Self, SceneError> {
+        let description = Description::parse(DESCRIPTION, &bundle.read(DESCRIPTION)?, bundle.limits())?;
+        let mut assembly = Assembly::new(bundle, description.fps);
+        for (i, path) in description.geometry.iter().enumerate() {
+            if !bundle.contains(path) {
+                let reason = format!("the bundle has no file `{path}`");
+                return Err(SceneError::pointer(DESCRIPTION, format!("/geometry/{i}"), reason));
+            }
+            load_geometry(&mut assembly, path)?;
+        }
+        let mut emission = Vec::new();
+        for (i, light) in description.lights.iter().enumerate() {
+            if let LightSource::Quad { corner, edge_u, edge_v, radiance } = light {
+                let material = add_quad(&mut assembly, &format!("light:{i}"), *corner, *edge_u, *edge_v);
+                emission.push((material, radiance.clone()));
+            }
+        }
+        for track in description.object_tracks {
+            let node = find_node(&assembly.shot, &track.object)
+                .map_err(|reason| SceneError::pointer(DESCRIPTION, &track.pointer, reason))?;
+            assembly.shot.nodes[node].animate(track.motion);
+        }
+        let environment = match description.environment {
+            EnvironmentSource::Black => Environment::Black,
+            EnvironmentSource::Constant(radiance) => Environment::Constant(radiance.as_vec3()),
+            EnvironmentSource::Image { path, scale, rotation_deg } => {
+                let place = || Place::Pointer("/environment/path".into());
+                let loaded = assembly.textures.load(&path);
+                let texture = loaded.map_err(|e| e.within(DESCRIPTION, place(), "the environment"))?;
+                Environment::Image { texture, scale: scale as f32, rotation_deg: rotation_deg as f32 }
+            }
+        };
+        let said = Said {
+            file: DESCRIPTION.to_owned(),
+            name: description.name.unwrap_or_else(|| bundle.name().to_owned()),
+            described: true,
+            camera: description.camera.map(CameraSource::LookAt),
+            environment,
+            lights: description.lights,
+            emission,
+            frames: description.frames,
+        };
+        Self::finish(assembly, said)
+    }
+
+    /// Puts geometry files and description together, with the defaults for what neither says.
+    fn finish(mut assembly: Assembly<'_>, said: Said) -> Result<Self, SceneError> {
+        let Said { file, name, described, camera, mut environment, lights, emission, frames } = said;
+        for (material, radiance) in &emission {
+            assembly.materials[*material].emission.factor = light_at(radiance, 0.0);
+        }
+        let frames = match (frames, assembly.last_key) {
+            (Some(frames), _) if described => frames,
+            (frames, last_key) => {
+                frames.unwrap_or(1).max(last_key.map_or(1, |key| (key.round() as u32).saturating_add(1)))
+            }
+        };
+        let limit = assembly.bundle.limits().frames;
+        if frames > limit {
+            let (found, limit) = (u64::from(frames), u64::from(limit));
+            return Err(SceneError::Limit { file, what: "frames", found, limit });
+        }
+        let still_world = assembly.shot.world(0.0);
+        let still = assembly.shot.bake(&still_world)?;
+        let moving = assembly.shot.moving();
+        if assembly.shot.triangle_count() == 0
+            || (still.geometry.triangles.is_empty() && !moving.contains(&true))
+        {
+            return Err(SceneError::file(file, "the scene has no triangle with an area"));
+        }
+        if still.dropped > 0 {
+            assembly.warn(format!("{file}: {} triangles have no area and are left out", still.dropped));
+        }
+        let emits = |part: &Part| {
+            let (_, material) = assembly.shot.strata.pairs[part.stratum as usize];
+            assembly.materials[material as usize].is_emissive()
+        };
+        let lit = !lights.is_empty() || !assembly.lights.is_empty() || assembly.shot.parts.iter().any(emits);
+        if !lit && environment == Environment::Black {
+            if described {
+                assembly.warn(format!("{file}: the scene has no light"));
+            } else {
+                assembly.warn(format!("{file}: the scene has no light; a white environment lights it"));
+                environment = Environment::Constant(Vec3::ONE);
+            }
+        }
+        let camera = match (camera, assembly.cameras.first()) {
+            (Some(camera), _) => camera,
+            (None, Some(camera)) => CameraSource::Node(camera.clone()),
+            (None, None) => {
+                assembly.warn(format!("{file}: the scene has no camera; the view shows all of it"));
+                let (low, high) = bounds(&still.geometry.positions);
+                CameraSource::LookAt(default_view(low, high))
+            }
+        };
+        let digest = assembly.bundle.digest();
+        let Assembly { fps, shot, materials, textures, lights: node_lights, warnings, .. } = assembly;
+        let scene = Self {
+            name,
+            file,
+            fps,
+            frames,
+            warnings,
+            digest,
+            camera,
+            shot,
+            moving,
+            still_world,
+            still,
+            recent: Mutex::new(None),
+            materials: materials.into(),
+            emission,
+            textures: textures.into_textures().into(),
+            lights,
+            node_lights,
+            environment,
+        };
+        scene.check_camera()?;
+        Ok(scene)
+    }
+
+    /// A camera that has no meaning in some frame is known now rather than in the middle of a job. Cameras on nodes are looked
+    /// at in the first frame only, as each look costs a walk over all nodes.
+    fn check_camera(&self) -> Result<(), SceneError> {
+        let frames = if let CameraSource::LookAt(_) = self.camera { self.frames } else { 1 };
+        (0..frames).try_for_each(|frame| self.camera(frame).map(|_| ()))
+    }
+}
+
+/// What a description says about a scene; all defaults for a scene without one.
+#[derive(Default)]
+struct Said {
+    file: String,
+    name: String,
+    /// Whether there is a description at all.
+    described: bool,
+    camera: Option<CameraSource>,
+    environment: Environment,
+    lights: Vec<LightSource>,
+    emission: Vec<(usize, Animated<DVec3>)>,
+    frames: Option<u32>,
+}
+
+/// A light's value; splines may swing below zero between keys, where there is no light.
+fn light_at(value: &Animated<DVec3>, time: f64) -> Vec3 {
+    value.at(time).max(DVec3::ZERO).as_vec3()
+}
+
+/// Folder and name, where `path` is a geometry file or a description by itself.
+fn single_file(path: &Path) -> Option<(&Path, String)> {
+    let name = path.file_name()?.to_str()?;
+    if !path.is_file() || !(is_gltf(name) || name == DESCRIPTION) {
+        return None;
+    }
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    Some((folder, name.to_owned()))
+}
+
+fn extension(path: &str) -> String {
+    path.rsplit_once('.').map_or_else(String::new, |(_, e)| e.to_ascii_lowercase())
+}
+
+fn is_gltf(path: &str) -> bool {
+    matches!(extension(path).as_str(), "gltf" | "glb")
+}
+
+/// The glTF file that stands for the missing description.
+fn only_geometry(bundle: &Bundle) -> Result<String, SceneError> {
+    let mut names = bundle.top_level()?;
+    names.retain(|name| is_gltf(name) || extension(name) == "obj");
+    match names.as_slice() {
+        [name] if is_gltf(name) => Ok(name.clone()),
+        [] => Err(SceneError::file(bundle.name(), "has neither a `scene.json` nor a glTF file")),
+        _ => {
+            let reason =
+                format!("has no `scene.json`, which says which of {} is the scene", names.join(", "));
+            Err(SceneError::file(bundle.name(), reason))
+        }
+    }
+}
+
+fn load_geometry(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneError> {
+    match extension(path).as_str() {
+        "obj" => crate::obj::load(assembly, path),
+        _ => Err(SceneError::file(path, "is not geometry that is understood (.obj, .gltf, .glb)")),
+    }
+}
+
+/// Adds the two triangles of a quad light. Returns its material.
+fn add_quad(assembly: &mut Assembly<'_>, name: &str, corner: DVec3, edge_u: DVec3, edge_v: DVec3) -> usize {
+    let black = Surface::Lambert { albedo: Color::plain(Vec3::ZERO) };
+    let material = assembly.add_material(plain_material(name, black));
+    let (object, _) = assembly.shot.add_object(name);
+    let stratum = assembly.shot.stratum(object, material);
+    let unique = assembly.shot.strata.objects[object as usize].clone();
+    assembly.shot.nodes.push(Node::new(unique, None, Placement::IDENTITY));
+    let corners = [corner, corner + edge_u, corner + edge_u + edge_v, corner + edge_v];
+    let mesh = Mesh {
+        positions: corners.map(|c| c.as_vec3()).to_vec(),
+        normals: vec![Vec3::ZERO; 4],
+        uvs: vec![Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y],
+        triangles: vec![[0, 1, 2], [0, 2, 3]],
+    };
+    let node = assembly.shot.nodes.len() - 1;
+    assembly.shot.parts.push(Part { node, stratum, mesh: Arc::new(mesh), file: DESCRIPTION.into() });
+    material as usize
+}
+
+/// The node that a track's `object:NAME` means.
+fn find_node(shot: &Shot, name: &str) -> Result<usize, String> {
+    let mut found = shot.nodes.iter().enumerate().filter(|(_, node)| node.name == name);
+    match (found.next(), found.next()) {
+        (Some((node, _)), None) => Ok(node),
+        (Some(_), Some(_)) => Err(format!("more than one object is named `{name}`")),
+        (None, _) => Err(format!("there is no object `{name}`")),
+    }
+}
+
+fn bounds(positions: &[Vec3]) -> (DVec3, DVec3) {
+    let low = positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
+    let high = positions.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
+    (low.as_dvec3(), high.as_dvec3())
+}

@@ -1,0 +1,388 @@
+//! A scene in parts: what stands where, before it is put into world space for one frame.
+
+use crate::animation::Curve;
+use crate::error::SceneError;
+use crate::limits::LARGEST_COORDINATE;
+use crate::tracks::Motion;
+use crate::{Geometry, Strata};
+use glam::{DMat3, DMat4, DQuat, DVec3, Vec2, Vec3};
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::sync::Arc;
+
+/// Local geometry that a node carries.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Mesh {
+    pub(crate) positions: Vec<Vec3>,
+    /// As many as positions; zero where there is none.
+    pub(crate) normals: Vec<Vec3>,
+    /// As many as positions.
+    pub(crate) uvs: Vec<Vec2>,
+    pub(crate) triangles: Vec<[u32; 3]>,
+}
+
+/// How a node stands in its parent.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Placement {
+    Matrix(DMat4),
+    Parts { translation: DVec3, rotation: DQuat, scale: DVec3 },
+}
+
+impl Placement {
+    pub(crate) const IDENTITY: Self =
+        Self::Parts { translation: DVec3::ZERO, rotation: DQuat::IDENTITY, scale: DVec3::ONE };
+
+    fn parts(self) -> (DVec3, DQuat, DVec3) {
+        match self {
+            Placement::Parts { translation, rotation, scale } => (translation, rotation, scale),
+            Placement::Matrix(matrix) => {
+                let (scale, rotation, translation) = matrix.to_scale_rotation_translation();
+                (translation, rotation, scale)
+            }
+        }
+    }
+}
+
+/// Something with a name that can be moved.
+#[derive(Debug, Clone)]
+pub(crate) struct Node {
+    pub(crate) name: String,
+    /// Index of the parent, which stands before its children in the list.
+    pub(crate) parent: Option<usize>,
+    pub(crate) placement: Placement,
+    pub(crate) translation: Option<Curve<DVec3>>,
+    pub(crate) rotation: Option<Curve<DQuat>>,
+    pub(crate) scale: Option<Curve<DVec3>>,
+}
+
+impl Node {
+    pub(crate) fn new(name: String, parent: Option<usize>, placement: Placement) -> Self {
+        Self { name, parent, placement, translation: None, rotation: None, scale: None }
+    }
+
+    /// Replaces one local property by a curve.
+    pub(crate) fn animate(&mut self, motion: Motion) {
+        match motion {
+            Motion::Translation(curve) => self.translation = Some(curve),
+            Motion::Rotation(curve) => self.rotation = Some(curve),
+            Motion::Scale(curve) => self.scale = Some(curve),
+        }
+    }
+
+    fn is_animated(&self) -> bool {
+        self.translation.is_some() || self.rotation.is_some() || self.scale.is_some()
+    }
+
+    fn moves(&self) -> bool {
+        let moving = |c: &Option<Curve<DVec3>>| c.as_ref().is_some_and(|c| !c.is_constant());
+        moving(&self.translation)
+            || moving(&self.scale)
+            || self.rotation.as_ref().is_some_and(|c| !c.is_constant())
+    }
+
+    fn local(&self, frame: f64) -> DMat4 {
+        match self.placement {
+            Placement::Matrix(matrix) if !self.is_animated() => matrix,
+            placement => {
+                let (translation, rotation, scale) = placement.parts();
+                DMat4::from_scale_rotation_translation(
+                    self.scale.as_ref().map_or(scale, |c| c.at(frame)),
+                    self.rotation.as_ref().map_or(rotation, |c| c.at(frame)),
+                    self.translation.as_ref().map_or(translation, |c| c.at(frame)),
+                )
+            }
+        }
+    }
+}
+
+/// A mesh of one stratum on a node.
+#[derive(Debug, Clone)]
+pub(crate) struct Part {
+    pub(crate) node: usize,
+    pub(crate) stratum: u32,
+    pub(crate) mesh: Arc<Mesh>,
+    /// File that the mesh comes from, for messages.
+    pub(crate) file: Arc<str>,
+}
+
+/// All parts of a scene.
+#[derive(Debug, Default)]
+pub(crate) struct Shot {
+    pub(crate) nodes: Vec<Node>,
+    pub(crate) parts: Vec<Part>,
+    pub(crate) strata: Strata,
+    stratum_by_pair: BTreeMap<(u32, u32), u32>,
+    object_names: BTreeMap<String, u32>,
+}
+
+/// Geometry of a frame, with where each part's triangles are.
+#[derive(Debug)]
+pub(crate) struct Baked {
+    pub(crate) geometry: Arc<Geometry>,
+    /// Triangles of each part.
+    ranges: Vec<Range<usize>>,
+    /// Triangles left out because they have no area.
+    pub(crate) dropped: usize,
+}
+
+impl Shot {
+    /// A new object. A name that is taken gets a number: `name (2)`; the result says whether that happened.
+    pub(crate) fn add_object(&mut self, name: &str) -> (u32, bool) {
+        let mut unique = name.to_owned();
+        let mut copy = 1;
+        while self.object_names.contains_key(&unique) {
+            copy += 1;
+            unique = format!("{name} ({copy})");
+        }
+        let id = self.strata.objects.len() as u32;
+        self.object_names.insert(unique.clone(), id);
+        self.strata.objects.push(unique);
+        (id, copy > 1)
+    }
+
+    /// The stratum of an (object, material) pair.
+    pub(crate) fn stratum(&mut self, object: u32, material: u32) -> u32 {
+        *self.stratum_by_pair.entry((object, material)).or_insert_with(|| {
+            self.strata.pairs.push((object, material));
+            self.strata.pairs.len() as u32 - 1
+        })
+    }
+
+    /// Number of triangles before those without area are left out.
+    pub(crate) fn triangle_count(&self) -> u64 {
+        self.parts.iter().map(|p| p.mesh.triangles.len() as u64).sum()
+    }
+
+    /// Number of vertices.
+    pub(crate) fn vertex_count(&self) -> u64 {
+        self.parts.iter().map(|p| p.mesh.positions.len() as u64).sum()
+    }
+
+    /// World matrix of every node at a frame.
+    pub(crate) fn world(&self, frame: f64) -> Vec<DMat4> {
+        let mut world: Vec<DMat4> = Vec::with_capacity(self.nodes.len());
+        for node in &self.nodes {
+            let local = node.local(frame);
+            world.push(node.parent.map_or(local, |parent| world[parent] * local));
+        }
+        world
+    }
+
+    /// Which nodes move during the shot, by themselves or with an ancestor.
+    pub(crate) fn moving(&self) -> Vec<bool> {
+        let mut moving: Vec<bool> = Vec::with_capacity(self.nodes.len());
+        for node in &self.nodes {
+            moving.push(node.moves() || node.parent.is_some_and(|parent| moving[parent]));
+        }
+        moving
+    }
+
+    /// Puts everything into world space.
+    pub(crate) fn bake(&self, world: &[DMat4]) -> Result<Baked, SceneError> {
+        let (vertices, triangles) = (self.vertex_count() as usize, self.triangle_count() as usize);
+        let mut geometry = Geometry {
+            positions: Vec::with_capacity(vertices),
+            normals: Vec::with_capacity(vertices),
+            uvs: Vec::with_capacity(vertices),
+            triangles: Vec::with_capacity(triangles),
+            triangle_stratum: Vec::with_capacity(triangles),
+            strata: self.strata.clone(),
+        };
+        let mut ranges = Vec::with_capacity(self.parts.len());
+        for part in &self.parts {
+            let to_world = ToWorld::new(&world[part.node]);
+            let first = geometry.positions.len() as u32;
+            for &position in &part.mesh.positions {
+                geometry.positions.push(to_world.position(position));
+            }
+            geometry.normals.extend(part.mesh.normals.iter().map(|&n| to_world.normal(n)));
+            geometry.uvs.extend_from_slice(&part.mesh.uvs);
+            self.check_positions(part, &geometry.positions[first as usize..])?;
+            ranges.push(push_triangles(&mut geometry, part, first, to_world.mirrored));
+        }
+        let dropped = triangles - geometry.triangles.len();
+        Ok(Baked { geometry: Arc::new(geometry), ranges, dropped })
+    }
+
+    /// As `bake`, but only parts on moving nodes are computed anew; the others come from `still`.
+    pub(crate) fn bake_moving(
+        &self,
+        world: &[DMat4],
+        moving: &[bool],
+        still: &Baked,
+    ) -> Result<Geometry, SceneError> {
+        let base = &still.geometry;
+        let mut geometry = Geometry {
+            positions: base.positions.clone(),
+            normals: base.normals.clone(),
+            uvs: base.uvs.clone(),
+            triangles: Vec::with_capacity(base.triangles.len()),
+            triangle_stratum: Vec::with_capacity(base.triangles.len()),
+            strata: base.strata.clone(),
+        };
+        let mut first = 0;
+        for (part, range) in self.parts.iter().zip(&still.ranges) {
+            let end = first + part.mesh.positions.len();
+            if moving[part.node] {
+                let to_world = ToWorld::new(&world[part.node]);
+                for (out, &local) in geometry.positions[first..end].iter_mut().zip(&part.mesh.positions) {
+                    *out = to_world.position(local);
+                }
+                for (out, &local) in geometry.normals[first..end].iter_mut().zip(&part.mesh.normals) {
+                    *out = to_world.normal(local);
+                }
+                self.check_positions(part, &geometry.positions[first..end])?;
+                push_triangles(&mut geometry, part, first as u32, to_world.mirrored);
+            } else {
+                geometry.triangles.extend_from_slice(&base.triangles[range.clone()]);
+                geometry.triangle_stratum.extend_from_slice(&base.triangle_stratum[range.clone()]);
+            }
+            first = end;
+        }
+        Ok(geometry)
+    }
+
+    fn check_positions(&self, part: &Part, positions: &[Vec3]) -> Result<(), SceneError> {
+        // NaN compares as not inside.
+        let inside = |p: &Vec3| p.abs().max_element() <= LARGEST_COORDINATE as f32 && p.is_finite();
+        match positions.iter().position(|p| !inside(p)) {
+            None => Ok(()),
+            Some(i) => {
+                let name = &self.nodes[part.node].name;
+                let reason = format!(
+                    "vertex {i} of `{name}` is not within {LARGEST_COORDINATE:e} m of the origin in world space"
+                );
+                Err(SceneError::file(part.file.as_ref(), reason))
+            }
+        }
+    }
+}
+
+/// Adds a part's triangles that have an area. A mirrored part changes its winding, so that its front stays its front.
+fn push_triangles(geometry: &mut Geometry, part: &Part, first: u32, mirrored: bool) -> Range<usize> {
+    let start = geometry.triangles.len();
+    for &[a, b, c] in &part.mesh.triangles {
+        let [b, c] = if mirrored { [c, b] } else { [b, c] };
+        let index = geometry.triangles.len() as u32;
+        geometry.triangles.push([first + a, first + b, first + c]);
+        if geometry.geometric_normal(index) == Vec3::ZERO {
+            geometry.triangles.pop();
+        }
+    }
+    geometry.triangle_stratum.resize(geometry.triangles.len(), part.stratum);
+    start..geometry.triangles.len()
+}
+
+/// A node's world matrix, prepared for points and normals.
+struct ToWorld {
+    matrix: DMat4,
+    /// Inverse transpose up to a positive factor: the cofactor matrix, which exists where the inverse does not, times the
+    /// sign of the determinant.
+    normals: DMat3,
+    mirrored: bool,
+    identity: bool,
+}
+
+impl ToWorld {
+    fn new(matrix: &DMat4) -> Self {
+        let m = DMat3::from_mat4(*matrix);
+        let mirrored = m.determinant() < 0.0;
+        let cofactors =
+            DMat3::from_cols(m.y_axis.cross(m.z_axis), m.z_axis.cross(m.x_axis), m.x_axis.cross(m.y_axis));
+        let normals = if mirrored { -cofactors } else { cofactors };
+        Self { matrix: *matrix, normals, mirrored, identity: *matrix == DMat4::IDENTITY }
+    }
+
+    fn position(&self, local: Vec3) -> Vec3 {
+        if self.identity { local } else { self.matrix.transform_point3(local.as_dvec3()).as_vec3() }
+    }
+
+    fn normal(&self, local: Vec3) -> Vec3 {
+        if self.identity { local } else { (self.normals * local.as_dvec3()).normalize_or_zero().as_vec3() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::animation::Interpolation;
+
+    fn quad() -> Mesh {
+        Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y],
+            normals: vec![Vec3::Z; 4],
+            uvs: vec![Vec2::ZERO; 4],
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+        }
+    }
+
+    fn shot(placement: Placement) -> Shot {
+        let mut shot = Shot::default();
+        let (object, _) = shot.add_object("quad");
+        let stratum = shot.stratum(object, 0);
+        shot.nodes.push(Node::new("quad".into(), None, placement));
+        shot.parts.push(Part { node: 0, stratum, mesh: Arc::new(quad()), file: "test".into() });
+        shot
+    }
+
+    #[test]
+    fn the_front_of_a_mirrored_part_stays_its_front() {
+        for scale in [DVec3::new(-2.0, 1.0, 1.0), DVec3::new(1.0, 1.0, -3.0), DVec3::new(-1.0, -1.0, -1.0)] {
+            let geometry = {
+                let shot = shot(Placement::Matrix(DMat4::from_scale(scale)));
+                shot.bake(&shot.world(0.0)).unwrap().geometry
+            };
+            let expected = Vec3::new(0.0, 0.0, scale.z.signum() as f32);
+            for t in 0..2 {
+                assert_eq!(geometry.geometric_normal(t), expected, "{scale}");
+            }
+            assert!(geometry.normals.iter().all(|n| *n == expected), "{scale}");
+        }
+    }
+
+    #[test]
+    fn normals_stay_perpendicular_under_uneven_scale() {
+        let mut shot = shot(Placement::Matrix(
+            DMat4::from_scale(DVec3::new(1.0, 5.0, 0.5)) * DMat4::from_rotation_x(0.7),
+        ));
+        shot.nodes[0].name = "tilted".into();
+        let geometry = shot.bake(&shot.world(0.0)).unwrap().geometry;
+        let along = geometry.geometric_normal(0).dot(geometry.normals[0]);
+        assert!((along - 1.0).abs() < 1e-6, "{along}");
+    }
+
+    #[test]
+    fn a_part_whose_scale_passes_zero_has_no_triangles_in_that_frame() {
+        let mut shot = shot(Placement::IDENTITY);
+        let scales = vec![DVec3::ONE, -DVec3::ONE];
+        shot.nodes[0].scale = Curve::new(vec![0.0, 2.0], scales, Interpolation::Linear);
+        let (moving, still) = (shot.moving(), shot.bake(&shot.world(0.0)).unwrap());
+        let at = |frame| shot.bake_moving(&shot.world(frame), &moving, &still).unwrap();
+        assert_eq!((at(0.0).triangles.len(), at(1.0).triangles.len(), at(2.0).triangles.len()), (2, 0, 2));
+        assert_eq!(at(0.0), *still.geometry);
+        assert_eq!(at(1.0).strata, still.geometry.strata);
+    }
+
+    #[test]
+    fn children_move_with_their_parents() {
+        let mut shot = shot(Placement::IDENTITY);
+        shot.nodes.push(shot.nodes[0].clone());
+        shot.nodes[1].parent = Some(0);
+        shot.parts[0].node = 1;
+        let half_turn = DQuat::from_rotation_y(std::f64::consts::PI);
+        shot.nodes[0].rotation =
+            Curve::new(vec![0.0, 1.0], vec![DQuat::IDENTITY, half_turn], Interpolation::Step);
+        assert_eq!(shot.moving(), [true, true]);
+        let geometry = shot.bake(&shot.world(1.0)).unwrap().geometry;
+        assert!((geometry.positions[1] + Vec3::X).length() < 1e-6);
+    }
+
+    #[test]
+    fn equal_names_become_distinct() {
+        let mut shot = Shot::default();
+        assert_eq!(shot.add_object("a"), (0, false));
+        assert_eq!(shot.add_object("a"), (1, true));
+        assert_eq!(shot.add_object("a"), (2, true));
+        assert_eq!(shot.strata.objects, ["a", "a (2)", "a (3)"]);
+    }
+}
