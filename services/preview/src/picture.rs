@@ -30,9 +30,9 @@ pub fn palette(frame: &Frame) -> Vec<[u8; 3]> {
             (0.5 + rank * step).fract()
         };
         let mut rgb = [0; 3];
-        rgb[channel] = (135.0 + 120.0 * next()) as u8;
-        rgb[(channel + 1) % 3] = (115.0 * next()) as u8;
-        rgb[(channel + 2) % 3] = (115.0 * next()) as u8;
+        rgb[channel] = (145.0 + 110.0 * next()) as u8;
+        rgb[(channel + 1) % 3] = (105.0 * next()) as u8;
+        rgb[(channel + 2) % 3] = (105.0 * next()) as u8;
         rgb
     };
     frame.geometry.strata.pairs.iter().map(colour).collect()

@@ -159,6 +159,8 @@ impl Previewer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use forelight_scene::{Color, Environment, Geometry, Material, Strata, Surface};
+    use glam::{Vec2, Vec3};
 
     #[test]
     fn a_choice_reads_as_it_is_written() {
@@ -167,5 +169,72 @@ mod tests {
         }
         let error = "both".parse::<Choice>().expect_err("no choice");
         assert_eq!(error.to_string(), "\"both\" is not one of auto, gpu, cpu");
+    }
+
+    /// A triangle before a camera of 8 × 8 pixels.
+    fn frame() -> Frame {
+        let camera = forelight_scene::Camera {
+            origin: Vec3::ZERO,
+            right: Vec3::X,
+            up: Vec3::Y,
+            forward: Vec3::NEG_Z,
+            tan_half_x: 1.0,
+            tan_half_y: 1.0,
+            width: 8,
+            height: 8,
+            aperture_radius: 0.0,
+            focus_distance: 1.0,
+        };
+        let geometry = Geometry {
+            positions: vec![
+                Vec3::new(-1.0, -1.0, -2.0),
+                Vec3::new(1.0, -1.0, -2.0),
+                Vec3::new(0.0, 1.0, -2.0),
+            ],
+            normals: vec![Vec3::ZERO; 3],
+            uvs: vec![Vec2::ZERO; 3],
+            triangles: vec![[0, 1, 2]],
+            triangle_stratum: vec![0],
+            strata: Strata { objects: vec!["triangle".into()], pairs: vec![(0, 0)] },
+        };
+        let material = Material {
+            name: "grey".into(),
+            surface: Surface::Lambert { albedo: Color::plain(Vec3::ONE) },
+            emission: Color::plain(Vec3::ZERO),
+            emits_both_sides: false,
+            opacity: 1.0,
+            mask: None,
+        };
+        Frame {
+            number: 0,
+            camera,
+            geometry: geometry.into(),
+            materials: [material].into(),
+            textures: [].into(),
+            points: Vec::new(),
+            suns: Vec::new(),
+            environment: Environment::Black,
+        }
+    }
+
+    #[test]
+    fn a_lost_device_is_an_error_for_gpu_and_no_more_than_a_change_of_maker_for_auto() {
+        let Ok(mut gpu) = Previewer::new(Choice::Gpu) else {
+            println!("skipped: no Vulkan device here");
+            return;
+        };
+        let frame = frame();
+        let expected = gpu.counts(&frame).expect("counts");
+        assert!(expected.per_stratum[0] > 0);
+        gpu.gpu.as_ref().expect("the GPU was asked for").lose();
+        for _ in 0..2 {
+            assert!(matches!(gpu.counts(&frame), Err(PreviewError::Device(_))));
+            assert!(matches!(gpu.preview(&frame), Err(PreviewError::Device(_))));
+        }
+        let mut auto = Previewer::new(Choice::Auto).expect("auto never fails");
+        auto.preview(&frame).expect("a preview");
+        auto.gpu.as_ref().expect("there is a device here").lose();
+        assert_eq!(auto.counts(&frame), Ok(expected));
+        assert_eq!((auto.backend(), auto.adapter()), ("cpu", None));
     }
 }

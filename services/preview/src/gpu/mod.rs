@@ -73,6 +73,12 @@ impl Gpu {
         &self.device.name
     }
 
+    /// Takes the device away, as a driver that fails does.
+    #[cfg(test)]
+    pub fn lose(&self) {
+        self.device.device.destroy();
+    }
+
     pub fn preview(&mut self, frame: &Frame) -> Result<(Preview, Cost), PreviewError> {
         check(&frame.camera)?;
         let clock = ThreadClock::start();

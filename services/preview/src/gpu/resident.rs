@@ -117,10 +117,11 @@ impl Resident {
         if old.is_none() {
             self.upload_geometry(device, geometry, before.as_ref().map(|state| &*state.geometry))?;
         }
-        let same_topology = before.as_ref().is_some_and(|state| {
-            state.geometry.triangles == geometry.triangles
-                && state.geometry.triangle_stratum == geometry.triangle_stratum
-        });
+        let same_topology = old.is_some()
+            || before.as_ref().is_some_and(|state| {
+                state.geometry.triangles == geometry.triangles
+                    && state.geometry.triangle_stratum == geometry.triangle_stratum
+            });
         if !same_topology || before.as_ref().is_some_and(|state| state.rules != rules) {
             self.upload_indices(device, geometry, &rules)?;
         }
