@@ -1,0 +1,327 @@
+//! A worker: leases a task, does it, reports, and starts over.
+//!
+//! # What can go wrong, and what happens then
+//!
+//! * **The lease is lost** (it ran out while this process was paused or cut off, or the job was cancelled). The next
+//!   renewal says so; the work is stopped at once and dropped. Should the result already be on its way, its fencing token is
+//!   stale: the service refuses it, nothing is overwritten, and the refusal is not an error here.
+//! * **The service is silent.** It may be restarting. The work goes on and renewals are tried at each interval: if the lease
+//!   is still ours when the service is back, nothing was lost; if it is not, the fencing token protects whoever has it
+//!   now. A finished result is offered until it is answered.
+//! * **The work fails or panics.** The error is reported, and the service decides whether to try again.
+//! * **This process is told to stop.** The work is stopped and the lease given back, so that another node can have the
+//!   task at once instead of after the lease's end.
+
+use crate::backoff::Backoff;
+use crate::client::Client;
+use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
+use crate::library::Library;
+use crate::transport::ClientError;
+use forelight_protocol::{
+    ClaimRequest, Lease, LeaseOrder, NodeId, NodeRegistration, ProblemKind, RenewRequest, ResultRequest,
+    TaskError, TaskSpec,
+};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio_util::sync::CancellationToken;
+use uuid::Uuid;
+
+/// How long one claim waits for a task at the service.
+const CLAIM_WAIT_MS: u32 = 20_000;
+/// Pause after a refusal that is nobody's plan, so that it does not become a flood.
+const AFTER_REFUSAL: Duration = Duration::from_secs(2);
+
+/// A worker.
+pub struct Agent {
+    client: Client,
+    library: Arc<Library>,
+    executor: Arc<dyn Execute>,
+    pool: Arc<rayon::ThreadPool>,
+    registration: NodeRegistration,
+}
+
+/// Why a worker ended without being told to.
+#[derive(Debug, thiserror::Error)]
+pub enum AgentError {
+    /// The service does not want it: wrong token, or a registration that it refuses.
+    #[error("the service at {address} does not take this worker")]
+    Refused {
+        /// The service.
+        address: String,
+        /// Its reason.
+        source: ClientError,
+    },
+    /// The threads could not be started.
+    #[error("cannot start {threads} threads: {reason}")]
+    Threads {
+        /// How many were wanted.
+        threads: u32,
+        /// What the system said.
+        reason: String,
+    },
+}
+
+/// How the work on a lease ended.
+enum Ending {
+    /// With a result or an error, to be reported.
+    Finished(Result<Outcome, ExecuteError>),
+    /// Without: nobody waits for it any more.
+    Lost,
+    /// Without: this process is to stop.
+    Stopped,
+}
+
+impl Agent {
+    /// A worker that registers as `registration` says, and works on as many threads as that has cores.
+    pub fn new(
+        client: Client,
+        library: Arc<Library>,
+        executor: Arc<dyn Execute>,
+        registration: NodeRegistration,
+    ) -> Result<Self, AgentError> {
+        let threads = registration.cores;
+        let name = registration.name.clone();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads as usize)
+            .thread_name(move |index| format!("{name}-{index}"))
+            .build()
+            .map_err(|error| AgentError::Threads { threads, reason: error.to_string() })?;
+        Ok(Self { client, library, executor, pool: Arc::new(pool), registration })
+    }
+
+    /// Works until `stop` is cancelled, or until the service does not want this worker.
+    pub async fn run(&self, stop: CancellationToken) -> Result<(), AgentError> {
+        let Some(mut node) = self.register(&stop).await? else { return Ok(()) };
+        let patient = self.client.with_backoff(Backoff::FOREVER);
+        while !stop.is_cancelled() {
+            let claim = ClaimRequest { node_id: node, wait_ms: CLAIM_WAIT_MS };
+            let claimed = tokio::select! {
+                () = stop.cancelled() => break,
+                claimed = patient.claim(&claim) => claimed,
+            };
+            match claimed {
+                Ok(Some(lease)) => self.work(lease, &stop).await,
+                Ok(None) => {}
+                Err(error) if is_unwanted(&error) => return Err(self.refused(error)),
+                // A service that lost its memory does not know the node any more.
+                Err(error) if error.is(ProblemKind::NotFound) => match self.register(&stop).await? {
+                    Some(again) => node = again,
+                    None => break,
+                },
+                Err(error) => {
+                    tracing::warn!(node = self.registration.name, %error, "no task was handed out");
+                    pause(AFTER_REFUSAL, &stop).await;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Announces the node until the service answers; `None` if `stop` came first.
+    async fn register(&self, stop: &CancellationToken) -> Result<Option<NodeId>, AgentError> {
+        let client = self.client.with_backoff(Backoff::FOREVER);
+        // Registering is an update by name: each time is a request of its own.
+        let registered = tokio::select! {
+            () = stop.cancelled() => return Ok(None),
+            registered = client.register(&self.registration, Uuid::now_v7()) => registered,
+        };
+        let node = registered.map_err(|error| self.refused(error))?;
+        tracing::info!(node = node.name, id = %node.id, speed = node.speed, cores = node.cores, "registered");
+        Ok(Some(node.id))
+    }
+
+    fn refused(&self, source: ClientError) -> AgentError {
+        AgentError::Refused { address: self.client.address().into(), source }
+    }
+
+    /// Does one leased task from beginning to end.
+    async fn work(&self, lease: Lease, stop: &CancellationToken) {
+        let kind = lease.spec.kind();
+        tracing::info!(task = %lease.task_id, %kind, frame = lease.spec.frame(), fence = lease.fence, "leased");
+        let control = Arc::new(Control::default());
+        let ending = {
+            let work = self.perform(&lease, control.clone());
+            tokio::pin!(work);
+            let ending = tokio::select! {
+                done = &mut work => Ending::Finished(done),
+                () = self.hold(&lease, &control) => Ending::Lost,
+                () = stop.cancelled() => Ending::Stopped,
+            };
+            if !matches!(ending, Ending::Finished(_)) {
+                control.cancel();
+                // The threads are free again when the work has noticed.
+                let _ = work.await;
+            }
+            ending
+        };
+        match ending {
+            Ending::Finished(done) => {
+                tokio::select! {
+                    () = self.report(&lease, done) => {}
+                    () = self.hold(&lease, &control) => {
+                        tracing::info!(task = %lease.task_id, "the lease was lost; its result is dropped");
+                    }
+                    () = stop.cancelled() => self.give_back(&lease).await,
+                }
+            }
+            Ending::Lost => {
+                tracing::info!(task = %lease.task_id, %kind, "the lease was lost; the work is dropped")
+            }
+            Ending::Stopped => self.give_back(&lease).await,
+        }
+    }
+
+    /// Fetches what the task needs and does it on this worker's threads.
+    async fn perform(&self, lease: &Lease, control: Arc<Control>) -> Result<Outcome, ExecuteError> {
+        let fetched = |error: ClientError| {
+            let message = describe(&error);
+            // What the service does not have, it will not have later.
+            let missing = error.is(ProblemKind::NotFound);
+            if missing { ExecuteError::Permanent(message) } else { ExecuteError::Transient(message) }
+        };
+        let bundle = self.library.locate(&self.client, lease.spec.bundle()).await.map_err(fetched)?;
+        let profile = match &lease.spec {
+            TaskSpec::Render(spec) => match spec.profile {
+                Some(hash) => Some(self.client.artifact(hash).await.map_err(fetched)?),
+                None => None,
+            },
+            TaskSpec::Preview(_) | TaskSpec::Profile(_) => None,
+        };
+        let assignment = Assignment { spec: lease.spec.clone(), bundle, profile };
+        let (pool, executor) = (self.pool.clone(), self.executor.clone());
+        let work = move || pool.install(|| executor.execute(&assignment, &control));
+        match tokio::task::spawn_blocking(work).await {
+            Ok(done) => done,
+            Err(panic) => Err(ExecuteError::Transient(format!("the renderer failed: {}", panic_text(panic)))),
+        }
+    }
+
+    /// Renews the lease three times in its life, and returns when the service says that it is lost or not wanted.
+    async fn hold(&self, lease: &Lease, control: &Control) {
+        let interval = Duration::from_millis((lease.ttl_ms / 3).max(50));
+        let once = self.client.with_backoff(Backoff { attempts: Some(1), ..Backoff::PATIENT });
+        loop {
+            tokio::time::sleep(interval).await;
+            let renewal = RenewRequest { fence: lease.fence, progress: control.progress() };
+            match once.renew(lease.lease_id, &renewal, interval.max(Duration::from_secs(1))).await {
+                Ok(renewed) if renewed.order == LeaseOrder::Stop => return,
+                Ok(_) => {}
+                Err(error) if is_lost(&error) => return,
+                Err(error) => tracing::warn!(task = %lease.task_id, %error, "the lease was not renewed"),
+            }
+        }
+    }
+
+    /// Stores the artefacts and reports the end of the task, as often as it takes to be answered.
+    async fn report(&self, lease: &Lease, done: Result<Outcome, ExecuteError>) {
+        let client = self.client.with_backoff(Backoff::FOREVER);
+        let ended = match done {
+            Ok(outcome) => match self.deliver(&client, lease, &outcome).await {
+                Ok(()) => return,
+                Err(error) if is_lost(&error) => Err(error),
+                // Nothing but another attempt at the task can help: say so rather than let the lease run out.
+                Err(error) => {
+                    let message = format!("the result was refused: {}", describe(&error));
+                    tracing::error!(task = %lease.task_id, %message);
+                    self.report_error(&client, lease, message, false).await
+                }
+            },
+            Err(ExecuteError::Cancelled) => return,
+            Err(ExecuteError::Permanent(message)) => self.report_error(&client, lease, message, true).await,
+            Err(ExecuteError::Transient(message)) => self.report_error(&client, lease, message, false).await,
+        };
+        match ended {
+            Ok(()) => {}
+            Err(error) if is_lost(&error) => {
+                tracing::info!(task = %lease.task_id, "the lease was lost; its result is dropped");
+            }
+            Err(error) => tracing::error!(task = %lease.task_id, %error, "the end of the task was not taken"),
+        }
+    }
+
+    async fn deliver(&self, client: &Client, lease: &Lease, outcome: &Outcome) -> Result<(), ClientError> {
+        let result = ResultRequest { fence: lease.fence, result: Some(outcome.result.clone()), error: None };
+        for last_attempt in [false, true] {
+            for artifact in &outcome.artifacts {
+                client.store(artifact.clone()).await?;
+            }
+            match client.report(lease.lease_id, &result).await {
+                Ok(answer) => {
+                    tracing::info!(task = %lease.task_id, duplicate = answer.duplicate, "committed");
+                    return Ok(());
+                }
+                // The store lost an artefact between the upload and the result.
+                Err(error) if error.is(ProblemKind::MissingArtifact) && !last_attempt => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+
+    async fn report_error(
+        &self,
+        client: &Client,
+        lease: &Lease,
+        message: String,
+        permanent: bool,
+    ) -> Result<(), ClientError> {
+        tracing::warn!(task = %lease.task_id, message, permanent, "the task failed");
+        let message = one_line(&message);
+        let error = Some(TaskError { message, permanent });
+        client
+            .report(lease.lease_id, &ResultRequest { fence: lease.fence, result: None, error })
+            .await
+            .map(drop)
+    }
+
+    /// Gives the lease back; if the service does not answer soon, the lease runs out by itself.
+    async fn give_back(&self, lease: &Lease) {
+        let hurried = self.client.with_backoff(Backoff { attempts: Some(2), ..Backoff::PATIENT });
+        let release = hurried.release(lease.lease_id, lease.fence);
+        match tokio::time::timeout(Duration::from_secs(3), release).await {
+            Ok(Ok(())) => tracing::info!(task = %lease.task_id, "given back"),
+            Ok(Err(error)) => tracing::info!(task = %lease.task_id, %error, "could not be given back"),
+            Err(_) => tracing::info!(task = %lease.task_id, "could not be given back in time"),
+        }
+    }
+}
+
+/// Whether the service said that the lease is not ours any more.
+fn is_lost(error: &ClientError) -> bool {
+    error.is(ProblemKind::LeaseLost) || error.is(ProblemKind::NotFound) || error.is(ProblemKind::Conflict)
+}
+
+/// Whether asking again with this token cannot help.
+fn is_unwanted(error: &ClientError) -> bool {
+    error.is(ProblemKind::Unauthenticated) || error.is(ProblemKind::Forbidden)
+}
+
+async fn pause(time: Duration, stop: &CancellationToken) {
+    tokio::select! {
+        () = stop.cancelled() => {}
+        () = tokio::time::sleep(time) => {}
+    }
+}
+
+/// An error with its causes on one line.
+fn describe(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        text += &format!(": {error}");
+        cause = error.source();
+    }
+    text
+}
+
+/// The wire wants one line of 1 to 2000 characters.
+fn one_line(message: &str) -> String {
+    let line: String = message.split_whitespace().collect::<Vec<_>>().join(" ").chars().take(2000).collect();
+    if line.is_empty() { "the task failed without a word".into() } else { line }
+}
+
+fn panic_text(error: tokio::task::JoinError) -> String {
+    let Ok(payload) = error.try_into_panic() else { return "it was cancelled".into() };
+    let text = payload.downcast_ref::<&str>().map(|s| (*s).to_owned());
+    text.or_else(|| payload.downcast_ref::<String>().cloned()).unwrap_or_else(|| "it panicked".into())
+}

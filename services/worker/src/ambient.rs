@@ -1,0 +1,260 @@
+//! Our renderer: `scene`, `preview` and the `ambient` integrator of `tracer`.
+
+use crate::renderer::{
+    Counted, FrameRenderer, OpenRenderer, Previewed, RenderError, Renderer, ShotInfo, StratumInfo,
+};
+use forelight_bvh::Bvh;
+use forelight_preview::{Choice, PreviewError, Previewer};
+use forelight_protocol::{MaterialMode, PreviewBackend, RenderSettings, SceneSummary, Spent, StratumName};
+use forelight_scene::{Frame, Geometry, Limits, Scene};
+use forelight_tracer::{Image, MaterialOverride, Pixel, Profile, Settings, Tracer, thread_cpu_nanos};
+use rayon::prelude::*;
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+
+/// Opens bundles for our renderer. One previewer serves them all: a process has one device.
+#[derive(Clone)]
+pub struct Ambient {
+    previewer: Arc<Mutex<Previewer>>,
+    limits: Limits,
+}
+
+impl Ambient {
+    /// A renderer that makes previews as `choice` says.
+    pub fn new(choice: Choice) -> Result<Self, PreviewError> {
+        Ok(Self { previewer: Arc::new(Mutex::new(Previewer::new(choice)?)), limits: Limits::default() })
+    }
+
+    /// Opens a bundle.
+    pub fn open(&self, path: &Path) -> Result<AmbientShot, RenderError> {
+        let start = thread_cpu_nanos();
+        let scene = Scene::load(path, &self.limits)?;
+        let load = Spent { work: 0, cpu_nanos: thread_cpu_nanos() - start };
+        let first = scene.frame(0)?;
+        for warning in scene.warnings() {
+            tracing::warn!(bundle = %path.display(), "{warning}");
+        }
+        Ok(AmbientShot {
+            info: ShotInfo { summary: summary(&scene, &first), strata: strata(&first), load },
+            scene,
+            previewer: self.previewer.clone(),
+            tree: Mutex::default(),
+        })
+    }
+}
+
+impl OpenRenderer for Ambient {
+    fn open(&self, path: &Path) -> Result<Arc<dyn Renderer>, RenderError> {
+        Ok(Arc::new(Ambient::open(self, path)?))
+    }
+}
+
+fn summary(scene: &Scene, first: &Frame) -> SceneSummary {
+    SceneSummary {
+        name: scene.name().to_owned(),
+        frames: scene.frame_count(),
+        width: first.camera.width,
+        height: first.camera.height,
+        objects: first.geometry.strata.objects.len() as u64,
+        materials: first.materials.len() as u64,
+        triangles: first.geometry.triangles.len() as u64,
+    }
+}
+
+fn strata(frame: &Frame) -> Vec<StratumInfo> {
+    let strata = &frame.geometry.strata;
+    let info = |&(object, material): &(u32, u32)| StratumInfo {
+        name: StratumName {
+            object: strata.objects[object as usize].clone(),
+            material: frame.materials[material as usize].name.clone(),
+        },
+        object,
+        material,
+        class: frame.materials[material as usize].class(),
+    };
+    strata.pairs.iter().map(info).collect()
+}
+
+/// The tracer's settings of a job's.
+pub fn tracer_settings(settings: &RenderSettings) -> Settings {
+    Settings {
+        width: settings.width,
+        height: settings.height,
+        spp: settings.spp,
+        ambient_bounces: settings.ambient_bounces,
+        ambient_divisions: settings.ambient_divisions,
+        max_depth: settings.max_depth,
+        materials: match settings.materials {
+            MaterialMode::Full => MaterialOverride::Full,
+            MaterialMode::Lambert => MaterialOverride::Lambert,
+        },
+        seed: settings.seed,
+    }
+}
+
+/// A bundle, opened by our renderer.
+pub struct AmbientShot {
+    scene: Scene,
+    info: ShotInfo,
+    previewer: Arc<Mutex<Previewer>>,
+    /// The tree of the geometry that was last traced, with what building it took.
+    tree: Mutex<Option<Tree>>,
+}
+
+#[derive(Clone)]
+struct Tree {
+    geometry: Arc<Geometry>,
+    bvh: Arc<Bvh>,
+    build: Spent,
+}
+
+impl AmbientShot {
+    fn frame_of(&self, frame: u32, settings: &Settings) -> Result<Frame, RenderError> {
+        settings.validate()?;
+        Ok(self.scene.frame_with(frame, Some((settings.width, settings.height)))?)
+    }
+
+    fn tracer(&self, frame: &Frame, settings: &Settings) -> (Tracer, Spent) {
+        // Held while a tree is built, so that workers that share this shot wait for one build instead of doing two.
+        let mut tree = lock(&self.tree);
+        if let Some(tree) = tree.as_ref().filter(|tree| Arc::ptr_eq(&tree.geometry, &frame.geometry)) {
+            return (Tracer::with_bvh(frame, settings, tree.bvh.clone()), tree.build);
+        }
+        let tracer = Tracer::new(frame, settings);
+        let cost = tracer.build_cost();
+        let build = Spent { work: cost.work, cpu_nanos: cost.cpu_nanos };
+        *tree = Some(Tree { geometry: frame.geometry.clone(), bvh: tracer.bvh().clone(), build });
+        (tracer, build)
+    }
+}
+
+impl Renderer for AmbientShot {
+    fn info(&self) -> &ShotInfo {
+        &self.info
+    }
+
+    fn count(&self, frame: u32, settings: &RenderSettings) -> Result<Counted, RenderError> {
+        let start = thread_cpu_nanos();
+        let frame = self.frame_of(frame, &tracer_settings(settings))?;
+        let setup = thread_cpu_nanos() - start;
+        let mut previewer = lock(&self.previewer);
+        let counts = previewer.counts(&frame)?;
+        Ok(Counted { counts, backend: backend(&previewer), spent: preview_spent(&previewer, &frame, setup) })
+    }
+
+    fn frame(
+        &self,
+        frame: u32,
+        settings: &RenderSettings,
+    ) -> Result<Box<dyn FrameRenderer + '_>, RenderError> {
+        let settings = tracer_settings(settings);
+        let start = thread_cpu_nanos();
+        let frame = self.frame_of(frame, &settings)?;
+        let moved = thread_cpu_nanos() - start;
+        let (tracer, build) = self.tracer(&frame, &settings);
+        Ok(Box::new(AmbientFrame {
+            previewer: &self.previewer,
+            fingerprint: OnceLock::new(),
+            tracer,
+            setup: Spent { work: 0, cpu_nanos: moved },
+            build,
+        }))
+    }
+}
+
+/// One frame, ready.
+struct AmbientFrame<'a> {
+    previewer: &'a Mutex<Previewer>,
+    tracer: Tracer,
+    /// Hashing the geometry takes a while, and only profiles need it.
+    fingerprint: OnceLock<[u8; 32]>,
+    setup: Spent,
+    build: Spent,
+}
+
+impl AmbientFrame<'_> {
+    fn fingerprint(&self) -> [u8; 32] {
+        *self.fingerprint.get_or_init(|| self.tracer.fingerprint())
+    }
+}
+
+/// Pixels that are traced in one go, so that a thread's clock is read seldom and every thread has work.
+const BATCH: usize = 16;
+
+impl FrameRenderer for AmbientFrame<'_> {
+    fn frame(&self) -> &Frame {
+        self.tracer.frame()
+    }
+
+    fn preview(&self) -> Result<Previewed, RenderError> {
+        let frame = self.tracer.frame();
+        let mut previewer = lock(self.previewer);
+        let preview = previewer.preview(frame)?;
+        Ok(Previewed { preview, backend: backend(&previewer), spent: preview_spent(&previewer, frame, 0) })
+    }
+
+    fn setup(&self) -> Spent {
+        self.setup
+    }
+
+    fn build(&self) -> Spent {
+        self.build
+    }
+
+    fn effects(&self) -> Vec<String> {
+        let mut effects = self.tracer.effects();
+        effects.sort();
+        effects
+    }
+
+    fn trace(&self, pixels: &[u32]) -> Vec<Pixel> {
+        pixels.par_chunks(BATCH).flat_map_iter(|batch| self.tracer.profile(batch)).collect()
+    }
+
+    fn profile(&self, pixels: Vec<(u32, Pixel)>) -> Profile {
+        Profile { frame: self.tracer.frame().number, fingerprint: self.fingerprint(), pixels }
+    }
+
+    fn render(
+        &self,
+        reuse: Option<&Profile>,
+        progress: &(dyn Fn(u64) + Sync),
+        cancel: &AtomicBool,
+    ) -> Result<Option<Image>, RenderError> {
+        if let Some(profile) = reuse {
+            let camera = &self.tracer.frame().camera;
+            if profile.fingerprint != self.fingerprint() || !profile.fits(camera.pixels()) {
+                return Err(RenderError::ForeignProfile { frame: profile.frame });
+            }
+        }
+        Ok(self.tracer.render(reuse, progress, cancel))
+    }
+}
+
+fn backend(previewer: &Previewer) -> PreviewBackend {
+    if previewer.backend() == "gpu" { PreviewBackend::Gpu } else { PreviewBackend::Cpu }
+}
+
+/// Operations of a camera ray, a node visit and a triangle test, in the weights of the tracer's work.
+const RAY_WORK: u64 = 60;
+const NODE_WORK: u64 = 14;
+const TRIANGLE_WORK: u64 = 5;
+
+/// What the last preview took. Its work: on the CPU in the tracer's weights, on the GPU, where no node is visited, one
+/// operation for each pixel and each triangle. Its time: this process's, and the device's, for a driver that renders in
+/// software uses the same processor.
+fn preview_spent(previewer: &Previewer, frame: &Frame, setup_nanos: u64) -> Spent {
+    let cost = previewer.cost();
+    let (pixels, triangles) = (frame.camera.pixels() as u64, frame.geometry.triangles.len() as u64);
+    let work = match cost.nodes {
+        0 => pixels + triangles,
+        nodes => RAY_WORK * pixels + NODE_WORK * nodes + TRIANGLE_WORK * cost.triangles,
+    };
+    Spent { work, cpu_nanos: cost.cpu_nanos + cost.device_nanos + setup_nanos }
+}
+
+/// The data behind these locks is whole after every statement, so a panic elsewhere does not spoil it.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,289 @@
+//! The service's REST API as typed calls.
+
+use crate::backoff::Backoff;
+use crate::server_events::{EventParser, ServerEvent};
+use crate::transport::{ClientError, Payload, Request, Token, Transport};
+use bytes::Bytes;
+use forelight_protocol::{
+    ArtifactHash, ArtifactStored, Bundle, ClaimRequest, Event, EventId, ForecastDoc, FramePage, FrameRow,
+    Job, JobId, JobRequest, Lease, LeaseId, Node, NodeRegistration, ReleaseRequest, RenewRequest, Renewal,
+    ResultAnswer, ResultRequest,
+};
+use reqwest::header::{HeaderName, HeaderValue};
+use reqwest::{Method, StatusCode};
+use serde::Serialize;
+use std::path::Path;
+use std::time::Duration;
+use tokio::io::AsyncWriteExt;
+use uuid::Uuid;
+
+/// A connection to the service, cheap to clone.
+#[derive(Debug, Clone)]
+pub struct Client {
+    transport: Transport,
+}
+
+/// The pictures that a frame may have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FramePicture {
+    /// Object and material ids in colour.
+    Preview,
+    /// Cost of each pixel in colour.
+    CostMap,
+    /// The image, for looking at.
+    Png,
+    /// The image, linear.
+    Exr,
+}
+
+impl FramePicture {
+    /// The last part of its address.
+    pub const fn file_name(self) -> &'static str {
+        match self {
+            Self::Preview => "preview.png",
+            Self::CostMap => "cost-map.png",
+            Self::Png => "image.png",
+            Self::Exr => "image.exr",
+        }
+    }
+}
+
+impl Client {
+    /// A client of the service at `address` (`http://host:port`), patient enough for a person.
+    pub fn new(address: &str, token: Option<Token>) -> Result<Self, ClientError> {
+        Ok(Self { transport: Transport::new(address, token, Backoff::PATIENT)? })
+    }
+
+    /// The same connection with another patience.
+    pub fn with_backoff(&self, backoff: Backoff) -> Self {
+        Self { transport: self.transport.with_backoff(backoff) }
+    }
+
+    /// The address of the service.
+    pub fn address(&self) -> &str {
+        self.transport.base()
+    }
+
+    /// Whether the service is there and ready for work.
+    pub async fn ready(&self) -> Result<(), ClientError> {
+        self.transport.send(&Request::new(Method::GET, "/readyz")).await.map(drop)
+    }
+
+    // ---- bundles and jobs
+
+    /// Uploads a zip file. The key makes sure that an upload which is repeated is one upload.
+    pub async fn upload_bundle(&self, zip: &Path, key: Uuid) -> Result<Bundle, ClientError> {
+        let request =
+            Request::new(Method::POST, "/v1/bundles").payload(Payload::File(zip.into(), "application/zip"));
+        self.transport.json(&with_key(request, key)).await
+    }
+
+    /// Submits a job.
+    pub async fn submit(&self, job: &JobRequest, key: Uuid) -> Result<Job, ClientError> {
+        self.transport.json(&with_key(json(Method::POST, "/v1/jobs", job), key)).await
+    }
+
+    /// One job.
+    pub async fn job(&self, id: JobId) -> Result<Job, ClientError> {
+        self.transport.json(&Request::new(Method::GET, format!("/v1/jobs/{id}"))).await
+    }
+
+    /// Cancels a job.
+    pub async fn cancel(&self, id: JobId, key: Uuid) -> Result<Job, ClientError> {
+        self.transport.json(&with_key(Request::new(Method::POST, format!("/v1/jobs/{id}/cancel")), key)).await
+    }
+
+    /// A job's quote.
+    pub async fn forecast(&self, id: JobId) -> Result<ForecastDoc, ClientError> {
+        self.transport.json(&Request::new(Method::GET, format!("/v1/jobs/{id}/forecast"))).await
+    }
+
+    /// All frames of a job, ascending.
+    pub async fn frames(&self, id: JobId) -> Result<Vec<FrameRow>, ClientError> {
+        let mut rows = Vec::new();
+        let mut page_token = None;
+        loop {
+            let mut path = format!("/v1/jobs/{id}/frames?page_size=200");
+            if let Some(token) = page_token {
+                path += &format!("&page_token={token}");
+            }
+            let page: FramePage = self.transport.json(&Request::new(Method::GET, path)).await?;
+            rows.extend(page.items);
+            match page.next_page_token {
+                Some(token) => page_token = Some(token),
+                None => return Ok(rows),
+            }
+        }
+    }
+
+    /// One picture of one frame, into memory.
+    pub async fn picture(&self, id: JobId, frame: u32, picture: FramePicture) -> Result<Bytes, ClientError> {
+        let path = format!("/v1/jobs/{id}/frames/{frame}/{}", picture.file_name());
+        self.bytes(&path).await
+    }
+
+    /// A job's events after `after`, as they happen, until the service closes the stream.
+    pub async fn events(&self, id: JobId, after: Option<EventId>) -> Result<EventStream, ClientError> {
+        let mut request = Request::new(Method::GET, format!("/v1/jobs/{id}/events")).timeout(None);
+        if let Some(after) = after {
+            request.headers.insert(HeaderName::from_static("last-event-id"), HeaderValue::from(after));
+        }
+        let response = self.transport.send(&request).await?;
+        Ok(EventStream { response, parser: EventParser::default(), ready: Vec::new().into_iter() })
+    }
+
+    // ---- work
+
+    /// Announces a node; one of the same name is updated and keeps its id.
+    pub async fn register(&self, node: &NodeRegistration, key: Uuid) -> Result<Node, ClientError> {
+        self.transport.json(&with_key(json(Method::POST, "/v1/nodes", node), key)).await
+    }
+
+    /// Asks for a task; `None` if there was none within the time that the request allows for.
+    pub async fn claim(&self, claim: &ClaimRequest) -> Result<Option<Lease>, ClientError> {
+        let patience = Duration::from_millis(u64::from(claim.wait_ms)) + Duration::from_secs(15);
+        let request = json(Method::POST, "/v1/leases", claim).timeout(Some(patience));
+        let response = self.transport.send(&request).await?;
+        if response.status() == StatusCode::NO_CONTENT {
+            return Ok(None);
+        }
+        let (status, url) = (response.status(), response.url().to_string());
+        let broken = |source: reqwest::Error| ClientError::Unreachable {
+            url: url.clone(),
+            source: source.without_url(),
+        };
+        let body = response.bytes().await.map_err(broken)?;
+        match serde_json::from_slice(&body) {
+            Ok(lease) => Ok(Some(lease)),
+            Err(error) => Err(ClientError::Unexpected { url, status, excerpt: error.to_string() }),
+        }
+    }
+
+    /// Holds on to a lease. One attempt takes no longer than `patience`.
+    pub async fn renew(
+        &self,
+        lease: LeaseId,
+        renewal: &RenewRequest,
+        patience: Duration,
+    ) -> Result<Renewal, ClientError> {
+        let request = json(Method::PATCH, format!("/v1/leases/{lease}"), renewal).timeout(Some(patience));
+        self.transport.json(&request).await
+    }
+
+    /// Reports a task's end.
+    pub async fn report(&self, lease: LeaseId, result: &ResultRequest) -> Result<ResultAnswer, ClientError> {
+        self.transport.json(&json(Method::POST, format!("/v1/leases/{lease}/result"), result)).await
+    }
+
+    /// Gives a task back unfinished.
+    pub async fn release(&self, lease: LeaseId, fence: u64) -> Result<(), ClientError> {
+        let request = json(Method::POST, format!("/v1/leases/{lease}/release"), &ReleaseRequest { fence });
+        self.transport.send(&request).await.map(drop)
+    }
+
+    // ---- artefacts
+
+    /// Stores bytes under their hash, unless they are there already.
+    pub async fn store(&self, content: Bytes) -> Result<ArtifactHash, ClientError> {
+        let hash = ArtifactHash(*blake3::hash(&content).as_bytes());
+        let request =
+            Request::new(Method::PUT, format!("/v1/artifacts/{hash}")).payload(Payload::Bytes(content));
+        let stored: ArtifactStored = self.transport.json(&request).await?;
+        if stored.hash != hash {
+            return Err(ClientError::Corrupt {
+                what: format!("artefact {hash}"),
+                received: stored.hash.to_string(),
+            });
+        }
+        Ok(hash)
+    }
+
+    /// An artefact into memory, its hash verified.
+    pub async fn artifact(&self, hash: ArtifactHash) -> Result<Bytes, ClientError> {
+        let content = self.bytes(&format!("/v1/artifacts/{hash}")).await?;
+        verify(hash, *blake3::hash(&content).as_bytes())?;
+        Ok(content)
+    }
+
+    /// An artefact into a file, its hash verified while it streams.
+    pub async fn artifact_to_file(&self, hash: ArtifactHash, path: &Path) -> Result<(), ClientError> {
+        let failed = |source| ClientError::File { path: path.into(), source };
+        let request = Request::new(Method::GET, format!("/v1/artifacts/{hash}")).timeout(None);
+        let mut response = self.transport.send(&request).await?;
+        let mut file = tokio::fs::File::create(path).await.map_err(failed)?;
+        let mut hasher = blake3::Hasher::new();
+        loop {
+            let chunk = response.chunk().await.map_err(|source| ClientError::Unreachable {
+                url: format!("{}{}", self.transport.base(), request.path),
+                source: source.without_url(),
+            })?;
+            let Some(chunk) = chunk else { break };
+            hasher.update(&chunk);
+            file.write_all(&chunk).await.map_err(failed)?;
+        }
+        file.sync_all().await.map_err(failed)?;
+        verify(hash, *hasher.finalize().as_bytes())
+    }
+
+    async fn bytes(&self, path: &str) -> Result<Bytes, ClientError> {
+        let request = Request::new(Method::GET, path).timeout(None);
+        let response = self.transport.send(&request).await?;
+        response.bytes().await.map_err(|source| ClientError::Unreachable {
+            url: format!("{}{path}", self.transport.base()),
+            source: source.without_url(),
+        })
+    }
+}
+
+/// An open stream of a job's events.
+#[derive(Debug)]
+pub struct EventStream {
+    response: reqwest::Response,
+    parser: EventParser,
+    ready: std::vec::IntoIter<ServerEvent>,
+}
+
+impl EventStream {
+    /// The next event; `None` when the stream ended, by the service or by a lost connection: ask for a new one after
+    /// the last event seen. Events of a kind that this version does not know are left out.
+    pub async fn next(&mut self) -> Option<Event> {
+        loop {
+            for event in self.ready.by_ref() {
+                match serde_json::from_str(&event.data) {
+                    Ok(event) => return Some(event),
+                    Err(error) => tracing::debug!(%error, kind = event.kind, "an event of an unknown kind"),
+                }
+            }
+            match self.response.chunk().await {
+                Ok(Some(chunk)) => self.ready = self.parser.feed(&chunk).into_iter(),
+                Ok(None) => return None,
+                Err(error) => {
+                    tracing::debug!(error = %error.without_url(), "the event stream broke");
+                    return None;
+                }
+            }
+        }
+    }
+}
+
+fn json<T: Serialize>(method: Method, path: impl Into<String>, body: &T) -> Request {
+    // The wire types hold no maps with keys that are not strings, and no other thing that JSON cannot say.
+    let body = serde_json::to_vec(body).unwrap_or_default();
+    Request::new(method, path).payload(Payload::Json(body.into()))
+}
+
+fn with_key(mut request: Request, key: Uuid) -> Request {
+    let key = HeaderValue::from_str(&key.to_string());
+    if let Ok(key) = key {
+        request.headers.insert(HeaderName::from_static("idempotency-key"), key);
+    }
+    request
+}
+
+fn verify(expected: ArtifactHash, received: [u8; 32]) -> Result<(), ClientError> {
+    if expected.0 == received {
+        return Ok(());
+    }
+    let received = ArtifactHash(received).to_string();
+    Err(ClientError::Corrupt { what: format!("artefact {expected}"), received })
+}

@@ -1,0 +1,47 @@
+//! The worker: leases a task, runs it, reports. Knows no SQL; speaks to the service by HTTP alone.
+//!
+//! | file | subject |
+//! | --- | --- |
+//! | `renderer` | the small door behind which the renderer stands |
+//! | `ambient` | our renderer behind it |
+//! | `shot`, `quote` | preview all frames, profile some, estimate all: the way to a quote |
+//! | `render` | one frame with its true cost |
+//! | `tasks` | the three kinds of tasks |
+//! | `execute`, `agent` | a task's life between lease and result |
+//! | `library` | bundles, fetched once and kept open |
+//! | `calibrate` | how fast this machine is |
+//! | `client`, `transport`, `backoff`, `server_events` | the service's REST API |
+
+mod agent;
+mod ambient;
+mod backoff;
+mod calibrate;
+mod client;
+mod execute;
+mod library;
+mod quote;
+mod render;
+mod renderer;
+mod server_events;
+mod shot;
+mod tasks;
+mod transport;
+
+pub use agent::{Agent, AgentError};
+pub use ambient::{Ambient, AmbientShot, tracer_settings};
+pub use backoff::Backoff;
+pub use calibrate::{MEASURING_TIME, REFERENCE_RATE, node_speed};
+pub use client::{Client, EventStream, FramePicture};
+pub use execute::{Assignment, Control, Execute, ExecuteError, Outcome};
+pub use library::Library;
+pub use quote::{Quote, QuoteOptions, quote};
+pub use render::{Rendered, peak_rss_bytes, render_frame, seconds};
+pub use renderer::{
+    Counted, FrameRenderer, OpenRenderer, Previewed, RenderError, Renderer, ShotInfo, StratumInfo,
+};
+pub use server_events::{EventParser, ServerEvent};
+pub use shot::{
+    CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, forecast_strata, plus, profile_frame,
+};
+pub use tasks::{TaskRunner, png};
+pub use transport::{ClientError, Token};

@@ -1,0 +1,142 @@
+//! The quote of a shot, made on this machine alone.
+
+use crate::render::seconds;
+use crate::renderer::Renderer;
+use crate::shot::{
+    CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, forecast_strata, plus, profile_frame,
+};
+use forelight_forecast::{Calibration, Cost, Costs, FramePopulation, Quantity, ShotForecast};
+use forelight_protocol::{
+    ForecastDoc, ForecastTotals, FrameForecast, Profiled, Quantiles, RayQuantiles, RenderSettings, Spent,
+    SpentOnForecast,
+};
+
+/// How a quote is made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct QuoteOptions {
+    /// Pixels to profile per profiled frame.
+    pub samples: u32,
+    /// Frames to profile at most, at least 1.
+    pub profile_frames: usize,
+    /// Seed of the choice of pixels.
+    pub seed: u64,
+}
+
+impl Default for QuoteOptions {
+    fn default() -> Self {
+        Self { samples: 256, profile_frames: 5, seed: 0 }
+    }
+}
+
+/// A quote, and what it was made from.
+#[derive(Debug, Clone)]
+pub struct Quote {
+    /// The quote.
+    pub document: ForecastDoc,
+    /// The same with everything that the statistics know.
+    pub forecast: ShotForecast,
+    /// What every frame shows.
+    pub counted: CountedFrames,
+    /// The profiled frames, ascending; their pixels can be taken over by renders.
+    pub profiled: Vec<ProfiledFrame>,
+}
+
+impl Quote {
+    /// What the quote took, all of it.
+    pub fn spent(&self) -> Spent {
+        self.profiled.iter().map(ProfiledFrame::spent).fold(self.counted.spent, plus)
+    }
+
+    /// The part of what the quote took that a render after it does not get back: previews, and setting up the profiled
+    /// frames. The profiled pixels are finished pixels.
+    pub fn spent_for_good(&self) -> Spent {
+        let lost = |p: &ProfiledFrame| [p.setup, p.build, p.preview].into_iter().fold(Spent::default(), plus);
+        self.profiled.iter().map(lost).fold(self.counted.spent, plus)
+    }
+}
+
+/// Makes the quote of these frames (ascending): previews all of them, profiles a few, estimates all.
+pub fn quote(
+    renderer: &dyn Renderer,
+    frames: &[u32],
+    settings: &RenderSettings,
+    options: &QuoteOptions,
+    observer: &dyn Observer,
+) -> Result<Quote, ShotError> {
+    let strata = forecast_strata(&renderer.info().strata, settings);
+    let counted = count_frames(renderer, frames, settings, observer)?;
+    let populations: Vec<FramePopulation> = frames
+        .iter()
+        .zip(&counted.counts)
+        .map(|(&frame, counts)| FramePopulation { number: i64::from(frame), counts: counts.clone() })
+        .collect();
+    let chosen = forelight_forecast::choose_frames(&strata, &populations, options.profile_frames.max(1))?;
+    let mut profiled = Vec::with_capacity(chosen.len());
+    for &index in &chosen {
+        let frame = frames[index];
+        profiled.push(profile_frame(renderer, frame, settings, options.samples, options.seed, observer)?);
+        observer.profiled(profiled.len(), chosen.len());
+    }
+    let measured: Vec<forelight_forecast::ProfiledFrame<'_>> = chosen
+        .iter()
+        .zip(&profiled)
+        .map(|(&frame, profile)| forelight_forecast::ProfiledFrame {
+            frame,
+            observations: &profile.observations,
+            fixed: fixed_cost(profile.fixed()),
+        })
+        .collect();
+    let forecast = forelight_forecast::forecast_shot(&strata, &populations, &measured, Calibration::NONE)?;
+    let mut quote = Quote { document: document(frames, &profiled, &forecast), forecast, counted, profiled };
+    let spent = quote.spent();
+    let mean = quote.document.total.work.mean;
+    quote.document.spent = SpentOnForecast {
+        work: spent.work,
+        cpu_seconds: seconds(spent.cpu_nanos),
+        fraction_of_forecast: if mean > 0.0 { spent.work as f64 / mean } else { 0.0 },
+    };
+    Ok(quote)
+}
+
+fn fixed_cost(spent: Spent) -> Cost {
+    Cost { work: spent.work, cpu_nanos: spent.cpu_nanos, rays: [0; 7] }
+}
+
+fn document(frames: &[u32], profiled: &[ProfiledFrame], forecast: &ShotForecast) -> ForecastDoc {
+    let frame = |(&frame, forecast): (&u32, &forelight_forecast::FrameForecast)| FrameForecast {
+        frame,
+        rays: rays(&forecast.total),
+        cache_records: Vec::new(),
+        work: quantiles(&forecast.total.work, 1.0),
+        cpu_seconds: quantiles(&forecast.total.cpu_nanos, 1e-9),
+    };
+    ForecastDoc {
+        frames: frames.iter().zip(&forecast.frames).map(frame).collect(),
+        total: ForecastTotals {
+            rays: rays(&forecast.total),
+            cache_records: Vec::new(),
+            work: quantiles(&forecast.total.work, 1.0),
+            cpu_seconds: quantiles(&forecast.total.cpu_nanos, 1e-9),
+        },
+        profiled: Profiled {
+            frames: profiled.iter().map(|p| p.frame).collect(),
+            pixels: profiled.iter().map(|p| p.observations.len() as u64).sum(),
+        },
+        spent: SpentOnForecast::default(),
+        calibrated: forecast.calibrated,
+        cost: None,
+    }
+}
+
+fn rays(costs: &Costs<Quantity>) -> RayQuantiles {
+    RayQuantiles::from_array(costs.rays.map(|category| quantiles(&category, 1.0)))
+}
+
+fn quantiles(quantity: &Quantity, unit: f64) -> Quantiles {
+    Quantiles {
+        mean: quantity.mean * unit,
+        p50: quantity.p50 * unit,
+        p80: quantity.p80 * unit,
+        p95: quantity.p95 * unit,
+    }
+}

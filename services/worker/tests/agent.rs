@@ -1,0 +1,381 @@
+//! The agent against a service of a few lines that loses leases, restarts and refuses on purpose.
+
+use axum::body::Bytes;
+use axum::extract::{Path, State};
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+use axum::routing::{patch, post, put};
+use axum::{Json, Router};
+use forelight_protocol::{
+    ArtifactHash, BundleSource, JobId, Lease, LeaseId, LeaseOrder, NodeRegistration, PreviewBackend,
+    PreviewResult, PreviewSpec, Problem, ProblemKind, RenderSettingsRequest, RenewRequest, Renewal,
+    ResultRequest, Spent, TaskId, TaskResult, TaskSpec, Timestamp,
+};
+use forelight_worker::{
+    Agent, Assignment, Client, Control, Execute, ExecuteError, Library, OpenRenderer, Outcome, RenderError,
+    Renderer,
+};
+use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+use tokio_util::sync::CancellationToken;
+use uuid::Uuid;
+
+const TTL_MS: u64 = 300;
+
+/// What the service does and what it saw.
+#[derive(Default)]
+struct Farm {
+    ready: Vec<Lease>,
+    /// Renewals answer this instead of "continue".
+    order: Option<Result<LeaseOrder, ProblemKind>>,
+    /// Reports are answered with this problem as often as it stands here.
+    refuse_reports: Vec<ProblemKind>,
+    /// The service forgot its nodes.
+    forgot_nodes: bool,
+    registrations: u32,
+    renewals: Vec<RenewRequest>,
+    artifacts: BTreeSet<ArtifactHash>,
+    reports: Vec<ResultRequest>,
+    releases: Vec<LeaseId>,
+}
+
+type Shared = Arc<Mutex<Farm>>;
+
+fn problem(kind: ProblemKind) -> Response {
+    let problem = Problem::new(kind, "as the test wants it");
+    (StatusCode::from_u16(problem.status).unwrap(), Json(problem)).into_response()
+}
+
+async fn claim(State(farm): State<Shared>) -> Response {
+    {
+        let mut farm = farm.lock().unwrap();
+        if std::mem::take(&mut farm.forgot_nodes) {
+            return problem(ProblemKind::NotFound);
+        }
+        if let Some(lease) = farm.ready.pop() {
+            return Json(lease).into_response();
+        }
+    }
+    tokio::time::sleep(Duration::from_millis(20)).await;
+    StatusCode::NO_CONTENT.into_response()
+}
+
+async fn register(State(farm): State<Shared>) -> Response {
+    farm.lock().unwrap().registrations += 1;
+    let node = serde_json::json!({
+        "id": Uuid::nil(), "name": "node-1", "speed": 1.0, "price_per_hour": 0, "cores": 1, "drain": false,
+        "task_id": null, "created_at": "2026-01-01T00:00:00Z", "last_seen_at": "2026-01-01T00:00:00Z",
+    });
+    Json(node).into_response()
+}
+
+async fn renew(State(farm): State<Shared>, Json(renewal): Json<RenewRequest>) -> Response {
+    let mut farm = farm.lock().unwrap();
+    farm.renewals.push(renewal);
+    match farm.order.unwrap_or(Ok(LeaseOrder::Continue)) {
+        Ok(order) => Json(Renewal { expires_at: Timestamp::now(), order }).into_response(),
+        Err(kind) => problem(kind),
+    }
+}
+
+async fn report(State(farm): State<Shared>, Json(result): Json<ResultRequest>) -> Response {
+    let mut farm = farm.lock().unwrap();
+    farm.reports.push(result);
+    match farm.refuse_reports.pop() {
+        Some(kind) => problem(kind),
+        None => Json(serde_json::json!({ "duplicate": false, "job_state": "rendering" })).into_response(),
+    }
+}
+
+async fn release(State(farm): State<Shared>, Path(lease): Path<LeaseId>) -> StatusCode {
+    farm.lock().unwrap().releases.push(lease);
+    StatusCode::NO_CONTENT
+}
+
+async fn store(State(farm): State<Shared>, Path(hash): Path<ArtifactHash>, body: Bytes) -> Response {
+    assert_eq!(hash, ArtifactHash(*blake3::hash(&body).as_bytes()));
+    let existed = !farm.lock().unwrap().artifacts.insert(hash);
+    Json(serde_json::json!({ "hash": hash, "size": body.len(), "existed": existed })).into_response()
+}
+
+fn app(farm: Shared) -> Router {
+    Router::new()
+        .route("/v1/nodes", post(register))
+        .route("/v1/leases", post(claim))
+        .route("/v1/leases/{id}", patch(renew))
+        .route("/v1/leases/{id}/result", post(report))
+        .route("/v1/leases/{id}/release", post(release))
+        .route("/v1/artifacts/{hash}", put(store))
+        .with_state(farm)
+}
+
+fn lease(fence: u64) -> Lease {
+    let spec = PreviewSpec {
+        job_id: JobId::new(),
+        bundle: BundleSource::Path("/nowhere".into()),
+        frames: vec![0],
+        settings: RenderSettingsRequest::default().complete((4, 4)),
+    };
+    Lease {
+        lease_id: LeaseId::new(),
+        task_id: TaskId::new(),
+        job_id: spec.job_id,
+        fence,
+        expires_at: Timestamp::now(),
+        ttl_ms: TTL_MS,
+        spec: TaskSpec::Preview(spec),
+    }
+}
+
+/// Works for a while, and remembers whether it was stopped.
+struct Slow {
+    time: Duration,
+    ends_as: Result<(), ExecuteError>,
+    panics: bool,
+    runs: AtomicU32,
+    stopped: AtomicBool,
+}
+
+impl Slow {
+    fn new(time: Duration) -> Self {
+        Self {
+            time,
+            ends_as: Ok(()),
+            panics: false,
+            runs: AtomicU32::new(0),
+            stopped: AtomicBool::new(false),
+        }
+    }
+}
+
+impl Execute for Slow {
+    fn execute(&self, _: &Assignment, control: &Control) -> Result<Outcome, ExecuteError> {
+        self.runs.fetch_add(1, Ordering::SeqCst);
+        assert!(!self.panics, "a bug in the renderer");
+        let start = Instant::now();
+        while start.elapsed() < self.time {
+            if control.is_cancelled() {
+                self.stopped.store(true, Ordering::SeqCst);
+                return Err(ExecuteError::Cancelled);
+            }
+            control.set_progress(0.5);
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        self.ends_as.clone()?;
+        let artifact = bytes::Bytes::from_static(b"preview");
+        let hash = ArtifactHash(*blake3::hash(&artifact).as_bytes());
+        let frame = forelight_protocol::FrameStrata {
+            frame: 0,
+            pixels: Vec::new(),
+            background: 16,
+            preview_png: Some(hash),
+        };
+        let result = PreviewResult {
+            strata: Vec::new(),
+            frames: vec![frame],
+            backend: PreviewBackend::Cpu,
+            spent: Spent::default(),
+        };
+        Ok(Outcome { result: TaskResult::Preview(result), artifacts: vec![artifact] })
+    }
+}
+
+struct NoRenderer;
+
+impl OpenRenderer for NoRenderer {
+    fn open(&self, _: &std::path::Path) -> Result<Arc<dyn Renderer>, RenderError> {
+        unreachable!("the executor of these tests opens nothing")
+    }
+}
+
+struct Rig {
+    farm: Shared,
+    executor: Arc<Slow>,
+    stop: CancellationToken,
+    agent: tokio::task::JoinHandle<Result<(), forelight_worker::AgentError>>,
+    _bundles: tempfile::TempDir,
+}
+
+impl Rig {
+    async fn new(farm: Farm, executor: Slow) -> Self {
+        let farm: Shared = Arc::new(Mutex::new(farm));
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = format!("http://{}", listener.local_addr().unwrap());
+        let app = app(farm.clone());
+        tokio::spawn(async move { axum::serve(listener, app).await.unwrap() });
+        Self::at(&address, farm, executor)
+    }
+
+    fn at(address: &str, farm: Shared, executor: Slow) -> Self {
+        let bundles = tempfile::tempdir().unwrap();
+        let library = Arc::new(Library::new(bundles.path(), Box::new(NoRenderer)).unwrap());
+        let executor = Arc::new(executor);
+        let registration = NodeRegistration {
+            name: "node-1".into(),
+            speed: 1.0,
+            price_per_hour: Default::default(),
+            cores: 1,
+        };
+        let client = Client::new(address, None).unwrap();
+        let agent = Agent::new(client, library, executor.clone(), registration).unwrap();
+        let stop = CancellationToken::new();
+        let stopping = stop.clone();
+        let agent = tokio::spawn(async move { agent.run(stopping).await });
+        Self { farm, executor, stop, agent, _bundles: bundles }
+    }
+
+    /// Waits until the farm looks as it should, for at most ten seconds.
+    async fn until(&self, what: &str, condition: impl Fn(&Farm) -> bool) {
+        let start = Instant::now();
+        while !condition(&self.farm.lock().unwrap()) {
+            assert!(start.elapsed() < Duration::from_secs(10), "waited in vain until {what}");
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    }
+
+    async fn end(self) -> Arc<Slow> {
+        self.stop.cancel();
+        self.agent.await.unwrap().unwrap();
+        self.executor
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_task_is_done_under_a_renewed_lease_and_its_artefacts_are_there_before_its_result() {
+    let farm = Farm { ready: vec![lease(3)], ..Farm::default() };
+    let rig = Rig::new(farm, Slow::new(Duration::from_millis(2 * TTL_MS))).await;
+    rig.until("a result came", |farm| !farm.reports.is_empty()).await;
+    {
+        let farm = rig.farm.lock().unwrap();
+        assert_eq!(farm.reports[0].fence, 3);
+        for hash in farm.reports[0].result.as_ref().unwrap().artifacts() {
+            assert!(farm.artifacts.contains(&hash));
+        }
+        assert!(farm.renewals.len() >= 3, "{} renewals in two lease times", farm.renewals.len());
+        assert!(farm.renewals.iter().any(|renewal| renewal.progress == 0.5));
+    }
+    rig.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lost_lease_stops_the_work_and_nothing_is_reported() {
+    for order in [Ok(LeaseOrder::Stop), Err(ProblemKind::LeaseLost)] {
+        let farm = Farm { ready: vec![lease(1)], order: Some(order), ..Farm::default() };
+        let rig = Rig::new(farm, Slow::new(Duration::from_secs(60))).await;
+        let executor = rig.executor.clone();
+        rig.until("the work was stopped", |_| executor.stopped.load(Ordering::SeqCst)).await;
+        // The worker is free for the next task.
+        rig.farm.lock().unwrap().order = None;
+        rig.farm.lock().unwrap().ready.push(lease(2));
+        rig.until("it works again", |_| executor.runs.load(Ordering::SeqCst) == 2).await;
+        assert!(rig.farm.lock().unwrap().reports.is_empty());
+        rig.end().await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stale_result_is_dropped_and_the_worker_goes_on() {
+    let farm = Farm {
+        ready: vec![lease(2), lease(1)],
+        refuse_reports: vec![ProblemKind::LeaseLost],
+        ..Farm::default()
+    };
+    let rig = Rig::new(farm, Slow::new(Duration::from_millis(10))).await;
+    rig.until("the second result came", |farm| farm.reports.len() == 2).await;
+    assert_eq!(rig.farm.lock().unwrap().reports[1].fence, 2);
+    rig.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_result_outlives_a_restart_of_the_service() {
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let local = listener.local_addr().unwrap();
+    let farm: Shared = Arc::new(Mutex::new(Farm { ready: vec![lease(1)], ..Farm::default() }));
+    let first = tokio::spawn({
+        let app = app(farm.clone());
+        async move { axum::serve(listener, app).await.unwrap() }
+    });
+    let rig = Rig::at(&format!("http://{local}"), farm.clone(), Slow::new(Duration::from_millis(600)));
+    rig.until("the work began", |farm| !farm.renewals.is_empty()).await;
+    first.abort();
+    let _ = first.await;
+    // The work ends while nobody listens, and long after the lease's time.
+    tokio::time::sleep(Duration::from_millis(1_000)).await;
+    assert!(farm.lock().unwrap().reports.is_empty());
+    let listener = loop {
+        match tokio::net::TcpListener::bind(local).await {
+            Ok(listener) => break listener,
+            Err(_) => tokio::time::sleep(Duration::from_millis(50)).await,
+        }
+    };
+    let app = app(farm.clone());
+    tokio::spawn(async move { axum::serve(listener, app).await.unwrap() });
+    rig.until("the result came", |farm| !farm.reports.is_empty()).await;
+    assert!(farm.lock().unwrap().reports[0].result.is_some());
+    rig.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn errors_and_panics_are_reported_with_whether_trying_again_can_help() {
+    let ends: [(Result<(), ExecuteError>, bool, &str, bool); 3] = [
+        (Err(ExecuteError::Permanent("scene.obj: line 7: no".into())), false, "scene.obj: line 7: no", true),
+        (Err(ExecuteError::Transient("disk full".into())), false, "disk full", false),
+        (Ok(()), true, "a bug in the renderer", false),
+    ];
+    for (ends_as, panics, message, permanent) in ends {
+        let executor = Slow { ends_as, panics, ..Slow::new(Duration::ZERO) };
+        let rig = Rig::new(Farm { ready: vec![lease(1)], ..Farm::default() }, executor).await;
+        rig.until("an error came", |farm| !farm.reports.is_empty()).await;
+        let error = rig.farm.lock().unwrap().reports[0].error.clone().unwrap();
+        assert!(error.message.contains(message), "{}", error.message);
+        assert_eq!(error.permanent, permanent, "{message}");
+        rig.end().await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_result_that_the_service_refuses_is_reported_as_an_error() {
+    let farm = Farm { ready: vec![lease(1)], refuse_reports: vec![ProblemKind::Invalid], ..Farm::default() };
+    let rig = Rig::new(farm, Slow::new(Duration::ZERO)).await;
+    rig.until("an error came", |farm| farm.reports.len() == 2).await;
+    let error = rig.farm.lock().unwrap().reports[1].error.clone().unwrap();
+    assert!(error.message.contains("as the test wants it"), "{}", error.message);
+    rig.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lost_artefact_is_uploaded_again() {
+    let farm =
+        Farm { ready: vec![lease(1)], refuse_reports: vec![ProblemKind::MissingArtifact], ..Farm::default() };
+    let rig = Rig::new(farm, Slow::new(Duration::ZERO)).await;
+    rig.until("the result was taken", |farm| farm.reports.len() == 2).await;
+    assert!(rig.farm.lock().unwrap().reports[1].result.is_some());
+    rig.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_that_is_stopped_gives_its_lease_back() {
+    let lease = lease(1);
+    let id = lease.lease_id;
+    let rig =
+        Rig::new(Farm { ready: vec![lease], ..Farm::default() }, Slow::new(Duration::from_secs(60))).await;
+    let executor = rig.executor.clone();
+    rig.until("it works", |_| executor.runs.load(Ordering::SeqCst) == 1).await;
+    let farm = rig.farm.clone();
+    let executor = rig.end().await;
+    assert!(executor.stopped.load(Ordering::SeqCst));
+    let farm = farm.lock().unwrap();
+    assert_eq!(farm.releases, [id]);
+    assert!(farm.reports.is_empty());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_that_the_service_forgot_registers_again() {
+    let farm = Farm { ready: vec![lease(1)], forgot_nodes: true, ..Farm::default() };
+    let rig = Rig::new(farm, Slow::new(Duration::ZERO)).await;
+    rig.until("the result came", |farm| farm.reports.len() == 1).await;
+    assert_eq!(rig.farm.lock().unwrap().registrations, 2);
+    rig.end().await;
+}
