@@ -373,9 +373,14 @@ impl<'a> Pixels<'a> {
         if count == 0 {
             return Vec3::ZERO;
         }
+        let near = |index: usize| response.has_diffuse() && tracer.luminaires.all[index].is_near(p.position);
+        let mut sum = if (0..tracer.luminaires.all.len()).any(near) {
+            self.near_lights(p, response, vertex, near)
+        } else {
+            Vec3::ZERO
+        };
         let points = self.sampler.draw(Purpose::Light, vertex);
         let choices = self.sampler.draw(Purpose::LightChoice, vertex);
-        let mut sum = Vec3::ZERO;
         for i in 0..count {
             let (index, expected) = tracer.luminaires.choose(i, self.sampler.related(choices, i as u32).x);
             let luminaire = &tracer.luminaires.all[index];
@@ -392,7 +397,8 @@ impl<'a> Pixels<'a> {
             }
             let (diffuse, glossy, by_lobe) = response.evaluate(p.wi, wo);
             let density = distance2 / (cos_light * luminaire.area) * expected;
-            let reflected = (diffuse + glossy * (density / (density + by_lobe))) / density;
+            let by_cosine = if near(index) { wo.z * std::f32::consts::FRAC_1_PI } else { 0.0 };
+            let reflected = diffuse / (density + by_cosine) + glossy / (density + by_lobe);
             if reflected.max_element() <= 0.0 {
                 continue;
             }
@@ -404,6 +410,48 @@ impl<'a> Pixels<'a> {
             }
         }
         sum
+    }
+
+    /// The diffuse lobe's share of the near lights: one cosine-weighted ray that looks for them, straight through panes.
+    fn near_lights(
+        &mut self,
+        p: &Point,
+        response: &Response,
+        vertex: u32,
+        near: impl Fn(usize) -> bool,
+    ) -> Vec3 {
+        let wo = geometry::cosine_hemisphere(self.sampler.next(Purpose::NearLight, vertex));
+        if wo.z <= 0.0 {
+            return Vec3::ZERO;
+        }
+        self.counters.ray(Category::Shadow);
+        let tracer = self.tracer;
+        let luminaires = &tracer.luminaires;
+        let mut ray = leaving(p, p.basis.to_world(wo));
+        let mut passed = response.diffuse(p.wi, wo);
+        for _ in 0..tracer.settings.max_depth {
+            let Some(hit) = self.closest(&ray) else { return Vec3::ZERO };
+            let geometry = &tracer.frame.geometry;
+            let stratum = geometry.triangle_stratum[hit.primitive as usize];
+            if let Some(index) = luminaires.of_stratum(stratum).filter(|&i| near(i)) {
+                let luminaire = &luminaires.all[index];
+                let position = hit.position(geometry.corners(hit.primitive));
+                let cos = -geometry.geometric_normal(hit.primitive).dot(ray.direction);
+                let cos = if luminaire.both_sides { cos.abs() } else { cos };
+                if cos > 0.0 {
+                    let density = wo.z * std::f32::consts::FRAC_1_PI;
+                    let by_light = p.position.distance_squared(position) / (cos * luminaire.area)
+                        * luminaires.expected(index);
+                    let emission = tracer.materials[luminaire.material as usize].emission;
+                    let color = self.color(&emission, geometry.uv(hit.primitive, hit.u, hit.v));
+                    return passed * color * (density / (density + by_light));
+                }
+            }
+            let Some(share) = self.pass(&hit, ray.direction) else { return Vec3::ZERO };
+            passed *= share;
+            ray.origin = self.beyond(&hit, ray.direction);
+        }
+        Vec3::ZERO
     }
 
     fn point_lights(&mut self, p: &Point, response: &Response) -> Vec3 {
@@ -520,30 +568,45 @@ impl<'a> Pixels<'a> {
         let mut passed = Vec3::ONE;
         for _ in 0..tracer.settings.max_depth {
             let Some(hit) = self.closest(&ray) else { return passed };
-            self.counters.ray(Category::Transparent);
-            let geometry = &tracer.frame.geometry;
-            let material = &tracer.materials[geometry.material(hit.primitive) as usize];
-            passed *= match material.surface {
-                Surface::ThinGlass { ior, transmittance } => {
-                    let normal = geometry.geometric_normal(hit.primitive);
-                    let cos = normal.dot(ray.direction).abs() / ray.direction.length();
-                    let color = self.color(&transmittance, geometry.uv(hit.primitive, hit.u, hit.v));
-                    let pane = (1.0 - fresnel::pane(cos, ior)) * color;
-                    pane * material.opacity + (1.0 - material.opacity)
-                }
-                _ => Vec3::splat(1.0 - material.opacity),
-            };
-            let normal = geometry.geometric_normal(hit.primitive);
-            let next = offset_origin(
-                hit.position(geometry.corners(hit.primitive)),
-                normal * normal.dot(ray.direction).signum(),
-            );
+            let direction = ray.direction.normalize();
+            match self.pass(&hit, direction) {
+                Some(share) => passed *= share,
+                None => return Vec3::ZERO,
+            }
+            let next = self.beyond(&hit, direction);
             if ray.t_max.is_finite() {
                 ray.direction = ray.origin + ray.direction - next;
             }
             ray.origin = next;
         }
         Vec3::ZERO
+    }
+
+    /// Share of light along `direction` (unit) that a surface lets pass straight; `None` if it lets nothing pass.
+    fn pass(&mut self, hit: &Hit, direction: Vec3) -> Option<Vec3> {
+        let tracer = self.tracer;
+        let geometry = &tracer.frame.geometry;
+        let material = &tracer.materials[geometry.material(hit.primitive) as usize];
+        let share = match material.surface {
+            Surface::ThinGlass { ior, transmittance } => {
+                let cos = geometry.geometric_normal(hit.primitive).dot(direction).abs();
+                let color = self.color(&transmittance, geometry.uv(hit.primitive, hit.u, hit.v));
+                let pane = (1.0 - fresnel::pane(cos, ior)) * color;
+                pane * material.opacity + (1.0 - material.opacity)
+            }
+            _ if material.opacity < 1.0 => Vec3::splat(1.0 - material.opacity),
+            _ => return None,
+        };
+        self.counters.ray(Category::Transparent);
+        Some(share)
+    }
+
+    /// The origin of the ray that goes on behind a surface.
+    fn beyond(&self, hit: &Hit, direction: Vec3) -> Vec3 {
+        let geometry = &self.tracer.frame.geometry;
+        let normal = geometry.geometric_normal(hit.primitive);
+        let side = if normal.dot(direction) < 0.0 { -normal } else { normal };
+        offset_origin(hit.position(geometry.corners(hit.primitive)), side)
     }
 
     fn closest(&mut self, ray: &Ray) -> Option<Hit> {

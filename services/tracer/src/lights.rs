@@ -11,6 +11,8 @@ pub struct Luminaire {
     pub both_sides: bool,
     /// Total area, m².
     pub area: f32,
+    low: Vec3,
+    high: Vec3,
     triangles: Vec<u32>,
     /// Cumulative share of the area by triangle; the last entry is 1.
     cumulative: Vec<f32>,
@@ -63,8 +65,11 @@ impl Luminaires {
                 sum += m.1;
                 (sum / total) as f32
             });
+            let corners = || members.iter().flat_map(|m| geometry.corners(m.0));
             luminaires.of_stratum[stratum] = luminaires.all.len() as u32;
             luminaires.all.push(Luminaire {
+                low: corners().fold(Vec3::INFINITY, Vec3::min),
+                high: corners().fold(Vec3::NEG_INFINITY, Vec3::max),
                 material,
                 both_sides: emitter.emits_both_sides,
                 area: total as f32,
@@ -118,6 +123,13 @@ impl Luminaires {
 }
 
 impl Luminaire {
+    /// Whether the point is closer to the light's box than the light is wide. There, points chosen by area miss the few that
+    /// matter (their weight grows like 1/distance²), and directions chosen by the surface have to help.
+    pub fn is_near(&self, point: Vec3) -> bool {
+        let outside = (self.low - point).max(point - self.high).max(Vec3::ZERO);
+        outside.length_squared() < self.area
+    }
+
     /// A uniform point of the surface.
     pub fn sample(&self, frame: &Frame, u: Vec2) -> LightPoint {
         let i = self.cumulative.partition_point(|&c| c <= u.x).min(self.triangles.len() - 1);

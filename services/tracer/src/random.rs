@@ -29,11 +29,12 @@ pub enum Purpose {
     Sun,
     Roulette,
     Opacity,
+    NearLight,
 }
 
 /// Vertices of a path beyond this one share their dimensions (with different points).
 const VERTICES: usize = 16;
-const PURPOSES: usize = 11;
+const PURPOSES: usize = 12;
 
 /// The random points of one pixel.
 pub struct Sampler {

@@ -1,0 +1,94 @@
+//! The statistics by which images are compared.
+
+/// An estimated mean.
+#[derive(Debug, Clone, Copy)]
+pub struct Sample {
+    /// Estimate.
+    pub mean: f64,
+    /// Variance of the estimate.
+    pub variance: f64,
+    /// Degrees of freedom of the variance.
+    pub freedom: f64,
+}
+
+/// Running mean and variance (Welford 1962).
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Moments {
+    count: f64,
+    mean: f64,
+    squares: f64,
+}
+
+impl Moments {
+    /// Takes in one value.
+    pub fn add(&mut self, value: f64) {
+        self.count += 1.0;
+        let delta = value - self.mean;
+        self.mean += delta / self.count;
+        self.squares += delta * (value - self.mean);
+    }
+
+    /// The mean so far, with the variance of the mean.
+    pub fn sample(&self) -> Sample {
+        let freedom = self.count - 1.0;
+        Sample { mean: self.mean, variance: self.squares / freedom / self.count, freedom }
+    }
+}
+
+/// Two-sided p-value of the hypothesis that two estimates have the same mean: Welch's t-test, with a floor under the variance
+/// (`resolution`² is the variance of what rounding alone may differ by).
+pub fn welch(a: Sample, b: Sample, resolution: f64) -> f64 {
+    let variance = a.variance + b.variance + resolution * resolution;
+    let t = (a.mean - b.mean).abs() / variance.sqrt();
+    let freedom = variance.powi(2) / (a.variance.powi(2) / a.freedom + b.variance.powi(2) / b.freedom);
+    student_two_sided(t, if freedom.is_finite() { freedom } else { 1e6 })
+}
+
+/// P(|T| > t) of Student's distribution, by the regularised incomplete beta function I_{ν/(ν+t²)}(ν/2, ½).
+pub fn student_two_sided(t: f64, freedom: f64) -> f64 {
+    incomplete_beta(freedom / (freedom + t * t), freedom / 2.0, 0.5)
+}
+
+/// Regularised incomplete beta function by its continued fraction (Abramowitz and Stegun 26.5.8), evaluated by Lentz's method.
+fn incomplete_beta(x: f64, a: f64, b: f64) -> f64 {
+    if x <= 0.0 || x >= 1.0 {
+        return x.clamp(0.0, 1.0);
+    }
+    if x > (a + 1.0) / (a + b + 2.0) {
+        return 1.0 - incomplete_beta(1.0 - x, b, a);
+    }
+    let log_front = libm::lgamma(a + b) - libm::lgamma(a) - libm::lgamma(b) + a * x.ln() + b * (1.0 - x).ln();
+    let tiny = 1e-300;
+    let floor = |v: f64| if v.abs() < tiny { tiny } else { v };
+    let (mut c, mut d) = (1.0, 1.0 / floor(1.0 - (a + b) * x / (a + 1.0)));
+    let mut fraction = d;
+    for m in 1..10_000 {
+        let m = f64::from(m);
+        for numerator in [
+            m * (b - m) * x / ((a + 2.0 * m - 1.0) * (a + 2.0 * m)),
+            -(a + m) * (a + b + m) * x / ((a + 2.0 * m) * (a + 2.0 * m + 1.0)),
+        ] {
+            d = 1.0 / floor(1.0 + numerator * d);
+            c = floor(1.0 + numerator / c);
+            fraction *= c * d;
+        }
+        if (c * d - 1.0).abs() < 1e-14 {
+            break;
+        }
+    }
+    log_front.exp() * fraction / a
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn student_matches_tabulated_quantiles() {
+        for (t, freedom, p) in
+            [(12.706, 1.0, 0.05), (2.228, 10.0, 0.05), (3.169, 10.0, 0.01), (1.96, 1e6, 0.05)]
+        {
+            assert!((student_two_sided(t, freedom) / p - 1.0).abs() < 2e-3, "t {t}, {freedom} degrees");
+        }
+    }
+}

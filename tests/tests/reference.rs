@@ -1,0 +1,93 @@
+//! Our images against those of an independent path tracer, pixel by pixel, with both variances.
+
+use forelight_tests::reference::{self, Estimate};
+use forelight_tests::{shared, statistics::welch};
+use forelight_tracer::{MaterialOverride, Settings};
+
+/// Independent passes behind the reference's standard errors, at least.
+const REFERENCE_PASSES: u32 = 16;
+/// Our own passes: enough for the t-distribution to be close to normal.
+const PASSES: u32 = 24;
+
+struct Case {
+    scene: &'static str,
+    depth: u32,
+    /// Relative tolerance of the image mean.
+    mean: f64,
+    spp: u32,
+}
+
+fn compare(case: &Case) -> Option<()> {
+    let shared = shared()?;
+    let part = |suffix: &str| {
+        shared.join(format!("reference/{}.lambert.depth{}{suffix}.exr", case.scene, case.depth))
+    };
+    let theirs = reference::read(&part(""), &part(".stderr"), REFERENCE_PASSES);
+    let settings = Settings {
+        width: theirs.width,
+        height: theirs.height,
+        spp: case.spp,
+        ambient_bounces: case.depth - 2,
+        ambient_divisions: 4,
+        materials: MaterialOverride::Lambert,
+        ..Settings::default()
+    };
+    let ours = reference::render(&shared.join("scenes").join(case.scene), 0, &settings, PASSES);
+    let (a, b) = (ours.mean(), theirs.mean());
+    let error = a / b - 1.0;
+    println!("{} depth {}: mean {a:.6} against {b:.6} ({:+.3} %)", case.scene, case.depth, error * 100.0);
+    let pixels = significant("pixels", &ours.pooled(), &theirs.pooled());
+    let blocks = significant("blocks of 8 × 8", &ours.pooled().blocks(8), &theirs.pooled().blocks(8));
+    assert!(error.abs() <= case.mean, "{}: image mean is off by {:.3} %", case.scene, error * 100.0);
+    assert_eq!((pixels, blocks), (0, 0), "{}: values that differ significantly", case.scene);
+    Some(())
+}
+
+/// Number of values that differ at a family-wise level of 1 %, each printed.
+fn significant(what: &str, ours: &Estimate, theirs: &Estimate) -> usize {
+    let pairs = ours.values.iter().zip(&theirs.values);
+    // Both are stored in f32, and theirs was summed in it over thousands of samples.
+    let p: Vec<f64> = pairs.map(|(&o, &t)| welch(o, t, 1e-5 * t.mean + 1e-9)).collect();
+    // Šidák's correction for the number of comparisons.
+    let threshold = 1.0 - 0.99f64.powf(1.0 / p.len() as f64);
+    let outliers: Vec<usize> = (0..p.len()).filter(|&i| p[i] < threshold).collect();
+    let smallest = p.iter().copied().fold(1.0, f64::min);
+    println!(
+        "  {} of {} {what} below p = {threshold:.1e}; smallest p {smallest:.1e}",
+        outliers.len(),
+        p.len()
+    );
+    for &i in outliers.iter().take(20) {
+        let (x, y, channel) = (i as u32 / 3 % ours.width, i as u32 / 3 / ours.width, i % 3);
+        let (o, t) = (ours.values[i], theirs.values[i]);
+        println!(
+            "    ({x}, {y}) channel {channel}: ours {:.5} ± {:.5}, theirs {:.5} ± {:.5}",
+            o.mean,
+            o.variance.sqrt(),
+            t.mean,
+            t.variance.sqrt()
+        );
+    }
+    outliers.len()
+}
+
+macro_rules! cases {
+    ($($name:ident: $scene:literal, $depth:literal, $mean:literal, $spp:literal;)*) => {
+        $(#[test]
+        fn $name() {
+            compare(&Case { scene: $scene, depth: $depth, mean: $mean, spp: $spp });
+        })*
+    };
+}
+
+cases! {
+    cornell_box_direct_light_is_the_references: "cornell-box", 2, 0.005, 4;
+    cornell_box_with_one_bounce_is_the_references: "cornell-box", 3, 0.005, 4;
+    country_kitchen_direct_light_is_the_references: "country-kitchen", 2, 0.01, 4;
+    country_kitchen_with_one_bounce_is_the_references: "country-kitchen", 3, 0.01, 2;
+    modern_hall_direct_light_is_the_references: "modern-hall", 2, 0.01, 4;
+    modern_hall_with_one_bounce_is_the_references: "modern-hall", 3, 0.01, 2;
+    living_room_direct_light_is_the_references: "living-room", 2, 0.01, 4;
+    living_room_with_one_bounce_is_the_references: "living-room", 3, 0.01, 2;
+    veach_ajar_with_one_bounce_is_the_references: "veach-ajar", 3, 0.01, 4;
+}
