@@ -1,0 +1,169 @@
+//! The farm at one instant.
+
+use std::time::Duration;
+
+use forelight_protocol::{
+    Dashboard, DashboardCounts, DashboardJob, DashboardNode, JobId, NodeActivity, NodeId, TaskCounts, TaskId,
+    Timestamp,
+};
+use sqlx::{Row as _, SqliteConnection};
+
+use crate::decode::{id, json_opt, time, whole, whole_opt, word};
+use crate::projection::{Projected, project};
+use crate::{JobForecast, Store, StoreError, events, jobs, nodes, plans, progress, track_record};
+
+/// How much of everything the dashboard shows.
+const JOBS: u32 = 200;
+const NODES: u32 = 1000;
+const BOOKINGS: usize = 1000;
+const EVENTS: u32 = 50;
+
+impl Store {
+    /// Everything a dashboard shows, read in one transaction. A node is alive if it was heard of within the last three
+    /// lease times.
+    pub async fn dashboard(&self, ttl: Duration, now: Timestamp) -> Result<Dashboard, StoreError> {
+        let silent_since = now.plus_micros(-3 * i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX / 3));
+        let mut transaction = self.read().await?;
+        let connection = &mut *transaction;
+        let open = plans::open(connection).await?;
+        let projected = project(&open, now);
+        let record = track_record::totals(connection).await?;
+        let rows = sqlx::query("SELECT id, body FROM events ORDER BY id DESC LIMIT ?")
+            .bind(EVENTS)
+            .fetch_all(&mut *connection)
+            .await?;
+        let newest: Vec<_> = rows.iter().map(events::decode).collect::<Result<_, _>>()?;
+        Ok(Dashboard {
+            at: now,
+            last_event_id: newest.first().map_or(0, |event| event.id),
+            counts: counts(connection, silent_since).await?,
+            jobs: dashboard_jobs(connection, &projected).await?,
+            nodes: dashboard_nodes(connection, silent_since).await?,
+            bookings: open.into_iter().take(BOOKINGS).map(|open| open.booking).collect(),
+            events: newest,
+            track_frames: record.frames,
+            track_work_hits: record.work_hits,
+            track_work_error: record.work_mean_absolute_error,
+        })
+    }
+
+    /// The farm in numbers.
+    pub async fn counts(&self, ttl: Duration, now: Timestamp) -> Result<DashboardCounts, StoreError> {
+        let silent_since = now.plus_micros(-3 * i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX / 3));
+        let mut transaction = self.read().await?;
+        counts(&mut transaction, silent_since).await
+    }
+}
+
+async fn counts(
+    connection: &mut SqliteConnection,
+    silent_since: Timestamp,
+) -> Result<DashboardCounts, StoreError> {
+    let mut counts = DashboardCounts::default();
+    for row in sqlx::query("SELECT state, count(*) AS number FROM jobs GROUP BY state")
+        .fetch_all(&mut *connection)
+        .await?
+    {
+        let number: u64 = whole(&row, "number")?;
+        match row.try_get("state")? {
+            "done" => counts.jobs_done = number,
+            "failed" => counts.jobs_failed = number,
+            "cancelled" => counts.jobs_cancelled = number,
+            _ => counts.jobs_active += number,
+        }
+    }
+    for row in sqlx::query("SELECT state, count(*) AS number FROM tasks GROUP BY state")
+        .fetch_all(&mut *connection)
+        .await?
+    {
+        let number: u64 = whole(&row, "number")?;
+        let TaskCounts { ready, leased, done, failed, cancelled } = &mut counts.tasks;
+        match row.try_get("state")? {
+            "ready" => *ready = number,
+            "leased" => *leased = number,
+            "done" => *done = number,
+            "failed" => *failed = number,
+            _ => *cancelled = number,
+        }
+    }
+    let row = sqlx::query(
+        "SELECT count(*) AS nodes, coalesce(sum(last_seen_at >= ? AND NOT drain), 0) AS alive FROM nodes",
+    )
+    .bind(silent_since.micros())
+    .fetch_one(connection)
+    .await?;
+    counts.nodes = whole(&row, "nodes")?;
+    counts.nodes_alive = whole(&row, "alive")?;
+    Ok(counts)
+}
+
+async fn dashboard_jobs(
+    connection: &mut SqliteConnection,
+    projected: &[Projected],
+) -> Result<Vec<DashboardJob>, StoreError> {
+    let rows =
+        sqlx::query("SELECT * FROM jobs ORDER BY state IN ('done', 'failed', 'cancelled'), id DESC LIMIT ?")
+            .bind(JOBS)
+            .fetch_all(&mut *connection)
+            .await?;
+    let mut list = Vec::with_capacity(rows.len());
+    for row in rows {
+        let progress = progress::of_job(connection, JobId(id(&row, "id")?)).await?;
+        let job = jobs::decode(&row, progress)?;
+        let forecast: Option<JobForecast> = json_opt(&row, "forecast")?;
+        list.push(DashboardJob {
+            id: job.id,
+            name: job.name,
+            project: job.project,
+            state: job.state,
+            frames_total: job.frames_total,
+            frames_done: job.frames_done,
+            progress: job.progress,
+            deadline: job.deadline,
+            verdict: job.verdict.as_ref().map(|verdict| verdict.verdict),
+            eta: Projected::finish_of(projected, job.id),
+            booked_cost: job.verdict.and_then(|verdict| verdict.cost),
+            budget: job.budget,
+            work: forecast.as_ref().map(|forecast| forecast.total.work),
+            cpu_seconds: forecast.as_ref().map(|forecast| forecast.total.cpu_seconds),
+            cost: forecast.and_then(|forecast| forecast.cost),
+        });
+    }
+    Ok(list)
+}
+
+async fn dashboard_nodes(
+    connection: &mut SqliteConnection,
+    silent_since: Timestamp,
+) -> Result<Vec<DashboardNode>, StoreError> {
+    let mut list = Vec::new();
+    for node in nodes::list(connection, None, NODES).await? {
+        let activity = activity(connection, node.id).await?;
+        list.push(DashboardNode { alive: node.last_seen_at >= silent_since, node, activity });
+    }
+    Ok(list)
+}
+
+async fn activity(
+    connection: &mut SqliteConnection,
+    node: NodeId,
+) -> Result<Option<NodeActivity>, StoreError> {
+    let row = sqlx::query(
+        "SELECT id, kind, job_id, frame, progress, started_at FROM tasks WHERE node_id = ? AND state = 'leased' \
+         ORDER BY started_at DESC, id LIMIT 1",
+    )
+    .bind(node.0)
+    .fetch_optional(connection)
+    .await?;
+    row.map(|row| {
+        Ok(NodeActivity {
+            task_id: TaskId(id(&row, "id")?),
+            kind: word(&row, "kind")?,
+            job_id: JobId(id(&row, "job_id")?),
+            frame: whole_opt(&row, "frame")?,
+            progress: row.try_get("progress")?,
+            started: time(&row, "started_at")?,
+        })
+    })
+    .transpose()
+}

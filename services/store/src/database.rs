@@ -1,0 +1,209 @@
+//! Opening the database, and the one way to write to it.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use sqlx::sqlite::{
+    SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions,
+    SqliteSynchronous,
+};
+use sqlx::{Sqlite, Transaction};
+use tokio::sync::watch;
+
+use crate::{Artifacts, StoreError};
+
+/// How long a writer waits for its turn before the caller is told that the database is busy.
+const WRITE_TURN: Duration = Duration::from_secs(5);
+
+/// How long SQLite waits for a lock that another process holds (`forelight token` beside a running service).
+const LOCK_WAIT: Duration = Duration::from_secs(5);
+
+/// Connections that only read. Readers never wait for the writer (write-ahead log), nor it for them.
+const READERS: u32 = 4;
+
+static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations");
+
+/// The farm's memory. Cheap to clone; all clones are one store.
+#[derive(Clone)]
+pub struct Store {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    writer: SqlitePool,
+    readers: SqlitePool,
+    artifacts: Artifacts,
+    /// Raised by every commit that wrote events.
+    events: watch::Sender<u64>,
+    /// Raised by every commit that made a task ready.
+    work: watch::Sender<u64>,
+    /// Held while the store is open. The system lets go of it when the process dies, however it dies.
+    _lock: Option<File>,
+}
+
+/// A write transaction. It is rolled back unless it is given to [`Store::commit`].
+pub(crate) struct Write {
+    transaction: Transaction<'static, Sqlite>,
+    pub(crate) wrote_events: bool,
+    pub(crate) made_work: bool,
+}
+
+impl Write {
+    pub(crate) fn connection(&mut self) -> &mut SqliteConnection {
+        &mut self.transaction
+    }
+}
+
+impl Store {
+    /// Opens the store in `data`, for a service: brings the schema up to date, checks the database, clears away
+    /// uploads that were cut off. Only one process at a time can do this.
+    pub async fn open(data: &Path) -> Result<Self, StoreError> {
+        std::fs::create_dir_all(data).map_err(|error| StoreError::file(data, error))?;
+        let lock = lock(data)?;
+        let store = Self::open_shared(data, Some(lock)).await?;
+        store.check_integrity().await?;
+        store.artifacts().discard_unfinished().await?;
+        Ok(store)
+    }
+
+    /// Opens the store in `data` beside a service that may be running, for small administration such as making a
+    /// token. Brings the schema up to date, checks nothing.
+    pub async fn open_beside(data: &Path) -> Result<Self, StoreError> {
+        std::fs::create_dir_all(data).map_err(|error| StoreError::file(data, error))?;
+        Self::open_shared(data, None).await
+    }
+
+    async fn open_shared(data: &Path, lock: Option<File>) -> Result<Self, StoreError> {
+        let path = data.join("forelight.sqlite");
+        let options = SqliteConnectOptions::from_str("sqlite:")?
+            .filename(&path)
+            .foreign_keys(true)
+            .journal_mode(SqliteJournalMode::Wal)
+            .busy_timeout(LOCK_WAIT);
+        let writer = SqlitePoolOptions::new()
+            .max_connections(1)
+            .acquire_timeout(WRITE_TURN)
+            .connect_with(options.clone().create_if_missing(true).synchronous(SqliteSynchronous::Full))
+            .await?;
+        restrict_to_owner(&path)?;
+        MIGRATIONS.run(&writer).await?;
+        let readers = SqlitePoolOptions::new()
+            .max_connections(READERS)
+            .acquire_timeout(WRITE_TURN)
+            .connect_with(options.read_only(true))
+            .await?;
+        let artifacts = Artifacts::open(&data.join("artifacts"), writer.clone())?;
+        let inner = Inner {
+            writer,
+            readers,
+            artifacts,
+            events: watch::Sender::new(0),
+            work: watch::Sender::new(0),
+            _lock: lock,
+        };
+        Ok(Self { inner: Arc::new(inner) })
+    }
+
+    /// The files named by their hash.
+    pub fn artifacts(&self) -> &Artifacts {
+        &self.inner.artifacts
+    }
+
+    /// Changes whenever events were written.
+    pub fn watch_events(&self) -> watch::Receiver<u64> {
+        self.inner.events.subscribe()
+    }
+
+    /// Changes whenever a task became ready.
+    pub fn watch_work(&self) -> watch::Receiver<u64> {
+        self.inner.work.subscribe()
+    }
+
+    /// Closes all connections and waits for them; further calls fail.
+    pub async fn close(&self) {
+        self.inner.readers.close().await;
+        self.inner.writer.close().await;
+    }
+
+    /// Whether the database answers.
+    pub async fn ping(&self) -> Result<(), StoreError> {
+        sqlx::query("SELECT 1").execute(self.readers()).await?;
+        Ok(())
+    }
+
+    pub(crate) fn readers(&self) -> &SqlitePool {
+        &self.inner.readers
+    }
+
+    /// Begins a write. `BEGIN IMMEDIATE` takes the write lock at once: a transaction that reads first and asks for
+    /// the lock later could find that another process wrote in between, and would fail half-way.
+    pub(crate) async fn write(&self) -> Result<Write, StoreError> {
+        let transaction = self.inner.writer.begin_with("BEGIN IMMEDIATE").await?;
+        Ok(Write { transaction, wrote_events: false, made_work: false })
+    }
+
+    /// Begins a read of several statements that all see the same state.
+    pub(crate) async fn read(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
+        Ok(self.inner.readers.begin().await?)
+    }
+
+    /// Makes a write last, and only then wakes those who wait for what it changed.
+    pub(crate) async fn commit(&self, write: Write) -> Result<(), StoreError> {
+        let Write { transaction, wrote_events, made_work } = write;
+        transaction.commit().await?;
+        if wrote_events {
+            self.inner.events.send_modify(|version| *version = version.wrapping_add(1));
+        }
+        if made_work {
+            self.inner.work.send_modify(|version| *version = version.wrapping_add(1));
+        }
+        Ok(())
+    }
+
+    async fn check_integrity(&self) -> Result<(), StoreError> {
+        let complaints: Vec<String> =
+            sqlx::query_scalar("PRAGMA quick_check(10)").fetch_all(self.readers()).await?;
+        if complaints != ["ok"] {
+            return Err(StoreError::Corrupt(complaints.join("; ")));
+        }
+        let dangling: Option<String> =
+            sqlx::query_scalar("SELECT \"table\" FROM pragma_foreign_key_check LIMIT 1")
+                .fetch_optional(self.readers())
+                .await?;
+        match dangling {
+            None => Ok(()),
+            Some(table) => {
+                Err(StoreError::Corrupt(format!("a row of {table} refers to one that is not there")))
+            }
+        }
+    }
+}
+
+fn lock(data: &Path) -> Result<File, StoreError> {
+    let path: PathBuf = data.join("service.lock");
+    let file = File::options()
+        .create(true)
+        .truncate(false)
+        .write(true)
+        .open(&path)
+        .map_err(|error| StoreError::file(&path, error))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(std::fs::TryLockError::WouldBlock) => Err(StoreError::InUse(data.display().to_string())),
+        Err(std::fs::TryLockError::Error(error)) => Err(StoreError::file(&path, error)),
+    }
+}
+
+/// The database holds hashes of tokens and the names of unreleased films: other users have no business in it.
+fn restrict_to_owner(path: &Path) -> Result<(), StoreError> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o600))
+            .map_err(|error| StoreError::file(path, error))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,123 @@
+//! What can go wrong in the store.
+
+use forelight_protocol::ArtifactHash;
+
+/// Why the store did not do what it was asked. Nothing was changed, unless the variant says otherwise.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum StoreError {
+    /// There is no such thing.
+    #[error("there is no such {0}")]
+    NotFound(&'static str),
+    /// The lease is not, or no longer, the caller's. Recorded as an event.
+    #[error("the lease has ended or its task was handed to another worker; drop the task")]
+    LeaseLost,
+    /// The thing is not in a state for this.
+    #[error("{0}")]
+    Conflict(String),
+    /// A result names an artefact that was never stored.
+    #[error("artefact {0} is not there; it has to be stored before a result names it")]
+    MissingArtifact(ArtifactHash),
+    /// The idempotency key was used for another request.
+    #[error("the idempotency key was used for another request")]
+    KeyReused,
+    /// What was received does not have the hash that it was announced with.
+    #[error("the content has the hash {actual}, not {expected}")]
+    HashMismatch {
+        /// The announced hash.
+        expected: ArtifactHash,
+        /// The hash of what came.
+        actual: ArtifactHash,
+    },
+    /// More bytes than allowed.
+    #[error("more than the {limit} bytes that are allowed")]
+    TooLarge {
+        /// The limit, in bytes.
+        limit: u64,
+    },
+    /// The stream that was to be stored broke off.
+    #[error("the content broke off: {0}")]
+    BrokenOff(String),
+    /// The database is locked or all its connections are taken; try again.
+    #[error("the database is busy")]
+    Busy,
+    /// The disk is full.
+    #[error("the disk is full")]
+    Full,
+    /// Another service has this data folder open.
+    #[error("another service uses the data folder {0}")]
+    InUse(String),
+    /// The database does not hold what it should.
+    #[error("the database is damaged: {0}")]
+    Corrupt(String),
+    /// The database failed.
+    #[error("the database failed: {0}")]
+    Database(#[source] sqlx::Error),
+    /// The schema could not be brought up to date.
+    #[error("the database could not be brought up to date: {0}")]
+    Migration(#[from] sqlx::migrate::MigrateError),
+    /// The artefact store failed.
+    #[error("the artefact store failed: {0}")]
+    Artifacts(#[source] object_store::Error),
+    /// A file could not be read or written.
+    #[error("{path}: {source}")]
+    File {
+        /// Which file.
+        path: String,
+        /// Why.
+        source: std::io::Error,
+    },
+}
+
+impl StoreError {
+    pub(crate) fn file(path: &std::path::Path, source: std::io::Error) -> Self {
+        if source.kind() == std::io::ErrorKind::StorageFull {
+            return StoreError::Full;
+        }
+        StoreError::File { path: path.display().to_string(), source }
+    }
+}
+
+/// SQLite's primary result codes that mean something to a caller.
+const SQLITE_BUSY: i32 = 5;
+const SQLITE_LOCKED: i32 = 6;
+const SQLITE_FULL: i32 = 13;
+
+impl From<sqlx::Error> for StoreError {
+    fn from(error: sqlx::Error) -> Self {
+        if matches!(error, sqlx::Error::PoolTimedOut) {
+            return StoreError::Busy;
+        }
+        let code = error
+            .as_database_error()
+            .and_then(|error| error.code())
+            .and_then(|code| code.parse::<i32>().ok())
+            .map(|extended| extended & 0xff);
+        match code {
+            Some(SQLITE_BUSY | SQLITE_LOCKED) => StoreError::Busy,
+            Some(SQLITE_FULL) => StoreError::Full,
+            _ => StoreError::Database(error),
+        }
+    }
+}
+
+impl From<object_store::Error> for StoreError {
+    fn from(error: object_store::Error) -> Self {
+        let mut source: Option<&(dyn std::error::Error + 'static)> = Some(&error);
+        while let Some(cause) = source {
+            if let Some(io) = cause.downcast_ref::<std::io::Error>()
+                && io.kind() == std::io::ErrorKind::StorageFull
+            {
+                return StoreError::Full;
+            }
+            source = cause.source();
+        }
+        StoreError::Artifacts(error)
+    }
+}
+
+impl From<serde_json::Error> for StoreError {
+    fn from(error: serde_json::Error) -> Self {
+        StoreError::Corrupt(error.to_string())
+    }
+}

@@ -1,0 +1,106 @@
+//! What happened, in one order.
+
+use forelight_protocol::{Event, EventId, EventKind, JobId, JobState, Timestamp};
+use sqlx::Row as _;
+use sqlx::sqlite::SqliteRow;
+
+use crate::database::Write;
+use crate::decode::{json, to_json};
+use crate::{Store, StoreError};
+
+/// For how long reports of progress are kept: an hour, in microseconds. All other events are kept for good.
+const PROGRESS_KEPT: i64 = 3_600_000_000;
+
+/// An event of which only kind and time are known.
+pub(crate) fn event(kind: EventKind, now: Timestamp) -> Event {
+    Event {
+        id: 0,
+        at: now,
+        kind,
+        job_id: None,
+        job_state: None,
+        task_id: None,
+        task_kind: None,
+        frame: None,
+        node_id: None,
+        plan_id: None,
+        progress: None,
+        message: None,
+    }
+}
+
+/// Appends an event; its id is given by the database.
+pub(crate) async fn append(write: &mut Write, event: Event) -> Result<(), StoreError> {
+    sqlx::query("INSERT INTO events (at, kind, job_id, body) VALUES (?, ?, ?, ?)")
+        .bind(event.at.micros())
+        .bind(event.kind.name())
+        .bind(event.job_id.map(|job| job.0))
+        .bind(to_json(&event)?)
+        .execute(write.connection())
+        .await?;
+    write.wrote_events = true;
+    Ok(())
+}
+
+/// Appends the event that a job went into a state.
+pub(crate) async fn job_state(
+    write: &mut Write,
+    job: JobId,
+    state: JobState,
+    message: Option<String>,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    append(
+        write,
+        Event { job_id: Some(job), job_state: Some(state), message, ..event(EventKind::JobState, now) },
+    )
+    .await
+}
+
+pub(crate) async fn forget_old_progress(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
+    sqlx::query("DELETE FROM events WHERE kind = 'task_progress' AND at < ?")
+        .bind(now.plus_micros(-PROGRESS_KEPT).micros())
+        .execute(write.connection())
+        .await?;
+    Ok(())
+}
+
+pub(crate) fn decode(row: &SqliteRow) -> Result<Event, StoreError> {
+    let mut event: Event = json(row, "body")?;
+    event.id = row.try_get("id")?;
+    Ok(event)
+}
+
+impl Store {
+    /// The events after the event `after`, oldest first, at most `limit`; of one job, or of the whole farm.
+    pub async fn events_after(
+        &self,
+        job: Option<JobId>,
+        after: EventId,
+        limit: u32,
+    ) -> Result<Vec<Event>, StoreError> {
+        let rows = match job {
+            Some(job) => {
+                sqlx::query("SELECT id, body FROM events WHERE job_id = ? AND id > ? ORDER BY id LIMIT ?")
+                    .bind(job.0)
+                    .bind(after)
+                    .bind(limit)
+                    .fetch_all(self.readers())
+                    .await?
+            }
+            None => {
+                sqlx::query("SELECT id, body FROM events WHERE id > ? ORDER BY id LIMIT ?")
+                    .bind(after)
+                    .bind(limit)
+                    .fetch_all(self.readers())
+                    .await?
+            }
+        };
+        rows.iter().map(decode).collect()
+    }
+
+    /// The id of the newest event; 0 if there is none.
+    pub async fn last_event_id(&self) -> Result<EventId, StoreError> {
+        Ok(sqlx::query_scalar("SELECT coalesce(max(id), 0) FROM events").fetch_one(self.readers()).await?)
+    }
+}

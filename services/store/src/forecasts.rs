@@ -1,0 +1,114 @@
+//! Quotes: choosing to profile, and keeping what was forecast.
+
+use forelight_protocol::{
+    ForecastDoc, ForecastTotals, FrameForecast, JobId, JobState, MoneyQuantiles, Profiled, SpentOnForecast,
+    Timestamp,
+};
+use serde::{Deserialize, Serialize};
+
+use crate::database::Write;
+use crate::decode::{json, json_opt, time_opt, to_json, whole};
+use crate::events::job_state;
+use crate::tasks::Common;
+use crate::{Store, StoreError, jobs};
+
+/// A job's quote without its frames, as it is kept with the job.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize)]
+pub struct JobForecast {
+    /// All frames together.
+    pub total: ForecastTotals,
+    /// What the quote rests on.
+    pub profiled: Profiled,
+    /// What the quote took.
+    pub spent: SpentOnForecast,
+    /// Whether the quantiles have been calibrated on past jobs.
+    pub calibrated: bool,
+    /// The total in money.
+    pub cost: Option<MoneyQuantiles>,
+}
+
+impl Store {
+    /// Has these frames of the job profiled. Nothing if the job is not, or no longer, being previewed, so that doing
+    /// it again after a crash is harmless.
+    pub async fn start_profiling(
+        &self,
+        job: JobId,
+        frames: &[u32],
+        now: Timestamp,
+    ) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        let row = sqlx::query("SELECT * FROM jobs WHERE id = ?")
+            .bind(job.0)
+            .fetch_optional(write.connection())
+            .await?;
+        let row = row.ok_or(StoreError::NotFound("job"))?;
+        if jobs::state(write.connection(), job).await? != JobState::Previewing {
+            return Ok(());
+        }
+        let settings = json(&row, "settings")?;
+        let bundle = jobs::source(&row)?;
+        let common = Common {
+            job,
+            bundle: &bundle,
+            settings: &settings,
+            deadline: time_opt(&row, "deadline_at")?,
+            priority: whole(&row, "priority")?,
+        };
+        for &frame in frames {
+            common.profile(&mut write, frame, whole(&row, "samples")?).await?;
+        }
+        sqlx::query("UPDATE jobs SET state = 'profiling' WHERE id = ?")
+            .bind(job.0)
+            .execute(write.connection())
+            .await?;
+        job_state(&mut write, job, JobState::Profiling, None, now).await?;
+        self.commit(write).await
+    }
+
+    /// The job's quote; `None` until it is there.
+    pub async fn forecast(&self, job: JobId) -> Result<Option<ForecastDoc>, StoreError> {
+        let mut transaction = self.read().await?;
+        let row = sqlx::query("SELECT forecast FROM jobs WHERE id = ?")
+            .bind(job.0)
+            .fetch_optional(&mut *transaction)
+            .await?;
+        let kept: Option<JobForecast> = json_opt(&row.ok_or(StoreError::NotFound("job"))?, "forecast")?;
+        let Some(JobForecast { total, profiled, spent, calibrated, cost }) = kept else { return Ok(None) };
+        let rows = sqlx::query(
+            "SELECT forecast FROM frames WHERE job_id = ? AND forecast IS NOT NULL ORDER BY frame",
+        )
+        .bind(job.0)
+        .fetch_all(&mut *transaction)
+        .await?;
+        let frames = rows.iter().map(|row| json(row, "forecast")).collect::<Result<_, _>>()?;
+        Ok(Some(ForecastDoc { frames, total, profiled, spent, calibrated, cost }))
+    }
+}
+
+/// Keeps the frames' forecasts inside a write.
+pub(crate) async fn keep_frames(
+    write: &mut Write,
+    job: JobId,
+    frames: &[FrameForecast],
+) -> Result<(), StoreError> {
+    for forecast in frames {
+        sqlx::query(
+            "UPDATE frames SET forecast = ?, work_mean = ?, work_p50 = ?, work_p80 = ?, work_p95 = ?, \
+             cpu_mean = ?, cpu_p50 = ?, cpu_p80 = ?, cpu_p95 = ? WHERE job_id = ? AND frame = ?",
+        )
+        .bind(to_json(forecast)?)
+        .bind(forecast.work.mean)
+        .bind(forecast.work.p50)
+        .bind(forecast.work.p80)
+        .bind(forecast.work.p95)
+        .bind(forecast.cpu_seconds.mean)
+        .bind(forecast.cpu_seconds.p50)
+        .bind(forecast.cpu_seconds.p80)
+        .bind(forecast.cpu_seconds.p95)
+        .bind(job.0)
+        .bind(i64::from(forecast.frame))
+        .execute(write.connection())
+        .await?;
+    }
+    Ok(())
+}

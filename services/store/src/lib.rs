@@ -1,0 +1,52 @@
+//! What the farm remembers: jobs, tasks, leases, forecasts, plans, events in one SQLite database; images, profiles
+//! and bundles as files named by their hash. Knows nothing of HTTP and nothing of tracing light.
+//!
+//! Three promises, and what keeps them:
+//!
+//! * **Nothing acknowledged is lost.** Every write is one transaction on one writing connection with
+//!   `synchronous = FULL`: its commit is on disk before the caller hears of it, whether the process is killed or the
+//!   power goes. (With `NORMAL` a killed process loses nothing either, but a power cut takes the last commits. `FULL`
+//!   costs a flush per commit, some thousand commits a second on a disk with a write cache; a farm makes a
+//!   few per frame.) An artefact is flushed before its row is written, and a result names only artefacts with rows.
+//! * **Two workers never hold the same task.** One writer at a time, `BEGIN IMMEDIATE`, and a unique index over the
+//!   active leases that makes the database itself refuse.
+//! * **A worker that lost its lease harms nothing.** Every hand-out raises the task's fencing token, and whatever is
+//!   said with an older token is refused.
+//!
+//! Time is never read here: every function that needs it is given `now`.
+
+mod artifacts;
+mod bundles;
+mod dashboard;
+mod database;
+mod decode;
+mod error;
+mod events;
+mod forecasts;
+mod frames;
+mod idempotency;
+mod jobs;
+mod leases;
+mod nodes;
+mod plans;
+mod progress;
+mod projection;
+mod results;
+mod tasks;
+pub mod tokens;
+mod track_record;
+
+pub use artifacts::{ArtifactReader, Artifacts, Staged};
+pub use bundles::NewBundle;
+pub use database::Store;
+pub use error::StoreError;
+pub use forecasts::JobForecast;
+pub use idempotency::{Answered, IdempotencyKey, RecordedAnswer};
+pub use jobs::{JobFilter, NewJob};
+pub use leases::{LeaseInfo, MAX_EXPIRIES, MAX_FAILURES, Swept};
+pub use plans::{NewBooking, NewPlan};
+pub use projection::{Holder, OpenBooking, Projected, project};
+pub use results::{Committed, MeasuredProfile};
+
+#[cfg(test)]
+mod tests;

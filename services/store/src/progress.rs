@@ -1,0 +1,34 @@
+//! How far a job is.
+
+use forelight_protocol::JobId;
+use sqlx::{Row as _, SqliteConnection};
+
+use crate::StoreError;
+use crate::decode::whole;
+
+/// How far a job is.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub(crate) struct Progress {
+    pub frames_done: u32,
+    /// 0 to 1: of the forecast work; of the frames where there is no forecast.
+    pub fraction: f64,
+}
+
+/// Weighs every frame by its forecast work, so that a job of 47 cheap frames and a dear one is not at 98 % when the
+/// dear one is all that is left; a frame under way counts by what its worker last said.
+pub(crate) async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Result<Progress, StoreError> {
+    let row = sqlx::query(
+        "SELECT coalesce(sum(f.actual IS NOT NULL), 0) AS done, \
+                total(coalesce(f.work_mean, 1.0)) AS weight, \
+                total(coalesce(f.work_mean, 1.0) * CASE WHEN f.actual IS NOT NULL THEN 1.0 WHEN t.state = 'leased' THEN t.progress ELSE 0.0 END) AS reached \
+         FROM frames f LEFT JOIN tasks t ON t.job_id = f.job_id AND t.kind = 'render' AND ifnull(t.frame, -1) = f.frame \
+         WHERE f.job_id = ?",
+    )
+    .bind(job.0)
+    .fetch_one(connection)
+    .await?;
+    let weight: f64 = row.try_get("weight")?;
+    let reached: f64 = row.try_get("reached")?;
+    let fraction = if weight > 0.0 { (reached / weight).clamp(0.0, 1.0) } else { 0.0 };
+    Ok(Progress { frames_done: whole(&row, "done")?, fraction })
+}

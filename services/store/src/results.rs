@@ -1,0 +1,244 @@
+//! Committing what workers bring, and reading it back.
+
+use std::collections::BTreeSet;
+
+use forelight_protocol::{
+    ArtifactHash, EventKind, JobId, JobState, LeaseId, PreviewResult, ProfileResult, RenderResult, TaskId,
+    TaskKind, TaskResult, Timestamp,
+};
+use sqlx::Row as _;
+
+use crate::database::Write;
+use crate::decode::{corrupt, id, json, to_json};
+use crate::events::{append, job_state};
+use crate::leases::{LeaseRow, LeaseState, end, read, touch};
+use crate::{Store, StoreError, jobs};
+
+/// What became of a result.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Committed {
+    /// Whether the same result had been committed before.
+    pub duplicate: bool,
+    /// The job.
+    pub job_id: JobId,
+    /// The task.
+    pub task_id: TaskId,
+    /// What kind of task it was.
+    pub kind: TaskKind,
+    /// Where the job stands now.
+    pub job_state: JobState,
+}
+
+/// A profile, and the speed of the node that measured it.
+#[derive(Clone, PartialEq, Debug)]
+pub struct MeasuredProfile {
+    /// The profile.
+    pub result: ProfileResult,
+    /// Speed of the node: a CPU second there is this many on a node of speed 1.
+    pub node_speed: f64,
+}
+
+impl Store {
+    /// Commits a result. When this returns, it is on disk. The result has to fit the lease's task; that is checked by
+    /// the caller, who can say which field is wrong.
+    pub async fn commit_result(
+        &self,
+        lease: LeaseId,
+        fence: u64,
+        result: &TaskResult,
+        now: Timestamp,
+    ) -> Result<Committed, StoreError> {
+        let body = to_json(result)?;
+        let body_hash = *blake3::hash(body.as_bytes()).as_bytes();
+        let mut write = self.write().await?;
+        let row = read(write.connection(), lease).await?;
+        let committed = |duplicate, job_state| Committed {
+            duplicate,
+            job_id: row.job_id,
+            task_id: row.task_id,
+            kind: row.kind,
+            job_state,
+        };
+        if row.fence == fence && row.state == LeaseState::Committed {
+            let earlier: Vec<u8> = sqlx::query_scalar("SELECT body_hash FROM results WHERE task_id = ?")
+                .bind(row.task_id.0)
+                .fetch_one(write.connection())
+                .await?;
+            if earlier != body_hash {
+                return Err(StoreError::Conflict(
+                    "another result of this lease was committed before".to_owned(),
+                ));
+            }
+            return Ok(committed(true, jobs::state(write.connection(), row.job_id).await?));
+        }
+        if row.fence != fence || row.state != LeaseState::Active {
+            return self.refuse(write, &row, now).await;
+        }
+        if row.kind != result.kind() {
+            return Err(StoreError::Conflict(format!("the lease is of a {} task", row.kind)));
+        }
+        let artifacts: BTreeSet<ArtifactHash> = result.artifacts().into_iter().collect();
+        for artifact in &artifacts {
+            let there: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM artifacts WHERE hash = ?)")
+                .bind(&artifact.0[..])
+                .fetch_one(write.connection())
+                .await?;
+            if !there {
+                return Err(StoreError::MissingArtifact(*artifact));
+            }
+        }
+        sqlx::query(
+            "INSERT INTO results (task_id, lease_id, body, body_hash, committed_at) VALUES (?, ?, ?, ?, ?)",
+        )
+        .bind(row.task_id.0)
+        .bind(lease.0)
+        .bind(&body)
+        .bind(&body_hash[..])
+        .bind(now.micros())
+        .execute(write.connection())
+        .await?;
+        for artifact in &artifacts {
+            sqlx::query("INSERT INTO result_artifacts (task_id, hash) VALUES (?, ?)")
+                .bind(row.task_id.0)
+                .bind(&artifact.0[..])
+                .execute(write.connection())
+                .await?;
+        }
+        end(&mut write, &row, "committed", now).await?;
+        touch(&mut write, row.node_id, now).await?;
+        sqlx::query("UPDATE tasks SET state = 'done', progress = 1, finished_at = ? WHERE id = ?")
+            .bind(now.micros())
+            .bind(row.task_id.0)
+            .execute(write.connection())
+            .await?;
+        append(&mut write, row.event(EventKind::TaskDone, now)).await?;
+        match result {
+            TaskResult::Preview(preview) => keep_preview(&mut write, &row, preview).await?,
+            TaskResult::Profile(profile) => {
+                show_preview(&mut write, row.job_id, profile.frame, profile.artifacts.preview_png).await?;
+            }
+            TaskResult::Render(render) => keep_render(&mut write, &row, render, now).await?,
+        }
+        let state = jobs::state(write.connection(), row.job_id).await?;
+        self.commit(write).await?;
+        Ok(committed(false, state))
+    }
+
+    /// The job's preview, if it is there.
+    pub async fn preview_result(&self, job: JobId) -> Result<Option<PreviewResult>, StoreError> {
+        let row = sqlx::query("SELECT r.body FROM tasks t JOIN results r ON r.task_id = t.id WHERE t.job_id = ? AND t.kind = 'preview'")
+            .bind(job.0)
+            .fetch_optional(self.readers())
+            .await?;
+        match row.as_ref().map(|row| json(row, "body")).transpose()? {
+            None => Ok(None),
+            Some(TaskResult::Preview(preview)) => Ok(Some(preview)),
+            Some(other) => Err(corrupt("body", format!("a {} result of a preview task", other.kind()))),
+        }
+    }
+
+    /// The job's profiles by frame, if all that were asked for are there; `None` while one is missing.
+    pub async fn profile_results(&self, job: JobId) -> Result<Option<Vec<MeasuredProfile>>, StoreError> {
+        let rows = sqlx::query(
+            "SELECT r.body, l.node_speed FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id \
+             WHERE t.job_id = ? AND t.kind = 'profile' ORDER BY t.frame",
+        )
+        .bind(job.0)
+        .fetch_all(self.readers())
+        .await?;
+        let mut profiles = Vec::with_capacity(rows.len());
+        for row in &rows {
+            match crate::decode::json_opt(row, "body")? {
+                None => return Ok(None),
+                Some(TaskResult::Profile(result)) => {
+                    profiles.push(MeasuredProfile { result, node_speed: row.try_get("node_speed")? });
+                }
+                Some(other) => {
+                    return Err(corrupt("body", format!("a {} result of a profile task", other.kind())));
+                }
+            }
+        }
+        Ok(Some(profiles))
+    }
+
+    /// The finished pixels of the job's profiled frames, by frame.
+    pub(crate) async fn profile_artifacts(
+        connection: &mut sqlx::SqliteConnection,
+        job: JobId,
+    ) -> Result<Vec<(u32, ArtifactHash)>, StoreError> {
+        let rows = sqlx::query(
+            "SELECT t.id, r.body FROM tasks t JOIN results r ON r.task_id = t.id WHERE t.job_id = ? AND t.kind = 'profile' ORDER BY t.frame",
+        )
+        .bind(job.0)
+        .fetch_all(connection)
+        .await?;
+        rows.iter()
+            .map(|row| match json(row, "body")? {
+                TaskResult::Profile(result) => Ok((result.frame, result.artifacts.profile)),
+                _ => Err(corrupt("body", format!("task {} is a profile, its result is not", id(row, "id")?))),
+            })
+            .collect()
+    }
+}
+
+async fn keep_preview(write: &mut Write, row: &LeaseRow, preview: &PreviewResult) -> Result<(), StoreError> {
+    for frame in &preview.frames {
+        show_preview(write, row.job_id, frame.frame, frame.preview_png).await?;
+    }
+    Ok(())
+}
+
+async fn show_preview(
+    write: &mut Write,
+    job: JobId,
+    frame: u32,
+    image: Option<ArtifactHash>,
+) -> Result<(), StoreError> {
+    let Some(image) = image else { return Ok(()) };
+    sqlx::query("UPDATE frames SET preview_png = ? WHERE job_id = ? AND frame = ?")
+        .bind(&image.0[..])
+        .bind(job.0)
+        .bind(i64::from(frame))
+        .execute(write.connection())
+        .await?;
+    Ok(())
+}
+
+/// Keeps what a frame took; the last frame finishes the job in the same transaction.
+async fn keep_render(
+    write: &mut Write,
+    row: &LeaseRow,
+    render: &RenderResult,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let stats = &render.stats;
+    // CPU seconds spent here, brought to a node of speed 1. What was taken over from the profile is counted at this
+    // node's speed as well: the profile does not say per pixel where it was made.
+    let cpu_at_speed_one = stats.cpu_seconds * row.node_speed;
+    sqlx::query(
+        "UPDATE frames SET actual = ?, actual_work = ?, actual_cpu = ?, artifacts = ?, finished_at = ?, \
+         preview_png = coalesce(?, preview_png) WHERE job_id = ? AND frame = ?",
+    )
+    .bind(to_json(stats)?)
+    .bind(stats.work as f64)
+    .bind(cpu_at_speed_one)
+    .bind(to_json(&render.artifacts)?)
+    .bind(now.micros())
+    .bind(render.artifacts.preview_png.map(|hash| hash.0.to_vec()))
+    .bind(row.job_id.0)
+    .bind(i64::from(stats.frame))
+    .execute(write.connection())
+    .await?;
+    let finished = sqlx::query(
+        "UPDATE jobs SET state = 'done', finished_at = ?1 WHERE id = ?2 AND state = 'rendering' \
+         AND NOT EXISTS (SELECT 1 FROM frames WHERE job_id = ?2 AND actual IS NULL)",
+    )
+    .bind(now.micros())
+    .bind(row.job_id.0)
+    .execute(write.connection())
+    .await?;
+    if finished.rows_affected() == 1 {
+        job_state(write, row.job_id, JobState::Done, None, now).await?;
+    }
+    Ok(())
+}

@@ -1,0 +1,269 @@
+//! A farm in a temporary folder, with a clock that stands still unless told.
+
+use std::time::Duration;
+
+use forelight_protocol::{
+    ArtifactHash, BundleRef, BundleSource, FixedCosts, ForecastTotals, FrameForecast, FrameStrata, Job,
+    JobId, JobRequest, JobVerdict, Lease, Node, NodeId, NodeRegistration, PlanReason, PreviewBackend,
+    PreviewResult, ProfileArtifacts, ProfileResult, ProfileSample, Profiled, Quantiles, RayQuantiles, Rays,
+    RenderArtifacts, RenderResult, RenderStats, SceneSummary, Spent, SpentOnForecast, StratumName,
+    TaskResult, TaskSpec, Timestamp, Verdict,
+};
+use tempfile::TempDir;
+
+use crate::{Answered, JobForecast, NewBooking, NewJob, NewPlan, Store};
+
+mod artifacts;
+mod claims;
+mod fencing;
+mod jobs;
+mod opening;
+mod plans;
+mod records;
+
+const TTL: Duration = Duration::from_secs(30);
+const SECOND: i64 = 1_000_000;
+
+fn at(seconds: i64) -> Timestamp {
+    Timestamp::from_micros(1_800_000_000_000_000).plus_micros(seconds * SECOND)
+}
+
+fn fresh<T>(answered: Answered<T>) -> T {
+    match answered {
+        Answered::Fresh(value) => value,
+        Answered::Repeated(answer) => panic!("this was answered before: {}", answer.body),
+    }
+}
+
+struct Farm {
+    folder: TempDir,
+    store: Store,
+}
+
+impl Farm {
+    async fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        Self { folder, store }
+    }
+
+    /// The service dies and is started again.
+    async fn restarted(self) -> Self {
+        let Self { folder, store } = self;
+        drop(store);
+        let store = reopen(folder.path()).await;
+        Self { folder, store }
+    }
+
+    async fn node(&self, name: &str) -> Node {
+        let registration = NodeRegistration {
+            name: name.to_owned(),
+            speed: 2.0,
+            price_per_hour: forelight_protocol::Money(1_000_000),
+            cores: 1,
+        };
+        fresh(self.store.register_node(&registration, None, at(0)).await.unwrap())
+    }
+
+    async fn job(&self, frames: &str) -> Job {
+        self.submit(request(frames)).await
+    }
+
+    async fn submit(&self, request: JobRequest) -> Job {
+        fresh(self.store.create_job(&new_job(request), None, at(0)).await.unwrap())
+    }
+
+    async fn claim(&self, node: NodeId, now: Timestamp) -> Option<Lease> {
+        self.store.claim(node, TTL, None, now).await.unwrap().map(fresh)
+    }
+
+    async fn artifact(&self, content: &'static str) -> ArtifactHash {
+        let hash = ArtifactHash(*blake3::hash(content.as_bytes()).as_bytes());
+        self.store.artifacts().put(hash, stream(&[content]), 1000, at(0)).await.unwrap();
+        hash
+    }
+
+    async fn commit(&self, lease: &Lease, now: Timestamp) -> crate::Committed {
+        let result = self.result_for(lease).await;
+        self.store.commit_result(lease.lease_id, lease.fence, &result, now).await.unwrap()
+    }
+
+    async fn result_for(&self, lease: &Lease) -> TaskResult {
+        let image = self.artifact("an image").await;
+        match &lease.spec {
+            TaskSpec::Preview(spec) => TaskResult::Preview(PreviewResult {
+                strata: vec![stratum()],
+                frames: spec
+                    .frames
+                    .iter()
+                    .map(|&frame| FrameStrata {
+                        frame,
+                        pixels: vec![60],
+                        background: 4,
+                        preview_png: Some(image),
+                    })
+                    .collect(),
+                backend: PreviewBackend::Cpu,
+                spent: Spent { work: 100, cpu_nanos: 1000 },
+            }),
+            TaskSpec::Profile(spec) => TaskResult::Profile(ProfileResult {
+                frame: spec.frame,
+                strata: vec![stratum()],
+                samples: vec![ProfileSample {
+                    pixel: 3,
+                    stratum: 0,
+                    work: 10,
+                    cpu_nanos: 500,
+                    rays: [1, 2, 0, 0, 0, 3, 0],
+                }],
+                fixed: FixedCosts::default(),
+                spent: Spent { work: 10, cpu_nanos: 500 },
+                artifacts: ProfileArtifacts { profile: self.artifact("a profile").await, preview_png: None },
+            }),
+            TaskSpec::Render(spec) => TaskResult::Render(RenderResult {
+                stats: stats(spec.frame),
+                artifacts: RenderArtifacts {
+                    image_exr: image,
+                    image_png: image,
+                    cost_map_png: image,
+                    preview_png: None,
+                },
+            }),
+        }
+    }
+
+    /// Takes a job through preview and profile to `booked`, all on `node`, one frame after the other from `start`.
+    async fn booked_job(&self, request: JobRequest, node: NodeId, start: Timestamp) -> JobId {
+        let job = self.submit(request).await;
+        let preview = self.claim(node, at(0)).await.expect("a preview");
+        assert_eq!(preview.job_id, job.id);
+        self.commit(&preview, at(0)).await;
+        let first = job.frames.iter().next().unwrap();
+        self.store.start_profiling(job.id, &[first], at(0)).await.unwrap();
+        let profile = self.claim(node, at(0)).await.expect("a profile");
+        self.commit(&profile, at(0)).await;
+        let plan = self.plan_for(&job, node, start).await;
+        let frames = frame_forecasts(&job);
+        self.store.book(job.id, &job_forecast(), &frames, &plan, at(0)).await.unwrap();
+        job.id
+    }
+
+    async fn plan_for(&self, job: &Job, node: NodeId, start: Timestamp) -> NewPlan {
+        let bookings: Vec<_> = job
+            .frames
+            .iter()
+            .zip(0i64..)
+            .map(|(frame, i)| NewBooking {
+                frame,
+                node,
+                start: start.plus_micros(i * 10 * SECOND),
+                end: start.plus_micros((i + 1) * 10 * SECOND),
+            })
+            .collect();
+        NewPlan {
+            parent: self.store.newest_plan().await.unwrap(),
+            reason: PlanReason::JobForecast,
+            verdict: verdict(job.id),
+            bookings,
+        }
+    }
+}
+
+/// The lock goes with the last clone of the store, and the connections are closed in the background.
+async fn reopen(folder: &std::path::Path) -> Store {
+    for _ in 0..200 {
+        match Store::open(folder).await {
+            Err(crate::StoreError::InUse(_)) => tokio::time::sleep(Duration::from_millis(10)).await,
+            other => return other.unwrap(),
+        }
+    }
+    panic!("the data folder is still locked");
+}
+
+fn stream(
+    parts: &[&'static str],
+) -> impl futures::Stream<Item = Result<bytes::Bytes, std::io::Error>> + use<> {
+    let parts: Vec<_> = parts.iter().map(|part| Ok(bytes::Bytes::from_static(part.as_bytes()))).collect();
+    futures::stream::iter(parts)
+}
+
+fn request(frames: &str) -> JobRequest {
+    let json = serde_json::json!({"name": "a job", "bundle": {"path": "/scenes/a"}, "frames": frames});
+    serde_json::from_value(json).unwrap()
+}
+
+fn new_job(request: JobRequest) -> NewJob {
+    let settings = request.settings.complete((8, 8));
+    assert!(request.bundle != BundleRef::default());
+    NewJob { request, scene: scene(), source: BundleSource::Path("/scenes/a".to_owned()), settings }
+}
+
+fn scene() -> SceneSummary {
+    SceneSummary {
+        name: "a".to_owned(),
+        frames: 100,
+        width: 8,
+        height: 8,
+        objects: 1,
+        materials: 1,
+        triangles: 2,
+    }
+}
+
+fn stratum() -> StratumName {
+    StratumName { object: "floor".to_owned(), material: "wood".to_owned() }
+}
+
+fn stats(frame: u32) -> RenderStats {
+    RenderStats {
+        frame,
+        width: 8,
+        height: 8,
+        spp: 16,
+        effects: vec!["ambient".to_owned()],
+        rays: Rays { primary: 1024, ..Rays::default() },
+        cache_records: Vec::new(),
+        work: 1000,
+        cpu_seconds: 2.0,
+        wall_seconds: 2.0,
+        peak_rss_bytes: 1,
+        reused_pixels: 0,
+        reused_rays: 0,
+        reused_work: 0,
+        reused_cpu_seconds: 0.0,
+    }
+}
+
+fn verdict(job_id: JobId) -> JobVerdict {
+    JobVerdict {
+        job_id,
+        verdict: Verdict::OnTime,
+        confidence: forelight_protocol::Confidence::P80,
+        finish: Some(at(100)),
+        cost: Some(forelight_protocol::Money(5)),
+        reasons: Vec::new(),
+    }
+}
+
+fn job_forecast() -> JobForecast {
+    JobForecast {
+        total: ForecastTotals::default(),
+        profiled: Profiled { frames: vec![0], pixels: 1 },
+        spent: SpentOnForecast::default(),
+        calibrated: false,
+        cost: None,
+    }
+}
+
+fn frame_forecasts(job: &Job) -> Vec<FrameForecast> {
+    job.frames
+        .iter()
+        .map(|frame| FrameForecast {
+            frame,
+            rays: RayQuantiles::default(),
+            cache_records: Vec::new(),
+            work: Quantiles { mean: 900.0, p50: 900.0, p80: 1000.0, p95: 1100.0 },
+            cpu_seconds: Quantiles { mean: 4.0, p50: 3.0, p80: 3.5, p95: 5.0 },
+        })
+        .collect()
+}

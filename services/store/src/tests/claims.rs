@@ -1,0 +1,144 @@
+//! Who gets which task.
+
+use std::collections::BTreeSet;
+
+use forelight_protocol::{JobState, NodeChange, TaskKind};
+
+use super::*;
+
+#[tokio::test]
+async fn a_new_job_offers_its_preview_and_nothing_else() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let job = farm.job("0-9").await;
+    let lease = farm.claim(node.id, at(0)).await.unwrap();
+    assert_eq!((lease.job_id, lease.spec.kind(), lease.fence), (job.id, TaskKind::Preview, 1));
+    assert_eq!(lease.expires_at, at(30));
+    assert_eq!(farm.claim(node.id, at(0)).await, None);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn claimers_at_the_same_time_never_get_the_same_task() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    for _ in 0..40 {
+        farm.job("0").await;
+    }
+    let mut claimers = tokio::task::JoinSet::new();
+    for _ in 0..16 {
+        let store = farm.store.clone();
+        let node = node.id;
+        claimers.spawn(async move {
+            let mut mine = Vec::new();
+            while let Some(lease) = store.claim(node, TTL, None, at(0)).await.unwrap() {
+                mine.push(fresh(lease).task_id);
+            }
+            mine
+        });
+    }
+    let all: Vec<_> = claimers.join_all().await.into_iter().flatten().collect();
+    let distinct: BTreeSet<_> = all.iter().copied().collect();
+    assert_eq!((all.len(), distinct.len()), (40, 40));
+}
+
+#[tokio::test]
+async fn the_database_itself_refuses_a_second_active_lease_on_a_task() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    farm.job("0").await;
+    let lease = farm.claim(node.id, at(0)).await.unwrap();
+    let mut write = farm.store.write().await.unwrap();
+    let error = sqlx::query(
+        "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at) \
+         VALUES (?, ?, ?, 99, 1.0, 'active', 0, 0)",
+    )
+    .bind(forelight_protocol::LeaseId::new().0)
+    .bind(lease.task_id.0)
+    .bind(node.id.0)
+    .execute(write.connection())
+    .await
+    .unwrap_err();
+    assert!(error.to_string().contains("UNIQUE"), "{error}");
+}
+
+#[tokio::test]
+async fn own_bookings_come_first_by_planned_start_and_idle_nodes_help_out_with_the_rest() {
+    let farm = Farm::new().await;
+    let (a, b) = (farm.node("a").await, farm.node("b").await);
+    let late = farm.booked_job(request("0-1"), a.id, at(500)).await;
+    let early = farm.booked_job(request("0-1"), a.id, at(100)).await;
+    let first = farm.claim(a.id, at(1)).await.unwrap();
+    assert_eq!((first.job_id, first.spec.frame()), (early, Some(0)));
+    // Nothing is booked on b: it takes what is due first, then what was submitted first.
+    let helped = farm.claim(b.id, at(1)).await.unwrap();
+    assert_eq!((helped.job_id, helped.spec.frame()), (late, Some(0)));
+    let second = farm.claim(a.id, at(1)).await.unwrap();
+    assert_eq!((second.job_id, second.spec.frame()), (early, Some(1)));
+}
+
+#[tokio::test]
+async fn unbooked_work_goes_by_deadline_then_priority_then_frame() {
+    let farm = Farm::new().await;
+    let (a, b) = (farm.node("a").await, farm.node("b").await);
+    let whenever = farm.booked_job(request("0"), a.id, at(100)).await;
+    let urgent =
+        farm.booked_job(JobRequest { deadline: Some(at(900)), ..request("0-1") }, a.id, at(300)).await;
+    let favoured = farm
+        .booked_job(JobRequest { deadline: Some(at(900)), priority: 5, ..request("7") }, a.id, at(400))
+        .await;
+    let mut order = Vec::new();
+    while let Some(lease) = farm.claim(b.id, at(1)).await {
+        order.push((lease.job_id, lease.spec.frame().unwrap()));
+    }
+    assert_eq!(order, [(favoured, 7), (urgent, 0), (urgent, 1), (whenever, 0)]);
+}
+
+#[tokio::test]
+async fn quotes_come_before_renders() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    farm.booked_job(request("0"), node.id, at(0)).await;
+    let second = farm.job("0").await;
+    let lease = farm.claim(node.id, at(1)).await.unwrap();
+    assert_eq!((lease.job_id, lease.spec.kind()), (second.id, TaskKind::Preview));
+}
+
+#[tokio::test]
+async fn a_draining_node_gets_nothing_until_it_is_undrained() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    farm.job("0").await;
+    let drain = |drain| NodeChange { drain: Some(drain), ..NodeChange::default() };
+    farm.store.change_node(node.id, &drain(true), at(0)).await.unwrap();
+    assert_eq!(farm.claim(node.id, at(0)).await, None);
+    farm.store.change_node(node.id, &drain(false), at(0)).await.unwrap();
+    assert!(farm.claim(node.id, at(0)).await.is_some());
+}
+
+#[tokio::test]
+async fn the_first_claimed_frame_makes_the_job_rendering_and_the_last_committed_one_done() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let job = farm.booked_job(request("3-4"), node.id, at(0)).await;
+    assert_eq!(farm.store.job(job).await.unwrap().state, JobState::Booked);
+    let first = farm.claim(node.id, at(1)).await.unwrap();
+    assert_eq!(farm.store.job(job).await.unwrap().state, JobState::Rendering);
+    assert_eq!(farm.commit(&first, at(2)).await.job_state, JobState::Rendering);
+    let second = farm.claim(node.id, at(3)).await.unwrap();
+    assert_eq!(farm.commit(&second, at(4)).await.job_state, JobState::Done);
+    let done = farm.store.job(job).await.unwrap();
+    assert_eq!((done.frames_done, done.progress, done.finished_at), (2, 1.0, Some(at(4))));
+}
+
+#[tokio::test]
+async fn a_render_is_given_its_own_frames_profile_and_no_other() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    farm.booked_job(request("3-4"), node.id, at(0)).await;
+    let profile = farm.artifact("a profile").await;
+    for expected in [Some(profile), None] {
+        let lease = farm.claim(node.id, at(1)).await.unwrap();
+        let TaskSpec::Render(spec) = &lease.spec else { panic!("{:?}", lease.spec) };
+        assert_eq!(spec.profile, expected, "frame {}", spec.frame);
+    }
+}

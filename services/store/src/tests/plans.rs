@@ -1,0 +1,125 @@
+//! Plans, bookings, projections.
+
+use super::*;
+use crate::{Holder, OpenBooking, Projected, StoreError, project};
+use forelight_protocol::{Booking, BookingId, JobState, PlanId};
+
+#[tokio::test]
+async fn a_plan_names_its_parent_and_never_changes() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    farm.booked_job(request("0-1"), node.id, at(10)).await;
+    let first = farm.store.newest_plan().await.unwrap().unwrap();
+    farm.booked_job(request("5"), node.id, at(100)).await;
+    let second = farm.store.newest_plan().await.unwrap().unwrap();
+    assert_eq!(farm.store.plan(first).await.unwrap().parent_id, None);
+    let plan = farm.store.plan(second).await.unwrap();
+    assert_eq!((plan.parent_id, plan.bookings.len(), plan.bookings[0].start), (Some(first), 1, at(100)));
+    for statement in [
+        "UPDATE plans SET reason = reason",
+        "DELETE FROM bookings",
+        "UPDATE bookings SET frame = 7",
+        "DELETE FROM plans",
+    ] {
+        let mut write = farm.store.write().await.unwrap();
+        let error =
+            sqlx::query(sqlx::AssertSqlSafe(statement)).execute(write.connection()).await.unwrap_err();
+        assert!(error.to_string().contains("never changes"), "{statement}: {error}");
+    }
+}
+
+#[tokio::test]
+async fn a_plan_made_on_old_bookings_is_refused_and_nothing_of_it_is_kept() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let slow = farm.job("0").await;
+    let preview = farm.claim(node.id, at(0)).await.unwrap();
+    farm.commit(&preview, at(0)).await;
+    farm.store.start_profiling(slow.id, &[], at(0)).await.unwrap();
+    let stale_plan = farm.plan_for(&slow, node.id, at(0)).await;
+    farm.booked_job(request("0"), node.id, at(0)).await;
+    let frames = frame_forecasts(&slow);
+    let refused = farm.store.book(slow.id, &job_forecast(), &frames, &stale_plan, at(1)).await;
+    assert!(matches!(refused, Err(StoreError::Conflict(_))), "{refused:?}");
+    assert_eq!(farm.store.job(slow.id).await.unwrap().state, JobState::Profiling);
+    assert_eq!(farm.store.forecast(slow.id).await.unwrap(), None);
+    let plan = farm.plan_for(&slow, node.id, at(50)).await;
+    farm.store.book(slow.id, &job_forecast(), &frames, &plan, at(1)).await.unwrap();
+    let again = farm.store.book(slow.id, &job_forecast(), &frames, &plan, at(1)).await;
+    assert!(matches!(again, Err(StoreError::Conflict(_))), "booked twice: {again:?}");
+}
+
+#[tokio::test]
+async fn a_cancelled_job_is_not_booked() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let job = farm.job("0").await;
+    let plan = farm.plan_for(&job, node.id, at(0)).await;
+    farm.store.cancel_job(job.id, at(0)).await.unwrap();
+    let refused = farm.store.book(job.id, &job_forecast(), &frame_forecasts(&job), &plan, at(1)).await;
+    assert!(matches!(refused, Err(StoreError::Conflict(_))), "{refused:?}");
+    assert_eq!(farm.store.newest_plan().await.unwrap(), None);
+}
+
+#[tokio::test]
+async fn open_bookings_are_those_of_frames_not_yet_rendered() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let job = farm.booked_job(request("0-2"), node.id, at(10)).await;
+    let first = farm.claim(node.id, at(10)).await.unwrap();
+    farm.commit(&first, at(20)).await;
+    let second = farm.claim(node.id, at(21)).await.unwrap();
+    farm.store.renew(second.lease_id, second.fence, 0.25, TTL, at(22)).await.unwrap();
+    let open = farm.store.open_bookings().await.unwrap();
+    let holder = Holder { node_id: node.id, started: at(21), progress: 0.25 };
+    let seen: Vec<_> = open.iter().map(|open| (open.booking.frame, open.holder)).collect();
+    assert_eq!(seen, [(1, Some(holder)), (2, None)]);
+    let page =
+        farm.store.open_bookings_page(Some((open[0].booking.start, open[0].booking.id)), 10).await.unwrap();
+    assert_eq!(page, [open[1].booking.clone()]);
+    farm.store.cancel_job(job, at(30)).await.unwrap();
+    assert!(farm.store.open_bookings().await.unwrap().is_empty());
+}
+
+fn booking(frame: u32, node: u8, start: i64, end: i64) -> Booking {
+    Booking {
+        id: BookingId(uuid::Uuid::from_u128(u128::from(frame))),
+        plan_id: PlanId(uuid::Uuid::nil()),
+        job_id: JobId(uuid::Uuid::nil()),
+        frame,
+        node_id: NodeId(uuid::Uuid::from_u128(u128::from(node))),
+        start: at(start),
+        end: at(end),
+    }
+}
+
+fn spans(projected: &[Projected]) -> Vec<(u32, i64, i64)> {
+    let seconds = |time: Timestamp| time.micros_since(at(0)) / SECOND;
+    projected.iter().map(|frame| (frame.booking.frame, seconds(frame.start), seconds(frame.end))).collect()
+}
+
+#[test]
+fn late_bookings_are_pushed_back_one_behind_the_other_and_punctual_ones_stay() {
+    let open: Vec<_> =
+        [booking(0, 1, 0, 10), booking(1, 1, 10, 20), booking(2, 1, 100, 110), booking(3, 2, 0, 5)]
+            .map(|booking| OpenBooking { booking, holder: None })
+            .into();
+    assert_eq!(spans(&project(&open, at(15))), [(0, 15, 25), (3, 15, 20), (1, 25, 35), (2, 100, 110)]);
+}
+
+#[test]
+fn a_frame_under_way_takes_its_holder_not_its_booked_node_and_always_ends_after_now() {
+    let holder = |node: u128, started, progress| {
+        Some(Holder { node_id: NodeId(uuid::Uuid::from_u128(node)), started: at(started), progress })
+    };
+    let open = [
+        OpenBooking { booking: booking(0, 1, 0, 100), holder: holder(2, 0, 0.5) },
+        OpenBooking { booking: booking(1, 2, 0, 10), holder: None },
+        OpenBooking { booking: booking(2, 1, 0, 10), holder: None },
+        OpenBooking { booking: booking(3, 3, 0, 10), holder: holder(3, 0, 1.0) },
+        OpenBooking { booking: booking(4, 4, 30, 40), holder: holder(4, 45, 0.0) },
+    ];
+    let projected = project(&open, at(50));
+    assert_eq!(spans(&projected), [(0, 0, 100), (3, 0, 51), (4, 45, 55), (2, 50, 60), (1, 100, 110)]);
+    assert_eq!(Projected::finish_of(&projected, JobId(uuid::Uuid::nil())), Some(at(110)));
+}

@@ -1,0 +1,58 @@
+//! Bearer tokens.
+
+use forelight_protocol::{Role, Timestamp};
+use sqlx::Row as _;
+use uuid::Uuid;
+
+use crate::decode::word;
+use crate::{Store, StoreError};
+
+/// Who is asking.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Principal {
+    /// What the token allows.
+    pub role: Role,
+    /// The token's name.
+    pub name: String,
+    /// BLAKE3 of the token: what idempotency keys belong to.
+    pub hash: [u8; 32],
+}
+
+/// Makes a token and returns it, for the only time: the database keeps its hash. `name` is for people,
+/// 1 to 200 characters.
+///
+/// The token is `forelight_` and 64 hexadecimal digits: two UUIDs of version 4, 244 random bits from the operating
+/// system. At that entropy a plain fast hash cannot be inverted by guessing, so no slow password hash is needed.
+pub async fn create(store: &Store, role: Role, name: &str, now: Timestamp) -> Result<String, StoreError> {
+    let token = format!("forelight_{}{}", Uuid::new_v4().simple(), Uuid::new_v4().simple());
+    let mut write = store.write().await?;
+    sqlx::query("INSERT INTO tokens (hash, name, role, created_at) VALUES (?, ?, ?, ?)")
+        .bind(&hash(&token)[..])
+        .bind(name)
+        .bind(role.name())
+        .bind(now.micros())
+        .execute(write.connection())
+        .await?;
+    store.commit(write).await?;
+    Ok(token)
+}
+
+/// Whose token this is; `None` if it is nobody's. The lookup is by hash, so that its timing tells nothing of the token.
+pub async fn find(store: &Store, token: &str) -> Result<Option<Principal>, StoreError> {
+    let hash = hash(token);
+    let row = sqlx::query("SELECT role, name FROM tokens WHERE hash = ?")
+        .bind(&hash[..])
+        .fetch_optional(store.readers())
+        .await?;
+    row.map(|row| Ok(Principal { role: word(&row, "role")?, name: row.try_get("name")?, hash })).transpose()
+}
+
+/// How many tokens there are.
+pub async fn count(store: &Store) -> Result<u64, StoreError> {
+    let count: i64 = sqlx::query_scalar("SELECT count(*) FROM tokens").fetch_one(store.readers()).await?;
+    Ok(count.unsigned_abs())
+}
+
+fn hash(token: &str) -> [u8; 32] {
+    *blake3::hash(token.as_bytes()).as_bytes()
+}
