@@ -18,6 +18,8 @@ pub(crate) trait Keyed: Copy + PartialEq {
     fn sum(terms: [(f64, Self); 4]) -> Self;
     /// (b − a) × scale, as a tangent.
     fn slope(a: Self, b: Self, scale: f64) -> Self;
+    /// A tangent in another unit of time.
+    fn scaled(self, factor: f64) -> Self;
     /// The representation of `next` that is nearest to `previous`.
     fn aligned(_previous: Self, next: Self) -> Self {
         next
@@ -34,6 +36,9 @@ impl Keyed for f64 {
     fn slope(a: Self, b: Self, scale: f64) -> Self {
         (b - a) * scale
     }
+    fn scaled(self, factor: f64) -> Self {
+        self * factor
+    }
 }
 
 impl Keyed for DVec3 {
@@ -45,6 +50,9 @@ impl Keyed for DVec3 {
     }
     fn slope(a: Self, b: Self, scale: f64) -> Self {
         (b - a) * scale
+    }
+    fn scaled(self, factor: f64) -> Self {
+        self * factor
     }
 }
 
@@ -69,6 +77,9 @@ impl Keyed for DQuat {
     }
     fn slope(a: Self, b: Self, scale: f64) -> Self {
         DQuat::from_vec4((DVec4::from(b) - DVec4::from(a)) * scale)
+    }
+    fn scaled(self, factor: f64) -> Self {
+        self * factor
     }
     fn aligned(previous: Self, next: Self) -> Self {
         if previous.dot(next) < 0.0 { -next } else { next }
@@ -157,11 +168,6 @@ impl<T: Keyed> Curve<T> {
                 ])
             }
         }
-    }
-
-    /// Time of the last key, frames.
-    pub(crate) fn end(&self) -> f64 {
-        self.times[self.times.len() - 1]
     }
 
     /// Whether the value is the same at all times.

@@ -33,8 +33,8 @@ pub(crate) struct Assembly<'a> {
     pub(crate) textures: TextureLibrary<'a>,
     pub(crate) lights: Vec<NodeLight>,
     pub(crate) cameras: Vec<NodeCamera>,
-    /// Frame of the last key of an animation in a geometry file.
-    pub(crate) last_key: Option<f64>,
+    /// First and last key of the animations in geometry files, frames.
+    pub(crate) keys: Option<(f64, f64)>,
     pub(crate) warnings: Vec<String>,
 }
 
@@ -48,7 +48,7 @@ impl<'a> Assembly<'a> {
             textures: TextureLibrary::new(bundle),
             lights: Vec::new(),
             cameras: Vec::new(),
-            last_key: None,
+            keys: None,
             warnings: Vec::new(),
         }
     }

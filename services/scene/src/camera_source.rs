@@ -142,7 +142,7 @@ pub(crate) fn default_view(lowest: DVec3, highest: DVec3) -> LookAt {
 /// The camera of a shot.
 #[derive(Debug, Clone)]
 pub(crate) enum CameraSource {
-    LookAt(LookAt),
+    LookAt(Box<LookAt>),
     Node(NodeCamera),
 }
 

@@ -30,10 +30,17 @@ pub(crate) struct Description {
     pub(crate) environment: EnvironmentSource,
     pub(crate) lights: Vec<LightSource>,
     pub(crate) fps: f64,
-    /// Number of frames, where it is said or follows from the tracks.
-    pub(crate) frames: Option<u32>,
+    pub(crate) frames: Option<Frames>,
     /// Tracks that move objects; those of camera and lights are in these already.
     pub(crate) object_tracks: Vec<ObjectTrack>,
+}
+
+/// Number of frames of a shot.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Frames {
+    Said(u32),
+    /// Not said: up to the last key of a track.
+    Keyed(u32),
 }
 
 #[derive(Debug)]
@@ -162,7 +169,7 @@ fn check_version(file: &str, text: &[u8]) -> Result<(), SceneError> {
 }
 
 /// The path of a deserialisation error as a JSON pointer (RFC 6901).
-fn json_pointer(path: &serde_path_to_error::Path) -> String {
+pub(crate) fn json_pointer(path: &serde_path_to_error::Path) -> String {
     use serde_path_to_error::Segment;
     let mut pointer = String::new();
     for segment in path.iter() {
@@ -245,9 +252,9 @@ impl Checker<'_> {
                 let file = format!("{}: /animation/frames", self.file);
                 return Err(SceneError::Limit { file, what: "frames", found, limit });
             }
-            Some(frames) => Some(frames),
+            Some(frames) => Some(Frames::Said(frames)),
             // A saturating conversion; `Scene::load` holds the result against the limit.
-            None => last_key.map(|frame| (frame.ceil().max(0.0) as u32).saturating_add(1)),
+            None => last_key.map(|frame| Frames::Keyed((frame.ceil().max(0.0) as u32).saturating_add(1))),
         };
         let name = raw.name;
         Ok(Description { name, geometry, camera, environment, lights, fps, frames, object_tracks })

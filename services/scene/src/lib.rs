@@ -13,6 +13,7 @@ mod camera_source;
 mod description;
 mod error;
 mod frame;
+mod gltf_file;
 mod images;
 mod limits;
 mod material;

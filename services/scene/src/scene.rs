@@ -4,7 +4,7 @@ use crate::animation::Animated;
 use crate::assembly::{Assembly, NodeLight, NodeLightKind, plain_material};
 use crate::bundle::Bundle;
 use crate::camera_source::{CameraSource, default_view};
-use crate::description::{DEFAULT_FPS, Description, EnvironmentSource, LightSource};
+use crate::description::{DEFAULT_FPS, Description, EnvironmentSource, Frames, LightSource};
 use crate::error::{Place, SceneError};
 use crate::limits::Limits;
 use crate::shot::{Baked, Mesh, Node, Part, Placement, Shot};
@@ -28,6 +28,8 @@ pub struct Scene {
     file: String,
     fps: f64,
     frames: u32,
+    /// Time of frame 0 on the curves, frames.
+    start: f64,
     warnings: Vec<String>,
     digest: [u8; 32],
     camera: CameraSource,
@@ -53,7 +55,8 @@ impl Scene {
     /// Loads a bundle: a folder, a `.zip`, or one `.gltf` or `.glb` file (whose folder then is the bundle).
     ///
     /// A bundle without `scene.json` holds one glTF file, which is the scene. Where nothing says so otherwise:
-    /// - fps is 24, and the shot ends with the last key of any animation;
+    /// - fps is 24, and the shot goes from the first to the last key of all animations (exporters count from frame 1 as often
+    ///   as from 0); under a `scene.json`, frame 0 is the file's time 0, and the last key or track ends the shot;
     /// - without a camera, the view is from the front right and above onto the whole bounding box, 1280 × 720 pixels;
     /// - without any light, a glTF scene stands in a white environment of radiance 1.
     ///
@@ -112,7 +115,7 @@ impl Scene {
         self.check_number(frame)?;
         match &self.camera {
             CameraSource::LookAt(_) => self.camera_at(frame, &[]),
-            CameraSource::Node(_) => self.camera_at(frame, &self.shot.world(f64::from(frame))),
+            CameraSource::Node(_) => self.camera_at(frame, &self.shot.world(self.time(frame))),
         }
     }
 
@@ -130,7 +133,7 @@ impl Scene {
     /// As [`Scene::frame`]; and when the size is zero.
     pub fn frame_with(&self, number: u32, size: Option<(u32, u32)>) -> Result<Frame, SceneError> {
         self.check_number(number)?;
-        let time = f64::from(number);
+        let time = self.time(number);
         let world = self.shot.world(time);
         let mut camera = self.camera_at(number, &world)?;
         if let Some((width, height)) = size {
@@ -152,6 +155,10 @@ impl Scene {
         })
     }
 
+    fn time(&self, frame: u32) -> f64 {
+        self.start + f64::from(frame)
+    }
+
     fn check_number(&self, frame: u32) -> Result<(), SceneError> {
         if frame >= self.frames {
             return Err(SceneError::FrameOutside { frame, last: self.frames - 1 });
@@ -162,7 +169,7 @@ impl Scene {
     fn camera_at(&self, frame: u32, world: &[DMat4]) -> Result<Camera, SceneError> {
         match &self.camera {
             CameraSource::LookAt(look_at) => look_at
-                .at(f64::from(frame))
+                .at(self.time(frame))
                 .map_err(|reason| SceneError::pointer(&self.file, "/camera", reason)),
             CameraSource::Node(camera) => camera
                 .at(&world[camera.node])
@@ -274,7 +281,7 @@ impl Scene {
             file: DESCRIPTION.to_owned(),
             name: description.name.unwrap_or_else(|| bundle.name().to_owned()),
             described: true,
-            camera: description.camera.map(CameraSource::LookAt),
+            camera: description.camera.map(|c| CameraSource::LookAt(Box::new(c))),
             environment,
             lights: description.lights,
             emission,
@@ -289,18 +296,20 @@ impl Scene {
         for (material, radiance) in &emission {
             assembly.materials[*material].emission.factor = light_at(radiance, 0.0);
         }
-        let frames = match (frames, assembly.last_key) {
-            (Some(frames), _) if described => frames,
-            (frames, last_key) => {
-                frames.unwrap_or(1).max(last_key.map_or(1, |key| (key.round() as u32).saturating_add(1)))
-            }
+        let (first_key, last_key) = assembly.keys.unwrap_or((0.0, 0.0));
+        let start = if described { 0.0 } else { first_key };
+        let keyed = ((last_key - start).round() as u32).saturating_add(1);
+        let frames = match frames {
+            Some(Frames::Said(frames)) => frames,
+            Some(Frames::Keyed(frames)) => frames.max(keyed),
+            None => keyed,
         };
         let limit = assembly.bundle.limits().frames;
         if frames > limit {
             let (found, limit) = (u64::from(frames), u64::from(limit));
             return Err(SceneError::Limit { file, what: "frames", found, limit });
         }
-        let still_world = assembly.shot.world(0.0);
+        let still_world = assembly.shot.world(start);
         let still = assembly.shot.bake(&still_world)?;
         let moving = assembly.shot.moving();
         if assembly.shot.triangle_count() == 0
@@ -330,7 +339,7 @@ impl Scene {
             (None, None) => {
                 assembly.warn(format!("{file}: the scene has no camera; the view shows all of it"));
                 let (low, high) = bounds(&still.geometry.positions);
-                CameraSource::LookAt(default_view(low, high))
+                CameraSource::LookAt(Box::new(default_view(low, high)))
             }
         };
         let digest = assembly.bundle.digest();
@@ -340,6 +349,7 @@ impl Scene {
             file,
             fps,
             frames,
+            start,
             warnings,
             digest,
             camera,
@@ -378,7 +388,7 @@ struct Said {
     environment: Environment,
     lights: Vec<LightSource>,
     emission: Vec<(usize, Animated<DVec3>)>,
-    frames: Option<u32>,
+    frames: Option<Frames>,
 }
 
 /// A light's value; splines may swing below zero between keys, where there is no light.
@@ -422,6 +432,7 @@ fn only_geometry(bundle: &Bundle) -> Result<String, SceneError> {
 fn load_geometry(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneError> {
     match extension(path).as_str() {
         "obj" => crate::obj::load(assembly, path),
+        "gltf" | "glb" => crate::gltf_file::load(assembly, path),
         _ => Err(SceneError::file(path, "is not geometry that is understood (.obj, .gltf, .glb)")),
     }
 }

@@ -129,3 +129,141 @@ fn a_scene_has_the_same_digest_every_time() {
     let (Some(a), Some(b)) = (load("cornell-box"), load("cornell-box")) else { return };
     assert_eq!(a.digest(), b.digest());
 }
+
+#[test]
+fn the_glass_table_is_a_scene_by_itself_with_a_default_view_and_a_white_environment() {
+    let Some(scene) = load("pc-glass-table/glass-table.glb") else { return };
+    assert_eq!((scene.name(), scene.frame_count(), scene.fps()), ("glass-table", 1, 24.0));
+    let frame = scene.frame(0).unwrap();
+    check(&frame);
+    assert_eq!(frame.environment, Environment::Constant(Vec3::ONE));
+    assert!(scene.warnings().iter().any(|w| w.contains("no light")));
+    assert!(scene.warnings().iter().any(|w| w.contains("no camera")));
+    let Surface::ThinGlass { ior: 1.5, .. } = surface(&frame, "Glass") else { panic!() };
+    let glass = frame.materials.iter().find(|m| m.name == "Glass").unwrap();
+    assert_eq!((glass.opacity, glass.emits_both_sides), (0.25, true));
+    let Surface::Metal { f0, alpha } = surface(&frame, "Pillars") else { panic!() };
+    assert_eq!(f0.factor, Vec3::splat(0.8));
+    assert!((alpha - 0.220_596_28_f32.powi(2)).abs() < 1e-7);
+    assert!(matches!(surface(&frame, "Legs"), Surface::Plastic { .. }));
+    // The whole table is in view.
+    for &position in &frame.geometry.positions {
+        let d = position - frame.camera.origin;
+        let depth = d.dot(frame.camera.forward);
+        assert!(depth > 0.0 && d.dot(frame.camera.up).abs() <= depth * frame.camera.tan_half_y);
+    }
+}
+
+#[test]
+fn in_the_animated_veach_scene_the_door_the_pot_and_the_camera_move() {
+    let Some(scene) = load("veach-ajar-animated/veach-ajar-animated.glb") else { return };
+    assert_eq!((scene.frame_count(), scene.fps()), (97, 24.0));
+    // The door and the pot come back to where they were, so the middle of the shot is what differs.
+    let (first, last) = (scene.frame(0).unwrap(), scene.frame(48).unwrap());
+    check(&first);
+    check(&last);
+    assert_eq!(last.camera.origin, Vec3::new(2.2, 1.5, -1.6));
+    assert_eq!(first.geometry.strata, last.geometry.strata);
+    assert_ne!(first.camera.origin, last.camera.origin);
+    assert!((first.camera.tan_half_y - (0.628_028_8_f32 / 2.0).tan()).abs() < 1e-6);
+    assert_eq!((first.camera.width, first.camera.height), (1280, 720));
+    // The still bundle has the same camera: 60 degrees along x.
+    assert!((first.camera.tan_half_x - 30f32.to_radians().tan()).abs() < 1e-4);
+    let moved = |name: &str| {
+        let object = scene.strata().objects.iter().position(|o| o == name).unwrap() as u32;
+        let t =
+            (0..first.geometry.triangles.len() as u32).find(|&t| first.geometry.object(t) == object).unwrap();
+        first.geometry.corners(t) != last.geometry.corners(t)
+    };
+    assert!(moved("Mesh006") && moved("Mesh015"), "the door");
+    assert!(moved("Mesh000") && moved("Mesh009.002"), "the pot");
+    assert!(!moved("rectangle0") && !moved("Mesh014"), "the rest");
+    // A second look at the same frame shares its geometry.
+    assert!(Arc::ptr_eq(&last.geometry, &scene.frame(48).unwrap().geometry));
+    // The door turned about its hinge by the rotation of key 48.
+    let (pivot, turn) =
+        (Vec3::new(-2.8, 0.0, -4.67), glam::Quat::from_xyzw(0.0, 0.043_619_402, 0.0, 0.999_048_23));
+    let expected = pivot + turn * (corner(&scene, "Mesh006", 0) - pivot);
+    assert!((corner(&scene, "Mesh006", 48) - expected).length() < 1e-5);
+    let light = first.materials.iter().find(|m| m.is_emissive()).unwrap();
+    assert_eq!(light.emission.factor, Vec3::splat(1000.0));
+    assert!(matches!(surface(&first, "DiffuseBSDF"), Surface::Lambert { .. }));
+    assert!(matches!(surface(&first, "Pot2BSDF"), Surface::Metal { .. }));
+    assert!(matches!(surface(&first, "MaterialBSDF"), Surface::ThinGlass { .. }));
+    assert_eq!(first.textures.len(), 3);
+    assert!(first.points.is_empty() && first.suns.is_empty());
+}
+
+#[test]
+fn the_animated_veach_scene_at_frame_zero_is_the_still_one() {
+    let (Some(still), Some(animated)) =
+        (load("veach-ajar"), load("veach-ajar-animated/veach-ajar-animated.glb"))
+    else {
+        return;
+    };
+    let (still, animated) = (still.frame(0).unwrap(), animated.frame(0).unwrap());
+    let bounds = |f: &Frame| {
+        let fold = |start, op: fn(Vec3, Vec3) -> Vec3| f.geometry.positions.iter().copied().fold(start, op);
+        (fold(Vec3::INFINITY, Vec3::min), fold(Vec3::NEG_INFINITY, Vec3::max))
+    };
+    let (a, b) = (bounds(&still), bounds(&animated));
+    assert!((a.0 - b.0).abs().max_element() < 1e-3 && (a.1 - b.1).abs().max_element() < 1e-3, "{a:?} {b:?}");
+    assert!((still.camera.forward - animated.camera.forward).length() < 1e-3);
+    assert!((still.camera.up - animated.camera.up).length() < 1e-3);
+    let same = still.geometry.triangles.len().abs_diff(animated.geometry.triangles.len());
+    assert!(same * 100 < still.geometry.triangles.len());
+}
+
+#[test]
+fn every_gltf_animation_test_loads_in_every_frame() {
+    for name in [
+        "02_node_hierarchy",
+        "03_all_animations",
+        "03_animated_cube",
+        "06_parent-inverse-anim",
+        "15_transmission",
+    ] {
+        let Some(scene) = load(&format!("gltf-anim-tests/{name}.gltf")) else { return };
+        for frame in 0..scene.frame_count() {
+            check(&scene.frame(frame).unwrap());
+        }
+        println!("{name}: {} frames, {:?}", scene.frame_count(), scene.warnings());
+    }
+}
+
+/// Where vertex 0 of an object is in a frame.
+fn corner(scene: &Scene, object: &str, frame: u32) -> Vec3 {
+    let id = scene.strata().objects.iter().position(|o| o == object).unwrap() as u32;
+    let g = scene.frame(frame).unwrap().geometry;
+    let t = (0..g.triangles.len() as u32).find(|&t| g.object(t) == id).unwrap();
+    g.corners(t)[0]
+}
+
+#[test]
+fn the_animated_cube_turns_half_a_turn_a_second_about_y() {
+    let Some(scene) = load("gltf-anim-tests/03_animated_cube.gltf") else { return };
+    assert_eq!(scene.frame_count(), 49);
+    let from = corner(&scene, "Cube", 0);
+    for frame in 0..49u8 {
+        let turned = glam::Quat::from_rotation_y(std::f32::consts::PI * f32::from(frame) / 24.0) * from;
+        let at = corner(&scene, "Cube", frame.into());
+        // The third key is the first rotation again, so the shortest way back may go either way round.
+        let mirrored = glam::Quat::from_rotation_y(-std::f32::consts::PI * f32::from(frame) / 24.0) * from;
+        assert!((at - turned).length() < 1e-4 || (at - mirrored).length() < 1e-4, "frame {frame}: {at}");
+    }
+}
+
+#[test]
+fn cubic_keys_of_a_gltf_file_pass_their_values_and_ease_in_between() {
+    let Some(scene) = load("gltf-anim-tests/06_parent-inverse-anim.gltf") else { return };
+    assert_eq!(scene.frame_count(), 10);
+    // ChildLocation: two cubic keys at frames 0 and 9 with zero tangents, under a parent that stands still.
+    let at = |frame| corner(&scene, "ChildLocation", frame);
+    let (first, last) = (at(0), at(9));
+    for frame in 0..10u8 {
+        let s = f32::from(frame) / 9.0;
+        let eased = first + (last - first) * (3.0 * s * s - 2.0 * s * s * s);
+        assert!((at(frame.into()) - eased).length() < 1e-5, "frame {frame}");
+    }
+    assert!((last - first).length() > 0.5);
+}

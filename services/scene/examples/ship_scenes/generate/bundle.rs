@@ -171,14 +171,18 @@ struct SceneFile<'a> {
 }
 
 impl Scene {
-    /// Adds an object of one material.
+    /// Adds a part to the object of this name; the first part makes the object.
     pub fn add(&mut self, name: impl Into<String>, material: &'static str, mesh: Mesh) {
         self.add_parts(name, vec![(material, mesh)]);
     }
 
-    /// Adds an object of several materials.
+    /// Adds several parts to the object of this name.
     pub fn add_parts(&mut self, name: impl Into<String>, parts: Vec<(&'static str, Mesh)>) {
-        self.objects.push(Object { name: name.into(), parts });
+        let name = name.into();
+        match self.objects.iter_mut().find(|object| object.name == name) {
+            Some(object) => object.parts.extend(parts),
+            None => self.objects.push(Object { name, parts }),
+        }
     }
 
     /// Number of triangles in the bundle.
@@ -228,7 +232,7 @@ impl Scene {
             let _ = writeln!(text, "o {}", object.name);
             for (material, mesh) in &object.parts {
                 let surface = self.materials.iter().find(|(name, _)| name == material);
-                let (_, surface) = surface.unwrap_or_else(|| panic!("no material {material}"));
+                let (_, surface) = surface.expect("a scene defines the materials of its parts");
                 let textured = matches!(
                     surface,
                     Surface::Matte(Base::Texture(_)) | Surface::Plastic(Base::Texture(_), _)

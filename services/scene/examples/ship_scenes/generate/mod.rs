@@ -5,7 +5,7 @@
 //! indices, and every coordinate is rounded when it is written.
 
 pub mod bundle;
-//pub mod corridor;
+pub mod corridor;
 pub mod kitchen;
 pub mod mesh;
 pub mod paint;
@@ -13,5 +13,5 @@ pub mod shapes;
 
 /// Every scene that ships with the project.
 pub fn scenes() -> Vec<bundle::Scene> {
-    vec![kitchen::scene()]
+    vec![kitchen::scene(), corridor::scene()]
 }

@@ -64,7 +64,7 @@ fn oven(scene: &mut Scene) {
 }
 
 fn hob(scene: &mut Scene) {
-    let plate = rounded_cuboid([-1.49, WORKTOP - 0.004, -1.74], [-0.91, WORKTOP + 0.008, -1.22], 0.004, 2);
+    let plate = rounded_cuboid([-1.49, WORKTOP - 0.004, -1.74], [-0.91, WORKTOP + 0.008, -1.22], 0.004, 1);
     scene.add("hob", "polished_steel", plate);
     let places = [(-1.34, -1.6), (-1.06, -1.6), (-1.34, -1.36), (-1.06, -1.36)];
     let burner = turned_body(
@@ -77,7 +77,7 @@ fn hob(scene: &mut Scene) {
             (0.034, 0.018),
             (0.0, 0.018),
         ],
-        16,
+        12,
     );
     let burners = places.map(|(x, z)| burner.clone().at(x, WORKTOP + 0.008, z));
     scene.add("burners", "black_plastic", Mesh::join(burners));
@@ -140,10 +140,10 @@ fn fridge(scene: &mut Scene) {
         ];
         tube(&rounded_path(&path, 0.025, 4), 0.011, 8)
     };
-    scene.add("fridge_handles", "chrome", handle(0.82, 0.4).with(handle(0.42, 0.17)));
+    scene.add("fridge", "chrome", handle(0.82, 0.4).with(handle(0.42, 0.17)));
     let feet = [(1.72, -1.7), (2.27, -1.7), (1.72, -1.2), (2.27, -1.2)]
         .map(|(x, z)| cylinder(0.025, 0.06, 0.003, 12).at(x, -0.002, z));
-    scene.add("fridge_feet", "black_plastic", Mesh::join(feet));
+    scene.add("fridge", "black_plastic", Mesh::join(feet));
 }
 
 /// An open pot on the plane y = 0: flat bottom, straight sides, a rolled rim.
@@ -164,7 +164,7 @@ fn pot(radius: f64, height: f64, wall: f64) -> Mesh {
             (inner - 0.012, wall),
             (0.0, wall),
         ],
-        32,
+        28,
     )
 }
 
@@ -181,7 +181,7 @@ fn lid(radius: f64) -> (Mesh, Mesh) {
             (radius * 0.2, 0.034),
             (0.0, 0.035),
         ],
-        32,
+        28,
     );
     let knob = turned_body(
         &[(0.0, 0.03), (0.009, 0.03), (0.007, 0.045), (0.018, 0.054), (0.016, 0.062), (0.0, 0.065)],
@@ -217,7 +217,7 @@ fn pots(scene: &mut Scene) {
         ],
     );
     scene.add_parts(
-        "stock_pot_lid",
+        "stock_pot",
         vec![
             ("polished_steel", stock(dome.at(0.0, 0.167, 0.0))),
             ("black_plastic", stock(knob.at(0.0, 0.167, 0.0))),
@@ -239,7 +239,7 @@ fn pots(scene: &mut Scene) {
             (0.094, 0.005),
             (0.0, 0.004),
         ],
-        32,
+        28,
     );
     let handle = tube(&[dvec3(0.0, 0.033, 0.11), dvec3(0.0, 0.055, 0.18), dvec3(0.0, 0.062, 0.3)], 0.01, 10);
     scene.add_parts("frying_pan", vec![("cast_iron", frying(bowl)), ("black_plastic", frying(handle))]);
@@ -261,7 +261,7 @@ fn kettle(scene: &mut Scene) {
             (0.02, 0.219),
             (0.0, 0.22),
         ],
-        32,
+        28,
     );
     let spout = tube(
         &[
@@ -283,7 +283,7 @@ fn kettle(scene: &mut Scene) {
     ];
     let handle = tube(&rounded_path(&path, 0.03, 4), 0.011, 8);
     let knob = cylinder(0.013, 0.018, 0.004, 16).at(0.0, 0.218, 0.0);
-    scene.add("kettle_fittings", "black_plastic", place(Mesh::join([base, handle, knob])));
+    scene.add("kettle", "black_plastic", place(Mesh::join([base, handle, knob])));
 }
 
 fn toaster(scene: &mut Scene) {
@@ -297,11 +297,7 @@ fn toaster(scene: &mut Scene) {
         .map(|z| rounded_cuboid([-0.11, 0.18, z - 0.014], [0.11, 0.1915, z + 0.014], 0.001, 1));
     let feet = [-0.11, 0.11].map(|x| cuboid([x - 0.02, 0.0, -0.06], [x + 0.02, 0.02, 0.06]));
     let lever = rounded_cuboid([0.14, 0.11, -0.02], [0.172, 0.125, 0.02], 0.004, 1);
-    scene.add(
-        "toaster_fittings",
-        "black_plastic",
-        place(Mesh::join(slots.into_iter().chain(feet).chain([lever]))),
-    );
+    scene.add("toaster", "black_plastic", place(Mesh::join(slots.into_iter().chain(feet).chain([lever]))));
     let slice = |z: f64| rounded_cuboid([-0.07, 0.16, z - 0.007], [0.07, 0.225, z + 0.007], 0.006, 1);
     scene.add("toast", "bread", place(slice(-0.035).with(slice(0.035))).textured(0.2, Axis::X));
 }

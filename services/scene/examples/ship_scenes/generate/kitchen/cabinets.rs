@@ -42,7 +42,7 @@ fn bar_handle(length: f64) -> Mesh {
         dvec3(half, 0.0, 0.032),
         dvec3(half, 0.0, -0.004),
     ];
-    tube(&rounded_path(&path, 0.014, 3), 0.0055, 6)
+    tube(&rounded_path(&path, 0.014, 2), 0.0055, 6)
 }
 
 /// A round knob that stands off a front at z = 0.
@@ -201,7 +201,7 @@ fn shelves(scene: &mut Scene) {
             dvec3(-2.2, 1.508, z),
             dvec3(-2.2, 1.525, z),
         ];
-        tube(&rounded_path(&path, 0.008, 3), 0.007, 8)
+        tube(&rounded_path(&path, 0.008, 2), 0.007, 6)
     };
     scene.add("shelf_brackets", "brass", Mesh::join([-1.05, -0.45, 0.15].map(bracket)));
     // A rail with kitchen tools, under the clock.
@@ -217,7 +217,7 @@ fn shelves(scene: &mut Scene) {
             dvec3(x, 1.39, -1.735),
             dvec3(x, 1.14, -1.735),
         ];
-        tube(&rounded_path(&path, 0.006, 3), 0.0045, 8)
+        tube(&rounded_path(&path, 0.006, 2), 0.0045, 6)
     };
     let ladle_bowl = turned_body(
         &[
@@ -239,6 +239,6 @@ fn shelves(scene: &mut Scene) {
     );
     let blade = rounded_cuboid([-0.04, -0.1, -0.0015], [0.04, 0.0, 0.0015], 0.0015, 1);
     scene.add("spatula", "polished_steel", shaft(-0.69).with(blade.at(-0.69, 1.145, -1.735)));
-    let spoon = sphere(0.04, 20).stretched(0.8, 1.2, 0.18);
+    let spoon = sphere(0.04, 14).stretched(0.8, 1.2, 0.18);
     scene.add("spoon", "pale_wood", shaft(-0.58).with(spoon.at(-0.58, 1.1, -1.735)));
 }

@@ -43,15 +43,15 @@ pub fn bowl(radius: f64, depth: f64) -> Mesh {
     };
     let wall = 0.0045;
     let mut profile = vec![(0.0, 0.0), (radius * 0.4, 0.0)];
-    profile.extend((0..=5).map(|i| outside(f64::from(i) / 5.0)));
+    profile.extend((0..=4).map(|i| outside(f64::from(i) / 4.0)));
     let (rim_radius, rim_height) = outside(1.0);
     profile.push((rim_radius - wall * 0.5, rim_height + 0.0015));
-    profile.extend((0..=5).rev().map(|i| {
-        let (r, y) = outside(f64::from(i) / 5.0);
-        (r - wall, y.max(0.004) + if i < 5 { wall * 0.6 } else { 0.0 })
+    profile.extend((0..=4).rev().map(|i| {
+        let (r, y) = outside(f64::from(i) / 4.0);
+        (r - wall, y.max(0.004) + if i < 4 { wall * 0.6 } else { 0.0 })
     }));
     profile.push((0.0, 0.0065));
-    turned_body(&profile, 28)
+    turned_body(&profile, 24)
 }
 
 /// A cup of the given radius and height on y = 0, with an ear on the +x side.
@@ -69,7 +69,7 @@ pub fn cup(radius: f64, height: f64) -> Mesh {
             (radius * 0.85, 0.008),
             (0.0, 0.006),
         ],
-        24,
+        20,
     );
     let r = radius - 0.002;
     let path = [
@@ -98,7 +98,7 @@ pub fn tumbler(radius: f64, height: f64) -> Mesh {
             (radius * 0.8 - wall, 0.008),
             (0.0, 0.008),
         ],
-        24,
+        20,
     )
 }
 
@@ -124,7 +124,7 @@ pub fn jar(radius: f64, height: f64) -> Mesh {
             (radius - wall - 0.006, 0.005),
             (0.0, 0.005),
         ],
-        24,
+        20,
     )
 }
 
@@ -141,7 +141,7 @@ fn filling(radius: f64, level: f64) -> Mesh {
             (inner - 0.006, level),
             (0.0, level + 0.004),
         ],
-        20,
+        18,
     )
 }
 
@@ -175,7 +175,7 @@ pub fn bottle(radius: f64, height: f64) -> Mesh {
     profile.extend(outer);
     profile.extend(inner);
     profile.push((0.0, 0.005));
-    turned_body(&profile, 24)
+    turned_body(&profile, 20)
 }
 
 /// A book on y = 0, standing, its spine towards +z: cover and pages.
@@ -185,7 +185,7 @@ fn book(thickness: f64, height: f64, depth: f64) -> (Mesh, Mesh) {
     let cover = Mesh::join([
         cuboid([-half, 0.0, -depth], [-half + board, height, -0.001]),
         cuboid([half - board, 0.0, -depth], [half, height, -0.001]),
-        rounded_cuboid([-half + 0.0002, 0.0003, -0.006], [half - 0.0002, height - 0.0003, 0.0], 0.0012, 1),
+        cuboid([-half + 0.0002, 0.0003, -0.006], [half - 0.0002, height - 0.0003, 0.0]),
     ]);
     let pages = cuboid(
         [-half + board - 0.0005, 0.004, -depth + 0.005],
@@ -216,7 +216,7 @@ fn plant(leaves: usize, reach: f64, height: f64) -> Mesh {
         let turn = 137.508 * i as f64;
         let rank = (i as f64 + 0.5) / leaves as f64;
         let (tip_out, tip_up) = (reach * (1.0 - 0.75 * rank), height * (0.55 + 0.45 * rank));
-        surface(2, 5, move |u, v| {
+        surface(2, 4, move |u, v| {
             let (bulge, _) = sine_cosine(180.0 * (0.06 + 0.9 * v));
             let width = reach * 0.28 * bulge * (u - 0.5);
             let lift = tip_up * (2.0 * v - v * v) - 0.25 * height * v * v * (1.0 - rank);
@@ -266,39 +266,36 @@ fn shelf(scene: &mut Scene) {
     ];
     row_of_books(scene, &books, |mesh| mesh.turned(Axis::Y, 90.0).at(-2.2, top, -0.4));
     let stack = |i: f64| bowl(0.08 - 0.003 * i, 0.05).at(-2.29, top + 0.017 * i, -0.2);
-    scene.add_parts(
-        "shelf_bowls",
-        vec![("stoneware", stack(0.0).with(stack(2.0))), ("yellow_porcelain", stack(1.0))],
-    );
+    scene.add_parts("shelf_bowls", vec![("stoneware", stack(0.0)), ("yellow_porcelain", stack(1.0))]);
     let (pot, soil) = flower_pot(0.065, 0.11);
     let place = |mesh: Mesh| mesh.at(-2.285, top, 0.0);
     scene.add_parts("shelf_pot", vec![("terracotta", place(pot)), ("soil", place(soil))]);
-    scene.add("shelf_plant", "leaf", place(plant(26, 0.19, 0.2).at(0.0, 0.09, 0.0)));
+    scene.add("shelf_pot", "leaf", place(plant(26, 0.19, 0.2).at(0.0, 0.09, 0.0)));
 }
 
-/// A jar with contents and a wooden lid, as three objects.
+/// A jar with contents and a wooden lid, as one object.
 fn store(scene: &mut Scene, name: &str, contents: &'static str, (radius, height): (f64, f64), place: DVec3) {
     let put = |mesh: Mesh| mesh.at(place.x, place.y, place.z);
     scene.add(format!("jar_{name}"), "clear_glass", put(jar(radius, height)));
-    scene.add(format!("jar_{name}_contents"), contents, put(filling(radius, height * 0.68)));
+    scene.add(format!("jar_{name}"), contents, put(filling(radius, height * 0.68)));
     let lid = cylinder(radius * 0.95, 0.022, 0.004, 28).at(0.0, height + CLEARANCE, 0.0);
-    scene.add(format!("jar_{name}_lid"), "walnut", put(lid).textured(0.3, Axis::X));
+    scene.add(format!("jar_{name}"), "walnut", put(lid).textured(0.3, Axis::X));
 }
 
 fn left_worktop(scene: &mut Scene) {
     let top = WORKTOP + CLEARANCE;
-    let board = rounded_cuboid([-0.13, 0.0, -0.2], [0.13, 0.022, 0.2], 0.006, 2)
+    let board = rounded_cuboid([-0.13, 0.0, -0.2], [0.13, 0.022, 0.2], 0.006, 1)
         .turned(Axis::Y, 12.0)
         .at(-1.98, top, 0.3);
     scene.add("bread_board", "walnut", board.textured(0.5, Axis::Z));
     let loaf = surface_of_loaf().turned(Axis::Y, 8.0).at(-2.0, top + 0.023, 0.28);
     scene.add("loaf", "bread", loaf.textured(0.2, Axis::Z));
     let blade = rounded_cuboid([-0.016, 0.0, -0.2], [0.016, 0.002, 0.0], 0.001, 1);
-    let grip = rounded_cuboid([-0.012, -0.004, 0.0], [0.012, 0.014, 0.11], 0.005, 2);
+    let grip = rounded_cuboid([-0.012, -0.004, 0.0], [0.012, 0.014, 0.11], 0.005, 1);
     let place = |mesh: Mesh| mesh.turned(Axis::Y, 20.0).at(-1.9, top + 0.028, 0.35);
     scene.add_parts("bread_knife", vec![("polished_steel", place(blade)), ("black_plastic", place(grip))]);
     // In the corner: a tray that leans on the tiles, and a big jar before it.
-    let tray = rounded_cuboid([-0.17, 0.0, -0.008], [0.17, 0.42, 0.008], 0.006, 2);
+    let tray = rounded_cuboid([-0.17, 0.0, -0.008], [0.17, 0.42, 0.008], 0.006, 1);
     scene.add(
         "chopping_board",
         "walnut",
@@ -310,7 +307,7 @@ fn left_worktop(scene: &mut Scene) {
 
 /// A loaf: a round-backed body on y = 0.
 fn surface_of_loaf() -> Mesh {
-    sphere(1.0, 24).stretched(0.068, 0.062, 0.145).at(0.0, 0.05, 0.0)
+    sphere(1.0, 20).stretched(0.068, 0.062, 0.145).at(0.0, 0.05, 0.0)
 }
 
 fn beside_the_hob(scene: &mut Scene) {
@@ -327,7 +324,7 @@ fn beside_the_hob(scene: &mut Scene) {
             (0.053, 0.01),
             (0.0, 0.008),
         ],
-        32,
+        24,
     );
     let (x, z) = (-0.76, -1.62);
     scene.add("crock", "stoneware", crock.at(x, top, z));
@@ -342,9 +339,9 @@ fn beside_the_hob(scene: &mut Scene) {
         Mesh::join([tool(8.0, 20.0, 1.0), tool(11.0, 150.0, 0.7), tool(9.0, 260.0, 1.1)]),
     );
     scene.add("oil_bottle", "amber_glass", bottle(0.034, 0.27).at(-0.6, top, -1.66));
-    scene.add("oil_cork", "pale_wood", cylinder(0.0085, 0.03, 0.002, 16).at(-0.6, top + 0.252, -1.66));
+    scene.add("oil_bottle", "pale_wood", cylinder(0.0085, 0.03, 0.002, 16).at(-0.6, top + 0.252, -1.66));
     scene.add("vinegar_bottle", "green_glass", bottle(0.03, 0.23).at(-0.5, top, -1.62));
-    scene.add("vinegar_cork", "pale_wood", cylinder(0.0072, 0.03, 0.002, 16).at(-0.5, top + 0.212, -1.62));
+    scene.add("vinegar_bottle", "pale_wood", cylinder(0.0072, 0.03, 0.002, 16).at(-0.5, top + 0.212, -1.62));
     let mill = turned_body(
         &[
             (0.0, 0.0),
@@ -359,12 +356,12 @@ fn beside_the_hob(scene: &mut Scene) {
             (0.008, 0.154),
             (0.0, 0.156),
         ],
-        24,
+        20,
     );
     scene.add("pepper_mill", "walnut", mill.at(-0.66, top, -1.5).textured(0.3, Axis::Y));
     let cellar = turned_body(
         &[(0.0, 0.0), (0.024, 0.0), (0.027, 0.004), (0.02, 0.06), (0.013, 0.072), (0.0, 0.076)],
-        24,
+        20,
     );
     scene.add("salt_cellar", "white_porcelain", cellar.at(-0.585, top, -1.47));
 }
@@ -387,9 +384,9 @@ fn right_worktop(scene: &mut Scene) {
         ],
         24,
     );
-    scene.add("press_glass", "clear_glass", beaker.at(x, top, z));
+    scene.add("coffee_press", "clear_glass", beaker.at(x, top, z));
     let drink = cylinder(0.0442, 0.075, 0.003, 28).at(0.0, 0.0168, 0.0);
-    scene.add("press_coffee", "coffee", drink.at(x, top, z));
+    scene.add("coffee_press", "coffee", drink.at(x, top, z));
     let band = |y: f64| ring(0.0515, 0.0022, 24, 6).at(0.0, y, 0.0);
     let post = |turn: f64| {
         let path = [dvec3(0.0535, 0.0, 0.0), dvec3(0.0535, 0.09, 0.0), dvec3(0.0535, 0.165, 0.0)];
@@ -416,24 +413,24 @@ fn right_worktop(scene: &mut Scene) {
         [dvec3(0.05, 0.16, 0.0), dvec3(0.095, 0.16, 0.0), dvec3(0.095, 0.05, 0.0), dvec3(0.05, 0.05, 0.0)];
     let grip = tube(&rounded_path(&path, 0.02, 3), 0.007, 6);
     let face = |mesh: Mesh| mesh.turned(Axis::Y, -40.0).at(x, top, z);
-    scene.add_parts("press_frame", vec![("chrome", face(metal)), ("black_plastic", face(grip))]);
+    scene.add_parts("coffee_press", vec![("chrome", face(metal)), ("black_plastic", face(grip))]);
     // A knife block.
     let block = |mesh: Mesh| mesh.turned(Axis::X, -20.0).turned(Axis::Y, -25.0).at(1.2, top + 0.025, -1.62);
-    let wood = rounded_cuboid([-0.05, -0.01, -0.06], [0.05, 0.19, 0.05], 0.006, 2);
+    let wood = rounded_cuboid([-0.05, -0.01, -0.06], [0.05, 0.19, 0.05], 0.006, 1);
     scene.add("knife_block", "oak", block(wood).textured(0.5, Axis::Y));
     let grip = |x: f64, z: f64| {
         rounded_cuboid([x - 0.009, 0.185, z - 0.012], [x + 0.009, 0.275, z + 0.012], 0.005, 1)
     };
     let grips =
         [grip(-0.028, -0.03), grip(0.0, -0.03), grip(0.028, -0.03), grip(-0.018, 0.015), grip(0.018, 0.015)];
-    scene.add("knives", "black_plastic", block(Mesh::join(grips)));
+    scene.add("knife_block", "black_plastic", block(Mesh::join(grips)));
     // Two mugs, and a stack of plates.
     scene.add("mug_blue", "blue_porcelain", cup(0.04, 0.092).turned(Axis::Y, 30.0).at(0.98, top, -1.42));
     scene.add("mug_yellow", "yellow_porcelain", cup(0.04, 0.092).turned(Axis::Y, -70.0).at(1.08, top, -1.34));
-    let plates = (0..4).map(|i| plate(0.13).at(0.72, top + 0.0075 * f64::from(i), -1.53));
+    let plates = (0..3).map(|i| plate(0.13).at(0.72, top + 0.0075 * f64::from(i), -1.53));
     scene.add("plates", "white_porcelain", Mesh::join(plates));
     scene.add("soap_bottle", "green_porcelain", soap_bottle().at(0.56, top, -1.7));
-    let sponge = rounded_cuboid([-0.045, 0.0, -0.03], [0.045, 0.03, 0.03], 0.006, 2).turned(Axis::Y, 15.0);
+    let sponge = rounded_cuboid([-0.045, 0.0, -0.03], [0.045, 0.03, 0.03], 0.006, 1).turned(Axis::Y, 15.0);
     scene.add("sponge", "lemon_peel", sponge.at(-0.24, top, -1.62));
 }
 
@@ -474,7 +471,7 @@ fn glass_cupboard(scene: &mut Scene) {
 }
 
 fn teapot() -> Mesh {
-    let body = sphere(0.065, 24).stretched(1.0, 0.85, 1.0).at(0.0, 0.055, 0.0);
+    let body = sphere(0.065, 20).stretched(1.0, 0.85, 1.0).at(0.0, 0.055, 0.0);
     let lid = turned_body(
         &[(0.0, 0.1), (0.04, 0.1), (0.034, 0.112), (0.006, 0.12), (0.011, 0.13), (0.0, 0.137)],
         20,
@@ -497,7 +494,7 @@ fn sill(scene: &mut Scene) {
         let place = |mesh: Mesh| mesh.at(x, top, -1.795);
         scene.add_parts(format!("herb_pot_{i}"), vec![("terracotta", place(pot)), ("soil", place(soil))]);
         let herb = plant(22, size * 1.7, size * 2.6).at(0.0, size * 1.3, 0.0);
-        scene.add(format!("herb_{i}"), "leaf", place(herb));
+        scene.add(format!("herb_pot_{i}"), "leaf", place(herb));
     }
     scene.add("sill_bottle", "green_glass", bottle(0.03, 0.2).at(0.44, top, -1.8));
 }

@@ -22,9 +22,9 @@ const CLEARANCE: f64 = 0.001;
 const FRAMES: u32 = 48;
 
 /// Eye points and targets at the keys of the camera move.
-const EYE: [(u32, [f64; 3]); 3] = [(0, [1.3, 1.66, 2.95]), (24, [0.95, 1.57, 2.6]), (47, [0.42, 1.5, 2.3])];
+const EYE: [(u32, [f64; 3]); 3] = [(0, [1.45, 1.68, 2.95]), (24, [0.95, 1.6, 2.75]), (47, [0.35, 1.5, 2.5])];
 const TARGET: [(u32, [f64; 3]); 3] =
-    [(0, [-0.2, 1.02, -1.2]), (24, [-0.3, 1.0, -1.2]), (47, [-0.5, 1.0, -1.2])];
+    [(0, [-0.2, 0.98, -1.2]), (24, [-0.12, 0.97, -1.2]), (47, [0.0, 0.95, -1.2])];
 
 /// The whole scene.
 pub fn scene() -> Scene {
@@ -46,7 +46,7 @@ pub fn scene() -> Scene {
                 corner: [-0.55, 2.53, 0.15],
                 edge_u: [1.3, 0.0, 0.0],
                 edge_v: [0.0, 0.0, 0.8],
-                radiance: [24.0, 21.5, 18.0],
+                radiance: [33.0, 30.5, 26.5],
             },
             // The strip under the glass cupboard.
             Light::Quad {
@@ -76,7 +76,7 @@ pub fn scene() -> Scene {
 fn materials() -> Vec<(&'static str, Surface)> {
     vec![
         // The room.
-        ("wall_paint", Matte(Colour([0.76, 0.73, 0.66]))),
+        ("wall_paint", Matte(Colour([0.8, 0.78, 0.72]))),
         ("ceiling_paint", Matte(Colour([0.82, 0.82, 0.8]))),
         ("white_paint", Plastic(Colour([0.78, 0.77, 0.74]), 0.4)),
         ("floor_tiles", Plastic(Texture("floor"), 0.32)),
@@ -162,7 +162,7 @@ fn textures() -> Vec<(&'static str, image::RgbImage)> {
     vec![
         ("floor", paint::tiles(256, floor, [0.55, 0.53, 0.5], tile)),
         ("wall_tiles", paint::tiles(256, wall, [0.68, 0.67, 0.64], glaze)),
-        ("leaves", paint::leaves(128, [0.42, 0.58, 0.24], [0.1, 0.22, 0.07], 4)),
+        ("leaves", paint::leaves(128, [0.4, 0.52, 0.3], [0.1, 0.19, 0.1], 4)),
         (
             "stripes",
             paint::picture(64, 64, |u, _| {

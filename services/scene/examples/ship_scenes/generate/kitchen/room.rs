@@ -35,9 +35,9 @@ fn shell(scene: &mut Scene) {
     // Tiles above the worktops; their backs lie inside the wall.
     let (back_face, front_face, low) = (-1.805, -1.791, 0.88);
     let splash = [
-        cuboid([-2.41, low, back_face], [-0.531, 1.5, front_face]),
+        cuboid([-2.41, low, back_face], [-0.531, 1.51, front_face]),
         cuboid([-0.53, low, back_face], [0.93, 1.06, front_face]),
-        cuboid([0.931, low, back_face], [1.64, 1.5, front_face]),
+        cuboid([0.931, low, back_face], [1.64, 1.51, front_face]),
     ];
     scene.add("tiles_back", "wall_tiles", Mesh::join(splash).textured(0.62, Axis::X));
     let splash = cuboid([-2.405, low, -1.79], [-2.391, 1.35, 0.57]);
@@ -59,7 +59,7 @@ fn window(scene: &mut Scene) {
         let pane = quad(dvec3(x, 1.15, -1.905), dvec3(0.575, 0.0, 0.0), dvec3(0.0, 0.9, 0.0));
         scene.add(name, "window_glass", pane);
     }
-    let sill = rounded_cuboid([-0.5, 1.072, -1.88], [0.9, 1.104, -1.73], 0.006, 2);
+    let sill = rounded_cuboid([-0.5, 1.072, -1.88], [0.9, 1.104, -1.73], 0.006, 1);
     scene.add("window_sill", "white_paint", sill);
     let catch = tube(
         &rounded_path(&[dvec3(0.2, 1.5, -1.89), dvec3(0.2, 1.5, -1.85), dvec3(0.2, 1.4, -1.85)], 0.02, 4),
@@ -105,24 +105,24 @@ fn on_the_walls(scene: &mut Scene) {
             (0.138, 0.012),
             (0.0, 0.012),
         ],
-        48,
+        40,
     );
-    scene.add("clock_case", "copper", case.turned(Axis::X, 90.0).at(x, y, z));
-    scene.add("clock_face", "clock_face", disc(0.136, 48).at(x, y, z + 0.014));
+    scene.add("clock", "copper", case.turned(Axis::X, 90.0).at(x, y, z));
+    scene.add("clock", "clock_face", disc(0.136, 48).at(x, y, z + 0.014));
     let hand = |length: f64, width: f64, height: f64, degrees: f64| {
         cuboid([-width, -0.02, height], [width, length, height + 0.002]).turned(Axis::Z, -degrees)
     };
     let hands = hand(0.068, 0.005, 0.017, 305.0).with(hand(0.1, 0.0035, 0.021, 48.0));
-    scene.add("clock_hands", "black_plastic", hands.at(x, y, z));
+    scene.add("clock", "black_plastic", hands.at(x, y, z));
 
     // The painting, on the left wall.
     let border = frame([-0.33, -0.255], [0.33, 0.255], [-0.285, -0.21], [0.285, 0.21], 0.035);
     let canvas = quad(dvec3(-0.29, -0.215, -0.012), dvec3(0.58, 0.0, 0.0), dvec3(0.0, 0.43, 0.0));
     let hang = |mesh: Mesh| mesh.turned(Axis::Y, 90.0).at(-2.37, 2.02, -0.62);
-    scene.add("painting_frame", "walnut", hang(border).textured(0.5, Axis::X));
+    scene.add("painting", "walnut", hang(border).textured(0.5, Axis::X));
     scene.add("painting", "painting", hang(canvas));
 
-    // A socket above the left worktop, a switch beside the fridge.
-    let plate = rounded_cuboid([-2.4, 1.1, -0.28], [-2.382, 1.18, -0.12], 0.005, 2);
+    // A socket above the left worktop.
+    let plate = rounded_cuboid([-2.4, 1.1, -0.28], [-2.382, 1.18, -0.12], 0.005, 1);
     scene.add("socket", "white_paint", plate);
 }

@@ -26,7 +26,7 @@ pub fn furnish(scene: &mut Scene) {
     let top = rounded_cuboid([-HALF.0, 0.715, -HALF.1], [HALF.0, 0.748, HALF.1], 0.004, 2);
     let legs = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(|(sx, sz)| {
         let (cx, cz) = (sx * (HALF.0 - 0.07), sz * (HALF.1 - 0.07));
-        rounded_cuboid([cx - 0.03, 0.0005, cz - 0.03], [cx + 0.03, 0.72, cz + 0.03], 0.004, 1)
+        cuboid([cx - 0.03, 0.0005, cz - 0.03], [cx + 0.03, 0.72, cz + 0.03])
     });
     let table = Mesh::join(legs).with(top).at(x, 0.0, z);
     scene.add("table", "oak", table.textured(0.8, Axis::X));
@@ -36,7 +36,7 @@ pub fn furnish(scene: &mut Scene) {
         let place = |mesh: Mesh| mesh.turned(Axis::Y, turn).at(x, 0.0005, z);
         scene.add(format!("chair_{name}"), "walnut", place(chair().textured(0.6, Axis::Y)));
         let cushion = rounded_cuboid([-0.19, 0.461, -0.18], [0.19, 0.5, 0.19], 0.019, 2);
-        scene.add(format!("cushion_{name}"), "cushion", place(cushion));
+        scene.add(format!("chair_{name}"), "cushion", place(cushion));
     }
     on_the_table(scene);
     rolling_apple(scene);
@@ -101,9 +101,7 @@ fn chair() -> Mesh {
         )
     };
     let slat = |y: f64, z: f64| {
-        rounded_cuboid([-0.18, -0.03, -0.007], [0.18, 0.03, 0.007], 0.006, 1)
-            .turned(Axis::X, 10.0)
-            .at(0.0, y, z)
+        cuboid([-0.18, -0.03, -0.007], [0.18, 0.03, 0.007]).turned(Axis::X, 10.0).at(0.0, y, z)
     };
     let legs = [leg(-0.17, -0.16), leg(0.17, -0.16), leg(-0.17, 0.17), leg(0.17, 0.17)];
     let back = [post(-0.175), post(0.175), slat(0.88, 0.244), slat(0.77, 0.219), slat(0.66, 0.202)];
@@ -112,7 +110,7 @@ fn chair() -> Mesh {
 
 /// An apple about the origin, its stalk along +y: skin and stalk.
 fn apple() -> (Mesh, Mesh) {
-    let rings = 16;
+    let rings = 14;
     let profile: Vec<(f64, f64)> = (0..=rings)
         .map(|i| {
             let (sin, cos) = sine_cosine(180.0 * f64::from(i) / f64::from(rings));
@@ -124,7 +122,7 @@ fn apple() -> (Mesh, Mesh) {
         })
         .collect();
     let stalk = [dvec3(0.0, 0.5, 0.0), dvec3(0.02, 0.8, 0.0), dvec3(0.1, 1.1, 0.03)].map(|p| p * APPLE);
-    (turned_body(&profile, 24), tube(&stalk, 0.0018, 6))
+    (turned_body(&profile, 20), tube(&stalk, 0.0018, 5))
 }
 
 fn on_the_table(scene: &mut Scene) {
@@ -142,8 +140,8 @@ fn on_the_table(scene: &mut Scene) {
     fruit("apple_1", scene, "apple_skin", 20.0, 25.0, [-0.065, 0.062, 0.035]);
     fruit("apple_2", scene, "green_apple", 140.0, 35.0, [0.035, 0.062, 0.065]);
     fruit("apple_3", scene, "apple_skin", 250.0, 20.0, [0.01, 0.118, 0.0]);
-    scene.add("orange_1", "orange_peel", sphere(0.04, 24).at(x + 0.068, top + 0.064, z - 0.03));
-    scene.add("orange_2", "orange_peel", sphere(0.039, 24).at(x - 0.035, top + 0.062, z - 0.065));
+    scene.add("orange_1", "orange_peel", sphere(0.04, 20).at(x + 0.068, top + 0.064, z - 0.03));
+    scene.add("orange_2", "orange_peel", sphere(0.039, 20).at(x - 0.035, top + 0.062, z - 0.065));
     let lemon = sphere(0.029, 20).stretched(1.35, 1.0, 1.0).turned(Axis::Z, 20.0).turned(Axis::Y, 35.0);
     scene.add("lemon", "lemon_peel", lemon.at(x - 0.045, top + 0.112, z + 0.055));
 
@@ -151,7 +149,7 @@ fn on_the_table(scene: &mut Scene) {
     scene.add("breakfast_plate", "white_porcelain", plate(0.125).at(0.52, top, 0.82));
     let toast = rounded_cuboid([-0.055, 0.0, -0.055], [0.055, 0.014, 0.055], 0.006, 2);
     scene.add(
-        "breakfast_toast",
+        "breakfast_plate",
         "bread",
         toast.turned(Axis::Y, 25.0).at(0.52, top + 0.0065, 0.82).textured(0.2, Axis::X),
     );
@@ -159,13 +157,13 @@ fn on_the_table(scene: &mut Scene) {
     scene.add("table_knife", "polished_steel", knife.at(0.69, top, 0.83));
     scene.add("breakfast_mug", "red_enamel", cup(0.042, 0.095).turned(Axis::Y, -30.0).at(0.5, top, 0.53));
     let coffee = turned_body(&[(0.0, 0.07), (0.0385, 0.07), (0.0385, 0.078), (0.0, 0.078)], 28);
-    scene.add("breakfast_coffee", "coffee", coffee.at(0.5, top, 0.53));
+    scene.add("breakfast_mug", "coffee", coffee.at(0.5, top, 0.53));
     scene.add("juice_glass", "clear_glass", tumbler(0.036, 0.125).at(0.78, top, 0.92));
     let juice = turned_body(
         &[(0.0, 0.0095), (0.0255, 0.0095), (0.0268, 0.0125), (0.0297, 0.05), (0.0318, 0.085), (0.0, 0.085)],
         28,
     );
-    scene.add("juice", "orange_juice", juice.at(0.78, top, 0.92));
+    scene.add("juice_glass", "orange_juice", juice.at(0.78, top, 0.92));
     scene.add("water_bottle", "clear_glass", bottle(0.042, 0.3).at(1.22, top, 0.66));
     scene.add("water_glass", "clear_glass", tumbler(0.034, 0.11).at(1.12, top, 0.78));
     // An open book.

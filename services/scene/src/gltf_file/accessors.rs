@@ -1,0 +1,174 @@
+//! Numbers in buffers. The `gltf` crate's iterators take an accessor's type on trust and panic where it is another; these
+//! readers check it, and the bounds of every access.
+
+use super::document::Opened;
+use crate::error::SceneError;
+use gltf::Accessor;
+use gltf::accessor::sparse::IndexType;
+use gltf::accessor::{DataType, Dimensions};
+
+impl Opened {
+    /// All elements of an accessor of `N` components. Normalised integers become fractions, others keep their value, as
+    /// `KHR_mesh_quantization` allows. `most` bounds the number of elements, which a file may claim without holding them.
+    pub(super) fn floats<const N: usize>(
+        &self,
+        accessor: &Accessor<'_>,
+        most: u64,
+    ) -> Result<Vec<[f32; N]>, SceneError> {
+        let pointer = format!("/accessors/{}", accessor.index());
+        let expected = [Dimensions::Scalar, Dimensions::Vec2, Dimensions::Vec3, Dimensions::Vec4]
+            .get(N.wrapping_sub(1))
+            .copied();
+        if expected != Some(accessor.dimensions()) {
+            let reason = format!("is of type {:?} where {N} components are needed", accessor.dimensions());
+            return self.fail(&pointer, reason);
+        }
+        self.check_count(accessor, most)?;
+        let (kind, normalised) = (accessor.data_type(), accessor.normalized());
+        let read = |bytes: &[u8]| {
+            let size = bytes.len() / N;
+            std::array::from_fn(|c| component(&bytes[c * size..(c + 1) * size], kind, normalised))
+        };
+        let mut elements = self.elements(accessor, N * size_of(kind), [0.0; N], &read)?;
+        self.apply_sparse(accessor, N * size_of(kind), &mut elements, &read)?;
+        if let Some(i) = elements.iter().position(|e| e.iter().any(|c| !c.is_finite())) {
+            return self.fail(&pointer, format!("element {i} is not finite"));
+        }
+        Ok(elements)
+    }
+
+    /// All elements of an accessor of vertex indices.
+    pub(super) fn indices(&self, accessor: &Accessor<'_>, most: u64) -> Result<Vec<u32>, SceneError> {
+        let pointer = format!("/accessors/{}", accessor.index());
+        let kind = accessor.data_type();
+        if accessor.dimensions() != Dimensions::Scalar
+            || !matches!(kind, DataType::U8 | DataType::U16 | DataType::U32)
+        {
+            return self.fail(&pointer, "indices must be unsigned integer scalars");
+        }
+        self.check_count(accessor, most)?;
+        let mut elements = self.elements(accessor, size_of(kind), 0, &unsigned)?;
+        self.apply_sparse(accessor, size_of(kind), &mut elements, &unsigned)?;
+        Ok(elements)
+    }
+
+    fn check_count(&self, accessor: &Accessor<'_>, most: u64) -> Result<(), SceneError> {
+        let found = accessor.count() as u64;
+        if found == 0 {
+            return self.fail(&format!("/accessors/{}", accessor.index()), "has no element");
+        }
+        if found > most {
+            let file = format!("{}: /accessors/{}", self.file, accessor.index());
+            return Err(SceneError::Limit { file, what: "elements", found, limit: most });
+        }
+        Ok(())
+    }
+
+    /// The elements before sparse ones are put in their place.
+    fn elements<T: Copy>(
+        &self,
+        accessor: &Accessor<'_>,
+        size: usize,
+        zero: T,
+        read: &impl Fn(&[u8]) -> T,
+    ) -> Result<Vec<T>, SceneError> {
+        let Some(view) = accessor.view() else { return Ok(vec![zero; accessor.count()]) };
+        let pointer = format!("/accessors/{}", accessor.index());
+        let stride = view.stride().unwrap_or(size);
+        self.strided(&pointer, view.index(), accessor.offset(), stride, size, accessor.count(), read)
+    }
+
+    fn apply_sparse<T: Copy>(
+        &self,
+        accessor: &Accessor<'_>,
+        size: usize,
+        elements: &mut [T],
+        read: &impl Fn(&[u8]) -> T,
+    ) -> Result<(), SceneError> {
+        let Some(sparse) = accessor.sparse() else { return Ok(()) };
+        let pointer = format!("/accessors/{}/sparse", accessor.index());
+        let count = sparse.count();
+        if count > elements.len() {
+            return self.fail(&pointer, "replaces more elements than there are");
+        }
+        let (indices, values) = (sparse.indices(), sparse.values());
+        let index_size = match indices.index_type() {
+            IndexType::U8 => 1,
+            IndexType::U16 => 2,
+            IndexType::U32 => 4,
+        };
+        let view = indices.view().index();
+        let places =
+            self.strided(&pointer, view, indices.offset(), index_size, index_size, count, &unsigned)?;
+        let values =
+            self.strided(&pointer, values.view().index(), values.offset(), size, size, count, read)?;
+        for (place, value) in places.into_iter().zip(values) {
+            match elements.get_mut(place as usize) {
+                Some(element) => *element = value,
+                None => return self.fail(&pointer, format!("there is no element {place}")),
+            }
+        }
+        Ok(())
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "the seven numbers that say where strided elements lie")]
+    fn strided<T>(
+        &self,
+        pointer: &str,
+        view: usize,
+        offset: usize,
+        stride: usize,
+        size: usize,
+        count: usize,
+        read: &impl Fn(&[u8]) -> T,
+    ) -> Result<Vec<T>, SceneError> {
+        let bytes = self.view(view)?;
+        let last = count.saturating_sub(1).checked_mul(stride).and_then(|o| o.checked_add(offset));
+        let end = last.and_then(|o| o.checked_add(size));
+        if stride < size || end.is_none_or(|end| end > bytes.len()) {
+            return self.fail(pointer, "reaches beyond the end of its buffer view");
+        }
+        Ok((0..count).map(|i| read(&bytes[offset + i * stride..offset + i * stride + size])).collect())
+    }
+}
+
+fn size_of(kind: DataType) -> usize {
+    match kind {
+        DataType::I8 | DataType::U8 => 1,
+        DataType::I16 | DataType::U16 => 2,
+        DataType::U32 | DataType::F32 => 4,
+    }
+}
+
+/// A little-endian unsigned integer of any size up to four bytes.
+fn unsigned(bytes: &[u8]) -> u32 {
+    bytes.iter().rev().fold(0, |value, &byte| value << 8 | u32::from(byte))
+}
+
+/// One component; normalised integers by the glTF specification, section 3.6.2.2.
+fn component(bytes: &[u8], kind: DataType, normalised: bool) -> f32 {
+    let value = unsigned(bytes);
+    let (plain, largest) = match kind {
+        DataType::F32 => return f32::from_bits(value),
+        DataType::U32 => return value as f32,
+        DataType::I8 => (f32::from(value as u8 as i8), 127.0),
+        DataType::U8 => (f32::from(value as u8), 255.0),
+        DataType::I16 => (f32::from(value as u16 as i16), 32767.0),
+        DataType::U16 => (f32::from(value as u16), 65535.0),
+    };
+    if normalised { (plain / largest).max(-1.0) } else { plain }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn normalised_integers_become_fractions() {
+        assert_eq!(component(&[0x80], DataType::I8, true), -1.0);
+        assert_eq!(component(&[127], DataType::I8, true), 1.0);
+        assert_eq!(component(&[0xff, 0xff], DataType::U16, true), 1.0);
+        assert_eq!(component(&[0x00, 0x80], DataType::I16, false), -32768.0);
+        assert_eq!(component(&1.5f32.to_le_bytes(), DataType::F32, false), 1.5);
+    }
+}

@@ -1,0 +1,234 @@
+//! Opening a glTF file: its JSON, checked, and its buffers.
+//!
+//! The `gltf` crate's own importer reads any path of the machine and panics at some malformed files, so this module finds
+//! those before the crate sees them, and reads buffers through the bundle.
+
+use crate::bundle::{Bundle, resolve};
+use crate::description::json_pointer;
+use crate::error::{Place, SceneError};
+use gltf::Document;
+use gltf::json::validation::{Checked, Validate};
+use gltf::json::{Path, Root};
+
+/// Extensions that a file may require.
+const UNDERSTOOD: [&str; 8] = [
+    "KHR_lights_punctual",
+    "KHR_materials_emissive_strength",
+    "KHR_materials_ior",
+    "KHR_materials_specular",
+    "KHR_materials_transmission",
+    "KHR_materials_volume",
+    "KHR_mesh_quantization",
+    "KHR_texture_transform",
+];
+
+/// A glTF file with its data.
+pub(super) struct Opened {
+    /// Path in the bundle.
+    pub(super) file: String,
+    pub(super) document: Document,
+    /// Contents of every buffer, at least as long as the document says.
+    pub(super) buffers: Vec<Vec<u8>>,
+}
+
+impl Opened {
+    pub(super) fn fail<T>(&self, pointer: &str, reason: impl Into<String>) -> Result<T, SceneError> {
+        Err(SceneError::pointer(&self.file, pointer, reason))
+    }
+
+    /// The bytes of a buffer view.
+    pub(super) fn view(&self, index: usize) -> Result<&[u8], SceneError> {
+        let pointer = format!("/bufferViews/{index}");
+        let Some(view) = self.document.views().nth(index) else {
+            return self.fail(&pointer, "there is no such buffer view");
+        };
+        let bytes = self.buffers.get(view.buffer().index());
+        let range = view.offset().checked_add(view.length()).map(|end| view.offset()..end);
+        match bytes.zip(range).and_then(|(bytes, range)| bytes.get(range)) {
+            Some(bytes) => Ok(bytes),
+            None => self.fail(&pointer, "reaches beyond the end of its buffer"),
+        }
+    }
+}
+
+/// Reads and checks a `.gltf` or `.glb` file and its buffers.
+pub(super) fn open(bundle: &Bundle, file: &str) -> Result<Opened, SceneError> {
+    let bytes = bundle.read(file)?;
+    let (json, mut binary) = if bytes.starts_with(b"glTF") {
+        split_binary(&bytes).map_err(|reason| SceneError::file(file, reason))?
+    } else {
+        (bytes.as_slice(), None)
+    };
+    let mut deserializer = gltf_json_deserializer(json);
+    let mut root: Root = serde_path_to_error::deserialize(&mut deserializer)
+        .map_err(|e| SceneError::pointer(file, json_pointer(e.path()), e.inner().to_string()))?;
+    check(&root).map_err(|(pointer, reason)| SceneError::pointer(file, pointer, reason))?;
+    // What is required and understood here is not always known to the crate.
+    root.extensions_required.clear();
+    let mut first = None;
+    root.validate(&root, Path::new, &mut |path, error| {
+        first.get_or_insert_with(|| (as_pointer(&path()), error.to_string()));
+    });
+    if let Some((pointer, reason)) = first {
+        return Err(SceneError::pointer(file, pointer, reason));
+    }
+    let mut buffers = Vec::new();
+    for (i, buffer) in root.buffers.iter().enumerate() {
+        let pointer = format!("/buffers/{i}");
+        let data = match (&buffer.uri, binary.take()) {
+            (Some(uri), unused) => {
+                binary = unused;
+                resource(bundle, file, uri, &pointer)?
+            }
+            (None, Some(chunk)) if i == 0 => chunk.to_vec(),
+            (None, _) => {
+                return Err(SceneError::pointer(file, pointer, "has neither a `uri` nor a binary chunk"));
+            }
+        };
+        if (data.len() as u64) < buffer.byte_length.0 {
+            let reason = format!("is {} bytes long, not {}", data.len(), buffer.byte_length.0);
+            return Err(SceneError::pointer(file, pointer, reason));
+        }
+        buffers.push(data);
+    }
+    let document = Document::from_json_without_validation(root);
+    Ok(Opened { file: file.to_owned(), document, buffers })
+}
+
+fn gltf_json_deserializer(json: &[u8]) -> serde_json::Deserializer<serde_json::de::SliceRead<'_>> {
+    serde_json::Deserializer::from_slice(json.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(json))
+}
+
+/// Bytes of a `uri`: a file of the bundle, or data in base 64.
+pub(super) fn resource(bundle: &Bundle, file: &str, uri: &str, pointer: &str) -> Result<Vec<u8>, SceneError> {
+    let fail = |reason: String| SceneError::pointer(file, pointer, reason);
+    if uri.starts_with("data:") {
+        let data = gltf::buffer::Data::from_source(gltf::buffer::Source::Uri(uri), None);
+        return data.map(|data| data.0).map_err(|e| fail(format!("the data URI is damaged: {e}")));
+    }
+    let path = resource_path(file, uri).map_err(fail)?;
+    bundle.read(&path).map_err(|e| e.within(file, Place::Pointer(pointer.to_owned()), "`uri`"))
+}
+
+/// The path in the bundle that a `uri` which is no data means.
+pub(super) fn resource_path(file: &str, uri: &str) -> Result<String, String> {
+    resolve(file, &percent_decoded(uri).ok_or_else(|| format!("`{uri}` is not a valid URI"))?)
+}
+
+fn percent_decoded(uri: &str) -> Option<String> {
+    let mut bytes = Vec::with_capacity(uri.len());
+    let mut rest = uri.bytes();
+    while let Some(byte) = rest.next() {
+        let byte = match byte {
+            b'%' => {
+                let digit = |b: Option<u8>| b.and_then(|b| char::from(b).to_digit(16));
+                (digit(rest.next())? * 16 + digit(rest.next())?) as u8
+            }
+            plain => plain,
+        };
+        bytes.push(byte);
+    }
+    String::from_utf8(bytes).ok()
+}
+
+/// JSON and binary chunk of a `.glb`, whose header must agree with its length.
+fn split_binary(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), String> {
+    let word = |at: usize| {
+        let bytes = bytes.get(at..at + 4)?;
+        Some(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
+    };
+    let (Some(version), Some(length)) = (word(4), word(8)) else {
+        return Err("the header of the binary glTF is cut off".into());
+    };
+    if version != 2 {
+        return Err(format!(
+            "binary glTF version {version} is not understood; this program understands version 2"
+        ));
+    }
+    if length as usize > bytes.len() {
+        return Err(format!("the file is cut off: it says {length} bytes and has {}", bytes.len()));
+    }
+    let chunk = |at: usize, kind: &[u8; 4]| -> Result<Option<(&[u8], usize)>, String> {
+        let Some(size) = word(at).filter(|_| bytes.get(at + 4..at + 8) == Some(kind)) else {
+            return Ok(None);
+        };
+        let end = (at + 8).saturating_add(size as usize);
+        match bytes.get(at + 8..end) {
+            Some(data) if end <= length as usize => Ok(Some((data, end))),
+            _ => Err("a chunk of the binary glTF reaches beyond its end".into()),
+        }
+    };
+    let (json, end) = chunk(12, b"JSON")?.ok_or("the binary glTF does not begin with a JSON chunk")?;
+    Ok((json, chunk(end, b"BIN\0")?.map(|(data, _)| data)))
+}
+
+/// What the crate's validation does not find, or panics at. Gives a JSON pointer and a reason.
+fn check(root: &Root) -> Result<(), (String, String)> {
+    let fail = |pointer: String, reason: &str| Err((pointer, reason.to_owned()));
+    let version = root.asset.min_version.as_ref().unwrap_or(&root.asset.version);
+    if version != "2.0" {
+        let reason =
+            format!("glTF version {version} is not understood; this program understands version 2.0");
+        return Err(("/asset/version".into(), reason));
+    }
+    for (i, extension) in root.extensions_required.iter().enumerate() {
+        if !UNDERSTOOD.contains(&extension.as_str()) {
+            let reason = format!("`{extension}` is required and not understood");
+            return Err((format!("/extensionsRequired/{i}"), reason));
+        }
+    }
+    for (m, mesh) in root.meshes.iter().enumerate() {
+        for (p, primitive) in mesh.primitives.iter().enumerate() {
+            for (semantic, accessor) in &primitive.attributes {
+                if accessor.value() >= root.accessors.len() {
+                    let name = match semantic {
+                        Checked::Valid(semantic) => semantic.to_string(),
+                        Checked::Invalid => "?".into(),
+                    };
+                    let pointer = format!("/meshes/{m}/primitives/{p}/attributes/{name}");
+                    return fail(pointer, "there is no such accessor");
+                }
+            }
+        }
+    }
+    for (i, image) in root.images.iter().enumerate() {
+        if image.uri.is_none() && image.buffer_view.is_none() {
+            return fail(format!("/images/{i}"), "has neither a `uri` nor a `bufferView`");
+        }
+    }
+    Ok(())
+}
+
+/// The crate's own notation of a place, `meshes[0].name`, as a JSON pointer.
+fn as_pointer(path: &Path) -> String {
+    let mut pointer = String::from("/");
+    for c in path.as_str().chars() {
+        match c {
+            '.' | '[' => pointer.push('/'),
+            ']' | '"' => {}
+            other => pointer.push(other),
+        }
+    }
+    pointer
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percent_escapes_are_decoded_and_damaged_ones_refused() {
+        assert_eq!(percent_decoded("a%20b%C3%A9").as_deref(), Some("a bé"));
+        assert_eq!(percent_decoded("a%2"), None);
+        assert_eq!(percent_decoded("%zz"), None);
+        assert_eq!(percent_decoded("%ff"), None);
+        assert_eq!(resource_path("m/a.gltf", "%2e%2e/x.bin").as_deref(), Ok("x.bin"));
+        assert!(resource_path("a.gltf", "%2e%2e/x.bin").is_err());
+    }
+
+    #[test]
+    fn places_become_json_pointers() {
+        let path = Path::new().field("meshes").index(3).field("attributes").key("POSITION");
+        assert_eq!(as_pointer(&path), "/meshes/3/attributes/POSITION");
+    }
+}

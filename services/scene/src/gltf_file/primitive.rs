@@ -1,0 +1,168 @@
+//! Triangles of a glTF primitive.
+
+use super::Reader;
+use crate::error::SceneError;
+use crate::obj::unit_or_zero;
+use crate::shot::Mesh;
+use glam::{Vec2, Vec3};
+use gltf::Semantic;
+use gltf::mesh::Mode;
+use gltf::texture::TextureTransform;
+
+impl Reader<'_, '_> {
+    /// The local mesh of a primitive; `None` for points and lines.
+    pub(super) fn mesh(
+        &mut self,
+        primitive: &gltf::Primitive<'_>,
+        at: &str,
+    ) -> Result<Option<Mesh>, SceneError> {
+        if !matches!(primitive.mode(), Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan) {
+            self.ignore("points and lines");
+            return Ok(None);
+        }
+        if primitive.morph_targets().next().is_some() {
+            self.ignore("morph targets");
+        }
+        let Some(positions) = primitive.get(&Semantic::Positions) else {
+            return self.opened.fail(at, "has no positions");
+        };
+        let most = self.spend(0)?;
+        let positions = points(self.opened.floats::<3>(&positions, most)?);
+        let count = positions.len();
+        let indices = match primitive.indices() {
+            Some(indices) => self.opened.indices(&indices, most)?,
+            None => (0..count as u32).collect(),
+        };
+        self.spend(positions.len() as u64 + indices.len() as u64)?;
+        if let Some(index) = indices.iter().find(|&&i| i as usize >= count) {
+            let reason = format!("there is no vertex {index}; there are {count}");
+            return self.opened.fail(&format!("{at}/indices"), reason);
+        }
+        let triangles = triangles(primitive.mode(), &indices);
+        let mut normals = match primitive.get(&Semantic::Normals) {
+            Some(normals) => points(self.opened.floats::<3>(&normals, most)?),
+            None => vec![Vec3::ZERO; count],
+        };
+        for normal in &mut normals {
+            *normal = unit_or_zero(*normal);
+        }
+        let uvs = self.texture_coordinates(primitive, count, most)?;
+        if normals.len() != count || uvs.len() != count {
+            return self.opened.fail(at, "the attributes have not all the same number of elements");
+        }
+        Ok(Some(compact(Mesh { positions, normals, uvs, triangles })))
+    }
+
+    /// Coordinates for the base colour's texture (else the emission's), with the texture's transform; v points up.
+    fn texture_coordinates(
+        &mut self,
+        primitive: &gltf::Primitive<'_>,
+        count: usize,
+        most: u64,
+    ) -> Result<Vec<Vec2>, SceneError> {
+        let material = primitive.material();
+        let base = material.pbr_metallic_roughness().base_color_texture();
+        let info = base.or_else(|| material.emissive_texture());
+        let transform = info.as_ref().and_then(|info| info.texture_transform());
+        let own_set = transform.as_ref().and_then(TextureTransform::tex_coord);
+        let set = own_set.or(info.as_ref().map(|info| info.tex_coord())).unwrap_or(0);
+        let Some(accessor) = primitive.get(&Semantic::TexCoords(set)) else {
+            if info.is_some() {
+                self.ignore("textures on faces without texture coordinates, which show one texel");
+            }
+            return Ok(vec![Vec2::ZERO; count]);
+        };
+        let mut uvs: Vec<Vec2> =
+            self.opened.floats::<2>(&accessor, most)?.into_iter().map(Vec2::from_array).collect();
+        if let Some(transform) = transform {
+            let apply = affine(&transform);
+            uvs.iter_mut().for_each(|uv| *uv = apply(*uv));
+            if uvs.iter().any(|uv| !uv.is_finite()) {
+                return self.opened.fail(
+                    &format!("/accessors/{}", accessor.index()),
+                    "a transformed coordinate is not finite",
+                );
+            }
+        }
+        Ok(uvs.into_iter().map(|uv| Vec2::new(uv.x, 1.0 - uv.y)).collect())
+    }
+}
+
+/// `KHR_texture_transform`: scale, then rotate counter-clockwise as seen with v downwards, then move. This is the sense of the
+/// extension's example, in which a quarter turn and offset (0, 1) map the unit square to itself.
+fn affine(transform: &TextureTransform<'_>) -> impl Fn(Vec2) -> Vec2 + use<> {
+    let (scale, offset) = (Vec2::from_array(transform.scale()), Vec2::from_array(transform.offset()));
+    let (sine, cosine) = (
+        libm::sin(f64::from(transform.rotation())) as f32,
+        libm::cos(f64::from(transform.rotation())) as f32,
+    );
+    move |uv| {
+        let s = uv * scale;
+        Vec2::new(cosine * s.x + sine * s.y, cosine * s.y - sine * s.x) + offset
+    }
+}
+
+fn points(elements: Vec<[f32; 3]>) -> Vec<Vec3> {
+    elements.into_iter().map(Vec3::from_array).collect()
+}
+
+/// Triangles in the order and winding of the glTF specification, section 3.7.2.1.
+fn triangles(mode: Mode, indices: &[u32]) -> Vec<[u32; 3]> {
+    match mode {
+        Mode::TriangleStrip => {
+            let turned =
+                |(i, w): (usize, &[u32])| if i % 2 == 0 { [w[0], w[1], w[2]] } else { [w[0], w[2], w[1]] };
+            indices.windows(3).enumerate().map(turned).collect()
+        }
+        Mode::TriangleFan => match indices.split_first() {
+            Some((&hub, rim)) => rim.windows(2).map(|w| [w[0], w[1], hub]).collect(),
+            None => Vec::new(),
+        },
+        _ => indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect(),
+    }
+}
+
+/// Leaves out vertices that no triangle uses: exporters share one large vertex buffer between many primitives.
+fn compact(mesh: Mesh) -> Mesh {
+    let mut place = vec![u32::MAX; mesh.positions.len()];
+    for &vertex in mesh.triangles.iter().flatten() {
+        place[vertex as usize] = 0;
+    }
+    if !place.contains(&u32::MAX) {
+        return mesh;
+    }
+    let mut small = Mesh::default();
+    for (old, new) in place.iter_mut().enumerate().filter(|(_, new)| **new == 0) {
+        *new = small.positions.len() as u32;
+        small.positions.push(mesh.positions[old]);
+        small.normals.push(mesh.normals[old]);
+        small.uvs.push(mesh.uvs[old]);
+    }
+    small.triangles = mesh.triangles.iter().map(|t| t.map(|v| place[v as usize])).collect();
+    small
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn strips_and_fans_keep_their_winding() {
+        assert_eq!(triangles(Mode::TriangleStrip, &[0, 1, 2, 3]), [[0, 1, 2], [1, 3, 2]]);
+        assert_eq!(triangles(Mode::TriangleFan, &[0, 1, 2, 3]), [[1, 2, 0], [2, 3, 0]]);
+        assert_eq!(triangles(Mode::Triangles, &[0, 1, 2, 3]), [[0, 1, 2]]);
+    }
+
+    #[test]
+    fn unused_vertices_are_left_out() {
+        let mesh = Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z],
+            normals: vec![Vec3::Z; 4],
+            uvs: vec![Vec2::ZERO; 4],
+            triangles: vec![[3, 1, 2]],
+        };
+        let small = compact(mesh);
+        assert_eq!(small.positions, [Vec3::X, Vec3::Y, Vec3::Z]);
+        assert_eq!(small.triangles, [[2, 0, 1]]);
+    }
+}

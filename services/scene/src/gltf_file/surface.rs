@@ -1,0 +1,203 @@
+//! glTF materials as the materials of this crate.
+//!
+//! | glTF | here |
+//! | --- | --- |
+//! | transmission ≥ ½ with a volume thickness | glass; base colour × transmission passes |
+//! | transmission ≥ ½ without | thin glass, the same |
+//! | metallic ≥ ½ | metal with the base colour at normal incidence |
+//! | otherwise, specular factor (or its colour) 0, or index of refraction 1 | Lambert |
+//! | otherwise | plastic with the index of refraction |
+//!
+//! GGX alpha is roughness². `MASK` cuts out by the texture's alpha; `BLEND` is constant opacity, the base colour's alpha, and a
+//! cut-out at one half by the texture's. Textures other than base colour and emission are ignored with a warning.
+
+use super::Reader;
+use super::document::{resource, resource_path};
+use crate::assembly::plain_material;
+use crate::error::{Place, SceneError};
+use crate::{AlphaMask, Color, Material, Surface, Texels, TextureId};
+use glam::Vec3;
+use gltf::material::AlphaMode;
+use gltf::texture::WrappingMode;
+
+/// Index of refraction where a material says none.
+const DEFAULT_IOR: f32 = 1.5;
+
+impl Reader<'_, '_> {
+    /// The material's index in the assembly; read at its first use.
+    pub(super) fn material(&mut self, source: &gltf::Material<'_>) -> Result<u32, SceneError> {
+        if let Some(&known) = self.materials.get(&source.index()) {
+            return Ok(known);
+        }
+        let material = match source.index() {
+            Some(index) => self.read_material(source, index)?,
+            None => {
+                self.ignore("faces without a material are shown in grey");
+                let albedo = Color::plain(Vec3::splat(0.5));
+                plain_material("(no material)", Surface::Lambert { albedo })
+            }
+        };
+        let index = self.assembly.add_material(material);
+        self.materials.insert(source.index(), index);
+        Ok(index)
+    }
+
+    fn read_material(&mut self, source: &gltf::Material<'_>, index: usize) -> Result<Material, SceneError> {
+        let at = format!("/materials/{index}");
+        let pbr = source.pbr_metallic_roughness();
+        let [r, g, b, alpha] = pbr.base_color_factor();
+        let unit = |value: f32| (0.0..=1.0).contains(&value);
+        if ![r, g, b, alpha, pbr.roughness_factor(), pbr.metallic_factor()].into_iter().all(unit) {
+            return self
+                .opened
+                .fail(&at, "a base colour, roughness or metallic factor does not lie in 0 to 1");
+        }
+        let texture = pbr.base_color_texture().map(|info| self.texture(&info.texture())).transpose()?;
+        let base = Color { factor: Vec3::new(r, g, b), texture };
+        let surface = self.surface(source, &at, base)?;
+        let name = source.name().map_or_else(|| format!("material {index}"), str::to_owned);
+        let mut material = plain_material(&name, surface);
+        material.emission = self.emission(source, &at)?;
+        material.emits_both_sides = source.double_sided();
+        match source.alpha_mode() {
+            AlphaMode::Opaque => {}
+            AlphaMode::Mask => mask(&mut material, alpha, source.alpha_cutoff().unwrap_or(0.5), texture),
+            AlphaMode::Blend => {
+                material.opacity = alpha;
+                if let Some(texture) = texture.filter(|&t| self.has_alpha(t)) {
+                    self.ignore("blending by a texture's alpha is a cut-out at one half");
+                    material.mask = Some(AlphaMask { texture, cutoff: 0.5 });
+                }
+            }
+        }
+        self.note_ignored_textures(source);
+        Ok(material)
+    }
+
+    fn surface(&mut self, source: &gltf::Material<'_>, at: &str, base: Color) -> Result<Surface, SceneError> {
+        let pbr = source.pbr_metallic_roughness();
+        let alpha = pbr.roughness_factor() * pbr.roughness_factor();
+        let ior = match source.ior() {
+            None => DEFAULT_IOR,
+            // The extension's way to say "reflects everything", for materials of an older kind.
+            Some(0.0) => DEFAULT_IOR,
+            Some(ior) if (1.0..=10.0).contains(&ior) => ior,
+            Some(ior) => {
+                return self
+                    .opened
+                    .fail(at, format!("an index of refraction of {ior} does not lie in 1 to 10"));
+            }
+        };
+        let transmission = source.transmission().map_or(0.0, |t| t.transmission_factor());
+        if !(0.0..=1.0).contains(&transmission) {
+            return self.opened.fail(at, "the transmission factor does not lie in 0 to 1");
+        }
+        let no_coat = source.specular().is_some_and(|specular| {
+            specular.specular_factor() == 0.0 || specular.specular_color_factor() == [0.0; 3]
+        });
+        let transmittance = Color { factor: base.factor * transmission, texture: base.texture };
+        Ok(if transmission >= 0.5 {
+            match source.volume() {
+                Some(volume) if volume.thickness_factor() > 0.0 => {
+                    if volume.attenuation_distance().is_finite() {
+                        self.ignore("the attenuation of volumes");
+                    }
+                    Surface::Glass { ior, transmittance, alpha }
+                }
+                _ => Surface::ThinGlass { ior, transmittance },
+            }
+        } else if pbr.metallic_factor() >= 0.5 {
+            Surface::Metal { f0: base, alpha }
+        } else if no_coat || ior == 1.0 {
+            Surface::Lambert { albedo: base }
+        } else {
+            Surface::Plastic { albedo: base, ior, alpha }
+        })
+    }
+
+    /// Emissive factor × strength, radiance.
+    fn emission(&mut self, source: &gltf::Material<'_>, at: &str) -> Result<Color, SceneError> {
+        let strength = source.emissive_strength().unwrap_or(1.0);
+        let factor = Vec3::from_array(source.emissive_factor()) * strength;
+        if !factor.is_finite() || factor.min_element() < 0.0 || factor.max_element() > 1e12 {
+            return self.opened.fail(at, "the emission does not lie in 0 to 1e12");
+        }
+        let texture = match source.emissive_texture() {
+            Some(info) if factor != Vec3::ZERO => {
+                let base = source.pbr_metallic_roughness().base_color_texture();
+                if base.is_some_and(|base| base.tex_coord() != info.tex_coord()) {
+                    self.ignore("an emission texture's own set of coordinates");
+                }
+                Some(self.texture(&info.texture())?)
+            }
+            _ => None,
+        };
+        Ok(Color { factor, texture })
+    }
+
+    fn note_ignored_textures(&mut self, source: &gltf::Material<'_>) {
+        let pbr = source.pbr_metallic_roughness();
+        let specular = source.specular();
+        for (what, given) in [
+            ("metallic-roughness textures", pbr.metallic_roughness_texture().is_some()),
+            ("normal textures", source.normal_texture().is_some()),
+            (
+                "transmission textures",
+                source.transmission().is_some_and(|t| t.transmission_texture().is_some()),
+            ),
+            ("thickness textures", source.volume().is_some_and(|v| v.thickness_texture().is_some())),
+            (
+                "specular textures",
+                specular
+                    .is_some_and(|s| s.specular_texture().is_some() || s.specular_color_texture().is_some()),
+            ),
+        ] {
+            if given {
+                self.ignore(what);
+            }
+        }
+    }
+
+    fn texture(&mut self, texture: &gltf::Texture<'_>) -> Result<TextureId, SceneError> {
+        let sampler = texture.sampler();
+        if sampler.wrap_s() != WrappingMode::Repeat || sampler.wrap_t() != WrappingMode::Repeat {
+            self.ignore("texture wrapping other than repeat");
+        }
+        let image = texture.source();
+        let index = image.index();
+        let pointer = format!("/images/{index}");
+        let opened = self.opened;
+        let embedded = format!("{}#image{index}", opened.file);
+        let source = &opened.document.as_json().images[index];
+        let context = "the image";
+        let loaded = match (&source.uri, &source.buffer_view) {
+            (Some(uri), _) if !uri.starts_with("data:") => {
+                let path = resource_path(&opened.file, uri)
+                    .map_err(|reason| SceneError::pointer(&opened.file, &pointer, reason))?;
+                self.assembly.textures.load(&path)
+            }
+            (Some(uri), _) => {
+                let bytes = resource(self.assembly.bundle, &opened.file, uri, &pointer)?;
+                self.assembly.textures.decode(&embedded, &bytes)
+            }
+            (None, Some(view)) => self.assembly.textures.decode(&embedded, opened.view(view.value())?),
+            (None, None) => return opened.fail(&pointer, "has neither a `uri` nor a `bufferView`"),
+        };
+        loaded.map_err(|e| e.within(&opened.file, Place::Pointer(pointer), context))
+    }
+
+    fn has_alpha(&self, texture: TextureId) -> bool {
+        match &self.assembly.textures.texture(texture).texels {
+            Texels::Srgb8(texels) => texels.iter().any(|t| t[3] < 255),
+            Texels::Linear(_) => false,
+        }
+    }
+}
+
+/// `MASK`: there where factor × texture alpha reaches the cutoff.
+fn mask(material: &mut Material, factor: f32, cutoff: f32, texture: Option<TextureId>) {
+    match texture {
+        Some(texture) if factor > 0.0 => material.mask = Some(AlphaMask { texture, cutoff: cutoff / factor }),
+        _ => material.opacity = if factor >= cutoff { 1.0 } else { 0.0 },
+    }
+}
