@@ -1,0 +1,353 @@
+//! What the profiled pixels of one frame say about all of its pixels.
+
+use serde::{Deserialize, Serialize};
+
+use crate::cost::{COLUMNS, Costs, Observation, Quantity, Row};
+use crate::error::ForecastError;
+use crate::interval::{Calibration, Part, quantity, together};
+use crate::moments::{Moments, sum};
+use crate::strata::{Grouping, Stratum, check};
+
+/// Coefficient of variation within a group that is assumed where no group has the two samples that would show one.
+const PRIOR_VARIATION: f64 = 1.0;
+
+/// Least coefficient of variation between strata: strata of one material are taken to differ by a half, even where a handful of
+/// samples happen to agree, so that borrowing is never thought to be exact.
+pub(crate) const BORROWED_VARIATION: f64 = 0.5;
+
+/// Degrees of freedom behind a borrowed variance.
+pub(crate) const BORROWED_FREEDOM: f64 = 2.0;
+
+/// What is known of one stratum in one frame, for cost maps and tables.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StratumEstimate {
+    /// Pixels that show it.
+    pub pixels: u32,
+    /// Pixels of it that were profiled in this frame.
+    pub samples: u32,
+    /// Whether its unit cost was taken from other strata, for want of samples of its own.
+    pub borrowed: bool,
+    /// Mean cost of one pixel. Pixels times mean, added over strata, is the estimate for the frame.
+    pub mean: Costs<f64>,
+}
+
+/// Estimated cost of all pixels of one frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FrameEstimate {
+    /// Totals over all pixels.
+    pub total: Costs<Quantity>,
+    /// One entry for each stratum.
+    pub strata: Vec<StratumEstimate>,
+    /// Profiled pixels.
+    pub samples: u64,
+    /// Groups of strata with fewer than two samples (and more pixels than samples), whose mean or variance is borrowed.
+    pub borrowed: usize,
+    /// Whether the quantiles were stretched by what past jobs taught.
+    pub calibrated: bool,
+}
+
+/// Estimates the cost of a frame from profiled pixels, by the stratified expansion estimator
+/// Ŷ = Σ N_g ȳ_g over groups g of strata, with variance Σ N_g² (1 − n_g/N_g) s_g² / n_g (Cochran 1977, sections 5.3 and 5.4).
+///
+/// Groups that have fewer than two samples borrow from those of their material, or else from all, and are counted in
+/// [`FrameEstimate::borrowed`]. A frame sampled completely gives its exact total with an interval of no width.
+///
+/// # Errors
+/// If nothing was profiled and the frame has pixels, and if counts, strata and observations do not fit together.
+pub fn estimate(
+    strata: &[Stratum],
+    counts: &[u32],
+    observations: &[Observation],
+    calibration: Calibration,
+) -> Result<FrameEstimate, ForecastError> {
+    let fit = FrameFit::new(strata, 0, counts, observations)?;
+    let total = std::array::from_fn(|column| {
+        let mut uncertainty = Uncertainty::default();
+        fit.groups.iter().for_each(|group| uncertainty.add(group, group.pixels as f64, column));
+        quantity(fit.total(column), uncertainty.together(), calibration)
+    });
+    Ok(FrameEstimate {
+        total: Costs::from(total),
+        borrowed: fit.groups.iter().filter(|group| group.borrowed).count(),
+        strata: fit.strata,
+        samples: observations.len() as u64,
+        calibrated: calibration.calibrated,
+    })
+}
+
+/// The estimate of a frame in the form in which other frames can use it.
+#[derive(Clone, Debug)]
+pub(crate) struct FrameFit {
+    pub groups: Vec<GroupFit>,
+    pub group_of: Vec<Option<usize>>,
+    pub strata: Vec<StratumEstimate>,
+    /// Mean cost of one pixel of each stratum.
+    pub means: Vec<Row>,
+}
+
+/// Estimated mean cost of the pixels of a group.
+#[derive(Clone, Debug)]
+pub(crate) struct GroupFit {
+    pub pixels: u64,
+    pub borrowed: bool,
+    mean: Row,
+    /// The total, kept apart from the mean so that a complete sample is exact.
+    total: Row,
+    /// Variance of the mean.
+    variance: Row,
+    degrees_of_freedom: f64,
+    /// What one more pixel as dear as the dearest seen would add to the mean.
+    influence: Row,
+}
+
+/// Gathers the sampling error of a total of group means.
+///
+/// Beside the variances it holds a *tail allowance*. When rare pixels cost many times the mean, a sample that missed some is too low and finds too
+/// small a variance, both at once. So the total is allowed to miss one sample's worth of pixels as dear as the most influential
+/// pixel that was seen: the square of that influence is added to the variance. It is next to nothing where costs are alike.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Uncertainty {
+    parts: Vec<Part>,
+    influence: f64,
+}
+
+impl Uncertainty {
+    /// Adds a group whose mean the total counts `weight` times.
+    pub fn add(&mut self, group: &GroupFit, weight: f64, column: usize) {
+        self.parts.push(Part {
+            variance: weight * weight * group.variance[column],
+            degrees_of_freedom: group.degrees_of_freedom,
+        });
+        self.influence = self.influence.max(weight * group.influence[column]);
+    }
+
+    /// Adds a part of the variance that comes from elsewhere.
+    pub fn add_part(&mut self, part: Part) {
+        self.parts.push(part);
+    }
+
+    /// The variance of the total with its tail allowance.
+    pub fn together(mut self) -> Part {
+        self.parts
+            .push(Part { variance: self.influence * self.influence, degrees_of_freedom: f64::INFINITY });
+        together(&self.parts)
+    }
+}
+
+impl FrameFit {
+    pub fn new(
+        strata: &[Stratum],
+        frame: i64,
+        counts: &[u32],
+        observations: &[Observation],
+    ) -> Result<Self, ForecastError> {
+        check(strata, frame, counts)?;
+        let mut moments = vec![Moments::default(); strata.len()];
+        for observation in observations {
+            let stratum = observation.stratum;
+            moments
+                .get_mut(stratum as usize)
+                .ok_or(ForecastError::UnknownStratum { stratum, strata: strata.len() })?
+                .push(&observation.cost);
+        }
+        for (stratum, (moments, &pixels)) in moments.iter().zip(counts).enumerate() {
+            let (samples, pixels) = (moments.count, u64::from(pixels));
+            if samples > pixels {
+                return Err(ForecastError::MoreSamplesThanPixels { stratum, samples, pixels });
+            }
+        }
+        let grouping = Grouping::new(strata, counts, observations.len() as u64);
+        if observations.is_empty() && !grouping.groups.is_empty() {
+            return Err(ForecastError::NoSamples);
+        }
+        let mut joined = vec![Moments::default(); grouping.groups.len()];
+        for (h, moments) in moments.iter().enumerate() {
+            if let Some(group) = grouping.of[h] {
+                joined[group].merge(moments);
+            }
+        }
+        let groups: Vec<GroupFit> =
+            (0..joined.len()).map(|group| fit_group(&grouping, &joined, group)).collect();
+        let means = unit_costs(counts, &moments, &grouping, &groups);
+        let strata = (0..strata.len())
+            .map(|h| StratumEstimate {
+                pixels: counts[h],
+                // At most `pixels`, which was checked.
+                samples: moments[h].count as u32,
+                borrowed: counts[h] > 0 && moments[h].count == 0,
+                mean: Costs::from(means[h]),
+            })
+            .collect();
+        Ok(FrameFit { groups, group_of: grouping.of, strata, means })
+    }
+
+    /// Estimated total over all pixels.
+    pub fn total(&self, column: usize) -> f64 {
+        sum(self.groups.iter().map(|group| group.total[column]))
+    }
+}
+
+fn fit_group(grouping: &Grouping, joined: &[Moments], group: usize) -> GroupFit {
+    let own = &joined[group];
+    let pixels = grouping.groups[group].pixels;
+    let size = pixels as f64;
+    let mut fit = GroupFit {
+        pixels,
+        borrowed: own.count < 2 && own.count < pixels,
+        mean: [0.0; COLUMNS],
+        total: [0.0; COLUMNS],
+        variance: [0.0; COLUMNS],
+        degrees_of_freedom: if own.count >= 2 { (own.count - 1) as f64 } else { BORROWED_FREEDOM },
+        influence: [0.0; COLUMNS],
+    };
+    let material = grouping.groups[group].material;
+    for column in 0..COLUMNS {
+        let unseen = 1.0 - own.count as f64 / size;
+        (fit.mean[column], fit.variance[column]) = match own.variance(column) {
+            Some(variance) => (own.mean(column), unseen * variance / own.count as f64),
+            None if own.count == pixels => (own.mean(column), 0.0),
+            None => {
+                let alike = (0..joined.len())
+                    .filter(|&g| material.is_some() && grouping.groups[g].material == material)
+                    .map(|g| &joined[g]);
+                let pool = Pool::new(alike, column).or_else(|| Pool::new(joined.iter(), column));
+                pool.map_or((0.0, 0.0), |pool| pool.shrink(own, column))
+            }
+        };
+        if own.count > 0 {
+            fit.influence[column] = unseen * own.reach(column) / own.count as f64;
+        }
+        fit.total[column] = if own.count == pixels { own.sum(column) } else { size * fit.mean[column] };
+    }
+    fit
+}
+
+/// Mean cost of a pixel of each stratum: the group's mean where the stratum is the whole group; else its own mean drawn towards the
+/// group's, and scaled so that the strata add up to the group's total.
+fn unit_costs(counts: &[u32], moments: &[Moments], grouping: &Grouping, groups: &[GroupFit]) -> Vec<Row> {
+    let mut means = vec![[0.0; COLUMNS]; counts.len()];
+    for (g, group) in groups.iter().enumerate() {
+        let members: Vec<usize> = (0..counts.len()).filter(|&h| grouping.of[h] == Some(g)).collect();
+        let columns: [Vec<f64>; COLUMNS] = std::array::from_fn(|column| {
+            let pool = Pool::new(members.iter().map(|&h| &moments[h]), column);
+            let drawn: Vec<f64> = members
+                .iter()
+                .map(|&h| match &pool {
+                    Some(pool) if moments[h].count < u64::from(counts[h]) => {
+                        pool.shrink(&moments[h], column).0
+                    }
+                    Some(_) => moments[h].mean(column),
+                    None => 0.0,
+                })
+                .collect();
+            let expanded = sum(members.iter().zip(&drawn).map(|(&h, mean)| f64::from(counts[h]) * mean));
+            if expanded > 0.0 {
+                drawn.into_iter().map(|mean| mean * (group.total[column] / expanded)).collect()
+            } else {
+                vec![group.mean[column]; members.len()]
+            }
+        });
+        for (place, &h) in members.iter().enumerate() {
+            means[h] = std::array::from_fn(|column| columns[column][place]);
+        }
+    }
+    means
+}
+
+/// Related strata, or groups of them, that one with too few samples can borrow from: one-way analysis of variance.
+struct Pool {
+    mean: f64,
+    samples: f64,
+    within: f64,
+    between: f64,
+}
+
+impl Pool {
+    /// None if no member has a sample.
+    fn new<'a>(members: impl Iterator<Item = &'a Moments>, column: usize) -> Option<Self> {
+        let members: Vec<&Moments> = members.filter(|m| m.count > 0).collect();
+        let count = |m: &Moments| m.count as f64;
+        let samples: f64 = members.iter().map(|m| count(m)).sum();
+        if members.is_empty() {
+            return None;
+        }
+        let mean = sum(members.iter().map(|m| m.sum(column))) / samples;
+        let freedom = samples - members.len() as f64;
+        let within = if freedom > 0.0 {
+            sum(members.iter().map(|m| m.deviations(column))) / freedom
+        } else {
+            (PRIOR_VARIATION * mean) * (PRIOR_VARIATION * mean)
+        };
+        // Method of moments: E[Σ n (ȳ − ȳ..)²] = (k − 1) σ² + (n. − Σ n² / n.) τ².
+        let scatter =
+            sum(members.iter().map(|m| count(m) * (m.mean(column) - mean) * (m.mean(column) - mean)));
+        let effective = samples - sum(members.iter().map(|m| count(m) * count(m))) / samples;
+        let moment =
+            if effective > 0.0 { (scatter - (members.len() - 1) as f64 * within) / effective } else { 0.0 };
+        let least = (BORROWED_VARIATION * mean) * (BORROWED_VARIATION * mean);
+        Some(Pool { mean, samples, within, between: moment.max(least) })
+    }
+
+    /// The mean of a member, drawn towards the pool's by λ = τ² / (τ² + σ² / n), and its variance
+    /// λ σ² / n + (1 − λ)² σ² / m (m samples in the pool), or τ² + σ² / m for a member without samples (Fay, Herriot 1979).
+    fn shrink(&self, own: &Moments, column: usize) -> (f64, f64) {
+        let of_pool = self.within / self.samples;
+        if own.count == 0 {
+            return (self.mean, self.between + of_pool);
+        }
+        let of_own = self.within / own.count as f64;
+        let trust = if of_own > 0.0 { self.between / (self.between + of_own) } else { 1.0 };
+        let mean = trust * own.mean(column) + (1.0 - trust) * self.mean;
+        (mean, trust * of_own + (1.0 - trust) * (1.0 - trust) * of_pool)
+    }
+}
+
+/// One object's part in a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ObjectEstimate {
+    /// The object.
+    pub object: u32,
+    /// Pixels that show it.
+    pub pixels: u64,
+    /// Pixels of it that were profiled.
+    pub samples: u64,
+    /// Estimated cost of its pixels.
+    pub total: Costs<f64>,
+    /// Its share of the frame's work, from 0 to 1.
+    pub share_of_work: f64,
+}
+
+/// Adds the strata up by object, dearest in work first (then by object).
+pub fn by_object(strata: &[Stratum], estimates: &[StratumEstimate]) -> Vec<ObjectEstimate> {
+    let mut objects: Vec<u32> = strata.iter().map(|stratum| stratum.object).collect();
+    objects.sort_unstable();
+    objects.dedup();
+    let expanded = |e: &StratumEstimate, pick: fn(&Costs<f64>) -> f64| f64::from(e.pixels) * pick(&e.mean);
+    let work = sum(estimates.iter().map(|e| expanded(e, |c| c.work)));
+    let mut table: Vec<ObjectEstimate> = objects
+        .into_iter()
+        .map(|object| {
+            let own: Vec<&StratumEstimate> =
+                strata.iter().zip(estimates).filter(|(s, _)| s.object == object).map(|(_, e)| e).collect();
+            let total = |pick: fn(&Costs<f64>) -> f64| sum(own.iter().map(|e| expanded(e, pick)));
+            let total = Costs {
+                work: total(|c| c.work),
+                cpu_nanos: total(|c| c.cpu_nanos),
+                all_rays: total(|c| c.all_rays),
+                rays: std::array::from_fn(|kind| {
+                    sum(own.iter().map(|e| f64::from(e.pixels) * e.mean.rays[kind]))
+                }),
+            };
+            ObjectEstimate {
+                object,
+                pixels: own.iter().map(|e| u64::from(e.pixels)).sum(),
+                samples: own.iter().map(|e| u64::from(e.samples)).sum(),
+                share_of_work: if work > 0.0 { total.work / work } else { 0.0 },
+                total,
+            }
+        })
+        .filter(|entry| entry.pixels > 0)
+        .collect();
+    table.sort_by(|a, b| b.total.work.total_cmp(&a.total.work).then(a.object.cmp(&b.object)));
+    table
+}

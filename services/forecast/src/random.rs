@@ -1,0 +1,44 @@
+//! Counter-based random numbers: a pure function of the counters, so that a choice can be repeated by anybody
+//! who knows the seed, on any machine and in any order.
+
+/// Mixes one 64-bit word so that every input bit reaches every output bit (the finaliser of SplitMix64;
+/// Steele, Lea, Flood 2014, "Fast splittable pseudorandom number generators").
+const fn mix(mut word: u64) -> u64 {
+    word ^= word >> 30;
+    word = word.wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    word ^= word >> 27;
+    word = word.wrapping_mul(0x94d0_49bb_1331_11eb);
+    word ^ (word >> 31)
+}
+
+/// 2^64 divided by the golden ratio: the step of the Kronecker sequence and the increment of SplitMix64.
+pub(crate) const GOLDEN_STEP: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// One uniform 64-bit number for the given counters; other counters give an independent one.
+pub(crate) fn hash(counters: &[u64]) -> u64 {
+    counters.iter().fold(GOLDEN_STEP, |state, &counter| {
+        mix(state.wrapping_add(GOLDEN_STEP) ^ mix(counter ^ GOLDEN_STEP))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::hash;
+
+    #[test]
+    fn every_counter_and_its_place_matters() {
+        assert_ne!(hash(&[1, 2]), hash(&[2, 1]));
+        assert_ne!(hash(&[0]), hash(&[0, 0]));
+        assert_eq!(hash(&[7, 8, 9]), hash(&[7, 8, 9]));
+    }
+
+    #[test]
+    fn numbers_fill_sixteen_bins_evenly() {
+        let mut bins = [0u32; 16];
+        for i in 0..16_000 {
+            bins[(hash(&[42, i]) >> 60) as usize] += 1;
+        }
+        let chi_square: f64 = bins.iter().map(|&b| (f64::from(b) - 1000.0).powi(2) / 1000.0).sum();
+        assert!(chi_square < 37.7, "15 degrees of freedom, 0.1 % level: {chi_square}");
+    }
+}

@@ -1,0 +1,367 @@
+//! From a few profiled frames to every frame of the shot.
+
+use serde::{Deserialize, Serialize};
+
+use crate::cost::{COLUMNS, Cost, Costs, Observation, Quantity, Row, WORK, add_scaled};
+use crate::drift::Drift;
+use crate::error::ForecastError;
+use crate::estimate::{BORROWED_FREEDOM, BORROWED_VARIATION, FrameFit, StratumEstimate, Uncertainty};
+use crate::frames::{FramePopulation, apart, check_frames};
+use crate::interval::{Calibration, Part, log_deviation, quantity};
+use crate::moments::sum;
+use crate::strata::Stratum;
+
+/// What profiling one frame brought.
+#[derive(Clone, Copy, Debug)]
+pub struct ProfiledFrame<'a> {
+    /// Index of the frame among the shot's frames.
+    pub frame: usize,
+    /// The profiled pixels.
+    pub observations: &'a [Observation],
+    /// Cost of the frame whatever its pixels: loading, building, writing.
+    pub fixed: Cost,
+}
+
+/// Forecast of one frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FrameForecast {
+    /// The frame's number.
+    pub number: i64,
+    /// Whether pixels of this very frame were profiled.
+    pub profiled: bool,
+    /// Totals over all pixels, with the fixed cost.
+    pub total: Costs<Quantity>,
+    /// One entry for each stratum.
+    pub strata: Vec<StratumEstimate>,
+}
+
+/// Forecast of a whole shot.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ShotForecast {
+    /// Every frame, in order.
+    pub frames: Vec<FrameForecast>,
+    /// Totals over all frames. Their quantiles are *not* sums of the frames' quantiles.
+    pub total: Costs<Quantity>,
+    /// Log-standard deviation of the job's total work, inflated as the quantiles are: the error that its frames have in common,
+    /// for they share the same samples. It does not average out over frames.
+    pub job_sigma: f64,
+    /// Groups of strata in profiled frames that had to borrow, plus strata that no profiled frame shows.
+    pub borrowed: usize,
+    /// Whether the quantiles were stretched by what past jobs taught.
+    pub calibrated: bool,
+}
+
+/// Forecasts every frame from the profiled ones.
+///
+/// A profiled frame is estimated as by [`crate::estimate`]. In every other frame t, ŷ_t = Σ_h N_h,t ĉ_h(t) + fixed(t): the
+/// preview knows all N_h,t, and the unit cost of a stratum comes from the nearest profiled frame before and after in which it was sampled,
+/// each weighted by 1 / (CV² / n_h + q Δt): samples against distance in time, q being the prior drift of unit costs.
+///
+/// The variance of a frame and of the total has three parts. *Sampling*: each group mean of a profiled frame with the number of pixels that
+/// depend on it in all frames together, so that what frames share is added before it is squared. *Carrying*: the residual
+/// ln(y_t / ŷ_t) of carried frames is a random walk that is zero at every profiled frame; its rate has a prior (10 % over a third of the
+/// shot) and learns from predicting each profiled frame by the others. *Borrowing*: strata that no profiled frame shows are taken
+/// to cost what their material costs, give or take a half.
+///
+/// # Errors
+/// If nothing was profiled, or frames, counts, strata and observations do not fit together.
+pub fn forecast_shot(
+    strata: &[Stratum],
+    frames: &[FramePopulation],
+    profiled: &[ProfiledFrame<'_>],
+    calibration: Calibration,
+) -> Result<ShotForecast, ForecastError> {
+    check_frames(strata, frames)?;
+    let carrier = Carrier::new(strata, frames, profiled)?;
+    let predictions: Vec<Prediction> = (0..frames.len()).map(|t| carrier.predict(t, None)).collect();
+    let drifts: Vec<Drift> = (0..COLUMNS).map(|column| carrier.drift(column)).collect();
+
+    let mut unseen = vec![[0.0; COLUMNS]; strata.len()];
+    let mut weights = carrier.no_weights();
+    let frame_forecasts = predictions
+        .iter()
+        .enumerate()
+        .map(|(t, prediction)| {
+            for (all, own) in weights.iter_mut().flatten().zip(prediction.weights.iter().flatten()) {
+                *all += own;
+            }
+            for &h in &prediction.unseen {
+                add_scaled(&mut unseen[h], f64::from(frames[t].counts[h]), &prediction.means[h]);
+            }
+            let total = std::array::from_fn(|column| {
+                let borrowed = prediction
+                    .unseen
+                    .iter()
+                    .map(|&h| f64::from(frames[t].counts[h]) * prediction.means[h][column]);
+                let mut uncertainty = carrier.uncertainty(&prediction.weights, borrowed, column);
+                uncertainty.add_part(drifts[column].of_frame(t, prediction.total[column]));
+                let mean = prediction.total[column] + prediction.fixed[column];
+                quantity(mean, uncertainty.together(), calibration)
+            });
+            FrameForecast {
+                number: frames[t].number,
+                profiled: carrier.profiled_at(t).is_some(),
+                total: Costs::from(total),
+                strata: carrier.stratum_estimates(t, prediction),
+            }
+        })
+        .collect();
+
+    let total: [Quantity; COLUMNS] = std::array::from_fn(|column| {
+        let borrowed = unseen.iter().map(|amounts| amounts[column]);
+        let mut uncertainty = carrier.uncertainty(&weights, borrowed, column);
+        let traced: Vec<f64> = predictions.iter().map(|p| p.total[column]).collect();
+        uncertainty.add_part(drifts[column].of_total(&traced));
+        let mean = sum(traced) + sum(predictions.iter().map(|p| p.fixed[column]));
+        quantity(mean, uncertainty.together(), calibration)
+    });
+    let mut never_seen: Vec<usize> = predictions.iter().flat_map(|p| p.unseen.iter().copied()).collect();
+    never_seen.sort_unstable();
+    never_seen.dedup();
+    Ok(ShotForecast {
+        frames: frame_forecasts,
+        job_sigma: log_deviation(total[WORK].mean, total[WORK].variance) * calibration.inflation,
+        total: Costs::from(total),
+        borrowed: carrier.borrowed_groups() + never_seen.len(),
+        calibrated: calibration.calibrated,
+    })
+}
+
+/// Within a stratum, the squared coefficient of variation that is weighed against drift when unit costs are carried.
+const CARRIED_VARIATION_SQUARED: f64 = 0.25;
+
+/// A frame as the profiled ones predict it.
+struct Prediction {
+    /// Totals over pixels, without fixed cost.
+    total: Row,
+    fixed: Row,
+    /// Unit costs by stratum.
+    means: Vec<Row>,
+    /// How many pixels depend on each group of each profiled frame.
+    weights: Vec<Vec<f64>>,
+    /// Strata that none of the profiled frames shows.
+    unseen: Vec<usize>,
+}
+
+/// A profiled frame with its estimate.
+struct Source {
+    frame: usize,
+    fit: FrameFit,
+    fixed: Row,
+    /// Mean unit cost of all pixels of the frame.
+    overall: Row,
+}
+
+/// Carries unit costs from the profiled frames to the others.
+struct Carrier<'a> {
+    strata: &'a [Stratum],
+    frames: &'a [FramePopulation],
+    /// In order of time.
+    sources: Vec<Source>,
+}
+
+impl<'a> Carrier<'a> {
+    fn new(
+        strata: &'a [Stratum],
+        frames: &'a [FramePopulation],
+        profiled: &[ProfiledFrame<'_>],
+    ) -> Result<Self, ForecastError> {
+        let mut sources = Vec::with_capacity(profiled.len());
+        let mut taken = vec![false; frames.len()];
+        for profile in profiled {
+            let unknown = ForecastError::ProfiledFrame { index: profile.frame };
+            let frame = frames.get(profile.frame).ok_or(unknown.clone())?;
+            if std::mem::replace(&mut taken[profile.frame], true) {
+                return Err(unknown);
+            }
+            let fit = FrameFit::new(strata, frame.number, &frame.counts, profile.observations)?;
+            let pixels: f64 = frame.counts.iter().map(|&n| f64::from(n)).sum();
+            let overall = std::array::from_fn(|column| fit.total(column) / pixels.max(1.0));
+            let fixed = profile.fixed.columns().map(|value| value as f64);
+            sources.push(Source { frame: profile.frame, fit, fixed, overall });
+        }
+        if sources.is_empty() && !frames.is_empty() {
+            return Err(ForecastError::NoSamples);
+        }
+        sources.sort_by_key(|source| source.frame);
+        Ok(Carrier { strata, frames, sources })
+    }
+
+    fn profiled_at(&self, t: usize) -> Option<usize> {
+        self.sources.binary_search_by_key(&t, |source| source.frame).ok()
+    }
+
+    fn borrowed_groups(&self) -> usize {
+        self.sources.iter().flat_map(|source| &source.fit.groups).filter(|group| group.borrowed).count()
+    }
+
+    fn no_weights(&self) -> Vec<Vec<f64>> {
+        self.sources.iter().map(|source| vec![0.0; source.fit.groups.len()]).collect()
+    }
+
+    /// Predicts frame t, without the help of source `left_out`.
+    fn predict(&self, t: usize, left_out: Option<usize>) -> Prediction {
+        let mut weights = self.no_weights();
+        if let Some(k) = self.profiled_at(t)
+            && left_out != Some(k)
+        {
+            let source = &self.sources[k];
+            for (weight, group) in weights[k].iter_mut().zip(&source.fit.groups) {
+                *weight = group.pixels as f64;
+            }
+            let total = std::array::from_fn(|column| source.fit.total(column));
+            let means = source.fit.means.clone();
+            return Prediction { total, fixed: source.fixed, means, weights, unseen: Vec::new() };
+        }
+        let mut means = vec![[0.0; COLUMNS]; self.strata.len()];
+        let mut unseen = Vec::new();
+        for (h, &pixels) in self.frames[t].counts.iter().enumerate() {
+            if pixels == 0 {
+                continue;
+            }
+            let sampled = |k: usize| self.sources[k].fit.strata[h].samples > 0;
+            let shown = |k: usize| self.sources[k].fit.strata[h].pixels > 0;
+            let mut shares = self.neighbours(t, left_out, |k| sampled(k).then(|| self.samples(k, h)));
+            if shares.is_empty() {
+                shares = self.neighbours(t, left_out, |k| shown(k).then_some(1.0));
+            }
+            if shares.is_empty() {
+                unseen.push(h);
+                means[h] = self.material_mean(t, left_out, self.strata[h].material);
+            }
+            for (k, share) in shares {
+                let fit = &self.sources[k].fit;
+                add_scaled(&mut means[h], share, &fit.means[h]);
+                if let Some(group) = fit.group_of[h] {
+                    weights[k][group] += share * f64::from(pixels);
+                }
+            }
+        }
+        let counts = &self.frames[t].counts;
+        let total = std::array::from_fn(|column| {
+            sum(counts.iter().zip(&means).map(|(&pixels, mean)| f64::from(pixels) * mean[column]))
+        });
+        let mut fixed = [0.0; COLUMNS];
+        for (k, share) in self.neighbours(t, left_out, |_| Some(f64::INFINITY)) {
+            add_scaled(&mut fixed, share, &self.sources[k].fixed);
+        }
+        Prediction { total, fixed, means, weights, unseen }
+    }
+
+    fn samples(&self, k: usize, h: usize) -> f64 {
+        f64::from(self.sources[k].fit.strata[h].samples)
+    }
+
+    /// The nearest usable sources before and after frame t, with shares that add up to one. `samples` says on how many samples a source
+    /// stands, or none if it is of no use.
+    fn neighbours(
+        &self,
+        t: usize,
+        left_out: Option<usize>,
+        samples: impl Fn(usize) -> Option<f64>,
+    ) -> Vec<(usize, f64)> {
+        let usable = |k: &usize| Some(*k) != left_out && samples(*k).is_some();
+        let split = self.sources.partition_point(|source| source.frame <= t);
+        let nearest = [(0..split).rev().find(usable), (split..self.sources.len()).find(usable)];
+        let drift = Drift::prior_rate(self.frames);
+        let mut shares: Vec<(usize, f64)> = nearest
+            .into_iter()
+            .flatten()
+            .map(|k| {
+                let (one, other) = (self.frames[t].number, self.frames[self.sources[k].frame].number);
+                let noise = samples(k).map_or(0.0, |n| CARRIED_VARIATION_SQUARED / n);
+                (k, 1.0 / (noise + drift * apart(one, other)))
+            })
+            .collect();
+        let all: f64 = shares.iter().map(|(_, share)| share).sum();
+        shares.iter_mut().for_each(|(_, share)| *share /= all);
+        shares
+    }
+
+    /// Mean unit cost of a material in the profiled frames nearest to frame t that show it, or of everything.
+    fn material_mean(&self, t: usize, left_out: Option<usize>, material: u32) -> Row {
+        let amount = |k: usize| {
+            let source = &self.sources[k];
+            let mut amount = [0.0; COLUMNS];
+            let mut pixels = 0.0;
+            for h in (0..self.strata.len()).filter(|&h| self.strata[h].material == material) {
+                let shown = f64::from(source.fit.strata[h].pixels);
+                pixels += shown;
+                add_scaled(&mut amount, shown, &source.fit.means[h]);
+            }
+            (pixels > 0.0).then(|| amount.map(|value| value / pixels))
+        };
+        let mut shares = self.neighbours(t, left_out, |k| amount(k).map(|_| 1.0));
+        if shares.is_empty() {
+            shares = self.neighbours(t, left_out, |_| Some(1.0));
+        }
+        let mut mean = [0.0; COLUMNS];
+        for (k, share) in shares {
+            let unit = amount(k).unwrap_or(self.sources[k].overall);
+            add_scaled(&mut mean, share, &unit);
+        }
+        mean
+    }
+
+    /// Sampling and borrowing error of a total in which each group mean counts as often as `weights` says.
+    fn uncertainty(
+        &self,
+        weights: &[Vec<f64>],
+        borrowed: impl Iterator<Item = f64>,
+        column: usize,
+    ) -> Uncertainty {
+        let mut uncertainty = Uncertainty::default();
+        for (source, weights) in self.sources.iter().zip(weights) {
+            for (group, &weight) in source.fit.groups.iter().zip(weights) {
+                uncertainty.add(group, weight, column);
+            }
+        }
+        for amount in borrowed {
+            let deviation = BORROWED_VARIATION * amount;
+            uncertainty
+                .add_part(Part { variance: deviation * deviation, degrees_of_freedom: BORROWED_FREEDOM });
+        }
+        uncertainty
+    }
+
+    /// Learns how fast unit costs drift from how well each profiled frame is predicted by the others.
+    fn drift(&self, column: usize) -> Drift {
+        let mut drift = Drift::new(self.frames, self.sources.iter().map(|source| source.frame).collect());
+        if self.sources.len() < 2 {
+            return drift;
+        }
+        for (k, source) in self.sources.iter().enumerate() {
+            let measured = source.fit.total(column);
+            let prediction = self.predict(source.frame, Some(k));
+            let predicted = prediction.total[column];
+            if measured > 0.0 && predicted > 0.0 {
+                let borrowed = prediction
+                    .unseen
+                    .iter()
+                    .map(|&h| f64::from(self.frames[source.frame].counts[h]) * prediction.means[h][column]);
+                let of_prediction =
+                    self.uncertainty(&prediction.weights, borrowed, column).together().variance;
+                let own = self.predict(source.frame, None);
+                let of_frame = self.uncertainty(&own.weights, std::iter::empty(), column).together().variance;
+                let noise = of_prediction / predicted / predicted + of_frame / measured / measured;
+                drift.learn(k, libm::log(measured / predicted), noise);
+            }
+        }
+        drift
+    }
+
+    fn stratum_estimates(&self, t: usize, prediction: &Prediction) -> Vec<StratumEstimate> {
+        if let Some(k) = self.profiled_at(t) {
+            return self.sources[k].fit.strata.clone();
+        }
+        (0..self.strata.len())
+            .map(|h| StratumEstimate {
+                pixels: self.frames[t].counts[h],
+                samples: 0,
+                borrowed: self.frames[t].counts[h] > 0
+                    && self.sources.iter().all(|source| source.fit.strata[h].samples == 0),
+                mean: Costs::from(prediction.means[h]),
+            })
+            .collect()
+    }
+}

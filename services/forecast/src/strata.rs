@@ -1,0 +1,148 @@
+//! Strata, and their joining into groups that are large enough to be sampled.
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::ForecastError;
+
+/// An (object, material) pair that the preview can show. The background is a stratum like any other, by custom the last,
+/// with an object and a material of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Stratum {
+    /// The object, for tables by object.
+    pub object: u32,
+    /// The material: strata of one material borrow from each other first.
+    pub material: u32,
+    /// What one pixel is thought to cost before anything is measured, relative to a plain diffuse pixel (1). It only steers where
+    /// samples go (to glass rather than to walls); no estimate depends on it otherwise.
+    pub prior_cost: f64,
+}
+
+/// A group must deserve this many samples by its share of the expected cost; smaller ones are joined.
+const LEAST_DESERVED_SAMPLES: f64 = 0.5;
+
+/// Samples for each group in the mean: with at most a quarter as many groups as samples, the floor of two in each group takes
+/// no more than half of them.
+const SAMPLES_PER_GROUP: u64 = 4;
+
+/// Strata joined so that every group can have two samples or more.
+///
+/// With more strata than samples, small strata would mostly go unsampled, and a guess in their place would be a bias that no
+/// interval shows. Sampling the small strata *of one material together*, each pixel with the same chance, has no such bias
+/// (collapsed strata: Cochran 1977, section 5A.12). The grouping looks at pixel counts, materials, prior costs and the number of
+/// samples only, never at measured costs; so whoever estimates later finds the same groups as whoever chose.
+#[derive(Clone, Debug)]
+pub(crate) struct Grouping {
+    /// Group of each stratum; none for strata without pixels.
+    pub of: Vec<Option<usize>>,
+    pub groups: Vec<Group>,
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct Group {
+    pub pixels: u64,
+    /// The material, where all strata share it.
+    pub material: Option<u32>,
+    /// Expected cost of all pixels, in the unit of the prior costs.
+    pub weight: f64,
+}
+
+/// Checks what every forecast needs of its strata and one frame's counts.
+pub(crate) fn check(strata: &[Stratum], frame: i64, counts: &[u32]) -> Result<(), ForecastError> {
+    if let Some(stratum) = strata.iter().position(|s| !(s.prior_cost.is_finite() && s.prior_cost > 0.0)) {
+        return Err(ForecastError::BadPriorCost { stratum });
+    }
+    if counts.len() != strata.len() {
+        return Err(ForecastError::CountsLength { frame, counts: counts.len(), strata: strata.len() });
+    }
+    Ok(())
+}
+
+impl Grouping {
+    pub fn new(strata: &[Stratum], counts: &[u32], samples: u64) -> Self {
+        let pixels: u64 = counts.iter().map(|&n| u64::from(n)).sum();
+        let samples = samples.min(pixels).max(1);
+        let weights: Vec<f64> =
+            strata.iter().zip(counts).map(|(s, &n)| f64::from(n) * s.prior_cost).collect();
+        let total: f64 = weights.iter().sum();
+        let most = (samples / SAMPLES_PER_GROUP).max(1) as usize;
+        let mut share = LEAST_DESERVED_SAMPLES / samples as f64;
+        loop {
+            let grouping = Self::with_least_weight(strata, counts, &weights, share * total);
+            // Above a share of one everything is in one group, so this ends.
+            if grouping.groups.len() <= most || share > 1.0 {
+                return grouping;
+            }
+            share *= 1.5;
+        }
+    }
+
+    /// Strata of `least` weight stand alone; the rest are joined by material, and what is still too light in one last group.
+    fn with_least_weight(strata: &[Stratum], counts: &[u32], weights: &[f64], least: f64) -> Self {
+        let mut grouping = Grouping { of: vec![None; strata.len()], groups: Vec::new() };
+        let small: Vec<usize> = (0..strata.len()).filter(|&h| counts[h] > 0).collect();
+        let (alone, small): (Vec<_>, Vec<_>) = small.into_iter().partition(|&h| weights[h] >= least);
+        for h in alone {
+            grouping.join(&[h], strata, counts, weights);
+        }
+        let mut materials: Vec<u32> = small.iter().map(|&h| strata[h].material).collect();
+        materials.sort_unstable();
+        materials.dedup();
+        let mut rest = Vec::new();
+        for material in materials {
+            let members: Vec<usize> =
+                small.iter().copied().filter(|&h| strata[h].material == material).collect();
+            if members.iter().map(|&h| weights[h]).sum::<f64>() >= least {
+                grouping.join(&members, strata, counts, weights);
+            } else {
+                rest.extend(members);
+            }
+        }
+        if !rest.is_empty() {
+            grouping.join(&rest, strata, counts, weights);
+        }
+        grouping
+    }
+
+    fn join(&mut self, members: &[usize], strata: &[Stratum], counts: &[u32], weights: &[f64]) {
+        let material = strata[members[0]].material;
+        for &h in members {
+            self.of[h] = Some(self.groups.len());
+        }
+        self.groups.push(Group {
+            pixels: members.iter().map(|&h| u64::from(counts[h])).sum(),
+            material: members.iter().all(|&h| strata[h].material == material).then_some(material),
+            weight: members.iter().map(|&h| weights[h]).sum(),
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Grouping, Stratum};
+
+    fn stratum(material: u32) -> Stratum {
+        Stratum { object: 0, material, prior_cost: 1.0 }
+    }
+
+    #[test]
+    fn large_strata_stand_alone_and_small_ones_join_by_material() {
+        let strata = [stratum(0), stratum(1), stratum(1), stratum(2), stratum(3), stratum(0)];
+        let counts = [60_000, 100, 100, 5, 3, 0];
+        let grouping = Grouping::new(&strata, &counts, 256);
+        assert_eq!(grouping.of, [Some(0), Some(1), Some(1), Some(2), Some(2), None]);
+        assert_eq!(grouping.groups[1].material, Some(1));
+        assert_eq!(grouping.groups[2].material, None);
+        assert_eq!(grouping.groups.iter().map(|g| g.pixels).sum::<u64>(), 60_208);
+    }
+
+    #[test]
+    fn there_are_never_more_groups_than_a_quarter_of_the_samples() {
+        let strata: Vec<Stratum> = (0..1000).map(|i| stratum(i % 300)).collect();
+        let counts: Vec<u32> = (0..1000).map(|i| 1 + i % 97).collect();
+        for samples in [0, 1, 3, 4, 8, 64, 256, 4096] {
+            let grouping = Grouping::new(&strata, &counts, samples);
+            assert!(grouping.groups.len() as u64 <= (samples / 4).max(1), "{samples} samples");
+            assert!(grouping.of.iter().all(Option::is_some));
+        }
+    }
+}

@@ -1,0 +1,194 @@
+//! Whole shots: 48 frames forecast from five.
+
+mod common;
+
+use common::{INTERIOR, LIGHT, Picture, Recipe, cost_of, errors};
+use forelight_forecast::{
+    Calibration, Cost, FramePopulation, Observation, ProfiledFrame, ShotForecast, Stratum, choose_frames,
+    forecast_shot,
+};
+
+struct Shot {
+    pictures: Vec<Picture>,
+    frames: Vec<FramePopulation>,
+}
+
+impl Shot {
+    /// A fifth of the objects move by half the image's width.
+    fn new(recipe: Recipe, scene: u64) -> Self {
+        let pictures: Vec<Picture> = (0..48u32)
+            .map(|t| Picture::new(recipe, scene, scene * 100 + u64::from(t), f64::from(t) / 96.0))
+            .collect();
+        let frames = (0..)
+            .zip(&pictures)
+            .map(|(number, p)| FramePopulation { number, counts: p.counts.clone() })
+            .collect();
+        Shot { pictures, frames }
+    }
+
+    fn truth(&self) -> f64 {
+        self.pictures.iter().map(Picture::truth).sum()
+    }
+
+    fn forecast(&self, at_most: usize, samples: u32, seed: u64) -> ShotForecast {
+        let strata = &self.pictures[0].strata;
+        let chosen = choose_frames(strata, &self.frames, at_most).expect("good frames");
+        assert_eq!(chosen.len(), at_most.min(48));
+        let observed: Vec<Vec<Observation>> =
+            chosen.iter().map(|&t| self.pictures[t].profile(samples, seed, t as i64).1).collect();
+        let profiled: Vec<ProfiledFrame<'_>> = chosen
+            .iter()
+            .zip(&observed)
+            .map(|(&frame, observations)| ProfiledFrame { frame, observations, fixed: Cost::default() })
+            .collect();
+        forecast_shot(strata, &self.frames, &profiled, Calibration::NONE).expect("a forecast")
+    }
+}
+
+#[test]
+fn shots_are_forecast_within_five_percent_and_their_quantiles_hold() {
+    let recipe = Recipe { side: 48, objects: 40, ..INTERIOR };
+    let (mut totals, mut singles, mut hits) = (Vec::new(), Vec::new(), [0; 2]);
+    let scenes = 24;
+    for scene in 0..scenes {
+        let shot = Shot::new(recipe, scene);
+        let forecast = shot.forecast(5, 256, scene);
+        let (work, truth) = (forecast.total.work, shot.truth());
+        totals.push(work.mean / truth - 1.0);
+        hits[0] += u32::from(truth <= work.p80);
+        hits[1] += u32::from(truth <= work.p95);
+        for (frame, picture) in forecast.frames.iter().zip(&shot.pictures) {
+            singles.push(frame.total.work.mean / picture.truth() - 1.0);
+        }
+        assert!(forecast.job_sigma > 0.001 && forecast.job_sigma < 0.1, "{}", forecast.job_sigma);
+        assert!(!forecast.calibrated);
+    }
+    let (totals, singles) = (errors(&totals), errors(&singles));
+    println!("totals {totals:?}, frames {singles:?}, hits {hits:?} of {scenes}");
+    assert!(totals.mean_absolute < 0.02);
+    assert!(singles.mean_absolute < 0.05);
+    // Binomial limits at four standard errors: 24 · 0.8 − 7.8 and 24 · 0.95 − 4.3.
+    assert!(hits[0] >= 12 && hits[1] >= 19);
+}
+
+#[test]
+fn a_shot_that_is_sampled_completely_is_known_exactly() {
+    let shot = Shot::new(Recipe { side: 16, objects: 9, ..LIGHT }, 1);
+    let forecast = shot.forecast(48, 256, 1);
+    let work = forecast.total.work;
+    assert_eq!([work.mean, work.p50, work.p80, work.p95, work.variance], {
+        let truth = shot.truth();
+        [truth, truth, truth, truth, 0.0]
+    });
+    assert!(forecast.frames.iter().all(|frame| frame.profiled));
+    assert_eq!(forecast.job_sigma, 0.0);
+}
+
+#[test]
+fn more_profiling_narrows_the_quote() {
+    let shot = Shot::new(Recipe { side: 48, objects: 20, ..INTERIOR }, 2);
+    let width = |frames, samples| {
+        let work = shot.forecast(frames, samples, 3).total.work;
+        work.p95 / work.mean - 1.0
+    };
+    assert!(width(10, 256) < width(5, 256));
+    assert!(width(5, 512) < width(5, 64));
+    assert!(
+        width(1, 256) > width(5, 256),
+        "one profiled frame cannot show drift, so the prior counts in full"
+    );
+}
+
+#[test]
+fn the_common_error_of_a_job_does_not_average_out() {
+    let shot = Shot::new(Recipe { side: 48, objects: 20, ..INTERIOR }, 2);
+    let forecast = shot.forecast(5, 64, 3);
+    let independent: f64 = forecast.frames.iter().map(|frame| frame.total.work.variance).sum();
+    assert!(forecast.total.work.variance > 4.0 * independent);
+    let sum_of_p95: f64 = forecast.frames.iter().map(|frame| frame.total.work.p95).sum();
+    assert!(forecast.total.work.p95 < sum_of_p95, "nor do all frames reach their P95 at once");
+}
+
+fn one_stratum_each(counts: &[[u32; 3]]) -> (Vec<Stratum>, Vec<FramePopulation>) {
+    let strata = (0..3).map(|i| Stratum { object: i, material: i, prior_cost: 1.0 }).collect();
+    let frames = (0..)
+        .zip(counts)
+        .map(|(number, counts)| FramePopulation { number, counts: counts.to_vec() })
+        .collect();
+    (strata, frames)
+}
+
+#[test]
+fn frames_are_chosen_all_over_the_shot() {
+    let (strata, frames) = one_stratum_each(&[[100, 50, 10]; 48]);
+    let chosen = choose_frames(&strata, &frames, 5).expect("good frames");
+    assert_eq!(chosen.len(), 5);
+    assert!(chosen[0] <= 9 && chosen[4] >= 38, "{chosen:?}");
+    assert!(chosen.windows(2).all(|pair| (4..=15).contains(&(pair[1] - pair[0]))), "{chosen:?}");
+}
+
+#[test]
+fn an_object_that_appears_briefly_is_profiled_while_it_is_there() {
+    let mut counts = [[1000, 50, 0]; 48];
+    (20..23).for_each(|t| counts[t] = [200, 50, 800]);
+    let (strata, frames) = one_stratum_each(&counts);
+    let chosen = choose_frames(&strata, &frames, 3).expect("good frames");
+    assert!(chosen.iter().any(|t| (20..23).contains(t)), "{chosen:?}");
+}
+
+#[test]
+fn long_shots_and_generous_limits_are_no_trouble() {
+    let (strata, frames) = one_stratum_each(&[[10, 5, 1]; 1000]);
+    assert_eq!(choose_frames(&strata, &frames, 4).expect("good frames").len(), 4);
+    assert_eq!(choose_frames(&strata, &frames[..3], 5).expect("good frames"), [0, 1, 2]);
+    assert!(choose_frames(&strata, &frames, 0).expect("good frames").is_empty());
+    assert!(choose_frames(&strata, &[], 5).expect("no frames").is_empty());
+}
+
+#[test]
+fn an_object_that_vanishes_takes_its_cost_with_it() {
+    let (strata, frames) = one_stratum_each(&[[900, 100, 0], [1000, 0, 0], [1000, 0, 0]]);
+    let observed: Vec<Observation> = (0..40)
+        .map(|i| Observation {
+            stratum: u32::from(i >= 20),
+            cost: cost_of(if i >= 20 { 5000.0 } else { 10.0 }),
+        })
+        .collect();
+    let profiled =
+        [ProfiledFrame { frame: 0, observations: &observed, fixed: Cost { work: 7, ..Cost::default() } }];
+    let found = forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast");
+    assert_eq!(found.frames[0].total.work.mean, 900.0 * 10.0 + 100.0 * 5000.0 + 7.0);
+    assert!((found.frames[2].total.work.mean - 10_007.0).abs() < 1e-6);
+    assert_eq!(found.borrowed, 0);
+}
+
+#[test]
+fn an_object_that_no_profiled_frame_shows_borrows_and_widens_the_quote() {
+    let (mut strata, frames) = one_stratum_each(&[[1000, 0, 0], [500, 0, 500]]);
+    strata[2].material = 0;
+    let observed: Vec<Observation> =
+        (0..40).map(|_| Observation { stratum: 0, cost: cost_of(10.0) }).collect();
+    let profiled = [ProfiledFrame { frame: 0, observations: &observed, fixed: Cost::default() }];
+    let found = forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast");
+    assert_eq!(found.borrowed, 1);
+    assert!((found.frames[1].total.work.mean - 10_000.0).abs() < 1e-6);
+    assert!(found.frames[1].strata[2].borrowed);
+    assert!(found.frames[1].total.work.p80 > 11_000.0);
+}
+
+#[test]
+fn unit_costs_follow_a_trend_between_profiled_frames() {
+    let (strata, frames) = one_stratum_each(&[[100_000, 0, 0]; 11]);
+    let observed = |work: f64| -> Vec<Observation> {
+        (0..4000).map(|_| Observation { stratum: 0, cost: cost_of(work) }).collect()
+    };
+    let (early, late) = (observed(1000.0), observed(2000.0));
+    let profile = |frame, observations| ProfiledFrame { frame, observations, fixed: Cost::default() };
+    let profiled = [profile(10, &late[..]), profile(0, &early[..])];
+    let found = forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast");
+    let unit = |t: usize| found.frames[t].total.work.mean / 100_000.0;
+    assert_eq!((unit(0), unit(10)), (1000.0, 2000.0));
+    assert!((unit(5) - 1500.0).abs() < 1.0);
+    assert!((unit(2) - 1200.0).abs() < 25.0, "{}", unit(2));
+    assert!(found.frames[5].total.work.variance > found.frames[1].total.work.variance);
+}
