@@ -6,8 +6,8 @@ use crate::transport::{ClientError, Payload, Request, Token, Transport};
 use bytes::Bytes;
 use forelight_protocol::{
     ArtifactHash, ArtifactStored, Bundle, ClaimRequest, Event, EventId, ForecastDoc, FramePage, FrameRow,
-    Job, JobId, JobRequest, Lease, LeaseId, Node, NodeRegistration, ReleaseRequest, RenewRequest, Renewal,
-    ResultAnswer, ResultRequest,
+    Job, JobCheck, JobId, JobRequest, Lease, LeaseId, Node, NodeRegistration, ReleaseRequest, RenewRequest,
+    Renewal, ResultAnswer, ResultRequest,
 };
 use reqwest::header::{HeaderName, HeaderValue};
 use reqwest::{Method, StatusCode};
@@ -81,6 +81,11 @@ impl Client {
     /// Submits a job.
     pub async fn submit(&self, job: &JobRequest, key: Uuid) -> Result<Job, ClientError> {
         self.transport.json(&with_key(json(Method::POST, "/v1/jobs", job), key)).await
+    }
+
+    /// What submitting a job would say; nothing is kept.
+    pub async fn check(&self, job: &JobRequest) -> Result<JobCheck, ClientError> {
+        self.transport.json(&json(Method::POST, "/v1/jobs/check", job)).await
     }
 
     /// One job.

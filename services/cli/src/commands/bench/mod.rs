@@ -1,0 +1,57 @@
+//! `forelight bench`: measurements of what this program promises, on bundles that the user names.
+
+mod forecast;
+mod shot;
+
+use crate::interrupt::Interrupt;
+use anyhow::Result;
+use clap::Subcommand;
+
+/// Measure how good forecasts are
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight bench forecast kitchen/ corridor/ --out forecast.json
+  forelight bench shot kitchen/ --frames 0-47 --width 192 --height 108 --json")]
+pub struct Args {
+    #[command(subcommand)]
+    bench: Bench,
+}
+
+#[derive(Debug, Subcommand)]
+enum Bench {
+    Forecast(forecast::Args),
+    Shot(shot::Args),
+}
+
+/// Runs the command.
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    match &args.bench {
+        Bench::Forecast(args) => forecast::run(args, interrupt),
+        Bench::Shot(args) => shot::run(args, interrupt),
+    }
+}
+
+/// forecast / actual − 1; 0 if both are 0.
+fn relative_error(forecast: f64, actual: f64) -> f64 {
+    if actual == forecast { 0.0 } else { forecast / actual - 1.0 }
+}
+
+/// Mean of the absolute values; 0 of none.
+fn mean_absolute(errors: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = errors.fold((0.0, 0u32), |(sum, count), error| (sum + error.abs(), count + 1));
+    if count == 0 { 0.0 } else { sum / f64::from(count) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_have_a_sign_and_their_mean_has_none() {
+        assert_eq!(relative_error(150.0, 100.0), 0.5);
+        assert_eq!(relative_error(0.0, 0.0), 0.0);
+        assert_eq!(mean_absolute([0.5, -0.25].into_iter()), 0.375);
+        assert_eq!(mean_absolute(std::iter::empty()), 0.0);
+    }
+}

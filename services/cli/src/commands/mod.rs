@@ -1,0 +1,133 @@
+//! The commands, one file each.
+
+mod bench;
+mod forecast;
+mod preview;
+mod render;
+mod submit;
+mod token;
+mod worker;
+
+use crate::interrupt::Interrupt;
+use anyhow::Result;
+use clap::{ArgAction, Parser, Subcommand};
+
+/// Knows what a frame will cost before it is rendered.
+///
+/// forelight previews every frame of a shot, traces a few pixels of some of them, and says what all of them will cost, with
+/// how sure it is. On that it books a render farm against deadlines and budgets, and renders.
+#[derive(Debug, Parser)]
+#[command(name = "forelight", version, propagate_version = true, max_term_width = 100)]
+#[command(after_help = "\
+Examples:
+  forelight forecast kitchen/ --frames 0-47            what the shot will cost, on this machine
+  forelight render kitchen/ --frame 12 --out 12.exr    one frame, with its true cost
+  forelight farm --data farm-data --workers 2          a farm on this machine
+  forelight submit kitchen/ --frames 0-47 --deadline 2h --data farm-data --follow --out images/
+
+Exit codes: 0 done; 1 something failed; 2 wrong input; 130 stopped by the user.")]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// Log more to standard error: once what happens, twice how. RUST_LOG chooses finer
+    #[arg(short, long, global = true, action = ArgAction::Count)]
+    verbose: u8,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Worker(worker::Args),
+    Submit(submit::Args),
+    Render(render::Args),
+    Preview(preview::Args),
+    Forecast(forecast::Args),
+    Token(token::Args),
+    Bench(bench::Args),
+}
+
+impl Cli {
+    /// How often `-v` was given; long-running commands log what happens without being asked.
+    pub fn verbosity(&self) -> u8 {
+        let service = matches!(self.command, Command::Worker(_));
+        self.verbose + u8::from(service)
+    }
+
+    /// Runs the command.
+    pub async fn run(self) -> Result<()> {
+        let interrupt = Interrupt::listen()?;
+        match self.command {
+            Command::Worker(args) => worker::run(args, interrupt).await,
+            Command::Submit(args) => submit::run(args, interrupt).await,
+            Command::Token(args) => token::run(args).await,
+            // Tracing light is not waiting: it gets a thread that may block.
+            Command::Render(args) => blocking(move || render::run(&args, &interrupt)).await,
+            Command::Preview(args) => blocking(move || preview::run(&args)).await,
+            Command::Forecast(args) => blocking(move || forecast::run(&args, &interrupt)).await,
+            Command::Bench(args) => blocking(move || bench::run(&args, &interrupt)).await,
+        }
+    }
+}
+
+async fn blocking(work: impl FnOnce() -> Result<()> + Send + 'static) -> Result<()> {
+    match tokio::task::spawn_blocking(work).await {
+        Ok(done) => done,
+        Err(error) => match error.try_into_panic() {
+            Ok(panic) => std::panic::resume_unwind(panic),
+            Err(error) => Err(error.into()),
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Cli;
+    use clap::{CommandFactory, Parser};
+
+    fn parse(line: &str) -> Result<Cli, clap::Error> {
+        Cli::try_parse_from(line.split_whitespace())
+    }
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn the_examples_of_every_help_text_can_be_typed() {
+        let mut seen = 0;
+        let mut commands: Vec<clap::Command> = vec![Cli::command()];
+        while let Some(command) = commands.pop() {
+            commands.extend(command.get_subcommands().cloned());
+            let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            let help = help.replace("\\\n", " ");
+            for line in help.lines().map(str::trim).filter(|line| line.starts_with("forelight ")) {
+                // What follows three spaces is an explanation.
+                let typed = line.split("   ").next().unwrap_or(line);
+                let typed = typed.split(" > ").next().unwrap_or(typed);
+                parse(typed).unwrap_or_else(|error| panic!("{typed}: {error}"));
+                seen += 1;
+            }
+        }
+        assert!(seen >= 12, "only {seen} examples");
+    }
+
+    #[test]
+    fn wrong_values_name_the_flag() {
+        for (line, flag) in [
+            ("forelight submit b --frames 3-1", "--frames"),
+            ("forelight submit b --deadline soon", "--deadline"),
+            ("forelight submit b --budget=-3", "--budget"),
+            ("forelight render b --width 0", "--width"),
+            ("forelight render b --threads 0", "--threads"),
+            ("forelight render b --cache on", "--cache"),
+            ("forelight preview b --preview tpu", "--preview"),
+            ("forelight forecast b --samples 0", "--samples"),
+            ("forelight token --role boss", "--role"),
+            ("forelight farm --lease-ttl 0s", "--lease-ttl"),
+        ] {
+            let error = parse(line).expect_err(line);
+            assert_eq!(error.exit_code(), 2, "{line}");
+            assert!(error.to_string().contains(flag), "{line}: {error}");
+        }
+    }
+}

@@ -1,0 +1,144 @@
+//! `forelight render`: one frame on this machine, with its true cost.
+
+use crate::atomic_file::{write_bytes, write_with};
+use crate::failure::{BadInput, Interrupted};
+use crate::interrupt::Interrupt;
+use crate::local::Local;
+use crate::options::{CacheMode, MachineOptions, QualityOptions};
+use crate::output::{self, Bars};
+use crate::quantities::{count, seconds};
+use crate::table::{Align, Table};
+use anyhow::{Context, Result};
+use forelight_protocol::{Rays, RenderStats};
+use forelight_tracer::Profile;
+use forelight_worker::{RenderError, Rendered, png, render_frame};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Render one frame, and say what it took
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight render kitchen/ --frame 12 --out 12.exr
+  forelight render kitchen.zip --width 640 --spp 16 --ambient-bounces 1 --out f.exr --stats f.json
+  forelight render kitchen/ --profile profiles/frame-0000.profile --out 0.png
+
+The image has the same bits whatever the threads, and whether or not pixels were taken over from a profile. An .exr holds
+linear colour and, beside it, object and material ids, cost and rays of every pixel; a .png is for looking at.")]
+pub struct Args {
+    /// Scene bundle: a folder or a zip file
+    bundle: PathBuf,
+    /// Frame number
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    frame: u32,
+    /// Image to write, .exr or .png
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Also write the cost of every pixel in colour: cyan is cheap, red is dear
+    #[arg(long, value_name = "FILE.png")]
+    cost_map: Option<PathBuf>,
+    /// Write the frame's cost as JSON
+    #[arg(long, value_name = "FILE")]
+    stats: Option<PathBuf>,
+    /// Take over the finished pixels of a profile that `forelight forecast --save-profile` wrote
+    #[arg(long, value_name = "FILE")]
+    profile: Option<PathBuf>,
+    /// Irradiance cache
+    #[arg(long, value_name = "MODE", default_value = "off")]
+    cache: CacheMode,
+    /// Print the cost as JSON to standard output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    quality: QualityOptions,
+    #[command(flatten)]
+    machine: MachineOptions,
+}
+
+/// Formats that an image can be written in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Format {
+    Exr,
+    Png,
+}
+
+/// Runs the command.
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    let CacheMode::Off = args.cache;
+    let format = args.out.as_deref().map(format_of).transpose()?;
+    let profile = args.profile.as_deref().map(read_profile).transpose()?;
+    let bars = Bars::new(args.json);
+    let local = Local::open(&args.bundle, &args.machine, &bars)?;
+    let settings = local.settings(&args.quality)?;
+    let bar = bars.bar("rendering", settings.pixels());
+    let progress = |done: u64, _all: u64| bar.set_position(done);
+    let rendered = local
+        .pool
+        .install(|| {
+            render_frame(&local.shot, args.frame, &settings, profile.as_ref(), &progress, interrupt.flag())
+        })
+        .with_context(|| format!("bundle {}", args.bundle.display()))?;
+    bar.finish_and_clear();
+    let rendered = rendered.ok_or(Interrupted)?;
+    if let (Some(path), Some(format)) = (&args.out, format) {
+        write_image(&rendered, path, format)?;
+    }
+    if let Some(path) = &args.cost_map {
+        write_bytes(path, &png(&rendered.image.cost_map())?)?;
+    }
+    if let Some(path) = &args.stats {
+        write_bytes(path, (output::pretty(&rendered.stats)? + "\n").as_bytes())?;
+    }
+    if args.json { output::json(&rendered.stats) } else { output::print(&report(&rendered.stats)) }
+}
+
+fn format_of(path: &Path) -> Result<Format> {
+    match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
+        Some("exr") => Ok(Format::Exr),
+        Some("png") => Ok(Format::Png),
+        _ => {
+            Err(BadInput::new(format!("--out {}: the name must end in .exr or .png", path.display())).into())
+        }
+    }
+}
+
+fn read_profile(path: &Path) -> Result<Profile> {
+    let bytes = fs::read(path).map_err(|e| BadInput::new(format!("--profile {}: {e}", path.display())))?;
+    Profile::from_bytes(&bytes)
+        .map_err(RenderError::from)
+        .with_context(|| format!("--profile {}", path.display()))
+}
+
+fn write_image(rendered: &Rendered, path: &Path, format: Format) -> Result<()> {
+    match format {
+        Format::Exr => {
+            write_with(path, |temporary| Ok(rendered.image.write_exr(temporary, &rendered.frame)?))
+        }
+        Format::Png => write_bytes(path, &png(&rendered.image.picture())?),
+    }
+}
+
+/// The cost of a frame for people.
+fn report(stats: &RenderStats) -> String {
+    let mut table = Table::new(&[("rays", Align::Left), ("count", Align::Right)]);
+    for (name, rays) in Rays::NAMES.iter().zip(stats.rays.to_array()).filter(|(_, rays)| *rays > 0) {
+        table.row([(*name).to_owned(), count(rays as f64)]);
+    }
+    table.footer();
+    table.row(["all".into(), count(stats.rays.total() as f64)]);
+    let mut text = table.render();
+    let RenderStats { frame, width, height, spp, .. } = stats;
+    text += &format!("\nframe {frame}, {width} x {height}, {spp} samples per pixel\n");
+    text += &format!("effects     {}\n", stats.effects.join(", "));
+    text += &format!("work        {} operations\n", count(stats.work as f64));
+    text += &format!("CPU time    {}\n", seconds(stats.cpu_seconds));
+    text += &format!("wall time   {}\n", seconds(stats.wall_seconds));
+    if stats.reused_pixels > 0 {
+        text += &format!(
+            "taken over  {} pixels, {} of the CPU time above\n",
+            stats.reused_pixels,
+            seconds(stats.reused_cpu_seconds)
+        );
+    }
+    text
+}

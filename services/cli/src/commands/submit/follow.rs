@@ -1,0 +1,166 @@
+//! Following a job by its events, with a bar for each stage.
+
+use crate::failure::Interrupted;
+use crate::interrupt::Interrupt;
+use crate::output::Bars;
+use anyhow::{Context, Result};
+use forelight_protocol::{Event, EventId, EventKind, Job, JobState, TaskKind};
+use forelight_worker::{Backoff, Client, EventStream};
+use indicatif::ProgressBar;
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// Without an event for so long the job itself is asked, should the stream have died silently.
+const QUIET: Duration = Duration::from_secs(20);
+
+/// Follows a job until it is done, failed or cancelled, through lost connections and restarts of the service.
+pub async fn follow(client: &Client, job: Job, bars: &Bars, interrupt: &Interrupt) -> Result<Job> {
+    let id = job.id;
+    let stopped = interrupt.token();
+    let followed = async {
+        let mut job = job;
+        let mut stages = Stages::new(bars, &job);
+        let mut last: Option<EventId> = None;
+        let mut failures = 0;
+        while !job.state.is_final() {
+            match client.events(id, last).await {
+                Ok(stream) => {
+                    failures = 0;
+                    last = listen(stream, last, &mut stages).await;
+                }
+                Err(error) => {
+                    failures += 1;
+                    let patience = Backoff { attempts: Some(30), ..Backoff::PATIENT };
+                    let Some(wait) = patience.jittered(failures, None) else {
+                        return Err(error).context("the service went away while the job was followed");
+                    };
+                    tokio::time::sleep(wait).await;
+                }
+            }
+            job = match client.job(id).await {
+                Ok(job) => job,
+                Err(error) if error.problem().is_some() => {
+                    return Err(error).context("cannot follow the job");
+                }
+                // Not there at the moment: the loop tries the stream again.
+                Err(_) => continue,
+            };
+            stages.job(&job);
+        }
+        stages.finish();
+        Ok(job)
+    };
+    tokio::select! {
+        followed = followed => followed,
+        () = stopped.cancelled() => {
+            Err(anyhow::Error::from(Interrupted).context(format!("job {id} goes on; follow it by --job {id}")))
+        }
+    }
+}
+
+/// Reads events until the stream ends, falls silent, or tells that the job is over; returns the last event's id.
+async fn listen(mut stream: EventStream, mut last: Option<EventId>, stages: &mut Stages) -> Option<EventId> {
+    while let Ok(Some(event)) = tokio::time::timeout(QUIET, stream.next()).await {
+        last = Some(event.id);
+        stages.event(&event);
+        if event.job_state.is_some_and(JobState::is_final) {
+            break;
+        }
+    }
+    last
+}
+
+/// A bar for each stage of a job.
+struct Stages {
+    bars: Bars,
+    previews: ProgressBar,
+    profiling: ProgressBar,
+    frames: ProgressBar,
+    /// Frames that are being profiled, and whether they are done.
+    profiles: BTreeMap<u32, bool>,
+    frames_done: u64,
+}
+
+impl Stages {
+    fn new(bars: &Bars, job: &Job) -> Self {
+        let frames = u64::from(job.frames_total);
+        let mut stages = Self {
+            bars: bars.clone(),
+            previews: bars.bar("previews", frames),
+            profiling: bars.bar("profiling", frames.min(u64::from(job.profile_frames))),
+            frames: bars.bar("frames", frames),
+            profiles: BTreeMap::new(),
+            frames_done: 0,
+        };
+        stages.job(job);
+        stages
+    }
+
+    /// What the job itself says, which outranks what the events added up to.
+    fn job(&mut self, job: &Job) {
+        self.enter(job.state);
+        self.frames_done = u64::from(job.frames_done);
+        self.frames.set_position(self.frames_done);
+    }
+
+    fn event(&mut self, event: &Event) {
+        match (event.kind, event.task_kind, event.frame) {
+            (EventKind::JobState, _, _) => event.job_state.into_iter().for_each(|state| self.enter(state)),
+            (EventKind::TaskProgress, Some(TaskKind::Preview), _) => {
+                let all = self.previews.length().unwrap_or(0) as f64;
+                self.previews.set_position((all * event.progress.unwrap_or(0.0)) as u64);
+            }
+            (EventKind::TaskLeased, Some(TaskKind::Profile), Some(frame)) => {
+                self.profiles.entry(frame).or_insert(false);
+                self.profiling
+                    .set_length(self.profiling.length().unwrap_or(0).max(self.profiles.len() as u64));
+            }
+            (EventKind::TaskDone, Some(TaskKind::Profile), Some(frame)) => {
+                self.profiles.insert(frame, true);
+                self.profiling.set_position(self.profiles.values().filter(|done| **done).count() as u64);
+            }
+            (EventKind::TaskDone, Some(TaskKind::Render), Some(_)) => {
+                self.frames_done += 1;
+                self.frames.set_position(self.frames_done);
+            }
+            (EventKind::TaskFailed | EventKind::LeaseExpired, Some(kind), frame) => {
+                let frame = frame.map(|frame| format!(" of frame {frame}")).unwrap_or_default();
+                let what = if event.kind == EventKind::TaskFailed { "failed" } else { "lost its worker" };
+                let why = event.message.as_deref().map(|message| format!(": {message}")).unwrap_or_default();
+                self.bars.note(format!("{kind}{frame} {what}{why}"));
+            }
+            _ => {}
+        }
+    }
+
+    fn enter(&mut self, state: JobState) {
+        if stage(state) >= stage(JobState::Profiling) {
+            self.previews.set_position(self.previews.length().unwrap_or(0));
+        }
+        if stage(state) >= stage(JobState::Booked) {
+            // Fewer frames than allowed may have been profiled.
+            if !self.profiles.is_empty() {
+                self.profiling.set_length(self.profiles.len() as u64);
+            }
+            self.profiling.set_position(self.profiling.length().unwrap_or(0));
+        }
+        self.frames.set_message(state.name());
+    }
+
+    fn finish(&self) {
+        for bar in [&self.previews, &self.profiling, &self.frames] {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+/// How far on the way a job in this state is; one that failed or was cancelled may have stopped anywhere.
+fn stage(state: JobState) -> u8 {
+    match state {
+        JobState::Failed | JobState::Cancelled | JobState::Previewing => 0,
+        JobState::Profiling => 1,
+        JobState::Booked => 2,
+        JobState::Rendering => 3,
+        JobState::Done => 4,
+    }
+}

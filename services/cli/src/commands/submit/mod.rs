@@ -1,0 +1,220 @@
+//! `forelight submit`: a job for the farm, followed to its images.
+
+mod follow;
+mod images;
+mod report;
+
+use crate::archive;
+use crate::connection::connect;
+use crate::failure::BadInput;
+use crate::interrupt::Interrupt;
+use crate::local::settings_request;
+use crate::options::{ConfidenceLevel, ConnectionOptions, QualityOptions};
+use crate::output::{self, Bars};
+use crate::quantities::{Deadline, parse_deadline, parse_money};
+use anyhow::{Context, Result, bail};
+use forelight_protocol::{
+    BundleRef, Confidence, FrameSet, Job, JobId, JobRequest, JobState, Money, RenderSettingsRequest,
+    SceneSummary, Timestamp,
+};
+use forelight_worker::Client;
+use std::path::{Path, PathBuf};
+use uuid::Uuid;
+
+/// Submit a job to the farm, follow it, fetch its images
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight submit kitchen/ --frames 0-47 --deadline 2h --budget 12.50 --data farm-data --follow --out images/
+  forelight submit kitchen.zip --frames 0,12,24 --spp 64 --confidence p95 --server http://farm:7878
+  forelight submit /mnt/shots/kitchen --shared --frames 0-47 --deadline 2026-03-01T06:00:00Z
+  forelight submit --job 0192f0c1-7a3b-7c55-8f00-0123456789ab --follow --out images/
+
+Without --follow or --out the job's id is printed and that is all. A folder is packed and uploaded; a bundle that the farm has
+already is not kept twice. The exit code is 0 only if all frames were delivered.")]
+pub struct Args {
+    /// Scene bundle: a folder or a zip file
+    #[arg(required_unless_present = "job")]
+    bundle: Option<PathBuf>,
+    /// Follow this job, which was submitted before
+    #[arg(long, value_name = "ID", conflicts_with_all = ["bundle", "frames", "deadline", "budget", "shared"])]
+    job: Option<JobId>,
+    /// The bundle lies on storage that the service and all workers share: pass its path, upload nothing
+    #[arg(long)]
+    shared: bool,
+    /// Frames, such as 0-47 or 0,5,9-12 [default: the whole shot]
+    #[arg(long, value_name = "LIST")]
+    frames: Option<FrameSet>,
+    /// When all frames have to be there: 2h, 45m, or 2026-03-01T06:00:00Z
+    #[arg(long, value_name = "WHEN", value_parser = parse_deadline)]
+    deadline: Option<Deadline>,
+    /// The most that the job may cost, such as 12.50
+    #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
+    budget: Option<i64>,
+    /// How sure the booking has to be
+    #[arg(long, value_name = "LEVEL", default_value = "p80")]
+    confidence: ConfidenceLevel,
+    /// Name of the job [default: the bundle's]
+    #[arg(long, value_name = "NAME")]
+    name: Option<String>,
+    /// Project that the job is booked on
+    #[arg(long, value_name = "NAME", default_value = "default")]
+    project: String,
+    /// Among jobs with the same deadline the greater goes first
+    #[arg(long, value_name = "NUMBER", default_value_t = 0, allow_negative_numbers = true, value_parser = clap::value_parser!(i32).range(-1000..=1000))]
+    priority: i32,
+    /// Pixels to profile in a profiled frame
+    #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
+    samples: u32,
+    /// Frames to profile at most
+    #[arg(long, value_name = "FRAMES", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    profile_frames: u32,
+    /// Idempotency key: submitting again with the same key is the same submission
+    #[arg(long, value_name = "UUID")]
+    idempotency_key: Option<Uuid>,
+    /// Stay until the job is done, and print what was forecast and what it was, frame by frame
+    #[arg(long)]
+    follow: bool,
+    /// Follow, and put the images, cost maps and a contact sheet into this folder
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print the result as JSON to standard output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    quality: QualityOptions,
+    #[command(flatten)]
+    connection: ConnectionOptions,
+}
+
+/// Runs the command.
+pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
+    let bars = Bars::new(args.json);
+    let client = connect(&args.connection)?;
+    let job = match (args.job, &args.bundle) {
+        (Some(id), _) => client.job(id).await.with_context(|| format!("cannot follow job {id}"))?,
+        (None, Some(bundle)) => submit(&args, bundle, &client, &bars).await?,
+        (None, None) => return Err(BadInput::new("name a bundle, or a job by --job").into()),
+    };
+    if !args.follow && args.out.is_none() {
+        return if args.json { output::json(&job) } else { output::line(job.id.to_string()) };
+    }
+    bars.note(format!("job {} \"{}\", {} frames", job.id, job.name, job.frames_total));
+    let job = follow::follow(&client, job, &bars, &interrupt).await?;
+    let frames = client.frames(job.id).await.context("cannot read the frames")?;
+    // A job that failed before its forecast has none.
+    let forecast = client.forecast(job.id).await.ok();
+    if let Some(folder) = &args.out {
+        images::fetch(&client, &job, &frames, folder, &bars, &interrupt).await?;
+    }
+    if args.json {
+        output::json(&report::Document { job: &job, forecast: forecast.as_ref(), frames: &frames })?;
+    } else {
+        output::print(&report::report(&job, forecast.as_ref(), &frames, Timestamp::now()))?;
+    }
+    match job.state {
+        JobState::Done => Ok(()),
+        JobState::Failed => {
+            bail!("the job failed: {}", job.error.as_deref().unwrap_or("no reason was given"))
+        }
+        state => {
+            bail!("the job is {state}; {} of {} frames were delivered", job.frames_done, job.frames_total)
+        }
+    }
+}
+
+/// Sends bundle and job.
+async fn submit(args: &Args, bundle: &Path, client: &Client, bars: &Bars) -> Result<Job> {
+    let key = args.idempotency_key.unwrap_or_else(Uuid::now_v7);
+    let (reference, scene) = if args.shared {
+        shared(args, bundle, client).await?
+    } else {
+        upload(bundle, client, key, bars).await?
+    };
+    let frames = args.frames.clone().unwrap_or_else(|| FrameSet::range(0, scene.frames.saturating_sub(1)));
+    let settings = settings_request(&args.quality, (scene.width, scene.height));
+    let request = request(args, reference, scene.name, frames, settings)?;
+    client.submit(&request, key).await.context("cannot submit the job")
+}
+
+fn request(
+    args: &Args,
+    bundle: BundleRef,
+    scene_name: String,
+    frames: FrameSet,
+    settings: RenderSettingsRequest,
+) -> Result<JobRequest> {
+    let deadline = match args.deadline {
+        None => None,
+        Some(deadline) => {
+            let instant = deadline
+                .instant(jiff::Timestamp::now())
+                .map_err(|reason| BadInput::new(format!("--deadline: {reason}")))?;
+            Some(Timestamp::from_micros(instant.as_microsecond()))
+        }
+    };
+    Ok(JobRequest {
+        name: args.name.clone().unwrap_or(scene_name),
+        project: args.project.clone(),
+        bundle,
+        frames,
+        settings,
+        samples: args.samples,
+        profile_frames: args.profile_frames,
+        deadline,
+        budget: args.budget.map(Money),
+        confidence: match args.confidence {
+            ConfidenceLevel::P50 => Confidence::P50,
+            ConfidenceLevel::P80 => Confidence::P80,
+            ConfidenceLevel::P95 => Confidence::P95,
+        },
+        priority: args.priority,
+    })
+}
+
+/// A bundle on shared storage; the service says what is in it.
+async fn shared(args: &Args, bundle: &Path, client: &Client) -> Result<(BundleRef, SceneSummary)> {
+    let absolute = bundle
+        .canonicalize()
+        .map_err(|error| BadInput::new(format!("bundle {}: {error}", bundle.display())))?;
+    let path = absolute
+        .to_str()
+        .ok_or_else(|| BadInput::new(format!("bundle {}: the path must be UTF-8", bundle.display())))?;
+    let reference = BundleRef { id: None, path: Some(path.to_owned()) };
+    let question = request(
+        args,
+        reference.clone(),
+        "check".into(),
+        FrameSet::range(0, 0),
+        RenderSettingsRequest::default(),
+    )?;
+    let check = client.check(&question).await.context("the farm cannot use the bundle")?;
+    Ok((reference, check.scene))
+}
+
+/// Packs a folder if need be, and uploads it.
+async fn upload(bundle: &Path, client: &Client, key: Uuid, bars: &Bars) -> Result<(BundleRef, SceneSummary)> {
+    let about = std::fs::metadata(bundle)
+        .map_err(|error| BadInput::new(format!("bundle {}: {error}", bundle.display())))?;
+    let spinner = bars.spinner(format!("uploading {}", bundle.display()));
+    // Kept until the upload is over.
+    let packed;
+    let zip = if about.is_dir() {
+        let folder = bundle.to_owned();
+        packed = tokio::task::spawn_blocking(move || {
+            let file = tempfile::NamedTempFile::new().context("cannot make a temporary file")?;
+            archive::pack(&folder, std::io::BufWriter::new(file.reopen()?))?
+                .into_inner()
+                .context("cannot pack the bundle")?;
+            Ok::<_, anyhow::Error>(file)
+        })
+        .await??;
+        packed.path()
+    } else {
+        bundle
+    };
+    let uploaded = client.upload_bundle(zip, key).await;
+    spinner.finish_and_clear();
+    let uploaded = uploaded.with_context(|| format!("cannot upload {}", bundle.display()))?;
+    Ok((BundleRef { id: Some(uploaded.id), path: None }, uploaded.scene))
+}

@@ -1,0 +1,143 @@
+//! What was said and what was, frame by frame.
+
+use crate::quantities::{clock, count, money, percent, seconds};
+use crate::table::{Align, Table};
+use forelight_protocol::{ForecastDoc, FrameRow, FrameState, Job, JobState, Timestamp, Verdict};
+use serde::Serialize;
+
+/// All of it, for machines.
+#[derive(Debug, Serialize)]
+pub struct Document<'a> {
+    /// The job as it stands.
+    pub job: &'a Job,
+    /// Its quote, if there is one.
+    pub forecast: Option<&'a ForecastDoc>,
+    /// Its frames.
+    pub frames: &'a [FrameRow],
+}
+
+/// The table and the verdict, for people.
+pub fn report(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: Timestamp) -> String {
+    let head = [
+        ("frame", Align::Right),
+        ("forecast", Align::Right),
+        ("actual", Align::Right),
+        ("error", Align::Right),
+        ("CPU forecast", Align::Right),
+        ("actual", Align::Right),
+        ("error", Align::Right),
+        ("booked", Align::Left),
+        ("on", Align::Left),
+        ("started", Align::Right),
+        ("finished", Align::Right),
+        ("", Align::Left),
+    ];
+    let mut table = Table::new(&head);
+    let time = |at: Option<Timestamp>| at.map_or("-".into(), |at| clock(at, now));
+    for row in frames {
+        let (work, cpu) = (row.work, row.cpu_seconds);
+        let booked = row.booked.as_ref();
+        table.row([
+            row.frame.to_string(),
+            work.map_or("-".into(), |work| count(work.forecast.mean)),
+            work.and_then(|work| work.actual).map_or("-".into(), count),
+            work.and_then(|work| work.error).map_or("-".into(), percent),
+            cpu.map_or("-".into(), |cpu| seconds(cpu.forecast.mean)),
+            cpu.and_then(|cpu| cpu.actual).map_or("-".into(), seconds),
+            cpu.and_then(|cpu| cpu.error).map_or("-".into(), percent),
+            booked.map_or("-".into(), |b| format!("{} - {}", clock(b.start, now), clock(b.end, now))),
+            booked.map_or_else(String::new, |b| b.node.clone()),
+            time(row.started),
+            time(row.finished),
+            remark(row),
+        ]);
+    }
+    table.footer();
+    table.row(totals(frames));
+    format!("{}\n{}", table.render(), verdict(job, forecast, frames, now))
+}
+
+/// Sums over the frames that were forecast and are there: only like is compared with like.
+fn totals(frames: &[FrameRow]) -> Vec<String> {
+    let sums = |figures: &mut dyn Iterator<Item = forelight_protocol::FrameFigure>| {
+        let both = figures.filter_map(|figure| Some((figure.forecast.mean, figure.actual?)));
+        both.fold((0.0, 0.0), |(forecast, actual), (f, a)| (forecast + f, actual + a))
+    };
+    let (work, work_actual) = sums(&mut frames.iter().filter_map(|row| row.work));
+    let (cpu, cpu_actual) = sums(&mut frames.iter().filter_map(|row| row.cpu_seconds));
+    let error =
+        |forecast: f64, actual: f64| if actual > 0.0 { percent(forecast / actual - 1.0) } else { "-".into() };
+    vec![
+        "all".into(),
+        count(work),
+        count(work_actual),
+        error(work, work_actual),
+        seconds(cpu),
+        seconds(cpu_actual),
+        error(cpu, cpu_actual),
+    ]
+}
+
+fn remark(row: &FrameRow) -> String {
+    let mut remarks = Vec::new();
+    if row.state != FrameState::Done {
+        remarks.push(row.error.clone().unwrap_or_else(|| "not delivered".into()));
+    } else if row.attempts > 1 {
+        remarks.push(format!("{} attempts", row.attempts));
+    }
+    if let Some(stats) = row.actual.as_ref().filter(|stats| stats.reused_pixels > 0) {
+        remarks.push(format!("{} pixels from profiling", stats.reused_pixels));
+    }
+    remarks.join("; ")
+}
+
+/// The lines below the table.
+fn verdict(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: Timestamp) -> String {
+    let mut text = String::new();
+    if let Some(quote) = forecast {
+        let cpu = &quote.total.cpu_seconds;
+        text += &format!(
+            "quoted     {} CPU time (P50), {} (P80), {} (P95)",
+            seconds(cpu.p50),
+            seconds(cpu.p80),
+            seconds(cpu.p95)
+        );
+        if let Some(cost) = &quote.cost {
+            text += &format!("; costs {} (P50), {} (P80)", money(cost.p50.0), money(cost.p80.0));
+        }
+        text += "\n";
+    }
+    if let Some(verdict) = &job.verdict {
+        let said = match verdict.verdict {
+            Verdict::OnTime => "on time",
+            Verdict::Late => "late",
+            Verdict::OverBudget => "over budget",
+            Verdict::Impossible => "impossible",
+        };
+        let confidence = verdict.confidence.name().to_uppercase();
+        text += &format!("planned    {said} at {confidence}");
+        if let Some(finish) = verdict.finish {
+            text += &format!(", ready by {}", clock(finish, now));
+        }
+        if let Some(cost) = verdict.cost {
+            text += &format!(", for {}", money(cost.0));
+        }
+        text += "\n";
+        for reason in &verdict.reasons {
+            text += &format!("           {reason}\n");
+        }
+    }
+    let delivered = frames.iter().filter(|row| row.state == FrameState::Done).count();
+    text += &format!("delivered  {delivered} of {} frames", job.frames_total);
+    if let Some(finished) = job.finished_at.filter(|_| job.state == JobState::Done) {
+        text += &format!(" by {}", clock(finished, now));
+        if let Some(deadline) = job.deadline {
+            let late = finished.micros_since(deadline);
+            let word = if late > 0 { "late" } else { "before the deadline" };
+            text += &format!(", {} {word}", seconds(late.unsigned_abs() as f64 * 1e-6));
+        }
+    } else if job.state != JobState::Done {
+        text += &format!("; the job is {}", job.state);
+    }
+    text + "\n"
+}

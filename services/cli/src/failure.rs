@@ -1,0 +1,161 @@
+//! How the program ends: one `error: …` line, an optional hint, and an exit code.
+//!
+//! Exit code 2 means that the input was wrong and running again unchanged cannot help (usage, bundle, a request that
+//! the service refuses as invalid); 1 means that something failed on the way (network, disk, a frame that was not
+//! delivered); 130 means that the user stopped it.
+
+use forelight_protocol::Problem;
+use forelight_worker::{ClientError, RenderError};
+use std::fmt;
+
+/// What the user gave is wrong: a flag, a file, a value. Ends the program with exit code 2.
+#[derive(Debug)]
+pub struct BadInput {
+    message: String,
+    hint: Option<String>,
+}
+
+impl BadInput {
+    /// An error whose message names the field or file, the place in it, and the reason.
+    pub fn new(message: impl Into<String>) -> Self {
+        Self { message: message.into(), hint: None }
+    }
+
+    /// Adds a line that says what to do about it.
+    pub fn hint(mut self, hint: impl Into<String>) -> Self {
+        self.hint = Some(hint.into());
+        self
+    }
+}
+
+impl fmt::Display for BadInput {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.message)
+    }
+}
+
+impl std::error::Error for BadInput {}
+
+/// The user pressed Ctrl-C (or the process was told to terminate); nothing half-written was left.
+#[derive(Debug)]
+pub struct Interrupted;
+
+impl fmt::Display for Interrupted {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("stopped; nothing half-written was left behind")
+    }
+}
+
+impl std::error::Error for Interrupted {}
+
+/// The exit code that belongs to an error.
+pub fn exit_code(error: &anyhow::Error) -> u8 {
+    for cause in error.chain() {
+        if cause.is::<Interrupted>() {
+            return 130;
+        }
+        if cause.is::<BadInput>() || is_bad_bundle(cause) || is_refused_request(cause) {
+            return 2;
+        }
+    }
+    1
+}
+
+/// The message, on one line, with its causes, and the hint on a second line.
+pub fn describe(error: &anyhow::Error) -> String {
+    let mut message = String::new();
+    for cause in error.chain() {
+        let text = cause.to_string();
+        // Some libraries repeat their cause in their own text.
+        if message.ends_with(&text) {
+            continue;
+        }
+        if !message.is_empty() {
+            message.push_str(": ");
+        }
+        message.push_str(text.trim_end_matches(':'));
+    }
+    let mut text = format!("error: {}", message.replace('\n', " "));
+    if let Some(hint) = hint(error) {
+        text.push_str("\nhint: ");
+        text.push_str(&hint);
+    }
+    text
+}
+
+/// Whether a bundle, or a file that goes with it, says something that cannot be.
+fn is_bad_bundle(cause: &(dyn std::error::Error + 'static)) -> bool {
+    match cause.downcast_ref::<RenderError>() {
+        Some(RenderError::Preview(error)) => matches!(
+            error,
+            forelight_preview::PreviewError::EmptyImage { .. }
+                | forelight_preview::PreviewError::ImageTooLarge { .. }
+                | forelight_preview::PreviewError::Camera(_)
+        ),
+        Some(_) => true,
+        None => false,
+    }
+}
+
+/// Whether the service refused the request for what it says, rather than for who asks or when.
+fn is_refused_request(cause: &(dyn std::error::Error + 'static)) -> bool {
+    let problem = cause.downcast_ref::<ClientError>().and_then(ClientError::problem);
+    problem.is_some_and(|problem| matches!(problem.status, 400 | 404 | 413 | 415 | 422))
+}
+
+/// What to do about it, where that is known.
+fn hint(error: &anyhow::Error) -> Option<String> {
+    error.chain().find_map(|cause| {
+        if let Some(bad) = cause.downcast_ref::<BadInput>() {
+            return bad.hint.clone();
+        }
+        match cause.downcast_ref::<ClientError>()? {
+            ClientError::Unreachable { .. } => {
+                Some("is the service running? start one with `forelight farm`, or name it by --server".into())
+            }
+            ClientError::Refused(problem) => problem_hint(problem),
+            _ => None,
+        }
+    })
+}
+
+fn problem_hint(problem: &Problem) -> Option<String> {
+    match (problem.status, &problem.pointer) {
+        (401, _) => Some("the token is not known to this service; see `forelight token --help`".into()),
+        (403, _) => Some("this needs a token of another role; see `forelight token --help`".into()),
+        (_, Some(pointer)) => Some(format!("the field is {pointer} of the request")),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use anyhow::Context;
+    use forelight_protocol::ProblemKind;
+
+    fn refused(kind: ProblemKind) -> anyhow::Error {
+        ClientError::Refused(Box::new(Problem::new(kind, "no such frame").at("/frames"))).into()
+    }
+
+    #[test]
+    fn wrong_input_is_told_from_failure_by_the_exit_code() {
+        assert_eq!(exit_code(&BadInput::new("x").into()), 2);
+        assert_eq!(exit_code(&refused(ProblemKind::Invalid)), 2);
+        assert_eq!(exit_code(&refused(ProblemKind::Unauthenticated)), 1);
+        assert_eq!(exit_code(&refused(ProblemKind::Busy)), 1);
+        assert_eq!(exit_code(&anyhow::anyhow!("disk full")), 1);
+        assert_eq!(exit_code(&anyhow::Error::from(Interrupted).context("rendering")), 130);
+    }
+
+    #[test]
+    fn an_error_is_one_line_with_its_causes_and_one_with_a_hint() {
+        let error = Err::<(), _>(refused(ProblemKind::Invalid)).context("cannot submit").unwrap_err();
+        let text = describe(&error);
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines.len(), 2, "{text}");
+        assert!(lines[0].starts_with("error: cannot submit: 422 "), "{text}");
+        assert!(lines[0].contains("no such frame"), "{text}");
+        assert!(lines[1].contains("/frames"), "{text}");
+    }
+}

@@ -1,0 +1,55 @@
+//! `forelight`: the one binary. Every command is in a file of its own under `commands`; what several of them need is beside it.
+
+mod archive;
+mod atomic_file;
+mod commands;
+mod connection;
+mod contact_sheet;
+mod failure;
+mod interrupt;
+mod local;
+mod options;
+mod output;
+mod quantities;
+mod table;
+
+use clap::Parser;
+use std::io::IsTerminal;
+use std::process::ExitCode;
+use tracing_subscriber::EnvFilter;
+
+fn main() -> ExitCode {
+    let cli = commands::Cli::parse();
+    log(cli.verbosity());
+    let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
+        Ok(runtime) => runtime,
+        Err(error) => {
+            eprintln!("error: cannot start: {error}");
+            return ExitCode::FAILURE;
+        }
+    };
+    match runtime.block_on(cli.run()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{}", failure::describe(&error));
+            ExitCode::from(failure::exit_code(&error))
+        }
+    }
+}
+
+/// Logs go to standard error, so that standard output holds results alone.
+fn log(verbosity: u8) {
+    let default = match verbosity {
+        0 => "warn",
+        1 => "warn,forelight=info",
+        2 => "info,forelight=debug",
+        _ => "debug,forelight=trace",
+    };
+    // Crates of this project are logged under names that begin with `forelight_`, which the filter `forelight` includes.
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .init();
+}

@@ -1,0 +1,194 @@
+//! Durations, instants and amounts of money as people type and read them.
+//!
+//! Inside, time is integer microseconds UTC and money integer micro-units; nothing here goes through a float that is
+//! later compared.
+
+use jiff::{SignedDuration, Span, SpanRelativeTo, Timestamp, Unit};
+
+/// Micro-units in one unit of the farm's currency.
+pub const MICRO_UNITS: i64 = 1_000_000;
+
+/// When a job has to be ready, as it was typed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Deadline {
+    /// So long from the moment of submission.
+    In(SignedDuration),
+    /// At this instant.
+    At(Timestamp),
+}
+
+impl Deadline {
+    /// The instant, seen from `now`.
+    pub fn instant(self, now: Timestamp) -> Result<Timestamp, String> {
+        match self {
+            Self::At(instant) => Ok(instant),
+            Self::In(duration) => {
+                now.checked_add(duration).map_err(|_| "the deadline lies beyond the calendar".into())
+            }
+        }
+    }
+}
+
+/// Reads `2h`, `45m`, `1h30m`, `2d`, or an RFC 3339 instant such as `2026-03-01T06:00:00Z`.
+pub fn parse_deadline(text: &str) -> Result<Deadline, String> {
+    if let Ok(instant) = text.parse::<Timestamp>() {
+        return Ok(Deadline::At(instant));
+    }
+    match parse_duration(text) {
+        Ok(duration) => Ok(Deadline::In(duration)),
+        Err(_) => {
+            Err("expected a duration such as 2h, 45m or 1h30m, or an instant such as 2026-03-01T06:00:00Z"
+                .into())
+        }
+    }
+}
+
+/// Reads a positive duration such as `30s`, `45m`, `2h`, `1d12h`; a day is 24 hours.
+pub fn parse_duration(text: &str) -> Result<SignedDuration, String> {
+    let wrong = || "expected a duration such as 30s, 45m, 2h or 1h30m".to_string();
+    let span: Span = text.trim().parse().map_err(|_| wrong())?;
+    let duration = span.to_duration(SpanRelativeTo::days_are_24_hours()).map_err(|_| wrong())?;
+    if duration.is_zero() || duration.is_negative() {
+        return Err("must be longer than nothing".into());
+    }
+    Ok(duration)
+}
+
+/// Reads a non-negative decimal amount such as `12.50` into micro-units, exactly.
+pub fn parse_money(text: &str) -> Result<i64, String> {
+    let wrong = || "expected an amount such as 12.50, with at most six decimals".to_string();
+    let (whole, fraction) = text.trim().split_once('.').unwrap_or((text.trim(), ""));
+    let digits = |s: &str| s.bytes().all(|b| b.is_ascii_digit());
+    if whole.is_empty()
+        || !digits(whole)
+        || !digits(fraction)
+        || fraction.len() > 6
+        || text.trim().ends_with('.')
+    {
+        return Err(wrong());
+    }
+    let whole: i64 = whole.parse().map_err(|_| "the amount is too large".to_string())?;
+    // Right-padded to six digits, the decimals are micro-units.
+    let fraction: i64 = format!("{fraction:0<6}").parse().map_err(|_| wrong())?;
+    whole
+        .checked_mul(MICRO_UNITS)
+        .and_then(|micro| micro.checked_add(fraction))
+        .ok_or_else(|| "the amount is too large".to_string())
+}
+
+/// `12.50`: micro-units with two decimals, rounded half away from zero.
+pub fn money(micro_units: i64) -> String {
+    let cents = (micro_units.unsigned_abs() + 5_000) / 10_000;
+    let sign = if micro_units < 0 && cents > 0 { "-" } else { "" };
+    format!("{sign}{}.{:02}", cents / 100, cents % 100)
+}
+
+/// `0.42 s`, `12.3 s`, `3m 07s`, `2h 05m`.
+pub fn seconds(seconds: f64) -> String {
+    if !seconds.is_finite() {
+        return "-".into();
+    }
+    let whole = seconds.round() as i64;
+    match whole {
+        _ if seconds < 10.0 => format!("{seconds:.2} s"),
+        ..=99 => format!("{seconds:.1} s"),
+        ..=5_999 => format!("{}m {:02}s", whole / 60, whole % 60),
+        _ => format!("{}h {:02}m", whole / 3_600, whole % 3_600 / 60),
+    }
+}
+
+/// A count with the usual prefixes and three significant digits: `987`, `12.3 k`, `4.56 M`.
+pub fn count(value: f64) -> String {
+    if !value.is_finite() {
+        return "-".into();
+    }
+    let mut scaled = value;
+    let mut prefixes = ["", " k", " M", " G", " T", " P"].iter();
+    let mut prefix = prefixes.next().copied().unwrap_or_default();
+    while scaled.abs() >= 999.5 {
+        let Some(next) = prefixes.next() else { break };
+        scaled /= 1_000.0;
+        prefix = next;
+    }
+    match scaled.abs() {
+        _ if prefix.is_empty() => format!("{scaled:.0}"),
+        s if s < 9.995 => format!("{scaled:.2}{prefix}"),
+        s if s < 99.95 => format!("{scaled:.1}{prefix}"),
+        _ => format!("{scaled:.0}{prefix}"),
+    }
+}
+
+/// A clock time of today or a date and time, in the local time zone, to the second.
+pub fn clock(at: forelight_protocol::Timestamp, now: forelight_protocol::Timestamp) -> String {
+    let instant =
+        |at: forelight_protocol::Timestamp| Timestamp::from_microsecond(at.micros()).unwrap_or_default();
+    let zone = jiff::tz::TimeZone::system();
+    let (local, today) = (instant(at).to_zoned(zone.clone()), instant(now).to_zoned(zone));
+    let local = local.round(Unit::Second).unwrap_or(local);
+    if local.date() == today.date() {
+        local.strftime("%H:%M:%S").to_string()
+    } else {
+        local.strftime("%d %b %H:%M:%S").to_string()
+    }
+}
+
+/// Signed percentage with one decimal: `+3.2 %`.
+pub fn percent(fraction: f64) -> String {
+    if fraction.is_finite() { format!("{:+.1} %", fraction * 100.0) } else { "-".into() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn deadlines_are_durations_or_instants() {
+        let now: Timestamp = "2026-01-01T00:00:00Z".parse().unwrap();
+        let at = |text: &str| parse_deadline(text).unwrap().instant(now).unwrap().to_string();
+        assert_eq!(at("2h"), "2026-01-01T02:00:00Z");
+        assert_eq!(at("45m"), "2026-01-01T00:45:00Z");
+        assert_eq!(at("1h30m"), "2026-01-01T01:30:00Z");
+        assert_eq!(at("2d"), "2026-01-03T00:00:00Z");
+        assert_eq!(at("2026-03-01T06:00:00+02:00"), "2026-03-01T04:00:00Z");
+    }
+
+    #[test]
+    fn a_deadline_that_is_neither_is_refused_with_an_example() {
+        for text in ["", "soon", "12", "-2h", "0s", "2026-03-01"] {
+            let message = parse_deadline(text).unwrap_err();
+            assert!(message.contains("45m"), "{text}: {message}");
+        }
+    }
+
+    #[test]
+    fn money_is_read_exactly() {
+        assert_eq!(parse_money("12.50"), Ok(12_500_000));
+        assert_eq!(parse_money("0.000001"), Ok(1));
+        assert_eq!(parse_money("7"), Ok(7_000_000));
+        for text in ["", "-1", "1.", ".5", "1.0000001", "1e3", "1,50", "99999999999999999999"] {
+            assert!(parse_money(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn money_is_shown_to_the_cent() {
+        assert_eq!(money(12_500_000), "12.50");
+        assert_eq!(money(4_999), "0.00");
+        assert_eq!(money(5_000), "0.01");
+        assert_eq!(money(-1_234_567), "-1.23");
+    }
+
+    #[test]
+    fn numbers_keep_three_digits_across_every_border() {
+        assert_eq!(count(999.0), "999");
+        assert_eq!(count(999.6), "1.00 k");
+        assert_eq!(count(12_345.0), "12.3 k");
+        assert_eq!(count(999_600.0), "1.00 M");
+        assert_eq!(seconds(9.994), "9.99 s");
+        assert_eq!(seconds(61.0), "61.0 s");
+        assert_eq!(seconds(187.0), "3m 07s");
+        assert_eq!(seconds(7_500.0), "2h 05m");
+        assert_eq!(percent(0.032), "+3.2 %");
+        assert_eq!(percent(f64::NAN), "-");
+    }
+}

@@ -1,0 +1,97 @@
+//! Plain text tables: columns as wide as their widest cell, numbers to the right.
+
+/// Side on which a column's cells are flush.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Align {
+    /// Text.
+    Left,
+    /// Numbers.
+    Right,
+}
+
+/// A table that grows row by row.
+#[derive(Debug)]
+pub struct Table {
+    head: Vec<(String, Align)>,
+    rows: Vec<Vec<String>>,
+    /// Index of the first row below the rule, if there are totals.
+    footer: Option<usize>,
+}
+
+impl Table {
+    /// A table with these column heads.
+    pub fn new(head: &[(&str, Align)]) -> Self {
+        Self { head: head.iter().map(|&(t, a)| (t.into(), a)).collect(), rows: Vec::new(), footer: None }
+    }
+
+    /// Adds a row; cells that are missing at its end stay empty.
+    pub fn row(&mut self, cells: impl IntoIterator<Item = String>) {
+        self.rows.push(cells.into_iter().collect());
+    }
+
+    /// What follows are totals: they are set off by a rule.
+    pub fn footer(&mut self) {
+        self.footer.get_or_insert(self.rows.len());
+    }
+
+    /// The whole table, every line ended.
+    pub fn render(&self) -> String {
+        let width = |column: usize| {
+            let cells = self.rows.iter().filter_map(|r| r.get(column)).map(|c| c.chars().count());
+            cells.chain([self.head[column].0.chars().count()]).max().unwrap_or(0)
+        };
+        let widths: Vec<usize> = (0..self.head.len()).map(width).collect();
+        let rule = "-".repeat(widths.iter().sum::<usize>() + 2 * widths.len().saturating_sub(1));
+        let head: Vec<String> = self.head.iter().map(|(text, _)| text.clone()).collect();
+        let mut text = self.line(&head, &widths) + &rule + "\n";
+        for (index, row) in self.rows.iter().enumerate() {
+            if self.footer == Some(index) {
+                text += &rule;
+                text.push('\n');
+            }
+            text += &self.line(row, &widths);
+        }
+        text
+    }
+
+    fn line(&self, cells: &[String], widths: &[usize]) -> String {
+        let mut line = String::new();
+        for (column, (&width, (_, align))) in widths.iter().zip(&self.head).enumerate() {
+            if column > 0 {
+                line.push_str("  ");
+            }
+            let cell = cells.get(column).map_or("", String::as_str);
+            match align {
+                Align::Left => line.push_str(&format!("{cell:<width$}")),
+                Align::Right => line.push_str(&format!("{cell:>width$}")),
+            }
+        }
+        line.truncate(line.trim_end().len());
+        line.push('\n');
+        line
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_line_up_and_totals_are_set_off() {
+        let mut table =
+            Table::new(&[("frame", Align::Right), ("node", Align::Left), ("error", Align::Right)]);
+        table.row(["0".into(), "été".into(), "+1.0 %".into()]);
+        table.row(["12".into(), "node-2".into()]);
+        table.footer();
+        table.row(["total".into(), String::new(), "-12.0 %".into()]);
+        let expected = "\
+frame  node      error
+----------------------
+    0  été      +1.0 %
+   12  node-2
+----------------------
+total          -12.0 %
+";
+        assert_eq!(table.render(), expected);
+    }
+}
