@@ -156,7 +156,7 @@ fn shell(scene: &mut Scene) {
     scene.add("wall_right", "wall_paint", right);
     // The left wall stands 40 cm deep around the niche. In the frame's own plane x runs along -z of the hall.
     let left =
-        frame([-start - 0.05, -0.05], [-end + 0.05, HEIGHT + 0.05], [-NICHE.1, 0.0], [-NICHE.0, 2.3], 0.4);
+        frame([-start - 0.05, -0.05], [-end + 0.05, HEIGHT + 0.05], [-NICHE.1, -0.02], [-NICHE.0, 2.3], 0.4);
     scene.add("wall_left", "wall_paint", left.turned(Axis::Y, 90.0).at(-HALF_WIDTH, 0.0, 0.0));
     let niche = quad(
         dvec3(-1.66, -0.04, NICHE.1 + 0.1),
@@ -170,12 +170,12 @@ fn shell(scene: &mut Scene) {
     let skirting = |low: [f64; 3], high: [f64; 3]| rounded_cuboid(low, high, 0.003, 1);
     let x = HALF_WIDTH;
     let pieces = [
-        skirting([x - 0.012, -0.01, -4.29], [x + 0.02, 0.08, 0.49]),
-        skirting([x - 0.012, -0.01, 1.63], [x + 0.02, 0.08, start - 0.002]),
-        skirting([x - 0.012, -0.01, end + 0.02], [x + 0.02, 0.08, -5.44]),
+        skirting([x - 0.012, -0.01, -4.3], [x + 0.02, 0.08, 0.495]),
+        skirting([x - 0.012, -0.01, 1.625], [x + 0.02, 0.08, start - 0.002]),
+        skirting([x - 0.012, -0.01, end + 0.02], [x + 0.02, 0.08, -5.43]),
         skirting([-x - 0.02, -0.01, NICHE.1 + 0.001], [-x + 0.012, 0.08, start - 0.002]),
-        skirting([-x - 0.02, -0.01, -6.29], [-x + 0.012, 0.08, NICHE.0 - 0.001]),
-        skirting([-x - 0.02, -0.01, end + 0.02], [-x + 0.012, 0.08, -7.44]),
+        skirting([-x - 0.02, -0.01, -6.3], [-x + 0.012, 0.08, NICHE.0 - 0.001]),
+        skirting([-x - 0.02, -0.01, end + 0.02], [-x + 0.012, 0.08, -7.43]),
     ];
     scene.add("skirting", "skirting", Mesh::join(pieces));
     let housings = LAMPS.map(|z| {
@@ -192,7 +192,7 @@ fn shell(scene: &mut Scene) {
 /// The end wall with its window, and the hill outside.
 fn end_window(scene: &mut Scene) {
     let end = ENDS.0;
-    let wall = frame([-2.0, -0.05], [1.35, HEIGHT + 0.05], [-0.75, 0.5], [0.75, 2.3], 0.25).at(0.0, 0.0, end);
+    let wall = frame([-2.0, -0.06], [1.35, HEIGHT + 0.06], [-0.75, 0.5], [0.75, 2.3], 0.25).at(0.0, 0.0, end);
     scene.add("wall_end", "accent_paint", wall);
     let z = end - 0.12;
     let casing = frame([-0.76, 0.49], [0.76, 2.31], [-0.7, 0.55], [0.7, 2.25], 0.06).at(0.0, 0.0, z);
@@ -224,8 +224,8 @@ fn glass_doors(scene: &mut Scene) {
         rounded_cuboid([low[0], low[1], z - 0.035], [high[0], high[1], z + 0.035], 0.004, 1)
     };
     let posts = [
-        bar([-x - 0.02, -0.01], [-x + 0.06, HEIGHT + 0.01]),
-        bar([x - 0.06, -0.01], [x + 0.02, HEIGHT + 0.01]),
+        bar([-x - 0.025, -0.015], [-x + 0.06, HEIGHT + 0.01]),
+        bar([x - 0.06, -0.015], [x + 0.025, HEIGHT + 0.01]),
         bar([-x + 0.05, 2.15], [x - 0.05, 2.22]),
         bar([-x + 0.05, HEIGHT - 0.05], [x - 0.05, HEIGHT + 0.01]),
     ];
@@ -267,7 +267,7 @@ fn wooden_door(scene: &mut Scene, name: &str, place: impl Fn(Mesh) -> Mesh) {
     let case = frame([-0.57, -0.02], [0.57, 2.23], [-0.48, -0.01], [0.48, 2.13], 0.05).at(0.0, 0.0, 0.025);
     let leaf = rounded_cuboid([-0.477, 0.006, -0.03], [0.477, 2.127, 0.012], 0.003, 1);
     let panel = |low: f64, high: f64| {
-        frame([-0.36, low], [0.36, high], [-0.325, low + 0.035], [0.325, high - 0.035], 0.02)
+        frame([-0.36, low], [0.36, high], [-0.325, low + 0.035], [0.325, high - 0.035], 0.015)
             .at(0.0, 0.0, 0.02)
     };
     scene.add(format!("door_{name}"), "walnut", place(case.textured(0.8, Axis::Y)));

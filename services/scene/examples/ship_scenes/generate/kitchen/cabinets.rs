@@ -107,7 +107,7 @@ fn base_cupboards(scene: &mut Scene) {
 }
 
 fn worktops(scene: &mut Scene) {
-    let back = slab_with_hole([-2.41, 0.86, -1.81], [1.6, WORKTOP, -1.17], [-0.15, -1.68], [0.45, -1.28]);
+    let back = slab_with_hole([-2.42, 0.86, -1.82], [1.6, WORKTOP, -1.17], [-0.15, -1.68], [0.45, -1.28]);
     scene.add("worktop_back", "oak", back.textured(0.7, Axis::X));
     let left = rounded_cuboid([-2.41, 0.861, -1.168], [-1.77, WORKTOP - 0.0005, 0.58], 0.003, 1);
     scene.add("worktop_left", "oak", left.textured(0.7, Axis::Z));

@@ -183,13 +183,13 @@ fn book(thickness: f64, height: f64, depth: f64) -> (Mesh, Mesh) {
     let half = thickness / 2.0;
     let board = 0.0025;
     let cover = Mesh::join([
-        cuboid([-half, 0.0, -depth], [-half + board, height, -0.001]),
-        cuboid([half - board, 0.0, -depth], [half, height, -0.001]),
-        cuboid([-half + 0.0002, 0.0003, -0.006], [half - 0.0002, height - 0.0003, 0.0]),
+        cuboid([-half, 0.0012, -depth], [-half + board, height - 0.0012, -0.0012]),
+        cuboid([half - board, 0.0012, -depth], [half, height - 0.0012, -0.0012]),
+        cuboid([-half - 0.0012, 0.0, -0.006], [half + 0.0012, height, 0.0]),
     ]);
     let pages = cuboid(
-        [-half + board - 0.0005, 0.004, -depth + 0.005],
-        [half - board + 0.0005, height - 0.004, -0.004],
+        [-half + board - 0.0012, 0.004, -depth + 0.005],
+        [half - board + 0.0012, height - 0.004, -0.004],
     );
     (cover, pages)
 }
@@ -204,7 +204,7 @@ fn row_of_books(scene: &mut Scene, books: &[(f64, f64, &'static str)], place: im
         let shift = |mesh: Mesh| place(mesh.at(x + thickness / 2.0, 0.0, 0.0));
         parts.push((cover, shift(boards)));
         papers.push(shift(pages));
-        x += thickness + 0.0015;
+        x += thickness + 0.004;
     }
     parts.push(("paper", Mesh::join(papers)));
     scene.add_parts("books", parts);

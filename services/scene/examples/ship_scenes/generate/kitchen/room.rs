@@ -35,9 +35,9 @@ fn shell(scene: &mut Scene) {
     // Tiles above the worktops; their backs lie inside the wall.
     let (back_face, front_face, low) = (-1.805, -1.791, 0.88);
     let splash = [
-        cuboid([-2.41, low, back_face], [-0.531, 1.51, front_face]),
+        cuboid([-2.41, low, back_face], [-0.531, 1.507, front_face]),
         cuboid([-0.53, low, back_face], [0.93, 1.06, front_face]),
-        cuboid([0.931, low, back_face], [1.64, 1.51, front_face]),
+        cuboid([0.931, low, back_face], [1.64, 1.507, front_face]),
     ];
     scene.add("tiles_back", "wall_tiles", Mesh::join(splash).textured(0.62, Axis::X));
     let splash = cuboid([-2.405, low, -1.79], [-2.391, 1.35, 0.57]);
@@ -123,6 +123,6 @@ fn on_the_walls(scene: &mut Scene) {
     scene.add("painting", "painting", hang(canvas));
 
     // A socket above the left worktop.
-    let plate = rounded_cuboid([-2.4, 1.1, -0.28], [-2.382, 1.18, -0.12], 0.005, 1);
+    let plate = rounded_cuboid([-2.41, 1.1, -0.28], [-2.382, 1.18, -0.12], 0.005, 1);
     scene.add("socket", "white_paint", plate);
 }

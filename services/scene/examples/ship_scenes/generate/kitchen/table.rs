@@ -26,14 +26,14 @@ pub fn furnish(scene: &mut Scene) {
     let top = rounded_cuboid([-HALF.0, 0.715, -HALF.1], [HALF.0, 0.748, HALF.1], 0.004, 2);
     let legs = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(|(sx, sz)| {
         let (cx, cz) = (sx * (HALF.0 - 0.07), sz * (HALF.1 - 0.07));
-        cuboid([cx - 0.03, 0.0005, cz - 0.03], [cx + 0.03, 0.72, cz + 0.03])
+        cuboid([cx - 0.03, 0.0015, cz - 0.03], [cx + 0.03, 0.72, cz + 0.03])
     });
     let table = Mesh::join(legs).with(top).at(x, 0.0, z);
     scene.add("table", "oak", table.textured(0.8, Axis::X));
     scene.add("tablecloth", "gingham", cloth().at(x, 0.0, z));
     let chairs = [("left", -0.16, 0.66, -84.0), ("back", 0.72, -0.12, 176.0), ("right", 1.75, 0.55, 80.0)];
     for (name, x, z, turn) in chairs {
-        let place = |mesh: Mesh| mesh.turned(Axis::Y, turn).at(x, 0.0005, z);
+        let place = |mesh: Mesh| mesh.turned(Axis::Y, turn).at(x, 0.0015, z);
         scene.add(format!("chair_{name}"), "walnut", place(chair().textured(0.6, Axis::Y)));
         let cushion = rounded_cuboid([-0.19, 0.461, -0.18], [0.19, 0.5, 0.19], 0.019, 2);
         scene.add(format!("chair_{name}"), "cushion", place(cushion));
@@ -164,8 +164,8 @@ fn on_the_table(scene: &mut Scene) {
         28,
     );
     scene.add("juice_glass", "orange_juice", juice.at(0.78, top, 0.92));
-    scene.add("water_bottle", "clear_glass", bottle(0.042, 0.3).at(1.22, top, 0.66));
-    scene.add("water_glass", "clear_glass", tumbler(0.034, 0.11).at(1.12, top, 0.78));
+    scene.add("water_bottle", "clear_glass", bottle(0.042, 0.3).at(1.24, top, 0.6));
+    scene.add("water_glass", "clear_glass", tumbler(0.034, 0.11).at(1.33, top, 0.74));
     // An open book.
     let page = |side: f64| {
         surface(12, 2, move |u, v| {
