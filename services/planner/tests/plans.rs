@@ -1,0 +1,212 @@
+//! Plans by hand: what comes out, and that bad input is named.
+
+use forelight_planner::{
+    Bound, Confidence, FixedBooking, Frame, Input, InputError, Interval, Job, Node, Plan, Verdict, Violation,
+    WorkTotal, plan, verify,
+};
+
+const SECOND: i64 = 1_000_000;
+const HOUR: i64 = 3600 * SECOND;
+
+fn node(id: u64, speed: u64) -> Node {
+    Node {
+        id,
+        name: format!("node-{id}"),
+        speed,
+        price_per_hour: 3_600_000,
+        available_from: 0,
+        calendar: vec![Interval { start: 0, end: None }],
+    }
+}
+
+fn job(id: u64, deadline: Option<i64>, works: &[u64]) -> Job {
+    let total: u64 = works.iter().fold(0, |sum, &work| sum.saturating_add(work));
+    Job {
+        id,
+        release: 0,
+        deadline,
+        priority: 0,
+        confidence: Confidence::P50,
+        total: WorkTotal { p50: total, p80: total, p95: total },
+        frames: (0..).zip(works).map(|(number, &work)| Frame { number, work }).collect(),
+        budget: None,
+    }
+}
+
+fn input(nodes: Vec<Node>, jobs: Vec<Job>) -> Input {
+    Input { nodes, fixed: vec![], jobs }
+}
+
+fn sound(input: &Input) -> Plan {
+    let found = plan(input).expect("a plan");
+    assert_eq!(verify(input, &found), Ok(()));
+    found
+}
+
+#[test]
+fn the_longest_frame_goes_first_to_the_fastest_node() {
+    let found = sound(&input(vec![node(1, 10), node(2, 20)], vec![job(1, None, &[10, 40, 20])]));
+    let booked: Vec<(i64, u64, i64, i64)> =
+        found.bookings.iter().map(|b| (b.frame, b.node, b.start, b.end)).collect();
+    assert_eq!(booked, [(2, 1, 0, 2 * SECOND), (1, 2, 0, 2 * SECOND), (0, 2, 2 * SECOND, 2_500_000)]);
+    assert_eq!(found.jobs[0].verdict, Verdict::NoDeadline { finish: 2_500_000 });
+    assert_eq!(
+        found.bound,
+        Bound { by_capacity: Some(2_333_334), by_longest_frame: Some(2 * SECOND) },
+        "70 units at 30 a second; 40 at 20"
+    );
+}
+
+#[test]
+fn among_equal_ends_the_cheaper_node_wins() {
+    let dear = Node { price_per_hour: 9_000_000, ..node(1, 10) };
+    let found = sound(&input(vec![dear, node(2, 10)], vec![job(1, None, &[10])]));
+    assert_eq!(found.bookings[0].node, 2);
+}
+
+#[test]
+fn the_earlier_deadline_goes_first_whatever_the_order_of_jobs() {
+    let jobs = vec![job(1, None, &[10]), job(2, Some(9 * SECOND), &[10]), job(3, Some(SECOND), &[10])];
+    let found = sound(&input(vec![node(1, 10)], jobs));
+    let order: Vec<u64> = found.bookings.iter().map(|b| b.job).collect();
+    assert_eq!(order, [3, 2, 1]);
+    assert_eq!(found.jobs[1].verdict, Verdict::Feasible { finish: 2 * SECOND, slack: 7 * SECOND });
+}
+
+#[test]
+fn among_equal_deadlines_the_greater_priority_goes_first() {
+    let urgent = Job { priority: 5, ..job(2, Some(HOUR), &[10]) };
+    let found = sound(&input(vec![node(1, 10)], vec![job(1, Some(HOUR), &[10]), urgent]));
+    assert_eq!(found.bookings[0].job, 2);
+}
+
+#[test]
+fn capacity_is_bought_at_the_jobs_quantile() {
+    let confident = Job {
+        confidence: Confidence::P95,
+        total: WorkTotal { p50: 30, p80: 40, p95: 61 },
+        ..job(1, None, &[10, 20])
+    };
+    assert_eq!(confident.bought_work(), [21, 41], "61 in the ratio of one to two, rounded up");
+    let found = sound(&input(vec![node(1, 1)], vec![confident]));
+    assert_eq!(found.jobs[0].verdict, Verdict::NoDeadline { finish: 62 * SECOND });
+}
+
+#[test]
+fn frames_without_a_forecast_share_the_total_evenly() {
+    let unknown = Job { total: WorkTotal { p50: 10, p80: 10, p95: 10 }, ..job(1, None, &[0, 0, 0]) };
+    assert_eq!(unknown.bought_work(), [4, 4, 4]);
+}
+
+#[test]
+fn every_booking_rounds_its_time_and_price_up() {
+    let found = sound(&input(
+        vec![Node { price_per_hour: 1, ..node(1, 3) }],
+        vec![Job { budget: Some(1), ..job(1, None, &[1, 1]) }],
+    ));
+    assert_eq!(found.bookings[0].end, 333_334);
+    assert_eq!((found.jobs[0].cost, found.cost), (2, 2));
+    assert_eq!(found.jobs[0].within_budget, Some(false));
+}
+
+#[test]
+fn fixed_bookings_calendars_and_releases_are_respected_to_the_microsecond() {
+    let mut one = node(1, 1);
+    one.calendar = vec![
+        Interval { start: 0, end: Some(10 * SECOND) },
+        Interval { start: 20 * SECOND, end: Some(30 * SECOND) },
+        Interval { start: 25 * SECOND, end: Some(45 * SECOND) },
+    ];
+    one.available_from = SECOND;
+    let mut work =
+        input(vec![one], vec![Job { release: 2 * SECOND, ..job(1, Some(40 * SECOND), &[5, 6, 15]) }]);
+    work.fixed = vec![FixedBooking { node: 1, start: 7 * SECOND, end: 8 * SECOND }];
+    let found = sound(&work);
+    let booked: Vec<(i64, i64, i64)> =
+        found.bookings.iter().map(|b| (b.frame, b.start / SECOND, b.end / SECOND)).collect();
+    assert_eq!(booked, [(0, 2, 7), (2, 20, 35), (1, 35, 41)]);
+    let Verdict::Late { finish, by, unavoidable } = found.jobs[0].verdict else { panic!("late") };
+    assert_eq!((finish, by, unavoidable), (41 * SECOND, SECOND, false));
+    assert_eq!(found.jobs[0].bound.by_capacity, Some(39 * SECOND));
+    assert_eq!(found.jobs[0].bound.by_longest_frame, Some(35 * SECOND));
+}
+
+#[test]
+fn a_deadline_in_the_past_is_late_and_cannot_be_helped() {
+    let found = sound(&input(vec![node(1, 10)], vec![job(1, Some(-HOUR), &[10])]));
+    assert_eq!(found.jobs[0].verdict, Verdict::Late { finish: SECOND, by: HOUR + SECOND, unavoidable: true });
+}
+
+#[test]
+fn an_empty_farm_places_nothing_and_says_so() {
+    let found = sound(&input(vec![], vec![job(1, Some(HOUR), &[10, 20])]));
+    assert_eq!(found.jobs[0].verdict, Verdict::Unplaced { frames: vec![0, 1] });
+    assert_eq!(found.jobs[0].bound.earliest_finish(), None);
+    assert!(found.bookings.is_empty());
+}
+
+#[test]
+fn a_frame_that_fits_no_gap_is_unplaced_and_the_others_are_not() {
+    let mut one = node(1, 1);
+    one.calendar = vec![Interval { start: 0, end: Some(10 * SECOND) }];
+    let found = sound(&input(vec![one], vec![job(1, None, &[11, 10])]));
+    assert_eq!(found.jobs[0].verdict, Verdict::Unplaced { frames: vec![0] });
+    assert_eq!(found.bookings.len(), 1);
+}
+
+#[test]
+fn jobs_without_frames_and_inputs_without_anything_are_planned() {
+    let empty = Job { release: 5, ..job(1, Some(7), &[]) };
+    assert_eq!(sound(&input(vec![], vec![empty])).jobs[0].verdict, Verdict::Feasible { finish: 5, slack: 2 });
+    assert_eq!(sound(&Input::default()), Plan::default());
+}
+
+#[test]
+fn absurd_numbers_give_a_verdict() {
+    let vast = Job {
+        release: i64::MIN,
+        deadline: Some(i64::MIN),
+        budget: Some(i64::MIN),
+        ..job(1, None, &[u64::MAX, u64::MAX, 1])
+    };
+    let dear = Node { price_per_hour: i64::MAX, available_from: i64::MIN, ..node(1, 1) };
+    let mut endless = Node { speed: u64::MAX, price_per_hour: i64::MAX, ..node(2, 1) };
+    endless.calendar = vec![Interval { start: i64::MIN, end: None }];
+    endless.available_from = i64::MIN;
+    let found =
+        sound(&input(vec![dear, endless], vec![vast, Job { release: i64::MAX, ..job(2, None, &[1]) }]));
+    assert!(matches!(found.jobs[0].verdict, Verdict::Late { unavoidable: true, .. }));
+    assert_eq!(found.jobs[1].verdict, Verdict::Unplaced { frames: vec![0] });
+    assert_eq!(found.jobs[0].within_budget, Some(false));
+}
+
+#[test]
+fn input_without_a_meaning_is_named() {
+    let one = || node(1, 10);
+    let two = || job(2, None, &[1]);
+    let reversed = Node { calendar: vec![Interval { start: 3, end: Some(2) }], ..one() };
+    let twice = Job { frames: vec![Frame { number: 4, work: 1 }; 2], ..two() };
+    let falling = Job { total: WorkTotal { p50: 3, p80: 2, p95: 4 }, ..two() };
+    let fixed = |node, start, end| Input {
+        nodes: vec![one()],
+        fixed: vec![FixedBooking { node, start, end }],
+        jobs: vec![],
+    };
+    for (bad, expected) in [
+        (input(vec![one(), one()], vec![]), InputError::DuplicateNode { node: 1 }),
+        (input(vec![node(1, 0)], vec![]), InputError::ZeroSpeed { node: 1 }),
+        (
+            input(vec![Node { price_per_hour: -1, ..one() }], vec![]),
+            InputError::NegativePrice { node: 1, price: -1 },
+        ),
+        (input(vec![reversed], vec![]), InputError::ReversedInterval { node: 1, start: 3, end: 2 }),
+        (input(vec![], vec![two(), two()]), InputError::DuplicateJob { job: 2 }),
+        (input(vec![], vec![twice]), InputError::DuplicateFrame { job: 2, frame: 4 }),
+        (input(vec![], vec![falling]), InputError::FallingQuantiles { job: 2 }),
+        (fixed(9, 0, 1), InputError::UnknownNode { node: 9 }),
+        (fixed(1, 1, 0), InputError::ReversedBooking { node: 1, start: 1, end: 0 }),
+    ] {
+        assert_eq!(plan(&bad), Err(expected.clone()));
+        assert_eq!(verify(&bad, &Plan::default()), Err(vec![Violation::Input(expected)]));
+    }
+}
