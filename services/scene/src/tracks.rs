@@ -158,7 +158,7 @@ fn camera_track(
             let angles = curve::<1, _>(check, at, track, |p, [v]| check.field_of_view(p, v))?;
             camera.fov_deg = Animated::Curve(angles);
         }
-        other => return unknown_property(check, at, "camera", other, "origin, target, up, fov_deg"),
+        other => return unknown_property(check, at, "a camera", other, "origin, target, up, fov_deg"),
     }
     Ok(())
 }
@@ -170,9 +170,9 @@ fn light_track(
     light: &mut LightSource,
 ) -> Result<(), SceneError> {
     let (what, property, value) = match light {
-        LightSource::Quad { radiance, .. } => ("quad light", "radiance", radiance),
-        LightSource::Point { intensity, .. } => ("point light", "intensity", intensity),
-        LightSource::Sun { irradiance, .. } => ("sun", "irradiance", irradiance),
+        LightSource::Quad { radiance, .. } => ("a quad light", "radiance", radiance),
+        LightSource::Point { intensity, .. } => ("a point light", "intensity", intensity),
+        LightSource::Sun { irradiance, .. } => ("a sun", "irradiance", irradiance),
     };
     if track.property != property {
         return unknown_property(check, at, what, &track.property, property);
@@ -187,7 +187,7 @@ fn motion(check: &Checker<'_>, at: &str, track: RawTrack) -> Result<Motion, Scen
         "translation" => Ok(Motion::Translation(vectors(track)?)),
         "scale" => Ok(Motion::Scale(vectors(track)?)),
         "rotation" => Ok(Motion::Rotation(curve::<4, _>(check, at, track, |p, v| rotation(check, p, v))?)),
-        other => unknown_property(check, at, "object", other, "translation, rotation, scale"),
+        other => unknown_property(check, at, "an object", other, "translation, rotation, scale"),
     }
 }
 
@@ -207,7 +207,7 @@ fn unknown_property<T>(
     property: &str,
     known: &str,
 ) -> Result<T, SceneError> {
-    check.fail(&format!("{at}/property"), format!("a {what} has no property `{property}`; it has {known}"))
+    check.fail(&format!("{at}/property"), format!("{what} has no property `{property}`; it has {known}"))
 }
 
 /// The curve through a track's keys, each of `N` numbers and understood by `convert`.

@@ -133,7 +133,7 @@ fn sink(scene: &mut Scene) {
         dvec3(x, 1.17, z + 0.19),
         dvec3(x, 1.12, z + 0.19),
     ];
-    let neck = tube(&rounded_path(&spout, 0.06, 5), 0.012, 12);
+    let neck = tube(&rounded_path(&spout, 0.045, 5), 0.012, 12);
     let foot = turned_body(
         &[(0.0, -0.004), (0.028, -0.004), (0.028, 0.004), (0.02, 0.01), (0.018, 0.04), (0.0, 0.042)],
         24,

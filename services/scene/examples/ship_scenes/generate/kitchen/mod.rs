@@ -22,9 +22,9 @@ const CLEARANCE: f64 = 0.001;
 const FRAMES: u32 = 48;
 
 /// Eye points and targets at the keys of the camera move.
-const EYE: [(u32, [f64; 3]); 3] = [(0, [1.45, 1.68, 2.95]), (24, [0.95, 1.6, 2.75]), (47, [0.35, 1.5, 2.5])];
+const EYE: [(u32, [f64; 3]); 3] = [(0, [1.45, 1.68, 2.95]), (24, [0.95, 1.6, 2.75]), (47, [0.38, 1.52, 2.6])];
 const TARGET: [(u32, [f64; 3]); 3] =
-    [(0, [-0.2, 0.98, -1.2]), (24, [-0.12, 0.97, -1.2]), (47, [0.0, 0.95, -1.2])];
+    [(0, [-0.2, 0.98, -1.2]), (24, [-0.12, 0.94, -1.2]), (47, [0.02, 0.88, -1.2])];
 
 /// The whole scene.
 pub fn scene() -> Scene {
@@ -122,7 +122,6 @@ fn materials() -> Vec<(&'static str, Surface)> {
         ("green_apple", Plastic(Colour([0.36, 0.5, 0.06]), 0.22)),
         ("orange_peel", Plastic(Colour([0.85, 0.33, 0.03]), 0.4)),
         ("lemon_peel", Plastic(Colour([0.85, 0.66, 0.05]), 0.38)),
-        ("banana_peel", Plastic(Colour([0.82, 0.6, 0.08]), 0.45)),
         ("stalk", Matte(Colour([0.13, 0.07, 0.03]))),
         ("leaf", Plastic(Colour([0.1, 0.28, 0.05]), 0.4)),
         ("soil", Matte(Colour([0.06, 0.04, 0.03]))),

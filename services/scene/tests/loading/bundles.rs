@@ -1,8 +1,6 @@
 //! The shared bundles load, and hold what their authors say they hold.
 
-mod common;
-
-use common::shared;
+use crate::shared::shared;
 use forelight_scene::{Environment, Frame, Limits, MaterialClass, Scene, Surface};
 use glam::Vec3;
 use std::sync::Arc;
