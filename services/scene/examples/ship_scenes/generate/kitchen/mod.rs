@@ -106,7 +106,7 @@ fn materials() -> Vec<(&'static str, Surface)> {
         ("black_plastic", Plastic(Colour([0.03, 0.03, 0.032]), 0.35)),
         ("red_enamel", Plastic(Colour([0.56, 0.035, 0.025]), 0.1)),
         ("blue_enamel", Plastic(Colour([0.35, 0.55, 0.6]), 0.12)),
-        ("white_porcelain", Plastic(Colour([0.8, 0.79, 0.76]), 0.1)),
+        ("white_porcelain", Plastic(Colour([0.7, 0.69, 0.66]), 0.1)),
         ("blue_porcelain", Plastic(Colour([0.08, 0.17, 0.4]), 0.12)),
         ("yellow_porcelain", Plastic(Colour([0.78, 0.5, 0.07]), 0.12)),
         ("green_porcelain", Plastic(Colour([0.14, 0.36, 0.22]), 0.14)),
@@ -190,7 +190,7 @@ fn textures() -> Vec<(&'static str, image::RgbImage)> {
                 )
             }),
         ),
-        ("gingham", paint::gingham(128, 4, [0.96, 0.95, 0.92], [0.2, 0.36, 0.62])),
+        ("gingham", paint::gingham(128, 4, [0.87, 0.86, 0.83], [0.2, 0.36, 0.62])),
         (
             "towel",
             paint::picture(64, 64, |_, v| {
