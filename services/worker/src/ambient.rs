@@ -3,9 +3,12 @@
 use crate::renderer::{
     Counted, FrameRenderer, OpenRenderer, Previewed, RenderError, Renderer, ShotInfo, StratumInfo,
 };
+use crate::shot::plus;
 use forelight_bvh::Bvh;
 use forelight_preview::{Choice, PreviewError, Previewer};
-use forelight_protocol::{MaterialMode, PreviewBackend, RenderSettings, SceneSummary, Spent, StratumName};
+use forelight_protocol::{
+    FixedCosts, MaterialMode, PreviewBackend, RenderSettings, SceneSummary, Spent, StratumName,
+};
 use forelight_scene::{Frame, Geometry, Limits, Scene};
 use forelight_tracer::{Image, MaterialOverride, Pixel, Profile, Settings, Tracer, thread_cpu_nanos};
 use rayon::prelude::*;
@@ -16,14 +19,41 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 /// Opens bundles for our renderer. One previewer serves them all: a process has one device.
 #[derive(Clone)]
 pub struct Ambient {
-    previewer: Arc<Mutex<Previewer>>,
+    previewer: Arc<SharedPreviewer>,
     limits: Limits,
+}
+
+/// The previewer, made when it is first wanted: opening a graphics device takes longer than many a render.
+struct SharedPreviewer {
+    choice: Choice,
+    made: Mutex<Option<Previewer>>,
+}
+
+impl SharedPreviewer {
+    fn with<T>(
+        &self,
+        work: impl FnOnce(&mut Previewer) -> Result<T, PreviewError>,
+    ) -> Result<T, PreviewError> {
+        let mut made = lock(&self.made);
+        let previewer = match &mut *made {
+            Some(previewer) => previewer,
+            none => none.insert(Previewer::new(self.choice)?),
+        };
+        work(previewer)
+    }
 }
 
 impl Ambient {
     /// A renderer that makes previews as `choice` says.
-    pub fn new(choice: Choice) -> Result<Self, PreviewError> {
-        Ok(Self { previewer: Arc::new(Mutex::new(Previewer::new(choice)?)), limits: Limits::default() })
+    pub fn new(choice: Choice) -> Self {
+        let previewer = SharedPreviewer { choice, made: Mutex::default() };
+        Self { previewer: Arc::new(previewer), limits: Limits::default() }
+    }
+
+    /// Opens the graphics device now, if one is wanted, for a process that would rather not start than find out later that
+    /// there is none.
+    pub fn ready(&self) -> Result<(), PreviewError> {
+        self.previewer.with(|_| Ok(()))
     }
 
     /// Opens a bundle.
@@ -32,14 +62,13 @@ impl Ambient {
         let scene = Scene::load(path, &self.limits)?;
         let load = Spent { work: 0, cpu_nanos: thread_cpu_nanos() - start };
         let first = scene.frame(0)?;
-        for warning in scene.warnings() {
-            tracing::warn!(bundle = %path.display(), "{warning}");
-        }
         Ok(AmbientShot {
             info: ShotInfo { summary: summary(&scene, &first), strata: strata(&first), load },
             scene,
             previewer: self.previewer.clone(),
-            tree: Mutex::default(),
+            still: first.geometry.clone(),
+            still_tree: Mutex::default(),
+            moved_tree: Mutex::default(),
         })
     }
 }
@@ -97,9 +126,12 @@ pub fn tracer_settings(settings: &RenderSettings) -> Settings {
 pub struct AmbientShot {
     scene: Scene,
     info: ShotInfo,
-    previewer: Arc<Mutex<Previewer>>,
-    /// The tree of the geometry that was last traced, with what building it took.
-    tree: Mutex<Option<Tree>>,
+    previewer: Arc<SharedPreviewer>,
+    /// The geometry of frame 0, which frames in which nothing has moved share.
+    still: Arc<Geometry>,
+    still_tree: Mutex<Option<Tree>>,
+    /// The tree of the last frame in which something had moved.
+    moved_tree: Mutex<Option<Tree>>,
 }
 
 #[derive(Clone)]
@@ -109,23 +141,38 @@ struct Tree {
     build: Spent,
 }
 
+/// A tracer, and what its tree took.
+struct Ready {
+    tracer: Tracer,
+    /// Building the tree, if it is this frame's own, whenever that was.
+    own_tree: Spent,
+    /// Building the tree, if that was done just now.
+    built_now: Spent,
+}
+
 impl AmbientShot {
     fn frame_of(&self, frame: u32, settings: &Settings) -> Result<Frame, RenderError> {
         settings.validate()?;
         Ok(self.scene.frame_with(frame, Some((settings.width, settings.height)))?)
     }
 
-    fn tracer(&self, frame: &Frame, settings: &Settings) -> (Tracer, Spent) {
+    fn tracer(&self, frame: &Frame, settings: &Settings) -> Ready {
+        let moved = !Arc::ptr_eq(&frame.geometry, &self.still);
         // Held while a tree is built, so that workers that share this shot wait for one build instead of doing two.
-        let mut tree = lock(&self.tree);
+        let mut tree = lock(if moved { &self.moved_tree } else { &self.still_tree });
+        let own = |build: Spent| if moved { build } else { Spent::default() };
         if let Some(tree) = tree.as_ref().filter(|tree| Arc::ptr_eq(&tree.geometry, &frame.geometry)) {
-            return (Tracer::with_bvh(frame, settings, tree.bvh.clone()), tree.build);
+            return Ready {
+                tracer: Tracer::with_bvh(frame, settings, tree.bvh.clone()),
+                own_tree: own(tree.build),
+                built_now: Spent::default(),
+            };
         }
         let tracer = Tracer::new(frame, settings);
         let cost = tracer.build_cost();
         let build = Spent { work: cost.work, cpu_nanos: cost.cpu_nanos };
         *tree = Some(Tree { geometry: frame.geometry.clone(), bvh: tracer.bvh().clone(), build });
-        (tracer, build)
+        Ready { tracer, own_tree: own(build), built_now: build }
     }
 }
 
@@ -138,9 +185,14 @@ impl Renderer for AmbientShot {
         let start = thread_cpu_nanos();
         let frame = self.frame_of(frame, &tracer_settings(settings))?;
         let setup = thread_cpu_nanos() - start;
-        let mut previewer = lock(&self.previewer);
-        let counts = previewer.counts(&frame)?;
-        Ok(Counted { counts, backend: backend(&previewer), spent: preview_spent(&previewer, &frame, setup) })
+        Ok(self.previewer.with(|previewer| {
+            let counts = previewer.counts(&frame)?;
+            Ok(Counted {
+                counts,
+                backend: backend(previewer),
+                spent: preview_spent(previewer, &frame, setup),
+            })
+        })?)
     }
 
     fn frame(
@@ -152,25 +204,25 @@ impl Renderer for AmbientShot {
         let start = thread_cpu_nanos();
         let frame = self.frame_of(frame, &settings)?;
         let moved = thread_cpu_nanos() - start;
-        let (tracer, build) = self.tracer(&frame, &settings);
+        let Ready { tracer, own_tree, built_now } = self.tracer(&frame, &settings);
         Ok(Box::new(AmbientFrame {
             previewer: &self.previewer,
             fingerprint: OnceLock::new(),
             tracer,
-            setup: Spent { work: 0, cpu_nanos: moved },
-            build,
+            fixed: FixedCosts { load: Spent { work: 0, cpu_nanos: moved }, build: own_tree },
+            built_now,
         }))
     }
 }
 
 /// One frame, ready.
 struct AmbientFrame<'a> {
-    previewer: &'a Mutex<Previewer>,
+    previewer: &'a SharedPreviewer,
     tracer: Tracer,
     /// Hashing the geometry takes a while, and only profiles need it.
     fingerprint: OnceLock<[u8; 32]>,
-    setup: Spent,
-    build: Spent,
+    fixed: FixedCosts,
+    built_now: Spent,
 }
 
 impl AmbientFrame<'_> {
@@ -189,17 +241,18 @@ impl FrameRenderer for AmbientFrame<'_> {
 
     fn preview(&self) -> Result<Previewed, RenderError> {
         let frame = self.tracer.frame();
-        let mut previewer = lock(self.previewer);
-        let preview = previewer.preview(frame)?;
-        Ok(Previewed { preview, backend: backend(&previewer), spent: preview_spent(&previewer, frame, 0) })
+        Ok(self.previewer.with(|previewer| {
+            let preview = previewer.preview(frame)?;
+            Ok(Previewed { preview, backend: backend(previewer), spent: preview_spent(previewer, frame, 0) })
+        })?)
     }
 
-    fn setup(&self) -> Spent {
-        self.setup
+    fn fixed(&self) -> FixedCosts {
+        self.fixed
     }
 
-    fn build(&self) -> Spent {
-        self.build
+    fn spent_on_setup(&self) -> Spent {
+        plus(self.fixed.load, self.built_now)
     }
 
     fn effects(&self) -> Vec<String> {

@@ -47,11 +47,10 @@ impl Quote {
         self.profiled.iter().map(ProfiledFrame::spent).fold(self.counted.spent, plus)
     }
 
-    /// The part of what the quote took that a render after it does not get back: previews, and setting up the profiled
+    /// The part of what the quote took that renders after it do not get back: previews, and setting up the profiled
     /// frames. The profiled pixels are finished pixels.
     pub fn spent_for_good(&self) -> Spent {
-        let lost = |p: &ProfiledFrame| [p.setup, p.build, p.preview].into_iter().fold(Spent::default(), plus);
-        self.profiled.iter().map(lost).fold(self.counted.spent, plus)
+        self.profiled.iter().map(ProfiledFrame::spent_for_good).fold(self.counted.spent, plus)
     }
 }
 
@@ -83,7 +82,7 @@ pub fn quote(
         .map(|(&frame, profile)| forelight_forecast::ProfiledFrame {
             frame,
             observations: &profile.observations,
-            fixed: fixed_cost(profile.fixed()),
+            fixed: fixed_cost(plus(profile.fixed.load, profile.fixed.build)),
         })
         .collect();
     let forecast = forelight_forecast::forecast_shot(&strata, &populations, &measured, Calibration::NONE)?;

@@ -22,9 +22,9 @@ pub struct Rendered {
 /// Renders one frame on the current thread pool, taking over the pixels of `reuse`. `progress` is told the pixels done and all
 /// pixels. `None` if `cancel` was set.
 ///
-/// The cost of a frame is that of its pixels, of building its acceleration structure and of setting it up, whether or not
-/// some of it was done before, by profiling or for another frame: it is what a forecast forecasts. Loading the bundle, paid once
-/// per process, and writing the image are not in it.
+/// The cost of a frame is that of its pixels, of setting it up, and of building its acceleration structure where something moved,
+/// whether or not some of it was done before, by profiling or for another frame: it is what a forecast forecasts. Loading the
+/// bundle and building the structure that all frames share, both paid once per process, are not in it.
 pub fn render_frame(
     renderer: &dyn Renderer,
     frame: u32,
@@ -50,7 +50,8 @@ fn stats(
 ) -> RenderStats {
     let (all, reused) = (image.totals(), image.reused_totals());
     let traced = Spent { work: all.work, cpu_nanos: all.cpu_nanos };
-    let cost = [ready.setup(), ready.build()].into_iter().fold(traced, plus);
+    let fixed = ready.fixed();
+    let cost = plus(traced, plus(fixed.load, fixed.build));
     RenderStats {
         frame,
         width: settings.width,

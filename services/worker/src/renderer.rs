@@ -5,7 +5,7 @@
 //! door. Ours, over `scene`, `preview` and `tracer`, is in [`crate::ambient`].
 
 use forelight_preview::{Counts, Preview, PreviewError};
-use forelight_protocol::{PreviewBackend, RenderSettings, SceneSummary, Spent, StratumName};
+use forelight_protocol::{FixedCosts, PreviewBackend, RenderSettings, SceneSummary, Spent, StratumName};
 use forelight_scene::{Frame, MaterialClass, SceneError};
 use forelight_tracer::{Image, Pixel, Profile, ProfileError, SettingsError};
 use std::path::Path;
@@ -126,12 +126,14 @@ pub trait FrameRenderer: Send + Sync {
     /// What each pixel shows.
     fn preview(&self) -> Result<Previewed, RenderError>;
 
-    /// Setting the frame up: moving what moves, finding the lights.
-    fn setup(&self) -> Spent;
+    /// What every render of this frame costs whatever its pixels show: setting it up (`load`), and building its acceleration
+    /// structure (`build`), if something moved so that it cannot share that of the shot. Whether a structure was kept from
+    /// before makes no difference: a frame's cost does not depend on what was done before it.
+    fn fixed(&self) -> FixedCosts;
 
-    /// Building the acceleration structure. If it was taken over from another frame of the same geometry, what it took then:
-    /// a frame's cost does not depend on what was rendered before it.
-    fn build(&self) -> Spent;
+    /// What setting the frame up took this time, with any acceleration structure that had to be built for it: also that of the
+    /// shot, which is in no frame's cost, for it is built once per process.
+    fn spent_on_setup(&self) -> Spent;
 
     /// The effects that the frame calls for, by name, sorted.
     fn effects(&self) -> Vec<String>;

@@ -6,7 +6,7 @@
 use crate::renderer::{Counted, RenderError, Renderer, StratumInfo};
 use forelight_forecast::{Cost, FrameDesign, Observation, Stratum};
 use forelight_preview::NOTHING;
-use forelight_protocol::{MaterialMode, PreviewBackend, RenderSettings, Spent};
+use forelight_protocol::{FixedCosts, MaterialMode, PreviewBackend, RenderSettings, Spent};
 use forelight_scene::MaterialClass;
 use forelight_tracer::{Pixel, Profile};
 
@@ -101,10 +101,10 @@ pub struct ProfiledFrame {
     pub observations: Vec<Observation>,
     /// The finished pixels, for the render to take over.
     pub profile: Profile,
-    /// Setting the frame up.
+    /// What every render of the frame costs whatever its pixels show.
+    pub fixed: FixedCosts,
+    /// What setting the frame up took this time.
     pub setup: Spent,
-    /// Building the acceleration structure.
-    pub build: Spent,
     /// The frame's preview.
     pub preview: Spent,
     /// What was spent on the profiled pixels.
@@ -116,12 +116,12 @@ pub struct ProfiledFrame {
 impl ProfiledFrame {
     /// Everything that profiling this frame took.
     pub fn spent(&self) -> Spent {
-        [self.setup, self.build, self.preview, self.pixels].into_iter().fold(Spent::default(), plus)
+        plus(self.spent_for_good(), self.pixels)
     }
 
-    /// What every render of the frame costs whatever its pixels show.
-    pub fn fixed(&self) -> Spent {
-        plus(self.setup, self.build)
+    /// The part of it that a render does not get back: the profiled pixels are finished pixels, the rest is done again.
+    pub fn spent_for_good(&self) -> Spent {
+        plus(self.setup, self.preview)
     }
 }
 
@@ -166,8 +166,8 @@ pub fn profile_frame(
     Ok(ProfiledFrame {
         frame,
         observations,
-        setup: ready.setup(),
-        build: ready.build(),
+        fixed: ready.fixed(),
+        setup: ready.spent_on_setup(),
         preview: seen.spent,
         pixels,
         picture: forelight_preview::picture(&seen.preview, ready.frame()),

@@ -7,8 +7,8 @@ use crate::renderer::{RenderError, Renderer, StratumInfo};
 use crate::shot::{Observer, ShotError, count_frames, profile_frame};
 use bytes::Bytes;
 use forelight_protocol::{
-    ArtifactHash, FixedCosts, FrameStrata, PreviewResult, PreviewSpec, ProfileArtifacts, ProfileResult,
-    ProfileSample, ProfileSpec, RenderArtifacts, RenderResult, RenderSpec, StratumName, TaskResult, TaskSpec,
+    ArtifactHash, FrameStrata, PreviewResult, PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample,
+    ProfileSpec, RenderArtifacts, RenderResult, RenderSpec, StratumName, TaskResult, TaskSpec,
 };
 use forelight_tracer::Profile;
 use image::{ImageFormat, RgbImage};
@@ -93,7 +93,7 @@ fn profile(renderer: &dyn Renderer, spec: &ProfileSpec, control: &Control) -> Re
     let result = ProfileResult {
         frame: spec.frame,
         samples,
-        fixed: FixedCosts { load: profiled.setup, build: profiled.build },
+        fixed: profiled.fixed,
         spent: profiled.spent(),
         strata: names.list,
         artifacts,

@@ -1,0 +1,252 @@
+//! The tasks, done by our renderer on a room that is written here.
+
+use forelight_preview::Choice;
+use forelight_protocol::{
+    BundleSource, JobId, PreviewSpec, ProfileSpec, RenderSettings, RenderSettingsRequest, RenderSpec,
+    TaskResult, TaskSpec,
+};
+use forelight_worker::{
+    Ambient, Assignment, Control, Execute, ExecuteError, Library, Observer, Outcome, QuoteOptions,
+    TaskRunner, quote, render_frame,
+};
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// A floor, a mirror, and a pane; the camera moves to the right over three frames.
+fn write_bundle(folder: &Path) {
+    let scene = serde_json::json!({
+        "version": 1,
+        "name": "room",
+        "geometry": ["room.obj"],
+        "camera": { "origin": [0, 1, 4], "target": [0, 0.5, 0], "up": [0, 1, 0], "fov_deg": 50, "fov_axis": "x", "width": 32, "height": 24 },
+        "lights": [{ "type": "quad", "corner": [-1, 3, -1], "edge_u": [2, 0, 0], "edge_v": [0, 0, 2], "radiance": [9, 9, 9] }],
+        "animation": { "fps": 24, "frames": 3, "tracks": [{
+            "target": "camera", "property": "origin", "interpolation": "linear",
+            "keys": [{ "frame": 0, "value": [0, 1, 4] }, { "frame": 2, "value": [1, 1, 4] }],
+        }] },
+    });
+    fs::write(folder.join("scene.json"), scene.to_string()).unwrap();
+    let materials = "newmtl wood\nillum 1\nKd 0.6 0.4 0.2\nnewmtl mirror\nillum 3\nKs 0.9 0.9 0.9\nnewmtl pane\nillum 4\nNi 1.5\nTf 1 1 1\n";
+    fs::write(folder.join("room.mtl"), materials).unwrap();
+    let mut geometry = String::from("mtllib room.mtl\n");
+    let quads = [
+        ("floor", "wood", [[-3, 0, 3], [3, 0, 3], [3, 0, -3], [-3, 0, -3]]),
+        ("wall", "mirror", [[-3, 0, -3], [0, 0, -3], [0, 2, -3], [-3, 2, -3]]),
+        ("window", "pane", [[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]),
+    ];
+    for (index, (object, material, corners)) in quads.iter().enumerate() {
+        geometry += &format!("o {object}\nusemtl {material}\n");
+        for [x, y, z] in corners {
+            geometry += &format!("v {x} {y} {z}\n");
+        }
+        let first = 4 * index + 1;
+        geometry += &format!("f {} {} {} {}\n", first, first + 1, first + 2, first + 3);
+    }
+    fs::write(folder.join("room.obj"), geometry).unwrap();
+}
+
+struct Rig {
+    folder: tempfile::TempDir,
+    runner: TaskRunner,
+    settings: RenderSettings,
+}
+
+impl Rig {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let bundle = folder.path().join("bundle");
+        fs::create_dir(&bundle).unwrap();
+        write_bundle(&bundle);
+        let library =
+            Library::new(&folder.path().join("bundles"), Box::new(Ambient::new(Choice::Cpu))).unwrap();
+        let settings = RenderSettingsRequest { spp: Some(2), ambient_bounces: Some(1), ..Default::default() };
+        Self { folder, runner: TaskRunner::new(Arc::new(library)), settings: settings.complete((32, 24)) }
+    }
+
+    fn bundle(&self) -> std::path::PathBuf {
+        self.folder.path().join("bundle")
+    }
+
+    fn source(&self) -> BundleSource {
+        BundleSource::Path(self.bundle().display().to_string())
+    }
+
+    fn run(&self, spec: TaskSpec, profile: Option<bytes::Bytes>) -> Result<Outcome, ExecuteError> {
+        self.runner.execute(&Assignment { spec, bundle: self.bundle(), profile }, &Control::default())
+    }
+
+    fn profile_spec(&self, frame: u32) -> TaskSpec {
+        TaskSpec::Profile(ProfileSpec {
+            job_id: JobId::new(),
+            bundle: self.source(),
+            frame,
+            samples: 100,
+            phase_seed: 5,
+            settings: self.settings.clone(),
+        })
+    }
+
+    fn render_spec(&self, frame: u32) -> TaskSpec {
+        TaskSpec::Render(RenderSpec {
+            job_id: JobId::new(),
+            bundle: self.source(),
+            frame,
+            settings: self.settings.clone(),
+            profile: None,
+        })
+    }
+}
+
+/// An observer that looks away.
+struct Nobody;
+
+impl Observer for Nobody {
+    fn previewed(&self, _: usize, _: usize) {}
+    fn profiled(&self, _: usize, _: usize) {}
+    fn is_cancelled(&self) -> bool {
+        false
+    }
+}
+
+#[test]
+fn a_preview_counts_every_pixel_of_every_frame() {
+    let rig = Rig::new();
+    let spec = PreviewSpec {
+        job_id: JobId::new(),
+        bundle: rig.source(),
+        frames: vec![0, 2],
+        settings: rig.settings.clone(),
+    };
+    let TaskResult::Preview(result) = rig.run(TaskSpec::Preview(spec), None).unwrap().result else {
+        panic!()
+    };
+    let names: Vec<&str> = result.strata.iter().map(|name| name.object.as_str()).collect();
+    assert_eq!(names, ["floor", "wall", "window"]);
+    assert_eq!(result.frames.iter().map(|frame| frame.frame).collect::<Vec<_>>(), [0, 2]);
+    for frame in &result.frames {
+        assert_eq!(frame.pixels.len(), result.strata.len());
+        assert_eq!(frame.pixels.iter().sum::<u32>() + frame.background, 32 * 24);
+    }
+    assert_ne!(result.frames[0].pixels, result.frames[1].pixels, "the camera moved");
+    assert!(result.spent.work > 0);
+}
+
+#[test]
+fn a_profiled_pixel_is_a_finished_pixel() {
+    let rig = Rig::new();
+    let profiled = rig.run(rig.profile_spec(1), None).unwrap();
+    let TaskResult::Profile(profile) = &profiled.result else { panic!() };
+    assert_eq!(profile.samples.len(), 100);
+    let mut pixels: Vec<u32> = profile.samples.iter().map(|sample| sample.pixel).collect();
+    pixels.sort_unstable();
+    pixels.dedup();
+    assert_eq!(pixels.len(), 100, "each pixel once");
+    assert!(profile.samples.iter().all(|s| s.stratum as usize <= profile.strata.len()));
+
+    let artifact = |hash: forelight_protocol::ArtifactHash, outcome: &Outcome| {
+        outcome.artifacts.iter().find(|a| *blake3::hash(a).as_bytes() == hash.0).unwrap().clone()
+    };
+    let bytes = artifact(profile.artifacts.profile, &profiled);
+    let fresh = rig.run(rig.render_spec(1), None).unwrap();
+    let reusing = rig.run(rig.render_spec(1), Some(bytes)).unwrap();
+    let (TaskResult::Render(fresh_result), TaskResult::Render(reused_result)) =
+        (&fresh.result, &reusing.result)
+    else {
+        panic!()
+    };
+    assert_eq!(fresh_result.artifacts.image_png, reused_result.artifacts.image_png);
+    assert_eq!(fresh_result.artifacts.cost_map_png, reused_result.artifacts.cost_map_png);
+    let (fresh, reused) = (&fresh_result.stats, &reused_result.stats);
+    assert_eq!((fresh.work, fresh.rays), (reused.work, reused.rays));
+    assert_eq!((fresh.reused_pixels, reused.reused_pixels), (0, 100));
+    assert_eq!(reused.reused_work, profile.samples.iter().map(|sample| sample.work).sum::<u64>());
+    for outcome in [&profiled, &reusing] {
+        for hash in outcome.result.artifacts() {
+            artifact(hash, outcome);
+        }
+    }
+}
+
+#[test]
+fn a_profile_of_another_image_is_refused_for_good() {
+    let rig = Rig::new();
+    let profiled = rig.run(rig.profile_spec(0), None).unwrap();
+    for bytes in [profiled.artifacts[0].clone(), bytes::Bytes::from_static(b"FLprof01 but no more")] {
+        let error = rig.run(rig.render_spec(1), Some(bytes)).unwrap_err();
+        assert!(
+            matches!(&error, ExecuteError::Permanent(text) if text.starts_with("profile: ")),
+            "{error:?}"
+        );
+    }
+}
+
+#[test]
+fn a_bad_bundle_is_an_error_for_good_that_names_the_file() {
+    let rig = Rig::new();
+    fs::write(rig.bundle().join("room.obj"), "v 0 0 zero\n").unwrap();
+    let error = rig.run(rig.render_spec(0), None).unwrap_err();
+    assert!(matches!(&error, ExecuteError::Permanent(text) if text.contains("room.obj")), "{error:?}");
+}
+
+#[test]
+fn a_bundle_that_changed_on_shared_storage_is_loaded_anew() {
+    let rig = Rig::new();
+    let png = |outcome: Outcome| match outcome.result {
+        TaskResult::Render(result) => result.artifacts.image_png,
+        other => panic!("{other:?}"),
+    };
+    let before = png(rig.run(rig.render_spec(0), None).unwrap());
+    let materials = fs::read_to_string(rig.bundle().join("room.mtl")).unwrap();
+    fs::write(rig.bundle().join("room.mtl"), materials.replace("0.6 0.4 0.2", "0.1 0.4 0.25")).unwrap();
+    assert_ne!(before, png(rig.run(rig.render_spec(0), None).unwrap()));
+}
+
+#[test]
+fn a_cancelled_task_says_so() {
+    let rig = Rig::new();
+    let control = Control::default();
+    control.cancel();
+    for spec in [rig.render_spec(0), rig.profile_spec(0)] {
+        let assignment = Assignment { spec, bundle: rig.bundle(), profile: None };
+        assert_eq!(rig.runner.execute(&assignment, &control).unwrap_err(), ExecuteError::Cancelled);
+    }
+}
+
+#[test]
+fn a_quote_from_all_pixels_is_the_render_to_the_last_operation() {
+    let rig = Rig::new();
+    let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
+    let options = QuoteOptions { samples: 32 * 24, profile_frames: 3, seed: 1 };
+    let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
+    let mut total = 0;
+    for forecast in &quoted.document.frames {
+        let cancel = AtomicBool::new(false);
+        let rendered =
+            render_frame(&shot, forecast.frame, &rig.settings, None, &|_, _| (), &cancel).unwrap().unwrap();
+        let stats = rendered.stats;
+        assert_eq!(forecast.work.mean, stats.work as f64, "frame {}", stats.frame);
+        assert_eq!(forecast.work.p95, stats.work as f64);
+        for (forecast, actual) in forecast.rays.to_array().iter().zip(stats.rays.to_array()) {
+            assert_eq!(forecast.mean, actual as f64);
+        }
+        total += stats.work;
+    }
+    assert_eq!(quoted.document.total.work.mean, total as f64);
+    assert_eq!(quoted.document.profiled.pixels, 3 * 32 * 24);
+}
+
+#[test]
+fn a_quote_depends_on_its_seed_and_not_on_the_threads() {
+    let rig = Rig::new();
+    let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
+    let work = |seed: u64, threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let options = QuoteOptions { samples: 64, profile_frames: 1, seed };
+        let quoted = pool.install(|| quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody)).unwrap();
+        quoted.document.frames.iter().map(|frame| frame.work).collect::<Vec<_>>()
+    };
+    assert_eq!(work(1, 1), work(1, 3));
+    assert_ne!(work(1, 1), work(2, 1));
+}
