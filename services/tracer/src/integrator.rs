@@ -1,9 +1,12 @@
 //! The `ambient` integrator: distribution ray tracing after Whitted, Cook and Ward.
 //!
+//! Caustics (light that gets to a diffuse surface by way of a mirror or glass) are left out, as Radiance leaves them out: a
+//! gathered hemisphere finds them by rare, very bright rays, and nothing but noise is gained.
+//!
 //! At every diffuse or glossy surface all lights are sampled (next-event estimation); mirrors, glass and glossy lobes are
-//! followed; the first `ambient_bounces` diffuse hits gather their hemisphere. Light is counted once: a ray that leaves a
-//! diffuse surface does not see what that surface sampled, unless a mirror or glass lies between (then sampling could not
-//! have found it); a glossy lobe and the lights share theirs by multiple importance sampling (Veach 1997, balance heuristic).
+//! followed; the first `ambient_bounces` diffuse hits gather their hemisphere. Light is counted once: rays gathered by a
+//! diffuse surface do not see the lights that it sampled; glossy lobes share the lights with light sampling by multiple
+//! importance sampling (Veach 1997, balance heuristic), and so do diffuse surfaces the lights that are near.
 
 use crate::cost::{Category, Counters};
 use crate::environment::Sky;
@@ -24,7 +27,7 @@ const FAINT: f32 = 0.02;
 /// Which lights a ray may see when it meets them.
 #[derive(Debug, Clone, Copy)]
 enum Arrival {
-    /// All: the ray comes from the camera or from a mirror.
+    /// All: the ray comes from the camera or from a mirror that the camera sees. After a diffuse bounce: the environment alone.
     Everything,
     /// None: the diffuse surface that it left has sampled them.
     Nothing,
@@ -141,6 +144,7 @@ impl<'a> Pixels<'a> {
         match s.arrival {
             Arrival::Nothing => Vec3::ZERO,
             Arrival::Shared { .. } => tracer.sky.radiance(s.ray.direction),
+            Arrival::Everything if s.level > 0 => tracer.sky.radiance(s.ray.direction),
             Arrival::Everything => {
                 let suns = tracer.frame.suns.iter().map(|sun| {
                     let height = cap_height(sun.angle_deg);
@@ -165,6 +169,7 @@ impl<'a> Pixels<'a> {
         }
         let weight = match s.arrival {
             Arrival::Nothing => return Vec3::ZERO,
+            Arrival::Everything if s.level > 0 => return Vec3::ZERO,
             Arrival::Everything => 1.0,
             Arrival::Shared { density, travelled } => match self.tracer.luminaires.of_stratum(p.stratum) {
                 Some(index) => {
