@@ -31,6 +31,8 @@ enum Arrival {
     Everything,
     /// None: the diffuse surface that it left has sampled them.
     Nothing,
+    /// The environment: the diffuse surface that it left has sampled the others, and gathers this one with its hemisphere.
+    Sky,
     /// Area lights with the weight that light sampling leaves; `density` per steradian at the glossy surface,
     /// `travelled` metres since (straight through panes).
     Shared { density: f32, travelled: f32 },
@@ -143,7 +145,7 @@ impl<'a> Pixels<'a> {
         let tracer = self.tracer;
         match s.arrival {
             Arrival::Nothing => Vec3::ZERO,
-            Arrival::Shared { .. } => tracer.sky.radiance(s.ray.direction),
+            Arrival::Shared { .. } | Arrival::Sky => tracer.sky.radiance(s.ray.direction),
             Arrival::Everything if s.level > 0 => tracer.sky.radiance(s.ray.direction),
             Arrival::Everything => {
                 let suns = tracer.frame.suns.iter().map(|sun| {
@@ -168,7 +170,7 @@ impl<'a> Pixels<'a> {
             return Vec3::ZERO;
         }
         let weight = match s.arrival {
-            Arrival::Nothing => return Vec3::ZERO,
+            Arrival::Nothing | Arrival::Sky => return Vec3::ZERO,
             Arrival::Everything if s.level > 0 => return Vec3::ZERO,
             Arrival::Everything => 1.0,
             Arrival::Shared { density, travelled } => match self.tracer.luminaires.of_stratum(p.stratum) {
@@ -189,11 +191,18 @@ impl<'a> Pixels<'a> {
     /// Diffuse and glossy surfaces: lights sampled, hemisphere gathered, lobe followed.
     fn reflecting(&mut self, s: &Segment, p: &Point, response: Response) -> Vec3 {
         let mut total = Vec3::ZERO;
+        let gathers = response.has_diffuse() && s.level < self.tracer.settings.ambient_bounces;
         if response.has_diffuse() || response.glossy.is_some() {
             total += self.direct(p, &response, s.vertex);
         }
-        if response.has_diffuse() && s.level < self.tracer.settings.ambient_bounces {
-            total += self.gather(s, p, &response);
+        // A sky without features is found by the gathered hemisphere as well as by rays of its own.
+        let gathers_sky = gathers && matches!(self.tracer.sky, Sky::Constant(_));
+        if response.has_diffuse() && !gathers_sky {
+            total += self.sky(p, &response, s.vertex);
+        }
+        if gathers {
+            let arrival = if gathers_sky { Arrival::Sky } else { Arrival::Nothing };
+            total += self.gather(s, p, &response, arrival);
         }
         if let Some(glossy) = response.glossy
             && let Some((wo, share, density)) =
@@ -336,7 +345,7 @@ impl<'a> Pixels<'a> {
     }
 
     /// Indirect diffuse light: the mean over stratified, cosine-weighted rays.
-    fn gather(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
+    fn gather(&mut self, s: &Segment, p: &Point, response: &Response, arrival: Arrival) -> Vec3 {
         let divisions = self.tracer.settings.ambient_divisions;
         let count = if s.level == 0 {
             ((divisions as f32 * s.weight).ceil() as u32).clamp(1, divisions)
@@ -354,7 +363,7 @@ impl<'a> Pixels<'a> {
             sum += share
                 * self.radiance(Segment {
                     ray: leaving(p, p.basis.to_world(wo)),
-                    arrival: Arrival::Nothing,
+                    arrival,
                     level: s.level + 1,
                     depth: 0,
                     vertex: s.vertex + 1,
@@ -364,12 +373,11 @@ impl<'a> Pixels<'a> {
         sum / count as f32
     }
 
-    /// Light straight from the lights.
+    /// Light straight from the lights, the environment apart.
     fn direct(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
         self.area_lights(p, response, vertex)
             + self.point_lights(p, response)
             + self.suns(p, response, vertex)
-            + self.sky(p, response, vertex)
     }
 
     fn area_lights(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
@@ -509,7 +517,7 @@ impl<'a> Pixels<'a> {
     /// Light from the environment on the diffuse lobe; the glossy lobe finds it by its own rays.
     fn sky(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
         let tracer = self.tracer;
-        if tracer.sky.is_black() || !response.has_diffuse() {
+        if tracer.sky.is_black() {
             return Vec3::ZERO;
         }
         let u = self.sampler.next(Purpose::Sky, vertex);
