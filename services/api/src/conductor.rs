@@ -1,0 +1,131 @@
+//! Takes jobs from one state to the next, as far as that is the service's own work:
+//!
+//! ```text
+//! previewing ──preview is there──► choose frames, make profile tasks ──► profiling
+//! profiling  ──last profile is there──► estimate, plan, verify, book, make render tasks ──► booked
+//! ```
+//!
+//! (The first frame handed out makes a job `rendering`, the last result `done`; that happens in the store, in the same
+//! transaction.)
+//!
+//! *Idempotent*: every step looks at the store, computes, and writes one transaction that does nothing if the
+//! job is not in the state that it was computed for. So a crash anywhere, an advance that is asked for twice, and a
+//! cancellation in between are all harmless, and a start of the service simply advances every job that waits.
+//!
+//! There is one conductor and it does one thing at a time: plans never compete.
+
+mod book;
+mod choose;
+mod estimate;
+
+use std::sync::Arc;
+
+use forelight_protocol::{Job, JobId, JobState};
+use forelight_store::{Store, StoreError};
+
+use crate::clock::Clock;
+use crate::metrics::Metrics;
+
+/// Plans that may be overtaken by another one before a job waits for the next round.
+const ATTEMPTS: usize = 3;
+
+pub(crate) struct Conductor {
+    store: Store,
+    clock: Arc<dyn Clock>,
+    metrics: Arc<Metrics>,
+}
+
+/// Why a job does not advance.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum AdvanceError {
+    /// The store cannot just now, or the job went elsewhere: later, or never, but nothing is wrong with the job.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The job itself is at fault, or we are: trying again would end the same way.
+    #[error("{0}")]
+    Hopeless(String),
+}
+
+impl Conductor {
+    pub fn new(store: Store, clock: Arc<dyn Clock>, metrics: Arc<Metrics>) -> Self {
+        Self { store, clock, metrics }
+    }
+
+    /// Advances every job that may be waiting for it.
+    pub async fn advance_all(&self) {
+        match self.store.jobs_to_advance().await {
+            Ok(jobs) => {
+                for job in jobs {
+                    self.advance(job).await;
+                }
+            }
+            Err(error) => tracing::warn!(%error, "the jobs to advance could not be read"),
+        }
+    }
+
+    /// Advances a job as far as it goes. What goes wrong is logged, and fails the job if trying again is pointless.
+    pub async fn advance(&self, job: JobId) {
+        match self.try_advance(job).await {
+            Ok(()) => {}
+            Err(AdvanceError::Store(error)) => {
+                tracing::warn!(%job, %error, "the job does not advance for now")
+            }
+            Err(AdvanceError::Hopeless(reason)) => {
+                tracing::error!(%job, reason, "the job cannot advance");
+                if let Err(error) = self.store.fail_job(job, &reason, self.clock.now()).await {
+                    tracing::warn!(%job, %error, "nor could it be failed; the next round tries again");
+                }
+            }
+        }
+    }
+
+    async fn try_advance(&self, id: JobId) -> Result<(), AdvanceError> {
+        let job = self.store.job(id).await?;
+        match job.state {
+            JobState::Previewing => self.choose(&job).await,
+            JobState::Profiling => self.forecast_and_book(&job).await,
+            JobState::Booked
+            | JobState::Rendering
+            | JobState::Done
+            | JobState::Failed
+            | JobState::Cancelled => Ok(()),
+        }
+    }
+
+    async fn choose(&self, job: &Job) -> Result<(), AdvanceError> {
+        let Some(preview) = self.store.preview_result(job.id).await? else { return Ok(()) };
+        let at_most = job.profile_frames;
+        let frames = compute(move || choose::frames_to_profile(&preview, at_most)).await?;
+        tracing::info!(job = %job.id, ?frames, "frames to profile");
+        Ok(self.store.start_profiling(job.id, &frames, self.clock.now()).await?)
+    }
+
+    async fn forecast_and_book(&self, job: &Job) -> Result<(), AdvanceError> {
+        let Some(profiles) = self.store.profile_results(job.id).await? else { return Ok(()) };
+        let Some(preview) = self.store.preview_result(job.id).await? else { return Ok(()) };
+        let forecast = compute(move || estimate::forecast(&preview, &profiles)).await?;
+        for _ in 0..ATTEMPTS {
+            match self.book(job, &forecast).await {
+                // Overtaken by another plan, or by a cancellation: look again.
+                Err(AdvanceError::Store(StoreError::Conflict(reason))) => {
+                    tracing::info!(job = %job.id, reason, "the plan is made again");
+                    if self.store.job(job.id).await?.state != JobState::Profiling {
+                        return Ok(());
+                    }
+                }
+                other => return other,
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Runs what may take a while on a thread of its own, so that requests go on being answered.
+async fn compute<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, AdvanceError> + Send + 'static,
+) -> Result<T, AdvanceError> {
+    match tokio::task::spawn_blocking(work).await {
+        Ok(outcome) => outcome,
+        Err(error) => Err(AdvanceError::Hopeless(format!("a computation failed: {error}"))),
+    }
+}

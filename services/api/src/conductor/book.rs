@@ -1,0 +1,225 @@
+//! From a forecast to bookings.
+
+use std::collections::BTreeMap;
+
+use forelight_planner::{self as planner, FixedBooking, Interval};
+use forelight_protocol::{
+    Confidence, ForecastTotals, Job, JobVerdict, Money, MoneyQuantiles, Node, NodeId, PlanReason, Quantiles,
+    Timestamp, Verdict,
+};
+use forelight_store::{NewBooking, NewPlan, Projected, project};
+
+use super::estimate::Forecast;
+use super::{AdvanceError, Conductor, compute};
+
+/// Nodes that a plan looks at.
+const MOST_NODES: u32 = 10_000;
+
+/// The planner counts work in whole units, of which a node does so many a second; ours are nanoseconds of a core of speed 1.
+const PER_SECOND: f64 = 1e9;
+
+/// A node that was not heard of for this long is not booked: five minutes, in microseconds. Longer than a worker takes to
+/// be started again, and much shorter than a night.
+const SILENCE: i64 = 300_000_000;
+
+impl Conductor {
+    /// Plans the job around everything that is booked already, has the plan verified, and keeps forecast, plan and bookings.
+    pub(super) async fn book(&self, job: &Job, forecast: &Forecast) -> Result<(), AdvanceError> {
+        let now = self.clock.now();
+        // The parent before the bookings: should another plan come in between, the store refuses this one.
+        let parent = self.store.newest_plan().await?;
+        let nodes: Vec<Node> = self
+            .store
+            .nodes(None, MOST_NODES)
+            .await?
+            .into_iter()
+            .filter(|node| !node.drain && now.micros_since(node.last_seen_at) <= SILENCE)
+            .collect();
+        let taken = project(&self.store.open_bookings().await?, now);
+        let input = planner_input(job, forecast, &nodes, &taken, now);
+        let plan = compute(move || {
+            let plan = planner::plan(&input)
+                .map_err(|error| AdvanceError::Hopeless(format!("no plan could be made: {error}")))?;
+            Ok(planner::verify(&input, &plan).map(|()| plan))
+        })
+        .await?;
+        let plan = plan.map_err(|violations| {
+            self.metrics.plans_refused.add(1);
+            AdvanceError::Hopeless(format!("the plan broke a rule and was refused: {violations:?}"))
+        })?;
+        let Some(found) = plan.jobs.first() else {
+            return Err(AdvanceError::Hopeless("the plan says nothing of the job".to_owned()));
+        };
+        let bookings =
+            plan.bookings.iter().map(|booking| own_booking(booking, &nodes)).collect::<Result<_, _>>()?;
+        let new = NewPlan {
+            parent,
+            reason: PlanReason::JobForecast,
+            verdict: verdict(job, found, &nodes),
+            bookings,
+        };
+        let mut kept = forecast.job.clone();
+        kept.cost = cost(&kept.total, &nodes);
+        let plan = self.store.book(job.id, &kept, &forecast.frames, &new, now).await?;
+        self.metrics.plans_stored.add(1);
+        tracing::info!(job = %job.id, %plan, verdict = new.verdict.verdict.name(), "booked");
+        Ok(())
+    }
+}
+
+/// The planner's view: nodes and jobs are numbers there, ours by their place in a list.
+fn planner_input(
+    job: &Job,
+    forecast: &Forecast,
+    nodes: &[Node],
+    taken: &[Projected],
+    now: Timestamp,
+) -> planner::Input {
+    let index: BTreeMap<NodeId, u64> = nodes.iter().map(|node| node.id).zip(0..).collect();
+    let Quantiles { p50, p80, p95, .. } = forecast.job.total.cpu_seconds;
+    // At least one unit, so that no booking is empty however little a frame takes.
+    let total = [p50, p80, p95].map(|seconds| units(seconds).max(1));
+    planner::Input {
+        nodes: nodes
+            .iter()
+            .zip(0..)
+            .map(|(node, id)| planner::Node {
+                id,
+                name: node.name.clone(),
+                speed: units(seconds_per_second(node)).max(1),
+                price_per_hour: node.price_per_hour.micro_units(),
+                available_from: now.micros(),
+                calendar: vec![Interval { start: now.micros(), end: None }],
+            })
+            .collect(),
+        fixed: taken
+            .iter()
+            .filter_map(|frame| {
+                let node = *index.get(&frame.node_id)?;
+                Some(FixedBooking { node, start: frame.start.micros(), end: frame.end.micros() })
+            })
+            .collect(),
+        jobs: vec![planner::Job {
+            id: 0,
+            release: now.micros(),
+            deadline: job.deadline.map(Timestamp::micros),
+            priority: job.priority,
+            confidence: match job.confidence {
+                Confidence::P50 => planner::Confidence::P50,
+                Confidence::P80 => planner::Confidence::P80,
+                Confidence::P95 => planner::Confidence::P95,
+            },
+            // Rounding must not make a quantile fall below a lower one.
+            total: planner::WorkTotal {
+                p50: total[0],
+                p80: total[1].max(total[0]),
+                p95: total[2].max(total[1]).max(total[0]),
+            },
+            frames: forecast
+                .frames
+                .iter()
+                .map(|frame| planner::Frame {
+                    number: i64::from(frame.frame),
+                    work: units(frame.cpu_seconds.p50).max(1),
+                })
+                .collect(),
+            budget: job.budget.map(Money::micro_units),
+        }],
+    }
+}
+
+/// Seconds of a core of speed 1 that the node does in a second, with all its cores.
+fn seconds_per_second(node: &Node) -> f64 {
+    node.speed * f64::from(node.cores)
+}
+
+/// Seconds in the planner's unit of work; saturates at the ends of the range, as float to integer does.
+fn units(seconds: f64) -> u64 {
+    (seconds * PER_SECOND).round() as u64
+}
+
+fn own_booking(booking: &planner::Booking, nodes: &[Node]) -> Result<NewBooking, AdvanceError> {
+    let node = usize::try_from(booking.node).ok().and_then(|at| nodes.get(at));
+    match (node, u32::try_from(booking.frame)) {
+        (Some(node), Ok(frame)) => Ok(NewBooking {
+            frame,
+            node: node.id,
+            start: Timestamp::from_micros(booking.start),
+            end: Timestamp::from_micros(booking.end),
+        }),
+        _ => Err(AdvanceError::Hopeless("the plan books a node or a frame that there is not".to_owned())),
+    }
+}
+
+/// The plan's word on the job, in the words of the API.
+fn verdict(job: &Job, found: &planner::JobPlan, nodes: &[Node]) -> JobVerdict {
+    let time = Timestamp::from_micros;
+    let mut reasons = Vec::new();
+    let over_budget = found.within_budget == Some(false);
+    let (verdict, finish) = match &found.verdict {
+        planner::Verdict::Feasible { finish, slack } => {
+            reasons.push(format!("{} before the deadline", duration(*slack)));
+            (if over_budget { Verdict::OverBudget } else { Verdict::OnTime }, Some(*finish))
+        }
+        planner::Verdict::NoDeadline { finish } => {
+            (if over_budget { Verdict::OverBudget } else { Verdict::OnTime }, Some(*finish))
+        }
+        planner::Verdict::Late { finish, by, unavoidable } => {
+            reasons.push(format!("{} after the deadline", duration(*by)));
+            reasons.push(match (unavoidable, found.bound.earliest_finish()) {
+                (true, Some(bound)) => format!(
+                    "no plan can be in time: with all {} nodes to itself it ends at {} at the earliest",
+                    nodes.len(),
+                    time(bound)
+                ),
+                _ => "what is booked already stands in the way".to_owned(),
+            });
+            (Verdict::Late, Some(*finish))
+        }
+        planner::Verdict::Unplaced { frames } => {
+            reasons.push(if nodes.is_empty() {
+                "there is no node that takes work".to_owned()
+            } else {
+                format!("{} frames fit into no free time of any node", frames.len())
+            });
+            (Verdict::Impossible, None)
+        }
+    };
+    if over_budget && let Some(budget) = job.budget {
+        reasons.push(format!(
+            "{} micro-units above the budget",
+            found.cost.saturating_sub(budget.micro_units())
+        ));
+    }
+    JobVerdict {
+        job_id: job.id,
+        verdict,
+        confidence: job.confidence,
+        finish: finish.map(time),
+        cost: finish.map(|_| Money(found.cost)),
+        reasons,
+    }
+}
+
+/// A length of time for people, from microseconds.
+fn duration(micros: i64) -> String {
+    let seconds = micros / 1_000_000;
+    match (seconds / 3600, seconds / 60 % 60, seconds % 60) {
+        (0, 0, seconds) => format!("{seconds} s"),
+        (0, minutes, seconds) => format!("{minutes} min {seconds} s"),
+        (hours, minutes, _) => format!("{hours} h {minutes} min"),
+    }
+}
+
+/// The forecast in money, at the mean price that the nodes ask for a second of a core of speed 1.
+fn cost(total: &ForecastTotals, nodes: &[Node]) -> Option<MoneyQuantiles> {
+    if nodes.is_empty() {
+        return None;
+    }
+    let prices =
+        nodes.iter().map(|node| node.price_per_hour.micro_units() as f64 / 3600.0 / seconds_per_second(node));
+    let mean_price = prices.sum::<f64>() / nodes.len() as f64;
+    let money = |seconds: f64| Money((seconds * mean_price).round() as i64);
+    let Quantiles { mean, p50, p80, p95 } = total.cpu_seconds;
+    Some(MoneyQuantiles { mean: money(mean), p50: money(p50), p80: money(p80), p95: money(p95) })
+}

@@ -1,0 +1,228 @@
+//! From profiles to a forecast of every frame.
+
+use forelight_forecast::{
+    Calibration, Cost, Costs, Observation, ProfiledFrame, Quantity, RAY_KINDS, forecast_shot,
+};
+use forelight_protocol::{
+    ForecastTotals, FrameForecast, PreviewResult, Profiled, Quantiles, RayQuantiles, Spent, SpentOnForecast,
+};
+use forelight_store::{JobForecast, MeasuredProfile};
+
+use super::AdvanceError;
+use super::choose::Populations;
+
+/// A job's forecast, and that of each of its frames.
+#[derive(Clone, PartialEq, Debug)]
+pub(super) struct Forecast {
+    pub job: JobForecast,
+    pub frames: Vec<FrameForecast>,
+}
+
+/// Forecasts every frame from the preview's pixel counts and the profiled pixels. CPU time is brought to a node of
+/// speed 1 first: a second measured on a node of speed 2 is two.
+pub(super) fn forecast(
+    preview: &PreviewResult,
+    profiles: &[MeasuredProfile],
+) -> Result<Forecast, AdvanceError> {
+    let names = profiles.iter().flat_map(|profile| &profile.result.strata);
+    let mut populations = Populations::new(preview, names);
+    let background = populations.background();
+    let mut observations: Vec<(usize, Vec<Observation>, Cost)> = Vec::with_capacity(profiles.len());
+    for MeasuredProfile { result, node_speed } in profiles {
+        let at = preview.frames.iter().position(|frame| frame.frame == result.frame).ok_or_else(|| {
+            AdvanceError::Hopeless(format!("frame {} was profiled, but not previewed", result.frame))
+        })?;
+        let observed: Vec<Observation> = result
+            .samples
+            .iter()
+            .map(|sample| {
+                let name = result.strata.get(sample.stratum as usize);
+                let stratum =
+                    name.and_then(|name| populations.index.get(name)).copied().unwrap_or(background);
+                let cost = Cost {
+                    work: sample.work,
+                    cpu_nanos: at_speed_one(sample.cpu_nanos, *node_speed),
+                    rays: sample.rays,
+                };
+                Observation { stratum: stratum as u32, cost }
+            })
+            .collect();
+        make_room(&mut populations.frames[at].counts, &observed);
+        let Spent { work, cpu_nanos } = plus(result.fixed.load, result.fixed.build);
+        let fixed = Cost { work, cpu_nanos: at_speed_one(cpu_nanos, *node_speed), rays: [0; RAY_KINDS] };
+        observations.push((at, observed, fixed));
+    }
+    let profiled: Vec<ProfiledFrame<'_>> = observations
+        .iter()
+        .map(|(frame, observations, fixed)| ProfiledFrame { frame: *frame, observations, fixed: *fixed })
+        .collect();
+    let shot = forecast_shot(&populations.strata, &populations.frames, &profiled, Calibration::NONE)
+        .map_err(|error| AdvanceError::Hopeless(format!("no forecast: {error}")))?;
+
+    let frames = preview
+        .frames
+        .iter()
+        .zip(&shot.frames)
+        .map(|(previewed, forecast)| FrameForecast {
+            frame: previewed.frame,
+            rays: rays(&forecast.total),
+            cache_records: Vec::new(),
+            work: quantiles(&forecast.total.work, 1.0),
+            cpu_seconds: quantiles(&forecast.total.cpu_nanos, 1e-9),
+        })
+        .collect();
+    let total = ForecastTotals {
+        rays: rays(&shot.total),
+        cache_records: Vec::new(),
+        work: quantiles(&shot.total.work, 1.0),
+        cpu_seconds: quantiles(&shot.total.cpu_nanos, 1e-9),
+    };
+    let spent = profiles.iter().map(|profile| profile.result.spent).fold(preview.spent, plus);
+    let mut profiled_frames: Vec<u32> = profiles.iter().map(|profile| profile.result.frame).collect();
+    profiled_frames.sort_unstable();
+    let job = JobForecast {
+        profiled: Profiled {
+            frames: profiled_frames,
+            pixels: profiles.iter().map(|profile| profile.result.samples.len() as u64).sum(),
+        },
+        spent: SpentOnForecast {
+            work: spent.work,
+            cpu_seconds: spent.cpu_nanos as f64 * 1e-9,
+            fraction_of_forecast: if total.work.mean > 0.0 {
+                spent.work as f64 / total.work.mean
+            } else {
+                0.0
+            },
+        },
+        total,
+        calibrated: shot.calibrated,
+        cost: None,
+    };
+    Ok(Forecast { job, frames })
+}
+
+/// The hazard: the frame was previewed on a graphics processor and profiled where there is none, and a pixel on an edge
+/// shows another object there. More pixels of a stratum are then profiled than were counted, which the forecast
+/// rightly refuses. What was traced is true, so the count gives way: a few pixels of a whole image.
+fn make_room(counts: &mut [u32], observations: &[Observation]) {
+    let mut samples = vec![0u32; counts.len()];
+    for observation in observations {
+        samples[observation.stratum as usize] += 1;
+    }
+    for (count, samples) in counts.iter_mut().zip(samples) {
+        *count = (*count).max(samples);
+    }
+}
+
+fn at_speed_one(nanos: u64, node_speed: f64) -> u64 {
+    // Saturates at the ends of the range, as float to integer does.
+    (nanos as f64 * node_speed).round() as u64
+}
+
+fn plus(a: Spent, b: Spent) -> Spent {
+    Spent { work: a.work.saturating_add(b.work), cpu_nanos: a.cpu_nanos.saturating_add(b.cpu_nanos) }
+}
+
+fn rays(costs: &Costs<Quantity>) -> RayQuantiles {
+    RayQuantiles::from_array(costs.rays.map(|category| quantiles(&category, 1.0)))
+}
+
+fn quantiles(quantity: &Quantity, unit: f64) -> Quantiles {
+    let Quantity { mean, p50, p80, p95, .. } = *quantity;
+    Quantiles { mean: mean * unit, p50: p50 * unit, p80: p80 * unit, p95: p95 * unit }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use forelight_protocol::{
+        ArtifactHash, FixedCosts, FrameStrata, PreviewBackend, ProfileArtifacts, ProfileResult,
+        ProfileSample, StratumName,
+    };
+
+    fn name(object: &str) -> StratumName {
+        StratumName { object: object.to_owned(), material: "paint".to_owned() }
+    }
+
+    fn preview(frames: &[(u32, &[u32], u32)]) -> PreviewResult {
+        PreviewResult {
+            strata: vec![name("wall"), name("vase")],
+            frames: frames
+                .iter()
+                .map(|&(frame, pixels, background)| FrameStrata {
+                    frame,
+                    pixels: pixels.to_vec(),
+                    background,
+                    preview_png: None,
+                })
+                .collect(),
+            backend: PreviewBackend::Cpu,
+            spent: Spent { work: 50, cpu_nanos: 0 },
+        }
+    }
+
+    /// Every stratum has one cost: 100 for walls, 900 for the vase, 10 for nothing.
+    fn profile(frame: u32, strata: Vec<StratumName>, counts: &[usize]) -> MeasuredProfile {
+        let mut samples = Vec::new();
+        for (stratum, &count) in counts.iter().enumerate() {
+            let work = match strata.get(stratum).map(|name| name.object.as_str()) {
+                Some("vase") => 900,
+                Some(_) => 100,
+                None => 10,
+            };
+            for _ in 0..count {
+                samples.push(ProfileSample {
+                    pixel: samples.len() as u32,
+                    stratum: stratum as u32,
+                    work,
+                    cpu_nanos: 10 * work,
+                    rays: [1, 0, 0, 0, 0, 0, 0],
+                });
+            }
+        }
+        let artifacts = ProfileArtifacts { profile: ArtifactHash([0; 32]), preview_png: None };
+        let fixed = FixedCosts { load: Spent { work: 7, cpu_nanos: 70 }, build: Spent::default() };
+        let result = ProfileResult {
+            frame,
+            strata,
+            samples,
+            fixed,
+            spent: Spent { work: 50, cpu_nanos: 0 },
+            artifacts,
+        };
+        MeasuredProfile { result, node_speed: 2.0 }
+    }
+
+    #[test]
+    fn counts_times_unit_costs_make_the_frames_whatever_the_order_of_the_strata_and_the_speed_of_the_node() {
+        let preview = preview(&[(0, &[200, 40], 16), (3, &[100, 140], 16)]);
+        let profile = profile(0, vec![name("vase"), name("wall")], &[8, 16, 4]);
+        let forecast = forecast(&preview, &[profile]).unwrap();
+        let means: Vec<f64> = forecast.frames.iter().map(|frame| frame.work.mean).collect();
+        let expected = [20_000.0 + 36_000.0 + 160.0 + 7.0, 10_000.0 + 126_000.0 + 160.0 + 7.0];
+        for (mean, expected) in means.iter().zip(expected) {
+            assert!((mean / expected - 1.0).abs() < 1e-9, "{mean} for {expected}");
+        }
+        let seconds = forecast.frames[0].cpu_seconds.mean;
+        assert!((seconds / (expected[0] * 10.0 * 2.0 * 1e-9) - 1.0).abs() < 1e-9, "{seconds}");
+        assert_eq!(forecast.frames[0].rays.primary.mean, 256.0);
+        assert_eq!(forecast.job.profiled, Profiled { frames: vec![0], pixels: 28 });
+        assert_eq!(forecast.job.spent.work, 100);
+    }
+
+    #[test]
+    fn a_stratum_that_only_the_profile_saw_does_not_sink_the_forecast() {
+        let preview = preview(&[(0, &[200, 0], 56)]);
+        let profile = profile(0, vec![name("wall"), name("vase"), name("spoon")], &[8, 1, 1, 4]);
+        let forecast = forecast(&preview, &[profile]).unwrap();
+        assert!(forecast.frames[0].work.mean > 20_000.0);
+    }
+
+    #[test]
+    fn frames_are_chosen_within_the_allowance_and_by_their_own_numbers() {
+        let frames: Vec<(u32, &[u32], u32)> = (0..20).map(|i| (10 + 2 * i, &[200u32, 40][..], 16)).collect();
+        let chosen = super::super::choose::frames_to_profile(&preview(&frames), 3).unwrap();
+        assert_eq!(chosen.len(), 3);
+        assert!(chosen.iter().all(|frame| frames.iter().any(|(number, ..)| number == frame)), "{chosen:?}");
+    }
+}

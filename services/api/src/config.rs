@@ -1,0 +1,75 @@
+//! How the service is to be run. Every default is said where it is set.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::clock::{Clock, SystemClock};
+
+/// How the service is to be run.
+#[derive(Clone)]
+pub struct Config {
+    /// Folder of the database and the artefacts; made if it is not there.
+    pub data_dir: PathBuf,
+    /// Address to listen on. Default 127.0.0.1:7878: nobody from outside; port 0 picks a free one.
+    pub listen: SocketAddr,
+    /// How long a lease lasts without renewal. Default 30 s.
+    pub lease_ttl: Duration,
+    /// Folders on shared storage under which jobs may name bundles by path. Default none.
+    pub bundle_roots: Vec<PathBuf>,
+    /// What is too much.
+    pub limits: Limits,
+    /// Where the time comes from. Default the system clock.
+    pub clock: Arc<dyn Clock>,
+}
+
+impl Config {
+    /// The defaults, with the data in this folder.
+    pub fn new(data_dir: impl Into<PathBuf>) -> Self {
+        Self {
+            data_dir: data_dir.into(),
+            listen: SocketAddr::from(([127, 0, 0, 1], 7878)),
+            lease_ttl: Duration::from_secs(30),
+            bundle_roots: Vec::new(),
+            limits: Limits::default(),
+            clock: Arc::new(SystemClock),
+        }
+    }
+}
+
+/// What is too much: everything a client can make large.
+#[derive(Clone, Debug)]
+pub struct Limits {
+    /// Bytes of an uploaded bundle. Default 256 MiB.
+    pub bundle_bytes: u64,
+    /// Bytes of an artefact. Default 1 GiB.
+    pub artifact_bytes: u64,
+    /// Bytes of a JSON request. Default 1 MiB.
+    pub request_bytes: usize,
+    /// Bytes of a task's result: a preview of many frames with many objects is long. Default 64 MiB.
+    pub result_bytes: usize,
+    /// Frames of a job. Default 10,000.
+    pub frames: u64,
+    /// Pixels of an image. Default 2²⁶, 8192 × 8192.
+    pub pixels: u64,
+    /// Bundles that are checked at the same time; others wait. Default 2.
+    pub checks_at_once: usize,
+    /// What a scene may hold.
+    pub scene: forelight_scene::Limits,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            bundle_bytes: 256 << 20,
+            artifact_bytes: 1 << 30,
+            request_bytes: 1 << 20,
+            result_bytes: 64 << 20,
+            frames: 10_000,
+            pixels: 1 << 26,
+            checks_at_once: 2,
+            scene: forelight_scene::Limits::default(),
+        }
+    }
+}

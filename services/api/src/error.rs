@@ -1,0 +1,178 @@
+//! Every error that a client can see, as problem details (RFC 9457).
+//!
+//! A handler returns an [`ApiError`]; it becomes a response without body that carries the problem as an extension,
+//! and [`render_problems`], the outermost layer, writes the body: there the path of the request is known, and errors
+//! that axum itself made (a method that is not allowed, a panic) get the same form.
+
+use std::collections::BTreeMap;
+
+use axum::extract::Request;
+use axum::http::header::{CONTENT_TYPE, RETRY_AFTER, WWW_AUTHENTICATE};
+use axum::http::{HeaderValue, StatusCode};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use forelight_protocol::{Problem, ProblemKind};
+use forelight_store::StoreError;
+use utoipa::openapi::{ContentBuilder, Ref, RefOr, Response as DocumentedResponse, ResponseBuilder};
+
+/// The media type of problem details.
+pub(crate) const PROBLEM_JSON: &str = "application/problem+json";
+
+/// An error on its way to the client.
+#[derive(Debug)]
+pub(crate) struct ApiError {
+    problem: Box<Problem>,
+    retry_after: Option<u32>,
+    authenticate: Option<&'static str>,
+}
+
+/// What handlers return.
+pub(crate) type ApiResult<T> = Result<T, ApiError>;
+
+impl ApiError {
+    pub fn new(kind: ProblemKind, detail: impl Into<String>) -> Self {
+        let retry_after = (kind == ProblemKind::Busy).then_some(1);
+        Self { problem: Box::new(Problem::new(kind, detail)), retry_after, authenticate: None }
+    }
+
+    /// A field of the body does not hold what it has to.
+    pub fn invalid(pointer: impl Into<String>, detail: impl Into<String>) -> Self {
+        Self::new(ProblemKind::Invalid, detail).at(pointer)
+    }
+
+    pub fn kind(&self) -> Option<ProblemKind> {
+        self.problem.known_kind()
+    }
+
+    /// The same error at this place of the request's body (RFC 6901).
+    pub fn at(mut self, pointer: impl Into<String>) -> Self {
+        self.problem.pointer = Some(pointer.into());
+        self
+    }
+
+    /// The same error in this query parameter or header.
+    pub fn in_parameter(mut self, name: impl Into<String>) -> Self {
+        self.problem.parameter = Some(name.into());
+        self
+    }
+
+    /// The same error with advice to come back after so many seconds.
+    pub fn retry_after(mut self, seconds: u32) -> Self {
+        self.retry_after = Some(seconds);
+        self
+    }
+
+    /// The same error with a challenge to authenticate (RFC 6750).
+    pub fn authenticate(mut self, challenge: &'static str) -> Self {
+        self.authenticate = Some(challenge);
+        self
+    }
+}
+
+impl From<StoreError> for ApiError {
+    fn from(error: StoreError) -> Self {
+        let kind = match &error {
+            StoreError::NotFound(_) => ProblemKind::NotFound,
+            StoreError::LeaseLost => ProblemKind::LeaseLost,
+            StoreError::Conflict(_) => ProblemKind::Conflict,
+            StoreError::MissingArtifact(_) => ProblemKind::MissingArtifact,
+            StoreError::KeyReused => ProblemKind::IdempotencyKeyReused,
+            StoreError::HashMismatch { .. } => ProblemKind::HashMismatch,
+            StoreError::TooLarge { .. } => ProblemKind::TooLarge,
+            StoreError::BrokenOff(_) => ProblemKind::Malformed,
+            StoreError::Busy => ProblemKind::Busy,
+            StoreError::Full => ProblemKind::StorageFull,
+            _ => ProblemKind::Internal,
+        };
+        match kind {
+            ProblemKind::Internal => {
+                // What exactly failed is for the operator's log: a client can do nothing with it, and should not see paths.
+                tracing::error!(%error, "the store failed");
+                Self::new(kind, "the service failed; its log says more")
+            }
+            ProblemKind::LeaseLost | ProblemKind::NotFound => Self::new(kind, error.to_string()),
+            ProblemKind::IdempotencyKeyReused => {
+                Self::new(kind, error.to_string()).in_parameter("Idempotency-Key")
+            }
+            _ => {
+                tracing::debug!(%error, "refused");
+                Self::new(kind, error.to_string())
+            }
+        }
+    }
+}
+
+/// The problem of a response, before it is written.
+#[derive(Clone)]
+struct Pending(Box<Problem>);
+
+impl IntoResponse for ApiError {
+    fn into_response(self) -> Response {
+        let status = StatusCode::from_u16(self.problem.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
+        let mut response = status.into_response();
+        if let Some(seconds) = self.retry_after {
+            response.headers_mut().insert(RETRY_AFTER, HeaderValue::from(seconds));
+        }
+        if let Some(challenge) = self.authenticate {
+            response.headers_mut().insert(WWW_AUTHENTICATE, HeaderValue::from_static(challenge));
+        }
+        response.extensions_mut().insert(Pending(self.problem));
+        response
+    }
+}
+
+/// Writes the body of every error response.
+pub(crate) async fn render_problems(request: Request, next: Next) -> Response {
+    let path = request.uri().path().to_owned();
+    let mut response = next.run(request).await;
+    if !(response.status().is_client_error() || response.status().is_server_error()) {
+        return response;
+    }
+    let mut problem = match response.extensions_mut().remove::<Pending>() {
+        Some(Pending(problem)) => *problem,
+        None => of_status(response.status()),
+    };
+    problem.instance = Some(path);
+    let status = response.status();
+    let mut headers = std::mem::take(response.headers_mut());
+    headers.remove(axum::http::header::CONTENT_LENGTH);
+    headers.insert(CONTENT_TYPE, HeaderValue::from_static(PROBLEM_JSON));
+    // Strings and numbers always have a JSON form.
+    let body = serde_json::to_vec(&problem).unwrap_or_default();
+    (status, headers, body).into_response()
+}
+
+/// The problem of an error that axum made.
+fn of_status(status: StatusCode) -> Problem {
+    let kind = match status {
+        StatusCode::NOT_FOUND => ProblemKind::NotFound,
+        StatusCode::METHOD_NOT_ALLOWED => ProblemKind::MethodNotAllowed,
+        StatusCode::PAYLOAD_TOO_LARGE => ProblemKind::TooLarge,
+        StatusCode::UNSUPPORTED_MEDIA_TYPE => ProblemKind::UnsupportedMediaType,
+        StatusCode::SERVICE_UNAVAILABLE => ProblemKind::Busy,
+        status if status.is_client_error() => ProblemKind::Malformed,
+        _ => ProblemKind::Internal,
+    };
+    let detail = match kind {
+        ProblemKind::NotFound => "there is nothing at this address".to_owned(),
+        ProblemKind::MethodNotAllowed => "this address does not take this method; see Allow".to_owned(),
+        _ => kind.title().to_owned(),
+    };
+    Problem { status: status.as_u16(), ..Problem::new(kind, detail) }
+}
+
+/// The error responses that every operation can give, for the OpenAPI document.
+pub(crate) struct Problems;
+
+impl utoipa::IntoResponses for Problems {
+    fn responses() -> BTreeMap<String, RefOr<DocumentedResponse>> {
+        let response = |description: &str| {
+            let content = ContentBuilder::new().schema(Some(Ref::from_schema_name("Problem"))).build();
+            RefOr::T(ResponseBuilder::new().description(description).content(PROBLEM_JSON, content).build())
+        };
+        BTreeMap::from([
+            ("4XX".to_owned(), response("The request cannot be done as it is; `type` says why")),
+            ("5XX".to_owned(), response("The service cannot do it now; 503 has `Retry-After`")),
+        ])
+    }
+}

@@ -1,0 +1,13 @@
+//! From requests to values, with an error that names the place where that fails.
+
+mod auth;
+mod idempotency;
+mod json;
+mod path;
+mod query;
+
+pub(crate) use auth::{Anyone, Reader, Submitter, WorkerToken};
+pub(crate) use idempotency::KeyHeader;
+pub(crate) use json::{JsonBody, Large};
+pub(crate) use path::{Segment, Segments};
+pub(crate) use query::QueryParameters;

@@ -1,0 +1,118 @@
+//! JSON bodies, with the place of an error as a JSON pointer.
+
+use std::marker::PhantomData;
+
+use axum::body::Bytes;
+use axum::extract::{FromRequest, Request};
+use axum::http::header::CONTENT_TYPE;
+use forelight_protocol::ProblemKind;
+use serde::de::DeserializeOwned;
+use serde_path_to_error::{Path, Segment};
+
+use crate::error::{ApiError, ApiResult};
+use crate::state::App;
+
+/// How long a body may be.
+pub(crate) trait BodyLimit {
+    fn bytes(app: &App) -> usize;
+}
+
+/// Requests of people.
+pub(crate) struct Small;
+
+/// Results of tasks.
+pub(crate) struct Large;
+
+impl BodyLimit for Small {
+    fn bytes(app: &App) -> usize {
+        app.limits.request_bytes
+    }
+}
+
+impl BodyLimit for Large {
+    fn bytes(app: &App) -> usize {
+        app.limits.result_bytes
+    }
+}
+
+/// A JSON body and its hash.
+pub(crate) struct JsonBody<T, L = Small> {
+    pub value: T,
+    /// BLAKE3 of the bytes, to tell a repeated request from another one.
+    pub hash: [u8; 32],
+    limit: PhantomData<L>,
+}
+
+impl<T: DeserializeOwned, L: BodyLimit> FromRequest<App> for JsonBody<T, L> {
+    type Rejection = ApiError;
+
+    async fn from_request(request: Request, app: &App) -> ApiResult<Self> {
+        let is_json = request
+            .headers()
+            .get(CONTENT_TYPE)
+            .and_then(|value| value.to_str().ok())
+            .and_then(|value| value.split(';').next())
+            .is_some_and(|value| {
+                let value = value.trim().to_ascii_lowercase();
+                value == "application/json" || (value.starts_with("application/") && value.ends_with("+json"))
+            });
+        if !is_json {
+            return Err(ApiError::new(
+                ProblemKind::UnsupportedMediaType,
+                "send Content-Type: application/json",
+            ));
+        }
+        let bytes = read(request, L::bytes(app)).await?;
+        Ok(Self { value: parse(&bytes)?, hash: *blake3::hash(&bytes).as_bytes(), limit: PhantomData })
+    }
+}
+
+async fn read(request: Request, limit: usize) -> ApiResult<Bytes> {
+    let too_large = || ApiError::new(ProblemKind::TooLarge, format!("at most {limit} bytes are taken here"));
+    let announced = request
+        .headers()
+        .get(axum::http::header::CONTENT_LENGTH)
+        .and_then(|length| length.to_str().ok()?.parse::<u64>().ok());
+    if announced.is_some_and(|length| length > limit as u64) {
+        return Err(too_large());
+    }
+    axum::body::to_bytes(request.into_body(), limit).await.map_err(|error| {
+        let mut source: Option<&dyn std::error::Error> = Some(&error);
+        while let Some(cause) = source {
+            if cause.to_string().contains("length limit exceeded") {
+                return too_large();
+            }
+            source = cause.source();
+        }
+        ApiError::new(ProblemKind::Malformed, "the body broke off")
+    })
+}
+
+/// Parses a body. What is no JSON at all is malformed (400); JSON that is not what was asked for is invalid (422).
+fn parse<T: DeserializeOwned>(bytes: &[u8]) -> ApiResult<T> {
+    let mut deserializer = serde_json::Deserializer::from_slice(bytes);
+    let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
+        let pointer = pointer(error.path());
+        let error = error.into_inner();
+        match error.classify() {
+            serde_json::error::Category::Data => ApiError::invalid(pointer, error.to_string()),
+            _ => ApiError::new(ProblemKind::Malformed, format!("the body is not JSON: {error}")),
+        }
+    })?;
+    deserializer.end().map_err(|error| {
+        ApiError::new(ProblemKind::Malformed, format!("the body goes on after its end: {error}"))
+    })?;
+    Ok(value)
+}
+
+/// The JSON pointer (RFC 6901) of a place.
+fn pointer(path: &Path) -> String {
+    path.iter()
+        .map(|segment| match segment {
+            Segment::Seq { index } => format!("/{index}"),
+            Segment::Map { key } => format!("/{}", key.replace('~', "~0").replace('/', "~1")),
+            Segment::Enum { variant } => format!("/{variant}"),
+            Segment::Unknown => String::new(),
+        })
+        .collect()
+}

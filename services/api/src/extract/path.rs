@@ -1,0 +1,51 @@
+//! Ids and numbers in addresses.
+
+use std::fmt::Display;
+use std::str::FromStr;
+
+use axum::extract::{FromRequestParts, Path};
+use axum::http::request::Parts;
+use forelight_protocol::ProblemKind;
+
+use crate::error::{ApiError, ApiResult};
+use crate::state::App;
+
+/// The only variable part of the address. What cannot be an id names nothing: 404, not 400.
+pub(crate) struct Segment<T>(pub T);
+
+/// The two variable parts of the address.
+pub(crate) struct Segments<A, B>(pub A, pub B);
+
+impl<A> FromRequestParts<App> for Segment<A>
+where
+    A: FromStr<Err: Display> + Send,
+{
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, app: &App) -> ApiResult<Self> {
+        let Path(text) =
+            Path::<String>::from_request_parts(parts, app).await.map_err(|error| not_found(&error))?;
+        text.parse().map(Self).map_err(|error| not_found(&error))
+    }
+}
+
+impl<A, B> FromRequestParts<App> for Segments<A, B>
+where
+    A: FromStr<Err: Display> + Send,
+    B: FromStr<Err: Display> + Send,
+{
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, app: &App) -> ApiResult<Self> {
+        let Path((first, second)) = Path::<(String, String)>::from_request_parts(parts, app)
+            .await
+            .map_err(|error| not_found(&error))?;
+        let first = first.parse().map_err(|error| not_found(&error))?;
+        let second = second.parse().map_err(|error| not_found(&error))?;
+        Ok(Self(first, second))
+    }
+}
+
+fn not_found(error: &impl Display) -> ApiError {
+    ApiError::new(ProblemKind::NotFound, format!("this address names nothing: {error}"))
+}

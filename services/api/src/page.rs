@@ -1,0 +1,92 @@
+//! Paging by key: a page token says after which thing the next page starts, so that pages neither skip nor repeat
+//! anything while things are added.
+
+use forelight_protocol::{PageToken, ProblemKind};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use utoipa::{IntoParams, ToSchema};
+
+use crate::error::{ApiError, ApiResult};
+
+const DEFAULT_SIZE: u32 = 50;
+const LARGEST_SIZE: u32 = 200;
+
+/// Which page of a list.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams, ToSchema)]
+#[into_params(parameter_in = Query)]
+pub(crate) struct PageQuery {
+    /// `next_page_token` of the page before.
+    pub page_token: Option<String>,
+    /// Things on a page: 1 to 200, default 50.
+    #[param(minimum = 1, maximum = 200, default = 50)]
+    pub page_size: Option<u32>,
+}
+
+impl PageQuery {
+    /// How many things to show.
+    pub fn size(&self) -> ApiResult<u32> {
+        match self.page_size {
+            None => Ok(DEFAULT_SIZE),
+            Some(size @ 1..=LARGEST_SIZE) => Ok(size),
+            Some(size) => Err(ApiError::new(
+                ProblemKind::Invalid,
+                format!("a page has 1 to {LARGEST_SIZE} things, not {size}"),
+            )
+            .in_parameter("page_size")),
+        }
+    }
+
+    /// The key after which the page starts; `list` names the list, for a token of another list is refused.
+    pub fn key<K: DeserializeOwned>(&self, list: &str) -> ApiResult<Option<K>> {
+        let Some(token) = &self.page_token else { return Ok(None) };
+        let refused = || {
+            ApiError::new(ProblemKind::Invalid, "this is not a page token of this list")
+                .in_parameter("page_token")
+        };
+        let bytes = from_hex(token).ok_or_else(refused)?;
+        let (of, key): (String, K) = serde_json::from_slice(&bytes).map_err(|_| refused())?;
+        if of == list { Ok(Some(key)) } else { Err(refused()) }
+    }
+}
+
+/// Cuts a list that was asked for with one thing more than the page shows; that thing only says that there is a next page.
+pub(crate) fn cut<T, K: Serialize>(
+    items: &mut Vec<T>,
+    size: u32,
+    list: &str,
+    key: impl Fn(&T) -> K,
+) -> Option<PageToken> {
+    let size = size as usize;
+    if items.len() <= size {
+        return None;
+    }
+    items.truncate(size);
+    let json = serde_json::to_string(&(list, key(items.last()?))).ok()?;
+    Some(PageToken(json.bytes().map(|byte| format!("{byte:02x}")).collect()))
+}
+
+fn from_hex(text: &str) -> Option<Vec<u8>> {
+    if text.len() % 2 != 0 || text.len() > 1000 || !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+        return None;
+    }
+    (0..text.len()).step_by(2).map(|at| u8::from_str_radix(&text[at..at + 2], 16).ok()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_token_leads_back_to_its_key_and_only_in_its_own_list() {
+        let mut items = vec![1, 2, 3];
+        let token = cut(&mut items, 2, "frames", |&item| item).unwrap();
+        assert_eq!(items, [1, 2]);
+        let query = |token: &str| PageQuery { page_token: Some(token.to_owned()), page_size: None };
+        assert_eq!(query(&token.0).key::<i32>("frames").ok().flatten(), Some(2));
+        assert!(query(&token.0).key::<i32>("jobs").is_err());
+        for broken in ["", "zz", "é", "7", &"00".repeat(600)] {
+            assert!(query(broken).key::<i32>("frames").is_err(), "{broken}");
+        }
+        assert!(cut(&mut items, 2, "frames", |&item| item).is_none());
+    }
+}

@@ -1,0 +1,53 @@
+//! The resources, one file or folder each, with a small handler for each verb.
+
+pub(crate) mod artifacts;
+pub(crate) mod bundles;
+pub(crate) mod dashboard;
+pub(crate) mod events;
+pub(crate) mod forecasts;
+pub(crate) mod frames;
+pub(crate) mod health;
+pub(crate) mod jobs;
+pub(crate) mod leases;
+pub(crate) mod nodes;
+pub(crate) mod plans;
+
+use axum::Json;
+use axum::body::Body;
+use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
+use axum::http::{HeaderMap, HeaderValue, StatusCode};
+use axum::response::{IntoResponse, Response};
+use forelight_store::{Answered, ArtifactReader, RecordedAnswer};
+use serde::Serialize;
+
+use crate::error::ApiResult;
+
+/// An answer given earlier, given again.
+pub(crate) fn repeated(answer: RecordedAnswer) -> Response {
+    let status = StatusCode::from_u16(answer.status).unwrap_or(StatusCode::OK);
+    (status, [(CONTENT_TYPE, "application/json"), (REPLAYED, "true")], answer.body).into_response()
+}
+
+/// Tells a client that the answer is an old one.
+const REPLAYED: axum::http::HeaderName = axum::http::HeaderName::from_static("idempotency-replayed");
+
+/// The answer to a request that creates.
+pub(crate) fn created<T: Serialize>(status: StatusCode, answered: Answered<T>) -> Response {
+    match answered {
+        Answered::Fresh(value) => (status, Json(value)).into_response(),
+        Answered::Repeated(answer) => repeated(answer),
+    }
+}
+
+/// An artefact as the body of a response. Its content can never change under its name, so it may be kept for ever.
+pub(crate) fn file(
+    reader: ArtifactReader,
+    media_type: &'static str,
+    headers: HeaderMap,
+) -> ApiResult<Response> {
+    let mut response = Response::new(Body::from_stream(reader.stream));
+    *response.headers_mut() = headers;
+    response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(media_type));
+    response.headers_mut().insert(CONTENT_LENGTH, HeaderValue::from(reader.size));
+    Ok(response)
+}

@@ -1,0 +1,73 @@
+//! Artefacts: files named by their hash.
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::header::{CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, ETAG};
+use axum::http::{HeaderMap, HeaderValue, StatusCode};
+use axum::response::{IntoResponse, Response};
+use forelight_protocol::{ArtifactHash, ArtifactStored};
+
+use super::bundles::refuse_announced_length;
+use super::file;
+use crate::error::{ApiResult, Problems};
+use crate::extract::{Anyone, Segment, WorkerToken};
+use crate::state::App;
+
+const MEDIA_TYPE: &str = "application/octet-stream";
+
+/// Stores bytes under their hash. Storing the same bytes again changes nothing; other bytes than named are refused.
+#[utoipa::path(put, path = "/v1/artifacts/{blake3}", tag = "work", params(("blake3" = ArtifactHash, Path)),
+    request_body(content = Vec<u8>, content_type = "application/octet-stream", description = "By default at most 1 GiB"),
+    responses((status = 201, description = "Stored", body = ArtifactStored), (status = 200, description = "It was there already", body = ArtifactStored), Problems))]
+pub(crate) async fn put(
+    State(app): State<App>,
+    _: WorkerToken,
+    Segment(hash): Segment<ArtifactHash>,
+    headers: HeaderMap,
+    body: Body,
+) -> ApiResult<Response> {
+    let limit = app.limits.artifact_bytes;
+    refuse_announced_length(&headers, limit)?;
+    let stored = app.store.artifacts().put(hash, body.into_data_stream(), limit, app.now()).await?;
+    let status = if stored.existed { StatusCode::OK } else { StatusCode::CREATED };
+    if !stored.existed {
+        app.metrics.bytes_received.add(stored.size);
+    }
+    Ok((status, Json(stored)).into_response())
+}
+
+/// An artefact's bytes.
+#[utoipa::path(get, path = "/v1/artifacts/{blake3}", tag = "work", params(("blake3" = ArtifactHash, Path)),
+    responses((status = 200, description = "The bytes", body = Vec<u8>, content_type = "application/octet-stream"), Problems))]
+pub(crate) async fn get(
+    State(app): State<App>,
+    _: Anyone,
+    Segment(hash): Segment<ArtifactHash>,
+) -> ApiResult<Response> {
+    file(app.store.artifacts().get(hash).await?, MEDIA_TYPE, headers_of(hash))
+}
+
+/// Whether an artefact is there, and how long it is.
+#[utoipa::path(head, path = "/v1/artifacts/{blake3}", tag = "work", params(("blake3" = ArtifactHash, Path)),
+    responses((status = 200, description = "It is there"), Problems))]
+pub(crate) async fn head(
+    State(app): State<App>,
+    _: Anyone,
+    Segment(hash): Segment<ArtifactHash>,
+) -> ApiResult<Response> {
+    let size = app.store.artifacts().size(hash).await?;
+    let mut headers = headers_of(hash);
+    headers.insert(CONTENT_LENGTH, HeaderValue::from(size));
+    headers.insert(CONTENT_TYPE, HeaderValue::from_static(MEDIA_TYPE));
+    Ok((StatusCode::OK, headers).into_response())
+}
+
+fn headers_of(hash: ArtifactHash) -> HeaderMap {
+    let mut headers = HeaderMap::new();
+    headers.insert(CACHE_CONTROL, HeaderValue::from_static("private, immutable, max-age=31536000"));
+    if let Ok(tag) = HeaderValue::from_str(&format!("\"{hash}\"")) {
+        headers.insert(ETAG, tag);
+    }
+    headers
+}

@@ -1,0 +1,88 @@
+//! Scene bundles.
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::Response;
+use forelight_protocol::{Bundle, BundleId, ProblemKind};
+use forelight_store::NewBundle;
+
+use super::{created, repeated};
+use crate::error::{ApiError, ApiResult, Problems};
+use crate::extract::{Anyone, KeyHeader, Segment, Submitter};
+use crate::scenes;
+use crate::state::App;
+
+/// Uploads a bundle as a zip file. It is kept only if it is a scene; if not, the answer is the scene error.
+#[utoipa::path(post, path = "/v1/bundles", tag = "bundles",
+    request_body(content = Vec<u8>, content_type = "application/zip", description = "The zip file; by default at most 256 MiB"),
+    params(("Idempotency-Key" = Option<String>, Header, description = "Makes repeating the request harmless")),
+    responses((status = 201, description = "The bundle", body = Bundle), Problems))]
+pub(crate) async fn upload(
+    State(app): State<App>,
+    Submitter(principal): Submitter,
+    key: KeyHeader,
+    headers: HeaderMap,
+    body: Body,
+) -> ApiResult<Response> {
+    let media_type = headers.get(CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or("");
+    if !["application/zip", "application/x-zip-compressed", "application/octet-stream"].contains(&media_type)
+    {
+        return Err(ApiError::new(
+            ProblemKind::UnsupportedMediaType,
+            "send the zip file with Content-Type: application/zip",
+        ));
+    }
+    refuse_announced_length(&headers, app.limits.bundle_bytes)?;
+    let staged = app.store.artifacts().stage(body.into_data_stream(), app.limits.bundle_bytes).await?;
+    let hash = staged.hash;
+    let key = key.of(&principal, &hash.0);
+    let outcome = async {
+        let guard = app.in_flight.enter(key.as_ref())?;
+        if let Some(key) = &key
+            && let Some(answer) = app.store.recorded_answer(key).await?
+        {
+            return Ok(Err(answer));
+        }
+        let path = app.store.artifacts().staged_path(&staged)?;
+        Ok((scenes::inspect(&app, path, "bundle.zip").await?, guard)).map(Ok)
+    }
+    .await;
+    let (scene, _guard) = match outcome {
+        Ok(Ok(inspected)) => inspected,
+        Ok(Err(answer)) => {
+            app.store.artifacts().discard(staged).await?;
+            return Ok(repeated(answer));
+        }
+        Err(error) => {
+            app.store.artifacts().discard(staged).await?;
+            return Err(error);
+        }
+    };
+    let stored = app.store.artifacts().keep(staged, app.now()).await?;
+    app.metrics.bytes_received.add(stored.size);
+    let answered = app.store.create_bundle(NewBundle { hash, scene }, key.as_ref(), app.now()).await?;
+    Ok(created(StatusCode::CREATED, answered))
+}
+
+/// One bundle.
+#[utoipa::path(get, path = "/v1/bundles/{id}", tag = "bundles", params(("id" = BundleId, Path)),
+    responses((status = 200, description = "The bundle", body = Bundle), Problems))]
+pub(crate) async fn get(
+    State(app): State<App>,
+    _: Anyone,
+    Segment(bundle): Segment<BundleId>,
+) -> ApiResult<Json<Bundle>> {
+    Ok(Json(app.store.bundle(bundle).await?))
+}
+
+/// A body that says of itself that it is too long need not be read.
+pub(crate) fn refuse_announced_length(headers: &HeaderMap, limit: u64) -> ApiResult<()> {
+    let announced = headers.get(CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse::<u64>().ok());
+    if announced.is_some_and(|length| length > limit) {
+        return Err(ApiError::new(ProblemKind::TooLarge, format!("at most {limit} bytes are taken here")));
+    }
+    Ok(())
+}

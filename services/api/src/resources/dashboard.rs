@@ -1,0 +1,15 @@
+//! The one document that a farm dashboard needs.
+
+use axum::Json;
+use axum::extract::State;
+use forelight_protocol::Dashboard;
+
+use crate::error::{ApiResult, Problems};
+use crate::extract::Reader;
+use crate::state::App;
+
+/// The farm at one instant: counts, jobs, nodes, open bookings, newest events, track record.
+#[utoipa::path(get, path = "/v1/dashboard", tag = "farm", responses((status = 200, description = "The farm", body = Dashboard), Problems))]
+pub(crate) async fn get(State(app): State<App>, _: Reader) -> ApiResult<Json<Dashboard>> {
+    Ok(Json(app.store.dashboard(app.lease_ttl, app.now()).await?))
+}

@@ -1,0 +1,160 @@
+//! Server-sent events.
+//!
+//! Events are rows with a growing id, so a stream is nothing but a place in that table: a client that comes back with
+//! `Last-Event-ID` misses nothing and sees nothing twice, also after the service was restarted.
+
+use std::convert::Infallible;
+use std::time::Duration;
+
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::sse::{Event as ServerEvent, KeepAlive, Sse};
+use axum::response::{IntoResponse, Response};
+use forelight_protocol::{Event, EventId, JobId, ProblemKind};
+use forelight_store::{Store, StoreError};
+use futures::{Stream, stream};
+use serde::Deserialize;
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+use utoipa::IntoParams;
+
+use crate::error::{ApiError, ApiResult, Problems};
+use crate::extract::{QueryParameters, Reader, Segment};
+use crate::state::App;
+
+/// Events read at once.
+const BATCH: u32 = 200;
+
+/// How often a comment is sent on a quiet stream, so that proxies keep it open and dead clients are noticed.
+const KEEP_ALIVE: Duration = Duration::from_secs(15);
+
+/// Where to start.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+pub(crate) struct FromEvent {
+    /// The last event seen, for clients that cannot set the header `Last-Event-ID`; the header counts if both are there.
+    pub last_event_id: Option<EventId>,
+}
+
+/// Everything that happens on the farm, from the event after `Last-Event-ID` on; without it, from now on.
+#[utoipa::path(get, path = "/v1/events", tag = "farm", params(FromEvent, ("Last-Event-ID" = Option<i64>, Header)),
+    responses((status = 200, description = "The events, each an `Event` as JSON", body = Event, content_type = "text/event-stream"), Problems))]
+pub(crate) async fn of_farm(
+    State(app): State<App>,
+    _: Reader,
+    QueryParameters(query): QueryParameters<FromEvent>,
+    headers: HeaderMap,
+) -> ApiResult<Response> {
+    let after = match start(&headers, &query)? {
+        Some(after) => after,
+        None => app.store.last_event_id().await?,
+    };
+    Ok(respond(follow(&app, None, after)))
+}
+
+/// What happens to a job, from the event after `Last-Event-ID` on; without it, from its beginning. The stream ends when
+/// the job is done, failed or cancelled; asked for more after that, the answer is 204, which tells a browser to stop asking.
+#[utoipa::path(get, path = "/v1/jobs/{id}/events", tag = "jobs",
+    params(("id" = JobId, Path), FromEvent, ("Last-Event-ID" = Option<i64>, Header)),
+    responses((status = 200, description = "The events, each an `Event` as JSON", body = Event, content_type = "text/event-stream"),
+              (status = 204, description = "The job is over, and all of it was seen"), Problems))]
+pub(crate) async fn of_job(
+    State(app): State<App>,
+    _: Reader,
+    Segment(job): Segment<JobId>,
+    QueryParameters(query): QueryParameters<FromEvent>,
+    headers: HeaderMap,
+) -> ApiResult<Response> {
+    let after = start(&headers, &query)?.unwrap_or(0);
+    let state = app.store.job(job).await?.state;
+    if state.is_final() && app.store.events_after(Some(job), after, 1).await?.is_empty() {
+        return Ok(StatusCode::NO_CONTENT.into_response());
+    }
+    Ok(respond(follow(&app, Some(job), after)))
+}
+
+fn start(headers: &HeaderMap, query: &FromEvent) -> ApiResult<Option<EventId>> {
+    let Some(header) = headers.get("last-event-id") else { return Ok(query.last_event_id) };
+    let id = header.to_str().ok().and_then(|text| text.trim().parse().ok());
+    id.map(Some).ok_or_else(|| {
+        ApiError::new(ProblemKind::Malformed, "Last-Event-ID is the number of an event")
+            .in_parameter("Last-Event-ID")
+    })
+}
+
+fn respond(events: impl Stream<Item = Result<ServerEvent, Infallible>> + Send + 'static) -> Response {
+    Sse::new(events).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response()
+}
+
+/// A place in the order of events.
+struct Cursor {
+    store: Store,
+    job: Option<JobId>,
+    after: EventId,
+    batch: std::vec::IntoIter<Event>,
+    changes: watch::Receiver<u64>,
+    stopping: CancellationToken,
+    over: bool,
+}
+
+fn follow(
+    app: &App,
+    job: Option<JobId>,
+    after: EventId,
+) -> impl Stream<Item = Result<ServerEvent, Infallible>> + use<> {
+    let cursor = Cursor {
+        store: app.store.clone(),
+        job,
+        after,
+        batch: Vec::new().into_iter(),
+        changes: app.store.watch_events(),
+        stopping: app.stopping.clone(),
+        over: false,
+    };
+    stream::unfold(cursor, |mut cursor| async move {
+        let event = cursor.next().await?;
+        Some((Ok(to_server_event(&event)), cursor))
+    })
+}
+
+impl Cursor {
+    /// The next event; `None` when the job is over, the service stops, or the database fails: the client comes back.
+    async fn next(&mut self) -> Option<Event> {
+        loop {
+            if let Some(event) = self.batch.next() {
+                self.after = event.id;
+                self.over = self.job.is_some() && event.job_state.is_some_and(|state| state.is_final());
+                return Some(event);
+            }
+            if self.over {
+                return None;
+            }
+            // Marked as seen before reading: what is written after the reading wakes us again.
+            self.changes.borrow_and_update();
+            self.batch = match self.read().await {
+                Ok(batch) => batch.into_iter(),
+                Err(error) => {
+                    tracing::warn!(%error, "an event stream ends");
+                    return None;
+                }
+            };
+            if self.batch.len() > 0 {
+                continue;
+            }
+            tokio::select! {
+                changed = self.changes.changed() => changed.ok()?,
+                () = self.stopping.cancelled() => return None,
+            }
+        }
+    }
+
+    async fn read(&self) -> Result<Vec<Event>, StoreError> {
+        self.store.events_after(self.job, self.after, BATCH).await
+    }
+}
+
+fn to_server_event(event: &Event) -> ServerEvent {
+    let named = ServerEvent::default().id(event.id.to_string()).event(event.kind.name());
+    // An event is strings and numbers, which always have a JSON form.
+    named.data(serde_json::to_string(event).unwrap_or_default())
+}

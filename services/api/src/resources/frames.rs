@@ -1,0 +1,96 @@
+//! A job's frames and their pictures.
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::header::{CACHE_CONTROL, ETAG, IF_NONE_MATCH};
+use axum::http::{HeaderMap, HeaderValue, StatusCode};
+use axum::response::{IntoResponse, Response};
+use forelight_protocol::{ArtifactHash, FrameArtifacts, FramePage, FrameRow, JobId, ProblemKind};
+
+use super::file;
+use crate::error::{ApiError, ApiResult, Problems};
+use crate::extract::{QueryParameters, Reader, Segment, Segments};
+use crate::page::{PageQuery, cut};
+use crate::state::App;
+
+/// The frames of a job, ascending: forecast, actual, error, booking, times, pictures.
+#[utoipa::path(get, path = "/v1/jobs/{id}/frames", tag = "jobs", params(("id" = JobId, Path), PageQuery),
+    responses((status = 200, description = "A page of frames", body = FramePage), Problems))]
+pub(crate) async fn list(
+    State(app): State<App>,
+    _: Reader,
+    Segment(job): Segment<JobId>,
+    QueryParameters(query): QueryParameters<PageQuery>,
+) -> ApiResult<Json<FramePage>> {
+    let size = query.size()?;
+    let mut items = app.store.frames(job, query.key("frames")?, size + 1).await?;
+    let next_page_token = cut(&mut items, size, "frames", |row| row.frame);
+    Ok(Json(FramePage { items, next_page_token }))
+}
+
+/// One frame.
+#[utoipa::path(get, path = "/v1/jobs/{id}/frames/{frame}", tag = "jobs", params(("id" = JobId, Path), ("frame" = u32, Path)),
+    responses((status = 200, description = "The frame", body = FrameRow), Problems))]
+pub(crate) async fn get(
+    State(app): State<App>,
+    _: Reader,
+    Segments(job, frame): Segments<JobId, u32>,
+) -> ApiResult<Json<FrameRow>> {
+    Ok(Json(app.store.frame(job, frame).await?))
+}
+
+macro_rules! picture {
+    ($(#[doc = $doc:literal])* $name:ident, $path:literal, $media:literal, $choose:expr) => {
+        $(#[doc = $doc])*
+        #[utoipa::path(get, path = $path, tag = "jobs", params(("id" = JobId, Path), ("frame" = u32, Path)),
+            responses((status = 200, description = "The picture", body = Vec<u8>, content_type = $media), (status = 304, description = "The picture is still that of `If-None-Match`"), Problems))]
+        pub(crate) async fn $name(
+            State(app): State<App>,
+            _: Reader,
+            Segments(job, frame): Segments<JobId, u32>,
+            headers: HeaderMap,
+        ) -> ApiResult<Response> {
+            picture(&app, job, frame, &headers, $media, $choose).await
+        }
+    };
+}
+
+picture!(
+    /// Object and material ids of a frame in colour.
+    preview_png, "/v1/jobs/{id}/frames/{frame}/preview.png", "image/png", |artifacts| artifacts.preview_png
+);
+picture!(
+    /// Cost of each pixel of a frame in colour.
+    cost_map_png, "/v1/jobs/{id}/frames/{frame}/cost-map.png", "image/png", |artifacts| artifacts.cost_map_png
+);
+picture!(
+    /// A frame, for looking at.
+    image_png, "/v1/jobs/{id}/frames/{frame}/image.png", "image/png", |artifacts| artifacts.image_png
+);
+picture!(
+    /// A frame, linear.
+    image_exr, "/v1/jobs/{id}/frames/{frame}/image.exr", "image/x-exr", |artifacts| artifacts.image_exr
+);
+
+async fn picture(
+    app: &App,
+    job: JobId,
+    frame: u32,
+    headers: &HeaderMap,
+    media_type: &'static str,
+    choose: impl Fn(&FrameArtifacts) -> Option<ArtifactHash>,
+) -> ApiResult<Response> {
+    let row = app.store.frame(job, frame).await?;
+    let Some(hash) = choose(&row.artifacts) else {
+        return Err(ApiError::new(ProblemKind::NotFound, "the frame does not have this picture yet"));
+    };
+    // The address of a picture is not its hash: the preview is replaced by a better one, so caches have to ask.
+    let etag = HeaderValue::from_str(&format!("\"{hash}\""))
+        .map_err(|_| ApiError::new(ProblemKind::Internal, "the picture has no tag"))?;
+    if headers.get(IF_NONE_MATCH) == Some(&etag) {
+        return Ok((StatusCode::NOT_MODIFIED, [(ETAG, etag)]).into_response());
+    }
+    let own =
+        HeaderMap::from_iter([(ETAG, etag), (CACHE_CONTROL, HeaderValue::from_static("private, no-cache"))]);
+    file(app.store.artifacts().get(hash).await?, media_type, own)
+}

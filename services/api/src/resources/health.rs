@@ -1,0 +1,43 @@
+//! Whether the service lives, is ready, and what it counts. Open to everyone, except for the numbers.
+
+use axum::extract::State;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::{IntoResponse, Response};
+use forelight_protocol::ProblemKind;
+
+use crate::error::{ApiError, ApiResult, Problems};
+use crate::extract::Reader;
+use crate::state::App;
+
+/// The process lives.
+#[utoipa::path(get, path = "/healthz", tag = "service", security(()), responses((status = 200, description = "It lives", body = String, content_type = "text/plain"), Problems))]
+pub(crate) async fn healthz() -> &'static str {
+    "ok\n"
+}
+
+/// The service can work: its database answers and it is not being stopped.
+#[utoipa::path(get, path = "/readyz", tag = "service", security(()), responses((status = 200, description = "It is ready", body = String, content_type = "text/plain"), Problems))]
+pub(crate) async fn readyz(State(app): State<App>) -> ApiResult<&'static str> {
+    if app.stopping.is_cancelled() {
+        return Err(ApiError::new(ProblemKind::Busy, "the service is stopping"));
+    }
+    app.store.ping().await.map_err(|error| {
+        tracing::error!(%error, "the database does not answer");
+        ApiError::new(ProblemKind::Busy, "the database does not answer")
+    })?;
+    Ok("ready\n")
+}
+
+/// Numbers for monitoring, as Prometheus text.
+#[utoipa::path(get, path = "/metrics", tag = "service", responses((status = 200, description = "The numbers", body = String, content_type = "text/plain"), Problems))]
+pub(crate) async fn metrics(State(app): State<App>, _: Reader) -> ApiResult<Response> {
+    let counts = app.store.counts(app.lease_ttl, app.now()).await?;
+    Ok(([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], app.metrics.render(&counts))
+        .into_response())
+}
+
+/// This document.
+#[utoipa::path(get, path = "/openapi.yaml", tag = "service", security(()), responses((status = 200, description = "The OpenAPI document", body = String, content_type = "application/yaml"), Problems))]
+pub(crate) async fn openapi(State(app): State<App>) -> Response {
+    ([(CONTENT_TYPE, "application/yaml")], app.openapi.to_string()).into_response()
+}

@@ -1,0 +1,123 @@
+//! Jobs.
+
+mod check;
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::StatusCode;
+use axum::response::Response;
+use forelight_protocol::{Job, JobCheck, JobId, JobPage, JobRequest, JobState};
+use forelight_store::{JobFilter, Projected, project};
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+use super::{created, repeated};
+use crate::error::{ApiResult, Problems};
+use crate::extract::{JsonBody, KeyHeader, QueryParameters, Reader, Segment, Submitter};
+use crate::page::{PageQuery, cut};
+use crate::state::App;
+
+/// Submits a job. It is previewed, forecast, booked and rendered from here on.
+#[utoipa::path(post, path = "/v1/jobs", tag = "jobs", request_body = JobRequest,
+    params(("Idempotency-Key" = Option<String>, Header, description = "Makes repeating the request harmless")),
+    responses((status = 201, description = "The job", body = Job), Problems))]
+pub(crate) async fn submit(
+    State(app): State<App>,
+    Submitter(principal): Submitter,
+    key: KeyHeader,
+    JsonBody { value: request, hash, .. }: JsonBody<JobRequest>,
+) -> ApiResult<Response> {
+    let key = key.of(&principal, &hash);
+    let _guard = app.in_flight.enter(key.as_ref())?;
+    if let Some(key) = &key
+        && let Some(answer) = app.store.recorded_answer(key).await?
+    {
+        return Ok(repeated(answer));
+    }
+    let new = check::checked(&app, request).await?;
+    Ok(created(StatusCode::CREATED, app.store.create_job(&new, key.as_ref(), app.now()).await?))
+}
+
+/// Everything that submitting this job would say; nothing is kept.
+#[utoipa::path(post, path = "/v1/jobs/check", tag = "jobs", request_body = JobRequest,
+    responses((status = 200, description = "It would be taken", body = JobCheck), Problems))]
+pub(crate) async fn check(
+    State(app): State<App>,
+    _: Submitter,
+    JsonBody { value: request, .. }: JsonBody<JobRequest>,
+) -> ApiResult<Json<JobCheck>> {
+    let new = check::checked(&app, request).await?;
+    let frames_total = u32::try_from(new.request.frames.count()).unwrap_or(u32::MAX);
+    Ok(Json(JobCheck { scene: new.scene, frames: new.request.frames, frames_total, settings: new.settings }))
+}
+
+/// Which jobs to list.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+pub(crate) struct JobQuery {
+    /// Only jobs in this state.
+    pub state: Option<JobState>,
+    /// Only jobs of this project.
+    pub project: Option<String>,
+    /// Only jobs of exactly this name.
+    pub name: Option<String>,
+    /// `next_page_token` of the page before.
+    pub page_token: Option<String>,
+    /// Things on a page: 1 to 200, default 50.
+    #[param(minimum = 1, maximum = 200, default = 50)]
+    pub page_size: Option<u32>,
+}
+
+/// The jobs, newest first.
+#[utoipa::path(get, path = "/v1/jobs", tag = "jobs", params(JobQuery),
+    responses((status = 200, description = "A page of jobs", body = JobPage), Problems))]
+pub(crate) async fn list(
+    State(app): State<App>,
+    _: Reader,
+    QueryParameters(query): QueryParameters<JobQuery>,
+) -> ApiResult<Json<JobPage>> {
+    let JobQuery { state, project, name, page_token, page_size } = query;
+    let page = PageQuery { page_token, page_size };
+    let size = page.size()?;
+    let filter = JobFilter { state, project, name };
+    let mut items = app.store.jobs(&filter, page.key("jobs")?, size + 1).await?;
+    let next_page_token = cut(&mut items, size, "jobs", |job| job.id);
+    expect(&app, &mut items).await?;
+    Ok(Json(JobPage { items, next_page_token }))
+}
+
+/// One job.
+#[utoipa::path(get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = JobId, Path)),
+    responses((status = 200, description = "The job", body = Job), Problems))]
+pub(crate) async fn get(
+    State(app): State<App>,
+    _: Reader,
+    Segment(job): Segment<JobId>,
+) -> ApiResult<Json<Job>> {
+    let mut job = app.store.job(job).await?;
+    expect(&app, std::slice::from_mut(&mut job)).await?;
+    Ok(Json(job))
+}
+
+/// Cancels a job. Its workers stop at their next renewal. Cancelling it again changes nothing.
+#[utoipa::path(post, path = "/v1/jobs/{id}/cancel", tag = "jobs", params(("id" = JobId, Path)),
+    responses((status = 200, description = "The job", body = Job), Problems))]
+pub(crate) async fn cancel(
+    State(app): State<App>,
+    _: Submitter,
+    Segment(job): Segment<JobId>,
+) -> ApiResult<Json<Job>> {
+    Ok(Json(app.store.cancel_job(job, app.now()).await?))
+}
+
+/// Fills in when the jobs are expected to be done.
+async fn expect(app: &App, jobs: &mut [Job]) -> ApiResult<()> {
+    if jobs.iter().all(|job| job.state.is_final() || job.plan_id.is_none()) {
+        return Ok(());
+    }
+    let projected = project(&app.store.open_bookings().await?, app.now());
+    for job in jobs {
+        job.eta = Projected::finish_of(&projected, job.id);
+    }
+    Ok(())
+}

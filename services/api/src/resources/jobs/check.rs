@@ -1,0 +1,105 @@
+//! Whether a job can be taken: every field, with the place of what is wrong.
+
+use std::ops::RangeInclusive;
+
+use forelight_protocol::{BundleSource, JobRequest, RenderSettings, RenderSettingsRequest, SceneSummary};
+use forelight_store::{NewJob, StoreError};
+
+use crate::error::{ApiError, ApiResult};
+use crate::resources::nodes::check_name;
+use crate::scenes;
+use crate::state::App;
+
+/// A job request with all of it checked, cheapest things first: the bundle is looked into last.
+pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<NewJob> {
+    check_name("/name", &request.name, 200)?;
+    check_name("/project", &request.project, 200)?;
+    within("/samples", i64::from(request.samples), 16..=1_000_000)?;
+    within("/profile_frames", i64::from(request.profile_frames), 1..=1000)?;
+    within("/priority", i64::from(request.priority), -1000..=1000)?;
+    if let Some(budget) = request.budget {
+        within("/budget", budget.micro_units(), 0..=i64::MAX)?;
+    }
+    if let Some(deadline) = request.deadline
+        && deadline <= app.now()
+    {
+        return Err(ApiError::invalid("/deadline", format!("the deadline {deadline} has passed")));
+    }
+    let frames = request.frames.count();
+    if frames > app.limits.frames {
+        return Err(ApiError::invalid(
+            "/frames",
+            format!("{frames} frames; a job has at most {}", app.limits.frames),
+        ));
+    }
+    check_settings(&request.settings)?;
+    let (source, scene) = find_bundle(app, &mut request).await?;
+    if request.frames.last() >= scene.frames {
+        let reason = format!(
+            "frame {} is asked for, the scene has frames 0 to {}",
+            request.frames.last(),
+            scene.frames.saturating_sub(1)
+        );
+        return Err(ApiError::invalid("/frames", reason));
+    }
+    let settings = request.settings.complete((scene.width, scene.height));
+    check_size(app, &settings)?;
+    Ok(NewJob { request, scene, source, settings })
+}
+
+fn check_settings(settings: &RenderSettingsRequest) -> ApiResult<()> {
+    let fields: [(&str, Option<u32>, RangeInclusive<i64>); 6] = [
+        ("width", settings.width, 1..=65_536),
+        ("height", settings.height, 1..=65_536),
+        ("spp", settings.spp, 1..=65_536),
+        ("ambient_bounces", settings.ambient_bounces, 0..=64),
+        ("ambient_divisions", settings.ambient_divisions, 1..=65_536),
+        ("max_depth", settings.max_depth, 1..=256),
+    ];
+    for (name, value, range) in fields {
+        if let Some(value) = value {
+            within(&format!("/settings/{name}"), i64::from(value), range)?;
+        }
+    }
+    Ok(())
+}
+
+fn check_size(app: &App, settings: &RenderSettings) -> ApiResult<()> {
+    if settings.pixels() > app.limits.pixels {
+        let reason = format!(
+            "{} × {} pixels; an image has at most {} pixels",
+            settings.width, settings.height, app.limits.pixels
+        );
+        return Err(ApiError::invalid("/settings/width", reason));
+    }
+    Ok(())
+}
+
+fn within(pointer: &str, value: i64, range: RangeInclusive<i64>) -> ApiResult<()> {
+    if range.contains(&value) {
+        return Ok(());
+    }
+    Err(ApiError::invalid(pointer, format!("{value} is not within {} to {}", range.start(), range.end())))
+}
+
+/// Where the bundle is and what is in it. A path is replaced by its canonical form.
+async fn find_bundle(app: &App, request: &mut JobRequest) -> ApiResult<(BundleSource, SceneSummary)> {
+    match (&request.bundle.id, &request.bundle.path) {
+        (Some(id), None) => match app.store.bundle(*id).await {
+            Ok(bundle) => Ok((BundleSource::Artifact(bundle.hash), bundle.scene)),
+            Err(StoreError::NotFound(_)) => Err(ApiError::invalid("/bundle/id", "there is no such bundle")),
+            Err(error) => Err(error.into()),
+        },
+        (None, Some(path)) => {
+            let canonical = scenes::resolve(app, path).await?;
+            let Some(text) = canonical.to_str().map(str::to_owned) else {
+                return Err(ApiError::invalid("/bundle/path", "the path of a bundle is UTF-8"));
+            };
+            let scene =
+                scenes::inspect(app, canonical, path).await.map_err(|error| error.at("/bundle/path"))?;
+            request.bundle.path = Some(text.clone());
+            Ok((BundleSource::Path(text), scene))
+        }
+        _ => Err(ApiError::invalid("/bundle", "give exactly one of `id` and `path`")),
+    }
+}

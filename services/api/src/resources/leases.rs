@@ -1,0 +1,128 @@
+//! Leases: handing tasks to workers and taking results from them.
+
+mod claim;
+mod fits;
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+use forelight_protocol::{
+    ClaimRequest, Lease, LeaseId, ProblemKind, ReleaseRequest, RenewRequest, Renewal, ResultAnswer,
+    ResultRequest, TaskKind,
+};
+use forelight_store::StoreError;
+
+use super::created;
+use crate::error::{ApiError, ApiResult, Problems};
+use crate::extract::{JsonBody, KeyHeader, Large, Segment, WorkerToken};
+use crate::state::App;
+
+/// Longest wait for a task, in milliseconds.
+const LONGEST_WAIT: u32 = 60_000;
+
+/// Hands out a task. If there is none, waits for one up to `wait_ms`; 204 if there still is none then.
+#[utoipa::path(post, path = "/v1/leases", tag = "work", request_body = ClaimRequest,
+    params(("Idempotency-Key" = Option<String>, Header, description = "Makes repeating the request harmless")),
+    responses((status = 200, description = "A task", body = Lease), (status = 204, description = "There is nothing to do"), Problems))]
+pub(crate) async fn claim(
+    State(app): State<App>,
+    WorkerToken(principal): WorkerToken,
+    key: KeyHeader,
+    JsonBody { value: request, hash, .. }: JsonBody<ClaimRequest>,
+) -> ApiResult<Response> {
+    if request.wait_ms > LONGEST_WAIT {
+        return Err(ApiError::invalid("/wait_ms", format!("waits last up to {LONGEST_WAIT} ms")));
+    }
+    let key = key.of(&principal, &hash);
+    let _guard = app.in_flight.enter(key.as_ref())?;
+    match claim::wait_for_task(&app, &request, key.as_ref()).await? {
+        Some(lease) => Ok(created(StatusCode::OK, lease)),
+        None => Ok(StatusCode::NO_CONTENT.into_response()),
+    }
+}
+
+/// Renews a lease and reports progress. The answer may be the order to stop.
+#[utoipa::path(patch, path = "/v1/leases/{id}", tag = "work", params(("id" = LeaseId, Path)), request_body = RenewRequest,
+    responses((status = 200, description = "The lease goes on, or the task is to be dropped", body = Renewal), Problems))]
+pub(crate) async fn renew(
+    State(app): State<App>,
+    _: WorkerToken,
+    Segment(lease): Segment<LeaseId>,
+    JsonBody { value: request, .. }: JsonBody<RenewRequest>,
+) -> ApiResult<Json<Renewal>> {
+    if !(0.0..=1.0).contains(&request.progress) {
+        return Err(ApiError::invalid("/progress", "progress is 0 to 1"));
+    }
+    let renewal = app.store.renew(lease, request.fence, request.progress, app.lease_ttl, app.now()).await;
+    Ok(Json(counted(&app, renewal)?))
+}
+
+/// Gives a task back unfinished.
+#[utoipa::path(post, path = "/v1/leases/{id}/release", tag = "work", params(("id" = LeaseId, Path)), request_body = ReleaseRequest,
+    responses((status = 204, description = "The task is ready for another worker"), Problems))]
+pub(crate) async fn release(
+    State(app): State<App>,
+    _: WorkerToken,
+    Segment(lease): Segment<LeaseId>,
+    JsonBody { value: request, .. }: JsonBody<ReleaseRequest>,
+) -> ApiResult<StatusCode> {
+    let released = app.store.release(lease, request.fence, app.now()).await;
+    counted(&app, released)?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// Ends a task with its result or an error. When this is answered, the result is on disk. Sending it again is harmless.
+#[utoipa::path(post, path = "/v1/leases/{id}/result", tag = "work", params(("id" = LeaseId, Path)), request_body = ResultRequest,
+    responses((status = 200, description = "Committed, now or before", body = ResultAnswer), Problems))]
+pub(crate) async fn result(
+    State(app): State<App>,
+    _: WorkerToken,
+    Segment(lease): Segment<LeaseId>,
+    JsonBody { value: request, .. }: JsonBody<ResultRequest, Large>,
+) -> ApiResult<Json<ResultAnswer>> {
+    match (request.result, request.error) {
+        (Some(result), None) => {
+            let info = app.store.lease(lease).await?;
+            fits::check(&info.spec, &result)?;
+            let committed = app.store.commit_result(lease, request.fence, &result, app.now()).await;
+            let committed = counted(&app, committed).map_err(|error| error.or_at("/result"))?;
+            if committed.duplicate {
+                app.metrics.results_duplicate.add(1);
+            } else {
+                app.metrics.results_committed.add(1);
+            }
+            if committed.kind != TaskKind::Render {
+                // If nobody listens the service is stopping; the next start asks for all jobs that wait.
+                let _ = app.conductor.send(committed.job_id);
+            }
+            Ok(Json(ResultAnswer { duplicate: committed.duplicate, job_state: committed.job_state }))
+        }
+        (None, Some(error)) => {
+            let length = error.message.chars().count();
+            if !(1..=2000).contains(&length) {
+                return Err(ApiError::invalid("/error/message", "a message has 1 to 2000 characters"));
+            }
+            let failed = app.store.fail_task(lease, request.fence, &error, app.now()).await;
+            let (duplicate, job_state) = counted(&app, failed)?;
+            app.metrics.task_errors.add(1);
+            Ok(Json(ResultAnswer { duplicate, job_state }))
+        }
+        _ => Err(ApiError::invalid("", "give exactly one of `result` and `error`")),
+    }
+}
+
+/// Counts refusals of workers that lost their lease.
+fn counted<T>(app: &App, outcome: Result<T, StoreError>) -> ApiResult<T> {
+    if matches!(outcome, Err(StoreError::LeaseLost)) {
+        app.metrics.leases_lost.add(1);
+    }
+    outcome.map_err(ApiError::from)
+}
+
+impl ApiError {
+    /// The same error at this place, if it is about an artefact that the body names.
+    fn or_at(self, pointer: &str) -> Self {
+        if self.kind() == Some(ProblemKind::MissingArtifact) { self.at(pointer) } else { self }
+    }
+}

@@ -1,0 +1,48 @@
+//! Waiting for a task.
+
+use std::time::Duration;
+
+use forelight_protocol::{ClaimRequest, Lease};
+use forelight_store::{Answered, IdempotencyKey};
+use tokio::time::Instant;
+
+use crate::error::ApiResult;
+use crate::state::App;
+
+/// Claims a task for the node, and waits for one if need be.
+///
+/// The hazards of many workers waiting: a task that becomes ready between "there is nothing" and "wake me" must wake
+/// (the watch is marked as seen *before* looking); one ready task must not make a hundred workers queue for the write lock
+/// (those who are woken look first, without it); a lease that runs out is work too, though nobody announces it (so waiting
+/// is cut into pieces of half a lease, at the end of each of which the node is noted as alive); and a service that
+/// is told to stop must not wait for its waiters.
+pub(super) async fn wait_for_task(
+    app: &App,
+    request: &ClaimRequest,
+    key: Option<&IdempotencyKey>,
+) -> ApiResult<Option<Answered<Lease>>> {
+    let until = Instant::now() + Duration::from_millis(u64::from(request.wait_ms));
+    let piece = (app.lease_ttl / 2).max(Duration::from_millis(50));
+    let mut work = app.store.watch_work();
+    loop {
+        work.borrow_and_update();
+        if let Some(lease) = app.store.claim(request.node_id, app.lease_ttl, key, app.now()).await? {
+            app.metrics.leases_granted.add(u64::from(matches!(lease, Answered::Fresh(_))));
+            return Ok(Some(lease));
+        }
+        loop {
+            let pause = until.min(Instant::now() + piece);
+            let announced = tokio::select! {
+                changed = work.changed() => { if changed.is_err() { return Ok(None) } true }
+                () = tokio::time::sleep_until(pause) => false,
+                () = app.stopping.cancelled() => return Ok(None),
+            };
+            if Instant::now() >= until && !announced {
+                return Ok(None);
+            }
+            if !announced || app.store.may_have_work(app.now()).await? {
+                break;
+            }
+        }
+    }
+}

@@ -1,0 +1,145 @@
+//! Whether a result is one of the task that was handed out. What goes into a forecast or a plan has to make sense, so
+//! it is refused here, with the place, rather than found out later.
+
+use std::collections::BTreeSet;
+
+use forelight_protocol::{
+    PreviewResult, PreviewSpec, ProfileResult, ProfileSpec, RenderResult, RenderSpec, Spent, TaskResult,
+    TaskSpec,
+};
+
+use crate::error::{ApiError, ApiResult};
+
+/// The largest number that the database and every JSON reader of ours can hold.
+const LARGEST: u64 = i64::MAX as u64;
+
+/// Checks a result against its task.
+pub(super) fn check(spec: &TaskSpec, result: &TaskResult) -> ApiResult<()> {
+    match (spec, result) {
+        (TaskSpec::Preview(spec), TaskResult::Preview(result)) => preview(spec, result),
+        (TaskSpec::Profile(spec), TaskResult::Profile(result)) => profile(spec, result),
+        (TaskSpec::Render(spec), TaskResult::Render(result)) => render(spec, result),
+        (spec, result) => wrong(
+            "/result",
+            format!("the task is a {}, the result is that of a {}", spec.kind(), result.kind()),
+        ),
+    }
+}
+
+fn wrong(pointer: impl Into<String>, reason: impl Into<String>) -> ApiResult<()> {
+    Err(ApiError::invalid(pointer, reason))
+}
+
+fn preview(spec: &PreviewSpec, result: &PreviewResult) -> ApiResult<()> {
+    const AT: &str = "/result/preview";
+    let distinct: BTreeSet<_> = result.strata.iter().collect();
+    if distinct.len() != result.strata.len() {
+        return wrong(format!("{AT}/strata"), "a stratum is named twice");
+    }
+    if result.frames.len() != spec.frames.len() {
+        let reason = format!("{} frames; the task has {}", result.frames.len(), spec.frames.len());
+        return wrong(format!("{AT}/frames"), reason);
+    }
+    for (i, (frame, &expected)) in result.frames.iter().zip(&spec.frames).enumerate() {
+        if frame.frame != expected {
+            return wrong(
+                format!("{AT}/frames/{i}/frame"),
+                format!("frame {}; the task has {expected} here", frame.frame),
+            );
+        }
+        if frame.pixels.len() != result.strata.len() {
+            let reason = format!("{} numbers for {} strata", frame.pixels.len(), result.strata.len());
+            return wrong(format!("{AT}/frames/{i}/pixels"), reason);
+        }
+        let pixels: u64 =
+            frame.pixels.iter().map(|&n| u64::from(n)).sum::<u64>() + u64::from(frame.background);
+        if pixels != spec.settings.pixels() {
+            let reason = format!("{pixels} pixels in all; the image has {}", spec.settings.pixels());
+            return wrong(format!("{AT}/frames/{i}/pixels"), reason);
+        }
+    }
+    spent(&format!("{AT}/spent"), result.spent)
+}
+
+fn profile(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
+    const AT: &str = "/result/profile";
+    if result.frame != spec.frame {
+        return wrong(
+            format!("{AT}/frame"),
+            format!("frame {}; the task is about {}", result.frame, spec.frame),
+        );
+    }
+    let distinct: BTreeSet<_> = result.strata.iter().collect();
+    if distinct.len() != result.strata.len() {
+        return wrong(format!("{AT}/strata"), "a stratum is named twice");
+    }
+    if result.samples.is_empty() {
+        return wrong(format!("{AT}/samples"), "no pixel was profiled");
+    }
+    let mut seen = BTreeSet::new();
+    for (i, sample) in result.samples.iter().enumerate() {
+        let at = format!("{AT}/samples/{i}");
+        if u64::from(sample.pixel) >= spec.settings.pixels() {
+            return wrong(at + "/pixel", format!("the image has {} pixels", spec.settings.pixels()));
+        }
+        if !seen.insert(sample.pixel) {
+            return wrong(at + "/pixel", format!("pixel {} was given before", sample.pixel));
+        }
+        if sample.stratum as usize > result.strata.len() {
+            return wrong(at + "/stratum", format!("there are {} strata", result.strata.len()));
+        }
+        if [sample.work, sample.cpu_nanos].iter().chain(&sample.rays).any(|&number| number > LARGEST) {
+            return wrong(at, "a number is larger than 2⁶³ − 1");
+        }
+    }
+    spent(&format!("{AT}/fixed/load"), result.fixed.load)?;
+    spent(&format!("{AT}/fixed/build"), result.fixed.build)?;
+    spent(&format!("{AT}/spent"), result.spent)
+}
+
+fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {
+    const AT: &str = "/result/render/stats";
+    let stats = &result.stats;
+    let settings = &spec.settings;
+    if stats.frame != spec.frame {
+        return wrong(
+            format!("{AT}/frame"),
+            format!("frame {}; the task is about {}", stats.frame, spec.frame),
+        );
+    }
+    for (name, actual, expected) in [
+        ("width", stats.width, settings.width),
+        ("height", stats.height, settings.height),
+        ("spp", stats.spp, settings.spp),
+    ] {
+        if actual != expected {
+            return wrong(format!("{AT}/{name}"), format!("{actual}; the task has {expected}"));
+        }
+    }
+    for (name, seconds) in [
+        ("cpu_seconds", stats.cpu_seconds),
+        ("wall_seconds", stats.wall_seconds),
+        ("reused_cpu_seconds", stats.reused_cpu_seconds),
+    ] {
+        if !(0.0..=1e12).contains(&seconds) {
+            return wrong(format!("{AT}/{name}"), "seconds are 0 or more");
+        }
+    }
+    if u64::max(stats.work, stats.reused_work) > LARGEST || stats.rays.total() > LARGEST {
+        return wrong(AT, "a number is larger than 2⁶³ − 1");
+    }
+    if stats.reused_pixels > settings.pixels() {
+        return wrong(format!("{AT}/reused_pixels"), format!("the image has {} pixels", settings.pixels()));
+    }
+    if stats.reused_work > stats.work {
+        return wrong(format!("{AT}/reused_work"), "more than the frame's whole work");
+    }
+    Ok(())
+}
+
+fn spent(pointer: &str, spent: Spent) -> ApiResult<()> {
+    if u64::max(spent.work, spent.cpu_nanos) > LARGEST {
+        return wrong(pointer, "a number is larger than 2⁶³ − 1");
+    }
+    Ok(())
+}

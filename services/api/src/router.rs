@@ -1,0 +1,80 @@
+//! Which address leads to which handler, and what happens to every request on the way.
+
+use std::time::Duration;
+
+use axum::extract::{Request, State};
+use axum::http::StatusCode;
+use axum::middleware::{Next, from_fn, from_fn_with_state};
+use axum::response::{IntoResponse, Response};
+use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::timeout::RequestBodyTimeoutLayer;
+use tower_http::trace::TraceLayer;
+use utoipa::openapi::OpenApi;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::error::render_problems;
+use crate::openapi::frame;
+use crate::resources::{
+    artifacts, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes, plans,
+};
+use crate::state::App;
+
+/// How long a client may leave off in the middle of a body.
+const BODY_SILENCE: Duration = Duration::from_secs(60);
+
+/// All routes, and the document that describes them.
+pub(crate) fn routes() -> (axum::Router<App>, OpenApi) {
+    OpenApiRouter::with_openapi(frame())
+        .routes(routes!(bundles::upload))
+        .routes(routes!(bundles::get))
+        .routes(routes!(jobs::submit, jobs::list))
+        .routes(routes!(jobs::check))
+        .routes(routes!(jobs::get))
+        .routes(routes!(jobs::cancel))
+        .routes(routes!(events::of_job))
+        .routes(routes!(forecasts::of_job))
+        .routes(routes!(frames::list))
+        .routes(routes!(frames::get))
+        .routes(routes!(frames::preview_png))
+        .routes(routes!(frames::cost_map_png))
+        .routes(routes!(frames::image_png))
+        .routes(routes!(frames::image_exr))
+        .routes(routes!(plans::get))
+        .routes(routes!(plans::bookings))
+        .routes(routes!(nodes::register, nodes::list))
+        .routes(routes!(nodes::get, nodes::change))
+        .routes(routes!(leases::claim))
+        .routes(routes!(leases::renew))
+        .routes(routes!(leases::release))
+        .routes(routes!(leases::result))
+        .routes(routes!(artifacts::put, artifacts::get, artifacts::head))
+        .routes(routes!(forecasts::track_record))
+        .routes(routes!(events::of_farm))
+        .routes(routes!(dashboard::get))
+        .routes(routes!(health::healthz))
+        .routes(routes!(health::readyz))
+        .routes(routes!(health::metrics))
+        .routes(routes!(health::openapi))
+        .split_for_parts()
+}
+
+/// The service as axum runs it. The layers, from the outside in: a log line, the count, the form of errors, panics, bodies.
+pub(crate) fn router(app: App) -> axum::Router {
+    let (routes, _) = routes();
+    routes
+        .fallback(async || StatusCode::NOT_FOUND)
+        .method_not_allowed_fallback(async || StatusCode::METHOD_NOT_ALLOWED)
+        .layer(RequestBodyTimeoutLayer::new(BODY_SILENCE))
+        .layer(CatchPanicLayer::custom(|_| StatusCode::INTERNAL_SERVER_ERROR.into_response()))
+        .layer(from_fn(render_problems))
+        .layer(from_fn_with_state(app.clone(), count))
+        .layer(TraceLayer::new_for_http())
+        .with_state(app)
+}
+
+async fn count(State(app): State<App>, request: Request, next: Next) -> Response {
+    let response = next.run(request).await;
+    app.metrics.count_response(response.status().as_u16());
+    response
+}

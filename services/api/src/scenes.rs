@@ -1,0 +1,82 @@
+//! Looking into bundles: whether they are scenes, and what is in them.
+
+use std::path::{Path, PathBuf};
+
+use forelight_protocol::{ProblemKind, SceneSummary};
+use forelight_scene::{Scene, SceneError};
+
+use crate::error::{ApiError, ApiResult};
+use crate::state::App;
+
+/// Loads a bundle and says what is in it. `shown` is what the client calls it: errors of files speak of that, and
+/// never of where it lies on the service's disk.
+///
+/// Loading takes a processor and memory, so it is done on a thread of its own, and only a few at a time.
+pub(crate) async fn inspect(app: &App, path: PathBuf, shown: &str) -> ApiResult<SceneSummary> {
+    let stopped = |_| ApiError::new(ProblemKind::Busy, "the service is stopping");
+    let _permit = app.checks.clone().acquire_owned().await.map_err(stopped)?;
+    let limits = app.limits.scene;
+    let own_path = path.display().to_string();
+    let own_name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+    let summary = tokio::task::spawn_blocking(move || summary(&path, &limits)).await.map_err(|error| {
+        tracing::error!(%error, bundle = own_path, "loading a bundle panicked");
+        ApiError::new(ProblemKind::Internal, "the bundle could not be looked into")
+    })?;
+    match summary {
+        Ok(mut scene) => {
+            // A scene without a name is called after its file, which for an upload is a name of ours.
+            if scene.name == own_name {
+                scene.name = Path::new(shown)
+                    .file_stem()
+                    .map_or(shown.into(), |stem| stem.to_string_lossy().into_owned());
+            }
+            Ok(scene)
+        }
+        Err(error) => {
+            Err(ApiError::new(ProblemKind::InvalidBundle, error.to_string().replace(&own_path, shown)))
+        }
+    }
+}
+
+fn summary(path: &Path, limits: &forelight_scene::Limits) -> Result<SceneSummary, SceneError> {
+    let scene = Scene::load(path, limits)?;
+    let first = scene.frame(0)?;
+    let strata = scene.strata();
+    let mut materials: Vec<u32> = strata.pairs.iter().map(|&(_, material)| material).collect();
+    materials.sort_unstable();
+    materials.dedup();
+    Ok(SceneSummary {
+        name: scene.name().to_owned(),
+        frames: scene.frame_count(),
+        width: first.camera.width,
+        height: first.camera.height,
+        objects: strata.objects.len() as u64,
+        materials: materials.len() as u64,
+        triangles: first.geometry.triangles.len() as u64,
+    })
+}
+
+/// The canonical path of a bundle on shared storage.
+///
+/// The hazard: a client names `/scenes/../etc`, or a link below a root that leads out of it, and has the service and all
+/// workers read what it may not see. So the path is made canonical, which resolves both, and has to lie below a
+/// canonical root then. What is not there and what is not allowed get the same answer: nobody can look around with this.
+pub(crate) async fn resolve(app: &App, path: &str) -> ApiResult<PathBuf> {
+    let refused = || {
+        let reason = if app.bundle_roots.is_empty() {
+            "this service takes no bundles by path; upload it"
+        } else {
+            "there is no such bundle under the service's bundle roots"
+        };
+        ApiError::invalid("/bundle/path", reason)
+    };
+    if !Path::new(path).is_absolute() || path.contains('\0') {
+        return Err(refused());
+    }
+    let canonical = tokio::fs::canonicalize(path).await.map_err(|_| refused())?;
+    if app.bundle_roots.iter().any(|root| canonical.starts_with(root)) {
+        Ok(canonical)
+    } else {
+        Err(refused())
+    }
+}

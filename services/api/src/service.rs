@@ -1,0 +1,175 @@
+//! The running service: its start, what it does by itself, and its end.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use forelight_protocol::JobId;
+use forelight_store::{Store, StoreError};
+use tokio::net::TcpListener;
+use tokio::sync::{Semaphore, mpsc};
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
+
+use crate::conductor::Conductor;
+use crate::config::Config;
+use crate::metrics::Metrics;
+use crate::openapi::openapi_yaml;
+use crate::router::router;
+use crate::state::{App, InFlight};
+
+/// How long requests that are being answered may take when the service stops.
+const LAST_ANSWERS: Duration = Duration::from_secs(10);
+
+/// Why the service does not run.
+#[derive(Debug, thiserror::Error)]
+pub enum ServiceError {
+    /// The data folder cannot be used.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The address cannot be listened on.
+    #[error("cannot listen on {address}: {source}")]
+    Listen {
+        /// Which address.
+        address: SocketAddr,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// A bundle root is not there.
+    #[error("bundle root {path}: {source}")]
+    BundleRoot {
+        /// Which one.
+        path: String,
+        /// Why not.
+        source: std::io::Error,
+    },
+}
+
+/// A running service. It stops when this is dropped; [`Service::shutdown`] waits for that.
+pub struct Service {
+    address: SocketAddr,
+    store: Store,
+    stopping: CancellationToken,
+    tasks: Vec<JoinHandle<()>>,
+}
+
+impl Service {
+    /// Opens the data folder, resumes what was under way, and serves. When this returns, the service can be reached.
+    pub async fn start(config: Config) -> Result<Self, ServiceError> {
+        let Config { data_dir, listen, lease_ttl, bundle_roots, limits, clock } = config;
+        let roots = bundle_roots
+            .into_iter()
+            .map(|root| {
+                root.canonicalize()
+                    .map_err(|source| ServiceError::BundleRoot { path: root.display().to_string(), source })
+            })
+            .collect::<Result<Arc<[_]>, _>>()?;
+        let store = Store::open(&data_dir).await?;
+        let extended = store.extend_leases_after_start(lease_ttl, clock.now()).await?;
+        if extended > 0 {
+            tracing::info!(leases = extended, "leases from before the start have one more term");
+        }
+        let listener = TcpListener::bind(listen)
+            .await
+            .map_err(|source| ServiceError::Listen { address: listen, source })?;
+        let address =
+            listener.local_addr().map_err(|source| ServiceError::Listen { address: listen, source })?;
+        let stopping = CancellationToken::new();
+        let (conductor, jobs) = mpsc::unbounded_channel();
+        let app = App {
+            store: store.clone(),
+            clock,
+            lease_ttl,
+            bundle_roots: roots,
+            checks: Arc::new(Semaphore::new(limits.checks_at_once.max(1))),
+            limits: Arc::new(limits),
+            metrics: Arc::new(Metrics::default()),
+            stopping: stopping.clone(),
+            conductor,
+            in_flight: InFlight::default(),
+            openapi: openapi_yaml().into(),
+        };
+        let tasks = vec![
+            tokio::spawn(conduct(app.clone(), jobs)),
+            tokio::spawn(sweep(app.clone())),
+            tokio::spawn(serve(listener, app)),
+        ];
+        Ok(Self { address, store, stopping, tasks })
+    }
+
+    /// The address that it listens on.
+    pub fn local_addr(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Its memory, for making tokens in the same process.
+    pub fn store(&self) -> &Store {
+        &self.store
+    }
+
+    /// Takes no more requests, ends waits and event streams, answers what is being answered, and closes the database.
+    pub async fn shutdown(mut self) {
+        self.stopping.cancel();
+        for mut task in self.tasks.drain(..) {
+            if tokio::time::timeout(LAST_ANSWERS, &mut task).await.is_err() {
+                tracing::warn!("a request took too long to be waited for");
+                task.abort();
+            }
+        }
+        self.store.close().await;
+    }
+}
+
+impl Drop for Service {
+    fn drop(&mut self) {
+        self.stopping.cancel();
+        for task in &self.tasks {
+            task.abort();
+        }
+    }
+}
+
+async fn serve(listener: TcpListener, app: App) {
+    let stopping = app.stopping.clone();
+    let served = axum::serve(listener, router(app)).with_graceful_shutdown(stopping.cancelled_owned()).await;
+    if let Err(error) = served {
+        tracing::error!(%error, "the service cannot serve");
+    }
+}
+
+/// Advances jobs as they are announced, and all that wait once in a while: an advance may have failed for a reason that
+/// has passed.
+async fn conduct(app: App, mut jobs: mpsc::UnboundedReceiver<JobId>) {
+    let conductor = Conductor::new(app.store.clone(), app.clock.clone(), app.metrics.clone());
+    let mut again = tokio::time::interval(app.lease_ttl.max(Duration::from_secs(1)));
+    loop {
+        tokio::select! {
+            () = app.stopping.cancelled() => return,
+            announced = jobs.recv() => match announced {
+                Some(job) => conductor.advance(job).await,
+                None => return,
+            },
+            _ = again.tick() => conductor.advance_all().await,
+        }
+    }
+}
+
+/// Takes back tasks whose leases have run out, four times a lease.
+async fn sweep(app: App) {
+    let mut ticks = tokio::time::interval((app.lease_ttl / 4).max(Duration::from_millis(100)));
+    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    loop {
+        tokio::select! {
+            () = app.stopping.cancelled() => return,
+            _ = ticks.tick() => {}
+        }
+        match app.store.sweep(app.now()).await {
+            Ok(swept) if swept.expired > 0 => {
+                app.metrics.leases_expired.add(u64::from(swept.expired));
+                tracing::info!(leases = swept.expired, "leases ran out; their tasks are ready again");
+            }
+            Ok(_) => {}
+            Err(error) => tracing::warn!(%error, "the sweep failed; the next one tries again"),
+        }
+    }
+}
