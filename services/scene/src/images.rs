@@ -12,17 +12,19 @@ pub(crate) struct TextureLibrary<'a> {
     bundle: &'a Bundle,
     textures: Vec<Texture>,
     by_name: BTreeMap<String, TextureId>,
+    /// Whether a texture lets anything through, by texture.
+    translucent: Vec<bool>,
     pixels: u64,
 }
 
 impl<'a> TextureLibrary<'a> {
     pub(crate) fn new(bundle: &'a Bundle) -> Self {
-        Self { bundle, textures: Vec::new(), by_name: BTreeMap::new(), pixels: 0 }
+        Self { bundle, textures: Vec::new(), by_name: BTreeMap::new(), translucent: Vec::new(), pixels: 0 }
     }
 
     /// The texture in a file of the bundle.
     pub(crate) fn load(&mut self, path: &str) -> Result<TextureId, SceneError> {
-        if let Some(&id) = self.by_name.get(path) {
+        if let Some(id) = self.known(path) {
             return Ok(id);
         }
         let bytes = self.bundle.read(path)?;
@@ -31,7 +33,7 @@ impl<'a> TextureLibrary<'a> {
 
     /// The texture in `bytes`; a second call with the same name gives the same texture.
     pub(crate) fn decode(&mut self, name: &str, bytes: &[u8]) -> Result<TextureId, SceneError> {
-        if let Some(&id) = self.by_name.get(name) {
+        if let Some(id) = self.known(name) {
             return Ok(id);
         }
         let refused = |e: image::ImageError| SceneError::file(name, format!("is not a readable image: {e}"));
@@ -73,13 +75,23 @@ impl<'a> TextureLibrary<'a> {
             _ => linear(name, &decoded.into_rgb32f(), width)?,
         };
         let id = TextureId(self.textures.len() as u32);
+        self.translucent.push(match &texels {
+            Texels::Srgb8(texels) => texels.iter().any(|texel| texel[3] < 255),
+            Texels::Linear(_) => false,
+        });
         self.textures.push(Texture { name: name.to_owned(), width, height, texels });
         self.by_name.insert(name.to_owned(), id);
         Ok(id)
     }
 
-    pub(crate) fn texture(&self, id: TextureId) -> &Texture {
-        &self.textures[id.0 as usize]
+    /// The texture of this name, if it is loaded.
+    pub(crate) fn known(&self, name: &str) -> Option<TextureId> {
+        self.by_name.get(name).copied()
+    }
+
+    /// Whether any texel has an alpha below 1.
+    pub(crate) fn has_alpha(&self, id: TextureId) -> bool {
+        self.translucent[id.0 as usize]
     }
 
     pub(crate) fn into_textures(self) -> Vec<Texture> {

@@ -10,7 +10,7 @@ use crate::error::{Place, SceneError};
 use crate::shot::{Mesh, Node, Part, Placement};
 use crate::{Color, Surface};
 use glam::{Vec2, Vec3};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// The name `tobj` gives to faces before the first `o` or `g`.
@@ -39,8 +39,9 @@ pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneE
     for (_, file, library) in &libraries {
         sources.extend(library.0.iter().map(|material| (file.clone(), material.clone())));
     }
+    let known: BTreeSet<&str> = sources.iter().map(|(_, material)| material.name.as_str()).collect();
     for (name, line) in &checked.materials {
-        if !sources.iter().any(|(_, material)| material.name == *name) {
+        if !known.contains(name.as_str()) {
             return Err(SceneError::line(
                 path,
                 *line,
@@ -133,7 +134,7 @@ fn place(
         };
         let stratum = assembly.shot.stratum(object, material);
         let mesh = Arc::new(local_mesh(&mesh));
-        assembly.shot.parts.push(Part { node, stratum, mesh, file: file.clone() });
+        assembly.shot.add_part(Part { node, stratum, mesh, file: file.clone() });
     }
     Ok(())
 }

@@ -6,7 +6,7 @@ use crate::bundle::Bundle;
 use crate::camera_source::{CameraSource, default_view};
 use crate::description::{DEFAULT_FPS, Description, EnvironmentSource, Frames, LightSource};
 use crate::error::{Place, SceneError};
-use crate::limits::Limits;
+use crate::limits::{LARGEST_COORDINATE, Limits};
 use crate::shot::{Baked, Mesh, Node, Part, Placement, Shot};
 use crate::{
     Camera, Color, Environment, Frame, Geometry, Material, PointLight, Strata, Sun, Surface, Texture,
@@ -142,7 +142,7 @@ impl Scene {
             }
             camera = camera.resized(width, height);
         }
-        let (points, suns) = self.lights_at(time, &world);
+        let (points, suns) = self.lights_at(time, &world)?;
         Ok(Frame {
             number,
             camera,
@@ -171,8 +171,10 @@ impl Scene {
             CameraSource::LookAt(look_at) => look_at
                 .at(self.time(frame))
                 .map_err(|reason| SceneError::pointer(&self.file, "/camera", reason)),
-            CameraSource::Node(camera) => camera
-                .at(&world[camera.node])
+            CameraSource::Node(camera) => Some(&world[camera.node])
+                .filter(|world| is_near(world))
+                .ok_or_else(|| "the camera's node is too far from the origin".to_owned())
+                .and_then(|world| camera.at(world))
                 .map_err(|reason| SceneError::file(&self.file, format!("{reason} at frame {frame}"))),
         }
     }
@@ -202,7 +204,7 @@ impl Scene {
         materials.into()
     }
 
-    fn lights_at(&self, time: f64, world: &[DMat4]) -> (Vec<PointLight>, Vec<Sun>) {
+    fn lights_at(&self, time: f64, world: &[DMat4]) -> Result<(Vec<PointLight>, Vec<Sun>), SceneError> {
         let (mut points, mut suns) = (Vec::new(), Vec::new());
         for light in &self.lights {
             match light {
@@ -221,6 +223,13 @@ impl Scene {
         }
         for light in &self.node_lights {
             let world = &world[light.node];
+            if !is_near(world) {
+                let name = &self.shot.nodes[light.node].name;
+                return Err(SceneError::file(
+                    &self.file,
+                    format!("the light `{name}` is too far from the origin"),
+                ));
+            }
             // glTF lights shine along −z. A node of zero scale has no direction; any will do.
             let back = world.z_axis.truncate().try_normalize().unwrap_or(DVec3::Z).as_vec3();
             match light.kind {
@@ -234,7 +243,7 @@ impl Scene {
                 }
             }
         }
-        (points, suns)
+        Ok((points, suns))
     }
 
     fn of_gltf(bundle: &Bundle, path: &str) -> Result<Self, SceneError> {
@@ -262,10 +271,21 @@ impl Scene {
                 emission.push((material, radiance.clone()));
             }
         }
+        let mut motions = Vec::new();
+        let nodes = assembly.shot.nodes_by_name();
         for track in description.object_tracks {
-            let node = find_node(&assembly.shot, &track.object)
-                .map_err(|reason| SceneError::pointer(DESCRIPTION, &track.pointer, reason))?;
-            assembly.shot.nodes[node].animate(track.motion);
+            let reason = match nodes.get(track.object.as_str()) {
+                Some(Some(node)) => {
+                    motions.push((*node, track.motion));
+                    continue;
+                }
+                Some(None) => format!("more than one object is named `{}`", track.object),
+                None => format!("there is no object `{}`", track.object),
+            };
+            return Err(SceneError::pointer(DESCRIPTION, &track.pointer, reason));
+        }
+        for (node, motion) in motions {
+            assembly.shot.nodes[node].animate(motion);
         }
         let environment = match description.environment {
             EnvironmentSource::Black => Environment::Black,
@@ -365,13 +385,14 @@ impl Scene {
             node_lights,
             environment,
         };
-        scene.check_camera()?;
+        scene.check_views()?;
         Ok(scene)
     }
 
-    /// A camera that has no meaning in some frame is known now rather than in the middle of a job. Cameras on nodes are looked
-    /// at in the first frame only, as each look costs a walk over all nodes.
-    fn check_camera(&self) -> Result<(), SceneError> {
+    /// A camera that has no meaning in some frame is known now rather than in the middle of a job. What stands on nodes is
+    /// looked at in the first frame only, as each look costs a walk over all nodes.
+    fn check_views(&self) -> Result<(), SceneError> {
+        self.lights_at(self.time(0), &self.still_world)?;
         let frames = if let CameraSource::LookAt(_) = self.camera { self.frames } else { 1 };
         (0..frames).try_for_each(|frame| self.camera(frame).map(|_| ()))
     }
@@ -389,6 +410,11 @@ struct Said {
     lights: Vec<LightSource>,
     emission: Vec<(usize, Animated<DVec3>)>,
     frames: Option<Frames>,
+}
+
+/// Whether a node's origin is where positions may be. NaN is not.
+fn is_near(world: &DMat4) -> bool {
+    world.w_axis.abs().max_element() <= LARGEST_COORDINATE && world.is_finite()
 }
 
 /// A light's value; splines may swing below zero between keys, where there is no light.
@@ -453,18 +479,8 @@ fn add_quad(assembly: &mut Assembly<'_>, name: &str, corner: DVec3, edge_u: DVec
         triangles: vec![[0, 1, 2], [0, 2, 3]],
     };
     let node = assembly.shot.nodes.len() - 1;
-    assembly.shot.parts.push(Part { node, stratum, mesh: Arc::new(mesh), file: DESCRIPTION.into() });
+    assembly.shot.add_part(Part { node, stratum, mesh: Arc::new(mesh), file: DESCRIPTION.into() });
     material as usize
-}
-
-/// The node that a track's `object:NAME` means.
-fn find_node(shot: &Shot, name: &str) -> Result<usize, String> {
-    let mut found = shot.nodes.iter().enumerate().filter(|(_, node)| node.name == name);
-    match (found.next(), found.next()) {
-        (Some((node, _)), None) => Ok(node),
-        (Some(_), Some(_)) => Err(format!("more than one object is named `{name}`")),
-        (None, _) => Err(format!("there is no object `{name}`")),
-    }
 }
 
 fn bounds(positions: &[Vec3]) -> (DVec3, DVec3) {

@@ -112,7 +112,11 @@ pub(crate) struct Shot {
     pub(crate) parts: Vec<Part>,
     pub(crate) strata: Strata,
     stratum_by_pair: BTreeMap<(u32, u32), u32>,
+    /// Names in use, and how many objects asked for each.
     object_names: BTreeMap<String, u32>,
+    /// Triangles of all parts, before those without area are left out.
+    triangles: u64,
+    vertices: u64,
 }
 
 /// Geometry of a frame, with where each part's triangles are.
@@ -129,15 +133,19 @@ impl Shot {
     /// A new object. A name that is taken gets a number: `name (2)`; the result says whether that happened.
     pub(crate) fn add_object(&mut self, name: &str) -> (u32, bool) {
         let mut unique = name.to_owned();
-        let mut copy = 1;
+        // Counting from the last copy, not from the first, keeps many equal names from costing their number squared.
+        let mut copies = self.object_names.get(name).copied().unwrap_or(0);
         while self.object_names.contains_key(&unique) {
-            copy += 1;
-            unique = format!("{name} ({copy})");
+            copies += 1;
+            unique = format!("{name} ({copies})");
         }
-        let id = self.strata.objects.len() as u32;
-        self.object_names.insert(unique.clone(), id);
+        let renamed = copies > 0;
+        if renamed {
+            self.object_names.insert(name.to_owned(), copies);
+        }
+        self.object_names.insert(unique.clone(), 1);
         self.strata.objects.push(unique);
-        (id, copy > 1)
+        (self.strata.objects.len() as u32 - 1, renamed)
     }
 
     /// The stratum of an (object, material) pair.
@@ -148,14 +156,30 @@ impl Shot {
         })
     }
 
+    /// Adds a part.
+    pub(crate) fn add_part(&mut self, part: Part) {
+        self.triangles += part.mesh.triangles.len() as u64;
+        self.vertices += part.mesh.positions.len() as u64;
+        self.parts.push(part);
+    }
+
+    /// The node of each name; `None` where several nodes share it.
+    pub(crate) fn nodes_by_name(&self) -> BTreeMap<&str, Option<usize>> {
+        let mut found = BTreeMap::new();
+        for (i, node) in self.nodes.iter().enumerate() {
+            found.entry(node.name.as_str()).and_modify(|known| *known = None).or_insert(Some(i));
+        }
+        found
+    }
+
     /// Number of triangles before those without area are left out.
     pub(crate) fn triangle_count(&self) -> u64 {
-        self.parts.iter().map(|p| p.mesh.triangles.len() as u64).sum()
+        self.triangles
     }
 
     /// Number of vertices.
     pub(crate) fn vertex_count(&self) -> u64 {
-        self.parts.iter().map(|p| p.mesh.positions.len() as u64).sum()
+        self.vertices
     }
 
     /// World matrix of every node at a frame.
@@ -321,7 +345,7 @@ mod tests {
         let (object, _) = shot.add_object("quad");
         let stratum = shot.stratum(object, 0);
         shot.nodes.push(Node::new("quad".into(), None, placement));
-        shot.parts.push(Part { node: 0, stratum, mesh: Arc::new(quad()), file: "test".into() });
+        shot.add_part(Part { node: 0, stratum, mesh: Arc::new(quad()), file: "test".into() });
         shot
     }
 

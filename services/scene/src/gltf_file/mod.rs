@@ -181,7 +181,7 @@ impl Reader<'_, '_> {
             let material = self.material(&primitive.material())?;
             let stratum = self.assembly.shot.stratum(object, material);
             let file = self.file.clone();
-            self.assembly.shot.parts.push(Part { node, stratum, mesh: local, file });
+            self.assembly.shot.add_part(Part { node, stratum, mesh: local, file });
         }
         Ok(())
     }

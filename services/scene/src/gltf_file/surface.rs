@@ -15,7 +15,7 @@ use super::Reader;
 use super::document::{resource, resource_path};
 use crate::assembly::plain_material;
 use crate::error::{Place, SceneError};
-use crate::{AlphaMask, Color, Material, Surface, Texels, TextureId};
+use crate::{AlphaMask, Color, Material, Surface, TextureId};
 use glam::Vec3;
 use gltf::material::AlphaMode;
 use gltf::texture::WrappingMode;
@@ -64,7 +64,7 @@ impl Reader<'_, '_> {
             AlphaMode::Mask => mask(&mut material, alpha, source.alpha_cutoff().unwrap_or(0.5), texture),
             AlphaMode::Blend => {
                 material.opacity = alpha;
-                if let Some(texture) = texture.filter(|&t| self.has_alpha(t)) {
+                if let Some(texture) = texture.filter(|&t| self.assembly.textures.has_alpha(t)) {
                     self.ignore("blending by a texture's alpha is a cut-out at one half");
                     material.mask = Some(AlphaMask { texture, cutoff: 0.5 });
                 }
@@ -168,6 +168,9 @@ impl Reader<'_, '_> {
         let pointer = format!("/images/{index}");
         let opened = self.opened;
         let embedded = format!("{}#image{index}", opened.file);
+        if let Some(known) = self.assembly.textures.known(&embedded) {
+            return Ok(known);
+        }
         let source = &opened.document.as_json().images[index];
         let context = "the image";
         let loaded = match (&source.uri, &source.buffer_view) {
@@ -184,13 +187,6 @@ impl Reader<'_, '_> {
             (None, None) => return opened.fail(&pointer, "has neither a `uri` nor a `bufferView`"),
         };
         loaded.map_err(|e| e.within(&opened.file, Place::Pointer(pointer), context))
-    }
-
-    fn has_alpha(&self, texture: TextureId) -> bool {
-        match &self.assembly.textures.texture(texture).texels {
-            Texels::Srgb8(texels) => texels.iter().any(|t| t[3] < 255),
-            Texels::Linear(_) => false,
-        }
     }
 }
 

@@ -99,7 +99,7 @@ impl Files {
 
 /// The one line of an error.
 pub fn line(result: Result<Scene, SceneError>) -> String {
-    let line = result.err().expect("the bundle was accepted").to_string();
+    let line = result.expect_err("the bundle was accepted").to_string();
     assert!(!line.contains('\n'), "more than one line: {line}");
     line
 }

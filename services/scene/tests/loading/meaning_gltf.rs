@@ -1,6 +1,6 @@
 //! What the parts of a glTF file come to mean.
 
-use crate::made::{Files, glb, gltf, png, triangle_bin, triangle_gltf, triangle_with};
+use crate::made::{Files, glb, gltf, load_zip, png, triangle_bin, triangle_gltf, triangle_with, zip};
 use forelight_scene::{AlphaMask, Environment, Frame, Limits, Material, Scene, Surface, TextureId};
 use glam::{Vec2, Vec3};
 use serde_json::{Value, json};
@@ -358,4 +358,42 @@ fn a_single_file_next_to_others_is_loaded_by_its_name() {
     let folder = gltf(&triangle_gltf(), &triangle_bin()).with("other.gltf", "{}").folder();
     assert!(Scene::load(&folder.path().join("tri.gltf"), &Limits::default()).is_ok());
     assert!(Scene::load(folder.path(), &Limits::default()).is_err());
+}
+
+#[test]
+fn a_zip_may_hold_a_gltf_scene_alone() {
+    let (document, bin) = (triangle_gltf().to_string(), triangle_bin());
+    let archive = zip(&[("tri.gltf", document.as_bytes()), ("tri.bin", &bin)]);
+    assert_eq!(load_zip(&archive, &Limits::default()).unwrap().strata().objects, ["tri"]);
+}
+
+#[test]
+fn a_track_of_a_name_that_two_nodes_share_is_refused() {
+    let mut document = triangle_gltf();
+    document["nodes"].as_array_mut().unwrap().extend([json!({"name": "arm"}), json!({"name": "arm"})]);
+    document["scenes"][0]["nodes"] = json!([0, 1, 2, 3]);
+    let track = json!({"target": "object:arm", "property": "scale", "interpolation": "step", "keys": [
+        {"frame": 0, "value": [1, 1, 1]}]});
+    let mut all =
+        Files::good().set("/geometry", json!(["tri.gltf"])).set("/animation", json!({"tracks": [track]}));
+    all.0.extend(gltf(&document, &triangle_bin()).0);
+    assert_eq!(all.error(), "scene.json: /animation/tracks/0/target: more than one object is named `arm`");
+}
+
+#[test]
+fn a_camera_or_light_that_its_parents_carry_out_of_the_world_is_refused() {
+    let mut document = triangle_gltf();
+    document["nodes"][1]["translation"] = json!([0, 0, 1e8]);
+    document["nodes"].as_array_mut().unwrap().push(json!({"children": [1], "scale": [1e8, 1e8, 1e8]}));
+    document["scenes"][0]["nodes"] = json!([0, 2]);
+    assert_eq!(
+        gltf(&document, &triangle_bin()).error(),
+        "tri.gltf: the camera's node is too far from the origin at frame 0"
+    );
+    document["nodes"][1] = json!({"name": "lamp", "translation": [0, 0, 1e8], "extensions": {"KHR_lights_punctual": {"light": 0}}});
+    document["extensions"] = json!({"KHR_lights_punctual": {"lights": [{"type": "point"}]}});
+    assert_eq!(
+        gltf(&document, &triangle_bin()).error(),
+        "tri.gltf: the light `lamp` is too far from the origin"
+    );
 }
