@@ -176,3 +176,20 @@ impl utoipa::IntoResponses for Problems {
         ])
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_busy_database_says_when_to_come_back_and_a_broken_one_tells_nothing_of_its_inside() {
+        let busy = ApiError::from(StoreError::Busy).into_response();
+        assert_eq!(
+            (busy.status(), &busy.headers()[RETRY_AFTER]),
+            (StatusCode::SERVICE_UNAVAILABLE, &HeaderValue::from(1))
+        );
+        let broken = ApiError::from(StoreError::Corrupt("page 7 of /srv/farm".to_owned()));
+        assert_eq!(broken.kind(), Some(ProblemKind::Internal));
+        assert!(!broken.problem.detail.contains("/srv"), "{}", broken.problem.detail);
+    }
+}

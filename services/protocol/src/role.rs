@@ -6,17 +6,17 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// What the holder of a token may do. Every role may read.
+/// What the holder of a token may do.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
-    /// Jobs and bundles.
+    /// Submits and cancels jobs, uploads bundles, reads everything.
     Submitter,
-    /// Nodes, leases, artefacts; reads bundles.
+    /// Nodes, leases, artefacts; reads bundles. Sees no jobs but by their tasks.
     Worker,
     /// Everything.
     Operator,
-    /// Reads only.
+    /// Reads everything, changes nothing.
     Viewer,
 }
 

@@ -381,32 +381,23 @@ impl LeaseRow {
 ///
 /// Each of the three is one step into an index made for it.
 async fn next_task(connection: &mut SqliteConnection, node: NodeId) -> Result<Option<SqliteRow>, StoreError> {
-    let quote = sqlx::query(
-        "SELECT id, job_id, spec FROM tasks WHERE state = 'ready' AND kind <> 'render' \
-         ORDER BY priority DESC, due_at, job_id, frame LIMIT 1",
-    )
-    .fetch_optional(&mut *connection)
-    .await?;
-    if quote.is_some() {
-        return Ok(quote);
+    if let Some(quote) = sqlx::query(NEXT_QUOTE).fetch_optional(&mut *connection).await? {
+        return Ok(Some(quote));
     }
-    let booked = sqlx::query(
-        "SELECT id, job_id, spec FROM tasks WHERE state = 'ready' AND kind = 'render' AND booked_node = ? \
-         ORDER BY booked_at, job_id, frame LIMIT 1",
-    )
-    .bind(node.0)
-    .fetch_optional(&mut *connection)
-    .await?;
-    if booked.is_some() {
-        return Ok(booked);
+    if let Some(booked) = sqlx::query(NEXT_BOOKED).bind(node.0).fetch_optional(&mut *connection).await? {
+        return Ok(Some(booked));
     }
-    Ok(sqlx::query(
-        "SELECT id, job_id, spec FROM tasks WHERE state = 'ready' AND kind = 'render' \
-         ORDER BY due_at, priority DESC, job_id, frame LIMIT 1",
-    )
-    .fetch_optional(connection)
-    .await?)
+    Ok(sqlx::query(NEXT_ANY).fetch_optional(connection).await?)
 }
+
+pub(crate) const NEXT_QUOTE: &str = "SELECT id, job_id, spec FROM tasks WHERE state = 'ready' AND kind <> 'render' \
+     ORDER BY priority DESC, due_at, job_id, frame LIMIT 1";
+
+pub(crate) const NEXT_BOOKED: &str = "SELECT id, job_id, spec FROM tasks WHERE state = 'ready' AND kind = 'render' AND booked_node = ? \
+     ORDER BY booked_at, job_id, frame LIMIT 1";
+
+pub(crate) const NEXT_ANY: &str = "SELECT id, job_id, spec FROM tasks WHERE state = 'ready' AND kind = 'render' \
+     ORDER BY due_at, priority DESC, job_id, frame LIMIT 1";
 
 /// Takes back the tasks whose leases have run out.
 pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept, StoreError> {

@@ -89,7 +89,15 @@ async fn read(request: Request, limit: usize) -> ApiResult<Bytes> {
 }
 
 /// Parses a body. What is no JSON at all is malformed (400); JSON that is not what was asked for is invalid (422).
+///
+/// Every body here is an object. That is said first, because serde would take a list for the fields in their order.
 fn parse<T: DeserializeOwned>(bytes: &[u8]) -> ApiResult<T> {
+    if bytes.iter().find(|byte| !byte.is_ascii_whitespace()) != Some(&b'{') {
+        return Err(match serde_json::from_slice::<serde::de::IgnoredAny>(bytes) {
+            Ok(_) => ApiError::invalid("", "a JSON object is expected here"),
+            Err(error) => ApiError::new(ProblemKind::Malformed, format!("the body is not JSON: {error}")),
+        });
+    }
     let mut deserializer = serde_json::Deserializer::from_slice(bytes);
     let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
         let pointer = pointer(error.path());

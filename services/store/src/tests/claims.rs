@@ -142,3 +142,17 @@ async fn a_render_is_given_its_own_frames_profile_and_no_other() {
         assert_eq!(spec.profile, expected, "frame {}", spec.frame);
     }
 }
+
+#[tokio::test]
+async fn a_claim_finds_its_task_by_index_alone_however_many_there_are() {
+    let farm = Farm::new().await;
+    for query in [crate::leases::NEXT_QUOTE, crate::leases::NEXT_BOOKED, crate::leases::NEXT_ANY] {
+        let plan: Vec<(i64, i64, i64, String)> =
+            sqlx::query_as(sqlx::AssertSqlSafe(format!("EXPLAIN QUERY PLAN {query}")))
+                .fetch_all(farm.store.readers())
+                .await
+                .unwrap();
+        let steps: Vec<&str> = plan.iter().map(|step| step.3.as_str()).collect();
+        assert!(steps.len() == 1 && steps[0].contains("USING INDEX tasks_ready"), "{query}: {steps:?}");
+    }
+}

@@ -70,3 +70,14 @@ async fn the_writer_flushes_every_commit_and_minds_foreign_keys() {
         sqlx::query_scalar("PRAGMA journal_mode").fetch_one(write.connection()).await.unwrap();
     assert_eq!((synchronous, foreign_keys, journal.as_str()), (2, 1, "wal"));
 }
+
+#[tokio::test]
+async fn a_writer_that_waits_too_long_for_its_turn_is_told_that_the_database_is_busy_and_readers_never_wait()
+{
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let _held = farm.store.write().await.unwrap();
+    let (claimed, read) = tokio::join!(farm.store.claim(node.id, TTL, None, at(0)), farm.store.node(node.id));
+    assert!(matches!(claimed, Err(StoreError::Busy)), "{claimed:?}");
+    assert_eq!(read.unwrap().id, node.id);
+}

@@ -1,0 +1,432 @@
+//! What the service says to requests that it does not like, to repeated ones, and to those of the wrong people.
+
+mod support;
+
+use std::time::Duration;
+
+use forelight_protocol::{Job, JobCheck, JobPage, ProblemKind};
+use reqwest::header::CONTENT_TYPE;
+use reqwest::{Method, StatusCode};
+use serde_json::{Value, json};
+use support::{Answer, Farm, scene_zip};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_malformed_job_is_told_which_field_is_wrong_and_nothing_is_kept() {
+    let farm = Farm::new().await;
+    let good = farm.job_request("0-3");
+    let with = |pointer: &str, value: Value| {
+        let mut request = good.clone();
+        let (parent, key) = pointer.rsplit_once('/').unwrap();
+        request.pointer_mut(parent).unwrap()[key] = value;
+        request
+    };
+    let mut without_frames = good.clone();
+    without_frames.as_object_mut().unwrap().remove("frames");
+    let mut settings = good.clone();
+    settings["settings"] = json!({});
+    let set = |key: &str, value: Value| {
+        let mut request = settings.clone();
+        request["settings"][key] = value;
+        request
+    };
+    let cases = [
+        (with("/name", json!("")), "/name", "1 to 200"),
+        (with("/name", json!("a\u{7}")), "/name", "control"),
+        (with("/name", json!("x".repeat(201))), "/name", "1 to 200"),
+        (with("/name", json!(7)), "/name", "invalid type"),
+        (with("/project", json!(" ")), "/project", "1 to 200"),
+        (with("/frames", json!("0-x")), "/frames", "`0-x`"),
+        (with("/frames", json!("3-1")), "/frames", "backwards"),
+        (with("/frames", json!("0-20")), "/frames", "frames 0 to 19"),
+        (with("/frames", json!("0-4294967295")), "/frames", "at most 10000"),
+        (without_frames, "", "missing field `frames`"),
+        (with("/bundle", json!({})), "/bundle", "exactly one"),
+        (with("/bundle/id", json!("0197a8a5-0000-7000-8000-000000000000")), "/bundle", "exactly one"),
+        (
+            with("/bundle", json!({"id": "0197a8a5-0000-7000-8000-000000000000"})),
+            "/bundle/id",
+            "no such bundle",
+        ),
+        (with("/bundle", json!({"id": "x"})), "/bundle/id", "UUID"),
+        (with("/bundle", json!({"url": "x"})), "/bundle/url", "unknown field"),
+        (with("/bundle/path", json!("/etc")), "/bundle/path", "bundle roots"),
+        (with("/bundle/path", json!("quad")), "/bundle/path", "bundle roots"),
+        (with("/samples", json!(3)), "/samples", "16 to 1000000"),
+        (with("/samples", json!(-3)), "/samples", "u32"),
+        (with("/profile_frames", json!(0)), "/profile_frames", "1 to 1000"),
+        (with("/deadline", json!("tomorrow")), "/deadline", "RFC 3339"),
+        (with("/deadline", json!("2020-01-01T00:00:00Z")), "/deadline", "has passed"),
+        (with("/budget", json!(-1)), "/budget", "-1"),
+        (with("/budget", json!(0.5)), "/budget", "0.5"),
+        (with("/confidence", json!("p99")), "/confidence", "p99"),
+        (with("/priority", json!(1001)), "/priority", "1000"),
+        (with("/colour", json!("blue")), "/colour", "unknown field"),
+        (set("width", json!(0)), "/settings/width", "1 to 65536"),
+        (set("width", json!(65_536)), "", ""),
+        (set("spp", json!(0)), "/settings/spp", "1 to"),
+        (set("materials", json!("shiny")), "/settings/materials", "shiny"),
+        (set("gamma", json!(2.2)), "/settings/gamma", "unknown field"),
+    ];
+    for (request, pointer, text) in cases {
+        for path in ["/v1/jobs/check", "/v1/jobs"] {
+            let response = farm.submitter.post(path, &request).await;
+            if text.is_empty() {
+                // 65,536 × 8 is not too many pixels: the one case of the table that is all right, so that it can fail.
+                assert!(response.status().is_success());
+                continue;
+            }
+            let problem = response.problem(ProblemKind::Invalid).await;
+            assert_eq!(problem.pointer.as_deref(), Some(pointer), "{request}: {}", problem.detail);
+            assert!(problem.detail.contains(text), "{request}: {}", problem.detail);
+        }
+    }
+    let page: JobPage = farm.viewer.get("/v1/jobs").await.json_as(StatusCode::OK).await;
+    assert_eq!(page.items.len(), 1, "only the good one was kept");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn bodies_that_are_not_what_they_should_be_are_refused_by_kind() {
+    let farm = Farm::with(|config| config.limits.request_bytes = 2000).await;
+    let send = |content_type: &'static str, body: Vec<u8>| {
+        farm.submitter.request(Method::POST, "/v1/jobs").header(CONTENT_TYPE, content_type).body(body).send()
+    };
+    let json = "application/json";
+    for (content_type, body, kind) in [
+        (json, b"{".to_vec(), ProblemKind::Malformed),
+        (json, b"".to_vec(), ProblemKind::Malformed),
+        (json, b"\xff\xfe".to_vec(), ProblemKind::Malformed),
+        (json, b"[1, 2".to_vec(), ProblemKind::Malformed),
+        (json, b"[]".to_vec(), ProblemKind::Invalid),
+        (json, "[".repeat(1900).into_bytes(), ProblemKind::Malformed),
+        (json, vec![b' '; 3000], ProblemKind::TooLarge),
+        ("text/plain", b"{}".to_vec(), ProblemKind::UnsupportedMediaType),
+    ] {
+        let shown = String::from_utf8_lossy(&body).chars().take(20).collect::<String>();
+        eprintln!("{content_type} {shown}");
+        send(content_type, body).await.unwrap().problem(kind).await;
+    }
+    // Without an announced length it is found out while reading.
+    let pieces = futures::stream::iter((0..4).map(|_| Ok::<_, std::io::Error>(vec![b' '; 1000])));
+    let streamed = farm.submitter.request(Method::POST, "/v1/jobs").header(CONTENT_TYPE, json);
+    streamed
+        .body(reqwest::Body::wrap_stream(pieces))
+        .send()
+        .await
+        .unwrap()
+        .problem(ProblemKind::TooLarge)
+        .await;
+    let trailing = format!("{} x", farm.job_request("0"));
+    send(json, trailing.into_bytes()).await.unwrap().problem(ProblemKind::Malformed).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn addresses_methods_and_parameters_that_lead_nowhere_are_problems_too() {
+    let farm = Farm::new().await;
+    let job = farm.submit("0-3").await;
+    let nothing = "0197a8a5-0000-7000-8000-000000000000";
+    for path in [
+        "/".to_owned(),
+        "/v2/jobs".to_owned(),
+        "/v1/jobs/x".to_owned(),
+        format!("/v1/jobs/{nothing}"),
+        format!("/v1/jobs/{nothing}/frames"),
+        format!("/v1/jobs/{nothing}/events"),
+        format!("/v1/jobs/{nothing}/forecast"),
+        format!("/v1/jobs/{}/frames/9", job.id),
+        format!("/v1/jobs/{}/frames/-1", job.id),
+        format!("/v1/jobs/{}/frames/0/image.exr", job.id),
+        format!("/v1/plans/{nothing}"),
+        format!("/v1/bundles/{nothing}"),
+        format!("/v1/artifacts/{}", "0".repeat(64)),
+        "/v1/artifacts/..%2f..%2fforelight.sqlite".to_owned(),
+    ] {
+        farm.operator.get(&path).await.problem(ProblemKind::NotFound).await;
+    }
+    let refused = farm.operator.request(Method::DELETE, "/v1/jobs").send().await.unwrap();
+    assert!(refused.headers().contains_key("allow"));
+    refused.problem(ProblemKind::MethodNotAllowed).await;
+    farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.problem(ProblemKind::Conflict).await;
+    for (query, parameter) in [
+        ("page_size=0", "page_size"),
+        ("page_size=201", "page_size"),
+        ("page_size=many", "page_size"),
+        ("page_token=zz", "page_token"),
+        ("state=sleeping", "state"),
+    ] {
+        let problem = farm.viewer.get(&format!("/v1/jobs?{query}")).await.problem(ProblemKind::Invalid).await;
+        assert_eq!(problem.parameter.as_deref(), Some(parameter), "{query}: {}", problem.detail);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_role_may_do_what_it_is_for_and_nothing_else() {
+    let farm = Farm::new().await;
+    let job = farm.submit("0").await;
+    let node = farm.node("a").await;
+    let id = job.id;
+    let nothing = "0197a8a5-0000-7000-8000-000000000000";
+    // Bodies are empty objects: who may not is told so before anything is looked at, who may hears that the body is wrong.
+    let table: [(Method, String, &str); 24] = [
+        (Method::POST, "/v1/bundles".into(), "s-o-"),
+        (Method::GET, format!("/v1/bundles/{nothing}"), "swov"),
+        (Method::POST, "/v1/jobs".into(), "s-o-"),
+        (Method::POST, "/v1/jobs/check".into(), "s-o-"),
+        (Method::POST, format!("/v1/jobs/{nothing}/cancel"), "s-o-"),
+        (Method::GET, "/v1/jobs".into(), "s-ov"),
+        (Method::GET, format!("/v1/jobs/{id}"), "s-ov"),
+        (Method::GET, format!("/v1/jobs/{id}/frames"), "s-ov"),
+        (Method::GET, format!("/v1/jobs/{id}/forecast"), "s-ov"),
+        (Method::GET, format!("/v1/jobs/{id}/frames/0/image.png"), "s-ov"),
+        (Method::GET, format!("/v1/plans/{nothing}"), "s-ov"),
+        (Method::GET, "/v1/bookings".into(), "s-ov"),
+        (Method::GET, "/v1/forecasts/track-record".into(), "s-ov"),
+        (Method::GET, "/v1/dashboard".into(), "s-ov"),
+        (Method::GET, "/metrics".into(), "s-ov"),
+        (Method::GET, "/v1/nodes".into(), "swov"),
+        (Method::POST, "/v1/nodes".into(), "-wo-"),
+        (Method::PATCH, format!("/v1/nodes/{}", node.id), "-wo-"),
+        (Method::POST, "/v1/leases".into(), "-wo-"),
+        (Method::PATCH, format!("/v1/leases/{nothing}"), "-wo-"),
+        (Method::POST, format!("/v1/leases/{nothing}/release"), "-wo-"),
+        (Method::POST, format!("/v1/leases/{nothing}/result"), "-wo-"),
+        (Method::PUT, format!("/v1/artifacts/{}", "0".repeat(64)), "-wo-"),
+        (Method::GET, format!("/v1/artifacts/{}", "0".repeat(64)), "swov"),
+    ];
+    let clients = [('s', &farm.submitter), ('w', &farm.worker), ('o', &farm.operator), ('v', &farm.viewer)];
+    for (method, path, allowed) in table {
+        let refused = farm.nobody.request(method.clone(), &path).json(&json!({})).send().await.unwrap();
+        assert!(refused.headers()["www-authenticate"].to_str().unwrap().starts_with("Bearer"), "{path}");
+        refused.problem(ProblemKind::Unauthenticated).await;
+        for (letter, client) in clients {
+            let response = client.request(method.clone(), &path).json(&json!({})).send().await.unwrap();
+            let status = response.status();
+            let forbidden = status == StatusCode::FORBIDDEN;
+            assert_eq!(!forbidden, allowed.contains(letter), "{method} {path} as {letter}: {status}");
+            assert!(
+                status != StatusCode::UNAUTHORIZED && !status.is_server_error(),
+                "{method} {path} as {letter}: {status}"
+            );
+        }
+    }
+    let stranger = support::Client::new(farm.service.local_addr(), Some("forelight_0000".into()));
+    let refused = stranger.get("/v1/jobs").await;
+    assert!(refused.headers()["www-authenticate"].to_str().unwrap().contains("invalid_token"));
+    refused.problem(ProblemKind::Unauthenticated).await;
+    for path in ["/healthz", "/readyz", "/openapi.yaml"] {
+        assert_eq!(farm.nobody.get(path).await.status(), StatusCode::OK, "{path}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_repeated_submission_is_one_job_and_a_reused_key_is_refused() {
+    let farm = Farm::new().await;
+    let submit = |client: &support::Client, key: &str, body: Value| {
+        client.request(Method::POST, "/v1/jobs").header("Idempotency-Key", key).json(&body).send()
+    };
+    let first: Job = submit(&farm.submitter, "k", farm.job_request("0-3"))
+        .await
+        .unwrap()
+        .json_as(StatusCode::CREATED)
+        .await;
+    let farm = farm.killed_and_restarted().await;
+    let again = submit(&farm.submitter, "k", farm.job_request("0-3")).await.unwrap();
+    assert_eq!(again.headers()["idempotency-replayed"], "true");
+    let again: Job = again.json_as(StatusCode::CREATED).await;
+    assert_eq!(again, first);
+    let problem = submit(&farm.submitter, "k", farm.job_request("0-4")).await.unwrap();
+    let problem = problem.problem(ProblemKind::IdempotencyKeyReused).await;
+    assert_eq!(problem.parameter.as_deref(), Some("Idempotency-Key"));
+    let other: Job = submit(&farm.operator, "k", farm.job_request("0-3"))
+        .await
+        .unwrap()
+        .json_as(StatusCode::CREATED)
+        .await;
+    assert_ne!(other.id, first.id, "keys of different tokens have nothing to do with each other");
+    let problem = submit(&farm.submitter, &"k".repeat(256), farm.job_request("0")).await.unwrap();
+    problem.problem(ProblemKind::Malformed).await;
+    // A refused request leaves no trace: the same key may be used once the mistake is mended.
+    submit(&farm.submitter, "m", farm.job_request("0-99")).await.unwrap().problem(ProblemKind::Invalid).await;
+    submit(&farm.submitter, "m", farm.job_request("0-9"))
+        .await
+        .unwrap()
+        .json_as::<Job>(StatusCode::CREATED)
+        .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_request_that_is_being_worked_on_is_not_begun_again() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let claim = || {
+        let request = farm.worker.request(Method::POST, "/v1/leases").header("Idempotency-Key", "c");
+        request.json(&json!({"node_id": node.id, "wait_ms": 3000})).send()
+    };
+    let (waiting, second) = tokio::join!(claim(), async {
+        tokio::time::sleep(Duration::from_millis(300)).await;
+        let second = claim().await.unwrap();
+        farm.submit("0").await;
+        second
+    });
+    assert_eq!(second.headers()["retry-after"], "1");
+    second.problem(ProblemKind::IdempotencyInFlight).await;
+    let lease: Value = waiting.unwrap().json_as(StatusCode::OK).await;
+    let repeated: Value = claim().await.unwrap().json_as(StatusCode::OK).await;
+    assert_eq!(repeated, lease, "the same claim has the same lease");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn pages_of_jobs_lead_through_all_of_them_once() {
+    let farm = Farm::new().await;
+    let mut ids = Vec::new();
+    for _ in 0..5 {
+        ids.push(farm.submit("0").await.id);
+    }
+    ids.reverse();
+    let (mut seen, mut query) = (Vec::new(), "page_size=2".to_owned());
+    loop {
+        let page: JobPage = farm
+            .viewer
+            .get(&format!("/v1/jobs?{query}&state=previewing"))
+            .await
+            .json_as(StatusCode::OK)
+            .await;
+        assert!(page.items.len() <= 2);
+        seen.extend(page.items.iter().map(|job| job.id));
+        match page.next_page_token {
+            Some(token) => query = format!("page_size=2&page_token={token}"),
+            None => break,
+        }
+    }
+    assert_eq!(seen, ids);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn checking_a_job_says_what_it_would_be_and_keeps_nothing() {
+    let farm = Farm::new().await;
+    let check: JobCheck = farm
+        .submitter
+        .post("/v1/jobs/check", &farm.job_request("0,5,9-12"))
+        .await
+        .json_as(StatusCode::OK)
+        .await;
+    assert_eq!((check.frames_total, check.settings.width, check.scene.name.as_str()), (6, 8, "quad"));
+    let page: JobPage = farm.viewer.get("/v1/jobs").await.json_as(StatusCode::OK).await;
+    assert!(page.items.is_empty());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_good_bundle_is_kept_and_rendered_from_and_a_bad_one_leaves_nothing() {
+    let farm = Farm::with(|config| config.limits.bundle_bytes = 100_000).await;
+    let upload = |content_type: &'static str, body: Vec<u8>| {
+        let request = farm.submitter.request(Method::POST, "/v1/bundles").header("Idempotency-Key", "u");
+        request.header(CONTENT_TYPE, content_type).body(body).send()
+    };
+    let problem = upload("application/zip", b"not a zip".to_vec())
+        .await
+        .unwrap()
+        .problem(ProblemKind::InvalidBundle)
+        .await;
+    assert!(
+        problem.detail.contains("bundle.zip") && !problem.detail.contains("staging"),
+        "{}",
+        problem.detail
+    );
+    upload("application/zip", vec![0; 100_001]).await.unwrap().problem(ProblemKind::TooLarge).await;
+    upload("text/html", scene_zip()).await.unwrap().problem(ProblemKind::UnsupportedMediaType).await;
+    let files = |folder: &str| {
+        let mut count = 0;
+        let mut folders = vec![farm.folder.path().join("data/artifacts").join(folder)];
+        while let Some(folder) = folders.pop() {
+            let Ok(entries) = std::fs::read_dir(folder) else { continue };
+            for entry in entries.flatten() {
+                if entry.path().is_dir() { folders.push(entry.path()) } else { count += 1 }
+            }
+        }
+        count
+    };
+    assert_eq!(files(""), 0, "nothing of the refused uploads is kept");
+
+    let bundle: Value =
+        upload("application/zip", scene_zip()).await.unwrap().json_as(StatusCode::CREATED).await;
+    let again: Value =
+        upload("application/zip", scene_zip()).await.unwrap().json_as(StatusCode::CREATED).await;
+    assert_eq!(again, bundle);
+    assert_eq!(
+        (bundle["scene"]["name"].as_str(), bundle["scene"]["frames"].as_u64()),
+        (Some("quad"), Some(20))
+    );
+    assert_eq!((files("blake3"), files("staging")), (1, 0));
+    let content = farm.worker.get(&format!("/v1/artifacts/{}", bundle["hash"].as_str().unwrap())).await;
+    assert_eq!(content.bytes().await.unwrap(), scene_zip());
+
+    let request = json!({"name": "from a zip", "bundle": {"id": bundle["id"]}, "frames": "0"});
+    farm.submitter.post("/v1/jobs", &request).await.json_as::<Job>(StatusCode::CREATED).await;
+    let node = farm.node("a").await;
+    let lease = farm.next_task(&node).await;
+    assert_eq!(serde_json::to_value(lease.spec.bundle()).unwrap(), json!({"artifact": bundle["hash"]}));
+}
+
+#[cfg(unix)]
+#[tokio::test(flavor = "multi_thread")]
+async fn links_and_dots_do_not_lead_out_of_the_bundle_roots() {
+    let farm = Farm::new().await;
+    let outside = farm.folder.path().join("secret");
+    support::write_scene(&outside);
+    let scenes = farm.folder.path().join("scenes");
+    std::os::unix::fs::symlink(&outside, scenes.join("link")).unwrap();
+    std::fs::write(scenes.join("broken.zip"), "not a zip").unwrap();
+    for path in [scenes.join("link"), scenes.join("../secret"), outside, scenes.join("missing")] {
+        let mut request = farm.job_request("0");
+        request["bundle"] = json!({"path": path});
+        let problem = farm.submitter.post("/v1/jobs", &request).await.problem(ProblemKind::Invalid).await;
+        assert_eq!(problem.detail, "there is no such bundle under the service's bundle roots");
+    }
+    let mut request = farm.job_request("0");
+    request["bundle"] = json!({"path": scenes.join("broken.zip")});
+    let problem = farm.submitter.post("/v1/jobs", &request).await.problem(ProblemKind::InvalidBundle).await;
+    assert_eq!(problem.pointer.as_deref(), Some("/bundle/path"));
+    request["bundle"] = json!({"path": scenes.join("quad/../quad")});
+    farm.submitter.post("/v1/jobs", &request).await.json_as::<Job>(StatusCode::CREATED).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_artefact_under_a_wrong_name_is_refused() {
+    let farm = Farm::with(|config| config.limits.artifact_bytes = 1000).await;
+    let put = |hash: String, body: Vec<u8>| {
+        farm.worker.request(Method::PUT, &format!("/v1/artifacts/{hash}")).body(body).send()
+    };
+    let wrong = put("1".repeat(64), b"content".to_vec()).await.unwrap();
+    wrong.problem(ProblemKind::HashMismatch).await;
+    let hash = blake3::hash(b"content").to_hex().to_string();
+    assert_eq!(put(hash.clone(), b"content".to_vec()).await.unwrap().status(), StatusCode::CREATED);
+    assert_eq!(put(hash.clone(), b"content".to_vec()).await.unwrap().status(), StatusCode::OK);
+    let long = vec![7; 1001];
+    put(blake3::hash(&long).to_hex().to_string(), long).await.unwrap().problem(ProblemKind::TooLarge).await;
+    let head = farm.viewer.request(Method::HEAD, &format!("/v1/artifacts/{hash}")).send().await.unwrap();
+    assert_eq!((head.status(), head.headers()["content-length"].to_str().unwrap()), (StatusCode::OK, "7"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn nodes_are_the_same_by_name_and_their_numbers_have_bounds() {
+    let farm = Farm::new().await;
+    let first = farm.node("rack 3").await;
+    let again = farm.node("rack 3").await;
+    assert_eq!(again.id, first.id);
+    for (body, pointer) in [
+        (json!({"name": ""}), "/name"),
+        (json!({"name": "a", "speed": 0.0}), "/speed"),
+        (json!({"name": "a", "speed": -1.0}), "/speed"),
+        (json!({"name": "a", "price_per_hour": -1}), "/price_per_hour"),
+        (json!({"name": "a", "cores": 0}), "/cores"),
+        (json!({"name": "a", "gpu": true}), "/gpu"),
+    ] {
+        let problem = farm.worker.post("/v1/nodes", &body).await.problem(ProblemKind::Invalid).await;
+        assert_eq!(problem.pointer.as_deref(), Some(pointer), "{body}");
+    }
+    let patch = farm
+        .operator
+        .request(Method::PATCH, &format!("/v1/nodes/{}", first.id))
+        .json(&json!({"drain": true}));
+    let drained: Value = patch.send().await.unwrap().json_as(StatusCode::OK).await;
+    assert_eq!((&drained["drain"], &drained["price_per_hour"]), (&json!(true), &json!(3_600_000)));
+}

@@ -1,0 +1,352 @@
+//! A service in a temporary folder, clients of every role, and a worker that makes its results up.
+
+#![allow(dead_code, reason = "each test program uses a part of this")]
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use forelight_api::{Config, Service};
+use forelight_protocol::{
+    ArtifactHash, FixedCosts, FrameStrata, Job, JobState, Lease, Node, PreviewBackend, PreviewResult,
+    Problem, ProblemKind, ProfileArtifacts, ProfileResult, ProfileSample, Rays, RenderArtifacts,
+    RenderResult, RenderStats, ResultAnswer, ResultRequest, Role, Spent, StratumName, TaskKind, TaskResult,
+    TaskSpec, Timestamp,
+};
+use forelight_store::tokens;
+use reqwest::{Method, RequestBuilder, Response, StatusCode};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+pub struct Farm {
+    pub folder: TempDir,
+    pub service: Service,
+    pub operator: Client,
+    pub submitter: Client,
+    pub worker: Client,
+    pub viewer: Client,
+    pub nobody: Client,
+}
+
+#[derive(Clone)]
+pub struct Client {
+    http: reqwest::Client,
+    address: SocketAddr,
+    token: Option<String>,
+}
+
+/// A quad of 8 × 8 pixels, 20 frames.
+pub fn write_scene(folder: &Path) {
+    std::fs::create_dir_all(folder).unwrap();
+    for (name, content) in scene_files() {
+        std::fs::write(folder.join(name), content).unwrap();
+    }
+}
+
+fn scene_files() -> [(&'static str, String); 3] {
+    let scene = json!({
+        "version": 1, "name": "quad", "geometry": ["quad.obj"],
+        "camera": {"origin": [0, 0, 3], "target": [0, 0, 0], "up": [0, 1, 0], "fov_deg": 40, "fov_axis": "x", "width": 8, "height": 8},
+        "environment": {"type": "constant", "radiance": [1, 1, 1]},
+        "animation": {"fps": 24, "frames": 20, "tracks": []},
+    });
+    let geometry =
+        "mtllib quad.mtl\no quad\nv -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nusemtl paint\nf 1 2 3 4\n";
+    let materials = "newmtl paint\nillum 1\nKd 0.5 0.5 0.5\n";
+    [("scene.json", scene.to_string()), ("quad.obj", geometry.to_owned()), ("quad.mtl", materials.to_owned())]
+}
+
+pub fn scene_zip() -> Vec<u8> {
+    use std::io::Write as _;
+    let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for (name, content) in scene_files() {
+        zip.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+        zip.write_all(content.as_bytes()).unwrap();
+    }
+    zip.finish().unwrap().into_inner()
+}
+
+pub fn config(folder: &Path) -> Config {
+    let mut config = Config::new(folder.join("data"));
+    config.listen = SocketAddr::from(([127, 0, 0, 1], 0));
+    config.bundle_roots = vec![folder.join("scenes")];
+    config
+}
+
+/// The lock goes with the last connection of the service before.
+pub async fn start(config: &Config) -> Service {
+    for _ in 0..500 {
+        match Service::start(config.clone()).await {
+            Err(error) if error.to_string().contains("another service") => {
+                tokio::time::sleep(Duration::from_millis(10)).await;
+            }
+            other => return other.unwrap_or_else(|error| panic!("{error}")),
+        }
+    }
+    panic!("the data folder stays locked");
+}
+
+impl Farm {
+    pub async fn new() -> Self {
+        Self::with(|_| {}).await
+    }
+
+    pub async fn with(change: impl FnOnce(&mut Config)) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        write_scene(&folder.path().join("scenes/quad"));
+        let mut config = config(folder.path());
+        change(&mut config);
+        let service = start(&config).await;
+        let mut clients = Vec::new();
+        for role in Role::ALL {
+            let token = tokens::create(service.store(), role, role.name(), Timestamp::now()).await.unwrap();
+            clients.push(Client::new(service.local_addr(), Some(token)));
+        }
+        let [submitter, worker, operator, viewer] = clients.try_into().ok().unwrap();
+        let nobody = Client::new(service.local_addr(), None);
+        Self { folder, service, operator, submitter, worker, viewer, nobody }
+    }
+
+    /// The service dies without a word and is started again.
+    pub async fn killed_and_restarted(self) -> Self {
+        let Self { folder, service, operator, submitter, worker, viewer, nobody } = self;
+        drop(service);
+        let service = start(&config(folder.path())).await;
+        let moved =
+            |client: Client| Client { address: service.local_addr(), http: reqwest::Client::new(), ..client };
+        Self {
+            folder,
+            operator: moved(operator),
+            submitter: moved(submitter),
+            worker: moved(worker),
+            viewer: moved(viewer),
+            nobody: moved(nobody),
+            service,
+        }
+    }
+
+    pub fn bundle_path(&self) -> PathBuf {
+        self.folder.path().join("scenes/quad")
+    }
+
+    pub fn job_request(&self, frames: &str) -> Value {
+        json!({"name": "a job", "bundle": {"path": self.bundle_path()}, "frames": frames, "samples": 16, "profile_frames": 2})
+    }
+
+    pub async fn submit(&self, frames: &str) -> Job {
+        self.submitter.post("/v1/jobs", &self.job_request(frames)).await.json_as(StatusCode::CREATED).await
+    }
+
+    pub async fn node(&self, name: &str) -> Node {
+        let registration = json!({"name": name, "speed": 2.0, "price_per_hour": 3_600_000, "cores": 2});
+        self.worker.post("/v1/nodes", &registration).await.json_as(StatusCode::CREATED).await
+    }
+
+    pub async fn job(&self, job: &Job) -> Job {
+        self.viewer.get(&format!("/v1/jobs/{}", job.id)).await.json_as(StatusCode::OK).await
+    }
+
+    pub async fn claim(&self, node: &Node) -> Option<Lease> {
+        self.claim_waiting(node, 0).await
+    }
+
+    pub async fn claim_waiting(&self, node: &Node, wait_ms: u32) -> Option<Lease> {
+        let response = self.worker.post("/v1/leases", &json!({"node_id": node.id, "wait_ms": wait_ms})).await;
+        if response.status() == StatusCode::NO_CONTENT {
+            return None;
+        }
+        Some(response.json_as(StatusCode::OK).await)
+    }
+
+    /// Claims, waiting for the conductor to have made the task.
+    pub async fn next_task(&self, node: &Node) -> Lease {
+        self.claim_waiting(node, 10_000).await.expect("a task within ten seconds")
+    }
+
+    pub async fn artifact(&self, content: &[u8]) -> ArtifactHash {
+        let hash = ArtifactHash(*blake3::hash(content).as_bytes());
+        let put = self.worker.request(Method::PUT, &format!("/v1/artifacts/{hash}")).body(content.to_vec());
+        assert!(put.send().await.unwrap().status().is_success());
+        hash
+    }
+
+    pub async fn report(&self, lease: &Lease, result: TaskResult) -> Response {
+        let request = ResultRequest { fence: lease.fence, result: Some(result), error: None };
+        self.worker.post(&format!("/v1/leases/{}/result", lease.lease_id), &request).await
+    }
+
+    pub async fn finish(&self, lease: &Lease) -> ResultAnswer {
+        let result = self.made_up_result(lease).await;
+        self.report(lease, result).await.json_as(StatusCode::OK).await
+    }
+
+    /// Works until the job is over.
+    pub async fn work_off(&self, node: &Node, job: &Job) -> Job {
+        loop {
+            let job = self.job(job).await;
+            if job.state.is_final() {
+                return job;
+            }
+            if let Some(lease) = self.claim_waiting(node, 5000).await {
+                self.finish(&lease).await;
+            }
+        }
+    }
+
+    /// Takes a job to where its first frame could be claimed.
+    pub async fn until_booked(&self, node: &Node, job: &Job) -> Job {
+        for _ in 0..500 {
+            let job = self.job(job).await;
+            if !matches!(job.state, JobState::Previewing | JobState::Profiling) {
+                return job;
+            }
+            match self.claim(node).await {
+                Some(lease) if lease.spec.kind() != TaskKind::Render => {
+                    self.finish(&lease).await;
+                }
+                claimed => {
+                    // A frame of another job: not what is wanted here.
+                    if let Some(Lease { lease_id, fence, .. }) = claimed {
+                        let path = format!("/v1/leases/{lease_id}/release");
+                        let released = self.worker.post(&path, &json!({"fence": fence})).await;
+                        assert_eq!(released.status(), StatusCode::NO_CONTENT);
+                    }
+                    tokio::time::sleep(Duration::from_millis(10)).await;
+                }
+            }
+        }
+        panic!("the job was not booked in time");
+    }
+
+    /// 48 pixels of the quad and 16 of nothing; a quad's pixel costs 1000 in frame 0 and 1 % more in each frame after.
+    pub async fn made_up_result(&self, lease: &Lease) -> TaskResult {
+        match &lease.spec {
+            TaskSpec::Preview(spec) => TaskResult::Preview(PreviewResult {
+                strata: vec![stratum()],
+                frames: spec
+                    .frames
+                    .iter()
+                    .map(|&frame| FrameStrata { frame, pixels: vec![48], background: 16, preview_png: None })
+                    .collect(),
+                backend: PreviewBackend::Cpu,
+                spent: Spent { work: 100, cpu_nanos: 100_000 },
+            }),
+            TaskSpec::Profile(spec) => {
+                let samples = (0..spec.samples.min(64)).map(|pixel| {
+                    let background = pixel % 4 == 3;
+                    let work = if background { 10 } else { pixel_work(spec.frame) };
+                    ProfileSample {
+                        pixel,
+                        stratum: u32::from(background),
+                        work,
+                        cpu_nanos: work * 1_000_000,
+                        rays: [u64::from(spec.settings.spp), 0, 0, 0, 0, 2, 0],
+                    }
+                });
+                TaskResult::Profile(ProfileResult {
+                    frame: spec.frame,
+                    strata: vec![stratum()],
+                    samples: samples.collect(),
+                    fixed: FixedCosts {
+                        load: Spent { work: 5, cpu_nanos: 5_000_000 },
+                        build: Spent::default(),
+                    },
+                    spent: Spent { work: 1000, cpu_nanos: 1_000_000 },
+                    artifacts: ProfileArtifacts {
+                        profile: self.artifact(format!("profile of {}", spec.frame).as_bytes()).await,
+                        preview_png: Some(self.artifact(b"a preview").await),
+                    },
+                })
+            }
+            TaskSpec::Render(spec) => {
+                let work = 48 * pixel_work(spec.frame) + 16 * 10 + 5;
+                TaskResult::Render(RenderResult {
+                    stats: RenderStats {
+                        frame: spec.frame,
+                        width: spec.settings.width,
+                        height: spec.settings.height,
+                        spp: spec.settings.spp,
+                        effects: vec!["ambient".to_owned()],
+                        rays: Rays { primary: 1024, ..Rays::default() },
+                        cache_records: Vec::new(),
+                        work,
+                        cpu_seconds: work as f64 * 1e-3,
+                        wall_seconds: work as f64 * 1e-3,
+                        peak_rss_bytes: 1,
+                        reused_pixels: 0,
+                        reused_rays: 0,
+                        reused_work: 0,
+                        reused_cpu_seconds: 0.0,
+                    },
+                    artifacts: RenderArtifacts {
+                        image_exr: self.artifact(format!("image {}", spec.frame).as_bytes()).await,
+                        image_png: self.artifact(b"a picture").await,
+                        cost_map_png: self.artifact(b"a cost map").await,
+                        preview_png: None,
+                    },
+                })
+            }
+        }
+    }
+}
+
+fn pixel_work(frame: u32) -> u64 {
+    1000 + 10 * u64::from(frame)
+}
+
+fn stratum() -> StratumName {
+    StratumName { object: "quad".to_owned(), material: "paint".to_owned() }
+}
+
+impl Client {
+    pub fn new(address: SocketAddr, token: Option<String>) -> Self {
+        Self { http: reqwest::Client::new(), address, token }
+    }
+
+    pub fn request(&self, method: Method, path: &str) -> RequestBuilder {
+        let request = self.http.request(method, format!("http://{}{path}", self.address));
+        match &self.token {
+            Some(token) => request.bearer_auth(token),
+            None => request,
+        }
+    }
+
+    pub async fn get(&self, path: &str) -> Response {
+        self.request(Method::GET, path).send().await.unwrap()
+    }
+
+    pub async fn post(&self, path: &str, body: &impl Serialize) -> Response {
+        self.request(Method::POST, path).json(body).send().await.unwrap()
+    }
+}
+
+pub trait Answer {
+    #[allow(async_fn_in_trait, reason = "used in these tests alone")]
+    async fn json_as<T: DeserializeOwned>(self, status: StatusCode) -> T;
+    #[allow(async_fn_in_trait, reason = "used in these tests alone")]
+    async fn problem(self, kind: ProblemKind) -> Problem;
+}
+
+impl Answer for Response {
+    async fn json_as<T: DeserializeOwned>(self, status: StatusCode) -> T {
+        let (url, got) = (self.url().clone(), self.status());
+        let text = self.text().await.unwrap();
+        assert_eq!(got, status, "{url}: {text}");
+        serde_json::from_str(&text).unwrap_or_else(|error| panic!("{url}: {error}: {text}"))
+    }
+
+    async fn problem(self, kind: ProblemKind) -> Problem {
+        let (url, status) = (self.url().clone(), self.status());
+        let media_type = self.headers().get("content-type").map(|value| value.to_str().unwrap().to_owned());
+        let text = self.text().await.unwrap();
+        assert_eq!(media_type.as_deref(), Some("application/problem+json"), "{url}: {status} {text}");
+        let problem: Problem = serde_json::from_str(&text).unwrap();
+        assert_eq!(problem.known_kind(), Some(kind), "{url}: {text}");
+        assert_eq!((problem.status, status.as_u16()), (kind.status(), kind.status()), "{url}");
+        assert_eq!(problem.instance.as_deref(), Some(url.path()));
+        assert!(!problem.detail.is_empty() && !problem.detail.contains('\n'), "{text}");
+        problem
+    }
+}
