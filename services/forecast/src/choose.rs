@@ -22,8 +22,8 @@ pub struct Pick {
 /// Least number of samples in each group: two give a variance.
 const FLOOR: u64 = 2;
 
-/// Quarters of the samples that are placed before any cost is known.
-const FIRST_QUARTERS: u64 = 3;
+/// Degrees of freedom at which a material's own spread counts as much as the spread of everything.
+const HALF_TRUSTED_FREEDOM: f64 = 8.0;
 
 /// The sampling design of one frame, in two phases.
 ///
@@ -38,8 +38,8 @@ const FIRST_QUARTERS: u64 = 3;
 /// * A pixel that comes up again is passed over, so none is picked twice, and a full sample is every pixel once.
 ///
 /// The one bias is that the *number* of picks of a group depends on the costs seen in its first phase: pooling both phases gives
-/// a first phase that saw a costly pixel less weight. Three quarters of the samples go to the first phase, by expected cost, and the
-/// second goes by spreads pooled over materials, which keeps this small; a test on synthetic populations measures it.
+/// a first phase that saw a costly pixel less weight. Half of the samples go to the first phase, by expected cost, and the
+/// second goes by shrunk spreads of materials, which keeps this small; a test on synthetic populations measures it.
 #[derive(Clone, Debug)]
 pub struct FrameDesign {
     counts: Vec<u32>,
@@ -106,7 +106,7 @@ impl FrameDesign {
             .map(|g| Cell { size: g.pixels, spread: g.weight / g.pixels as f64, floor: FLOOR })
             .collect();
         let floors: u64 = grouping.groups.iter().map(|g| FLOOR.min(g.pixels)).sum();
-        let first = allocate(&cells, (samples * FIRST_QUARTERS).div_ceil(4).max(floors).min(samples));
+        let first = allocate(&cells, samples.div_ceil(2).max(floors).min(samples));
         Ok(FrameDesign {
             counts,
             stratum_ids: stratum_ids.to_vec(),
@@ -123,16 +123,16 @@ impl FrameDesign {
         &self.counts
     }
 
-    /// The first picks: two in each group, then in proportion to expected cost, up to three quarters of all samples.
+    /// The first picks: two in each group, then in proportion to expected cost, up to half of all samples.
     pub fn first_phase(&self) -> Vec<Pick> {
         self.picks(&vec![0; self.first.len()], &self.first)
     }
 
     /// The other picks, placed by what the first ones cost in work (observations may come in any order).
     ///
-    /// The spread of a group is taken as √(S_material S_all), both pooled over all groups of two or more picks: two values alone say
-    /// little about a spread, and a group whose own picks decide how many more it gets is biased (see the type's
-    /// documentation).
+    /// The spread of a group is taken as S_material^λ S_all^(1−λ) with λ = ν / (ν + 8), where ν are the degrees of freedom behind the
+    /// material's: two values alone say little about a spread, and a group whose own few picks decide how many more it gets is
+    /// biased (see the type's documentation).
     ///
     /// # Errors
     /// If an observation names an unknown stratum.
@@ -154,12 +154,14 @@ impl FrameDesign {
             let alike = alike.filter(|(group, _)| material.is_none() || group.material == material);
             pooled_spread(alike.map(|(_, moments)| moments))
         };
-        let overall = pooled(None).unwrap_or(1.0);
+        let overall = pooled(None);
         let cells: Vec<Cell> = (0..moments.len())
             .map(|g| {
                 let group = &self.grouping.groups[g];
-                let own = group.material.and_then(|m| pooled(Some(m))).unwrap_or(overall);
-                Cell { size: group.pixels, spread: libm::sqrt(own * overall), floor: self.first[g] }
+                let own = group.material.map_or(Spread::default(), |material| pooled(Some(material)));
+                let trust = own.freedom / (own.freedom + HALF_TRUSTED_FREEDOM);
+                let spread = libm::pow(own.deviation, trust) * libm::pow(overall.deviation, 1.0 - trust);
+                Cell { size: group.pixels, spread, floor: self.first[g] }
             })
             .collect();
         Ok(self.picks(&self.first, &allocate(&cells, self.samples)))
@@ -200,17 +202,27 @@ fn distinct_places(start: u64, size: usize, wanted: usize) -> Vec<usize> {
     places
 }
 
-/// Standard deviation pooled over groups, as the pooled coefficient of variation √( Σ (n−1) s² / Σ (n−1) ȳ² ) times the mean of all
-/// their samples. None without a group of two or more.
-fn pooled_spread<'a>(moments: impl Iterator<Item = &'a Moments>) -> Option<f64> {
-    let (mut deviations, mut squares) = (0.0, 0.0);
+/// A standard deviation pooled over groups.
+#[derive(Clone, Copy, Debug, Default)]
+struct Spread {
+    deviation: f64,
+    freedom: f64,
+}
+
+/// The pooled coefficient of variation √( Σ (n−1) s² / Σ (n−1) ȳ² ) of all groups of two or more picks, times the mean of all these
+/// picks. Zero where there is no such group.
+fn pooled_spread<'a>(moments: impl Iterator<Item = &'a Moments>) -> Spread {
+    let (mut deviations, mut squares, mut freedom) = (0.0, 0.0, 0.0);
     let mut all = Moments::default();
     for m in moments.filter(|m| m.count >= 2) {
+        let own = (m.count - 1) as f64;
         deviations += m.deviations(WORK);
-        squares += (m.count - 1) as f64 * m.mean(WORK) * m.mean(WORK);
+        squares += own * m.mean(WORK) * m.mean(WORK);
+        freedom += own;
         all.merge(m);
     }
-    (squares > 0.0).then(|| libm::sqrt(deviations / squares) * all.mean(WORK))
+    let deviation = if squares > 0.0 { libm::sqrt(deviations / squares) * all.mean(WORK) } else { 0.0 };
+    Spread { deviation, freedom }
 }
 
 #[cfg(test)]
