@@ -46,12 +46,15 @@ impl App {
 /// Not what makes repetition harmless (the store does that, in the creating transaction), but what
 /// saves a client that repeats impatiently from having its bundle checked twice at the same time.
 #[derive(Clone, Default)]
-pub(crate) struct InFlight(Arc<Mutex<HashSet<([u8; 32], String)>>>);
+pub(crate) struct InFlight(Arc<Mutex<HashSet<OwnedKey>>>);
+
+/// The hash of a client's token, and the key that it chose.
+type OwnedKey = ([u8; 32], String);
 
 /// Holds a key until the request is answered or dropped.
 pub(crate) struct InFlightGuard {
     keys: InFlight,
-    key: ([u8; 32], String),
+    key: OwnedKey,
 }
 
 impl InFlight {

@@ -26,14 +26,34 @@ pub struct Artifacts {
     rows: SqlitePool,
 }
 
-/// Bytes that have come in whole and been hashed, but that nobody has asked to keep yet.
+/// Bytes that have come in whole and been hashed, but that nobody has asked to keep yet. Dropped, they are deleted: a
+/// request that fails, or whose client goes away, leaves nothing behind.
 #[derive(Debug)]
 pub struct Staged {
     location: object_store::path::Path,
+    path: PathBuf,
+    kept: bool,
     /// Hash of the content.
     pub hash: ArtifactHash,
     /// Length in bytes.
     pub size: u64,
+}
+
+impl Staged {
+    /// Where the bytes lie on the local disk, for code that reads files.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+impl Drop for Staged {
+    fn drop(&mut self) {
+        if !self.kept
+            && let Err(error) = std::fs::remove_file(&self.path)
+        {
+            tracing::warn!(path = %self.path.display(), %error, "an upload that nobody keeps could not be deleted");
+        }
+    }
 }
 
 /// An artefact's content.
@@ -88,15 +108,17 @@ impl Artifacts {
             return Err(error);
         }
         writer.finish().await?;
-        Ok(Staged { location, hash: ArtifactHash(*hasher.finalize().as_bytes()), size })
+        let path = self.files.path_to_filesystem(&location)?;
+        Ok(Staged { location, path, kept: false, hash: ArtifactHash(*hasher.finalize().as_bytes()), size })
     }
 
     /// Keeps staged bytes. When this returns the file and its row are on disk.
-    pub async fn keep(&self, staged: Staged, now: Timestamp) -> Result<ArtifactStored, StoreError> {
-        let Staged { location, hash, size } = staged;
+    pub async fn keep(&self, mut staged: Staged, now: Timestamp) -> Result<ArtifactStored, StoreError> {
+        let (hash, size) = (staged.hash, staged.size);
         // The file first, then the row: a row without a file would promise what is not there, a file without a
         // row is only waste, and is overwritten by the same bytes when they come again.
-        self.files.rename(&location, &place(hash)).await?;
+        self.files.rename(&staged.location, &place(hash)).await?;
+        staged.kept = true;
         let inserted = sqlx::query(
             "INSERT INTO artifacts (hash, size, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING",
         )
@@ -106,11 +128,6 @@ impl Artifacts {
         .execute(&self.rows)
         .await?;
         Ok(ArtifactStored { hash, size, existed: inserted.rows_affected() == 0 })
-    }
-
-    /// Throws staged bytes away.
-    pub async fn discard(&self, staged: Staged) -> Result<(), StoreError> {
-        Ok(self.files.delete(&staged.location).await?)
     }
 
     /// Stages and keeps a stream that was announced under a hash; other bytes are refused and thrown away.
@@ -123,16 +140,9 @@ impl Artifacts {
     ) -> Result<ArtifactStored, StoreError> {
         let staged = self.stage(content, limit).await?;
         if staged.hash != expected {
-            let actual = staged.hash;
-            self.discard(staged).await?;
-            return Err(StoreError::HashMismatch { expected, actual });
+            return Err(StoreError::HashMismatch { expected, actual: staged.hash });
         }
         self.keep(staged, now).await
-    }
-
-    /// Where staged bytes lie on the local disk, for code that reads files.
-    pub fn staged_path(&self, staged: &Staged) -> Result<PathBuf, StoreError> {
-        Ok(self.files.path_to_filesystem(&staged.location)?)
     }
 
     /// The artefact's length in bytes.

@@ -39,28 +39,13 @@ pub(crate) async fn upload(
     let staged = app.store.artifacts().stage(body.into_data_stream(), app.limits.bundle_bytes).await?;
     let hash = staged.hash;
     let key = key.of(&principal, &hash.0);
-    let outcome = async {
-        let guard = app.in_flight.enter(key.as_ref())?;
-        if let Some(key) = &key
-            && let Some(answer) = app.store.recorded_answer(key).await?
-        {
-            return Ok(Err(answer));
-        }
-        let path = app.store.artifacts().staged_path(&staged)?;
-        Ok((scenes::inspect(&app, path, "bundle.zip").await?, guard)).map(Ok)
+    let _guard = app.in_flight.enter(key.as_ref())?;
+    if let Some(key) = &key
+        && let Some(answer) = app.store.recorded_answer(key).await?
+    {
+        return Ok(repeated(answer));
     }
-    .await;
-    let (scene, _guard) = match outcome {
-        Ok(Ok(inspected)) => inspected,
-        Ok(Err(answer)) => {
-            app.store.artifacts().discard(staged).await?;
-            return Ok(repeated(answer));
-        }
-        Err(error) => {
-            app.store.artifacts().discard(staged).await?;
-            return Err(error);
-        }
-    };
+    let scene = scenes::inspect(&app, staged.path().to_owned(), "bundle.zip").await?;
     let stored = app.store.artifacts().keep(staged, app.now()).await?;
     app.metrics.bytes_received.add(stored.size);
     let answered = app.store.create_bundle(NewBundle { hash, scene }, key.as_ref(), app.now()).await?;

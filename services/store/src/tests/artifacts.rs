@@ -61,7 +61,9 @@ async fn other_bytes_than_announced_too_many_and_broken_off_ones_leave_nothing_b
 async fn uploads_cut_off_by_a_crash_are_cleared_away_at_the_next_start() {
     let farm = Farm::new().await;
     let staged = farm.store.artifacts().stage(stream(&["half a bundle"]), 100).await.unwrap();
-    assert!(farm.store.artifacts().staged_path(&staged).unwrap().exists());
+    assert!(staged.path().exists());
+    // What a crash does not do is to drop things.
+    std::mem::forget(staged);
     let farm = farm.restarted().await;
     assert_eq!(files_below(&farm.folder.path().join("artifacts")), 0);
 }
@@ -73,4 +75,14 @@ async fn a_file_that_was_cut_short_behind_our_back_is_reported_not_served() {
     let name = hash.to_string();
     std::fs::write(farm.folder.path().join("artifacts/blake3").join(&name[..2]).join(&name), "some").unwrap();
     assert!(matches!(farm.store.artifacts().get(hash).await, Err(StoreError::Corrupt(_))));
+}
+
+#[tokio::test]
+async fn what_was_taken_in_and_is_not_kept_is_deleted() {
+    let farm = Farm::new().await;
+    let staged = farm.store.artifacts().stage(stream(&["a bundle that is no scene"]), 100).await.unwrap();
+    let path = staged.path().to_owned();
+    assert!(path.exists());
+    drop(staged);
+    assert!(!path.exists());
 }
