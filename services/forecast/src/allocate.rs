@@ -16,14 +16,16 @@ pub struct Cell {
 
 /// Divides `samples` over the strata so that the variance Σ N_h² S_h² / n_h of a stratified total is least.
 ///
-/// Starts from the floors and gives each next sample to the stratum of the greatest priority
-/// N_h S_h / √(n_h (n_h + 1)), skipping full ones. That is the exact integer optimum, since the sample takes exactly
-/// the square of its priority off the variance and the priorities of a stratum fall (Wright 2012, "The equivalence of Neyman
-/// optimum allocation for sampling and equal proportions for apportioning the U.S. House of Representatives").
+/// Starts from the floors and gives each next sample to the stratum of the greatest priority N_h S_h / √(n_h
+/// (n_h + 1)), skipping full ones. That is the exact integer optimum, since the sample takes exactly the
+/// square of its priority off the variance and the priorities of a stratum fall (Wright 2012, "The
+/// equivalence of Neyman optimum allocation for sampling and equal proportions for apportioning the U.S.
+/// House of Representatives").
 ///
-/// The result sums to `samples`, or to the number of pixels if that is less. Equal priorities go to the larger stratum by
-/// N_h / √(n_h (n_h + 1)), then to the lower index. If the samples do not reach the floors, they are dealt out in rounds of
-/// one in the order of N_h S_h, so that the strata that matter most are not left empty.
+/// The result sums to `samples`, or to the number of pixels if that is less. Equal priorities go to the
+/// larger stratum by N_h / √(n_h (n_h + 1)), then to the lower index. If the samples do not reach the floors,
+/// they are dealt out in rounds of one in the order of N_h S_h, so that the strata that matter most are not
+/// left empty.
 pub fn allocate(cells: &[Cell], samples: u64) -> Vec<u64> {
     let mut allocation = vec![0u64; cells.len()];
     let mut left = samples;

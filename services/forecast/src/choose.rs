@@ -27,19 +27,23 @@ const HALF_TRUSTED_FREEDOM: f64 = 8.0;
 
 /// The sampling design of one frame, in two phases.
 ///
-/// Each group of strata has its pixels in the order of a Hilbert curve, strata of a joined group one after the other. The group's
-/// picks are the terms of a Kronecker sequence along that order: place i is the fraction (u + i φ) mod 1, with the golden ratio φ and
-/// a start u drawn from the seed, the frame and the group. Three things follow.
+/// Each group of strata has its pixels in the order of a Hilbert curve, strata of a joined group one after
+/// the other. The group's picks are the terms of a Kronecker sequence along that order: place i is the
+/// fraction (u + i φ) mod 1, with the golden ratio φ and a start u drawn from the seed, the frame and the
+/// group. Three things follow.
 ///
-/// * Every single pick falls on every pixel with the same probability (u is uniform), so the mean of a fixed number of
-///   picks is unbiased.
-/// * Every prefix of the sequence is spread evenly (three-distance theorem), so the picks of the second phase fall into the gaps that the
-///   first one left, whatever their number turns out to be, and the two phases together work like one systematic sample.
-/// * A pixel that comes up again is passed over, so none is picked twice, and a full sample is every pixel once.
+/// * Every single pick falls on every pixel with the same probability (u is uniform), so the mean of a fixed
+///   number of picks is unbiased.
+/// * Every prefix of the sequence is spread evenly (three-distance theorem), so the picks of the second phase
+///   fall into the gaps that the first one left, whatever their number turns out to be, and the two phases
+///   together work like one systematic sample.
+/// * A pixel that comes up again is passed over, so none is picked twice, and a full sample is every pixel
+///   once.
 ///
-/// The one bias is that the *number* of picks of a group depends on the costs seen in its first phase: pooling both phases gives
-/// a first phase that saw a costly pixel less weight. Half of the samples go to the first phase, by expected cost, and the
-/// second goes by shrunk spreads of materials, which keeps this small; a test on synthetic populations measures it.
+/// The one bias is that the *number* of picks of a group depends on the costs seen in its first phase:
+/// pooling both phases gives a first phase that saw a costly pixel less weight. Half of the samples go to the
+/// first phase, by expected cost, and the second goes by shrunk spreads of materials, which keeps this small;
+/// a test on synthetic populations measures it.
 #[derive(Clone, Debug)]
 pub struct FrameDesign {
     counts: Vec<u32>,
@@ -130,9 +134,9 @@ impl FrameDesign {
 
     /// The other picks, placed by what the first ones cost in work (observations may come in any order).
     ///
-    /// The spread of a group is taken as S_material^λ S_all^(1−λ) with λ = ν / (ν + 8), where ν are the degrees of freedom behind the
-    /// material's: two values alone say little about a spread, and a group whose own few picks decide how many more it gets is
-    /// biased (see the type's documentation).
+    /// The spread of a group is taken as S_material^λ S_all^(1−λ) with λ = ν / (ν + 8), where ν are the
+    /// degrees of freedom behind the material's: two values alone say little about a spread, and a group
+    /// whose own few picks decide how many more it gets is biased (see the type's documentation).
     ///
     /// # Errors
     /// If an observation names an unknown stratum.
@@ -182,8 +186,8 @@ impl FrameDesign {
     }
 }
 
-/// The first `wanted` distinct places among `size` of the Kronecker sequence that starts at `start` (all in units of 2^-64 of the
-/// whole order, so that nothing is rounded).
+/// The first `wanted` distinct places among `size` of the Kronecker sequence that starts at `start` (all in
+/// units of 2^-64 of the whole order, so that nothing is rounded).
 fn distinct_places(start: u64, size: usize, wanted: usize) -> Vec<usize> {
     let mut taken = vec![false; size];
     let mut places = Vec::with_capacity(wanted);
@@ -209,8 +213,8 @@ struct Spread {
     freedom: f64,
 }
 
-/// The pooled coefficient of variation √( Σ (n−1) s² / Σ (n−1) ȳ² ) of all groups of two or more picks, times the mean of all these
-/// picks. Zero where there is no such group.
+/// The pooled coefficient of variation √( Σ (n−1) s² / Σ (n−1) ȳ² ) of all groups of two or more picks, times
+/// the mean of all these picks. Zero where there is no such group.
 fn pooled_spread<'a>(moments: impl Iterator<Item = &'a Moments>) -> Spread {
     let (mut deviations, mut squares, mut freedom) = (0.0, 0.0, 0.0);
     let mut all = Moments::default();

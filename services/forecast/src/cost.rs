@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Number of ray categories: primary, shadow, transparent, reflected, refracted, ambient, specular, in this order
-/// (Gillibrand et al. 2006).
+/// Number of ray categories: primary, shadow, transparent, reflected, refracted, ambient, specular, in this
+/// order (Gillibrand et al. 2006).
 pub const RAY_KINDS: usize = 7;
 
 /// Columns that are estimated side by side: work, CPU time, all rays, and the rays of each category.

@@ -1,7 +1,8 @@
 //! The Hilbert curve: an order of the pixels in which neighbours in the order are neighbours in the image.
 //!
 //! Picks that are spread evenly along the curve are spread evenly over the image, also over an object of any
-//! shape; so the smooth part of the cost within an object (light falling off along a wall) hardly adds to the error.
+//! shape; so the smooth part of the cost within an object (light falling off along a wall) hardly adds to the
+//! error.
 
 /// Place of pixel (x, y) along the Hilbert curve over a square of 2^`order` pixels a side (Hilbert 1891).
 ///

@@ -3,20 +3,22 @@
 use crate::frames::{FramePopulation, apart};
 use crate::interval::Part;
 
-/// Prior log-standard deviation that a frame's cost picks up over a third of the shot, beyond what its pixel counts explain.
+/// Prior log-standard deviation that a frame's cost picks up over a third of the shot, beyond what its pixel
+/// counts explain.
 const PRIOR_DEVIATION: f64 = 0.1;
 
 /// Weight of the prior, in leave-one-out comparisons.
 const PRIOR_FREEDOM: f64 = 2.0;
 
-/// The residual d_t = ln(y_t / ŷ_t) of the carried frames, as a random walk of variance q per frame that is zero at every profiled
-/// frame: a Brownian bridge between two of them, with
-/// Cov(d_s, d_t) = q (s − L)(R − t) / (R − L) for L ≤ s ≤ t ≤ R, and a free walk before the first and after the last.
+/// The residual d_t = ln(y_t / ŷ_t) of the carried frames, as a random walk of variance q per frame that is
+/// zero at every profiled frame: a Brownian bridge between two of them, with Cov(d_s, d_t) = q (s − L)(R − t)
+/// / (R − L) for L ≤ s ≤ t ≤ R, and a free walk before the first and after the last.
 ///
-/// It is the rough relative of a Gaussian process with Matérn covariance. A handful of profiled frames cannot show a length scale; the walk needs
-/// none, is never too sure between frames, and has closed forms. Its one parameter starts from a prior (10 % over a third of
-/// the shot, worth two comparisons) and learns from leaving each profiled frame out; the degrees of freedom are
-/// the comparisons plus two, so with few profiled frames the quantiles are wide.
+/// It is the rough relative of a Gaussian process with Matérn covariance. A handful of profiled frames cannot
+/// show a length scale; the walk needs none, is never too sure between frames, and has closed forms. Its one
+/// parameter starts from a prior (10 % over a third of the shot, worth two comparisons) and learns from
+/// leaving each profiled frame out; the degrees of freedom are the comparisons plus two, so with few profiled
+/// frames the quantiles are wide.
 #[derive(Clone, Debug)]
 pub(crate) struct Drift {
     times: Vec<f64>,
@@ -49,8 +51,8 @@ impl Drift {
         }
     }
 
-    /// Takes in that the profiled frame number `k` was missed by `residual` (logarithm) when predicted from the others, of which sampling
-    /// explains the variance `noise`.
+    /// Takes in that the profiled frame number `k` was missed by `residual` (logarithm) when predicted from
+    /// the others, of which sampling explains the variance `noise`.
     pub fn learn(&mut self, k: usize, residual: f64, noise: f64) {
         let at = self.times[self.profiled[k]];
         let before = k.checked_sub(1).map(|b| self.times[self.profiled[b]]);
@@ -62,7 +64,8 @@ impl Drift {
         }
     }
 
-    /// Variance per frame. Comparisons that say less than nothing (less error than sampling explains) lower it, but not below zero.
+    /// Variance per frame. Comparisons that say less than nothing (less error than sampling explains) lower
+    /// it, but not below zero.
     fn rate(&self) -> f64 {
         ((PRIOR_FREEDOM * self.prior + self.learnt) / (PRIOR_FREEDOM + self.comparisons)).max(0.0)
     }
@@ -84,8 +87,8 @@ impl Drift {
 
     /// The carried part of the variance of the sum over all frames, where frame t has the total `totals[t]`.
     ///
-    /// With walk steps of length Δ_i and S_i the sum of the totals after step i, the variance of a free walk is q Σ Δ_i S_i²; pinning
-    /// its end takes off q (Σ Δ_i S_i)² / Σ Δ_i.
+    /// With walk steps of length Δ_i and S_i the sum of the totals after step i, the variance of a free walk
+    /// is q Σ Δ_i S_i²; pinning its end takes off q (Σ Δ_i S_i)² / Σ Δ_i.
     pub fn of_total(&self, totals: &[f64]) -> Part {
         let (Some(&first), Some(&last)) = (self.profiled.first(), self.profiled.last()) else {
             return self.part(0.0);
@@ -100,7 +103,8 @@ impl Drift {
         self.part(variance)
     }
 
-    /// Σ Δ S², Σ Δ S and Σ Δ along a path of frames that starts at a profiled one. Only frames that are not profiled have a residual.
+    /// Σ Δ S², Σ Δ S and Σ Δ along a path of frames that starts at a profiled one. Only frames that are not
+    /// profiled have a residual.
     fn walk(&self, path: impl DoubleEndedIterator<Item = usize> + Clone, totals: &[f64]) -> (f64, f64, f64) {
         let (mut squares, mut sums, mut length, mut after) = (0.0, 0.0, 0.0, 0.0);
         let nearer = path.clone().rev().skip(1);

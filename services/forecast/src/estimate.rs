@@ -8,11 +8,12 @@ use crate::interval::{Calibration, Part, quantity, together};
 use crate::moments::{Moments, sum};
 use crate::strata::{Grouping, Stratum, check};
 
-/// Coefficient of variation within a group that is assumed where no group has the two samples that would show one.
+/// Coefficient of variation within a group that is assumed where no group has the two samples that would show
+/// one.
 const PRIOR_VARIATION: f64 = 1.0;
 
-/// Least coefficient of variation between strata: strata of one material are taken to differ by a half, even where a handful of
-/// samples happen to agree, so that borrowing is never thought to be exact.
+/// Least coefficient of variation between strata: strata of one material are taken to differ by a half, even
+/// where a handful of samples happen to agree, so that borrowing is never thought to be exact.
 pub(crate) const BORROWED_VARIATION: f64 = 0.5;
 
 /// Degrees of freedom behind a borrowed variance.
@@ -40,20 +41,24 @@ pub struct FrameEstimate {
     pub strata: Vec<StratumEstimate>,
     /// Profiled pixels.
     pub samples: u64,
-    /// Groups of strata with fewer than two samples (and more pixels than samples), whose mean or variance is borrowed.
+    /// Groups of strata with fewer than two samples (and more pixels than samples), whose mean or variance is
+    /// borrowed.
     pub borrowed: usize,
     /// Whether the quantiles were stretched by what past jobs taught.
     pub calibrated: bool,
 }
 
-/// Estimates the cost of a frame from profiled pixels, by the stratified expansion estimator
-/// Ŷ = Σ N_g ȳ_g over groups g of strata, with variance Σ N_g² (1 − n_g/N_g) s_g² / n_g (Cochran 1977, sections 5.3 and 5.4).
+/// Estimates the cost of a frame from profiled pixels, by the stratified expansion estimator Ŷ = Σ N_g ȳ_g
+/// over groups g of strata, with variance Σ N_g² (1 − n_g/N_g) s_g² / n_g (Cochran 1977, sections 5.3 and
+/// 5.4).
 ///
-/// Groups that have fewer than two samples borrow from those of their material, or else from all, and are counted in
-/// [`FrameEstimate::borrowed`]. A frame sampled completely gives its exact total with an interval of no width.
+/// Groups that have fewer than two samples borrow from those of their material, or else from all, and are
+/// counted in [`FrameEstimate::borrowed`]. A frame sampled completely gives its exact total with an interval
+/// of no width.
 ///
 /// # Errors
-/// If nothing was profiled and the frame has pixels, and if counts, strata and observations do not fit together.
+/// If nothing was profiled and the frame has pixels, and if counts, strata and observations do not fit
+/// together.
 pub fn estimate(
     strata: &[Stratum],
     counts: &[u32],
@@ -102,9 +107,10 @@ pub(crate) struct GroupFit {
 
 /// Gathers the sampling error of a total of group means.
 ///
-/// Beside the variances it holds a *tail allowance*. When rare pixels cost many times the mean, a sample that missed some is too low and finds too
-/// small a variance, both at once. So the total is allowed to miss one sample's worth of pixels as dear as the most influential
-/// pixel that was seen: the square of that influence is added to the variance. It is next to nothing where costs are alike.
+/// Beside the variances it holds a *tail allowance*. When rare pixels cost many times the mean, a sample that
+/// missed some is too low and finds too small a variance, both at once. So the total is allowed to miss one
+/// sample's worth of pixels as dear as the most influential pixel that was seen: the square of that influence
+/// is added to the variance. It is next to nothing where costs are alike.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Uncertainty {
     parts: Vec<Part>,
@@ -222,8 +228,8 @@ fn fit_group(grouping: &Grouping, joined: &[Moments], group: usize) -> GroupFit 
     fit
 }
 
-/// Mean cost of a pixel of each stratum: the group's mean where the stratum is the whole group; else its own mean drawn towards the
-/// group's, and scaled so that the strata add up to the group's total.
+/// Mean cost of a pixel of each stratum: the group's mean where the stratum is the whole group; else its own
+/// mean drawn towards the group's, and scaled so that the strata add up to the group's total.
 fn unit_costs(counts: &[u32], moments: &[Moments], grouping: &Grouping, groups: &[GroupFit]) -> Vec<Row> {
     let mut means = vec![[0.0; COLUMNS]; counts.len()];
     for (g, group) in groups.iter().enumerate() {
@@ -254,7 +260,8 @@ fn unit_costs(counts: &[u32], moments: &[Moments], grouping: &Grouping, groups: 
     means
 }
 
-/// Related strata, or groups of them, that one with too few samples can borrow from: one-way analysis of variance.
+/// Related strata, or groups of them, that one with too few samples can borrow from: one-way analysis of
+/// variance.
 struct Pool {
     mean: f64,
     samples: f64,
@@ -288,8 +295,9 @@ impl Pool {
         Some(Pool { mean, samples, within, between: moment.max(least) })
     }
 
-    /// The mean of a member, drawn towards the pool's by λ = τ² / (τ² + σ² / n), and its variance
-    /// λ σ² / n + (1 − λ)² σ² / m (m samples in the pool), or τ² + σ² / m for a member without samples (Fay, Herriot 1979).
+    /// The mean of a member, drawn towards the pool's by λ = τ² / (τ² + σ² / n), and its variance λ σ² / n +
+    /// (1 − λ)² σ² / m (m samples in the pool), or τ² + σ² / m for a member without samples (Fay, Herriot
+    /// 1979).
     fn shrink(&self, own: &Moments, column: usize) -> (f64, f64) {
         let of_pool = self.within / self.samples;
         if own.count == 0 {

@@ -8,7 +8,8 @@ use crate::strata::{Stratum, check};
 /// What the preview saw in one frame.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FramePopulation {
-    /// The frame's number, which is also its time. Numbers increase strictly from frame to frame, with or without gaps.
+    /// The frame's number, which is also its time. Numbers increase strictly from frame to frame, with or
+    /// without gaps.
     pub number: i64,
     /// Pixels of each stratum, N_h.
     pub counts: Vec<u32>,
@@ -36,8 +37,8 @@ const MOST_CANDIDATES: usize = 256;
 /// Passes over the chosen frames in which each may move to a better place.
 const MOST_PASSES: usize = 8;
 
-/// In a frame that shows less than this part of the most that any frame shows of a stratum, the stratum is too small to be
-/// sampled well.
+/// In a frame that shows less than this part of the most that any frame shows of a stratum, the stratum is
+/// too small to be sampled well.
 const ENOUGH_PIXELS: f64 = 0.25;
 
 /// Cost of having a stratum in no profiled frame, in shot lengths; being a whole shot away costs one.
@@ -45,11 +46,12 @@ const NEVER_SEEN: f64 = 2.0;
 
 /// Chooses at most `at_most` frames to profile, as indices in increasing order.
 ///
-/// A stratum in a frame must take its unit cost from the nearest profiled frame that shows enough of it; that is the worse the further away
-/// the frame is, and worst if there is none. The sum over all frames and strata, weighted by pixels times prior cost, is made
-/// small greedily, frame by frame, and then by moving one frame at a time as long as that helps (the k-median problem; Arya et al.
-/// 2004, local search). Equal sums are settled for the earlier frame, so the choice is a function of the previews alone. Frames
-/// come out spread over time, drawn to where strata that matter appear.
+/// A stratum in a frame must take its unit cost from the nearest profiled frame that shows enough of it; that
+/// is the worse the further away the frame is, and worst if there is none. The sum over all frames and
+/// strata, weighted by pixels times prior cost, is made small greedily, frame by frame, and then by moving
+/// one frame at a time as long as that helps (the k-median problem; Arya et al. 2004, local search). Equal
+/// sums are settled for the earlier frame, so the choice is a function of the previews alone. Frames come out
+/// spread over time, drawn to where strata that matter appear.
 ///
 /// # Errors
 /// If frames are out of order, or counts and strata do not fit together.
@@ -141,7 +143,8 @@ impl Cover {
         best.map(|(_, candidate)| candidate)
     }
 
-    /// Weighted distance in time from every stratum in every frame to the nearest chosen frame with enough of it.
+    /// Weighted distance in time from every stratum in every frame to the nearest chosen frame with enough of
+    /// it.
     fn loss(&self, chosen: &[usize]) -> f64 {
         let mut times: Vec<Vec<f64>> = vec![Vec::new(); self.strata];
         for &c in chosen {

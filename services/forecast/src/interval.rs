@@ -16,7 +16,8 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// No past jobs to learn from. The factor 1.3 stands for what the formulas leave out when costs have no heavy tail.
+    /// No past jobs to learn from. The factor 1.3 stands for what the formulas leave out when costs have no
+    /// heavy tail.
     pub const NONE: Calibration = Calibration { inflation: 1.3, calibrated: false };
 
     /// A factor measured on past jobs; factors that are not positive numbers count as 1.
@@ -51,8 +52,8 @@ pub(crate) fn log_deviation(mean: f64, variance: f64) -> f64 {
     if mean > 0.0 && variance > 0.0 { libm::sqrt(libm::log1p(variance / mean / mean)) } else { 0.0 }
 }
 
-/// Quantiles by the log-t interval: mean · exp(t · inflation · σ), σ as in [`log_deviation`]. Never negative, right-skewed as
-/// costs are, and equal to the mean where nothing is uncertain.
+/// Quantiles by the log-t interval: mean · exp(t · inflation · σ), σ as in [`log_deviation`]. Never negative,
+/// right-skewed as costs are, and equal to the mean where nothing is uncertain.
 pub(crate) fn quantity(mean: f64, part: Part, calibration: Calibration) -> Quantity {
     let sigma = log_deviation(mean, part.variance) * calibration.inflation;
     let at = |p: f64| {

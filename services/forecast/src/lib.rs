@@ -1,46 +1,54 @@
 //! What a frame, and a shot, will cost, from a handful of traced pixels and a preview of everything.
 //!
-//! The preview says which (object, material) pair every pixel of every frame shows: the *strata*, with their exact
-//! pixel counts N_h. A few pixels are traced and their cost measured. This crate says which pixels, and what follows from them. It is
-//! pure: no I/O, no clock, and the only chance in it comes from a seed that is passed in. It knows nothing of light.
+//! The preview says which (object, material) pair every pixel of every frame shows: the *strata*, with their
+//! exact pixel counts N_h. A few pixels are traced and their cost measured. This crate says which pixels, and
+//! what follows from them. It is pure: no I/O, no clock, and the only chance in it comes from a seed that is
+//! passed in. It knows nothing of light.
 //!
 //! # The story
 //!
-//! **Groups** (`strata`). Strata that are too small to deserve samples are joined, by material, until every group can have
-//! two. The joined pixels are sampled together, each with the same chance, so that small objects cause no bias (collapsed
-//! strata: Cochran, *Sampling Techniques*, 3rd edition 1977, section 5A.12).
+//! **Groups** (`strata`). Strata that are too small to deserve samples are joined, by material, until every
+//! group can have two. The joined pixels are sampled together, each with the same chance, so that small
+//! objects cause no bias (collapsed strata: Cochran, *Sampling Techniques*, 3rd edition 1977, section 5A.12).
 //!
-//! **How many** ([`allocate`]). The variance of a stratified total is Σ N_h² (1 − n_h/N_h) S_h² / n_h. For a fixed number of samples it is
-//! least at n_h ∝ N_h S_h (Neyman 1934); in whole numbers, give each next sample to the greatest
-//! N_h S_h / √(n_h (n_h + 1)) (Wright 2012).
+//! **How many** ([`allocate`]). The variance of a stratified total is Σ N_h² (1 − n_h/N_h) S_h² / n_h. For a
+//! fixed number of samples it is least at n_h ∝ N_h S_h (Neyman 1934); in whole numbers, give each next
+//! sample to the greatest N_h S_h / √(n_h (n_h + 1)) (Wright 2012).
 //!
-//! **Which** ([`FrameDesign`]). Pixels of a group lie along a Hilbert curve, and picks are the Kronecker sequence
-//! (u + i φ) mod 1 along it: evenly spread, every pixel equally likely, extensible. Two phases: half of the samples by expected
-//! cost, then the rest by what the first ones cost.
+//! **Which** ([`FrameDesign`]). Pixels of a group lie along a Hilbert curve, and picks are the Kronecker
+//! sequence (u + i φ) mod 1 along it: evenly spread, every pixel equally likely, extensible. Two phases: half
+//! of the samples by expected cost, then the rest by what the first ones cost.
 //!
-//! **One frame** ([`estimate`]). Ŷ = Σ N_g ȳ_g, its variance as above with s_g² for S_g², degrees of freedom after Satterthwaite
-//! (1946), and quantiles Ŷ exp(t_p σ) with σ² = ln(1 + v / Ŷ²), a log-t interval. The variance holds a tail allowance: the square of the influence of
-//! the most influential pixel. Groups with one sample or none borrow from relatives, λ = τ² / (τ² + σ² / n), and are counted.
+//! **One frame** ([`estimate`]). Ŷ = Σ N_g ȳ_g, its variance as above with s_g² for S_g², degrees of freedom
+//! after Satterthwaite (1946), and quantiles Ŷ exp(t_p σ) with σ² = ln(1 + v / Ŷ²), a log-t interval. The
+//! variance holds a tail allowance: the square of the influence of the most influential pixel. Groups with
+//! one sample or none borrow from relatives, λ = τ² / (τ² + σ² / n), and are counted.
 //!
-//! **A shot** ([`choose_frames`], [`forecast_shot`]). A few frames are profiled, so chosen that what matters is near in time to a frame that
-//! shows it (k-median). Others get ŷ_t = Σ N_h,t ĉ_h(t) with unit costs carried over time. All frames rest on the same
-//! samples, so their errors are added before they are squared; what drifts between profiled frames is a random walk pinned at each of
-//! them. The error that a job's frames have in common is [`ShotForecast::job_sigma`].
+//! **A shot** ([`choose_frames`], [`forecast_shot`]). A few frames are profiled, so chosen that what matters
+//! is near in time to a frame that shows it (k-median). Others get ŷ_t = Σ N_h,t ĉ_h(t) with unit costs
+//! carried over time. All frames rest on the same samples, so their errors are added before they are squared;
+//! what drifts between profiled frames is a random walk pinned at each of them. The error that a job's frames
+//! have in common is [`ShotForecast::job_sigma`].
 //!
 //! # How sure
 //!
-//! The number of samples of a group depends a little on the costs seen first, which biases the pooled mean: strata whose first picks came out cheap get
-//! fewer further picks to correct them. Allocating the second phase by each group's own spread (half its own, half that of its material) made this −2 to
-//! −3 % on lognormal costs, and −10 % with heavy tails. So it goes by the spread of the material, shrunk towards the overall one as long as few picks
-//! speak for it: −0.6 ± 0.2 % on smooth pictures with shadow edges and lognormal noise, −0.4 ± 0.2 % on noise alone, −5 % with tails. The
-//! tests hold it there. (A design without such a bias has to give each phase a fixed weight, and is no more accurate than one that never looks at
+//! The number of samples of a group depends a little on the costs seen first, which biases the pooled mean:
+//! strata whose first picks came out cheap get fewer further picks to correct them. Allocating the second
+//! phase by each group's own spread (half its own, half that of its material) made this −2 to −3 % on
+//! lognormal costs, and −10 % with heavy tails. So it goes by the spread of the material, shrunk towards the
+//! overall one as long as few picks speak for it: −0.6 ± 0.2 % on smooth pictures with shadow edges and
+//! lognormal noise, −0.4 ± 0.2 % on noise alone, −5 % with tails. The tests hold it there. (A design without
+//! such a bias has to give each phase a fixed weight, and is no more accurate than one that never looks at
 //! costs.)
 //!
-//! On such pictures of 57 objects, 256 samples give a mean absolute error of 2 to 3 %, and P80 and P95 hold in 80 and 96 % of cases. Where 1 to 5 % of some
-//! materials' pixels cost 10 to 40 times as much, the error is 9 %, and P95 holds in seven or eight cases of ten: no formula can know
-//! what no sample met. Such pixels should be strata of their own (glass, mirrors: the preview knows them), with a prior cost that draws samples.
+//! On such pictures of 57 objects, 256 samples give a mean absolute error of 2 to 3 %, and P80 and P95 hold
+//! in 80 and 96 % of cases. Where 1 to 5 % of some materials' pixels cost 10 to 40 times as much, the error
+//! is 9 %, and P95 holds in seven or eight cases of ten: no formula can know what no sample met. Such pixels
+//! should be strata of their own (glass, mirrors: the preview knows them), with a prior cost that draws
+//! samples.
 //!
-//! While no past job says how well intervals hold, [`Calibration::NONE`] stretches them by 1.3 and the forecast says that it is not calibrated.
+//! While no past job says how well intervals hold, [`Calibration::NONE`] stretches them by 1.3 and the
+//! forecast says that it is not calibrated.
 //!
 //! # Use
 //! ```

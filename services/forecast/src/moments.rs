@@ -4,8 +4,9 @@ use crate::cost::{COLUMNS, Cost, Row};
 
 /// Count, exact sum, and sum of squared deviations of every column.
 ///
-/// Deviations are gathered by Welford's recurrence (Welford 1962), never as E\[x²\] − E\[x\]², which loses every digit when
-/// costs are large and alike. Sums are integers and so exact: a stratum that is sampled completely is known exactly.
+/// Deviations are gathered by Welford's recurrence (Welford 1962), never as E\[x²\] − E\[x\]², which loses
+/// every digit when costs are large and alike. Sums are integers and so exact: a stratum that is sampled
+/// completely is known exactly.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Moments {
     pub count: u64,

@@ -42,8 +42,8 @@ pub struct ShotForecast {
     pub frames: Vec<FrameForecast>,
     /// Totals over all frames. Their quantiles are *not* sums of the frames' quantiles.
     pub total: Costs<Quantity>,
-    /// Log-standard deviation of the job's total work, inflated as the quantiles are: the error that its frames have in common,
-    /// for they share the same samples. It does not average out over frames.
+    /// Log-standard deviation of the job's total work, inflated as the quantiles are: the error that its
+    /// frames have in common, for they share the same samples. It does not average out over frames.
     pub job_sigma: f64,
     /// Groups of strata in profiled frames that had to borrow, plus strata that no profiled frame shows.
     pub borrowed: usize,
@@ -53,14 +53,16 @@ pub struct ShotForecast {
 
 /// Forecasts every frame from the profiled ones.
 ///
-/// A profiled frame is estimated as by [`crate::estimate`]. In every other frame t, ŷ_t = Σ_h N_h,t ĉ_h(t) + fixed(t): the
-/// preview knows all N_h,t, and the unit cost of a stratum comes from the nearest profiled frame before and after in which it was sampled,
-/// each weighted by 1 / (CV² / n_h + q Δt): samples against distance in time, q being the prior drift of unit costs.
+/// A profiled frame is estimated as by [`crate::estimate`]. In every other frame t, ŷ_t = Σ_h N_h,t ĉ_h(t) +
+/// fixed(t): the preview knows all N_h,t, and the unit cost of a stratum comes from the nearest profiled
+/// frame before and after in which it was sampled, each weighted by 1 / (CV² / n_h + q Δt): samples against
+/// distance in time, q being the prior drift of unit costs.
 ///
-/// The variance of a frame and of the total has three parts. *Sampling*: each group mean of a profiled frame with the number of pixels that
-/// depend on it in all frames together, so that what frames share is added before it is squared. *Carrying*: the residual
-/// ln(y_t / ŷ_t) of carried frames is a random walk that is zero at every profiled frame; its rate has a prior (10 % over a third of the
-/// shot) and learns from predicting each profiled frame by the others. *Borrowing*: strata that no profiled frame shows are taken
+/// The variance of a frame and of the total has three parts. *Sampling*: each group mean of a profiled frame
+/// with the number of pixels that depend on it in all frames together, so that what frames share is added
+/// before it is squared. *Carrying*: the residual ln(y_t / ŷ_t) of carried frames is a random walk that is
+/// zero at every profiled frame; its rate has a prior (10 % over a third of the shot) and learns from
+/// predicting each profiled frame by the others. *Borrowing*: strata that no profiled frame shows are taken
 /// to cost what their material costs, give or take a half.
 ///
 /// # Errors
@@ -127,7 +129,8 @@ pub fn forecast_shot(
     })
 }
 
-/// Within a stratum, the squared coefficient of variation that is weighed against drift when unit costs are carried.
+/// Within a stratum, the squared coefficient of variation that is weighed against drift when unit costs are
+/// carried.
 const CARRIED_VARIATION_SQUARED: f64 = 0.25;
 
 /// A frame as the profiled ones predict it.
@@ -252,8 +255,8 @@ impl<'a> Carrier<'a> {
         f64::from(self.sources[k].fit.strata[h].samples)
     }
 
-    /// The nearest usable sources before and after frame t, with shares that add up to one. `samples` says on how many samples a source
-    /// stands, or none if it is of no use.
+    /// The nearest usable sources before and after frame t, with shares that add up to one. `samples` says on
+    /// how many samples a source stands, or none if it is of no use.
     fn neighbours(
         &self,
         t: usize,

@@ -4,32 +4,33 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::ForecastError;
 
-/// An (object, material) pair that the preview can show. The background is a stratum like any other, by custom the last,
-/// with an object and a material of its own.
+/// An (object, material) pair that the preview can show. The background is a stratum like any other, by
+/// custom the last, with an object and a material of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Stratum {
     /// The object, for tables by object.
     pub object: u32,
     /// The material: strata of one material borrow from each other first.
     pub material: u32,
-    /// What one pixel is thought to cost before anything is measured, relative to a plain diffuse pixel (1). It only steers where
-    /// samples go (to glass rather than to walls); no estimate depends on it otherwise.
+    /// What one pixel is thought to cost before anything is measured, relative to a plain diffuse pixel (1).
+    /// It only steers where samples go (to glass rather than to walls); no estimate depends on it otherwise.
     pub prior_cost: f64,
 }
 
 /// A group must deserve this many samples by its share of the expected cost; smaller ones are joined.
 const LEAST_DESERVED_SAMPLES: f64 = 0.5;
 
-/// Samples for each group in the mean: with at most a quarter as many groups as samples, the floor of two in each group takes
-/// no more than half of them.
+/// Samples for each group in the mean: with at most a quarter as many groups as samples, the floor of two in
+/// each group takes no more than half of them.
 const SAMPLES_PER_GROUP: u64 = 4;
 
 /// Strata joined so that every group can have two samples or more.
 ///
-/// With more strata than samples, small strata would mostly go unsampled, and a guess in their place would be a bias that no
-/// interval shows. Sampling the small strata *of one material together*, each pixel with the same chance, has no such bias
-/// (collapsed strata: Cochran 1977, section 5A.12). The grouping looks at pixel counts, materials, prior costs and the number of
-/// samples only, never at measured costs; so whoever estimates later finds the same groups as whoever chose.
+/// With more strata than samples, small strata would mostly go unsampled, and a guess in their place would be
+/// a bias that no interval shows. Sampling the small strata *of one material together*, each pixel with the
+/// same chance, has no such bias (collapsed strata: Cochran 1977, section 5A.12). The grouping looks at pixel
+/// counts, materials, prior costs and the number of samples only, never at measured costs; so whoever
+/// estimates later finds the same groups as whoever chose.
 #[derive(Clone, Debug)]
 pub(crate) struct Grouping {
     /// Group of each stratum; none for strata without pixels.
@@ -76,7 +77,8 @@ impl Grouping {
         }
     }
 
-    /// Strata of `least` weight stand alone; the rest are joined by material, and what is still too light in one last group.
+    /// Strata of `least` weight stand alone; the rest are joined by material, and what is still too light in
+    /// one last group.
     fn with_least_weight(strata: &[Stratum], counts: &[u32], weights: &[f64], least: f64) -> Self {
         let mut grouping = Grouping { of: vec![None; strata.len()], groups: Vec::new() };
         let small: Vec<usize> = (0..strata.len()).filter(|&h| counts[h] > 0).collect();

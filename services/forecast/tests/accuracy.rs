@@ -30,7 +30,8 @@ fn run(recipe: Recipe, calibration: Calibration) -> Outcome {
     Outcome { errors: errors(&relative), hits }
 }
 
-/// Four standard errors of a share of `TRIALS` trials: a right service fails once in ten thousand runs of other seeds.
+/// Four standard errors of a share of `TRIALS` trials: a right service fails once in ten thousand runs of
+/// other seeds.
 fn slack(share: f64) -> f64 {
     4.0 * (share * (1.0 - share) / TRIALS as f64).sqrt()
 }
@@ -67,8 +68,8 @@ fn light_tailed_noise_is_forecast_within_four_percent_and_uncalibrated_quantiles
 fn heavy_tails_are_reported_and_bounded() {
     let outcome = run(small(TAILED), Calibration::NONE);
     println!("tailed: {:?}, hits {:?}", outcome.errors, outcome.hits);
-    // Pixels of 10 to 40 times the cost, 1 to 5 % of some materials: no interval from 256 samples is honest here, which is
-    // why such pixels must be made strata of their own.
+    // Pixels of 10 to 40 times the cost, 1 to 5 % of some materials: no interval from 256 samples is honest
+    // here, which is why such pixels must be made strata of their own.
     assert!(outcome.errors.mean_absolute < 0.15);
     assert!(outcome.hits[1] > 0.6);
 }

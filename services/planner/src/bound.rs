@@ -5,8 +5,9 @@ use crate::model::{Bound, Node, in_millionths};
 
 /// The earliest conceivable end of this work, released at `release`, on these nodes in their free time.
 ///
-/// Any plan takes the frames' work out of the nodes' free time after the release, and gives the longest frame an unbroken stretch of one node;
-/// so neither part can be beaten. Without calendars the first is Σ w / Σ s, the second max w / max s (Graham 1969).
+/// Any plan takes the frames' work out of the nodes' free time after the release, and gives the longest frame
+/// an unbroken stretch of one node; so neither part can be beaten. Without calendars the first is Σ w / Σ s,
+/// the second max w / max s (Graham 1969).
 pub(crate) fn bound(nodes: &[(&Node, FreeTime)], release: i64, works: &[u64]) -> Bound {
     let Some(&longest) = works.iter().max() else {
         return Bound { by_capacity: Some(release), by_longest_frame: Some(release) };
@@ -53,7 +54,8 @@ fn by_capacity(nodes: &[(&Node, FreeTime)], release: i64, work: u128) -> Option<
         }
         left -= capacity;
         now = instant;
-        // Intervals are not empty, so what closes here opened at an earlier instant and the rate stays at zero or above.
+        // Intervals are not empty, so what closes here opened at an earlier instant and the rate stays at
+        // zero or above.
         rate = if opens { rate + u128::from(speed) } else { rate - u128::from(speed) };
     }
     None

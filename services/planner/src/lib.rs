@@ -1,9 +1,10 @@
 //! Plans: which node renders which frame from when to when, whether the deadlines hold, and what it costs.
 //!
-//! Pure: no I/O, no clock, no chance. The crate's `README.md` states the properties that are wanted, the abstraction, and the
-//! method, in this order; the files follow it.
+//! Pure: no I/O, no clock, no chance. The crate's `README.md` states the properties that are wanted, the
+//! abstraction, and the method, in this order; the files follow it.
 //!
-//! * `model`: farm, jobs, plan, and the definitions that method and verifier share (bought work, duration, cost);
+//! * `model`: farm, jobs, plan, and the definitions that method and verifier share (bought work, duration,
+//!   cost);
 //! * `calendar`: the free time of a node;
 //! * `bound`: what no plan can beat;
 //! * `schedule`: the method, behind [`plan`];

@@ -110,10 +110,12 @@ pub enum Confidence {
 }
 
 impl Job {
-    /// Work bought for each frame: its median, scaled so that all frames together reach the job's total at its confidence, and rounded up.
+    /// Work bought for each frame: its median, scaled so that all frames together reach the job's total at
+    /// its confidence, and rounded up.
     ///
-    /// The forecast error that all frames share does not average out, so the whole job is scaled by one factor. The sum of
-    /// the frames' own quantiles would buy too much, the sum of their medians would be late every other time.
+    /// The forecast error that all frames share does not average out, so the whole job is scaled by one
+    /// factor. The sum of the frames' own quantiles would buy too much, the sum of their medians would be
+    /// late every other time.
     pub fn bought_work(&self) -> Vec<u64> {
         let total = match self.confidence {
             Confidence::P50 => self.total.p50,
@@ -140,8 +142,8 @@ pub(crate) fn in_millionths(work: u128) -> u128 {
 }
 
 impl Node {
-    /// Microseconds that the node takes for this much work, rounded up. None if that leaves the range of time, or the node
-    /// stands still.
+    /// Microseconds that the node takes for this much work, rounded up. None if that leaves the range of
+    /// time, or the node stands still.
     pub fn duration(&self, work: u64) -> Option<i64> {
         (self.speed > 0)
             .then(|| in_millionths(u128::from(work)).div_ceil(u128::from(self.speed)))
@@ -234,7 +236,8 @@ pub enum Verdict {
 /// Earliest conceivable ends. None stands for never.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Bound {
-    /// When all nodes together, working without a gap in their free time, would have done all the work (Σ w / Σ s).
+    /// When all nodes together, working without a gap in their free time, would have done all the work (Σ w /
+    /// Σ s).
     pub by_capacity: Option<i64>,
     /// When the longest frame would end on the node that finishes it first.
     pub by_longest_frame: Option<i64>,

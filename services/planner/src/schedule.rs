@@ -8,9 +8,10 @@ use crate::model::{Booking, Bound, Input, InputError, Job, JobPlan, Node, Plan, 
 
 /// Makes a plan.
 ///
-/// Jobs go by deadline (those without one last), then greater priority, then lower id. Their frames go longest first (then by number), each to
-/// the node that finishes it earliest in its free time (then the cheaper one, then the lower id). The plan depends on what is in the
-/// input, not on the order in which it is given.
+/// Jobs go by deadline (those without one last), then greater priority, then lower id. Their frames go
+/// longest first (then by number), each to the node that finishes it earliest in its free time (then the
+/// cheaper one, then the lower id). The plan depends on what is in the input, not on the order in which it is
+/// given.
 ///
 /// # Errors
 /// If the input has no meaning; see [`InputError`]. What cannot be met is no error but a verdict.
@@ -45,8 +46,8 @@ pub fn plan(input: &Input) -> Result<Plan, InputError> {
     Ok(plan)
 }
 
-/// The bound of all jobs together. All work counts from the first release; but the longest frames count from their own, by way of
-/// their job's bound.
+/// The bound of all jobs together. All work counts from the first release; but the longest frames count from
+/// their own, by way of their job's bound.
 fn bound_of_all(farm: &[(&Node, FreeTime)], jobs: &[&Job], bounds: &[Bound]) -> Bound {
     let Some(release) = jobs.iter().map(|job| job.release).min() else { return Bound::default() };
     let works: Vec<u64> = jobs.iter().flat_map(|job| job.bought_work()).collect();

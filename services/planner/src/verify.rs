@@ -1,7 +1,7 @@
 //! An independent check of a plan.
 //!
-//! It knows what a plan must be and nothing of how one is made: it uses the definitions of `model` alone, and would
-//! pass a plan made by hand.
+//! It knows what a plan must be and nothing of how one is made: it uses the definitions of `model` alone, and
+//! would pass a plan made by hand.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -101,8 +101,8 @@ pub enum Violation {
     },
 }
 
-/// Checks a plan against its input: every frame once, in its node's free time, after its release, as long as its work takes, alone on its
-/// node; and verdicts, costs and bounds in agreement with the bookings.
+/// Checks a plan against its input: every frame once, in its node's free time, after its release, as long as
+/// its work takes, alone on its node; and verdicts, costs and bounds in agreement with the bookings.
 ///
 /// # Errors
 /// Everything that is wrong.
@@ -190,8 +190,8 @@ fn covered(open: &[Interval], start: i64, end: i64) -> bool {
     reached >= end
 }
 
-/// Every frame once and rightly booked, and what the plan says of the job is true. Returns the end of the last frame, or none if a frame
-/// has no place.
+/// Every frame once and rightly booked, and what the plan says of the job is true. Returns the end of the
+/// last frame, or none if a frame has no place.
 fn check_job(
     nodes: &BTreeMap<u64, &Node>,
     job: &Job,

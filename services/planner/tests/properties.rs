@@ -176,7 +176,8 @@ proptest! {
 
     #[test]
     fn the_unit_of_work_does_not_matter(input in any_input(), factor in 1u64..1000) {
-        // Scaling must stay in range, and quantiles that scale frames by fractions round differently: medians are bought.
+        // Scaling must stay in range, and quantiles that scale frames by fractions round differently: medians
+        // are bought.
         let mut small = input;
         small.nodes.iter_mut().for_each(|node| node.speed = node.speed.min(10_000_000));
         for job in &mut small.jobs {
