@@ -20,9 +20,12 @@ pub struct Local {
 impl Local {
     /// Opens a bundle.
     pub fn open(bundle: &Path, machine: &MachineOptions, bars: &Bars) -> Result<Self> {
+        if !bundle.exists() {
+            let missing = format!("bundle {}: there is no such file or folder", bundle.display());
+            return Err(BadInput::new(missing).into());
+        }
         let pool = thread_pool(machine.threads)?;
-        let ambient =
-            Ambient::new(preview_choice(machine.preview)).context("cannot make previews as asked")?;
+        let ambient = Ambient::new(preview_choice(machine.preview));
         let spinner = bars.spinner(format!("loading {}", bundle.display()));
         let shot = pool.install(|| ambient.open(bundle));
         spinner.finish_and_clear();

@@ -19,6 +19,7 @@ use std::process::ExitCode;
 use tracing_subscriber::EnvFilter;
 
 fn main() -> ExitCode {
+    quiet_display_lookup();
     let cli = commands::Cli::parse();
     log(cli.verbosity());
     let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
@@ -52,4 +53,14 @@ fn log(verbosity: u8) {
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .init();
+}
+
+/// Graphics drivers look for a display by this variable, and complain on standard error where it is missing. No display is
+/// wanted here, and standard error is for this program's own words.
+fn quiet_display_lookup() {
+    const RUNTIME_FOLDER: &str = "XDG_RUNTIME_DIR";
+    if std::env::var_os(RUNTIME_FOLDER).is_none() {
+        // SAFETY: this is called first thing in `main`, when no other thread exists that could read the environment meanwhile.
+        unsafe { std::env::set_var(RUNTIME_FOLDER, std::env::temp_dir()) };
+    }
 }

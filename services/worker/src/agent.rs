@@ -97,7 +97,7 @@ impl Agent {
             let claim = ClaimRequest { node_id: node, wait_ms: CLAIM_WAIT_MS };
             let claimed = tokio::select! {
                 () = stop.cancelled() => break,
-                claimed = patient.claim(&claim) => claimed,
+                claimed = patient.claim(&claim, Uuid::now_v7()) => claimed,
             };
             match claimed {
                 Ok(Some(lease)) => self.work(lease, &stop).await,

@@ -265,6 +265,10 @@ impl FrameRenderer for AmbientFrame<'_> {
         pixels.par_chunks(BATCH).flat_map_iter(|batch| self.tracer.profile(batch)).collect()
     }
 
+    fn trace_runs(&self, runs: &[Vec<u32>]) -> Vec<Vec<Pixel>> {
+        runs.par_iter().map(|run| self.tracer.profile(run)).collect()
+    }
+
     fn profile(&self, pixels: Vec<(u32, Pixel)>) -> Profile {
         Profile { frame: self.tracer.frame().number, fingerprint: self.fingerprint(), pixels }
     }

@@ -144,10 +144,11 @@ impl Client {
         self.transport.json(&with_key(json(Method::POST, "/v1/nodes", node), key)).await
     }
 
-    /// Asks for a task; `None` if there was none within the time that the request allows for.
-    pub async fn claim(&self, claim: &ClaimRequest) -> Result<Option<Lease>, ClientError> {
+    /// Asks for a task; `None` if there was none within the time that the request allows for. If an answer gets lost, asking
+    /// again with the same key gives the same lease, instead of leaving it to run out.
+    pub async fn claim(&self, claim: &ClaimRequest, key: Uuid) -> Result<Option<Lease>, ClientError> {
         let patience = Duration::from_millis(u64::from(claim.wait_ms)) + Duration::from_secs(15);
-        let request = json(Method::POST, "/v1/leases", claim).timeout(Some(patience));
+        let request = with_key(json(Method::POST, "/v1/leases", claim).timeout(Some(patience)), key);
         let response = self.transport.send(&request).await?;
         if response.status() == StatusCode::NO_CONTENT {
             return Ok(None);

@@ -5,6 +5,7 @@
 //! | `renderer` | the small door behind which the renderer stands |
 //! | `ambient` | our renderer behind it |
 //! | `shot`, `quote` | preview all frames, profile some, estimate all: the way to a quote |
+//! | `warm_clock` | what a scattered pixel would have taken among its neighbours |
 //! | `render` | one frame with its true cost |
 //! | `tasks` | the three kinds of tasks |
 //! | `execute`, `agent` | a task's life between lease and result |
@@ -26,6 +27,7 @@ mod server_events;
 mod shot;
 mod tasks;
 mod transport;
+mod warm_clock;
 
 pub use agent::{Agent, AgentError};
 pub use ambient::{Ambient, AmbientShot, tracer_settings};

@@ -78,7 +78,12 @@ impl Library {
 
     /// The opened bundle at `path`, loaded now or before.
     pub fn open(&self, path: &Path) -> Result<Arc<dyn Renderer>, RenderError> {
-        let stamp = Stamp::of(path);
+        // What was fetched is named by its hash and never changes.
+        let stamp = if path.starts_with(&self.folder) {
+            Stamp { path: path.to_owned(), files: Vec::new() }
+        } else {
+            Stamp::of(path)
+        };
         let slot = self.slot(stamp);
         let mut place = slot.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(renderer) = &*place {
@@ -149,5 +154,84 @@ fn list(path: &Path, files: &mut Vec<(PathBuf, u64, Option<SystemTime>)>) {
         }
     } else {
         files.push((path.to_owned(), about.len(), about.modified().ok()));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicU32, Ordering};
+    use std::time::Duration;
+
+    /// Counts how often it was asked, and opens nothing.
+    struct Counting(Arc<AtomicU32>);
+
+    impl OpenRenderer for Counting {
+        fn open(&self, path: &Path) -> Result<Arc<dyn Renderer>, RenderError> {
+            self.0.fetch_add(1, Ordering::SeqCst);
+            crate::Ambient::new(forelight_preview::Choice::Cpu).open(path).map(|shot| Arc::new(shot) as _)
+        }
+    }
+
+    /// A triangle without a camera move.
+    const SCENE: &str = r#"{"version":1,"name":"t","geometry":["t.obj"],
+        "camera":{"origin":[0,0,4],"target":[0,0,0],"up":[0,1,0],"fov_deg":50,"fov_axis":"x","width":4,"height":4}}"#;
+
+    fn bundle(folder: &Path) {
+        fs::create_dir_all(folder).unwrap();
+        fs::write(folder.join("scene.json"), SCENE).unwrap();
+        fs::write(folder.join("t.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+    }
+
+    #[test]
+    fn a_bundle_is_opened_once_by_all_who_want_it_and_again_when_others_pushed_it_out() {
+        let folder = tempfile::tempdir().unwrap();
+        let opened = Arc::new(AtomicU32::new(0));
+        let library = Library::new(&folder.path().join("kept"), Box::new(Counting(opened.clone()))).unwrap();
+        let paths: Vec<PathBuf> = (0..=OPEN_BUNDLES).map(|i| folder.path().join(i.to_string())).collect();
+        paths.iter().for_each(|path| bundle(path));
+        std::thread::scope(|scope| {
+            for _ in 0..8 {
+                scope.spawn(|| library.open(&paths[0]).map(drop).unwrap());
+            }
+        });
+        assert_eq!(opened.load(Ordering::SeqCst), 1);
+        for path in &paths[1..] {
+            library.open(path).map(drop).unwrap();
+        }
+        library.open(&paths[0]).map(drop).unwrap();
+        assert_eq!(opened.load(Ordering::SeqCst), OPEN_BUNDLES as u32 + 2);
+    }
+
+    #[test]
+    fn touching_a_fetched_bundle_does_not_make_it_another() {
+        let folder = tempfile::tempdir().unwrap();
+        let opened = Arc::new(AtomicU32::new(0));
+        let library = Library::new(folder.path(), Box::new(Counting(opened.clone()))).unwrap();
+        // Stands for a zip: what is inside the library's folder is what was fetched.
+        let fetched = folder.path().join("hash.zip");
+        bundle(&fetched);
+        library.open(&fetched).map(drop).unwrap();
+        let file = fs::File::options().append(true).open(fetched.join("t.obj")).unwrap();
+        file.set_modified(SystemTime::now() + Duration::from_secs(5)).unwrap();
+        library.open(&fetched).map(drop).unwrap();
+        assert_eq!(opened.load(Ordering::SeqCst), 1);
+    }
+
+    #[test]
+    fn room_is_made_by_throwing_away_what_was_unused_for_longest() {
+        let folder = tempfile::tempdir().unwrap();
+        let library = Library::new(folder.path(), Box::new(Counting(Arc::default()))).unwrap();
+        let hashes: Vec<ArtifactHash> = (0..4).map(|i| ArtifactHash([i; 32])).collect();
+        let path = |hash: &ArtifactHash| folder.path().join(format!("{hash}.zip"));
+        for (age, hash) in (0..).zip(&hashes) {
+            fs::write(path(hash), [0; 10]).unwrap();
+            let file = fs::File::options().append(true).open(path(hash)).unwrap();
+            file.set_modified(SystemTime::now() - Duration::from_secs(100 - age)).unwrap();
+        }
+        // The oldest is the one that was just fetched.
+        library.make_room(hashes[0], 25);
+        let left: Vec<bool> = hashes.iter().map(|hash| path(hash).exists()).collect();
+        assert_eq!(left, [true, false, false, true]);
     }
 }

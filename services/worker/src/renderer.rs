@@ -141,6 +141,9 @@ pub trait FrameRenderer: Send + Sync {
     /// Finished pixels by index, in the order given, on the current thread pool.
     fn trace(&self, pixels: &[u32]) -> Vec<Pixel>;
 
+    /// The same for runs of pixels: those of a run are traced one after the other by one thread, as a tile's are in a render.
+    fn trace_runs(&self, runs: &[Vec<u32>]) -> Vec<Vec<Pixel>>;
+
     /// Finished pixels as something that [`FrameRenderer::render`] can take over.
     fn profile(&self, pixels: Vec<(u32, Pixel)>) -> Profile;
 

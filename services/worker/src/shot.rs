@@ -4,6 +4,7 @@
 //! and choosing and estimating happen in the service. Offline, [`crate::quote`] does all of it.
 
 use crate::renderer::{Counted, RenderError, Renderer, StratumInfo};
+use crate::warm_clock;
 use forelight_forecast::{Cost, FrameDesign, Observation, Stratum};
 use forelight_preview::NOTHING;
 use forelight_protocol::{FixedCosts, MaterialMode, PreviewBackend, RenderSettings, Spent};
@@ -97,9 +98,10 @@ pub fn count_frames(
 pub struct ProfiledFrame {
     /// Frame number.
     pub frame: u32,
-    /// Stratum and cost of each profiled pixel, in the order of `profile.pixels`.
+    /// Stratum and cost of each profiled pixel, in the order of `profile.pixels`; the times are those that it would have taken
+    /// in a render (see [`crate::warm_clock`]).
     pub observations: Vec<Observation>,
-    /// The finished pixels, for the render to take over.
+    /// The finished pixels, for the render to take over: the profiled ones, then neighbours that were traced for their time.
     pub profile: Profile,
     /// What every render of the frame costs whatever its pixels show.
     pub fixed: FixedCosts,
@@ -107,7 +109,7 @@ pub struct ProfiledFrame {
     pub setup: Spent,
     /// The frame's preview.
     pub preview: Spent,
-    /// What was spent on the profiled pixels.
+    /// What was spent on all finished pixels.
     pub pixels: Spent,
     /// The preview as a picture.
     pub picture: image::RgbImage,
@@ -160,9 +162,15 @@ pub fn profile_frame(
         return Err(ShotError::Cancelled);
     }
     trace(&design.second_phase(&observations)?, &mut observations);
-    let pixels = observations
-        .iter()
-        .fold(Spent::default(), |sum, o| plus(sum, Spent { work: o.cost.work, cpu_nanos: o.cost.cpu_nanos }));
+    let warmth = warm_clock::measure(&*ready, design.counts(), &observations, &finished);
+    for observation in &mut observations {
+        let cpu_nanos = &mut observation.cost.cpu_nanos;
+        *cpu_nanos = (*cpu_nanos as f64 * warmth.factor).round() as u64;
+    }
+    finished.extend(warmth.pixels);
+    let pixels = finished.iter().fold(Spent::default(), |sum, (_, pixel)| {
+        plus(sum, Spent { work: pixel.work, cpu_nanos: pixel.cpu_nanos })
+    });
     Ok(ProfiledFrame {
         frame,
         observations,

@@ -1,8 +1,7 @@
 //! Requests that are sent until they are answered.
 //!
 //! Everything that this program asks of the service may be asked twice: results carry a fencing token, artefacts are
-//! named by their hash, creating requests carry an idempotency key, and a claim whose answer was lost is a lease that
-//! runs out. So a request is sent again whenever no answer came (refused, reset, timed out), or when the answer was
+//! named by their hash, and whatever creates something (a claim creates a lease) carries an idempotency key. So a request is sent again whenever no answer came (refused, reset, timed out), or when the answer was
 //! "not now" (429, 502, 503, 504, or an idempotency key whose first request is still being worked on).
 
 use crate::backoff::Backoff;

@@ -160,8 +160,11 @@ fn a_profiled_pixel_is_a_finished_pixel() {
     assert_eq!(fresh_result.artifacts.cost_map_png, reused_result.artifacts.cost_map_png);
     let (fresh, reused) = (&fresh_result.stats, &reused_result.stats);
     assert_eq!((fresh.work, fresh.rays), (reused.work, reused.rays));
-    assert_eq!((fresh.reused_pixels, reused.reused_pixels), (0, 100));
-    assert_eq!(reused.reused_work, profile.samples.iter().map(|sample| sample.work).sum::<u64>());
+    // The samples, and neighbours of some of them that were traced to see how long warm caches make them take.
+    assert_eq!(fresh.reused_pixels, 0);
+    assert!((100..=200).contains(&reused.reused_pixels), "{}", reused.reused_pixels);
+    assert!(reused.reused_work > profile.samples.iter().map(|sample| sample.work).sum::<u64>());
+    assert!(profile.spent.work >= reused.reused_work);
     for outcome in [&profiled, &reusing] {
         for hash in outcome.result.artifacts() {
             artifact(hash, outcome);

@@ -23,8 +23,8 @@ Examples:
   forelight forecast kitchen/ --frames 12 --width 1920 --spp 64 --json > quote.json
   forelight forecast kitchen/ --frames 0-47 --save-profile profiles/
 
-All frames are previewed; of at most --profile-frames of them, --samples pixels each are traced. These are finished pixels:
-with --save-profile, `forelight render --profile` takes them over. Work is a count of operations that two runs agree on;
+All frames are previewed; of at most --profile-frames of them, --samples pixels each are traced. These are finished pixels: \
+with --save-profile, `forelight render --profile` takes them over. Work is a count of operations that two runs agree on; \
 CPU time is this machine's.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file

@@ -1,9 +1,11 @@
 //! The commands, one file each.
 
 mod bench;
+mod farm;
 mod forecast;
 mod preview;
 mod render;
+mod serve;
 mod submit;
 mod token;
 mod worker;
@@ -23,7 +25,7 @@ Examples:
   forelight forecast kitchen/ --frames 0-47            what the shot will cost, on this machine
   forelight render kitchen/ --frame 12 --out 12.exr    one frame, with its true cost
   forelight farm --data farm-data --workers 2          a farm on this machine
-  forelight submit kitchen/ --frames 0-47 --deadline 2h --data farm-data --follow --out images/
+  forelight submit kitchen/ --deadline 2h --data farm-data --out images/
 
 Exit codes: 0 done; 1 something failed; 2 wrong input; 130 stopped by the user.")]
 pub struct Cli {
@@ -36,6 +38,8 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Farm(farm::Args),
+    Serve(serve::Args),
     Worker(worker::Args),
     Submit(submit::Args),
     Render(render::Args),
@@ -48,7 +52,7 @@ enum Command {
 impl Cli {
     /// How often `-v` was given; long-running commands log what happens without being asked.
     pub fn verbosity(&self) -> u8 {
-        let service = matches!(self.command, Command::Worker(_));
+        let service = matches!(self.command, Command::Farm(_) | Command::Serve(_) | Command::Worker(_));
         self.verbose + u8::from(service)
     }
 
@@ -56,6 +60,8 @@ impl Cli {
     pub async fn run(self) -> Result<()> {
         let interrupt = Interrupt::listen()?;
         match self.command {
+            Command::Farm(args) => farm::run(args, interrupt).await,
+            Command::Serve(args) => serve::run(args, interrupt).await,
             Command::Worker(args) => worker::run(args, interrupt).await,
             Command::Submit(args) => submit::run(args, interrupt).await,
             Command::Token(args) => token::run(args).await,

@@ -20,10 +20,10 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "\
 Examples:
   forelight render kitchen/ --frame 12 --out 12.exr
-  forelight render kitchen.zip --width 640 --spp 16 --ambient-bounces 1 --out f.exr --stats f.json
+  forelight render kitchen.zip --width 640 --spp 16 --out f.exr --stats f.json
   forelight render kitchen/ --profile profiles/frame-0000.profile --out 0.png
 
-The image has the same bits whatever the threads, and whether or not pixels were taken over from a profile. An .exr holds
+The image has the same bits whatever the threads, and whether or not pixels were taken over from a profile. An .exr holds \
 linear colour and, beside it, object and material ids, cost and rays of every pixel; a .png is for looking at.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file

@@ -47,6 +47,7 @@ pub async fn run(args: Args) -> Result<()> {
         .await
         .with_context(|| format!("cannot open the farm's data in {}", args.data.display()))?;
     let token = tokens::create(&store, args.role, args.name.trim(), Timestamp::now()).await?;
+    store.close().await;
     match &args.out {
         Some(path) => atomic_file::write_secret(path, token.as_bytes()),
         None => output::line(token),

@@ -20,7 +20,7 @@ Examples:
   forelight worker --server http://farm:7878 --token-file rack-7.token --name rack-7
   forelight worker --data farm-data --name this-machine --threads 2 --price 0.80
 
-The machine's speed is measured at the start (a third of a second). Ctrl-C stops taking tasks and gives the one at hand
+The machine's speed is measured at the start (a third of a second). Ctrl-C stops taking tasks and gives the one at hand \
 back. A restart of the service is survived: results are offered until they are taken.")]
 pub struct Args {
     /// Name of this node, unique on the farm [default: the host's name]
@@ -64,7 +64,8 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
 
 /// The bundles of a process, and the renderer that opens them.
 pub fn library(folder: &std::path::Path, preview: PreviewBackend) -> Result<Arc<Library>> {
-    let ambient = Ambient::new(preview_choice(preview)).context("cannot make previews as asked")?;
+    let ambient = Ambient::new(preview_choice(preview));
+    ambient.ready().context("cannot make previews as asked")?;
     let library = Library::new(folder, Box::new(ambient))
         .with_context(|| format!("cannot keep bundles in {}", folder.display()))?;
     Ok(Arc::new(library))

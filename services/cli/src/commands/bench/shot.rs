@@ -23,8 +23,8 @@ Examples:
   forelight bench shot kitchen/ --frames 0-47 --width 192 --height 108
   forelight bench shot corridor/ --profile-frames 3 --ambient-bounces 1 --json > shot.json
 
-What a quote takes for good are its previews and setting up the profiled frames; the profiled pixels are finished pixels, which
-the renders take over, here as on the farm.")]
+What a quote takes for good are its previews and setting up the profiled frames; the profiled pixels are finished pixels, \
+which the renders take over, here as on the farm.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file
     bundle: PathBuf,

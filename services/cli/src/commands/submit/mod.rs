@@ -25,13 +25,13 @@ use uuid::Uuid;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  forelight submit kitchen/ --frames 0-47 --deadline 2h --budget 12.50 --data farm-data --follow --out images/
-  forelight submit kitchen.zip --frames 0,12,24 --spp 64 --confidence p95 --server http://farm:7878
+  forelight submit kitchen/ --frames 0-47 --deadline 2h --data farm-data --out images/
+  forelight submit kitchen.zip --frames 0,12 --budget 12.50 --server http://farm:7878
   forelight submit /mnt/shots/kitchen --shared --frames 0-47 --deadline 2026-03-01T06:00:00Z
   forelight submit --job 0192f0c1-7a3b-7c55-8f00-0123456789ab --follow --out images/
 
-Without --follow or --out the job's id is printed and that is all. A folder is packed and uploaded; a bundle that the farm has
-already is not kept twice. The exit code is 0 only if all frames were delivered.")]
+Without --follow or --out the job's id is printed and that is all. A folder is packed and uploaded; a bundle that the farm \
+has already is not kept twice. The exit code is 0 only if all frames were delivered.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file
     #[arg(required_unless_present = "job")]
@@ -129,7 +129,9 @@ async fn submit(args: &Args, bundle: &Path, client: &Client, bars: &Bars) -> Res
     let (reference, scene) = if args.shared {
         shared(args, bundle, client).await?
     } else {
-        upload(bundle, client, key, bars).await?
+        // Two requests, two keys; both follow from the one that the user may have given.
+        let upload_key = Uuid::from_u128(key.as_u128() ^ 1);
+        upload(bundle, client, upload_key, bars).await?
     };
     let frames = args.frames.clone().unwrap_or_else(|| FrameSet::range(0, scene.frames.saturating_sub(1)));
     let settings = settings_request(&args.quality, (scene.width, scene.height));

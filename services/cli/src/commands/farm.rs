@@ -1,0 +1,97 @@
+//! `forelight farm`: the service and workers on this machine, in one process.
+
+use super::serve::{self, ServiceOptions};
+use super::worker::{library, measured_speed};
+use crate::interrupt::Interrupt;
+use crate::options::PreviewBackend;
+use crate::output;
+use crate::quantities::parse_money;
+use anyhow::Result;
+use forelight_protocol::{Money, NodeRegistration};
+use forelight_worker::{Agent, AgentError, Client, TaskRunner};
+use std::sync::Arc;
+use tokio::task::JoinSet;
+use tokio_util::sync::CancellationToken;
+
+/// A whole farm on this machine: the service and its workers
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight farm --data farm-data --workers 2
+  forelight farm --workers 4 --threads 2 --price 0.50 --listen 127.0.0.1:0
+  forelight submit kitchen/ --data farm-data --out images/
+
+Each worker is a node of the farm with a name, a measured speed and a price. More workers may join from other machines by \
+`forelight worker`. Ctrl-C gives leased tasks back and ends in order; whatever kills it, the next start goes on where \
+it was.")]
+pub struct Args {
+    #[command(flatten)]
+    service: ServiceOptions,
+    /// Workers in this process
+    #[arg(long, value_name = "COUNT", default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..=256))]
+    workers: u16,
+    /// Threads of each worker
+    #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: u16,
+    /// What an hour of each worker costs
+    #[arg(long, value_name = "AMOUNT", default_value = "0", value_parser = parse_money)]
+    price: i64,
+    /// Who makes ID previews
+    #[arg(long, value_name = "WHO", default_value = "auto")]
+    preview: PreviewBackend,
+}
+
+/// Runs the command.
+pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
+    let library = library(&args.service.data.join("bundles"), args.preview)?;
+    // Measured before there is anything else to do.
+    let speed = measured_speed().await?;
+    let running = serve::start(&args.service).await?;
+    let client = Client::new(&reachable(&running.address()), Some(running.worker_token.clone()))?;
+    let stop = CancellationToken::new();
+    let mut agents: JoinSet<Result<(), AgentError>> = JoinSet::new();
+    for number in 1..=args.workers {
+        let registration = NodeRegistration {
+            name: format!("node-{number}"),
+            speed,
+            price_per_hour: Money(args.price),
+            cores: u32::from(args.threads),
+        };
+        let executor = Arc::new(TaskRunner::new(library.clone()));
+        let agent = Agent::new(client.clone(), library.clone(), executor, registration)?;
+        let stop = stop.clone();
+        agents.spawn(async move { agent.run(stop).await });
+    }
+    let (workers, threads) = (args.workers, args.threads);
+    output::line(running.greeting())?;
+    output::line(format!("{workers} workers of {threads} threads, speed {speed:.2}; Ctrl-C ends the farm"))?;
+    let stopped = interrupt.token();
+    // A worker ends by itself only if the service does not want it, which here means that something is very wrong.
+    let mut outcome = tokio::select! {
+        () = stopped.cancelled() => Ok(()),
+        Some(ended) = agents.join_next() => ended.map_err(anyhow::Error::from).and_then(|end| Ok(end?)),
+    };
+    stop.cancel();
+    while let Some(ended) = agents.join_next().await {
+        outcome = outcome.and(ended.map_err(anyhow::Error::from).and_then(|end| Ok(end?)));
+    }
+    running.service.shutdown().await;
+    outcome
+}
+
+/// The address at which a process reaches itself: one that listens everywhere is reached here.
+fn reachable(address: &str) -> String {
+    address.replace("//0.0.0.0:", "//127.0.0.1:").replace("//[::]:", "//[::1]:")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::reachable;
+
+    #[test]
+    fn a_service_that_listens_everywhere_is_reached_at_home() {
+        assert_eq!(reachable("http://0.0.0.0:7878"), "http://127.0.0.1:7878");
+        assert_eq!(reachable("http://[::]:1"), "http://[::1]:1");
+        assert_eq!(reachable("http://10.0.0.7:80"), "http://10.0.0.7:80");
+    }
+}

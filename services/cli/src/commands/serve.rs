@@ -1,0 +1,170 @@
+//! `forelight serve`: the service alone. What it shares with `forelight farm` is here too.
+
+use crate::atomic_file::write_secret;
+use crate::interrupt::Interrupt;
+use crate::options::duration;
+use crate::output;
+use anyhow::{Context, Result};
+use forelight_api::{Config, Service};
+use forelight_protocol::{Role, Timestamp};
+use forelight_store::{Store, tokens};
+use forelight_worker::Token;
+use std::fs;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// The service alone; workers connect from elsewhere
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight serve --data farm-data --listen 0.0.0.0:7878 --bundle-root /mnt/shots
+  forelight worker --server http://farm:7878 --token-file worker.token
+
+On the first start a token for each role is written into DATA/tokens, readable by you alone; `forelight token` makes others. \
+The service speaks plain HTTP: put it behind a proxy that speaks TLS before it leaves a network that you trust.")]
+pub struct Args {
+    #[command(flatten)]
+    service: ServiceOptions,
+}
+
+/// How the service is run.
+#[derive(Debug, Clone, clap::Args)]
+#[command(next_help_heading = "Service")]
+pub struct ServiceOptions {
+    /// Folder of the database, the artefacts and the tokens; made if it is not there
+    #[arg(long, value_name = "DIR", default_value = "farm-data")]
+    pub data: PathBuf,
+    /// Address to listen on; port 0 picks a free one
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:7878")]
+    pub listen: SocketAddr,
+    /// How long a lease lasts without renewal
+    #[arg(long, value_name = "DURATION", default_value = "30s", value_parser = duration)]
+    pub lease_ttl: Duration,
+    /// Folder on shared storage under which jobs may name bundles by path; may be given several times
+    #[arg(long, value_name = "DIR")]
+    pub bundle_root: Vec<PathBuf>,
+    /// Largest bundle that may be uploaded, in MiB
+    #[arg(long, value_name = "MIB", default_value_t = 256, value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
+    pub max_bundle: u64,
+    /// Most frames of a job
+    #[arg(long, value_name = "COUNT", default_value_t = 10_000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    pub max_frames: u64,
+    /// Most pixels of an image
+    #[arg(long, value_name = "COUNT", default_value_t = 1 << 26, value_parser = clap::value_parser!(u64).range(1..=1 << 28))]
+    pub max_pixels: u64,
+    /// Most triangles of a scene
+    #[arg(long, value_name = "COUNT", default_value_t = 50_000_000, value_parser = clap::value_parser!(u64).range(1..))]
+    pub max_triangles: u64,
+}
+
+impl ServiceOptions {
+    fn config(&self) -> Config {
+        let mut config = Config::new(&self.data);
+        config.listen = self.listen;
+        config.lease_ttl = self.lease_ttl;
+        config.bundle_roots.clone_from(&self.bundle_root);
+        config.limits.bundle_bytes = self.max_bundle << 20;
+        config.limits.frames = self.max_frames;
+        config.limits.pixels = self.max_pixels;
+        config.limits.scene.triangles = self.max_triangles;
+        config
+    }
+}
+
+/// Runs the command.
+pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
+    let running = start(&args.service).await?;
+    output::line(running.greeting())?;
+    interrupt.token().cancelled().await;
+    running.service.shutdown().await;
+    Ok(())
+}
+
+/// A service that listens, and the worker's token of its farm.
+pub struct Running {
+    /// The service.
+    pub service: Service,
+    /// The token that workers of this process use.
+    pub worker_token: Token,
+    data: PathBuf,
+}
+
+impl Running {
+    /// Address of the service.
+    pub fn address(&self) -> String {
+        format!("http://{}", self.service.local_addr())
+    }
+
+    /// What the person who started it wants to know.
+    pub fn greeting(&self) -> String {
+        let token = token_path(&self.data, Role::Operator);
+        format!("listening on {}\noperator token in {}", self.address(), token.display())
+    }
+}
+
+/// Starts the service, and makes the tokens if need be.
+pub async fn start(options: &ServiceOptions) -> Result<Running> {
+    let data = options.data.display();
+    let service = Service::start(options.config())
+        .await
+        .with_context(|| format!("cannot start the service with data in {data}"))?;
+    let worker_token = first_tokens(service.store(), &options.data)
+        .await
+        .with_context(|| format!("cannot make tokens in {data}"))?;
+    Ok(Running { service, worker_token, data: options.data.clone() })
+}
+
+fn token_path(data: &Path, role: Role) -> PathBuf {
+    data.join("tokens").join(format!("{role}.token"))
+}
+
+/// Makes sure that there is a file with a valid token for each role, and returns the worker's. A file whose token the database
+/// does not know (it is another farm's, or the database was deleted) is replaced.
+async fn first_tokens(store: &Store, data: &Path) -> Result<Token> {
+    let mut worker = None;
+    for role in Role::ALL {
+        let path = token_path(data, role);
+        let known = match fs::read_to_string(&path) {
+            Ok(text) if tokens::find(store, text.trim()).await?.is_some_and(|found| found.role == role) => {
+                Some(text)
+            }
+            _ => None,
+        };
+        let text = match known {
+            Some(text) => text,
+            None => {
+                let text = tokens::create(store, role, &format!("first {role}"), Timestamp::now()).await?;
+                write_secret(&path, text.as_bytes())?;
+                text
+            }
+        };
+        if role == Role::Worker {
+            worker = Some(Token::new(&text));
+        }
+    }
+    worker.context("there is no worker role")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::PermissionsExt;
+
+    #[tokio::test]
+    async fn tokens_are_made_once_kept_and_replaced_where_the_farm_does_not_know_them() {
+        let data = tempfile::tempdir().unwrap();
+        let store = Store::open(data.path()).await.unwrap();
+        first_tokens(&store, data.path()).await.unwrap();
+        let read = |role| fs::read_to_string(token_path(data.path(), role)).unwrap();
+        let (operator, viewer) = (read(Role::Operator), read(Role::Viewer));
+        let mode = fs::metadata(token_path(data.path(), Role::Operator)).unwrap().permissions().mode();
+        assert_eq!(mode & 0o777, 0o600);
+        // The viewer's file now holds a token that is real, but not a viewer's.
+        fs::write(token_path(data.path(), Role::Viewer), &operator).unwrap();
+        first_tokens(&store, data.path()).await.unwrap();
+        assert_eq!(read(Role::Operator), operator);
+        assert_ne!(read(Role::Viewer), viewer);
+        assert_ne!(read(Role::Viewer), operator);
+    }
+}

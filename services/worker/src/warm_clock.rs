@@ -1,0 +1,144 @@
+//! What a scattered pixel would have taken among its neighbours.
+//!
+//! Profiled pixels lie far apart. Each one finds the tree, the triangles and the textures that it needs out of reach of the
+//! processor's caches, while in a render its neighbours have just used the same. Its *work* is the same in both; its *time* is not:
+//! on scenes of some hundred thousand triangles, scattered pixels of direct light take 1.6 to 1.9 times as long. (Sampled simulation
+//! of processors has the same bias and the same cure; see Wunderlich et al. 2003 on functional warming.)
+//!
+//! So around a few of the profiled pixels the block of neighbours is traced too, in one run. The first of them fetch what is needed; the
+//! rest show how long a unit of work takes once it is there. These blocks are drawn with a probability in proportion to the work that
+//! their profiled pixel stands for, so that the mean of their rates is an estimate of the frame's time over the frame's work. All
+//! profiled times are then scaled by one factor,
+//!
+//! ```text
+//! ρ = mean of the middle half of the blocks' (time / work)  /  ( Σ w_i time_i / Σ w_i work_i ) ,     w_i = pixels that pixel i stands for
+//! ```
+//!
+//! The neighbours are finished pixels, which the render takes over like any other; the forecast of work does not look at them.
+
+use crate::renderer::FrameRenderer;
+use forelight_forecast::Observation;
+use forelight_tracer::Pixel;
+use std::collections::BTreeSet;
+
+/// One block for so many profiled pixels.
+const PICKS_PER_SITE: usize = 16;
+/// Edge of the block of neighbours, pixels.
+const BLOCK: u32 = 4;
+/// Share of a block's pixels that only fetch what is needed; the time of the rest counts.
+const WARMING_SHARE: f64 = 0.6;
+
+/// What the neighbours said.
+pub struct Warmth {
+    /// Factor on the time of scattered pixels; 1 where nothing could be measured.
+    pub factor: f64,
+    /// The neighbours, finished.
+    pub pixels: Vec<(u32, Pixel)>,
+}
+
+/// Traces neighbours of some of the profiled pixels. `counts` are the frame's pixels by stratum; `profiled` are the pixels that
+/// belong to `observations`, in the same order.
+pub fn measure(
+    ready: &dyn FrameRenderer,
+    counts: &[u32],
+    observations: &[Observation],
+    profiled: &[(u32, Pixel)],
+) -> Warmth {
+    let camera = &ready.frame().camera;
+    let mut samples = vec![0u32; counts.len()];
+    observations.iter().for_each(|o| samples[o.stratum as usize] += 1);
+    let stands_for = |o: &Observation| {
+        let stratum = o.stratum as usize;
+        f64::from(counts[stratum]) / f64::from(samples[stratum])
+    };
+    let work: Vec<f64> = observations.iter().map(|o| stands_for(o) * o.cost.work as f64).collect();
+    let time: f64 = observations.iter().map(|o| stands_for(o) * o.cost.cpu_nanos as f64).sum();
+    let mut taken: BTreeSet<u32> = profiled.iter().map(|(pixel, _)| *pixel).collect();
+    let mut runs = Vec::new();
+    for site in proportional_sites(&work, observations.len() / PICKS_PER_SITE) {
+        let run = free_neighbours(profiled[site].0, camera.width, camera.height, &taken);
+        taken.extend(&run);
+        runs.push(run);
+    }
+    let traced = ready.trace_runs(&runs);
+    let warm = middle_mean(traced.iter().filter_map(|run| warm_rate(run)).collect());
+    let scattered = time / work.iter().sum::<f64>();
+    // Nothing may have been measured: no blocks, or a clock that did not move.
+    let factor = if warm > 0.0 && scattered > 0.0 { warm / scattered } else { 1.0 };
+    let pixels = runs.into_iter().flatten().zip(traced.into_iter().flatten()).collect();
+    Warmth { factor, pixels }
+}
+
+/// Mean of the middle half of the values, NaN of none: a block in which the thread lost its processor, and its caches, is not what
+/// a block takes.
+fn middle_mean(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let quarter = values.len() / 4;
+    let middle = &values[quarter..values.len() - quarter];
+    middle.iter().sum::<f64>() / middle.len() as f64
+}
+
+/// Nanoseconds per unit of work of the later pixels of a run.
+fn warm_rate(run: &[Pixel]) -> Option<f64> {
+    let measured = &run[(run.len() as f64 * WARMING_SHARE).round() as usize..];
+    let work: u64 = measured.iter().map(|pixel| pixel.work).sum();
+    let nanos: u64 = measured.iter().map(|pixel| pixel.cpu_nanos).sum();
+    (work > 0).then(|| nanos as f64 / work as f64)
+}
+
+/// Indices drawn systematically in proportion to `sizes`, ascending; one that is large enough to be drawn twice is drawn once.
+fn proportional_sites(sizes: &[f64], wanted: usize) -> Vec<usize> {
+    let step = sizes.iter().sum::<f64>() / wanted as f64;
+    let mut sites = Vec::with_capacity(wanted);
+    let (mut passed, mut next) = (0.0, 0.5 * step);
+    for (index, size) in sizes.iter().enumerate() {
+        passed += size;
+        if passed > next && sites.len() < wanted {
+            sites.push(index);
+            next += step * ((passed - next) / step).floor().max(0.0) + step;
+        }
+    }
+    sites
+}
+
+/// The pixels of the block around a pixel, row by row as a render goes through them, that are not finished yet.
+fn free_neighbours(pixel: u32, width: u32, height: u32, taken: &BTreeSet<u32>) -> Vec<u32> {
+    let first = |at: u32, size: u32| (at / BLOCK * BLOCK).min(size.saturating_sub(BLOCK));
+    let (x0, y0) = (first(pixel % width, width), first(pixel / width, height));
+    let row = |y: u32| (x0..width.min(x0 + BLOCK)).map(move |x| y * width + x);
+    (y0..height.min(y0 + BLOCK)).flat_map(row).filter(|pixel| !taken.contains(pixel)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_disturbed_block_does_not_count() {
+        assert_eq!(middle_mean(vec![1.0, 1.2, 0.8, 90.0]), 1.1);
+        assert_eq!(middle_mean(vec![3.0]), 3.0);
+        assert!(middle_mean(Vec::new()).is_nan());
+    }
+
+    #[test]
+    fn sites_are_where_the_work_is() {
+        assert_eq!(proportional_sites(&[1.0; 8], 4), [0, 2, 4, 6].map(|i| i + 1));
+        let mut sizes = vec![1.0; 100];
+        sizes[70] = 300.0;
+        let sites = proportional_sites(&sizes, 8);
+        assert!(sites.contains(&70) && sites.len() < 8, "{sites:?}");
+        assert_eq!(proportional_sites(&[], 4), [0; 0]);
+        assert_eq!(proportional_sites(&[1.0, 2.0], 0), [0; 0]);
+        assert_eq!(proportional_sites(&[0.0, 0.0], 2), [0; 0]);
+    }
+
+    #[test]
+    fn neighbours_are_inside_the_image_and_not_finished_already() {
+        let taken = BTreeSet::from([5, 11]);
+        let free = |pixel, width, height| free_neighbours(pixel, width, height, &taken);
+        assert_eq!(free(11, 5, 6), [0, 1, 2, 3, 6, 7, 8, 10, 12, 13, 15, 16, 17, 18]);
+        assert_eq!(free(29, 5, 6).first(), Some(&(2 * 5 + 2)), "11 is finished; the block is moved inside");
+        assert_eq!(free(0, 1, 1), [0]);
+        assert_eq!(free(11, 4, 3), [0, 1, 2, 3, 4, 6, 7, 8, 9, 10]);
+    }
+}
