@@ -92,7 +92,7 @@ pub fn seconds(seconds: f64) -> String {
     match whole {
         _ if seconds < 10.0 => format!("{seconds:.2} s"),
         ..=99 => format!("{seconds:.1} s"),
-        ..=5_999 => format!("{}m {:02}s", whole / 60, whole % 60),
+        100..=5_999 => format!("{}m {:02}s", whole / 60, whole % 60),
         _ => format!("{}h {:02}m", whole / 3_600, whole % 3_600 / 60),
     }
 }

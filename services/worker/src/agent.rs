@@ -64,7 +64,7 @@ pub enum AgentError {
 /// How the work on a lease ended.
 enum Ending {
     /// With a result or an error, to be reported.
-    Finished(Result<Outcome, ExecuteError>),
+    Finished(Box<Result<Outcome, ExecuteError>>),
     /// Without: nobody waits for it any more.
     Lost,
     /// Without: this process is to stop.
@@ -143,7 +143,7 @@ impl Agent {
             let work = self.perform(&lease, control.clone());
             tokio::pin!(work);
             let ending = tokio::select! {
-                done = &mut work => Ending::Finished(done),
+                done = &mut work => Ending::Finished(Box::new(done)),
                 () = self.hold(&lease, &control) => Ending::Lost,
                 () = stop.cancelled() => Ending::Stopped,
             };
@@ -157,7 +157,7 @@ impl Agent {
         match ending {
             Ending::Finished(done) => {
                 tokio::select! {
-                    () = self.report(&lease, done) => {}
+                    () = self.report(&lease, *done) => {}
                     () = self.hold(&lease, &control) => {
                         tracing::info!(task = %lease.task_id, "the lease was lost; its result is dropped");
                     }
