@@ -64,6 +64,7 @@ impl Ambient {
         let first = scene.frame(0)?;
         Ok(AmbientShot {
             info: ShotInfo { summary: summary(&scene, &first), strata: strata(&first), load },
+            moves: moves(&scene, &first.geometry),
             scene,
             previewer: self.previewer.clone(),
             still: first.geometry.clone(),
@@ -89,6 +90,17 @@ fn summary(scene: &Scene, first: &Frame) -> SceneSummary {
         materials: first.materials.len() as u64,
         triangles: first.geometry.triangles.len() as u64,
     }
+}
+
+/// Whether any frame has another geometry than the first. Frames far apart are looked at first: most motion shows there, and
+/// frames without motion are made at next to no cost.
+fn moves(scene: &Scene, first: &Arc<Geometry>) -> bool {
+    let frames = scene.frame_count();
+    let strides =
+        std::iter::successors(Some(frames.next_power_of_two()), |stride| (*stride > 1).then_some(stride / 2));
+    let mut numbers = strides.flat_map(|stride| (stride / 2..frames).step_by(stride.max(1) as usize));
+    // A frame that cannot be made has its error told when it is wanted.
+    numbers.any(|number| scene.frame(number).is_ok_and(|frame| !Arc::ptr_eq(&frame.geometry, first)))
 }
 
 fn strata(frame: &Frame) -> Vec<StratumInfo> {
@@ -127,6 +139,8 @@ pub struct AmbientShot {
     scene: Scene,
     info: ShotInfo,
     previewer: Arc<SharedPreviewer>,
+    /// Whether anything but the camera and the lights moves in the shot.
+    moves: bool,
     /// The geometry of frame 0, which frames in which nothing has moved share.
     still: Arc<Geometry>,
     still_tree: Mutex<Option<Tree>>,
@@ -144,7 +158,7 @@ struct Tree {
 /// A tracer, and what its tree took.
 struct Ready {
     tracer: Tracer,
-    /// Building the tree, if it is this frame's own, whenever that was.
+    /// Building the tree, whenever that was, if the shot's frames cannot all share one.
     own_tree: Spent,
     /// Building the tree, if that was done just now.
     built_now: Spent,
@@ -157,22 +171,41 @@ impl AmbientShot {
     }
 
     fn tracer(&self, frame: &Frame, settings: &Settings) -> Ready {
-        let moved = !Arc::ptr_eq(&frame.geometry, &self.still);
-        // Held while a tree is built, so that workers that share this shot wait for one build instead of doing two.
-        let mut tree = lock(if moved { &self.moved_tree } else { &self.still_tree });
-        let own = |build: Spent| if moved { build } else { Spent::default() };
-        if let Some(tree) = tree.as_ref().filter(|tree| Arc::ptr_eq(&tree.geometry, &frame.geometry)) {
-            return Ready {
+        // In a shot in which something moves every frame is charged for a tree, so that what stands still for a while, or comes
+        // back to where it was, does not make one frame cheaper than the next.
+        let own = |build: Spent| if self.moves { build } else { Spent::default() };
+        let known = |tree: &Tree| {
+            let shares = Arc::ptr_eq(&tree.geometry, &frame.geometry);
+            shares.then(|| Ready {
                 tracer: Tracer::with_bvh(frame, settings, tree.bvh.clone()),
                 own_tree: own(tree.build),
                 built_now: Spent::default(),
-            };
+            })
+        };
+        let build = || {
+            let tracer = Tracer::new(frame, settings);
+            let cost = tracer.build_cost();
+            let build = Spent { work: cost.work, cpu_nanos: cost.cpu_nanos };
+            let tree = Tree { geometry: frame.geometry.clone(), bvh: tracer.bvh().clone(), build };
+            (Ready { tracer, own_tree: own(build), built_now: build }, tree)
+        };
+        if Arc::ptr_eq(&frame.geometry, &self.still) {
+            // Held while the tree is built, so that workers that share this shot wait for one build instead of doing two.
+            let mut still = lock(&self.still_tree);
+            if let Some(ready) = still.as_ref().and_then(known) {
+                return ready;
+            }
+            let (ready, tree) = build();
+            *still = Some(tree);
+            return ready;
         }
-        let tracer = Tracer::new(frame, settings);
-        let cost = tracer.build_cost();
-        let build = Spent { work: cost.work, cpu_nanos: cost.cpu_nanos };
-        *tree = Some(Tree { geometry: frame.geometry.clone(), bvh: tracer.bvh().clone(), build });
-        Ready { tracer, own_tree: own(build), built_now: build }
+        // Not held: workers on different frames build different trees, at the same time.
+        if let Some(ready) = lock(&self.moved_tree).as_ref().and_then(known) {
+            return ready;
+        }
+        let (ready, tree) = build();
+        *lock(&self.moved_tree) = Some(tree);
+        ready
     }
 }
 

@@ -22,7 +22,7 @@ pub struct Rendered {
 /// Renders one frame on the current thread pool, taking over the pixels of `reuse`. `progress` is told the pixels done and all
 /// pixels. `None` if `cancel` was set.
 ///
-/// The cost of a frame is that of its pixels, of setting it up, and of building its acceleration structure where something moved,
+/// The cost of a frame is that of its pixels, of setting it up, and of building its acceleration structure in a shot in which something moves,
 /// whether or not some of it was done before, by profiling or for another frame: it is what a forecast forecasts. Loading the
 /// bundle and building the structure that all frames share, both paid once per process, are not in it.
 pub fn render_frame(

@@ -127,7 +127,7 @@ pub trait FrameRenderer: Send + Sync {
     fn preview(&self) -> Result<Previewed, RenderError>;
 
     /// What every render of this frame costs whatever its pixels show: setting it up (`load`), and building its acceleration
-    /// structure (`build`), if something moved so that it cannot share that of the shot. Whether a structure was kept from
+    /// structure (`build`), if something moves in the shot so that its frames cannot share one. Whether a structure was kept from
     /// before makes no difference: a frame's cost does not depend on what was done before it.
     fn fixed(&self) -> FixedCosts;
 

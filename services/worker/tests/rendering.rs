@@ -253,3 +253,24 @@ fn a_quote_depends_on_its_seed_and_not_on_the_threads() {
     assert_eq!(work(1, 1), work(1, 3));
     assert_ne!(work(1, 1), work(2, 1));
 }
+
+#[test]
+fn building_the_tree_is_in_a_frames_cost_only_where_something_moves() {
+    let rig = Rig::new();
+    let work = || {
+        let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
+        // Frame 0 of the moving shot has the geometry that it would have without the motion.
+        let cancel = AtomicBool::new(false);
+        render_frame(&shot, 0, &rig.settings, None, &|_, _| (), &cancel).unwrap().unwrap().stats.work
+    };
+    let without = work();
+    let path = rig.bundle().join("scene.json");
+    let mut scene: serde_json::Value = serde_json::from_str(&fs::read_to_string(&path).unwrap()).unwrap();
+    let lift = serde_json::json!({
+        "target": "object:window", "property": "translation", "interpolation": "linear",
+        "keys": [{ "frame": 0, "value": [0, 0, 0] }, { "frame": 2, "value": [0, 1, 0] }],
+    });
+    scene["animation"]["tracks"].as_array_mut().unwrap().push(lift);
+    fs::write(&path, scene.to_string()).unwrap();
+    assert!(work() > without);
+}
