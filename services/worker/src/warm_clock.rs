@@ -24,9 +24,9 @@ use std::collections::BTreeSet;
 /// One block for so many profiled pixels.
 const PICKS_PER_SITE: usize = 16;
 /// Edge of the block of neighbours, pixels.
-const BLOCK: u32 = 4;
+const BLOCK: u32 = 8;
 /// Share of a block's pixels that only fetch what is needed; the time of the rest counts.
-const WARMING_SHARE: f64 = 0.6;
+const WARMING_SHARE: f64 = 0.5;
 
 /// What the neighbours said.
 pub struct Warmth {
