@@ -1,7 +1,7 @@
 //! The `ambient` integrator: distribution ray tracing after Whitted, Cook and Ward.
 //!
-//! Caustics (light that gets to a diffuse surface by way of a mirror or glass) are left out, as Radiance leaves them out: a
-//! gathered hemisphere finds them by rare, very bright rays, and nothing but noise is gained.
+//! Caustics (light that gets from a lamp to a diffuse surface by way of a mirror, glass or a narrow glossy lobe) are left out,
+//! as Radiance leaves them out: a gathered hemisphere finds them by rare, very bright rays, and nothing but noise is gained.
 //!
 //! At every diffuse or glossy surface all lights are sampled (next-event estimation); mirrors, glass and glossy lobes are
 //! followed; the first `ambient_bounces` diffuse hits gather their hemisphere. Light is counted once: rays gathered by a
@@ -24,6 +24,9 @@ use std::cell::Cell;
 /// On the camera's own tree, a branch that adds less than this share of the pixel survives only by roulette.
 const FAINT: f32 = 0.02;
 
+/// After a diffuse bounce, glossy lobes narrower than this alpha do not see the lights: their highlights are caustics.
+const CAUSTIC_ALPHA: f32 = 0.2;
+
 /// Which lights a ray may see when it meets them.
 #[derive(Debug, Clone, Copy)]
 enum Arrival {
@@ -31,7 +34,7 @@ enum Arrival {
     Everything,
     /// None: the diffuse surface that it left has sampled them.
     Nothing,
-    /// The environment: the diffuse surface that it left has sampled the others, and gathers this one with its hemisphere.
+    /// The environment alone: the surface that it left has sampled the others, or leaves them out.
     Sky,
     /// Area lights with the weight that light sampling leaves; `density` per steradian at the glossy surface,
     /// `travelled` metres since (straight through panes).
@@ -189,8 +192,13 @@ impl<'a> Pixels<'a> {
     }
 
     /// Diffuse and glossy surfaces: lights sampled, hemisphere gathered, lobe followed.
-    fn reflecting(&mut self, s: &Segment, p: &Point, response: Response) -> Vec3 {
+    fn reflecting(&mut self, s: &Segment, p: &Point, mut response: Response) -> Vec3 {
         let mut total = Vec3::ZERO;
+        let lobe = response.glossy;
+        let caustic = s.level > 0 && lobe.is_some_and(|g| g.alpha < CAUSTIC_ALPHA);
+        if caustic {
+            response.glossy = None;
+        }
         let gathers = response.has_diffuse() && s.level < self.tracer.settings.ambient_bounces;
         if response.has_diffuse() || response.glossy.is_some() {
             total += self.direct(p, &response, s.vertex);
@@ -204,11 +212,11 @@ impl<'a> Pixels<'a> {
             let arrival = if gathers_sky { Arrival::Sky } else { Arrival::Nothing };
             total += self.gather(s, p, &response, arrival);
         }
-        if let Some(glossy) = response.glossy
+        if let Some(glossy) = lobe
             && let Some((wo, share, density)) =
                 glossy.sample(p.wi, self.sampler.next(Purpose::Glossy, s.vertex))
         {
-            let arrival = Arrival::Shared { density, travelled: 0.0 };
+            let arrival = if caustic { Arrival::Sky } else { Arrival::Shared { density, travelled: 0.0 } };
             total += self.follow(s, p, p.basis.to_world(wo), share, Category::Specular, arrival);
         }
         total

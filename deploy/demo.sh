@@ -1,0 +1,68 @@
+#!/usr/bin/env bash
+# The main job on one machine: builds forelight, starts a farm of two workers, submits the kitchen shot that ships with the
+# project, follows it to the end, and leaves the farm running.
+#
+#   deploy/demo.sh           set up, run the shot, leave the farm running
+#   deploy/demo.sh --once    the same, but stop the farm at the end; exit code 0 only if every frame was delivered
+#
+# FORELIGHT_BIN   a forelight binary to use instead of building one
+# FORELIGHT_DATA  where the farm keeps its data (default: farm-data)
+# DEMO_SCENE, DEMO_FRAMES, DEMO_SIZE, DEMO_SPP   another shot (default: deploy/scenes/kitchen, 0-47, 160x90, 8)
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+once=false
+case "${1:-}" in
+  '') ;;
+  --once) once=true ;;
+  -h | --help) sed -n '2,11s/^# \{0,1\}//p' "$0"; exit 0 ;;
+  *) echo "error: unknown option $1 (there is --once, and --help)" >&2; exit 2 ;;
+esac
+
+# A software Vulkan driver, so that previews run by the GPU path everywhere. Without it the CPU twin serves.
+deploy/packages.sh mesa-vulkan-drivers libvulkan1 gcc libc6-dev
+command -v cargo >/dev/null || PATH="$HOME/.cargo/bin:$PATH"
+if [ -z "${FORELIGHT_BIN:-}" ]; then
+  command -v cargo >/dev/null || { echo 'error: no Rust here; install it from https://rustup.rs and run this again' >&2; exit 1; }
+  cargo build --release --package forelight-cli
+  FORELIGHT_BIN=$PWD/target/release/forelight
+fi
+
+data=${FORELIGHT_DATA:-farm-data}
+scene=${DEMO_SCENE:-deploy/scenes/kitchen}
+size=${DEMO_SIZE:-160x90}
+mkdir -p "$data"
+log=$data/farm.log
+
+# Its own session: the farm goes on when this script has ended.
+setsid "$FORELIGHT_BIN" farm --data "$data" --workers 2 --threads 1 --price 0.40 \
+  --listen "${FORELIGHT_LISTEN:-127.0.0.1:0}" >"$log" 2>&1 </dev/null &
+farm=$!
+stop() { kill -INT "$farm" 2>/dev/null && wait "$farm" 2>/dev/null || true; }
+$once && trap stop EXIT
+
+address=
+for _ in $(seq 300); do
+  address=$(sed -n 's/^listening on //p' "$log")
+  [ -n "$address" ] && break
+  kill -0 "$farm" 2>/dev/null || { echo "error: the farm did not start; its log:" >&2; tail -20 "$log" >&2; exit 1; }
+  sleep 0.1
+done
+[ -n "$address" ] || { echo "error: the farm does not say where it listens; its log is $log" >&2; exit 1; }
+echo "farm:   $address   (log: $log)"
+
+"$FORELIGHT_BIN" submit "$scene" --server "$address" --data "$data" --name demo --frames "${DEMO_FRAMES:-0-47}" \
+  --width "${size%x*}" --height "${size#*x}" --spp "${DEMO_SPP:-8}" --ambient-bounces 1 --ambient-divisions 16 \
+  --deadline 30m --budget 5 --out "$data/demo"
+
+if ! $once; then
+  trap - EXIT
+  cat <<EOF
+
+The farm is still running (process $farm, stop it with: kill $farm).
+  address     $address
+  token       $data/tokens/operator.token
+  dashboard   curl -H "Authorization: Bearer \$(cat $data/tokens/operator.token)" $address/v1/dashboard
+  next job    $FORELIGHT_BIN submit deploy/scenes/corridor --server $address --data $data --deadline 1h --out corridor-images
+EOF
+fi

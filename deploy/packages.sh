@@ -1,0 +1,27 @@
+#!/usr/bin/env bash
+# Installs Debian packages that are missing: deploy/packages.sh NAME…
+# Needs root or sudo for that; where neither is to be had it says what to install and goes on.
+set -euo pipefail
+
+missing=()
+for package in "$@"; do
+  dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q 'ok installed' || missing+=("$package")
+done
+[ ${#missing[@]} -eq 0 ] && exit 0
+
+if ! command -v apt-get >/dev/null; then
+  echo "note: not a Debian system; please install the equivalent of: ${missing[*]}" >&2
+  exit 0
+fi
+if [ "$(id -u)" -eq 0 ]; then
+  root=()
+elif command -v sudo >/dev/null; then
+  root=(sudo)
+else
+  echo "note: not root and no sudo; please install: ${missing[*]}" >&2
+  exit 0
+fi
+echo "installing ${missing[*]}"
+export DEBIAN_FRONTEND=noninteractive
+"${root[@]}" apt-get update -qq
+"${root[@]}" apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null
