@@ -69,6 +69,26 @@ async fn a_stream_resumes_after_the_last_event_seen_even_after_a_restart() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_stream_ends_with_its_job_even_if_a_worker_speaks_up_afterwards() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let job = farm.submit("0-1").await;
+    farm.until_booked(&node, &job).await;
+    let lease = farm.next_task(&node).await;
+    let path = format!("/v1/jobs/{}", job.id);
+    let cancelled = farm.submitter.post(&format!("{path}/cancel"), &()).await;
+    assert_eq!(cancelled.status(), StatusCode::OK);
+    let late = farm.made_up_result(&lease).await;
+    farm.report(&lease, late).await.problem(forelight_protocol::ProblemKind::LeaseLost).await;
+    // From its beginning, and by a client that saw all but the last event.
+    let events = read(&mut farm.viewer.get(&format!("{path}/events")).await, usize::MAX).await;
+    let [.., end, last] = &events[..] else { panic!("{events:?}") };
+    assert_eq!((end.job_state, last.kind), (Some(JobState::Cancelled), EventKind::LeaseLost));
+    let mut rest = farm.viewer.get(&format!("{path}/events?last_event_id={}", end.id)).await;
+    assert_eq!(read(&mut rest, usize::MAX).await, events[events.len() - 1..]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn the_farms_stream_begins_now_and_brings_what_happens() {
     let farm = Farm::new().await;
     farm.submit("0").await;

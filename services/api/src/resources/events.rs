@@ -49,7 +49,7 @@ pub(crate) async fn of_farm(
         Some(after) => after,
         None => app.store.last_event_id().await?,
     };
-    Ok(respond(follow(&app, None, after)))
+    Ok(respond(follow(&app, None, after, false)))
 }
 
 /// What happens to a job, from the event after `Last-Event-ID` on; without it, from its beginning. The stream ends when
@@ -70,7 +70,7 @@ pub(crate) async fn of_job(
     if state.is_final() && app.store.events_after(Some(job), after, 1).await?.is_empty() {
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
-    Ok(respond(follow(&app, Some(job), after)))
+    Ok(respond(follow(&app, Some(job), after, state.is_final())))
 }
 
 fn start(headers: &HeaderMap, query: &FromEvent) -> ApiResult<Option<EventId>> {
@@ -94,6 +94,8 @@ struct Cursor {
     batch: std::vec::IntoIter<Event>,
     changes: watch::Receiver<u64>,
     stopping: CancellationToken,
+    /// Whether the job is known to be over. Events may follow even then, such as the refusal of a worker that slept
+    /// through the end: those that are there are sent, none are waited for.
     over: bool,
 }
 
@@ -101,6 +103,7 @@ fn follow(
     app: &App,
     job: Option<JobId>,
     after: EventId,
+    over: bool,
 ) -> impl Stream<Item = Result<ServerEvent, Infallible>> + use<> {
     let cursor = Cursor {
         store: app.store.clone(),
@@ -109,7 +112,7 @@ fn follow(
         batch: Vec::new().into_iter(),
         changes: app.store.watch_events(),
         stopping: app.stopping.clone(),
-        over: false,
+        over,
     };
     stream::unfold(cursor, |mut cursor| async move {
         let event = cursor.next().await?;
@@ -123,11 +126,8 @@ impl Cursor {
         loop {
             if let Some(event) = self.batch.next() {
                 self.after = event.id;
-                self.over = self.job.is_some() && event.job_state.is_some_and(|state| state.is_final());
+                self.over |= self.job.is_some() && event.job_state.is_some_and(|state| state.is_final());
                 return Some(event);
-            }
-            if self.over {
-                return None;
             }
             // Marked as seen before reading: what is written after the reading wakes us again.
             self.changes.borrow_and_update();
@@ -140,6 +140,9 @@ impl Cursor {
             };
             if self.batch.len() > 0 {
                 continue;
+            }
+            if self.over {
+                return None;
             }
             tokio::select! {
                 changed = self.changes.changed() => changed.ok()?,
