@@ -134,11 +134,13 @@ mod tests {
 
     #[test]
     fn neighbours_are_inside_the_image_and_not_finished_already() {
-        let taken = BTreeSet::from([5, 11]);
+        let taken = BTreeSet::from([5 * 20 + 9, 99, 11 * 20 + 15]);
         let free = |pixel, width, height| free_neighbours(pixel, width, height, &taken);
-        assert_eq!(free(11, 5, 6), [0, 1, 2, 3, 6, 7, 8, 10, 12, 13, 15, 16, 17, 18]);
-        assert_eq!(free(29, 5, 6).first(), Some(&(2 * 5 + 2)), "11 is finished; the block is moved inside");
+        // Column 13 and row 9 of 20 × 12: the block of columns 8 to 15, moved up to rows 4 to 11.
+        let rows = (4..12).flat_map(|y| (8..16).map(move |x| y * 20 + x));
+        let expected: Vec<u32> = rows.filter(|pixel| ![109, 235].contains(pixel)).collect();
+        assert_eq!(free(9 * 20 + 13, 20, 12), expected);
         assert_eq!(free(0, 1, 1), [0]);
-        assert_eq!(free(11, 4, 3), [0, 1, 2, 3, 4, 6, 7, 8, 9, 10]);
+        assert_eq!(free(11, 4, 3), (0..12).collect::<Vec<u32>>());
     }
 }
