@@ -32,7 +32,7 @@ mod response;
 mod settings;
 mod tracer;
 
-pub use cost::{Cost, RAY_NAMES, Rays, process_cpu_nanos, thread_cpu_nanos};
+pub use cost::{Cost, RAY_NAMES, Rays, process_cpu_nanos, thread_cpu_nanos, work};
 pub use image::{Image, ImageError, Totals, cost_color};
 pub use profile::{Profile, ProfileError};
 pub use settings::{MaterialOverride, Settings, SettingsError};

@@ -326,11 +326,6 @@ fn backend(previewer: &Previewer) -> PreviewBackend {
     if previewer.backend() == "gpu" { PreviewBackend::Gpu } else { PreviewBackend::Cpu }
 }
 
-/// Operations of a camera ray, a node visit and a triangle test, in the weights of the tracer's work.
-const RAY_WORK: u64 = 60;
-const NODE_WORK: u64 = 14;
-const TRIANGLE_WORK: u64 = 5;
-
 /// What the last preview took. Its work: on the CPU in the tracer's weights, on the GPU, where no node is visited, one
 /// operation for each pixel and each triangle. Its time: this process's, and the device's, for a driver that renders in
 /// software uses the same processor.
@@ -339,7 +334,7 @@ fn preview_spent(previewer: &Previewer, frame: &Frame, setup_nanos: u64) -> Spen
     let (pixels, triangles) = (frame.camera.pixels() as u64, frame.geometry.triangles.len() as u64);
     let work = match cost.nodes {
         0 => pixels + triangles,
-        nodes => RAY_WORK * pixels + NODE_WORK * nodes + TRIANGLE_WORK * cost.triangles,
+        nodes => forelight_tracer::work(pixels, nodes, cost.triangles, 0, 0),
     };
     Spent { work, cpu_nanos: cost.cpu_nanos + cost.device_nanos + setup_nanos }
 }
@@ -347,4 +342,26 @@ fn preview_spent(previewer: &Previewer, frame: &Frame, setup_nanos: u64) -> Spen
 /// The data behind these locks is whole after every statement, so a panic elsewhere does not spoil it.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_preview_on_the_processor_is_charged_in_the_weights_of_rendering() {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = r#"{"version":1,"name":"t","geometry":["t.obj"],
+            "camera":{"origin":[0,0,4],"target":[0,0,0],"up":[0,1,0],"fov_deg":50,"fov_axis":"x","width":4,"height":4}}"#;
+        std::fs::write(folder.path().join("scene.json"), scene).unwrap();
+        std::fs::write(folder.path().join("t.obj"), "v -9 -9 0\nv 9 -9 0\nv 0 9 0\nf 1 2 3\n").unwrap();
+        let frame = Scene::load(folder.path(), &Limits::default()).unwrap().frame(0).unwrap();
+        let mut previewer = Previewer::new(Choice::Cpu).unwrap();
+        let counts = previewer.counts(&frame).unwrap();
+        assert_eq!(counts.per_stratum, [16], "every ray meets the one triangle");
+        let cost = previewer.cost();
+        assert!(cost.nodes >= 16 && cost.triangles >= 16, "{cost:?}");
+        let expected = forelight_tracer::work(16, cost.nodes, cost.triangles, 0, 0);
+        assert_eq!(preview_spent(&previewer, &frame, 0).work, expected);
+    }
 }
