@@ -36,6 +36,8 @@ pub struct Scene {
     shot: Shot,
     /// Which nodes move.
     moving: Vec<bool>,
+    /// The moving nodes that carry geometry: where these stand is what one frame's geometry differs in from another's.
+    movers: Vec<usize>,
     /// World matrices and geometry of frame 0.
     still_world: Vec<DMat4>,
     still: Baked,
@@ -100,6 +102,13 @@ impl Scene {
     /// Hash (BLAKE3) of the paths and contents of all files that the scene was loaded from.
     pub fn digest(&self) -> [u8; 32] {
         self.digest
+    }
+
+    /// Whether any geometry stands elsewhere in some frame of the shot than in the first. Cameras and lights may move all the
+    /// same. Looks at the positions of nodes alone, from frame to frame until one has moved; makes no geometry.
+    pub fn geometry_moves(&self) -> bool {
+        let moved = |frame| !self.same_places(&self.shot.world(self.time(frame)), &self.still_world);
+        !self.movers.is_empty() && (1..self.frames).any(moved)
     }
 
     /// The (object, material) pairs, the same for every frame.
@@ -180,17 +189,22 @@ impl Scene {
     }
 
     fn geometry_at(&self, world: Vec<DMat4>) -> Result<Arc<Geometry>, SceneError> {
-        if world == self.still_world {
+        if self.same_places(&world, &self.still_world) {
             return Ok(self.still.geometry.clone());
         }
         // The lock is not held while vertices are computed, so frames of several threads do not wait for each other.
         let recent = || self.recent.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, geometry)) = recent().as_ref().filter(|(known, _)| *known == world) {
+        if let Some((_, geometry)) = recent().as_ref().filter(|(known, _)| self.same_places(known, &world)) {
             return Ok(geometry.clone());
         }
         let geometry = Arc::new(self.shot.bake_moving(&world, &self.moving, &self.still)?);
         *recent() = Some((world, geometry.clone()));
         Ok(geometry)
+    }
+
+    /// Whether all geometry stands at the same places in two worlds.
+    fn same_places(&self, a: &[DMat4], b: &[DMat4]) -> bool {
+        self.movers.iter().all(|&node| a[node] == b[node])
     }
 
     fn materials_at(&self, time: f64) -> Arc<[Material]> {
@@ -332,6 +346,10 @@ impl Scene {
         let still_world = assembly.shot.world(start);
         let still = assembly.shot.bake(&still_world)?;
         let moving = assembly.shot.moving();
+        let mut movers: Vec<usize> =
+            assembly.shot.parts.iter().map(|part| part.node).filter(|&node| moving[node]).collect();
+        movers.sort_unstable();
+        movers.dedup();
         if assembly.shot.triangle_count() == 0
             || (still.geometry.triangles.is_empty() && !moving.contains(&true))
         {
@@ -375,6 +393,7 @@ impl Scene {
             camera,
             shot,
             moving,
+            movers,
             still_world,
             still,
             recent: Mutex::new(None),
@@ -487,4 +506,71 @@ fn bounds(positions: &[Vec3]) -> (DVec3, DVec3) {
     let low = positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
     let high = positions.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
     (low.as_dvec3(), high.as_dvec3())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    /// A triangle of a node, and a camera on another; `moving` (node 0 or 1) moves along x from frame 0 to frame 24.
+    fn shot(moving: usize) -> Scene {
+        let folder = tempfile::tempdir().unwrap();
+        let bin: Vec<f32> = vec![0., 0., 0., 1., 0., 0., 0., 1., 0., 0., 1., 0., 0., 3., 2., 0., 3.];
+        fs::write(folder.path().join("a.bin"), bin.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>())
+            .unwrap();
+        let gltf = format!(
+            r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0,1]}}],
+            "nodes":[{{"name":"t","mesh":0}},{{"name":"view","camera":0,"translation":[0,0,3]}}],
+            "cameras":[{{"type":"perspective","perspective":{{"yfov":1,"znear":0.1,"aspectRatio":1}}}}],
+            "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}],
+            "buffers":[{{"byteLength":68,"uri":"a.bin"}}],
+            "bufferViews":[{{"buffer":0,"byteLength":36}},{{"buffer":0,"byteOffset":36,"byteLength":8}},{{"buffer":0,"byteOffset":44,"byteLength":24}}],
+            "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[1,1,0]}},
+                {{"bufferView":1,"componentType":5126,"count":2,"type":"SCALAR","min":[0],"max":[1]}},
+                {{"bufferView":2,"componentType":5126,"count":2,"type":"VEC3"}}],
+            "animations":[{{"samplers":[{{"input":1,"output":2}}],"channels":[{{"sampler":0,"target":{{"node":{moving},"path":"translation"}}}}]}}]}}"#
+        );
+        fs::write(folder.path().join("a.gltf"), gltf).unwrap();
+        Scene::load(folder.path(), &Limits::default()).unwrap()
+    }
+
+    #[test]
+    fn a_camera_that_moves_alone_leaves_all_frames_one_geometry() {
+        let scene = shot(1);
+        let (first, last) = (scene.frame(0).unwrap(), scene.frame(24).unwrap());
+        assert_ne!(first.camera.origin, last.camera.origin);
+        assert!(!scene.geometry_moves());
+        assert!(Arc::ptr_eq(&first.geometry, &last.geometry));
+    }
+
+    #[test]
+    fn geometry_that_moves_in_some_frame_moves() {
+        let scene = shot(0);
+        assert!(scene.geometry_moves());
+        let (first, last) = (scene.frame(0).unwrap(), scene.frame(24).unwrap());
+        assert_ne!(first.geometry.positions, last.geometry.positions);
+        assert_eq!(first.camera.origin, last.camera.origin);
+    }
+
+    /// A triangle that is lifted between two frames of a shot of ten.
+    fn lifted(between: [u32; 2]) -> Scene {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("t.obj"), "o t\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+        let [from, to] = between;
+        let description = format!(
+            r#"{{"version":1,"name":"t","geometry":["t.obj"],
+            "camera":{{"origin":[0,0,4],"target":[0,0,0],"up":[0,1,0],"fov_deg":50,"fov_axis":"x","width":4,"height":4}},
+            "animation":{{"frames":10,"tracks":[{{"target":"object:t","property":"translation","interpolation":"linear",
+            "keys":[{{"frame":{from},"value":[0,0,0]}},{{"frame":{to},"value":[0,1,0]}}]}}]}}}}"#
+        );
+        fs::write(folder.path().join("scene.json"), description).unwrap();
+        Scene::load(folder.path(), &Limits::default()).unwrap()
+    }
+
+    #[test]
+    fn what_moves_late_in_the_shot_moves_and_what_moves_after_its_end_does_not() {
+        assert!(lifted([8, 9]).geometry_moves());
+        assert!(!lifted([9, 12]).geometry_moves());
+    }
 }

@@ -64,7 +64,7 @@ impl Ambient {
         let first = scene.frame(0)?;
         Ok(AmbientShot {
             info: ShotInfo { summary: summary(&scene, &first), strata: strata(&first), load },
-            moves: moves(&scene, &first.geometry),
+            moves: scene.geometry_moves(),
             scene,
             previewer: self.previewer.clone(),
             still: first.geometry.clone(),
@@ -90,17 +90,6 @@ fn summary(scene: &Scene, first: &Frame) -> SceneSummary {
         materials: first.materials.len() as u64,
         triangles: first.geometry.triangles.len() as u64,
     }
-}
-
-/// Whether any frame has another geometry than the first. Frames far apart are looked at first: most motion shows there, and
-/// frames without motion are made at next to no cost.
-fn moves(scene: &Scene, first: &Arc<Geometry>) -> bool {
-    let frames = scene.frame_count();
-    let strides =
-        std::iter::successors(Some(frames.next_power_of_two()), |stride| (*stride > 1).then_some(stride / 2));
-    let mut numbers = strides.flat_map(|stride| (stride / 2..frames).step_by(stride.max(1) as usize));
-    // A frame that cannot be made has its error told when it is wanted.
-    numbers.any(|number| scene.frame(number).is_ok_and(|frame| !Arc::ptr_eq(&frame.geometry, first)))
 }
 
 fn strata(frame: &Frame) -> Vec<StratumInfo> {
