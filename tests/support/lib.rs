@@ -1,7 +1,14 @@
-//! What several tests share: where test input lies, reference images, statistics.
+//! What several tests share: where test input lies, reference images, statistics; the program's processes, its API, its ledger.
 
+pub mod bundles;
+pub mod events;
+pub mod http;
+pub mod ledger;
+pub mod pictures;
+pub mod processes;
 pub mod reference;
 pub mod statistics;
+pub mod waiting;
 
 use std::path::PathBuf;
 

@@ -1,0 +1,118 @@
+//! The service's HTTP as a client that knows nothing of it sees it: addresses, statuses, JSON.
+
+use forelight_protocol::{Problem, ProblemKind};
+use reqwest::{Method, RequestBuilder, Response, StatusCode};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::time::Duration;
+
+/// Who asks, and where.
+#[derive(Clone)]
+pub struct Http {
+    client: reqwest::Client,
+    base: String,
+    token: Option<String>,
+}
+
+impl Http {
+    /// A client of the service at `base` (`http://host:port`). It keeps no connection open, so that one to a service that was
+    /// killed meanwhile is never used.
+    pub fn new(base: &str, token: Option<String>) -> Self {
+        let client = reqwest::Client::builder()
+            .no_proxy()
+            .pool_max_idle_per_host(0)
+            .connect_timeout(Duration::from_secs(10))
+            // Silence of this length is a hang: even a quiet stream of events has a comment every 15 seconds.
+            .read_timeout(Duration::from_secs(60))
+            .build()
+            .expect("a client without special wishes can be made");
+        Self { client, base: base.to_owned(), token }
+    }
+
+    /// A request to this path, with the token if there is one.
+    pub fn request(&self, method: Method, path: &str) -> RequestBuilder {
+        let request = self.client.request(method, format!("{}{path}", self.base));
+        match &self.token {
+            Some(token) => request.bearer_auth(token),
+            None => request,
+        }
+    }
+
+    /// The answer to a GET, whatever it is.
+    pub async fn get(&self, path: &str) -> Response {
+        self.request(Method::GET, path).send().await.unwrap_or_else(|error| panic!("GET {path}: {error}"))
+    }
+
+    /// The JSON that a GET brings with status 200.
+    pub async fn json<T: DeserializeOwned>(&self, path: &str) -> T {
+        self.get(path).await.parsed(StatusCode::OK).await
+    }
+
+    /// The bytes that a GET brings with status 200 and this media type.
+    pub async fn bytes(&self, path: &str, media_type: &str) -> Vec<u8> {
+        let response = self.get(path).await;
+        assert_eq!(response.status(), StatusCode::OK, "{path}");
+        assert_eq!(response.headers()["content-type"], media_type, "{path}");
+        response.bytes().await.unwrap_or_else(|error| panic!("{path}: {error}")).into()
+    }
+
+    /// The answer to a POST of JSON.
+    pub async fn post(&self, path: &str, body: &impl Serialize) -> Response {
+        let request = self.request(Method::POST, path).json(body);
+        request.send().await.unwrap_or_else(|error| panic!("POST {path}: {error}"))
+    }
+
+    /// The answer to an upload of a bundle.
+    pub async fn upload(&self, zip: Vec<u8>, key: Option<&str>) -> Response {
+        let mut request = self.request(Method::POST, "/v1/bundles").header("content-type", "application/zip");
+        if let Some(key) = key {
+            request = request.header("idempotency-key", key);
+        }
+        request.body(zip).send().await.unwrap_or_else(|error| panic!("upload: {error}"))
+    }
+
+    /// A number of the service's metrics that has no labels.
+    pub async fn metric(&self, name: &str) -> u64 {
+        let text = self.get("/metrics").await.text().await.unwrap_or_default();
+        let line = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
+        let value = line.and_then(|value| value.parse().ok());
+        value.unwrap_or_else(|| panic!("there is no number {name} in:\n{text}"))
+    }
+}
+
+/// What answers are checked for.
+pub trait Answer {
+    /// The body as JSON; the status has to be this one.
+    #[allow(async_fn_in_trait, reason = "used in these tests alone")]
+    async fn parsed<T: DeserializeOwned>(self, status: StatusCode) -> T;
+
+    /// The body as a problem of this kind, with all that belongs to it.
+    #[allow(async_fn_in_trait, reason = "used in these tests alone")]
+    async fn problem(self, kind: ProblemKind) -> Problem;
+}
+
+impl Answer for Response {
+    async fn parsed<T: DeserializeOwned>(self, status: StatusCode) -> T {
+        let (url, got) = (self.url().clone(), self.status());
+        let text = self.text().await.unwrap_or_else(|error| panic!("{url}: {error}"));
+        assert_eq!(got, status, "{url}: {text}");
+        serde_json::from_str(&text).unwrap_or_else(|error| panic!("{url}: {error}: {text}"))
+    }
+
+    async fn problem(self, kind: ProblemKind) -> Problem {
+        let (url, status) = (self.url().clone(), self.status());
+        let media_type = self.headers().get("content-type").cloned();
+        let text = self.text().await.unwrap_or_else(|error| panic!("{url}: {error}"));
+        assert_eq!(
+            media_type.as_ref().and_then(|value| value.to_str().ok()),
+            Some("application/problem+json"),
+            "{url}: {status} {text}"
+        );
+        let problem: Problem =
+            serde_json::from_str(&text).unwrap_or_else(|error| panic!("{url}: {error}: {text}"));
+        assert_eq!(problem.known_kind(), Some(kind), "{url}: {text}");
+        assert_eq!((problem.status, status.as_u16()), (kind.status(), kind.status()), "{url}: {text}");
+        assert!(!problem.detail.is_empty() && !problem.detail.contains('\n'), "{url}: {text}");
+        problem
+    }
+}

@@ -1,0 +1,254 @@
+//! The program itself, run as users run it; killed without mercy where a test asks for that, and always when a test ends.
+
+use crate::http::Http;
+use crate::waiting::eventually;
+use forelight_protocol::{Role, Timestamp};
+use std::ffi::OsStr;
+use std::fs::{self, File};
+use std::os::unix::process::ExitStatusExt as _;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::time::Duration;
+
+/// A process that starts, or ends when asked to, does so within this time on any machine.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Lines of a log that are shown when a test fails.
+const LAST_WORDS: usize = 25;
+
+/// The program: `FORELIGHT_BIN`, or `forelight` in the folder that the tests were built into.
+pub fn binary() -> PathBuf {
+    let found = std::env::var_os("FORELIGHT_BIN").map(PathBuf::from).or_else(|| {
+        // target/debug/deps/chaos-0123456789abcdef
+        let test = std::env::current_exe().ok()?;
+        Some(test.parent()?.parent()?.join("forelight"))
+    });
+    let path = found.unwrap_or_default();
+    assert!(
+        path.is_file(),
+        "there is no program at {}: build it first (cargo build -p forelight-cli), or name it by FORELIGHT_BIN",
+        path.display()
+    );
+    path
+}
+
+/// Runs a command of the program to its end.
+pub fn run<A: AsRef<OsStr>>(arguments: &[A]) -> Output {
+    let mut command = Command::new(binary());
+    command.args(arguments).stdin(Stdio::null()).env_remove("RUST_LOG");
+    for variable in ["FORELIGHT_SERVER", "FORELIGHT_TOKEN"] {
+        command.env_remove(variable);
+    }
+    command.output().expect("the program can be run")
+}
+
+/// The same, and it has to end well; returns what it printed.
+pub fn run_well<A: AsRef<OsStr>>(arguments: &[A]) -> String {
+    let output = run(arguments);
+    let words: Vec<_> = arguments.iter().map(|argument| argument.as_ref().to_string_lossy()).collect();
+    assert!(
+        output.status.success(),
+        "forelight {}: {}: {}",
+        words.join(" "),
+        output.status,
+        String::from_utf8_lossy(&output.stderr)
+    );
+    String::from_utf8(output.stdout).expect("what is printed is UTF-8")
+}
+
+/// A process of the program. It dies with this value.
+pub struct Process {
+    child: Child,
+    /// What it prints.
+    output: PathBuf,
+    /// What it logs.
+    log: PathBuf,
+    /// When it was started.
+    pub started: Timestamp,
+}
+
+impl Process {
+    /// Starts the program. What it prints and logs goes to files in `logs` that begin with `name`.
+    pub fn start<A: AsRef<OsStr>>(logs: &Path, name: &str, arguments: &[A]) -> Self {
+        let (output, log) = (logs.join(format!("{name}.out")), logs.join(format!("{name}.log")));
+        let file =
+            |path: &Path| File::create(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        let started = Timestamp::now();
+        let child = Command::new(binary())
+            .args(arguments)
+            .stdin(Stdio::null())
+            .stdout(file(&output))
+            .stderr(file(&log))
+            .env_remove("RUST_LOG")
+            .spawn()
+            .expect("the program can be started");
+        Self { child, output, log, started }
+    }
+
+    /// What it printed so far.
+    pub fn printed(&self) -> String {
+        fs::read_to_string(&self.output).unwrap_or_default()
+    }
+
+    /// Whether it has ended.
+    pub fn has_ended(&mut self) -> Option<ExitStatus> {
+        self.child.try_wait().expect("a child can be asked")
+    }
+
+    /// `kill -9`: no last words. It has to have been alive.
+    pub fn kill(mut self) {
+        assert_eq!(self.has_ended(), None, "{}: it ended before it was killed", self.log.display());
+        self.child.kill().expect("a child can be killed");
+        let status = self.child.wait().expect("a child can be waited for");
+        assert_eq!(status.signal(), Some(9), "{status}");
+    }
+
+    /// Sends a signal by name: `STOP`, `CONT`, `TERM`.
+    pub fn signal(&self, signal: &str) {
+        let line = format!("kill -{signal} {}", self.child.id());
+        let sent = Command::new("sh").args(["-c", &line]).status().expect("a shell can be run");
+        assert!(sent.success(), "{line}");
+    }
+
+    /// Asks it to end, and waits for that; it has to end well.
+    pub async fn end(mut self) {
+        self.signal("TERM");
+        let status = eventually("the end of a process", PATIENCE, async || self.has_ended()).await;
+        assert!(status.success(), "{status}: {}", self.last_words());
+    }
+
+    fn last_words(&self) -> String {
+        let log = fs::read_to_string(&self.log).unwrap_or_default();
+        let lines: Vec<&str> = log.lines().collect();
+        lines[lines.len().saturating_sub(LAST_WORDS)..].join("\n")
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            println!("---- the end of {}\n{}", self.log.display(), self.last_words());
+        }
+        // It may have ended by itself.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A service with its data in a temporary folder; `forelight serve`, or `forelight farm`, which brings workers along.
+pub struct Service {
+    folder: tempfile::TempDir,
+    arguments: Vec<String>,
+    process: Option<Process>,
+    address: String,
+    starts: u32,
+}
+
+impl Service {
+    /// Starts `command` (`serve` or `farm`) on a free port with these flags, and waits until it answers.
+    pub async fn start(command: &str, flags: &[&str]) -> Self {
+        let folder = tempfile::tempdir().expect("a temporary folder can be made");
+        let data = folder.path().join("data");
+        let mut arguments = vec![command.to_owned(), "--data".to_owned(), data.display().to_string()];
+        arguments.extend(flags.iter().map(|&flag| flag.to_owned()));
+        let mut service = Self { folder, arguments, process: None, address: String::new(), starts: 0 };
+        service.launch("127.0.0.1:0").await;
+        service
+    }
+
+    async fn launch(&mut self, listen: &str) {
+        self.starts += 1;
+        let mut arguments = self.arguments.clone();
+        arguments.extend(["--listen".to_owned(), listen.to_owned()]);
+        let name = format!("service-{}", self.starts);
+        let mut process = Process::start(self.folder.path(), &name, &arguments);
+        let address = eventually("the service's address", PATIENCE, async || {
+            assert_eq!(process.has_ended(), None, "the service ended: {}", process.last_words());
+            let printed = process.printed();
+            let (line, _) = printed.split_once('\n')?;
+            Some(line.strip_prefix("listening on ").expect("the address comes first").to_owned())
+        })
+        .await;
+        self.process = Some(process);
+        self.address = address;
+        // Whatever it printed, it has to answer; tokens are made before the address is printed.
+        let http = self.anonymous();
+        let ready = eventually("the service to be ready", PATIENCE, async || {
+            http.request(reqwest::Method::GET, "/readyz").send().await.ok()
+        });
+        assert_eq!(ready.await.status(), reqwest::StatusCode::OK);
+    }
+
+    /// `kill -9`.
+    pub fn kill(&mut self) {
+        self.process.take().expect("the service runs").kill();
+    }
+
+    /// Starts it again after a kill, with the same data at the same address.
+    pub async fn start_again(&mut self) {
+        assert!(self.process.is_none(), "the service runs");
+        let address = self.address.clone();
+        let listen = address.strip_prefix("http://").expect("an address of HTTP");
+        self.launch(listen).await;
+        assert_eq!(self.address, address);
+    }
+
+    /// Asks it to end, and waits for that. The data stay until this value is dropped.
+    pub async fn end(&mut self) {
+        self.process.take().expect("the service runs").end().await;
+    }
+
+    /// The folder of its database, artefacts and tokens.
+    pub fn data(&self) -> PathBuf {
+        self.folder.path().join("data")
+    }
+
+    /// A folder for whatever else belongs to the test.
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// `http://host:port`.
+    pub fn address(&self) -> &str {
+        &self.address
+    }
+
+    /// The file of a role's token.
+    pub fn token_file(&self, role: Role) -> PathBuf {
+        self.data().join("tokens").join(format!("{role}.token"))
+    }
+
+    /// A client with this role.
+    pub fn http(&self, role: Role) -> Http {
+        let path = self.token_file(role);
+        let token = fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        Http::new(&self.address, Some(token.trim().to_owned()))
+    }
+
+    /// A client without a token.
+    pub fn anonymous(&self) -> Http {
+        Http::new(&self.address, None)
+    }
+
+    /// Starts a worker of one thread that calls itself `name`. All workers keep fetched bundles in the same folder.
+    pub fn worker(&self, name: &str, process: &str) -> Process {
+        let (token, bundles) = (self.token_file(Role::Worker), self.folder().join("bundles"));
+        let arguments: [&OsStr; 14] = [
+            "worker".as_ref(),
+            "--server".as_ref(),
+            self.address.as_ref(),
+            "--token-file".as_ref(),
+            token.as_ref(),
+            "--name".as_ref(),
+            name.as_ref(),
+            "--threads".as_ref(),
+            "1".as_ref(),
+            "--preview".as_ref(),
+            "cpu".as_ref(),
+            "--bundles".as_ref(),
+            bundles.as_ref(),
+            "-v".as_ref(),
+        ];
+        Process::start(self.folder(), process, &arguments)
+    }
+}

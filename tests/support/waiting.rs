@@ -1,0 +1,19 @@
+//! Waiting for what has to happen, with an end to the patience.
+
+use std::time::{Duration, Instant};
+
+/// Time between two looks.
+const PAUSE: Duration = Duration::from_millis(40);
+
+/// Asks `look` until it has an answer. Panics with `what` when `patience` is over: generous, for it says nothing about speed, only that a
+/// test which waits in vain ends.
+pub async fn eventually<T>(what: &str, patience: Duration, mut look: impl AsyncFnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(found) = look().await {
+            return found;
+        }
+        assert!(start.elapsed() < patience, "waited {patience:?} in vain for {what}");
+        tokio::time::sleep(PAUSE).await;
+    }
+}
