@@ -357,6 +357,9 @@ async fn a_service_killed_ten_times_in_the_middle_of_leases_loses_nothing_that_i
         service.start_again().await;
     }
     assert_eq!(hits, KILLS);
+    // An orderly end in the middle of leases is as good as any other.
+    service.end().await;
+    service.start_again().await;
     let leases = assert_delivered(service, &job, workers).await;
     // The workers' work outlives the service: some of the leases that it died with were brought to their end.
     let survived =
@@ -369,10 +372,19 @@ async fn a_service_killed_ten_times_in_the_middle_of_leases_loses_nothing_that_i
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_paused_beyond_its_lease_finds_its_frame_done_by_another_and_harms_nothing() {
+async fn a_worker_that_ends_gives_its_frame_back_and_one_that_sleeps_beyond_its_lease_harms_nothing() {
     let service = Service::start("serve", &["--lease-ttl", "1s"]).await;
     let http = service.http(Role::Operator);
     let job = submit(&http).await;
+    // One that is asked to end gives its frame back first.
+    let polite = service.worker("polite", "worker-polite");
+    let begun = eventually("a frame in the middle", PATIENCE, async || {
+        in_the_middle(&frames_of(&http, &job).await).next().map(|row| row.frame)
+    })
+    .await;
+    polite.end().await;
+    assert!(frames_of(&http, &job).await.iter().all(|row| row.state != FrameState::Leased));
+
     let sleeper = service.worker("sleeper", "worker-sleeper");
     let row = eventually("a worker that is paused in the middle of a frame", PATIENCE, async || {
         in_the_middle(&frames_of(&http, &job).await).next()?;
@@ -398,6 +410,9 @@ async fn a_worker_paused_beyond_its_lease_finds_its_frame_done_by_another_and_ha
     assert!(frame.attempts > row.attempts, "the frame was not handed out again");
     assert_ne!(frame.node, row.node);
     let leases = assert_delivered(service, &job, vec![sleeper, other]).await;
+    let released =
+        leases.iter().find(|lease| lease.state == "released").expect("the frame that was given back");
+    assert_eq!(released.kind, "render", "{released:?}, not frame {begun}");
     let of_frame: Vec<_> =
         leases.iter().filter(|l| l.kind == "render" && l.frame == Some(i64::from(row.frame))).collect();
     assert!(of_frame.iter().any(|lease| lease.state == "expired"), "{of_frame:?}");
