@@ -14,6 +14,8 @@
 //!
 //! There is one conductor and it does one thing at a time: plans never compete.
 
+#[cfg(test)]
+mod agreement;
 mod book;
 mod choose;
 mod estimate;

@@ -286,7 +286,18 @@ async fn a_result_that_does_not_fit_its_task_is_refused_with_the_place_and_the_l
     cases.push((many, "/result/preview/frames/3/pixels"));
     let mut twice = preview.clone();
     twice.strata.push(twice.strata[0].clone());
-    cases.push((twice, "/result/preview/strata"));
+    cases.push((twice, "/result/preview/strata/1"));
+    for prior_cost in [0.0, -1.0, 1.1e6, f64::MIN_POSITIVE / -2.0] {
+        let mut priced = preview.clone();
+        priced.strata[0].prior_cost = prior_cost;
+        cases.push((priced, "/result/preview/strata/0/prior_cost"));
+        let mut empty = preview.clone();
+        empty.background_prior_cost = prior_cost;
+        cases.push((empty, "/result/preview/background_prior_cost"));
+    }
+    let mut nothing = preview.clone();
+    nothing.strata[0].object = u32::MAX;
+    cases.push((nothing, "/result/preview/strata/0/object"));
     for (bad, pointer) in cases {
         let problem = farm
             .report(&lease, TaskResult::Preview(bad))

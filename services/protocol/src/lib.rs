@@ -59,8 +59,8 @@ pub use settings::{MaterialMode, RenderSettings, RenderSettingsRequest};
 pub use stats::{Rays, RenderStats};
 pub use task::{
     FixedCosts, FrameStrata, PreviewBackend, PreviewResult, PreviewSpec, ProfileArtifacts, ProfileResult,
-    ProfileSample, ProfileSpec, RenderArtifacts, RenderResult, RenderSpec, Spent, StratumName, TaskKind,
-    TaskResult, TaskSpec,
+    ProfileSample, ProfileSpec, RenderArtifacts, RenderResult, RenderSpec, Spent, Stratum, StratumName,
+    TaskKind, TaskResult, TaskSpec,
 };
 pub use time::{MalformedTime, Timestamp};
 pub use track_record::{QuantileHits, TrackRecord, TrackRecordRow};

@@ -190,6 +190,33 @@ pub struct StratumName {
     pub material: String,
 }
 
+/// A stratum as results speak of it. Its identity is `(object, material)`; the names are for people, and a scene may have the
+/// same name twice. Tasks of one job that saw the same bundle number objects and materials alike.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Stratum {
+    /// What people call it.
+    pub name: StratumName,
+    /// Number of the object in the scene, below 2³² − 1.
+    pub object: u32,
+    /// Number of the material in the scene, below 2³² − 1. Strata of one material are sampled together where they are small.
+    pub material: u32,
+    /// What one of its pixels is thought to cost before anything is measured, relative to a plain diffuse pixel (1): above 0,
+    /// to 1000000. Whoever samples and whoever estimates must join small strata alike, and this decides which are small.
+    #[schema(exclusive_minimum = 0, maximum = 1_000_000)]
+    pub prior_cost: f64,
+}
+
+impl Stratum {
+    /// The largest prior cost. With it no sum over an image's pixels comes near the end of a float's range.
+    pub const HIGHEST_PRIOR_COST: f64 = 1e6;
+
+    /// What tells it from other strata: object and material.
+    pub const fn identity(&self) -> (u32, u32) {
+        (self.object, self.material)
+    }
+}
+
 /// What made the preview.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
@@ -220,7 +247,10 @@ pub struct FrameStrata {
 #[serde(deny_unknown_fields)]
 pub struct PreviewResult {
     /// All strata that any frame shows, each once.
-    pub strata: Vec<StratumName>,
+    pub strata: Vec<Stratum>,
+    /// What a pixel that shows nothing is thought to cost, in the unit of [`Stratum::prior_cost`] and within the same range.
+    #[schema(exclusive_minimum = 0, maximum = 1_000_000)]
+    pub background_prior_cost: f64,
     /// One entry a frame, in the order of the spec.
     pub frames: Vec<FrameStrata>,
     /// What made it.
@@ -272,8 +302,8 @@ pub struct ProfileArtifacts {
 pub struct ProfileResult {
     /// The frame.
     pub frame: u32,
-    /// The names of the strata that the samples refer to. Matched with the preview's by name: the order may differ.
-    pub strata: Vec<StratumName>,
+    /// The strata that the samples refer to, each once. Matched with the preview's by identity: the order may differ.
+    pub strata: Vec<Stratum>,
     /// The profiled pixels, each once.
     pub samples: Vec<ProfileSample>,
     /// Costs beside the pixels.

@@ -6,7 +6,7 @@ use forelight_protocol::{
     ArtifactHash, BundleRef, BundleSource, FixedCosts, ForecastTotals, FrameForecast, FrameStrata, Job,
     JobId, JobRequest, JobVerdict, Lease, Node, NodeId, NodeRegistration, PlanReason, PreviewBackend,
     PreviewResult, ProfileArtifacts, ProfileResult, ProfileSample, Profiled, Quantiles, RayQuantiles, Rays,
-    RenderArtifacts, RenderResult, RenderStats, SceneSummary, Spent, SpentOnForecast, StratumName,
+    RenderArtifacts, RenderResult, RenderStats, SceneSummary, Spent, SpentOnForecast, Stratum, StratumName,
     TaskResult, TaskSpec, Timestamp, Verdict,
 };
 use tempfile::TempDir;
@@ -93,6 +93,7 @@ impl Farm {
         match &lease.spec {
             TaskSpec::Preview(spec) => TaskResult::Preview(PreviewResult {
                 strata: vec![stratum()],
+                background_prior_cost: 0.1,
                 frames: spec
                     .frames
                     .iter()
@@ -210,8 +211,9 @@ fn scene() -> SceneSummary {
     }
 }
 
-fn stratum() -> StratumName {
-    StratumName { object: "floor".to_owned(), material: "wood".to_owned() }
+fn stratum() -> Stratum {
+    let name = StratumName { object: "floor".to_owned(), material: "wood".to_owned() };
+    Stratum { name, object: 0, material: 0, prior_cost: 1.0 }
 }
 
 fn stats(frame: u32) -> RenderStats {

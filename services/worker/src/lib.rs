@@ -45,5 +45,5 @@ pub use server_events::{EventParser, ServerEvent};
 pub use shot::{
     CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, forecast_strata, plus, profile_frame,
 };
-pub use tasks::{TaskRunner, png};
+pub use tasks::{TaskRunner, png, preview_result, profile_result};
 pub use transport::{ClientError, Token};

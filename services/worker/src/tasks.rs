@@ -3,16 +3,18 @@
 use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 use crate::library::Library;
 use crate::render::render_frame;
-use crate::renderer::{RenderError, Renderer, StratumInfo};
-use crate::shot::{Observer, ShotError, count_frames, profile_frame};
+use crate::renderer::{RenderError, Renderer, ShotInfo};
+use crate::shot::{
+    CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, forecast_strata, profile_frame,
+};
 use bytes::Bytes;
 use forelight_protocol::{
     ArtifactHash, FrameStrata, PreviewResult, PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample,
-    ProfileSpec, RenderArtifacts, RenderResult, RenderSpec, StratumName, TaskResult, TaskSpec,
+    ProfileSpec, RenderArtifacts, RenderResult, RenderSettings, RenderSpec, Stratum, TaskResult, TaskSpec,
 };
 use forelight_tracer::Profile;
 use image::{ImageFormat, RgbImage};
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 use std::io::Cursor;
 use std::sync::Arc;
 
@@ -43,20 +45,33 @@ impl Execute for TaskRunner {
 
 fn preview(renderer: &dyn Renderer, spec: &PreviewSpec, control: &Control) -> Result<Outcome, ExecuteError> {
     let counted = count_frames(renderer, &spec.frames, &spec.settings, &Reporting(control))?;
-    let infos = &renderer.info().strata;
-    let seen = |stratum: usize| counted.counts.iter().any(|counts| counts[stratum] > 0);
-    let names = Names::new(infos, (0..infos.len()).filter(|&s| seen(s)));
-    let frames = spec.frames.iter().zip(&counted.counts).map(|(&frame, counts)| {
-        let (known, background) = counts.split_at(infos.len());
-        let mut pixels = vec![0; names.list.len()];
-        for (stratum, &count) in known.iter().enumerate().filter(|(_, count)| **count > 0) {
-            pixels[names.index(infos, stratum)] += count;
-        }
-        FrameStrata { frame, pixels, background: background.iter().sum(), preview_png: None }
-    });
-    let frames = frames.collect();
-    let result = PreviewResult { strata: names.list, frames, backend: counted.backend, spent: counted.spent };
+    let result = preview_result(renderer.info(), &spec.frames, &spec.settings, &counted);
     Ok(Outcome { result: TaskResult::Preview(result), artifacts: Vec::new() })
+}
+
+/// What frames show, in the words of the wire: of the shot's strata those that any of the frames shows.
+pub fn preview_result(
+    info: &ShotInfo,
+    frames: &[u32],
+    settings: &RenderSettings,
+    counted: &CountedFrames,
+) -> PreviewResult {
+    let background = info.strata.len();
+    let seen = |stratum: usize| counted.counts.iter().any(|counts| counts[stratum] > 0);
+    let shown = Shown::new(info, settings, (0..background).filter(|&stratum| seen(stratum)));
+    let frames = frames.iter().zip(&counted.counts).map(|(&frame, counts)| FrameStrata {
+        frame,
+        pixels: shown.strata.iter().map(|&stratum| counts[stratum]).collect(),
+        background: counts[background],
+        preview_png: None,
+    });
+    PreviewResult {
+        frames: frames.collect(),
+        background_prior_cost: shown.background_prior_cost,
+        strata: shown.list,
+        backend: counted.backend,
+        spent: counted.spent,
+    }
 }
 
 fn profile(renderer: &dyn Renderer, spec: &ProfileSpec, control: &Control) -> Result<Outcome, ExecuteError> {
@@ -68,37 +83,44 @@ fn profile(renderer: &dyn Renderer, spec: &ProfileSpec, control: &Control) -> Re
         spec.phase_seed,
         &Reporting(control),
     )?;
-    let infos = &renderer.info().strata;
-    let shown = profiled.observations.iter().map(|o| o.stratum as usize).filter(|&s| s < infos.len());
-    let names = Names::new(infos, shown);
-    let background = names.list.len();
-    let sample = |(&(pixel, _), observation): (&(u32, _), &forelight_forecast::Observation)| {
-        let stratum = observation.stratum as usize;
-        let stratum = if stratum < infos.len() { names.index(infos, stratum) } else { background };
-        let cost = observation.cost;
-        ProfileSample {
-            pixel,
-            stratum: stratum as u32,
-            work: cost.work,
-            cpu_nanos: cost.cpu_nanos,
-            rays: cost.rays,
-        }
-    };
-    let samples = profiled.profile.pixels.iter().zip(&profiled.observations).map(sample).collect();
     let mut files = Files::default();
     let artifacts = ProfileArtifacts {
         profile: files.add(profiled.profile.to_bytes()),
         preview_png: Some(files.add(png(&profiled.picture)?)),
     };
-    let result = ProfileResult {
-        frame: spec.frame,
+    let result = profile_result(renderer.info(), &spec.settings, &profiled, artifacts);
+    Ok(Outcome { result: TaskResult::Profile(result), artifacts: files.contents })
+}
+
+/// A profiled frame in the words of the wire: of the shot's strata those that were sampled.
+pub fn profile_result(
+    info: &ShotInfo,
+    settings: &RenderSettings,
+    profiled: &ProfiledFrame,
+    artifacts: ProfileArtifacts,
+) -> ProfileResult {
+    let sampled = profiled.observations.iter().map(|observation| observation.stratum as usize);
+    let shown = Shown::new(info, settings, sampled.filter(|&stratum| stratum < info.strata.len()));
+    let sample = |(&(pixel, _), observation): (&(u32, _), &forelight_forecast::Observation)| {
+        let cost = observation.cost;
+        ProfileSample {
+            pixel,
+            stratum: shown.place(observation.stratum as usize),
+            work: cost.work,
+            cpu_nanos: cost.cpu_nanos,
+            rays: cost.rays,
+        }
+    };
+    // The profile's pixels after the observed ones are neighbours that were traced for their time alone.
+    let samples = profiled.profile.pixels.iter().zip(&profiled.observations).map(sample).collect();
+    ProfileResult {
+        frame: profiled.frame,
         samples,
         fixed: profiled.fixed,
         spent: profiled.spent(),
-        strata: names.list,
+        strata: shown.list,
         artifacts,
-    };
-    Ok(Outcome { result: TaskResult::Profile(result), artifacts: files.contents })
+    }
 }
 
 fn render(
@@ -124,30 +146,33 @@ fn render(
     Ok(Outcome { result: TaskResult::Render(result), artifacts: files.contents })
 }
 
-/// Names of strata, each once: two pairs of equal names (a bundle may have that) are one stratum to the outside.
-struct Names {
-    list: Vec<StratumName>,
-    index: BTreeMap<StratumName, usize>,
+/// The strata of a shot that a result speaks of, in the order of the shot. The order matters: whoever estimates from the result
+/// adds up in it, and so finds to the last bit what an estimate made here would be.
+struct Shown {
+    /// Indices into the shot's strata, ascending, each once.
+    strata: Vec<usize>,
+    /// The same in the words of the wire.
+    list: Vec<Stratum>,
+    background_prior_cost: f64,
 }
 
-impl Names {
-    fn new(infos: &[StratumInfo], strata: impl Iterator<Item = usize>) -> Self {
-        let mut strata: Vec<usize> = strata.collect();
-        strata.sort_unstable();
-        let mut names = Self { list: Vec::new(), index: BTreeMap::new() };
-        for stratum in strata {
-            let name = &infos[stratum].name;
-            if !names.index.contains_key(name) {
-                names.index.insert(name.clone(), names.list.len());
-                names.list.push(name.clone());
-            }
-        }
-        names
+impl Shown {
+    fn new(info: &ShotInfo, settings: &RenderSettings, strata: impl Iterator<Item = usize>) -> Self {
+        let strata: Vec<usize> = strata.collect::<BTreeSet<usize>>().into_iter().collect();
+        let all = forecast_strata(&info.strata, settings);
+        let wire = |&stratum: &usize| Stratum {
+            name: info.strata[stratum].name.clone(),
+            object: all[stratum].object,
+            material: all[stratum].material,
+            prior_cost: all[stratum].prior_cost,
+        };
+        let list = strata.iter().map(wire).collect();
+        Self { strata, list, background_prior_cost: all[info.strata.len()].prior_cost }
     }
 
-    /// Index of a stratum's name; it must be one of those that the list was made from.
-    fn index(&self, infos: &[StratumInfo], stratum: usize) -> usize {
-        self.index[&infos[stratum].name]
+    /// Place of one of the shot's strata in the list; of any other, which is the background, the place after the last.
+    fn place(&self, stratum: usize) -> u32 {
+        self.strata.binary_search(&stratum).unwrap_or(self.strata.len()) as u32
     }
 }
 

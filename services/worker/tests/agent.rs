@@ -174,6 +174,7 @@ impl Execute for Slow {
         };
         let result = PreviewResult {
             strata: Vec::new(),
+            background_prior_cost: 0.1,
             frames: vec![frame],
             backend: PreviewBackend::Cpu,
             spent: Spent::default(),

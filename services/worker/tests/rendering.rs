@@ -122,8 +122,14 @@ fn a_preview_counts_every_pixel_of_every_frame() {
     let TaskResult::Preview(result) = rig.run(TaskSpec::Preview(spec), None).unwrap().result else {
         panic!()
     };
-    let names: Vec<&str> = result.strata.iter().map(|name| name.object.as_str()).collect();
+    let names: Vec<&str> = result.strata.iter().map(|stratum| stratum.name.object.as_str()).collect();
     assert_eq!(names, ["floor", "wall", "window"]);
+    let prior: Vec<f64> = result.strata.iter().map(|stratum| stratum.prior_cost).collect();
+    assert_eq!(
+        (&prior[..], result.background_prior_cost),
+        (&[1.0, 2.0, 3.0][..], 0.1),
+        "wood, mirror, glass, nothing"
+    );
     assert_eq!(result.frames.iter().map(|frame| frame.frame).collect::<Vec<_>>(), [0, 2]);
     for frame in &result.frames {
         assert_eq!(frame.pixels.len(), result.strata.len());

@@ -3,51 +3,46 @@
 use std::collections::BTreeMap;
 
 use forelight_forecast::{FramePopulation, Stratum, choose_frames};
-use forelight_protocol::{PreviewResult, StratumName};
+use forelight_protocol::{self as protocol, PreviewResult};
 
 use super::AdvanceError;
 
-/// What a pixel that shows nothing costs, beside one that shows a surface.
-const BACKGROUND_COST: f64 = 0.1;
-
 /// A preview as the forecast wants it: strata by number, the background as the last of them.
+///
+/// The worker that profiled joined small strata by material, pixel counts and prior costs; an estimate that joined them in
+/// another way would be biased. So objects, materials and prior costs are the workers' own, and the strata are in their order.
 pub(super) struct Populations {
     pub strata: Vec<Stratum>,
     pub frames: Vec<FramePopulation>,
-    /// Number of each named stratum.
-    pub index: BTreeMap<StratumName, usize>,
+    /// Place of each stratum, by object and material.
+    pub index: BTreeMap<(u32, u32), usize>,
 }
 
 impl Populations {
-    /// Numbers the strata of a preview and then those of `more` that it does not have: a profile made on another
-    /// kind of preview may see an object at a pixel's edge that the first preview missed. These have no pixels.
-    pub fn new<'a>(preview: &'a PreviewResult, more: impl IntoIterator<Item = &'a StratumName>) -> Self {
+    /// The strata of a preview and then those of `more` that it does not have: a profile made on another kind of preview
+    /// may see an object at a pixel's edge that the first preview missed. These have no pixels.
+    pub fn new<'a>(
+        preview: &'a PreviewResult,
+        more: impl IntoIterator<Item = &'a protocol::Stratum>,
+    ) -> Self {
         let mut index = BTreeMap::new();
-        let mut names = Vec::new();
-        for name in preview.strata.iter().chain(more) {
-            index.entry(name.clone()).or_insert_with(|| {
-                names.push(name);
-                names.len() - 1
+        let mut strata: Vec<Stratum> = Vec::with_capacity(preview.strata.len() + 1);
+        for stratum in preview.strata.iter().chain(more) {
+            index.entry(stratum.identity()).or_insert_with(|| {
+                let protocol::Stratum { object, material, prior_cost, .. } = *stratum;
+                strata.push(Stratum { object, material, prior_cost });
+                strata.len() - 1
             });
         }
-        let mut objects = Numbers::default();
-        let mut materials = Numbers::default();
-        let mut strata: Vec<Stratum> = names
-            .iter()
-            .map(|name| Stratum {
-                object: objects.of(&name.object),
-                material: materials.of(&name.material),
-                prior_cost: 1.0,
-            })
-            .collect();
-        strata.push(Stratum { object: u32::MAX, material: u32::MAX, prior_cost: BACKGROUND_COST });
+        let prior_cost = preview.background_prior_cost;
+        strata.push(Stratum { object: u32::MAX, material: u32::MAX, prior_cost });
         let frames = preview
             .frames
             .iter()
             .map(|frame| {
                 let mut counts = vec![0; strata.len()];
                 counts[..frame.pixels.len()].copy_from_slice(&frame.pixels);
-                counts[names.len()] = frame.background;
+                counts[strata.len() - 1] = frame.background;
                 FramePopulation { number: i64::from(frame.frame), counts }
             })
             .collect();
@@ -57,17 +52,6 @@ impl Populations {
     /// The number of the background's stratum.
     pub fn background(&self) -> usize {
         self.strata.len() - 1
-    }
-}
-
-/// Numbers for names, in the order in which they come.
-#[derive(Default)]
-struct Numbers<'a>(BTreeMap<&'a str, u32>);
-
-impl<'a> Numbers<'a> {
-    fn of(&mut self, name: &'a str) -> u32 {
-        let next = self.0.len() as u32;
-        *self.0.entry(name).or_insert(next)
     }
 }
 

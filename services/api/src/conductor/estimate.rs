@@ -24,8 +24,8 @@ pub(super) fn forecast(
     preview: &PreviewResult,
     profiles: &[MeasuredProfile],
 ) -> Result<Forecast, AdvanceError> {
-    let names = profiles.iter().flat_map(|profile| &profile.result.strata);
-    let mut populations = Populations::new(preview, names);
+    let strata = profiles.iter().flat_map(|profile| &profile.result.strata);
+    let mut populations = Populations::new(preview, strata);
     let background = populations.background();
     let mut observations: Vec<(usize, Vec<Observation>, Cost)> = Vec::with_capacity(profiles.len());
     for MeasuredProfile { result, node_speed } in profiles {
@@ -36,9 +36,9 @@ pub(super) fn forecast(
             .samples
             .iter()
             .map(|sample| {
-                let name = result.strata.get(sample.stratum as usize);
-                let stratum =
-                    name.and_then(|name| populations.index.get(name)).copied().unwrap_or(background);
+                let known = result.strata.get(sample.stratum as usize);
+                let place = known.and_then(|stratum| populations.index.get(&stratum.identity()));
+                let stratum = place.copied().unwrap_or(background);
                 let cost = Cost {
                     work: sample.work,
                     cpu_nanos: at_speed_one(sample.cpu_nanos, *node_speed),
@@ -137,16 +137,19 @@ mod tests {
     use super::*;
     use forelight_protocol::{
         ArtifactHash, FixedCosts, FrameStrata, PreviewBackend, ProfileArtifacts, ProfileResult,
-        ProfileSample, StratumName,
+        ProfileSample, Stratum, StratumName,
     };
 
-    fn name(object: &str) -> StratumName {
-        StratumName { object: object.to_owned(), material: "paint".to_owned() }
+    fn stratum(object: u32) -> Stratum {
+        let name = ["wall", "vase", "spoon"][object as usize].to_owned();
+        let name = StratumName { object: name, material: "paint".to_owned() };
+        Stratum { name, object, material: 0, prior_cost: 1.0 }
     }
 
     fn preview(frames: &[(u32, &[u32], u32)]) -> PreviewResult {
         PreviewResult {
-            strata: vec![name("wall"), name("vase")],
+            strata: vec![stratum(0), stratum(1)],
+            background_prior_cost: 0.1,
             frames: frames
                 .iter()
                 .map(|&(frame, pixels, background)| FrameStrata {
@@ -162,10 +165,10 @@ mod tests {
     }
 
     /// Every stratum has one cost: 100 for walls, 900 for the vase, 10 for nothing.
-    fn profile(frame: u32, strata: Vec<StratumName>, counts: &[usize]) -> MeasuredProfile {
+    fn profile(frame: u32, strata: Vec<Stratum>, counts: &[usize]) -> MeasuredProfile {
         let mut samples = Vec::new();
         for (stratum, &count) in counts.iter().enumerate() {
-            let work = match strata.get(stratum).map(|name| name.object.as_str()) {
+            let work = match strata.get(stratum).map(|stratum| stratum.name.object.as_str()) {
                 Some("vase") => 900,
                 Some(_) => 100,
                 None => 10,
@@ -196,7 +199,7 @@ mod tests {
     #[test]
     fn counts_times_unit_costs_make_the_frames_whatever_the_order_of_the_strata_and_the_speed_of_the_node() {
         let preview = preview(&[(0, &[200, 40], 16), (3, &[100, 140], 16)]);
-        let profile = profile(0, vec![name("vase"), name("wall")], &[8, 16, 4]);
+        let profile = profile(0, vec![stratum(1), stratum(0)], &[8, 16, 4]);
         let forecast = forecast(&preview, &[profile]).unwrap();
         let means: Vec<f64> = forecast.frames.iter().map(|frame| frame.work.mean).collect();
         let expected = [20_000.0 + 36_000.0 + 160.0 + 7.0, 10_000.0 + 126_000.0 + 160.0 + 7.0];
@@ -213,7 +216,7 @@ mod tests {
     #[test]
     fn a_stratum_that_only_the_profile_saw_does_not_sink_the_forecast() {
         let preview = preview(&[(0, &[200, 0], 56)]);
-        let profile = profile(0, vec![name("wall"), name("vase"), name("spoon")], &[8, 1, 1, 4]);
+        let profile = profile(0, vec![stratum(0), stratum(1), stratum(2)], &[8, 1, 1, 4]);
         let forecast = forecast(&preview, &[profile]).unwrap();
         assert!(forecast.frames[0].work.mean > 20_000.0);
     }

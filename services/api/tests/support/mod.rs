@@ -10,8 +10,8 @@ use forelight_api::{Config, Service};
 use forelight_protocol::{
     ArtifactHash, FixedCosts, FrameStrata, Job, JobState, Lease, Node, PreviewBackend, PreviewResult,
     Problem, ProblemKind, ProfileArtifacts, ProfileResult, ProfileSample, Rays, RenderArtifacts,
-    RenderResult, RenderStats, ResultAnswer, ResultRequest, Role, Spent, StratumName, TaskKind, TaskResult,
-    TaskSpec, Timestamp,
+    RenderResult, RenderStats, ResultAnswer, ResultRequest, Role, Spent, Stratum, StratumName, TaskKind,
+    TaskResult, TaskSpec, Timestamp,
 };
 use forelight_store::tokens;
 use reqwest::{Method, RequestBuilder, Response, StatusCode};
@@ -225,6 +225,7 @@ impl Farm {
         match &lease.spec {
             TaskSpec::Preview(spec) => TaskResult::Preview(PreviewResult {
                 strata: vec![stratum()],
+                background_prior_cost: 0.1,
                 frames: spec
                     .frames
                     .iter()
@@ -296,8 +297,9 @@ fn pixel_work(frame: u32) -> u64 {
     1000 + 10 * u64::from(frame)
 }
 
-fn stratum() -> StratumName {
-    StratumName { object: "quad".to_owned(), material: "paint".to_owned() }
+fn stratum() -> Stratum {
+    let name = StratumName { object: "quad".to_owned(), material: "paint".to_owned() };
+    Stratum { name, object: 0, material: 0, prior_cost: 1.0 }
 }
 
 impl Client {

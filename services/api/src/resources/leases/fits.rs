@@ -4,8 +4,8 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    PreviewResult, PreviewSpec, ProfileResult, ProfileSpec, RenderResult, RenderSpec, Spent, TaskResult,
-    TaskSpec,
+    PreviewResult, PreviewSpec, ProfileResult, ProfileSpec, RenderResult, RenderSpec, Spent, Stratum,
+    TaskResult, TaskSpec,
 };
 
 use crate::error::{ApiError, ApiResult};
@@ -32,10 +32,8 @@ fn wrong(pointer: impl Into<String>, reason: impl Into<String>) -> ApiResult<()>
 
 fn preview(spec: &PreviewSpec, result: &PreviewResult) -> ApiResult<()> {
     const AT: &str = "/result/preview";
-    let distinct: BTreeSet<_> = result.strata.iter().collect();
-    if distinct.len() != result.strata.len() {
-        return wrong(format!("{AT}/strata"), "a stratum is named twice");
-    }
+    strata(&format!("{AT}/strata"), &result.strata)?;
+    prior_cost(&format!("{AT}/background_prior_cost"), result.background_prior_cost)?;
     if result.frames.len() != spec.frames.len() {
         let reason = format!("{} frames; the task has {}", result.frames.len(), spec.frames.len());
         return wrong(format!("{AT}/frames"), reason);
@@ -69,10 +67,7 @@ fn profile(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
             format!("frame {}; the task is about {}", result.frame, spec.frame),
         );
     }
-    let distinct: BTreeSet<_> = result.strata.iter().collect();
-    if distinct.len() != result.strata.len() {
-        return wrong(format!("{AT}/strata"), "a stratum is named twice");
-    }
+    strata(&format!("{AT}/strata"), &result.strata)?;
     if result.samples.is_empty() {
         return wrong(format!("{AT}/samples"), "no pixel was profiled");
     }
@@ -135,6 +130,35 @@ fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {
         return wrong(format!("{AT}/reused_work"), "more than the frame's whole work");
     }
     Ok(())
+}
+
+fn strata(pointer: &str, strata: &[Stratum]) -> ApiResult<()> {
+    let mut seen = BTreeSet::new();
+    for (i, stratum) in strata.iter().enumerate() {
+        let (object, material) = stratum.identity();
+        // The largest number stands for the background.
+        for (name, number) in [("object", object), ("material", material)] {
+            if number == u32::MAX {
+                return wrong(format!("{pointer}/{i}/{name}"), format!("a scene has no {name} {number}"));
+            }
+        }
+        if !seen.insert(stratum.identity()) {
+            return wrong(
+                format!("{pointer}/{i}"),
+                format!("material {material} of object {object} was given before"),
+            );
+        }
+        prior_cost(&format!("{pointer}/{i}/prior_cost"), stratum.prior_cost)?;
+    }
+    Ok(())
+}
+
+fn prior_cost(pointer: &str, cost: f64) -> ApiResult<()> {
+    // Written so that a NaN, should one ever get here, is refused as well.
+    if cost > 0.0 && cost <= Stratum::HIGHEST_PRIOR_COST {
+        return Ok(());
+    }
+    wrong(pointer, format!("a prior cost is above 0 and at most {}", Stratum::HIGHEST_PRIOR_COST))
 }
 
 fn spent(pointer: &str, spent: Spent) -> ApiResult<()> {
