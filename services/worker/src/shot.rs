@@ -99,7 +99,7 @@ pub struct ProfiledFrame {
     /// Frame number.
     pub frame: u32,
     /// Stratum and cost of each profiled pixel, in the order of `profile.pixels`; the times are those that it would have taken
-    /// in a render (see [`crate::warm_clock`]).
+    /// in a render (see `warm_clock`).
     pub observations: Vec<Observation>,
     /// The finished pixels, for the render to take over: the profiled ones, then neighbours that were traced for their time.
     pub profile: Profile,
