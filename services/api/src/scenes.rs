@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use forelight_protocol::{ProblemKind, SceneSummary};
+use forelight_protocol::{ProblemKind, SceneDigest, SceneSummary};
 use forelight_scene::{Scene, SceneError};
 
 use crate::error::{ApiError, ApiResult};
@@ -47,6 +47,7 @@ fn summary(path: &Path, limits: &forelight_scene::Limits) -> Result<SceneSummary
     materials.dedup();
     Ok(SceneSummary {
         name: scene.name().to_owned(),
+        digest: SceneDigest(scene.digest()),
         frames: scene.frame_count(),
         width: first.camera.width,
         height: first.camera.height,

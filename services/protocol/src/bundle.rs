@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{ArtifactHash, BundleId, Timestamp};
+use crate::{ArtifactHash, BundleId, SceneDigest, Timestamp};
 
 /// Which bundle a job renders: exactly one of the two fields.
 #[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
@@ -13,7 +13,8 @@ pub struct BundleRef {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub id: Option<BundleId>,
     /// A folder or zip file on storage that the service and all workers share, under one of the service's
-    /// bundle roots. It must not change while the job lives.
+    /// bundle roots. It must not change while the job lives: a task that finds other files there fails, and
+    /// with it the job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub path: Option<String>,
 }
@@ -33,6 +34,8 @@ pub enum BundleSource {
 pub struct SceneSummary {
     /// The scene's name.
     pub name: String,
+    /// Hash of all its files: what tells it from a later version of itself.
+    pub digest: SceneDigest,
     /// Frames of the animation; 1 for a still.
     pub frames: u32,
     /// The camera's image width in pixels.

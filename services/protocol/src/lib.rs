@@ -16,6 +16,7 @@ mod dashboard;
 mod event;
 mod forecast;
 mod frames;
+mod hash;
 mod ids;
 mod job;
 mod lease;
@@ -31,7 +32,7 @@ mod task;
 mod time;
 mod track_record;
 
-pub use artifact::{ArtifactHash, ArtifactStored, MalformedHash};
+pub use artifact::ArtifactStored;
 pub use bundle::{Bundle, BundleRef, BundleSource, SceneSummary};
 pub use dashboard::{Dashboard, DashboardCounts, DashboardJob, DashboardNode, NodeActivity, TaskCounts};
 pub use event::{Event, EventKind};
@@ -40,6 +41,7 @@ pub use forecast::{
     RayQuantiles, SpentOnForecast,
 };
 pub use frames::{FrameSet, MalformedFrames};
+pub use hash::{ArtifactHash, MalformedHash, SceneDigest};
 pub use ids::{BookingId, BundleId, EventId, JobId, LeaseId, NodeId, PlanId, TaskId};
 pub use job::{
     FrameArtifacts, FrameBooking, FrameFigure, FramePage, FrameRow, FrameState, Job, JobCheck, JobPage,

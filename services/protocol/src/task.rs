@@ -5,7 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{ArtifactHash, BundleSource, JobId, RenderSettings, RenderStats};
+use crate::{ArtifactHash, BundleSource, JobId, RenderSettings, RenderStats, SceneDigest};
 
 /// The kinds of tasks.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize, ToSchema)]
@@ -83,6 +83,15 @@ impl TaskSpec {
             TaskSpec::Render(spec) => &spec.bundle,
         }
     }
+
+    /// What the bundle has to hold.
+    pub const fn digest(&self) -> SceneDigest {
+        match self {
+            TaskSpec::Preview(spec) => spec.digest,
+            TaskSpec::Profile(spec) => spec.digest,
+            TaskSpec::Render(spec) => spec.digest,
+        }
+    }
 }
 
 /// Preview these frames: object and material of every pixel.
@@ -92,6 +101,8 @@ pub struct PreviewSpec {
     pub job_id: JobId,
     /// Its bundle.
     pub bundle: BundleSource,
+    /// What the bundle has to hold: a worker that finds something else there fails the task for good.
+    pub digest: SceneDigest,
     /// The frames, ascending.
     pub frames: Vec<u32>,
     /// Its settings.
@@ -106,6 +117,8 @@ pub struct ProfileSpec {
     pub job_id: JobId,
     /// Its bundle.
     pub bundle: BundleSource,
+    /// What the bundle has to hold: a worker that finds something else there fails the task for good.
+    pub digest: SceneDigest,
     /// The frame.
     pub frame: u32,
     /// Pixels to profile.
@@ -123,6 +136,8 @@ pub struct RenderSpec {
     pub job_id: JobId,
     /// Its bundle.
     pub bundle: BundleSource,
+    /// What the bundle has to hold: a worker that finds something else there fails the task for good.
+    pub digest: SceneDigest,
     /// The frame.
     pub frame: u32,
     /// The job's settings.

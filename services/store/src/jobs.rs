@@ -2,7 +2,7 @@
 
 use forelight_protocol::{
     BundleId, BundleRef, BundleSource, Event, EventKind, FrameSet, Job, JobId, JobRequest, JobState, Money,
-    PlanId, RenderSettings, SceneSummary, Timestamp,
+    PlanId, RenderSettings, SceneDigest, SceneSummary, Timestamp,
 };
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
@@ -87,6 +87,7 @@ impl Store {
         let common = Common {
             job: job_id,
             bundle: source,
+            digest: scene.digest,
             settings,
             deadline: request.deadline,
             priority: request.priority,
@@ -225,6 +226,11 @@ pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Resul
 /// Where a job's workers find its bundle.
 pub(crate) fn source(row: &SqliteRow) -> Result<BundleSource, StoreError> {
     json(row, "bundle_source")
+}
+
+/// What the bundle held when the job was submitted.
+pub(crate) fn digest(row: &SqliteRow) -> Result<SceneDigest, StoreError> {
+    Ok(json::<SceneSummary>(row, "scene")?.digest)
 }
 
 /// A job from its row. Its `eta` depends on what else the farm has to do: whoever needs it fills it in from

@@ -115,6 +115,7 @@ impl Store {
         let common = Common {
             job,
             bundle: &bundle,
+            digest: jobs::digest(&row)?,
             settings: &settings,
             deadline: time_opt(&row, "deadline_at")?,
             priority: whole(&row, "priority")?,

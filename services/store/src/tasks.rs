@@ -1,8 +1,8 @@
 //! A job's tasks: making them, and taking them all back.
 
 use forelight_protocol::{
-    ArtifactHash, BundleSource, JobId, NodeId, PreviewSpec, ProfileSpec, RenderSettings, RenderSpec, TaskId,
-    TaskSpec, Timestamp,
+    ArtifactHash, BundleSource, JobId, NodeId, PreviewSpec, ProfileSpec, RenderSettings, RenderSpec,
+    SceneDigest, TaskId, TaskSpec, Timestamp,
 };
 
 use crate::StoreError;
@@ -13,6 +13,8 @@ use crate::decode::to_json;
 pub(crate) struct Common<'a> {
     pub job: JobId,
     pub bundle: &'a BundleSource,
+    /// Of the scene, as it was when the job was submitted.
+    pub digest: SceneDigest,
     pub settings: &'a RenderSettings,
     pub deadline: Option<Timestamp>,
     pub priority: i32,
@@ -23,6 +25,7 @@ impl Common<'_> {
         let spec = PreviewSpec {
             job_id: self.job,
             bundle: self.bundle.clone(),
+            digest: self.digest,
             frames,
             settings: self.settings.clone(),
         };
@@ -38,6 +41,7 @@ impl Common<'_> {
         let spec = ProfileSpec {
             job_id: self.job,
             bundle: self.bundle.clone(),
+            digest: self.digest,
             frame,
             samples,
             phase_seed: self.settings.seed,
@@ -56,6 +60,7 @@ impl Common<'_> {
         let spec = RenderSpec {
             job_id: self.job,
             bundle: self.bundle.clone(),
+            digest: self.digest,
             frame,
             settings: self.settings.clone(),
             profile,

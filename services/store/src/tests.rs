@@ -6,8 +6,8 @@ use forelight_protocol::{
     ArtifactHash, BundleRef, BundleSource, FixedCosts, ForecastTotals, FrameForecast, FrameStrata, Job,
     JobId, JobRequest, JobVerdict, Lease, Node, NodeId, NodeRegistration, PlanReason, PreviewBackend,
     PreviewResult, ProfileArtifacts, ProfileResult, ProfileSample, Profiled, Quantiles, RayQuantiles, Rays,
-    RenderArtifacts, RenderResult, RenderStats, SceneSummary, Spent, SpentOnForecast, Stratum, StratumName,
-    TaskResult, TaskSpec, Timestamp, Verdict,
+    RenderArtifacts, RenderResult, RenderStats, SceneDigest, SceneSummary, Spent, SpentOnForecast, Stratum,
+    StratumName, TaskResult, TaskSpec, Timestamp, Verdict,
 };
 use tempfile::TempDir;
 
@@ -202,6 +202,7 @@ fn new_job(request: JobRequest) -> NewJob {
 fn scene() -> SceneSummary {
     SceneSummary {
         name: "a".to_owned(),
+        digest: SceneDigest([7; 32]),
         frames: 100,
         width: 8,
         height: 8,

@@ -7,7 +7,7 @@ use crate::shot::plus;
 use forelight_bvh::Bvh;
 use forelight_preview::{Choice, PreviewError, Previewer};
 use forelight_protocol::{
-    FixedCosts, MaterialMode, PreviewBackend, RenderSettings, SceneSummary, Spent, StratumName,
+    FixedCosts, MaterialMode, PreviewBackend, RenderSettings, SceneDigest, SceneSummary, Spent, StratumName,
 };
 use forelight_scene::{Frame, Geometry, Limits, Scene};
 use forelight_tracer::{Image, MaterialOverride, Pixel, Profile, Settings, Tracer, thread_cpu_nanos};
@@ -83,6 +83,7 @@ impl OpenRenderer for Ambient {
 fn summary(scene: &Scene, first: &Frame) -> SceneSummary {
     SceneSummary {
         name: scene.name().to_owned(),
+        digest: SceneDigest(scene.digest()),
         frames: scene.frame_count(),
         width: first.camera.width,
         height: first.camera.height,

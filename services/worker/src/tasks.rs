@@ -35,6 +35,14 @@ impl Execute for TaskRunner {
     fn execute(&self, assignment: &Assignment, control: &Control) -> Result<Outcome, ExecuteError> {
         let renderer = self.library.open(&assignment.bundle)?;
         let renderer = &*renderer;
+        // Shared storage may hold another version of the bundle by now. What was forecast and booked is not what it would take,
+        // and frames of two versions make no shot.
+        let (submitted, found) = (assignment.spec.digest(), renderer.info().summary.digest);
+        if found != submitted {
+            return Err(ExecuteError::Permanent(format!(
+                "the bundle has changed since the job was submitted (its digest was {submitted} and is {found}): submit the job again"
+            )));
+        }
         match &assignment.spec {
             TaskSpec::Preview(spec) => preview(renderer, spec, control),
             TaskSpec::Profile(spec) => profile(renderer, spec, control),

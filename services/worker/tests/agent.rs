@@ -9,7 +9,7 @@ use axum::{Json, Router};
 use forelight_protocol::{
     ArtifactHash, BundleSource, JobId, Lease, LeaseId, LeaseOrder, NodeRegistration, PreviewBackend,
     PreviewResult, PreviewSpec, Problem, ProblemKind, RenderSettingsRequest, RenewRequest, Renewal,
-    ResultRequest, Spent, TaskId, TaskResult, TaskSpec, Timestamp,
+    ResultRequest, SceneDigest, Spent, TaskId, TaskResult, TaskSpec, Timestamp,
 };
 use forelight_worker::{
     Agent, Assignment, Client, Control, Execute, ExecuteError, Library, OpenRenderer, Outcome, RenderError,
@@ -115,6 +115,7 @@ fn lease(fence: u64) -> Lease {
     let spec = PreviewSpec {
         job_id: JobId::new(),
         bundle: BundleSource::Path("/nowhere".into()),
+        digest: SceneDigest([0; 32]),
         frames: vec![0],
         settings: RenderSettingsRequest::default().complete((4, 4)),
     };

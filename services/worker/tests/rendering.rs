@@ -3,7 +3,7 @@
 use forelight_preview::Choice;
 use forelight_protocol::{
     BundleSource, JobId, PreviewSpec, ProfileSpec, RenderSettings, RenderSettingsRequest, RenderSpec,
-    TaskResult, TaskSpec,
+    SceneDigest, TaskResult, TaskSpec,
 };
 use forelight_worker::{
     Ambient, Assignment, Control, Execute, ExecuteError, Library, Observer, Outcome, QuoteOptions,
@@ -73,6 +73,12 @@ impl Rig {
         BundleSource::Path(self.bundle().display().to_string())
     }
 
+    /// Of what the bundle holds now, if that is a scene.
+    fn digest(&self) -> SceneDigest {
+        let scene = forelight_scene::Scene::load(&self.bundle(), &forelight_scene::Limits::default());
+        SceneDigest(scene.map_or([0; 32], |scene| scene.digest()))
+    }
+
     fn run(&self, spec: TaskSpec, profile: Option<bytes::Bytes>) -> Result<Outcome, ExecuteError> {
         self.runner.execute(&Assignment { spec, bundle: self.bundle(), profile }, &Control::default())
     }
@@ -81,6 +87,7 @@ impl Rig {
         TaskSpec::Profile(ProfileSpec {
             job_id: JobId::new(),
             bundle: self.source(),
+            digest: self.digest(),
             frame,
             samples: 100,
             phase_seed: 5,
@@ -92,6 +99,7 @@ impl Rig {
         TaskSpec::Render(RenderSpec {
             job_id: JobId::new(),
             bundle: self.source(),
+            digest: self.digest(),
             frame,
             settings: self.settings.clone(),
             profile: None,
@@ -116,6 +124,7 @@ fn a_preview_counts_every_pixel_of_every_frame() {
     let spec = PreviewSpec {
         job_id: JobId::new(),
         bundle: rig.source(),
+        digest: rig.digest(),
         frames: vec![0, 2],
         settings: rig.settings.clone(),
     };
@@ -210,6 +219,30 @@ fn a_bundle_that_changed_on_shared_storage_is_loaded_anew() {
     let materials = fs::read_to_string(rig.bundle().join("room.mtl")).unwrap();
     fs::write(rig.bundle().join("room.mtl"), materials.replace("0.6 0.4 0.2", "0.1 0.4 0.25")).unwrap();
     assert_ne!(before, png(rig.run(rig.render_spec(0), None).unwrap()));
+}
+
+#[test]
+fn a_bundle_that_changed_after_the_job_was_submitted_is_an_error_for_good_of_every_task() {
+    let rig = Rig::new();
+    let preview = PreviewSpec {
+        job_id: JobId::new(),
+        bundle: rig.source(),
+        digest: rig.digest(),
+        frames: vec![0],
+        settings: rig.settings.clone(),
+    };
+    let specs = [TaskSpec::Preview(preview), rig.profile_spec(0), rig.render_spec(0)];
+    // Opened before it changes, and kept open.
+    rig.run(specs[2].clone(), None).unwrap();
+    let before = rig.digest();
+    let materials = fs::read_to_string(rig.bundle().join("room.mtl")).unwrap();
+    fs::write(rig.bundle().join("room.mtl"), materials.replace("0.6 0.4 0.2", "0.6 0.4 0.25")).unwrap();
+    for spec in specs {
+        let error = rig.run(spec, None).unwrap_err();
+        let ExecuteError::Permanent(text) = &error else { panic!("{error:?}") };
+        assert!(text.contains("has changed") && text.contains(&before.to_string()), "{text}");
+    }
+    rig.run(rig.render_spec(0), None).unwrap();
 }
 
 #[test]
