@@ -34,6 +34,9 @@ CREATE TABLE nodes (
     speed          REAL NOT NULL CHECK (speed > 0),
     price_per_hour INTEGER NOT NULL CHECK (price_per_hour >= 0),
     cores          INTEGER NOT NULL CHECK (cores >= 1),
+    -- What was set by hand goes before what the node says of itself, each time that it registers.
+    speed_set      REAL CHECK (speed_set > 0),
+    price_set      INTEGER CHECK (price_set >= 0),
     drain          INTEGER NOT NULL DEFAULT 0 CHECK (drain IN (0, 1)),
     created_at     INTEGER NOT NULL,
     last_seen_at   INTEGER NOT NULL

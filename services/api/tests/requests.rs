@@ -4,7 +4,7 @@ mod support;
 
 use std::time::Duration;
 
-use forelight_protocol::{Job, JobCheck, JobPage, ProblemKind};
+use forelight_protocol::{Job, JobCheck, JobPage, Node, ProblemKind};
 use reqwest::header::CONTENT_TYPE;
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
@@ -429,4 +429,28 @@ async fn nodes_are_the_same_by_name_and_their_numbers_have_bounds() {
         .json(&json!({"drain": true}));
     let drained: Value = patch.send().await.unwrap().json_as(StatusCode::OK).await;
     assert_eq!((&drained["drain"], &drained["price_per_hour"]), (&json!(true), &json!(3_600_000)));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_an_operator_sets_on_a_node_holds_when_it_registers_again_until_null_gives_it_up() {
+    let farm = Farm::new().await;
+    let node = farm.node("rack 3").await;
+    let patch = |change: Value| {
+        farm.operator.request(Method::PATCH, &format!("/v1/nodes/{}", node.id)).json(&change).send()
+    };
+    let set: Node =
+        patch(json!({"speed": 4.0, "price_per_hour": 5})).await.unwrap().json_as(StatusCode::OK).await;
+    assert_eq!((set.speed, set.speed_set, set.price_per_hour.0, set.price_set), (4.0, true, 5, true));
+    assert_eq!(Node { last_seen_at: set.last_seen_at, ..farm.node("rack 3").await }, set);
+    let reset: Node = patch(json!({"speed": null})).await.unwrap().json_as(StatusCode::OK).await;
+    assert_eq!((reset.speed, reset.speed_set, reset.price_per_hour.0), (2.0, false, 5));
+    for (change, pointer) in [
+        (json!({"speed": 0.0}), "/speed"),
+        (json!({"speed": "fast"}), "/speed"),
+        (json!({"price_per_hour": -1}), "/price_per_hour"),
+        (json!({"cores": 3}), "/cores"),
+    ] {
+        let problem = patch(change.clone()).await.unwrap().problem(ProblemKind::Invalid).await;
+        assert_eq!(problem.pointer.as_deref(), Some(pointer), "{change}");
+    }
 }

@@ -23,6 +23,7 @@ macro_rules! select_nodes {
 
 impl Store {
     /// Registers a node. One of the same name is updated and keeps its id: a worker that starts again is the same node.
+    /// A speed or price that was set by hand stays in force.
     pub async fn register_node(
         &self,
         registration: &NodeRegistration,
@@ -61,7 +62,8 @@ impl Store {
         Ok(Answered::Fresh(node))
     }
 
-    /// Changes a node.
+    /// Changes a node. A speed or price that is set here stays in force until it is set again, or given up with `None`
+    /// inside `Some`: then what the node said of itself last holds.
     pub async fn change_node(
         &self,
         node: NodeId,
@@ -70,12 +72,14 @@ impl Store {
     ) -> Result<Node, StoreError> {
         let mut write = self.write().await?;
         sqlx::query(
-            "UPDATE nodes SET drain = coalesce(?, drain), speed = coalesce(?, speed), \
-             price_per_hour = coalesce(?, price_per_hour) WHERE id = ?",
+            "UPDATE nodes SET drain = coalesce(?, drain), speed_set = CASE WHEN ? THEN ? ELSE speed_set END, \
+             price_set = CASE WHEN ? THEN ? ELSE price_set END WHERE id = ?",
         )
         .bind(change.drain)
-        .bind(change.speed)
-        .bind(change.price_per_hour.map(Money::micro_units))
+        .bind(change.speed.is_some())
+        .bind(change.speed.flatten())
+        .bind(change.price_per_hour.is_some())
+        .bind(change.price_per_hour.flatten().map(Money::micro_units))
         .bind(node.0)
         .execute(write.connection())
         .await?;
@@ -127,11 +131,15 @@ pub(crate) async fn list(
 }
 
 fn decode(row: &SqliteRow) -> Result<Node, StoreError> {
+    let speed_set: Option<f64> = row.try_get("speed_set")?;
+    let price_set: Option<i64> = row.try_get("price_set")?;
     Ok(Node {
         id: NodeId(id(row, "id")?),
         name: row.try_get("name")?,
-        speed: row.try_get("speed")?,
-        price_per_hour: Money(row.try_get("price_per_hour")?),
+        speed: speed_set.map_or_else(|| row.try_get("speed"), Ok)?,
+        speed_set: speed_set.is_some(),
+        price_per_hour: Money(price_set.map_or_else(|| row.try_get("price_per_hour"), Ok)?),
+        price_set: price_set.is_some(),
         cores: whole(row, "cores")?,
         drain: row.try_get("drain")?,
         task_id: id_opt(row, "task_id")?.map(TaskId),

@@ -65,7 +65,7 @@ async fn claim(State(farm): State<Shared>) -> Response {
 async fn register(State(farm): State<Shared>) -> Response {
     farm.lock().unwrap().registrations += 1;
     let node = serde_json::json!({
-        "id": Uuid::nil(), "name": "node-1", "speed": 1.0, "price_per_hour": 0, "cores": 1, "drain": false,
+        "id": Uuid::nil(), "name": "node-1", "speed": 1.0, "speed_set": false, "price_per_hour": 0, "price_set": false, "cores": 1, "drain": false,
         "task_id": null, "created_at": "2026-01-01T00:00:00Z", "last_seen_at": "2026-01-01T00:00:00Z",
     });
     Json(node).into_response()

@@ -12,7 +12,7 @@ use crate::extract::{Anyone, JsonBody, KeyHeader, QueryParameters, Segment, Work
 use crate::page::{PageQuery, cut};
 use crate::state::App;
 
-/// A node announces itself; one of the same name is updated and keeps its id.
+/// A node announces itself; one of the same name is updated and keeps its id, and what was set by hand.
 #[utoipa::path(post, path = "/v1/nodes", tag = "work", request_body = NodeRegistration,
     params(("Idempotency-Key" = Option<String>, Header, description = "Makes repeating the request harmless")),
     responses((status = 201, description = "The node", body = Node), Problems))]
@@ -63,7 +63,9 @@ pub(crate) async fn get(
     Ok(Json(app.store.node(node).await?))
 }
 
-/// Drains, undrains, or reprices a node.
+/// Drains or undrains a node, or sets its speed or price by hand.
+///
+/// What is set holds when the node registers again; `null` gives it up.
 #[utoipa::path(patch, path = "/v1/nodes/{id}", tag = "work", params(("id" = NodeId, Path)), request_body = NodeChange,
     responses((status = 200, description = "The node", body = Node), Problems))]
 pub(crate) async fn change(
@@ -72,8 +74,8 @@ pub(crate) async fn change(
     Segment(node): Segment<NodeId>,
     JsonBody { value: change, .. }: JsonBody<NodeChange>,
 ) -> ApiResult<Json<Node>> {
-    change.speed.map_or(Ok(()), check_speed)?;
-    change.price_per_hour.map_or(Ok(()), check_price)?;
+    change.speed.flatten().map_or(Ok(()), check_speed)?;
+    change.price_per_hour.flatten().map_or(Ok(()), check_price)?;
     Ok(Json(app.store.change_node(node, &change, app.now()).await?))
 }
 

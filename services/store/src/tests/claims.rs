@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use forelight_protocol::{JobState, NodeChange, TaskKind};
+use forelight_protocol::{JobState, Money, NodeChange, TaskKind};
 
 use super::*;
 
@@ -113,6 +113,33 @@ async fn a_draining_node_gets_nothing_until_it_is_undrained() {
     assert_eq!(farm.claim(node.id, at(0)).await, None);
     farm.store.change_node(node.id, &drain(false), at(0)).await.unwrap();
     assert!(farm.claim(node.id, at(0)).await.is_some());
+}
+
+#[tokio::test]
+async fn a_speed_and_a_price_set_by_hand_outlive_registrations_until_they_are_given_up() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let numbers = |node: &Node| (node.speed, node.speed_set, node.price_per_hour.0, node.price_set);
+    assert_eq!(numbers(&node), (2.0, false, 1_000_000, false));
+    let change = NodeChange { speed: Some(Some(3.0)), ..NodeChange::default() };
+    farm.store.change_node(node.id, &change, at(0)).await.unwrap();
+    let change = NodeChange { price_per_hour: Some(Some(Money(7))), ..NodeChange::default() };
+    farm.store.change_node(node.id, &change, at(0)).await.unwrap();
+    // It starts again, and measures itself anew.
+    let registration =
+        NodeRegistration { name: "a".to_owned(), speed: 1.5, price_per_hour: Money(9), cores: 4 };
+    let again = fresh(farm.store.register_node(&registration, None, at(1)).await.unwrap());
+    assert_eq!((again.id, numbers(&again), again.cores), (node.id, (3.0, true, 7, true), 4));
+    // What was set counts, and not only on paper.
+    farm.job("0").await;
+    let lease = farm.claim(node.id, at(1)).await.unwrap();
+    let mut read = farm.store.read().await.unwrap();
+    let speed = crate::leases::read(&mut read, lease.lease_id).await.unwrap().node_speed;
+    drop(read);
+    assert_eq!(speed, 3.0);
+    let change = NodeChange { speed: Some(None), ..NodeChange::default() };
+    let given_up = farm.store.change_node(node.id, &change, at(2)).await.unwrap();
+    assert_eq!(numbers(&given_up), (1.5, false, 7, true));
 }
 
 #[tokio::test]
