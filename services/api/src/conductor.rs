@@ -67,7 +67,12 @@ impl Conductor {
 
     /// Advances a job as far as it goes. What goes wrong is logged, and fails the job if trying again is pointless.
     pub async fn advance(&self, job: JobId) {
-        match self.try_advance(job).await {
+        let outcome = self.try_advance(job).await;
+        self.settle(job, outcome).await;
+    }
+
+    async fn settle(&self, job: JobId, outcome: Result<(), AdvanceError>) {
+        match outcome {
             Ok(()) => {}
             Err(AdvanceError::Store(error)) => {
                 tracing::warn!(%job, %error, "the job does not advance for now")
@@ -129,5 +134,48 @@ async fn compute<T: Send + 'static>(
     match tokio::task::spawn_blocking(work).await {
         Ok(outcome) => outcome,
         Err(error) => Err(AdvanceError::Hopeless(format!("a computation failed: {error}"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::SystemClock;
+    use forelight_protocol::{BundleSource, JobRequest, SceneDigest, SceneSummary, Timestamp};
+    use forelight_store::{Answered, NewJob};
+
+    #[tokio::test]
+    async fn a_job_that_cannot_advance_fails_with_the_reason_and_is_not_asked_for_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        let request: JobRequest = serde_json::from_value(
+            serde_json::json!({"name": "a", "bundle": {"path": "/scenes/a"}, "frames": "0-3"}),
+        )
+        .unwrap();
+        let scene = SceneSummary {
+            name: "a".to_owned(),
+            digest: SceneDigest([0; 32]),
+            frames: 4,
+            width: 8,
+            height: 8,
+            objects: 1,
+            materials: 1,
+            triangles: 1,
+        };
+        let settings = request.settings.complete((8, 8));
+        let source = BundleSource::Path("/scenes/a".to_owned());
+        let new = NewJob { request, scene, source, settings };
+        let Answered::Fresh(job) = store.create_job(&new, None, Timestamp::now()).await.unwrap() else {
+            panic!()
+        };
+        let conductor = Conductor::new(store.clone(), Arc::new(SystemClock), Arc::default());
+        let busy = AdvanceError::Store(StoreError::Conflict("later".to_owned()));
+        conductor.settle(job.id, Err(busy)).await;
+        assert_eq!(store.jobs_to_advance().await.unwrap(), [job.id]);
+        let reason = "the verifier refused the plan";
+        conductor.settle(job.id, Err(AdvanceError::Hopeless(reason.to_owned()))).await;
+        let failed = store.job(job.id).await.unwrap();
+        assert_eq!((failed.state, failed.error.as_deref()), (JobState::Failed, Some(reason)));
+        assert!(store.jobs_to_advance().await.unwrap().is_empty());
     }
 }

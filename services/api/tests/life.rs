@@ -88,6 +88,8 @@ async fn a_job_is_previewed_profiled_forecast_booked_rendered_and_done() {
         assert!(cpu.error.unwrap().abs() < 0.06, "frame {}: {cpu:?}", row.frame);
         assert!(row.booked.is_some() && row.started.is_some() && row.finished.is_some());
     }
+    let open: BookingPage = farm.viewer.get("/v1/bookings").await.json_as(StatusCode::OK).await;
+    assert!(open.items.is_empty(), "the job is done: {:?}", open.items);
     let image = farm.viewer.get(&format!("/v1/jobs/{}/frames/7/image.exr", job.id)).await;
     assert_eq!(image.headers()["content-type"], "image/x-exr");
     let tag = image.headers()["etag"].clone();

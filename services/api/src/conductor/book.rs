@@ -45,7 +45,7 @@ impl Conductor {
         .await?;
         let plan = plan.map_err(|violations| {
             self.metrics.plans_refused.add(1);
-            AdvanceError::Hopeless(format!("the plan broke a rule and was refused: {violations:?}"))
+            refused(&violations)
         })?;
         let Some(found) = plan.jobs.first() else {
             return Err(AdvanceError::Hopeless("the plan says nothing of the job".to_owned()));
@@ -65,6 +65,19 @@ impl Conductor {
         tracing::info!(job = %job.id, %plan, verdict = new.verdict.verdict.name(), "booked");
         Ok(())
     }
+}
+
+/// Why a plan that the verifier does not pass is not kept, in one line that becomes the job's error.
+fn refused(violations: &[planner::Violation]) -> AdvanceError {
+    const SHOWN: usize = 3;
+    let mut broken: Vec<String> = violations.iter().take(SHOWN).map(ToString::to_string).collect();
+    if violations.len() > SHOWN {
+        broken.push(format!("and {} more", violations.len() - SHOWN));
+    }
+    AdvanceError::Hopeless(format!(
+        "the verifier refused the plan, and nothing is booked: {}",
+        broken.join("; ")
+    ))
 }
 
 /// The planner's view: nodes and jobs are numbers there, ours by their place in a list.
@@ -222,4 +235,55 @@ fn cost(total: &ForecastTotals, nodes: &[Node]) -> Option<MoneyQuantiles> {
     let money = |seconds: f64| Money((seconds * mean_price).round() as i64);
     let Quantiles { mean, p50, p80, p95 } = total.cpu_seconds;
     Some(MoneyQuantiles { mean: money(mean), p50: money(p50), p80: money(p80), p95: money(p95) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One node, and a job of six frames.
+    fn input() -> planner::Input {
+        let frame = |number| planner::Frame { number, work: 1_000_000 };
+        planner::Input {
+            nodes: vec![planner::Node {
+                id: 0,
+                name: "a".to_owned(),
+                speed: 1_000_000,
+                price_per_hour: 0,
+                available_from: 0,
+                calendar: vec![Interval { start: 0, end: None }],
+            }],
+            fixed: Vec::new(),
+            jobs: vec![planner::Job {
+                id: 0,
+                release: 0,
+                deadline: None,
+                priority: 0,
+                confidence: planner::Confidence::P50,
+                total: planner::WorkTotal { p50: 6_000_000, p80: 6_000_000, p95: 6_000_000 },
+                frames: (0..6).map(frame).collect(),
+                budget: None,
+            }],
+        }
+    }
+
+    #[test]
+    fn a_refused_plan_says_who_refused_it_and_why_in_one_line_of_bounded_length() {
+        let input = input();
+        let mut plan = planner::plan(&input).unwrap();
+        planner::verify(&input, &plan).unwrap();
+        plan.bookings.iter_mut().for_each(|booking| booking.start = 0);
+        let violations = planner::verify(&input, &plan).unwrap_err();
+        assert!(violations.len() > 3, "{violations:?}");
+        let error = refused(&violations).to_string();
+        assert!(
+            error.starts_with("the verifier refused the plan, and nothing is booked: job 0, frame "),
+            "{error}"
+        );
+        assert!(
+            error.ends_with(&format!("; and {} more", violations.len() - 3)) && !error.contains('\n'),
+            "{error}"
+        );
+        assert!(refused(&violations[..1]).to_string().ends_with(&violations[0].to_string()));
+    }
 }

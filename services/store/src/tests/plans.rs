@@ -81,6 +81,37 @@ async fn open_bookings_are_those_of_frames_not_yet_rendered() {
     assert!(farm.store.open_bookings().await.unwrap().is_empty());
 }
 
+#[tokio::test]
+async fn a_job_that_is_done_or_failed_leaves_no_booking_open_and_those_of_others_stay() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let done = farm.booked_job(request("0-2"), node.id, at(10)).await;
+    let failing = farm.booked_job(request("0-2"), node.id, at(100)).await;
+    let waiting = farm.booked_job(request("0-2"), node.id, at(200)).await;
+    let open = async || {
+        let open = farm.store.open_bookings().await.unwrap();
+        open.iter().map(|open| (open.booking.job_id, open.booking.frame)).collect::<Vec<_>>()
+    };
+    assert_eq!(open().await.len(), 9);
+    for second in 0..3 {
+        let lease = farm.claim(node.id, at(10 + second)).await.unwrap();
+        assert_eq!(lease.job_id, done);
+        farm.commit(&lease, at(11 + second)).await;
+    }
+    assert_eq!(farm.store.job(done).await.unwrap().state, JobState::Done);
+    // One of its frames is being rendered when it fails.
+    let lease = farm.claim(node.id, at(100)).await.unwrap();
+    assert_eq!(lease.job_id, failing);
+    farm.store.fail_job(failing, "the verifier refused the plan", at(101)).await.unwrap();
+    assert_eq!(open().await, [(waiting, 0), (waiting, 1), (waiting, 2)]);
+    assert_eq!(farm.store.open_bookings_page(None, 10).await.unwrap().len(), 3);
+    // What was booked is still told beside each frame.
+    for job in [done, failing] {
+        let rows = farm.store.frames(job, None, 10).await.unwrap();
+        assert!(rows.len() == 3 && rows.iter().all(|row| row.booked.is_some()), "{rows:?}");
+    }
+}
+
 fn booking(frame: u32, node: u8, start: i64, end: i64) -> Booking {
     Booking {
         id: BookingId(uuid::Uuid::from_u128(u128::from(frame))),
