@@ -77,7 +77,7 @@ pub struct RenderStats {
     pub cache_records: Vec<u64>,
     /// Deterministic count of operations.
     pub work: u64,
-    /// CPU seconds over all threads.
+    /// CPU time over all threads, in seconds. On the farm also that of encoding the pictures and of the preview among them.
     pub cpu_seconds: f64,
     /// Seconds that this run took, from start to end.
     pub wall_seconds: f64,

@@ -298,6 +298,20 @@ pub struct FixedCosts {
     pub load: Spent,
     /// Building the acceleration structure.
     pub build: Spent,
+    /// Making the files of a finished frame: encoding its pictures, and the preview among them. In time alone: work counts
+    /// tracing. All 0 where no such files are made.
+    pub write: Spent,
+}
+
+impl FixedCosts {
+    /// All of them together.
+    pub const fn total(self) -> Spent {
+        let Self { load, build, write } = self;
+        Spent {
+            work: load.work.saturating_add(build.work).saturating_add(write.work),
+            cpu_nanos: load.cpu_nanos.saturating_add(build.cpu_nanos).saturating_add(write.cpu_nanos),
+        }
+    }
 }
 
 /// The artefacts of a profile.

@@ -232,7 +232,11 @@ impl Renderer for AmbientShot {
             previewer: &self.previewer,
             fingerprint: OnceLock::new(),
             tracer,
-            fixed: FixedCosts { load: Spent { work: 0, cpu_nanos: moved }, build: own_tree },
+            fixed: FixedCosts {
+                load: Spent { work: 0, cpu_nanos: moved },
+                build: own_tree,
+                write: Spent::default(),
+            },
             built_now,
         }))
     }

@@ -7,6 +7,7 @@
 //! | `shot`, `quote` | preview all frames, profile some, estimate all: the way to a quote |
 //! | `warm_clock` | what a scattered pixel would have taken among its neighbours |
 //! | `render` | one frame with its true cost |
+//! | `pictures` | the files of a finished frame, and what making them takes |
 //! | `tasks` | the three kinds of tasks |
 //! | `execute`, `agent` | a task's life between lease and result |
 //! | `library` | bundles, fetched once and kept open |
@@ -20,6 +21,7 @@ mod calibrate;
 mod client;
 mod execute;
 mod library;
+mod pictures;
 mod quote;
 mod render;
 mod renderer;
@@ -36,6 +38,7 @@ pub use calibrate::{MEASURING_TIME, REFERENCE_RATE, node_speed};
 pub use client::{Client, EventStream, FramePicture};
 pub use execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 pub use library::Library;
+pub use pictures::png;
 pub use quote::{Quote, QuoteOptions, quote};
 pub use render::{Rendered, peak_rss_bytes, render_frame, seconds};
 pub use renderer::{
@@ -45,5 +48,5 @@ pub use server_events::{EventParser, ServerEvent};
 pub use shot::{
     CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, forecast_strata, plus, profile_frame,
 };
-pub use tasks::{TaskRunner, png, preview_result, profile_result};
+pub use tasks::{TaskRunner, preview_result, profile_result};
 pub use transport::{ClientError, Token};

@@ -82,7 +82,7 @@ pub fn quote(
         .map(|(&frame, profile)| forelight_forecast::ProfiledFrame {
             frame,
             observations: &profile.observations,
-            fixed: fixed_cost(plus(profile.fixed.load, profile.fixed.build)),
+            fixed: fixed_cost(profile.fixed.total()),
         })
         .collect();
     let forecast = forelight_forecast::forecast_shot(&strata, &populations, &measured, Calibration::NONE)?;

@@ -35,25 +35,40 @@ pub fn render_frame(
 ) -> Result<Option<Rendered>, RenderError> {
     let start = Instant::now();
     let ready = renderer.frame(frame, settings)?;
+    let rendered = render_ready(&*ready, settings, reuse, progress, cancel)?;
+    Ok(rendered.map(|mut rendered| {
+        rendered.stats.wall_seconds = start.elapsed().as_secs_f64();
+        rendered
+    }))
+}
+
+/// The same for a frame that was set up before; its wall time is that of tracing alone.
+pub fn render_ready(
+    ready: &dyn FrameRenderer,
+    settings: &RenderSettings,
+    reuse: Option<&Profile>,
+    progress: &(dyn Fn(u64, u64) + Sync),
+    cancel: &AtomicBool,
+) -> Result<Option<Rendered>, RenderError> {
+    let start = Instant::now();
     let pixels = settings.pixels();
     let Some(image) = ready.render(reuse, &|done| progress(done, pixels), cancel)? else { return Ok(None) };
-    let stats = stats(&*ready, &image, frame, settings, start.elapsed().as_secs_f64());
+    let stats = stats(ready, &image, settings, start.elapsed().as_secs_f64());
     Ok(Some(Rendered { stats, image, frame: ready.frame().clone() }))
 }
 
 fn stats(
     ready: &dyn FrameRenderer,
     image: &Image,
-    frame: u32,
     settings: &RenderSettings,
     wall_seconds: f64,
 ) -> RenderStats {
     let (all, reused) = (image.totals(), image.reused_totals());
     let traced = Spent { work: all.work, cpu_nanos: all.cpu_nanos };
     let fixed = ready.fixed();
-    let cost = plus(traced, plus(fixed.load, fixed.build));
+    let cost = plus(traced, fixed.total());
     RenderStats {
-        frame,
+        frame: ready.frame().number,
         width: settings.width,
         height: settings.height,
         spp: settings.spp,

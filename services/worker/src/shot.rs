@@ -8,7 +8,7 @@ use crate::warm_clock;
 use forelight_forecast::{Cost, FrameDesign, Observation, Stratum};
 use forelight_preview::NOTHING;
 use forelight_protocol::{FixedCosts, MaterialMode, PreviewBackend, RenderSettings, Spent};
-use forelight_scene::MaterialClass;
+use forelight_scene::{Frame, MaterialClass};
 use forelight_tracer::{Pixel, Profile};
 
 /// What can go wrong on the way to a quote.
@@ -103,7 +103,8 @@ pub struct ProfiledFrame {
     pub observations: Vec<Observation>,
     /// The finished pixels, for the render to take over: the profiled ones, then neighbours that were traced for their time.
     pub profile: Profile,
-    /// What every render of the frame costs whatever its pixels show.
+    /// What every render of the frame costs whatever its pixels show; without writing its files, which is for those who write
+    /// them to add.
     pub fixed: FixedCosts,
     /// What setting the frame up took this time.
     pub setup: Spent,
@@ -113,6 +114,8 @@ pub struct ProfiledFrame {
     pub pixels: Spent,
     /// The preview as a picture.
     pub picture: image::RgbImage,
+    /// The frame as it was traced.
+    pub scene: Frame,
 }
 
 impl ProfiledFrame {
@@ -179,6 +182,7 @@ pub fn profile_frame(
         preview: seen.spent,
         pixels,
         picture: forelight_preview::picture(&seen.preview, ready.frame()),
+        scene: ready.frame().clone(),
         profile: ready.profile(finished),
     })
 }

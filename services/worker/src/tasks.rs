@@ -2,7 +2,8 @@
 
 use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 use crate::library::Library;
-use crate::render::render_frame;
+use crate::pictures::{encode, encoding_nanos, png, write_cost};
+use crate::render::{render_ready, seconds};
 use crate::renderer::{RenderError, Renderer, ShotInfo};
 use crate::shot::{
     CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, forecast_strata, profile_frame,
@@ -13,10 +14,9 @@ use forelight_protocol::{
     ProfileSpec, RenderArtifacts, RenderResult, RenderSettings, RenderSpec, Stratum, TaskResult, TaskSpec,
 };
 use forelight_tracer::Profile;
-use image::{ImageFormat, RgbImage};
 use std::collections::BTreeSet;
-use std::io::Cursor;
 use std::sync::Arc;
+use std::time::Instant;
 
 /// Does tasks with the bundles of a library.
 #[derive(Debug, Clone)]
@@ -83,7 +83,7 @@ pub fn preview_result(
 }
 
 fn profile(renderer: &dyn Renderer, spec: &ProfileSpec, control: &Control) -> Result<Outcome, ExecuteError> {
-    let profiled = profile_frame(
+    let mut profiled = profile_frame(
         renderer,
         spec.frame,
         &spec.settings,
@@ -91,12 +91,15 @@ fn profile(renderer: &dyn Renderer, spec: &ProfileSpec, control: &Control) -> Re
         spec.phase_seed,
         &Reporting(control),
     )?;
+    let encoding = encoding_nanos(&profiled)?;
+    profiled.fixed.write = write_cost(encoding, profiled.preview);
     let mut files = Files::default();
     let artifacts = ProfileArtifacts {
         profile: files.add(profiled.profile.to_bytes()),
         preview_png: Some(files.add(png(&profiled.picture)?)),
     };
-    let result = profile_result(renderer.info(), &spec.settings, &profiled, artifacts);
+    let mut result = profile_result(renderer.info(), &spec.settings, &profiled, artifacts);
+    result.spent.cpu_nanos += encoding;
     Ok(Outcome { result: TaskResult::Profile(result), artifacts: files.contents })
 }
 
@@ -139,16 +142,22 @@ fn render(
 ) -> Result<Outcome, ExecuteError> {
     let reuse = profile.map(|bytes| Profile::from_bytes(bytes)).transpose().map_err(RenderError::from)?;
     let progress = |done: u64, all: u64| control.set_progress(done as f64 / all.max(1) as f64);
-    let rendered =
-        render_frame(renderer, spec.frame, &spec.settings, reuse.as_ref(), &progress, control.cancelled())?
-            .ok_or(ExecuteError::Cancelled)?;
-    let seen = renderer.frame(spec.frame, &spec.settings)?.preview()?;
+    let start = Instant::now();
+    let ready = renderer.frame(spec.frame, &spec.settings)?;
+    let mut rendered = render_ready(&*ready, &spec.settings, reuse.as_ref(), &progress, control.cancelled())?
+        .ok_or(ExecuteError::Cancelled)?;
+    let seen = ready.preview()?;
+    let picture = forelight_preview::picture(&seen.preview, &rendered.frame);
+    let (pictures, encoding) = encode(&rendered.image, &rendered.frame, &picture)?;
+    let written = write_cost(encoding, seen.spent);
+    rendered.stats.cpu_seconds += seconds(written.cpu_nanos);
+    rendered.stats.wall_seconds = start.elapsed().as_secs_f64();
     let mut files = Files::default();
     let artifacts = RenderArtifacts {
-        image_exr: files.add(exr(&rendered)?),
-        image_png: files.add(png(&rendered.image.picture())?),
-        cost_map_png: files.add(png(&rendered.image.cost_map())?),
-        preview_png: Some(files.add(png(&forelight_preview::picture(&seen.preview, &rendered.frame))?)),
+        image_exr: files.add(pictures.image_exr),
+        image_png: files.add(pictures.image_png),
+        cost_map_png: files.add(pictures.cost_map_png),
+        preview_png: Some(files.add(pictures.preview_png)),
     };
     let result = RenderResult { stats: rendered.stats, artifacts };
     Ok(Outcome { result: TaskResult::Render(result), artifacts: files.contents })
@@ -196,24 +205,6 @@ impl Files {
         self.contents.push(content.into());
         hash
     }
-}
-
-/// A picture as a PNG file.
-pub fn png(picture: &RgbImage) -> Result<Vec<u8>, ExecuteError> {
-    let mut bytes = Vec::new();
-    picture
-        .write_to(&mut Cursor::new(&mut bytes), ImageFormat::Png)
-        .map_err(|error| ExecuteError::Transient(format!("cannot encode a picture: {error}")))?;
-    Ok(bytes)
-}
-
-/// The image as an OpenEXR file; the writer wants a real one.
-fn exr(rendered: &crate::render::Rendered) -> Result<Vec<u8>, ExecuteError> {
-    let failed =
-        |error: &dyn std::fmt::Display| ExecuteError::Transient(format!("cannot write the image: {error}"));
-    let file = tempfile::Builder::new().suffix(".exr").tempfile().map_err(|e| failed(&e))?;
-    rendered.image.write_exr(file.path(), &rendered.frame).map_err(|e| failed(&e))?;
-    std::fs::read(file.path()).map_err(|e| failed(&e))
 }
 
 /// Progress of the steps of a quote, as the lease's progress.

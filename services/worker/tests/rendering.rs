@@ -188,6 +188,33 @@ fn a_profiled_pixel_is_a_finished_pixel() {
 }
 
 #[test]
+fn a_frames_time_holds_that_of_writing_its_files_and_the_profile_measures_it() {
+    let rig = Rig::new();
+    let profiled = rig.run(rig.profile_spec(1), None).unwrap();
+    let TaskResult::Profile(profile) = &profiled.result else { panic!() };
+    let write = profile.fixed.write;
+    assert!(write.cpu_nanos > 10_000 && write.work == 0, "{write:?}");
+    assert_eq!(profile.fixed.total().work, profile.fixed.load.work + profile.fixed.build.work);
+    assert_eq!(
+        profile.fixed.total().cpu_nanos,
+        profile.fixed.load.cpu_nanos + profile.fixed.build.cpu_nanos + write.cpu_nanos
+    );
+    // With every pixel taken over, what is left of the frame's time is setting it up and writing it.
+    let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
+    let all = QuoteOptions { samples: 32 * 24, profile_frames: 1, seed: 1 };
+    let quoted = quote(&shot, &[1], &rig.settings, &all, &Nobody).unwrap();
+    let bytes = bytes::Bytes::from(quoted.profiled[0].profile.to_bytes());
+    let TaskResult::Render(render) = rig.run(rig.render_spec(1), Some(bytes)).unwrap().result else {
+        panic!()
+    };
+    assert_eq!(render.stats.reused_pixels, 32 * 24);
+    let rest = render.stats.cpu_seconds - render.stats.reused_cpu_seconds;
+    assert!(rest > 10e-6, "{rest} s");
+    assert_eq!(render.stats.work, render.stats.reused_work, "writing is no work");
+    assert_eq!(quoted.profiled[0].fixed.write.cpu_nanos, 0, "a quote made offline writes no files");
+}
+
+#[test]
 fn a_profile_of_another_image_is_refused_for_good() {
     let rig = Rig::new();
     let profiled = rig.run(rig.profile_spec(0), None).unwrap();

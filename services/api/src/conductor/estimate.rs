@@ -48,7 +48,7 @@ pub(super) fn forecast(
             })
             .collect();
         make_room(&mut populations.frames[at].counts, &observed);
-        let Spent { work, cpu_nanos } = plus(result.fixed.load, result.fixed.build);
+        let Spent { work, cpu_nanos } = result.fixed.total();
         let fixed = Cost { work, cpu_nanos: at_speed_one(cpu_nanos, *node_speed), rays: [0; RAY_KINDS] };
         observations.push((at, observed, fixed));
     }
@@ -184,7 +184,9 @@ mod tests {
             }
         }
         let artifacts = ProfileArtifacts { profile: ArtifactHash([0; 32]), preview_png: None };
-        let fixed = FixedCosts { load: Spent { work: 7, cpu_nanos: 70 }, build: Spent::default() };
+        let load = Spent { work: 7, cpu_nanos: 30 };
+        let write = Spent { work: 0, cpu_nanos: 40 };
+        let fixed = FixedCosts { load, build: Spent::default(), write };
         let result = ProfileResult {
             frame,
             strata,

@@ -253,6 +253,7 @@ impl Farm {
                     fixed: FixedCosts {
                         load: Spent { work: 5, cpu_nanos: 5_000_000 },
                         build: Spent::default(),
+                        write: Spent::default(),
                     },
                     spent: Spent { work: 1000, cpu_nanos: 1_000_000 },
                     artifacts: ProfileArtifacts {

@@ -89,6 +89,7 @@ fn profile(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
     }
     spent(&format!("{AT}/fixed/load"), result.fixed.load)?;
     spent(&format!("{AT}/fixed/build"), result.fixed.build)?;
+    spent(&format!("{AT}/fixed/write"), result.fixed.write)?;
     spent(&format!("{AT}/spent"), result.spent)
 }
 
