@@ -1,0 +1,38 @@
+#!/usr/bin/env bash
+# All tests: installs what they need, then format, lints, unit and integration tests, tests against other programs, the demo.
+#
+#   tests/run.sh          everything
+#   tests/run.sh --quick  without what needs other programs, and without the demo
+#
+# FORELIGHT_SHARED  folder with test scenes and reference images (default: ../shared); tests that need it skip without it
+set -euo pipefail
+cd "$(dirname "$0")/.."
+command -v cargo >/dev/null || PATH="$HOME/.cargo/bin:$PATH"
+export CARGO_TERM_COLOR=never
+
+step() { printf '\n== %s (%d s)\n' "$1" "$SECONDS"; }
+
+step 'Packages'
+deploy/packages.sh mesa-vulkan-drivers libvulkan1 gcc libc6-dev python3-venv
+
+step 'Format and lints'
+cargo fmt --all --check
+cargo clippy --workspace --all-targets --quiet -- -D warnings
+RUSTDOCFLAGS='-D warnings' cargo doc --workspace --no-deps --quiet
+
+step 'Tests'
+cargo build --workspace --quiet # the processes that tests start
+cargo test --workspace --quiet
+
+if [ "${1:-}" != --quick ]; then
+  export FORELIGHT_BIN=$PWD/target/debug/forelight
+  for peer in tests/peers/*.sh; do
+    step "$(basename "$peer" .sh)"
+    "$peer"
+  done
+  step 'The main job'
+  data=$(mktemp -d)
+  trap 'rm -rf "$data"' EXIT
+  FORELIGHT_DATA=$data DEMO_FRAMES=0-11 DEMO_SIZE=96x54 deploy/demo.sh --once
+fi
+step 'All passed'
