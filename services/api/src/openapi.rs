@@ -4,6 +4,12 @@ use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
 use utoipa::openapi::{ComponentsBuilder, Info, OpenApi, OpenApiBuilder, SecurityRequirement};
 use utoipa::{PartialSchema, ToSchema};
 
+/// The bytes of a file as they are: not text, and no list of numbers in JSON.
+#[derive(ToSchema)]
+#[schema(value_type = String, format = Binary)]
+#[allow(dead_code, reason = "describes bodies that are streamed and never held")]
+pub(crate) struct FileContent(Vec<u8>);
+
 /// The document without its operations: who we are, and how one proves who one is.
 pub(crate) fn frame() -> OpenApi {
     let mut info = Info::new("forelight", env!("CARGO_PKG_VERSION"));

@@ -16,9 +16,11 @@ use crate::{
 #[serde(deny_unknown_fields)]
 pub struct JobRequest {
     /// A name for people: 1 to 200 characters.
+    #[schema(min_length = 1, max_length = 200)]
     pub name: String,
     /// The project that the job is booked on: 1 to 200 characters.
     #[serde(default = "default_project")]
+    #[schema(default = "default", min_length = 1, max_length = 200)]
     pub project: String,
     /// What to render.
     pub bundle: BundleRef,

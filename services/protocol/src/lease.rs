@@ -83,6 +83,7 @@ pub struct ReleaseRequest {
 #[serde(deny_unknown_fields)]
 pub struct TaskError {
     /// One line for people, 1 to 2000 characters.
+    #[schema(min_length = 1, max_length = 2000)]
     pub message: String,
     /// Whether trying again would give the same error, as with a malformed scene: the job fails at once.
     #[serde(default)]

@@ -11,6 +11,7 @@ use crate::{Money, NodeId, PageToken, TaskId, Timestamp};
 #[serde(deny_unknown_fields)]
 pub struct NodeRegistration {
     /// Its name, unique on the farm: 1 to 100 characters.
+    #[schema(min_length = 1, max_length = 100)]
     pub name: String,
     /// Speed of one of its cores against the reference: above 0, to 1000.
     #[serde(default = "default_speed")]

@@ -47,13 +47,13 @@ impl RenderSettings {
 #[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RenderSettingsRequest {
-    /// Image width in pixels, at least 1; default: the scene's camera.
+    /// Image width in pixels, 1 to 65536; default: the scene's camera.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(minimum = 1)]
+    #[schema(minimum = 1, maximum = 65536)]
     pub width: Option<u32>,
-    /// Image height in pixels, at least 1; default: the scene's camera.
+    /// Image height in pixels, 1 to 65536; default: the scene's camera.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(minimum = 1)]
+    #[schema(minimum = 1, maximum = 65536)]
     pub height: Option<u32>,
     /// Camera paths per pixel, 1 to 65536; default 16.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -287,6 +287,7 @@ pub struct ProfileSample {
     /// CPU time of all its camera paths, in nanoseconds.
     pub cpu_nanos: u64,
     /// Rays by category, in the order of [`crate::Rays::NAMES`].
+    #[schema(min_items = 7, max_items = 7)]
     pub rays: [u64; 7],
 }
 

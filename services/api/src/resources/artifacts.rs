@@ -12,13 +12,14 @@ use super::bundles::refuse_announced_length;
 use super::file;
 use crate::error::{ApiResult, Problems};
 use crate::extract::{Anyone, Segment, WorkerToken};
+use crate::openapi::FileContent;
 use crate::state::App;
 
 const MEDIA_TYPE: &str = "application/octet-stream";
 
 /// Stores bytes under their hash. Storing the same bytes again changes nothing; other bytes than named are refused.
 #[utoipa::path(put, path = "/v1/artifacts/{blake3}", tag = "work", params(("blake3" = ArtifactHash, Path)),
-    request_body(content = Vec<u8>, content_type = "application/octet-stream", description = "By default at most 1 GiB"),
+    request_body(content = inline(FileContent), content_type = "application/octet-stream", description = "By default at most 1 GiB"),
     responses((status = 201, description = "Stored", body = ArtifactStored), (status = 200, description = "It was there already", body = ArtifactStored), Problems))]
 pub(crate) async fn put(
     State(app): State<App>,
@@ -39,7 +40,7 @@ pub(crate) async fn put(
 
 /// An artefact's bytes.
 #[utoipa::path(get, path = "/v1/artifacts/{blake3}", tag = "work", params(("blake3" = ArtifactHash, Path)),
-    responses((status = 200, description = "The bytes", body = Vec<u8>, content_type = "application/octet-stream"), Problems))]
+    responses((status = 200, description = "The bytes", body = inline(FileContent), content_type = "application/octet-stream"), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
     _: Anyone,

@@ -10,13 +10,13 @@ use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{Event as ServerEvent, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
-use forelight_protocol::{Event, EventId, JobId, ProblemKind};
+use forelight_protocol::{Event, EventId, EventKind, JobId, ProblemKind};
 use forelight_store::{Store, StoreError};
 use futures::{Stream, stream};
 use serde::Deserialize;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
-use utoipa::IntoParams;
+use utoipa::{IntoParams, ToSchema};
 
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment};
@@ -36,9 +36,22 @@ pub(crate) struct FromEvent {
     pub last_event_id: Option<EventId>,
 }
 
+/// What stands on the stream for each event.
+#[derive(ToSchema)]
+#[allow(dead_code, reason = "describes the lines that `axum` writes")]
+pub(crate) struct EventMessage {
+    /// The event's id: what to send back as `Last-Event-ID`.
+    id: String,
+    /// The event's kind.
+    event: EventKind,
+    /// The event, an `Event` in JSON.
+    #[schema(content_media_type = "application/json")]
+    data: String,
+}
+
 /// Everything that happens on the farm, from the event after `Last-Event-ID` on; without it, from now on.
 #[utoipa::path(get, path = "/v1/events", tag = "farm", params(FromEvent, ("Last-Event-ID" = Option<i64>, Header)),
-    responses((status = 200, description = "The events, each an `Event` as JSON", body = Event, content_type = "text/event-stream"), Problems))]
+    responses((status = 200, description = "The events, each an `Event` as JSON", body = EventMessage, content_type = "text/event-stream"), Problems))]
 pub(crate) async fn of_farm(
     State(app): State<App>,
     _: Reader,
@@ -56,7 +69,7 @@ pub(crate) async fn of_farm(
 /// the job is done, failed or cancelled; asked for more after that, the answer is 204, which tells a browser to stop asking.
 #[utoipa::path(get, path = "/v1/jobs/{id}/events", tag = "jobs",
     params(("id" = JobId, Path), FromEvent, ("Last-Event-ID" = Option<i64>, Header)),
-    responses((status = 200, description = "The events, each an `Event` as JSON", body = Event, content_type = "text/event-stream"),
+    responses((status = 200, description = "The events, each an `Event` as JSON", body = EventMessage, content_type = "text/event-stream"),
               (status = 204, description = "The job is over, and all of it was seen"), Problems))]
 pub(crate) async fn of_job(
     State(app): State<App>,

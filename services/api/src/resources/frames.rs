@@ -10,6 +10,7 @@ use forelight_protocol::{ArtifactHash, FrameArtifacts, FramePage, FrameRow, JobI
 use super::file;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, Segments};
+use crate::openapi::FileContent;
 use crate::page::{PageQuery, cut};
 use crate::state::App;
 
@@ -43,7 +44,7 @@ macro_rules! picture {
     ($(#[doc = $doc:literal])* $name:ident, $path:literal, $media:literal, $choose:expr) => {
         $(#[doc = $doc])*
         #[utoipa::path(get, path = $path, tag = "jobs", params(("id" = JobId, Path), ("frame" = u32, Path)),
-            responses((status = 200, description = "The picture", body = Vec<u8>, content_type = $media), (status = 304, description = "The picture is still that of `If-None-Match`"), Problems))]
+            responses((status = 200, description = "The picture", body = inline(FileContent), content_type = $media), (status = 304, description = "The picture is still that of `If-None-Match`"), Problems))]
         pub(crate) async fn $name(
             State(app): State<App>,
             _: Reader,

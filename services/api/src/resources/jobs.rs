@@ -19,7 +19,7 @@ use crate::state::App;
 
 /// Submits a job. It is previewed, forecast, booked and rendered from here on.
 #[utoipa::path(post, path = "/v1/jobs", tag = "jobs", request_body = JobRequest,
-    params(("Idempotency-Key" = Option<String>, Header, description = "Makes repeating the request harmless")),
+    params(("Idempotency-Key" = Option<String>, Header, description = "Makes repeating the request harmless", min_length = 1, max_length = 255, pattern = "^[ -~]+$")),
     responses((status = 201, description = "The job", body = Job), Problems))]
 pub(crate) async fn submit(
     State(app): State<App>,

@@ -23,7 +23,7 @@ const LONGEST_WAIT: u32 = 60_000;
 
 /// Hands out a task. If there is none, waits for one up to `wait_ms`; 204 if there still is none then.
 #[utoipa::path(post, path = "/v1/leases", tag = "work", request_body = ClaimRequest,
-    params(("Idempotency-Key" = Option<String>, Header, description = "Makes repeating the request harmless")),
+    params(("Idempotency-Key" = Option<String>, Header, description = "Makes repeating the request harmless", min_length = 1, max_length = 255, pattern = "^[ -~]+$")),
     responses((status = 200, description = "A task", body = Lease), (status = 204, description = "There is nothing to do"), Problems))]
 pub(crate) async fn claim(
     State(app): State<App>,
