@@ -6,6 +6,7 @@
 #
 # FORELIGHT_SHARED  folder with test scenes and reference images (default: ../shared); tests that need it skip without it
 set -euo pipefail
+shopt -s nullglob
 cd "$(dirname "$0")/.."
 command -v cargo >/dev/null || PATH="$HOME/.cargo/bin:$PATH"
 export CARGO_TERM_COLOR=never
