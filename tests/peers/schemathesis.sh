@@ -1,0 +1,74 @@
+#!/usr/bin/env bash
+# Schemathesis (https://schemathesis.readthedocs.io) against a running farm and the document that it serves about itself: requests
+# made up from the document, right and wrong ones, and every answer held against it. A farm with a finished job stands behind it, so
+# that answers with content are seen, not just "there is no such thing".
+#
+#   FORELIGHT_BIN                     the program (default: target/debug/forelight, which is built)
+#   FORELIGHT_SCHEMATHESIS_EXAMPLES   requests an operation in the random part (default: 15)
+#   FORELIGHT_SCHEMATHESIS_SEED       of the random part (default: 1)
+#
+# Further arguments go to schemathesis. Skips with a line that says why where Python, pip or the network is missing.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+here=$PWD/tests/peers
+skip() { echo "skipped: $1"; exit 0; }
+
+# The newest version is not taken by itself: it brings new checks, and with them news for people, not for a test run.
+version=4.32.5
+environment=$PWD/target/venv-schemathesis
+if [ ! -x "$environment/bin/schemathesis" ]; then
+  command -v python3 >/dev/null || skip 'no python3'
+  python3 -m venv "$environment" || skip 'python3 has no venv (Debian: python3-venv)'
+  "$environment/bin/pip" install --quiet --disable-pip-version-check "schemathesis==$version" ||
+    skip 'schemathesis cannot be installed (no network?)'
+fi
+
+if [ -z "${FORELIGHT_BIN:-}" ]; then
+  cargo build --quiet -p forelight-cli
+  FORELIGHT_BIN=$PWD/target/debug/forelight
+fi
+scene=$PWD/deploy/scenes/corridor
+
+work=$(mktemp -d)
+farm=
+cleanup() {
+  if [ -n "$farm" ]; then
+    # What it holds is thrown away.
+    kill -9 "$farm" 2>/dev/null || true
+    wait "$farm" 2>/dev/null || true
+  fi
+  rm -rf "$work"
+}
+trap cleanup EXIT
+
+"$FORELIGHT_BIN" farm --data "$work/data" --listen 127.0.0.1:0 --workers 1 --threads 1 --preview cpu \
+  >"$work/printed" 2>"$work/log" &
+farm=$!
+for _ in $(seq 150); do
+  url=$(sed -n 's/^listening on //p' "$work/printed")
+  [ -n "$url" ] && break
+  kill -0 "$farm" 2>/dev/null || { cat "$work/log"; exit 1; }
+  sleep 0.2
+done
+[ -n "$url" ] || { echo 'the farm does not say where it listens'; exit 1; }
+
+# Something to ask about. No request may leave this machine.
+export NO_PROXY=127.0.0.1 no_proxy=127.0.0.1
+"$FORELIGHT_BIN" submit "$scene" --server "$url" --data "$work/data" \
+  --frames 0-1 --width 16 --spp 1 --samples 16 --deadline 1h --follow --json >"$work/job.json"
+token=$(cat "$work/data/tokens/operator.token")
+node=$("$environment/bin/python" - "$url" "$token" <<'PYTHON'
+import json, sys, urllib.request
+request = urllib.request.Request(sys.argv[1] + "/v1/nodes", headers={"Authorization": "Bearer " + sys.argv[2]})
+print(json.load(urllib.request.urlopen(request))["items"][0]["id"])
+PYTHON
+)
+"$environment/bin/python" "$here/schemathesis_config.py" "$work/job.json" "$node" >"$work/schemathesis.toml"
+bundle=$("$environment/bin/python" -c 'import json, sys; print(json.load(sys.stdin)["job"]["bundle"]["id"])' <"$work/job.json")
+
+export SCHEMATHESIS_HOOKS=schemathesis_hooks PYTHONPATH=$here PYTHONDONTWRITEBYTECODE=1 FORELIGHT_EXAMPLE_SCENE=$scene FORELIGHT_EXAMPLE_BUNDLE=$bundle
+cd "$work"
+"$environment/bin/schemathesis" --config-file "$work/schemathesis.toml" run "$url/openapi.yaml" \
+  --header "Authorization: Bearer $token" \
+  --max-examples "${FORELIGHT_SCHEMATHESIS_EXAMPLES:-15}" --seed "${FORELIGHT_SCHEMATHESIS_SEED:-1}" \
+  --continue-on-failure --warnings off --no-color "$@"

@@ -1,0 +1,66 @@
+"""Prints the configuration of Schemathesis for a farm: which checks, and the ids of things that are there.
+
+usage: schemathesis_config.py JOB.json NODE-ID
+"""
+
+import json
+import sys
+
+with open(sys.argv[1], encoding="utf-8") as file:
+    printed = json.load(file)
+job, frames, node = printed["job"], printed["frames"], sys.argv[2]
+absent = "0198c0de-0000-7000-8000-000000000000"
+things = {
+    "jobs": [job["id"], job["id"], absent],
+    "frames": [0, 1, 7],
+    "plans": [job["plan_id"], absent],
+    "bundles": [job["bundle"]["id"], absent],
+    "nodes": [node, absent],
+    "artifacts": [frames[0]["artifacts"]["image_png"], frames[0]["artifacts"]["image_exr"], "0" * 64],
+}
+
+print(
+    """
+# A claim waits for up to a minute if there is a node, and nothing to do for it.
+request-timeout = 75
+
+[checks]
+# The document does not say everything that a field has to hold, nor can it: page tokens are opaque, an artefact's bytes have to have the
+# hash in its address, 7.0 is an integer there and none in most programs. The refusals say it.
+positive_data_acceptance.enabled = false
+
+# This stream has no end.
+[[operations]]
+include-path = "/v1/events"
+enabled = false
+
+# A body that is missing is an empty one, which has a hash like any other.
+[[operations]]
+include-name = "PUT /v1/artifacts/{blake3}"
+checks = { negative_data_rejection.enabled = false }
+
+# The hooks make some bodies right that were made up to be wrong.
+[[operations]]
+include-name = ["POST /v1/bundles", "POST /v1/jobs", "POST /v1/jobs/check", "POST /v1/leases"]
+phases.fuzzing.checks = { negative_data_rejection.enabled = false }
+phases.stateful.checks = { negative_data_rejection.enabled = false }
+
+# What is there to ask for, with something among it that is not.
+[dictionaries]"""
+)
+for name, values in things.items():
+    print(f"{name} = {{ values = {json.dumps(values)} }}")
+
+
+def operations(pattern, **parameters):
+    """What to put into the addresses of some operations, four times out of five."""
+    chosen = (f'"path.{name}" = {{ dictionary = "{values}", probability = 0.8 }}' for name, values in parameters.items())
+    print(f"\n[[operations]]\ninclude-path-regex = {json.dumps(pattern)}\nparameters = {{ {', '.join(chosen)} }}")
+
+
+operations("^/v1/jobs/{id}/frames/", id="jobs", frame="frames")
+operations("^/v1/jobs/{id}(/[a-z]+)?$", id="jobs")
+operations("^/v1/plans/", id="plans")
+operations("^/v1/bundles/", id="bundles")
+operations("^/v1/nodes/", id="nodes")
+operations("^/v1/artifacts/", blake3="artifacts")

@@ -1,0 +1,53 @@
+"""What Schemathesis cannot know by itself: how bundles are made, and that pictures are bytes."""
+
+import io
+import os
+import pathlib
+import zipfile
+
+import schemathesis
+from hypothesis import strategies
+
+
+def packed(files):
+    """A zip file of these names and contents."""
+    target = io.BytesIO()
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files:
+            archive.writestr(name, content)
+    return target.getvalue()
+
+
+def scene():
+    """A scene that ships with the program, as a bundle."""
+    folder = pathlib.Path(os.environ["FORELIGHT_EXAMPLE_SCENE"])
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return packed((str(path.relative_to(folder)), path.read_bytes()) for path in files)
+
+
+good = scene()
+names = strategies.sampled_from(["scene.json", "scene.obj", "../scene.json", "/scene.json", "a/" * 90 + "b"])
+contents = strategies.binary(max_size=64)
+archives = strategies.dictionaries(names, contents, max_size=3).map(lambda files: packed(files.items()))
+bundles = strategies.one_of(
+    strategies.just(good),
+    strategies.binary(max_size=256),
+    archives,
+    strategies.integers(0, len(good) - 1).map(lambda length: good[:length]),
+)
+schemathesis.openapi.media_type("application/zip", bundles)
+
+
+@schemathesis.hook
+def map_body(context, body):
+    """Half of the jobs are of the bundle that is there, and small, so that some of them are taken and done. No claim waits for long."""
+    if not isinstance(body, dict):
+        return body
+    path = context.operation.path
+    if path in ("/v1/jobs", "/v1/jobs/check") and len(str(body)) % 2 == 0:
+        small = {"width": 8, "height": 8, "spp": 1}
+        changes = {"bundle": {"id": os.environ["FORELIGHT_EXAMPLE_BUNDLE"]}, "settings": small, "frames": "0-1", "deadline": None}
+        return {**body, **changes}
+    if path == "/v1/leases" and isinstance(body.get("wait_ms"), int):
+        return {**body, "wait_ms": min(body["wait_ms"], 500)}
+    return body
