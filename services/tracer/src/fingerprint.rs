@@ -4,7 +4,7 @@ use crate::Settings;
 use forelight_scene::{Frame, Texels};
 
 /// Raised when a change of the tracer changes images or counters: finished pixels of another version are not taken over.
-const TRACER_VERSION: u32 = 2;
+const TRACER_VERSION: u32 = 3;
 
 /// BLAKE3 of frame, settings and tracer version.
 pub fn fingerprint(frame: &Frame, settings: &Settings) -> [u8; 32] {

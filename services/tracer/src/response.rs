@@ -49,14 +49,15 @@ impl Tint {
 impl Response {
     /// The diffuse lobe times π for light from `wo`: BSDF · π, so that cosine-weighted samples are weighted by it alone.
     ///
-    /// Under a coat: light enters with 1 − F(wo), leaves with 1 − F(wi), is thrown back inside by the share `internal` and
-    /// reflected again by the base, a geometric series; 1/η² is the widening of solid angle at the exit.
+    /// Under a coat: light enters with 1 − F(wo), leaves with 1 − F(wi), and 1/η² is the widening of solid angle at the exit;
+    /// what the coat throws back inside, the share `internal`, is scattered out again, so that the reflectance that is seen
+    /// from outside, and not that of the bare base, is the colour that the material names.
     pub fn diffuse(&self, wi: Vec3, wo: Vec3) -> Vec3 {
         match self.coat {
             None => self.diffuse,
             Some(Coat { ior, internal }) => {
                 let pass = |w: Vec3| 1.0 - fresnel::dielectric(w.z, ior).reflectance;
-                let series = self.diffuse / (Vec3::ONE - self.diffuse * internal);
+                let series = self.diffuse / (1.0 - internal);
                 series * (pass(wi) * pass(wo) / (ior * ior))
             }
         }
