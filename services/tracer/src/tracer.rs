@@ -215,7 +215,9 @@ impl Tracer {
                     .collect();
                 let traced: Vec<u32> =
                     indices.iter().copied().filter(|&i| known[i as usize].is_none()).collect();
-                let finished = self.profile(&traced);
+                let wanted = || !cancel.load(Ordering::Relaxed);
+                let pixels = || traced.iter().take_while(|_| wanted()).map(|&i| self.pixel(i)).collect();
+                let finished = timed(pixels);
                 progress(done.fetch_add(indices.len() as u64, Ordering::Relaxed) + indices.len() as u64);
                 traced.into_iter().zip(finished).collect()
             })

@@ -69,7 +69,7 @@ pub struct Args {
     /// Frames to profile at most
     #[arg(long, value_name = "FRAMES", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     profile_frames: u32,
-    /// Idempotency key: submitting again with the same key is the same submission
+    /// Idempotency key: submitting again with the same key is the same submission (name the deadline as an instant then: 2h from now is another request each time)
     #[arg(long, value_name = "UUID")]
     idempotency_key: Option<Uuid>,
     /// Stay until the job is done, and print what was forecast and what it was, frame by frame
