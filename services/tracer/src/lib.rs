@@ -13,7 +13,7 @@
 //! | `fresnel`, `microfacet` | reflectance of interfaces, GGX |
 //! | `response` | a material at a point, ready to be lit |
 //! | `lights`, `environment` | where light comes from, and how to choose points on it |
-//! | `integrator` | the recursion of the `ambient` integrator |
+//! | `integrator`, `integrator/direct` | the recursion of the `ambient` integrator; its direct light |
 //! | `cost` | counters, `work`, clocks |
 //! | `tracer`, `profile`, `image` | a frame's pixels, some of them, and all of them |
 
