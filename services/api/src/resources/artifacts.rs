@@ -8,7 +8,7 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{ArtifactHash, ArtifactStored};
 
-use super::bundles::refuse_announced_length;
+use super::bundles::within_announced_length;
 use super::file;
 use crate::error::{ApiResult, Problems};
 use crate::extract::{Anyone, Segment, WorkerToken};
@@ -29,7 +29,7 @@ pub(crate) async fn put(
     body: Body,
 ) -> ApiResult<Response> {
     let limit = app.limits.artifact_bytes;
-    refuse_announced_length(&headers, limit)?;
+    let body = within_announced_length(&headers, body, limit).await?;
     let stored = app.store.artifacts().put(hash, body.into_data_stream(), limit, app.now()).await?;
     let status = if stored.existed { StatusCode::OK } else { StatusCode::CREATED };
     if !stored.existed {

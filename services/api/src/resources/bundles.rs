@@ -8,6 +8,8 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
 use forelight_protocol::{Bundle, BundleId, ProblemKind};
 use forelight_store::NewBundle;
+use futures::StreamExt;
+use std::time::Duration;
 
 use super::{created, repeated};
 use crate::error::{ApiError, ApiResult, Problems};
@@ -36,7 +38,7 @@ pub(crate) async fn upload(
             "send the zip file with Content-Type: application/zip",
         ));
     }
-    refuse_announced_length(&headers, app.limits.bundle_bytes)?;
+    let body = within_announced_length(&headers, body, app.limits.bundle_bytes).await?;
     let staged = app.store.artifacts().stage(body.into_data_stream(), app.limits.bundle_bytes).await?;
     let hash = staged.hash;
     let key = key.of(&principal, &hash.0);
@@ -64,11 +66,26 @@ pub(crate) async fn get(
     Ok(Json(app.store.bundle(bundle).await?))
 }
 
-/// A body that says of itself that it is too long need not be read.
-pub(crate) fn refuse_announced_length(headers: &HeaderMap, limit: u64) -> ApiResult<()> {
+/// How much of a body that is refused for its length is read, bytes.
+const DRAINED: usize = 1 << 20;
+
+/// The body, unless it says of itself that it is too long. Then nothing of it is kept, but its beginning is read: a client that
+/// is still sending when the connection closes may never see the answer that says why.
+pub(crate) async fn within_announced_length(headers: &HeaderMap, body: Body, limit: u64) -> ApiResult<Body> {
     let announced = headers.get(CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse::<u64>().ok());
-    if announced.is_some_and(|length| length > limit) {
-        return Err(ApiError::new(ProblemKind::TooLarge, format!("at most {limit} bytes are taken here")));
+    if announced.is_none_or(|length| length <= limit) {
+        return Ok(body);
     }
-    Ok(())
+    let mut stream = body.into_data_stream();
+    let drain = async {
+        let mut read = 0;
+        while read < DRAINED
+            && let Some(Ok(chunk)) = stream.next().await
+        {
+            read += chunk.len();
+        }
+    };
+    // Whether it ended in time or not, the answer is the same.
+    let _ = tokio::time::timeout(Duration::from_secs(2), drain).await;
+    Err(ApiError::new(ProblemKind::TooLarge, format!("at most {limit} bytes are taken here")))
 }
