@@ -180,10 +180,8 @@ impl<'a> Pixels<'a> {
             Arrival::Everything => 1.0,
             Arrival::Shared { density, travelled } => match self.tracer.luminaires.of_stratum(p.stratum) {
                 Some(index) => {
-                    let luminaire = &self.tracer.luminaires.all[index];
                     let distance = travelled + p.distance;
-                    let by_light =
-                        distance * distance / (cos * luminaire.area) * self.tracer.luminaires.expected(index);
+                    let by_light = self.tracer.luminaires.density(index, distance * distance, cos);
                     density / (density + by_light)
                 }
                 None => 1.0,
@@ -437,8 +435,12 @@ impl<'a> Pixels<'a> {
 
 /// A ray from the point into `direction`, started off the surface on that side.
 fn leaving(p: &Point, direction: Vec3) -> Ray {
-    let side = if p.geometric.dot(direction) < 0.0 { -p.geometric } else { p.geometric };
-    Ray::new(offset_origin(p.position, side), direction)
+    Ray::new(off_surface(p.position, p.geometric, direction), direction)
+}
+
+/// A point of a surface with geometric normal `normal`, moved off it to the side that `direction` points to.
+fn off_surface(position: Vec3, normal: Vec3, direction: Vec3) -> Vec3 {
+    offset_origin(position, if normal.dot(direction) < 0.0 { -normal } else { normal })
 }
 
 /// 1 − cos of half an angular diameter, without cancellation: 2 sin²(θ/2).

@@ -101,19 +101,23 @@ impl Luminaires {
         self.all.len().min(CHOSEN)
     }
 
-    /// The `i`-th of [`Self::samples`] choices for the random number `u`: a luminaire, and the expected number of times
-    /// that a shading point samples it.
-    pub fn choose(&self, i: usize, u: f32) -> (usize, f32) {
+    /// The luminaire that is the `i`-th of [`Self::samples`] choices for the random number `u`.
+    pub fn choose(&self, i: usize, u: f32) -> usize {
         if self.all.len() <= CHOSEN {
-            return (i, 1.0);
+            return i;
         }
         let position = (i as f32 + u) / CHOSEN as f32;
-        let index = self.cumulative.partition_point(|&c| c <= position).min(self.all.len() - 1);
-        (index, self.expected(index))
+        self.cumulative.partition_point(|&c| c <= position).min(self.all.len() - 1)
+    }
+
+    /// Density per steradian with which a shading point's samples of a luminaire choose a direction, all of them together: for
+    /// light that leaves it under `cos` (> 0) at a squared distance of `distance2` m².
+    pub fn density(&self, index: usize, distance2: f32, cos: f32) -> f32 {
+        distance2 / (cos * self.all[index].area) * self.expected(index)
     }
 
     /// Expected number of samples that a shading point spends on a luminaire.
-    pub fn expected(&self, index: usize) -> f32 {
+    fn expected(&self, index: usize) -> f32 {
         if self.all.len() <= CHOSEN {
             return 1.0;
         }

@@ -1,6 +1,6 @@
 //! Direct light: every light sampled from a surface, and what lies between.
 
-use super::{Pixels, Point, cap_height, leaving};
+use super::{Pixels, Point, cap_height, leaving, off_surface};
 use crate::cost::Category;
 use crate::environment::Sky;
 use crate::fresnel;
@@ -35,7 +35,7 @@ impl Pixels<'_> {
         let points = self.sampler.draw(Purpose::Light, vertex);
         let choices = self.sampler.draw(Purpose::LightChoice, vertex);
         for i in 0..count {
-            let (index, expected) = tracer.luminaires.choose(i, self.sampler.related(choices, i as u32).x);
+            let index = tracer.luminaires.choose(i, self.sampler.related(choices, i as u32).x);
             let luminaire = &tracer.luminaires.all[index];
             let light = luminaire.sample(&tracer.frame, self.sampler.related(points, index as u32));
             let to = light.position - p.position;
@@ -49,7 +49,7 @@ impl Pixels<'_> {
                 continue;
             }
             let (diffuse, glossy, by_lobe) = response.evaluate(p.wi, wo);
-            let density = distance2 / (cos_light * luminaire.area) * expected;
+            let density = tracer.luminaires.density(index, distance2, cos_light);
             let by_cosine = if near(index) { wo.z * std::f32::consts::FRAC_1_PI } else { 0.0 };
             let reflected = diffuse / (density + by_cosine) + glossy / (density + by_lobe);
             if reflected.max_element() <= 0.0 {
@@ -93,8 +93,7 @@ impl Pixels<'_> {
                 let cos = if luminaire.both_sides { cos.abs() } else { cos };
                 if cos > 0.0 {
                     let density = wo.z * std::f32::consts::FRAC_1_PI;
-                    let by_light = p.position.distance_squared(position) / (cos * luminaire.area)
-                        * luminaires.expected(index);
+                    let by_light = luminaires.density(index, p.position.distance_squared(position), cos);
                     let emission = tracer.materials[luminaire.material as usize].emission;
                     let color = self.color(&emission, geometry.uv(hit.primitive, hit.u, hit.v));
                     return passed * color * (density / (density + by_light));
@@ -258,7 +257,6 @@ impl Pixels<'_> {
     fn beyond(&self, hit: &Hit, direction: Vec3) -> Vec3 {
         let geometry = &self.tracer.frame.geometry;
         let normal = geometry.geometric_normal(hit.primitive);
-        let side = if normal.dot(direction) < 0.0 { -normal } else { normal };
-        offset_origin(hit.position(geometry.corners(hit.primitive)), side)
+        off_surface(hit.position(geometry.corners(hit.primitive)), normal, direction)
     }
 }
