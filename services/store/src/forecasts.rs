@@ -7,7 +7,7 @@ use forelight_protocol::{
 use serde::{Deserialize, Serialize};
 
 use crate::database::Write;
-use crate::decode::{json, json_opt, time_opt, to_json, whole};
+use crate::decode::{json, json_opt, to_json, whole};
 use crate::events::job_state;
 use crate::tasks::Common;
 use crate::{Store, StoreError, jobs};
@@ -45,16 +45,7 @@ impl Store {
         if jobs::state(write.connection(), job).await? != JobState::Previewing {
             return Ok(());
         }
-        let settings = json(&row, "settings")?;
-        let bundle = jobs::source(&row)?;
-        let common = Common {
-            job,
-            bundle: &bundle,
-            digest: jobs::digest(&row)?,
-            settings: &settings,
-            deadline: time_opt(&row, "deadline_at")?,
-            priority: whole(&row, "priority")?,
-        };
+        let common = Common::of(job, &row)?;
         for &frame in frames {
             common.profile(&mut write, frame, whole(&row, "samples")?).await?;
         }

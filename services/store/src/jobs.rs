@@ -86,9 +86,9 @@ impl Store {
         }
         let common = Common {
             job: job_id,
-            bundle: source,
+            bundle: source.clone(),
             digest: scene.digest,
-            settings,
+            settings: settings.clone(),
             deadline: request.deadline,
             priority: request.priority,
         };

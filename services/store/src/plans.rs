@@ -13,7 +13,7 @@ use crate::decode::{corrupt, id, id_opt, json, time, time_opt, to_json, whole, w
 use crate::events::{append, event, job_state};
 use crate::projection::{Holder, OpenBooking};
 use crate::tasks::Common;
-use crate::{JobForecast, Store, StoreError, forecasts, jobs};
+use crate::{JobForecast, Store, StoreError, forecasts};
 
 /// A plan to be kept.
 #[derive(Clone, PartialEq, Debug)]
@@ -110,16 +110,7 @@ impl Store {
             .bind(job.0)
             .execute(write.connection())
             .await?;
-        let settings = json(&row, "settings")?;
-        let bundle = jobs::source(&row)?;
-        let common = Common {
-            job,
-            bundle: &bundle,
-            digest: jobs::digest(&row)?,
-            settings: &settings,
-            deadline: time_opt(&row, "deadline_at")?,
-            priority: whole(&row, "priority")?,
-        };
+        let common = Common::of(job, &row)?;
         let profiles: BTreeMap<_, _> =
             Self::profile_artifacts(write.connection(), job).await?.into_iter().collect();
         let job_frames: FrameSet =

@@ -5,22 +5,36 @@ use forelight_protocol::{
     SceneDigest, TaskId, TaskSpec, Timestamp,
 };
 
-use crate::StoreError;
+use sqlx::sqlite::SqliteRow;
+
 use crate::database::Write;
-use crate::decode::to_json;
+use crate::decode::{json, time_opt, to_json, whole};
+use crate::{StoreError, jobs};
 
 /// What all tasks of a job have in common.
-pub(crate) struct Common<'a> {
+pub(crate) struct Common {
     pub job: JobId,
-    pub bundle: &'a BundleSource,
+    pub bundle: BundleSource,
     /// Of the scene, as it was when the job was submitted.
     pub digest: SceneDigest,
-    pub settings: &'a RenderSettings,
+    pub settings: RenderSettings,
     pub deadline: Option<Timestamp>,
     pub priority: i32,
 }
 
-impl Common<'_> {
+impl Common {
+    /// Read from a job's row.
+    pub(crate) fn of(job: JobId, row: &SqliteRow) -> Result<Self, StoreError> {
+        Ok(Self {
+            job,
+            bundle: jobs::source(row)?,
+            digest: jobs::digest(row)?,
+            settings: json(row, "settings")?,
+            deadline: time_opt(row, "deadline_at")?,
+            priority: whole(row, "priority")?,
+        })
+    }
+
     pub(crate) async fn preview(&self, write: &mut Write, frames: Vec<u32>) -> Result<(), StoreError> {
         let spec = PreviewSpec {
             job_id: self.job,
