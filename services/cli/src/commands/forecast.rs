@@ -10,7 +10,7 @@ use crate::quantities::{count, seconds};
 use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
-use forelight_protocol::{ForecastDoc, FrameSet, Quantiles};
+use forelight_protocol::{ForecastDoc, FrameSet, Quantiles, RenderSettings};
 use forelight_worker::{Observer, Quote, QuoteOptions, ShotError, quote};
 use indicatif::ProgressBar;
 use std::path::{Path, PathBuf};
@@ -76,15 +76,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         seed: args.phase_seed,
     };
     let watcher = Watcher::new(&bars, frames.len(), interrupt);
-    let quoted = local.pool.install(|| quote(&local.shot, &frames, &settings, &options, &watcher));
-    watcher.finish();
-    let quoted = match quoted {
-        Err(ShotError::Cancelled) => return Err(Interrupted.into()),
-        Err(ShotError::Render(error)) => {
-            return Err(error).with_context(|| format!("bundle {}", args.bundle.display()));
-        }
-        other => other?,
-    };
+    let quoted = watcher.quote(&local, &args.bundle, &frames, &settings, &options)?;
     if let Some(folder) = &args.save_profile {
         save_profiles(&quoted, folder)?;
     }
@@ -104,10 +96,25 @@ impl<'a> Watcher<'a> {
         Self { previews: bars.bar("previews", frames as u64), profiles: bars.bar("profiling", 0), interrupt }
     }
 
-    /// Takes the bars away.
-    pub fn finish(&self) {
+    /// A quote of the bundle that was opened as `local`, watched, until the user stops it.
+    pub fn quote(
+        &self,
+        local: &Local,
+        bundle: &Path,
+        frames: &[u32],
+        settings: &RenderSettings,
+        options: &QuoteOptions,
+    ) -> Result<Quote> {
+        let quoted = local.pool.install(|| quote(&local.shot, frames, settings, options, self));
         self.previews.finish_and_clear();
         self.profiles.finish_and_clear();
+        match quoted {
+            Err(ShotError::Cancelled) => Err(Interrupted.into()),
+            Err(ShotError::Render(error)) => {
+                Err(error).with_context(|| format!("bundle {}", bundle.display()))
+            }
+            other => Ok(other?),
+        }
     }
 }
 

@@ -12,7 +12,7 @@ use crate::quantities::{count, percent, seconds};
 use crate::table::{Align, Table};
 use anyhow::Result;
 use forelight_protocol::{FrameSet, Quantiles, RenderSettings, RenderStats, Spent};
-use forelight_worker::{Quote, QuoteOptions, Renderer, ShotError, quote, render_frame};
+use forelight_worker::{Quote, QuoteOptions, Renderer, render_frame};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -112,12 +112,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         seed: args.phase_seed,
     };
     let watcher = Watcher::new(&bars, frames.len(), interrupt);
-    let quoted = local.pool.install(|| quote(&local.shot, &frames, &settings, &options, &watcher));
-    watcher.finish();
-    let quoted = match quoted {
-        Err(ShotError::Cancelled) => return Err(Interrupted.into()),
-        other => other?,
-    };
+    let quoted = watcher.quote(&local, &args.bundle, &frames, &settings, &options)?;
     let bar = bars.bar("rendering", frames.len() as u64);
     let mut actual = Vec::with_capacity(frames.len());
     for &frame in &frames {
