@@ -13,17 +13,20 @@
 //! | `fresnel`, `microfacet` | reflectance of interfaces, GGX |
 //! | `response` | a material at a point, ready to be lit |
 //! | `lights`, `environment` | where light comes from, and how to choose points on it |
-//! | `integrator`, `integrator/direct` | the recursion of the `ambient` integrator; its direct light |
+//! | `effects`, `kernel` | what a frame calls for, and the code that is put together for it |
+//! | `integrator` | how a path goes: `ambient`, its direct light, what lies between a point and a light |
 //! | `cost` | counters, `work`, clocks |
 //! | `tracer`, `profile`, `image` | a frame's pixels, some of them, and all of them |
 
 mod cost;
+mod effects;
 mod environment;
 mod fingerprint;
 mod fresnel;
 mod geometry;
 mod image;
 mod integrator;
+mod kernel;
 mod lights;
 mod microfacet;
 mod profile;
@@ -33,6 +36,7 @@ mod settings;
 mod tracer;
 
 pub use cost::{Cost, RAY_NAMES, Rays, process_cpu_nanos, thread_cpu_nanos, work};
+pub use effects::Effects;
 pub use image::{Image, ImageError, Totals, cost_color};
 pub use profile::{Profile, ProfileError};
 pub use settings::{MaterialOverride, Settings, SettingsError};

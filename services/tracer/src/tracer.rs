@@ -1,23 +1,22 @@
 //! A frame, ready to be traced.
 
 use crate::cost::{Cost, build_work, thread_cpu_nanos};
+use crate::effects::Effects;
 use crate::environment::Sky;
 use crate::fingerprint::fingerprint;
 use crate::fresnel;
 use crate::image::Image;
-use crate::integrator::Pixels;
+use crate::kernel::{Trace, kernel};
 use crate::lights::Luminaires;
 use crate::profile::Profile;
-use crate::random::Sampler;
 use crate::{MaterialOverride, Settings};
 use forelight_bvh::{Bvh, Hit};
 use forelight_scene::{Color, Frame, Material, Surface};
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 use std::cell::Cell;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::time::Instant;
 
 /// Edge of the square tiles in which an image is worked off, pixels.
 const TILE: u32 = 16;
@@ -52,10 +51,8 @@ pub struct Tracer {
     pub(crate) sky: Sky,
     /// Internal diffuse reflectance of each coated material.
     pub(crate) internal: Vec<f32>,
-    /// Whether any surface is cut out by a texture.
-    pub(crate) masked: bool,
-    /// Whether shadow rays may pass any surface (panes, partial opacity).
-    pub(crate) shadows_pass: bool,
+    effects: Effects,
+    kernel: Box<dyn Trace>,
     build: Cost,
 }
 
@@ -81,14 +78,14 @@ impl Tracer {
             Surface::Plastic { ior, .. } => fresnel::internal_diffuse(ior),
             _ => 0.0,
         });
+        let (luminaires, sky) = (Luminaires::new(&frame), Sky::new(&frame));
+        let effects = Effects::called_for(&frame, &materials, &luminaires, &sky, settings);
         Self {
             internal: internal.collect(),
-            masked: materials.iter().any(|m| m.mask.is_some()),
-            shadows_pass: materials
-                .iter()
-                .any(|m| m.opacity < 1.0 || matches!(m.surface, Surface::ThinGlass { .. })),
-            luminaires: Luminaires::new(&frame),
-            sky: Sky::new(&frame),
+            luminaires,
+            sky,
+            effects,
+            kernel: kernel(effects),
             materials,
             settings: settings.clone(),
             bvh,
@@ -117,64 +114,20 @@ impl Tracer {
         fingerprint(&self.frame, &self.settings)
     }
 
-    /// The effects that this frame calls for, each a short name.
-    pub fn effects(&self) -> Vec<String> {
-        let surfaces = || self.materials.iter().map(|m| &m.surface);
-        let rough = |alpha: f32| alpha >= crate::microfacet::SMOOTH;
-        let textured = |m: &Material| {
-            m.emission.texture.is_some()
-                || match m.surface {
-                    Surface::Lambert { albedo } | Surface::Plastic { albedo, .. } => albedo.texture.is_some(),
-                    Surface::Metal { f0, .. } => f0.texture.is_some(),
-                    Surface::ThinGlass { transmittance, .. } | Surface::Glass { transmittance, .. } => {
-                        transmittance.texture.is_some()
-                    }
-                }
-        };
-        let smooth_reflection = |s: &Surface| match *s {
-            Surface::Metal { alpha, .. } | Surface::Plastic { alpha, .. } => !rough(alpha),
-            _ => false,
-        };
-        let glossy_reflection = |s: &Surface| match *s {
-            Surface::Metal { alpha, .. } | Surface::Plastic { alpha, .. } => rough(alpha),
-            _ => false,
-        };
-        let candidates = [
-            ("area lights", !self.luminaires.all.is_empty()),
-            ("point lights", !self.frame.points.is_empty()),
-            ("sun", !self.frame.suns.is_empty()),
-            ("environment", !self.sky.is_black()),
-            ("transparent shadows", self.shadows_pass),
-            ("mirror", surfaces().any(smooth_reflection)),
-            ("glossy", surfaces().any(glossy_reflection)),
-            ("refraction", surfaces().any(|s| matches!(s, Surface::Glass { .. }))),
-            ("thin glass", surfaces().any(|s| matches!(s, Surface::ThinGlass { .. }))),
-            ("textures", self.materials.iter().any(textured)),
-            ("cut-outs", self.materials.iter().any(Material::is_cutout)),
-            ("ambient", self.settings.ambient_bounces > 0),
-            ("depth of field", self.frame.camera.aperture_radius > 0.0),
-        ];
-        candidates.into_iter().filter(|c| c.1).map(|c| c.0.to_owned()).collect()
+    /// The effects that this frame calls for.
+    pub fn effects(&self) -> Effects {
+        self.effects
+    }
+
+    /// The same, traced by a kernel that also holds code for effects that are not called for: for showing what leaving them out
+    /// saves. Images and counters keep their bits.
+    pub fn with_kernel_for(self, effects: Effects) -> Self {
+        Self { kernel: kernel(self.effects | effects.bits()), ..self }
     }
 
     /// One finished pixel by its row-major index. Its colour, rays and work depend on nothing but frame, settings and index.
     pub fn pixel(&self, index: u32) -> Pixel {
-        let start = Instant::now();
-        let (x, y) = (index % self.settings.width, index / self.settings.width);
-        let sampler = Sampler::new(self.settings.seed, self.frame.number, index);
-        let mut pixels = Pixels::new(self, sampler);
-        let mut sum = DVec3::ZERO;
-        for _ in 0..self.settings.spp {
-            sum += pixels.sample(x, y).as_dvec3();
-        }
-        let color = (sum / f64::from(self.settings.spp)).as_vec3().to_array();
-        Pixel {
-            color,
-            rays: pixels.counters.rays,
-            work: pixels.counters.work(),
-            cpu_nanos: start.elapsed().as_nanos() as u64,
-            stratum: pixels.stratum.unwrap_or(Pixel::NOTHING),
-        }
+        self.kernel.pixel(self, index)
     }
 
     /// Finished pixels by index, in the order given.

@@ -283,7 +283,7 @@ impl FrameRenderer for AmbientFrame<'_> {
     }
 
     fn effects(&self) -> Vec<String> {
-        let mut effects = self.tracer.effects();
+        let mut effects: Vec<String> = self.tracer.effects().names().map(str::to_owned).collect();
         effects.sort();
         effects
     }

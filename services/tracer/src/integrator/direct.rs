@@ -1,26 +1,22 @@
 //! Direct light: every light sampled from a surface, and what lies between.
 
-use super::{Pixels, Point, cap_height, leaving, off_surface};
+use super::{Pixels, Point, cap_height, leaving};
 use crate::cost::Category;
 use crate::environment::Sky;
-use crate::fresnel;
 use crate::geometry::{self, Basis};
 use crate::random::Purpose;
 use crate::response::Response;
-use forelight_bvh::{Hit, Ray, offset_origin};
-use forelight_scene::Surface;
+use forelight_bvh::offset_origin;
 use glam::Vec3;
-use std::cell::Cell;
 
-impl Pixels<'_> {
+impl<const K: u32> Pixels<'_, K> {
     /// Light straight from the lights, the environment apart.
     pub(super) fn direct(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
-        self.area_lights(p, response, vertex)
-            + self.point_lights(p, response)
-            + self.suns(p, response, vertex)
+        let kernel = self.kernel;
+        kernel.lights.iter().map(|light| light(self, p, response, vertex)).sum()
     }
 
-    fn area_lights(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
+    pub fn area_lights(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
         let tracer = self.tracer;
         let count = tracer.luminaires.samples();
         if count == 0 {
@@ -106,7 +102,7 @@ impl Pixels<'_> {
         Vec3::ZERO
     }
 
-    fn point_lights(&mut self, p: &Point, response: &Response) -> Vec3 {
+    pub fn point_lights(&mut self, p: &Point, response: &Response) -> Vec3 {
         let tracer = self.tracer;
         let mut sum = Vec3::ZERO;
         for light in &tracer.frame.points {
@@ -130,7 +126,7 @@ impl Pixels<'_> {
         sum
     }
 
-    fn suns(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
+    pub fn suns(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
         let tracer = self.tracer;
         if tracer.frame.suns.is_empty() {
             return Vec3::ZERO;
@@ -154,7 +150,7 @@ impl Pixels<'_> {
     }
 
     /// Light from the environment on the diffuse lobe; the glossy lobe finds it by its own rays.
-    pub(super) fn sky(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
+    pub fn sky(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
         let tracer = self.tracer;
         if tracer.sky.is_black() {
             return Vec3::ZERO;
@@ -178,85 +174,5 @@ impl Pixels<'_> {
         } else {
             Vec3::ZERO
         }
-    }
-
-    /// Share of light that gets from `target` (or from infinity along `direction`) to the point.
-    fn shadow(&mut self, p: &Point, direction: Vec3, target: Option<Vec3>) -> Vec3 {
-        self.counters.ray(Category::Shadow);
-        let mut ray = leaving(p, direction);
-        if let Some(target) = target {
-            ray.direction = target - ray.origin;
-            ray.t_max = 1.0;
-        }
-        let tracer = self.tracer;
-        let steps = &mut self.counters.traversal;
-        if !tracer.masked && !tracer.shadows_pass {
-            return if tracer.bvh.any(&ray, |_| true, steps) { Vec3::ZERO } else { Vec3::ONE };
-        }
-        // Does anything opaque block it? If not, does anything colour it?
-        let coloured = Cell::new(false);
-        let texels = Cell::new(0);
-        let blocks = |hit: &Hit| {
-            let material = &tracer.materials[tracer.frame.geometry.material(hit.primitive) as usize];
-            if !tracer.present(hit, &texels) {
-                return false;
-            }
-            let passes = material.opacity < 1.0 || matches!(material.surface, Surface::ThinGlass { .. });
-            coloured.set(coloured.get() | passes);
-            !passes
-        };
-        let blocked = tracer.bvh.any(&ray, blocks, steps);
-        self.counters.texels += texels.get();
-        match (blocked, coloured.get()) {
-            (true, _) => Vec3::ZERO,
-            (false, false) => Vec3::ONE,
-            (false, true) => self.transmission(ray),
-        }
-    }
-
-    /// Product of what the panes and cut-outs along an unblocked shadow ray let through.
-    fn transmission(&mut self, mut ray: Ray) -> Vec3 {
-        let tracer = self.tracer;
-        let mut passed = Vec3::ONE;
-        for _ in 0..tracer.settings.max_depth {
-            let Some(hit) = self.closest(&ray) else { return passed };
-            let direction = ray.direction.normalize();
-            match self.pass(&hit, direction) {
-                Some(share) => passed *= share,
-                None => return Vec3::ZERO,
-            }
-            let next = self.beyond(&hit, direction);
-            if ray.t_max.is_finite() {
-                ray.direction = ray.origin + ray.direction - next;
-            }
-            ray.origin = next;
-        }
-        Vec3::ZERO
-    }
-
-    /// Share of light along `direction` (unit) that a surface lets pass straight; `None` if it lets nothing pass.
-    fn pass(&mut self, hit: &Hit, direction: Vec3) -> Option<Vec3> {
-        let tracer = self.tracer;
-        let geometry = &tracer.frame.geometry;
-        let material = &tracer.materials[geometry.material(hit.primitive) as usize];
-        let share = match material.surface {
-            Surface::ThinGlass { ior, transmittance } => {
-                let cos = geometry.geometric_normal(hit.primitive).dot(direction).abs();
-                let color = self.color(&transmittance, geometry.uv(hit.primitive, hit.u, hit.v));
-                let pane = (1.0 - fresnel::pane(cos, ior)) * color;
-                pane * material.opacity + (1.0 - material.opacity)
-            }
-            _ if material.opacity < 1.0 => Vec3::splat(1.0 - material.opacity),
-            _ => return None,
-        };
-        self.counters.ray(Category::Transparent);
-        Some(share)
-    }
-
-    /// The origin of the ray that goes on behind a surface.
-    fn beyond(&self, hit: &Hit, direction: Vec3) -> Vec3 {
-        let geometry = &self.tracer.frame.geometry;
-        let normal = geometry.geometric_normal(hit.primitive);
-        off_surface(hit.position(geometry.corners(hit.primitive)), normal, direction)
     }
 }

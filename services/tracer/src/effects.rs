@@ -1,0 +1,162 @@
+//! The effects that a frame calls for.
+//!
+//! A frame's set is derived from its materials, lights, camera and settings; the kernel that traces the frame is put together
+//! from it (see `kernel`), so that what is not in the set has no code in the path, no rays and no memory.
+
+use crate::Settings;
+use crate::environment::Sky;
+use crate::lights::Luminaires;
+use crate::microfacet::SMOOTH;
+use forelight_scene::{Color, Frame, Material, Surface};
+use std::fmt;
+use std::ops::{BitOr, BitOrAssign};
+
+/// A set of effects.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub struct Effects(u32);
+
+/// Effects by their bit and name.
+const NAMES: [(u32, &str); 17] = [
+    (Effects::GLOSSY, "glossy"),
+    (Effects::MIRROR, "mirror"),
+    (Effects::REFRACTION, "refraction"),
+    (Effects::THIN_GLASS, "thin glass"),
+    (Effects::OPACITY, "opacity"),
+    (Effects::CUT_OUTS, "cut-outs"),
+    (Effects::TEXTURES, "textures"),
+    (Effects::TRANSPARENT_SHADOWS, "transparent shadows"),
+    (Effects::SOFT_SHADOWS, "soft shadows"),
+    (Effects::AREA_LIGHTS, "area lights"),
+    (Effects::POINT_LIGHTS, "point lights"),
+    (Effects::SUN, "sun"),
+    (Effects::ENVIRONMENT, "environment"),
+    (Effects::AMBIENT, "ambient"),
+    (Effects::SECOND_BOUNCE, "second ambient bounce"),
+    (Effects::CACHE, "irradiance cache"),
+    (Effects::DEPTH_OF_FIELD, "depth of field"),
+];
+
+impl Effects {
+    /// Rough reflection that is followed by rays of its own.
+    pub const GLOSSY: u32 = 1;
+    /// Perfect reflection: smooth metal, smooth coats.
+    pub const MIRROR: u32 = 1 << 1;
+    /// Solid glass.
+    pub const REFRACTION: u32 = 1 << 2;
+    /// Panes without thickness.
+    pub const THIN_GLASS: u32 = 1 << 3;
+    /// Surfaces that stop a part of the light.
+    pub const OPACITY: u32 = 1 << 4;
+    /// Surfaces cut out by a texture.
+    pub const CUT_OUTS: u32 = 1 << 5;
+    /// Colours that an image varies.
+    pub const TEXTURES: u32 = 1 << 6;
+    /// Shadow rays that some surfaces colour instead of stopping.
+    pub const TRANSPARENT_SHADOWS: u32 = 1 << 7;
+    /// Lights with an extent.
+    pub const SOFT_SHADOWS: u32 = 1 << 8;
+    /// Emitting surfaces.
+    pub const AREA_LIGHTS: u32 = 1 << 9;
+    /// Lights without surface.
+    pub const POINT_LIGHTS: u32 = 1 << 10;
+    /// Distant lights.
+    pub const SUN: u32 = 1 << 11;
+    /// Light from what surrounds the scene.
+    pub const ENVIRONMENT: u32 = 1 << 12;
+    /// Indirect diffuse light.
+    pub const AMBIENT: u32 = 1 << 13;
+    /// Indirect diffuse light of more than one bounce.
+    pub const SECOND_BOUNCE: u32 = 1 << 14;
+    /// Indirect diffuse light by interpolation.
+    pub const CACHE: u32 = 1 << 15;
+    /// A lens with an aperture.
+    pub const DEPTH_OF_FIELD: u32 = 1 << 16;
+
+    /// What a frame calls for at these settings; `materials` are those that the settings make of the frame's.
+    pub(crate) fn called_for(
+        frame: &Frame,
+        materials: &[Material],
+        luminaires: &Luminaires,
+        sky: &Sky,
+        settings: &Settings,
+    ) -> Self {
+        let mut set = Self::default();
+        let mut add = |bit: u32, called_for: bool| set.0 |= if called_for { bit } else { 0 };
+        for material in materials {
+            let rough = |alpha: f32| alpha >= SMOOTH;
+            match material.surface {
+                Surface::Lambert { .. } => {}
+                Surface::Metal { alpha, .. } | Surface::Plastic { alpha, .. } => {
+                    add(Self::GLOSSY, rough(alpha));
+                    add(Self::MIRROR, !rough(alpha));
+                }
+                Surface::ThinGlass { .. } => add(Self::THIN_GLASS | Self::TRANSPARENT_SHADOWS, true),
+                Surface::Glass { .. } => add(Self::REFRACTION, true),
+            }
+            add(Self::OPACITY | Self::TRANSPARENT_SHADOWS, material.opacity < 1.0);
+            add(Self::CUT_OUTS, material.mask.is_some());
+            add(Self::TEXTURES, colors(material).any(|color| color.texture.is_some()));
+        }
+        add(Self::AREA_LIGHTS | Self::SOFT_SHADOWS, !luminaires.all.is_empty());
+        add(Self::POINT_LIGHTS, !frame.points.is_empty());
+        add(Self::SUN, !frame.suns.is_empty());
+        add(Self::SOFT_SHADOWS, frame.suns.iter().any(|sun| sun.angle_deg > 0.0));
+        add(Self::ENVIRONMENT, !sky.is_black());
+        add(Self::AMBIENT, settings.ambient_bounces > 0);
+        add(Self::SECOND_BOUNCE, settings.ambient_bounces > 1);
+        add(Self::DEPTH_OF_FIELD, frame.camera.aperture_radius > 0.0);
+        set
+    }
+
+    /// Everything that a picture may hold. What is not a matter of the picture but of how it is found (integrator, bounces) stays
+    /// as it is.
+    pub fn with_all(self) -> Self {
+        let how = Self::AMBIENT | Self::SECOND_BOUNCE | Self::CACHE;
+        let all = NAMES.iter().fold(0, |set, (bit, _)| set | bit);
+        Self(all & !how | self.0)
+    }
+
+    /// Whether all of `bits` are in the set.
+    pub fn has(self, bits: u32) -> bool {
+        self.0 & bits == bits
+    }
+
+    /// The bits.
+    pub fn bits(self) -> u32 {
+        self.0
+    }
+
+    /// Names of the effects in the set.
+    pub fn names(self) -> impl Iterator<Item = &'static str> {
+        NAMES.iter().filter(move |(bit, _)| self.has(*bit)).map(|(_, name)| *name)
+    }
+}
+
+impl BitOr<u32> for Effects {
+    type Output = Self;
+    fn bitor(self, bits: u32) -> Self {
+        Self(self.0 | bits)
+    }
+}
+
+impl BitOrAssign<u32> for Effects {
+    fn bitor_assign(&mut self, bits: u32) {
+        self.0 |= bits;
+    }
+}
+
+impl fmt::Debug for Effects {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_set().entries(self.names()).finish()
+    }
+}
+
+/// The colours of a material.
+fn colors(material: &Material) -> impl Iterator<Item = &Color> {
+    let surface = match &material.surface {
+        Surface::Lambert { albedo } | Surface::Plastic { albedo, .. } => albedo,
+        Surface::Metal { f0, .. } => f0,
+        Surface::ThinGlass { transmittance, .. } | Surface::Glass { transmittance, .. } => transmittance,
+    };
+    [surface, &material.emission].into_iter()
+}

@@ -1,0 +1,362 @@
+//! The `ambient` integrator: distribution ray tracing after Whitted, Cook and Ward.
+//!
+//! Caustics (light that gets from a lamp to a diffuse surface by way of a mirror, glass or a narrow glossy lobe) are left out,
+//! as Radiance leaves them out: a gathered hemisphere finds them by rare, very bright rays, and nothing but noise is gained.
+//!
+//! At every diffuse or glossy surface all lights are sampled (next-event estimation); mirrors, glass and glossy lobes are
+//! followed; the first `ambient_bounces` diffuse hits gather their hemisphere. Light is counted once: rays gathered by a
+//! diffuse surface do not see the lights that it sampled; glossy lobes share the lights with light sampling by multiple
+//! importance sampling (Veach 1997, balance heuristic), and so do diffuse surfaces the lights that are near.
+
+use super::{Pixels, Point, cap_height, leaving};
+use crate::cost::Category;
+use crate::environment::Sky;
+use crate::fresnel;
+use crate::geometry;
+use crate::kernel::has;
+use crate::microfacet as ggx;
+use crate::random::Purpose;
+use crate::response::{Coat, Glossy, Response, Tint};
+use forelight_bvh::Ray;
+use forelight_scene::{Color, Surface};
+use glam::Vec3;
+
+/// On the camera's own tree, a branch that adds less than this share of the pixel survives only by roulette.
+const FAINT: f32 = 0.02;
+
+/// After a diffuse bounce, glossy lobes narrower than this alpha do not see the lights: their highlights are caustics.
+const CAUSTIC_ALPHA: f32 = 0.2;
+
+/// Which lights a ray may see when it meets them.
+#[derive(Debug, Clone, Copy)]
+pub enum Arrival {
+    /// All: the ray comes from the camera or from a mirror that the camera sees. After a diffuse bounce: the environment alone.
+    Everything,
+    /// None: the diffuse surface that it left has sampled them.
+    Nothing,
+    /// The environment alone: the surface that it left has sampled the others, or leaves them out.
+    Sky,
+    /// Area lights with the weight that light sampling leaves; `density` per steradian at the glossy surface,
+    /// `travelled` metres since (straight through panes).
+    Shared { density: f32, travelled: f32 },
+}
+
+/// A ray with what its origin knows.
+#[derive(Debug, Clone, Copy)]
+pub struct Segment {
+    ray: Ray,
+    arrival: Arrival,
+    /// Diffuse bounces so far.
+    level: u32,
+    /// Mirror, glass and glossy hits since the last of them.
+    depth: u32,
+    /// Hits so far: the random numbers' dimension.
+    vertex: u32,
+    /// Largest channel of what this ray adds to the pixel.
+    weight: f32,
+}
+
+impl<const K: u32> Pixels<'_, K> {
+    /// Radiance along a camera ray.
+    pub fn ambient(&mut self, ray: Ray) -> Vec3 {
+        let arrival = Arrival::Everything;
+        self.radiance(Segment { ray, arrival, level: 0, depth: 0, vertex: 0, weight: 1.0 })
+    }
+
+    /// Radiance that arrives along a segment.
+    fn radiance(&mut self, s: Segment) -> Vec3 {
+        let Some(hit) = self.closest(&s.ray) else {
+            return self.leave(&s);
+        };
+        let p = self.point(&s.ray, &hit);
+        if s.vertex == 0 && self.stratum.is_none() {
+            self.stratum = Some(p.stratum);
+        }
+        let material = &self.tracer.materials[p.material];
+        if K & has::PASSING != 0
+            && material.opacity < 1.0
+            && self.sampler.next(Purpose::Opacity, s.vertex).x >= material.opacity
+        {
+            self.counters.ray(Category::Transparent);
+            return self.radiance(self.straight(&s, &p));
+        }
+        self.counters.shadings += 1;
+        let emitted = if material.is_emissive() { self.emission(&s, &p) } else { Vec3::ZERO };
+        emitted + self.scattered(&s, &p)
+    }
+
+    /// Light that the surface scatters towards the viewer. A kernel has no arm for materials that its frame does not have.
+    fn scattered(&mut self, s: &Segment, p: &Point) -> Vec3 {
+        match self.tracer.materials[p.material].surface {
+            Surface::Lambert { albedo } => {
+                let diffuse = self.color(&albedo, p.uv);
+                self.reflecting(s, p, Response { diffuse, coat: None, glossy: None })
+            }
+            Surface::Plastic { albedo, ior, alpha } if K & (has::GLOSSY | has::SPECULAR) != 0 => {
+                self.plastic(s, p, &albedo, ior, alpha)
+            }
+            Surface::Metal { f0, alpha } if K & has::SPECULAR != 0 && alpha < ggx::SMOOTH => {
+                let f0 = self.color(&f0, p.uv);
+                self.mirror(s, p, fresnel::conductor(p.wi.z, f0))
+            }
+            Surface::Metal { f0, alpha } if K & has::GLOSSY != 0 => {
+                let fresnel = Tint::Conductor(self.color(&f0, p.uv));
+                let glossy = Some(Glossy { alpha, fresnel });
+                self.reflecting(s, p, Response { diffuse: Vec3::ZERO, coat: None, glossy })
+            }
+            Surface::ThinGlass { ior, transmittance } if K & has::SPECULAR != 0 => {
+                self.pane(s, p, ior, &transmittance)
+            }
+            Surface::Glass { ior, transmittance, alpha } if K & has::SPECULAR != 0 => {
+                self.glass(s, p, ior, &transmittance, alpha)
+            }
+            surface => unreachable!("a kernel without code for {surface:?}"),
+        }
+    }
+
+    /// What a ray sees that leaves the scene.
+    fn leave(&mut self, s: &Segment) -> Vec3 {
+        let tracer = self.tracer;
+        match s.arrival {
+            Arrival::Nothing => Vec3::ZERO,
+            Arrival::Shared { .. } | Arrival::Sky => tracer.sky.radiance(s.ray.direction),
+            Arrival::Everything if s.level > 0 => tracer.sky.radiance(s.ray.direction),
+            Arrival::Everything => {
+                let suns = tracer.frame.suns.iter().map(|sun| {
+                    let height = cap_height(sun.angle_deg);
+                    if height > 0.0 && s.ray.direction.dot(sun.direction) >= 1.0 - height {
+                        sun.irradiance / (std::f32::consts::TAU * height)
+                    } else {
+                        Vec3::ZERO
+                    }
+                });
+                tracer.sky.radiance(s.ray.direction) + suns.sum::<Vec3>()
+            }
+        }
+    }
+
+    /// Light that the surface sends towards the viewer by itself.
+    fn emission(&mut self, s: &Segment, p: &Point) -> Vec3 {
+        let material = &self.tracer.materials[p.material];
+        let cos = p.geometric.dot(p.viewer);
+        let cos = if material.emits_both_sides { cos.abs() } else { cos };
+        if cos <= 0.0 {
+            return Vec3::ZERO;
+        }
+        let weight = match s.arrival {
+            Arrival::Nothing | Arrival::Sky => return Vec3::ZERO,
+            Arrival::Everything if s.level > 0 => return Vec3::ZERO,
+            Arrival::Everything => 1.0,
+            Arrival::Shared { density, travelled } => match self.tracer.luminaires.of_stratum(p.stratum) {
+                Some(index) => {
+                    let distance = travelled + p.distance;
+                    let by_light = self.tracer.luminaires.density(index, distance * distance, cos);
+                    density / (density + by_light)
+                }
+                None => 1.0,
+            },
+        };
+        let emission = material.emission;
+        weight * self.color(&emission, p.uv)
+    }
+
+    /// Diffuse and glossy surfaces: lights sampled, hemisphere gathered, lobe followed.
+    fn reflecting(&mut self, s: &Segment, p: &Point, mut response: Response) -> Vec3 {
+        let mut total = Vec3::ZERO;
+        let lobe = response.glossy;
+        let caustic = s.level > 0 && lobe.is_some_and(|g| g.alpha < CAUSTIC_ALPHA);
+        if caustic {
+            response.glossy = None;
+        }
+        let kernel = self.kernel;
+        let ambient = match kernel.ambient {
+            Some(ambient) if response.has_diffuse() && s.level < self.tracer.settings.ambient_bounces => {
+                Some(ambient)
+            }
+            _ => None,
+        };
+        if response.has_diffuse() || response.glossy.is_some() {
+            total += self.direct(p, &response, s.vertex);
+        }
+        // A sky without features is found by the gathered hemisphere as well as by rays of its own.
+        let gathers_sky = ambient.is_some() && matches!(self.tracer.sky, Sky::Constant(_));
+        if let Some(sky) = kernel.sky
+            && response.has_diffuse()
+            && !gathers_sky
+        {
+            total += sky(self, p, &response, s.vertex);
+        }
+        if let Some(ambient) = ambient {
+            let arrival = if gathers_sky { Arrival::Sky } else { Arrival::Nothing };
+            total += ambient(self, s, p, &response, arrival);
+        }
+        if K & has::GLOSSY != 0
+            && let Some(glossy) = lobe
+            && let Some((wo, share, density)) =
+                glossy.sample(p.wi, self.sampler.next(Purpose::Glossy, s.vertex))
+        {
+            let arrival = if caustic { Arrival::Sky } else { Arrival::Shared { density, travelled: 0.0 } };
+            total += self.follow(s, p, p.basis.to_world(wo), share, Category::Specular, arrival);
+        }
+        total
+    }
+
+    fn plastic(&mut self, s: &Segment, p: &Point, albedo: &Color, ior: f32, alpha: f32) -> Vec3 {
+        let diffuse = self.color(albedo, p.uv);
+        let coat = Some(Coat { ior, internal: self.tracer.internal[p.material] });
+        if alpha >= ggx::SMOOTH {
+            let glossy = Some(Glossy { alpha, fresnel: Tint::Dielectric(ior) });
+            return self.reflecting(s, p, Response { diffuse, coat, glossy });
+        }
+        let share = Vec3::splat(fresnel::dielectric(p.wi.z, ior).reflectance);
+        self.reflecting(s, p, Response { diffuse, coat, glossy: None }) + self.mirror(s, p, share)
+    }
+
+    fn mirror(&mut self, s: &Segment, p: &Point, share: Vec3) -> Vec3 {
+        let direction = ggx::reflect(p.viewer, p.basis.normal);
+        self.follow(s, p, direction, share, Category::Reflected, Arrival::Everything)
+    }
+
+    fn pane(&mut self, s: &Segment, p: &Point, ior: f32, transmittance: &Color) -> Vec3 {
+        let reflectance = fresnel::pane(p.wi.z, ior);
+        let through = (1.0 - reflectance) * self.color(transmittance, p.uv);
+        let straight = self.straight(s, p).arrival;
+        let forward = |this: &mut Self, share| {
+            this.follow(s, p, s.ray.direction, share, Category::Transparent, straight)
+        };
+        self.split(s, p, reflectance, through, forward)
+    }
+
+    fn glass(&mut self, s: &Segment, p: &Point, ior: f32, transmittance: &Color, alpha: f32) -> Vec3 {
+        let eta = if p.geometric.dot(p.viewer) > 0.0 { ior } else { 1.0 / ior };
+        let normal = if alpha < ggx::SMOOTH {
+            p.basis.normal
+        } else {
+            p.basis.to_world(ggx::sample_visible(p.wi, alpha, self.sampler.next(Purpose::Glossy, s.vertex)))
+        };
+        let cos_i = p.viewer.dot(normal);
+        let interface = fresnel::dielectric(cos_i, eta);
+        // Radiance is compressed into the smaller cone of the denser medium: 1/η² on the way in, η² on the way out.
+        let through = (1.0 - interface.reflectance) * self.color(transmittance, p.uv) / (eta * eta);
+        if alpha < ggx::SMOOTH {
+            let direction = ggx::refract(p.viewer, normal, eta, interface.cos_t);
+            let forward = |this: &mut Self, share| {
+                this.follow(s, p, direction, share, Category::Refracted, Arrival::Everything)
+            };
+            return self.split(s, p, interface.reflectance, through, forward);
+        }
+        // Rough glass: one of the two directions about the microfacet, weighted by the masking on the other side.
+        let reflects = self.sampler.next(Purpose::Lobe, s.vertex).x < interface.reflectance;
+        let direction = if reflects {
+            ggx::reflect(p.viewer, normal)
+        } else {
+            ggx::refract(p.viewer, normal, eta, interface.cos_t)
+        };
+        let wo = p.basis.to_local(direction);
+        if (wo.z > 0.0) != reflects {
+            return Vec3::ZERO;
+        }
+        let up = wo.with_z(wo.z.abs());
+        let masking = ggx::masking_shadowing(p.wi, up, alpha) / ggx::masking(p.wi, alpha);
+        let (share, category) = if reflects {
+            (Vec3::splat(masking), Category::Specular)
+        } else {
+            (masking * through / (1.0 - interface.reflectance), Category::Refracted)
+        };
+        self.follow(s, p, direction, share, category, Arrival::Everything)
+    }
+
+    /// Reflection and transmission of a smooth interface: both on the camera's first hit, else one of them by chance.
+    fn split(
+        &mut self,
+        s: &Segment,
+        p: &Point,
+        reflectance: f32,
+        through: Vec3,
+        forward: impl Fn(&mut Self, Vec3) -> Vec3,
+    ) -> Vec3 {
+        if s.level == 0 && s.depth == 0 {
+            let reflected = self.mirror(s, p, Vec3::splat(reflectance));
+            return reflected + forward(self, through);
+        }
+        if self.sampler.next(Purpose::Lobe, s.vertex).x < reflectance {
+            self.mirror(s, p, Vec3::ONE)
+        } else {
+            forward(self, through / (1.0 - reflectance))
+        }
+    }
+
+    /// `share` × the radiance from `direction`, with roulette for branches that hardly matter.
+    fn follow(
+        &mut self,
+        s: &Segment,
+        p: &Point,
+        direction: Vec3,
+        share: Vec3,
+        category: Category,
+        arrival: Arrival,
+    ) -> Vec3 {
+        let largest = share.max_element();
+        if largest <= 0.0 || s.depth >= self.tracer.settings.max_depth {
+            return Vec3::ZERO;
+        }
+        let importance = if s.level == 0 { s.weight * largest / FAINT } else { 2.0 * largest };
+        let survival = importance.min(1.0);
+        if survival < 1.0 && self.sampler.next(Purpose::Roulette, s.vertex).x >= survival {
+            return Vec3::ZERO;
+        }
+        self.counters.ray(category);
+        let share = share / survival;
+        let ray = leaving(p, direction);
+        let weight = s.weight * share.max_element();
+        share
+            * self.radiance(Segment {
+                ray,
+                arrival,
+                level: s.level,
+                depth: s.depth + 1,
+                vertex: s.vertex + 1,
+                weight,
+            })
+    }
+
+    /// The segment beyond a surface that lets light pass straight.
+    fn straight(&self, s: &Segment, p: &Point) -> Segment {
+        let arrival = match s.arrival {
+            Arrival::Shared { density, travelled } => {
+                Arrival::Shared { density, travelled: travelled + p.distance }
+            }
+            other => other,
+        };
+        Segment { ray: leaving(p, s.ray.direction), arrival, vertex: s.vertex + 1, ..*s }
+    }
+
+    /// Indirect diffuse light: the mean over stratified, cosine-weighted rays.
+    pub fn gather(&mut self, s: &Segment, p: &Point, response: &Response, arrival: Arrival) -> Vec3 {
+        let divisions = self.tracer.settings.ambient_divisions;
+        let count = if s.level == 0 {
+            ((divisions as f32 * s.weight).ceil() as u32).clamp(1, divisions)
+        } else {
+            (divisions >> (3 * s.level).min(31)).max(1)
+        };
+        let mut sum = Vec3::ZERO;
+        for _ in 0..count {
+            let wo = geometry::cosine_hemisphere(self.sampler.next(Purpose::Gather, s.vertex));
+            if wo.z <= 0.0 {
+                continue;
+            }
+            self.counters.ray(Category::Ambient);
+            let share = response.diffuse(p.wi, wo);
+            sum += share
+                * self.radiance(Segment {
+                    ray: leaving(p, p.basis.to_world(wo)),
+                    arrival,
+                    level: s.level + 1,
+                    depth: 0,
+                    vertex: s.vertex + 1,
+                    weight: s.weight * share.max_element(),
+                });
+        }
+        sum / count as f32
+    }
+}

@@ -1,0 +1,92 @@
+//! What lies between a point and a light: nothing, something that stops the light, or panes and cut-outs that colour it.
+
+use super::{Pixels, Point, leaving, off_surface};
+use crate::cost::Category;
+use crate::fresnel;
+use crate::kernel::has;
+use forelight_bvh::{Hit, Ray};
+use forelight_scene::Surface;
+use glam::Vec3;
+use std::cell::Cell;
+
+impl<const K: u32> Pixels<'_, K> {
+    /// Share of light that gets from `target` (or from infinity along `direction`) to the point.
+    pub(super) fn shadow(&mut self, p: &Point, direction: Vec3, target: Option<Vec3>) -> Vec3 {
+        self.counters.ray(Category::Shadow);
+        let mut ray = leaving(p, direction);
+        if let Some(target) = target {
+            ray.direction = target - ray.origin;
+            ray.t_max = 1.0;
+        }
+        let tracer = self.tracer;
+        let steps = &mut self.counters.traversal;
+        if K & (has::CUT_OUTS | has::PASSING) == 0 {
+            return if tracer.bvh.any(&ray, |_| true, steps) { Vec3::ZERO } else { Vec3::ONE };
+        }
+        // Does anything opaque block it? If not, does anything colour it?
+        let coloured = Cell::new(false);
+        let texels = Cell::new(0);
+        let blocks = |hit: &Hit| {
+            let material = &tracer.materials[tracer.frame.geometry.material(hit.primitive) as usize];
+            if !tracer.present(hit, &texels) {
+                return false;
+            }
+            let passes = material.opacity < 1.0 || matches!(material.surface, Surface::ThinGlass { .. });
+            coloured.set(coloured.get() | passes);
+            !passes
+        };
+        let blocked = tracer.bvh.any(&ray, blocks, steps);
+        self.counters.texels += texels.get();
+        match (blocked, coloured.get()) {
+            (true, _) => Vec3::ZERO,
+            (false, false) => Vec3::ONE,
+            (false, true) => self.transmission(ray),
+        }
+    }
+
+    /// Product of what the panes and cut-outs along an unblocked shadow ray let through.
+    fn transmission(&mut self, mut ray: Ray) -> Vec3 {
+        let tracer = self.tracer;
+        let mut passed = Vec3::ONE;
+        for _ in 0..tracer.settings.max_depth {
+            let Some(hit) = self.closest(&ray) else { return passed };
+            let direction = ray.direction.normalize();
+            match self.pass(&hit, direction) {
+                Some(share) => passed *= share,
+                None => return Vec3::ZERO,
+            }
+            let next = self.beyond(&hit, direction);
+            if ray.t_max.is_finite() {
+                ray.direction = ray.origin + ray.direction - next;
+            }
+            ray.origin = next;
+        }
+        Vec3::ZERO
+    }
+
+    /// Share of light along `direction` (unit) that a surface lets pass straight; `None` if it lets nothing pass.
+    pub(super) fn pass(&mut self, hit: &Hit, direction: Vec3) -> Option<Vec3> {
+        let tracer = self.tracer;
+        let geometry = &tracer.frame.geometry;
+        let material = &tracer.materials[geometry.material(hit.primitive) as usize];
+        let share = match material.surface {
+            Surface::ThinGlass { ior, transmittance } => {
+                let cos = geometry.geometric_normal(hit.primitive).dot(direction).abs();
+                let color = self.color(&transmittance, geometry.uv(hit.primitive, hit.u, hit.v));
+                let pane = (1.0 - fresnel::pane(cos, ior)) * color;
+                pane * material.opacity + (1.0 - material.opacity)
+            }
+            _ if material.opacity < 1.0 => Vec3::splat(1.0 - material.opacity),
+            _ => return None,
+        };
+        self.counters.ray(Category::Transparent);
+        Some(share)
+    }
+
+    /// The origin of the ray that goes on behind a surface.
+    pub(super) fn beyond(&self, hit: &Hit, direction: Vec3) -> Vec3 {
+        let geometry = &self.tracer.frame.geometry;
+        let normal = geometry.geometric_normal(hit.primitive);
+        off_surface(hit.position(geometry.corners(hit.primitive)), normal, direction)
+    }
+}

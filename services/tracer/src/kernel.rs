@@ -1,0 +1,135 @@
+//! The code that traces a frame, put together once from the effects that the frame calls for.
+//!
+//! What decides inside the innermost loops (how rays are intersected, which lobes there are, whether colours are looked up) is
+//! a constant parameter of the kernel: each of the 32 combinations is compiled for itself. What is called once a vertex or
+//! less (camera, kinds of light, indirect light, integrator) is a function of the kernel, chosen or left out. A frame pays
+//! for nothing that it does not hold; and since an effect that is forced on only meets data that it has nothing to do for,
+//! a larger kernel computes the same bits.
+
+use crate::effects::Effects;
+use crate::integrator::{Arrival, Pixels, Point, Segment};
+use crate::random::Sampler;
+use crate::response::Response;
+use crate::tracer::{Pixel, Tracer};
+use forelight_bvh::Ray;
+use glam::{DVec3, Vec3};
+use std::time::Instant;
+
+/// Constant parameters of a kernel, as bits.
+pub mod has {
+    /// Rough reflections are followed.
+    pub const GLOSSY: u32 = 1;
+    /// Mirrors, panes and solid glass are followed.
+    pub const SPECULAR: u32 = 1 << 1;
+    /// Light passes some surfaces straight: panes, partial opacity.
+    pub const PASSING: u32 = 1 << 2;
+    /// Some surfaces are cut out by a texture: every hit has to be looked at.
+    pub const CUT_OUTS: u32 = 1 << 3;
+    /// Colours may come from images.
+    pub const TEXTURES: u32 = 1 << 4;
+}
+
+/// Light that reaches a point from one kind of light; the last argument is the path's vertex.
+pub type Light<const K: u32> = fn(&mut Pixels<'_, K>, &Point, &Response, u32) -> Vec3;
+
+/// Indirect diffuse light at a point, without the lights that are sampled.
+pub type Ambient<const K: u32> = fn(&mut Pixels<'_, K>, &Segment, &Point, &Response, Arrival) -> Vec3;
+
+/// The functions of a frame's kernel.
+pub struct Kernel<const K: u32> {
+    /// The ray of a camera sample of a pixel.
+    pub camera: fn(&mut Pixels<'_, K>, u32, u32) -> Ray,
+    /// Lights with a position or a direction, by kind.
+    pub lights: Vec<Light<K>>,
+    /// What surrounds the scene.
+    pub sky: Option<Light<K>>,
+    /// Indirect light.
+    pub ambient: Option<Ambient<K>>,
+    /// Radiance along a camera ray.
+    pub integrate: fn(&mut Pixels<'_, K>, Ray) -> Vec3,
+}
+
+/// A kernel, whatever its parameters.
+pub trait Trace: Send + Sync {
+    /// One finished pixel by its row-major index.
+    fn pixel(&self, tracer: &Tracer, index: u32) -> Pixel;
+}
+
+impl<const K: u32> Kernel<K> {
+    fn new(effects: Effects) -> Self {
+        let mut lights: Vec<Light<K>> = Vec::new();
+        if effects.has(Effects::AREA_LIGHTS) {
+            lights.push(|pixels, p, response, vertex| pixels.area_lights(p, response, vertex));
+        }
+        if effects.has(Effects::POINT_LIGHTS) {
+            lights.push(|pixels, p, response, _| pixels.point_lights(p, response));
+        }
+        if effects.has(Effects::SUN) {
+            lights.push(|pixels, p, response, vertex| pixels.suns(p, response, vertex));
+        }
+        let sky: Option<Light<K>> = match effects.has(Effects::ENVIRONMENT) {
+            true => Some(|pixels, p, response, vertex| pixels.sky(p, response, vertex)),
+            false => None,
+        };
+        let ambient: Option<Ambient<K>> = match effects.has(Effects::AMBIENT) {
+            true => Some(|pixels, s, p, response, arrival| pixels.gather(s, p, response, arrival)),
+            false => None,
+        };
+        Self {
+            camera: match effects.has(Effects::DEPTH_OF_FIELD) {
+                true => |pixels, x, y| pixels.through_lens(x, y),
+                false => |pixels, x, y| pixels.through_pinhole(x, y),
+            },
+            lights,
+            sky,
+            ambient,
+            integrate: |pixels, ray| pixels.ambient(ray),
+        }
+    }
+}
+
+impl<const K: u32> Trace for Kernel<K> {
+    fn pixel(&self, tracer: &Tracer, index: u32) -> Pixel {
+        let start = Instant::now();
+        let settings = &tracer.settings;
+        let (x, y) = (index % settings.width, index / settings.width);
+        let sampler = Sampler::new(settings.seed, tracer.frame.number, index);
+        let mut pixels = Pixels::new(tracer, self, sampler);
+        let mut sum = DVec3::ZERO;
+        for _ in 0..settings.spp {
+            sum += pixels.sample(x, y).as_dvec3();
+        }
+        let color = (sum / f64::from(settings.spp)).as_vec3().to_array();
+        Pixel {
+            color,
+            rays: pixels.counters.rays,
+            work: pixels.counters.work(),
+            cpu_nanos: start.elapsed().as_nanos() as u64,
+            stratum: pixels.stratum.unwrap_or(Pixel::NOTHING),
+        }
+    }
+}
+
+/// The kernel for these effects.
+pub fn kernel(effects: Effects) -> Box<dyn Trace> {
+    let parameters = [
+        (has::GLOSSY, Effects::GLOSSY),
+        (has::SPECULAR, Effects::MIRROR),
+        (has::SPECULAR, Effects::REFRACTION),
+        (has::SPECULAR | has::PASSING, Effects::THIN_GLASS),
+        (has::PASSING, Effects::OPACITY),
+        (has::PASSING, Effects::TRANSPARENT_SHADOWS),
+        (has::CUT_OUTS, Effects::CUT_OUTS),
+        (has::TEXTURES, Effects::TEXTURES),
+    ];
+    let wanted = parameters.iter().filter(|p| effects.has(p.1)).fold(0, |set, p| set | p.0);
+    macro_rules! compiled {
+        ($($k:literal)*) => {
+            match wanted {
+                $($k => Box::new(Kernel::<$k>::new(effects)) as Box<dyn Trace>,)*
+                _ => Box::new(Kernel::<31>::new(effects)),
+            }
+        };
+    }
+    compiled!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23 24 25 26 27 28 29 30)
+}
