@@ -51,6 +51,10 @@ pub struct Counters {
     pub traversal: Traversal,
     pub shadings: u64,
     pub texels: u64,
+    /// Cache records that were looked at.
+    pub records: u64,
+    /// Points at which a cache was read and had no record.
+    pub uncovered: u32,
 }
 
 impl Counters {
@@ -61,8 +65,12 @@ impl Counters {
     pub fn work(&self) -> u64 {
         let rays = self.rays.iter().map(|&r| u64::from(r)).sum();
         work(rays, self.traversal.nodes, self.traversal.triangles, self.shadings, self.texels)
+            + RECORD_WORK * self.records
     }
 }
+
+/// Work of looking at one cache record, in the units of [`work`].
+const RECORD_WORK: u64 = 12;
 
 /// Work: operations weighted by what each takes on a present-day core, in units of about a nanosecond, so that work
 /// is close to proportional to time without depending on any clock. The weights are a regression of time on counts over

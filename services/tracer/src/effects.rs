@@ -3,7 +3,7 @@
 //! A frame's set is derived from its materials, lights, camera and settings; the kernel that traces the frame is put together
 //! from it (see `kernel`), so that what is not in the set has no code in the path, no rays and no memory.
 
-use crate::Settings;
+use crate::{Integrator, Settings};
 use crate::environment::Sky;
 use crate::lights::Luminaires;
 use crate::microfacet::SMOOTH;
@@ -104,6 +104,8 @@ impl Effects {
         add(Self::ENVIRONMENT, !sky.is_black());
         add(Self::AMBIENT, settings.ambient_bounces > 0);
         add(Self::SECOND_BOUNCE, settings.ambient_bounces > 1);
+        let cached = settings.cache.is_some() && settings.integrator == Integrator::Ambient;
+        add(Self::CACHE, settings.ambient_bounces > 0 && cached);
         add(Self::DEPTH_OF_FIELD, frame.camera.aperture_radius > 0.0);
         set
     }

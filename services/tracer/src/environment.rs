@@ -2,7 +2,7 @@
 
 use crate::geometry::{direction_to_lat_long, lat_long_to_direction};
 use forelight_scene::{Environment, Frame, Texture};
-use glam::{Vec2, Vec3};
+use glam::{DVec2, Vec2, Vec3};
 use std::f32::consts::PI;
 use std::sync::Arc;
 
@@ -25,6 +25,8 @@ pub struct SkyImage {
     /// Cumulative light of the rows, and of each row's texels; last entries 1.
     rows: Vec<f32>,
     columns: Vec<Vec<f32>>,
+    /// Mean over all directions, W/(m² sr) in the strongest channel.
+    mean: f64,
 }
 
 impl Sky {
@@ -87,20 +89,45 @@ impl SkyImage {
             return None;
         }
         let rows = rows.iter().map(|&r| (r / total) as f32).collect();
+        let solid_angle: f64 = 2.0 / std::f64::consts::PI * (height * width) as f64; // Σ sin over all texels
+        let mean = total / solid_angle * f64::from(scale);
         let angle = rotation_deg.to_radians();
         let rotation = (libm::cosf(angle), libm::sinf(angle));
-        Some(Self { textures: frame.textures.clone(), texture, scale, rotation, rows, columns })
+        Some(Self { textures: frame.textures.clone(), texture, scale, rotation, rows, columns, mean })
+    }
+
+    /// Coordinates in the image, v down, of a direction.
+    fn coordinates(&self, d: Vec3) -> Vec2 {
+        let (c, s) = self.rotation;
+        direction_to_lat_long(Vec3::new(c * d.x - s * d.z, d.y, s * d.x + c * d.z))
+    }
+
+    /// Mean radiance over all directions in the strongest channel, not less than it is, W/(m² sr).
+    pub fn mean_radiance(&self) -> f64 {
+        self.mean
     }
 
     fn radiance(&self, d: Vec3) -> Vec3 {
-        let (c, s) = self.rotation;
-        let local = Vec3::new(c * d.x - s * d.z, d.y, s * d.x + c * d.z);
-        let uv = direction_to_lat_long(local);
+        let uv = self.coordinates(d);
         self.scale * self.textures[self.texture].color(Vec2::new(uv.x, 1.0 - uv.y))
     }
 
+    /// Density per steradian with which [`Self::sample`] chooses direction `d` (unit).
+    pub fn density(&self, d: Vec3) -> f32 {
+        let uv = self.coordinates(d);
+        let (width, height) = (self.columns[0].len(), self.rows.len());
+        let y = ((uv.y * height as f32) as usize).min(height - 1);
+        let x = ((uv.x * width as f32) as usize).min(width - 1);
+        let share =
+            |cumulative: &[f32], i: usize| cumulative[i] - if i == 0 { 0.0 } else { cumulative[i - 1] };
+        let sin = ((1.0 - d.y) * (1.0 + d.y)).max(0.0).sqrt();
+        let texel = share(&self.rows, y) * share(&self.columns[y], x);
+        let density = texel * (width * height) as f32 / (2.0 * PI * PI * sin);
+        if density.is_finite() { density } else { 0.0 }
+    }
+
     /// A direction in proportion to its light, and its density per steradian.
-    pub fn sample(&self, u: Vec2) -> Option<(Vec3, f32)> {
+    pub fn sample(&self, u: DVec2) -> Option<(Vec3, f32)> {
         let (y, v, row_share) = invert(&self.rows, u.y);
         let (x, w, texel_share) = invert(&self.columns[y], u.x);
         let (width, height) = (self.columns[y].len() as f32, self.rows.len() as f32);
@@ -113,9 +140,10 @@ impl SkyImage {
 }
 
 /// The entry of a cumulative distribution that holds `u`, the position within it, and its share.
-fn invert(cumulative: &[f32], u: f32) -> (usize, f32, f32) {
-    let index = cumulative.partition_point(|&c| c <= u).min(cumulative.len() - 1);
+fn invert(cumulative: &[f32], u: f64) -> (usize, f32, f32) {
+    let index = cumulative.partition_point(|&c| f64::from(c) <= u).min(cumulative.len() - 1);
     let below = if index == 0 { 0.0 } else { cumulative[index - 1] };
     let share = cumulative[index] - below;
-    (index, if share > 0.0 { ((u - below) / share).clamp(0.0, 0.999_999_9) } else { 0.5 }, share)
+    let within = ((u - f64::from(below)) / f64::from(share)) as f32;
+    (index, if share > 0.0 { within.clamp(0.0, 0.999_999_9) } else { 0.5 }, share)
 }

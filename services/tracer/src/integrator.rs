@@ -3,15 +3,20 @@
 //! | file | subject |
 //! | --- | --- |
 //! | `ambient` | distribution ray tracing with gathered indirect light |
+//! | `cached` | indirect light from the irradiance cache, and the rays of planning and filling it |
 //! | `direct` | light straight from the lights |
+//! | `path` | unbiased path tracing |
 //! | `occlusion` | what lies between a point and a light |
 
 mod ambient;
+mod cached;
 mod direct;
 mod occlusion;
+mod path;
 
-pub use ambient::{Arrival, Segment};
+pub use ambient::Segment;
 
+use crate::cache::Site;
 use crate::cost::{Category, Counters};
 use crate::geometry::{self, Basis};
 use crate::kernel::{Kernel, has};
@@ -46,11 +51,18 @@ pub struct Pixels<'a, const K: u32> {
     pub counters: Counters,
     /// Stratum that the first camera ray met.
     pub stratum: Option<u32>,
+    /// Where a probe would have read the cache.
+    pub sites: Vec<Site>,
 }
 
 impl<'a, const K: u32> Pixels<'a, K> {
     pub fn new(tracer: &'a Tracer, kernel: &'a Kernel<K>, sampler: Sampler) -> Self {
-        Self { tracer, kernel, sampler, counters: Counters::default(), stratum: None }
+        Self { tracer, kernel, sampler, counters: Counters::default(), stratum: None, sites: Vec::new() }
+    }
+
+    /// Key of its random numbers.
+    pub fn key(&self) -> u64 {
+        self.sampler.key()
     }
 
     /// One camera sample of the pixel at column `x` and row `y`.

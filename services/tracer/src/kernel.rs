@@ -6,12 +6,15 @@
 //! for nothing that it does not hold; and since an effect that is forced on only meets data that it has nothing to do for,
 //! a larger kernel computes the same bits.
 
+use crate::Integrator;
+use crate::cache::{Irradiance, Keyed, PLAN_RAYS, Planned, Site, Strata};
+use crate::cost::Counters;
 use crate::effects::Effects;
-use crate::integrator::{Arrival, Pixels, Point, Segment};
-use crate::random::Sampler;
+use crate::integrator::{Pixels, Point, Segment};
+use crate::random::{Sampler, hash};
 use crate::response::Response;
 use crate::tracer::{Pixel, Tracer};
-use forelight_bvh::Ray;
+use forelight_bvh::{Hit, Ray};
 use glam::{DVec3, Vec3};
 use std::time::Instant;
 
@@ -33,9 +36,10 @@ pub mod has {
 pub type Light<const K: u32> = fn(&mut Pixels<'_, K>, &Point, &Response, u32) -> Vec3;
 
 /// Indirect diffuse light at a point, without the lights that are sampled.
-pub type Ambient<const K: u32> = fn(&mut Pixels<'_, K>, &Segment, &Point, &Response, Arrival) -> Vec3;
+pub type Ambient<const K: u32> = fn(&mut Pixels<'_, K>, &Segment, &Point, &Response) -> Vec3;
 
 /// The functions of a frame's kernel.
+#[derive(Clone)]
 pub struct Kernel<const K: u32> {
     /// The ray of a camera sample of a pixel.
     pub camera: fn(&mut Pixels<'_, K>, u32, u32) -> Ray,
@@ -47,16 +51,47 @@ pub struct Kernel<const K: u32> {
     pub ambient: Option<Ambient<K>>,
     /// Radiance along a camera ray.
     pub integrate: fn(&mut Pixels<'_, K>, Ray) -> Vec3,
+    /// The same without light, for finding out where the cache will be read.
+    pub probe: Option<Box<Kernel<K>>>,
 }
 
 /// A kernel, whatever its parameters.
 pub trait Trace: Send + Sync {
     /// One finished pixel by its row-major index.
     fn pixel(&self, tracer: &Tracer, index: u32) -> Pixel;
+
+    /// The places at which the first sample of a pixel reads the first level of the cache.
+    fn sites(&self, tracer: &Tracer, pixel: u32, found: &mut Vec<Keyed>, counters: &mut Counters);
+
+    /// The places of level `level` that the plan's rays of a record of the level before meet.
+    fn sites_beyond(
+        &self,
+        tracer: &Tracer,
+        strata: &Strata,
+        level: u32,
+        planned: &Planned,
+    ) -> (Vec<Keyed>, Counters);
+
+    /// What rays from a site meet.
+    fn plan_rays(
+        &self,
+        tracer: &Tracer,
+        site: &Site,
+        directions: &[Vec3; PLAN_RAYS],
+    ) -> ([Option<Hit>; PLAN_RAYS], Counters);
+
+    /// What the hemisphere above a planned record of a level sends.
+    fn gather(
+        &self,
+        tracer: &Tracer,
+        strata: &Strata,
+        level: u32,
+        planned: &Planned,
+    ) -> (Irradiance, Counters);
 }
 
 impl<const K: u32> Kernel<K> {
-    fn new(effects: Effects) -> Self {
+    fn new(effects: Effects, integrator: Integrator) -> Self {
         let mut lights: Vec<Light<K>> = Vec::new();
         if effects.has(Effects::AREA_LIGHTS) {
             lights.push(|pixels, p, response, vertex| pixels.area_lights(p, response, vertex));
@@ -71,11 +106,13 @@ impl<const K: u32> Kernel<K> {
             true => Some(|pixels, p, response, vertex| pixels.sky(p, response, vertex)),
             false => None,
         };
+        let cached = effects.has(Effects::CACHE);
         let ambient: Option<Ambient<K>> = match effects.has(Effects::AMBIENT) {
-            true => Some(|pixels, s, p, response, arrival| pixels.gather(s, p, response, arrival)),
+            true if cached => Some(|pixels, s, p, response| pixels.interpolate(s, p, response)),
+            true => Some(|pixels, s, p, response| pixels.gather(s, p, response)),
             false => None,
         };
-        Self {
+        let kernel = Self {
             camera: match effects.has(Effects::DEPTH_OF_FIELD) {
                 true => |pixels, x, y| pixels.through_lens(x, y),
                 false => |pixels, x, y| pixels.through_pinhole(x, y),
@@ -83,7 +120,22 @@ impl<const K: u32> Kernel<K> {
             lights,
             sky,
             ambient,
-            integrate: |pixels, ray| pixels.ambient(ray),
+            integrate: match integrator {
+                Integrator::Ambient => |pixels, ray| pixels.ambient(ray),
+                Integrator::Path => |pixels, ray| pixels.path(ray),
+            },
+            probe: None,
+        };
+        let probe = cached.then(|| Box::new(kernel.probe()));
+        Self { probe, ..kernel }
+    }
+
+    fn probe(&self) -> Self {
+        Self {
+            lights: Vec::new(),
+            sky: None,
+            ambient: Some(|pixels, _, p, response| pixels.note(p, response)),
+            ..self.clone()
         }
     }
 }
@@ -105,13 +157,63 @@ impl<const K: u32> Trace for Kernel<K> {
             rays: pixels.counters.rays,
             work: pixels.counters.work(),
             cpu_nanos: start.elapsed().as_nanos() as u64,
+            uncovered: pixels.counters.uncovered,
             stratum: pixels.stratum.unwrap_or(Pixel::NOTHING),
         }
+    }
+
+    fn sites(&self, tracer: &Tracer, pixel: u32, found: &mut Vec<Keyed>, counters: &mut Counters) {
+        let settings = &tracer.settings;
+        let sampler = Sampler::new(settings.seed, tracer.frame.number, pixel);
+        let mut pixels = Pixels::new(tracer, self.probe.as_deref().unwrap_or(self), sampler);
+        std::mem::swap(&mut pixels.counters, counters);
+        pixels.sample(pixel % settings.width, pixel / settings.width);
+        let key = pixels.key();
+        found.extend(pixels.sites.iter().zip(1..).map(|(site, n)| (hash(key ^ n), *site)));
+        std::mem::swap(&mut pixels.counters, counters);
+    }
+
+    fn sites_beyond(
+        &self,
+        tracer: &Tracer,
+        strata: &Strata,
+        level: u32,
+        planned: &Planned,
+    ) -> (Vec<Keyed>, Counters) {
+        let sampler = Sampler::keyed(planned.key);
+        let mut pixels = Pixels::new(tracer, self.probe.as_deref().unwrap_or(self), sampler);
+        pixels.walk_gather(strata, level, planned);
+        let key = hash(planned.key);
+        let sites = pixels.sites.iter().zip(1..).map(|(site, n)| (hash(key ^ n), *site));
+        (sites.collect(), pixels.counters)
+    }
+
+    fn plan_rays(
+        &self,
+        tracer: &Tracer,
+        site: &Site,
+        directions: &[Vec3; PLAN_RAYS],
+    ) -> ([Option<Hit>; PLAN_RAYS], Counters) {
+        let mut pixels = Pixels::new(tracer, self, Sampler::keyed(0));
+        let hits = directions.map(|direction| pixels.plan_ray(site, direction));
+        (hits, pixels.counters)
+    }
+
+    fn gather(
+        &self,
+        tracer: &Tracer,
+        strata: &Strata,
+        level: u32,
+        planned: &Planned,
+    ) -> (Irradiance, Counters) {
+        let mut pixels = Pixels::new(tracer, self, Sampler::keyed(planned.key));
+        let irradiance = pixels.gather_record(strata, level, planned);
+        (irradiance, pixels.counters)
     }
 }
 
 /// The kernel for these effects.
-pub fn kernel(effects: Effects) -> Box<dyn Trace> {
+pub fn kernel(effects: Effects, integrator: Integrator) -> Box<dyn Trace> {
     let parameters = [
         (has::GLOSSY, Effects::GLOSSY),
         (has::SPECULAR, Effects::MIRROR),
@@ -126,8 +228,8 @@ pub fn kernel(effects: Effects) -> Box<dyn Trace> {
     macro_rules! compiled {
         ($($k:literal)*) => {
             match wanted {
-                $($k => Box::new(Kernel::<$k>::new(effects)) as Box<dyn Trace>,)*
-                _ => Box::new(Kernel::<31>::new(effects)),
+                $($k => Box::new(Kernel::<$k>::new(effects, integrator)) as Box<dyn Trace>,)*
+                _ => Box::new(Kernel::<31>::new(effects, integrator)),
             }
         };
     }

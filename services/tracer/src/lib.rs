@@ -11,33 +11,37 @@
 //! | `random` | counter-based random numbers, scrambled (0,2)-sequences |
 //! | `geometry` | frames of reference and maps from the square to disc, hemisphere and cap |
 //! | `fresnel`, `microfacet` | reflectance of interfaces, GGX |
-//! | `response` | a material at a point, ready to be lit |
+//! | `response`, `bsdf` | a material at a point, ready to be lit; the same as a BSDF to choose directions by |
 //! | `lights`, `environment` | where light comes from, and how to choose points on it |
 //! | `effects`, `kernel` | what a frame calls for, and the code that is put together for it |
 //! | `integrator` | how a path goes: `ambient`, its direct light, what lies between a point and a light |
+//! | `cache` | indirect light by interpolation: planned, filled, read |
 //! | `cost` | counters, `work`, clocks |
 //! | `tracer`, `profile`, `image` | a frame's pixels, some of them, and all of them |
 
+pub mod bsdf;
+mod cache;
 mod cost;
 mod effects;
 mod environment;
 mod fingerprint;
-mod fresnel;
+pub mod fresnel;
 mod geometry;
 mod image;
 mod integrator;
 mod kernel;
 mod lights;
-mod microfacet;
+pub mod microfacet;
 mod profile;
 mod random;
 mod response;
 mod settings;
 mod tracer;
 
+pub use cache::{Cache, CacheTotals};
 pub use cost::{Cost, RAY_NAMES, Rays, process_cpu_nanos, thread_cpu_nanos, work};
 pub use effects::Effects;
 pub use image::{Image, ImageError, Totals, cost_color};
 pub use profile::{Profile, ProfileError};
-pub use settings::{MaterialOverride, Settings, SettingsError};
+pub use settings::{CacheSettings, Integrator, MaterialOverride, Settings, SettingsError};
 pub use tracer::{Pixel, Tracer};

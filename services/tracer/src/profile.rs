@@ -3,9 +3,9 @@
 use crate::Pixel;
 
 /// Leading bytes of the format, with its version.
-const MAGIC: &[u8; 8] = b"FLprof01";
+const MAGIC: &[u8; 8] = b"FLprof02";
 const HEADER: usize = 8 + 4 + 32 + 4;
-const PIXEL: usize = 4 + 12 + 28 + 8 + 8 + 4;
+const PIXEL: usize = 4 + 12 + 28 + 8 + 8 + 4 + 4;
 const CHECKSUM: usize = 32;
 
 /// Finished pixels of one frame.
@@ -23,7 +23,7 @@ pub struct Profile {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ProfileError {
     /// The leading bytes are others.
-    #[error("not a profile of this version (it must begin with FLprof01)")]
+    #[error("not a profile of this version (it must begin with FLprof02)")]
     Foreign,
     /// Shorter or longer than its header says.
     #[error("truncated profile: {found} bytes where {expected} were expected")]
@@ -39,7 +39,7 @@ pub enum ProfileError {
 }
 
 impl Profile {
-    /// Little-endian: magic, frame, fingerprint, count, pixels (index, colour, rays, work, CPU nanoseconds, stratum), BLAKE3
+    /// Little-endian: magic, frame, fingerprint, count, pixels (index, colour, rays, work, CPU nanoseconds, uncovered, stratum), BLAKE3
     /// of all before.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(HEADER + self.pixels.len() * PIXEL + CHECKSUM);
@@ -53,6 +53,7 @@ impl Profile {
             pixel.rays.iter().for_each(|r| out.extend_from_slice(&r.to_le_bytes()));
             out.extend_from_slice(&pixel.work.to_le_bytes());
             out.extend_from_slice(&pixel.cpu_nanos.to_le_bytes());
+            out.extend_from_slice(&pixel.uncovered.to_le_bytes());
             out.extend_from_slice(&pixel.stratum.to_le_bytes());
         }
         let checksum = blake3::hash(&out);
@@ -87,7 +88,8 @@ impl Profile {
                 let color = std::array::from_fn(|_| f32::from_le_bytes(reader.take()));
                 let rays = std::array::from_fn(|_| reader.u32());
                 let (work, cpu_nanos) = (reader.u64(), reader.u64());
-                (index, Pixel { color, rays, work, cpu_nanos, stratum: reader.u32() })
+                let (uncovered, stratum) = (reader.u32(), reader.u32());
+                (index, Pixel { color, rays, work, cpu_nanos, uncovered, stratum })
             })
             .collect();
         Ok(Self { frame, fingerprint, pixels })
@@ -130,6 +132,7 @@ mod tests {
             rays: [1, 2, 3, 4, 5, 6, i],
             work: u64::MAX - 7,
             cpu_nanos: 12_345,
+            uncovered: 3,
             stratum: i,
         };
         Profile { frame: 7, fingerprint: [9; 32], pixels: (0..5).map(|i| (i * 31, pixel(i))).collect() }

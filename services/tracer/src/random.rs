@@ -49,6 +49,22 @@ impl Sampler {
         Self { key, drawn: [0; VERTICES * PURPOSES] }
     }
 
+    /// Points for something else than a pixel, by a key of its own.
+    pub fn keyed(key: u64) -> Self {
+        Self { key: hash(key), drawn: [0; VERTICES * PURPOSES] }
+    }
+
+    /// The key of its points.
+    pub fn key(&self) -> u64 {
+        self.key
+    }
+
+    /// A point in [0, 1)² that depends on the index alone and has nothing to do with those of other indices.
+    pub fn independent(&self, index: u32) -> Vec2 {
+        let bits = hash(self.key ^ u64::from(index).wrapping_mul(0xa076_1d64_78bd_642f));
+        Vec2::new(unit(bits as u32), unit((bits >> 32) as u32))
+    }
+
     /// The next point in [0, 1)² of this purpose at path vertex `vertex`.
     pub fn next(&mut self, purpose: Purpose, vertex: u32) -> Vec2 {
         let (dimension, index) = self.draw(purpose, vertex);

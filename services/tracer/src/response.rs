@@ -8,8 +8,9 @@ use std::f32::consts::FRAC_1_PI;
 /// The part of a surface's reflection that light sampling can find. Directions are local, +z on the viewer's side.
 #[derive(Debug, Clone, Copy)]
 pub struct Response {
-    /// Lambert reflectance, and the coat that light has to pass on its way in and out.
+    /// Lambert reflectance.
     pub diffuse: Vec3,
+    /// The coat that light has to pass on its way in and out.
     pub coat: Option<Coat>,
     /// The glossy lobe.
     pub glossy: Option<Glossy>,
@@ -18,26 +19,39 @@ pub struct Response {
 /// Smooth dielectric coat over a Lambert base.
 #[derive(Debug, Clone, Copy)]
 pub struct Coat {
+    /// Index of refraction.
     pub ior: f32,
     /// Share of diffuse light inside that the coat throws back, see [`fresnel::internal_diffuse`].
     pub internal: f32,
 }
 
+impl Coat {
+    /// Share of light that the coat lets in under an angle of cosine `cos`.
+    pub fn passes(self, cos: f32) -> f32 {
+        1.0 - fresnel::dielectric(cos, self.ior).reflectance
+    }
+}
+
 /// A GGX lobe.
 #[derive(Debug, Clone, Copy)]
 pub struct Glossy {
+    /// GGX alpha, not below [`ggx::SMOOTH`].
     pub alpha: f32,
+    /// What a microfacet reflects.
     pub fresnel: Tint,
 }
 
 /// Reflectance of the microfacets.
 #[derive(Debug, Clone, Copy)]
 pub enum Tint {
+    /// Conductor of this reflectance at normal incidence.
     Conductor(Vec3),
+    /// Dielectric of this index of refraction.
     Dielectric(f32),
 }
 
 impl Tint {
+    /// Reflectance under this cosine with the microfacet's normal.
     pub fn reflectance(self, cos: f32) -> Vec3 {
         match self {
             Self::Conductor(f0) => fresnel::conductor(cos, f0),
@@ -53,12 +67,17 @@ impl Response {
     /// what the coat throws back inside, the share `internal`, is scattered out again, so that the reflectance that is seen
     /// from outside, and not that of the bare base, is the colour that the material names.
     pub fn diffuse(&self, wi: Vec3, wo: Vec3) -> Vec3 {
+        self.outgoing(wi) * self.coat.map_or(1.0, |coat| coat.passes(wo.z))
+    }
+
+    /// The part of [`Self::diffuse`] that does not depend on where the light comes from: what leaves towards `wi` of light
+    /// that has passed the coat.
+    pub fn outgoing(&self, wi: Vec3) -> Vec3 {
         match self.coat {
             None => self.diffuse,
-            Some(Coat { ior, internal }) => {
-                let pass = |w: Vec3| 1.0 - fresnel::dielectric(w.z, ior).reflectance;
-                let series = self.diffuse / (1.0 - internal);
-                series * (pass(wi) * pass(wo) / (ior * ior))
+            Some(coat) => {
+                let series = self.diffuse / (1.0 - coat.internal);
+                series * (coat.passes(wi.z) / (coat.ior * coat.ior))
             }
         }
     }

@@ -13,6 +13,17 @@ pub enum MaterialOverride {
     Lambert,
 }
 
+/// How light is simulated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Integrator {
+    /// Distribution ray tracing with gathered indirect light, without caustics.
+    #[default]
+    Ambient,
+    /// Unbiased path tracing: one path a camera sample, caustics included.
+    Path,
+}
+
 /// Quality and size of an image. Two renders of one frame with equal settings have equal bits.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Settings {
@@ -22,17 +33,38 @@ pub struct Settings {
     pub height: u32,
     /// Camera samples a pixel.
     pub spp: u32,
-    /// Indirect diffuse bounces; 0 is direct light (and mirrors and glass) alone.
+    /// How light is simulated.
+    pub integrator: Integrator,
+    /// Indirect diffuse bounces; 0 is direct light (and mirrors and glass) alone. For [`Integrator::Path`]: how often light is
+    /// spread (diffuse, glossy, rough glass) after the first time; the greatest value allowed is as good as no limit.
     pub ambient_bounces: u32,
     /// Rays of a hemisphere gather at the first diffuse hit of full weight. Hits of lower weight get fewer, in
     /// proportion; each further bounce gets an eighth.
     pub ambient_divisions: u32,
     /// Longest chain of mirror, glass and glossy hits.
     pub max_depth: u32,
+    /// Irradiance cache, if indirect light is interpolated.
+    pub cache: Option<CacheSettings>,
     /// Replacement of all materials.
     pub materials: MaterialOverride,
     /// Seed of all random numbers.
     pub seed: u64,
+}
+
+/// Quality of an irradiance cache.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CacheSettings {
+    /// Error that interpolation may make, in thousandths, by the split-sphere bound of Ward, Rubinstein and Clear 1988: a record
+    /// serves up to this share of the (harmonic) mean distance to its surroundings.
+    pub accuracy: u32,
+    /// Rays of a record's gather; the nearest of 48, 192, 432, 768, 1200, … is taken.
+    pub rays: u32,
+}
+
+impl Default for CacheSettings {
+    fn default() -> Self {
+        Self { accuracy: 200, rays: 768 }
+    }
 }
 
 impl Default for Settings {
@@ -41,9 +73,11 @@ impl Default for Settings {
             width: 640,
             height: 360,
             spp: 4,
+            integrator: Integrator::Ambient,
             ambient_bounces: 1,
             ambient_divisions: 32,
             max_depth: 12,
+            cache: None,
             materials: MaterialOverride::Full,
             seed: 0,
         }
@@ -67,13 +101,29 @@ pub struct SettingsError {
 impl Settings {
     /// Checks every range, in the order of the fields.
     pub fn validate(&self) -> Result<(), SettingsError> {
+        let bounces = match self.integrator {
+            Integrator::Ambient => 8,
+            Integrator::Path => 65_536,
+        };
         let ranges = [
             ("width", self.width, 1, 65_536),
             ("height", self.height, 1, 65_536),
             ("spp", self.spp, 1, 65_536),
-            ("ambient_bounces", self.ambient_bounces, 0, 8),
+            ("ambient_bounces", self.ambient_bounces, 0, bounces),
             ("ambient_divisions", self.ambient_divisions, 1, 65_536),
             ("max_depth", self.max_depth, 1, 64),
+        ];
+        let cache = self.cache.unwrap_or_default();
+        let cache = [
+            ("cache_accuracy", cache.accuracy, 10, 1000),
+            ("cache_rays", cache.rays, 48, 65_536),
+            // Deeper levels would be planned from ever fewer samples.
+            (
+                "ambient_bounces with a cache",
+                if self.cache.is_some() { self.ambient_bounces } else { 0 },
+                0,
+                2,
+            ),
         ];
         let pixels = ("width × height", u64::from(self.width) * u64::from(self.height), 1, 1 << 28);
         let check = |(name, value, lowest, highest): (&'static str, u64, u64, u64)| {
@@ -83,6 +133,11 @@ impl Settings {
                 Err(SettingsError { name, value, lowest, highest })
             }
         };
-        ranges.into_iter().map(|(n, v, l, h)| (n, v.into(), l, h)).chain([pixels]).try_for_each(check)
+        ranges
+            .into_iter()
+            .chain(cache)
+            .map(|(n, v, l, h)| (n, v.into(), l, h))
+            .chain([pixels])
+            .try_for_each(check)
     }
 }

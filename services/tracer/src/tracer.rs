@@ -1,5 +1,6 @@
 //! A frame, ready to be traced.
 
+use crate::cache::Cache;
 use crate::cost::{Cost, build_work, thread_cpu_nanos};
 use crate::effects::Effects;
 use crate::environment::Sky;
@@ -7,9 +8,9 @@ use crate::fingerprint::fingerprint;
 use crate::fresnel;
 use crate::image::Image;
 use crate::kernel::{Trace, kernel};
-use crate::lights::Luminaires;
+use crate::lights::{Lights, Luminaires};
 use crate::profile::Profile;
-use crate::{MaterialOverride, Settings};
+use crate::{Integrator, MaterialOverride, Settings};
 use forelight_bvh::{Bvh, Hit};
 use forelight_scene::{Color, Frame, Material, Surface};
 use glam::Vec3;
@@ -32,6 +33,8 @@ pub struct Pixel {
     pub work: u64,
     /// CPU time, nanoseconds.
     pub cpu_nanos: u64,
+    /// Samples and gathers that asked the irradiance cache where it had no record, and gathered for themselves.
+    pub uncovered: u32,
     /// Stratum that the first camera sample met, or [`Pixel::NOTHING`].
     pub stratum: u32,
 }
@@ -48,11 +51,15 @@ pub struct Tracer {
     pub(crate) bvh: Arc<Bvh>,
     pub(crate) materials: Vec<Material>,
     pub(crate) luminaires: Luminaires,
+    /// Everything that shines, for choosing one light out of it; empty where the integrator does not choose so.
+    pub(crate) lights: Lights,
     pub(crate) sky: Sky,
     /// Internal diffuse reflectance of each coated material.
     pub(crate) internal: Vec<f32>,
+    /// Empty unless the settings ask for one.
+    pub(crate) cache: Cache,
     effects: Effects,
-    kernel: Box<dyn Trace>,
+    pub(crate) kernel: Box<dyn Trace>,
     build: Cost,
 }
 
@@ -80,18 +87,51 @@ impl Tracer {
         });
         let (luminaires, sky) = (Luminaires::new(&frame), Sky::new(&frame));
         let effects = Effects::called_for(&frame, &materials, &luminaires, &sky, settings);
-        Self {
+        let lights = match settings.integrator {
+            Integrator::Path => Lights::new(&frame, &materials, &sky),
+            Integrator::Ambient => Lights::default(),
+        };
+        let mut tracer = Self {
             internal: internal.collect(),
+            cache: Cache::default(),
             luminaires,
+            lights,
             sky,
             effects,
-            kernel: kernel(effects),
+            kernel: kernel(effects, settings.integrator),
             materials,
             settings: settings.clone(),
             bvh,
             frame,
             build: Cost::default(),
+        };
+        if effects.has(Effects::CACHE)
+            && let Some(settings) = &settings.cache
+        {
+            tracer.cache = Cache::plan(&tracer, settings);
         }
+        tracer
+    }
+
+    /// The frame's irradiance cache, planned; empty if none is called for.
+    pub fn cache(&self) -> &Cache {
+        &self.cache
+    }
+
+    /// Fills what the cache still lacks, on the current thread pool. `progress` is told the number of records done of those of a
+    /// level; `false` if `cancel` was set.
+    pub fn fill(&self, progress: &(dyn Fn(u64) + Sync), cancel: &AtomicBool) -> bool {
+        // A level's gathers read the next one.
+        let levels = self.cache.records().into_iter().enumerate().rev();
+        let mut before = 0;
+        for (level, records) in levels {
+            let told = |done: u64| progress(before + done);
+            if !self.cache.fill(self, level, 0..records as usize, &told, cancel) {
+                return false;
+            }
+            before += records;
+        }
+        true
     }
 
     /// The tree, to be shared with the preview's CPU twin or with another frame of the same geometry.
@@ -122,7 +162,7 @@ impl Tracer {
     /// The same, traced by a kernel that also holds code for effects that are not called for: for showing what leaving them out
     /// saves. Images and counters keep their bits.
     pub fn with_kernel_for(self, effects: Effects) -> Self {
-        Self { kernel: kernel(self.effects | effects.bits()), ..self }
+        Self { kernel: kernel(self.effects | effects.bits(), self.settings.integrator), ..self }
     }
 
     /// One finished pixel by its row-major index. Its colour, rays and work depend on nothing but frame, settings and index.
@@ -153,6 +193,9 @@ impl Tracer {
             for (index, pixel) in &profile.pixels {
                 known[*index as usize] = Some(*pixel);
             }
+        }
+        if !self.fill(&|_| (), cancel) {
+            return None;
         }
         let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
         let done = AtomicU64::new(0);

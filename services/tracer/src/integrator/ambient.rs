@@ -17,7 +17,7 @@ use crate::kernel::has;
 use crate::microfacet as ggx;
 use crate::random::Purpose;
 use crate::response::{Coat, Glossy, Response, Tint};
-use forelight_bvh::Ray;
+use forelight_bvh::{Hit, Ray};
 use forelight_scene::{Color, Surface};
 use glam::Vec3;
 
@@ -44,16 +44,16 @@ pub enum Arrival {
 /// A ray with what its origin knows.
 #[derive(Debug, Clone, Copy)]
 pub struct Segment {
-    ray: Ray,
-    arrival: Arrival,
+    pub(super) ray: Ray,
+    pub(super) arrival: Arrival,
     /// Diffuse bounces so far.
-    level: u32,
+    pub(super) level: u32,
     /// Mirror, glass and glossy hits since the last of them.
-    depth: u32,
+    pub(super) depth: u32,
     /// Hits so far: the random numbers' dimension.
-    vertex: u32,
+    pub(super) vertex: u32,
     /// Largest channel of what this ray adds to the pixel.
-    weight: f32,
+    pub(super) weight: f32,
 }
 
 impl<const K: u32> Pixels<'_, K> {
@@ -64,8 +64,14 @@ impl<const K: u32> Pixels<'_, K> {
     }
 
     /// Radiance that arrives along a segment.
-    fn radiance(&mut self, s: Segment) -> Vec3 {
-        let Some(hit) = self.closest(&s.ray) else {
+    pub(super) fn radiance(&mut self, s: Segment) -> Vec3 {
+        let hit = self.closest(&s.ray);
+        self.arriving(s, hit)
+    }
+
+    /// The same, of a segment that ends at `hit`.
+    pub(super) fn arriving(&mut self, s: Segment, hit: Option<Hit>) -> Vec3 {
+        let Some(hit) = hit else {
             return self.leave(&s);
         };
         let p = self.point(&s.ray, &hit);
@@ -178,8 +184,7 @@ impl<const K: u32> Pixels<'_, K> {
         if response.has_diffuse() || response.glossy.is_some() {
             total += self.direct(p, &response, s.vertex);
         }
-        // A sky without features is found by the gathered hemisphere as well as by rays of its own.
-        let gathers_sky = ambient.is_some() && matches!(self.tracer.sky, Sky::Constant(_));
+        let gathers_sky = ambient.is_some() && self.gathers_sky();
         if let Some(sky) = kernel.sky
             && response.has_diffuse()
             && !gathers_sky
@@ -187,8 +192,7 @@ impl<const K: u32> Pixels<'_, K> {
             total += sky(self, p, &response, s.vertex);
         }
         if let Some(ambient) = ambient {
-            let arrival = if gathers_sky { Arrival::Sky } else { Arrival::Nothing };
-            total += ambient(self, s, p, &response, arrival);
+            total += ambient(self, s, p, &response);
         }
         if K & has::GLOSSY != 0
             && let Some(glossy) = lobe
@@ -331,8 +335,19 @@ impl<const K: u32> Pixels<'_, K> {
         Segment { ray: leaving(p, s.ray.direction), arrival, vertex: s.vertex + 1, ..*s }
     }
 
+    /// Whether gathered rays bring the sky's light: a sky without features is found by them as well as by rays of its own.
+    fn gathers_sky(&self) -> bool {
+        matches!(self.tracer.sky, Sky::Constant(_))
+    }
+
+    /// What gathered rays see of the lights.
+    pub(super) fn gathered(&self) -> Arrival {
+        if self.gathers_sky() { Arrival::Sky } else { Arrival::Nothing }
+    }
+
     /// Indirect diffuse light: the mean over stratified, cosine-weighted rays.
-    pub fn gather(&mut self, s: &Segment, p: &Point, response: &Response, arrival: Arrival) -> Vec3 {
+    pub fn gather(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
+        let arrival = self.gathered();
         let divisions = self.tracer.settings.ambient_divisions;
         let count = if s.level == 0 {
             ((divisions as f32 * s.weight).ceil() as u32).clamp(1, divisions)

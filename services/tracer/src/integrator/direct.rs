@@ -7,6 +7,7 @@ use crate::geometry::{self, Basis};
 use crate::random::Purpose;
 use crate::response::Response;
 use forelight_bvh::offset_origin;
+use forelight_scene::PointLight;
 use glam::Vec3;
 
 impl<const K: u32> Pixels<'_, K> {
@@ -110,10 +111,7 @@ impl<const K: u32> Pixels<'_, K> {
             let distance2 = to.length_squared();
             let direction = to / distance2.sqrt();
             let wo = p.basis.to_local(direction);
-            let cone = light.cone.map_or(1.0, |(axis, inner, outer)| {
-                let t = ((-direction.dot(axis) - outer) / (inner - outer)).clamp(0.0, 1.0);
-                t * t // KHR_lights_punctual's recommended falloff
-            });
+            let cone = falloff(light, direction);
             if wo.z > 0.0 && cone > 0.0 {
                 let (diffuse, glossy, _) = response.evaluate(p.wi, wo);
                 let arriving = light.intensity * (cone / distance2);
@@ -163,7 +161,7 @@ impl<const K: u32> Pixels<'_, K> {
                 (p.basis.to_world(wo), wo, response.diffuse(p.wi, wo) * *radiance)
             }
             Sky::Image(image) => {
-                let Some((direction, density)) = image.sample(u) else { return Vec3::ZERO };
+                let Some((direction, density)) = image.sample(u.as_dvec2()) else { return Vec3::ZERO };
                 let wo = p.basis.to_local(direction);
                 let cos = wo.z.max(0.0) / (std::f32::consts::PI * density);
                 (direction, wo, response.diffuse(p.wi, wo) * tracer.sky.radiance(direction) * cos)
@@ -175,4 +173,12 @@ impl<const K: u32> Pixels<'_, K> {
             Vec3::ZERO
         }
     }
+}
+
+/// Share of a light's intensity that it sends against `direction` (unit, towards the light).
+pub(super) fn falloff(light: &PointLight, direction: Vec3) -> f32 {
+    light.cone.map_or(1.0, |(axis, inner, outer)| {
+        let t = ((-direction.dot(axis) - outer) / (inner - outer)).clamp(0.0, 1.0);
+        t * t // KHR_lights_punctual's recommended falloff
+    })
 }

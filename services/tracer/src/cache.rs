@@ -1,0 +1,161 @@
+//! The irradiance cache: planned, filled, read.
+//!
+//! Indirect diffuse light changes slowly over a surface, so it is gathered at few places, the *records*, and interpolated between
+//! them (Ward, Rubinstein, Clear 1988). Where the classic cache makes a record when it happens to need one, so that number
+//! and cost depend on the order of pixels and threads, this one has three phases:
+//!
+//! 1. **Plan** (`plan`): the rule by which records are placed runs over the first diffuse hits of all pixels (also by way of mirrors
+//!    and glass) in a fixed, coarse-to-fine order. A record's radius comes from 48 stratified rays that look for distances only.
+//!    After it the number of records is known, not guessed.
+//! 2. **Fill** (`gather`): the hemisphere above every planned record is gathered, on any thread or machine, in any order;
+//!    the plan's rays are strata of the gather and are not traced again.
+//! 3. **Read** (`read`): image samples only read. A point that no record covers gathers for itself, as without a cache, and is
+//!    counted.
+//!
+//! Further diffuse bounces have levels of their own: the second level is planned from the hits of the first level's rays, and
+//! filled before it.
+//!
+//! | file | subject |
+//! | --- | --- |
+//! | `site` | where irradiance is wanted, and when one place serves for another |
+//! | `octree` | which records are near |
+//! | `hemisphere` | strata of a gather; irradiance and its gradients from them |
+//! | `plan`, `gather`, `read` | the three phases |
+//! | `share` | records of one frame that hold in another |
+//! | `file` | the artefact |
+
+mod gather;
+mod hemisphere;
+mod octree;
+mod plan;
+mod read;
+mod site;
+
+pub use hemisphere::{Irradiance, PLAN_RAYS, Sample, Strata};
+pub use plan::Keyed;
+pub use site::Site;
+
+use crate::cost::{Cost, Rays};
+use forelight_bvh::Hit;
+use glam::Vec3;
+use octree::Octree;
+use std::sync::OnceLock;
+
+/// Records are read that much farther than they are planned to cover: several of them blend everywhere, and the samples between
+/// the planned places find some.
+const READ_RELAXED: f32 = 1.6;
+
+/// A planned record.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Planned {
+    /// Key of the random numbers of its gather.
+    pub key: u64,
+    /// Where it is.
+    pub site: Site,
+    /// How far it is valid, before the allowed error scales it, metres.
+    pub radius: f32,
+    /// Distance to what blocks the way along the surface, by sector of azimuth, metres.
+    pub corral: [f32; hemisphere::SECTORS],
+    /// What the plan's rays met.
+    pub hits: [Option<Hit>; PLAN_RAYS],
+}
+
+/// What was gathered at a record.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Record {
+    /// Irradiance, W/m² per channel, as it arrives under the surface's coat.
+    pub irradiance: Vec3,
+    /// Change of each channel's irradiance with the normal's rotation, per radian.
+    pub rotation: [Vec3; 3],
+    /// Change of each channel's irradiance along the surface, per metre.
+    pub translation: [Vec3; 3],
+    /// Radius within which the gradients can be trusted, metres: at most the planned one.
+    pub trusted: f32,
+    /// Whether a number of it is not finite: such a record is never used.
+    pub rejected: bool,
+    /// What gathering it took.
+    pub cost: Cost,
+    /// Rays of it, by category.
+    pub rays: [u32; 7],
+}
+
+/// The records of one bounce.
+#[derive(Debug, Default)]
+pub struct Level {
+    planned: Vec<Planned>,
+    records: Vec<OnceLock<Record>>,
+    octree: Octree,
+    /// Allowed error, see [`site::error`].
+    accuracy: f32,
+    /// Bounds of the radii, metres.
+    smallest: f32,
+    largest: f32,
+}
+
+/// A frame's cache.
+#[derive(Debug, Default)]
+pub struct Cache {
+    strata: Strata,
+    levels: Vec<Level>,
+    /// What planning took.
+    plan: Cost,
+    plan_rays: Rays,
+}
+
+/// What a cache holds and took, in numbers.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct CacheTotals {
+    /// Records by level.
+    pub records: Vec<u64>,
+    /// What planning took.
+    pub plan: Cost,
+    /// Rays of planning.
+    pub plan_rays: Rays,
+    /// What gathering took, of the records that are filled.
+    pub fill: Cost,
+    /// Rays of gathering.
+    pub fill_rays: Rays,
+    /// Records that are filled.
+    pub filled: u64,
+    /// Records among them that are not finite, and never used.
+    pub rejected: u64,
+}
+
+impl Cache {
+    /// Number of records by level.
+    pub fn records(&self) -> Vec<u64> {
+        self.levels.iter().map(|level| level.planned.len() as u64).collect()
+    }
+
+    /// The strata of its gathers.
+    pub fn strata(&self) -> &Strata {
+        &self.strata
+    }
+
+    /// The planned records of a level.
+    pub fn planned(&self, level: usize) -> &[Planned] {
+        &self.levels[level].planned
+    }
+
+    /// A record, if it is filled.
+    pub fn record(&self, level: usize, index: usize) -> Option<&Record> {
+        self.levels[level].records[index].get()
+    }
+
+    /// What it holds and took.
+    pub fn totals(&self) -> CacheTotals {
+        let mut totals = CacheTotals {
+            records: self.records(),
+            plan: self.plan,
+            plan_rays: self.plan_rays,
+            ..CacheTotals::default()
+        };
+        for record in self.levels.iter().flat_map(|level| &level.records).filter_map(OnceLock::get) {
+            totals.filled += 1;
+            totals.rejected += u64::from(record.rejected);
+            totals.fill += record.cost;
+            totals.fill_rays.iter_mut().zip(record.rays).for_each(|(sum, rays)| *sum += u64::from(rays));
+        }
+        totals
+    }
+}

@@ -1,0 +1,73 @@
+//! Filling: what the hemisphere above a planned record sends.
+
+use super::hemisphere::Irradiance;
+use super::{Cache, Planned, Record};
+use crate::cost::thread_cpu_nanos;
+use crate::tracer::Tracer;
+use rayon::prelude::*;
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+impl Cache {
+    /// A record, gathered now if it has not been yet.
+    pub fn filled(&self, tracer: &Tracer, level: usize, index: usize) -> &Record {
+        let level_ = &self.levels[level];
+        level_.records[index].get_or_init(|| {
+            let planned = &level_.planned[index];
+            let start = thread_cpu_nanos();
+            let (irradiance, counters) = tracer.kernel.gather(tracer, &self.strata, level as u32, planned);
+            let mut record = Record::new(planned, &irradiance, level_.smallest);
+            record.cost.work = counters.work();
+            record.cost.cpu_nanos = thread_cpu_nanos() - start;
+            record.rays = counters.rays;
+            record
+        })
+    }
+
+    /// Gathers a range of a level's records, on the current thread pool; those that are filled already stay. `progress` is told the
+    /// number done, now and then. Deeper levels come first: `false` if `cancel` was set.
+    pub fn fill(
+        &self,
+        tracer: &Tracer,
+        level: usize,
+        range: Range<usize>,
+        progress: &(dyn Fn(u64) + Sync),
+        cancel: &AtomicBool,
+    ) -> bool {
+        let done = AtomicU64::new(0);
+        range.into_par_iter().for_each(|index| {
+            if !cancel.load(Ordering::Relaxed) {
+                self.filled(tracer, level, index);
+                progress(done.fetch_add(1, Ordering::Relaxed) + 1);
+            }
+        });
+        !cancel.load(Ordering::Relaxed)
+    }
+}
+
+impl Record {
+    /// The record of a gather. Gradients that would change the irradiance by all of itself within the trusted radius are cut back
+    /// (Křivánek et al. 2006): a steeper one says that the record is valid for a shorter way than its surroundings made believe.
+    fn new(planned: &Planned, irradiance: &Irradiance, smallest: f32) -> Self {
+        let (value, mut translation) = (irradiance.value, irradiance.translation);
+        let mut trusted = planned.radius;
+        for channel in 0..3 {
+            let slope = translation[channel].length();
+            let level_within = if slope > 0.0 { value[channel] / slope } else { f32::INFINITY };
+            trusted = trusted.min(level_within.max(smallest));
+            if level_within < smallest {
+                translation[channel] *= level_within / smallest;
+            }
+        }
+        let numbers = irradiance.rotation.iter().chain(&translation).chain([&value]);
+        Self {
+            rejected: !numbers.fold(true, |finite, v| finite && v.is_finite()),
+            irradiance: value,
+            rotation: irradiance.rotation,
+            translation,
+            trusted,
+            cost: Default::default(),
+            rays: [0; 7],
+        }
+    }
+}

@@ -1,0 +1,144 @@
+//! Which records may cover a point.
+
+use glam::Vec3;
+
+/// Cells are not split further than this.
+const DEPTH: u32 = 20;
+
+/// An octree over a cube. A sphere is entered in the (at most eight) cells of about its size that it touches, so that the cells
+/// on the way from the root to a point hold all spheres that may contain the point.
+#[derive(Debug, Default)]
+pub struct Octree {
+    low: Vec3,
+    edge: f32,
+    cells: Vec<Cell>,
+}
+
+#[derive(Debug, Default)]
+struct Cell {
+    /// The cell of each octant, 0 for none: the root is nobody's child.
+    children: [u32; 8],
+    members: Vec<u32>,
+}
+
+impl Octree {
+    /// Over a box that holds all points that will be asked for.
+    pub fn new(low: Vec3, high: Vec3) -> Self {
+        // A little larger than the box, so that rounding keeps its border inside.
+        let edge = (high - low).max_element().max(f32::MIN_POSITIVE) * 1.001;
+        Self { low, edge, cells: vec![Cell::default()] }
+    }
+
+    /// Enters a sphere under an index.
+    pub fn insert(&mut self, index: u32, center: Vec3, radius: f32) {
+        let mut depth = 0;
+        let mut edge = self.edge;
+        while depth < DEPTH && edge * 0.5 >= 2.0 * radius {
+            edge *= 0.5;
+            depth += 1;
+        }
+        self.descend(0, self.low, self.edge, depth, (center - radius, center + radius), index);
+    }
+
+    fn descend(&mut self, cell: u32, low: Vec3, edge: f32, depth: u32, bounds: (Vec3, Vec3), index: u32) {
+        if depth == 0 {
+            self.cells[cell as usize].members.push(index);
+            return;
+        }
+        let half = edge * 0.5;
+        let middle = low + half;
+        for octant in 0..8u32 {
+            let upper = [octant & 1 != 0, octant & 2 != 0, octant & 4 != 0];
+            let touches = (0..3).all(|axis| {
+                if upper[axis] { bounds.1[axis] >= middle[axis] } else { bounds.0[axis] < middle[axis] }
+            });
+            if !touches {
+                continue;
+            }
+            let mut child = self.cells[cell as usize].children[octant as usize];
+            if child == 0 {
+                child = self.cells.len() as u32;
+                self.cells.push(Cell::default());
+                self.cells[cell as usize].children[octant as usize] = child;
+            }
+            let offset = Vec3::from(upper.map(|upper| if upper { half } else { 0.0 }));
+            self.descend(child, low + offset, half, depth - 1, bounds, index);
+        }
+    }
+
+    /// Indices of the spheres that may contain a point, in an order that depends on the insertions alone.
+    pub fn near(&self, point: Vec3) -> impl Iterator<Item = u32> + '_ {
+        let mut cell = self.cells.first();
+        let mut middle = self.low + self.edge * 0.5;
+        let mut quarter = self.edge * 0.25;
+        std::iter::from_fn(move || {
+            let here = cell?;
+            let upper = point.cmpge(middle);
+            let child = here.children[upper.bitmask() as usize];
+            middle += Vec3::select(upper, Vec3::splat(quarter), Vec3::splat(-quarter));
+            quarter *= 0.5;
+            cell = if child == 0 { None } else { self.cells.get(child as usize) };
+            Some(here)
+        })
+        .flat_map(|cell| cell.members.iter().copied())
+    }
+
+    /// Indices of the spheres whose cells a box touches, ascending, each once.
+    pub fn touching(&self, low: Vec3, high: Vec3) -> Vec<u32> {
+        let mut found = Vec::new();
+        if !self.cells.is_empty() {
+            self.collect(0, self.low, self.edge, (low, high), &mut found);
+        }
+        found.sort_unstable();
+        found.dedup();
+        found
+    }
+
+    fn collect(&self, cell: u32, low: Vec3, edge: f32, bounds: (Vec3, Vec3), found: &mut Vec<u32>) {
+        let cell = &self.cells[cell as usize];
+        found.extend(&cell.members);
+        let half = edge * 0.5;
+        for (octant, &child) in cell.children.iter().enumerate().filter(|(_, child)| **child != 0) {
+            let offset = Vec3::from([1, 2, 4].map(|bit| if octant & bit != 0 { half } else { 0.0 }));
+            let corner = low + offset;
+            if corner.cmple(bounds.1).all() && (corner + half).cmpge(bounds.0).all() {
+                self.collect(child, corner, half, bounds, found);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::hash;
+
+    #[test]
+    fn every_sphere_that_contains_a_point_is_found() {
+        let number = |i: u64| (hash(i) >> 40) as f32 / (1 << 24) as f32;
+        let point = |i: u64| Vec3::new(number(3 * i), number(3 * i + 1), number(3 * i + 2));
+        let spheres: Vec<(Vec3, f32)> =
+            (0..500).map(|i| (point(i), 0.001 * 300f32.powf(number(10_000 + i)))).collect();
+        let mut octree = Octree::new(Vec3::ZERO, Vec3::ONE);
+        for (index, (center, radius)) in spheres.iter().enumerate() {
+            octree.insert(index as u32, *center, *radius);
+        }
+        let mut contained = 0;
+        for i in 1000..3000 {
+            let p = point(i);
+            let near: Vec<u32> = octree.near(p).collect();
+            let touching = octree.touching(p, p);
+            for (index, (center, radius)) in spheres.iter().enumerate() {
+                if center.distance(p) < *radius {
+                    contained += 1;
+                    assert!(near.contains(&(index as u32)), "sphere {index} misses point {i}");
+                    assert!(touching.contains(&(index as u32)), "sphere {index} misses box {i}");
+                }
+            }
+            let mut unique = near.clone();
+            unique.dedup();
+            assert_eq!(unique.len(), near.len());
+        }
+        assert!(contained > 1000, "the test met {contained} cases only");
+    }
+}

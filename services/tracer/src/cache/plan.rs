@@ -1,0 +1,269 @@
+//! Planning: where the records are, and how far each is valid.
+
+use super::hemisphere::{PLAN_RAYS, RINGS, SECTORS, Strata};
+use super::octree::Octree;
+use super::{Cache, Level, Planned, READ_RELAXED, Site};
+use crate::CacheSettings;
+use crate::cost::{Cost, Counters, Rays, thread_cpu_nanos};
+use crate::geometry::Basis;
+use crate::random::{Sampler, hash};
+use crate::tracer::Tracer;
+use glam::Vec3;
+use rayon::prelude::*;
+use std::ops::RangeInclusive;
+use std::sync::OnceLock;
+
+/// Pixels, or records of the level before, whose sites are found in one go.
+const CHUNK: usize = 4096;
+
+/// Places whose rays are traced at the same time. Those that turn out to be covered by others of their batch were traced in
+/// vain: few, since successive places are far apart.
+const BATCH: usize = 32;
+
+/// Coarsest spacing at which pixels are visited.
+const COARSEST: u32 = 32;
+
+/// Pixels from which the bounds of the radii are taken, about.
+const PILOTS: u32 = 1024;
+
+/// Spacing of the densest records, pixels of the planning view.
+const SPACING: f32 = 1.5;
+
+/// Largest radius: as a multiple of the smallest, and as a share of what the view shows (Radiance's bounds).
+const LARGEST: f32 = 64.0;
+const LARGEST_OF_VIEW: f32 = 0.2;
+
+/// Deeper levels are seen through the gathers of the first, which average over their errors: they may be that much larger for each
+/// level, up to `COARSE`, and as much farther apart.
+const DEEPER: f32 = 2.0;
+const COARSE: f32 = 0.6;
+
+/// A place with the key of the random numbers of its gather.
+pub type Keyed = (u64, Site);
+
+impl Cache {
+    /// Plans the cache of a frame, on the current thread pool.
+    pub fn plan(tracer: &Tracer, settings: &CacheSettings) -> Self {
+        let mut cache = Self { strata: Strata::for_rays(settings.rays), ..Self::default() };
+        let mut planning = Planning { tracer, strata: cache.strata, plan: PlanCost::default() };
+        let accuracy = settings.accuracy as f32 * 1e-3;
+        let (smallest, largest) = planning.bounds(accuracy).into_inner();
+        for depth in 0..tracer.settings.ambient_bounces {
+            let deeper = DEEPER.powi(depth as i32);
+            let mut level = Level {
+                accuracy: (accuracy * deeper).min(COARSE),
+                smallest: (smallest * deeper).min(largest),
+                largest,
+                octree: octree(tracer),
+                ..Level::default()
+            };
+            match cache.levels.last() {
+                None => planning.from_pixels(&mut level),
+                Some(before) => planning.from_gathers(&before.planned, depth, &mut level),
+            }
+            level.records = level.planned.iter().map(|_| OnceLock::new()).collect();
+            cache.levels.push(level);
+        }
+        cache.plan = planning.plan.cost;
+        cache.plan_rays = planning.plan.rays;
+        cache
+    }
+}
+
+fn octree(tracer: &Tracer) -> Octree {
+    let positions = &tracer.frame.geometry.positions;
+    let low = positions.iter().copied().reduce(Vec3::min).unwrap_or(Vec3::ZERO);
+    let high = positions.iter().copied().reduce(Vec3::max).unwrap_or(Vec3::ZERO);
+    Octree::new(low, high)
+}
+
+struct Planning<'a> {
+    tracer: &'a Tracer,
+    strata: Strata,
+    plan: PlanCost,
+}
+
+#[derive(Default)]
+struct PlanCost {
+    cost: Cost,
+    rays: Rays,
+}
+
+impl PlanCost {
+    fn charge(&mut self, counters: &Counters, cpu_nanos: u64) {
+        self.cost += Cost { work: counters.work(), cpu_nanos };
+        self.rays.iter_mut().zip(counters.rays).for_each(|(sum, rays)| *sum += u64::from(rays));
+    }
+}
+
+impl Planning<'_> {
+    /// Bounds of the radii, metres: world-space lengths, so that records serve any view. The smallest makes records as dense as
+    /// [`SPACING`] pixels at the median distance of what the view shows; the largest keeps a record from serving half the room.
+    fn bounds(&mut self, accuracy: f32) -> RangeInclusive<f32> {
+        let camera = &self.tracer.frame.camera;
+        let stride = (camera.pixels() as u32 / PILOTS).isqrt().max(1);
+        let pilots: Vec<u32> = (stride / 2..camera.height)
+            .step_by(stride as usize)
+            .flat_map(|y| {
+                let columns = (stride / 2..camera.width).step_by(stride as usize);
+                columns.map(move |x| y * camera.width + x)
+            })
+            .collect();
+        let sites = self.sites_of_pixels(&pilots);
+        let mut distances: Vec<f32> = sites.iter().map(|s| s.1.position.distance(camera.origin)).collect();
+        distances.sort_unstable_by(f32::total_cmp);
+        let Some(&median) = distances.get(distances.len() / 2) else { return 0.0..=0.0 };
+        let extent = [Vec3::X, Vec3::Y, Vec3::Z].map(|axis| {
+            let mut along: Vec<f32> = sites.iter().map(|s| s.1.position.dot(axis)).collect();
+            along.sort_unstable_by(f32::total_cmp);
+            let cut = along.len() / 50;
+            along[along.len() - 1 - cut] - along[cut]
+        });
+        let pixel = 2.0 * camera.tan_half_x / camera.width as f32;
+        let smallest = SPACING * pixel * median / accuracy;
+        let largest = (LARGEST * smallest).min(LARGEST_OF_VIEW * Vec3::from(extent).length()).max(smallest);
+        smallest..=largest
+    }
+
+    /// The first level: the first diffuse hits of all pixels, coarse to fine, scattered within each stage so that a batch's
+    /// places are far apart.
+    fn from_pixels(&mut self, level: &mut Level) {
+        let camera = &self.tracer.frame.camera;
+        let mut stride = COARSEST;
+        while stride > 0 {
+            let seen = |x: u32, y: u32| stride < COARSEST && x % (2 * stride) == 0 && y % (2 * stride) == 0;
+            let mut pixels: Vec<u32> = (0..camera.height)
+                .step_by(stride as usize)
+                .flat_map(|y| {
+                    let columns = (0..camera.width).step_by(stride as usize).filter(move |&x| !seen(x, y));
+                    columns.map(move |x| y * camera.width + x)
+                })
+                .collect();
+            pixels.sort_by_cached_key(|&pixel| hash(u64::from(pixel)));
+            for chunk in pixels.chunks(CHUNK) {
+                let sites = self.sites_of_pixels(chunk);
+                self.insert_all(level, &sites);
+            }
+            stride /= 2;
+        }
+    }
+
+    /// A deeper level: the diffuse hits of the plan's rays of the level before.
+    fn from_gathers(&mut self, before: &[Planned], depth: u32, level: &mut Level) {
+        let mut order: Vec<u32> = (0..before.len() as u32).collect();
+        order.sort_by_cached_key(|&index| hash(u64::from(index)));
+        for chunk in order.chunks(CHUNK / PLAN_RAYS) {
+            let (tracer, strata) = (self.tracer, self.strata);
+            let found = chunk.par_iter().map(|&index| {
+                let start = thread_cpu_nanos();
+                let (sites, counters) =
+                    tracer.kernel.sites_beyond(tracer, &strata, depth, &before[index as usize]);
+                (sites, counters, thread_cpu_nanos() - start)
+            });
+            let sites = self.gather(found.collect());
+            self.insert_all(level, &sites);
+        }
+    }
+
+    fn sites_of_pixels(&mut self, pixels: &[u32]) -> Vec<Keyed> {
+        let tracer = self.tracer;
+        let found = pixels.par_chunks(64).map(|pixels| {
+            let start = thread_cpu_nanos();
+            let (mut sites, mut counters) = (Vec::new(), Counters::default());
+            for &pixel in pixels {
+                tracer.kernel.sites(tracer, pixel, &mut sites, &mut counters);
+            }
+            (sites, counters, thread_cpu_nanos() - start)
+        });
+        self.gather(found.collect())
+    }
+
+    fn gather(&mut self, found: Vec<(Vec<Keyed>, Counters, u64)>) -> Vec<Keyed> {
+        let mut all = Vec::new();
+        for (sites, counters, nanos) in found {
+            all.extend(sites);
+            self.plan.charge(&counters, nanos);
+        }
+        all
+    }
+
+    /// The insertion rule over a list of places, in order.
+    fn insert_all(&mut self, level: &mut Level, places: &[Keyed]) {
+        let start = thread_cpu_nanos();
+        let covered: Vec<bool> = places.par_iter().map(|(_, site)| level.covers(site)).collect();
+        let open: Vec<Keyed> =
+            places.iter().zip(covered).filter(|(_, covered)| !covered).map(|p| *p.0).collect();
+        let mut rest = open.as_slice();
+        let mut batch = Vec::with_capacity(BATCH);
+        while !rest.is_empty() {
+            batch.clear();
+            while let Some((first, others)) = rest.split_first()
+                && batch.len() < BATCH
+            {
+                rest = others;
+                if !level.covers(&first.1) {
+                    batch.push(*first);
+                }
+            }
+            let (tracer, strata) = (self.tracer, self.strata);
+            let planned: Vec<(Planned, Counters)> =
+                batch.par_iter().map(|&place| plan_record(tracer, &strata, place, level)).collect();
+            for (planned, counters) in planned {
+                self.plan.charge(&counters, 0);
+                if !level.covers(&planned.site) {
+                    level.insert(planned);
+                }
+            }
+        }
+        self.plan.cost.cpu_nanos += thread_cpu_nanos() - start;
+    }
+}
+
+/// A record as its own rays see it.
+fn plan_record(tracer: &Tracer, strata: &Strata, (key, site): Keyed, level: &Level) -> (Planned, Counters) {
+    let basis = Basis::new(site.normal);
+    let sampler = Sampler::keyed(key);
+    let side = if site.geometric.dot(site.normal) < 0.0 { -site.geometric } else { site.geometric };
+    let locals: [Vec3; PLAN_RAYS] =
+        std::array::from_fn(|ray| strata.direction(strata.of_plan(ray), &sampler));
+    let directions = locals.map(|local| basis.to_world(local));
+    let (hits, counters) = tracer.kernel.plan_rays(tracer, &site, &directions);
+    let mut inverse = 0.0f64;
+    let mut corral = [f32::INFINITY; SECTORS];
+    for (ray, hit) in hits.iter().enumerate().filter_map(|(ray, hit)| Some((ray, hit.as_ref()?))) {
+        // Rays below the surface itself, which a bent shading normal lets happen, say nothing of the surroundings.
+        if directions[ray].dot(side) > 0.0 {
+            inverse += 1.0 / f64::from(hit.t.max(level.smallest * 1e-3));
+            if ray / SECTORS == RINGS - 1 {
+                corral[ray % SECTORS] = hit.t * locals[ray].truncate().length();
+            }
+        }
+    }
+    let harmonic = if inverse > 0.0 { (PLAN_RAYS as f64 / inverse) as f32 } else { f32::INFINITY };
+    let radius = harmonic.clamp(level.smallest, level.largest);
+    (Planned { key, site, radius, corral, hits }, counters)
+}
+
+impl Level {
+    /// Enters a record: its radius may not exceed a neighbour's by more than their distance, nor a neighbour's its own, so that a record
+    /// whose rays missed something small and near is put right by others (Křivánek et al. 2006, neighbour clamping).
+    fn insert(&mut self, mut planned: Planned) {
+        let reach = planned.radius * self.accuracy;
+        let position = planned.site.position;
+        let neighbours = self.octree.touching(position - reach, position + reach);
+        for &neighbour in &neighbours {
+            let other = &self.planned[neighbour as usize];
+            let distance = other.site.position.distance(position);
+            planned.radius = planned.radius.min(other.radius + distance);
+        }
+        planned.radius = planned.radius.max(self.smallest);
+        for neighbour in neighbours {
+            let other = &mut self.planned[neighbour as usize];
+            let distance = other.site.position.distance(position);
+            other.radius = other.radius.min(planned.radius + distance);
+        }
+        let index = self.planned.len() as u32;
+        self.octree.insert(index, position, planned.radius * self.accuracy * READ_RELAXED);
+        self.planned.push(planned);
+    }
+}

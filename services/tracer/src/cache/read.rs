@@ -1,0 +1,43 @@
+//! Reading: interpolation between the records around a point.
+
+use super::{Cache, READ_RELAXED, Site};
+use crate::tracer::Tracer;
+use glam::Vec3;
+
+/// A record's own gradients may change its irradiance at most to this share of it, and to this multiple.
+const LEAST: f32 = 0.05;
+const MOST: f32 = 3.0;
+
+impl Cache {
+    /// Irradiance at a place from the records of a level, and the number of records looked at; `None` if no record covers it.
+    ///
+    /// E = Σ wᵢ (Eᵢ + (nᵢ × n)·∇ᵣEᵢ + (p − pᵢ)·∇ₜEᵢ) / Σ wᵢ (Ward and Heckbert 1992), with weights that fall to 0 where a record's
+    /// error reaches what is allowed, so that nothing shows where records begin and end.
+    pub fn read(&self, tracer: &Tracer, level: usize, place: &Site) -> (Option<Vec3>, u64) {
+        let here = &self.levels[level];
+        let allowed = here.accuracy * READ_RELAXED;
+        let (mut sum, mut weights, mut looked_at) = (Vec3::ZERO, 0.0f32, 0);
+        for index in here.octree.near(place.position) {
+            looked_at += 1;
+            let planned = &here.planned[index as usize];
+            let Some(error) = planned.error(place).filter(|error| *error < allowed) else { continue };
+            let record = self.filled(tracer, level, index as usize);
+            if record.rejected {
+                continue;
+            }
+            let difference = place.position - planned.site.position;
+            let turn = planned.site.normal.cross(place.normal);
+            let change = Vec3::from([0, 1, 2].map(|channel| {
+                turn.dot(record.rotation[channel]) + difference.dot(record.translation[channel])
+            }));
+            let value =
+                (record.irradiance + change).clamp(record.irradiance * LEAST, record.irradiance * MOST);
+            // Where the irradiance itself changes fast, a record counts for less from farther off.
+            let trusted = error + difference.length() * (1.0 / record.trusted - 1.0 / planned.radius);
+            let weight = (1.0 - error / allowed) * (1.0 - trusted / allowed).max(1e-3);
+            sum += weight * value;
+            weights += weight;
+        }
+        ((weights > 0.0).then(|| sum / weights), looked_at)
+    }
+}

@@ -1,0 +1,54 @@
+//! Where irradiance is wanted, and when one place serves for another.
+
+use super::{Level, Planned};
+use crate::cache::hemisphere;
+use crate::geometry::Basis;
+use glam::Vec3;
+
+/// A place on a surface, seen from the side that its normal is on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Site {
+    /// Position, metres.
+    pub position: Vec3,
+    /// Unit normal about which the hemisphere is gathered: the shading normal on the viewer's side.
+    pub normal: Vec3,
+    /// Unit geometric normal, on either side.
+    pub geometric: Vec3,
+    /// Index of refraction of the coat through which light arrives; 0 without a coat. Records serve for places under the same
+    /// coat only.
+    pub coat: f32,
+}
+
+/// Two points of one surface lie in a plane across their mean normal, or nearly: at most this sine of the angle to it.
+const SLANT: f32 = 0.25;
+
+impl Planned {
+    /// The error of using this record at a place, in units in which the allowed error is compared: the split-sphere bound without its
+    /// constants, |p − pᵢ| / Rᵢ + √(1 − n·nᵢ) (Ward, Rubinstein, Clear 1988, equation 5). `None` where the record must not be
+    /// used at all: on another side, in front of or behind the surface, beyond something that stands in the way.
+    pub fn error(&self, place: &Site) -> Option<f32> {
+        let cos = self.site.normal.dot(place.normal);
+        let difference = place.position - self.site.position;
+        let distance = difference.length();
+        let error = distance / self.radius + (1.0 - cos).max(0.0).sqrt();
+        let mean_normal = self.site.normal + place.normal;
+        let slant = 0.5 * difference.dot(mean_normal).abs();
+        let fits = cos > 0.0 && slant <= SLANT * distance && self.site.coat == place.coat;
+        (fits && distance <= self.free_distance(difference)).then_some(error)
+    }
+
+    /// How far from the record, in a direction, nothing stands on the surface.
+    fn free_distance(&self, towards: Vec3) -> f32 {
+        let local = Basis::new(self.site.normal).to_local(towards);
+        self.corral[hemisphere::sector(local.x, local.y)]
+    }
+}
+
+impl Level {
+    /// Whether a record's error at a place is allowed, when a record is planned.
+    pub(super) fn covers(&self, place: &Site) -> bool {
+        self.octree
+            .near(place.position)
+            .any(|index| self.planned[index as usize].error(place).is_some_and(|error| error < self.accuracy))
+    }
+}

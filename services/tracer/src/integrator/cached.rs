@@ -1,0 +1,88 @@
+//! Indirect light from the irradiance cache, and the rays by which it is planned and filled.
+
+use super::ambient::Segment;
+use super::{Pixels, Point, off_surface};
+use crate::cache::{Irradiance, Planned, Sample, Site, Strata};
+use crate::cost::Category;
+use crate::geometry::Basis;
+use crate::response::Response;
+use forelight_bvh::{Hit, Ray};
+use glam::Vec3;
+use std::f32::consts::FRAC_1_PI;
+
+impl<const K: u32> Pixels<'_, K> {
+    /// Indirect diffuse light, interpolated; gathered where no record covers the point.
+    pub fn interpolate(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
+        let site = site(p, response);
+        let cache = &self.tracer.cache;
+        let (irradiance, looked_at) = cache.read(self.tracer, s.level as usize, &site);
+        self.counters.records += looked_at;
+        match irradiance {
+            Some(irradiance) => response.outgoing(p.wi) * irradiance * FRAC_1_PI,
+            None => {
+                self.counters.uncovered += 1;
+                self.gather(s, p, response)
+            }
+        }
+    }
+
+    /// Notes that the cache would be read here.
+    pub fn note(&mut self, p: &Point, response: &Response) -> Vec3 {
+        self.sites.push(site(p, response));
+        Vec3::ZERO
+    }
+
+    /// What a ray from a site meets.
+    pub fn plan_ray(&mut self, site: &Site, direction: Vec3) -> Option<Hit> {
+        self.counters.ray(Category::Ambient);
+        self.closest(&ray_from(site, direction))
+    }
+
+    /// Follows the plan's rays of a record to where they read `level` of the cache, the one after its own.
+    pub fn walk_gather(&mut self, strata: &Strata, level: u32, planned: &Planned) {
+        let basis = Basis::new(planned.site.normal);
+        for (ray, hit) in planned.hits.iter().enumerate() {
+            let direction = basis.to_world(strata.direction(strata.of_plan(ray), &self.sampler));
+            self.arriving(self.gathered_segment(level, &planned.site, direction), *hit);
+        }
+    }
+
+    fn gathered_segment(&self, level: u32, site: &Site, direction: Vec3) -> Segment {
+        let ray = ray_from(site, direction);
+        Segment { ray, arrival: self.gathered(), level, depth: 0, vertex: 1, weight: 1.0 }
+    }
+
+    /// What the hemisphere above a record of `level` sends. The plan's rays are not traced again.
+    pub fn gather_record(&mut self, strata: &Strata, level: u32, planned: &Planned) -> Irradiance {
+        let basis = Basis::new(planned.site.normal);
+        let samples: Vec<Sample> = (0..strata.len())
+            .map(|stratum| {
+                let direction = basis.to_world(strata.direction(stratum, &self.sampler));
+                let segment = self.gathered_segment(level + 1, &planned.site, direction);
+                let hit = match strata.plan_ray(stratum) {
+                    Some(ray) => planned.hits[ray],
+                    None => {
+                        self.counters.ray(Category::Ambient);
+                        self.closest(&segment.ray)
+                    }
+                };
+                let distance = hit.as_ref().map_or(f32::INFINITY, |hit| hit.t);
+                Sample { radiance: self.arriving(segment, hit), distance }
+            })
+            .collect();
+        strata.integrate(&samples, &basis, planned.site.coat)
+    }
+}
+
+fn site(p: &Point, response: &Response) -> Site {
+    Site {
+        position: p.position,
+        normal: p.basis.normal,
+        geometric: p.geometric,
+        coat: response.coat.map_or(0.0, |coat| coat.ior),
+    }
+}
+
+fn ray_from(site: &Site, direction: Vec3) -> Ray {
+    Ray::new(off_surface(site.position, site.geometric, direction), direction)
+}

@@ -1,0 +1,356 @@
+//! The `path` integrator: unbiased path tracing, the ground truth for the other one.
+//!
+//! A path goes on from every surface in one direction that its BSDF chooses (Kajiya 1986). At every surface that spreads light one
+//! light is sampled as well, and what both ways can find is weighed by how likely either was to find it (Veach 1997, multiple
+//! importance sampling, power heuristic). Light that only a chain of mirrors and glass leads to the path, caustics among it, is
+//! found by the directions alone. Shadow rays pass straight through panes and cut-outs, and so does a path's last direction:
+//! a light seen through them counts as one that light sampling finds too.
+//!
+//! `ambient_bounces` limits how often a path is spread after the first time (diffuse, glossy or rough glass), `max_depth` each chain
+//! of mirrors, smooth glass and panes between two of them. Paths that have little left to add end by Russian roulette,
+//! which leaves the mean as it is.
+
+use super::{Pixels, Point, cap_height, leaving};
+use crate::bsdf::{Bsdf, Coat, Lobe, Scattering};
+use crate::cost::Category;
+use crate::environment::Sky;
+use crate::geometry::{self, Basis};
+use crate::kernel::has;
+use crate::lights::{Light, Receiver};
+use crate::random::Purpose;
+use forelight_bvh::{Ray, offset_origin};
+use forelight_scene::{PointLight, Surface};
+use glam::{DVec2, Vec3};
+use std::cell::Cell;
+use std::f32::consts::TAU;
+
+/// From this vertex on, roulette decides whether a path goes on.
+const ROULETTE: u32 = 4;
+
+/// From this vertex on, even a path that has lost nothing may end: a closed room of perfect mirrors would hold it for ever.
+const LONG: u32 = 32;
+
+/// Probability of survival at a vertex of a long path, at most.
+const SURVIVAL: f32 = 0.95;
+
+/// How a path came to its direction.
+#[derive(Debug, Clone, Copy)]
+enum Origin {
+    /// By the camera, a mirror or smooth glass: no other way finds the lights that are met.
+    Only,
+    /// By a BSDF, with this density per steradian, at a place from which a light was sampled as well; so many metres since, straight
+    /// through panes.
+    Spread { receiver: Receiver, density: f32, travelled: f32 },
+}
+
+impl Origin {
+    /// The origin seen from beyond a surface at this distance that the path passed straight.
+    fn beyond(self, distance: f32) -> Self {
+        match self {
+            Self::Only => Self::Only,
+            Self::Spread { receiver, density, travelled } => {
+                Self::Spread { receiver, density, travelled: travelled + distance }
+            }
+        }
+    }
+}
+
+/// Light that a shadow ray may bring.
+struct Candidate {
+    direction: Vec3,
+    /// Where the shadow ray ends; `None`: nowhere.
+    target: Option<Vec3>,
+    /// Radiance over the density of the choice; for lights without extent irradiance over its probability.
+    light: Vec3,
+    /// Density of the choice per steradian; `None` for lights without extent, which no direction meets by chance.
+    density: Option<f32>,
+}
+
+impl<const K: u32> Pixels<'_, K> {
+    /// Radiance along a camera ray, by one path.
+    pub fn path(&mut self, mut ray: Ray) -> Vec3 {
+        let settings = &self.tracer.settings;
+        let mut origin = Origin::Only;
+        let (mut total, mut throughput) = (Vec3::ZERO, Vec3::ONE);
+        // How much denser radiance is here than in the camera's medium: no reason to end a path.
+        let mut compression = 1.0;
+        let (mut spreads, mut depth) = (0, 0);
+        for vertex in 0u32.. {
+            let Some(hit) = self.closest(&ray) else {
+                total += throughput * self.surroundings(&origin, ray.direction);
+                break;
+            };
+            let p = self.point(&ray, &hit);
+            if vertex == 0 && self.stratum.is_none() {
+                self.stratum = Some(p.stratum);
+            }
+            let material = &self.tracer.materials[p.material];
+            if K & has::PASSING != 0
+                && material.opacity < 1.0
+                && self.sampler.next(Purpose::Opacity, vertex).x >= material.opacity
+            {
+                self.counters.ray(Category::Transparent);
+                origin = origin.beyond(p.distance);
+                ray = leaving(&p, ray.direction);
+                continue;
+            }
+            self.counters.shadings += 1;
+            if material.is_emissive() {
+                total += throughput * self.emitted(&origin, &p, hit.primitive);
+            }
+            let bsdf = self.bsdf(&p);
+            let exhausted = bsdf.spreads() && spreads > settings.ambient_bounces;
+            let chosen = if exhausted {
+                bsdf.mirror(p.wi)
+            } else {
+                if bsdf.spreads() {
+                    total += throughput * self.sampled_light(&p, &bsdf, vertex);
+                }
+                self.chosen(&p, &bsdf, vertex)
+            };
+            let Some(scattering) = chosen else { break };
+            origin = match (scattering.density, scattering.lobe) {
+                (Some(density), _) => {
+                    (spreads, depth) = (spreads + 1, 0);
+                    Origin::Spread { receiver: receiver(&p, &bsdf), density, travelled: 0.0 }
+                }
+                (None, lobe) => {
+                    depth += 1;
+                    if lobe == Lobe::Straight { origin.beyond(p.distance) } else { Origin::Only }
+                }
+            };
+            if depth > settings.max_depth {
+                break;
+            }
+            throughput *= scattering.weight;
+            if let (Bsdf::Glass { eta, .. }, Lobe::Refraction) = (bsdf, scattering.lobe) {
+                compression *= eta * eta;
+            }
+            if vertex >= ROULETTE {
+                let most = if vertex < LONG { 1.0 } else { SURVIVAL };
+                let survival = (throughput.max_element() * compression).min(most);
+                if survival < 1.0 {
+                    if self.sampler.next(Purpose::Roulette, vertex).x >= survival {
+                        break;
+                    }
+                    throughput /= survival;
+                }
+            }
+            self.counters.ray(category(scattering.lobe));
+            let direction = match scattering.lobe {
+                Lobe::Straight => ray.direction,
+                _ => p.basis.to_world(scattering.direction).normalize(),
+            };
+            ray = leaving(&p, direction);
+        }
+        total
+    }
+
+    /// What the surface does with light. A kernel has no arm for materials that its frame does not have.
+    #[inline]
+    fn bsdf(&mut self, p: &Point) -> Bsdf {
+        match self.tracer.materials[p.material].surface {
+            Surface::Lambert { albedo } => Bsdf::lambert(self.color(&albedo, p.uv)),
+            Surface::Plastic { albedo, ior, alpha } if K & (has::GLOSSY | has::SPECULAR) != 0 => {
+                let coat = Coat { ior, internal: self.tracer.internal[p.material] };
+                Bsdf::coated(self.color(&albedo, p.uv), coat, alpha)
+            }
+            Surface::Metal { f0, alpha } if K & (has::GLOSSY | has::SPECULAR) != 0 => {
+                Bsdf::metal(self.color(&f0, p.uv), alpha)
+            }
+            Surface::ThinGlass { ior, transmittance } if K & has::SPECULAR != 0 => {
+                Bsdf::pane(ior, self.color(&transmittance, p.uv))
+            }
+            Surface::Glass { ior, transmittance, alpha } if K & has::SPECULAR != 0 => {
+                let eta = if p.geometric.dot(p.viewer) > 0.0 { ior } else { 1.0 / ior };
+                Bsdf::glass(eta, self.color(&transmittance, p.uv), alpha)
+            }
+            surface => unreachable!("a kernel without code for {surface:?}"),
+        }
+    }
+
+    /// The direction in which the path goes on.
+    #[inline]
+    fn chosen(&mut self, p: &Point, bsdf: &Bsdf, vertex: u32) -> Option<Scattering> {
+        let u = self.sampler.next(Purpose::Gather, vertex);
+        let several = K & (has::GLOSSY | has::SPECULAR) != 0;
+        let choice = if several { self.sampler.next(Purpose::Lobe, vertex).x } else { 0.0 };
+        bsdf.sample(p.wi, u, choice)
+    }
+
+    /// Light that the surface itself sends towards the viewer, as far as light sampling leaves it to the path's direction.
+    fn emitted(&mut self, origin: &Origin, p: &Point, primitive: u32) -> Vec3 {
+        let tracer = self.tracer;
+        let material = &tracer.materials[p.material];
+        let cos = p.geometric.dot(p.viewer);
+        let cos = if material.emits_both_sides { cos.abs() } else { cos };
+        if cos <= 0.0 {
+            return Vec3::ZERO;
+        }
+        let weight = match origin {
+            Origin::Only => 1.0,
+            Origin::Spread { receiver, density, travelled } => {
+                let lights = &tracer.lights;
+                lights.emitters.of_triangle(primitive).map_or(1.0, |emitter| {
+                    let visited = &mut self.counters.traversal.nodes;
+                    let probability = lights.of_triangle(receiver, emitter, visited);
+                    let distance = travelled + p.distance;
+                    let by_light = lights.emitters.density(emitter, probability, distance * distance, cos);
+                    power(*density, by_light)
+                })
+            }
+        };
+        let emission = material.emission;
+        weight * self.color(&emission, p.uv)
+    }
+
+    /// What a path meets that leaves the scene, as far as light sampling leaves it to the path's direction.
+    fn surroundings(&mut self, origin: &Origin, direction: Vec3) -> Vec3 {
+        let tracer = self.tracer;
+        let weight = |by_light: &dyn Fn(&Receiver) -> f32| match origin {
+            Origin::Only => 1.0,
+            Origin::Spread { receiver, density, .. } => power(*density, by_light(receiver)),
+        };
+        let sky = match &tracer.sky {
+            Sky::Black => Vec3::ZERO,
+            Sky::Constant(radiance) => *radiance,
+            Sky::Image(image) => {
+                let density = |r: &Receiver| tracer.lights.of_sky(r) as f32 * image.density(direction);
+                weight(&density) * tracer.sky.radiance(direction)
+            }
+        };
+        let suns = tracer.frame.suns.iter().enumerate().map(|(i, sun)| {
+            let height = cap_height(sun.angle_deg);
+            if height > 0.0 && direction.dot(sun.direction) >= 1.0 - height {
+                let density = |r: &Receiver| tracer.lights.of_sun(r, i) as f32 / (TAU * height);
+                weight(&density) * sun.irradiance / (TAU * height)
+            } else {
+                Vec3::ZERO
+            }
+        });
+        sky + suns.sum::<Vec3>()
+    }
+
+    /// Light from one light that is sampled, as far as it is not left to the path's direction.
+    fn sampled_light(&mut self, p: &Point, bsdf: &Bsdf, vertex: u32) -> Vec3 {
+        let tracer = self.tracer;
+        let u = self.sampler.next(Purpose::LightChoice, vertex).as_dvec2();
+        // 24 bits are few for a choice among many: the other coordinate's follow them.
+        let u = u.x + u.y * BITS;
+        let visited = &mut self.counters.traversal.nodes;
+        let Some((light, probability)) = tracer.lights.choose(&receiver(p, bsdf), u, visited) else {
+            return Vec3::ZERO;
+        };
+        let candidate = match light {
+            Light::Triangle(emitter) => self.toward_triangle(p, emitter, probability, vertex),
+            Light::Point(index) => toward_point(p, &tracer.frame.points[index], probability as f32),
+            Light::Sun(index) => {
+                let sun = &tracer.frame.suns[index];
+                let height = cap_height(sun.angle_deg);
+                let local = geometry::cap(self.sampler.next(Purpose::Sun, vertex), height);
+                let probability = probability as f32;
+                Some(Candidate {
+                    direction: Basis::new(sun.direction).to_world(local),
+                    target: None,
+                    light: sun.irradiance / probability,
+                    density: (height > 0.0).then_some(probability / (TAU * height)),
+                })
+            }
+            Light::Sky => self.toward_sky(probability as f32, vertex),
+        };
+        let Some(candidate) = candidate else { return Vec3::ZERO };
+        let wo = p.basis.to_local(candidate.direction);
+        let (reflected, by_direction) = bsdf.light(p.wi, wo);
+        let weight = candidate.density.map_or(1.0, |by_light| power(by_light, by_direction));
+        let brought = reflected * candidate.light * weight;
+        if brought.max_element() > 0.0 && brought.is_finite() {
+            brought * self.shadow(p, candidate.direction, candidate.target)
+        } else {
+            Vec3::ZERO
+        }
+    }
+
+    fn toward_triangle(&mut self, p: &Point, emitter: usize, chance: f64, vertex: u32) -> Option<Candidate> {
+        let tracer = self.tracer;
+        let emitters = &tracer.lights.emitters;
+        let light = emitters.point(&tracer.frame, emitter, self.sampler.next(Purpose::Light, vertex));
+        let material = &tracer.materials[tracer.frame.geometry.material(light.hit.primitive) as usize];
+        let to = light.position - p.position;
+        let distance2 = to.length_squared();
+        let direction = to / distance2.sqrt();
+        let cos = -direction.dot(light.normal);
+        let cos_light = if material.emits_both_sides { cos.abs() } else { cos };
+        let density = emitters.density(emitter, chance, distance2, cos_light);
+        // Written so that a light point on the surface itself (0/0) is left out.
+        if !(cos_light > 0.0 && density > 0.0 && density.is_finite()) {
+            return None;
+        }
+        if K & has::CUT_OUTS != 0 {
+            let texels = Cell::new(0);
+            let present = tracer.present(&light.hit, &texels);
+            self.counters.texels += texels.get();
+            if !present {
+                return None;
+            }
+        }
+        let (emission, opacity) = (material.emission, material.opacity);
+        Some(Candidate {
+            direction,
+            target: Some(offset_origin(light.position, light.normal * cos.signum())),
+            light: self.color(&emission, light.uv) * (opacity / density),
+            density: Some(density),
+        })
+    }
+
+    fn toward_sky(&mut self, probability: f32, vertex: u32) -> Option<Candidate> {
+        let Sky::Image(image) = &self.tracer.sky else { return None };
+        let [coarse, fine] = [Purpose::Sky, Purpose::Light].map(|purpose| self.sampler.next(purpose, vertex));
+        let (direction, density) = image.sample(coarse.as_dvec2() + fine.as_dvec2() * DVec2::splat(BITS))?;
+        let density = density * probability;
+        let light = self.tracer.sky.radiance(direction) / density;
+        Some(Candidate { direction, target: None, light, density: Some(density) })
+    }
+}
+
+/// What the sampler's numbers leave open: their last bit.
+const BITS: f64 = 1.0 / (1 << 24) as f64;
+
+fn toward_point(p: &Point, light: &PointLight, probability: f32) -> Option<Candidate> {
+    let to = light.position - p.position;
+    let distance2 = to.length_squared();
+    let direction = to / distance2.sqrt();
+    let arriving = light.intensity * (super::direct::falloff(light, direction) / distance2);
+    let light_at = Some(light.position);
+    arriving.is_finite().then_some(Candidate {
+        direction,
+        target: light_at,
+        light: arriving / probability,
+        density: None,
+    })
+}
+
+/// The place as light selection sees it.
+fn receiver(p: &Point, bsdf: &Bsdf) -> Receiver {
+    let normal = if bsdf.spreads_through() { None } else { Some(p.basis.normal) };
+    Receiver { position: p.position, normal }
+}
+
+fn category(lobe: Lobe) -> Category {
+    match lobe {
+        Lobe::Diffuse => Category::Ambient,
+        Lobe::Glossy => Category::Specular,
+        Lobe::Reflection => Category::Reflected,
+        Lobe::Refraction => Category::Refracted,
+        Lobe::Straight => Category::Transparent,
+    }
+}
+
+/// Weight of what was chosen with density `own` where another way would have chosen it with density `other`: the power heuristic of
+/// exponent 2 (Veach 1997), by the quotient, whose square overflows to the right limit.
+fn power(own: f32, other: f32) -> f32 {
+    if own <= 0.0 {
+        return 0.0;
+    }
+    let ratio = other / own;
+    1.0 / (1.0 + ratio * ratio)
+}

@@ -1,0 +1,210 @@
+//! Where a set of lights is, where it shines to, and how much of it reaches a point at most.
+
+use super::tree::Receiver;
+use glam::{DVec3, Vec3};
+use std::f64::consts::{FRAC_PI_2, PI};
+
+/// Bounds of one light or of several.
+///
+/// All angles are about `axis`: every light's own axis is within the *spread*, and shines as far as the *reach* from its own axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bounds {
+    pub low: Vec3,
+    pub high: Vec3,
+    axis: Vec3,
+    /// Cosine and sine of the spread.
+    spread: (f32, f32),
+    /// Cosine of the reach.
+    reach: f32,
+    /// Whether the lights shine to the opposite side just the same.
+    both_sides: bool,
+    /// Sum of the lights' radiant intensities along their axes, W/sr in the strongest channel.
+    pub intensity: f64,
+    /// The largest area of a light, m².
+    pub largest_area: f32,
+}
+
+/// Slack on cosines: bounds are wider than f32 arithmetic may err.
+const SLACK: f32 = 1e-3;
+
+impl Bounds {
+    /// A flat light that shines by the cosine law from the side that `normal` points to, or from both.
+    pub fn flat(corners: [Vec3; 3], normal: Vec3, area: f32, both_sides: bool, intensity: f64) -> Self {
+        Self {
+            low: corners[0].min(corners[1]).min(corners[2]),
+            high: corners[0].max(corners[1]).max(corners[2]),
+            axis: normal,
+            spread: (1.0, 0.0),
+            reach: 0.0,
+            both_sides,
+            intensity,
+            largest_area: area,
+        }
+    }
+
+    /// A point that shines with the same intensity everywhere, or within a cone of this axis and cosine.
+    pub fn point(position: Vec3, cone: Option<(Vec3, f32)>, intensity: f64) -> Self {
+        let (axis, cos) = cone.unwrap_or((Vec3::Z, -1.0));
+        let cos = cos.clamp(-1.0, 1.0);
+        Self {
+            low: position,
+            high: position,
+            axis,
+            spread: (cos, ((1.0 - cos) * (1.0 + cos)).sqrt()),
+            reach: 1.0,
+            both_sides: false,
+            intensity,
+            largest_area: 0.0,
+        }
+    }
+
+    /// Middle of the box.
+    pub fn centre(&self) -> Vec3 {
+        0.5 * self.low + 0.5 * self.high
+    }
+
+    /// Bounds of both.
+    pub fn union(&self, other: &Self) -> Self {
+        let (axis, spread) = self.cone_with(other);
+        Self {
+            low: self.low.min(other.low),
+            high: self.high.max(other.high),
+            axis,
+            spread,
+            reach: self.reach.min(other.reach),
+            both_sides: self.both_sides || other.both_sides,
+            intensity: self.intensity + other.intensity,
+            largest_area: self.largest_area.max(other.largest_area),
+        }
+    }
+
+    /// The smallest cone that holds the axes of both (Conty Estevez and Kulla 2018, algorithm 1), in f64 and a little wider.
+    fn cone_with(&self, other: &Self) -> (Vec3, (f32, f32)) {
+        let angle = |b: &Self| libm::atan2(b.spread.1.into(), b.spread.0.into());
+        let (wide, narrow) = if angle(self) >= angle(other) { (self, other) } else { (other, self) };
+        let (a, b) = (wide.axis.as_dvec3(), narrow.axis.as_dvec3());
+        let between = libm::atan2(a.cross(b).length(), a.dot(b));
+        let (wide_angle, narrow_angle) = (angle(wide), angle(narrow));
+        if (between + narrow_angle).min(PI) <= wide_angle {
+            return (wide.axis, wide.spread);
+        }
+        let spread = 0.5 * (wide_angle + between + narrow_angle) + 1e-6;
+        let full = (wide.axis, (-1.0, 0.0));
+        let across = (b - a.dot(b) * a).normalize_or_zero();
+        if spread >= PI || across == DVec3::ZERO {
+            return full; // opposite axes: no plane in which to turn one towards the other
+        }
+        let turn = spread - wide_angle;
+        let axis = libm::cos(turn) * a + libm::sin(turn) * across;
+        (axis.normalize().as_vec3(), (libm::cos(spread) as f32, libm::sin(spread) as f32))
+    }
+
+    /// What the lights are expected to bring to a point: intensity times the largest cosines that the bounds allow at either end
+    /// (Conty Estevez and Kulla 2018, equation 3), over the squared distance. Zero only if none of the lights can reach it.
+    pub fn importance(&self, receiver: &Receiver) -> f64 {
+        let to = receiver.position - self.centre();
+        let (distance2, radius2) = (to.length_squared(), (self.high - self.centre()).length_squared());
+        // Within its ball a set of lights is about as far as it is wide.
+        let attenuation = f64::from(distance2.max(radius2).max(f32::MIN_POSITIVE));
+        if distance2 <= radius2 {
+            return self.intensity / attenuation;
+        }
+        let direction = to / distance2.sqrt();
+        // The ball's half-angle from the receiver: sine and cosine.
+        let sin2 = radius2 / distance2;
+        let ball = ((1.0 - sin2).max(0.0).sqrt(), sin2.sqrt());
+        let cos = self.axis.dot(direction);
+        let cos = (if self.both_sides { cos.abs() } else { cos }).clamp(-1.0, 1.0);
+        // Angle between the nearest axis and the nearest direction: what is left after spread and ball.
+        let (cos, sin) = less((cos, ((1.0 - cos) * (1.0 + cos)).sqrt()), self.spread);
+        let (emitted, _) = less((cos, sin), ball);
+        if emitted < self.reach - SLACK {
+            return 0.0;
+        }
+        let received = receiver.normal.map_or(1.0, |normal| {
+            let cos = -normal.dot(direction);
+            less((cos, ((1.0 - cos) * (1.0 + cos)).max(0.0).sqrt()), ball).0
+        });
+        if received <= -SLACK {
+            return 0.0;
+        }
+        self.intensity * f64::from(emitted.max(SLACK) * received.max(SLACK)) / attenuation
+    }
+}
+
+/// Cosine and sine of max(0, α − β), by those of two angles in [0, π].
+fn less(a: (f32, f32), b: (f32, f32)) -> (f32, f32) {
+    if a.0 >= b.0 { (1.0, 0.0) } else { (a.0 * b.0 + a.1 * b.1, a.1 * b.0 - a.0 * b.1) }
+}
+
+/// What a set of lights looks like from far: enough to compare ways of splitting it, and quick to add up.
+#[derive(Debug, Clone, Copy)]
+pub struct Shine {
+    low: Vec3,
+    high: Vec3,
+    axes: DVec3,
+    count: f64,
+    widest: f32,
+    reach: f32,
+    intensity: f64,
+}
+
+impl Shine {
+    pub const NONE: Self = Self {
+        low: Vec3::INFINITY,
+        high: Vec3::NEG_INFINITY,
+        axes: DVec3::ZERO,
+        count: 0.0,
+        widest: 1.0,
+        reach: 1.0,
+        intensity: 0.0,
+    };
+
+    pub fn is_none(&self) -> bool {
+        self.count == 0.0
+    }
+
+    pub fn add(&mut self, light: &Bounds) {
+        self.merge(&Self {
+            low: light.low,
+            high: light.high,
+            axes: if light.both_sides { DVec3::ZERO } else { light.axis.as_dvec3() },
+            count: 1.0,
+            widest: light.spread.0,
+            reach: light.reach,
+            intensity: light.intensity,
+        });
+    }
+
+    pub fn merge(&mut self, other: &Self) {
+        self.low = self.low.min(other.low);
+        self.high = self.high.max(other.high);
+        self.axes += other.axes;
+        self.count += other.count;
+        self.widest = self.widest.min(other.widest);
+        self.reach = self.reach.min(other.reach);
+        self.intensity += other.intensity;
+    }
+
+    /// Expected cost of choosing among these lights: intensity × size × the solid angle into which they shine (Conty Estevez and
+    /// Kulla 2018, equations 1 and 2). The size is the squared diagonal, which unlike the area is not zero for lights in a row;
+    /// the spread of the axes is that of a uniform cap with the same mean axis.
+    pub fn cost(&self) -> f64 {
+        if self.is_none() {
+            return 0.0;
+        }
+        let size = (self.high - self.low).as_dvec3().length_squared().max(f64::MIN_POSITIVE);
+        let mean = self.axes.length() / self.count;
+        let spread = libm::acos((2.0 * mean - 1.0).clamp(-1.0, 1.0).min(self.widest.into()));
+        let reach = libm::acos(f64::from(self.reach).clamp(-1.0, 1.0));
+        self.intensity * size * solid_angle(spread, reach)
+    }
+}
+
+/// Solid angle of a cone of half-angle `spread`, and what lies beyond it up to `reach` by the cosine law.
+fn solid_angle(spread: f64, reach: f64) -> f64 {
+    let (sin, cos) = (libm::sin(spread), libm::cos(spread));
+    let end = (spread + reach).min(PI);
+    2.0 * PI * (1.0 - cos)
+        + FRAC_PI_2 * (2.0 * end * sin - libm::cos(spread - 2.0 * end) - 2.0 * spread * sin + cos)
+}

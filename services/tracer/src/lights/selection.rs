@@ -1,0 +1,126 @@
+//! One light out of everything that shines: emitters by their tree, suns by their irradiance, the sky's image.
+
+use super::emitters::{Emitter, Emitters};
+use super::tree::Receiver;
+use crate::environment::Sky;
+use forelight_scene::{Frame, Material, Sun};
+
+/// A light that was chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Light {
+    /// An emitting triangle, by its place among the emitters.
+    Triangle(usize),
+    /// A light without surface, by its index in the frame.
+    Point(usize),
+    /// A sun, by its index in the frame.
+    Sun(usize),
+    /// The image that surrounds the scene.
+    Sky,
+}
+
+/// Everything that light sampling looks for. A constant sky is not among it: directions chosen by the surface find it as well.
+#[derive(Debug, Clone, Default)]
+pub struct Lights {
+    pub emitters: Emitters,
+    /// Cumulative irradiance of the suns in the strongest channel, W/m².
+    suns: Vec<f64>,
+    /// The only sun: its height over the receiver's horizon is looked at.
+    only_sun: Option<Sun>,
+    /// Mean irradiance from the sky's image, W/m².
+    sky: f64,
+}
+
+/// Probabilities of the kinds of light at a receiver.
+#[derive(Debug, Clone, Copy)]
+struct Kinds {
+    emitters: f64,
+    suns: f64,
+    sky: f64,
+}
+
+impl Lights {
+    /// Collects what shines.
+    pub fn new(frame: &Frame, materials: &[Material], sky: &Sky) -> Self {
+        let mut sum = 0.0;
+        let suns = frame.suns.iter().map(|sun| {
+            let irradiance = f64::from(sun.irradiance.max_element());
+            sum += if irradiance > 0.0 && sun.irradiance.is_finite() { irradiance } else { 0.0 };
+            sum
+        });
+        Self {
+            emitters: Emitters::new(frame, materials),
+            suns: suns.collect(),
+            only_sun: if let [sun] = frame.suns[..] { Some(sun) } else { None },
+            sky: match sky {
+                Sky::Image(image) => std::f64::consts::PI * image.mean_radiance(),
+                Sky::Black | Sky::Constant(_) => 0.0,
+            },
+        }
+    }
+
+    /// A light for the uniform random number `u` in [0, 1), and the probability of this choice; `None` where none is expected to
+    /// reach the receiver. `visited` counts the nodes looked at.
+    pub fn choose(&self, receiver: &Receiver, u: f64, visited: &mut u64) -> Option<(Light, f64)> {
+        let kinds = self.kinds(receiver)?;
+        if u < kinds.emitters {
+            let (emitter, probability) =
+                self.emitters.choose(receiver, (u / kinds.emitters).min(BELOW_ONE), visited)?;
+            let light = match emitter {
+                Emitter::Triangle(index) => Light::Triangle(index),
+                Emitter::Point(index) => Light::Point(index),
+            };
+            return Some((light, kinds.emitters * probability));
+        }
+        let u = u - kinds.emitters;
+        if u < kinds.suns {
+            let total = self.suns.last()?;
+            let position = u / kinds.suns * total;
+            let index = self.suns.partition_point(|&sum| sum <= position).min(self.suns.len() - 1);
+            return Some((Light::Sun(index), kinds.suns * self.share_of_sun(index)));
+        }
+        (kinds.sky > 0.0).then_some((Light::Sky, kinds.sky))
+    }
+
+    /// Probability with which [`Self::choose`] chooses an emitting triangle.
+    pub fn of_triangle(&self, receiver: &Receiver, emitter: usize, visited: &mut u64) -> f64 {
+        let kinds = self.kinds(receiver).map_or(0.0, |kinds| kinds.emitters);
+        kinds * self.emitters.probability(receiver, emitter, visited)
+    }
+
+    /// Probability with which [`Self::choose`] chooses a sun.
+    pub fn of_sun(&self, receiver: &Receiver, index: usize) -> f64 {
+        self.kinds(receiver).map_or(0.0, |kinds| kinds.suns * self.share_of_sun(index))
+    }
+
+    /// Probability with which [`Self::choose`] chooses the sky.
+    pub fn of_sky(&self, receiver: &Receiver) -> f64 {
+        self.kinds(receiver).map_or(0.0, |kinds| kinds.sky)
+    }
+
+    fn share_of_sun(&self, index: usize) -> f64 {
+        let below = if index == 0 { 0.0 } else { self.suns[index - 1] };
+        (self.suns[index] - below) / self.suns[self.suns.len() - 1]
+    }
+
+    /// One half of the choices is shared evenly among the kinds that may reach the receiver, because what is expected of them knows
+    /// nothing of what stands in the way; the other half in proportion to what is expected.
+    fn kinds(&self, receiver: &Receiver) -> Option<Kinds> {
+        let suns = self.suns.last().copied().unwrap_or(0.0);
+        let suns = match (self.only_sun, receiver.normal) {
+            (Some(sun), Some(normal)) => {
+                let margin = libm::sinf(sun.angle_deg.to_radians() * 0.5) + 1e-3;
+                suns * f64::from((normal.dot(sun.direction) + margin).max(0.0))
+            }
+            _ => suns,
+        };
+        let expected = [self.emitters.importance(receiver), suns, self.sky];
+        let sum: f64 = expected.iter().sum();
+        let count = expected.iter().filter(|&&e| e > 0.0).count() as f64;
+        let share = |e: f64| if e > 0.0 { 0.5 / count + 0.5 * e / sum } else { 0.0 };
+        let [emitters, suns, sky] = expected.map(share);
+        (sum > 0.0).then_some(Kinds { emitters, suns, sky })
+    }
+}
+
+/// The largest number below 1.
+const BELOW_ONE: f64 = 1.0 - f64::EPSILON / 2.0;

@@ -1,0 +1,232 @@
+//! A tree over lights by which one is chosen in proportion to the light that it is expected to bring to a point.
+//!
+//! After Conty Estevez and Kulla 2018, "Importance Sampling of Many Lights with Adaptive Tree Splitting": a node bounds where its
+//! lights are and where they shine to. The way down is chosen at each node by what the two children are expected to bring;
+//! the probability of a given light is the product along its way up. What a node is expected to bring is zero only
+//! if none of its lights can reach the point, so that no light that matters is ever left out.
+
+use super::bounds::{Bounds, Shine};
+use glam::Vec3;
+
+/// Candidate planes along each axis at which a set of lights is split, plus one.
+const BINS: usize = 12;
+
+/// Nodes with more lights than this are split along the longest axis alone: by far the best one for so many, and each further
+/// axis costs as much again.
+const ALL_AXES: usize = 4096;
+
+/// Where light is looked for.
+#[derive(Debug, Clone, Copy)]
+pub struct Receiver {
+    pub position: Vec3,
+    /// Light from below the plane of this normal does not count; `None` if it counts from everywhere.
+    pub normal: Option<Vec3>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Node {
+    bounds: Bounds,
+    /// First of two adjacent children, or, in a leaf, the light with [`LEAF`] set.
+    content: u32,
+    parent: u32,
+}
+
+const LEAF: u32 = 1 << 31;
+const ROOT: u32 = 0;
+
+/// The tree. Lights are named by their index in the slice that it was built from.
+#[derive(Debug, Clone, Default)]
+pub struct LightTree {
+    /// The root, a gap, then pairs of siblings at even and odd indices.
+    nodes: Vec<Node>,
+    /// Leaf of each light.
+    leaves: Vec<u32>,
+}
+
+impl LightTree {
+    /// Builds the tree over lights that all shine.
+    pub fn new(lights: &[Bounds]) -> Self {
+        if lights.is_empty() {
+            return Self::default();
+        }
+        let mut members: Vec<Member> = lights
+            .iter()
+            .enumerate()
+            .map(|(i, b)| Member { centre: b.centre(), bounds: *b, light: i as u32 })
+            .collect();
+        let root = Node { bounds: lights[0], content: LEAF, parent: ROOT };
+        let mut tree = Self { nodes: vec![root, root], leaves: vec![ROOT; lights.len()] };
+        tree.nodes.reserve(2 * lights.len());
+        tree.fill(ROOT, &mut members);
+        tree
+    }
+
+    /// Whether there is no light at all.
+    pub fn is_empty(&self) -> bool {
+        self.leaves.is_empty()
+    }
+
+    /// What all lights together are expected to bring.
+    pub fn importance(&self, receiver: &Receiver) -> f64 {
+        self.nodes.first().map_or(0.0, |root| root.bounds.importance(receiver))
+    }
+
+    /// A light for the uniform random number `u` in [0, 1), and the probability of this choice. `None` if the way led to lights that
+    /// do not reach the receiver. `visited` counts the nodes looked at.
+    pub fn choose(&self, receiver: &Receiver, mut u: f64, visited: &mut u64) -> Option<(usize, f64)> {
+        let mut node = self.nodes.first()?;
+        let mut probability = 1.0;
+        if node.content & LEAF != 0 {
+            *visited += 1;
+            return (node.bounds.importance(receiver) > 0.0)
+                .then_some(((node.content & !LEAF) as usize, 1.0));
+        }
+        while node.content & LEAF == 0 {
+            *visited += 2;
+            let pair = &self.nodes[node.content as usize..node.content as usize + 2];
+            let [first, second] = [&pair[0], &pair[1]].map(|child| child.bounds.importance(receiver));
+            let share = share(first, second)?;
+            // What is left of the random number is uniform again; its strata stay together along the way down.
+            (node, probability, u) = if u < share {
+                (&pair[0], probability * share, u / share)
+            } else {
+                (&pair[1], probability * (1.0 - share), (u - share) / (1.0 - share))
+            };
+            u = u.min(1.0 - f64::EPSILON / 2.0);
+        }
+        Some(((node.content & !LEAF) as usize, probability))
+    }
+
+    /// Probability with which [`Self::choose`] chooses this light.
+    pub fn probability(&self, receiver: &Receiver, light: usize, visited: &mut u64) -> f64 {
+        let mut index = self.leaves[light];
+        if index == ROOT {
+            *visited += 1;
+            return if self.importance(receiver) > 0.0 { 1.0 } else { 0.0 };
+        }
+        let mut probability = 1.0;
+        while index != ROOT {
+            *visited += 2;
+            let pair = (index & !1) as usize;
+            let [first, second] = [pair, pair + 1].map(|i| self.nodes[i].bounds.importance(receiver));
+            let Some(share) = share(first, second) else { return 0.0 };
+            probability *= if index as usize == pair { share } else { 1.0 - share };
+            index = self.nodes[index as usize].parent;
+        }
+        probability
+    }
+
+    /// Whether `is_near` holds for any light; `may_hold` says of a node's bounds whether it can.
+    pub fn any(&self, may_hold: impl Fn(&Bounds) -> bool, is_near: impl Fn(usize) -> bool) -> bool {
+        // Depth first without a stack: after a subtree, on to the second sibling of the nearest ancestor that is a first one.
+        let mut index = ROOT;
+        if self.nodes.is_empty() {
+            return false;
+        }
+        loop {
+            let node = &self.nodes[index as usize];
+            if may_hold(&node.bounds) {
+                if node.content & LEAF == 0 {
+                    index = node.content;
+                    continue;
+                }
+                if is_near((node.content & !LEAF) as usize) {
+                    return true;
+                }
+            }
+            while index != ROOT && index & 1 == 1 {
+                index = self.nodes[index as usize].parent;
+            }
+            if index == ROOT {
+                return false;
+            }
+            index += 1;
+        }
+    }
+
+    /// Makes node `index` hold `members`.
+    fn fill(&mut self, index: u32, members: &mut [Member]) {
+        if let [member] = members {
+            self.nodes[index as usize].bounds = member.bounds;
+            self.nodes[index as usize].content = LEAF | member.light;
+            self.leaves[member.light as usize] = index;
+            return;
+        }
+        let middle = split(members);
+        let first = self.nodes.len() as u32;
+        let child = Node { parent: index, ..self.nodes[index as usize] };
+        self.nodes.extend([child, child]);
+        self.nodes[index as usize].content = first;
+        let (left, right) = members.split_at_mut(middle);
+        self.fill(first, left);
+        self.fill(first + 1, right);
+        self.nodes[index as usize].bounds =
+            self.nodes[first as usize].bounds.union(&self.nodes[first as usize + 1].bounds);
+    }
+}
+
+/// Probability of the first of two children; `None` if neither brings anything.
+fn share(first: f64, second: f64) -> Option<f64> {
+    let sum = first + second;
+    (sum > 0.0).then(|| first / sum)
+}
+
+/// A light while the tree is built.
+#[derive(Debug, Clone, Copy)]
+struct Member {
+    centre: Vec3,
+    bounds: Bounds,
+    light: u32,
+}
+
+/// Sorts the members into two groups, and returns where the second begins: neither is empty.
+fn split(members: &mut [Member]) -> usize {
+    if members.len() == 2 {
+        return 1;
+    }
+    let low = members.iter().fold(Vec3::INFINITY, |low, m| low.min(m.centre));
+    let high = members.iter().fold(Vec3::NEG_INFINITY, |high, m| high.max(m.centre));
+    let extent = high - low;
+    let longest = extent.max_position();
+    let mut best = (f64::INFINITY, longest, 0);
+    for axis in 0..3 {
+        if extent[axis] > 0.0 && (axis == longest || members.len() <= ALL_AXES) {
+            let bin = |m: &Member| bin(m.centre[axis], low[axis], extent[axis]);
+            let mut bins = [Shine::NONE; BINS];
+            members.iter().for_each(|m| bins[bin(m)].add(&m.bounds));
+            // A thin split is worth less than its bounds say (Conty Estevez and Kulla, equation 2).
+            let slimness = f64::from(extent[longest] / extent[axis]);
+            let mut after = [0.0; BINS];
+            let mut rest = Shine::NONE;
+            for i in (1..BINS).rev() {
+                rest.merge(&bins[i]);
+                after[i] = rest.cost();
+            }
+            let mut before = Shine::NONE;
+            for i in 1..BINS {
+                before.merge(&bins[i - 1]);
+                let cost = slimness * (before.cost() + after[i]);
+                let (empty_before, empty_after) = (before.is_none(), after[i] == 0.0);
+                if !empty_before && !empty_after && cost < best.0 {
+                    best = (cost, axis, i);
+                }
+            }
+        }
+    }
+    let (_, axis, plane) = best;
+    let mut middle = 0;
+    if plane > 0 {
+        for i in 0..members.len() {
+            if bin(members[i].centre[axis], low[axis], extent[axis]) < plane {
+                members.swap(i, middle);
+                middle += 1;
+            }
+        }
+    }
+    // All in one place, or costs that are no numbers: halves are as good as anything.
+    if middle == 0 || middle == members.len() { members.len() / 2 } else { middle }
+}
+
+fn bin(centre: f32, low: f32, extent: f32) -> usize {
+    (((centre - low) / extent * BINS as f32) as usize).min(BINS - 1)
+}
