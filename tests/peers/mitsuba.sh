@@ -1,0 +1,87 @@
+#!/usr/bin/env bash
+# Mitsuba 3 (https://mitsuba-renderer.org), an independent path tracer: our images against its own, of bundles that
+# tests/peers/bundle.py reads by itself.
+#
+#   tests/peers/mitsuba.sh                    small images: their means, and those of 8 × 8 blocks, must agree
+#   tests/peers/mitsuba.sh --full BUNDLE…     what an equal error costs in CPU time (minutes a bundle), by `forelight bench images`
+#
+#   FORELIGHT_BIN      the program (default: target/debug/forelight, which is built; with --full: target/release/forelight)
+#   FORELIGHT_SHARED   folder with test scenes (default: ../shared)
+#
+# Skips with a line that says why where Python, pip or the network is missing.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+here=$PWD/tests/peers
+skip() { echo "skipped: $1"; exit 0; }
+shared=${FORELIGHT_SHARED:-$PWD/../shared}
+
+version=3.9.1
+environment=$PWD/target/venv-mitsuba
+if [ ! -e "$environment/ready-$version" ]; then
+  command -v python3 >/dev/null || skip 'no python3'
+  python3 -m venv "$environment" || skip 'python3 has no venv (Debian: python3-venv)'
+  "$environment/bin/pip" install --quiet --disable-pip-version-check "mitsuba==$version" 'numpy>=2,<3' 'OpenEXR>=3.3,<4' ||
+    skip 'Mitsuba cannot be installed (no network?)'
+  touch "$environment/ready-$version"
+fi
+export PYTHONDONTWRITEBYTECODE=1
+
+# Mitsuba's vectorised renderer compiles with LLVM, of which it needs a recent one; without, it renders a ray at a time.
+llvm() {
+  local names=(/usr/lib/*/libLLVM.so.* /usr/lib/*/libLLVM-1[6-9].so*) name
+  for name in "${names[@]}"; do [ -e "$name" ] && echo "$name" && return; done
+}
+if [ -z "${DRJIT_LIBLLVM_PATH:-}" ] && [ -z "$(llvm)" ]; then deploy/packages.sh libllvm19 || true; fi
+DRJIT_LIBLLVM_PATH=${DRJIT_LIBLLVM_PATH:-$(llvm)}
+if [ -n "$DRJIT_LIBLLVM_PATH" ]; then
+  export DRJIT_LIBLLVM_PATH
+  variant=llvm_ad_rgb
+else
+  echo 'note: no LLVM from version 16 on; Mitsuba renders a ray at a time'
+  variant=scalar_rgb
+fi
+mitsuba() { "$environment/bin/python" "$here/mitsuba_peer.py" --variant "$variant" "$@"; }
+
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+
+if [ "${1:-}" = --full ]; then
+  shift
+  bin=${FORELIGHT_BIN:-$PWD/target/release/forelight}
+  for scene in "$@"; do
+    images=$PWD/target/peers/mitsuba-$(basename "$scene")
+    mkdir -p "$images/reference"
+    echo "== $(basename "$scene"), $(basename "$variant")"
+    mitsuba "$scene" --out "$images" --size 512 --spp 1,4,16,64,256 --repeats 3 | tee "$images/measured.jsonl"
+    [ -e "$images/reference/mitsuba-4096.exr" ] || mitsuba "$scene" --out "$images/reference" --size 512 --spp 4096 --seed 2
+    mapfile -t peers < <("$environment/bin/python" "$here/bundle.py" peers "$images/measured.jsonl" "$images/reference/mitsuba-4096.exr")
+    "$bin" bench images "$scene" --size 512 --materials lambert --ambient-bounces 1 --reference "$images/ours.exr" \
+      --out "$images/bench.json" --pictures "$images" "${peers[@]}"
+  done
+  exit 0
+fi
+
+if [ -z "${FORELIGHT_BIN:-}" ]; then
+  cargo build --quiet -p forelight-cli
+  FORELIGHT_BIN=$PWD/target/debug/forelight
+fi
+scenes=("$PWD/deploy/scenes/kitchen")
+if [ -d "$shared/scenes/cornell-box" ]; then
+  scenes+=("$shared/scenes/cornell-box")
+else
+  echo "note: no cornell-box: there is no folder $shared/scenes"
+fi
+failed=0
+for scene in "${scenes[@]}"; do
+  name=$(basename "$scene")
+  mkdir "$work/$name"
+  mitsuba "$scene" --out "$work/$name" --size 64 --spp 512 >/dev/null
+  for quality in '--spp 64 --ambient-divisions 8'; do
+    echo "$name, one bounce, $quality"
+    # shellcheck disable=SC2086 # the flags are words
+    "$FORELIGHT_BIN" render "$scene" --width 64 --height 64 --materials lambert --ambient-bounces 1 $quality \
+      --preview cpu --out "$work/$name/ours.exr" >/dev/null 2>"$work/log" || { cat "$work/log"; exit 1; }
+    "$environment/bin/python" "$here/bundle.py" compare "$work/$name/ours.exr" "$work/$name/mitsuba-512.exr" 0.005 0.02 || failed=1
+  done
+done
+exit "$failed"

@@ -1,0 +1,176 @@
+"""A bundle, rendered by Mitsuba 3's path integrator: images as EXR, and what each took.
+
+    mitsuba_peer.py BUNDLE --out FOLDER --size 512 --spp 4,16,64 [--materials lambert] [--depth 3]
+
+Prints one JSON object a line and image: name, image, spp, cpu_seconds (user and system, of rendering alone: the scene is loaded and the
+kernels are compiled before), wall_seconds.
+"""
+
+import argparse
+import json
+import resource
+import tempfile
+import time
+from pathlib import Path
+
+import numpy
+
+import bundle as bundles
+
+# Samples of a pixel that are rendered at once: bounds the memory of the wavefront.
+SAMPLES_AT_ONCE = 16
+
+
+def write_ply(path, part):
+    """A part as binary PLY; texture coordinates with v down, as Mitsuba's bitmaps have it."""
+    columns, names = [part.positions], ["x", "y", "z"]
+    if part.normals is not None:
+        columns.append(part.normals)
+        names += ["nx", "ny", "nz"]
+    if part.uvs is not None:
+        columns.append(numpy.column_stack([part.uvs[:, 0], 1 - part.uvs[:, 1]]))
+        names += ["u", "v"]
+    faces = numpy.empty(len(part.triangles), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, part.triangles
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(part.positions)}"]
+    header += [f"property float {name}" for name in names]
+    header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
+    data = "\n".join(header).encode() + numpy.column_stack(columns).astype("<f4").tobytes() + faces.tobytes()
+    Path(path).write_bytes(data)
+
+
+def rgb(values):
+    return {"type": "rgb", "value": list(values)}
+
+
+def colour(kd, texture):
+    if texture is None:
+        return rgb(kd)
+    return {"type": "bitmap", "filename": str(texture), "wrap_mode": "repeat", "filter_type": "bilinear"}
+
+
+def bsdf(material, materials):
+    """The material as Mitsuba has it."""
+    if materials == "lambert":
+        return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": colour(*material.lambert())}}
+    alpha = material.pr**2
+    rough = {"distribution": "ggx", "alpha": max(alpha, 1e-4)}
+    if material.illum == 3:
+        # A dielectric without absorption that reflects as much at normal incidence.
+        roots = numpy.sqrt(numpy.clip(material.ks, 0.0, 0.9999))
+        index = {"eta": rgb((1 + roots) / (1 - roots)), "k": rgb((0.0, 0.0, 0.0))}
+        smooth = alpha < 1e-3
+        metal = {"type": "conductor", **index} if smooth else {"type": "roughconductor", **index, **rough}
+        return {"type": "twosided", "bsdf": metal}
+    if material.illum == 4:
+        return {"type": "thindielectric", "int_ior": material.ni, "specular_transmittance": rgb(material.tf)}
+    if material.illum == 7:
+        return {"type": "dielectric", "int_ior": material.ni, "specular_transmittance": rgb(material.tf)}
+    diffuse = colour(material.kd, material.map_kd)
+    if material.illum == 2 and material.ks and any(material.ks):
+        coat = {"int_ior": material.ni, "diffuse_reflectance": diffuse, "nonlinear": True}
+        smooth = alpha < 1e-3
+        plastic = {"type": "plastic", **coat} if smooth else {"type": "roughplastic", **coat, **rough}
+        return {"type": "twosided", "bsdf": plastic}
+    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": diffuse}}
+
+
+def load(mitsuba, bundle, size, materials, depth, sampler):
+    """The bundle as a Mitsuba scene, seen by its own camera in a square image."""
+    camera = bundle.camera
+    transform = mitsuba.ScalarTransform4f().look_at(camera.origin, camera.target, camera.up)
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": depth, "rr_depth": 1000},
+        "sensor": {
+            "type": "perspective",
+            "fov": camera.fov_x(size, size),
+            "fov_axis": "x",
+            "to_world": transform,
+            "near_clip": 1e-3,
+            "far_clip": 1e5,
+            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, "pixel_format": "rgb"},
+            "sampler": {"type": sampler, "sample_count": SAMPLES_AT_ONCE},
+        },
+    }
+    if bundle.environment is not None:
+        scene["environment"] = {"type": "constant", "radiance": rgb(bundle.environment)}
+    with tempfile.TemporaryDirectory() as folder:
+        for index, part in enumerate(bundle.parts):
+            path = f"{folder}/{index}.ply"
+            write_ply(path, part)
+            material = bundle.materials[part.material]
+            shape = {"type": "ply", "filename": path, "bsdf": bsdf(material, materials)}
+            shape["face_normals"] = part.normals is None
+            if material.emits:
+                shape["emitter"] = {"type": "area", "radiance": rgb(material.ke)}
+            scene[f"shape {index}"] = shape
+        return mitsuba.load_dict(scene)
+
+
+def render(mitsuba, scene, spp, seed):
+    """The image, its CPU and its wall seconds."""
+    started, used = time.monotonic(), resource.getrusage(resource.RUSAGE_SELF)
+    total, done = None, 0
+    while done < spp:
+        now = min(SAMPLES_AT_ONCE, spp - done)
+        # The sampler stratifies what one call asks for.
+        image = numpy.array(mitsuba.render(scene, spp=now, seed=seed * 100_003 + done), numpy.float64) * now
+        total = image if total is None else total + image
+        done += now
+    after = resource.getrusage(resource.RUSAGE_SELF)
+    cpu = after.ru_utime + after.ru_stime - used.ru_utime - used.ru_stime
+    return total / spp, cpu, time.monotonic() - started
+
+
+def choose_variant(mitsuba, wanted):
+    """The fastest variant that runs here: the vectorised one needs LLVM."""
+    if wanted:
+        mitsuba.set_variant(wanted)
+        return wanted
+    try:
+        mitsuba.set_variant("llvm_ad_rgb")
+        import drjit
+
+        drjit.eval(mitsuba.Float(1) + mitsuba.Float(2))
+        return "llvm_ad_rgb"
+    except Exception:
+        mitsuba.set_variant("scalar_rgb")
+        return "scalar_rgb"
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("bundle")
+    parser.add_argument("--out", required=True)
+    parser.add_argument("--size", type=int, default=512)
+    parser.add_argument("--spp", default="16", help="samples of a pixel, one image each, separated by commas")
+    parser.add_argument("--repeats", type=int, default=1)
+    parser.add_argument("--materials", choices=["lambert", "full"], default="lambert")
+    parser.add_argument("--depth", type=int, default=3, help="3: one bounce")
+    parser.add_argument("--sampler", default="multijitter")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--variant", default=None)
+    arguments = parser.parse_args()
+    import mitsuba
+
+    variant = choose_variant(mitsuba, arguments.variant)
+    bundle = bundles.read(arguments.bundle)
+    scene = load(mitsuba, bundle, arguments.size, arguments.materials, arguments.depth, arguments.sampler)
+    ladder = [int(spp) for spp in arguments.spp.split(",")]
+    if variant != "scalar_rgb":
+        # Compiles the kernels, one for each number of samples at once.
+        for spp in sorted({min(spp, SAMPLES_AT_ONCE) for spp in ladder}):
+            render(mitsuba, scene, spp, 0)
+    for repeat in range(arguments.repeats):
+        for spp in ladder:
+            image, cpu, wall = render(mitsuba, scene, spp, arguments.seed)
+            path = Path(arguments.out) / f"mitsuba-{spp}.exr"
+            if repeat == 0:
+                bundles.write_image(path, image)
+            facts = {"name": f"mitsuba {spp} spp", "image": str(path), "spp": spp, "variant": variant}
+            print(json.dumps({**facts, "cpu_seconds": cpu, "wall_seconds": wall}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

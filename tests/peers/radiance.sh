@@ -1,0 +1,86 @@
+#!/usr/bin/env bash
+# Radiance (https://www.radiance-online.org), whose rpict has the irradiance cache that all others come from: our images against its
+# own, of bundles that tests/peers/bundle.py reads by itself. Radiance lights by a sky as by a bounce, so the bundles go without.
+#
+#   tests/peers/radiance.sh                   small images: their means, and those of 8 × 8 blocks, must agree
+#   tests/peers/radiance.sh --full BUNDLE…    what an equal error costs in CPU time (an hour a bundle), by `forelight bench images`
+#
+#   FORELIGHT_BIN      the program (default: target/debug/forelight, which is built; with --full: target/release/forelight)
+#   FORELIGHT_SHARED   folder with test scenes (default: ../shared)
+#
+# Skips with a line that says why where Python, pip or the network is missing.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+here=$PWD/tests/peers
+skip() { echo "skipped: $1"; exit 0; }
+shared=${FORELIGHT_SHARED:-$PWD/../shared}
+
+version=1.3.1
+environment=$PWD/target/venv-radiance
+if [ ! -e "$environment/ready-$version" ]; then
+  command -v python3 >/dev/null || skip 'no python3'
+  python3 -m venv "$environment" || skip 'python3 has no venv (Debian: python3-venv)'
+  "$environment/bin/pip" install --quiet --disable-pip-version-check "pyradiance==$version" 'numpy>=2,<3' 'pillow>=11' 'OpenEXR>=3.3,<4' ||
+    skip 'Radiance cannot be installed (no network?)'
+  touch "$environment/ready-$version"
+fi
+export PYTHONDONTWRITEBYTECODE=1
+radiance() { "$environment/bin/python" "$here/radiance_peer.py" "$@"; }
+
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+
+if [ "${1:-}" = --full ]; then
+  shift
+  bin=${FORELIGHT_BIN:-$PWD/target/release/forelight}
+  # From quick to good. That of them which does best at an error stands for Radiance.
+  ladder=(
+    --rung '1: x1 -aa .3 -ad 256 -as 64 -ar 32 -dt .05 -dc .5'
+    --rung '2: x1 -aa .2 -ad 512 -as 128 -ar 64 -dt .05 -dc .5'
+    --rung '3: x1 -aa .2 -ad 512 -as 128 -ar 64'
+    --rung '4: x2 -aa .2 -ad 512 -as 128 -ar 64 -dt .05 -dc .5'
+    --rung '5: x2 -aa .15 -ad 1024 -as 256 -ar 128 -dt .02 -dc .75'
+    --rung '6: x2 -aa .1 -ad 2048 -as 512 -ar 128'
+    --rung '7: x3 -aa .15 -ad 1024 -as 256 -ar 128 -dt .02 -dc .75'
+  )
+  for scene in "$@"; do
+    images=$PWD/target/peers/radiance-$(basename "$scene")
+    rm -rf "$images/bundle"
+    mkdir -p "$images"
+    echo "== $(basename "$scene"), without a sky"
+    "$environment/bin/python" "$here/bundle.py" without-environment "$scene" "$images/bundle"
+    radiance "$images/bundle" --out "$images" --size 512 "${ladder[@]}" | tee "$images/measured.jsonl"
+    # Converged without a cache: every hit gathers for itself.
+    [ -e "$images/radiance-reference.exr" ] || radiance "$images/bundle" --out "$images" --size 512 --rung 'reference: x4 -aa 0 -ad 32 -as 0 -u+'
+    mapfile -t peers < <("$environment/bin/python" "$here/bundle.py" peers "$images/measured.jsonl" "$images/radiance-reference.exr")
+    "$bin" bench images "$images/bundle" --size 512 --materials lambert --ambient-bounces 1 --reference "$images/ours.exr" \
+      --out "$images/bench.json" --pictures "$images" "${peers[@]}"
+  done
+  exit 0
+fi
+
+if [ -z "${FORELIGHT_BIN:-}" ]; then
+  cargo build --quiet -p forelight-cli
+  FORELIGHT_BIN=$PWD/target/debug/forelight
+fi
+scenes=("$PWD/deploy/scenes/kitchen")
+if [ -d "$shared/scenes/cornell-box" ]; then
+  scenes+=("$shared/scenes/cornell-box")
+else
+  echo "note: no cornell-box: there is no folder $shared/scenes"
+fi
+failed=0
+for scene in "${scenes[@]}"; do
+  name=$(basename "$scene")
+  "$environment/bin/python" "$here/bundle.py" without-environment "$scene" "$work/$name"
+  radiance "$work/$name" --out "$work" --size 64 \
+    --rung 'cache: x4 -aa .15 -ad 256 -as 64 -ar 64' >/dev/null
+  for quality in '--spp 64 --ambient-divisions 8'; do
+    echo "$name without its sky, one bounce, $quality"
+    # shellcheck disable=SC2086 # the flags are words
+    "$FORELIGHT_BIN" render "$work/$name" --width 64 --height 64 --materials lambert --ambient-bounces 1 $quality \
+      --preview cpu --out "$work/ours.exr" >/dev/null 2>"$work/log" || { cat "$work/log"; exit 1; }
+    "$environment/bin/python" "$here/bundle.py" compare "$work/ours.exr" "$work/radiance-cache.exr" 0.015 0.025 || failed=1
+  done
+done
+exit "$failed"
