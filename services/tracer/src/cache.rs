@@ -21,8 +21,6 @@
 //! | `octree` | which records are near |
 //! | `hemisphere` | strata of a gather; irradiance and its gradients from them |
 //! | `plan`, `gather`, `read` | the three phases |
-//! | `share` | records of one frame that hold in another |
-//! | `file` | the artefact |
 
 mod gather;
 mod hemisphere;
@@ -31,6 +29,7 @@ mod plan;
 mod read;
 mod site;
 
+pub use gather::RecordCost;
 pub use hemisphere::{Irradiance, PLAN_RAYS, Sample, Strata};
 pub use plan::Keyed;
 pub use site::Site;

@@ -38,7 +38,7 @@ mod response;
 mod settings;
 mod tracer;
 
-pub use cache::{Cache, CacheTotals};
+pub use cache::{Cache, CacheTotals, RecordCost};
 pub use cost::{Cost, RAY_NAMES, Rays, process_cpu_nanos, thread_cpu_nanos, work};
 pub use effects::Effects;
 pub use image::{Image, ImageError, Totals, cost_color};

@@ -1,6 +1,6 @@
 //! A frame, ready to be traced.
 
-use crate::cache::Cache;
+use crate::cache::{Cache, RecordCost};
 use crate::cost::{Cost, build_work, thread_cpu_nanos};
 use crate::effects::Effects;
 use crate::environment::Sky;
@@ -16,8 +16,8 @@ use forelight_scene::{Color, Frame, Material, Surface};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::cell::Cell;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 
 /// Edge of the square tiles in which an image is worked off, pixels.
 const TILE: u32 = 16;
@@ -56,8 +56,8 @@ pub struct Tracer {
     pub(crate) sky: Sky,
     /// Internal diffuse reflectance of each coated material.
     pub(crate) internal: Vec<f32>,
-    /// Empty unless the settings ask for one.
-    pub(crate) cache: Cache,
+    /// Planned or taken over when it is first needed; never set if the settings ask for none.
+    cache: OnceLock<Cache>,
     effects: Effects,
     pub(crate) kernel: Box<dyn Trace>,
     build: Cost,
@@ -91,9 +91,9 @@ impl Tracer {
             Integrator::Path => Lights::new(&frame, &materials, &sky),
             Integrator::Ambient => Lights::default(),
         };
-        let mut tracer = Self {
+        Self {
             internal: internal.collect(),
-            cache: Cache::default(),
+            cache: OnceLock::new(),
             luminaires,
             lights,
             sky,
@@ -104,34 +104,49 @@ impl Tracer {
             bvh,
             frame,
             build: Cost::default(),
-        };
-        if effects.has(Effects::CACHE)
-            && let Some(settings) = &settings.cache
-        {
-            tracer.cache = Cache::plan(&tracer, settings);
         }
-        tracer
     }
 
-    /// The frame's irradiance cache, planned; empty if none is called for.
-    pub fn cache(&self) -> &Cache {
-        &self.cache
+    /// Plans the irradiance cache, on the current thread pool, if one is called for and there is none.
+    pub fn plan(&self) {
+        if let Some(settings) = self.settings.cache.filter(|_| self.effects.has(Effects::CACHE)) {
+            self.cache.get_or_init(|| Cache::plan(self, &settings));
+        }
     }
 
-    /// Fills what the cache still lacks, on the current thread pool. `progress` is told the number of records done of those of a
-    /// level; `false` if `cancel` was set.
-    pub fn fill(&self, progress: &(dyn Fn(u64) + Sync), cancel: &AtomicBool) -> bool {
-        // A level's gathers read the next one.
-        let levels = self.cache.records().into_iter().enumerate().rev();
+    /// The frame's irradiance cache, if it is called for and planned.
+    pub fn cache(&self) -> Option<&Cache> {
+        self.cache.get()
+    }
+
+    /// The cache in a kernel that reads one.
+    pub(crate) fn planned(&self) -> &Cache {
+        self.cache.get().expect("what traces a frame plans its cache first")
+    }
+
+    /// Gathers the records that the cache lacks, on the current thread pool, having planned it if need be. `progress` is told the
+    /// records done, and all records; `false` if `cancel` was set.
+    pub fn fill(&self, progress: &(dyn Fn(u64, u64) + Sync), cancel: &AtomicBool) -> bool {
+        self.plan();
+        let Some(cache) = self.cache.get() else { return true };
+        let records = cache.records();
+        let all = records.iter().sum();
         let mut before = 0;
-        for (level, records) in levels {
-            let told = |done: u64| progress(before + done);
-            if !self.cache.fill(self, level, 0..records as usize, &told, cancel) {
+        // A level's gathers read the next one.
+        for (level, &count) in records.iter().enumerate().rev() {
+            if !cache.fill(self, level, 0..count as usize, &|done| progress(before + done, all), cancel) {
                 return false;
             }
-            before += records;
+            before += count;
         }
         true
+    }
+
+    /// What gathering a few records takes, about `each` of every level, spread evenly over the plan. Those of the deepest level,
+    /// whose values depend on no other record, are filled by it.
+    pub fn sample_records(&self, each: usize) -> Vec<RecordCost> {
+        self.plan();
+        self.cache.get().map_or_else(Vec::new, |cache| cache.sample(self, each))
     }
 
     /// The tree, to be shared with the preview's CPU twin or with another frame of the same geometry.
@@ -166,12 +181,16 @@ impl Tracer {
     }
 
     /// One finished pixel by its row-major index. Its colour, rays and work depend on nothing but frame, settings and index.
+    /// With a cache that is not filled, all but the colour is.
     pub fn pixel(&self, index: u32) -> Pixel {
+        self.plan();
         self.kernel.pixel(self, index)
     }
 
-    /// Finished pixels by index, in the order given.
+    /// Finished pixels by index, in the order given; see [`Self::pixel`] for their colours. With a cache, call [`Self::plan`] before
+    /// calling this from several threads of a pool.
     pub fn profile(&self, pixels: &[u32]) -> Vec<Pixel> {
+        self.plan();
         timed(|| pixels.iter().map(|&i| self.pixel(i)).collect())
     }
 
@@ -194,7 +213,7 @@ impl Tracer {
                 known[*index as usize] = Some(*pixel);
             }
         }
-        if !self.fill(&|_| (), cancel) {
+        if !self.fill(&|_, _| (), cancel) {
             return None;
         }
         let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));

@@ -2,30 +2,26 @@
 
 use super::hemisphere::Irradiance;
 use super::{Cache, Planned, Record};
-use crate::cost::thread_cpu_nanos;
+use crate::cost::{Cost, thread_cpu_nanos};
 use crate::tracer::Tracer;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-impl Cache {
-    /// A record, gathered now if it has not been yet.
-    pub fn filled(&self, tracer: &Tracer, level: usize, index: usize) -> &Record {
-        let level_ = &self.levels[level];
-        level_.records[index].get_or_init(|| {
-            let planned = &level_.planned[index];
-            let start = thread_cpu_nanos();
-            let (irradiance, counters) = tracer.kernel.gather(tracer, &self.strata, level as u32, planned);
-            let mut record = Record::new(planned, &irradiance, level_.smallest);
-            record.cost.work = counters.work();
-            record.cost.cpu_nanos = thread_cpu_nanos() - start;
-            record.rays = counters.rays;
-            record
-        })
-    }
+/// What gathering one record takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RecordCost {
+    /// Its level, from 0.
+    pub level: u32,
+    /// Work and time.
+    pub cost: Cost,
+    /// Rays by category.
+    pub rays: [u32; 7],
+}
 
+impl Cache {
     /// Gathers a range of a level's records, on the current thread pool; those that are filled already stay. `progress` is told the
-    /// number done, now and then. Deeper levels come first: `false` if `cancel` was set.
+    /// number done, now and then. The next deeper level has to be filled: a gather reads it. `false` if `cancel` was set.
     pub fn fill(
         &self,
         tracer: &Tracer,
@@ -37,11 +33,42 @@ impl Cache {
         let done = AtomicU64::new(0);
         range.into_par_iter().for_each(|index| {
             if !cancel.load(Ordering::Relaxed) {
-                self.filled(tracer, level, index);
+                self.levels[level].records[index].get_or_init(|| self.gathered(tracer, level, index));
                 progress(done.fetch_add(1, Ordering::Relaxed) + 1);
             }
         });
         !cancel.load(Ordering::Relaxed)
+    }
+
+    /// See [`Tracer::sample_records`].
+    pub fn sample(&self, tracer: &Tracer, each: usize) -> Vec<RecordCost> {
+        let picks = self.levels.iter().enumerate().flat_map(|(level, here)| {
+            let count = here.planned.len();
+            let picks = each.min(count);
+            (0..picks).map(move |pick| (level, (2 * pick + 1) * count / (2 * picks)))
+        });
+        let picks: Vec<(usize, usize)> = picks.collect();
+        let sample = |(level, index): (usize, usize)| {
+            let gathered = || self.gathered(tracer, level, index);
+            let record = if level + 1 == self.levels.len() {
+                *self.levels[level].records[index].get_or_init(gathered)
+            } else {
+                gathered()
+            };
+            RecordCost { level: level as u32, cost: record.cost, rays: record.rays }
+        };
+        picks.into_par_iter().map(sample).collect()
+    }
+
+    fn gathered(&self, tracer: &Tracer, level: usize, index: usize) -> Record {
+        let here = &self.levels[level];
+        let planned = &here.planned[index];
+        let start = thread_cpu_nanos();
+        let (irradiance, counters) = tracer.kernel.gather(tracer, &self.strata, level as u32, planned);
+        let mut record = Record::new(planned, &irradiance, here.smallest);
+        record.cost = Cost { work: counters.work(), cpu_nanos: thread_cpu_nanos() - start };
+        record.rays = counters.rays;
+        record
     }
 }
 
@@ -66,7 +93,7 @@ impl Record {
             rotation: irradiance.rotation,
             translation,
             trusted,
-            cost: Default::default(),
+            cost: Cost::default(),
             rays: [0; 7],
         }
     }

@@ -1,7 +1,6 @@
 //! Reading: interpolation between the records around a point.
 
 use super::{Cache, READ_RELAXED, Site};
-use crate::tracer::Tracer;
 use glam::Vec3;
 
 /// A record's own gradients may change its irradiance at most to this share of it, and to this multiple.
@@ -10,10 +9,11 @@ const MOST: f32 = 3.0;
 
 impl Cache {
     /// Irradiance at a place from the records of a level, and the number of records looked at; `None` if no record covers it.
+    /// Records that are not filled count as black, so that what reading takes is known before.
     ///
     /// E = Σ wᵢ (Eᵢ + (nᵢ × n)·∇ᵣEᵢ + (p − pᵢ)·∇ₜEᵢ) / Σ wᵢ (Ward and Heckbert 1992), with weights that fall to 0 where a record's
     /// error reaches what is allowed, so that nothing shows where records begin and end.
-    pub fn read(&self, tracer: &Tracer, level: usize, place: &Site) -> (Option<Vec3>, u64) {
+    pub fn read(&self, level: usize, place: &Site) -> (Option<Vec3>, u64) {
         let here = &self.levels[level];
         let allowed = here.accuracy * READ_RELAXED;
         let (mut sum, mut weights, mut looked_at) = (Vec3::ZERO, 0.0f32, 0);
@@ -21,7 +21,10 @@ impl Cache {
             looked_at += 1;
             let planned = &here.planned[index as usize];
             let Some(error) = planned.error(place).filter(|error| *error < allowed) else { continue };
-            let record = self.filled(tracer, level, index as usize);
+            let Some(record) = here.records[index as usize].get() else {
+                weights += 1.0;
+                continue;
+            };
             if record.rejected {
                 continue;
             }

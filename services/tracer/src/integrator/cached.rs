@@ -14,8 +14,7 @@ impl<const K: u32> Pixels<'_, K> {
     /// Indirect diffuse light, interpolated; gathered where no record covers the point.
     pub fn interpolate(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
         let site = site(p, response);
-        let cache = &self.tracer.cache;
-        let (irradiance, looked_at) = cache.read(self.tracer, s.level as usize, &site);
+        let (irradiance, looked_at) = self.tracer.planned().read(s.level as usize, &site);
         self.counters.records += looked_at;
         match irradiance {
             Some(irradiance) => response.outgoing(p.wi) * irradiance * FRAC_1_PI,
