@@ -7,7 +7,7 @@ use glam::Vec3;
 pub struct Ray {
     /// Start.
     pub origin: Vec3,
-    /// Direction, finite and not zero.
+    /// Direction, finite and not zero; the inverse of its largest component is finite too. Any component may be zero of either sign.
     pub direction: Vec3,
     /// Hits at this parameter or before it do not count.
     pub t_min: f32,
@@ -51,10 +51,11 @@ pub struct Traversal {
     /// Triangle tests, counted in the lanes of the groups of four that were tested.
     pub triangles: u64,
     pub(crate) stack: Vec<Entry>,
+    pub(crate) children: Vec<u32>,
 }
 
 /// A subtree still to be visited, and where the ray enters it.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Entry {
     pub near: f32,
     pub child: u32,
