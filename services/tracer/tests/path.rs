@@ -75,9 +75,7 @@ fn as_ambient(frame: &Frame, bounces: u32, spp: u32) {
 fn room() -> Builder {
     let white = || material("white", lambert(0.7), 0.0);
     let quad = |s: Builder, corner, u, v, m| s.quad(corner, u, v, m);
-    let tint = |r, g, b| {
-        material("tint", Surface::Lambert { albedo: Color::plain(Vec3::new(r, g, b)) }, 0.0)
-    };
+    let tint = |r, g, b| material("tint", Surface::Lambert { albedo: Color::plain(Vec3::new(r, g, b)) }, 0.0);
     let (x, y, z) = (2.0 * Vec3::X, 2.0 * Vec3::Y, 2.0 * Vec3::Z);
     let mut s = Builder::default();
     s = quad(s, Vec3::new(-1.0, -1.0, -1.0), z, x, white());
@@ -85,8 +83,12 @@ fn room() -> Builder {
     s = quad(s, Vec3::new(-1.0, -1.0, -1.0), x, y, white());
     s = quad(s, Vec3::new(-1.0, -1.0, -1.0), y, z, tint(0.7, 0.1, 0.1));
     s = quad(s, Vec3::new(1.0, -1.0, -1.0), z, y, tint(0.1, 0.6, 0.1));
-    s.cuboid(Vec3::new(-0.7, -1.0, -0.6), Vec3::new(-0.1, 0.2, 0.0), false, white())
-        .cuboid(Vec3::new(0.1, -1.0, -0.1), Vec3::new(0.6, -0.4, 0.5), false, white())
+    s.cuboid(Vec3::new(-0.7, -1.0, -0.6), Vec3::new(-0.1, 0.2, 0.0), false, white()).cuboid(
+        Vec3::new(0.1, -1.0, -0.1),
+        Vec3::new(0.6, -0.4, 0.5),
+        false,
+        white(),
+    )
 }
 
 fn view(scene: Builder) -> Frame {
@@ -243,11 +245,12 @@ fn a_mirror_lights_the_floor_as_a_second_lamp_behind_it_would() {
         Builder::default().quad(Vec3::new(-2.0, 0.0, 2.0), u, v, material("floor", lambert(0.5), 0.0))
     };
     let lamp = |s: Builder, x: f32| {
-        let (corner, edge) = (Vec3::new(x - 0.2, 1.0, -0.2), 0.4);
+        let (corner, edge) = (Vec3::new(x - 0.4, 1.0, -0.4), 0.8);
         s.quad(corner, edge * Vec3::X, edge * Vec3::Z, material("lamp", lambert(0.0), 10.0))
     };
     let shade = || material("shade", lambert(0.0), 0.0);
-    let look = |s: Builder| s.frame(Vec3::new(-0.5, 2.5, 3.5), Vec3::new(-0.8, 0.0, 0.0), SIZE, Environment::Black);
+    let look =
+        |s: Builder| s.frame(Vec3::new(-0.5, 2.5, 3.5), Vec3::new(-0.8, 0.0, 0.0), SIZE, Environment::Black);
     // The plane x = 1: mirror below the lamp's height and to both sides of it, as large as the hole in the shade.
     let mirror = Surface::Metal { f0: Color::plain(Vec3::ONE), alpha: 0.0 };
     let (corner, u, v) = (Vec3::new(1.0, 0.0, -1.5), 1.5 * Vec3::Y, 3.0 * Vec3::Z);
@@ -261,13 +264,15 @@ fn a_mirror_lights_the_floor_as_a_second_lamp_behind_it_would() {
     let with_image = look(frame_of_hole(lamp(lamp(floor(), 0.0), 2.0)));
     let settings = settings(Integrator::Path, 256, 0);
     let (a, b) = (blocks(&with_mirror, &settings, 16), blocks(&with_image, &settings, 16));
-    // The left half of the image: the floor on the lamp's side, away from mirror and hole.
-    let left = |blocks: &[(f64, f64)]| -> Vec<_> {
-        blocks[..16].iter().enumerate().filter(|(i, b)| i % 4 < 2 && b.0 > 0.0).map(|(_, b)| *b).collect()
+    // The left half of the image: the floor on the lamp's side, away from mirror and hole. Its blocks together, because a caustic
+    // is found too rarely for the error of a single one to be known.
+    let left = |blocks: &[(f64, f64)]| -> Vec<(f64, f64)> {
+        let left = || blocks[..16].iter().enumerate().filter(|(i, _)| i % 4 < 2).map(|(_, b)| *b);
+        vec![(left().map(|b| b.0).sum(), left().map(|b| b.1 * b.1).sum::<f64>().sqrt())]
     };
     agree(&left(&a), &left(&b));
-    let without = blocks(&look(lamp(floor(), 0.0)), &settings, 4);
-    assert!(left(&a)[4].0 > 1.1 * left(&without)[4].0, "the caustic has to matter");
+    let without = left(&blocks(&look(lamp(floor(), 0.0)), &settings, 4));
+    assert!(left(&a)[0].0 > 1.05 * without[0].0, "the caustic has to matter: {a:?} and {without:?}");
 }
 
 #[test]
@@ -326,7 +331,8 @@ fn extreme_lights_and_lights_without_area_leave_no_trace_of_infinity() {
 fn a_million_lights_without_area_cost_nothing() {
     let plain = view(lamp(room(), 1, 1.0));
     let mut geometry = (*plain.geometry).clone();
-    let (lamp, stratum) = (*geometry.triangles.last().expect("the lamp"), geometry.triangle_stratum.len() - 1);
+    let (lamp, stratum) =
+        (*geometry.triangles.last().expect("the lamp"), geometry.triangle_stratum.len() - 1);
     let stratum = geometry.triangle_stratum[stratum];
     let frame_of = |geometry| Frame { geometry: std::sync::Arc::new(geometry), ..plain.clone() };
     let settings = settings(Integrator::Path, 4, 1);
@@ -347,9 +353,22 @@ fn a_million_lights_without_area_cost_nothing() {
 fn everything() -> Frame {
     let color = Color::plain(Vec3::new(0.9, 0.8, 0.7));
     let scene = lamp(room(), 3, 8.0)
-        .sphere(Vec3::new(-0.4, 0.5, -0.3), 0.3, material("plastic", Surface::Plastic { albedo: color, ior: 1.5, alpha: 0.1 }, 0.0))
-        .sphere(Vec3::new(0.35, 0.0, 0.2), 0.3, material("glass", Surface::Glass { ior: 1.5, transmittance: color, alpha: 0.0 }, 0.0))
-        .quad(Vec3::new(-0.2, -1.0, 0.8), Vec3::X, Vec3::Y, material("pane", Surface::ThinGlass { ior: 1.5, transmittance: color }, 0.0));
+        .sphere(
+            Vec3::new(-0.4, 0.5, -0.3),
+            0.3,
+            material("plastic", Surface::Plastic { albedo: color, ior: 1.5, alpha: 0.1 }, 0.0),
+        )
+        .sphere(
+            Vec3::new(0.35, 0.0, 0.2),
+            0.3,
+            material("glass", Surface::Glass { ior: 1.5, transmittance: color, alpha: 0.0 }, 0.0),
+        )
+        .quad(
+            Vec3::new(-0.2, -1.0, 0.8),
+            Vec3::X,
+            Vec3::Y,
+            material("pane", Surface::ThinGlass { ior: 1.5, transmittance: color }, 0.0),
+        );
     let mut frame = view(scene);
     sky(&mut frame);
     frame.suns.push(Sun { direction: Vec3::Z, irradiance: Vec3::ONE, angle_deg: 1.0 });
@@ -359,7 +378,9 @@ fn everything() -> Frame {
 #[test]
 fn threads_and_larger_kernels_leave_the_bits_as_they_are() {
     let settings = settings(Integrator::Path, 8, 3);
-    let bits = |image: Image| -> Vec<_> { image.pixels.iter().map(|p| (p.color.map(f32::to_bits), p.rays, p.work)).collect() };
+    let bits = |image: Image| -> Vec<_> {
+        image.pixels.iter().map(|p| (p.color.map(f32::to_bits), p.rays, p.work)).collect()
+    };
     let with_threads = |threads, all: bool, frame: &Frame| {
         let tracer = Tracer::new(frame, &settings);
         let effects = tracer.effects().with_all();
