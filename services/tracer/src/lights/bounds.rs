@@ -101,34 +101,38 @@ impl Bounds {
 
     /// What the lights are expected to bring to a point: intensity times the largest cosines that the bounds allow at either end
     /// (Conty Estevez and Kulla 2018, equation 3), over the squared distance. Zero only if none of the lights can reach it.
+    ///
+    /// The cosines are bounded by the box, not by a ball about it: lights are often in one plane, under a ceiling or along a street, and
+    /// from the side a flat box says that they are seen at grazing angles, where a ball would leave everything open.
     pub fn importance(&self, receiver: &Receiver) -> f64 {
-        let to = receiver.position - self.centre();
-        let (distance2, radius2) = (to.length_squared(), (self.high - self.centre()).length_squared());
+        let (centre, half) = (self.centre(), 0.5 * self.high - 0.5 * self.low);
+        let to = receiver.position - centre;
         // Within its ball a set of lights is about as far as it is wide.
-        let attenuation = f64::from(distance2.max(radius2).max(f32::MIN_POSITIVE));
-        if distance2 <= radius2 {
-            return self.intensity / attenuation;
-        }
-        let direction = to / distance2.sqrt();
-        // The ball's half-angle from the receiver: sine and cosine.
-        let sin2 = radius2 / distance2;
-        let ball = ((1.0 - sin2).max(0.0).sqrt(), sin2.sqrt());
-        let cos = self.axis.dot(direction);
-        let cos = (if self.both_sides { cos.abs() } else { cos }).clamp(-1.0, 1.0);
-        // Angle between the nearest axis and the nearest direction: what is left after spread and ball.
-        let (cos, sin) = less((cos, ((1.0 - cos) * (1.0 + cos)).sqrt()), self.spread);
-        let (emitted, _) = less((cos, sin), ball);
+        let attenuation = to.length_squared().max(half.length_squared()).max(f32::MIN_POSITIVE);
+        // What rounding may have taken off the differences.
+        let rounding = 4.0 * f32::EPSILON * receiver.position.abs().max(centre.abs()).max_element();
+        let nearest = (to.abs() - half).max(Vec3::ZERO).length() - rounding;
+        let farthest = (to.abs() + half).length() + rounding;
+        // Upper bound of the cosine between an axis and the directions from the box to the receiver.
+        let bound = |axis: Vec3, along: f32| {
+            let most = along + axis.abs().dot(half) + rounding;
+            match most > 0.0 {
+                true if most >= nearest => 1.0,
+                true => most / nearest,
+                false => most / farthest,
+            }
+        };
+        let along = self.axis.dot(to);
+        let cos = bound(self.axis, if self.both_sides { along.abs() } else { along });
+        let (emitted, _) = less((cos, ((1.0 - cos) * (1.0 + cos)).max(0.0).sqrt()), self.spread);
         if emitted < self.reach - SLACK {
             return 0.0;
         }
-        let received = receiver.normal.map_or(1.0, |normal| {
-            let cos = -normal.dot(direction);
-            less((cos, ((1.0 - cos) * (1.0 + cos)).max(0.0).sqrt()), ball).0
-        });
-        if received <= -SLACK {
+        let received = receiver.normal.map_or(1.0, |normal| bound(normal, -normal.dot(to)));
+        if received < -SLACK {
             return 0.0;
         }
-        self.intensity * f64::from(emitted.max(SLACK) * received.max(SLACK)) / attenuation
+        self.intensity * f64::from(emitted.max(SLACK) * received.max(SLACK)) / f64::from(attenuation)
     }
 }
 

@@ -230,3 +230,6 @@ fn split(members: &mut [Member]) -> usize {
 fn bin(centre: f32, low: f32, extent: f32) -> usize {
     (((centre - low) / extent * BINS as f32) as usize).min(BINS - 1)
 }
+
+#[cfg(test)]
+mod tests;
