@@ -16,6 +16,7 @@
 //! | `effects`, `kernel` | what a frame calls for, and the code that is put together for it |
 //! | `integrator` | how a path goes: `ambient`, its direct light, what lies between a point and a light |
 //! | `cache` | indirect light by interpolation: planned, filled, read |
+//! | `reach` | which lights and objects cannot matter to the picture |
 //! | `cost` | counters, `work`, clocks |
 //! | `tracer`, `profile`, `image` | a frame's pixels, some of them, and all of them |
 
@@ -34,6 +35,7 @@ mod lights;
 pub mod microfacet;
 mod profile;
 mod random;
+mod reach;
 mod response;
 mod settings;
 mod tracer;
@@ -43,5 +45,6 @@ pub use cost::{Cost, RAY_NAMES, Rays, process_cpu_nanos, thread_cpu_nanos, work}
 pub use effects::Effects;
 pub use image::{Image, ImageError, Totals, cost_color};
 pub use profile::{Profile, ProfileError};
+pub use reach::{Excluded, LeftOut, Reach, Reason, reachable};
 pub use settings::{CacheSettings, Integrator, MaterialOverride, Settings, SettingsError};
 pub use tracer::{Pixel, Tracer};

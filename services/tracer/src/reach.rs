@@ -1,0 +1,402 @@
+//! What cannot matter to the picture: lights that reach nothing that is seen, and objects that no light path of the camera's meets.
+//!
+//! # Shells
+//!
+//! A *shell* is a set of opaque triangles (nothing passes them: no glass, no cut-out), welded where corners are exactly equal, in
+//! which every edge belongs to an even number of triangles. Modulo 2 it has no border, so it has an inside: the points from which
+//! a ray in general direction crosses it an odd number of times.
+//!
+//! **Lemma.** A light path that starts on one side of a shell never meets anything on the other.
+//!
+//! *Proof.* A segment from one side to the other crosses the shell an odd number of times, hence at least once, and the triangle
+//! test is watertight (edges are decided by sign, in the same way for all triangles that share them), so it is met there or before.
+//! What is met is opaque: the path goes on by a new ray from there, on the side from which it came. By induction over the path's
+//! vertices it stays on its side. Shadow rays are segments, too. ∎
+//!
+//! So what lies wholly inside a shell that does not hold the camera neither is seen nor lights anything that is; the same is true
+//! of what lies wholly outside a shell that holds the camera, sun and sky included. *Wholly*: one corner of a connected piece lies
+//! there (three rays in f64 agree, and none is close to an edge), and none of its triangles comes within a margin of the shell.
+//! Every shell is looked at for itself, so shells within shells need no further thought.
+//!
+//! "On the side from which it came" asks something of the shell, as rays do not start on surfaces but a little off them, along the
+//! geometric normal, and as their directions are chosen about the shading normal. So a shell is relied on only if
+//! * it is shaded by its geometric normals: about an interpolated one a ray may leave through the surface;
+//! * it does not meet itself in an acute angle on the camera's side, where that step leads across it;
+//! * nothing that touches it lets that step lead across it: what does is perpendicular to it, or opaque and flush with it. A glass
+//!   that stands on the floor of a room, a ball that lies on it or a stool with splayed legs undoes the room's proof;
+//! * the camera's lens is farther from it than the margin.
+//!
+//! What remains is the rounding of positions in f32: a ray may start beyond a wall if the point that it leaves lies within an ulp
+//! of a seam. Such a ray is a leak of light; leaving out what lies beyond does not make it worse.
+//!
+//! # Lights
+//!
+//! A light is left out, besides, if it emits nothing, has no area, if everything else lies behind all of its one-sided triangles,
+//! or if its cone is empty.
+//!
+//! Whatever is in doubt stays in. All of it takes linear time but for the shells that may hold something, and these have a budget.
+
+mod bounds;
+mod facet;
+mod separation;
+mod shell;
+mod wall;
+mod weld;
+
+use bounds::Bounds;
+use forelight_scene::{Color, Environment, Frame, Geometry, Material, PointLight, Surface};
+use glam::{DVec3, Vec3};
+use separation::{Kept, Separation};
+use std::fmt;
+
+/// What matters to the picture of a frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Reach {
+    /// Whether a path of the camera's may meet a triangle, by triangle; empty if it may meet all.
+    seen: Vec<bool>,
+    /// By stratum: whether its emission, if it has any, may reach something that is seen.
+    area_lights: Vec<bool>,
+    points: Vec<bool>,
+    suns: Vec<bool>,
+    environment: bool,
+    left_out: Vec<LeftOut>,
+}
+
+/// Something that does not matter to the picture.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LeftOut {
+    /// What it is.
+    pub what: Excluded,
+    /// Why it does not matter.
+    pub reason: Reason,
+}
+
+/// A light or a part of the geometry.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Excluded {
+    /// Emitting surfaces of one object and one material.
+    AreaLight {
+        /// Stratum id.
+        stratum: u32,
+        /// The object's name.
+        object: String,
+    },
+    /// A light without surface, by its index in the frame.
+    PointLight(usize),
+    /// A distant light, by its index in the frame.
+    Sun(usize),
+    /// Everything around the scene.
+    Environment,
+    /// An object, or a part of it.
+    Object {
+        /// The object's name.
+        object: String,
+        /// Triangles that are left out.
+        triangles: usize,
+    },
+}
+
+/// Why something does not matter to the picture.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Reason {
+    /// Intensity, radiance or texture is black.
+    EmitsNothing,
+    /// All of its triangles have area zero.
+    NoArea,
+    /// Everything else lies behind its emitting side.
+    FacesAway,
+    /// A spot light without anything in its cone.
+    EmptyCone,
+    /// Closed opaque surfaces of this object lie all around it, and the camera is outside.
+    EnclosedIn(String),
+    /// The camera is in a closed room, whose walls this object's surfaces are, and it is not.
+    OutsideRoom(String),
+}
+
+/// Finds out what matters to the picture of a frame; `materials` are those that it is rendered with, by the frame's indices.
+/// The picture without the rest is the same (see the module's text for the proof).
+pub fn reachable(frame: &Frame, materials: &[Material]) -> Reach {
+    Survey { frame, materials, separation: Separation::new(frame, materials) }.reach()
+}
+
+impl Reach {
+    /// Everything matters.
+    pub fn everything(frame: &Frame) -> Self {
+        Self {
+            seen: Vec::new(),
+            area_lights: vec![true; frame.geometry.strata.len()],
+            points: vec![true; frame.points.len()],
+            suns: vec![true; frame.suns.len()],
+            environment: true,
+            left_out: Vec::new(),
+        }
+    }
+
+    /// Whether any triangle can be left out.
+    pub fn hides_triangles(&self) -> bool {
+        !self.seen.is_empty()
+    }
+
+    /// Whether a path of the camera's may meet the triangle.
+    pub fn triangle(&self, triangle: u32) -> bool {
+        self.seen.get(triangle as usize).is_none_or(|&seen| seen)
+    }
+
+    /// Whether the emission of a stratum, if it has any, may matter.
+    pub fn area_light(&self, stratum: u32) -> bool {
+        self.area_lights[stratum as usize]
+    }
+
+    /// Whether a point light may matter, by its index in the frame.
+    pub fn point_light(&self, index: usize) -> bool {
+        self.points[index]
+    }
+
+    /// Whether a sun may matter, by its index in the frame.
+    pub fn sun(&self, index: usize) -> bool {
+        self.suns[index]
+    }
+
+    /// Whether the environment may matter, if there is one.
+    pub fn environment(&self) -> bool {
+        self.environment
+    }
+
+    /// What does not matter, and why: area lights, point lights, suns, environment, then objects by their id.
+    pub fn left_out(&self) -> &[LeftOut] {
+        &self.left_out
+    }
+}
+
+/// The look around a frame.
+struct Survey<'a> {
+    frame: &'a Frame,
+    materials: &'a [Material],
+    separation: Separation,
+}
+
+impl Survey<'_> {
+    fn reach(&self) -> Reach {
+        let (frame, geometry) = (self.frame, &*self.frame.geometry);
+        let mut reach = Reach::everything(frame);
+        if self.separation.any() {
+            let seen = |t| self.separation.of_triangle(t).is_none();
+            reach.seen = (0..geometry.triangles.len() as u32).map(seen).collect();
+        }
+        // What is seen of each stratum, for lights that look for it.
+        let aimed = frame.points.iter().any(|light| light.cone.is_some());
+        let emitters = self.emitters();
+        let boxes = if aimed || !emitters.is_empty() { self.boxes(&reach) } else { Vec::new() };
+        let mut exclude = |mattered: &mut bool, what: Excluded, reason: Option<Reason>| {
+            if let Some(reason) = reason {
+                *mattered = false;
+                reach.left_out.push(LeftOut { what, reason });
+            }
+        };
+        for (stratum, triangles) in emitters {
+            let object = name(geometry, geometry.strata.pairs[stratum as usize].0);
+            let reason = self.area_light(stratum, &triangles, &boxes);
+            let what = Excluded::AreaLight { stratum, object };
+            exclude(&mut reach.area_lights[stratum as usize], what, reason);
+        }
+        for (index, light) in frame.points.iter().enumerate() {
+            let reason = self.point_light(index, light, &boxes);
+            exclude(&mut reach.points[index], Excluded::PointLight(index), reason);
+        }
+        let far = || self.separation.sky.map(|kept| self.reason(kept));
+        for (index, sun) in frame.suns.iter().enumerate() {
+            let reason = if sun.irradiance.max_element() <= 0.0 { Some(Reason::EmitsNothing) } else { far() };
+            exclude(&mut reach.suns[index], Excluded::Sun(index), reason);
+        }
+        let reason = if self.is_black(&frame.environment) { Some(Reason::EmitsNothing) } else { far() };
+        if frame.environment != Environment::Black {
+            exclude(&mut reach.environment, Excluded::Environment, reason);
+        }
+        reach.left_out.extend(self.objects());
+        reach
+    }
+
+    /// Strata that emit, with their triangles.
+    fn emitters(&self) -> Vec<(u32, Vec<u32>)> {
+        let geometry = &*self.frame.geometry;
+        let emits = |s: u32| self.materials[geometry.strata.pairs[s as usize].1 as usize].is_emissive();
+        let mut slots = vec![None; geometry.strata.len()];
+        let mut emitters: Vec<(u32, Vec<u32>)> = Vec::new();
+        for stratum in (0..geometry.strata.len() as u32).filter(|&s| emits(s)) {
+            slots[stratum as usize] = Some(emitters.len());
+            emitters.push((stratum, Vec::new()));
+        }
+        if !emitters.is_empty() {
+            for (t, &stratum) in (0..).zip(&geometry.triangle_stratum) {
+                if let Some(slot) = slots[stratum as usize] {
+                    emitters[slot].1.push(t);
+                }
+            }
+        }
+        emitters.retain(|(_, triangles)| !triangles.is_empty());
+        emitters
+    }
+
+    /// Boxes of what is seen, by stratum.
+    fn boxes(&self, reach: &Reach) -> Vec<Bounds> {
+        let geometry = &*self.frame.geometry;
+        let mut boxes = vec![Bounds::EMPTY; geometry.strata.len()];
+        for (t, &stratum) in (0..).zip(&geometry.triangle_stratum) {
+            if reach.triangle(t) {
+                let known = &mut boxes[stratum as usize];
+                *known = known.union(Bounds::of(geometry.corners(t)));
+            }
+        }
+        boxes
+    }
+
+    fn area_light(&self, stratum: u32, triangles: &[u32], boxes: &[Bounds]) -> Option<Reason> {
+        let geometry = &*self.frame.geometry;
+        let material = &self.materials[geometry.strata.pairs[stratum as usize].1 as usize];
+        if self.emits_black(&material.emission) {
+            return Some(Reason::EmitsNothing);
+        }
+        let has_area = |&t: &u32| {
+            let [a, b, c] = geometry.corners(t).map(|p| p.as_dvec3());
+            let area = (b - a).cross(c - a).length();
+            area > 0.0 && area.is_finite()
+        };
+        if !triangles.iter().any(has_area) {
+            return Some(Reason::NoArea);
+        }
+        let kept: Option<Vec<Kept>> = triangles.iter().map(|&t| self.separation.of_triangle(t)).collect();
+        if let Some(kept) = kept {
+            return kept.first().map(|&kept| self.reason(kept));
+        }
+        let away = !material.emits_both_sides && self.faces_away(stratum, triangles, boxes);
+        away.then_some(Reason::FacesAway)
+    }
+
+    /// Whether everything else that is seen, and the camera, lies behind the planes of all triangles of a light.
+    fn faces_away(&self, stratum: u32, triangles: &[u32], boxes: &[Bounds]) -> bool {
+        let (geometry, camera) = (&*self.frame.geometry, &self.frame.camera);
+        // What is lit has to lie before the light by more than positions round, and so do points of the light itself, unless
+        // it is black and flat.
+        let black = match self.materials[geometry.strata.pairs[stratum as usize].1 as usize].surface {
+            Surface::Lambert { albedo } => albedo.factor == Vec3::ZERO,
+            _ => false,
+        };
+        let lens = Bounds::of([camera.origin]).grown(camera.aperture_radius);
+        let extent = boxes.iter().filter(|b| b.low.x <= b.high.x).fold(lens.reach(), |e, b| e.max(b.reach()));
+        let (least, rounding) = (f64::from(extent) / 262_144.0, f64::from(extent) / 4_194_304.0);
+        black
+            && triangles.iter().all(|&t| {
+                let [a, b, c] = geometry.corners(t).map(|p| p.as_dvec3());
+                let normal = (b - a).cross(c - a).normalize_or_zero();
+                let before = |bounds: &Bounds, by: f64| {
+                    bounds.low.x <= bounds.high.x
+                        && bounds.corners().any(|p| normal.dot(p.as_dvec3() - a) > by)
+                };
+                let lit = |(s, bounds): (usize, &Bounds)| {
+                    before(bounds, if s == stratum as usize { rounding } else { -least })
+                };
+                !before(&lens, -least) && !boxes.iter().enumerate().any(lit)
+            })
+    }
+
+    fn point_light(&self, index: usize, light: &PointLight, boxes: &[Bounds]) -> Option<Reason> {
+        if light.intensity.max_element() <= 0.0 {
+            return Some(Reason::EmitsNothing);
+        }
+        if let Some(kept) = self.separation.points[index] {
+            return Some(self.reason(kept));
+        }
+        let (axis, _, outer) = light.cone?;
+        let lit =
+            |bounds: &Bounds| bounds.low.x <= bounds.high.x && in_cone(bounds, light.position, axis, outer);
+        (!boxes.iter().any(lit)).then_some(Reason::EmptyCone)
+    }
+
+    /// Objects of which triangles are kept from the camera, by object and shell.
+    fn objects(&self) -> Vec<LeftOut> {
+        let geometry = &*self.frame.geometry;
+        let key = |kept: Kept| (kept.shell, kept.holds_camera);
+        let mut hidden: Vec<(u32, Kept)> = (0..geometry.triangles.len() as u32)
+            .filter_map(|t| self.separation.of_triangle(t).map(|kept| (geometry.object(t), kept)))
+            .collect();
+        hidden.sort_unstable_by_key(|&(object, kept)| (object, key(kept)));
+        let left_out = |run: &[(u32, Kept)]| LeftOut {
+            what: Excluded::Object { object: name(geometry, run[0].0), triangles: run.len() },
+            reason: self.reason(run[0].1),
+        };
+        hidden.chunk_by(|a, b| a == b).map(left_out).collect()
+    }
+
+    fn reason(&self, kept: Kept) -> Reason {
+        let shell = name(&self.frame.geometry, kept.shell);
+        if kept.holds_camera { Reason::OutsideRoom(shell) } else { Reason::EnclosedIn(shell) }
+    }
+
+    /// Whether an emission is black all over.
+    fn emits_black(&self, emission: &Color) -> bool {
+        let texture = emission.texture.and_then(|t| self.frame.textures.get(t.0 as usize));
+        texture.is_some_and(|image| {
+            (0..image.width as usize * image.height as usize)
+                .all(|texel| (emission.factor * image.texel_color(texel)).max_element() <= 0.0)
+        })
+    }
+
+    fn is_black(&self, environment: &Environment) -> bool {
+        match *environment {
+            Environment::Black => true,
+            Environment::Constant(radiance) => radiance.max_element() <= 0.0,
+            Environment::Image { texture, scale, .. } => {
+                self.emits_black(&Color { factor: Vec3::splat(scale), texture: Some(texture) })
+            }
+        }
+    }
+}
+
+/// Whether any of a box may lie in the cone about `axis` (unit) whose half-angle has cosine `outer`: by the sphere about the box.
+fn in_cone(bounds: &Bounds, apex: Vec3, axis: Vec3, outer: f32) -> bool {
+    let (low, high) = (bounds.low.as_dvec3(), bounds.high.as_dvec3());
+    let to: DVec3 = 0.5 * (low + high) - apex.as_dvec3();
+    let (distance, radius) = (to.length(), 0.5 * (high - low).length());
+    if distance <= radius {
+        return true;
+    }
+    let between = libm::acos((to.dot(axis.as_dvec3()) / distance).clamp(-1.0, 1.0));
+    // A thousandth of a radian more than needed: the tracer finds the angle in f32.
+    between - libm::asin(radius / distance) <= libm::acos(f64::from(outer).clamp(-1.0, 1.0)) + 1e-3
+}
+
+fn name(geometry: &Geometry, object: u32) -> String {
+    geometry.strata.objects[object as usize].clone()
+}
+
+impl fmt::Display for LeftOut {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.what, self.reason)
+    }
+}
+
+impl fmt::Display for Excluded {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::AreaLight { object, .. } => write!(f, "light of {object}"),
+            Self::PointLight(index) => write!(f, "point light {index}"),
+            Self::Sun(index) => write!(f, "sun {index}"),
+            Self::Environment => f.write_str("environment"),
+            Self::Object { object, triangles: 1 } => write!(f, "{object} (1 triangle)"),
+            Self::Object { object, triangles } => write!(f, "{object} ({triangles} triangles)"),
+        }
+    }
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::EmitsNothing => f.write_str("emits nothing"),
+            Self::NoArea => f.write_str("has no area"),
+            Self::FacesAway => f.write_str("faces away from everything"),
+            Self::EmptyCone => f.write_str("its cone holds nothing"),
+            Self::EnclosedIn(shell) => write!(f, "enclosed in {shell}"),
+            Self::OutsideRoom(shell) => write!(f, "outside the closed room {shell} that holds the camera"),
+        }
+    }
+}

@@ -1,0 +1,190 @@
+//! Axis-parallel boxes, and a tree over many of them.
+
+use glam::{DVec3, Vec3};
+
+/// A box; empty if `low` exceeds `high`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bounds {
+    pub low: Vec3,
+    pub high: Vec3,
+}
+
+impl Bounds {
+    pub const EMPTY: Self = Self { low: Vec3::INFINITY, high: Vec3::NEG_INFINITY };
+
+    pub fn of(points: impl IntoIterator<Item = Vec3>) -> Self {
+        points.into_iter().fold(Self::EMPTY, |b, p| Self { low: b.low.min(p), high: b.high.max(p) })
+    }
+
+    pub fn union(self, other: Self) -> Self {
+        Self { low: self.low.min(other.low), high: self.high.max(other.high) }
+    }
+
+    /// Larger by `margin` on every side.
+    pub fn grown(self, margin: f32) -> Self {
+        Self { low: self.low - margin, high: self.high + margin }
+    }
+
+    pub fn overlaps(&self, other: &Self) -> bool {
+        self.low.cmple(other.high).all() && other.low.cmple(self.high).all()
+    }
+
+    pub fn holds(&self, other: &Self) -> bool {
+        self.low.cmple(other.low).all() && other.high.cmple(self.high).all()
+    }
+
+    /// Largest distance of a coordinate from zero.
+    pub fn reach(&self) -> f32 {
+        self.low.abs().max(self.high.abs()).max_element()
+    }
+
+    pub fn corners(&self) -> impl Iterator<Item = Vec3> {
+        let ends = [self.low, self.high];
+        (0..8).map(move |i| Vec3::new(ends[i & 1].x, ends[i >> 1 & 1].y, ends[i >> 2].z))
+    }
+
+    /// Whether the line `origin` + t · `direction`, t ≥ 0, may meet the box. `inverse` is 1 / `direction`, all of it finite.
+    fn is_ahead(&self, origin: DVec3, inverse: DVec3) -> bool {
+        let (a, b) = ((self.low.as_dvec3() - origin) * inverse, (self.high.as_dvec3() - origin) * inverse);
+        let (near, far) = (a.min(b).max_element(), a.max(b).min_element());
+        // Generous by far more than f64 rounds: a box that is met in vain costs a test, one that is missed a wrong answer.
+        let slack = 1e-9 * (near.abs() + far.abs());
+        far >= -slack && near <= far + slack
+    }
+}
+
+/// Items in a leaf at most.
+const LEAF: usize = 4;
+
+/// A binary tree over boxes, split at the median of their centres.
+pub struct Tree {
+    nodes: Vec<Node>,
+    /// Items, those of a leaf together, with their boxes.
+    items: Vec<(u32, Bounds)>,
+}
+
+struct Node {
+    bounds: Bounds,
+    /// First item of a leaf, or the second child of an inner node, whose first child follows it.
+    at: u32,
+    /// Items of a leaf; 0 marks an inner node.
+    count: u32,
+}
+
+impl Tree {
+    /// The tree over items 0, 1, 2, … with these boxes.
+    pub fn new(boxes: impl Iterator<Item = Bounds>) -> Self {
+        let mut tree = Self { nodes: Vec::new(), items: boxes.zip(0..).map(|(b, i)| (i, b)).collect() };
+        if !tree.items.is_empty() {
+            tree.split(0, tree.items.len());
+        }
+        tree
+    }
+
+    /// Adds the subtree over a range of the items. Ranges are halved, so the recursion is at most 32 deep.
+    fn split(&mut self, from: usize, to: usize) {
+        let items = &mut self.items[from..to];
+        let bounds = items.iter().fold(Bounds::EMPTY, |b, item| b.union(item.1));
+        let index = self.nodes.len();
+        self.nodes.push(Node { bounds, at: from as u32, count: (to - from) as u32 });
+        if to - from <= LEAF {
+            return;
+        }
+        let centre = |b: &Bounds| b.low + b.high;
+        let spread = Bounds::of(items.iter().map(|item| centre(&item.1)));
+        let axis = (spread.high - spread.low).max_position();
+        let half = items.len() / 2;
+        items.select_nth_unstable_by(half, |a, b| centre(&a.1)[axis].total_cmp(&centre(&b.1)[axis]));
+        self.split(from, from + half);
+        let second = self.nodes.len() as u32;
+        self.nodes[index] = Node { bounds, at: second, count: 0 };
+        self.split(from + half, to);
+    }
+
+    /// Calls `found` for every item whose box `wanted` accepts; it must accept every box that holds one that it accepts.
+    /// Stops early, with `true`, when `found` says `true`.
+    fn any(&self, wanted: impl Fn(&Bounds) -> bool, mut found: impl FnMut(u32) -> bool) -> bool {
+        let mut stack = [0u32; 40];
+        let mut height = usize::from(!self.nodes.is_empty());
+        while height > 0 {
+            height -= 1;
+            let index = stack[height];
+            let node = &self.nodes[index as usize];
+            if !wanted(&node.bounds) {
+                continue;
+            }
+            if node.count == 0 {
+                stack[height] = node.at;
+                stack[height + 1] = index + 1;
+                height += 2;
+                continue;
+            }
+            let items = &self.items[node.at as usize..(node.at + node.count) as usize];
+            if items.iter().any(|(item, bounds)| wanted(bounds) && found(*item)) {
+                return true;
+            }
+        }
+        false
+    }
+
+    /// Whether `found` says `true` to any of the items whose boxes overlap `bounds`.
+    pub fn any_overlapping(&self, bounds: &Bounds, found: impl FnMut(u32) -> bool) -> bool {
+        self.any(|b| b.overlaps(bounds), found)
+    }
+
+    /// Calls `found` for every item whose box a half-line may meet.
+    pub fn ahead(&self, origin: DVec3, direction: DVec3, mut found: impl FnMut(u32)) {
+        let inverse = direction.recip();
+        self.any(
+            |b| b.is_ahead(origin, inverse),
+            |item| {
+                found(item);
+                false
+            },
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn boxes() -> Vec<Bounds> {
+        let number = |i: u64| (crate::random::hash(i) >> 40) as f32 / (1 << 24) as f32;
+        let point = |i: u64| Vec3::new(number(3 * i), number(3 * i + 1), number(3 * i + 2));
+        (0..1000).map(|i| Bounds::of([point(i), point(i) + 0.1 * point(i + 5000)])).collect()
+    }
+
+    #[test]
+    fn the_tree_finds_what_testing_every_box_finds() {
+        let boxes = boxes();
+        let tree = Tree::new(boxes.iter().copied());
+        for query in boxes.iter().step_by(7) {
+            let mut found = Vec::new();
+            tree.any_overlapping(query, |item| {
+                found.push(item);
+                false
+            });
+            found.sort_unstable();
+            let expected: Vec<u32> = (0..1000).filter(|&i| boxes[i as usize].overlaps(query)).collect();
+            assert_eq!(found, expected);
+            let (origin, direction) = (query.low.as_dvec3(), DVec3::new(0.3, -0.5, 0.8));
+            let mut found = Vec::new();
+            tree.ahead(origin, direction, |item| found.push(item));
+            found.sort_unstable();
+            let ahead = |i: &u32| boxes[*i as usize].is_ahead(origin, direction.recip());
+            assert_eq!(found, (0..1000).filter(ahead).collect::<Vec<u32>>());
+            assert!(!found.is_empty());
+        }
+    }
+
+    #[test]
+    fn a_box_knows_what_lies_ahead() {
+        let cube = Bounds { low: Vec3::ZERO, high: Vec3::ONE };
+        let inverse = DVec3::new(0.1, 0.2, 1.0).recip();
+        assert!(cube.is_ahead(DVec3::new(0.5, 0.5, -3.0), inverse));
+        assert!(cube.is_ahead(DVec3::splat(0.5), inverse));
+        assert!(!cube.is_ahead(DVec3::new(0.5, 0.5, 2.0), inverse));
+        assert!(!cube.is_ahead(DVec3::new(0.5, 1.5, 0.5), inverse));
+    }
+}

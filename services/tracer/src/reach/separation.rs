@@ -1,0 +1,236 @@
+//! What shells keep from the camera.
+
+use super::bounds::{Bounds, Tree};
+use super::facet::Facet;
+use super::shell::{Shell, shells};
+use super::wall::{Meeting, Wall};
+use super::weld::{Groups, Sets, number, weld};
+use forelight_scene::{Frame, Geometry, Material, Surface};
+use glam::Vec3;
+
+/// Shells of more triangles than this are not looked at: the time that it takes would show.
+const LARGEST_SHELL: usize = 1 << 18;
+
+/// Triangles that may be visited, for each triangle of the scene. Where many shells might hold something, the last ones are
+/// not looked at.
+const VISITS: usize = 16;
+
+/// Shading normals farther than this angle (rad) from the geometric one let rays leave through the surface. Sampled
+/// directions keep 2⁻¹² from the plane.
+const FLAT: f32 = 1.0 / 16_384.0;
+
+/// Why something is kept from the camera.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Kept {
+    /// Object id of the shell.
+    pub shell: u32,
+    /// Whether the shell holds the camera, instead of what is kept from it.
+    pub holds_camera: bool,
+}
+
+/// What cannot be seen, in any number of bounces.
+pub struct Separation {
+    /// Connected piece of each triangle, and what is known of each piece.
+    piece: Vec<u32>,
+    pieces: Vec<Option<Kept>>,
+    /// By point light.
+    pub points: Vec<Option<Kept>>,
+    /// What is infinitely far: suns and environment.
+    pub sky: Option<Kept>,
+}
+
+impl Separation {
+    pub fn new(frame: &Frame, materials: &[Material]) -> Self {
+        let geometry = &*frame.geometry;
+        let vertex = weld(&geometry.positions);
+        let corners: Vec<[u32; 3]> =
+            geometry.triangles.iter().map(|t| t.map(|v| vertex[v as usize])).collect();
+        let opaque: Vec<bool> = geometry
+            .triangle_stratum
+            .iter()
+            .map(|&s| is_opaque(&materials[geometry.strata.pairs[s as usize].1 as usize]))
+            .collect();
+        let shells = shells(geometry, &corners, &opaque);
+        let points = vec![None; frame.points.len()];
+        if shells.is_empty() {
+            return Self { piece: vec![0; corners.len()], pieces: vec![None], points, sky: None };
+        }
+        let mut sets = Sets::new(vertex.len());
+        for &[a, b, c] in &corners {
+            sets.join(a, b);
+            sets.join(a, c);
+        }
+        let of_vertex = sets.representatives();
+        let mut used = vec![false; vertex.len()];
+        for c in &corners {
+            used[of_vertex[c[0] as usize] as usize] = true;
+        }
+        let (pieces, count) = number(&of_vertex, |v| used[v]);
+        let piece = corners.iter().map(|c| pieces[of_vertex[c[0] as usize] as usize].unwrap_or_default());
+        let piece = piece.collect();
+        let found = Self { piece, pieces: vec![None; count], points, sky: None };
+        Search::new(frame, &opaque, found).run(shells)
+    }
+
+    pub fn of_triangle(&self, triangle: u32) -> Option<Kept> {
+        self.pieces[self.piece[triangle as usize] as usize]
+    }
+
+    /// Whether any triangle is kept from the camera.
+    pub fn any(&self) -> bool {
+        self.pieces.iter().any(Option::is_some)
+    }
+}
+
+/// Whether no light passes a surface of this material, at any point.
+fn is_opaque(material: &Material) -> bool {
+    let passes = matches!(material.surface, Surface::ThinGlass { .. } | Surface::Glass { .. });
+    !passes && !material.is_cutout()
+}
+
+/// Whether the triangle is shaded by its geometric normal.
+fn is_flat(geometry: &Geometry, triangle: u32) -> bool {
+    let geometric = geometry.geometric_normal(triangle);
+    let normals = geometry.triangles[triangle as usize].map(|v| geometry.normals[v as usize]);
+    normals.contains(&Vec3::ZERO) || normals.iter().all(|n| n.cross(geometric).length() <= FLAT)
+}
+
+struct Search<'a> {
+    frame: &'a Frame,
+    opaque: &'a [bool],
+    /// Triangles by piece, and the pieces' boxes.
+    members: Groups,
+    bounds: Vec<Bounds>,
+    tree: Tree,
+    /// Largest coordinate of anything that rays start from or end at.
+    extent: f32,
+    /// Triangles that may still be visited.
+    budget: usize,
+    found: Separation,
+}
+
+impl<'a> Search<'a> {
+    fn new(frame: &'a Frame, opaque: &'a [bool], found: Separation) -> Self {
+        let geometry = &frame.geometry;
+        let members = Groups::new(found.pieces.len(), found.piece.iter().map(|&p| Some(p)));
+        let bounds: Vec<Bounds> = (0..members.len() as u32)
+            .map(|p| Bounds::of(members.get(p).iter().flat_map(|&t| geometry.corners(t))))
+            .collect();
+        let camera = frame.camera.origin.abs().max_element() + frame.camera.aperture_radius;
+        let lights = frame.points.iter().map(|light| light.position.abs().max_element());
+        let extent = bounds.iter().map(Bounds::reach).chain(lights).fold(camera, f32::max);
+        let tree = Tree::new(bounds.iter().copied());
+        let budget = VISITS * geometry.triangles.len() + 100_000;
+        Self { frame, opaque, members, bounds, tree, extent, budget, found }
+    }
+
+    fn run(mut self, mut shells: Vec<Shell>) -> Separation {
+        // The largest first: they keep most, and what they keep needs no second reason.
+        let volume = |s: &Shell| (s.bounds.high - s.bounds.low).element_product();
+        shells.sort_by(|a, b| volume(b).total_cmp(&volume(a)).then_with(|| a.triangles.cmp(&b.triangles)));
+        for shell in &shells {
+            self.look_at(shell);
+        }
+        self.found
+    }
+
+    fn spend(&mut self, visits: usize) -> bool {
+        let affordable = visits <= self.budget;
+        self.budget = self.budget.saturating_sub(visits);
+        affordable
+    }
+
+    /// Finds what one shell keeps from the camera, if the shell can be relied on.
+    fn look_at(&mut self, shell: &Shell) -> Option<()> {
+        let (frame, geometry) = (self.frame, &*self.frame.geometry);
+        let camera = &frame.camera;
+        let own = self.found.piece[shell.triangles[0] as usize];
+        let fits = |bounds: &Bounds| shell.bounds.holds(bounds);
+        let unexplained = |p: u32| p != own && self.found.pieces[p as usize].is_none();
+        let may_hold =
+            self.tree.any_overlapping(&shell.bounds, |p| fits(&self.bounds[p as usize]) && unexplained(p))
+                || frame.points.iter().any(|light| fits(&Bounds::of([light.position])));
+        let may_hold_camera = fits(&Bounds::of([camera.origin]));
+        let relied_on = (may_hold || may_hold_camera)
+            && shell.triangles.len() <= LARGEST_SHELL
+            && self.spend(4 * shell.triangles.len())
+            && shell.triangles.iter().all(|&t| is_flat(geometry, t));
+        if !relied_on {
+            return None;
+        }
+        let wall = Wall::new(geometry, shell, self.extent);
+        let origin = camera.origin.as_dvec3();
+        if wall.is_near_point(origin, camera.aperture_radius) {
+            return None;
+        }
+        let inside = wall.holds(origin)?;
+        if !(may_hold || inside) || wall.leaks(inside) {
+            return None;
+        }
+        let pieces = self.pieces_beyond(&wall, shell, inside)?;
+        let kept = Kept { shell: object_of(geometry, shell), holds_camera: inside };
+        for piece in pieces {
+            self.found.pieces[piece as usize].get_or_insert(kept);
+        }
+        for (light, found) in frame.points.iter().zip(&mut self.found.points) {
+            let position = light.position.as_dvec3();
+            if !wall.is_near_point(position, 0.0) && wall.holds(position) == Some(!inside) {
+                found.get_or_insert(kept);
+            }
+        }
+        if inside {
+            self.found.sky.get_or_insert(kept);
+        }
+        Some(())
+    }
+
+    /// The pieces that lie wholly on the side of a shell where the camera is not; `None` if anything lets light slip past the
+    /// shell, or if looking would take too long.
+    fn pieces_beyond(&mut self, wall: &Wall<'_>, shell: &Shell, inside: bool) -> Option<Vec<u32>> {
+        let geometry = &*self.frame.geometry;
+        let reach = wall.reach();
+        let mut close = vec![false; self.members.len()];
+        self.tree.any_overlapping(&reach, |p| {
+            close[p as usize] = true;
+            false
+        });
+        // What is nowhere near the shell is outside.
+        let mut beyond: Vec<u32> =
+            (0..).zip(&close).filter(|(_, close)| inside && !**close).map(|p| p.0).collect();
+        for piece in (0..).zip(&close).filter(|(_, close)| **close).map(|p| p.0) {
+            if !self.spend(self.members.get(piece).len()) {
+                return None;
+            }
+            let mut touches = false;
+            for &t in self.members.get(piece) {
+                if shell.triangles.binary_search(&t).is_ok() {
+                    touches = true;
+                    continue;
+                }
+                if !reach.overlaps(&Bounds::of(geometry.corners(t))) {
+                    continue;
+                }
+                let sealed = self.opaque[t as usize] && is_flat(geometry, t);
+                match wall.meets(&Facet::new(geometry, t), sealed, inside) {
+                    Meeting::Apart => {}
+                    Meeting::Touches => touches = true,
+                    Meeting::Leaks => return None,
+                }
+            }
+            let first = self.members.get(piece)[0];
+            let corner = || geometry.corners(first)[0].as_dvec3();
+            if !touches && wall.holds(corner()) == Some(!inside) {
+                beyond.push(piece);
+            }
+        }
+        Some(beyond)
+    }
+}
+
+/// The object that most of a shell's triangles belong to; of several, the first.
+fn object_of(geometry: &Geometry, shell: &Shell) -> u32 {
+    let mut objects: Vec<u32> = shell.triangles.iter().map(|&t| geometry.object(t)).collect();
+    objects.sort_unstable();
+    let runs = objects.chunk_by(|a, b| a == b);
+    runs.rev().max_by_key(|run| run.len()).map_or(0, |run| run[0])
+}

@@ -1,0 +1,91 @@
+//! Closed opaque surfaces.
+
+use super::bounds::Bounds;
+use super::weld::{Edges, Groups, Sets, number};
+use forelight_scene::Geometry;
+
+/// Triangles without a border: every edge belongs to an even number of them.
+pub struct Shell {
+    /// Ascending.
+    pub triangles: Vec<u32>,
+    pub bounds: Bounds,
+    /// Whether the windings' normals all point outward (`Some(true)`) or all inward; `None` if they are mixed.
+    pub outward: Option<bool>,
+}
+
+/// The shells that the `opaque` triangles make up; `corners` are welded vertices. A sheet that ends somewhere (a picture that
+/// is joined to the wall by one edge) is no part of a shell, and does not open the one that it is joined to.
+pub fn shells(geometry: &Geometry, corners: &[[u32; 3]], opaque: &[bool]) -> Vec<Shell> {
+    let proper = |t: usize| {
+        let [a, b, c] = corners[t];
+        opaque[t] && a != b && b != c && c != a
+    };
+    let mut alive: Vec<bool> = (0..corners.len()).map(proper).collect();
+    let edges = Edges::new(geometry.positions.len(), corners, &alive);
+    peel(&edges, &mut alive);
+    let of_shell = |t: usize, s: usize| alive[t].then(|| edges.of_side[3 * t + s]);
+    let mut sets = Sets::new(corners.len());
+    let sides = |edge: u32| edges.sides(edge).iter().filter(|&&side| alive[side as usize / 3]);
+    for edge in 0..edges.len() as u32 {
+        let mut on_edge = sides(edge);
+        if let Some(first) = on_edge.next() {
+            on_edge.for_each(|side| sets.join(first / 3, side / 3));
+        }
+    }
+    let (numbers, count) = number(&sets.representatives(), |t| alive[t]);
+    let groups = Groups::new(count, numbers.iter().copied());
+    let forward = |side: u32| {
+        let (t, s) = (side as usize / 3, side as usize % 3);
+        corners[t][s] < corners[t][(s + 1) % 3]
+    };
+    let mut found = Vec::new();
+    for shell in 0..count as u32 {
+        let triangles = groups.get(shell);
+        let on_edges = || triangles.iter().flat_map(|&t| (0..3).filter_map(move |s| of_shell(t as usize, s)));
+        if triangles.len() < 4 || on_edges().any(|edge| sides(edge).count() % 2 == 1) {
+            continue;
+        }
+        let consistent = on_edges().all(|edge| {
+            let mut pair = sides(edge);
+            matches!((pair.next(), pair.next(), pair.next()), (Some(&a), Some(&b), None) if forward(a) != forward(b))
+        });
+        let triangles = triangles.to_vec();
+        let bounds = Bounds::of(triangles.iter().flat_map(|&t| geometry.corners(t)));
+        let outward = if consistent { winds_outward(geometry, &triangles, &bounds) } else { None };
+        found.push(Shell { triangles, bounds, outward });
+    }
+    found
+}
+
+/// Takes away triangles with a free edge until there are none.
+fn peel(edges: &Edges, alive: &mut [bool]) {
+    let mut left: Vec<u32> = (0..edges.len() as u32).map(|edge| edges.sides(edge).len() as u32).collect();
+    let mut free: Vec<u32> = (0..edges.len() as u32).filter(|&edge| left[edge as usize] == 1).collect();
+    while let Some(edge) = free.pop() {
+        // The one triangle that is left there, unless it went by another of its edges.
+        let last = edges.sides(edge).iter().map(|side| side / 3).find(|&t| alive[t as usize]);
+        let Some(t) = last else { continue };
+        alive[t as usize] = false;
+        for side in 3 * t..3 * t + 3 {
+            let edge = edges.of_side[side as usize];
+            left[edge as usize] -= 1;
+            if left[edge as usize] == 1 {
+                free.push(edge);
+            }
+        }
+    }
+}
+
+/// The sign of the volume that consistently wound triangles enclose; `None` if it is about zero.
+fn winds_outward(geometry: &Geometry, triangles: &[u32], bounds: &Bounds) -> Option<bool> {
+    let size = (bounds.high - bounds.low).as_dvec3();
+    let centre = bounds.low.as_dvec3() + 0.5 * size;
+    let volume: f64 = triangles
+        .iter()
+        .map(|&t| {
+            let [a, b, c] = geometry.corners(t).map(|p| p.as_dvec3() - centre);
+            a.dot(b.cross(c)) / 6.0
+        })
+        .sum();
+    (volume.abs() > 1e-9 * size.element_product()).then_some(volume > 0.0)
+}

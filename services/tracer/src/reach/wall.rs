@@ -1,0 +1,131 @@
+//! A shell, ready to be asked what lies inside it and what comes close.
+
+use super::bounds::{Bounds, Tree};
+use super::facet::{Facet, Sides};
+use super::shell::Shell;
+use forelight_scene::Geometry;
+use glam::DVec3;
+
+/// Directions of the rays that tell inside from outside; far from the axes, to which most models have faces parallel.
+const PROBES: [DVec3; 8] = [
+    DVec3::new(0.531, 0.293, 0.795),
+    DVec3::new(-0.417, 0.811, 0.409),
+    DVec3::new(0.713, -0.561, -0.421),
+    DVec3::new(-0.239, -0.607, 0.758),
+    DVec3::new(0.177, 0.643, -0.745),
+    DVec3::new(-0.859, -0.311, -0.407),
+    DVec3::new(0.379, -0.887, 0.263),
+    DVec3::new(-0.673, 0.167, -0.721),
+];
+
+/// Probes that have to agree.
+const AGREEING: usize = 3;
+
+pub struct Wall<'a> {
+    shell: &'a Shell,
+    facets: Vec<Facet>,
+    tree: Tree,
+    /// What is closer than this may touch, metres.
+    margin: f32,
+    /// Positions closer than this are not told apart, metres.
+    rounding: f64,
+}
+
+impl<'a> Wall<'a> {
+    /// `extent` is the largest coordinate of anything that rays start from or end at.
+    pub fn new(geometry: &Geometry, shell: &'a Shell, extent: f32) -> Self {
+        let tree = Tree::new(shell.triangles.iter().map(|&t| Bounds::of(geometry.corners(t))));
+        let facets = shell.triangles.iter().map(|&t| Facet::new(geometry, t)).collect();
+        let rounding = f64::from(shell.bounds.reach().max(1.0 / 16.0)) / f64::from(1 << 20);
+        Self { shell, facets, tree, margin: margin(shell, extent), rounding }
+    }
+
+    /// Nothing outside this box comes close to the shell.
+    pub fn reach(&self) -> Bounds {
+        self.shell.bounds.grown(self.margin)
+    }
+
+    /// Whether a point is inside; `None` if that is too close to call.
+    pub fn holds(&self, point: DVec3) -> Option<bool> {
+        let mut answers = [0; 2];
+        for probe in PROBES {
+            let direction = probe.normalize();
+            let (mut crossings, mut clear) = (0usize, true);
+            self.tree.ahead(point, direction, |i| match self.facets[i as usize].crossed(point, direction) {
+                Some(crossed) => crossings += usize::from(crossed),
+                None => clear = false,
+            });
+            answers[crossings % 2] += usize::from(clear);
+            if answers == [AGREEING, 0] || answers == [0, AGREEING] {
+                return Some(answers[1] > 0);
+            }
+        }
+        None
+    }
+
+    /// Whether a sphere comes close to the shell.
+    pub fn is_near_point(&self, centre: DVec3, radius: f32) -> bool {
+        let distance = self.margin + radius;
+        let bounds = Bounds::of([centre.as_vec3()]).grown(distance);
+        let point = Facet::point(centre);
+        let near = |i| !self.facets[i as usize].is_apart(&point, f64::from(distance));
+        self.tree.any_overlapping(&bounds, near)
+    }
+
+    /// Whether `found` says `true` to any facet of the shell that comes close to `facet`.
+    fn any_near(&self, facet: &Facet, mut found: impl FnMut(u32, &Facet) -> bool) -> bool {
+        let bounds = Bounds::of(facet.corners.map(|p| p.as_vec3())).grown(self.margin);
+        self.tree.any_overlapping(&bounds, |i| {
+            let own = &self.facets[i as usize];
+            !own.is_apart(facet, f64::from(self.margin)) && found(i, own)
+        })
+    }
+
+    /// How a triangle that is not of the shell meets it; `sealed` says that no ray leaves it on the other side than it came from.
+    pub fn meets(&self, facet: &Facet, sealed: bool, camera_inside: bool) -> Meeting {
+        let (lit, mut meeting) = (self.lit_sides(camera_inside), Meeting::Apart);
+        self.any_near(facet, |_, own| {
+            let slips = facet.may_slip(Sides::Both, sealed, own, lit, self.rounding);
+            meeting = if slips { Meeting::Leaks } else { Meeting::Touches };
+            slips
+        });
+        meeting
+    }
+
+    /// Whether rays that leave the shell, on the side that the camera is on, may start on the other: where it meets itself in an
+    /// acute angle.
+    pub fn leaks(&self, camera_inside: bool) -> bool {
+        let lit = self.lit_sides(camera_inside);
+        self.facets.iter().enumerate().any(|(i, facet)| {
+            self.any_near(facet, |j, own| {
+                i != j as usize && facet.may_slip(lit, true, own, lit, self.rounding)
+            })
+        })
+    }
+
+    /// Sides of the facets on which light goes about that the camera sees.
+    fn lit_sides(&self, camera_inside: bool) -> Sides {
+        match self.shell.outward {
+            None => Sides::Both,
+            Some(outward) if outward == camera_inside => Sides::Back,
+            Some(_) => Sides::Front,
+        }
+    }
+}
+
+/// How a triangle meets a shell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Meeting {
+    /// Not at all.
+    Apart,
+    /// It does, or may.
+    Touches,
+    /// It does, and rays that leave it may start beyond the shell.
+    Leaks,
+}
+
+/// Distance within which something may touch the shell: twice what ray origins are moved off surfaces (2⁻¹⁵ of a coordinate, at
+/// least 2⁻¹⁶ m; see `forelight_bvh::offset_origin`), and well above the rounding of rays that come from far away.
+fn margin(shell: &Shell, extent: f32) -> f32 {
+    (shell.bounds.reach() / 16_384.0).max(extent / 262_144.0).max(1.0 / 32_768.0)
+}

@@ -1,0 +1,205 @@
+//! Which corners of triangles are the same point, which edges the same line, and what hangs together.
+
+use crate::random::hash;
+use glam::Vec3;
+
+/// For each vertex the first one at exactly the same position. Linear: an open hash table of positions by their bits.
+pub fn weld(positions: &[Vec3]) -> Vec<u32> {
+    const FREE: u32 = u32::MAX;
+    let mask = (2 * positions.len()).next_power_of_two().max(2) - 1;
+    let mut table = vec![FREE; mask + 1];
+    let first = |(index, position): (usize, &Vec3)| {
+        // Adding zero makes −0 and 0 one number.
+        let [x, y, z] = (*position + 0.0).to_array().map(f32::to_bits);
+        let mut slot = hash(u64::from(x) << 32 ^ u64::from(y) << 16 ^ hash(u64::from(z))) as usize & mask;
+        loop {
+            match table[slot] {
+                FREE => {
+                    table[slot] = index as u32;
+                    return index as u32;
+                }
+                known if positions[known as usize] == *position => return known,
+                _ => slot = (slot + 1) & mask,
+            }
+        }
+    };
+    positions.iter().enumerate().map(first).collect()
+}
+
+/// Disjoint sets of 0, 1, …; each set's representative is its lowest member.
+pub struct Sets {
+    parent: Vec<u32>,
+}
+
+impl Sets {
+    pub fn new(count: usize) -> Self {
+        Self { parent: (0..count as u32).collect() }
+    }
+
+    fn find(&mut self, mut item: u32) -> u32 {
+        while self.parent[item as usize] != item {
+            let above = self.parent[self.parent[item as usize] as usize];
+            self.parent[item as usize] = above;
+            item = above;
+        }
+        item
+    }
+
+    /// The representative of every item.
+    pub fn representatives(mut self) -> Vec<u32> {
+        (0..self.parent.len() as u32).map(|item| self.find(item)).collect()
+    }
+
+    pub fn join(&mut self, a: u32, b: u32) {
+        let (a, b) = (self.find(a), self.find(b));
+        self.parent[a.max(b) as usize] = a.min(b);
+    }
+}
+
+/// Consecutive numbers for those items that represent a set, in ascending order; the others get that of their representative,
+/// items that are not `wanted` none. Also the number of sets.
+pub fn number(representatives: &[u32], wanted: impl Fn(usize) -> bool) -> (Vec<Option<u32>>, usize) {
+    let mut numbers: Vec<Option<u32>> = vec![None; representatives.len()];
+    let mut count = 0;
+    for (item, &representative) in representatives.iter().enumerate() {
+        if wanted(item) {
+            // A representative is its set's lowest member, so it has come by already, unless it is not wanted itself.
+            let known = numbers[representative as usize];
+            numbers[representative as usize] = known.or_else(|| {
+                count += 1;
+                Some(count - 1)
+            });
+            numbers[item] = numbers[representative as usize];
+        }
+    }
+    (numbers, count as usize)
+}
+
+/// Items by the group that they belong to, in ascending order within each.
+pub struct Groups {
+    start: Vec<u32>,
+    items: Vec<u32>,
+}
+
+impl Groups {
+    /// Groups 0 … `groups` − 1 of items 0, 1, …; items without a group are in none.
+    pub fn new(groups: usize, of: impl Iterator<Item = Option<u32>> + Clone) -> Self {
+        let mut start = vec![0u32; groups + 1];
+        for group in of.clone().flatten() {
+            start[group as usize + 1] += 1;
+        }
+        for g in 0..groups {
+            start[g + 1] += start[g];
+        }
+        let mut next = start.clone();
+        let mut items = vec![0; start[groups] as usize];
+        for (item, group) in of.enumerate() {
+            if let Some(group) = group {
+                let slot = &mut next[group as usize];
+                items[*slot as usize] = item as u32;
+                *slot += 1;
+            }
+        }
+        Self { start, items }
+    }
+
+    pub fn len(&self) -> usize {
+        self.start.len() - 1
+    }
+
+    pub fn get(&self, group: u32) -> &[u32] {
+        let (from, to) = (self.start[group as usize], self.start[group as usize + 1]);
+        &self.items[from as usize..to as usize]
+    }
+}
+
+/// The edges of some triangles. Side `s` of triangle `t` runs from its corner `s` to the next.
+pub struct Edges {
+    /// Edge of each side (3 t + s), or [`Edges::NONE`].
+    pub of_side: Vec<u32>,
+    /// The sides of each edge.
+    sides: Groups,
+}
+
+impl Edges {
+    /// Edge of a side that was not asked for.
+    pub const NONE: u32 = u32::MAX;
+
+    /// The edges of those triangles of which `chosen` is set; corners are welded vertices below `vertices`.
+    pub fn new(vertices: usize, corners: &[[u32; 3]], chosen: &[bool]) -> Self {
+        let ends = |side: u32| {
+            let (t, s) = (side as usize / 3, side as usize % 3);
+            (corners[t][s], corners[t][(s + 1) % 3])
+        };
+        let sides = 3 * corners.len();
+        let lower = (0..sides).map(|side| {
+            chosen[side / 3].then(|| {
+                let (a, b) = ends(side as u32);
+                a.min(b)
+            })
+        });
+        // Sides by their lower end; the few of each are then sorted by the other one.
+        let mut at_vertex = Groups::new(vertices, lower);
+        let mut of_side = vec![Self::NONE; sides];
+        let mut edges = 0;
+        for v in 0..vertices {
+            let range = at_vertex.start[v] as usize..at_vertex.start[v + 1] as usize;
+            let here = &mut at_vertex.items[range];
+            let upper = |side: u32| {
+                let (a, b) = ends(side);
+                a.max(b)
+            };
+            here.sort_unstable_by_key(|&side| (upper(side), side));
+            for edge in here.chunk_by(|&a, &b| upper(a) == upper(b)) {
+                for &side in edge {
+                    of_side[side as usize] = edges;
+                }
+                edges += 1;
+            }
+        }
+        let groups = of_side.iter().map(|&edge| (edge != Self::NONE).then_some(edge));
+        let sides = Groups::new(edges as usize, groups);
+        Self { of_side, sides }
+    }
+
+    pub fn len(&self) -> usize {
+        self.sides.len()
+    }
+
+    /// Sides (3 t + s) that lie on an edge.
+    pub fn sides(&self, edge: u32) -> &[u32] {
+        self.sides.get(edge)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_positions_become_one_vertex_and_zero_has_no_sign() {
+        let p = [Vec3::ONE, Vec3::ZERO, Vec3::ONE, -Vec3::ZERO, Vec3::X];
+        assert_eq!(weld(&p), [0, 1, 0, 1, 4]);
+        assert!(weld(&[]).is_empty());
+    }
+
+    #[test]
+    fn two_triangles_of_a_square_share_one_edge() {
+        let corners = [[0, 1, 2], [0, 2, 3], [0, 1, 9]];
+        let edges = Edges::new(10, &corners, &[true, true, false]);
+        assert_eq!(edges.len(), 5);
+        assert_eq!(edges.of_side[2], edges.of_side[3]);
+        assert_eq!(edges.sides(edges.of_side[2]), [2, 3]);
+        assert_eq!(edges.sides(edges.of_side[0]), [0]);
+        assert_eq!(edges.of_side[6..], [Edges::NONE; 3]);
+    }
+
+    #[test]
+    fn sets_are_named_by_their_lowest_member() {
+        let mut sets = Sets::new(6);
+        for (a, b) in [(5, 3), (4, 5), (1, 2)] {
+            sets.join(a, b);
+        }
+        assert_eq!(sets.representatives(), [0, 1, 1, 3, 3, 3]);
+    }
+}
