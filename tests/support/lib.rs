@@ -1,6 +1,8 @@
-//! What several tests share: where test input lies, reference images, statistics; the program's processes, its API, its ledger.
+//! What several tests share: where test input lies, reference images, statistics, worlds
+//! built in code; the program's processes, its API, its ledger.
 
 pub mod bundles;
+pub mod case;
 pub mod events;
 pub mod http;
 pub mod ledger;
@@ -9,6 +11,7 @@ pub mod processes;
 pub mod reference;
 pub mod statistics;
 pub mod waiting;
+pub mod world;
 
 use std::path::PathBuf;
 
