@@ -3,10 +3,10 @@
 //! A frame's set is derived from its materials, lights, camera and settings; the kernel that traces the frame is put together
 //! from it (see `kernel`), so that what is not in the set has no code in the path, no rays and no memory.
 
-use crate::{Integrator, Settings};
 use crate::environment::Sky;
-use crate::lights::Luminaires;
+use crate::lights::{FEW, Luminaires};
 use crate::microfacet::SMOOTH;
+use crate::{Integrator, Settings};
 use forelight_scene::{Color, Frame, Material, Surface};
 use std::fmt;
 use std::ops::{BitOr, BitOrAssign};
@@ -16,7 +16,7 @@ use std::ops::{BitOr, BitOrAssign};
 pub struct Effects(u32);
 
 /// Effects by their bit and name.
-const NAMES: [(u32, &str); 17] = [
+const NAMES: [(u32, &str); 18] = [
     (Effects::GLOSSY, "glossy"),
     (Effects::MIRROR, "mirror"),
     (Effects::REFRACTION, "refraction"),
@@ -28,6 +28,7 @@ const NAMES: [(u32, &str); 17] = [
     (Effects::SOFT_SHADOWS, "soft shadows"),
     (Effects::AREA_LIGHTS, "area lights"),
     (Effects::POINT_LIGHTS, "point lights"),
+    (Effects::MANY_LIGHTS, "many lights"),
     (Effects::SUN, "sun"),
     (Effects::ENVIRONMENT, "environment"),
     (Effects::AMBIENT, "ambient"),
@@ -71,6 +72,8 @@ impl Effects {
     pub const CACHE: u32 = 1 << 15;
     /// A lens with an aperture.
     pub const DEPTH_OF_FIELD: u32 = 1 << 16;
+    /// More lights with a position than every point can look at: some are chosen by a light tree.
+    pub const MANY_LIGHTS: u32 = 1 << 17;
 
     /// What a frame calls for at these settings; `materials` are those that the settings make of the frame's.
     pub(crate) fn called_for(
@@ -99,6 +102,7 @@ impl Effects {
         }
         add(Self::AREA_LIGHTS | Self::SOFT_SHADOWS, !luminaires.all.is_empty());
         add(Self::POINT_LIGHTS, !frame.points.is_empty());
+        add(Self::MANY_LIGHTS, luminaires.all.len() + frame.points.len() > FEW);
         add(Self::SUN, !frame.suns.is_empty());
         add(Self::SOFT_SHADOWS, frame.suns.iter().any(|sun| sun.angle_deg > 0.0));
         add(Self::ENVIRONMENT, !sky.is_black());
@@ -110,10 +114,10 @@ impl Effects {
         set
     }
 
-    /// Everything that a picture may hold. What is not a matter of the picture but of how it is found (integrator, bounces) stays
-    /// as it is.
+    /// Everything that a picture may hold. What is not a matter of the picture but of how it is found (integrator, bounces, choice
+    /// of lights) stays as it is.
     pub fn with_all(self) -> Self {
-        let how = Self::AMBIENT | Self::SECOND_BOUNCE | Self::CACHE;
+        let how = Self::AMBIENT | Self::SECOND_BOUNCE | Self::CACHE | Self::MANY_LIGHTS;
         let all = NAMES.iter().fold(0, |set, (bit, _)| set | bit);
         Self(all & !how | self.0)
     }

@@ -20,6 +20,7 @@ use crate::cache::Site;
 use crate::cost::{Category, Counters};
 use crate::geometry::{self, Basis};
 use crate::kernel::{Kernel, has};
+use crate::lights::Receiver;
 use crate::random::{Purpose, Sampler};
 use crate::tracer::Tracer;
 use forelight_bvh::{Hit, Ray, offset_origin};
@@ -41,6 +42,13 @@ pub struct Point {
     material: usize,
     stratum: u32,
     distance: f32,
+}
+
+impl Point {
+    /// The place as light selection sees it, for a surface that reflects.
+    fn receiver(&self) -> Receiver {
+        Receiver { position: self.position, normal: Some(self.basis.normal) }
+    }
 }
 
 /// The tracing of one pixel by a kernel with parameters `K` (see `kernel::has`).

@@ -93,10 +93,14 @@ pub trait Trace: Send + Sync {
 impl<const K: u32> Kernel<K> {
     fn new(effects: Effects, integrator: Integrator) -> Self {
         let mut lights: Vec<Light<K>> = Vec::new();
-        if effects.has(Effects::AREA_LIGHTS) {
+        let many = effects.has(Effects::MANY_LIGHTS);
+        if many {
+            lights.push(|pixels, p, response, vertex| pixels.many_lights(p, response, vertex));
+        }
+        if effects.has(Effects::AREA_LIGHTS) && !many {
             lights.push(|pixels, p, response, vertex| pixels.area_lights(p, response, vertex));
         }
-        if effects.has(Effects::POINT_LIGHTS) {
+        if effects.has(Effects::POINT_LIGHTS) && !many {
             lights.push(|pixels, p, response, _| pixels.point_lights(p, response));
         }
         if effects.has(Effects::SUN) {

@@ -13,7 +13,7 @@ mod luminaires;
 mod selection;
 mod tree;
 
-pub use emitters::{Emitter, Emitters};
+pub use emitters::Emitter;
 pub use luminaires::Luminaires;
 pub use selection::{Light, Lights};
 pub use tree::Receiver;
@@ -22,6 +22,10 @@ use crate::geometry;
 use forelight_bvh::Hit;
 use forelight_scene::Frame;
 use glam::{Vec2, Vec3};
+
+/// Up to so many lights with a position (objects that emit, and points), every point that is lit looks at each. Of more it
+/// looks at so many, chosen by a tree.
+pub const FEW: usize = 8;
 
 /// A point chosen on an emitting triangle.
 pub struct LightPoint {

@@ -87,10 +87,8 @@ impl Tracer {
         });
         let (luminaires, sky) = (Luminaires::new(&frame), Sky::new(&frame));
         let effects = Effects::called_for(&frame, &materials, &luminaires, &sky, settings);
-        let lights = match settings.integrator {
-            Integrator::Path => Lights::new(&frame, &materials, &sky),
-            Integrator::Ambient => Lights::default(),
-        };
+        let chosen = settings.integrator == Integrator::Path || effects.has(Effects::MANY_LIGHTS);
+        let lights = if chosen { Lights::new(&frame, &materials, &sky) } else { Lights::default() };
         Self {
             internal: internal.collect(),
             cache: OnceLock::new(),

@@ -190,6 +190,37 @@ fn a_light_in_ten_thousand_pieces_is_the_same_light() {
     assert!(noise(&pieces) < 1.5 * noise(&whole), "{} and {}", noise(&pieces), noise(&whole));
 }
 
+#[test]
+fn the_other_integrator_finds_many_lights_by_the_tree_with_the_same_mean() {
+    // Glossy surfaces too: their lobes share the lights with light sampling, by the tree's densities.
+    let gloss = Surface::Plastic { albedo: Color::plain(Vec3::splat(0.5)), ior: 1.5, alpha: 0.15 };
+    let plate = || material("gloss", gloss, 0.0);
+    let scene = |strips, height| {
+        let room = room().quad(Vec3::new(-0.9, height, 0.9), 1.8 * Vec3::X, -1.4 * Vec3::Z, plate());
+        let mut frame = view(lamp(room, strips, 12.0));
+        for i in 0..strips {
+            // The same light in more points.
+            let position = Vec3::new(-0.8, 0.9, 0.9);
+            let intensity = Vec3::splat(0.3 / strips as f32);
+            frame.points.push(PointLight {
+                position: position + i as f32 * 1e-6 * Vec3::X,
+                intensity,
+                cone: None,
+            });
+        }
+        frame
+    };
+    for (bounces, height) in [(0, -0.9), (1, 0.97)] {
+        let settings = settings(Integrator::Ambient, 16, bounces);
+        let whole = blocks(&scene(1, height), &settings, 16);
+        for strips in [3, 40] {
+            let names: Vec<_> = Tracer::new(&scene(strips, height), &settings).effects().names().collect();
+            assert!(names.contains(&"many lights"), "{names:?}");
+            agree(&whole, &blocks(&scene(strips, height), &settings, 16));
+        }
+    }
+}
+
 const WHITE_SKY: Environment = Environment::Constant(Vec3::ONE);
 
 /// Mean of an image that a body of this surface fills in part, in constant light from everywhere.

@@ -3,7 +3,7 @@
 //! Caustics (light that gets from a lamp to a diffuse surface by way of a mirror, glass or a narrow glossy lobe) are left out,
 //! as Radiance leaves them out: a gathered hemisphere finds them by rare, very bright rays, and nothing but noise is gained.
 //!
-//! At every diffuse or glossy surface all lights are sampled (next-event estimation); mirrors, glass and glossy lobes are
+//! At every diffuse or glossy surface all lights, or some of many, are sampled (next-event estimation); mirrors, glass and glossy lobes are
 //! followed; the first `ambient_bounces` diffuse hits gather their hemisphere. Light is counted once: rays gathered by a
 //! diffuse surface do not see the lights that it sampled; glossy lobes share the lights with light sampling by multiple
 //! importance sampling (Veach 1997, balance heuristic), and so do diffuse surfaces the lights that are near.
@@ -14,6 +14,7 @@ use crate::environment::Sky;
 use crate::fresnel;
 use crate::geometry;
 use crate::kernel::has;
+use crate::lights::Receiver;
 use crate::microfacet as ggx;
 use crate::random::Purpose;
 use crate::response::{Coat, Glossy, Response, Tint};
@@ -36,9 +37,9 @@ pub enum Arrival {
     Nothing,
     /// The environment alone: the surface that it left has sampled the others, or leaves them out.
     Sky,
-    /// Area lights with the weight that light sampling leaves; `density` per steradian at the glossy surface,
+    /// Area lights with the weight that light sampling leaves; `density` per steradian at the glossy surface, `receiver`,
     /// `travelled` metres since (straight through panes).
-    Shared { density: f32, travelled: f32 },
+    Shared { receiver: Receiver, density: f32, travelled: f32 },
 }
 
 /// A ray with what its origin knows.
@@ -87,7 +88,7 @@ impl<const K: u32> Pixels<'_, K> {
             return self.radiance(self.straight(&s, &p));
         }
         self.counters.shadings += 1;
-        let emitted = if material.is_emissive() { self.emission(&s, &p) } else { Vec3::ZERO };
+        let emitted = if material.is_emissive() { self.emission(&s, &p, hit.primitive) } else { Vec3::ZERO };
         emitted + self.scattered(&s, &p)
     }
 
@@ -142,7 +143,7 @@ impl<const K: u32> Pixels<'_, K> {
     }
 
     /// Light that the surface sends towards the viewer by itself.
-    fn emission(&mut self, s: &Segment, p: &Point) -> Vec3 {
+    fn emission(&mut self, s: &Segment, p: &Point, triangle: u32) -> Vec3 {
         let material = &self.tracer.materials[p.material];
         let cos = p.geometric.dot(p.viewer);
         let cos = if material.emits_both_sides { cos.abs() } else { cos };
@@ -153,14 +154,11 @@ impl<const K: u32> Pixels<'_, K> {
             Arrival::Nothing | Arrival::Sky => return Vec3::ZERO,
             Arrival::Everything if s.level > 0 => return Vec3::ZERO,
             Arrival::Everything => 1.0,
-            Arrival::Shared { density, travelled } => match self.tracer.luminaires.of_stratum(p.stratum) {
-                Some(index) => {
-                    let distance = travelled + p.distance;
-                    let by_light = self.tracer.luminaires.density(index, distance * distance, cos);
-                    density / (density + by_light)
-                }
-                None => 1.0,
-            },
+            Arrival::Shared { receiver, density, travelled } => {
+                let distance = travelled + p.distance;
+                let by_light = self.density_of_lights(&receiver, triangle, distance * distance, cos);
+                by_light.map_or(1.0, |by_light| density / (density + by_light))
+            }
         };
         let emission = material.emission;
         weight * self.color(&emission, p.uv)
@@ -199,7 +197,8 @@ impl<const K: u32> Pixels<'_, K> {
             && let Some((wo, share, density)) =
                 glossy.sample(p.wi, self.sampler.next(Purpose::Glossy, s.vertex))
         {
-            let arrival = if caustic { Arrival::Sky } else { Arrival::Shared { density, travelled: 0.0 } };
+            let shared = Arrival::Shared { receiver: p.receiver(), density, travelled: 0.0 };
+            let arrival = if caustic { Arrival::Sky } else { shared };
             total += self.follow(s, p, p.basis.to_world(wo), share, Category::Specular, arrival);
         }
         total
@@ -327,8 +326,8 @@ impl<const K: u32> Pixels<'_, K> {
     /// The segment beyond a surface that lets light pass straight.
     fn straight(&self, s: &Segment, p: &Point) -> Segment {
         let arrival = match s.arrival {
-            Arrival::Shared { density, travelled } => {
-                Arrival::Shared { density, travelled: travelled + p.distance }
+            Arrival::Shared { receiver, density, travelled } => {
+                Arrival::Shared { receiver, density, travelled: travelled + p.distance }
             }
             other => other,
         };

@@ -1,14 +1,18 @@
 //! Direct light: every light sampled from a surface, and what lies between.
 
 use super::{Pixels, Point, cap_height, leaving};
+use crate::Effects;
 use crate::cost::Category;
 use crate::environment::Sky;
 use crate::geometry::{self, Basis};
+use crate::kernel::has;
+use crate::lights::{Emitter, FEW, LightPoint, Receiver};
 use crate::random::Purpose;
 use crate::response::Response;
-use forelight_bvh::offset_origin;
-use forelight_scene::PointLight;
-use glam::Vec3;
+use forelight_bvh::{Hit, offset_origin};
+use forelight_scene::{Material, PointLight};
+use glam::{Vec2, Vec3};
+use std::cell::Cell;
 
 impl<const K: u32> Pixels<'_, K> {
     /// Light straight from the lights, the environment apart.
@@ -17,58 +21,148 @@ impl<const K: u32> Pixels<'_, K> {
         kernel.lights.iter().map(|light| light(self, p, response, vertex)).sum()
     }
 
+    /// Few area lights: a point of each.
     pub fn area_lights(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
         let tracer = self.tracer;
-        let count = tracer.luminaires.samples();
-        if count == 0 {
-            return Vec3::ZERO;
+        let luminaires = &tracer.luminaires;
+        let near = |index: usize| response.has_diffuse() && luminaires.all[index].is_near(p.position);
+        let mut sum = if (0..luminaires.all.len()).any(near) {
+            self.near_lights(p, response, vertex, |_, hit, distance2, cos| {
+                let stratum = tracer.frame.geometry.triangle_stratum[hit.primitive as usize];
+                let index = luminaires.of_stratum(stratum).filter(|&index| near(index))?;
+                Some(luminaires.density(index, distance2, cos))
+            })
+        } else {
+            Vec3::ZERO
+        };
+        let points = self.sampler.draw(Purpose::Light, vertex);
+        for (index, luminaire) in luminaires.all.iter().enumerate() {
+            let light = luminaire.sample(&tracer.frame, self.sampler.related(points, index as u32));
+            let density = |distance2, cos| luminaires.density(index, distance2, cos);
+            sum += self.from_triangle(p, response, &light, near(index), density);
         }
-        let near = |index: usize| response.has_diffuse() && tracer.luminaires.all[index].is_near(p.position);
-        let mut sum = if (0..tracer.luminaires.all.len()).any(near) {
-            self.near_lights(p, response, vertex, near)
+        sum
+    }
+
+    /// Many lights with a position: some of them, chosen by the light tree.
+    pub fn many_lights(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
+        let tracer = self.tracer;
+        let (frame, emitters) = (&tracer.frame, &tracer.lights.emitters);
+        let receiver = p.receiver();
+        let mut sum = if response.has_diffuse() && emitters.any_near(frame, p.position) {
+            self.near_lights(p, response, vertex, |this, hit, distance2, cos| {
+                let emitter = emitters.of_triangle(hit.primitive)?;
+                let near = emitters.is_near(frame, emitter, p.position);
+                near.then(|| this.density_among_many(&receiver, emitter, distance2, cos))
+            })
         } else {
             Vec3::ZERO
         };
         let points = self.sampler.draw(Purpose::Light, vertex);
         let choices = self.sampler.draw(Purpose::LightChoice, vertex);
-        for i in 0..count {
-            let index = tracer.luminaires.choose(i, self.sampler.related(choices, i as u32).x);
-            let luminaire = &tracer.luminaires.all[index];
-            let light = luminaire.sample(&tracer.frame, self.sampler.related(points, index as u32));
-            let to = light.position - p.position;
-            let distance2 = to.length_squared();
-            let direction = to / distance2.sqrt();
-            let wo = p.basis.to_local(direction);
-            let cos = -direction.dot(light.normal);
-            let cos_light = if luminaire.both_sides { cos.abs() } else { cos };
-            // Written so that a light point on the surface itself (0/0) is left out.
-            if !(wo.z > 0.0 && cos_light > 0.0) {
-                continue;
-            }
-            let (diffuse, glossy, by_lobe) = response.evaluate(p.wi, wo);
-            let density = tracer.luminaires.density(index, distance2, cos_light);
-            let by_cosine = if near(index) { wo.z * std::f32::consts::FRAC_1_PI } else { 0.0 };
-            let reflected = diffuse / (density + by_cosine) + glossy / (density + by_lobe);
-            if reflected.max_element() <= 0.0 {
-                continue;
-            }
-            let emission = tracer.materials[luminaire.material as usize].emission;
-            let target = offset_origin(light.position, light.normal * cos.signum());
-            let passed = self.shadow(p, direction, Some(target));
-            if passed != Vec3::ZERO {
-                sum += passed * reflected * self.color(&emission, light.uv);
-            }
+        for i in 0..FEW as u32 {
+            // One choice in each part of the tree's unit interval.
+            let u = (f64::from(i) + fine(self.sampler.related(choices, i))) / FEW as f64;
+            let visited = &mut self.counters.traversal.nodes;
+            let Some((emitter, probability)) = emitters.choose(&receiver, u, visited) else { continue };
+            let expected = probability * FEW as f64;
+            sum += match emitter {
+                Emitter::Triangle(emitter) => {
+                    let light = emitters.point(frame, emitter, self.sampler.related(points, i));
+                    let near = response.has_diffuse() && emitters.is_near(frame, emitter, p.position);
+                    let density = |distance2, cos| emitters.density(emitter, expected, distance2, cos);
+                    self.from_triangle(p, response, &light, near, density)
+                }
+                Emitter::Point(index) => self.from_point(p, response, index) / expected as f32,
+            };
         }
         sum
     }
 
+    /// Density per steradian of [`Self::many_lights`] for light that leaves an emitting triangle under `cos`, all choices together.
+    fn density_among_many(&mut self, receiver: &Receiver, emitter: usize, distance2: f32, cos: f32) -> f32 {
+        let emitters = &self.tracer.lights.emitters;
+        let probability = emitters.probability(receiver, emitter, &mut self.counters.traversal.nodes);
+        emitters.density(emitter, probability * FEW as f64, distance2, cos)
+    }
+
+    /// Density per steradian with which light sampling at a receiver chooses a direction, for light that leaves a triangle under
+    /// `cos` at a squared distance of `distance2`; `None` for triangles that it does not know.
+    pub(super) fn density_of_lights(
+        &mut self,
+        receiver: &Receiver,
+        triangle: u32,
+        distance2: f32,
+        cos: f32,
+    ) -> Option<f32> {
+        let tracer = self.tracer;
+        if tracer.effects().has(Effects::MANY_LIGHTS) {
+            let emitter = tracer.lights.emitters.of_triangle(triangle)?;
+            return Some(self.density_among_many(receiver, emitter, distance2, cos));
+        }
+        let stratum = tracer.frame.geometry.triangle_stratum[triangle as usize];
+        let index = tracer.luminaires.of_stratum(stratum)?;
+        Some(tracer.luminaires.density(index, distance2, cos))
+    }
+
+    /// Light from a point of an emitting triangle that was chosen with this density per steradian (of squared distance and cosine at
+    /// the light); for a near light the diffuse lobe's share of it is weighed against [`Self::near_lights`].
+    fn from_triangle(
+        &mut self,
+        p: &Point,
+        response: &Response,
+        light: &LightPoint,
+        near: bool,
+        density: impl Fn(f32, f32) -> f32,
+    ) -> Vec3 {
+        let to = light.position - p.position;
+        let distance2 = to.length_squared();
+        let direction = to / distance2.sqrt();
+        let wo = p.basis.to_local(direction);
+        let cos = -direction.dot(light.normal);
+        let cos_light = if self.emitter(light).emits_both_sides { cos.abs() } else { cos };
+        // Written so that a light point on the surface itself (0/0) is left out.
+        if !(wo.z > 0.0 && cos_light > 0.0) {
+            return Vec3::ZERO;
+        }
+        let (diffuse, glossy, by_lobe) = response.evaluate(p.wi, wo);
+        let density = density(distance2, cos_light);
+        let by_cosine = if near { wo.z * std::f32::consts::FRAC_1_PI } else { 0.0 };
+        let reflected = diffuse / (density + by_cosine) + glossy / (density + by_lobe);
+        if reflected.max_element() <= 0.0 {
+            return Vec3::ZERO;
+        }
+        let target = offset_origin(light.position, light.normal * cos.signum());
+        let passed = self.shadow(p, direction, Some(target));
+        if passed == Vec3::ZERO { Vec3::ZERO } else { passed * reflected * self.emitted_at(light) }
+    }
+
+    fn emitter(&self, light: &LightPoint) -> &Material {
+        &self.tracer.materials[self.tracer.frame.geometry.material(light.hit.primitive) as usize]
+    }
+
+    /// Radiance that a point of an emitting triangle sends out, as far as the surface is there and not cut out.
+    pub(super) fn emitted_at(&mut self, light: &LightPoint) -> Vec3 {
+        if K & has::CUT_OUTS != 0 {
+            let texels = Cell::new(0);
+            let present = self.tracer.present(&light.hit, &texels);
+            self.counters.texels += texels.get();
+            if !present {
+                return Vec3::ZERO;
+            }
+        }
+        let (emission, opacity) = (self.emitter(light).emission, self.emitter(light).opacity);
+        opacity * self.color(&emission, light.uv)
+    }
+
     /// The diffuse lobe's share of the near lights: one cosine-weighted ray that looks for them, straight through panes.
+    /// `by_light` is the density per steradian with which light sampling finds what was hit, and `None` if it is not a near light.
     fn near_lights(
         &mut self,
         p: &Point,
         response: &Response,
         vertex: u32,
-        near: impl Fn(usize) -> bool,
+        by_light: impl Fn(&mut Self, &Hit, f32, f32) -> Option<f32>,
     ) -> Vec3 {
         let wo = geometry::cosine_hemisphere(self.sampler.next(Purpose::NearLight, vertex));
         if wo.z <= 0.0 {
@@ -76,52 +170,55 @@ impl<const K: u32> Pixels<'_, K> {
         }
         self.counters.ray(Category::Shadow);
         let tracer = self.tracer;
-        let luminaires = &tracer.luminaires;
+        let geometry = &tracer.frame.geometry;
+        let density = wo.z * std::f32::consts::FRAC_1_PI;
         let mut ray = leaving(p, p.basis.to_world(wo));
         let mut passed = response.diffuse(p.wi, wo);
+        let mut sum = Vec3::ZERO;
         for _ in 0..tracer.settings.max_depth {
-            let Some(hit) = self.closest(&ray) else { return Vec3::ZERO };
-            let geometry = &tracer.frame.geometry;
-            let stratum = geometry.triangle_stratum[hit.primitive as usize];
-            if let Some(index) = luminaires.of_stratum(stratum).filter(|&i| near(i)) {
-                let luminaire = &luminaires.all[index];
-                let position = hit.position(geometry.corners(hit.primitive));
+            let Some(hit) = self.closest(&ray) else { break };
+            let material = &tracer.materials[geometry.material(hit.primitive) as usize];
+            if material.is_emissive() {
                 let cos = -geometry.geometric_normal(hit.primitive).dot(ray.direction);
-                let cos = if luminaire.both_sides { cos.abs() } else { cos };
-                if cos > 0.0 {
-                    let density = wo.z * std::f32::consts::FRAC_1_PI;
-                    let by_light = luminaires.density(index, p.position.distance_squared(position), cos);
-                    let emission = tracer.materials[luminaire.material as usize].emission;
+                let cos = if material.emits_both_sides { cos.abs() } else { cos };
+                let distance2 = p.position.distance_squared(hit.position(geometry.corners(hit.primitive)));
+                if cos > 0.0
+                    && let Some(by_light) = by_light(self, &hit, distance2, cos)
+                {
+                    let (emission, opacity) = (material.emission, material.opacity);
                     let color = self.color(&emission, geometry.uv(hit.primitive, hit.u, hit.v));
-                    return passed * color * (density / (density + by_light));
+                    sum += passed * color * (opacity * density / (density + by_light));
                 }
             }
-            let Some(share) = self.pass(&hit, ray.direction) else { return Vec3::ZERO };
+            let Some(share) = self.pass(&hit, ray.direction) else { break };
             passed *= share;
             ray.origin = self.beyond(&hit, ray.direction);
         }
-        Vec3::ZERO
+        sum
     }
 
+    /// Few lights without surface: all of them.
     pub fn point_lights(&mut self, p: &Point, response: &Response) -> Vec3 {
-        let tracer = self.tracer;
-        let mut sum = Vec3::ZERO;
-        for light in &tracer.frame.points {
-            let to = light.position - p.position;
-            let distance2 = to.length_squared();
-            let direction = to / distance2.sqrt();
-            let wo = p.basis.to_local(direction);
-            let cone = falloff(light, direction);
-            if wo.z > 0.0 && cone > 0.0 {
-                let (diffuse, glossy, _) = response.evaluate(p.wi, wo);
-                let arriving = light.intensity * (cone / distance2);
-                let reflected = (diffuse + glossy) * arriving;
-                if reflected.max_element() > 0.0 {
-                    sum += reflected * self.shadow(p, direction, Some(light.position));
-                }
-            }
+        (0..self.tracer.frame.points.len()).map(|index| self.from_point(p, response, index)).sum()
+    }
+
+    fn from_point(&mut self, p: &Point, response: &Response, index: usize) -> Vec3 {
+        let light = &self.tracer.frame.points[index];
+        let to = light.position - p.position;
+        let distance2 = to.length_squared();
+        let direction = to / distance2.sqrt();
+        let wo = p.basis.to_local(direction);
+        let cone = falloff(light, direction);
+        if !(wo.z > 0.0 && cone > 0.0) {
+            return Vec3::ZERO;
         }
-        sum
+        let (diffuse, glossy, _) = response.evaluate(p.wi, wo);
+        let reflected = (diffuse + glossy) * (light.intensity * (cone / distance2));
+        if reflected.max_element() > 0.0 {
+            reflected * self.shadow(p, direction, Some(light.position))
+        } else {
+            Vec3::ZERO
+        }
     }
 
     pub fn suns(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
@@ -174,6 +271,14 @@ impl<const K: u32> Pixels<'_, K> {
         }
     }
 }
+
+/// A random number with 48 bits: 24 are few for a choice among many, so the other coordinate's follow those of the first.
+pub(super) fn fine(u: Vec2) -> f64 {
+    f64::from(u.x) + f64::from(u.y) * LAST_BIT
+}
+
+/// What the sampler's numbers leave open.
+pub(super) const LAST_BIT: f64 = 1.0 / (1 << 24) as f64;
 
 /// Share of a light's intensity that it sends against `direction` (unit, towards the light).
 pub(super) fn falloff(light: &PointLight, direction: Vec3) -> f32 {

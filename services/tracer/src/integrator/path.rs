@@ -10,6 +10,7 @@
 //! of mirrors, smooth glass and panes between two of them. Paths that have little left to add end by Russian roulette,
 //! which leaves the mean as it is.
 
+use super::direct::{LAST_BIT, falloff, fine};
 use super::{Pixels, Point, cap_height, leaving};
 use crate::bsdf::{Bsdf, Coat, Lobe, Scattering};
 use crate::cost::Category;
@@ -21,7 +22,6 @@ use crate::random::Purpose;
 use forelight_bvh::{Ray, offset_origin};
 use forelight_scene::{PointLight, Surface};
 use glam::{DVec2, Vec3};
-use std::cell::Cell;
 use std::f32::consts::TAU;
 
 /// From this vertex on, roulette decides whether a path goes on.
@@ -234,9 +234,7 @@ impl<const K: u32> Pixels<'_, K> {
     /// Light from one light that is sampled, as far as it is not left to the path's direction.
     fn sampled_light(&mut self, p: &Point, bsdf: &Bsdf, vertex: u32) -> Vec3 {
         let tracer = self.tracer;
-        let u = self.sampler.next(Purpose::LightChoice, vertex).as_dvec2();
-        // 24 bits are few for a choice among many: the other coordinate's follow them.
-        let u = u.x + u.y * BITS;
+        let u = fine(self.sampler.next(Purpose::LightChoice, vertex));
         let visited = &mut self.counters.traversal.nodes;
         let Some((light, probability)) = tracer.lights.choose(&receiver(p, bsdf), u, visited) else {
             return Vec3::ZERO;
@@ -285,19 +283,10 @@ impl<const K: u32> Pixels<'_, K> {
         if !(cos_light > 0.0 && density > 0.0 && density.is_finite()) {
             return None;
         }
-        if K & has::CUT_OUTS != 0 {
-            let texels = Cell::new(0);
-            let present = tracer.present(&light.hit, &texels);
-            self.counters.texels += texels.get();
-            if !present {
-                return None;
-            }
-        }
-        let (emission, opacity) = (material.emission, material.opacity);
         Some(Candidate {
             direction,
             target: Some(offset_origin(light.position, light.normal * cos.signum())),
-            light: self.color(&emission, light.uv) * (opacity / density),
+            light: self.emitted_at(&light) / density,
             density: Some(density),
         })
     }
@@ -305,21 +294,19 @@ impl<const K: u32> Pixels<'_, K> {
     fn toward_sky(&mut self, probability: f32, vertex: u32) -> Option<Candidate> {
         let Sky::Image(image) = &self.tracer.sky else { return None };
         let [coarse, fine] = [Purpose::Sky, Purpose::Light].map(|purpose| self.sampler.next(purpose, vertex));
-        let (direction, density) = image.sample(coarse.as_dvec2() + fine.as_dvec2() * DVec2::splat(BITS))?;
+        let (direction, density) =
+            image.sample(coarse.as_dvec2() + fine.as_dvec2() * DVec2::splat(LAST_BIT))?;
         let density = density * probability;
         let light = self.tracer.sky.radiance(direction) / density;
         Some(Candidate { direction, target: None, light, density: Some(density) })
     }
 }
 
-/// What the sampler's numbers leave open: their last bit.
-const BITS: f64 = 1.0 / (1 << 24) as f64;
-
 fn toward_point(p: &Point, light: &PointLight, probability: f32) -> Option<Candidate> {
     let to = light.position - p.position;
     let distance2 = to.length_squared();
     let direction = to / distance2.sqrt();
-    let arriving = light.intensity * (super::direct::falloff(light, direction) / distance2);
+    let arriving = light.intensity * (falloff(light, direction) / distance2);
     let light_at = Some(light.position);
     arriving.is_finite().then_some(Candidate {
         direction,
@@ -331,8 +318,7 @@ fn toward_point(p: &Point, light: &PointLight, probability: f32) -> Option<Candi
 
 /// The place as light selection sees it.
 fn receiver(p: &Point, bsdf: &Bsdf) -> Receiver {
-    let normal = if bsdf.spreads_through() { None } else { Some(p.basis.normal) };
-    Receiver { position: p.position, normal }
+    if bsdf.spreads_through() { Receiver { normal: None, ..p.receiver() } } else { p.receiver() }
 }
 
 fn category(lobe: Lobe) -> Category {

@@ -55,11 +55,6 @@ impl Emitters {
         Self { triangles, points, tree: LightTree::new(&bounds) }
     }
 
-    /// Whether nothing shines.
-    pub fn is_empty(&self) -> bool {
-        self.tree.is_empty()
-    }
-
     /// Irradiance that all of them together are expected to bring, W/m².
     pub fn importance(&self, receiver: &Receiver) -> f64 {
         self.tree.importance(receiver)

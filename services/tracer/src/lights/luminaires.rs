@@ -7,8 +7,6 @@ use glam::{Vec2, Vec3};
 /// All emitting triangles of one (object, material): sampled as one light, uniformly by area.
 #[derive(Debug, Clone)]
 pub struct Luminaire {
-    pub material: u32,
-    pub both_sides: bool,
     /// Total area, m².
     pub area: f32,
     low: Vec3,
@@ -24,12 +22,7 @@ pub struct Luminaires {
     pub all: Vec<Luminaire>,
     /// Luminaire of each stratum, `u32::MAX` for those that do not emit.
     of_stratum: Vec<u32>,
-    /// Cumulative share of the power, by luminaire.
-    cumulative: Vec<f32>,
 }
-
-/// With more luminaires than this, each shading point draws this many of them in proportion to their power.
-const CHOSEN: usize = 8;
 
 impl Luminaires {
     /// Collects the emitting triangles. Those without area emit nothing.
@@ -47,10 +40,7 @@ impl Luminaires {
             }
         }
         let mut luminaires = Self { of_stratum: vec![u32::MAX; members.len()], ..Self::default() };
-        let mut powers = Vec::new();
         for (stratum, members) in members.iter().enumerate().filter(|(_, m)| !m.is_empty()) {
-            let material = geometry.strata.pairs[stratum].1;
-            let emitter = &frame.materials[material as usize];
             let total: f64 = members.iter().map(|m| m.1).sum();
             let mut sum = 0.0;
             let cumulative = members.iter().map(|m| {
@@ -62,23 +52,11 @@ impl Luminaires {
             luminaires.all.push(Luminaire {
                 low: corners().fold(Vec3::INFINITY, Vec3::min),
                 high: corners().fold(Vec3::NEG_INFINITY, Vec3::max),
-                material,
-                both_sides: emitter.emits_both_sides,
                 area: total as f32,
                 cumulative: cumulative.collect(),
                 triangles: members.iter().map(|m| m.0).collect(),
             });
-            powers.push(total * f64::from(emitter.emission.factor.max_element()));
         }
-        let total: f64 = powers.iter().sum();
-        let mut sum = 0.0;
-        luminaires.cumulative = powers
-            .iter()
-            .map(|p| {
-                sum += p;
-                (sum / total) as f32
-            })
-            .collect();
         luminaires
     }
 
@@ -88,37 +66,19 @@ impl Luminaires {
         (index != u32::MAX).then_some(index as usize)
     }
 
-    /// How many luminaires a shading point samples.
-    pub fn samples(&self) -> usize {
-        self.all.len().min(CHOSEN)
-    }
-
-    /// The luminaire that is the `i`-th of [`Self::samples`] choices for the random number `u`.
-    pub fn choose(&self, i: usize, u: f32) -> usize {
-        if self.all.len() <= CHOSEN {
-            return i;
-        }
-        let position = (i as f32 + u) / CHOSEN as f32;
-        self.cumulative.partition_point(|&c| c <= position).min(self.all.len() - 1)
-    }
-
-    /// Density per steradian with which a shading point's samples of a luminaire choose a direction, all of them together: for
-    /// light that leaves it under `cos` (> 0) at a squared distance of `distance2` m².
+    /// Density per steradian of a uniform point of a luminaire, for light that leaves it under `cos` (> 0) at a squared distance
+    /// of `distance2` m².
     pub fn density(&self, index: usize, distance2: f32, cos: f32) -> f32 {
-        distance2 / (cos * self.all[index].area) * self.expected(index)
-    }
-
-    /// Expected number of samples that a shading point spends on a luminaire.
-    fn expected(&self, index: usize) -> f32 {
-        if self.all.len() <= CHOSEN {
-            return 1.0;
-        }
-        let below = if index == 0 { 0.0 } else { self.cumulative[index - 1] };
-        (self.cumulative[index] - below) * CHOSEN as f32
+        distance2 / (cos * self.all[index].area)
     }
 }
 
 impl Luminaire {
+    /// The box around it, by its lowest and highest corner.
+    pub fn bounds(&self) -> (Vec3, Vec3) {
+        (self.low, self.high)
+    }
+
     /// Whether the point is closer to the light's box than the light is wide. There, points chosen by area miss the few that
     /// matter (their weight grows like 1/distance²), and directions chosen by the surface have to help.
     pub fn is_near(&self, point: Vec3) -> bool {

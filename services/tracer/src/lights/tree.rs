@@ -61,11 +61,6 @@ impl LightTree {
         tree
     }
 
-    /// Whether there is no light at all.
-    pub fn is_empty(&self) -> bool {
-        self.leaves.is_empty()
-    }
-
     /// What all lights together are expected to bring.
     pub fn importance(&self, receiver: &Receiver) -> f64 {
         self.nodes.first().map_or(0.0, |root| root.bounds.importance(receiver))
