@@ -43,8 +43,8 @@ pub(crate) trait Kernel: Copy {
     fn boxes(self, node: &Node, ray: &BoxRay, t_max: f32) -> Boxes;
 
     /// Writes the children whose boxes the ray meets to the front of `children`, in the order of their slots, and returns
-    /// how many these are. What is behind them is left undefined.
-    fn met(self, node: &Node, ray: &BoxRay, t_max: f32, children: &mut [u32; WIDTH]) -> usize;
+    /// the bit mask of these slots. What is behind them is left undefined.
+    fn met(self, node: &Node, ray: &BoxRay, t_max: f32, children: &mut [u32; WIDTH]) -> u32;
 
     /// Asks for memory that may soon be read.
     fn prefetch<T>(self, soon: Option<&T>);
@@ -76,14 +76,12 @@ impl Kernel for Portable {
     }
 
     #[inline(always)]
-    fn met(self, node: &Node, ray: &BoxRay, t_max: f32, children: &mut [u32; WIDTH]) -> usize {
+    fn met(self, node: &Node, ray: &BoxRay, t_max: f32, children: &mut [u32; WIDTH]) -> u32 {
         let mask = self.boxes(node, ray, t_max).mask;
-        let mut count = 0;
-        for slot in (0..WIDTH).filter(|slot| mask >> slot & 1 == 1) {
+        for (count, slot) in (0..WIDTH).filter(|slot| mask >> slot & 1 == 1).enumerate() {
             children[count] = node.children[slot];
-            count += 1;
         }
-        count
+        mask
     }
 
     #[inline(always)]
@@ -162,7 +160,7 @@ impl Kernel for Avx2 {
     }
 
     #[inline(always)]
-    fn met(self, node: &Node, ray: &BoxRay, t_max: f32, children: &mut [u32; WIDTH]) -> usize {
+    fn met(self, node: &Node, ray: &BoxRay, t_max: f32, children: &mut [u32; WIDTH]) -> u32 {
         use std::arch::x86_64::*;
         let (_, mask) = self.slabs(node, ray, t_max);
         let lanes = &LANES[mask & 0xff];
@@ -173,7 +171,7 @@ impl Kernel for Avx2 {
             let all = _mm256_loadu_si256(node.children.as_ptr().cast());
             _mm256_storeu_si256(children.as_mut_ptr().cast(), _mm256_permutevar8x32_epi32(all, order));
         }
-        mask.count_ones() as usize
+        mask as u32
     }
 
     #[inline(always)]

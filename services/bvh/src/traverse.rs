@@ -222,7 +222,14 @@ pub(crate) fn any<K: Kernel>(
             let Some(free) = stack[top..].first_chunk_mut::<WIDTH>() else {
                 unreachable!("Bvh::waiting leaves room for the children of one more node");
             };
-            top += kernel.met(node, &boxes, cull, free);
+            let met = kernel.met(node, &boxes, cull, free);
+            if met != 0 {
+                // The last, the most promising, comes first: straight from the node, as what was just written takes a while
+                // to be there.
+                top += met.count_ones() as usize - 1;
+                current = node.children[(u32::BITS - 1 - met.leading_zeros()) as usize];
+                continue;
+            }
         } else if current == END {
             break false;
         } else {
@@ -238,7 +245,6 @@ pub(crate) fn any<K: Kernel>(
                 break true;
             }
         }
-        // The children of a node wait in the order of their slots: the last, the most promising, comes first.
         top -= 1;
         current = stack[top];
     };
