@@ -1,6 +1,7 @@
 //! `forelight bench`: measurements of what this program promises, on bundles that the user names.
 
 mod forecast;
+mod rays;
 mod shot;
 
 use crate::interrupt::Interrupt;
@@ -12,6 +13,7 @@ use clap::Subcommand;
 #[command(after_help = "\
 Examples:
   forelight bench forecast kitchen/ corridor/ --out forecast.json
+  forelight bench rays kitchen/
   forelight bench shot kitchen/ --frames 0-47 --width 192 --height 108 --json")]
 pub struct Args {
     #[command(subcommand)]
@@ -21,6 +23,7 @@ pub struct Args {
 #[derive(Debug, Subcommand)]
 enum Bench {
     Forecast(forecast::Args),
+    Rays(rays::Args),
     Shot(shot::Args),
 }
 
@@ -28,6 +31,7 @@ enum Bench {
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     match &args.bench {
         Bench::Forecast(args) => forecast::run(args, interrupt),
+        Bench::Rays(args) => rays::run(args, interrupt),
         Bench::Shot(args) => shot::run(args, interrupt),
     }
 }

@@ -1,0 +1,67 @@
+#!/usr/bin/env bash
+# Our rays against Embree's (https://www.embree.org), one by one: they have to meet the same triangles. How fast each is, is printed
+# and not judged: a debug build is slow, and a busy machine says nothing. To measure, give a release build:
+#
+#   FORELIGHT_BIN=target/release/forelight FORELIGHT_EMBREE_RAYS=300000 FORELIGHT_EMBREE_REPEATS=15 tests/peers/embree.sh
+#
+#   FORELIGHT_BIN             the program (default: target/debug/forelight, which is built)
+#   FORELIGHT_SHARED          folder with test scenes (default: ../shared); without it our own scenes are traced
+#   FORELIGHT_EMBREE_RAYS     rays of each kind, about (default: 20000)
+#   FORELIGHT_EMBREE_REPEATS  how often each program traces them, by turns (default: 3)
+#
+# Skips with a line that says why where Embree or a compiler cannot be had.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+skip() { echo "skipped: $1"; exit 0; }
+
+deploy/packages.sh g++ libembree-dev || skip 'Embree cannot be installed (no network?)'
+command -v g++ >/dev/null || skip 'no C++ compiler'
+embree=
+for version in 4 3; do
+  if echo "#include <embree$version/rtcore.h>" | g++ -E -x c++ - >/dev/null 2>&1; then
+    embree=$version
+    break
+  fi
+done
+[ -n "$embree" ] || skip 'no Embree (Debian: libembree-dev)'
+command -v python3 >/dev/null || skip 'no python3'
+
+peer=$PWD/target/peers/embree
+if [ ! -x "$peer" ] || [ tests/peers/embree.cpp -nt "$peer" ]; then
+  mkdir -p target/peers
+  g++ -std=c++17 -O2 -Wall -Wextra tests/peers/embree.cpp -o "$peer" "-lembree$embree"
+fi
+if [ -z "${FORELIGHT_BIN:-}" ]; then
+  cargo build --quiet -p forelight-cli
+  FORELIGHT_BIN=$PWD/target/debug/forelight
+fi
+
+bundles=(deploy/scenes/kitchen deploy/scenes/corridor)
+for name in country-kitchen modern-hall living-room; do
+  bundle=${FORELIGHT_SHARED:-../shared}/scenes/$name
+  if [ -d "$bundle" ]; then bundles+=("$bundle"); fi
+done
+result=$(mktemp)
+trap 'rm -f "$result"' EXIT
+"$FORELIGHT_BIN" bench rays "${bundles[@]}" --peer "$peer" --json \
+  --rays "${FORELIGHT_EMBREE_RAYS:-20000}" --repeats "${FORELIGHT_EMBREE_REPEATS:-3}" >"$result"
+
+python3 - "$result" <<'PYTHON'
+import json, sys
+
+measured = json.load(open(sys.argv[1]))
+# Where a ray starts within rounding of a surface, or passes a border, either may be right.
+allowed = 0.001
+wrong = []
+print(f"{'':32}{'ours':>10}{measured['peer']:>16}{'ratio':>8}{'differ':>8}   (million rays a second)")
+for scene in measured["scenes"]:
+    print(f"{scene['bundle']}: {scene['triangles']} triangles, tree {scene['tree_bytes_per_triangle']:.0f} "
+          f"and geometry {scene['geometry_bytes_per_triangle']:.0f} bytes a triangle")
+    for kind in scene["kinds"]:
+        print(f"  {kind['kind'] + ', ' + kind['query']:30}{kind['rays_per_second'] / 1e6:10.2f}"
+              f"{kind['peer_rays_per_second'] / 1e6:16.2f}{kind['ratio']:8.2f}{kind['differing']:8}")
+        if kind["rays"] == 0 or kind["differing"] > allowed * kind["rays"]:
+            wrong.append(f"{scene['bundle']}, {kind['kind']}: {kind['differing']} of {kind['rays']} rays differ")
+if wrong:
+    sys.exit("Embree disagrees: " + "; ".join(wrong))
+PYTHON
