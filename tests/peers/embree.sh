@@ -6,7 +6,7 @@
 #
 #   FORELIGHT_BIN             the program (default: target/debug/forelight, which is built)
 #   FORELIGHT_SHARED          folder with test scenes (default: ../shared); without it our own scenes are traced
-#   FORELIGHT_EMBREE_RAYS     rays of each kind, about (default: 20000)
+#   FORELIGHT_EMBREE_RAYS     rays of each kind, about (default: 5000)
 #   FORELIGHT_EMBREE_REPEATS  how often each program traces them, by turns (default: 3)
 #
 # Skips with a line that says why where Embree or a compiler cannot be had.
@@ -44,7 +44,7 @@ done
 result=$(mktemp)
 trap 'rm -f "$result"' EXIT
 "$FORELIGHT_BIN" bench rays "${bundles[@]}" --peer "$peer" --json \
-  --rays "${FORELIGHT_EMBREE_RAYS:-20000}" --repeats "${FORELIGHT_EMBREE_REPEATS:-3}" >"$result"
+  --rays "${FORELIGHT_EMBREE_RAYS:-5000}" --repeats "${FORELIGHT_EMBREE_REPEATS:-3}" >"$result"
 
 python3 - "$result" <<'PYTHON'
 import json, sys

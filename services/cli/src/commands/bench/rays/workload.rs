@@ -140,7 +140,8 @@ fn up_to(origin: Vec3, target: Vec3) -> Ray {
     Ray { t_max: 0.9999, ..Ray::new(origin, direction) }
 }
 
-/// Cosine-weighted direction about a unit normal: a point on the sphere that touches the surface (as by Malley).
+/// Cosine-weighted direction about a unit normal: towards a uniform point of the unit sphere that touches the surface. The sphere is
+/// a little smaller, so that there is always a direction.
 fn cosine_about(normal: Vec3, random: Vec2) -> Vec3 {
     (normal + 0.9999 * sphere(random)).normalize()
 }
