@@ -1,47 +1,95 @@
-//! What no plan can beat.
+//! When no plan can be done earlier.
 
-use crate::calendar::FreeTime;
+use crate::calendar::{FOREVER, Window};
 use crate::model::{Bound, Node, in_millionths};
+use crate::problem::{Problem, Work};
 
-/// The earliest conceivable end of this work, released at `release`, on these nodes in their free time.
+/// The earliest conceivable end of this job, if it had the farm to itself.
 ///
-/// Any plan takes the frames' work out of the nodes' free time after the release, and gives the longest frame
-/// an unbroken stretch of one node; so neither part can be beaten. Without calendars the first is Σ w / Σ s,
-/// the second max w / max s (Graham 1969).
-pub(crate) fn bound(nodes: &[(&Node, FreeTime)], release: i64, works: &[u64]) -> Bound {
-    let Some(&longest) = works.iter().max() else {
-        return Bound { by_capacity: Some(release), by_longest_frame: Some(release) };
+/// Any plan takes the frames' work out of the nodes' free time after the release, and gives the longest frame (or
+/// its longest tile) an unbroken stretch of one node after the seed; so neither part can be beaten. Without calendars the
+/// first is Σ w / Σ s, the second max w / max s (Graham 1969).
+pub(crate) fn bound(problem: &Problem, work: &Work) -> Bound {
+    let job = work.job;
+    let release = work.release(problem.input.now);
+    if work.is_hopeless && !(work.frames.is_empty() && work.seed.is_none()) {
+        return Bound::default();
+    }
+    let earliest = |classes: &[usize], class: u32, from: i64, amount: u64| {
+        let nodes = classes.iter().flat_map(|&class| &problem.classes[class]);
+        nodes
+            .filter_map(|&node| {
+                let place = &problem.nodes[node];
+                first_end(place, &problem.windows[node], from, place.duration(amount, class)?)
+            })
+            .min()
     };
+    let seeded = match job.seed.zip(work.seed) {
+        None => Some(release),
+        Some((seed, amount)) => earliest(&work.seed_classes, seed.class, release, amount),
+    };
+    let Some(longest) = work.frames.iter().map(|frame| frame.work).max() else {
+        return Bound { by_capacity: seeded, by_longest_frame: seeded };
+    };
+    let tile = if job.tiles > 1 { longest.min(job.tile_work(longest, job.tiles)) } else { longest };
     Bound {
-        by_capacity: by_capacity(nodes, release, works.iter().map(|&work| u128::from(work)).sum()),
-        by_longest_frame: nodes
-            .iter()
-            .filter_map(|(node, free)| placement(node, free, release, longest))
-            .map(|(_, end)| end)
-            .min(),
+        by_capacity: by_capacity(problem, &work.classes, job.class, release, work.total()),
+        by_longest_frame: seeded.and_then(|from| earliest(&work.classes, job.class, from, tile)),
     }
 }
 
-/// Start and end of this work on a node, as early as it can be; none if it never can.
-pub(crate) fn placement(node: &Node, free: &FreeTime, release: i64, work: u64) -> Option<(i64, i64)> {
-    let duration = node.duration(work)?;
-    let start = free.earliest_start(release, duration)?;
-    Some((start, start.checked_add(duration)?))
+/// The bound of all jobs together. All work of a class counts from the first release on all nodes that some job can use;
+/// the longest frames count from their own, by way of their job's bound.
+pub(crate) fn bound_of_all(problem: &Problem, bounds: &[Bound]) -> Bound {
+    let mut classes: Vec<u32> = problem.jobs.iter().map(|work| work.job.class).collect();
+    classes.sort_unstable();
+    classes.dedup();
+    let mut by_capacity = Some(i64::MIN);
+    for class in classes {
+        let jobs = || problem.jobs.iter().filter(|work| work.job.class == class);
+        let mut able: Vec<usize> = jobs().flat_map(|work| work.classes.iter().copied()).collect();
+        able.sort_unstable();
+        able.dedup();
+        let release = jobs().map(|work| work.release(problem.input.now)).min().unwrap_or(problem.input.now);
+        let end = crate::bound::by_capacity(problem, &able, class, release, jobs().map(Work::total).sum());
+        by_capacity = by_capacity.zip(end).map(|(a, b)| a.max(b));
+    }
+    if problem.jobs.is_empty() {
+        return Bound::default();
+    }
+    let latest = |part: fn(&Bound) -> Option<i64>| {
+        bounds.iter().map(part).try_fold(i64::MIN, |latest, end| Some(latest.max(end?)))
+    };
+    Bound {
+        by_capacity: by_capacity.zip(latest(|bound| bound.by_capacity)).map(|(a, b)| a.max(b)),
+        by_longest_frame: latest(|bound| bound.by_longest_frame),
+    }
 }
 
-/// The first instant at which the free capacity since `release` reaches the work.
-fn by_capacity(nodes: &[(&Node, FreeTime)], release: i64, work: u128) -> Option<i64> {
+fn first_end(node: &Node, windows: &[Window], from: i64, duration: i64) -> Option<i64> {
+    windows.iter().find_map(|window| {
+        let ready = if window.warm { window.start } else { window.start.saturating_add(node.setup) };
+        ready.max(from).checked_add(duration).filter(|&end| end <= window.end)
+    })
+}
+
+/// The first instant at which the free capacity of these classes of nodes since `release` reaches the work.
+fn by_capacity(problem: &Problem, classes: &[usize], class: u32, release: i64, work: u128) -> Option<i64> {
     let mut left = in_millionths(work);
     if left == 0 {
         return Some(release);
     }
     let mut changes: Vec<(i64, bool, u64)> = Vec::new();
-    for (node, free) in nodes {
-        for (start, end) in free.from(release) {
-            changes.push((start, true, node.speed));
-            changes.push((end, false, node.speed));
+    for &node in classes.iter().flat_map(|&class| &problem.classes[class]) {
+        let speed = problem.nodes[node].speed_of(class);
+        for window in problem.windows[node].iter().filter(|window| window.end > release) {
+            changes.push((window.start.max(release), true, speed));
+            if window.end < FOREVER {
+                changes.push((window.end, false, speed));
+            }
         }
     }
+    changes.push((FOREVER, false, 0));
     changes.sort_unstable();
     let mut rate = 0u128;
     let mut now = release;
@@ -54,8 +102,8 @@ fn by_capacity(nodes: &[(&Node, FreeTime)], release: i64, work: u128) -> Option<
         }
         left -= capacity;
         now = instant;
-        // Intervals are not empty, so what closes here opened at an earlier instant and the rate stays at
-        // zero or above.
+        // Windows are not empty, so what closes here opened at an earlier instant and the rate stays at zero or
+        // above.
         rate = if opens { rate + u128::from(speed) } else { rate - u128::from(speed) };
     }
     None

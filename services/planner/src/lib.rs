@@ -3,13 +3,6 @@
 //! Pure: no I/O, no clock, no chance. The crate's `README.md` states the properties that are wanted, the
 //! abstraction, and the method, in this order; the files follow it.
 //!
-//! * `model`: farm, jobs, plan, and the definitions that method and verifier share (bought work, duration,
-//!   cost);
-//! * `calendar`: the free time of a node;
-//! * `bound`: what no plan can beat;
-//! * `schedule`: the method, behind [`plan`];
-//! * `verify`: an independent check of any plan, behind [`verify`].
-//!
 //! ```
 //! use forelight_planner::{Confidence, Frame, Input, Interval, Job, Node, Verdict, WorkTotal, plan, verify};
 //!
@@ -18,35 +11,70 @@
 //!     name: "night-1".into(),
 //!     speed: 1_000,
 //!     price_per_hour: 2_000_000,
-//!     available_from: 0,
 //!     calendar: vec![Interval { start: 0, end: None }],
+//!     ..Node::default()
 //! };
 //! let job = Job {
 //!     id: 7,
-//!     release: 0,
 //!     deadline: Some(10_000_000),
-//!     priority: 0,
 //!     confidence: Confidence::P80,
 //!     total: WorkTotal { p50: 4_000, p80: 5_000, p95: 7_000 },
-//!     frames: vec![Frame { number: 0, work: 1_000 }, Frame { number: 1, work: 3_000 }],
-//!     budget: None,
+//!     frames: vec![
+//!         Frame { number: 0, work: 1_000, ..Frame::default() },
+//!         Frame { number: 1, work: 3_000, ..Frame::default() },
+//!     ],
+//!     ..Job::default()
 //! };
-//! let input = Input { nodes: vec![node], fixed: vec![], jobs: vec![job] };
+//! let input = Input { nodes: vec![node], jobs: vec![job], ..Input::default() };
 //! let found = plan(&input)?;
 //! assert_eq!(verify(&input, &found), Ok(()));
 //! assert_eq!(found.jobs[0].verdict, Verdict::Feasible { finish: 5_000_000, slack: 5_000_000 });
 //! # Ok::<(), forelight_planner::InputError>(())
 //! ```
 
+mod admission;
+mod answers;
 mod bound;
 mod calendar;
+mod chance;
+mod civil;
+mod description;
+mod difference;
+mod drawing;
+mod exact;
+mod explain;
+mod fairness;
+mod improve;
+mod lane;
+mod limits;
 mod model;
+mod outcome;
+mod problem;
+mod proof;
+pub mod reference;
+mod rental;
+mod replan;
 mod schedule;
+mod simplex;
+mod simulate;
+mod state;
 mod verify;
 
+pub use answers::{
+    Change, Effect, Offer, Outlook, changed, curve, earliest_for_budget, outlook, ways_out, what_if,
+};
+pub use civil::{CalendarError, Weekly, expand};
+pub use description::{Description, DescriptionError};
+pub use difference::{Difference, JobDifference, difference};
+pub use drawing::{gantt, price_curve};
+pub use explain::{Explanation, Precedence, Reason, explain};
+pub use fairness::decayed_usage;
 pub use model::{
-    Booking, Bound, Confidence, FixedBooking, Frame, Input, InputError, Interval, Job, JobPlan, Node, Plan,
+    Booking, Bound, Confidence, FixedBooking, Frame, Infeasible, Input, InputError, Interval, Job, JobPlan,
+    Limit, LimitUse, Node, Plan, PlanId, Power, Prices, Project, Proof, Rental, Reserved, Seed, Task, Usage,
     Verdict, WorkTotal,
 };
+pub use replan::{AtRisk, Event, Replanned, replan};
 pub use schedule::plan;
+pub use simulate::{JobRisk, Simulation, simulate};
 pub use verify::{Violation, verify};

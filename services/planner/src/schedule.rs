@@ -1,111 +1,426 @@
-//! The method: list scheduling in the order of deadlines. The crate's `README.md` says why.
+//! The method: who comes when, and where each frame goes. The crate's `README.md` says why.
 
 use std::cmp::Reverse;
 
-use crate::bound::{bound, placement};
-use crate::calendar::FreeTime;
-use crate::model::{Booking, Bound, Input, InputError, Job, JobPlan, Node, Plan, Verdict};
+use crate::admission::{Admission, admit};
+use crate::bound::{bound, bound_of_all};
+use crate::exact;
+use crate::fairness::Turns;
+use crate::improve::cheapen;
+use crate::lane::Prefer;
+use crate::model::{Booking, Bound, Input, InputError, Plan, Task};
+use crate::outcome;
+use crate::problem::{Problem, Work};
+use crate::state::{Placed, Search, State};
+
+/// Frames that may be placed again in search of a plan that keeps more deadlines.
+const MOST_PLACEMENTS: usize = 40_000;
+/// And how often at most.
+const MOST_ROUNDS: usize = 60;
 
 /// Makes a plan.
 ///
-/// Jobs go by deadline (those without one last), then greater priority, then lower id. Their frames go
-/// longest first (then by number), each to the node that finishes it earliest in its free time (then the
-/// cheaper one, then the lower id). The plan depends on what is in the input, not on the order in which it is
-/// given.
+/// Bookings that the input calls movable are kept where they are right and do not make their job late. The plan depends on what is in the
+/// input, not on the order in which it is given.
 ///
 /// # Errors
 /// If the input has no meaning; see [`InputError`]. What cannot be met is no error but a verdict.
 pub fn plan(input: &Input) -> Result<Plan, InputError> {
     input.check()?;
-    let mut nodes: Vec<&Node> = input.nodes.iter().collect();
-    nodes.sort_unstable_by_key(|node| node.id);
-    let mut farm: Vec<(&Node, FreeTime)> =
-        nodes.into_iter().map(|node| (node, FreeTime::new(node, &input.fixed))).collect();
-    let mut jobs: Vec<&Job> = input.jobs.iter().collect();
-    jobs.sort_unstable_by_key(|job| (job.deadline.is_none(), job.deadline, Reverse(job.priority), job.id));
-
-    // Bounds are taken before anything is booked, for they hold whatever the plan.
-    let bounds: Vec<Bound> = jobs.iter().map(|job| bound(&farm, job.release, &job.bought_work())).collect();
-    let mut plan = Plan { bound: bound_of_all(&farm, &jobs, &bounds), ..Plan::default() };
-    for (job, bound) in jobs.into_iter().zip(bounds) {
-        let (bookings, unplaced) = place(&mut farm, job);
-        let finish = bookings.iter().map(|booking| booking.end).max().unwrap_or(job.release);
-        let cost = bookings.iter().fold(0i64, |cost, booking| cost.saturating_add(price(&farm, booking)));
-        plan.jobs.push(JobPlan {
-            job: job.id,
-            verdict: verdict(job, finish, unplaced, bound),
-            cost,
-            within_budget: job.budget.map(|budget| cost <= budget),
-            bound,
-        });
-        plan.bookings.extend(bookings);
-        plan.cost = plan.cost.saturating_add(cost);
-    }
-    plan.bookings.sort_unstable();
-    plan.jobs.sort_unstable_by_key(|job| job.job);
-    Ok(plan)
+    let problem = Problem::new(input);
+    let admission = admit(&problem);
+    let bounds: Vec<Bound> = problem.jobs.iter().map(|work| bound(&problem, work)).collect();
+    let state = schedule(&problem, &admission, &input.movable);
+    Ok(outcome::plan(&state, &admission, bounds.clone(), bound_of_all(&problem, &bounds), None))
 }
 
-/// The bound of all jobs together. All work counts from the first release; but the longest frames count from
-/// their own, by way of their job's bound.
-fn bound_of_all(farm: &[(&Node, FreeTime)], jobs: &[&Job], bounds: &[Bound]) -> Bound {
-    let Some(release) = jobs.iter().map(|job| job.release).min() else { return Bound::default() };
-    let works: Vec<u64> = jobs.iter().flat_map(|job| job.bought_work()).collect();
-    let ends: Option<Vec<i64>> = bounds.iter().map(|bound| bound.by_longest_frame).collect();
-    Bound {
-        by_capacity: bound(farm, release, &works).by_capacity,
-        by_longest_frame: ends.and_then(|ends| ends.into_iter().max()),
+/// The best of what list scheduling finds: earliest deadline first, then again with those first that came late.
+pub(crate) fn schedule<'p, 'a>(
+    problem: &'p Problem<'a>,
+    admission: &'p Admission,
+    movable: &[Booking],
+) -> State<'p, 'a> {
+    let mut start = State::new(problem, admission);
+    start.keep(movable);
+    let count = problem.jobs.iter().map(|work| work.frames.len() + 1).sum::<usize>().max(1);
+    let mut ahead: Vec<u32> = vec![0; problem.jobs.len()];
+    let mut best: Option<(Score, State)> = None;
+    for round in 0..=MOST_ROUNDS.min(MOST_PLACEMENTS / count) {
+        let mut state = if round == 0 || start.kept.iter().all(|&kept| kept == 0) {
+            start.clone()
+        } else {
+            // What stood before may be what is in the way.
+            State::new(problem, admission)
+        };
+        // In small problems there is time to also try without a look at the price.
+        run(&mut state, admission, &ahead, round > 2 && round % 2 == 1);
+        let score = Score::of(&state);
+        let broken: Vec<usize> = (0..problem.jobs.len())
+            .filter(|&job| problem.jobs[job].job.deadline.is_some() && admission.admitted[job])
+            .filter(|&job| !state.is_kept(job))
+            .collect();
+        if best.as_ref().is_none_or(|(least, _)| score < *least) {
+            best = Some((score, state));
+        }
+        if broken.is_empty() {
+            break;
+        }
+        // Those that were pushed aside go first the next time (squeaky wheel optimisation, Joslin and Clements 1999).
+        broken.into_iter().for_each(|job| ahead[job] += 1);
     }
+    let mut state = best.map_or_else(|| start.clone(), |(_, state)| state);
+    cheapen(&mut state);
+    if let Some(found) = exact::search(problem, &start)
+        && Score::of(&found) < Score::of(&state)
+    {
+        state = found;
+    }
+    state
 }
 
-/// Books a job's frames and returns the bookings with the numbers of the frames that fit nowhere.
-fn place(farm: &mut [(&Node, FreeTime)], job: &Job) -> (Vec<Booking>, Vec<i64>) {
-    let works = job.bought_work();
-    let mut frames: Vec<(u64, i64)> =
-        job.frames.iter().zip(works).map(|(frame, work)| (work, frame.number)).collect();
-    frames.sort_unstable_by_key(|&(work, number)| (Reverse(work), number));
-    let mut bookings = Vec::with_capacity(frames.len());
-    let mut unplaced = Vec::new();
-    for (work, number) in frames {
-        let best = farm
-            .iter()
-            .enumerate()
-            .filter_map(|(index, (node, free))| {
-                let (start, end) = placement(node, free, job.release, work)?;
-                Some((end, node.price(end - start), node.id, start, index))
-            })
-            .min();
-        match best {
-            Some((end, _, node, start, index)) => {
-                farm[index].1.take(start, end);
-                bookings.push(Booking { start, node, job: job.id, frame: number, end });
+/// What makes one plan better than another: less is better, part by part.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Score {
+    /// Weights of the jobs that miss their deadline, by priority, greatest first.
+    broken: Vec<u64>,
+    unplaced: usize,
+    lateness: i128,
+    cost: i64,
+}
+
+impl Score {
+    fn of(state: &State) -> Self {
+        let problem = state.problem;
+        let mut priorities: Vec<i32> = problem.jobs.iter().map(|work| work.job.priority).collect();
+        priorities.sort_unstable_by_key(|&priority| Reverse(priority));
+        priorities.dedup();
+        let mut score = Score { broken: vec![0; priorities.len()], unplaced: 0, lateness: 0, cost: 0 };
+        for (job, work) in problem.jobs.iter().enumerate() {
+            let missing = state.missing(job).len() + usize::from(state.misses_seed(job));
+            score.unplaced += missing;
+            let Some(deadline) = work.job.deadline else { continue };
+            let late = (i128::from(state.finish(job)) - i128::from(deadline)).max(0);
+            score.lateness += late;
+            if late > 0 || missing > 0 {
+                let rank = priorities.partition_point(|&other| other > work.job.priority);
+                score.broken[rank] += u64::from(work.job.worth());
             }
-            None => unplaced.push(number),
         }
+        score.cost = state.lanes.iter().zip(&problem.nodes).fold(0i64, |sum, (lane, node)| {
+            lane.rentals(node).iter().fold(sum, |sum, rental| sum.saturating_add(rental.cost))
+        });
+        score
     }
-    unplaced.sort_unstable();
-    (bookings, unplaced)
 }
 
-fn price(farm: &[(&Node, FreeTime)], booking: &Booking) -> i64 {
-    // The farm is in the order of ids, and bookings are made on its nodes only.
-    let node = farm.binary_search_by_key(&booking.node, |(node, _)| node.id);
-    node.map_or(0, |index| farm[index].0.price(booking.end - booking.start))
+/// Places everything that has no place yet. `early`: do not look at the price in the first place.
+fn run(state: &mut State, admission: &Admission, ahead: &[u32], early: bool) {
+    let problem = state.problem;
+    let mut promised: Vec<usize> = Vec::new();
+    let mut others: Vec<usize> = Vec::new();
+    for (job, work) in problem.jobs.iter().enumerate() {
+        let is_promised = work.job.deadline.is_some() && admission.admitted[job];
+        if is_promised { promised.push(job) } else { others.push(job) }
+    }
+    promised.sort_unstable_by_key(|&job| {
+        let work = &problem.jobs[job];
+        (Reverse(ahead[job]), work.job.deadline, Reverse(work.job.priority), work.job.id)
+    });
+    for job in promised {
+        let mut allotment = admission.allotments[job].clone();
+        by_deadline(state, job, &mut allotment, early);
+    }
+    // The rest in groups of equal priority: first those that will be late, then those without a deadline, in
+    // turns.
+    others.sort_unstable_by_key(|&job| {
+        let job = problem.jobs[job].job;
+        (Reverse(job.priority), job.deadline.is_none(), job.deadline, job.id)
+    });
+    for group in others.chunk_by(|&a, &b| problem.jobs[a].job.priority == problem.jobs[b].job.priority) {
+        let (late, free): (Vec<usize>, Vec<usize>) =
+            group.iter().partition(|&&job| problem.jobs[job].job.deadline.is_some());
+        for job in late {
+            as_early_as_possible(state, job);
+        }
+        in_turns(state, &free);
+    }
 }
 
-fn verdict(job: &Job, finish: i64, unplaced: Vec<i64>, bound: Bound) -> Verdict {
-    if !unplaced.is_empty() {
-        return Verdict::Unplaced { frames: unplaced };
-    }
-    match job.deadline {
-        None => Verdict::NoDeadline { finish },
-        Some(deadline) if finish <= deadline => {
-            Verdict::Feasible { finish, slack: deadline.saturating_sub(finish) }
+/// Places a job by its deadline: as cheaply as its allotment allows; else as cheaply as possible; else as early as
+/// possible. If all fail, what ends first stays.
+fn by_deadline(state: &mut State, job: usize, allotment: &mut Vec<(usize, i64)>, early: bool) {
+    let before = state.placed[job].len();
+    let attempts: &[(Prefer, bool)] = if early {
+        &[(Prefer::Early, false)]
+    } else {
+        &[(Prefer::Cheap, true), (Prefer::Cheap, false), (Prefer::Early, false)]
+    };
+    for &(prefer, allotted) in attempts {
+        if place_all(state, job, prefer, if allotted { Some(&mut *allotment) } else { None }) {
+            return;
         }
-        Some(deadline) => Verdict::Late {
-            finish,
-            by: finish.saturating_sub(deadline),
-            unavoidable: bound.earliest_finish().is_none_or(|earliest| earliest > deadline),
-        },
+        state.unbook_after(job, before);
     }
+    as_early_as_possible(state, job);
+}
+
+/// Places all tasks of the job by its deadline, or says that it cannot.
+pub(crate) fn place_all(
+    state: &mut State,
+    job: usize,
+    prefer: Prefer,
+    mut allotment: Option<&mut Vec<(usize, i64)>>,
+) -> bool {
+    let problem = state.problem;
+    let work = &problem.jobs[job];
+    let latest_end = work.job.deadline.unwrap_or(i64::MAX);
+    if !place_seed(state, job, latest_end) {
+        return false;
+    }
+    let missing = state.missing(job);
+    for frame in work.frames.iter().filter(|frame| missing.binary_search(&frame.number).is_ok()) {
+        let Some(release) = state.earliest(job, Task::Frame(frame.number)) else { return false };
+        let search = Search {
+            class_of_work: work.job.class,
+            work: frame.work,
+            release,
+            latest_end,
+            classes: &work.classes,
+            prefer,
+            except: None,
+        };
+        let mut found = None;
+        if let Some(allotment) = &mut allotment {
+            let within: Vec<usize> =
+                allotment.iter().filter(|(_, left)| *left > 0).map(|&(class, _)| class).collect();
+            found = state.find(work, &Search { classes: &within, ..search });
+            if let Some((node, fit)) = found
+                && let Some((_, left)) =
+                    allotment.iter_mut().find(|(class, _)| *class == problem.class_of[node])
+            {
+                *left = left.saturating_sub(fit.end - fit.start);
+            }
+        }
+        let found = found.or_else(|| state.find(work, &search));
+        match found {
+            Some((node, fit)) => {
+                let (start, end) = (fit.start, fit.end);
+                state.book(job, Placed { node, start, end, task: Task::Frame(frame.number) });
+            }
+            None if place_tiles(state, job, frame.number, frame.work, latest_end) => {}
+            None => return false,
+        }
+    }
+    true
+}
+
+/// Places the seed, if there is one to place: all frames wait for it, so it is only cheap within twice the shortest wait.
+fn place_seed(state: &mut State, job: usize, latest_end: i64) -> bool {
+    let work = &state.problem.jobs[job];
+    let Some((seed, amount)) = work.job.seed.zip(work.seed).filter(|_| state.misses_seed(job)) else {
+        return true;
+    };
+    let release = work.release(state.problem.input.now);
+    let search = |latest_end, prefer| Search {
+        class_of_work: seed.class,
+        work: amount,
+        release,
+        latest_end,
+        classes: &work.seed_classes,
+        prefer,
+        except: None,
+    };
+    let Some((node, first)) = state.find(work, &search(latest_end, Prefer::Early)) else { return false };
+    let patience = first.end.saturating_add(first.end.saturating_sub(release)).min(latest_end);
+    let (node, fit) = state.find(work, &search(patience, Prefer::Cheap)).unwrap_or((node, first));
+    state.book(job, Placed { node, start: fit.start, end: fit.end, task: Task::Seed });
+    true
+}
+
+/// Splits a frame into as few tiles as let it end in time.
+fn place_tiles(state: &mut State, job: usize, number: i64, frame_work: u64, latest_end: i64) -> bool {
+    let work = &state.problem.jobs[job];
+    let Some(release) = state.earliest(job, Task::Frame(number)) else { return false };
+    let before = state.placed[job].len();
+    for parts in 2..=work.job.tiles {
+        let all = (0..parts).all(|part| {
+            let search = Search {
+                class_of_work: work.job.class,
+                work: work.job.tile_work(frame_work, parts),
+                release,
+                latest_end,
+                classes: &work.classes,
+                prefer: Prefer::Early,
+                except: None,
+            };
+            let Some((node, fit)) = state.find(work, &search) else { return false };
+            let task = Task::Tile { frame: number, part, parts };
+            state.book(job, Placed { node, start: fit.start, end: fit.end, task });
+            true
+        });
+        if all {
+            return true;
+        }
+        state.unbook_after(job, before);
+    }
+    false
+}
+
+/// Places what is missing of a job wherever it ends first, and splits the frames that end last as long as that helps.
+pub(crate) fn as_early_as_possible(state: &mut State, job: usize) {
+    let work = &state.problem.jobs[job];
+    if !place_seed(state, job, i64::MAX) {
+        return;
+    }
+    let missing = state.missing(job);
+    for frame in work.frames.iter().filter(|frame| missing.binary_search(&frame.number).is_ok()) {
+        place_early(state, job, frame.number, frame.work);
+    }
+    split_the_last(state, job);
+}
+
+fn place_early(state: &mut State, job: usize, number: i64, frame_work: u64) -> Option<i64> {
+    let work = &state.problem.jobs[job];
+    if work.is_hopeless {
+        return None;
+    }
+    let release = state.earliest(job, Task::Frame(number))?;
+    let search = Search {
+        class_of_work: work.job.class,
+        work: frame_work,
+        release,
+        latest_end: i64::MAX,
+        classes: &work.classes,
+        prefer: Prefer::Early,
+        except: None,
+    };
+    let (node, fit) = state.find(work, &search)?;
+    state.book(job, Placed { node, start: fit.start, end: fit.end, task: Task::Frame(number) });
+    Some(fit.end - fit.start)
+}
+
+/// Splits whole frames at the end of a job into tiles, one after the other, as long as the job ends earlier for it.
+fn split_the_last(state: &mut State, job: usize) {
+    let work: &Work = &state.problem.jobs[job];
+    if work.job.tiles < 2 {
+        return;
+    }
+    for _ in 0..work.frames.len() {
+        let kept = state.kept[job];
+        let last =
+            state.placed[job].iter().skip(kept).max_by_key(|placed| (placed.end, placed.task)).copied();
+        let Some(last) = last.filter(|last| last.end == state.finish(job)) else { return };
+        let Task::Frame(number) = last.task else { return };
+        let Some(frame) = work.frames.iter().find(|frame| frame.number == number) else { return };
+        state.unbook(job, last);
+        if !place_tiles(state, job, number, frame.work, last.end - 1) {
+            state.book(job, last);
+            return;
+        }
+    }
+}
+
+/// Places jobs without a deadline frame by frame, each time one of the job whose turn it is.
+fn in_turns(state: &mut State, jobs: &[usize]) {
+    let problem = state.problem;
+    let mut turns = Turns::new(problem);
+    let mut waiting: Vec<(usize, Option<u64>)> = Vec::new();
+    let mut frames: Vec<std::vec::IntoIter<(i64, u64)>> = vec![Vec::new().into_iter(); problem.jobs.len()];
+    for &job in jobs {
+        let work = &problem.jobs[job];
+        if !place_seed(state, job, i64::MAX) {
+            continue;
+        }
+        let missing = state.missing(job);
+        let left = work.frames.iter().filter(|frame| missing.binary_search(&frame.number).is_ok());
+        frames[job] = left.map(|frame| (frame.number, frame.work)).collect::<Vec<_>>().into_iter();
+        waiting.push((job, work.job.project));
+    }
+    while let Some(job) = turns.next(&waiting) {
+        let project = problem.jobs[job].job.project;
+        match frames[job].next() {
+            Some((number, work)) => {
+                let time = place_early(state, job, number, work).unwrap_or(0);
+                turns.had(job, project, time);
+            }
+            None => waiting.retain(|&(other, _)| other != job),
+        }
+    }
+    for &job in jobs {
+        within_budget(state, job);
+        split_the_last(state, job);
+    }
+}
+
+/// Lets a job without a deadline take longer if it would otherwise cost more than its budget: the earliest end that the budget pays for.
+fn within_budget(state: &mut State, job: usize) {
+    let work = &state.problem.jobs[job];
+    let (Some(budget), None) = (work.job.budget, work.job.deadline) else { return };
+    let kept = state.kept[job];
+    let spent = |state: &State| {
+        state.placed[job].iter().fold(0i64, |sum, placed| {
+            let node = state.problem.nodes[placed.node];
+            sum.saturating_add(
+                state.lanes[placed.node]
+                    .saved_without(node, placed.start, placed.end)
+                    .max(node.price(placed.end - placed.start, false)),
+            )
+        })
+    };
+    if spent(state) <= budget || !state.missing(job).is_empty() {
+        return;
+    }
+    let release = work.release(state.problem.input.now);
+    let soonest = state.finish(job);
+    let mut best: Option<State> = None;
+    let (mut tight, mut loose) = (soonest, None::<i64>);
+    let mut length = soonest.saturating_sub(release).max(1);
+    for _ in 0..24 {
+        let by = match loose {
+            None => {
+                length = length.saturating_mul(2);
+                release.saturating_add(length)
+            }
+            Some(loose) => tight + (loose - tight) / 2,
+        };
+        let mut trial = state.clone();
+        trial.unbook_after(job, kept);
+        let placed = place_cheaply_by(&mut trial, job, by);
+        if placed && spent(&trial) <= budget {
+            loose = Some(by);
+            best = Some(trial);
+        } else {
+            tight = by;
+        }
+        if by == i64::MAX || loose.is_some_and(|loose| loose - tight <= 1_000_000) {
+            break;
+        }
+    }
+    if let Some(best) = best {
+        *state = best;
+    }
+}
+
+/// Places all missing frames of a job at the least price that ends by this instant.
+fn place_cheaply_by(state: &mut State, job: usize, by: i64) -> bool {
+    let work = &state.problem.jobs[job];
+    if !place_seed(state, job, by) {
+        return false;
+    }
+    let missing = state.missing(job);
+    work.frames.iter().filter(|frame| missing.binary_search(&frame.number).is_ok()).all(|frame| {
+        let Some(release) = state.earliest(job, Task::Frame(frame.number)) else { return false };
+        let search = Search {
+            class_of_work: work.job.class,
+            work: frame.work,
+            release,
+            latest_end: by,
+            classes: &work.classes,
+            prefer: Prefer::Cheap,
+            except: None,
+        };
+        let Some((node, fit)) = state.find(work, &search) else { return false };
+        state.book(job, Placed { node, start: fit.start, end: fit.end, task: Task::Frame(frame.number) });
+        true
+    })
 }

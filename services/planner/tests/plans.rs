@@ -14,8 +14,8 @@ fn node(id: u64, speed: u64) -> Node {
         name: format!("node-{id}"),
         speed,
         price_per_hour: 3_600_000,
-        available_from: 0,
         calendar: vec![Interval { start: 0, end: None }],
+        ..Node::default()
     }
 }
 
@@ -23,18 +23,16 @@ fn job(id: u64, deadline: Option<i64>, works: &[u64]) -> Job {
     let total: u64 = works.iter().fold(0, |sum, &work| sum.saturating_add(work));
     Job {
         id,
-        release: 0,
         deadline,
-        priority: 0,
         confidence: Confidence::P50,
         total: WorkTotal { p50: total, p80: total, p95: total },
-        frames: (0..).zip(works).map(|(number, &work)| Frame { number, work }).collect(),
-        budget: None,
+        frames: (0..).zip(works).map(|(number, &work)| Frame { number, work, work_p80: 0 }).collect(),
+        ..Job::default()
     }
 }
 
 fn input(nodes: Vec<Node>, jobs: Vec<Job>) -> Input {
-    Input { nodes, fixed: vec![], jobs }
+    Input { nodes, jobs, ..Input::default() }
 }
 
 fn sound(input: &Input) -> Plan {
@@ -47,7 +45,7 @@ fn sound(input: &Input) -> Plan {
 fn the_longest_frame_goes_first_to_the_fastest_node() {
     let found = sound(&input(vec![node(1, 10), node(2, 20)], vec![job(1, None, &[10, 40, 20])]));
     let booked: Vec<(i64, u64, i64, i64)> =
-        found.bookings.iter().map(|b| (b.frame, b.node, b.start, b.end)).collect();
+        found.bookings.iter().map(|b| (b.task.frame().expect("a frame"), b.node, b.start, b.end)).collect();
     assert_eq!(booked, [(2, 1, 0, 2 * SECOND), (1, 2, 0, 2 * SECOND), (0, 2, 2 * SECOND, 2_500_000)]);
     assert_eq!(found.jobs[0].verdict, Verdict::NoDeadline { finish: 2_500_000 });
     assert_eq!(
@@ -99,13 +97,13 @@ fn frames_without_a_forecast_share_the_total_evenly() {
 }
 
 #[test]
-fn every_booking_rounds_its_time_and_price_up() {
+fn every_booking_rounds_its_time_up_and_every_rental_its_price() {
     let found = sound(&input(
         vec![Node { price_per_hour: 1, ..node(1, 3) }],
-        vec![Job { budget: Some(1), ..job(1, None, &[1, 1]) }],
+        vec![Job { budget: Some(0), ..job(1, None, &[1, 1]) }],
     ));
     assert_eq!(found.bookings[0].end, 333_334);
-    assert_eq!((found.jobs[0].cost, found.cost), (2, 2));
+    assert_eq!((found.jobs[0].cost, found.cost, found.rentals.len()), (1, 1, 1));
     assert_eq!(found.jobs[0].within_budget, Some(false));
 }
 
@@ -120,10 +118,14 @@ fn fixed_bookings_calendars_and_releases_are_respected_to_the_microsecond() {
     one.available_from = SECOND;
     let mut work =
         input(vec![one], vec![Job { release: 2 * SECOND, ..job(1, Some(40 * SECOND), &[5, 6, 15]) }]);
-    work.fixed = vec![FixedBooking { node: 1, start: 7 * SECOND, end: 8 * SECOND }];
+    work.fixed =
+        vec![FixedBooking { node: 1, start: 7 * SECOND, end: 8 * SECOND, ..FixedBooking::default() }];
     let found = sound(&work);
-    let booked: Vec<(i64, i64, i64)> =
-        found.bookings.iter().map(|b| (b.frame, b.start / SECOND, b.end / SECOND)).collect();
+    let booked: Vec<(i64, i64, i64)> = found
+        .bookings
+        .iter()
+        .map(|b| (b.task.frame().expect("a frame"), b.start / SECOND, b.end / SECOND))
+        .collect();
     assert_eq!(booked, [(0, 2, 7), (2, 20, 35), (1, 35, 41)]);
     let Verdict::Late { finish, by, unavoidable } = found.jobs[0].verdict else { panic!("late") };
     assert_eq!((finish, by, unavoidable), (41 * SECOND, SECOND, false));
@@ -140,7 +142,7 @@ fn a_deadline_in_the_past_is_late_and_cannot_be_helped() {
 #[test]
 fn an_empty_farm_places_nothing_and_says_so() {
     let found = sound(&input(vec![], vec![job(1, Some(HOUR), &[10, 20])]));
-    assert_eq!(found.jobs[0].verdict, Verdict::Unplaced { frames: vec![0, 1] });
+    assert_eq!(found.jobs[0].verdict, Verdict::Unplaced { frames: vec![0, 1], seed: false });
     assert_eq!(found.jobs[0].bound.earliest_finish(), None);
     assert!(found.bookings.is_empty());
 }
@@ -150,7 +152,7 @@ fn a_frame_that_fits_no_gap_is_unplaced_and_the_others_are_not() {
     let mut one = node(1, 1);
     one.calendar = vec![Interval { start: 0, end: Some(10 * SECOND) }];
     let found = sound(&input(vec![one], vec![job(1, None, &[11, 10])]));
-    assert_eq!(found.jobs[0].verdict, Verdict::Unplaced { frames: vec![0] });
+    assert_eq!(found.jobs[0].verdict, Verdict::Unplaced { frames: vec![0], seed: false });
     assert_eq!(found.bookings.len(), 1);
 }
 
@@ -176,7 +178,7 @@ fn absurd_numbers_give_a_verdict() {
     let found =
         sound(&input(vec![dear, endless], vec![vast, Job { release: i64::MAX, ..job(2, None, &[1]) }]));
     assert!(matches!(found.jobs[0].verdict, Verdict::Late { unavoidable: true, .. }));
-    assert_eq!(found.jobs[1].verdict, Verdict::Unplaced { frames: vec![0] });
+    assert_eq!(found.jobs[1].verdict, Verdict::Unplaced { frames: vec![0], seed: false });
     assert_eq!(found.jobs[0].within_budget, Some(false));
 }
 
@@ -185,12 +187,12 @@ fn input_without_a_meaning_is_named() {
     let one = || node(1, 10);
     let two = || job(2, None, &[1]);
     let reversed = Node { calendar: vec![Interval { start: 3, end: Some(2) }], ..one() };
-    let twice = Job { frames: vec![Frame { number: 4, work: 1 }; 2], ..two() };
+    let twice = Job { frames: vec![Frame { number: 4, work: 1, work_p80: 0 }; 2], ..two() };
     let falling = Job { total: WorkTotal { p50: 3, p80: 2, p95: 4 }, ..two() };
     let fixed = |node, start, end| Input {
         nodes: vec![one()],
-        fixed: vec![FixedBooking { node, start, end }],
-        jobs: vec![],
+        fixed: vec![FixedBooking { node, start, end, ..FixedBooking::default() }],
+        ..Input::default()
     };
     for (bad, expected) in [
         (input(vec![one(), one()], vec![]), InputError::DuplicateNode { node: 1 }),

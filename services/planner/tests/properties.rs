@@ -1,7 +1,9 @@
 //! The wanted properties of the README, on random instances.
 
+use forelight_planner::reference::{Size, cheapest_by_trying_everything, studio, tiny};
 use forelight_planner::{
-    Confidence, FixedBooking, Frame, Input, Interval, Job, Node, Verdict, WorkTotal, plan, verify,
+    Confidence, Event, FixedBooking, Frame, Input, Interval, Job, Node, Verdict, WorkTotal, curve, explain,
+    plan, replan, simulate, verify,
 };
 use proptest::prelude::*;
 
@@ -17,7 +19,7 @@ prop_compose! {
         available_from in -10i64..100,
         calendar in prop::collection::vec(interval(), 0..4),
     ) -> Node {
-        Node { id: 0, name: String::new(), speed, price_per_hour, available_from, calendar }
+        Node { speed, price_per_hour, available_from, calendar, ..Node::default() }
     }
 }
 
@@ -34,8 +36,8 @@ prop_compose! {
         let p50 = works.iter().fold(0u64, |sum, &work| sum.saturating_add(work));
         let p80 = p50.saturating_add(margin.0);
         let total = WorkTotal { p50, p80, p95: p80.saturating_add(margin.1) };
-        let frames = works.iter().zip(0..).map(|(&work, number)| Frame { number: 3 * number - 5, work }).collect();
-        Job { id: 0, release, deadline, priority, confidence, total, frames, budget }
+        let frames = works.iter().zip(0..).map(|(&work, number)| Frame { number: 3 * number - 5, work, work_p80: 0 }).collect();
+        Job { release, deadline, priority, confidence, total, frames, budget, ..Job::default() }
     }
 }
 
@@ -48,8 +50,8 @@ prop_compose! {
         nodes.iter_mut().zip(10..).for_each(|(node, id)| node.id = id);
         jobs.iter_mut().zip(20..).for_each(|(job, id)| job.id = id);
         let fixed = fixed.into_iter().filter(|(node, ..)| *node < nodes.len() as u64);
-        let fixed = fixed.map(|(node, start, length)| FixedBooking { node: node + 10, start, end: start + length });
-        Input { fixed: fixed.collect(), nodes, jobs }
+        let fixed = fixed.map(|(node, start, length)| FixedBooking { node: node + 10, start, end: start + length, ..FixedBooking::default() });
+        Input { now: -100, fixed: fixed.collect(), nodes, jobs, ..Input::default() }
     }
 }
 
@@ -60,24 +62,23 @@ fn identical(nodes: u64, works: &[u64], deadline: Option<i64>) -> Input {
         nodes: (0..nodes)
             .map(|id| Node {
                 id,
-                name: String::new(),
                 speed: 1_000_000,
-                price_per_hour: 0,
-                available_from: 0,
                 calendar: vec![Interval { start: 0, end: None }],
+                ..Node::default()
             })
             .collect(),
-        fixed: vec![],
         jobs: vec![Job {
-            id: 0,
-            release: 0,
             deadline,
-            priority: 0,
             confidence: Confidence::P50,
             total: WorkTotal { p50: total, p80: total, p95: total },
-            frames: works.iter().zip(0..).map(|(&work, number)| Frame { number, work }).collect(),
-            budget: None,
+            frames: works
+                .iter()
+                .zip(0..)
+                .map(|(&work, number)| Frame { number, work, work_p80: 0 })
+                .collect(),
+            ..Job::default()
         }],
+        ..Input::default()
     }
 }
 
@@ -207,5 +208,130 @@ proptest! {
             prop_assert!(bought >= u128::from(total));
             prop_assert!(bought < u128::from(total) + job.frames.len() as u128);
         }
+    }
+}
+
+/// All deadlines far enough away, everything else random: the plans of these farms are rich in calendars, seeds, limits, tiles,
+/// set-ups and steps.
+fn studio_input() -> impl Strategy<Value = Input> {
+    (1u64..12, 1u64..60, 1u64..20, 1u64..8, any::<u64>(), 0usize..4).prop_map(
+        |(jobs, frames, nodes, classes, seed, without)| {
+            let mut input = studio(Size { jobs, frames: frames.max(jobs), nodes, classes, days: 3 }, seed);
+            // Some jobs without a deadline, so that turns are taken.
+            input.jobs.iter_mut().take(without).for_each(|job| job.deadline = None);
+            input
+        },
+    )
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(128))]
+
+    #[test]
+    fn plans_of_studios_pass_the_verifier_and_never_cost_less_than_their_bound(input in studio_input()) {
+        let found = plan(&input).expect("a plan");
+        prop_assert_eq!(verify(&input, &found), Ok(()));
+        prop_assert!(found.cost_bound <= found.cost);
+        let simulated = simulate(&input, &found, 3, 1).expect("a simulation");
+        prop_assert_eq!(simulate(&input, &found, 3, 1), Ok(simulated));
+        prop_assert!(explain(&input, &found).is_ok());
+    }
+
+    #[test]
+    fn the_order_of_a_studio_does_not_matter(input in studio_input()) {
+        let mut turned = input.clone();
+        turned.nodes.reverse();
+        turned.jobs.reverse();
+        turned.jobs.iter_mut().for_each(|job| job.frames.reverse());
+        prop_assert_eq!(plan(&turned), plan(&input));
+    }
+
+    #[test]
+    fn an_event_leaves_a_right_plan_and_breaks_no_promise_in_silence(input in studio_input(), pick in any::<prop::sample::Index>(), kind in 0usize..4) {
+        let old = plan(&input).expect("a plan");
+        prop_assume!(!old.bookings.is_empty());
+        let booking = old.bookings[pick.index(old.bookings.len())];
+        let event = match kind {
+            0 => Event::NodeDown { node: booking.node, from: booking.start, until: None },
+            1 => Event::Takes { job: booking.job, task: booking.task, until: booking.end + (booking.end - booking.start) / 2 },
+            2 => Event::JobRemoved { job: booking.job },
+            _ => Event::DeadlineMoved { job: booking.job, deadline: Some(booking.end) },
+        };
+        let new = replan(&input, &old, &event).expect("a plan");
+        prop_assert_eq!(verify(&new.input, &new.plan), Ok(()));
+        prop_assert_eq!(new.plan.parent, Some(old.id()));
+        for entry in &new.plan.jobs {
+            let kept = old.job(entry.job).is_some_and(|before| before.verdict.is_kept());
+            let told = new.at_risk.iter().any(|risk| risk.job == entry.job);
+            prop_assert!(!kept || entry.verdict.is_kept() || told, "job {} is broken in silence", entry.job);
+        }
+        if kind == 2 {
+            prop_assert!(new.difference.moved.is_empty(), "what is right stays");
+        }
+    }
+
+    #[test]
+    fn bookings_that_are_movable_and_right_stay(input in studio_input()) {
+        let first = plan(&input).expect("a plan");
+        prop_assume!(first.jobs.iter().all(|entry| entry.verdict.is_kept()));
+        let again = plan(&Input { movable: first.bookings.clone(), ..input.clone() }).expect("a plan");
+        prop_assert_eq!(again.bookings, first.bookings);
+    }
+
+    #[test]
+    fn the_bound_never_rises_with_a_later_deadline_or_a_cheaper_node(seed in any::<u64>(), later in 1i64..20) {
+        // On small farms that are billed as used the plan is the optimum, so that its cost may not rise either.
+        let input = tiny(seed, false);
+        let before = plan(&input).expect("a plan");
+        prop_assume!(before.jobs.iter().all(|entry| entry.verdict.is_kept()));
+        let mut relaxed = input.clone();
+        relaxed.jobs[0].deadline = relaxed.jobs[0].deadline.map(|deadline| deadline + later * 900_000_000);
+        let mut cheaper = input.clone();
+        cheaper.nodes[0].price_per_hour /= 2;
+        for input in [relaxed, cheaper] {
+            let after = plan(&input).expect("a plan");
+            prop_assert_eq!(verify(&input, &after), Ok(()));
+            prop_assert!(after.jobs.iter().all(|entry| entry.verdict.is_kept()));
+            prop_assert!(after.cost <= before.cost, "{} after {}", after.cost, before.cost);
+        }
+    }
+
+    #[test]
+    fn a_price_curve_never_rises(seed in any::<u64>()) {
+        let input = tiny(seed, true);
+        let offers = curve(&input, 0, 5).expect("a curve");
+        prop_assert!(offers.is_sorted_by(|a, b| a.cost >= b.cost && a.deadline <= b.deadline));
+        for offer in &offers {
+            prop_assert!(offer.finish <= offer.deadline && offer.cost_bound <= offer.cost);
+        }
+    }
+}
+
+#[test]
+fn small_farms_are_planned_whenever_there_is_a_plan_and_at_hardly_more_than_the_least_cost() {
+    for in_steps in [false, true] {
+        let (mut with_a_plan, mut above) = (0u32, 0.0);
+        for seed in 0..300 {
+            let input = tiny(seed, in_steps);
+            let found = plan(&input).expect("a plan");
+            assert_eq!(verify(&input, &found), Ok(()), "seed {seed}");
+            let kept = found.jobs.iter().all(|entry| entry.verdict.is_kept());
+            let Some(least) = cheapest_by_trying_everything(&input) else {
+                assert!(!kept, "seed {seed}: trying everything finds no plan");
+                continue;
+            };
+            assert!(kept, "seed {seed}: there is a plan");
+            assert!(
+                found.cost_bound <= least && found.cost >= least,
+                "seed {seed}: {} and {least}",
+                found.cost
+            );
+            assert!(found.infeasible.is_none(), "seed {seed}");
+            with_a_plan += 1;
+            above += found.cost as f64 / least.max(1) as f64 - 1.0;
+        }
+        let mean = above / f64::from(with_a_plan);
+        assert!(with_a_plan > 60, "{with_a_plan} farms have a plan");
+        assert!(if in_steps { mean < 0.02 } else { mean == 0.0 }, "{mean} above the optimum");
     }
 }

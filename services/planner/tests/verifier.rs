@@ -1,8 +1,8 @@
 //! The verifier must find every fault that is put into a good plan.
 
 use forelight_planner::{
-    Bound, Confidence, FixedBooking, Frame, Input, Interval, Job, Node, Plan, Verdict, Violation, WorkTotal,
-    plan, verify,
+    Bound, Confidence, FixedBooking, Frame, Input, Interval, Job, Node, Plan, Task, Verdict, Violation,
+    WorkTotal, plan, verify,
 };
 
 fn input() -> Input {
@@ -13,21 +13,23 @@ fn input() -> Input {
         price_per_hour: 3_600_000_000,
         available_from: 10,
         calendar: vec![Interval { start: 0, end: Some(60) }, Interval { start: 60, end: Some(500) }],
+        ..Node::default()
     };
     let job = |id, release, deadline, works: &[u64]| Job {
         id,
         release,
         deadline,
-        priority: 0,
         confidence: Confidence::P80,
         total: WorkTotal { p50: 0, p80: works.iter().sum(), p95: u64::MAX },
-        frames: (0..).zip(works).map(|(number, &work)| Frame { number, work }).collect(),
+        frames: (0..).zip(works).map(|(number, &work)| Frame { number, work, work_p80: 0 }).collect(),
         budget: Some(1000),
+        ..Job::default()
     };
     Input {
         nodes: vec![node(1), node(2)],
-        fixed: vec![FixedBooking { node: 1, start: 200, end: 210 }],
+        fixed: vec![FixedBooking { node: 1, start: 200, end: 210, ..FixedBooking::default() }],
         jobs: vec![job(1, 0, Some(300), &[40, 30, 20]), job(2, 50, None, &[25, 600])],
+        ..Input::default()
     }
 }
 
@@ -95,7 +97,7 @@ fn missing_double_and_unknown_frames_are_found() {
     });
     assert!(twice.iter().any(|v| matches!(v, Violation::Twice { .. })));
     for unknown in [
-        faults(|p| p.bookings[0].frame = 77),
+        faults(|p| p.bookings[0].task = Task::Frame(77)),
         faults(|p| p.bookings[0].job = 77),
         faults(|p| p.bookings[0].node = 77),
     ] {
@@ -126,10 +128,10 @@ fn wrong_words_about_a_job_are_found() {
 
 #[test]
 fn frames_wrongly_called_unplaced_are_found() {
-    let booked = faults(|p| p.jobs[1].verdict = Verdict::Unplaced { frames: vec![0, 1] });
-    assert!(booked.iter().any(|v| matches!(v, Violation::Twice { job: 2, frame: 0 })));
-    let unknown = faults(|p| p.jobs[1].verdict = Verdict::Unplaced { frames: vec![1, 5] });
-    assert!(unknown.iter().any(|v| matches!(v, Violation::UnknownUnplaced { job: 2, frame: 5 })));
+    let booked = faults(|p| p.jobs[1].verdict = Verdict::Unplaced { frames: vec![0, 1], seed: false });
+    assert!(booked.iter().any(|v| matches!(v, Violation::Twice { job: 2, task: Task::Frame(0) })));
+    let unknown = faults(|p| p.jobs[1].verdict = Verdict::Unplaced { frames: vec![1, 5], seed: false });
+    assert!(unknown.iter().any(|v| matches!(v, Violation::UnknownUnplaced { job: 2, task: Task::Frame(5) })));
 }
 
 #[test]

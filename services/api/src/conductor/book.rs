@@ -93,6 +93,7 @@ fn planner_input(
     // At least one unit, so that no booking is empty however little a frame takes.
     let total = [p50, p80, p95].map(|seconds| units(seconds).max(1));
     planner::Input {
+        now: now.micros(),
         nodes: nodes
             .iter()
             .zip(0..)
@@ -103,13 +104,15 @@ fn planner_input(
                 price_per_hour: node.price_per_hour.micro_units(),
                 available_from: now.micros(),
                 calendar: vec![Interval { start: now.micros(), end: None }],
+                ..planner::Node::default()
             })
             .collect(),
         fixed: taken
             .iter()
             .filter_map(|frame| {
                 let node = *index.get(&frame.node_id)?;
-                Some(FixedBooking { node, start: frame.start.micros(), end: frame.end.micros() })
+                let (start, end) = (frame.start.micros(), frame.end.micros());
+                Some(FixedBooking { node, start, end, ..FixedBooking::default() })
             })
             .collect(),
         jobs: vec![planner::Job {
@@ -134,10 +137,13 @@ fn planner_input(
                 .map(|frame| planner::Frame {
                     number: i64::from(frame.frame),
                     work: units(frame.cpu_seconds.p50).max(1),
+                    work_p80: units(frame.cpu_seconds.p80).max(1),
                 })
                 .collect(),
             budget: job.budget.map(Money::micro_units),
+            ..planner::Job::default()
         }],
+        ..planner::Input::default()
     }
 }
 
@@ -153,8 +159,9 @@ fn units(seconds: f64) -> u64 {
 
 fn own_booking(booking: &planner::Booking, nodes: &[Node]) -> Result<NewBooking, AdvanceError> {
     let node = usize::try_from(booking.node).ok().and_then(|at| nodes.get(at));
-    match (node, u32::try_from(booking.frame)) {
-        (Some(node), Ok(frame)) => Ok(NewBooking {
+    let frame = booking.task.frame().and_then(|frame| u32::try_from(frame).ok());
+    match (node, frame) {
+        (Some(node), Some(frame)) => Ok(NewBooking {
             frame,
             node: node.id,
             start: Timestamp::from_micros(booking.start),
@@ -189,7 +196,7 @@ fn verdict(job: &Job, found: &planner::JobPlan, nodes: &[Node]) -> JobVerdict {
             });
             (Verdict::Late, Some(*finish))
         }
-        planner::Verdict::Unplaced { frames } => {
+        planner::Verdict::Unplaced { frames, .. } => {
             reasons.push(if nodes.is_empty() {
                 "there is no node that takes work".to_owned()
             } else {
@@ -243,27 +250,22 @@ mod tests {
 
     /// One node, and a job of six frames.
     fn input() -> planner::Input {
-        let frame = |number| planner::Frame { number, work: 1_000_000 };
+        let frame = |number| planner::Frame { number, work: 1_000_000, ..planner::Frame::default() };
         planner::Input {
             nodes: vec![planner::Node {
                 id: 0,
                 name: "a".to_owned(),
                 speed: 1_000_000,
-                price_per_hour: 0,
-                available_from: 0,
                 calendar: vec![Interval { start: 0, end: None }],
+                ..planner::Node::default()
             }],
-            fixed: Vec::new(),
             jobs: vec![planner::Job {
-                id: 0,
-                release: 0,
-                deadline: None,
-                priority: 0,
                 confidence: planner::Confidence::P50,
                 total: planner::WorkTotal { p50: 6_000_000, p80: 6_000_000, p95: 6_000_000 },
                 frames: (0..6).map(frame).collect(),
-                budget: None,
+                ..planner::Job::default()
             }],
+            ..planner::Input::default()
         }
     }
 

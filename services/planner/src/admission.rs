@@ -1,0 +1,365 @@
+//! Which deadlines can be met, what that costs at least, and on which machines: a linear programme over slots of time.
+//!
+//! Frames are treated as a fluid. For every job, class of nodes and slot there is a variable: hours of the class given to the
+//! job in the slot. Each job's hours, in terms of its fastest class, must add up to its work; all jobs' hours must fit
+//! into each class's free time slot by slot, and into the limits. What does not fit is *not served*, at a price
+//! so high that it only happens if nothing else helps, and the higher the greater a job's priority and weight.
+//!
+//! Slots are cut at deadlines, releases and calendars. If there are too many of these, only some are kept, and a
+//! job may use the whole of a slot that it touches: the optimum can then be lower than without, so that it remains
+//! a bound.
+
+use crate::calendar::Window;
+use crate::model::{Infeasible, Prices, Proof, Reserved, in_millionths};
+use crate::problem::{Problem, Work};
+use crate::proof::{Counted, value};
+use crate::simplex::{Column, Programme, Solution};
+
+/// About as many variables as are solved in a third of a second.
+const MOST_VARIABLES: usize = 60_000;
+/// And as many slots as are worth the while.
+const MOST_SLOTS: usize = 96;
+const MICROSECONDS_PER_HOUR: f64 = 3.6e9;
+
+/// What the programme says.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Admission {
+    /// By job: time of each class that it gets, by class.
+    pub allotments: Vec<Vec<(usize, i64)>>,
+    /// By job: whether its deadline can be met together with those of the other admitted jobs, as far as a fluid
+    /// tells. True without a deadline.
+    pub admitted: Vec<bool>,
+    /// Prices that prove the cost bound for the admitted jobs.
+    pub proof: Proof,
+    /// Proof that not all can be admitted.
+    pub infeasible: Option<Infeasible>,
+}
+
+impl Admission {
+    /// Everyone is admitted, and nothing is known.
+    pub fn none(problem: &Problem) -> Self {
+        let jobs = problem.jobs.len();
+        Admission { allotments: vec![Vec::new(); jobs], admitted: vec![true; jobs], ..Admission::default() }
+    }
+
+    /// Whether an hour of this class at this instant is worth more than it costs: others would pay for it.
+    pub fn is_scarce(&self, class: usize, instant: i64) -> bool {
+        let slot = self.proof.slots.partition_point(|&start| start <= instant).checked_sub(1);
+        let prices = self.proof.nodes.get(class);
+        slot.zip(prices).and_then(|(slot, prices)| prices.per_hour.get(slot)).is_some_and(|&price| price > 0)
+    }
+}
+
+/// Solves the programme.
+pub(crate) fn admit(problem: &Problem) -> Admission {
+    let mut admitted: Vec<bool> = problem.jobs.iter().map(|work| !work.is_hopeless).collect();
+    let slots = slots(problem);
+    let capacity = capacity(problem, &slots);
+    let setting = Setting { problem, slots: &slots, capacity: &capacity };
+    let first = Model::new(&setting, &admitted, true);
+    let solution = first.solve();
+    let unserved = first.unserved(&solution);
+    if unserved.is_empty() {
+        return Admission {
+            allotments: first.allotments(&solution),
+            proof: first.proof(&solution),
+            admitted,
+            infeasible: None,
+        };
+    }
+    // Not all fit. Prices of time alone say why; then the others are planned for without those.
+    let infeasible = Model::new(&setting, &admitted, false).infeasible();
+    unserved.into_iter().for_each(|job| admitted[job] = false);
+    let rest = Model::new(&setting, &admitted, true);
+    let solution = rest.solve();
+    Admission { allotments: rest.allotments(&solution), proof: rest.proof(&solution), admitted, infeasible }
+}
+
+/// The instants between which slots lie.
+fn slots(problem: &Problem) -> Vec<i64> {
+    let now = problem.input.now;
+    let with_deadline = || problem.jobs.iter().filter_map(|work| Some((work, work.job.deadline?)));
+    let Some(horizon) = with_deadline().map(|(_, deadline)| deadline).max() else { return Vec::new() };
+    let start = with_deadline().map(|(work, _)| work.release(now)).min().unwrap_or(now).max(now);
+    if horizon <= start {
+        return Vec::new();
+    }
+    let jobs = with_deadline().count();
+    let most = (MOST_VARIABLES / (jobs * problem.classes.len()).max(1)).clamp(8, MOST_SLOTS);
+
+    let mut of_jobs: Vec<i64> =
+        with_deadline().flat_map(|(work, deadline)| [work.release(now), deadline]).collect();
+    let mut of_nodes: Vec<i64> = problem.windows.iter().flatten().flat_map(|w| [w.start, w.end]).collect();
+    for instants in [&mut of_jobs, &mut of_nodes] {
+        instants.retain(|&instant| instant > start && instant < horizon);
+        instants.sort_unstable();
+    }
+    let mut all = of_jobs.clone();
+    all.extend_from_slice(&of_nodes);
+    all.sort_unstable();
+    all.dedup();
+    if all.len() > most {
+        // Deadlines matter most: they say by when work must be done, while calendars only say where time lies
+        // within a slot. Every n-th, counting repetitions, follows where they are dense.
+        let every = of_jobs.len().div_ceil(most).max(1);
+        all = of_jobs.into_iter().skip(every / 2).step_by(every).collect();
+        all.dedup();
+    }
+    all.insert(0, start);
+    all.push(horizon);
+    all
+}
+
+/// Free time of each class in each slot, microseconds.
+fn capacity(problem: &Problem, slots: &[i64]) -> Vec<Vec<u128>> {
+    let count = slots.len().saturating_sub(1);
+    problem
+        .classes
+        .iter()
+        .map(|members| {
+            let mut free = vec![0u128; count];
+            for &Window { start, end, .. } in members.iter().flat_map(|&node| &problem.windows[node]) {
+                let first = slots.partition_point(|&slot| slot <= start).saturating_sub(1);
+                for (slot, free) in free.iter_mut().enumerate().skip(first) {
+                    let (from, until) = (start.max(slots[slot]), end.min(slots[slot + 1]));
+                    if slots[slot] >= end {
+                        break;
+                    }
+                    if from < until {
+                        *free += u128::from(until.abs_diff(from));
+                    }
+                }
+            }
+            free
+        })
+        .collect()
+}
+
+struct Setting<'s, 'a> {
+    problem: &'s Problem<'a>,
+    slots: &'s [i64],
+    capacity: &'s [Vec<u128>],
+}
+
+/// The programme, and what its rows and columns stand for.
+struct Model<'s, 'a> {
+    setting: &'s Setting<'s, 'a>,
+    programme: Programme,
+    /// Job, column that is not served, and how much there is to serve.
+    demands: Vec<(usize, usize, f64)>,
+    /// Row of each class in each slot, if it can be used.
+    rows: Vec<Vec<Option<u32>>>,
+    /// Row of each limit in each slot.
+    limit_rows: Vec<Vec<u32>>,
+    /// Job, class and column.
+    given: Vec<(usize, usize, usize)>,
+    /// Micro-units per hour in one unit of the programme's cost.
+    unit: f64,
+}
+
+impl<'s, 'a> Model<'s, 'a> {
+    /// `priced`: nodes cost what they cost. Otherwise only what is not served costs anything.
+    fn new(setting: &'s Setting<'s, 'a>, admitted: &[bool], priced: bool) -> Self {
+        let problem = setting.problem;
+        let slots = setting.slots.len().saturating_sub(1);
+        let dearest = problem.nodes.iter().map(|node| node.price_per_hour).max().unwrap_or(0);
+        let mut model = Model {
+            setting,
+            programme: Programme::default(),
+            demands: Vec::new(),
+            rows: vec![vec![None; slots]; problem.classes.len()],
+            limit_rows: Vec::new(),
+            given: Vec::new(),
+            unit: if priced { (dearest as f64).max(1.0) } else { 1e6 },
+        };
+        for limit in &problem.input.limits {
+            let row = |model: &mut Model, slot: usize| {
+                let hours =
+                    setting.slots[slot + 1].abs_diff(setting.slots[slot]) as f64 / MICROSECONDS_PER_HOUR;
+                model.programme.row(hours * limit.count as f64, 0.0)
+            };
+            let rows = (0..slots).map(|slot| row(&mut model, slot)).collect();
+            model.limit_rows.push(rows);
+        }
+        let ranks = ranks(problem);
+        for (index, work) in problem.jobs.iter().enumerate() {
+            let Some(deadline) = work.job.deadline.filter(|_| admitted[index]) else { continue };
+            let frames = (work.job.class, work.total(), &work.classes);
+            let seed = work.job.seed.zip(work.seed);
+            let seed = seed.map(|(seed, amount)| (seed.class, u128::from(amount), &work.seed_classes));
+            for (class_of_work, amount, classes) in [Some(frames), seed].into_iter().flatten() {
+                if amount > 0 {
+                    model.demand(index, work, deadline, class_of_work, amount, classes, priced, ranks[index]);
+                }
+            }
+        }
+        model
+    }
+
+    /// Adds a job's work, and a column for each class and slot that it can use.
+    #[allow(clippy::too_many_arguments)]
+    fn demand(
+        &mut self,
+        job: usize,
+        work: &Work,
+        deadline: i64,
+        class_of_work: u32,
+        amount: u128,
+        classes: &[usize],
+        priced: bool,
+        rank: f64,
+    ) {
+        let Setting { problem, slots, capacity } = self.setting;
+        // Hours of one node of a class for all of it. From exact times, so that the unit of work does not matter.
+        let hours = |class: usize| {
+            let speed = u128::from(problem.representative(class).speed_of(class_of_work)).max(1);
+            in_millionths(amount).div_ceil(speed) as f64 / MICROSECONDS_PER_HOUR
+        };
+        let fastest = classes.iter().map(|&class| hours(class)).fold(f64::INFINITY, f64::min);
+        let needed = if fastest.is_finite() { fastest } else { 1.0 };
+        let price = |class: usize| {
+            if priced { problem.representative(class).price_per_hour as f64 / self.unit } else { 0.0 }
+        };
+        // More than the dearest way of serving it; without prices, one of each hour.
+        let dearest = classes.iter().map(|&class| price(class) * hours(class) / needed).fold(0.0, f64::max);
+        let penalty = if priced { (20.0 * dearest + 20.0) * rank } else { 1.0 };
+        let column = self.programme.columns.len();
+        let row = self.programme.row(needed, penalty);
+        self.demands.push((job, column, needed));
+        let release = work.release(problem.input.now);
+        for &class in classes {
+            let served = needed / hours(class);
+            let cost = price(class);
+            for slot in 0..slots.len().saturating_sub(1) {
+                if slots[slot] >= deadline || slots[slot + 1] <= release || capacity[class][slot] == 0 {
+                    continue;
+                }
+                let class_row = match self.rows[class][slot] {
+                    Some(row) => row,
+                    None => {
+                        let hours = capacity[class][slot] as f64 / MICROSECONDS_PER_HOUR;
+                        let row = self.programme.row(hours, 0.0);
+                        self.rows[class][slot] = Some(row);
+                        row
+                    }
+                };
+                let mut entries = vec![(row, served), (class_row, 1.0)];
+                for held in work.job.uses.iter().filter(|held| held.count > 0) {
+                    let limit = problem.input.limits.iter().position(|limit| limit.id == held.limit);
+                    if let Some(limit) = limit {
+                        entries.push((self.limit_rows[limit][slot], held.count as f64));
+                    }
+                }
+                self.given.push((job, class, self.programme.columns.len()));
+                self.programme.columns.push(Column { cost, entries });
+            }
+        }
+    }
+
+    fn solve(&self) -> Solution {
+        // Three times as many steps as there are rows is the usual; many more would be a sign of going in circles.
+        self.programme.solve(40 * self.programme.right.len() + 1000)
+    }
+
+    /// Jobs of which something is not served.
+    fn unserved(&self, solution: &Solution) -> Vec<usize> {
+        let missing = |&&(_, column, needed): &&(usize, usize, f64)| solution.x[column] > 1e-6 * needed;
+        let mut jobs: Vec<usize> = self.demands.iter().filter(missing).map(|&(job, ..)| job).collect();
+        jobs.dedup();
+        jobs
+    }
+
+    fn allotments(&self, solution: &Solution) -> Vec<Vec<(usize, i64)>> {
+        let mut all: Vec<Vec<(usize, i64)>> = vec![Vec::new(); self.setting.problem.jobs.len()];
+        for &(job, class, column) in &self.given {
+            let time = (solution.x[column] * MICROSECONDS_PER_HOUR).round() as i64;
+            if time > 0 {
+                match all[job].iter_mut().find(|(other, _)| *other == class) {
+                    Some((_, sum)) => *sum = sum.saturating_add(time),
+                    None => all[job].push((class, time)),
+                }
+            }
+        }
+        all
+    }
+
+    /// The prices in micro-units per hour. A row's price is what the minimum rises by with more of it: for free time, minus
+    /// what an hour is worth.
+    fn proof(&self, solution: &Solution) -> Proof {
+        let problem = self.setting.problem;
+        let worth = |row: u32| {
+            (-solution.prices[row as usize] * self.unit).clamp(0.0, i64::MAX as f64 / 4.0).round() as i64
+        };
+        let ids = |members: &Vec<usize>| members.iter().map(|&node| problem.nodes[node].id).collect();
+        let nodes = problem.classes.iter().zip(&self.rows).map(|(members, rows)| Prices {
+            of: ids(members),
+            per_hour: rows.iter().map(|row| row.map_or(0, worth)).collect(),
+        });
+        let limits = problem.input.limits.iter().zip(&self.limit_rows).map(|(limit, rows)| Prices {
+            of: vec![limit.id],
+            per_hour: rows.iter().map(|&row| worth(row)).collect(),
+        });
+        let mut limits: Vec<Prices> = limits.collect();
+        limits.sort_by(|a, b| a.of.cmp(&b.of));
+        Proof { slots: self.setting.slots.to_vec(), nodes: nodes.collect(), limits }
+    }
+
+    /// The proof that not everything can be served, if there is one in whole numbers.
+    fn infeasible(&self) -> Option<Infeasible> {
+        let problem = self.setting.problem;
+        let proof = self.proof(&self.solve());
+        let by = |job: &crate::model::Job| job.deadline.map_or(Counted::Not, Counted::By);
+        if value(problem.input, &proof, false, by) <= 0 {
+            return None;
+        }
+        let alone = |id: u64| {
+            let only = |job: &crate::model::Job| if job.id == id { by(job) } else { Counted::Not };
+            let none = |_: &crate::model::Job| Counted::Not;
+            value(problem.input, &proof, false, only) > value(problem.input, &proof, false, none)
+        };
+        let jobs = problem.jobs.iter().filter(|work| work.job.deadline.is_some()).map(|work| work.job.id);
+        Some(Infeasible { jobs: jobs.filter(|&id| alone(id)).collect(), short: short(&proof), proof })
+    }
+}
+
+/// Where the prices say that there is too little: neighbouring slots in which the same nodes and limits are priced, joined.
+fn short(proof: &Proof) -> Vec<Reserved> {
+    let priced = |all: &[Prices], slot: usize| -> Vec<u64> {
+        let mut ids: Vec<u64> = all
+            .iter()
+            .filter(|prices| prices.per_hour.get(slot).is_some_and(|&price| price > 0))
+            .flat_map(|prices| prices.of.iter().copied())
+            .collect();
+        ids.sort_unstable();
+        ids
+    };
+    let mut found: Vec<Reserved> = Vec::new();
+    for (slot, ends) in proof.slots.windows(2).enumerate() {
+        let (nodes, limits) = (priced(&proof.nodes, slot), priced(&proof.limits, slot));
+        if nodes.is_empty() && limits.is_empty() {
+            continue;
+        }
+        match found.last_mut() {
+            Some(last) if last.end == ends[0] && last.nodes == nodes && last.limits == limits => {
+                last.end = ends[1];
+            }
+            _ => found.push(Reserved { nodes, limits, start: ends[0], end: ends[1] }),
+        }
+    }
+    found
+}
+
+/// By job: what leaving it unserved is worth, compared with the lowest priority. A rank is worth eight of the one
+/// below it; more than six ranks are not told apart, for the sake of the arithmetic.
+fn ranks(problem: &Problem) -> Vec<f64> {
+    let mut priorities: Vec<i32> = problem.jobs.iter().map(|work| work.job.priority).collect();
+    priorities.sort_unstable();
+    priorities.dedup();
+    let rank = |priority: i32| {
+        let above = priorities.len() - priorities.partition_point(|&other| other < priority) - 1;
+        let rank = 6usize.min(priorities.len() - 1).saturating_sub(above);
+        8f64.powi(rank as i32)
+    };
+    let worth = |work: &Work| 1.0 + f64::from(work.job.worth()).log2().min(2.0);
+    problem.jobs.iter().map(|work| rank(work.job.priority) * worth(work)).collect()
+}

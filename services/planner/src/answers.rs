@@ -1,0 +1,404 @@
+//! What people ask of a plan: can it be done, at what price, what would change it, and what to do if it cannot.
+//!
+//! Questions about one job are answered around the bookings of all others, which stand: the others were promised theirs.
+//! Questions about the farm plan anew.
+
+use serde::{Deserialize, Serialize};
+
+use crate::model::{
+    Confidence, FixedBooking, Input, InputError, Interval, Job, JobPlan, Node, Plan, Verdict,
+};
+use crate::schedule::plan;
+
+const MINUTE: i64 = 60_000_000;
+
+/// A job at one confidence.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Outlook {
+    /// How sure.
+    pub confidence: Confidence,
+    /// Whether and when it is done.
+    pub verdict: Verdict,
+    /// What it costs, micro-units.
+    pub cost: i64,
+    /// What it costs at least in any plan that is as good.
+    pub cost_bound: i64,
+}
+
+/// A deadline and its price.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Offer {
+    /// By when.
+    pub deadline: i64,
+    /// When it would be done.
+    pub finish: i64,
+    /// For how much, micro-units.
+    pub cost: i64,
+    /// And not for less than this.
+    pub cost_bound: i64,
+}
+
+/// Something that could be different.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum Change {
+    /// More nodes like this one.
+    MoreNodes {
+        /// The node that they are like.
+        like: u64,
+        /// How many.
+        count: u32,
+    },
+    /// A node is gone from an instant on.
+    NodeGone {
+        /// The node.
+        node: u64,
+        /// Since when.
+        from: i64,
+    },
+    /// A deadline is later, or, if negative, earlier.
+    Later {
+        /// The job.
+        job: u64,
+        /// Microseconds.
+        by: i64,
+    },
+    /// Capacity is bought at another quantile.
+    Confidence {
+        /// The job.
+        job: u64,
+        /// How sure.
+        confidence: Confidence,
+    },
+    /// A job gives up its deadline and makes way.
+    MakeWay {
+        /// The job.
+        job: u64,
+    },
+    /// A job may split its frames.
+    Tiles {
+        /// The job.
+        job: u64,
+        /// Into so many tiles at most.
+        tiles: u32,
+    },
+    /// Another job comes in.
+    NewJob {
+        /// The job.
+        job: Box<Job>,
+    },
+}
+
+/// What a change would do.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Effect {
+    /// The change.
+    pub change: Change,
+    /// What all jobs together cost more, or, if negative, less.
+    pub added_cost: i64,
+    /// Jobs that would keep a deadline that they miss without it.
+    pub saved: Vec<u64>,
+    /// Jobs that would miss a deadline that they keep without it.
+    pub broken: Vec<u64>,
+    /// Jobs that would end later, and by how many microseconds.
+    pub pushed_back: Vec<(u64, i64)>,
+    /// Jobs that would end earlier, and by how many microseconds.
+    pub brought_forward: Vec<(u64, i64)>,
+}
+
+/// Whether the job can be done at P50, P80 and P95, and for how much.
+///
+/// # Errors
+/// If the input has no meaning or no such job.
+pub fn outlook(input: &Input, job: u64) -> Result<Vec<Outlook>, InputError> {
+    let around = others_fixed(input, job)?;
+    [Confidence::P50, Confidence::P80, Confidence::P95]
+        .into_iter()
+        .map(|confidence| {
+            let mut asked = around.clone();
+            own_job(&mut asked, job)?.confidence = confidence;
+            let found = plan(&asked)?;
+            let entry = entry(&found, job)?;
+            Ok(Outlook {
+                confidence,
+                verdict: entry.verdict.clone(),
+                cost: entry.cost,
+                cost_bound: found.cost_bound,
+            })
+        })
+        .collect()
+}
+
+/// The job's price against its deadline: about so many offers, from the earliest end on. A later deadline never costs more, for
+/// what is done earlier is also done later.
+///
+/// # Errors
+/// If the input has no meaning or no such job.
+pub fn curve(input: &Input, job: u64, points: u32) -> Result<Vec<Offer>, InputError> {
+    let around = others_fixed(input, job)?;
+    let Some((release, soonest)) = soonest(&around, job)? else { return Ok(Vec::new()) };
+    let span = soonest.saturating_sub(release).max(MINUTE);
+    let mut offers: Vec<Offer> = Vec::new();
+    for point in 0..points {
+        // From once to eight times the shortest time: quadratic, for the price changes most at the short end.
+        let part = i128::from(point) * i128::from(point) * 7;
+        let steps = i128::from(points.saturating_sub(1).max(1));
+        let more = i64::try_from(i128::from(span) * part / (steps * steps)).unwrap_or(i64::MAX);
+        let deadline = soonest.saturating_add(more);
+        let Some(mut offer) = offer(&around, job, deadline)? else { continue };
+        if let Some(before) = offers.last() {
+            if before.cost < offer.cost {
+                offer = Offer { deadline, cost_bound: offer.cost_bound, ..before.clone() };
+            }
+            offer.cost_bound = offer.cost_bound.min(before.cost_bound);
+        }
+        offers.push(offer);
+    }
+    Ok(offers)
+}
+
+/// The earliest deadline that the budget pays for, to the minute; none if not even the latest is cheap enough.
+///
+/// # Errors
+/// If the input has no meaning or no such job.
+pub fn earliest_for_budget(input: &Input, job: u64, budget: i64) -> Result<Option<Offer>, InputError> {
+    let around = others_fixed(input, job)?;
+    let Some((release, soonest)) = soonest(&around, job)? else { return Ok(None) };
+    let within = |deadline| -> Result<Option<Offer>, InputError> {
+        Ok(offer(&around, job, deadline)?.filter(|offer| offer.cost <= budget))
+    };
+    if let Some(first) = within(soonest)? {
+        return Ok(Some(first));
+    }
+    let span = soonest.saturating_sub(release).max(MINUTE);
+    let (mut too_early, mut best) = (soonest, None);
+    for doubling in 1..=10 {
+        let deadline = soonest.saturating_add(span.saturating_mul(1 << doubling));
+        best = within(deadline)?;
+        if best.is_some() {
+            break;
+        }
+        too_early = deadline;
+    }
+    while let Some(found) = &best
+        && found.deadline.saturating_sub(too_early) > MINUTE
+    {
+        let middle = too_early + (found.deadline - too_early) / 2;
+        match within(middle)? {
+            Some(better) => best = Some(better),
+            None => too_early = middle,
+        }
+    }
+    Ok(best)
+}
+
+/// What a change would do to cost and ends, everything planned anew.
+///
+/// # Errors
+/// If the input has no meaning, before or after.
+pub fn what_if(input: &Input, change: &Change) -> Result<Effect, InputError> {
+    let before = plan(input)?;
+    let after = plan(&changed(input, change)?)?;
+    Ok(effect(change, &before, &after))
+}
+
+/// The three cheapest changes that let the job keep its deadline (or a later one), without breaking another that is kept. Empty if it
+/// keeps it already.
+///
+/// # Errors
+/// If the input has no meaning or no such job.
+pub fn ways_out(input: &Input, job: u64) -> Result<Vec<Effect>, InputError> {
+    const MOST_NODES: u32 = 64;
+    let before = plan(input)?;
+    let verdict = &entry(&before, job)?.verdict;
+    if verdict.is_kept() {
+        return Ok(Vec::new());
+    }
+    let asked = find(input, job)?;
+    let mut found: Vec<Effect> = Vec::new();
+    let mut consider = |change: Change| -> Result<bool, InputError> {
+        let after = plan(&changed(input, &change)?)?;
+        let effect = effect(&change, &before, &after);
+        let helps = entry(&after, job)?.verdict.is_kept() && effect.broken.is_empty();
+        if helps {
+            found.push(effect);
+        }
+        Ok(helps)
+    };
+    if let Some(finish) = verdict.finish()
+        && let Some(deadline) = asked.deadline
+    {
+        let by = finish.saturating_sub(deadline);
+        consider(Change::Later { job, by: by.saturating_add(MINUTE - 1) / MINUTE * MINUTE })?;
+    }
+    for confidence in [Confidence::P80, Confidence::P50] {
+        if confidence < asked.confidence && consider(Change::Confidence { job, confidence })? {
+            break;
+        }
+    }
+    if asked.tiles < 8 {
+        consider(Change::Tiles { job, tiles: 8 })?;
+    }
+    for like in nodes_to_add(input, &before, asked) {
+        let mut count = 1;
+        while count <= MOST_NODES && !consider(Change::MoreNodes { like, count })? {
+            count *= 2;
+        }
+    }
+    for other in jobs_to_push(input, &before, asked) {
+        consider(Change::MakeWay { job: other })?;
+    }
+    found.sort_by_key(|effect| effect.added_cost);
+    found.truncate(3);
+    Ok(found)
+}
+
+/// Nodes of up to three kinds of which more might help, those first that are short by the proof, then the cheapest for the work.
+fn nodes_to_add(input: &Input, plan: &Plan, job: &Job) -> Vec<u64> {
+    let short: Vec<u64> =
+        plan.infeasible.iter().flat_map(|i| &i.short).flat_map(|s| s.nodes.iter().copied()).collect();
+    let mut able: Vec<&Node> =
+        input.nodes.iter().filter(|node| node.fits(job) && node.speed_of(job.class) > 0).collect();
+    // Price of work, compared as fractions.
+    let price =
+        |node: &Node| i128::from(node.price_per_hour) * 1_000_000_000 / i128::from(node.speed_of(job.class));
+    able.sort_by_key(|node| (!short.contains(&node.id), price(node), node.id));
+    let mut kinds: Vec<&Node> = Vec::new();
+    for node in able {
+        let same = |other: &&Node| (other.speed, other.price_per_hour) == (node.speed, node.price_per_hour);
+        if kinds.len() < 3 && !kinds.iter().any(same) {
+            kinds.push(node);
+        }
+    }
+    kinds.iter().map(|node| node.id).collect()
+}
+
+/// Up to four jobs with deadlines that might make way: those that compete with it, least important first.
+fn jobs_to_push(input: &Input, plan: &Plan, job: &Job) -> Vec<u64> {
+    let competes = |other: &&Job| {
+        other.id != job.id
+            && other.deadline.is_some()
+            && plan.infeasible.as_ref().is_none_or(|infeasible| infeasible.jobs.contains(&other.id))
+    };
+    let mut others: Vec<&Job> = input.jobs.iter().filter(competes).collect();
+    others.sort_by_key(|other| (other.priority, other.weight, std::cmp::Reverse(other.deadline), other.id));
+    others.iter().take(4).map(|other| other.id).collect()
+}
+
+/// The input with the change.
+///
+/// # Errors
+/// If it names what does not exist.
+pub fn changed(input: &Input, change: &Change) -> Result<Input, InputError> {
+    let mut new = input.clone();
+    match change {
+        Change::MoreNodes { like, count } => {
+            let model = node(input, *like)?.clone();
+            let first = input.nodes.iter().map(|node| node.id).max().map_or(0, |id| id.saturating_add(1));
+            for id in (first..).take(*count as usize) {
+                new.nodes.push(Node { id, name: format!("{} more {id}", model.name), ..model.clone() });
+            }
+        }
+        Change::NodeGone { node: gone, from } => {
+            node(input, *gone)?;
+            let closed = Interval { start: *from, end: None };
+            new.nodes
+                .iter_mut()
+                .filter(|node| node.id == *gone)
+                .for_each(|node| node.maintenance.push(closed));
+        }
+        Change::Later { job, by } => {
+            let job = own_job(&mut new, *job)?;
+            job.deadline = job.deadline.map(|deadline| deadline.saturating_add(*by));
+        }
+        Change::Confidence { job, confidence } => own_job(&mut new, *job)?.confidence = *confidence,
+        Change::MakeWay { job } => own_job(&mut new, *job)?.deadline = None,
+        Change::Tiles { job, tiles } => own_job(&mut new, *job)?.tiles = *tiles,
+        Change::NewJob { job } => new.jobs.push((**job).clone()),
+    }
+    Ok(new)
+}
+
+fn effect(change: &Change, before: &Plan, after: &Plan) -> Effect {
+    let mut effect = Effect {
+        change: change.clone(),
+        added_cost: after.cost.saturating_sub(before.cost),
+        saved: Vec::new(),
+        broken: Vec::new(),
+        pushed_back: Vec::new(),
+        brought_forward: Vec::new(),
+    };
+    for old in &before.jobs {
+        let Some(new) = after.job(old.job) else { continue };
+        match (old.verdict.is_kept(), new.verdict.is_kept()) {
+            (true, false) => effect.broken.push(old.job),
+            (false, true) => effect.saved.push(old.job),
+            _ => {}
+        }
+        if let Some((old_end, new_end)) = old.verdict.finish().zip(new.verdict.finish()) {
+            match new_end.saturating_sub(old_end) {
+                later @ 1.. => effect.pushed_back.push((old.job, later)),
+                0 => {}
+                earlier => effect.brought_forward.push((old.job, earlier.saturating_neg())),
+            }
+        }
+    }
+    effect
+}
+
+/// The job alone, around the others' bookings in the best plan without it.
+fn others_fixed(input: &Input, job: u64) -> Result<Input, InputError> {
+    find(input, job)?;
+    let mut without = input.clone();
+    without.jobs.retain(|other| other.id != job);
+    without.movable.retain(|booking| booking.job != job);
+    let standing = plan(&without)?;
+    let mut around = Input { movable: Vec::new(), ..input.clone() };
+    for booking in &standing.bookings {
+        let uses = input.jobs.iter().find(|other| other.id == booking.job).map(|other| other.uses.clone());
+        around.fixed.push(FixedBooking {
+            node: booking.node,
+            start: booking.start,
+            end: booking.end,
+            job: Some(booking.job),
+            uses: uses.unwrap_or_default(),
+        });
+    }
+    around.jobs.retain(|other| other.id == job);
+    Ok(around)
+}
+
+/// Release and earliest end of the only job.
+fn soonest(around: &Input, job: u64) -> Result<Option<(i64, i64)>, InputError> {
+    let mut asked = around.clone();
+    let own = own_job(&mut asked, job)?;
+    (own.deadline, own.budget) = (None, None);
+    let release = own.release.max(around.now);
+    Ok(entry(&plan(&asked)?, job)?.verdict.finish().map(|finish| (release, finish)))
+}
+
+/// The job's price for this deadline, if it can be kept.
+fn offer(around: &Input, job: u64, deadline: i64) -> Result<Option<Offer>, InputError> {
+    let mut asked = around.clone();
+    own_job(&mut asked, job)?.deadline = Some(deadline);
+    let found = plan(&asked)?;
+    let entry = entry(&found, job)?;
+    let kept = entry.verdict.finish().filter(|_| entry.verdict.is_kept());
+    Ok(kept.map(|finish| Offer { deadline, finish, cost: found.cost, cost_bound: found.cost_bound }))
+}
+
+pub(crate) fn node(input: &Input, id: u64) -> Result<&Node, InputError> {
+    input.nodes.iter().find(|node| node.id == id).ok_or(InputError::UnknownEvent { what: "node", id })
+}
+
+pub(crate) fn find(input: &Input, id: u64) -> Result<&Job, InputError> {
+    input.jobs.iter().find(|job| job.id == id).ok_or(InputError::UnknownEvent { what: "job", id })
+}
+
+pub(crate) fn own_job(input: &mut Input, id: u64) -> Result<&mut Job, InputError> {
+    input.jobs.iter_mut().find(|job| job.id == id).ok_or(InputError::UnknownEvent { what: "job", id })
+}
+
+fn entry(plan: &Plan, id: u64) -> Result<&JobPlan, InputError> {
+    plan.job(id).ok_or(InputError::UnknownEvent { what: "job", id })
+}

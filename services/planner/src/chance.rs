@@ -1,0 +1,55 @@
+//! Random numbers without a state: each is a hash of a seed and of what it is for, so that it does not matter in which order
+//! they are drawn, nor which others are.
+
+/// A number of 64 random bits for this seed and these indices: the finalizer of SplitMix64 (Steele, Lea, Flood 2014) over each in turn.
+pub(crate) fn bits(seed: u64, indices: &[u64]) -> u64 {
+    indices.iter().fold(mix(seed.wrapping_add(STEP)), |hash, &index| {
+        mix(hash ^ mix(index.wrapping_mul(STEP).wrapping_add(STEP)))
+    })
+}
+
+const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
+
+fn mix(mut z: u64) -> u64 {
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+/// Uniform in the open interval from 0 to 1: never either end.
+pub(crate) fn uniform(seed: u64, indices: &[u64]) -> f64 {
+    ((bits(seed, indices) >> 12) as f64 + 0.5) / (1u64 << 52) as f64
+}
+
+/// Standard normal, by Box and Muller (1958). From a pure implementation of the functions, so that every machine draws
+/// the same.
+pub(crate) fn normal(seed: u64, indices: &[u64]) -> f64 {
+    let first = uniform(seed, indices);
+    let second = uniform(!seed, indices);
+    libm::sqrt(-2.0 * libm::log(first)) * libm::cos(std::f64::consts::TAU * second)
+}
+
+/// Uniform among the whole numbers from `low` to `high`, both included.
+pub(crate) fn between(seed: u64, indices: &[u64], low: i64, high: i64) -> i64 {
+    let count = i128::from(high) - i128::from(low) + 1;
+    let offset = (i128::from(bits(seed, indices)) * count.max(1)) >> 64;
+    // At most `high`.
+    i64::try_from(i128::from(low) + offset).unwrap_or(high)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{between, normal, uniform};
+
+    #[test]
+    fn draws_have_the_moments_that_they_should_have() {
+        let count = 20_000u64;
+        let mean = |draw: &dyn Fn(u64) -> f64| (0..count).map(draw).sum::<f64>() / count as f64;
+        assert!((mean(&|i| uniform(1, &[i])) - 0.5).abs() < 0.01);
+        assert!(mean(&|i| normal(1, &[i, 7])).abs() < 0.03);
+        assert!((mean(&|i| normal(2, &[7, i]).powi(2)) - 1.0).abs() < 0.05);
+        assert!((mean(&|i| normal(2, &[7, i]) * normal(2, &[7, i + 1]))).abs() < 0.03);
+        assert!((mean(&|i| between(3, &[i], -3, 3) as f64)).abs() < 0.06);
+        assert!((0..1000).all(|i| (-3..=3).contains(&between(3, &[i], -3, 3))));
+    }
+}

@@ -1,0 +1,162 @@
+//! Calendars as people say them, expanded to instants: "weekdays from 20:00 to 08:00 in Berlin".
+
+use jiff::civil::{Time, Weekday};
+use jiff::tz::TimeZone;
+use jiff::{Timestamp, ToSpan};
+
+use crate::calendar::FreeTime;
+use crate::model::Interval;
+
+/// A window that comes back every week.
+///
+/// Times are those of the wall clock. One that does not exist on its day, because clocks go forward, is as much later as they go;
+/// one that there is twice is the first (RFC 5545, 3.3.5).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Weekly {
+    /// Name in the time zone database, such as `Europe/Berlin`.
+    pub zone: String,
+    /// Days on which it opens.
+    pub days: Vec<Weekday>,
+    /// When it opens.
+    pub from: Time,
+    /// When it closes: on the next day if that is not after `from`. Equal times are a whole day.
+    pub until: Time,
+}
+
+/// Why a calendar cannot be expanded.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum CalendarError {
+    /// There is no such time zone.
+    #[error("there is no time zone {0:?}")]
+    Zone(String),
+    /// An instant lies outside of the years that the calendar knows.
+    #[error("the calendar does not reach to {0} microseconds")]
+    Range(i64),
+    /// Expanded without an end.
+    #[error("a calendar can be expanded over a hundred years at most")]
+    TooLong,
+}
+
+const HUNDRED_YEARS: i64 = 100 * 366 * 86_400_000_000;
+
+/// The windows' free time from one instant to another, in order, overlaps and touches joined.
+///
+/// # Errors
+/// If a time zone is unknown, or the instants are out of range or too far apart.
+pub fn expand(windows: &[Weekly], from: i64, until: i64) -> Result<Vec<Interval>, CalendarError> {
+    if until.saturating_sub(from) > HUNDRED_YEARS {
+        return Err(CalendarError::TooLong);
+    }
+    let mut open = Vec::new();
+    for window in windows {
+        let zone = TimeZone::get(&window.zone).map_err(|_| CalendarError::Zone(window.zone.clone()))?;
+        let day_of = |instant: i64| {
+            let at = Timestamp::from_microsecond(instant).map_err(|_| CalendarError::Range(instant))?;
+            Ok(zone.to_datetime(at).date())
+        };
+        let last = day_of(until)?;
+        // A window that opened the day before may still be open.
+        let mut day = day_of(from)?.saturating_sub(1.day());
+        while day <= last && from < until {
+            if window.days.contains(&day.weekday()) {
+                let closes = if window.until > window.from { day } else { day.saturating_add(1.day()) };
+                let instant = |date: jiff::civil::Date, time: Time| {
+                    let zoned = date.to_datetime(time).to_zoned(zone.clone());
+                    zoned
+                        .map(|zoned| zoned.timestamp().as_microsecond())
+                        .map_err(|_| CalendarError::Range(until))
+                };
+                let (start, end) = (instant(day, window.from)?, instant(closes, window.until)?);
+                open.push((start.max(from), end.min(until)));
+            }
+            let next = day.saturating_add(1.day());
+            if next == day {
+                break;
+            }
+            day = next;
+        }
+    }
+    let free = FreeTime::union(open);
+    Ok(free.gaps().iter().map(|&(start, end)| Interval { start, end: Some(end) }).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{CalendarError, Weekly, expand};
+    use jiff::civil::{Weekday, time};
+
+    const HOUR: i64 = 3_600_000_000;
+    const ALL: [Weekday; 7] = [
+        Weekday::Monday,
+        Weekday::Tuesday,
+        Weekday::Wednesday,
+        Weekday::Thursday,
+        Weekday::Friday,
+        Weekday::Saturday,
+        Weekday::Sunday,
+    ];
+
+    fn at(text: &str) -> i64 {
+        text.parse::<jiff::Timestamp>().expect("an instant").as_microsecond()
+    }
+
+    fn nightly(zone: &str, from: i8, until: i8) -> Weekly {
+        Weekly {
+            zone: zone.into(),
+            days: ALL.to_vec(),
+            from: time(from, 0, 0, 0),
+            until: time(until, 0, 0, 0),
+        }
+    }
+
+    fn lengths(window: &Weekly, from: &str, until: &str) -> Vec<i64> {
+        let open = expand(&[window.clone()], at(from), at(until)).expect("a calendar");
+        open.iter().map(|interval| (interval.end.expect("an end") - interval.start) / HOUR).collect()
+    }
+
+    #[test]
+    fn a_night_is_an_hour_shorter_in_spring_and_longer_in_autumn() {
+        let night = nightly("Europe/Berlin", 20, 8);
+        assert_eq!(lengths(&night, "2026-03-27T12:00:00Z", "2026-03-30T12:00:00Z"), [12, 11, 12]);
+        assert_eq!(lengths(&night, "2026-10-23T12:00:00Z", "2026-10-26T12:00:00Z"), [12, 13, 12]);
+    }
+
+    #[test]
+    fn times_that_do_not_exist_are_later_and_those_that_are_there_twice_are_the_first() {
+        let two =
+            Weekly { from: time(2, 30, 0, 0), until: time(3, 30, 0, 0), ..nightly("Europe/Berlin", 0, 0) };
+        let open = |from, until| expand(std::slice::from_ref(&two), at(from), at(until)).expect("a calendar");
+        // 02:30 is 03:30 in summer time: nothing is left of the window.
+        assert_eq!(open("2026-03-29T00:00:00Z", "2026-03-29T12:00:00Z"), []);
+        let autumn = open("2026-10-25T00:00:00Z", "2026-10-25T12:00:00Z");
+        assert_eq!(autumn[0].start, at("2026-10-25T00:30:00Z"));
+        assert_eq!(autumn[0].end, Some(at("2026-10-25T02:30:00Z")));
+    }
+
+    #[test]
+    fn whole_days_touch_and_become_one_whatever_the_clock_does() {
+        let always = nightly("America/Sao_Paulo", 0, 0);
+        assert_eq!(lengths(&always, "2018-10-01T03:00:00Z", "2018-12-01T02:00:00Z").len(), 1);
+        assert_eq!(
+            lengths(&nightly("Pacific/Apia", 0, 0), "2011-12-28T00:00:00Z", "2012-01-02T00:00:00Z").len(),
+            1
+        );
+    }
+
+    #[test]
+    fn windows_are_cut_at_the_ends_and_empty_ranges_have_none() {
+        let night = nightly("UTC", 20, 8);
+        let weekend = Weekly { days: vec![Weekday::Saturday], ..night.clone() };
+        assert_eq!(lengths(&night, "2026-01-01T07:00:00Z", "2026-01-01T22:00:00Z"), [1, 2]);
+        assert_eq!(lengths(&weekend, "2026-01-01T00:00:00Z", "2026-01-08T00:00:00Z"), [12]);
+        assert!(lengths(&night, "2026-01-01T22:00:00Z", "2026-01-01T22:00:00Z").is_empty());
+    }
+
+    #[test]
+    fn unknown_zones_and_endless_ranges_are_refused() {
+        let nowhere = nightly("Mars/Olympus", 0, 8);
+        assert_eq!(expand(&[nowhere], 0, HOUR), Err(CalendarError::Zone("Mars/Olympus".into())));
+        assert_eq!(expand(&[], 0, i64::MAX), Err(CalendarError::TooLong));
+    }
+}

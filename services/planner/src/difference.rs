@@ -1,0 +1,117 @@
+//! What is different between two plans, for people.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::model::{Booking, Plan, PlanId, Task};
+
+/// What is different.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Difference {
+    /// The plan before.
+    pub from: PlanId,
+    /// The plan after.
+    pub to: PlanId,
+    /// Tasks that lie elsewhere: before, after.
+    pub moved: Vec<(Booking, Booking)>,
+    /// Tasks that had no booking.
+    pub added: Vec<Booking>,
+    /// Tasks that have none any more.
+    pub removed: Vec<Booking>,
+    /// Jobs that end at another instant, keep their deadline or miss it.
+    pub jobs: Vec<JobDifference>,
+    /// What it costs more, or, if negative, less.
+    pub added_cost: i64,
+}
+
+/// What is different for a job.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct JobDifference {
+    /// The job.
+    pub job: u64,
+    /// Its end before; none if it had none.
+    pub before: Option<i64>,
+    /// Its end after.
+    pub after: Option<i64>,
+    /// Whether it kept its deadline before, and keeps it after.
+    pub kept: (bool, bool),
+}
+
+/// Compares two plans.
+pub fn difference(before: &Plan, after: &Plan) -> Difference {
+    let index = |plan: &Plan| -> BTreeMap<(u64, Task), Booking> {
+        plan.bookings.iter().map(|booking| ((booking.job, booking.task), *booking)).collect()
+    };
+    let (old, new) = (index(before), index(after));
+    let moved = old.iter().filter_map(|(task, old)| {
+        let new = new.get(task)?;
+        (old != new).then_some((*old, *new))
+    });
+    let missing = |these: &BTreeMap<(u64, Task), Booking>, those: &BTreeMap<(u64, Task), Booking>| {
+        these.iter().filter(|(task, _)| !those.contains_key(task)).map(|(_, booking)| *booking).collect()
+    };
+    let mut ids: Vec<u64> = before.jobs.iter().chain(&after.jobs).map(|job| job.job).collect();
+    ids.sort_unstable();
+    ids.dedup();
+    let jobs = ids.into_iter().filter_map(|job| {
+        let state = |plan: &Plan| {
+            plan.job(job).map_or((None, false), |entry| (entry.verdict.finish(), entry.verdict.is_kept()))
+        };
+        let (old, new) = (state(before), state(after));
+        (old != new).then_some(JobDifference { job, before: old.0, after: new.0, kept: (old.1, new.1) })
+    });
+    Difference {
+        from: before.id(),
+        to: after.id(),
+        moved: moved.collect(),
+        added: missing(&new, &old),
+        removed: missing(&old, &new),
+        jobs: jobs.collect(),
+        added_cost: after.cost.saturating_sub(before.cost),
+    }
+}
+
+impl fmt::Display for Difference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let time = |instant: Option<i64>| match instant {
+            None => "never".to_owned(),
+            Some(instant) => {
+                let at = jiff::Timestamp::from_microsecond(instant);
+                at.map_or_else(|_| instant.to_string(), |at| at.to_string())
+            }
+        };
+        writeln!(
+            f,
+            "plan {} after {}: {} moved, {} added, {} removed, cost {:+} micro-units",
+            self.to,
+            self.from,
+            self.moved.len(),
+            self.added.len(),
+            self.removed.len(),
+            self.added_cost
+        )?;
+        for job in &self.jobs {
+            let word = match job.kept {
+                (true, false) => " and misses its deadline now",
+                (false, true) => " and keeps its deadline now",
+                _ => "",
+            };
+            writeln!(f, "job {} ends {} instead of {}{word}", job.job, time(job.after), time(job.before))?;
+        }
+        for (old, new) in &self.moved {
+            writeln!(
+                f,
+                "job {}, {}: node {} from {} instead of node {} from {}",
+                new.job,
+                new.task,
+                new.node,
+                time(Some(new.start)),
+                old.node,
+                time(Some(old.start))
+            )?;
+        }
+        Ok(())
+    }
+}

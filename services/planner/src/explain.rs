@@ -1,0 +1,242 @@
+//! Why a job waits.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::fairness::decayed_usage;
+use crate::limits::Ledger;
+use crate::model::{Booking, Input, InputError, Plan};
+use crate::problem::Problem;
+
+/// Jobs that are named as being in the way, at most.
+const MOST_NAMED: usize = 3;
+
+/// Why a job's first task does not start at its release.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Explanation {
+    /// The job.
+    pub job: u64,
+    /// Microseconds from its release to its first task.
+    pub waits: i64,
+    /// Why.
+    pub reason: Reason,
+}
+
+/// What a job waits for.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum Reason {
+    /// No node can ever render it: too little memory, no speed in its class, more of a limit than there is, or no
+    /// free time that is long enough.
+    NoNode,
+    /// No node that can render it is in its calendar before this instant.
+    Calendar {
+        /// When the first one is.
+        until: i64,
+    },
+    /// A limit is held by others.
+    Limit {
+        /// The limit.
+        limit: u64,
+    },
+    /// The nodes are booked for other jobs.
+    Behind {
+        /// The jobs that hold most of their time meanwhile, and why each goes first.
+        jobs: Vec<(u64, Precedence)>,
+    },
+    /// It could start, but it is cheaper later, and its deadline leaves the time.
+    Cheaper,
+}
+
+/// Why another job goes first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum Precedence {
+    /// Its booking is fixed.
+    Fixed,
+    /// It has a deadline, and this one has not.
+    Deadline,
+    /// Its deadline is earlier.
+    EarlierDeadline,
+    /// Its priority is greater.
+    Priority,
+    /// Its project had less for its share. Per cent of its share that each project had, this one's first.
+    Share {
+        /// Used by the waiting job's project, for a share of one.
+        mine: i64,
+        /// Used by the other's.
+        theirs: i64,
+    },
+    /// It was booked before.
+    Earlier,
+}
+
+impl fmt::Display for Precedence {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Precedence::Fixed => write!(f, "is fixed"),
+            Precedence::Deadline => write!(f, "has a deadline"),
+            Precedence::EarlierDeadline => write!(f, "has an earlier deadline"),
+            Precedence::Priority => write!(f, "has a greater priority"),
+            Precedence::Share { mine, theirs } => {
+                let hours = |time: &i64| time / 3_600_000_000;
+                write!(
+                    f,
+                    "belongs to a project that had {} node hours for its share, this one's had {}",
+                    hours(theirs),
+                    hours(mine)
+                )
+            }
+            Precedence::Earlier => write!(f, "was booked before"),
+        }
+    }
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Reason::NoNode => write!(f, "waits because no node can ever render it"),
+            Reason::Calendar { until } => {
+                let instant = jiff::Timestamp::from_microsecond(*until);
+                let until = instant.map_or_else(|_| until.to_string(), |instant| instant.to_string());
+                write!(f, "waits because no node that can render it is free by its calendar before {until}")
+            }
+            Reason::Limit { limit } => write!(f, "waits because others hold limit {limit}"),
+            Reason::Behind { jobs } => {
+                write!(f, "waits because its nodes are booked for")?;
+                for (index, (job, why)) in jobs.iter().enumerate() {
+                    write!(f, "{} job {job}, which {why}", if index > 0 { "," } else { "" })?;
+                }
+                Ok(())
+            }
+            Reason::Cheaper => write!(f, "waits because it is cheaper later and still in time"),
+        }
+    }
+}
+
+/// Explains every job that does not start at its release, or not at all.
+///
+/// # Errors
+/// If the input has no meaning.
+pub fn explain(input: &Input, plan: &Plan) -> Result<Vec<Explanation>, InputError> {
+    input.check()?;
+    let problem = Problem::new(input);
+    let mut ledger = Ledger::new(input);
+    let mut by_node: BTreeMap<u64, Vec<&Booking>> = BTreeMap::new();
+    let mut firsts: BTreeMap<u64, i64> = BTreeMap::new();
+    for booking in &plan.bookings {
+        by_node.entry(booking.node).or_default().push(booking);
+        firsts
+            .entry(booking.job)
+            .and_modify(|first| *first = booking.start.min(*first))
+            .or_insert(booking.start);
+        if let Some(job) = problem.job(booking.job) {
+            ledger.hold(&problem.jobs[job].job.uses, booking.start, booking.end);
+        }
+    }
+    let mut found = Vec::new();
+    for (index, work) in problem.jobs.iter().enumerate() {
+        let release = work.release(input.now);
+        let first = firsts.get(&work.job.id).copied();
+        let is_empty = work.frames.is_empty() && work.seed.is_none();
+        if is_empty || first.is_some_and(|first| first <= release) {
+            continue;
+        }
+        let reason = reason(&problem, index, first, &by_node, &ledger);
+        let waits = first.map_or(i64::MAX, |first| first.saturating_sub(release));
+        found.push(Explanation { job: work.job.id, waits, reason });
+    }
+    Ok(found)
+}
+
+fn reason(
+    problem: &Problem,
+    index: usize,
+    first: Option<i64>,
+    by_node: &BTreeMap<u64, Vec<&Booking>>,
+    ledger: &Ledger,
+) -> Reason {
+    let work = &problem.jobs[index];
+    let release = work.release(problem.input.now);
+    let Some(first) = first.filter(|_| !work.is_hopeless) else { return Reason::NoNode };
+    let classes = if work.seed.is_some() { &work.seed_classes } else { &work.classes };
+    let able: Vec<usize> = classes.iter().flat_map(|&class| problem.classes[class].iter().copied()).collect();
+    let opens = able
+        .iter()
+        .flat_map(|&node| &problem.windows[node])
+        .filter(|window| window.end > release)
+        .map(|window| window.start.max(release))
+        .min();
+    let fixed_before = |instant: i64| {
+        let ids: Vec<u64> = able.iter().map(|&node| problem.nodes[node].id).collect();
+        let here = move |fixed: &&crate::model::FixedBooking| {
+            ids.contains(&fixed.node) && fixed.start < instant && fixed.end > release
+        };
+        problem.input.fixed.iter().filter(here)
+    };
+    match opens {
+        None => return Reason::NoNode,
+        Some(until) if until >= first && fixed_before(first).next().is_none() => {
+            return Reason::Calendar { until };
+        }
+        Some(_) => {}
+    }
+    for held in &work.job.uses {
+        if (release..first).contains(&release) && ledger.is_short_at(held.limit, held.count, release) {
+            return Reason::Limit { limit: held.limit };
+        }
+    }
+    // Who holds the nodes' time between release and start, and how much of it.
+    let mut holders: BTreeMap<u64, i64> = BTreeMap::new();
+    let mut some_node_is_free = false;
+    for &node in &able {
+        let mut is_taken =
+            !problem.windows[node].iter().any(|window| window.start <= release && release < window.end);
+        for booking in by_node.get(&problem.nodes[node].id).into_iter().flatten() {
+            let (start, end) = (booking.start.max(release), booking.end.min(first));
+            if start < end {
+                *holders.entry(booking.job).or_default() += end - start;
+                is_taken |= booking.start <= release;
+            }
+        }
+        some_node_is_free |= !is_taken;
+    }
+    holders.remove(&work.job.id);
+    let mut fixed: BTreeMap<u64, i64> = BTreeMap::new();
+    for booking in fixed_before(first) {
+        if let Some(job) = booking.job {
+            *fixed.entry(job).or_default() += booking.end.min(first) - booking.start.max(release);
+        }
+    }
+    if some_node_is_free || (holders.is_empty() && fixed.is_empty()) {
+        return Reason::Cheaper;
+    }
+    let mut jobs: Vec<(i64, u64, Precedence)> =
+        holders.into_iter().map(|(job, time)| (time, job, precedence(problem, index, job))).collect();
+    jobs.extend(fixed.into_iter().map(|(job, time)| (time, job, Precedence::Fixed)));
+    jobs.sort_unstable_by_key(|&(time, job, _)| (std::cmp::Reverse(time), job));
+    Reason::Behind { jobs: jobs.into_iter().take(MOST_NAMED).map(|(_, job, why)| (job, why)).collect() }
+}
+
+fn precedence(problem: &Problem, waiting: usize, other: u64) -> Precedence {
+    let mine = problem.jobs[waiting].job;
+    let Some(theirs) = problem.job(other).map(|job| problem.jobs[job].job) else { return Precedence::Fixed };
+    match (mine.deadline, theirs.deadline) {
+        (None, Some(_)) => Precedence::Deadline,
+        (Some(mine), Some(theirs)) if theirs < mine => Precedence::EarlierDeadline,
+        _ if theirs.priority > mine.priority => Precedence::Priority,
+        (None, None) if mine.project != theirs.project => {
+            let used = |project: Option<u64>| {
+                let found = problem.input.projects.iter().find(|entry| Some(entry.id) == project);
+                found.map_or(0, |entry| {
+                    let used = decayed_usage(entry, problem.input.now, problem.input.half_life);
+                    used / i64::from(entry.share.max(1))
+                })
+            };
+            Precedence::Share { mine: used(mine.project), theirs: used(theirs.project) }
+        }
+        _ => Precedence::Earlier,
+    }
+}

@@ -1,0 +1,364 @@
+//! One node's time while a plan is made: what is free, what is booked, what it costs.
+
+use crate::calendar::{FreeTime, Window};
+use crate::limits::Ledger;
+use crate::model::{LimitUse, Node, Rental, price_of};
+use crate::rental::rentals;
+
+/// Gaps in which a booking is tried on a node that is not billed plainly. The first is the earliest; the others
+/// are there for time that is paid already.
+const GAPS_TRIED: usize = 8;
+
+/// A node's time.
+#[derive(Clone, Debug)]
+pub(crate) struct Lane {
+    is_plain: bool,
+    stretches: Vec<Stretch>,
+    /// Time in which a booking may lie: past the set-up, and not booked.
+    free: FreeTime,
+    /// Length of the longest of these gaps.
+    longest_gap: i64,
+    /// Booked time.
+    used: i64,
+    /// What the rentals cost. A plain lane's is only known once [`Lane::rentals`] makes them.
+    cost: i64,
+}
+
+#[derive(Clone, Debug)]
+struct Stretch {
+    window: Window,
+    /// Bookings by start.
+    busy: Vec<(i64, i64)>,
+    /// Bookings that touch, joined. Kept only where it decides the price.
+    runs: Vec<(i64, i64)>,
+    cost: i64,
+}
+
+/// What a booking is looked for with.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Wanted<'a> {
+    /// It starts at this instant or later.
+    pub release: i64,
+    /// It ends at this instant or earlier.
+    pub latest_end: i64,
+    pub duration: i64,
+    pub uses: &'a [LimitUse],
+}
+
+/// Whether the end or the price matters more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Prefer {
+    Early,
+    Cheap,
+}
+
+/// A place for a booking, and what it adds to the cost.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Fit {
+    pub start: i64,
+    pub end: i64,
+    pub added_cost: i64,
+    /// What is left of the gap behind it, where that matters.
+    pub left: i64,
+}
+
+impl Fit {
+    /// What decides between places: less is better.
+    pub fn rank(&self, prefer: Prefer) -> (i64, i64, i64) {
+        match prefer {
+            Prefer::Early => (self.end, self.added_cost, 0),
+            Prefer::Cheap => (self.added_cost, self.left, self.end),
+        }
+    }
+}
+
+impl Lane {
+    pub fn new(node: &Node, windows: &[Window]) -> Self {
+        let first = |window: &Window| {
+            if window.warm { window.start } else { window.start.saturating_add(node.setup) }
+        };
+        let free = FreeTime::union(windows.iter().map(|window| (first(window), window.end)).collect());
+        Lane {
+            is_plain: node.is_plainly_billed(),
+            longest_gap: free.longest(),
+            free,
+            stretches: windows
+                .iter()
+                .map(|&window| Stretch { window, busy: Vec::new(), runs: Vec::new(), cost: 0 })
+                .collect(),
+            used: 0,
+            cost: 0,
+        }
+    }
+
+    /// Whether there is no gap for a booking of this length.
+    pub fn is_too_full(&self, duration: i64) -> bool {
+        duration > self.longest_gap
+    }
+
+    /// What a booking of this length adds at least, wherever it is.
+    pub fn least_added_cost(&self, node: &Node, duration: i64) -> i64 {
+        if self.is_plain {
+            return price_of(node.price_per_hour, duration);
+        }
+        price_of(node.price_per_hour, self.used.saturating_add(duration)).saturating_sub(self.cost).max(0)
+    }
+
+    /// The best place for a booking.
+    ///
+    /// `is_scarce` says whether time at an instant is: then a cheap place is one that leaves least of its gap
+    /// unused (best fit); otherwise it is the first.
+    pub fn fit(
+        &self,
+        node: &Node,
+        wanted: &Wanted,
+        ledger: &Ledger,
+        prefer: Prefer,
+        is_scarce: impl Fn(i64) -> bool,
+    ) -> Option<Fit> {
+        let mut best: Option<Fit> = None;
+        let mut tried = 0;
+        for &gap in &self.free.gaps()[self.free.first_after(wanted.release)..] {
+            if gap.0.saturating_add(wanted.duration) > wanted.latest_end {
+                break;
+            }
+            let Some((start, end)) = within(gap, wanted, ledger) else { continue };
+            if self.is_plain {
+                let added_cost = price_of(node.price_per_hour, wanted.duration);
+                if prefer == Prefer::Early || !is_scarce(start) {
+                    // Time that is not scarce is as good as a perfect fit.
+                    let first = Fit { start, end, added_cost, left: 0 };
+                    return best.filter(|best| best.left == 0).or(Some(first));
+                }
+                let fit = Fit { start, end, added_cost, left: gap.1.saturating_sub(end) };
+                if best.is_none_or(|best| fit.left < best.left) {
+                    best = Some(fit);
+                }
+                continue;
+            }
+            let stretch = &self.stretches[self.stretch_at(start)];
+            let mut consider = |start: i64, end: i64| {
+                let added_cost = stretch.cost_with(node, start, end).saturating_sub(stretch.cost);
+                let fit = Fit { start, end, added_cost, left: 0 };
+                if best.is_none_or(|best| fit.rank(prefer) < best.rank(prefer)) {
+                    best = Some(fit);
+                }
+            };
+            consider(start, end);
+            if prefer == Prefer::Early {
+                break;
+            }
+            // Just before the next booking it may need no rental of its own.
+            let late_start = gap.1.saturating_sub(wanted.duration);
+            if gap.1 < stretch.window.end
+                && gap.1 <= wanted.latest_end
+                && late_start > start
+                && ledger.is_free(wanted.uses, late_start, gap.1).is_ok()
+            {
+                consider(late_start, gap.1);
+            }
+            tried += 1;
+            if tried == GAPS_TRIED || best.is_some_and(|best| best.added_cost == 0) {
+                break;
+            }
+        }
+        best
+    }
+
+    /// Whether exactly this time is free.
+    pub fn is_free(&self, start: i64, end: i64) -> bool {
+        self.free.gaps().get(self.free.first_after(start)).is_some_and(|gap| gap.0 <= start && end <= gap.1)
+    }
+
+    /// Books free time.
+    pub fn book(&mut self, node: &Node, start: i64, end: i64) {
+        self.free.take(start, end);
+        self.longest_gap = self.free.longest();
+        self.used = self.used.saturating_add(end.saturating_sub(start));
+        let at = self.stretch_at(start);
+        let is_plain = self.is_plain;
+        let stretch = &mut self.stretches[at];
+        let place = stretch.busy.partition_point(|&(other, _)| other < start);
+        stretch.busy.insert(place, (start, end));
+        if !is_plain {
+            stretch.runs = joined(&stretch.runs, start, end);
+            self.recost(node, at);
+        }
+    }
+
+    /// Frees booked time.
+    pub fn unbook(&mut self, node: &Node, start: i64, end: i64) {
+        let at = self.stretch_at(start);
+        let is_plain = self.is_plain;
+        let stretch = &mut self.stretches[at];
+        let Ok(place) = stretch.busy.binary_search(&(start, end)) else { return };
+        stretch.busy.remove(place);
+        self.free.give(start, end);
+        self.longest_gap = self.free.longest();
+        self.used = self.used.saturating_sub(end.saturating_sub(start));
+        if !is_plain {
+            stretch.runs = stretch.joined_busy();
+            self.recost(node, at);
+        }
+    }
+
+    /// What freeing this booking would save.
+    pub fn saved_without(&self, node: &Node, start: i64, end: i64) -> i64 {
+        if self.is_plain {
+            return price_of(node.price_per_hour, end.saturating_sub(start));
+        }
+        let stretch = &self.stretches[self.stretch_at(start)];
+        let rest: Vec<(i64, i64)> =
+            stretch.busy.iter().copied().filter(|&booking| booking != (start, end)).collect();
+        let rest = Stretch { window: stretch.window, busy: rest, runs: Vec::new(), cost: 0 };
+        stretch.cost.saturating_sub(total(&rentals(node, rest.window, &rest.joined_busy())))
+    }
+
+    /// The rentals that pay for all bookings.
+    pub fn rentals(&self, node: &Node) -> Vec<Rental> {
+        self.stretches
+            .iter()
+            .flat_map(|stretch| {
+                let runs = stretch.joined_busy();
+                if self.is_plain {
+                    let rental = |&(start, end): &(i64, i64)| Rental {
+                        node: node.id,
+                        start,
+                        end,
+                        setup: false,
+                        cost: node.price(end.saturating_sub(start), false),
+                    };
+                    runs.iter().map(rental).collect()
+                } else {
+                    rentals(node, stretch.window, &runs)
+                }
+            })
+            .collect()
+    }
+
+    /// Index of the stretch that holds this instant.
+    fn stretch_at(&self, instant: i64) -> usize {
+        self.stretches.partition_point(|stretch| stretch.window.end <= instant)
+    }
+
+    fn recost(&mut self, node: &Node, at: usize) {
+        let stretch = &mut self.stretches[at];
+        let cost = total(&rentals(node, stretch.window, &stretch.runs));
+        self.cost = self.cost.saturating_sub(stretch.cost).saturating_add(cost);
+        stretch.cost = cost;
+    }
+}
+
+impl Stretch {
+    fn cost_with(&self, node: &Node, start: i64, end: i64) -> i64 {
+        total(&rentals(node, self.window, &joined(&self.runs, start, end)))
+    }
+
+    fn joined_busy(&self) -> Vec<(i64, i64)> {
+        let mut runs: Vec<(i64, i64)> = Vec::new();
+        for &(start, end) in &self.busy {
+            match runs.last_mut() {
+                Some(last) if last.1 == start => last.1 = end,
+                _ => runs.push((start, end)),
+            }
+        }
+        runs
+    }
+}
+
+/// The earliest time in the gap that will do.
+fn within(gap: (i64, i64), wanted: &Wanted, ledger: &Ledger) -> Option<(i64, i64)> {
+    let mut start = gap.0.max(wanted.release);
+    loop {
+        let end = start.checked_add(wanted.duration)?;
+        if end > gap.1 || end > wanted.latest_end {
+            return None;
+        }
+        if wanted.uses.is_empty() {
+            return Some((start, end));
+        }
+        match ledger.is_free(wanted.uses, start, end) {
+            Ok(()) => return Some((start, end)),
+            Err(later) => start = later?,
+        }
+    }
+}
+
+/// The runs with one more booking, which overlaps none.
+fn joined(runs: &[(i64, i64)], start: i64, end: i64) -> Vec<(i64, i64)> {
+    let at = runs.partition_point(|run| run.1 < start);
+    let mut new = (start, end);
+    let mut beyond = at;
+    while let Some(run) = runs.get(beyond).filter(|run| run.0 <= end) {
+        new = (new.0.min(run.0), new.1.max(run.1));
+        beyond += 1;
+    }
+    let mut all = Vec::with_capacity(runs.len() + 1);
+    all.extend_from_slice(&runs[..at]);
+    all.push(new);
+    all.extend_from_slice(&runs[beyond..]);
+    all
+}
+
+fn total(rentals: &[Rental]) -> i64 {
+    rentals.iter().fold(0, |sum, rental| sum.saturating_add(rental.cost))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Fit, Lane, Prefer, Wanted};
+    use crate::calendar::Window;
+    use crate::limits::Ledger;
+    use crate::model::Node;
+
+    const HOUR: i64 = 3_600_000_000;
+
+    fn wanted(release: i64, duration: i64) -> Wanted<'static> {
+        Wanted { release, latest_end: i64::MAX, duration, uses: &[] }
+    }
+
+    fn lane(node: &Node, windows: &[(i64, i64)]) -> Lane {
+        let windows: Vec<Window> =
+            windows.iter().map(|&(start, end)| Window { start, end, warm: false }).collect();
+        Lane::new(node, &windows)
+    }
+
+    #[test]
+    fn a_stretch_must_fit_into_one_gap() {
+        let node = Node { id: 1, ..Node::default() };
+        let lane = lane(&node, &[(0, 10), (20, 40)]);
+        let at = |release, duration| {
+            lane.fit(&node, &wanted(release, duration), &Ledger::default(), Prefer::Early, |_| false)
+                .map(|fit| fit.start)
+        };
+        assert_eq!(at(0, 10), Some(0));
+        assert_eq!(at(1, 10), Some(20));
+        assert_eq!(at(30, 10), Some(30));
+        assert_eq!(at(31, 10), None);
+        assert_eq!(at(0, i64::MAX), None);
+    }
+
+    #[test]
+    fn time_that_is_paid_already_costs_nothing_more() {
+        let node = Node { price_per_hour: 1000, billing_step: HOUR, ..Node::default() };
+        let mut lane = lane(&node, &[(0, 100 * HOUR)]);
+        lane.book(&node, 0, HOUR / 2);
+        let half = lane.fit(&node, &wanted(0, HOUR / 2), &Ledger::default(), Prefer::Cheap, |_| false);
+        assert_eq!(half, Some(Fit { start: HOUR / 2, end: HOUR, added_cost: 0, left: 0 }));
+        assert_eq!(lane.least_added_cost(&node, HOUR / 2), 0);
+        assert_eq!(lane.least_added_cost(&node, HOUR), 500);
+        lane.book(&node, HOUR / 2, HOUR);
+        assert_eq!(lane.saved_without(&node, 0, HOUR / 2), 0, "the hour is billed all the same");
+        lane.unbook(&node, 0, HOUR / 2);
+        lane.unbook(&node, HOUR / 2, HOUR);
+        assert!(lane.rentals(&node).is_empty() && lane.is_free(0, 100 * HOUR));
+    }
+
+    #[test]
+    fn nothing_starts_before_the_set_up_is_done() {
+        let node = Node { setup: 5, ..Node::default() };
+        let lane = lane(&node, &[(0, 8), (10, 30)]);
+        let fit = lane.fit(&node, &wanted(0, 4), &Ledger::default(), Prefer::Early, |_| false);
+        assert_eq!(fit.map(|fit| fit.start), Some(15));
+    }
+}

@@ -1,0 +1,216 @@
+//! Whether an input has a meaning.
+
+use std::collections::BTreeSet;
+
+use super::{Input, Interval, Job, LimitUse, Node};
+
+/// Why an input has no meaning. Inputs that merely cannot be met have a verdict instead.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum InputError {
+    /// Two nodes share an id.
+    #[error("node {node} is given twice")]
+    DuplicateNode {
+        /// The node.
+        node: u64,
+    },
+    /// Two jobs share an id.
+    #[error("job {job} is given twice")]
+    DuplicateJob {
+        /// The job.
+        job: u64,
+    },
+    /// Two limits share an id.
+    #[error("limit {limit} is given twice")]
+    DuplicateLimit {
+        /// The limit.
+        limit: u64,
+    },
+    /// Two projects share an id.
+    #[error("project {project} is given twice")]
+    DuplicateProject {
+        /// The project.
+        project: u64,
+    },
+    /// Two frames of a job share a number.
+    #[error("job {job}: frame {frame} is given twice")]
+    DuplicateFrame {
+        /// The job.
+        job: u64,
+        /// Number of the frame.
+        frame: i64,
+    },
+    /// A node does no work.
+    #[error("node {node}: the speed must be more than zero")]
+    ZeroSpeed {
+        /// The node.
+        node: u64,
+    },
+    /// A node pays for being used.
+    #[error("node {node}: the price must not be negative, but is {price}")]
+    NegativePrice {
+        /// The node.
+        node: u64,
+        /// The price.
+        price: i64,
+    },
+    /// A length of time is negative.
+    #[error("{what} must not be negative, but is {value} microseconds")]
+    NegativeTime {
+        /// Which one.
+        what: String,
+        /// Microseconds.
+        value: i64,
+    },
+    /// An interval of a calendar ends before it starts.
+    #[error("node {node}: a calendar interval starts at {start} and ends before, at {end}")]
+    ReversedInterval {
+        /// The node.
+        node: u64,
+        /// Start of the interval.
+        start: i64,
+        /// End of the interval.
+        end: i64,
+    },
+    /// A fixed booking ends before it starts.
+    #[error("node {node}: a fixed booking starts at {start} and ends before, at {end}")]
+    ReversedBooking {
+        /// The node.
+        node: u64,
+        /// Start of the booking.
+        start: i64,
+        /// End of the booking.
+        end: i64,
+    },
+    /// A booking is on a node that does not exist.
+    #[error("a fixed booking names node {node}, which does not exist")]
+    UnknownNode {
+        /// The node.
+        node: u64,
+    },
+    /// Something uses a limit that does not exist.
+    #[error("limit {limit} is used, but does not exist")]
+    UnknownLimit {
+        /// The limit.
+        limit: u64,
+    },
+    /// A job belongs to a project that does not exist.
+    #[error("job {job} belongs to project {project}, which does not exist")]
+    UnknownProject {
+        /// The job.
+        job: u64,
+        /// The project.
+        project: u64,
+    },
+    /// A job's quantiles fall where they should rise.
+    #[error("job {job}: the quantiles of its work must not fall from P50 to P80 to P95")]
+    FallingQuantiles {
+        /// The job.
+        job: u64,
+    },
+    /// A plan that was given does not belong to the input.
+    #[error("the event names {what} {id}, which does not exist")]
+    UnknownEvent {
+        /// Node, job or limit.
+        what: &'static str,
+        /// Its identity.
+        id: u64,
+    },
+}
+
+impl Input {
+    /// Checks that the input has a meaning.
+    ///
+    /// # Errors
+    /// The first thing found wrong, in the order limits, projects, nodes, fixed bookings, jobs. Movable
+    /// bookings may be wrong: those that are are not kept.
+    pub fn check(&self) -> Result<(), InputError> {
+        let mut limits = BTreeSet::new();
+        if let Some(twice) = self.limits.iter().find(|limit| !limits.insert(limit.id)) {
+            return Err(InputError::DuplicateLimit { limit: twice.id });
+        }
+        let mut projects = BTreeSet::new();
+        if let Some(twice) = self.projects.iter().find(|project| !projects.insert(project.id)) {
+            return Err(InputError::DuplicateProject { project: twice.id });
+        }
+        not_negative("the half-life of what projects used", self.half_life)?;
+        let mut nodes = BTreeSet::new();
+        for node in &self.nodes {
+            if !nodes.insert(node.id) {
+                return Err(InputError::DuplicateNode { node: node.id });
+            }
+            check_node(node)?;
+        }
+        for fixed in &self.fixed {
+            if !nodes.contains(&fixed.node) {
+                return Err(InputError::UnknownNode { node: fixed.node });
+            }
+            if fixed.end < fixed.start {
+                let (node, start, end) = (fixed.node, fixed.start, fixed.end);
+                return Err(InputError::ReversedBooking { node, start, end });
+            }
+            known_limits(&fixed.uses, &limits)?;
+        }
+        let mut jobs = BTreeSet::new();
+        for job in &self.jobs {
+            if !jobs.insert(job.id) {
+                return Err(InputError::DuplicateJob { job: job.id });
+            }
+            if let Some(project) = job.project.filter(|project| !projects.contains(project)) {
+                return Err(InputError::UnknownProject { job: job.id, project });
+            }
+            known_limits(&job.uses, &limits)?;
+            check_job(job)?;
+        }
+        Ok(())
+    }
+}
+
+fn check_node(node: &Node) -> Result<(), InputError> {
+    let id = node.id;
+    if node.speed == 0 && node.speeds.values().all(|&speed| speed == 0) {
+        return Err(InputError::ZeroSpeed { node: id });
+    }
+    for price in [node.price_per_hour, node.setup_cost] {
+        if price < 0 {
+            return Err(InputError::NegativePrice { node: id, price });
+        }
+    }
+    for (what, value) in [
+        ("billing step", node.billing_step),
+        ("minimum booking", node.minimum_booking),
+        ("set-up", node.setup),
+    ] {
+        if value < 0 {
+            return Err(InputError::NegativeTime { what: format!("node {id}: the {what}"), value });
+        }
+    }
+    for &Interval { start, end } in node.calendar.iter().chain(&node.maintenance) {
+        if let Some(end) = end.filter(|&end| end < start) {
+            return Err(InputError::ReversedInterval { node: id, start, end });
+        }
+    }
+    Ok(())
+}
+
+fn check_job(job: &Job) -> Result<(), InputError> {
+    if job.total.p50 > job.total.p80 || job.total.p80 > job.total.p95 {
+        return Err(InputError::FallingQuantiles { job: job.id });
+    }
+    let mut frames = BTreeSet::new();
+    match job.frames.iter().find(|frame| !frames.insert(frame.number)) {
+        Some(frame) => Err(InputError::DuplicateFrame { job: job.id, frame: frame.number }),
+        None => Ok(()),
+    }
+}
+
+fn not_negative(what: &str, value: i64) -> Result<(), InputError> {
+    if value < 0 { Err(InputError::NegativeTime { what: what.to_owned(), value }) } else { Ok(()) }
+}
+
+fn known_limits(uses: &[LimitUse], limits: &BTreeSet<u64>) -> Result<(), InputError> {
+    match uses.iter().find(|held| !limits.contains(&held.limit)) {
+        Some(held) => Err(InputError::UnknownLimit { limit: held.limit }),
+        None => Ok(()),
+    }
+}

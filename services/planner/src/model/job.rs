@@ -1,0 +1,191 @@
+//! Jobs, what is known of their work, and the projects that they belong to.
+
+use serde::{Deserialize, Serialize};
+
+use super::LimitUse;
+
+/// Frames to be rendered together.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Job {
+    /// Identity, opaque to the planner; ties go to the lower one.
+    pub id: u64,
+    /// Name for people.
+    pub name: String,
+    /// The project that it belongs to.
+    pub project: Option<u64>,
+    /// Class of its frames' work; see [`super::Node::speeds`].
+    pub class: u32,
+    /// Nothing may start before this instant.
+    pub release: i64,
+    /// The last frame should end by this instant.
+    pub deadline: Option<i64>,
+    /// If not all deadlines can be met, jobs of greater priority have theirs met first; and without a deadline
+    /// they go first.
+    pub priority: i32,
+    /// Among equal priorities: a job of weight two is worth two of weight one, and so is a job of weight zero
+    /// or one.
+    pub weight: u32,
+    /// The quantile of the job's work for which capacity is bought.
+    pub confidence: Confidence,
+    /// Forecast work of all frames together.
+    pub total: WorkTotal,
+    /// What has to be done before any frame can start, on one node.
+    pub seed: Option<Seed>,
+    /// Its frames.
+    pub frames: Vec<Frame>,
+    /// Numbers of the frames that need no place any more: they are done, or run as fixed bookings.
+    pub done: Vec<i64>,
+    /// Main memory that a frame needs, bytes.
+    pub memory: u64,
+    /// Graphics memory that a frame needs, bytes.
+    pub gpu_memory: u64,
+    /// Cores that a node must have for it.
+    pub cores: u32,
+    /// What each running frame, tile and seed holds.
+    pub uses: Vec<LimitUse>,
+    /// Into how many tiles a frame may be split at most; zero and one: it may not.
+    pub tiles: u32,
+    /// Work that each tile costs on top of its part of the frame.
+    pub tile_overhead: u64,
+    /// What the job may cost, in micro-units.
+    pub budget: Option<i64>,
+}
+
+/// A frame's forecast.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Frame {
+    /// The frame's number, unique in its job.
+    pub number: i64,
+    /// Median of its work.
+    pub work: u64,
+    /// The work that it exceeds in one case of five; zero: no more is known than the median.
+    pub work_p80: u64,
+}
+
+/// Work that comes before all frames of a job: an irradiance cache, a simulation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Seed {
+    /// Class of its work.
+    pub class: u32,
+    /// Median of its work.
+    pub work: u64,
+}
+
+/// Quantiles of the work of a job's frames. They hold what the frames have in common: not sums of the frames'
+/// quantiles.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WorkTotal {
+    /// As likely to be more as to be less.
+    pub p50: u64,
+    /// Enough in four cases of five.
+    pub p80: u64,
+    /// Enough in nineteen cases of twenty.
+    pub p95: u64,
+}
+
+/// How sure the user wants to be that the capacity is enough.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Confidence {
+    /// As likely as not.
+    P50,
+    /// Four cases of five.
+    #[default]
+    P80,
+    /// Nineteen cases of twenty.
+    P95,
+}
+
+/// Someone with a share of the farm.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Project {
+    /// Identity.
+    pub id: u64,
+    /// Name for people.
+    pub name: String,
+    /// Its share, relative to the others'; zero counts as one.
+    pub share: u32,
+    /// What it had.
+    pub usage: Vec<Usage>,
+}
+
+/// Node time that a project had.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Usage {
+    /// When it ended.
+    pub at: i64,
+    /// Microseconds of a node.
+    pub time: i64,
+}
+
+impl WorkTotal {
+    /// The quantile of this confidence.
+    pub fn at(&self, confidence: Confidence) -> u64 {
+        match confidence {
+            Confidence::P50 => self.p50,
+            Confidence::P80 => self.p80,
+            Confidence::P95 => self.p95,
+        }
+    }
+}
+
+impl Job {
+    /// Work bought for each frame: its median, scaled so that all frames together reach the job's total at
+    /// its confidence, and rounded up.
+    ///
+    /// The forecast error that all frames share does not average out, so the whole job is scaled by one
+    /// factor. The sum of the frames' own quantiles would buy too much, the sum of their medians would be
+    /// late every other time.
+    pub fn bought_work(&self) -> Vec<u64> {
+        let medians = self.medians();
+        self.frames
+            .iter()
+            .map(|frame| match medians {
+                // Nothing is known of the frames: they share evenly.
+                0 => self.share(1, self.frames.len() as u128),
+                _ => self.share(frame.work, medians),
+            })
+            .collect()
+    }
+
+    /// Number and bought work of the frames that still need a place.
+    pub fn open_work(&self) -> impl Iterator<Item = (i64, u64)> {
+        let done: std::collections::BTreeSet<i64> = self.done.iter().copied().collect();
+        let all = self.frames.iter().map(|frame| frame.number).zip(self.bought_work());
+        all.filter(move |(number, _)| !done.contains(number))
+    }
+
+    /// Work bought for the seed: its median, scaled as the frames are.
+    pub fn bought_seed(&self) -> Option<u64> {
+        let seed = self.seed?;
+        Some(match self.medians() {
+            0 => seed.work,
+            medians => self.share(seed.work, medians),
+        })
+    }
+
+    /// Work of each of so many tiles of a frame.
+    pub fn tile_work(&self, frame_work: u64, parts: u32) -> u64 {
+        frame_work.div_ceil(u64::from(parts.max(1))).saturating_add(self.tile_overhead)
+    }
+
+    fn medians(&self) -> u128 {
+        self.frames.iter().map(|frame| u128::from(frame.work)).sum()
+    }
+
+    /// `work / whole` of the total at the job's confidence, rounded up.
+    fn share(&self, work: u64, whole: u128) -> u64 {
+        let total = u128::from(self.total.at(self.confidence));
+        let product = u128::from(work) * total;
+        u64::try_from(product.div_ceil(whole.max(1))).unwrap_or(u64::MAX)
+    }
+
+    /// What the job counts among jobs of its priority.
+    pub(crate) fn worth(&self) -> u32 {
+        self.weight.max(1)
+    }
+}

@@ -1,0 +1,122 @@
+//! From a finished schedule to what the plan says.
+
+use std::collections::BTreeMap;
+
+use crate::admission::Admission;
+use crate::model::{Booking, Bound, Input, Job, JobPlan, Plan, PlanId, Proof, Rental, Verdict};
+use crate::proof::{Counted, value};
+use crate::rental::shares;
+use crate::state::State;
+
+/// The plan of this schedule.
+pub(crate) fn plan(
+    state: &State,
+    admission: &Admission,
+    bounds: Vec<Bound>,
+    bound: Bound,
+    parent: Option<PlanId>,
+) -> Plan {
+    let problem = state.problem;
+    let mut bookings: Vec<Booking> = Vec::new();
+    for (job, placed) in state.placed.iter().enumerate() {
+        bookings.extend(placed.iter().map(|placed| state.booking(job, placed)));
+    }
+    bookings.sort_unstable();
+    let mut rentals: Vec<Rental> = Vec::new();
+    for (lane, node) in state.lanes.iter().zip(&problem.nodes) {
+        rentals.extend(lane.rentals(node));
+    }
+    let costs = costs(&rentals, &bookings);
+    let jobs: Vec<JobPlan> = problem
+        .jobs
+        .iter()
+        .zip(bounds)
+        .enumerate()
+        .map(|(index, (work, bound))| {
+            let cost = costs.get(&work.job.id).copied().unwrap_or(0);
+            JobPlan {
+                job: work.job.id,
+                verdict: verdict(state, index, bound),
+                cost,
+                within_budget: work.job.budget.map(|budget| cost <= budget),
+                bound,
+            }
+        })
+        .collect();
+    let cost = rentals.iter().fold(0i64, |sum, rental| sum.saturating_add(rental.cost));
+    let (cost_bound, proof) = cost_bound(problem.input, &jobs, &admission.proof);
+    let infeasible = admission.infeasible.clone();
+    Plan { parent, bookings, rentals, jobs, cost, bound, cost_bound, proof, infeasible }
+}
+
+/// Each job's part of the rentals, in proportion to its time in them.
+pub(crate) fn costs(rentals: &[Rental], bookings: &[Booking]) -> BTreeMap<u64, i64> {
+    let mut by_node: BTreeMap<u64, Vec<&Booking>> = BTreeMap::new();
+    for booking in bookings {
+        by_node.entry(booking.node).or_default().push(booking);
+    }
+    let mut costs: BTreeMap<u64, i64> = BTreeMap::new();
+    for rental in rentals {
+        let Some(of_node) = by_node.get(&rental.node) else { continue };
+        // Bookings are in the order of their starts.
+        let first = of_node.partition_point(|booking| booking.start < rental.start);
+        let beyond = of_node.partition_point(|booking| booking.start < rental.end);
+        let within = &of_node[first..beyond.max(first)];
+        let times = within.iter().map(|booking| booking.end.saturating_sub(booking.start));
+        for (booking, part) in within.iter().zip(shares(rental.cost, times)) {
+            let cost = costs.entry(booking.job).or_default();
+            *cost = cost.saturating_add(part);
+        }
+    }
+    costs
+}
+
+fn verdict(state: &State, index: usize, bound: Bound) -> Verdict {
+    let frames = state.missing(index);
+    let seed = state.misses_seed(index);
+    if !frames.is_empty() || seed {
+        return Verdict::Unplaced { frames, seed };
+    }
+    let finish = state.finish(index);
+    match state.problem.jobs[index].job.deadline {
+        None => Verdict::NoDeadline { finish },
+        Some(deadline) if finish <= deadline => {
+            Verdict::Feasible { finish, slack: deadline.saturating_sub(finish) }
+        }
+        Some(deadline) => Verdict::Late {
+            finish,
+            by: finish.saturating_sub(deadline),
+            unavoidable: bound.earliest_finish().is_none_or(|earliest| earliest > deadline),
+        },
+    }
+}
+
+/// How a job counts for the cost bound: by its deadline if the plan keeps it, not at all if the plan does not
+/// place it.
+pub(crate) fn counted(jobs: &[JobPlan]) -> impl Fn(&Job) -> Counted {
+    let verdicts: BTreeMap<u64, Counted> = jobs
+        .iter()
+        .map(|entry| {
+            let counted = match &entry.verdict {
+                Verdict::Feasible { finish, slack } => Counted::By(finish.saturating_add(*slack)),
+                Verdict::NoDeadline { .. } | Verdict::Late { .. } => Counted::Whenever,
+                Verdict::Unplaced { .. } => Counted::Not,
+            };
+            (entry.job, counted)
+        })
+        .collect();
+    move |job| match verdicts.get(&job.id) {
+        Some(Counted::By(_)) => job.deadline.map_or(Counted::Whenever, Counted::By),
+        Some(&counted) => counted,
+        None => Counted::Not,
+    }
+}
+
+/// The better of what these prices prove and what follows without any.
+fn cost_bound(input: &Input, jobs: &[JobPlan], proof: &Proof) -> (i64, Proof) {
+    let money = |value: i128| i64::try_from(value.max(0)).unwrap_or(i64::MAX);
+    let counted = counted(jobs);
+    let plain = value(input, &Proof::default(), true, &counted);
+    let priced = value(input, proof, true, &counted);
+    if priced > plain { (money(priced), proof.clone()) } else { (money(plain), Proof::default()) }
+}

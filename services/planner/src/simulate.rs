@@ -1,0 +1,199 @@
+//! How sure a plan is: it is carried out many times with work drawn from the forecast's distribution.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::calendar::Window;
+use crate::chance::normal;
+use crate::model::{Input, InputError, Job, Plan, Task, price_of};
+use crate::problem::Problem;
+
+/// z of 80 % and 95 %, one-sided.
+const Z80: f64 = 0.841_621_233_572_914_2;
+const Z95: f64 = 1.644_853_626_951_472_6;
+
+/// What came out of the scenarios.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Simulation {
+    /// How many scenarios were drawn.
+    pub scenarios: u32,
+    /// By job.
+    pub jobs: Vec<JobRisk>,
+    /// Cost in micro-units at P50, P80 and P95.
+    pub cost: [i64; 3],
+}
+
+/// One job over all scenarios.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct JobRisk {
+    /// The job.
+    pub job: u64,
+    /// In how many scenarios it missed its deadline.
+    pub late: u32,
+    /// End of its last frame at P50, P80 and P95; none if it then finds no more free time.
+    pub finish: [Option<i64>; 3],
+}
+
+impl JobRisk {
+    /// Probability of being late.
+    pub fn probability(&self, scenarios: u32) -> f64 {
+        if scenarios == 0 { 0.0 } else { f64::from(self.late) / f64::from(scenarios) }
+    }
+}
+
+/// Carries the plan out in so many scenarios. The same seed gives the same answer.
+///
+/// The work of a job's frames is its forecast median times a factor that all its frames share, whose quantiles are those of the
+/// job's total, times a factor of its own. Every node renders what the plan gave it in the plan's order: each task as soon
+/// as the node is done with the one before, its job is released and its seed done, in the first free stretch that is
+/// long enough. Limits are taken to be as the plan had them. Costs vary with rented time; set-ups and
+/// rounding to steps stay what they are in the plan.
+///
+/// # Errors
+/// If the input has no meaning.
+pub fn simulate(input: &Input, plan: &Plan, scenarios: u32, seed: u64) -> Result<Simulation, InputError> {
+    input.check()?;
+    let problem = Problem::new(input);
+    let tasks = tasks(&problem, plan);
+    let planned = tasks.iter().fold(0i64, |sum, task| sum.saturating_add(task.price(task.bought)));
+    let fixed_part = plan.cost.saturating_sub(planned);
+    let mut finishes: Vec<Vec<i64>> = vec![Vec::with_capacity(scenarios as usize); problem.jobs.len()];
+    let mut costs = Vec::with_capacity(scenarios as usize);
+    for scenario in 0..scenarios {
+        let (ends, cost) = carry_out(&problem, &tasks, seed, u64::from(scenario));
+        finishes.iter_mut().zip(ends).for_each(|(all, end)| all.push(end));
+        costs.push(cost.saturating_add(fixed_part));
+    }
+    costs.sort_unstable();
+    let jobs = problem.jobs.iter().zip(&mut finishes).map(|(work, ends)| {
+        ends.sort_unstable();
+        let late =
+            ends.iter().filter(|&&end| work.job.deadline.is_some_and(|deadline| end > deadline)).count();
+        let finite = |quantile| Some(at(ends, quantile)).filter(|&end| end < i64::MAX);
+        JobRisk { job: work.job.id, late: late as u32, finish: [finite(50), finite(80), finite(95)] }
+    });
+    Ok(Simulation { scenarios, jobs: jobs.collect(), cost: [at(&costs, 50), at(&costs, 80), at(&costs, 95)] })
+}
+
+/// The least of the sorted values that so many per cent do not exceed; zero of none.
+fn at(sorted: &[i64], per_cent: usize) -> i64 {
+    let rank = (sorted.len() * per_cent).div_ceil(100);
+    sorted.get(rank.saturating_sub(1)).copied().unwrap_or(0)
+}
+
+/// A booking as the scenarios need it.
+struct Drawn {
+    job: usize,
+    node: usize,
+    task: Task,
+    /// Length for the median, and as booked.
+    median: f64,
+    bought: i64,
+    /// Standard deviation of the logarithm of its own factor.
+    own: f64,
+    price_per_hour: i64,
+}
+
+impl Drawn {
+    fn price(&self, time: i64) -> i64 {
+        price_of(self.price_per_hour, time)
+    }
+}
+
+fn tasks(problem: &Problem, plan: &Plan) -> Vec<Drawn> {
+    let own_spread: Vec<BTreeMap<i64, f64>> = problem
+        .jobs
+        .iter()
+        .map(|work| {
+            let common = spread(work.job.total.p50, work.job.total.p80);
+            let own = |p50, p80| f64::max(0.0, libm::pow(spread(p50, p80), 2.0) - common * common);
+            let frames = work.job.frames.iter();
+            frames.map(|frame| (frame.number, libm::sqrt(own(frame.work, frame.work_p80)))).collect()
+        })
+        .collect();
+    plan.bookings
+        .iter()
+        .filter_map(|booking| {
+            let (job, node) = problem.job(booking.job).zip(problem.node(booking.node))?;
+            let bought = booking.end.saturating_sub(booking.start);
+            let total = &problem.jobs[job].job.total;
+            let paid = total.at(problem.jobs[job].job.confidence);
+            let scale = if paid == 0 { 1.0 } else { total.p50 as f64 / paid as f64 };
+            let own = booking.task.frame().and_then(|frame| own_spread[job].get(&frame)).copied();
+            Some(Drawn {
+                job,
+                node,
+                task: booking.task,
+                median: bought as f64 * scale,
+                bought,
+                own: own.unwrap_or(0.0),
+                price_per_hour: problem.nodes[node].price_per_hour,
+            })
+        })
+        .collect()
+}
+
+/// Standard deviation of the logarithm, from two quantiles.
+fn spread(p50: u64, p80: u64) -> f64 {
+    if p50 == 0 || p80 <= p50 { 0.0 } else { libm::log(p80 as f64 / p50 as f64) / Z80 }
+}
+
+/// The total's quantile at this z, as a multiple of its median: straight lines between the logarithms of P50, P80 and P95,
+/// continued at both ends.
+fn factor(job: &Job, z: f64) -> f64 {
+    let first = spread(job.total.p50, job.total.p80);
+    let log = if z <= Z80 {
+        first * z
+    } else if job.total.p80 == 0 {
+        0.0
+    } else {
+        let second = libm::log(job.total.p95 as f64 / job.total.p80 as f64) / (Z95 - Z80);
+        first * Z80 + second * (z - Z80)
+    };
+    libm::exp(log)
+}
+
+/// One scenario: the end of each job, and what the time costs.
+fn carry_out(problem: &Problem, tasks: &[Drawn], seed: u64, scenario: u64) -> (Vec<i64>, i64) {
+    let factors: Vec<f64> =
+        problem.jobs.iter().map(|work| factor(work.job, normal(seed, &[scenario, work.job.id]))).collect();
+    let now = problem.input.now;
+    let mut free_from = vec![now; problem.nodes.len()];
+    let mut ready: Vec<i64> = problem.jobs.iter().map(|work| work.release(now)).collect();
+    let mut ends = ready.clone();
+    let mut cost = 0i64;
+    for task in tasks {
+        let work = &problem.jobs[task.job];
+        let number = task.task.frame().map_or(u64::MAX, |frame| frame as u64);
+        let own = if task.own > 0.0 {
+            let z = normal(seed, &[scenario, work.job.id, number]);
+            // Its mean is one, so that the frames' own factors do not move the total.
+            libm::exp(task.own * z - task.own * task.own / 2.0)
+        } else {
+            1.0
+        };
+        // A float beyond the range of time becomes its end.
+        let length = ((task.median * factors[task.job] * own).ceil() as i64).max(1);
+        let end = first_end(problem, task, free_from[task.node].max(ready[task.job]), length);
+        free_from[task.node] = end;
+        if task.task == Task::Seed {
+            ready[task.job] = ready[task.job].max(end);
+        }
+        ends[task.job] = ends[task.job].max(end);
+        cost = cost.saturating_add(task.price(length));
+    }
+    (ends, cost)
+}
+
+/// The end of a task that may start from this instant on; the end of time if it fits nowhere.
+fn first_end(problem: &Problem, task: &Drawn, from: i64, length: i64) -> i64 {
+    let node = problem.nodes[task.node];
+    let windows = &problem.windows[task.node];
+    let first = windows.partition_point(|window| window.end <= from);
+    let fits = |window: &Window| {
+        let ready = if window.warm { window.start } else { window.start.saturating_add(node.setup) };
+        ready.max(from).checked_add(length).filter(|&end| end <= window.end)
+    };
+    windows[first..].iter().find_map(fits).unwrap_or(i64::MAX)
+}

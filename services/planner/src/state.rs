@@ -1,0 +1,237 @@
+//! A plan in the making: every node's lane, the limits, and where each task lies.
+
+use crate::admission::Admission;
+use crate::lane::{Fit, Lane, Prefer, Wanted};
+use crate::limits::Ledger;
+use crate::model::{Booking, Task};
+use crate::problem::{Problem, Work};
+
+/// A task's place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Placed {
+    /// Index of the node.
+    pub node: usize,
+    pub start: i64,
+    pub end: i64,
+    pub task: Task,
+}
+
+/// What a place is looked for with.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Search<'s> {
+    pub class_of_work: u32,
+    pub work: u64,
+    pub release: i64,
+    pub latest_end: i64,
+    /// Classes of nodes to look at.
+    pub classes: &'s [usize],
+    pub prefer: Prefer,
+    /// A node to leave out.
+    pub except: Option<usize>,
+}
+
+/// A plan in the making.
+#[derive(Clone)]
+pub(crate) struct State<'p, 'a> {
+    pub problem: &'p Problem<'a>,
+    /// Says where time is scarce.
+    pub admission: &'p Admission,
+    pub lanes: Vec<Lane>,
+    pub ledger: Ledger,
+    /// By job, in the order in which they were placed.
+    pub placed: Vec<Vec<Placed>>,
+    /// Whether a task was there before and is not to move: by job, how many at the front of `placed`.
+    pub kept: Vec<usize>,
+}
+
+impl<'p, 'a> State<'p, 'a> {
+    pub fn new(problem: &'p Problem<'a>, admission: &'p Admission) -> Self {
+        let lanes =
+            problem.nodes.iter().zip(&problem.windows).map(|(node, windows)| Lane::new(node, windows));
+        State {
+            problem,
+            admission,
+            lanes: lanes.collect(),
+            ledger: Ledger::new(problem.input),
+            placed: vec![Vec::new(); problem.jobs.len()],
+            kept: vec![0; problem.jobs.len()],
+        }
+    }
+
+    /// Keeps what is right of these bookings; seeds come first, so that frames can be judged by them. The rest is
+    /// returned.
+    pub fn keep(&mut self, bookings: &[Booking]) -> Vec<Booking> {
+        let mut sorted = bookings.to_vec();
+        sorted.sort_unstable_by_key(|booking| (booking.task != Task::Seed, *booking));
+        sorted.dedup();
+        let refused = sorted.into_iter().filter(|booking| !self.keep_one(booking)).collect();
+        self.drop_partial_frames(refused)
+    }
+
+    fn keep_one(&mut self, booking: &Booking) -> bool {
+        let problem = self.problem;
+        let Some((job, node)) = problem.job(booking.job).zip(problem.node(booking.node)) else {
+            return false;
+        };
+        let work = &problem.jobs[job];
+        let duration = work.duration(problem.nodes[node], booking.task);
+        let is_right = duration.and_then(|duration| booking.start.checked_add(duration)) == Some(booking.end)
+            && self.earliest(job, booking.task).is_some_and(|earliest| earliest <= booking.start)
+            && self.lanes[node].is_free(booking.start, booking.end)
+            && self.ledger.is_free(&work.job.uses, booking.start, booking.end).is_ok()
+            && !self.placed[job].iter().any(|placed| excludes(placed.task, booking.task));
+        if is_right {
+            self.book(job, Placed { node, start: booking.start, end: booking.end, task: booking.task });
+            self.kept[job] += 1;
+        }
+        is_right
+    }
+
+    /// A frame of which some tiles have no place any more is placed anew as a whole.
+    fn drop_partial_frames(&mut self, mut refused: Vec<Booking>) -> Vec<Booking> {
+        for job in 0..self.placed.len() {
+            let tiles = |placed: &Placed| match placed.task {
+                Task::Tile { frame, parts, .. } => Some((frame, parts)),
+                _ => None,
+            };
+            let partial: Vec<Placed> = self.placed[job]
+                .iter()
+                .filter(|placed| {
+                    tiles(placed).is_some_and(|(frame, parts)| {
+                        let there = self.placed[job].iter().filter(|other| other.task.frame() == Some(frame));
+                        there.count() < parts as usize
+                    })
+                })
+                .copied()
+                .collect();
+            for placed in partial {
+                self.unbook(job, placed);
+                self.kept[job] -= 1;
+                refused.push(self.booking(job, &placed));
+            }
+        }
+        refused
+    }
+
+    pub fn booking(&self, job: usize, placed: &Placed) -> Booking {
+        let Placed { node, start, end, task } = *placed;
+        Booking { start, node: self.problem.nodes[node].id, job: self.problem.jobs[job].job.id, task, end }
+    }
+
+    /// Before this instant the task cannot start: release, and for frames the end of the seed. None if the seed
+    /// has no place yet.
+    pub fn earliest(&self, job: usize, task: Task) -> Option<i64> {
+        let work = &self.problem.jobs[job];
+        let release = work.release(self.problem.input.now);
+        if work.seed.is_none() || task == Task::Seed {
+            return Some(release);
+        }
+        self.placed[job].iter().find(|placed| placed.task == Task::Seed).map(|seed| seed.end.max(release))
+    }
+
+    /// The best place on these classes of nodes; among equals, on the node with the least id.
+    pub fn find(&self, work: &Work, search: &Search) -> Option<(usize, Fit)> {
+        let problem = self.problem;
+        let mut classes: Vec<(i64, i64, usize)> = search
+            .classes
+            .iter()
+            .filter_map(|&class| {
+                let node = problem.representative(class);
+                let duration = node.duration(search.work, search.class_of_work)?;
+                Some((node.price(duration, false), duration, class))
+            })
+            .collect();
+        classes.sort_unstable();
+        let mut best: Option<((i64, i64, i64), u64, usize, Fit)> = None;
+        for (_, duration, class) in classes {
+            let wanted = Wanted {
+                release: search.release,
+                latest_end: search.latest_end,
+                duration,
+                uses: &work.job.uses,
+            };
+            let is_scarce = |instant| self.admission.is_scarce(class, instant);
+            for &index in &problem.classes[class] {
+                let (node, lane) = (problem.nodes[index], &self.lanes[index]);
+                let hopeless = search.prefer == Prefer::Cheap
+                    && best.is_some_and(|(rank, ..)| lane.least_added_cost(node, duration) > rank.0);
+                if hopeless || lane.is_too_full(duration) || search.except == Some(index) {
+                    continue;
+                }
+                let Some(fit) = lane.fit(node, &wanted, &self.ledger, search.prefer, is_scarce) else {
+                    continue;
+                };
+                let rank = fit.rank(search.prefer);
+                if best.is_none_or(|(least, id, ..)| (rank, node.id) < (least, id)) {
+                    best = Some((rank, node.id, index, fit));
+                }
+            }
+        }
+        best.map(|(_, _, node, fit)| (node, fit))
+    }
+
+    pub fn book(&mut self, job: usize, placed: Placed) {
+        let node = self.problem.nodes[placed.node];
+        self.lanes[placed.node].book(node, placed.start, placed.end);
+        self.ledger.hold(&self.problem.jobs[job].job.uses, placed.start, placed.end);
+        self.placed[job].push(placed);
+    }
+
+    pub fn unbook(&mut self, job: usize, placed: Placed) {
+        let node = self.problem.nodes[placed.node];
+        self.lanes[placed.node].unbook(node, placed.start, placed.end);
+        self.ledger.release(&self.problem.jobs[job].job.uses, placed.start, placed.end);
+        self.placed[job].retain(|other| *other != placed);
+    }
+
+    /// Takes back what was placed after the first `count` tasks of the job.
+    pub fn unbook_after(&mut self, job: usize, count: usize) {
+        while self.placed[job].len() > count {
+            let last = self.placed[job][self.placed[job].len() - 1];
+            let node = self.problem.nodes[last.node];
+            self.lanes[last.node].unbook(node, last.start, last.end);
+            self.ledger.release(&self.problem.jobs[job].job.uses, last.start, last.end);
+            self.placed[job].pop();
+        }
+    }
+
+    /// End of what is placed of a job.
+    pub fn finish(&self, job: usize) -> i64 {
+        let release = self.problem.jobs[job].release(self.problem.input.now);
+        self.placed[job].iter().map(|placed| placed.end).max().unwrap_or(release)
+    }
+
+    /// Numbers of the job's frames that have no place.
+    pub fn missing(&self, job: usize) -> Vec<i64> {
+        let there: std::collections::BTreeSet<i64> =
+            self.placed[job].iter().filter_map(|placed| placed.task.frame()).collect();
+        let all = self.problem.jobs[job].frames.iter().map(|frame| frame.number);
+        let mut missing: Vec<i64> = all.filter(|number| !there.contains(number)).collect();
+        missing.sort_unstable();
+        missing
+    }
+
+    /// Whether the seed has no place although there is one.
+    pub fn misses_seed(&self, job: usize) -> bool {
+        self.problem.jobs[job].seed.is_some()
+            && !self.placed[job].iter().any(|placed| placed.task == Task::Seed)
+    }
+
+    /// Whether all is placed, and by the deadline if there is one.
+    pub fn is_kept(&self, job: usize) -> bool {
+        let deadline = self.problem.jobs[job].job.deadline;
+        !self.misses_seed(job)
+            && self.missing(job).is_empty()
+            && deadline.is_none_or(|deadline| self.finish(job) <= deadline)
+    }
+}
+
+/// Whether a frame that has the one cannot also have the other.
+fn excludes(one: Task, other: Task) -> bool {
+    match (one, other) {
+        (Task::Tile { frame: a, part: p, parts: m }, Task::Tile { frame: b, part: q, parts: n }) => {
+            a == b && (p == q || m != n)
+        }
+        _ => one.frame() == other.frame(),
+    }
+}

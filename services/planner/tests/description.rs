@@ -1,0 +1,49 @@
+//! Farm descriptions: the example is planned, and mistakes are named.
+
+use forelight_planner::{Description, DescriptionError, plan, verify};
+
+const EXAMPLE: &str = include_str!("../farm.example.json");
+
+fn described(text: &str) -> Description {
+    serde_json::from_str(text).expect("a description")
+}
+
+#[test]
+fn the_example_is_planned() {
+    let input = described(EXAMPLE).input().expect("an input");
+    assert_eq!((input.nodes.len(), input.jobs.len()), (30, 4));
+    let found = plan(&input).expect("a plan");
+    assert_eq!(verify(&input, &found), Ok(()));
+    assert!(found.jobs.iter().all(|entry| entry.verdict.is_kept()), "{:?}", found.jobs);
+    // Clocks go forward on 29 March: the desks are free over the weekend without a break, and the night is 11 hours.
+    let desk = &input.nodes[8];
+    assert_eq!(desk.name, "desk-1");
+    let hours: Vec<i64> =
+        desk.calendar.iter().map(|open| (open.end.expect("an end") - open.start) / 3_600_000_000).collect();
+    assert_eq!(hours[0], 4 + 48 - 1, "from Friday 20:00 to Monday 00:00, less the hour that is left out");
+}
+
+#[test]
+fn mistakes_are_named() {
+    let error = |from: &str, to: &str| {
+        assert!(EXAMPLE.contains(from), "{from}");
+        described(&EXAMPLE.replace(from, to)).input().expect_err(to)
+    };
+    assert!(matches!(
+        error("\"project\": \"otter\", \"frames\": 120", "\"project\": \"seal\", \"frames\": 120"),
+        DescriptionError::Unknown { what: "project", .. }
+    ));
+    assert!(matches!(
+        error("\"name\": \"water\"", "\"name\": \"hero-shot\""),
+        DescriptionError::Twice { what: "job", .. }
+    ));
+    assert!(matches!(error("\"setup\": \"10m\"", "\"setup\": \"soon\""), DescriptionError::Value { .. }));
+    assert!(matches!(error("\"confidence\": 95", "\"confidence\": 99"), DescriptionError::Value { .. }));
+    assert!(matches!(
+        error("\"price_per_hour\": 0.40", "\"price_per_hour\": -1"),
+        DescriptionError::Value { .. }
+    ));
+    assert!(matches!(error("Europe/Berlin", "Mars/Olympus"), DescriptionError::Calendar { .. }));
+    let unknown = EXAMPLE.replace("\"hours\": 0.3", "\"hours\": 0.3, \"colour\": 1");
+    assert!(serde_json::from_str::<Description>(&unknown).is_err());
+}

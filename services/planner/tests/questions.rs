@@ -1,0 +1,245 @@
+//! What people ask, on farms small enough to know the answer.
+
+use forelight_planner::{
+    Change, Confidence, Event, Frame, Input, Interval, Job, Limit, LimitUse, Node, Plan, Project, Reason,
+    Seed, Task, Usage, Verdict, WorkTotal, difference, earliest_for_budget, explain, gantt, outlook, plan,
+    price_curve, replan, simulate, verify, ways_out, what_if,
+};
+
+const HOUR: i64 = 3_600_000_000;
+
+/// One unit of work is an hour at speed one.
+fn node(id: u64, speed: u64, price: i64) -> Node {
+    Node {
+        id,
+        name: format!("node-{id}"),
+        speed,
+        price_per_hour: price,
+        calendar: vec![Interval { start: 0, end: None }],
+        ..Node::default()
+    }
+}
+
+fn job(id: u64, deadline: Option<i64>, hours: &[u64]) -> Job {
+    let total = hours.iter().sum::<u64>() * 3600;
+    Job {
+        id,
+        deadline: deadline.map(|hours| hours * HOUR),
+        confidence: Confidence::P50,
+        total: WorkTotal { p50: total, p80: total, p95: total },
+        frames: (0..).zip(hours).map(|(number, &h)| Frame { number, work: h * 3600, work_p80: 0 }).collect(),
+        ..Job::default()
+    }
+}
+
+fn input(nodes: Vec<Node>, jobs: Vec<Job>) -> Input {
+    Input { nodes, jobs, ..Input::default() }
+}
+
+fn sound(input: &Input) -> Plan {
+    let found = plan(input).expect("a plan");
+    assert_eq!(verify(input, &found), Ok(()));
+    found
+}
+
+#[test]
+fn the_cheap_node_is_used_as_far_as_the_deadline_leaves_room() {
+    let nodes = vec![node(1, 1, 1_000_000), node(2, 4, 8_000_000)];
+    let cost = |deadline| sound(&input(nodes.clone(), vec![job(1, Some(deadline), &[1; 8])])).cost;
+    assert_eq!(cost(8), 8_000_000, "all on the cheap node");
+    assert_eq!(cost(4), 4_000_000 + 4 * 2_000_000, "half of it");
+    assert_eq!(cost(2), 2_000_000 + 6 * 2_000_000);
+}
+
+#[test]
+fn the_bound_of_a_plan_that_uses_all_cheap_time_is_its_cost() {
+    let nodes = vec![node(1, 1, 1_000_000), node(2, 4, 8_000_000)];
+    let found = sound(&input(nodes, vec![job(1, Some(4), &[1; 8])]));
+    assert_eq!(found.cost_bound, found.cost);
+    assert!(!found.proof.slots.is_empty());
+}
+
+#[test]
+fn frames_wait_for_their_seed_and_tiles_end_together_earlier() {
+    let seeded = Job { seed: Some(Seed { class: 0, work: 3600 }), ..job(1, None, &[2, 2]) };
+    let found = sound(&input(vec![node(1, 1, 0), node(2, 1, 0)], vec![seeded]));
+    assert_eq!(found.jobs[0].verdict, Verdict::NoDeadline { finish: 3 * HOUR });
+    let tiled = Job { tiles: 4, ..job(1, Some(2), &[4]) };
+    let found = sound(&input(vec![node(1, 1, 0), node(2, 1, 0)], vec![tiled]));
+    assert!(found.bookings.iter().all(|booking| matches!(booking.task, Task::Tile { parts: 2, .. })));
+    assert!(found.jobs[0].verdict.is_kept());
+}
+
+#[test]
+fn no_more_frames_run_than_there_are_licences() {
+    let mut licensed = job(1, None, &[1; 6]);
+    licensed.uses = vec![LimitUse { limit: 5, count: 1 }];
+    let mut farm = input((0..4).map(|id| node(id, 1, 0)).collect(), vec![licensed]);
+    farm.limits = vec![Limit { id: 5, name: "simulator".into(), count: 2 }];
+    assert_eq!(sound(&farm).jobs[0].verdict.finish(), Some(3 * HOUR));
+    farm.limits[0].count = 0;
+    assert!(matches!(sound(&farm).jobs[0].verdict, Verdict::Unplaced { .. }));
+    assert_eq!(explain(&farm, &sound(&farm)).expect("reasons")[0].reason, Reason::NoNode);
+}
+
+#[test]
+fn memory_and_class_of_work_choose_the_node() {
+    let large = Node { memory: 64, ..node(1, 1, 9_000_000) };
+    let fast = Node { speeds: [(7, 10)].into(), ..node(2, 1, 1_000_000) };
+    let mut heavy = job(1, Some(9), &[1]);
+    heavy.memory = 32;
+    let special = Job { class: 7, ..job(2, Some(1), &[10]) };
+    let found = sound(&input(vec![large, fast], vec![heavy, special]));
+    let on: Vec<(u64, u64)> = found.bookings.iter().map(|booking| (booking.job, booking.node)).collect();
+    assert!(on.contains(&(1, 1)) && on.contains(&(2, 2)));
+}
+
+#[test]
+fn rented_hours_are_filled_before_another_is_begun() {
+    let rented =
+        |id| Node { billing_step: HOUR, setup: HOUR / 10, setup_cost: 500_000, ..node(id, 2, 4_000_000) };
+    let found = sound(&input(vec![rented(1), rented(2)], vec![job(1, Some(9), &[1, 1, 1])]));
+    assert_eq!(found.rentals.len(), 1, "{:?}", found.rentals);
+    assert_eq!(found.cost, 2 * 4_000_000 + 500_000);
+}
+
+#[test]
+fn when_it_cannot_be_done_the_plan_says_why_and_the_ways_out_are_priced() {
+    let farm = input(vec![node(1, 1, 1_000_000)], vec![job(1, Some(4), &[1; 4]), job(2, Some(4), &[1; 2])]);
+    let found = sound(&farm);
+    let infeasible = found.infeasible.clone().expect("six hours do not fit into four");
+    assert_eq!(infeasible.jobs, [1, 2]);
+    assert_eq!(infeasible.short[0].nodes, [1]);
+    let late = found.jobs.iter().find(|entry| !entry.verdict.is_kept()).expect("one is late").job;
+    let ways = ways_out(&farm, late).expect("ways out");
+    assert!(!ways.is_empty() && ways.len() <= 3);
+    assert!(ways.iter().any(|way| matches!(way.change, Change::MoreNodes { .. })), "{ways:?}");
+    for way in &ways {
+        assert!(way.saved.contains(&late) || matches!(way.change, Change::MakeWay { .. }));
+    }
+    let mut untrue = found.clone();
+    untrue.infeasible.as_mut().expect("it is").proof = Default::default();
+    assert!(verify(&farm, &untrue).is_err(), "a proof that proves nothing");
+}
+
+#[test]
+fn the_greater_priority_keeps_its_deadline() {
+    let farm = |first: i32| {
+        let one = Job { priority: first, ..job(1, Some(4), &[1; 4]) };
+        input(vec![node(1, 1, 0)], vec![one, job(2, Some(4), &[1; 3])])
+    };
+    assert!(sound(&farm(1)).jobs[0].verdict.is_kept());
+    assert!(sound(&farm(-1)).jobs[1].verdict.is_kept());
+}
+
+#[test]
+fn more_confidence_costs_more_time_and_budgets_buy_deadlines() {
+    let mut unsure = job(1, Some(6), &[1; 4]);
+    unsure.total = WorkTotal { p50: 4 * 3600, p80: 6 * 3600, p95: 8 * 3600 };
+    let farm = input(vec![node(1, 1, 1_000_000)], vec![unsure]);
+    let kept: Vec<bool> =
+        outlook(&farm, 1).expect("an outlook").iter().map(|line| line.verdict.is_kept()).collect();
+    assert_eq!(kept, [true, true, false]);
+    let two = input(vec![node(1, 1, 1_000_000), node(2, 4, 8_000_000)], vec![job(1, None, &[1; 8])]);
+    let offer = |budget| earliest_for_budget(&two, 1, budget).expect("an answer").map(|offer| offer.deadline);
+    assert_eq!(offer(7_999_999), None);
+    let cheapest = offer(8_000_000).expect("the cheap node does it");
+    let dearer = offer(12_000_000).expect("both");
+    assert!(dearer < cheapest && cheapest <= 8 * HOUR + 60_000_000, "{dearer} {cheapest}");
+}
+
+#[test]
+fn a_dead_nodes_frames_move_and_no_others() {
+    let farm = input((0..4).map(|id| node(id, 1, 1_000_000)).collect(), vec![job(1, Some(6), &[1; 8])]);
+    let old = sound(&farm);
+    let event = Event::NodeDown { node: 2, from: HOUR, until: None };
+    let new = replan(&farm, &old, &event).expect("a plan");
+    assert_eq!(verify(&new.input, &new.plan), Ok(()));
+    assert!(new.difference.moved.iter().all(|(before, _)| before.node == 2));
+    assert!(new.at_risk.is_empty() && new.plan.parent == Some(old.id()));
+    assert_eq!(new.difference, difference(&old, &new.plan));
+    assert!(new.difference.to_string().contains("moved"));
+}
+
+#[test]
+fn a_promise_that_breaks_comes_with_a_rescue() {
+    let farm = input(vec![node(1, 1, 1_000_000), node(2, 1, 1_000_000)], vec![job(1, Some(4), &[1; 8])]);
+    let old = sound(&farm);
+    let new = replan(&farm, &old, &Event::NodeDown { node: 2, from: HOUR, until: None }).expect("a plan");
+    assert_eq!(new.at_risk.len(), 1);
+    let (rescue, _) = new.at_risk[0].rescue.clone().expect("a rescue");
+    assert!(matches!(rescue, Change::MoreNodes { .. }), "{rescue:?}");
+    let late = Event::Takes { job: 1, task: Task::Frame(0), until: 9 * HOUR };
+    let new = replan(&farm, &old, &late).expect("a plan");
+    assert_eq!(new.at_risk.iter().map(|risk| risk.job).collect::<Vec<_>>(), [1]);
+}
+
+#[test]
+fn a_job_without_a_deadline_makes_way_for_one_that_would_be_late() {
+    let farm = input(vec![node(1, 1, 0)], vec![job(1, None, &[1; 4])]);
+    let old = sound(&farm);
+    let new = replan(&farm, &old, &Event::JobAdded { job: Box::new(job(2, Some(2), &[2])) }).expect("a plan");
+    assert_eq!(verify(&new.input, &new.plan), Ok(()));
+    assert!(new.at_risk.is_empty() && new.plan.jobs[1].verdict.is_kept());
+}
+
+#[test]
+fn projects_take_turns_by_what_they_had_for_their_share() {
+    let project = |id, share, hours: i64| Project {
+        id,
+        share,
+        usage: vec![Usage { at: 0, time: hours * HOUR }],
+        ..Project::default()
+    };
+    let of = |project, id| Job { project: Some(project), ..job(id, None, &[1; 6]) };
+    let mut farm = input(vec![node(1, 1, 0)], vec![of(1, 1), of(2, 2)]);
+    farm.projects = vec![project(1, 1, 0), project(2, 2, 0)];
+    let first = |found: &Plan, count: usize| found.bookings.iter().take(count).filter(|b| b.job == 2).count();
+    assert_eq!(first(&sound(&farm), 6), 4, "two thirds to the share of two");
+    farm.projects = vec![project(1, 1, 0), project(2, 1, 3)];
+    let found = sound(&farm);
+    assert_eq!(first(&found, 3), 0, "the one that had three hours waits three hours");
+    let waits = explain(&farm, &found).expect("reasons");
+    assert!(waits[0].reason.to_string().contains("share"), "{}", waits[0].reason);
+    farm.now = 1000 * HOUR;
+    farm.half_life = HOUR;
+    assert_eq!(first(&sound(&farm), 2), 1, "after a thousand half-lives nothing is left of it");
+}
+
+#[test]
+fn scenarios_are_late_as_often_as_the_quantile_says() {
+    let mut unsure = job(1, Some(0), &[1; 50]);
+    let p50 = 50 * 3600;
+    unsure.total = WorkTotal { p50, p80: p50 * 6 / 5, p95: p50 * 3 / 2 };
+    unsure.confidence = Confidence::P80;
+    unsure.deadline = Some(60 * HOUR);
+    let farm = input(vec![node(1, 1, 1_000_000)], vec![unsure]);
+    let found = sound(&farm);
+    let simulated = simulate(&farm, &found, 2000, 7).expect("a simulation");
+    let late = simulated.jobs[0].probability(2000);
+    assert!((late - 0.2).abs() < 0.04, "{late}");
+    assert_eq!(simulate(&farm, &found, 2000, 7), Ok(simulated));
+}
+
+#[test]
+fn one_more_node_and_a_dead_one_have_their_price() {
+    let farm = input(vec![node(1, 1, 1_000_000), node(2, 4, 8_000_000)], vec![job(1, Some(4), &[1; 8])]);
+    let more = what_if(&farm, &Change::MoreNodes { like: 1, count: 1 }).expect("an effect");
+    assert_eq!(more.added_cost, -4_000_000, "all eight on two cheap nodes");
+    let gone = what_if(&farm, &Change::NodeGone { node: 2, from: 0 }).expect("an effect");
+    assert_eq!(gone.broken, [1]);
+    let later = what_if(&farm, &Change::Later { job: 1, by: 4 * HOUR }).expect("an effect");
+    assert_eq!(later.added_cost, -4_000_000);
+}
+
+#[test]
+fn pictures_are_well_formed() {
+    let mut farm = input(vec![node(1, 1, 1_000_000)], vec![job(1, Some(9), &[1, 2])]);
+    farm.jobs[0].name = "<a & b>".into();
+    let svg = gantt(&farm, &sound(&farm));
+    assert!(svg.starts_with("<svg") && svg.ends_with("</svg>\n") && svg.contains("&lt;a &amp; b&gt;"));
+    assert_eq!(svg.matches("<rect").count(), 1 + 1 + 2, "ground, rental, frames");
+    let offers = forelight_planner::curve(&farm, 1, 4).expect("a curve");
+    assert!(price_curve(&offers).contains("<polyline"));
+    assert!(price_curve(&[]).ends_with("</svg>\n"));
+}
