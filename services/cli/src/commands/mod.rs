@@ -3,6 +3,7 @@
 mod bench;
 mod farm;
 mod forecast;
+mod plan;
 mod preview;
 mod render;
 mod serve;
@@ -45,6 +46,7 @@ enum Command {
     Render(render::Args),
     Preview(preview::Args),
     Forecast(forecast::Args),
+    Plan(plan::Args),
     Token(token::Args),
     Bench(bench::Args),
 }
@@ -69,6 +71,7 @@ impl Cli {
             Command::Render(args) => blocking(move || render::run(&args, &interrupt)).await,
             Command::Preview(args) => blocking(move || preview::run(&args)).await,
             Command::Forecast(args) => blocking(move || forecast::run(&args, &interrupt)).await,
+            Command::Plan(args) => blocking(move || plan::run(&args)).await,
             Command::Bench(args) => blocking(move || bench::run(&args, &interrupt)).await,
         }
     }

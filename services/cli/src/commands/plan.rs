@@ -1,0 +1,349 @@
+//! `forelight plan`: a farm description in, a plan out, and what would change it.
+
+use crate::atomic_file::write_bytes;
+use crate::failure::BadInput;
+use crate::output;
+use crate::quantities::{money, parse_duration, parse_money, seconds};
+use crate::table::{Align, Table};
+use anyhow::{Context, Result, anyhow};
+use forelight_planner::{
+    Change, Description, Effect, Explanation, Input, Offer, Outlook, Plan, Simulation, Verdict, curve,
+    earliest_for_budget, explain, gantt, outlook, plan, price_curve, simulate, verify, ways_out, what_if,
+};
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// Plan a farm that a file describes: who renders what when, whether deadlines hold, and what it costs
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight plan farm.json
+  forelight plan farm.json --svg plan.svg --json > plan.json
+  forelight plan farm.json --job hero-shot --curve price.svg --budget 250
+  forelight plan farm.json --more cloud-1=4 --later hero-shot=2h --without farm-3
+
+The fields of a farm description are documented in services/planner/README.md.")]
+pub struct Args {
+    /// Farm description
+    farm: PathBuf,
+    /// Draw the plan into this file
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+    /// Answer questions about this job: can it be done, at what price, and what to do if it cannot
+    #[arg(long, value_name = "NAME")]
+    job: Option<String>,
+    /// Draw the job's price against its deadline into this file
+    #[arg(long, value_name = "FILE", requires = "job")]
+    curve: Option<PathBuf>,
+    /// Say by when this budget pays for the job
+    #[arg(long, value_name = "AMOUNT", requires = "job", value_parser = parse_money)]
+    budget: Option<i64>,
+    /// What if there were so many more nodes like this one
+    #[arg(long, value_name = "NODE=COUNT", value_parser = parse_more)]
+    more: Vec<(String, u32)>,
+    /// What if this node died now
+    #[arg(long, value_name = "NODE")]
+    without: Vec<String>,
+    /// What if this job had so much longer
+    #[arg(long, value_name = "JOB=DURATION", value_parser = parse_later)]
+    later: Vec<(String, i64)>,
+    /// Scenarios in which the plan is tried; 0 leaves that out
+    #[arg(long, value_name = "COUNT", default_value_t = 500, value_parser = clap::value_parser!(u32).range(0..=100_000))]
+    scenarios: u32,
+    /// Seed of the scenarios
+    #[arg(long, value_name = "NUMBER", default_value_t = 0)]
+    seed: u64,
+    /// Print everything as JSON to standard output
+    #[arg(long)]
+    json: bool,
+}
+
+fn parse_more(text: &str) -> Result<(String, u32), String> {
+    let (name, count) = text.rsplit_once('=').ok_or("expected NODE=COUNT")?;
+    let count = count.parse().ok().filter(|count| (1..=10_000).contains(count));
+    Ok((name.to_owned(), count.ok_or("expected a count from 1 to 10000 after the =")?))
+}
+
+fn parse_later(text: &str) -> Result<(String, i64), String> {
+    let (name, by) = text.rsplit_once('=').ok_or("expected JOB=DURATION")?;
+    let micros = i64::try_from(parse_duration(by)?.as_micros()).map_err(|_| "too long".to_owned())?;
+    Ok((name.to_owned(), micros))
+}
+
+/// Everything that was found.
+#[derive(Debug, Serialize)]
+struct Document {
+    plan_id: String,
+    plan: Plan,
+    simulation: Option<Simulation>,
+    explanations: Vec<Explanation>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    job: Option<Answers>,
+    what_if: Vec<Effect>,
+    /// Names by identity.
+    jobs: Vec<(u64, String)>,
+    nodes: Vec<(u64, String)>,
+}
+
+/// What was asked about one job.
+#[derive(Debug, Serialize)]
+struct Answers {
+    outlook: Vec<Outlook>,
+    curve: Vec<Offer>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    earliest_for_budget: Option<Option<Offer>>,
+    ways_out: Vec<Effect>,
+}
+
+/// Offers on a price curve.
+const POINTS: u32 = 13;
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    let input = read(&args.farm)?;
+    let found = plan(&input).map_err(|error| BadInput::new(format!("{}: {error}", args.farm.display())))?;
+    if let Err(violations) = verify(&input, &found) {
+        let first = violations.first().map(ToString::to_string).unwrap_or_default();
+        return Err(anyhow!("the plan is wrong in {} places, the first: {first}", violations.len()));
+    }
+    let simulation = match args.scenarios {
+        0 => None,
+        count => Some(simulate(&input, &found, count, args.seed)?),
+    };
+    let job = args.job.as_ref().map(|name| answers(args, &input, name)).transpose()?;
+    let mut effects = Vec::new();
+    for change in changes(args, &input)? {
+        effects.push(what_if(&input, &change)?);
+    }
+    if let Some(path) = &args.svg {
+        write_bytes(path, gantt(&input, &found).as_bytes())?;
+    }
+    if let (Some(path), Some(answers)) = (&args.curve, &job) {
+        write_bytes(path, price_curve(&answers.curve).as_bytes())?;
+    }
+    let document = Document {
+        plan_id: found.id().to_string(),
+        explanations: explain(&input, &found)?,
+        plan: found,
+        simulation,
+        job,
+        what_if: effects,
+        jobs: input.jobs.iter().map(|job| (job.id, job.name.clone())).collect(),
+        nodes: input.nodes.iter().map(|node| (node.id, node.name.clone())).collect(),
+    };
+    if args.json { output::json(&document) } else { output::print(&report(&input, &document)) }
+}
+
+fn read(path: &std::path::Path) -> Result<Input> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let mut reader = serde_json::Deserializer::from_str(&text);
+    let description: Description = serde_path_to_error::deserialize(&mut reader)
+        .map_err(|error| BadInput::new(format!("{}: {}: {}", path.display(), error.path(), error.inner())))?;
+    reader.end().map_err(|error| BadInput::new(format!("{}: {error}", path.display())))?;
+    Ok(description.input().map_err(|error| BadInput::new(format!("{}: {error}", path.display())))?)
+}
+
+fn job_id(input: &Input, name: &str) -> Result<u64> {
+    let found = input.jobs.iter().find(|job| job.name == name).map(|job| job.id);
+    Ok(found
+        .ok_or_else(|| BadInput::new(format!("there is no job named {name:?} in the farm description")))?)
+}
+
+fn node_id(input: &Input, name: &str) -> Result<u64> {
+    let found = input.nodes.iter().find(|node| node.name == name).map(|node| node.id);
+    Ok(found
+        .ok_or_else(|| BadInput::new(format!("there is no node named {name:?} in the farm description")))?)
+}
+
+fn changes(args: &Args, input: &Input) -> Result<Vec<Change>> {
+    let mut changes = Vec::new();
+    for (name, count) in &args.more {
+        changes.push(Change::MoreNodes { like: node_id(input, name)?, count: *count });
+    }
+    for name in &args.without {
+        changes.push(Change::NodeGone { node: node_id(input, name)?, from: input.now });
+    }
+    for (name, by) in &args.later {
+        changes.push(Change::Later { job: job_id(input, name)?, by: *by });
+    }
+    Ok(changes)
+}
+
+fn answers(args: &Args, input: &Input, name: &str) -> Result<Answers> {
+    let job = job_id(input, name)?;
+    Ok(Answers {
+        outlook: outlook(input, job)?,
+        curve: curve(input, job, POINTS)?,
+        earliest_for_budget: args.budget.map(|budget| earliest_for_budget(input, job, budget)).transpose()?,
+        ways_out: ways_out(input, job)?,
+    })
+}
+
+fn report(input: &Input, document: &Document) -> String {
+    let found = &document.plan;
+    let mut table = Table::new(&[
+        ("job", Align::Left),
+        ("ready by", Align::Left),
+        ("deadline", Align::Left),
+        ("left", Align::Right),
+        ("cost", Align::Right),
+        ("late", Align::Right),
+        ("", Align::Left),
+    ]);
+    for entry in &found.jobs {
+        let Some(job) = input.jobs.iter().find(|job| job.id == entry.job) else { continue };
+        let risk = document.simulation.as_ref().and_then(|simulation| {
+            let risk = simulation.jobs.iter().find(|risk| risk.job == entry.job)?;
+            job.deadline.map(|_| format!("{:.1} %", risk.probability(simulation.scenarios) * 100.0))
+        });
+        let left = match &entry.verdict {
+            Verdict::Feasible { slack, .. } => seconds(*slack as f64 / 1e6),
+            Verdict::Late { by, .. } => format!("-{}", seconds(*by as f64 / 1e6)),
+            _ => String::new(),
+        };
+        let mut word = match &entry.verdict {
+            Verdict::Feasible { .. } => "in time".to_owned(),
+            Verdict::NoDeadline { .. } => String::new(),
+            Verdict::Late { unavoidable: true, .. } => "late, and could not be otherwise".to_owned(),
+            Verdict::Late { .. } => "late".to_owned(),
+            Verdict::Unplaced { frames, .. } => format!("no place for {} frames", frames.len()),
+        };
+        if entry.within_budget == Some(false) {
+            word += if word.is_empty() { "over budget" } else { ", over budget" };
+        }
+        table.row([
+            job.name.clone(),
+            entry.verdict.finish().map(clock).unwrap_or_default(),
+            job.deadline.map(clock).unwrap_or_default(),
+            left,
+            money(entry.cost),
+            risk.unwrap_or_default(),
+            word,
+        ]);
+    }
+    let mut text = table.render();
+    text += &format!(
+        "\nplan {}: {} bookings on {} rentals for {}; no plan can cost less than {}\n",
+        document.plan_id,
+        found.bookings.len(),
+        found.rentals.len(),
+        money(found.cost),
+        money(found.cost_bound)
+    );
+    if let Some(simulation) = &document.simulation {
+        let [p50, p80, p95] = simulation.cost.map(money);
+        text +=
+            &format!("cost in {} scenarios: {p50} (P50), {p80} (P80), {p95} (P95)\n", simulation.scenarios);
+    }
+    if let Some(infeasible) = &found.infeasible {
+        text += "\nNo plan keeps all deadlines. Too little time for: ";
+        text += &infeasible.jobs.iter().map(|&job| job_name(input, job)).collect::<Vec<_>>().join(", ");
+        text.push('\n');
+        for short in &infeasible.short {
+            text += &format!("  {} to {}: all of", clock(short.start), clock(short.end));
+            for limit in input.limits.iter().filter(|limit| short.limits.contains(&limit.id)) {
+                text += &format!(" {},", limit.name);
+            }
+            text += &format!(" {} nodes needed\n", short.nodes.len());
+        }
+    }
+    if !document.explanations.is_empty() {
+        text += "\nWho waits, and why\n";
+    }
+    for explanation in &document.explanations {
+        text += &format!("  {} {}\n", job_name(input, explanation.job), explanation.reason);
+    }
+    if let Some(answers) = &document.job {
+        text += &answers_report(input, answers);
+    }
+    if !document.what_if.is_empty() {
+        text += "\nWhat if\n";
+    }
+    for effect in &document.what_if {
+        text += &format!("  {}\n", describe(input, effect));
+    }
+    text
+}
+
+fn answers_report(input: &Input, answers: &Answers) -> String {
+    let mut table = Table::new(&[
+        ("confidence", Align::Right),
+        ("ready by", Align::Left),
+        ("cost", Align::Right),
+        ("", Align::Left),
+    ]);
+    for line in &answers.outlook {
+        table.row([
+            format!("{:?}", line.confidence),
+            line.verdict.finish().map(clock).unwrap_or_default(),
+            money(line.cost),
+            if line.verdict.is_kept() { "in time" } else { "not in time" }.to_owned(),
+        ]);
+    }
+    let mut text = format!("\n{}", table.render());
+    let mut prices =
+        Table::new(&[("deadline", Align::Left), ("price", Align::Right), ("at least", Align::Right)]);
+    for offer in &answers.curve {
+        prices.row([clock(offer.deadline), money(offer.cost), money(offer.cost_bound)]);
+    }
+    text += &format!("\n{}", prices.render());
+    match &answers.earliest_for_budget {
+        None => {}
+        Some(None) => text += "\nno deadline is cheap enough for the budget\n",
+        Some(Some(offer)) => {
+            text += &format!("\nthe budget pays for {}, at {}\n", clock(offer.deadline), money(offer.cost));
+        }
+    }
+    if !answers.ways_out.is_empty() {
+        text += "\nWays out, the cheapest first\n";
+    }
+    for effect in &answers.ways_out {
+        text += &format!("  {}\n", describe(input, effect));
+    }
+    text
+}
+
+fn describe(input: &Input, effect: &Effect) -> String {
+    let change = match &effect.change {
+        Change::MoreNodes { like, count } => {
+            let name = input.nodes.iter().find(|node| node.id == *like).map_or("", |node| &node.name);
+            format!("{count} more like {name}")
+        }
+        Change::NodeGone { node, .. } => {
+            let name = input.nodes.iter().find(|other| other.id == *node).map_or("", |node| &node.name);
+            format!("without {name}")
+        }
+        Change::Later { job, by } => {
+            format!("{} later by {}", job_name(input, *job), seconds(*by as f64 / 1e6))
+        }
+        Change::Confidence { job, confidence } => format!("{} at {confidence:?}", job_name(input, *job)),
+        Change::MakeWay { job } => format!("{} gives up its deadline", job_name(input, *job)),
+        Change::Tiles { job, tiles } => {
+            format!("frames of {} split into up to {tiles} tiles", job_name(input, *job))
+        }
+        Change::NewJob { job } => format!("with {}", job.name),
+    };
+    let sign = if effect.added_cost < 0 { "" } else { "+" };
+    let mut text = format!("{change}: {sign}{}", money(effect.added_cost));
+    let list = |jobs: &[u64]| jobs.iter().map(|&job| job_name(input, job)).collect::<Vec<_>>().join(", ");
+    if !effect.saved.is_empty() {
+        text += &format!("; in time: {}", list(&effect.saved));
+    }
+    if !effect.broken.is_empty() {
+        text += &format!("; late: {}", list(&effect.broken));
+    }
+    if !effect.pushed_back.is_empty() {
+        text += &format!("; {} jobs end later", effect.pushed_back.len());
+    }
+    text
+}
+
+fn job_name(input: &Input, id: u64) -> String {
+    input.jobs.iter().find(|job| job.id == id).map(|job| job.name.clone()).unwrap_or_default()
+}
+
+/// Day and time, UTC.
+fn clock(instant: i64) -> String {
+    jiff::Timestamp::from_microsecond(instant)
+        .map_or_else(|_| "never".to_owned(), |at| at.strftime("%d %b %H:%M").to_string())
+}
