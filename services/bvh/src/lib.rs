@@ -19,7 +19,7 @@ mod traverse;
 mod triangle;
 
 pub use node::Bvh;
-pub use ray::{Hit, Ray, Traversal, offset_origin};
+pub use ray::{Hit, Ray, Traversal, offset_origin, size_of};
 
 #[cfg(test)]
 mod tests;

@@ -61,22 +61,19 @@ pub(crate) struct Entry {
     pub child: u32,
 }
 
-/// Moves `point` off its surface along the unit normal `normal`, by a few ulps of each coordinate, so that a ray
-/// from there does not meet the surface that it starts on, at any scale of scene.
+/// Moves `point` off its surface along the unit normal `normal`, so that a ray from there does not meet the surface that it starts
+/// on. `size` is the largest coordinate of the triangle's corners ([`size_of`]), on which the rounding of a point
+/// between them depends.
 ///
-/// Wächter and Binder, "A Fast and Robust Method for Avoiding Self-Intersection", Ray Tracing Gems (2019), chapter 6,
-/// with their constants.
-pub fn offset_origin(point: Vec3, normal: Vec3) -> Vec3 {
-    const ORIGIN: f32 = 1.0 / 32.0;
-    const FLOAT_SCALE: f32 = 1.0 / 65536.0;
-    const INT_SCALE: f32 = 256.0;
-    let component = |p: f32, n: f32| {
-        if p.abs() < ORIGIN {
-            p + FLOAT_SCALE * n
-        } else {
-            let ulps = (INT_SCALE * n) as i32;
-            f32::from_bits((p.to_bits() as i32).wrapping_add(if p < 0.0 { -ulps } else { ulps }) as u32)
-        }
-    };
-    Vec3::new(component(point.x, normal.x), component(point.y, normal.y), component(point.z, normal.z))
+/// Points from barycentrics are off by a few units in the last place of the corners (Wächter and Binder 2019); 2⁻¹⁸ of their size is 32
+/// to 64 of these units. Unlike Wächter and Binder's, the step has no length in metres in it: a scene that is scaled by a power of two
+/// has rays of the same bits, and the step is as small as the corners allow.
+pub fn offset_origin(point: Vec3, normal: Vec3, size: f32) -> Vec3 {
+    const STEP: f32 = 1.0 / 262_144.0;
+    point + normal * (size * STEP)
+}
+
+/// The largest absolute coordinate of a triangle's corners.
+pub fn size_of([a, b, c]: [Vec3; 3]) -> f32 {
+    a.abs().max(b.abs()).max(c.abs()).max_element()
 }

@@ -21,17 +21,23 @@
 //! | `octree` | which records are near |
 //! | `hemisphere` | strata of a gather; irradiance and its gradients from them |
 //! | `plan`, `gather`, `read` | the three phases |
+//! | `share` | records of one frame that hold in another |
+//! | `file` | the artefact |
 
+mod file;
 mod gather;
 mod hemisphere;
 mod octree;
 mod plan;
 mod read;
+mod share;
 mod site;
 
+pub use file::CacheError;
 pub use gather::RecordCost;
 pub use hemisphere::{Irradiance, PLAN_RAYS, Sample, Strata};
 pub use plan::Keyed;
+pub use share::Shared;
 pub use site::Site;
 
 use crate::cost::{Cost, Rays};
@@ -53,6 +59,8 @@ pub struct Planned {
     pub site: Site,
     /// How far it is valid, before the allowed error scales it, metres.
     pub radius: f32,
+    /// The radius with which it was entered into the octree, metres: neighbours that came later may have made `radius` smaller.
+    pub entered: f32,
     /// Distance to what blocks the way along the surface, by sector of azimuth, metres.
     pub corral: [f32; hemisphere::SECTORS],
     /// What the plan's rays met.
@@ -79,11 +87,13 @@ pub struct Record {
 }
 
 /// The records of one bounce.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Clone)]
 pub struct Level {
     planned: Vec<Planned>,
     records: Vec<OnceLock<Record>>,
     octree: Octree,
+    /// So many of the records, the first ones, have been followed to the next level.
+    explored: usize,
     /// Allowed error, see [`site::error`].
     accuracy: f32,
     /// Bounds of the radii, metres.
@@ -92,8 +102,12 @@ pub struct Level {
 }
 
 /// A frame's cache.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Clone)]
 pub struct Cache {
+    /// What its records depend on, see [`crate::fingerprint`].
+    fingerprint: [u8; 32],
+    /// The images that it has been planned for, by their fingerprints.
+    images: Vec<[u8; 32]>,
     strata: Strata,
     levels: Vec<Level>,
     /// What planning took.
@@ -118,6 +132,8 @@ pub struct CacheTotals {
     pub filled: u64,
     /// Records among them that are not finite, and never used.
     pub rejected: u64,
+    /// Images that it has been planned for.
+    pub images: u64,
 }
 
 impl Cache {
@@ -141,15 +157,29 @@ impl Cache {
         self.levels[level].records[index].get()
     }
 
+    /// The same without the times that its making took: two caches of one plan are then equal byte by byte.
+    pub fn without_times(&self) -> Self {
+        let mut cache = self.clone();
+        cache.plan.cpu_nanos = 0;
+        for record in
+            cache.levels.iter_mut().flat_map(|level| &mut level.records).filter_map(OnceLock::get_mut)
+        {
+            record.cost.cpu_nanos = 0;
+        }
+        cache
+    }
+
     /// What it holds and took.
     pub fn totals(&self) -> CacheTotals {
         let mut totals = CacheTotals {
             records: self.records(),
             plan: self.plan,
             plan_rays: self.plan_rays,
+            images: self.images.len() as u64,
             ..CacheTotals::default()
         };
-        for record in self.levels.iter().flat_map(|level| &level.records).filter_map(OnceLock::get) {
+        let records = self.levels.iter().flat_map(|level| &level.records);
+        for record in records.filter_map(OnceLock::get) {
             totals.filled += 1;
             totals.rejected += u64::from(record.rejected);
             totals.fill += record.cost;

@@ -4,10 +4,10 @@
 //! from it (see `kernel`), so that what is not in the set has no code in the path, no rays and no memory.
 
 use crate::environment::Sky;
-use crate::lights::{FEW, Luminaires};
+use crate::lights::FEW;
 use crate::microfacet::SMOOTH;
 use crate::{Integrator, Settings};
-use forelight_scene::{Color, Frame, Material, Surface};
+use forelight_scene::{Camera, Color, Material, Sun, Surface};
 use std::fmt;
 use std::ops::{BitOr, BitOrAssign};
 
@@ -75,45 +75,6 @@ impl Effects {
     /// More lights with a position than every point can look at: some are chosen by a light tree.
     pub const MANY_LIGHTS: u32 = 1 << 17;
 
-    /// What a frame calls for at these settings; `materials` are those that the settings make of the frame's.
-    pub(crate) fn called_for(
-        frame: &Frame,
-        materials: &[Material],
-        luminaires: &Luminaires,
-        sky: &Sky,
-        settings: &Settings,
-    ) -> Self {
-        let mut set = Self::default();
-        let mut add = |bit: u32, called_for: bool| set.0 |= if called_for { bit } else { 0 };
-        for material in materials {
-            let rough = |alpha: f32| alpha >= SMOOTH;
-            match material.surface {
-                Surface::Lambert { .. } => {}
-                Surface::Metal { alpha, .. } | Surface::Plastic { alpha, .. } => {
-                    add(Self::GLOSSY, rough(alpha));
-                    add(Self::MIRROR, !rough(alpha));
-                }
-                Surface::ThinGlass { .. } => add(Self::THIN_GLASS | Self::TRANSPARENT_SHADOWS, true),
-                Surface::Glass { .. } => add(Self::REFRACTION, true),
-            }
-            add(Self::OPACITY | Self::TRANSPARENT_SHADOWS, material.opacity < 1.0);
-            add(Self::CUT_OUTS, material.mask.is_some());
-            add(Self::TEXTURES, colors(material).any(|color| color.texture.is_some()));
-        }
-        add(Self::AREA_LIGHTS | Self::SOFT_SHADOWS, !luminaires.all.is_empty());
-        add(Self::POINT_LIGHTS, !frame.points.is_empty());
-        add(Self::MANY_LIGHTS, luminaires.all.len() + frame.points.len() > FEW);
-        add(Self::SUN, !frame.suns.is_empty());
-        add(Self::SOFT_SHADOWS, frame.suns.iter().any(|sun| sun.angle_deg > 0.0));
-        add(Self::ENVIRONMENT, !sky.is_black());
-        add(Self::AMBIENT, settings.ambient_bounces > 0);
-        add(Self::SECOND_BOUNCE, settings.ambient_bounces > 1);
-        let cached = settings.cache.is_some() && settings.integrator == Integrator::Ambient;
-        add(Self::CACHE, settings.ambient_bounces > 0 && cached);
-        add(Self::DEPTH_OF_FIELD, frame.camera.aperture_radius > 0.0);
-        set
-    }
-
     /// Everything that a picture may hold. What is not a matter of the picture but of how it is found (integrator, bounces, choice
     /// of lights) stays as it is.
     pub fn with_all(self) -> Self {
@@ -135,6 +96,58 @@ impl Effects {
     /// Names of the effects in the set.
     pub fn names(self) -> impl Iterator<Item = &'static str> {
         NAMES.iter().filter(move |(bit, _)| self.has(*bit)).map(|(_, name)| *name)
+    }
+}
+
+/// What decides which effects a frame calls for.
+pub(crate) struct CalledFor<'a> {
+    /// Those of the surfaces that may be met, as the settings make them.
+    pub materials: &'a [&'a Material],
+    /// Numbers of area lights and of lights without surface that are looked at.
+    pub area_lights: usize,
+    pub points: usize,
+    /// Those that are looked at.
+    pub suns: &'a [Sun],
+    /// Lights with a position among which to choose where there are many.
+    pub choice: usize,
+    pub sky: &'a Sky,
+    pub camera: &'a Camera,
+    pub settings: &'a Settings,
+}
+
+impl CalledFor<'_> {
+    /// The effects.
+    pub fn effects(&self) -> Effects {
+        let mut set = Effects::default();
+        let mut add = |bit: u32, called_for: bool| set.0 |= if called_for { bit } else { 0 };
+        for material in self.materials {
+            let rough = |alpha: f32| alpha >= SMOOTH;
+            match material.surface {
+                Surface::Lambert { .. } => {}
+                Surface::Metal { alpha, .. } | Surface::Plastic { alpha, .. } => {
+                    add(Effects::GLOSSY, rough(alpha));
+                    add(Effects::MIRROR, !rough(alpha));
+                }
+                Surface::ThinGlass { .. } => add(Effects::THIN_GLASS | Effects::TRANSPARENT_SHADOWS, true),
+                Surface::Glass { .. } => add(Effects::REFRACTION, true),
+            }
+            add(Effects::OPACITY | Effects::TRANSPARENT_SHADOWS, material.opacity < 1.0);
+            add(Effects::CUT_OUTS, material.mask.is_some());
+            add(Effects::TEXTURES, colors(material).any(|color| color.texture.is_some()));
+        }
+        let Settings { ambient_bounces, integrator, cache, .. } = *self.settings;
+        add(Effects::AREA_LIGHTS | Effects::SOFT_SHADOWS, self.area_lights > 0);
+        add(Effects::POINT_LIGHTS, self.points > 0);
+        add(Effects::MANY_LIGHTS, self.choice > FEW);
+        add(Effects::SUN, !self.suns.is_empty());
+        add(Effects::SOFT_SHADOWS, self.suns.iter().any(|sun| sun.angle_deg > 0.0));
+        add(Effects::ENVIRONMENT, !self.sky.is_black());
+        add(Effects::AMBIENT, ambient_bounces > 0);
+        add(Effects::SECOND_BOUNCE, ambient_bounces > 1);
+        let cached = cache.is_some() && integrator == Integrator::Ambient;
+        add(Effects::CACHE, ambient_bounces > 0 && cached);
+        add(Effects::DEPTH_OF_FIELD, self.camera.aperture_radius > 0.0);
+        set
     }
 }
 

@@ -1,13 +1,32 @@
 //! A hash of everything that an image depends on.
 
-use crate::Settings;
+use crate::{Reach, Settings};
 use forelight_scene::{Frame, Texels};
 
 /// Raised when a change of the tracer changes images or counters: finished pixels of another version are not taken over.
-const TRACER_VERSION: u32 = 3;
+const TRACER_VERSION: u32 = 4;
 
 /// BLAKE3 of frame, settings and tracer version.
 pub fn fingerprint(frame: &Frame, settings: &Settings) -> [u8; 32] {
+    let mut hasher = light(frame);
+    hasher.update(format!("{} {:?} {settings:?}", frame.number, frame.camera).as_bytes());
+    *hasher.finalize().as_bytes()
+}
+
+/// The same without what only the view depends on: camera, frame number, size and samples. But frames that look at different
+/// lights, because others cannot reach what they see, differ.
+pub fn light_fingerprint(frame: &Frame, settings: &Settings, reach: &Reach) -> [u8; 32] {
+    let mut hasher = light(frame);
+    let Settings { integrator, ambient_bounces, max_depth, materials, cache, seed, .. } = settings;
+    let small = format!(
+        "{integrator:?} {ambient_bounces} {max_depth} {materials:?} {cache:?} {seed} {:?}",
+        reach.lights()
+    );
+    hasher.update(small.as_bytes());
+    *hasher.finalize().as_bytes()
+}
+
+fn light(frame: &Frame) -> blake3::Hasher {
     let mut hasher = blake3::Hasher::new();
     let geometry = &frame.geometry;
     hasher.update(&TRACER_VERSION.to_le_bytes());
@@ -25,15 +44,9 @@ pub fn fingerprint(frame: &Frame, settings: &Settings) -> [u8; 32] {
     }
     // Small values by their debug form, which prints every float so that it reads back exactly.
     let small = format!(
-        "{} {:?} {:?} {:?} {:?} {:?} {:?} {settings:?}",
-        frame.number,
-        frame.camera,
-        geometry.strata,
-        frame.materials,
-        frame.points,
-        frame.suns,
-        frame.environment
+        "{:?} {:?} {:?} {:?} {:?}",
+        geometry.strata, frame.materials, frame.points, frame.suns, frame.environment
     );
     hasher.update(small.as_bytes());
-    *hasher.finalize().as_bytes()
+    hasher
 }

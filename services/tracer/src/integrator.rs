@@ -23,7 +23,7 @@ use crate::kernel::{Kernel, has};
 use crate::lights::Receiver;
 use crate::random::{Purpose, Sampler};
 use crate::tracer::Tracer;
-use forelight_bvh::{Hit, Ray, offset_origin};
+use forelight_bvh::{Hit, Ray, offset_origin, size_of};
 use forelight_scene::Color;
 use glam::{Vec2, Vec3};
 use std::cell::Cell;
@@ -31,6 +31,8 @@ use std::cell::Cell;
 /// A point of a surface, seen from where the ray came from.
 pub struct Point {
     position: Vec3,
+    /// Largest coordinate of the triangle's corners.
+    size: f32,
     /// Geometric normal by the winding.
     geometric: Vec3,
     /// Shading frame, its normal on the viewer's side.
@@ -133,6 +135,7 @@ impl<'a, const K: u32> Pixels<'a, K> {
         let stratum = geometry.triangle_stratum[hit.primitive as usize];
         Point {
             position,
+            size: size_of(corners),
             geometric,
             basis,
             viewer,
@@ -157,12 +160,12 @@ impl<'a, const K: u32> Pixels<'a, K> {
 
 /// A ray from the point into `direction`, started off the surface on that side.
 fn leaving(p: &Point, direction: Vec3) -> Ray {
-    Ray::new(off_surface(p.position, p.geometric, direction), direction)
+    Ray::new(off_surface(p.position, p.geometric, p.size, direction), direction)
 }
 
 /// A point of a surface with geometric normal `normal`, moved off it to the side that `direction` points to.
-fn off_surface(position: Vec3, normal: Vec3, direction: Vec3) -> Vec3 {
-    offset_origin(position, if normal.dot(direction) < 0.0 { -normal } else { normal })
+fn off_surface(position: Vec3, normal: Vec3, size: f32, direction: Vec3) -> Vec3 {
+    offset_origin(position, if normal.dot(direction) < 0.0 { -normal } else { normal }, size)
 }
 
 /// 1 − cos of half an angular diameter, without cancellation: 2 sin²(θ/2).

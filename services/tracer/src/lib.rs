@@ -18,6 +18,7 @@
 //! | `cache` | indirect light by interpolation: planned, filled, read |
 //! | `reach` | which lights and objects cannot matter to the picture |
 //! | `cost` | counters, `work`, clocks |
+//! | `tree` | the tree over what matters |
 //! | `tracer`, `profile`, `image` | a frame's pixels, some of them, and all of them |
 
 pub mod bsdf;
@@ -39,8 +40,9 @@ mod reach;
 mod response;
 mod settings;
 mod tracer;
+mod tree;
 
-pub use cache::{Cache, CacheTotals, RecordCost};
+pub use cache::{Cache, CacheError, CacheTotals, RecordCost, Shared};
 pub use cost::{Cost, RAY_NAMES, Rays, process_cpu_nanos, thread_cpu_nanos, work};
 pub use effects::Effects;
 pub use image::{Image, ImageError, Totals, cost_color};
@@ -48,3 +50,4 @@ pub use profile::{Profile, ProfileError};
 pub use reach::{Excluded, LeftOut, Reach, Reason, reachable};
 pub use settings::{CacheSettings, Integrator, MaterialOverride, Settings, SettingsError};
 pub use tracer::{Pixel, Tracer};
+pub use tree::Tree;

@@ -19,7 +19,7 @@ pub use selection::{Light, Lights};
 pub use tree::Receiver;
 
 use crate::geometry;
-use forelight_bvh::Hit;
+use forelight_bvh::{Hit, size_of};
 use forelight_scene::Frame;
 use glam::{Vec2, Vec3};
 
@@ -30,6 +30,8 @@ pub const FEW: usize = 8;
 /// A point chosen on an emitting triangle.
 pub struct LightPoint {
     pub position: Vec3,
+    /// Largest coordinate of the triangle's corners.
+    pub size: f32,
     /// Unit geometric normal by the winding.
     pub normal: Vec3,
     pub uv: Vec2,
@@ -42,7 +44,9 @@ impl LightPoint {
     fn on(frame: &Frame, triangle: u32, u: Vec2) -> Self {
         let (b, c) = geometry::triangle(u);
         let hit = Hit { t: 0.0, primitive: triangle, u: b, v: c };
+        let corners = frame.geometry.corners(triangle);
         Self {
+            size: size_of(corners),
             position: hit.position(frame.geometry.corners(triangle)),
             normal: frame.geometry.geometric_normal(triangle),
             uv: frame.geometry.uv(triangle, b, c),

@@ -1,14 +1,15 @@
-//! Finished pixels as an artefact: traced once while forecasting, taken over by the render.
+//! What was finished while forecasting, as an artefact: traced once, taken over by the render.
 
 use crate::Pixel;
 
 /// Leading bytes of the format, with its version.
-const MAGIC: &[u8; 8] = b"FLprof02";
-const HEADER: usize = 8 + 4 + 32 + 4;
+const MAGIC: &[u8; 8] = b"FLprof03";
+const HEADER: usize = 8 + 4 + 32 + 4 + 8;
 const PIXEL: usize = 4 + 12 + 28 + 8 + 8 + 4 + 4;
 const CHECKSUM: usize = 32;
 
-/// Finished pixels of one frame.
+/// Finished pixels of one frame, or its irradiance cache. Of a frame with a cache no pixels are kept: their colours are not known
+/// before the cache is filled.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Profile {
     /// Frame number.
@@ -17,13 +18,15 @@ pub struct Profile {
     pub fingerprint: [u8; 32],
     /// Row-major pixel index, and the pixel.
     pub pixels: Vec<(u32, Pixel)>,
+    /// The cache, planned and with the records that were gathered, in its own format; not empty.
+    pub cache: Option<Vec<u8>>,
 }
 
 /// Why bytes are not a profile.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ProfileError {
     /// The leading bytes are others.
-    #[error("not a profile of this version (it must begin with FLprof02)")]
+    #[error("not a profile of this version (it must begin with FLprof03)")]
     Foreign,
     /// Shorter or longer than its header says.
     #[error("truncated profile: {found} bytes where {expected} were expected")]
@@ -39,14 +42,16 @@ pub enum ProfileError {
 }
 
 impl Profile {
-    /// Little-endian: magic, frame, fingerprint, count, pixels (index, colour, rays, work, CPU nanoseconds, uncovered, stratum), BLAKE3
-    /// of all before.
+    /// Little-endian: magic, frame, fingerprint, count of pixels, bytes of the cache (0 without one), pixels (index, colour, rays, work,
+    /// CPU nanoseconds, uncovered, stratum), the cache, BLAKE3 of all before.
     pub fn to_bytes(&self) -> Vec<u8> {
-        let mut out = Vec::with_capacity(HEADER + self.pixels.len() * PIXEL + CHECKSUM);
+        let cache = self.cache.as_deref().unwrap_or_default();
+        let mut out = Vec::with_capacity(HEADER + self.pixels.len() * PIXEL + cache.len() + CHECKSUM);
         out.extend_from_slice(MAGIC);
         out.extend_from_slice(&self.frame.to_le_bytes());
         out.extend_from_slice(&self.fingerprint);
         out.extend_from_slice(&(self.pixels.len() as u32).to_le_bytes());
+        out.extend_from_slice(&(cache.len() as u64).to_le_bytes());
         for (index, pixel) in &self.pixels {
             out.extend_from_slice(&index.to_le_bytes());
             pixel.color.iter().for_each(|c| out.extend_from_slice(&c.to_le_bytes()));
@@ -56,6 +61,7 @@ impl Profile {
             out.extend_from_slice(&pixel.uncovered.to_le_bytes());
             out.extend_from_slice(&pixel.stratum.to_le_bytes());
         }
+        out.extend_from_slice(cache);
         let checksum = blake3::hash(&out);
         out.extend_from_slice(checksum.as_bytes());
         out
@@ -74,7 +80,8 @@ impl Profile {
         let frame = reader.u32();
         let fingerprint = reader.take();
         let count = reader.u32() as usize;
-        let expected = HEADER + count * PIXEL + CHECKSUM;
+        let cache = usize::try_from(reader.u64()).unwrap_or(usize::MAX);
+        let expected = (HEADER + count * PIXEL + CHECKSUM).saturating_add(cache);
         if bytes.len() != expected {
             return length(expected);
         }
@@ -92,7 +99,8 @@ impl Profile {
                 (index, Pixel { color, rays, work, cpu_nanos, uncovered, stratum })
             })
             .collect();
-        Ok(Self { frame, fingerprint, pixels })
+        let cache = (cache > 0).then(|| body[body.len() - cache..].to_vec());
+        Ok(Self { frame, fingerprint, pixels, cache })
     }
 
     /// Whether every pixel index lies inside an image of that many pixels.
@@ -135,12 +143,17 @@ mod tests {
             uncovered: 3,
             stratum: i,
         };
-        Profile { frame: 7, fingerprint: [9; 32], pixels: (0..5).map(|i| (i * 31, pixel(i))).collect() }
+        let pixels = (0..5).map(|i| (i * 31, pixel(i))).collect();
+        Profile { frame: 7, fingerprint: [9; 32], pixels, cache: Some(b"records".to_vec()) }
     }
 
     #[test]
     fn a_profile_reads_back_as_it_was_written() {
         assert_eq!(Profile::from_bytes(&profile().to_bytes()), Ok(profile()));
+        let without = Profile { cache: None, ..profile() };
+        assert_eq!(Profile::from_bytes(&without.to_bytes()), Ok(without));
+        let empty = Profile { pixels: Vec::new(), ..profile() };
+        assert_eq!(Profile::from_bytes(&empty.to_bytes()), Ok(empty));
     }
 
     #[test]

@@ -162,6 +162,20 @@ impl Reach {
         self.environment
     }
 
+    /// What says which lights matter, for comparing frames.
+    pub(crate) fn lights(&self) -> impl fmt::Debug {
+        (&self.area_lights, &self.points, &self.suns, self.environment)
+    }
+
+    /// The materials of the triangles that matter, each once, out of those of the frame.
+    pub(crate) fn materials<'a>(&self, geometry: &Geometry, materials: &'a [Material]) -> Vec<&'a Material> {
+        let mut met = vec![false; materials.len()];
+        for (t, &stratum) in (0..).zip(&geometry.triangle_stratum) {
+            met[geometry.strata.pairs[stratum as usize].1 as usize] |= self.triangle(t);
+        }
+        materials.iter().zip(met).filter(|(_, met)| *met).map(|(material, _)| material).collect()
+    }
+
     /// What does not matter, and why: area lights, point lights, suns, environment, then objects by their id.
     pub fn left_out(&self) -> &[LeftOut] {
         &self.left_out

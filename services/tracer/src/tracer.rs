@@ -1,23 +1,25 @@
 //! A frame, ready to be traced.
 
-use crate::cache::{Cache, RecordCost};
+use crate::cache::{Cache, CacheError, RecordCost};
 use crate::cost::{Cost, build_work, thread_cpu_nanos};
-use crate::effects::Effects;
+use crate::effects::{CalledFor, Effects};
 use crate::environment::Sky;
-use crate::fingerprint::fingerprint;
+use crate::fingerprint::{fingerprint, light_fingerprint};
 use crate::fresnel;
 use crate::image::Image;
 use crate::kernel::{Trace, kernel};
 use crate::lights::{Lights, Luminaires};
 use crate::profile::Profile;
+use crate::reach::{LeftOut, Reach, reachable};
+use crate::tree::Tree;
 use crate::{Integrator, MaterialOverride, Settings};
-use forelight_bvh::{Bvh, Hit};
-use forelight_scene::{Color, Frame, Material, Surface};
+use forelight_bvh::Hit;
+use forelight_scene::{Color, Frame, Material, Sun, Surface};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 /// Edge of the square tiles in which an image is worked off, pixels.
 const TILE: u32 = 16;
@@ -48,9 +50,15 @@ impl Pixel {
 pub struct Tracer {
     pub(crate) frame: Frame,
     pub(crate) settings: Settings,
-    pub(crate) bvh: Arc<Bvh>,
+    pub(crate) bvh: Arc<Tree>,
     pub(crate) materials: Vec<Material>,
+    /// What matters to the picture.
+    reach: Reach,
     pub(crate) luminaires: Luminaires,
+    /// Lights without surface that are looked at, by their indices in the frame.
+    pub(crate) points: Vec<usize>,
+    /// The same of distant lights.
+    pub(crate) suns: Vec<usize>,
     /// Everything that shines, for choosing one light out of it; empty where the integrator does not choose so.
     pub(crate) lights: Lights,
     pub(crate) sky: Sky,
@@ -58,23 +66,33 @@ pub struct Tracer {
     pub(crate) internal: Vec<f32>,
     /// Planned or taken over when it is first needed; never set if the settings ask for none.
     cache: OnceLock<Cache>,
+    /// From which to plan.
+    given: Mutex<Option<Cache>>,
     effects: Effects,
     pub(crate) kernel: Box<dyn Trace>,
     build: Cost,
 }
 
 impl Tracer {
-    /// Builds the tree and finds the lights. The camera is resized to the settings' width and height.
+    /// Builds the tree and finds the lights. The camera is resized to the settings' width and height. What cannot matter to the picture
+    /// is left out: see [`Self::left_out`].
     pub fn new(frame: &Frame, settings: &Settings) -> Self {
-        let start = thread_cpu_nanos();
-        let bvh = Arc::new(Bvh::build(&frame.geometry.positions, &frame.geometry.triangles));
-        let cpu_nanos = thread_cpu_nanos() - start;
-        let work = build_work(frame.geometry.triangles.len(), bvh.size().0);
-        Self { build: Cost { work, cpu_nanos }, ..Self::with_bvh(frame, settings, bvh) }
+        Self::build(frame, settings, None, false)
     }
 
-    /// The same over a tree that exists already, for the same geometry.
-    pub fn with_bvh(frame: &Frame, settings: &Settings, bvh: Arc<Bvh>) -> Self {
+    /// The same with a tree that was built for the same geometry. If this frame sees other triangles of it, it gets a tree of its own
+    /// nevertheless.
+    pub fn with_bvh(frame: &Frame, settings: &Settings, bvh: Arc<Tree>) -> Self {
+        Self::build(frame, settings, Some(bvh), false)
+    }
+
+    /// The same with everything left in, whether it matters or not: for showing what leaving it out saves. Images keep their bits.
+    /// (Lights that cannot matter are looked at, if all lights are; they are never among some that are chosen out of many.)
+    pub fn complete(frame: &Frame, settings: &Settings) -> Self {
+        Self::build(frame, settings, None, true)
+    }
+
+    fn build(frame: &Frame, settings: &Settings, bvh: Option<Arc<Tree>>, complete: bool) -> Self {
         let mut frame = frame.clone();
         frame.camera = frame.camera.resized(settings.width, settings.height);
         let materials: Vec<Material> = match settings.materials {
@@ -85,14 +103,43 @@ impl Tracer {
             Surface::Plastic { ior, .. } => fresnel::internal_diffuse(ior),
             _ => 0.0,
         });
-        let (luminaires, sky) = (Luminaires::new(&frame), Sky::new(&frame));
-        let effects = Effects::called_for(&frame, &materials, &luminaires, &sky, settings);
+        let start = thread_cpu_nanos();
+        let reach = reachable(&frame, &materials);
+        let everything = Reach::everything(&frame);
+        let included = if complete { &everything } else { &reach };
+        let known = bvh.filter(|bvh| bvh.is_over(&frame.geometry, included));
+        let (bvh, build) = known.map(|bvh| (bvh, Cost::default())).unwrap_or_else(|| {
+            let tree = Tree::new(&frame.geometry, included);
+            let cpu_nanos = thread_cpu_nanos() - start;
+            let work = build_work(tree.triangles(frame.geometry.triangles.len()), tree.size().0);
+            (Arc::new(tree), Cost { work, cpu_nanos })
+        });
+        let luminaires = Luminaires::new(&frame, &reach, complete);
+        let sky = if included.environment() { Sky::new(&frame) } else { Sky::Black };
+        let points: Vec<usize> = (0..frame.points.len()).filter(|&i| included.point_light(i)).collect();
+        let suns: Vec<usize> = (0..frame.suns.len()).filter(|&i| included.sun(i)).collect();
+        let called_for = CalledFor {
+            materials: &included.materials(&frame.geometry, &materials),
+            area_lights: luminaires.all.len(),
+            points: points.len(),
+            suns: &suns.iter().map(|&i| frame.suns[i]).collect::<Vec<Sun>>(),
+            // Of those that are put back, none is ever among the chosen.
+            choice: luminaires.reaching() + (0..frame.points.len()).filter(|&i| reach.point_light(i)).count(),
+            sky: &sky,
+            camera: &frame.camera,
+            settings,
+        };
+        let effects = called_for.effects();
         let chosen = settings.integrator == Integrator::Path || effects.has(Effects::MANY_LIGHTS);
-        let lights = if chosen { Lights::new(&frame, &materials, &sky) } else { Lights::default() };
+        let lights = if chosen { Lights::new(&frame, &materials, &sky, &reach) } else { Lights::default() };
         Self {
             internal: internal.collect(),
             cache: OnceLock::new(),
+            given: Mutex::default(),
+            reach,
             luminaires,
+            points,
+            suns,
             lights,
             sky,
             effects,
@@ -101,15 +148,32 @@ impl Tracer {
             settings: settings.clone(),
             bvh,
             frame,
-            build: Cost::default(),
+            build,
         }
     }
 
     /// Plans the irradiance cache, on the current thread pool, if one is called for and there is none.
     pub fn plan(&self) {
         if let Some(settings) = self.settings.cache.filter(|_| self.effects.has(Effects::CACHE)) {
-            self.cache.get_or_init(|| Cache::plan(self, &settings));
+            self.cache.get_or_init(|| {
+                let mut cache = lock(&self.given).take().unwrap_or_default();
+                cache.plan(self, &settings);
+                cache
+            });
         }
+    }
+
+    /// Starts the plan from a cache that was planned, and perhaps filled, for this image or for others of the same scene and light;
+    /// call it before [`Self::plan`]. What the image needs beyond it will be planned anew.
+    pub fn take_cache(&self, mut cache: Cache) -> Result<(), CacheError> {
+        cache.settle(self)?;
+        *lock(&self.given) = Some(cache);
+        Ok(())
+    }
+
+    /// Hash of all that the records of a cache depend on.
+    pub fn cache_fingerprint(&self) -> [u8; 32] {
+        light_fingerprint(&self.frame, &self.settings, &self.reach)
     }
 
     /// The frame's irradiance cache, if it is called for and planned.
@@ -147,9 +211,15 @@ impl Tracer {
         self.cache.get().map_or_else(Vec::new, |cache| cache.sample(self, each))
     }
 
-    /// The tree, to be shared with the preview's CPU twin or with another frame of the same geometry.
-    pub fn bvh(&self) -> &Arc<Bvh> {
+    /// The tree, to be shared with other frames of the same geometry.
+    pub fn bvh(&self) -> &Arc<Tree> {
         &self.bvh
+    }
+
+    /// Lights and objects that cannot matter to the picture, and why. Unless the tracer is [`Self::complete`], they take no rays, no
+    /// memory and no time.
+    pub fn left_out(&self) -> &[LeftOut] {
+        self.reach.left_out()
     }
 
     /// The frame as it is traced.
@@ -157,7 +227,7 @@ impl Tracer {
         &self.frame
     }
 
-    /// What building the tree took; nothing if it existed.
+    /// What building the tree took, and finding out what belongs into it; nothing if it existed.
     pub fn build_cost(&self) -> Cost {
         self.build
     }
@@ -283,4 +353,9 @@ fn as_lambert(material: &Material) -> Material {
         _ => Color::plain(Vec3::splat(0.5)),
     };
     Material { surface: Surface::Lambert { albedo }, ..material.clone() }
+}
+
+/// The data behind the lock is whole after every statement, so a panic elsewhere does not spoil it.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -3,7 +3,7 @@
 
 mod support;
 
-use forelight_bvh::{Bvh, Ray, Traversal, offset_origin};
+use forelight_bvh::{Bvh, Ray, Traversal, offset_origin, size_of};
 use forelight_scene::{Environment, Frame};
 use forelight_tracer::reachable;
 use glam::{Quat, Vec3};
@@ -153,7 +153,8 @@ fn no_path_meets_what_is_said_to_be_out_of_reach() {
                 let normal = if normal.dot(ray.direction) > 0.0 { -normal } else { normal };
                 let direction = n.direction();
                 let direction = if direction.dot(normal) < 0.0 { -direction } else { direction };
-                let origin = offset_origin(hit.position(geometry.corners(hit.primitive)), normal);
+                let corners = geometry.corners(hit.primitive);
+                let origin = offset_origin(hit.position(corners), normal, size_of(corners));
                 ray = Ray::new(origin, direction);
             }
         }

@@ -86,15 +86,22 @@ impl Record {
                 translation[channel] *= level_within / smallest;
             }
         }
-        let numbers = irradiance.rotation.iter().chain(&translation).chain([&value]);
-        Self {
-            rejected: !numbers.fold(true, |finite, v| finite && v.is_finite()),
+        let mut record = Self {
+            rejected: false,
             irradiance: value,
             rotation: irradiance.rotation,
             translation,
             trusted,
             cost: Cost::default(),
             rays: [0; 7],
-        }
+        };
+        record.rejected = !record.is_finite();
+        record
+    }
+
+    /// Whether every number is finite.
+    pub fn is_finite(&self) -> bool {
+        let gradients = self.rotation.iter().chain(&self.translation);
+        self.irradiance.is_finite() && gradients.fold(true, |finite, gradient| finite && gradient.is_finite())
     }
 }

@@ -7,14 +7,14 @@ const DEPTH: u32 = 20;
 
 /// An octree over a cube. A sphere is entered in the (at most eight) cells of about its size that it touches, so that the cells
 /// on the way from the root to a point hold all spheres that may contain the point.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Clone)]
 pub struct Octree {
     low: Vec3,
     edge: f32,
     cells: Vec<Cell>,
 }
 
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Clone)]
 struct Cell {
     /// The cell of each octant, 0 for none: the root is nobody's child.
     children: [u32; 8],

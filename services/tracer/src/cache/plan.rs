@@ -42,35 +42,37 @@ const COARSE: f32 = 0.6;
 pub type Keyed = (u64, Site);
 
 impl Cache {
-    /// Plans the cache of a frame, on the current thread pool.
-    pub fn plan(tracer: &Tracer, settings: &CacheSettings) -> Self {
-        let mut cache = Self { strata: Strata::for_rays(settings.rays), ..Self::default() };
-        let mut planning = Planning { tracer, strata: cache.strata, plan: PlanCost::default() };
-        let accuracy = settings.accuracy as f32 * 1e-3;
-        let (smallest, largest) = planning.bounds(accuracy).into_inner();
-        for depth in 0..tracer.settings.ambient_bounces {
-            let deeper = DEEPER.powi(depth as i32);
-            let mut level = Level {
-                accuracy: (accuracy * deeper).min(COARSE),
-                smallest: (smallest * deeper).min(largest),
-                largest,
-                octree: octree(tracer),
-                ..Level::default()
-            };
-            match cache.levels.last() {
-                None => planning.from_pixels(&mut level),
-                Some(before) => planning.from_gathers(&before.planned, depth, &mut level),
-            }
-            level.records = level.planned.iter().map(|_| OnceLock::new()).collect();
-            cache.levels.push(level);
+    /// Plans what a frame's image needs beyond the records that are there, on the current thread pool.
+    pub fn plan(&mut self, tracer: &Tracer, settings: &CacheSettings) {
+        let image = tracer.fingerprint();
+        if self.images.contains(&image) {
+            return;
         }
-        cache.plan = planning.plan.cost;
-        cache.plan_rays = planning.plan.rays;
-        cache
+        self.images.push(image);
+        self.strata = Strata::for_rays(settings.rays);
+        let mut planning = Planning { tracer, strata: self.strata, plan: PlanCost::default() };
+        if self.levels.is_empty() {
+            self.fingerprint = tracer.cache_fingerprint();
+            self.levels = planning.levels(settings.accuracy as f32 * 1e-3);
+        }
+        for depth in 0..self.levels.len() {
+            let (before, level) = self.levels.split_at_mut(depth);
+            match before.last() {
+                None => planning.from_pixels(&mut level[0]),
+                Some(before) => planning.from_gathers(before, depth as u32, &mut level[0]),
+            }
+        }
+        for level in &mut self.levels {
+            level.records.resize_with(level.planned.len(), OnceLock::new);
+            level.explored = level.planned.len();
+        }
+        self.plan += planning.plan.cost;
+        self.plan_rays.iter_mut().zip(planning.plan.rays).for_each(|(sum, rays)| *sum += rays);
     }
 }
 
-fn octree(tracer: &Tracer) -> Octree {
+/// An octree over a scene.
+pub fn octree(tracer: &Tracer) -> Octree {
     let positions = &tracer.frame.geometry.positions;
     let low = positions.iter().copied().reduce(Vec3::min).unwrap_or(Vec3::ZERO);
     let high = positions.iter().copied().reduce(Vec3::max).unwrap_or(Vec3::ZERO);
@@ -97,6 +99,22 @@ impl PlanCost {
 }
 
 impl Planning<'_> {
+    /// The levels of a cache, empty.
+    fn levels(&mut self, accuracy: f32) -> Vec<Level> {
+        let (smallest, largest) = self.bounds(accuracy).into_inner();
+        let level = |depth: u32| {
+            let deeper = DEEPER.powi(depth as i32);
+            Level {
+                accuracy: (accuracy * deeper).min(COARSE),
+                smallest: (smallest * deeper).min(largest),
+                largest,
+                octree: octree(self.tracer),
+                ..Level::default()
+            }
+        };
+        (0..self.tracer.settings.ambient_bounces).map(level).collect()
+    }
+
     /// Bounds of the radii, metres: world-space lengths, so that records serve any view. The smallest makes records as dense as
     /// [`SPACING`] pixels at the median distance of what the view shows; the largest keeps a record from serving half the room.
     fn bounds(&mut self, accuracy: f32) -> RangeInclusive<f32> {
@@ -148,9 +166,10 @@ impl Planning<'_> {
         }
     }
 
-    /// A deeper level: the diffuse hits of the plan's rays of the level before.
-    fn from_gathers(&mut self, before: &[Planned], depth: u32, level: &mut Level) {
-        let mut order: Vec<u32> = (0..before.len() as u32).collect();
+    /// A deeper level: the diffuse hits of the plan's rays of those records of the level before that are new.
+    fn from_gathers(&mut self, before: &Level, depth: u32, level: &mut Level) {
+        let (explored, before) = (before.explored as u32, &before.planned);
+        let mut order: Vec<u32> = (explored..before.len() as u32).collect();
         order.sort_by_cached_key(|&index| hash(u64::from(index)));
         for chunk in order.chunks(CHUNK / PLAN_RAYS) {
             let (tracer, strata) = (self.tracer, self.strata);
@@ -241,7 +260,7 @@ fn plan_record(tracer: &Tracer, strata: &Strata, (key, site): Keyed, level: &Lev
     }
     let harmonic = if inverse > 0.0 { (PLAN_RAYS as f64 / inverse) as f32 } else { f32::INFINITY };
     let radius = harmonic.clamp(level.smallest, level.largest);
-    (Planned { key, site, radius, corral, hits }, counters)
+    (Planned { key, site, radius, entered: radius, corral, hits }, counters)
 }
 
 impl Level {
@@ -262,8 +281,14 @@ impl Level {
             let distance = other.site.position.distance(position);
             other.radius = other.radius.min(planned.radius + distance);
         }
-        let index = self.planned.len() as u32;
-        self.octree.insert(index, position, planned.radius * self.accuracy * READ_RELAXED);
+        planned.entered = planned.radius;
+        self.enter(self.planned.len() as u32, &planned);
         self.planned.push(planned);
+    }
+
+    /// Enters a record into the octree.
+    pub fn enter(&mut self, index: u32, planned: &Planned) {
+        let reach = planned.entered * self.accuracy * READ_RELAXED;
+        self.octree.insert(index, planned.site.position, reach);
     }
 }

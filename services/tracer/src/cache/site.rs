@@ -10,6 +10,8 @@ use glam::Vec3;
 pub struct Site {
     /// Position, metres.
     pub position: Vec3,
+    /// Largest coordinate of the triangle's corners, on which the position's rounding depends, metres.
+    pub size: f32,
     /// Unit normal about which the hemisphere is gathered: the shading normal on the viewer's side.
     pub normal: Vec3,
     /// Unit geometric normal, on either side.

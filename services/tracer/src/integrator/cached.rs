@@ -76,6 +76,7 @@ impl<const K: u32> Pixels<'_, K> {
 fn site(p: &Point, response: &Response) -> Site {
     Site {
         position: p.position,
+        size: p.size,
         normal: p.basis.normal,
         geometric: p.geometric,
         coat: response.coat.map_or(0.0, |coat| coat.ior),
@@ -83,5 +84,5 @@ fn site(p: &Point, response: &Response) -> Site {
 }
 
 fn ray_from(site: &Site, direction: Vec3) -> Ray {
-    Ray::new(off_surface(site.position, site.geometric, direction), direction)
+    Ray::new(off_surface(site.position, site.geometric, site.size, direction), direction)
 }

@@ -26,7 +26,7 @@ impl<const K: u32> Pixels<'_, K> {
         let tracer = self.tracer;
         let luminaires = &tracer.luminaires;
         let near = |index: usize| response.has_diffuse() && luminaires.all[index].is_near(p.position);
-        let mut sum = if (0..luminaires.all.len()).any(near) {
+        let mut sum = if (0..luminaires.reaching()).any(near) {
             self.near_lights(p, response, vertex, |_, hit, distance2, cos| {
                 let stratum = tracer.frame.geometry.triangle_stratum[hit.primitive as usize];
                 let index = luminaires.of_stratum(stratum).filter(|&index| near(index))?;
@@ -37,7 +37,7 @@ impl<const K: u32> Pixels<'_, K> {
         };
         let points = self.sampler.draw(Purpose::Light, vertex);
         for (index, luminaire) in luminaires.all.iter().enumerate() {
-            let light = luminaire.sample(&tracer.frame, self.sampler.related(points, index as u32));
+            let light = luminaire.sample(&tracer.frame, self.sampler.related(points, luminaire.stratum));
             let density = |distance2, cos| luminaires.density(index, distance2, cos);
             sum += self.from_triangle(p, response, &light, near(index), density);
         }
@@ -132,7 +132,7 @@ impl<const K: u32> Pixels<'_, K> {
         if reflected.max_element() <= 0.0 {
             return Vec3::ZERO;
         }
-        let target = offset_origin(light.position, light.normal * cos.signum());
+        let target = offset_origin(light.position, light.normal * cos.signum(), light.size);
         let passed = self.shadow(p, direction, Some(target));
         if passed == Vec3::ZERO { Vec3::ZERO } else { passed * reflected * self.emitted_at(light) }
     }
@@ -199,7 +199,7 @@ impl<const K: u32> Pixels<'_, K> {
 
     /// Few lights without surface: all of them.
     pub fn point_lights(&mut self, p: &Point, response: &Response) -> Vec3 {
-        (0..self.tracer.frame.points.len()).map(|index| self.from_point(p, response, index)).sum()
+        self.tracer.points.iter().map(|&index| self.from_point(p, response, index)).sum()
     }
 
     fn from_point(&mut self, p: &Point, response: &Response, index: usize) -> Vec3 {
@@ -223,12 +223,10 @@ impl<const K: u32> Pixels<'_, K> {
 
     pub fn suns(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
         let tracer = self.tracer;
-        if tracer.frame.suns.is_empty() {
-            return Vec3::ZERO;
-        }
         let points = self.sampler.draw(Purpose::Sun, vertex);
         let mut sum = Vec3::ZERO;
-        for (i, sun) in tracer.frame.suns.iter().enumerate() {
+        for &i in &tracer.suns {
+            let sun = &tracer.frame.suns[i];
             let height = cap_height(sun.angle_deg);
             let local = geometry::cap(self.sampler.related(points, i as u32), height);
             let direction = Basis::new(sun.direction).to_world(local);

@@ -4,7 +4,7 @@ use super::{Pixels, Point, leaving, off_surface};
 use crate::cost::Category;
 use crate::fresnel;
 use crate::kernel::has;
-use forelight_bvh::{Hit, Ray};
+use forelight_bvh::{Hit, Ray, size_of};
 use forelight_scene::Surface;
 use glam::Vec3;
 use std::cell::Cell;
@@ -87,6 +87,7 @@ impl<const K: u32> Pixels<'_, K> {
     pub(super) fn beyond(&self, hit: &Hit, direction: Vec3) -> Vec3 {
         let geometry = &self.tracer.frame.geometry;
         let normal = geometry.geometric_normal(hit.primitive);
-        off_surface(hit.position(geometry.corners(hit.primitive)), normal, direction)
+        let corners = geometry.corners(hit.primitive);
+        off_surface(hit.position(corners), normal, size_of(corners), direction)
     }
 }

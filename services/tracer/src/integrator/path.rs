@@ -285,7 +285,7 @@ impl<const K: u32> Pixels<'_, K> {
         }
         Some(Candidate {
             direction,
-            target: Some(offset_origin(light.position, light.normal * cos.signum())),
+            target: Some(offset_origin(light.position, light.normal * cos.signum(), light.size)),
             light: self.emitted_at(&light) / density,
             density: Some(density),
         })

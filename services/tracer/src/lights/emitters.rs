@@ -3,6 +3,7 @@
 use super::LightPoint;
 use super::bounds::Bounds;
 use super::tree::{LightTree, Receiver};
+use crate::Reach;
 use forelight_scene::{Color, Frame, Material, Texels};
 use glam::{Vec2, Vec3};
 
@@ -27,13 +28,14 @@ pub struct Emitters {
 
 impl Emitters {
     /// Collects what shines: triangles that have an area and emit, that are not entirely transparent, and points with an intensity.
-    pub fn new(frame: &Frame, materials: &[Material]) -> Self {
+    /// What cannot matter to the picture is not among them.
+    pub fn new(frame: &Frame, materials: &[Material], reach: &Reach) -> Self {
         let geometry = &frame.geometry;
         let mut glow = Glow::new(frame, materials);
         let (mut triangles, mut points, mut bounds) = (Vec::new(), Vec::new(), Vec::new());
         for (t, &stratum) in geometry.triangle_stratum.iter().enumerate() {
             let (t, material) = (t as u32, geometry.strata.pairs[stratum as usize].1 as usize);
-            if !glow.may_shine(material) {
+            if !glow.may_shine(material) || !reach.area_light(stratum) {
                 continue;
             }
             let (normal, area) = plane(geometry.corners(t));
@@ -46,7 +48,7 @@ impl Emitters {
         }
         for (i, light) in frame.points.iter().enumerate() {
             let intensity = f64::from(light.intensity.max_element());
-            if intensity > 0.0 && light.intensity.is_finite() {
+            if intensity > 0.0 && light.intensity.is_finite() && reach.point_light(i) {
                 points.push(i as u32);
                 let cone = light.cone.map(|(axis, _, outer)| (axis, outer));
                 bounds.push(Bounds::point(light.position, cone, intensity));

@@ -1,12 +1,15 @@
 //! Few area lights: each is sampled at every point, uniformly by area.
 
 use super::LightPoint;
+use crate::Reach;
 use forelight_scene::Frame;
 use glam::{Vec2, Vec3};
 
 /// All emitting triangles of one (object, material): sampled as one light, uniformly by area.
 #[derive(Debug, Clone)]
 pub struct Luminaire {
+    /// (object, material): by it the luminaire has random numbers of its own, whichever others there are.
+    pub stratum: u32,
     /// Total area, m².
     pub area: f32,
     low: Vec3,
@@ -19,17 +22,23 @@ pub struct Luminaire {
 /// The area lights of a frame.
 #[derive(Debug, Clone, Default)]
 pub struct Luminaires {
+    /// Those that may light something that is seen; then those that are put back nevertheless.
     pub all: Vec<Luminaire>,
+    reaching: usize,
     /// Luminaire of each stratum, `u32::MAX` for those that do not emit.
     of_stratum: Vec<u32>,
 }
 
 impl Luminaires {
-    /// Collects the emitting triangles. Those without area emit nothing.
-    pub fn new(frame: &Frame) -> Self {
+    /// Collects the emitting triangles. Those without area emit nothing; those that light nothing are left out, unless the collection
+    /// is to be `complete`.
+    pub fn new(frame: &Frame, reach: &Reach, complete: bool) -> Self {
         let geometry = &frame.geometry;
         let mut members: Vec<Vec<(u32, f64)>> = vec![Vec::new(); geometry.strata.len()];
-        let emits = |s: u32| frame.materials[geometry.strata.pairs[s as usize].1 as usize].is_emissive();
+        let emits = |s: u32| {
+            let material = geometry.strata.pairs[s as usize].1 as usize;
+            frame.materials[material].is_emissive() && (complete || reach.area_light(s))
+        };
         for (t, &stratum) in geometry.triangle_stratum.iter().enumerate() {
             if emits(stratum) {
                 let [a, b, c] = geometry.corners(t as u32).map(|p| p.as_dvec3());
@@ -40,7 +49,12 @@ impl Luminaires {
             }
         }
         let mut luminaires = Self { of_stratum: vec![u32::MAX; members.len()], ..Self::default() };
-        for (stratum, members) in members.iter().enumerate().filter(|(_, m)| !m.is_empty()) {
+        let found = |reaches: bool| {
+            let strata = (0..).zip(&members).filter(|(_, members)| !members.is_empty());
+            strata.filter(move |(stratum, _)| reach.area_light(*stratum) == reaches)
+        };
+        luminaires.reaching = found(true).count();
+        for (stratum, members) in found(true).chain(found(false)) {
             let total: f64 = members.iter().map(|m| m.1).sum();
             let mut sum = 0.0;
             let cumulative = members.iter().map(|m| {
@@ -48,8 +62,9 @@ impl Luminaires {
                 (sum / total) as f32
             });
             let corners = || members.iter().flat_map(|m| geometry.corners(m.0));
-            luminaires.of_stratum[stratum] = luminaires.all.len() as u32;
+            luminaires.of_stratum[stratum as usize] = luminaires.all.len() as u32;
             luminaires.all.push(Luminaire {
+                stratum,
                 low: corners().fold(Vec3::INFINITY, Vec3::min),
                 high: corners().fold(Vec3::NEG_INFINITY, Vec3::max),
                 area: total as f32,
@@ -58,6 +73,11 @@ impl Luminaires {
             });
         }
         luminaires
+    }
+
+    /// How many of them may light something that is seen.
+    pub fn reaching(&self) -> usize {
+        self.reaching
     }
 
     /// The luminaire that a triangle's stratum belongs to.

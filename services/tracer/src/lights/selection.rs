@@ -2,6 +2,7 @@
 
 use super::emitters::{Emitter, Emitters};
 use super::tree::Receiver;
+use crate::Reach;
 use crate::environment::Sky;
 use forelight_scene::{Frame, Material, Sun};
 
@@ -39,21 +40,22 @@ struct Kinds {
 }
 
 impl Lights {
-    /// Collects what shines.
-    pub fn new(frame: &Frame, materials: &[Material], sky: &Sky) -> Self {
+    /// Collects what shines and may matter to the picture.
+    pub fn new(frame: &Frame, materials: &[Material], sky: &Sky, reach: &Reach) -> Self {
         let mut sum = 0.0;
-        let suns = frame.suns.iter().map(|sun| {
+        let suns = frame.suns.iter().enumerate().map(|(i, sun)| {
             let irradiance = f64::from(sun.irradiance.max_element());
-            sum += if irradiance > 0.0 && sun.irradiance.is_finite() { irradiance } else { 0.0 };
+            let counts = irradiance > 0.0 && sun.irradiance.is_finite() && reach.sun(i);
+            sum += if counts { irradiance } else { 0.0 };
             sum
         });
         Self {
-            emitters: Emitters::new(frame, materials),
+            emitters: Emitters::new(frame, materials, reach),
             suns: suns.collect(),
             only_sun: if let [sun] = frame.suns[..] { Some(sun) } else { None },
             sky: match sky {
-                Sky::Image(image) => std::f64::consts::PI * image.mean_radiance(),
-                Sky::Black | Sky::Constant(_) => 0.0,
+                Sky::Image(image) if reach.environment() => std::f64::consts::PI * image.mean_radiance(),
+                _ => 0.0,
             },
         }
     }

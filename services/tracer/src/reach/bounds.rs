@@ -181,7 +181,7 @@ mod tests {
     #[test]
     fn a_box_knows_what_lies_ahead() {
         let cube = Bounds { low: Vec3::ZERO, high: Vec3::ONE };
-        let inverse = DVec3::new(0.1, 0.2, 1.0).recip();
+        let inverse = DVec3::new(0.01, 0.02, 1.0).recip();
         assert!(cube.is_ahead(DVec3::new(0.5, 0.5, -3.0), inverse));
         assert!(cube.is_ahead(DVec3::splat(0.5), inverse));
         assert!(!cube.is_ahead(DVec3::new(0.5, 0.5, 2.0), inverse));

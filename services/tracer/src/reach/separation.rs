@@ -45,16 +45,6 @@ impl Separation {
         let vertex = weld(&geometry.positions);
         let corners: Vec<[u32; 3]> =
             geometry.triangles.iter().map(|t| t.map(|v| vertex[v as usize])).collect();
-        let opaque: Vec<bool> = geometry
-            .triangle_stratum
-            .iter()
-            .map(|&s| is_opaque(&materials[geometry.strata.pairs[s as usize].1 as usize]))
-            .collect();
-        let shells = shells(geometry, &corners, &opaque);
-        let points = vec![None; frame.points.len()];
-        if shells.is_empty() {
-            return Self { piece: vec![0; corners.len()], pieces: vec![None], points, sky: None };
-        }
         let mut sets = Sets::new(vertex.len());
         for &[a, b, c] in &corners {
             sets.join(a, b);
@@ -68,8 +58,12 @@ impl Separation {
         let (pieces, count) = number(&of_vertex, |v| used[v]);
         let piece = corners.iter().map(|c| pieces[of_vertex[c[0] as usize] as usize].unwrap_or_default());
         let piece = piece.collect();
-        let found = Self { piece, pieces: vec![None; count], points, sky: None };
-        Search::new(frame, &opaque, found).run(shells)
+        let found =
+            Self { piece, pieces: vec![None; count], points: vec![None; frame.points.len()], sky: None };
+        let opaque: Vec<bool> = materials.iter().map(is_opaque).collect();
+        let search = Search::new(frame, &opaque, found);
+        let shells = shells(geometry, &corners, &search.around_something());
+        search.run(shells)
     }
 
     pub fn of_triangle(&self, triangle: u32) -> Option<Kept> {
@@ -97,6 +91,7 @@ fn is_flat(geometry: &Geometry, triangle: u32) -> bool {
 
 struct Search<'a> {
     frame: &'a Frame,
+    /// By material.
     opaque: &'a [bool],
     /// Triangles by piece, and the pieces' boxes.
     members: Groups,
@@ -122,6 +117,27 @@ impl<'a> Search<'a> {
         let tree = Tree::new(bounds.iter().copied());
         let budget = VISITS * geometry.triangles.len() + 100_000;
         Self { frame, opaque, members, bounds, tree, extent, budget, found }
+    }
+
+    fn is_opaque(&self, triangle: u32) -> bool {
+        self.opaque[self.frame.geometry.material(triangle) as usize]
+    }
+
+    /// Opaque triangles of those pieces that may have something inside: a light, the camera, another piece.
+    fn around_something(&self) -> Vec<u32> {
+        let lights = self.frame.points.iter().map(|light| light.position);
+        let points: Vec<Vec3> = lights.chain([self.frame.camera.origin]).collect();
+        let holds = |piece: u32| {
+            let own = &self.bounds[piece as usize];
+            points.iter().any(|&p| own.holds(&Bounds::of([p])))
+                || self
+                    .tree
+                    .any_overlapping(own, |other| other != piece && own.holds(&self.bounds[other as usize]))
+        };
+        let holding: Vec<bool> = (0..self.bounds.len() as u32).map(holds).collect();
+        let triangles = (0..self.found.piece.len() as u32)
+            .filter(|&t| holding[self.found.piece[t as usize] as usize] && self.is_opaque(t));
+        triangles.collect()
     }
 
     fn run(mut self, mut shells: Vec<Shell>) -> Separation {
@@ -202,7 +218,10 @@ impl<'a> Search<'a> {
                 return None;
             }
             let mut touches = false;
-            for &t in self.members.get(piece) {
+            // What floats freely in a room need not be looked at triangle by triangle.
+            let members = self.members.get(piece);
+            let members = if wall.may_meet(&self.bounds[piece as usize]) { members } else { &[] };
+            for &t in members {
                 if shell.triangles.binary_search(&t).is_ok() {
                     touches = true;
                     continue;
@@ -210,7 +229,7 @@ impl<'a> Search<'a> {
                 if !reach.overlaps(&Bounds::of(geometry.corners(t))) {
                     continue;
                 }
-                let sealed = self.opaque[t as usize] && is_flat(geometry, t);
+                let sealed = self.is_opaque(t) && is_flat(geometry, t);
                 match wall.meets(&Facet::new(geometry, t), sealed, inside) {
                     Meeting::Apart => {}
                     Meeting::Touches => touches = true,

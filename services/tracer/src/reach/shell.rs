@@ -13,17 +13,18 @@ pub struct Shell {
     pub outward: Option<bool>,
 }
 
-/// The shells that the `opaque` triangles make up; `corners` are welded vertices. A sheet that ends somewhere (a picture that
-/// is joined to the wall by one edge) is no part of a shell, and does not open the one that it is joined to.
-pub fn shells(geometry: &Geometry, corners: &[[u32; 3]], opaque: &[bool]) -> Vec<Shell> {
-    let proper = |t: usize| {
-        let [a, b, c] = corners[t];
-        opaque[t] && a != b && b != c && c != a
+/// The shells that some opaque triangles make up; `corners` are welded vertices, by triangle of the scene. A sheet that ends
+/// somewhere (a picture that is joined to the wall by one edge) is no part of a shell, and does not open the one that it is
+/// joined to.
+pub fn shells(geometry: &Geometry, corners: &[[u32; 3]], opaque: &[u32]) -> Vec<Shell> {
+    let proper = |&t: &u32| {
+        let [a, b, c] = corners[t as usize];
+        a != b && b != c && c != a
     };
-    let mut alive: Vec<bool> = (0..corners.len()).map(proper).collect();
-    let edges = Edges::new(geometry.positions.len(), corners, &alive);
-    peel(&edges, &mut alive);
-    let of_shell = |t: usize, s: usize| alive[t].then(|| edges.of_side[3 * t + s]);
+    let triangles: Vec<u32> = opaque.iter().copied().filter(proper).collect();
+    let corners: Vec<[u32; 3]> = triangles.iter().map(|&t| corners[t as usize]).collect();
+    let edges = Edges::new(geometry.positions.len(), &corners);
+    let alive = peel(&edges);
     let mut sets = Sets::new(corners.len());
     let sides = |edge: u32| edges.sides(edge).iter().filter(|&&side| alive[side as usize / 3]);
     for edge in 0..edges.len() as u32 {
@@ -40,16 +41,17 @@ pub fn shells(geometry: &Geometry, corners: &[[u32; 3]], opaque: &[bool]) -> Vec
     };
     let mut found = Vec::new();
     for shell in 0..count as u32 {
-        let triangles = groups.get(shell);
-        let on_edges = || triangles.iter().flat_map(|&t| (0..3).filter_map(move |s| of_shell(t as usize, s)));
-        if triangles.len() < 4 || on_edges().any(|edge| sides(edge).count() % 2 == 1) {
+        let members = groups.get(shell);
+        let on_edges =
+            || members.iter().flat_map(|&t| (3 * t..3 * t + 3).map(|side| edges.of_side[side as usize]));
+        if members.len() < 4 || on_edges().any(|edge| sides(edge).count() % 2 == 1) {
             continue;
         }
         let consistent = on_edges().all(|edge| {
             let mut pair = sides(edge);
             matches!((pair.next(), pair.next(), pair.next()), (Some(&a), Some(&b), None) if forward(a) != forward(b))
         });
-        let triangles = triangles.to_vec();
+        let triangles: Vec<u32> = members.iter().map(|&t| triangles[t as usize]).collect();
         let bounds = Bounds::of(triangles.iter().flat_map(|&t| geometry.corners(t)));
         let outward = if consistent { winds_outward(geometry, &triangles, &bounds) } else { None };
         found.push(Shell { triangles, bounds, outward });
@@ -57,8 +59,9 @@ pub fn shells(geometry: &Geometry, corners: &[[u32; 3]], opaque: &[bool]) -> Vec
     found
 }
 
-/// Takes away triangles with a free edge until there are none.
-fn peel(edges: &Edges, alive: &mut [bool]) {
+/// The triangles that are left when those with a free edge are taken away until there are none.
+fn peel(edges: &Edges) -> Vec<bool> {
+    let mut alive = vec![true; edges.of_side.len() / 3];
     let mut left: Vec<u32> = (0..edges.len() as u32).map(|edge| edges.sides(edge).len() as u32).collect();
     let mut free: Vec<u32> = (0..edges.len() as u32).filter(|&edge| left[edge as usize] == 1).collect();
     while let Some(edge) = free.pop() {
@@ -74,6 +77,7 @@ fn peel(edges: &Edges, alive: &mut [bool]) {
             }
         }
     }
+    alive
 }
 
 /// The sign of the volume that consistently wound triangles enclose; `None` if it is about zero.

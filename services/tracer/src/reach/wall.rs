@@ -72,19 +72,20 @@ impl<'a> Wall<'a> {
         self.tree.any_overlapping(&bounds, near)
     }
 
-    /// Whether `found` says `true` to any facet of the shell that comes close to `facet`.
-    fn any_near(&self, facet: &Facet, mut found: impl FnMut(u32, &Facet) -> bool) -> bool {
-        let bounds = Bounds::of(facet.corners.map(|p| p.as_vec3())).grown(self.margin);
-        self.tree.any_overlapping(&bounds, |i| {
-            let own = &self.facets[i as usize];
-            !own.is_apart(facet, f64::from(self.margin)) && found(i, own)
-        })
+    /// Whether anything in a box may come close to the shell.
+    pub fn may_meet(&self, bounds: &Bounds) -> bool {
+        self.tree.any_overlapping(&bounds.grown(self.margin), |_| true)
     }
 
     /// How a triangle that is not of the shell meets it; `sealed` says that no ray leaves it on the other side than it came from.
     pub fn meets(&self, facet: &Facet, sealed: bool, camera_inside: bool) -> Meeting {
         let (lit, mut meeting) = (self.lit_sides(camera_inside), Meeting::Apart);
-        self.any_near(facet, |_, own| {
+        let bounds = Bounds::of(facet.corners.map(|p| p.as_vec3())).grown(self.margin);
+        self.tree.any_overlapping(&bounds, |i| {
+            let own = &self.facets[i as usize];
+            if own.is_apart(facet, f64::from(self.margin)) {
+                return false;
+            }
             let slips = facet.may_slip(Sides::Both, sealed, own, lit, self.rounding);
             meeting = if slips { Meeting::Leaks } else { Meeting::Touches };
             slips
@@ -97,8 +98,13 @@ impl<'a> Wall<'a> {
     pub fn leaks(&self, camera_inside: bool) -> bool {
         let lit = self.lit_sides(camera_inside);
         self.facets.iter().enumerate().any(|(i, facet)| {
-            self.any_near(facet, |j, own| {
-                i != j as usize && facet.may_slip(lit, true, own, lit, self.rounding)
+            // Most neighbours do not face each other, which is found out sooner than how far they are apart.
+            let bounds = Bounds::of(facet.corners.map(|p| p.as_vec3())).grown(self.margin);
+            self.tree.any_overlapping(&bounds, |j| {
+                let own = &self.facets[j as usize];
+                i != j as usize
+                    && facet.may_slip(lit, true, own, lit, self.rounding)
+                    && !own.is_apart(facet, f64::from(self.margin))
             })
         })
     }
@@ -124,8 +130,8 @@ pub enum Meeting {
     Leaks,
 }
 
-/// Distance within which something may touch the shell: twice what ray origins are moved off surfaces (2⁻¹⁵ of a coordinate, at
-/// least 2⁻¹⁶ m; see `forelight_bvh::offset_origin`), and well above the rounding of rays that come from far away.
+/// Distance within which something may touch the shell: several times what ray origins are moved off surfaces (2⁻¹⁸ of a
+/// coordinate; see `forelight_bvh::offset_origin`), and well above the rounding of rays that come from far away.
 fn margin(shell: &Shell, extent: f32) -> f32 {
-    (shell.bounds.reach() / 16_384.0).max(extent / 262_144.0).max(1.0 / 32_768.0)
+    (shell.bounds.reach() / 16_384.0).max(extent / 65_536.0)
 }

@@ -113,62 +113,59 @@ impl Groups {
     }
 }
 
-/// The edges of some triangles. Side `s` of triangle `t` runs from its corner `s` to the next.
+/// The edges of triangles. Side `s` of triangle `t` runs from its corner `s` to the next.
 pub struct Edges {
-    /// Edge of each side (3 t + s), or [`Edges::NONE`].
+    /// Edge of each side (3 t + s).
     pub of_side: Vec<u32>,
-    /// The sides of each edge.
-    sides: Groups,
+    /// The sides of all edges, one edge after the other, and where each begins.
+    sides: Vec<u32>,
+    start: Vec<u32>,
 }
 
 impl Edges {
-    /// Edge of a side that was not asked for.
-    pub const NONE: u32 = u32::MAX;
-
-    /// The edges of those triangles of which `chosen` is set; corners are welded vertices below `vertices`.
-    pub fn new(vertices: usize, corners: &[[u32; 3]], chosen: &[bool]) -> Self {
+    /// `corners` are welded vertices below `vertices`.
+    pub fn new(vertices: usize, corners: &[[u32; 3]]) -> Self {
         let ends = |side: u32| {
             let (t, s) = (side as usize / 3, side as usize % 3);
             (corners[t][s], corners[t][(s + 1) % 3])
         };
-        let sides = 3 * corners.len();
+        let sides = 3 * corners.len() as u32;
         let lower = (0..sides).map(|side| {
-            chosen[side / 3].then(|| {
-                let (a, b) = ends(side as u32);
-                a.min(b)
-            })
+            let (a, b) = ends(side);
+            Some(a.min(b))
         });
         // Sides by their lower end; the few of each are then sorted by the other one.
-        let mut at_vertex = Groups::new(vertices, lower);
-        let mut of_side = vec![Self::NONE; sides];
-        let mut edges = 0;
-        for v in 0..vertices {
-            let range = at_vertex.start[v] as usize..at_vertex.start[v + 1] as usize;
-            let here = &mut at_vertex.items[range];
+        let Groups { start: at_vertex, items: mut sides } = Groups::new(vertices, lower);
+        let mut of_side = vec![0; sides.len()];
+        let mut start = Vec::with_capacity(sides.len() / 2 + 1);
+        for range in at_vertex.windows(2) {
             let upper = |side: u32| {
                 let (a, b) = ends(side);
                 a.max(b)
             };
+            let here = &mut sides[range[0] as usize..range[1] as usize];
             here.sort_unstable_by_key(|&side| (upper(side), side));
+            let mut at = range[0];
             for edge in here.chunk_by(|&a, &b| upper(a) == upper(b)) {
                 for &side in edge {
-                    of_side[side as usize] = edges;
+                    of_side[side as usize] = start.len() as u32;
                 }
-                edges += 1;
+                start.push(at);
+                at += edge.len() as u32;
             }
         }
-        let groups = of_side.iter().map(|&edge| (edge != Self::NONE).then_some(edge));
-        let sides = Groups::new(edges as usize, groups);
-        Self { of_side, sides }
+        start.push(sides.len() as u32);
+        Self { of_side, sides, start }
     }
 
     pub fn len(&self) -> usize {
-        self.sides.len()
+        self.start.len() - 1
     }
 
     /// Sides (3 t + s) that lie on an edge.
     pub fn sides(&self, edge: u32) -> &[u32] {
-        self.sides.get(edge)
+        let (from, to) = (self.start[edge as usize], self.start[edge as usize + 1]);
+        &self.sides[from as usize..to as usize]
     }
 }
 
@@ -185,13 +182,12 @@ mod tests {
 
     #[test]
     fn two_triangles_of_a_square_share_one_edge() {
-        let corners = [[0, 1, 2], [0, 2, 3], [0, 1, 9]];
-        let edges = Edges::new(10, &corners, &[true, true, false]);
+        let edges = Edges::new(10, &[[0, 1, 2], [0, 2, 3]]);
         assert_eq!(edges.len(), 5);
         assert_eq!(edges.of_side[2], edges.of_side[3]);
         assert_eq!(edges.sides(edges.of_side[2]), [2, 3]);
         assert_eq!(edges.sides(edges.of_side[0]), [0]);
-        assert_eq!(edges.of_side[6..], [Edges::NONE; 3]);
+        assert_eq!((0..5).map(|edge| edges.sides(edge).len()).sum::<usize>(), 6);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The rays that are measured: what a renderer asks for, drawn from a seed, the same on every machine.
 
-use forelight_bvh::{Bvh, Ray, Traversal, offset_origin};
+use forelight_bvh::{Bvh, Ray, Traversal, offset_origin, size_of};
 use forelight_scene::{Environment, Frame, Geometry};
 use glam::{Vec2, Vec3};
 
@@ -56,8 +56,8 @@ pub fn workload(frame: &Frame, bvh: &Bvh, count: u32, seed: u64) -> Vec<RaySet> 
             let Some(hit) = bvh.closest(&ray, |_| true, &mut steps) else { break };
             let facing = geometry.geometric_normal(hit.primitive);
             let normal = if facing.dot(ray.direction) > 0.0 { -facing } else { facing };
-            let point = hit.position(geometry.corners(hit.primitive));
-            let origin = offset_origin(point, normal);
+            let corners = geometry.corners(hit.primitive);
+            let origin = offset_origin(hit.position(corners), normal, size_of(corners));
             if bounce == 0 {
                 shadow.push(lights.towards(geometry, origin, random(8), random(9)));
             }

@@ -1,0 +1,369 @@
+//! The cache as an artefact.
+//!
+//! Little-endian, all arrays at multiples of eight bytes, so that a mapped file can be read where it lies:
+//!
+//! | part | bytes |
+//! | --- | --- |
+//! | header | see [`Header`] |
+//! | fingerprints of the images that it was planned for | 32 each |
+//! | for each level: its header, its records as planned, their values | see [`LevelHeader`], [`PlannedRow`], [`RecordRow`] |
+//! | BLAKE3 of all before | 32 |
+
+use super::hemisphere::{PLAN_RAYS, SECTORS, Strata};
+use super::plan::octree;
+use super::{Cache, Level, Planned, Record, Site};
+use crate::cost::Cost;
+use crate::tracer::Tracer;
+use bytemuck::{AnyBitPattern, NoUninit, Pod, Zeroable};
+use forelight_bvh::Hit;
+use glam::Vec3;
+use std::sync::OnceLock;
+
+const MAGIC: [u8; 8] = *b"FLcach01";
+const CHECKSUM: usize = 32;
+
+/// The triangle of a ray that met nothing.
+const NOTHING: u32 = u32::MAX;
+
+const FILLED: u32 = 1;
+const REJECTED: u32 = 2;
+
+/// Why bytes are not a cache, or not the right one.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum CacheError {
+    /// The leading bytes are others.
+    #[error("not an irradiance cache of this version (it must begin with FLcach01)")]
+    Foreign,
+    /// Shorter or longer than it says.
+    #[error("truncated irradiance cache: {found} bytes where {expected} were expected")]
+    Length {
+        /// Bytes given.
+        found: u64,
+        /// Bytes that the header announces.
+        expected: u64,
+    },
+    /// The checksum differs, or numbers are outside what a cache can hold.
+    #[error("damaged irradiance cache: {0}")]
+    Damaged(&'static str),
+    /// It belongs to another scene or other settings.
+    #[error(
+        "the irradiance cache belongs to another scene, to other light or to other settings: make it again"
+    )]
+    OtherScene,
+    /// Parts of different plans cannot be put together.
+    #[error("the irradiance caches have different plans: fill parts of one and the same plan")]
+    OtherPlan,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Header {
+    magic: [u8; 8],
+    fingerprint: [u8; 32],
+    plan_work: u64,
+    plan_nanos: u64,
+    plan_rays: [u64; 7],
+    rays: u32,
+    images: u32,
+    levels: u32,
+    zero: u32,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct LevelHeader {
+    records: u64,
+    explored: u64,
+    accuracy: f32,
+    smallest: f32,
+    largest: f32,
+    zero: u32,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct PlannedRow {
+    key: u64,
+    position: [f32; 3],
+    size: f32,
+    normal: [f32; 3],
+    geometric: [f32; 3],
+    coat: f32,
+    radius: f32,
+    entered: f32,
+    zero: u32,
+    corral: [f32; SECTORS],
+    hits: [HitRow; PLAN_RAYS],
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct HitRow {
+    triangle: u32,
+    u: f32,
+    v: f32,
+    t: f32,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct RecordRow {
+    work: u64,
+    nanos: u64,
+    irradiance: [f32; 3],
+    rotation: [[f32; 3]; 3],
+    translation: [[f32; 3]; 3],
+    trusted: f32,
+    flags: u32,
+    rays: [u32; 7],
+}
+
+impl Cache {
+    /// The cache as a file.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let mut out = Vec::new();
+        put(
+            &mut out,
+            &Header {
+                magic: MAGIC,
+                fingerprint: self.fingerprint,
+                plan_work: self.plan.work,
+                plan_nanos: self.plan.cpu_nanos,
+                plan_rays: self.plan_rays,
+                rays: self.strata.len() as u32,
+                images: self.images.len() as u32,
+                levels: self.levels.len() as u32,
+                zero: 0,
+            },
+        );
+        self.images.iter().for_each(|image| out.extend_from_slice(image));
+        for level in &self.levels {
+            put(
+                &mut out,
+                &LevelHeader {
+                    records: level.planned.len() as u64,
+                    explored: level.explored as u64,
+                    accuracy: level.accuracy,
+                    smallest: level.smallest,
+                    largest: level.largest,
+                    zero: 0,
+                },
+            );
+            level.planned.iter().for_each(|planned| put(&mut out, &planned_row(planned)));
+            level.records.iter().for_each(|record| put(&mut out, &record_row(record.get())));
+        }
+        let checksum = blake3::hash(&out);
+        out.extend_from_slice(checksum.as_bytes());
+        out
+    }
+
+    /// Reads what [`Self::to_bytes`] wrote.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, CacheError> {
+        if bytes.len() < MAGIC.len() || bytes[..MAGIC.len()] != MAGIC {
+            return Err(CacheError::Foreign);
+        }
+        let Some((body, checksum)) = bytes.split_last_chunk::<CHECKSUM>() else {
+            return Err(too_short(bytes.len(), (size_of::<Header>() + CHECKSUM) as u64));
+        };
+        let mut reader = Reader { rest: body, read: 0, all: bytes.len() };
+        let header: Header = reader.take()?;
+        let mut cache = Self {
+            fingerprint: header.fingerprint,
+            plan: Cost { work: header.plan_work, cpu_nanos: header.plan_nanos },
+            plan_rays: header.plan_rays,
+            strata: Strata::for_rays(header.rays),
+            images: reader.list(u64::from(header.images))?,
+            ..Self::default()
+        };
+        if header.levels > 8 || cache.strata.len() != header.rays as usize {
+            return Err(CacheError::Damaged("its header holds numbers that no cache has"));
+        }
+        for _ in 0..header.levels {
+            cache.levels.push(read_level(&mut reader)?);
+        }
+        if !reader.rest.is_empty() {
+            return Err(too_short(bytes.len(), (reader.read + CHECKSUM) as u64));
+        }
+        // Last, since hashing takes longer than finding out that the length is wrong.
+        if blake3::hash(body).as_bytes() != checksum {
+            return Err(CacheError::Damaged("the checksum does not match"));
+        }
+        Ok(cache)
+    }
+
+    /// Makes a cache that was read fit to be used for a frame.
+    pub fn settle(&mut self, tracer: &Tracer) -> Result<(), CacheError> {
+        if self.fingerprint != tracer.cache_fingerprint() {
+            return Err(CacheError::OtherScene);
+        }
+        let triangles = tracer.frame.geometry.triangles.len();
+        let exists =
+            |planned: &Planned| planned.hits.iter().flatten().all(|hit| (hit.primitive as usize) < triangles);
+        for level in &mut self.levels {
+            if !level.planned.iter().all(exists) {
+                return Err(CacheError::Damaged("a record names a triangle that the scene does not have"));
+            }
+            level.octree = octree(tracer);
+            let planned = std::mem::take(&mut level.planned);
+            planned.iter().zip(0..).for_each(|(planned, index)| level.enter(index, planned));
+            level.planned = planned;
+        }
+        Ok(())
+    }
+
+    /// Takes over the records that another part of the same plan has filled.
+    pub fn merge(&mut self, other: &Self) -> Result<(), CacheError> {
+        let same = |(a, b): (&Level, &Level)| a.planned == b.planned;
+        if self.fingerprint != other.fingerprint
+            || self.levels.len() != other.levels.len()
+            || !self.levels.iter().zip(&other.levels).all(same)
+        {
+            return Err(CacheError::OtherPlan);
+        }
+        for (level, other) in self.levels.iter_mut().zip(&other.levels) {
+            for (record, other) in level.records.iter_mut().zip(&other.records) {
+                if let (None, Some(other)) = (record.get(), other.get()) {
+                    *record = OnceLock::from(*other);
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn read_level(reader: &mut Reader<'_>) -> Result<Level, CacheError> {
+    let header: LevelHeader = reader.take()?;
+    let planned: Vec<PlannedRow> = reader.list(header.records)?;
+    let records: Vec<RecordRow> = reader.list(header.records)?;
+    let positive =
+        [header.accuracy, header.smallest, header.largest].iter().all(|n| n.is_finite() && *n > 0.0);
+    if header.explored > header.records || !(positive || planned.is_empty()) {
+        return Err(CacheError::Damaged("a level holds numbers that no cache has"));
+    }
+    let planned: Option<Vec<Planned>> = planned.iter().map(planned_of).collect();
+    let planned = planned.ok_or(CacheError::Damaged("a record holds numbers that no record has"))?;
+    let record = |row: &RecordRow| record_of(row).map_or_else(OnceLock::new, OnceLock::from);
+    Ok(Level {
+        records: records.iter().map(record).collect(),
+        planned,
+        explored: header.explored as usize,
+        accuracy: header.accuracy,
+        smallest: header.smallest,
+        largest: header.largest,
+        ..Level::default()
+    })
+}
+
+fn planned_row(planned: &Planned) -> PlannedRow {
+    let Site { position, size, normal, geometric, coat } = planned.site;
+    let nothing = HitRow { triangle: NOTHING, u: 0.0, v: 0.0, t: 0.0 };
+    PlannedRow {
+        key: planned.key,
+        position: position.to_array(),
+        size,
+        normal: normal.to_array(),
+        geometric: geometric.to_array(),
+        coat,
+        radius: planned.radius,
+        entered: planned.entered,
+        zero: 0,
+        corral: planned.corral,
+        hits: planned
+            .hits
+            .map(|hit| hit.map_or(nothing, |h| HitRow { triangle: h.primitive, u: h.u, v: h.v, t: h.t })),
+    }
+}
+
+/// `None` if it could not be used without doing harm.
+fn planned_of(row: &PlannedRow) -> Option<Planned> {
+    let site = Site {
+        position: row.position.into(),
+        size: row.size,
+        normal: row.normal.into(),
+        geometric: row.geometric.into(),
+        coat: row.coat,
+    };
+    let finite = site.position.is_finite()
+        && site.size.is_finite()
+        && site.geometric.is_finite()
+        && site.coat.is_finite();
+    let radii = [row.radius, row.entered].iter().all(|r| r.is_finite() && *r > 0.0);
+    let corral = row.corral.iter().all(|distance| *distance >= 0.0);
+    let hits = row.hits.iter().all(|h| [h.u, h.v, h.t].iter().all(|n| n.is_finite()));
+    (finite && site.normal.is_normalized() && radii && corral && hits).then(|| Planned {
+        key: row.key,
+        site,
+        radius: row.radius,
+        entered: row.entered,
+        corral: row.corral,
+        hits: row.hits.map(|h| {
+            (h.triangle != NOTHING).then_some(Hit { primitive: h.triangle, u: h.u, v: h.v, t: h.t })
+        }),
+    })
+}
+
+fn record_row(record: Option<&Record>) -> RecordRow {
+    let Some(record) = record else { return RecordRow::zeroed() };
+    RecordRow {
+        work: record.cost.work,
+        nanos: record.cost.cpu_nanos,
+        irradiance: record.irradiance.to_array(),
+        rotation: record.rotation.map(|g| g.to_array()),
+        translation: record.translation.map(|g| g.to_array()),
+        trusted: record.trusted,
+        flags: FILLED | if record.rejected { REJECTED } else { 0 },
+        rays: record.rays,
+    }
+}
+
+fn record_of(row: &RecordRow) -> Option<Record> {
+    let mut record = Record {
+        irradiance: row.irradiance.into(),
+        rotation: row.rotation.map(Vec3::from),
+        translation: row.translation.map(Vec3::from),
+        trusted: row.trusted,
+        rejected: row.flags & REJECTED != 0,
+        cost: Cost { work: row.work, cpu_nanos: row.nanos },
+        rays: row.rays,
+    };
+    record.rejected |= !(record.is_finite() && record.trusted > 0.0);
+    (row.flags & FILLED != 0).then_some(record)
+}
+
+fn put(out: &mut Vec<u8>, row: &impl NoUninit) {
+    out.extend_from_slice(bytemuck::bytes_of(row));
+}
+
+fn too_short(found: usize, expected: u64) -> CacheError {
+    CacheError::Length { found: found as u64, expected }
+}
+
+/// Reads rows, and never more than there are.
+struct Reader<'a> {
+    rest: &'a [u8],
+    read: usize,
+    all: usize,
+}
+
+impl Reader<'_> {
+    fn take<T: AnyBitPattern>(&mut self) -> Result<T, CacheError> {
+        self.require(1, size_of::<T>())?;
+        let (head, rest) = self.rest.split_at(size_of::<T>());
+        (self.rest, self.read) = (rest, self.read + size_of::<T>());
+        Ok(bytemuck::pod_read_unaligned(head))
+    }
+
+    fn list<T: AnyBitPattern>(&mut self, count: u64) -> Result<Vec<T>, CacheError> {
+        self.require(count, size_of::<T>())?;
+        (0..count).map(|_| self.take()).collect()
+    }
+
+    /// Before anything is allocated.
+    fn require(&self, count: u64, size: usize) -> Result<(), CacheError> {
+        let wanted = count.saturating_mul(size as u64);
+        if wanted <= self.rest.len() as u64 {
+            return Ok(());
+        }
+        Err(too_short(self.all, wanted.saturating_add((self.read + CHECKSUM) as u64)))
+    }
+}
