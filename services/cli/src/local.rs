@@ -1,12 +1,16 @@
 //! Work on this machine: a bundle opened, settings completed, a thread pool.
 
 use crate::failure::BadInput;
-use crate::options::{MachineOptions, Materials, PreviewBackend, QualityOptions};
+use crate::options::{
+    CacheSwitch, IntegratorName, MachineOptions, Materials, PreviewBackend, QualityOptions,
+};
 use crate::output::Bars;
 use anyhow::{Context, Result};
 use forelight_preview::Choice;
-use forelight_protocol::{FrameSet, MaterialMode, RenderSettings, RenderSettingsRequest};
-use forelight_worker::{Ambient, AmbientShot, Renderer, tracer_settings};
+use forelight_protocol::{
+    CacheMode, FrameSet, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest,
+};
+use forelight_worker::{Ambient, AmbientShot, Renderer};
 use std::path::Path;
 
 /// A bundle, opened for work on this machine.
@@ -37,7 +41,9 @@ impl Local {
         let scene = &self.shot.info().summary;
         let settings =
             settings_request(quality, (scene.width, scene.height)).complete((scene.width, scene.height));
-        tracer_settings(&settings).validate().map_err(|error| BadInput::new(error.to_string()))?;
+        settings.check().map_err(|wrong| {
+            BadInput::new(format!("--{}: {}", wrong.name.replace('_', "-"), wrong.reason))
+        })?;
         Ok(settings)
     }
 
@@ -86,9 +92,19 @@ pub fn settings_request(quality: &QualityOptions, camera: (u32, u32)) -> RenderS
         width,
         height,
         spp: quality.spp,
+        integrator: quality.integrator.map(|integrator| match integrator {
+            IntegratorName::Ambient => Integrator::Ambient,
+            IntegratorName::Path => Integrator::Path,
+        }),
         ambient_bounces: quality.ambient_bounces,
         ambient_divisions: quality.ambient_divisions,
         max_depth: quality.max_depth,
+        cache: quality.cache.map(|cache| match cache {
+            CacheSwitch::On => CacheMode::On,
+            CacheSwitch::Off => CacheMode::Off,
+        }),
+        cache_accuracy: quality.cache_accuracy,
+        cache_rays: quality.cache_rays,
         materials: quality.materials.map(|materials| match materials {
             Materials::Full => MaterialMode::Full,
             Materials::Lambert => MaterialMode::Lambert,
@@ -114,9 +130,13 @@ mod tests {
             width: Some(640),
             height: None,
             spp: None,
+            integrator: None,
             ambient_bounces: None,
             ambient_divisions: None,
             max_depth: None,
+            cache: None,
+            cache_accuracy: None,
+            cache_rays: None,
             materials: None,
             seed: None,
         };

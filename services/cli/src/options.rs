@@ -17,21 +17,53 @@ pub struct QualityOptions {
     /// Camera samples per pixel
     #[arg(long, value_name = "SAMPLES")]
     pub spp: Option<u32>,
-    /// Diffuse bounces of indirect light; 0 is direct light only
+    /// How light is simulated [default: ambient]
+    #[arg(long, value_name = "NAME")]
+    pub integrator: Option<IntegratorName>,
+    /// Diffuse bounces of indirect light, 0 to 8; 0 is direct light only. With a cache at most 2. With the path integrator, how often
+    /// a path may be spread after the first time
     #[arg(long, value_name = "BOUNCES")]
     pub ambient_bounces: Option<u32>,
     /// Rays of one indirect gather
     #[arg(long, value_name = "RAYS")]
     pub ambient_divisions: Option<u32>,
-    /// Longest chain of mirror and glass hits
+    /// Longest chain of mirror and glass hits, 1 to 64
     #[arg(long, value_name = "HITS")]
     pub max_depth: Option<u32>,
+    /// Irradiance cache: gather indirect light at few places, and interpolate between them [default: off]
+    #[arg(long, value_name = "MODE")]
+    pub cache: Option<CacheSwitch>,
+    /// Error that the cache may make, 0.01 to 1 in steps of 0.001: a gathered place serves up to this share of the mean distance to its
+    /// surroundings [default: 0.2]
+    #[arg(long, value_name = "ERROR", requires = "cache", value_parser = accuracy)]
+    pub cache_accuracy: Option<u32>,
+    /// Rays gathered at a place of the cache; the nearest of 48, 192, 432, 768, 1200, ... is taken [default: 768]
+    #[arg(long, value_name = "RAYS", requires = "cache")]
+    pub cache_rays: Option<u32>,
     /// Materials as they are, or every surface as Lambert of its base colour
     #[arg(long, value_name = "KIND")]
     pub materials: Option<Materials>,
     /// Seed of all random numbers: the same seed gives the same bits
     #[arg(long, value_name = "NUMBER")]
     pub seed: Option<u64>,
+}
+
+/// Ways to simulate light.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum IntegratorName {
+    /// Gathered indirect light, without caustics; little noise, or none to be seen with a cache.
+    Ambient,
+    /// Paths: unbiased, with caustics, and noisier.
+    Path,
+}
+
+/// Use of an irradiance cache.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum CacheSwitch {
+    /// Indirect light is interpolated.
+    On,
+    /// Every point gathers its own.
+    Off,
 }
 
 /// Which materials are rendered.
@@ -100,9 +132,12 @@ pub fn duration(text: &str) -> Result<std::time::Duration, String> {
     quantities::parse_duration(text)?.try_into().map_err(|_| "the duration is too long".to_string())
 }
 
-/// Use of an irradiance cache.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum CacheMode {
-    /// Every diffuse hit is gathered for itself.
-    Off,
+/// The accuracy of a cache in thousandths, as the wire has it.
+fn accuracy(text: &str) -> Result<u32, String> {
+    let value: f64 = text.parse().map_err(|_| "expected a number such as 0.2".to_string())?;
+    if (0.01..=1.0).contains(&value) {
+        Ok((value * 1000.0).round() as u32)
+    } else {
+        Err("must lie in 0.01 to 1".into())
+    }
 }

@@ -1,9 +1,11 @@
 //! What goes to the terminal: results to standard output, progress to standard error where someone watches.
 
 use anyhow::{Context, Result};
+use forelight_worker::{Progress, Step};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 use std::io::{ErrorKind, IsTerminal, Write};
+use std::sync::Mutex;
 
 /// Writes text to standard output. A reader that has gone away (`| head`) is not an error.
 pub fn print(text: &str) -> Result<()> {
@@ -69,5 +71,46 @@ impl Bars {
     pub fn note(&self, text: impl AsRef<str>) {
         // `println` of hidden bars says nothing, which is what a machine wants to read.
         let _ = self.all.println(text);
+    }
+}
+
+/// A bar for each step of a render, one after the other.
+#[derive(Debug)]
+pub struct RenderBar {
+    bars: Bars,
+    current: Mutex<Option<(Step, ProgressBar)>>,
+}
+
+impl RenderBar {
+    /// Nothing is shown before the first step is told.
+    pub fn new(bars: &Bars) -> Self {
+        Self { bars: bars.clone(), current: Mutex::new(None) }
+    }
+
+    /// Shows how far the render is. May be called by many threads.
+    pub fn show(&self, Progress { step, done, all }: Progress) {
+        let name = match step {
+            Step::Planning => "planning",
+            Step::Filling => "filling",
+            Step::Tracing => "rendering",
+        };
+        // Whoever panicked while it was held left a bar that can still be drawn.
+        let mut current = self.current.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        match &*current {
+            Some((shown, bar)) if *shown == step => bar.set_position(done),
+            before => {
+                before.iter().for_each(|(_, bar)| bar.finish_and_clear());
+                let bar = self.bars.bar(name, all);
+                bar.set_position(done);
+                *current = Some((step, bar));
+            }
+        }
+    }
+}
+
+impl Drop for RenderBar {
+    fn drop(&mut self) {
+        let current = self.current.get_mut().unwrap_or_else(std::sync::PoisonError::into_inner);
+        current.iter().for_each(|(_, bar)| bar.finish_and_clear());
     }
 }

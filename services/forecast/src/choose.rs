@@ -60,6 +60,8 @@ impl FrameDesign {
     /// A design of `samples` picks (or all pixels, if these are fewer) for a frame whose preview shows stratum
     /// `stratum_ids[pixel]`, in rows of `width` pixels.
     ///
+    /// Strata that stand apart have no pixels and change nothing.
+    ///
     /// # Errors
     /// If an id has no stratum, the pixels are not whole rows, or a prior cost is not positive.
     pub fn new(

@@ -6,7 +6,7 @@ use crate::cost::{COLUMNS, Costs, Observation, Quantity, Row};
 use crate::error::ForecastError;
 use crate::interval::{Calibration, Part, quantity, together};
 use crate::moments::{Moments, sum};
-use crate::strata::{Grouping, Stratum, check};
+use crate::strata::{Group, Grouping, Stratum, check};
 
 /// Coefficient of variation within a group that is assumed where no group has the two samples that would show
 /// one.
@@ -57,8 +57,8 @@ pub struct FrameEstimate {
 /// of no width.
 ///
 /// # Errors
-/// If nothing was profiled and the frame has pixels, and if counts, strata and observations do not fit
-/// together.
+/// If nothing was profiled and the frame has pixels, or nothing of what stands apart, and if counts, strata and
+/// observations do not fit together.
 pub fn estimate(
     strata: &[Stratum],
     counts: &[u32],
@@ -95,6 +95,8 @@ pub(crate) struct FrameFit {
 pub(crate) struct GroupFit {
     pub pixels: u64,
     pub borrowed: bool,
+    /// Whether it stands apart.
+    apart: bool,
     mean: Row,
     /// The total, kept apart from the mean so that a complete sample is exact.
     total: Row,
@@ -162,15 +164,21 @@ impl FrameFit {
                 return Err(ForecastError::MoreSamplesThanPixels { stratum, samples, pixels });
             }
         }
-        let grouping = Grouping::new(strata, counts, observations.len() as u64);
-        if observations.is_empty() && !grouping.groups.is_empty() {
-            return Err(ForecastError::NoSamples);
-        }
+        // What stands apart says nothing of how many samples the pixels' groups can have.
+        let of_pixels = moments.iter().zip(strata).filter(|(_, stratum)| !stratum.apart);
+        let samples = of_pixels.map(|(moments, _)| moments.count).sum();
+        let grouping = Grouping::new(strata, counts, samples);
         let mut joined = vec![Moments::default(); grouping.groups.len()];
         for (h, moments) in moments.iter().enumerate() {
             if let Some(group) = grouping.of[h] {
                 joined[group].merge(moments);
             }
+        }
+        // Groups of one kind borrow from each other, so there has to be a sample of each kind that is there.
+        let sampled =
+            |apart| grouping.groups.iter().zip(&joined).any(|(g, m)| g.apart == apart && m.count > 0);
+        if grouping.groups.iter().any(|group| !sampled(group.apart)) {
+            return Err(ForecastError::NoSamples);
         }
         let groups: Vec<GroupFit> =
             (0..joined.len()).map(|group| fit_group(&grouping, &joined, group)).collect();
@@ -187,9 +195,16 @@ impl FrameFit {
         Ok(FrameFit { groups, group_of: grouping.of, strata, means })
     }
 
-    /// Estimated total over all pixels.
+    /// Estimated total over all pixels, and over what stands apart.
     pub fn total(&self, column: usize) -> f64 {
         sum(self.groups.iter().map(|group| group.total[column]))
+    }
+
+    /// Estimated mean over the pixels alone; zero if there are none.
+    pub fn mean_of_pixels(&self, column: usize) -> f64 {
+        let of_pixels = || self.groups.iter().filter(|group| !group.apart);
+        let pixels: u64 = of_pixels().map(|group| group.pixels).sum();
+        sum(of_pixels().map(|group| group.total[column])) / (pixels as f64).max(1.0)
     }
 }
 
@@ -197,26 +212,29 @@ fn fit_group(grouping: &Grouping, joined: &[Moments], group: usize) -> GroupFit 
     let own = &joined[group];
     let pixels = grouping.groups[group].pixels;
     let size = pixels as f64;
+    let Group { material, apart, .. } = grouping.groups[group];
+    let of_its_kind = || (0..joined.len()).filter(|&g| grouping.groups[g].apart == apart);
     let mut fit = GroupFit {
         pixels,
         borrowed: own.count < 2 && own.count < pixels,
+        apart,
         mean: [0.0; COLUMNS],
         total: [0.0; COLUMNS],
         variance: [0.0; COLUMNS],
         degrees_of_freedom: if own.count >= 2 { (own.count - 1) as f64 } else { BORROWED_FREEDOM },
         influence: [0.0; COLUMNS],
     };
-    let material = grouping.groups[group].material;
     for column in 0..COLUMNS {
         let unseen = 1.0 - own.count as f64 / size;
         (fit.mean[column], fit.variance[column]) = match own.variance(column) {
             Some(variance) => (own.mean(column), unseen * variance / own.count as f64),
             None if own.count == pixels => (own.mean(column), 0.0),
             None => {
-                let alike = (0..joined.len())
+                let alike = of_its_kind()
                     .filter(|&g| material.is_some() && grouping.groups[g].material == material)
                     .map(|g| &joined[g]);
-                let pool = Pool::new(alike, column).or_else(|| Pool::new(joined.iter(), column));
+                let all = of_its_kind().map(|g| &joined[g]);
+                let pool = Pool::new(alike, column).or_else(|| Pool::new(all, column));
                 pool.map_or((0.0, 0.0), |pool| pool.shrink(own, column))
             }
         };

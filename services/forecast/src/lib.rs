@@ -30,6 +30,9 @@
 //! what drifts between profiled frames is a random walk pinned at each of them. The error that a job's frames
 //! have in common is [`ShotForecast::job_sigma`].
 //!
+//! **What is not made of pixels** ([`RecordStrata`]). With an irradiance cache most of a frame's cost is in its records, whose
+//! number is known from planning them. The records of a level are a stratum that stands apart ([`Stratum::apart`]).
+//!
 //! # How sure
 //!
 //! The number of samples of a group depends a little on the costs seen first, which biases the pooled mean:
@@ -56,8 +59,8 @@
 //!
 //! // A wall and a vase on it, as the preview shows them, in rows of 16 pixels.
 //! let strata = [
-//!     Stratum { object: 0, material: 0, prior_cost: 1.0 },
-//!     Stratum { object: 1, material: 1, prior_cost: 4.0 },
+//!     Stratum { object: 0, material: 0, prior_cost: 1.0, apart: false },
+//!     Stratum { object: 1, material: 1, prior_cost: 4.0, apart: false },
 //! ];
 //! let ids: Vec<u32> = (0..256).map(|pixel| u32::from((100..140).contains(&pixel))).collect();
 //! let trace = |picks: &[Pick]| -> Vec<Observation> {
@@ -87,6 +90,7 @@ mod frames;
 mod interval;
 mod moments;
 mod random;
+mod records;
 mod shot;
 mod strata;
 mod student;
@@ -98,5 +102,6 @@ pub use error::ForecastError;
 pub use estimate::{FrameEstimate, ObjectEstimate, StratumEstimate, by_object, estimate};
 pub use frames::{FramePopulation, choose_frames};
 pub use interval::Calibration;
+pub use records::RecordStrata;
 pub use shot::{FrameForecast, ProfiledFrame, ShotForecast, forecast_shot};
 pub use strata::Stratum;

@@ -151,7 +151,7 @@ struct Source {
     frame: usize,
     fit: FrameFit,
     fixed: Row,
-    /// Mean unit cost of all pixels of the frame.
+    /// Mean unit cost of all pixels of the frame, without what stands apart.
     overall: Row,
 }
 
@@ -178,8 +178,7 @@ impl<'a> Carrier<'a> {
                 return Err(unknown);
             }
             let fit = FrameFit::new(strata, frame.number, &frame.counts, profile.observations)?;
-            let pixels: f64 = frame.counts.iter().map(|&n| f64::from(n)).sum();
-            let overall = std::array::from_fn(|column| fit.total(column) / pixels.max(1.0));
+            let overall = std::array::from_fn(|column| fit.mean_of_pixels(column));
             let fixed = profile.fixed.columns().map(|value| value as f64);
             sources.push(Source { frame: profile.frame, fit, fixed, overall });
         }
@@ -230,7 +229,7 @@ impl<'a> Carrier<'a> {
             }
             if shares.is_empty() {
                 unseen.push(h);
-                means[h] = self.material_mean(t, left_out, self.strata[h].material);
+                means[h] = self.material_mean(t, left_out, &self.strata[h]);
             }
             for (k, share) in shares {
                 let fit = &self.sources[k].fit;
@@ -281,13 +280,14 @@ impl<'a> Carrier<'a> {
         shares
     }
 
-    /// Mean unit cost of a material in the profiled frames nearest to frame t that show it, or of everything.
-    fn material_mean(&self, t: usize, left_out: Option<usize>, material: u32) -> Row {
+    /// Mean unit cost of a stratum's material in the profiled frames nearest to frame t that show it, or of all pixels;
+    /// for what stands apart, which is no pixel, times its prior cost.
+    fn material_mean(&self, t: usize, left_out: Option<usize>, stratum: &Stratum) -> Row {
         let amount = |k: usize| {
             let source = &self.sources[k];
             let mut amount = [0.0; COLUMNS];
             let mut pixels = 0.0;
-            for h in (0..self.strata.len()).filter(|&h| self.strata[h].material == material) {
+            for h in (0..self.strata.len()).filter(|&h| self.strata[h].material == stratum.material) {
                 let shown = f64::from(source.fit.strata[h].pixels);
                 pixels += shown;
                 add_scaled(&mut amount, shown, &source.fit.means[h]);
@@ -298,9 +298,10 @@ impl<'a> Carrier<'a> {
         if shares.is_empty() {
             shares = self.neighbours(t, left_out, |_| Some(1.0));
         }
+        let prior = if stratum.apart { stratum.prior_cost } else { 1.0 };
         let mut mean = [0.0; COLUMNS];
         for (k, share) in shares {
-            let unit = amount(k).unwrap_or(self.sources[k].overall);
+            let unit = amount(k).unwrap_or_else(|| self.sources[k].overall.map(|value| value * prior));
             add_scaled(&mut mean, share, &unit);
         }
         mean

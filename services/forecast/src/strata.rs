@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::ForecastError;
 
 /// An (object, material) pair that the preview can show. The background is a stratum like any other, by
-/// custom the last, with an object and a material of its own.
+/// custom the last of them, with an object and a material of its own. After it come strata that stand apart.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Stratum {
     /// The object, for tables by object.
@@ -15,6 +15,30 @@ pub struct Stratum {
     /// What one pixel is thought to cost before anything is measured, relative to a plain diffuse pixel (1).
     /// It only steers where samples go (to glass rather than to walls); no estimate depends on it otherwise.
     pub prior_cost: f64,
+    /// Whether it stands apart: it is not made of pixels but of other things whose number is known and of which
+    /// some are measured. It is never joined with another stratum, and neither its size nor its samples have a
+    /// part in how pixels are grouped. Strata that stand apart and are of one material borrow from each other,
+    /// but never from pixels.
+    #[serde(default)]
+    pub apart: bool,
+}
+
+impl Stratum {
+    /// The background; `prior_cost` as in the field.
+    pub const fn background(prior_cost: f64) -> Self {
+        Self { object: u32::MAX, material: u32::MAX, prior_cost, apart: false }
+    }
+
+    /// The records of an irradiance cache's levels, each a stratum that stands apart; `prior_cost` is a record's.
+    /// Objects and materials are numbered from below the background's downwards, where no scene's are.
+    pub fn of_records(levels: usize, prior_cost: f64) -> impl Iterator<Item = Self> {
+        (0..levels as u32).map(move |level| Self {
+            object: u32::MAX - 1 - level,
+            material: u32::MAX - 1,
+            prior_cost,
+            apart: true,
+        })
+    }
 }
 
 /// A group must deserve this many samples by its share of the expected cost; smaller ones are joined.
@@ -45,6 +69,8 @@ pub(crate) struct Group {
     pub material: Option<u32>,
     /// Expected cost of all pixels, in the unit of the prior costs.
     pub weight: f64,
+    /// Whether it is a stratum that stands apart; such groups come last.
+    pub apart: bool,
 }
 
 /// Checks what every forecast needs of its strata and one frame's counts.
@@ -59,29 +85,35 @@ pub(crate) fn check(strata: &[Stratum], frame: i64, counts: &[u32]) -> Result<()
 }
 
 impl Grouping {
+    /// Groups of strata of which `counts` pixels are seen, for so many samples of pixels.
     pub fn new(strata: &[Stratum], counts: &[u32], samples: u64) -> Self {
-        let pixels: u64 = counts.iter().map(|&n| u64::from(n)).sum();
+        let of_pixels = || strata.iter().zip(counts).filter(|(s, _)| !s.apart);
+        let pixels: u64 = of_pixels().map(|(_, &n)| u64::from(n)).sum();
         let samples = samples.min(pixels).max(1);
         let weights: Vec<f64> =
             strata.iter().zip(counts).map(|(s, &n)| f64::from(n) * s.prior_cost).collect();
-        let total: f64 = weights.iter().sum();
+        let total: f64 = of_pixels().map(|(s, &n)| f64::from(n) * s.prior_cost).sum();
         let most = (samples / SAMPLES_PER_GROUP).max(1) as usize;
         let mut share = LEAST_DESERVED_SAMPLES / samples as f64;
-        loop {
+        let mut grouping = loop {
             let grouping = Self::with_least_weight(strata, counts, &weights, share * total);
             // Above a share of one everything is in one group, so this ends.
             if grouping.groups.len() <= most || share > 1.0 {
-                return grouping;
+                break grouping;
             }
             share *= 1.5;
+        };
+        for h in (0..strata.len()).filter(|&h| strata[h].apart && counts[h] > 0) {
+            grouping.join(&[h], strata, counts, &weights);
         }
+        grouping
     }
 
-    /// Strata of `least` weight stand alone; the rest are joined by material, and what is still too light in
-    /// one last group.
+    /// Strata of pixels of `least` weight stand alone; the rest are joined by material, and what is still too light
+    /// in one last group.
     fn with_least_weight(strata: &[Stratum], counts: &[u32], weights: &[f64], least: f64) -> Self {
         let mut grouping = Grouping { of: vec![None; strata.len()], groups: Vec::new() };
-        let small: Vec<usize> = (0..strata.len()).filter(|&h| counts[h] > 0).collect();
+        let small: Vec<usize> = (0..strata.len()).filter(|&h| !strata[h].apart && counts[h] > 0).collect();
         let (alone, small): (Vec<_>, Vec<_>) = small.into_iter().partition(|&h| weights[h] >= least);
         for h in alone {
             grouping.join(&[h], strata, counts, weights);
@@ -114,6 +146,7 @@ impl Grouping {
             pixels: members.iter().map(|&h| u64::from(counts[h])).sum(),
             material: members.iter().all(|&h| strata[h].material == material).then_some(material),
             weight: members.iter().map(|&h| weights[h]).sum(),
+            apart: strata[members[0]].apart,
         });
     }
 }
@@ -123,7 +156,7 @@ mod tests {
     use super::{Grouping, Stratum};
 
     fn stratum(material: u32) -> Stratum {
-        Stratum { object: 0, material, prior_cost: 1.0 }
+        Stratum { object: 0, material, prior_cost: 1.0, apart: false }
     }
 
     #[test]
@@ -135,6 +168,22 @@ mod tests {
         assert_eq!(grouping.groups[1].material, Some(1));
         assert_eq!(grouping.groups[2].material, None);
         assert_eq!(grouping.groups.iter().map(|g| g.pixels).sum::<u64>(), 60_208);
+    }
+
+    #[test]
+    fn strata_that_stand_apart_change_nothing_in_how_pixels_are_grouped() {
+        let mut strata: Vec<Stratum> = (0..60).map(|i| stratum(i % 9)).collect();
+        let mut counts: Vec<u32> = (0..60).map(|i| 1 + i * i % 97).collect();
+        let without = Grouping::new(&strata, &counts, 100);
+        strata.extend(Stratum::of_records(3, 500.0));
+        counts.extend([100_000, 0, 3]);
+        let with = Grouping::new(&strata, &counts, 100);
+        let pixels = without.groups.len();
+        assert_eq!(with.of[..60], without.of);
+        assert_eq!(with.of[60..], [Some(pixels), None, Some(pixels + 1)]);
+        assert!(with.groups[..pixels].iter().all(|group| !group.apart));
+        let apart: Vec<u64> = with.groups[pixels..].iter().filter(|g| g.apart).map(|g| g.pixels).collect();
+        assert_eq!(apart, [100_000, 3]);
     }
 
     #[test]

@@ -10,7 +10,7 @@ use forelight_forecast::{
 use proptest::prelude::*;
 
 fn strata(n: u32) -> Vec<Stratum> {
-    (0..n).map(|i| Stratum { object: i, material: i % 3, prior_cost: 1.0 }).collect()
+    (0..n).map(|i| Stratum { object: i, material: i % 3, prior_cost: 1.0, apart: false }).collect()
 }
 
 fn observe(stratum: u32, work: u64) -> Observation {
@@ -66,8 +66,8 @@ fn a_stratum_that_is_sampled_completely_adds_its_sum_and_no_variance() {
     // Enough samples that the three pixels are a group of their own.
     observations.extend((0..20_000).map(|_| observe(1, 10)));
     let strata = [
-        Stratum { object: 0, material: 0, prior_cost: 1.0 },
-        Stratum { object: 1, material: 1, prior_cost: 1.0 },
+        Stratum { object: 0, material: 0, prior_cost: 1.0, apart: false },
+        Stratum { object: 1, material: 1, prior_cost: 1.0, apart: false },
     ];
     let found = estimate(&strata, &counts, &observations, Calibration::NONE).expect("an estimate");
     assert_exact(&found.total.work, 90_022.0 + 1_000_000.0);
@@ -96,7 +96,7 @@ fn one_sample_gives_a_wide_interval_that_says_it_is_borrowed() {
 
 #[test]
 fn unsampled_strata_borrow_from_their_material_first() {
-    let strata = [0, 0, 1, 1].map(|material| Stratum { object: 0, material, prior_cost: 1.0 });
+    let strata = [0, 0, 1, 1].map(|material| Stratum { object: 0, material, prior_cost: 1.0, apart: false });
     let mut observations: Vec<Observation> = (0..40).map(|_| observe(0, 100)).collect();
     observations.extend((0..40).map(|_| observe(2, 9000)));
     let found =
@@ -140,7 +140,7 @@ fn wrong_input_is_named() {
         estimate(&strata, &[1], &[], calibration),
         Err(ForecastError::CountsLength { frame: 0, counts: 1, strata: 2 })
     );
-    let bad = [Stratum { object: 0, material: 0, prior_cost: f64::NAN }];
+    let bad = [Stratum { object: 0, material: 0, prior_cost: f64::NAN, apart: false }];
     assert_eq!(estimate(&bad, &[1], &[], calibration), Err(ForecastError::BadPriorCost { stratum: 0 }));
     assert!(matches!(
         FrameDesign::new(&strata, &[0, 1, 0], 2, 2, 0, 0),

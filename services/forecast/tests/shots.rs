@@ -4,8 +4,8 @@ mod common;
 
 use common::{INTERIOR, LIGHT, Picture, Recipe, cost_of, errors};
 use forelight_forecast::{
-    Calibration, Cost, FramePopulation, Observation, ProfiledFrame, ShotForecast, Stratum, choose_frames,
-    forecast_shot,
+    Calibration, Cost, FramePopulation, Observation, ProfiledFrame, RecordStrata, ShotForecast, Stratum,
+    choose_frames, forecast_shot,
 };
 
 struct Shot {
@@ -110,7 +110,7 @@ fn the_common_error_of_a_job_does_not_average_out() {
 }
 
 fn one_stratum_each(counts: &[[u32; 3]]) -> (Vec<Stratum>, Vec<FramePopulation>) {
-    let strata = (0..3).map(|i| Stratum { object: i, material: i, prior_cost: 1.0 }).collect();
+    let strata = (0..3).map(|i| Stratum { object: i, material: i, prior_cost: 1.0, apart: false }).collect();
     let frames = (0..)
         .zip(counts)
         .map(|(number, counts)| FramePopulation { number, counts: counts.to_vec() })
@@ -191,4 +191,68 @@ fn unit_costs_follow_a_trend_between_profiled_frames() {
     assert!((unit(5) - 1500.0).abs() < 1.0);
     assert!((unit(2) - 1200.0).abs() < 25.0, "{}", unit(2));
     assert!(found.frames[5].total.work.variance > found.frames[1].total.work.variance);
+}
+
+/// The forecast of a shot of pictures whose frames have `records` of a cache, of which some were gathered at the works given by level.
+fn with_records(shot: &Shot, records: &[&[u32]], works: &[&[f64]]) -> ShotForecast {
+    let (mut strata, mut frames) = (shot.pictures[0].strata.clone(), shot.frames.clone());
+    let apart = RecordStrata::add(&mut strata, &mut frames, records, 20.0);
+    let observed: Vec<Vec<Observation>> = [8, 40]
+        .map(|t: usize| {
+            let pixels = shot.pictures[t].profile(256, 3, t as i64).1;
+            let gathered = works.iter().zip(0..).flat_map(|(works, level)| {
+                works.iter().map(move |work| apart.observation(level, cost_of(*work)))
+            });
+            pixels.into_iter().chain(gathered).collect()
+        })
+        .to_vec();
+    let profiled = [(8, &observed[0]), (40, &observed[1])].map(|(frame, observations)| ProfiledFrame {
+        frame,
+        observations,
+        fixed: Cost::default(),
+    });
+    forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast")
+}
+
+#[test]
+fn a_known_number_of_records_times_what_one_takes_is_added_and_pixels_are_forecast_as_without() {
+    let shot = Shot::new(Recipe { side: 32, objects: 30, ..INTERIOR }, 4);
+    let mut counts = vec![[1000, 200]; 48];
+    counts[8] = [5000, 100];
+    counts[9] = [4000, 0];
+    let records: Vec<&[u32]> = counts.iter().map(|frame| &frame[..]).collect();
+    let without = with_records(&shot, &[], &[]);
+    let same = with_records(&shot, &records, &[&[3e5; 48], &[1e5; 48]]);
+    for (t, (without, with)) in without.frames.iter().zip(&same.frames).enumerate() {
+        let expected =
+            without.total.work.mean + 3e5 * f64::from(counts[t][0]) + 1e5 * f64::from(counts[t][1]);
+        let found = with.total.work.mean;
+        assert!((found / expected - 1.0).abs() < 1e-9, "frame {t}: {found} for {expected}");
+        assert_eq!(with.strata[..without.strata.len()], without.strata[..], "frame {t}");
+        assert!(with.total.work.p95 > found);
+    }
+    let spread: Vec<f64> = (0..48).map(|i| 3e5 + 4e4 * f64::from(i % 7 - 3)).collect();
+    let noisy = with_records(&shot, &records, &[&spread, &[1e5; 48]]);
+    assert!(noisy.frames[8].total.work.variance > 10.0 * same.frames[8].total.work.variance);
+}
+
+#[test]
+fn records_of_a_level_that_was_not_sampled_borrow_from_another_level_and_never_from_pixels() {
+    let shot = Shot::new(Recipe { side: 32, objects: 30, ..INTERIOR }, 4);
+    let records: Vec<&[u32]> =
+        (0..48).map(|t| if t == 20 { &[100, 50][..] } else { &[100, 0][..] }).collect();
+    let found = with_records(&shot, &records, &[&[3e5; 48], &[]]);
+    let level_one = found.frames[20].strata.last().expect("strata");
+    assert!(level_one.borrowed && (level_one.mean.work / 3e5 - 1.0).abs() < 1e-9, "{level_one:?}");
+    assert!(found.frames[20].total.work.p95 > found.frames[20].total.work.mean + 50.0 * 1e5);
+}
+
+#[test]
+fn records_of_which_none_was_gathered_are_an_error_and_not_a_guess() {
+    let (mut strata, mut frames) = one_stratum_each(&[[1000, 0, 0]]);
+    RecordStrata::add(&mut strata, &mut frames, &[&[50]], 20.0);
+    let observed = [Observation { stratum: 0, cost: cost_of(10.0) }];
+    let profiled = [ProfiledFrame { frame: 0, observations: &observed, fixed: Cost::default() }];
+    let refused = forecast_shot(&strata, &frames, &profiled, Calibration::NONE);
+    assert_eq!(refused, Err(forelight_forecast::ForecastError::NoSamples));
 }

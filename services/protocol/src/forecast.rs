@@ -129,7 +129,7 @@ pub struct FrameForecast {
     pub frame: u32,
     /// Rays by category.
     pub rays: RayQuantiles,
-    /// Irradiance cache records, one forecast a level; empty without a cache.
+    /// Irradiance cache records, one number a level, known since the cache was planned; empty without a cache.
     pub cache_records: Vec<Quantiles>,
     /// Deterministic count of operations.
     pub work: Quantiles,
@@ -137,17 +137,36 @@ pub struct FrameForecast {
     pub cpu_seconds: Quantiles,
 }
 
+impl FrameForecast {
+    /// The records of a frame's irradiance cache as a forecast.
+    pub fn known_records(records: &[u32]) -> Vec<Quantiles> {
+        records.iter().map(|&count| Quantiles::known(count.into())).collect()
+    }
+}
+
 /// The forecast of all frames together. Quantiles of sums: not the sums of the frames' quantiles.
 #[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct ForecastTotals {
     /// Rays by category.
     pub rays: RayQuantiles,
-    /// Irradiance cache records, one forecast a level.
+    /// Irradiance cache records, one number a level.
     pub cache_records: Vec<Quantiles>,
     /// Deterministic count of operations.
     pub work: Quantiles,
     /// CPU seconds over all threads, on a node of speed 1.
     pub cpu_seconds: Quantiles,
+}
+
+impl ForecastTotals {
+    /// The records of all frames' irradiance caches as a forecast.
+    pub fn known_records<'a>(frames: impl IntoIterator<Item = &'a [u32]>) -> Vec<Quantiles> {
+        let mut levels: Vec<u64> = Vec::new();
+        for records in frames {
+            levels.resize(levels.len().max(records.len()), 0);
+            levels.iter_mut().zip(records).for_each(|(sum, &count)| *sum += u64::from(count));
+        }
+        levels.into_iter().map(|count| Quantiles::known(count as f64)).collect()
+    }
 }
 
 /// What was profiled.
@@ -183,6 +202,9 @@ pub struct ForecastDoc {
     pub spent: SpentOnForecast,
     /// Whether the quantiles have been calibrated on past jobs; if not, they rest on the statistics alone.
     pub calibrated: bool,
+    /// The effects that any of the profiled frames calls for, by name, sorted: what is simulated, and so paid for.
+    #[serde(default)]
+    pub effects: Vec<String>,
     /// The total in money, at the mean price of the farm's nodes; absent without nodes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cost: Option<MoneyQuantiles>,

@@ -76,7 +76,10 @@ impl FromStr for FrameSet {
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let mut ranges = Vec::new();
         for part in text.split(',') {
-            let malformed = |reason| MalformedFrames { part: part.chars().take(40).collect(), reason };
+            let malformed = |reason| MalformedFrames {
+                part: part.chars().take(40).flat_map(char::escape_debug).collect(),
+                reason,
+            };
             let number = |digits: &str| {
                 if digits.is_empty() || !digits.bytes().all(|byte| byte.is_ascii_digit()) {
                     return Err(malformed("is not a frame number or a range of them"));
@@ -155,6 +158,7 @@ mod tests {
             ("1,+2", "`+2`"),
             ("0-4294967296", "`0-4294967296`"),
             ("1-2-3", "`1-2-3`"),
+            ("1,2\n3", "`2\\n3`"),
         ] {
             let message = text.parse::<FrameSet>().unwrap_err().to_string();
             assert!(message.contains(part), "{text}: {message}");

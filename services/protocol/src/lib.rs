@@ -57,12 +57,12 @@ pub use page::PageToken;
 pub use plan::{Booking, BookingPage, JobVerdict, Plan, PlanReason, Verdict};
 pub use problem::{Problem, ProblemKind};
 pub use role::{Role, UnknownRole};
-pub use settings::{MaterialMode, RenderSettings, RenderSettingsRequest};
-pub use stats::{Rays, RenderStats};
+pub use settings::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest};
+pub use stats::{CacheStats, Rays, RenderStats};
 pub use task::{
-    FixedCosts, FrameStrata, PreviewBackend, PreviewResult, PreviewSpec, ProfileArtifacts, ProfileResult,
-    ProfileSample, ProfileSpec, RenderArtifacts, RenderResult, RenderSpec, Spent, Stratum, StratumName,
-    TaskKind, TaskResult, TaskSpec,
+    CacheSample, FixedCosts, FrameStrata, PreviewBackend, PreviewResult, PreviewSpec, ProfileArtifacts,
+    ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts, RenderResult, RenderSpec, Spent, Stratum,
+    StratumName, TaskKind, TaskResult, TaskSpec,
 };
 pub use time::{MalformedTime, Timestamp};
 pub use track_record::{QuantileHits, TrackRecord, TrackRecordRow};

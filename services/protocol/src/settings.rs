@@ -1,5 +1,7 @@
 //! How good a frame is to look.
 
+use std::ops::RangeInclusive;
+
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -14,6 +16,28 @@ pub enum MaterialMode {
     Lambert,
 }
 
+/// How light is simulated.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Integrator {
+    /// Distribution ray tracing with gathered indirect light, without caustics.
+    #[default]
+    Ambient,
+    /// Unbiased path tracing, caustics included.
+    Path,
+}
+
+/// Whether indirect light is interpolated between the records of an irradiance cache.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CacheMode {
+    /// Every point gathers its own.
+    #[default]
+    Off,
+    /// It is gathered at few places and interpolated between them.
+    On,
+}
+
 /// The quality settings of a job, complete. The same settings, bundle and frame give the same bits anywhere.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -24,22 +48,109 @@ pub struct RenderSettings {
     pub height: u32,
     /// Camera paths per pixel.
     pub spp: u32,
-    /// Diffuse interreflections followed: 0 is direct light only.
+    /// How light is simulated.
+    #[serde(default)]
+    pub integrator: Integrator,
+    /// Diffuse interreflections followed: 0 is direct light only. With the integrator `path`, how often a path is spread
+    /// (diffuse, glossy, rough glass) after the first time.
     pub ambient_bounces: u32,
     /// Hemisphere rays of one ambient gather.
     pub ambient_divisions: u32,
     /// Longest path through mirrors and glass, in surfaces.
     pub max_depth: u32,
+    /// Whether indirect light is interpolated.
+    #[serde(default)]
+    pub cache: CacheMode,
+    /// Error that interpolation may make, in thousandths: a record serves up to this share of the mean distance to its
+    /// surroundings.
+    #[serde(default = "default_cache_accuracy")]
+    pub cache_accuracy: u32,
+    /// Hemisphere rays of one record of the cache.
+    #[serde(default = "default_cache_rays")]
+    pub cache_rays: u32,
     /// Which materials are honoured.
     pub materials: MaterialMode,
     /// Seed of all random numbers.
     pub seed: u64,
 }
 
+const fn default_cache_accuracy() -> u32 {
+    200
+}
+
+const fn default_cache_rays() -> u32 {
+    768
+}
+
+/// A setting that no frame can be rendered with.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct BadSetting {
+    /// Name of the setting, as in JSON.
+    pub name: &'static str,
+    /// What is wrong, without the name.
+    pub reason: String,
+}
+
+impl std::fmt::Display for BadSetting {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}: {}", self.name, self.reason)
+    }
+}
+
+impl std::error::Error for BadSetting {}
+
 impl RenderSettings {
+    /// Most ambient bounces.
+    pub const MOST_BOUNCES: u32 = 8;
+    /// The same for the integrator `path`: as good as no limit.
+    pub const MOST_BOUNCES_OF_A_PATH: u32 = 65_536;
+    /// The same with a cache: deeper levels would be planned from ever fewer places.
+    pub const MOST_BOUNCES_WITH_A_CACHE: u32 = 2;
+
     /// Pixels of the image.
     pub fn pixels(&self) -> u64 {
         u64::from(self.width) * u64::from(self.height)
+    }
+
+    /// Checks every range, and what does not go together: exactly what the renderer takes passes.
+    ///
+    /// # Errors
+    /// The first setting that is wrong.
+    pub fn check(&self) -> Result<(), BadSetting> {
+        let wrong = |name: &'static str, reason: String| Err(BadSetting { name, reason });
+        let cached = self.cache == CacheMode::On;
+        if cached && self.integrator == Integrator::Path {
+            return wrong("cache", "the integrator `path` reads no cache; use it with `ambient`".to_owned());
+        }
+        let bounces = match self.integrator {
+            Integrator::Ambient => Self::MOST_BOUNCES,
+            Integrator::Path => Self::MOST_BOUNCES_OF_A_PATH,
+        };
+        let ranges: [(&str, u32, RangeInclusive<u32>); 8] = [
+            ("width", self.width, 1..=65_536),
+            ("height", self.height, 1..=65_536),
+            ("spp", self.spp, 1..=65_536),
+            ("ambient_bounces", self.ambient_bounces, 0..=bounces),
+            ("ambient_divisions", self.ambient_divisions, 1..=65_536),
+            ("max_depth", self.max_depth, 1..=64),
+            ("cache_accuracy", self.cache_accuracy, 10..=1000),
+            ("cache_rays", self.cache_rays, 48..=65_536),
+        ];
+        for (name, value, range) in ranges {
+            if !range.contains(&value) {
+                return wrong(name, format!("{value} is not within {} to {}", range.start(), range.end()));
+            }
+        }
+        if cached && self.ambient_bounces > Self::MOST_BOUNCES_WITH_A_CACHE {
+            let most = Self::MOST_BOUNCES_WITH_A_CACHE;
+            let reason = format!("{} is not within 0 to {most}, the most with a cache", self.ambient_bounces);
+            return wrong("ambient_bounces", reason);
+        }
+        if self.pixels() > 1 << 28 {
+            let reason = format!("{} × {} pixels; an image has at most 2²⁸", self.width, self.height);
+            return wrong("width", reason);
+        }
+        Ok(())
     }
 }
 
@@ -59,18 +170,35 @@ pub struct RenderSettingsRequest {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1, maximum = 65536)]
     pub spp: Option<u32>,
-    /// Diffuse interreflections, 0 to 64; default 2.
+    /// How light is simulated; default `ambient`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(maximum = 64)]
+    pub integrator: Option<Integrator>,
+    /// Diffuse interreflections, 0 to 8, with a cache 0 to 2; with the integrator `path` 0 to 65536, where the greatest is as good
+    /// as no limit. Default 2.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(maximum = 65536)]
     pub ambient_bounces: Option<u32>,
     /// Hemisphere rays of one ambient gather, 1 to 65536; default 16.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1, maximum = 65536)]
     pub ambient_divisions: Option<u32>,
-    /// Longest path through mirrors and glass, 1 to 256; default 12.
+    /// Longest path through mirrors and glass, 1 to 64; default 12.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(minimum = 1, maximum = 256)]
+    #[schema(minimum = 1, maximum = 64)]
     pub max_depth: Option<u32>,
+    /// Whether indirect light is interpolated between the records of an irradiance cache, for the integrator `ambient`; default
+    /// `off`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cache: Option<CacheMode>,
+    /// Error that interpolation may make, in thousandths, 10 to 1000: a record serves up to this share of the mean distance to
+    /// its surroundings. Less takes more records. Default 200.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 10, maximum = 1000)]
+    pub cache_accuracy: Option<u32>,
+    /// Hemisphere rays of one record of the cache, 48 to 65536; the nearest of 48, 192, 432, 768, 1200, … is taken. Default 768.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 48, maximum = 65536)]
+    pub cache_rays: Option<u32>,
     /// Which materials are honoured; default `full`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub materials: Option<MaterialMode>,
@@ -86,11 +214,57 @@ impl RenderSettingsRequest {
             width: self.width.unwrap_or(camera.0),
             height: self.height.unwrap_or(camera.1),
             spp: self.spp.unwrap_or(16),
+            integrator: self.integrator.unwrap_or_default(),
             ambient_bounces: self.ambient_bounces.unwrap_or(2),
             ambient_divisions: self.ambient_divisions.unwrap_or(16),
             max_depth: self.max_depth.unwrap_or(12),
+            cache: self.cache.unwrap_or_default(),
+            cache_accuracy: self.cache_accuracy.unwrap_or_else(default_cache_accuracy),
+            cache_rays: self.cache_rays.unwrap_or_else(default_cache_rays),
             materials: self.materials.unwrap_or_default(),
             seed: self.seed.unwrap_or(0),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_that_were_stored_before_there_was_a_cache_still_read() {
+        let stored = r#"{"width":8,"height":6,"spp":4,"ambient_bounces":2,"ambient_divisions":16,"max_depth":12,"materials":"full","seed":3}"#;
+        let expected = RenderSettingsRequest { spp: Some(4), seed: Some(3), ..Default::default() };
+        assert_eq!(serde_json::from_str::<RenderSettings>(stored).unwrap(), expected.complete((8, 6)));
+    }
+
+    #[test]
+    fn the_defaults_are_right_whatever_they_are_combined_with() {
+        for (integrator, cache) in [
+            (Integrator::Ambient, CacheMode::Off),
+            (Integrator::Ambient, CacheMode::On),
+            (Integrator::Path, CacheMode::Off),
+        ] {
+            let request = RenderSettingsRequest {
+                integrator: Some(integrator),
+                cache: Some(cache),
+                ..Default::default()
+            };
+            assert_eq!(request.complete((1, 1)).check(), Ok(()));
+        }
+    }
+
+    #[test]
+    fn what_does_not_go_together_is_said_of_the_setting_that_has_to_change() {
+        let mut request = RenderSettingsRequest {
+            cache: Some(CacheMode::On),
+            ambient_bounces: Some(3),
+            ..Default::default()
+        };
+        let wrong = request.complete((1, 1)).check().unwrap_err();
+        assert_eq!(wrong.name, "ambient_bounces");
+        assert!(wrong.reason.contains("0 to 2, the most with a cache"), "{wrong}");
+        request.integrator = Some(Integrator::Path);
+        assert_eq!(request.complete((1, 1)).check().unwrap_err().name, "cache");
     }
 }

@@ -53,10 +53,27 @@ impl Rays {
     }
 }
 
+/// What an irradiance cache took and came to.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CacheStats {
+    /// Work of planning: finding out where records have to be, and how far each is valid.
+    pub plan_work: u64,
+    /// Work of gathering all records.
+    pub fill_work: u64,
+    /// Records whose numbers are not finite, and which are never used.
+    pub rejected: u64,
+    /// Points at which no record could be used, and which gathered for themselves.
+    pub uncovered: u64,
+    /// Records that were taken over from profiling.
+    pub reused_records: u64,
+}
+
 /// The true cost of one rendered frame, as `forelight render --stats` writes it.
 ///
 /// All totals are those of the whole frame and do not depend on whether profiled pixels were taken over; the
-/// `reused_…` fields are the part of them that this run did not have to trace again.
+/// `reused_…` fields are the part of them that this run did not have to trace again. The cost of an irradiance cache,
+/// planned and filled, is in them.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RenderStats {
@@ -75,6 +92,9 @@ pub struct RenderStats {
     /// Irradiance cache records, one number a level; empty without a cache.
     #[serde(default)]
     pub cache_records: Vec<u64>,
+    /// What the irradiance cache took; absent without one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cache: Option<CacheStats>,
     /// Deterministic count of operations.
     pub work: u64,
     /// CPU time over all threads, in seconds. On the farm also that of encoding the pictures and of the preview among them.
@@ -86,13 +106,13 @@ pub struct RenderStats {
     /// Pixels taken over from profiling.
     #[serde(default)]
     pub reused_pixels: u64,
-    /// Rays of these pixels.
+    /// Rays of these pixels, and of what was taken over of the irradiance cache.
     #[serde(default)]
     pub reused_rays: u64,
-    /// Work of these pixels.
+    /// Work of the same.
     #[serde(default)]
     pub reused_work: u64,
-    /// CPU seconds of these pixels when they were profiled.
+    /// CPU seconds of the same when they were profiled.
     #[serde(default)]
     pub reused_cpu_seconds: f64,
 }

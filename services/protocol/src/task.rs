@@ -195,6 +195,17 @@ pub struct Spent {
     pub cpu_nanos: u64,
 }
 
+impl Spent {
+    /// Both together.
+    #[must_use]
+    pub const fn plus(self, other: Self) -> Self {
+        Self {
+            work: self.work.saturating_add(other.work),
+            cpu_nanos: self.cpu_nanos.saturating_add(other.cpu_nanos),
+        }
+    }
+}
+
 /// A stratum: the pixels that show one material of one object.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -252,6 +263,9 @@ pub struct FrameStrata {
     pub pixels: Vec<u32>,
     /// Pixels that show nothing. With `pixels` they make up the whole image.
     pub background: u32,
+    /// Records of the frame's irradiance cache, which is planned with the preview, one number a level; empty without a cache.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub cache_records: Vec<u32>,
     /// The preview as an image.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub preview_png: Option<ArtifactHash>,
@@ -266,6 +280,10 @@ pub struct PreviewResult {
     /// What a pixel that shows nothing is thought to cost, in the unit of [`Stratum::prior_cost`] and within the same range.
     #[schema(exclusive_minimum = 0, maximum = 1_000_000)]
     pub background_prior_cost: f64,
+    /// What a record of the irradiance cache is thought to cost, in the same unit and range; absent without a cache.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(exclusive_minimum = 0, maximum = 1_000_000)]
+    pub record_prior_cost: Option<f64>,
     /// One entry a frame, in the order of the spec.
     pub frames: Vec<FrameStrata>,
     /// What made it.
@@ -291,6 +309,21 @@ pub struct ProfileSample {
     pub rays: [u64; 7],
 }
 
+/// One record of the irradiance cache, gathered to see what that takes.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CacheSample {
+    /// Level of the record: 0 is read by the image, each further one by the gathers of the one before.
+    pub level: u32,
+    /// Deterministic count of operations.
+    pub work: u64,
+    /// CPU time, in nanoseconds.
+    pub cpu_nanos: u64,
+    /// Rays by category, in the order of [`crate::Rays::NAMES`].
+    #[schema(min_items = 7, max_items = 7)]
+    pub rays: [u64; 7],
+}
+
 /// Costs that a frame has whatever its pixels show.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -299,6 +332,13 @@ pub struct FixedCosts {
     pub load: Spent,
     /// Building the acceleration structure.
     pub build: Spent,
+    /// Planning the irradiance cache; 0 without one.
+    #[serde(default)]
+    pub plan: Spent,
+    /// Rays of the plan by category, in the order of [`crate::Rays::NAMES`].
+    #[serde(default)]
+    #[schema(min_items = 7, max_items = 7)]
+    pub plan_rays: [u64; 7],
     /// Making the files of a finished frame: encoding its pictures, and the preview among them. In time alone: work counts
     /// tracing. All 0 where no such files are made.
     pub write: Spent,
@@ -307,11 +347,8 @@ pub struct FixedCosts {
 impl FixedCosts {
     /// All of them together.
     pub const fn total(self) -> Spent {
-        let Self { load, build, write } = self;
-        Spent {
-            work: load.work.saturating_add(build.work).saturating_add(write.work),
-            cpu_nanos: load.cpu_nanos.saturating_add(build.cpu_nanos).saturating_add(write.cpu_nanos),
-        }
+        let Self { load, build, plan, plan_rays: _, write } = self;
+        load.plus(build).plus(plan).plus(write)
     }
 }
 
@@ -319,7 +356,8 @@ impl FixedCosts {
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ProfileArtifacts {
-    /// The finished pixels with their radiance and counters, for the render to take over.
+    /// The finished pixels with their radiance and counters, or the irradiance cache as far as it was gathered, for the render to
+    /// take over.
     pub profile: ArtifactHash,
     /// The frame's preview as an image.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -336,6 +374,12 @@ pub struct ProfileResult {
     pub strata: Vec<Stratum>,
     /// The profiled pixels, each once.
     pub samples: Vec<ProfileSample>,
+    /// Records of the irradiance cache that were gathered, some of every level; empty without a cache.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub cache_samples: Vec<CacheSample>,
+    /// The effects that the frame calls for, by name, sorted.
+    #[serde(default)]
+    pub effects: Vec<String>,
     /// Costs beside the pixels.
     pub fixed: FixedCosts,
     /// What the whole task took.

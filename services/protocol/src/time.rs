@@ -73,7 +73,8 @@ impl FromStr for Timestamp {
     type Err = MalformedTime;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let malformed = || MalformedTime { text: text.chars().take(64).collect() };
+        let malformed =
+            || MalformedTime { text: text.chars().take(64).flat_map(char::escape_debug).collect() };
         let instant: jiff::Timestamp = text.parse().map_err(|_| malformed())?;
         let micros = i64::try_from(instant.as_nanosecond().div_euclid(1000)).map_err(|_| malformed())?;
         if (EARLIEST..=LATEST).contains(&micros) { Ok(Self(micros)) } else { Err(malformed()) }
@@ -117,7 +118,7 @@ mod tests {
 
     #[test]
     fn text_without_an_offset_is_refused_in_one_line() {
-        for text in ["", "tomorrow", "2026-03-01", "2026-03-01T18:00:00", "2026-13-01T00:00:00Z"] {
+        for text in ["", "tomorrow", "2026-03-01", "2026-03-01T18:00:00", "2026-13-01T00:00:00Z", "a\nb"] {
             let message = text.parse::<Timestamp>().unwrap_err().to_string();
             assert!(message.contains("RFC 3339") && !message.contains('\n'), "{message}");
         }

@@ -23,6 +23,9 @@ pub struct JobForecast {
     pub spent: SpentOnForecast,
     /// Whether the quantiles have been calibrated on past jobs.
     pub calibrated: bool,
+    /// The effects that any of the profiled frames calls for.
+    #[serde(default)]
+    pub effects: Vec<String>,
     /// The total in money.
     pub cost: Option<MoneyQuantiles>,
 }
@@ -65,7 +68,9 @@ impl Store {
             .fetch_optional(&mut *transaction)
             .await?;
         let kept: Option<JobForecast> = json_opt(&row.ok_or(StoreError::NotFound("job"))?, "forecast")?;
-        let Some(JobForecast { total, profiled, spent, calibrated, cost }) = kept else { return Ok(None) };
+        let Some(JobForecast { total, profiled, spent, calibrated, effects, cost }) = kept else {
+            return Ok(None);
+        };
         let rows = sqlx::query(
             "SELECT forecast FROM frames WHERE job_id = ? AND forecast IS NOT NULL ORDER BY frame",
         )
@@ -73,7 +78,7 @@ impl Store {
         .fetch_all(&mut *transaction)
         .await?;
         let frames = rows.iter().map(|row| json(row, "forecast")).collect::<Result<_, _>>()?;
-        Ok(Some(ForecastDoc { frames, total, profiled, spent, calibrated, cost }))
+        Ok(Some(ForecastDoc { frames, total, profiled, spent, calibrated, effects, cost }))
     }
 }
 

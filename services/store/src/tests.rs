@@ -94,6 +94,7 @@ impl Farm {
             TaskSpec::Preview(spec) => TaskResult::Preview(PreviewResult {
                 strata: vec![stratum()],
                 background_prior_cost: 0.1,
+                record_prior_cost: None,
                 frames: spec
                     .frames
                     .iter()
@@ -101,6 +102,7 @@ impl Farm {
                         frame,
                         pixels: vec![60],
                         background: 4,
+                        cache_records: Vec::new(),
                         preview_png: Some(image),
                     })
                     .collect(),
@@ -117,6 +119,8 @@ impl Farm {
                     cpu_nanos: 500,
                     rays: [1, 2, 0, 0, 0, 3, 0],
                 }],
+                cache_samples: Vec::new(),
+                effects: vec!["ambient".to_owned()],
                 fixed: FixedCosts::default(),
                 spent: Spent { work: 10, cpu_nanos: 500 },
                 artifacts: ProfileArtifacts { profile: self.artifact("a profile").await, preview_png: None },
@@ -226,6 +230,7 @@ fn stats(frame: u32) -> RenderStats {
         effects: vec!["ambient".to_owned()],
         rays: Rays { primary: 1024, ..Rays::default() },
         cache_records: Vec::new(),
+        cache: None,
         work: 1000,
         cpu_seconds: 2.0,
         wall_seconds: 2.0,
@@ -254,6 +259,7 @@ fn job_forecast() -> JobForecast {
         profiled: Profiled { frames: vec![0], pixels: 1 },
         spent: SpentOnForecast::default(),
         calibrated: false,
+        effects: vec!["ambient".to_owned()],
         cost: None,
     }
 }

@@ -1,16 +1,20 @@
 //! Our renderer: `scene`, `preview` and the `ambient` integrator of `tracer`.
 
+use crate::render::spent;
 use crate::renderer::{
-    Counted, FrameRenderer, OpenRenderer, Previewed, RenderError, Renderer, ShotInfo, StratumInfo,
+    CacheUse, Counted, Finished, FrameRenderer, OpenRenderer, Previewed, Progress, RenderError, Renderer,
+    ShotInfo, Step, StratumInfo,
 };
-use crate::shot::plus;
-use forelight_bvh::Bvh;
 use forelight_preview::{Choice, PreviewError, Previewer};
 use forelight_protocol::{
-    FixedCosts, MaterialMode, PreviewBackend, RenderSettings, SceneDigest, SceneSummary, Spent, StratumName,
+    CacheMode, FixedCosts, Integrator, MaterialMode, PreviewBackend, RenderSettings, SceneDigest,
+    SceneSummary, Spent, StratumName,
 };
 use forelight_scene::{Frame, Geometry, Limits, Scene};
-use forelight_tracer::{Image, MaterialOverride, Pixel, Profile, Settings, Tracer, thread_cpu_nanos};
+use forelight_tracer::{
+    Cache, CacheSettings, CacheTotals, Effects, MaterialOverride, Pixel, Profile, RecordCost, Settings,
+    Tracer, thread_cpu_nanos,
+};
 use rayon::prelude::*;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -113,9 +117,19 @@ pub fn tracer_settings(settings: &RenderSettings) -> Settings {
         width: settings.width,
         height: settings.height,
         spp: settings.spp,
+        integrator: match settings.integrator {
+            Integrator::Ambient => forelight_tracer::Integrator::Ambient,
+            Integrator::Path => forelight_tracer::Integrator::Path,
+        },
         ambient_bounces: settings.ambient_bounces,
         ambient_divisions: settings.ambient_divisions,
         max_depth: settings.max_depth,
+        cache: match settings.cache {
+            CacheMode::On => {
+                Some(CacheSettings { accuracy: settings.cache_accuracy, rays: settings.cache_rays })
+            }
+            CacheMode::Off => None,
+        },
         materials: match settings.materials {
             MaterialMode::Full => MaterialOverride::Full,
             MaterialMode::Lambert => MaterialOverride::Lambert,
@@ -141,7 +155,7 @@ pub struct AmbientShot {
 #[derive(Clone)]
 struct Tree {
     geometry: Arc<Geometry>,
-    bvh: Arc<Bvh>,
+    bvh: Arc<forelight_tracer::Tree>,
     build: Spent,
 }
 
@@ -164,38 +178,48 @@ impl AmbientShot {
         // In a shot in which something moves every frame is charged for a tree, so that what stands still for a while, or comes
         // back to where it was, does not make one frame cheaper than the next.
         let own = |build: Spent| if self.moves { build } else { Spent::default() };
-        let known = |tree: &Tree| {
-            let shares = Arc::ptr_eq(&tree.geometry, &frame.geometry);
-            shares.then(|| Ready {
-                tracer: Tracer::with_bvh(frame, settings, tree.bvh.clone()),
-                own_tree: own(tree.build),
-                built_now: Spent::default(),
-            })
-        };
-        let build = || {
-            let tracer = Tracer::new(frame, settings);
-            let cost = tracer.build_cost();
-            let build = Spent { work: cost.work, cpu_nanos: cost.cpu_nanos };
+        let ready = |known: Option<&Tree>| {
+            let known = known.filter(|tree| Arc::ptr_eq(&tree.geometry, &frame.geometry));
+            let tracer = match known {
+                Some(tree) => Tracer::with_bvh(frame, settings, tree.bvh.clone()),
+                None => Tracer::new(frame, settings),
+            };
+            // A frame that sees other parts of the scene has built a tree of its own.
+            let shared = known.filter(|tree| Arc::ptr_eq(&tree.bvh, tracer.bvh()));
+            let build = shared.map_or_else(|| spent(tracer.build_cost()), |tree| tree.build);
+            let built_now = if shared.is_some() { Spent::default() } else { build };
             let tree = Tree { geometry: frame.geometry.clone(), bvh: tracer.bvh().clone(), build };
-            (Ready { tracer, own_tree: own(build), built_now: build }, tree)
+            (Ready { tracer, own_tree: own(build), built_now }, tree)
         };
         if Arc::ptr_eq(&frame.geometry, &self.still) {
             // Held while the tree is built, so that workers that share this shot wait for one build instead of doing two.
             let mut still = lock(&self.still_tree);
-            if let Some(ready) = still.as_ref().and_then(known) {
-                return ready;
-            }
-            let (ready, tree) = build();
+            let (ready, tree) = ready(still.as_ref());
             *still = Some(tree);
             return ready;
         }
         // Not held: workers on different frames build different trees, at the same time.
-        if let Some(ready) = lock(&self.moved_tree).as_ref().and_then(known) {
-            return ready;
-        }
-        let (ready, tree) = build();
+        let known = lock(&self.moved_tree).clone();
+        let (ready, tree) = ready(known.as_ref());
         *lock(&self.moved_tree) = Some(tree);
         ready
+    }
+}
+
+impl AmbientShot {
+    /// Records of a frame's irradiance cache by level, none without one, and what planning them took, with any tree that had
+    /// to be built for it.
+    fn planned_records(&self, frame: &Frame, settings: &Settings) -> (Vec<u32>, Spent) {
+        if settings.cache.is_none() {
+            return (Vec::new(), Spent::default());
+        }
+        let Ready { tracer, built_now, .. } = self.tracer(frame, settings);
+        tracer.plan();
+        let Some(cache) = tracer.cache() else { return (Vec::new(), built_now) };
+        let CacheTotals { records, plan, .. } = cache.totals();
+        // There are fewer than the plan's rays, of which a frame cannot have 2³².
+        let records = records.into_iter().map(|count| u32::try_from(count).unwrap_or(u32::MAX)).collect();
+        (records, built_now.plus(spent(plan)))
     }
 }
 
@@ -205,15 +229,18 @@ impl Renderer for AmbientShot {
     }
 
     fn count(&self, frame: u32, settings: &RenderSettings) -> Result<Counted, RenderError> {
+        let settings = tracer_settings(settings);
         let start = thread_cpu_nanos();
-        let frame = self.frame_of(frame, &tracer_settings(settings))?;
+        let frame = self.frame_of(frame, &settings)?;
         let setup = thread_cpu_nanos() - start;
+        let (cache_records, planning) = self.planned_records(&frame, &settings);
         Ok(self.previewer.with(|previewer| {
             let counts = previewer.counts(&frame)?;
             Ok(Counted {
                 counts,
+                cache_records,
                 backend: backend(previewer),
-                spent: preview_spent(previewer, &frame, setup),
+                spent: preview_spent(previewer, &frame, setup).plus(planning),
             })
         })?)
     }
@@ -235,7 +262,7 @@ impl Renderer for AmbientShot {
             fixed: FixedCosts {
                 load: Spent { work: 0, cpu_nanos: moved },
                 build: own_tree,
-                write: Spent::default(),
+                ..FixedCosts::default()
             },
             built_now,
         }))
@@ -248,6 +275,7 @@ struct AmbientFrame<'a> {
     tracer: Tracer,
     /// Hashing the geometry takes a while, and only profiles need it.
     fingerprint: OnceLock<[u8; 32]>,
+    /// Without the plan of its irradiance cache.
     fixed: FixedCosts,
     built_now: Spent,
 }
@@ -275,11 +303,18 @@ impl FrameRenderer for AmbientFrame<'_> {
     }
 
     fn fixed(&self) -> FixedCosts {
-        self.fixed
+        self.tracer.plan();
+        match self.tracer.cache() {
+            None => self.fixed,
+            Some(cache) => {
+                let CacheTotals { plan, plan_rays, .. } = cache.totals();
+                FixedCosts { plan: spent(plan), plan_rays, ..self.fixed }
+            }
+        }
     }
 
     fn spent_on_setup(&self) -> Spent {
-        plus(self.fixed.load, self.built_now)
+        self.fixed.load.plus(self.built_now)
     }
 
     fn effects(&self) -> Vec<String> {
@@ -289,30 +324,55 @@ impl FrameRenderer for AmbientFrame<'_> {
     }
 
     fn trace(&self, pixels: &[u32]) -> Vec<Pixel> {
+        self.tracer.plan();
         pixels.par_chunks(BATCH).flat_map_iter(|batch| self.tracer.profile(batch)).collect()
     }
 
     fn trace_runs(&self, runs: &[Vec<u32>]) -> Vec<Vec<Pixel>> {
+        self.tracer.plan();
         runs.par_iter().map(|run| self.tracer.profile(run)).collect()
     }
 
-    fn profile(&self, pixels: Vec<(u32, Pixel)>) -> Profile {
-        Profile { frame: self.tracer.frame().number, fingerprint: self.fingerprint(), pixels }
+    fn sample_records(&self, each: usize) -> Vec<RecordCost> {
+        self.tracer.sample_records(each)
+    }
+
+    fn profile(&self, pixels: &[(u32, Pixel)]) -> Profile {
+        let cache = self.tracer.cache().map(|cache| cache.to_bytes());
+        // The colours of pixels that read a cache before it is filled are not the image's.
+        let pixels = if cache.is_none() { pixels.to_vec() } else { Vec::new() };
+        Profile { frame: self.tracer.frame().number, fingerprint: self.fingerprint(), pixels, cache }
     }
 
     fn render(
         &self,
         reuse: Option<&Profile>,
-        progress: &(dyn Fn(u64) + Sync),
+        progress: &(dyn Fn(Progress) + Sync),
         cancel: &AtomicBool,
-    ) -> Result<Option<Image>, RenderError> {
+    ) -> Result<Option<Finished>, RenderError> {
+        let pixels = self.tracer.frame().camera.pixels();
+        let mut taken_over = CacheTotals::default();
         if let Some(profile) = reuse {
-            let camera = &self.tracer.frame().camera;
-            if profile.fingerprint != self.fingerprint() || !profile.fits(camera.pixels()) {
+            if profile.fingerprint != self.fingerprint() || !profile.fits(pixels) {
                 return Err(RenderError::ForeignProfile { frame: profile.frame });
             }
+            if let Some(bytes) = &profile.cache {
+                let cache = Cache::from_bytes(bytes)?;
+                taken_over = cache.totals();
+                self.tracer.take_cache(cache)?;
+            }
         }
-        Ok(self.tracer.render(reuse, progress, cancel))
+        let at = |step, done, all| progress(Progress { step, done, all });
+        if self.tracer.effects().has(Effects::CACHE) {
+            at(Step::Planning, 0, 1);
+            self.tracer.plan();
+            if !self.tracer.fill(&|done, all| at(Step::Filling, done, all), cancel) {
+                return Ok(None);
+            }
+        }
+        let image = self.tracer.render(reuse, &|done| at(Step::Tracing, done, pixels as u64), cancel);
+        let cache = self.tracer.cache().map(|cache| CacheUse { all: cache.totals(), taken_over });
+        Ok(image.map(|image| Finished { image, cache }))
     }
 }
 
@@ -341,6 +401,47 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use forelight_protocol::RenderSettingsRequest;
+
+    #[test]
+    fn the_service_takes_exactly_the_settings_that_the_tracer_takes() {
+        let plain = RenderSettingsRequest::default();
+        let path = RenderSettingsRequest { integrator: Some(Integrator::Path), ..plain.clone() };
+        let cached = RenderSettingsRequest { cache: Some(CacheMode::On), ..plain.clone() };
+        let set: [fn(&mut RenderSettings, u32); 8] = [
+            |settings, value| settings.width = value,
+            |settings, value| settings.height = value,
+            |settings, value| settings.spp = value,
+            |settings, value| settings.ambient_bounces = value,
+            |settings, value| settings.ambient_divisions = value,
+            |settings, value| settings.max_depth = value,
+            |settings, value| settings.cache_accuracy = value,
+            |settings, value| settings.cache_rays = value,
+        ];
+        let mut refused = 0;
+        for base in [plain, path, cached].map(|request| request.complete((64, 36))) {
+            for (name, set) in set.iter().enumerate() {
+                // What is not used without a cache is the service's to refuse, so that a mistake is not hidden.
+                if name >= 6 && base.cache == CacheMode::Off {
+                    continue;
+                }
+                for value in
+                    (0..100).chain((9..17).flat_map(|bit| [(1 << bit) - 1, 1 << bit, (1 << bit) + 1]))
+                {
+                    let mut settings = base.clone();
+                    set(&mut settings, value);
+                    let (service, tracer) = (settings.check(), tracer_settings(&settings).validate());
+                    assert_eq!(service.is_ok(), tracer.is_ok(), "{settings:?}: {service:?} {tracer:?}");
+                    refused += u32::from(service.is_err());
+                }
+            }
+        }
+        assert!(refused > 100);
+        let large =
+            RenderSettingsRequest { width: Some(1 << 15), height: Some(1 << 14), ..Default::default() };
+        let large = large.complete((1, 1));
+        assert!(large.check().is_err() && tracer_settings(&large).validate().is_err());
+    }
 
     #[test]
     fn a_preview_on_the_processor_is_charged_in_the_weights_of_rendering() {

@@ -42,11 +42,13 @@ pub use pictures::png;
 pub use quote::{Quote, QuoteOptions, quote};
 pub use render::{Rendered, peak_rss_bytes, render_frame, seconds};
 pub use renderer::{
-    Counted, FrameRenderer, OpenRenderer, Previewed, RenderError, Renderer, ShotInfo, StratumInfo,
+    CacheUse, Counted, Finished, FrameRenderer, OpenRenderer, Previewed, Progress, RenderError, Renderer,
+    ShotInfo, Step, StratumInfo,
 };
 pub use server_events::{EventParser, ServerEvent};
 pub use shot::{
-    CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, forecast_strata, plus, profile_frame,
+    CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, forecast_strata, profile_frame,
+    record_prior_cost,
 };
 pub use tasks::{TaskRunner, preview_result, profile_result};
 pub use transport::{ClientError, Token};

@@ -46,15 +46,15 @@ pub fn encoding_nanos(profiled: &ProfiledFrame) -> Result<u64, ExecuteError> {
     encode(&image, &profiled.scene, &profiled.picture).map(|(_, nanos)| nanos)
 }
 
-/// An image of the size of the profiled frame, of its finished pixels: with its values and its noise, though not in its order.
-/// `None` if there are no finished pixels.
+/// An image of the size of the profiled frame, of its traced pixels: with its values and its noise, though not in its order.
+/// `None` if there are no such pixels.
 ///
 /// Copies would be encoded a third sooner than a real image, in which hardly any value comes twice. So each pixel is a mixture
-/// of two finished ones of the same stratum, in a proportion of its own.
+/// of two traced ones of the same stratum, in a proportion of its own.
 fn stand_in(profiled: &ProfiledFrame) -> Option<Image> {
     let camera = &profiled.scene.camera;
     let count = camera.width as usize * camera.height as usize;
-    let mut finished: Vec<&Pixel> = profiled.profile.pixels.iter().map(|(_, pixel)| pixel).collect();
+    let mut finished: Vec<&Pixel> = profiled.traced.iter().map(|(_, pixel)| pixel).collect();
     if finished.is_empty() {
         return None;
     }

@@ -3,13 +3,17 @@
 use crate::render::seconds;
 use crate::renderer::Renderer;
 use crate::shot::{
-    CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, forecast_strata, plus, profile_frame,
+    CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, forecast_strata, profile_frame,
+    record_prior_cost,
 };
-use forelight_forecast::{Calibration, Cost, Costs, FramePopulation, Quantity, ShotForecast};
+use forelight_forecast::{
+    Calibration, Cost, Costs, FramePopulation, Observation, Quantity, RecordStrata, ShotForecast,
+};
 use forelight_protocol::{
-    ForecastDoc, ForecastTotals, FrameForecast, Profiled, Quantiles, RayQuantiles, RenderSettings, Spent,
-    SpentOnForecast,
+    FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, Profiled, Quantiles, RayQuantiles,
+    RenderSettings, Spent, SpentOnForecast,
 };
+use std::collections::BTreeSet;
 
 /// How a quote is made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,13 +48,13 @@ pub struct Quote {
 impl Quote {
     /// What the quote took, all of it.
     pub fn spent(&self) -> Spent {
-        self.profiled.iter().map(ProfiledFrame::spent).fold(self.counted.spent, plus)
+        self.profiled.iter().map(ProfiledFrame::spent).fold(self.counted.spent, Spent::plus)
     }
 
-    /// The part of what the quote took that renders after it do not get back: previews, and setting up the profiled
-    /// frames. The profiled pixels are finished pixels.
+    /// The part of what the quote took that renders after it do not get back: previews, with the plans of irradiance caches, and
+    /// setting up the profiled frames; see [`ProfiledFrame::spent_for_good`].
     pub fn spent_for_good(&self) -> Spent {
-        self.profiled.iter().map(ProfiledFrame::spent_for_good).fold(self.counted.spent, plus)
+        self.profiled.iter().map(ProfiledFrame::spent_for_good).fold(self.counted.spent, Spent::plus)
     }
 }
 
@@ -62,13 +66,16 @@ pub fn quote(
     options: &QuoteOptions,
     observer: &dyn Observer,
 ) -> Result<Quote, ShotError> {
-    let strata = forecast_strata(&renderer.info().strata, settings);
+    let mut strata = forecast_strata(&renderer.info().strata, settings);
     let counted = count_frames(renderer, frames, settings, observer)?;
-    let populations: Vec<FramePopulation> = frames
+    let mut populations: Vec<FramePopulation> = frames
         .iter()
         .zip(&counted.counts)
         .map(|(&frame, counts)| FramePopulation { number: i64::from(frame), counts: counts.clone() })
         .collect();
+    let records: Vec<&[u32]> = counted.cache_records.iter().map(Vec::as_slice).collect();
+    let prior_cost = record_prior_cost(settings).unwrap_or(1.0);
+    let apart = RecordStrata::add(&mut strata, &mut populations, &records, prior_cost);
     let chosen = forelight_forecast::choose_frames(&strata, &populations, options.profile_frames.max(1))?;
     let mut profiled = Vec::with_capacity(chosen.len());
     for &index in &chosen {
@@ -76,17 +83,30 @@ pub fn quote(
         profiled.push(profile_frame(renderer, frame, settings, options.samples, options.seed, observer)?);
         observer.profiled(profiled.len(), chosen.len());
     }
+    let observed: Vec<Vec<Observation>> = profiled
+        .iter()
+        .map(|profile: &ProfiledFrame| {
+            let records = profile.records.iter().map(|record| {
+                let rays = record.rays.map(u64::from);
+                let cost = Cost { work: record.cost.work, cpu_nanos: record.cost.cpu_nanos, rays };
+                apart.observation(record.level, cost)
+            });
+            profile.observations.iter().copied().chain(records).collect()
+        })
+        .collect();
     let measured: Vec<forelight_forecast::ProfiledFrame<'_>> = chosen
         .iter()
         .zip(&profiled)
-        .map(|(&frame, profile)| forelight_forecast::ProfiledFrame {
+        .zip(&observed)
+        .map(|((&frame, profile), observations)| forelight_forecast::ProfiledFrame {
             frame,
-            observations: &profile.observations,
-            fixed: fixed_cost(profile.fixed.total()),
+            observations,
+            fixed: fixed_cost(&profile.fixed),
         })
         .collect();
     let forecast = forelight_forecast::forecast_shot(&strata, &populations, &measured, Calibration::NONE)?;
-    let mut quote = Quote { document: document(frames, &profiled, &forecast), forecast, counted, profiled };
+    let document = document(frames, &counted, &profiled, &forecast);
+    let mut quote = Quote { document, forecast, counted, profiled };
     let spent = quote.spent();
     let mean = quote.document.total.work.mean;
     quote.document.spent = SpentOnForecast {
@@ -97,23 +117,32 @@ pub fn quote(
     Ok(quote)
 }
 
-fn fixed_cost(spent: Spent) -> Cost {
-    Cost { work: spent.work, cpu_nanos: spent.cpu_nanos, rays: [0; 7] }
+fn fixed_cost(fixed: &FixedCosts) -> Cost {
+    let Spent { work, cpu_nanos } = fixed.total();
+    Cost { work, cpu_nanos, rays: fixed.plan_rays }
 }
 
-fn document(frames: &[u32], profiled: &[ProfiledFrame], forecast: &ShotForecast) -> ForecastDoc {
-    let frame = |(&frame, forecast): (&u32, &forelight_forecast::FrameForecast)| FrameForecast {
-        frame,
-        rays: rays(&forecast.total),
-        cache_records: Vec::new(),
-        work: quantiles(&forecast.total.work, 1.0),
-        cpu_seconds: quantiles(&forecast.total.cpu_nanos, 1e-9),
+fn document(
+    frames: &[u32],
+    counted: &CountedFrames,
+    profiled: &[ProfiledFrame],
+    forecast: &ShotForecast,
+) -> ForecastDoc {
+    let frame = |((&frame, records), forecast): ((&u32, &Vec<u32>), &forelight_forecast::FrameForecast)| {
+        FrameForecast {
+            frame,
+            rays: rays(&forecast.total),
+            cache_records: FrameForecast::known_records(records),
+            work: quantiles(&forecast.total.work, 1.0),
+            cpu_seconds: quantiles(&forecast.total.cpu_nanos, 1e-9),
+        }
     };
+    let effects: BTreeSet<&String> = profiled.iter().flat_map(|profile| &profile.effects).collect();
     ForecastDoc {
-        frames: frames.iter().zip(&forecast.frames).map(frame).collect(),
+        frames: frames.iter().zip(&counted.cache_records).zip(&forecast.frames).map(frame).collect(),
         total: ForecastTotals {
             rays: rays(&forecast.total),
-            cache_records: Vec::new(),
+            cache_records: ForecastTotals::known_records(counted.cache_records.iter().map(Vec::as_slice)),
             work: quantiles(&forecast.total.work, 1.0),
             cpu_seconds: quantiles(&forecast.total.cpu_nanos, 1e-9),
         },
@@ -123,6 +152,7 @@ fn document(frames: &[u32], profiled: &[ProfiledFrame], forecast: &ShotForecast)
         },
         spent: SpentOnForecast::default(),
         calibrated: forecast.calibrated,
+        effects: effects.into_iter().cloned().collect(),
         cost: None,
     }
 }

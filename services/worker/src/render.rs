@@ -1,10 +1,9 @@
 //! One frame, rendered, with its true cost.
 
-use crate::renderer::{FrameRenderer, RenderError, Renderer};
-use crate::shot::plus;
-use forelight_protocol::{Rays, RenderSettings, RenderStats, Spent};
+use crate::renderer::{CacheUse, Finished, FrameRenderer, Progress, RenderError, Renderer};
+use forelight_protocol::{CacheStats, Rays, RenderSettings, RenderStats, Spent};
 use forelight_scene::Frame;
-use forelight_tracer::{Image, Profile};
+use forelight_tracer::{CacheTotals, Cost, Image, Profile};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
@@ -19,18 +18,17 @@ pub struct Rendered {
     pub frame: Frame,
 }
 
-/// Renders one frame on the current thread pool, taking over the pixels of `reuse`. `progress` is told the pixels done and all
-/// pixels. `None` if `cancel` was set.
+/// Renders one frame on the current thread pool, taking over what `reuse` holds. `None` if `cancel` was set.
 ///
-/// The cost of a frame is that of its pixels, of setting it up, and of building its acceleration structure in a shot in which something moves,
-/// whether or not some of it was done before, by profiling or for another frame: it is what a forecast forecasts. Loading the
+/// The cost of a frame is that of its pixels, of setting it up, of its irradiance cache, planned and filled, and of building its
+/// acceleration structure in a shot in which something moves, whether or not some of it was done before, by profiling or for another frame: it is what a forecast forecasts. Loading the
 /// bundle and building the structure that all frames share, both paid once per process, are not in it.
 pub fn render_frame(
     renderer: &dyn Renderer,
     frame: u32,
     settings: &RenderSettings,
     reuse: Option<&Profile>,
-    progress: &(dyn Fn(u64, u64) + Sync),
+    progress: &(dyn Fn(Progress) + Sync),
     cancel: &AtomicBool,
 ) -> Result<Option<Rendered>, RenderError> {
     let start = Instant::now();
@@ -47,43 +45,67 @@ pub fn render_ready(
     ready: &dyn FrameRenderer,
     settings: &RenderSettings,
     reuse: Option<&Profile>,
-    progress: &(dyn Fn(u64, u64) + Sync),
+    progress: &(dyn Fn(Progress) + Sync),
     cancel: &AtomicBool,
 ) -> Result<Option<Rendered>, RenderError> {
     let start = Instant::now();
-    let pixels = settings.pixels();
-    let Some(image) = ready.render(reuse, &|done| progress(done, pixels), cancel)? else { return Ok(None) };
-    let stats = stats(ready, &image, settings, start.elapsed().as_secs_f64());
-    Ok(Some(Rendered { stats, image, frame: ready.frame().clone() }))
+    let Some(finished) = ready.render(reuse, progress, cancel)? else { return Ok(None) };
+    let stats = stats(ready, &finished, settings, start.elapsed().as_secs_f64());
+    Ok(Some(Rendered { stats, image: finished.image, frame: ready.frame().clone() }))
 }
 
 fn stats(
     ready: &dyn FrameRenderer,
-    image: &Image,
+    finished: &Finished,
     settings: &RenderSettings,
     wall_seconds: f64,
 ) -> RenderStats {
-    let (all, reused) = (image.totals(), image.reused_totals());
-    let traced = Spent { work: all.work, cpu_nanos: all.cpu_nanos };
+    let (all, reused) = (finished.image.totals(), finished.image.reused_totals());
+    let gathered = finished.cache.as_ref().map(|cache| &cache.all);
+    let taken_over = finished.cache.as_ref().map(|cache| &cache.taken_over);
+    let fill = gathered.map_or(Spent::default(), |cache| spent(cache.fill));
     let fixed = ready.fixed();
-    let cost = plus(traced, fixed.total());
+    let cost = spent(Cost { work: all.work, cpu_nanos: all.cpu_nanos }).plus(fixed.total()).plus(fill);
+    let reused_cost = taken_over
+        .map_or(Spent::default(), |cache| spent(cache.plan + cache.fill))
+        .plus(Spent { work: reused.work, cpu_nanos: reused.cpu_nanos });
+    let rays = |cache: Option<&CacheTotals>, pixels: [u64; 7]| {
+        let of_cache = |kind: usize| cache.map_or(0, |cache| cache.plan_rays[kind] + cache.fill_rays[kind]);
+        Rays::from_array(std::array::from_fn(|kind| pixels[kind] + of_cache(kind)))
+    };
     RenderStats {
         frame: ready.frame().number,
         width: settings.width,
         height: settings.height,
         spp: settings.spp,
         effects: ready.effects(),
-        rays: Rays::from_array(all.rays),
-        cache_records: Vec::new(),
+        rays: rays(gathered, all.rays),
+        cache_records: gathered.map_or(Vec::new(), |cache| cache.records.clone()),
+        cache: finished.cache.as_ref().map(|cache| cache_stats(cache, &finished.image)),
         work: cost.work,
         cpu_seconds: seconds(cost.cpu_nanos),
         wall_seconds,
         peak_rss_bytes: peak_rss_bytes(),
         reused_pixels: reused.pixels,
-        reused_rays: reused.rays.iter().sum(),
-        reused_work: reused.work,
-        reused_cpu_seconds: seconds(reused.cpu_nanos),
+        reused_rays: rays(taken_over, reused.rays).total(),
+        reused_work: reused_cost.work,
+        reused_cpu_seconds: seconds(reused_cost.cpu_nanos),
     }
+}
+
+fn cache_stats(cache: &CacheUse, image: &Image) -> CacheStats {
+    CacheStats {
+        plan_work: cache.all.plan.work,
+        fill_work: cache.all.fill.work,
+        rejected: cache.all.rejected,
+        uncovered: image.pixels.iter().map(|pixel| u64::from(pixel.uncovered)).sum(),
+        reused_records: cache.taken_over.filled,
+    }
+}
+
+/// A cost of the tracer's in the words of the wire.
+pub fn spent(cost: Cost) -> Spent {
+    Spent { work: cost.work, cpu_nanos: cost.cpu_nanos }
 }
 
 /// Nanoseconds as seconds.

@@ -7,7 +7,9 @@
 use forelight_preview::{Counts, Preview, PreviewError};
 use forelight_protocol::{FixedCosts, PreviewBackend, RenderSettings, SceneSummary, Spent, StratumName};
 use forelight_scene::{Frame, MaterialClass, SceneError};
-use forelight_tracer::{Image, Pixel, Profile, ProfileError, SettingsError};
+use forelight_tracer::{
+    CacheError, CacheTotals, Image, Pixel, Profile, ProfileError, RecordCost, SettingsError,
+};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -27,6 +29,9 @@ pub enum RenderError {
     /// The bytes are not a profile.
     #[error("profile: {0}")]
     Profile(#[from] ProfileError),
+    /// The irradiance cache in a profile cannot be used.
+    #[error("profile: {0}")]
+    Cache(#[from] CacheError),
     /// The profile was made from another scene, another frame, at another quality, or by another version.
     #[error(
         "profile: it belongs to another image (of frame {frame}); make it again with the same bundle and settings"
@@ -45,7 +50,11 @@ impl RenderError {
             Self::Scene(SceneError::Io { .. }) => false,
             Self::Preview(PreviewError::EmptyImage { .. } | PreviewError::ImageTooLarge { .. }) => true,
             Self::Preview(error) => matches!(error, PreviewError::Camera(_)),
-            Self::Scene(_) | Self::Settings(_) | Self::Profile(_) | Self::ForeignProfile { .. } => true,
+            Self::Scene(_)
+            | Self::Settings(_)
+            | Self::Profile(_)
+            | Self::Cache(_)
+            | Self::ForeignProfile { .. } => true,
         }
     }
 }
@@ -79,6 +88,8 @@ pub struct ShotInfo {
 pub struct Counted {
     /// Pixels per stratum, and of the background.
     pub counts: Counts,
+    /// Records of the frame's irradiance cache by level, as planned; empty without a cache.
+    pub cache_records: Vec<u32>,
     /// Who counted.
     pub backend: PreviewBackend,
     /// What it took.
@@ -96,6 +107,46 @@ pub struct Previewed {
     pub spent: Spent,
 }
 
+/// The steps of a render.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Step {
+    /// Finding out where the irradiance cache needs records. It is all one step.
+    Planning,
+    /// Gathering these records.
+    Filling,
+    /// Tracing the pixels.
+    Tracing,
+}
+
+/// How far a render is: `done` of `all` parts of a step. Without an irradiance cache there is but one step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Progress {
+    /// The step.
+    pub step: Step,
+    /// Records or pixels that are done.
+    pub done: u64,
+    /// All of them.
+    pub all: u64,
+}
+
+/// A frame, rendered.
+#[derive(Debug, Clone)]
+pub struct Finished {
+    /// The image.
+    pub image: Image,
+    /// Its irradiance cache, if it has one.
+    pub cache: Option<CacheUse>,
+}
+
+/// What an irradiance cache came to.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CacheUse {
+    /// All of it.
+    pub all: CacheTotals,
+    /// The part of it that was taken over from a profile.
+    pub taken_over: CacheTotals,
+}
+
 /// Opens bundles.
 pub trait OpenRenderer: Send + Sync {
     /// Opens the bundle at `path`, a folder or a zip file.
@@ -107,7 +158,7 @@ pub trait Renderer: Send + Sync {
     /// What it holds.
     fn info(&self) -> &ShotInfo;
 
-    /// How many pixels of a frame show each stratum.
+    /// How many pixels of a frame show each stratum, and how many records its irradiance cache has. On the current thread pool.
     fn count(&self, frame: u32, settings: &RenderSettings) -> Result<Counted, RenderError>;
 
     /// One frame, ready for everything else.
@@ -126,33 +177,38 @@ pub trait FrameRenderer: Send + Sync {
     /// What each pixel shows.
     fn preview(&self) -> Result<Previewed, RenderError>;
 
-    /// What every render of this frame costs whatever its pixels show: setting it up (`load`), and building its acceleration
-    /// structure (`build`), if something moves in the shot so that its frames cannot share one. Whether a structure was kept from
-    /// before makes no difference: a frame's cost does not depend on what was done before it.
+    /// What every render of this frame costs whatever its pixels show: setting it up (`load`), building its acceleration
+    /// structure (`build`), if something moves in the shot so that its frames cannot share one, and planning its irradiance cache
+    /// (`plan`), which is done now if it was not. Whether a structure was kept from before makes no difference: a frame's cost does
+    /// not depend on what was done before it.
     fn fixed(&self) -> FixedCosts;
 
-    /// What setting the frame up took this time, with any acceleration structure that had to be built for it: also that of the
+    /// What setting the frame up took this time, without the plan of its irradiance cache, with any acceleration structure that had to be built for it: also that of the
     /// shot, which is in no frame's cost, for it is built once per process.
     fn spent_on_setup(&self) -> Spent;
 
     /// The effects that the frame calls for, by name, sorted.
     fn effects(&self) -> Vec<String>;
 
-    /// Finished pixels by index, in the order given, on the current thread pool.
+    /// Finished pixels by index, in the order given, on the current thread pool. With an irradiance cache all but their colours is
+    /// final: the cache is planned, but not filled.
     fn trace(&self, pixels: &[u32]) -> Vec<Pixel>;
 
     /// The same for runs of pixels: those of a run are traced one after the other by one thread, as a tile's are in a render.
     fn trace_runs(&self, runs: &[Vec<u32>]) -> Vec<Vec<Pixel>>;
 
-    /// Finished pixels as something that [`FrameRenderer::render`] can take over.
-    fn profile(&self, pixels: Vec<(u32, Pixel)>) -> Profile;
+    /// What gathering records of the irradiance cache takes: about `each` of every level, spread evenly over the plan, on the
+    /// current thread pool. None without a cache.
+    fn sample_records(&self, each: usize) -> Vec<RecordCost>;
 
-    /// The image, on the current thread pool; pixels of `reuse` are taken over. `progress` is told the number of pixels done.
-    /// `None` if `cancel` was set.
+    /// What can be taken over by [`FrameRenderer::render`]: these pixels or, with an irradiance cache, that, as far as it was filled.
+    fn profile(&self, pixels: &[(u32, Pixel)]) -> Profile;
+
+    /// The image, on the current thread pool; what `reuse` holds is taken over. `None` if `cancel` was set.
     fn render(
         &self,
         reuse: Option<&Profile>,
-        progress: &(dyn Fn(u64) + Sync),
+        progress: &(dyn Fn(Progress) + Sync),
         cancel: &AtomicBool,
-    ) -> Result<Option<Image>, RenderError>;
+    ) -> Result<Option<Finished>, RenderError>;
 }

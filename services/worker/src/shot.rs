@@ -3,13 +3,14 @@
 //! The service does the same steps spread over workers: a preview task is [`count_frames`], a profile task [`profile_frame`],
 //! and choosing and estimating happen in the service. Offline, [`crate::quote`] does all of it.
 
+use crate::render::spent;
 use crate::renderer::{Counted, RenderError, Renderer, StratumInfo};
 use crate::warm_clock;
 use forelight_forecast::{Cost, FrameDesign, Observation, Stratum};
 use forelight_preview::NOTHING;
-use forelight_protocol::{FixedCosts, MaterialMode, PreviewBackend, RenderSettings, Spent};
+use forelight_protocol::{CacheMode, FixedCosts, MaterialMode, PreviewBackend, RenderSettings, Spent};
 use forelight_scene::{Frame, MaterialClass};
-use forelight_tracer::{Pixel, Profile};
+use forelight_tracer::{Pixel, Profile, RecordCost};
 
 /// What can go wrong on the way to a quote.
 #[derive(Debug, thiserror::Error)]
@@ -49,10 +50,21 @@ pub fn forecast_strata(strata: &[StratumInfo], settings: &RenderSettings) -> Vec
         (_, MaterialClass::Specular) => SPECULAR,
         (_, MaterialClass::Transparent) => TRANSPARENT,
     };
-    let known =
-        strata.iter().map(|s| Stratum { object: s.object, material: s.material, prior_cost: prior(s.class) });
-    let background = Stratum { object: u32::MAX, material: u32::MAX, prior_cost: BACKGROUND };
-    known.chain([background]).collect()
+    let known = strata.iter().map(|s| Stratum {
+        object: s.object,
+        material: s.material,
+        prior_cost: prior(s.class),
+        apart: false,
+    });
+    known.chain([Stratum::background(BACKGROUND)]).collect()
+}
+
+/// What gathering a record of the irradiance cache is thought to cost, relative to a plain diffuse pixel; `None` without a cache.
+///
+/// A ray of a gather and a sample of a pixel both meet a surface that is then lit.
+pub fn record_prior_cost(settings: &RenderSettings) -> Option<f64> {
+    let cost = f64::from(settings.cache_rays) / f64::from(settings.spp);
+    (settings.cache == CacheMode::On).then_some(cost)
 }
 
 /// What all frames show, in the order of `frames`.
@@ -60,6 +72,8 @@ pub fn forecast_strata(strata: &[StratumInfo], settings: &RenderSettings) -> Vec
 pub struct CountedFrames {
     /// Per frame, pixels by stratum, the background as the last: one number for each of [`forecast_strata`].
     pub counts: Vec<Vec<u32>>,
+    /// Per frame, the records of its irradiance cache by level, as planned; empty without a cache.
+    pub cache_records: Vec<Vec<u32>>,
     /// Who counted the last frame.
     pub backend: PreviewBackend,
     /// What it took.
@@ -75,6 +89,7 @@ pub fn count_frames(
 ) -> Result<CountedFrames, ShotError> {
     let mut all = CountedFrames {
         counts: Vec::with_capacity(frames.len()),
+        cache_records: Vec::with_capacity(frames.len()),
         backend: PreviewBackend::Cpu,
         spent: Spent::default(),
     };
@@ -82,12 +97,13 @@ pub fn count_frames(
         if observer.is_cancelled() {
             return Err(ShotError::Cancelled);
         }
-        let Counted { counts, backend, spent } = renderer.count(frame, settings)?;
+        let Counted { counts, cache_records, backend, spent } = renderer.count(frame, settings)?;
         let mut pixels = counts.per_stratum;
         pixels.push(counts.background);
         all.counts.push(pixels);
+        all.cache_records.push(cache_records);
         all.backend = backend;
-        all.spent = plus(all.spent, spent);
+        all.spent = all.spent.plus(spent);
         observer.previewed(index + 1, frames.len());
     }
     Ok(all)
@@ -98,19 +114,26 @@ pub fn count_frames(
 pub struct ProfiledFrame {
     /// Frame number.
     pub frame: u32,
-    /// Stratum and cost of each profiled pixel, in the order of `profile.pixels`; the times are those that it would have taken
+    /// Stratum and cost of each profiled pixel, in the order of `traced`; the times are those that it would have taken
     /// in a render (see `warm_clock`).
     pub observations: Vec<Observation>,
-    /// The finished pixels, for the render to take over: the profiled ones, then neighbours that were traced for their time.
+    /// The profiled pixels, then neighbours that were traced for their time.
+    pub traced: Vec<(u32, Pixel)>,
+    /// The records of the irradiance cache that were gathered, some of every level; none without a cache.
+    pub records: Vec<RecordCost>,
+    /// What the render can take over: the traced pixels or, with an irradiance cache, its plan and those of the gathered records
+    /// that depend on no others.
     pub profile: Profile,
     /// What every render of the frame costs whatever its pixels show; without writing its files, which is for those who write
     /// them to add.
     pub fixed: FixedCosts,
+    /// The effects that the frame calls for, by name, sorted.
+    pub effects: Vec<String>,
     /// What setting the frame up took this time.
     pub setup: Spent,
     /// The frame's preview.
     pub preview: Spent,
-    /// What was spent on all finished pixels.
+    /// What was spent on all traced pixels.
     pub pixels: Spent,
     /// The preview as a picture.
     pub picture: image::RgbImage,
@@ -121,17 +144,30 @@ pub struct ProfiledFrame {
 impl ProfiledFrame {
     /// Everything that profiling this frame took.
     pub fn spent(&self) -> Spent {
-        plus(self.spent_for_good(), self.pixels)
+        let gathered = self.records.iter().map(|record| spent(record.cost));
+        let cache = gathered.fold(self.fixed.plan, Spent::plus);
+        self.setup.plus(self.preview).plus(self.pixels).plus(cache)
     }
 
-    /// The part of it that a render does not get back: the profiled pixels are finished pixels, the rest is done again.
+    /// The part of it that a render does not get back. Without an irradiance cache the traced pixels are finished pixels. With one
+    /// they are not, but the plan is taken over, and of the gathered records those of the deepest level.
     pub fn spent_for_good(&self) -> Spent {
-        plus(self.setup, self.preview)
+        let again = self.setup.plus(self.preview);
+        if self.profile.cache.is_none() {
+            return again;
+        }
+        let deepest = self.records.iter().map(|record| record.level).max();
+        let gathered = self.records.iter().filter(|record| Some(record.level) < deepest);
+        gathered.fold(again.plus(self.pixels), |sum, record| sum.plus(spent(record.cost)))
     }
 }
 
+/// A record is gathered of every level for so many pixels that are profiled, 48 for 256, and this many at least.
+const SAMPLES_PER_RECORD: f64 = 256.0 / 48.0;
+const LEAST_RECORDS: usize = 16;
+
 /// Profiles about `samples` pixels of one frame in two phases: the first spread by strata, the second where the first found
-/// cost and variation. `seed` chooses the pixels; the pixels' own random numbers come from the settings, as in the render.
+/// cost and variation; with an irradiance cache also some records of every level. `seed` chooses the pixels; the pixels' own random numbers come from the settings, as in the render.
 pub fn profile_frame(
     renderer: &dyn Renderer,
     frame: u32,
@@ -171,25 +207,28 @@ pub fn profile_frame(
         *cpu_nanos = (*cpu_nanos as f64 * warmth.factor).round() as u64;
     }
     finished.extend(warmth.pixels);
+    if observer.is_cancelled() {
+        return Err(ShotError::Cancelled);
+    }
+    let each = (f64::from(samples) / SAMPLES_PER_RECORD) as usize;
+    let records = ready.sample_records(each.max(LEAST_RECORDS));
     let pixels = finished.iter().fold(Spent::default(), |sum, (_, pixel)| {
-        plus(sum, Spent { work: pixel.work, cpu_nanos: pixel.cpu_nanos })
+        sum.plus(Spent { work: pixel.work, cpu_nanos: pixel.cpu_nanos })
     });
     Ok(ProfiledFrame {
         frame,
         observations,
+        records,
         fixed: ready.fixed(),
+        effects: ready.effects(),
         setup: ready.spent_on_setup(),
         preview: seen.spent,
         pixels,
         picture: forelight_preview::picture(&seen.preview, ready.frame()),
         scene: ready.frame().clone(),
-        profile: ready.profile(finished),
+        profile: ready.profile(&finished),
+        traced: finished,
     })
-}
-
-/// The sum of two costs.
-pub fn plus(a: Spent, b: Spent) -> Spent {
-    Spent { work: a.work.saturating_add(b.work), cpu_nanos: a.cpu_nanos.saturating_add(b.cpu_nanos) }
 }
 
 fn cost_of(pixel: &Pixel) -> Cost {

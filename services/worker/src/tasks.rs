@@ -4,14 +4,16 @@ use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 use crate::library::Library;
 use crate::pictures::{encode, encoding_nanos, png, write_cost};
 use crate::render::{render_ready, seconds};
-use crate::renderer::{RenderError, Renderer, ShotInfo};
+use crate::renderer::{Progress, RenderError, Renderer, ShotInfo, Step};
 use crate::shot::{
     CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, forecast_strata, profile_frame,
+    record_prior_cost,
 };
 use bytes::Bytes;
 use forelight_protocol::{
-    ArtifactHash, FrameStrata, PreviewResult, PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample,
-    ProfileSpec, RenderArtifacts, RenderResult, RenderSettings, RenderSpec, Stratum, TaskResult, TaskSpec,
+    ArtifactHash, CacheMode, CacheSample, FrameStrata, PreviewResult, PreviewSpec, ProfileArtifacts,
+    ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts, RenderResult, RenderSettings, RenderSpec,
+    Stratum, TaskResult, TaskSpec,
 };
 use forelight_tracer::Profile;
 use std::collections::BTreeSet;
@@ -67,15 +69,18 @@ pub fn preview_result(
     let background = info.strata.len();
     let seen = |stratum: usize| counted.counts.iter().any(|counts| counts[stratum] > 0);
     let shown = Shown::new(info, settings, (0..background).filter(|&stratum| seen(stratum)));
-    let frames = frames.iter().zip(&counted.counts).map(|(&frame, counts)| FrameStrata {
+    let counts = counted.counts.iter().zip(&counted.cache_records);
+    let frames = frames.iter().zip(counts).map(|(&frame, (counts, records))| FrameStrata {
         frame,
         pixels: shown.strata.iter().map(|&stratum| counts[stratum]).collect(),
         background: counts[background],
+        cache_records: records.clone(),
         preview_png: None,
     });
     PreviewResult {
         frames: frames.collect(),
         background_prior_cost: shown.background_prior_cost,
+        record_prior_cost: record_prior_cost(settings),
         strata: shown.list,
         backend: counted.backend,
         spent: counted.spent,
@@ -122,11 +127,19 @@ pub fn profile_result(
             rays: cost.rays,
         }
     };
-    // The profile's pixels after the observed ones are neighbours that were traced for their time alone.
-    let samples = profiled.profile.pixels.iter().zip(&profiled.observations).map(sample).collect();
+    // The pixels after the observed ones are neighbours that were traced for their time alone.
+    let samples = profiled.traced.iter().zip(&profiled.observations).map(sample).collect();
+    let gathered = profiled.records.iter().map(|record| CacheSample {
+        level: record.level,
+        work: record.cost.work,
+        cpu_nanos: record.cost.cpu_nanos,
+        rays: record.rays.map(u64::from),
+    });
     ProfileResult {
         frame: profiled.frame,
         samples,
+        cache_samples: gathered.collect(),
+        effects: profiled.effects.clone(),
         fixed: profiled.fixed,
         spent: profiled.spent(),
         strata: shown.list,
@@ -141,7 +154,8 @@ fn render(
     control: &Control,
 ) -> Result<Outcome, ExecuteError> {
     let reuse = profile.map(|bytes| Profile::from_bytes(bytes)).transpose().map_err(RenderError::from)?;
-    let progress = |done: u64, all: u64| control.set_progress(done as f64 / all.max(1) as f64);
+    let cached = spec.settings.cache == CacheMode::On;
+    let progress = |progress: Progress| control.set_progress(fraction(progress, cached));
     let start = Instant::now();
     let ready = renderer.frame(spec.frame, &spec.settings)?;
     let mut rendered = render_ready(&*ready, &spec.settings, reuse.as_ref(), &progress, control.cancelled())?
@@ -161,6 +175,17 @@ fn render(
     };
     let result = RenderResult { stats: rendered.stats, artifacts };
     Ok(Outcome { result: TaskResult::Render(result), artifacts: files.contents })
+}
+
+/// How much of a render is done, 0 to 1. An irradiance cache is given the first half: it takes about that.
+fn fraction(Progress { step, done, all }: Progress, cached: bool) -> f64 {
+    let part = done as f64 / all.max(1) as f64;
+    match (step, cached) {
+        (Step::Planning, _) => 0.0,
+        (Step::Filling, _) => 0.5 * part,
+        (Step::Tracing, true) => 0.5 + 0.5 * part,
+        (Step::Tracing, false) => part,
+    }
 }
 
 /// The strata of a shot that a result speaks of, in the order of the shot. The order matters: whoever estimates from the result

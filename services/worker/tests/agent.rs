@@ -171,11 +171,13 @@ impl Execute for Slow {
             frame: 0,
             pixels: Vec::new(),
             background: 16,
+            cache_records: Vec::new(),
             preview_png: Some(hash),
         };
         let result = PreviewResult {
             strata: Vec::new(),
             background_prior_cost: 0.1,
+            record_prior_cost: None,
             frames: vec![frame],
             backend: PreviewBackend::Cpu,
             spent: Spent::default(),

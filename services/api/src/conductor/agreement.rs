@@ -67,10 +67,16 @@ fn an_offline_quote_and_the_estimate_of_the_service_agree_to_the_last_bit() {
     let shot = Ambient::new(forelight_preview::Choice::Cpu).open(folder.path()).unwrap();
     let info = forelight_worker::Renderer::info(&shot);
     let frames = [0, 1, 2, 3, 4, 5];
-    for (materials, samples) in [("full", 48), ("full", 100), ("lambert", 48)] {
-        let settings: RenderSettingsRequest = serde_json::from_value(
-            serde_json::json!({"spp": 1, "ambient_bounces": 1, "materials": materials}),
-        )
+    for (materials, samples, cache, ambient_bounces) in [
+        ("full", 48, "off", 1),
+        ("full", 100, "off", 1),
+        ("lambert", 48, "off", 1),
+        ("full", 48, "on", 1),
+        ("full", 48, "on", 2),
+    ] {
+        let settings: RenderSettingsRequest = serde_json::from_value(serde_json::json!({
+            "spp": 1, "ambient_bounces": ambient_bounces, "materials": materials, "cache": cache, "cache_rays": 48,
+        }))
         .unwrap();
         let settings = settings.complete((48, 32));
         let options = QuoteOptions { samples, profile_frames: 2, seed: 3 };
@@ -78,6 +84,8 @@ fn an_offline_quote_and_the_estimate_of_the_service_agree_to_the_last_bit() {
 
         let preview = preview_result(info, &frames, &settings, &quoted.counted);
         assert!(preview.strata.len() > samples as usize / 4, "there is nothing to be joined");
+        let levels = if cache == "on" { ambient_bounces } else { 0 };
+        assert!(preview.frames.iter().all(|frame| frame.cache_records.len() == levels), "{preview:?}");
         let chosen = frames_to_profile(&preview, 2).unwrap();
         assert_eq!(chosen, quoted.profiled.iter().map(|profiled| profiled.frame).collect::<Vec<_>>());
         let artifacts = ProfileArtifacts { profile: ArtifactHash([0; 32]), preview_png: None };
@@ -94,5 +102,7 @@ fn an_offline_quote_and_the_estimate_of_the_service_agree_to_the_last_bit() {
         assert_eq!(estimated.job.total, quoted.document.total);
         assert_eq!(estimated.job.profiled, quoted.document.profiled);
         assert_eq!(estimated.job.spent, quoted.document.spent);
+        assert_eq!(estimated.job.effects, quoted.document.effects);
+        assert_eq!(estimated.job.total.cache_records.len(), levels);
     }
 }

@@ -2,12 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use forelight_forecast::{FramePopulation, Stratum, choose_frames};
+use forelight_forecast::{FramePopulation, RecordStrata, Stratum, choose_frames};
 use forelight_protocol::{self as protocol, PreviewResult};
 
 use super::AdvanceError;
 
-/// A preview as the forecast wants it: strata by number, the background as the last of them.
+/// A preview as the forecast wants it: strata by number, the background as the last of those of pixels, then those of the
+/// irradiance cache's records.
 ///
 /// The worker that profiled joined small strata by material, pixel counts and prior costs; an estimate that joined them in
 /// another way would be biased. So objects, materials and prior costs are the workers' own, and the strata are in their order.
@@ -16,6 +17,10 @@ pub(super) struct Populations {
     pub frames: Vec<FramePopulation>,
     /// Place of each stratum, by object and material.
     pub index: BTreeMap<(u32, u32), usize>,
+    /// The number of the background's stratum.
+    pub background: usize,
+    /// Where the records are.
+    pub records: RecordStrata,
 }
 
 impl Populations {
@@ -30,28 +35,26 @@ impl Populations {
         for stratum in preview.strata.iter().chain(more) {
             index.entry(stratum.identity()).or_insert_with(|| {
                 let protocol::Stratum { object, material, prior_cost, .. } = *stratum;
-                strata.push(Stratum { object, material, prior_cost });
+                strata.push(Stratum { object, material, prior_cost, apart: false });
                 strata.len() - 1
             });
         }
-        let prior_cost = preview.background_prior_cost;
-        strata.push(Stratum { object: u32::MAX, material: u32::MAX, prior_cost });
-        let frames = preview
+        let background = strata.len();
+        strata.push(Stratum::background(preview.background_prior_cost));
+        let mut frames: Vec<FramePopulation> = preview
             .frames
             .iter()
             .map(|frame| {
                 let mut counts = vec![0; strata.len()];
                 counts[..frame.pixels.len()].copy_from_slice(&frame.pixels);
-                counts[strata.len() - 1] = frame.background;
+                counts[background] = frame.background;
                 FramePopulation { number: i64::from(frame.frame), counts }
             })
             .collect();
-        Self { strata, frames, index }
-    }
-
-    /// The number of the background's stratum.
-    pub fn background(&self) -> usize {
-        self.strata.len() - 1
+        let records: Vec<&[u32]> = preview.frames.iter().map(|frame| &frame.cache_records[..]).collect();
+        let prior_cost = preview.record_prior_cost.unwrap_or(1.0);
+        let records = RecordStrata::add(&mut strata, &mut frames, &records, prior_cost);
+        Self { strata, frames, index, background, records }
     }
 }
 

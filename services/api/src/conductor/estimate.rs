@@ -1,8 +1,8 @@
 //! From profiles to a forecast of every frame.
 
-use forelight_forecast::{
-    Calibration, Cost, Costs, Observation, ProfiledFrame, Quantity, RAY_KINDS, forecast_shot,
-};
+use std::collections::BTreeSet;
+
+use forelight_forecast::{Calibration, Cost, Costs, Observation, ProfiledFrame, Quantity, forecast_shot};
 use forelight_protocol::{
     ForecastTotals, FrameForecast, PreviewResult, Profiled, Quantiles, RayQuantiles, Spent, SpentOnForecast,
 };
@@ -18,7 +18,7 @@ pub(super) struct Forecast {
     pub frames: Vec<FrameForecast>,
 }
 
-/// Forecasts every frame from the preview's pixel counts and the profiled pixels. CPU time is brought to a node of
+/// Forecasts every frame from the preview's counts of pixels and records and from those that were profiled. CPU time is brought to a node of
 /// speed 1 first: a second measured on a node of speed 2 is two.
 pub(super) fn forecast(
     preview: &PreviewResult,
@@ -26,30 +26,32 @@ pub(super) fn forecast(
 ) -> Result<Forecast, AdvanceError> {
     let strata = profiles.iter().flat_map(|profile| &profile.result.strata);
     let mut populations = Populations::new(preview, strata);
-    let background = populations.background();
     let mut observations: Vec<(usize, Vec<Observation>, Cost)> = Vec::with_capacity(profiles.len());
     for MeasuredProfile { result, node_speed } in profiles {
         let at = preview.frames.iter().position(|frame| frame.frame == result.frame).ok_or_else(|| {
             AdvanceError::Hopeless(format!("frame {} was profiled, but not previewed", result.frame))
         })?;
-        let observed: Vec<Observation> = result
-            .samples
-            .iter()
-            .map(|sample| {
-                let known = result.strata.get(sample.stratum as usize);
-                let place = known.and_then(|stratum| populations.index.get(&stratum.identity()));
-                let stratum = place.copied().unwrap_or(background);
-                let cost = Cost {
-                    work: sample.work,
-                    cpu_nanos: at_speed_one(sample.cpu_nanos, *node_speed),
-                    rays: sample.rays,
-                };
-                Observation { stratum: stratum as u32, cost }
-            })
-            .collect();
+        let pixels = result.samples.iter().map(|sample| {
+            let known = result.strata.get(sample.stratum as usize);
+            let place = known.and_then(|stratum| populations.index.get(&stratum.identity()));
+            let stratum = place.copied().unwrap_or(populations.background);
+            let cost = Cost {
+                work: sample.work,
+                cpu_nanos: at_speed_one(sample.cpu_nanos, *node_speed),
+                rays: sample.rays,
+            };
+            Observation { stratum: stratum as u32, cost }
+        });
+        let records = result.cache_samples.iter().map(|sample| {
+            let cpu_nanos = at_speed_one(sample.cpu_nanos, *node_speed);
+            let cost = Cost { work: sample.work, cpu_nanos, rays: sample.rays };
+            populations.records.observation(sample.level, cost)
+        });
+        let observed: Vec<Observation> = pixels.chain(records).collect();
         make_room(&mut populations.frames[at].counts, &observed);
         let Spent { work, cpu_nanos } = result.fixed.total();
-        let fixed = Cost { work, cpu_nanos: at_speed_one(cpu_nanos, *node_speed), rays: [0; RAY_KINDS] };
+        let cpu_nanos = at_speed_one(cpu_nanos, *node_speed);
+        let fixed = Cost { work, cpu_nanos, rays: result.fixed.plan_rays };
         observations.push((at, observed, fixed));
     }
     let profiled: Vec<ProfiledFrame<'_>> = observations
@@ -66,18 +68,21 @@ pub(super) fn forecast(
         .map(|(previewed, forecast)| FrameForecast {
             frame: previewed.frame,
             rays: rays(&forecast.total),
-            cache_records: Vec::new(),
+            cache_records: FrameForecast::known_records(&previewed.cache_records),
             work: quantiles(&forecast.total.work, 1.0),
             cpu_seconds: quantiles(&forecast.total.cpu_nanos, 1e-9),
         })
         .collect();
     let total = ForecastTotals {
         rays: rays(&shot.total),
-        cache_records: Vec::new(),
+        cache_records: ForecastTotals::known_records(
+            preview.frames.iter().map(|frame| &frame.cache_records[..]),
+        ),
         work: quantiles(&shot.total.work, 1.0),
         cpu_seconds: quantiles(&shot.total.cpu_nanos, 1e-9),
     };
-    let spent = profiles.iter().map(|profile| profile.result.spent).fold(preview.spent, plus);
+    let spent = profiles.iter().map(|profile| profile.result.spent).fold(preview.spent, Spent::plus);
+    let effects: BTreeSet<&String> = profiles.iter().flat_map(|profile| &profile.result.effects).collect();
     let mut profiled_frames: Vec<u32> = profiles.iter().map(|profile| profile.result.frame).collect();
     profiled_frames.sort_unstable();
     let job = JobForecast {
@@ -96,6 +101,7 @@ pub(super) fn forecast(
         },
         total,
         calibrated: shot.calibrated,
+        effects: effects.into_iter().cloned().collect(),
         cost: None,
     };
     Ok(Forecast { job, frames })
@@ -107,7 +113,10 @@ pub(super) fn forecast(
 fn make_room(counts: &mut [u32], observations: &[Observation]) {
     let mut samples = vec![0u32; counts.len()];
     for observation in observations {
-        samples[observation.stratum as usize] += 1;
+        // What belongs to no stratum is for the forecast to refuse.
+        if let Some(samples) = samples.get_mut(observation.stratum as usize) {
+            *samples += 1;
+        }
     }
     for (count, samples) in counts.iter_mut().zip(samples) {
         *count = (*count).max(samples);
@@ -117,10 +126,6 @@ fn make_room(counts: &mut [u32], observations: &[Observation]) {
 fn at_speed_one(nanos: u64, node_speed: f64) -> u64 {
     // Saturates at the ends of the range, as float to integer does.
     (nanos as f64 * node_speed).round() as u64
-}
-
-fn plus(a: Spent, b: Spent) -> Spent {
-    Spent { work: a.work.saturating_add(b.work), cpu_nanos: a.cpu_nanos.saturating_add(b.cpu_nanos) }
 }
 
 fn rays(costs: &Costs<Quantity>) -> RayQuantiles {
@@ -136,7 +141,7 @@ fn quantiles(quantity: &Quantity, unit: f64) -> Quantiles {
 mod tests {
     use super::*;
     use forelight_protocol::{
-        ArtifactHash, FixedCosts, FrameStrata, PreviewBackend, ProfileArtifacts, ProfileResult,
+        ArtifactHash, CacheSample, FixedCosts, FrameStrata, PreviewBackend, ProfileArtifacts, ProfileResult,
         ProfileSample, Stratum, StratumName,
     };
 
@@ -150,12 +155,14 @@ mod tests {
         PreviewResult {
             strata: vec![stratum(0), stratum(1)],
             background_prior_cost: 0.1,
+            record_prior_cost: None,
             frames: frames
                 .iter()
                 .map(|&(frame, pixels, background)| FrameStrata {
                     frame,
                     pixels: pixels.to_vec(),
                     background,
+                    cache_records: Vec::new(),
                     preview_png: None,
                 })
                 .collect(),
@@ -186,11 +193,13 @@ mod tests {
         let artifacts = ProfileArtifacts { profile: ArtifactHash([0; 32]), preview_png: None };
         let load = Spent { work: 7, cpu_nanos: 30 };
         let write = Spent { work: 0, cpu_nanos: 40 };
-        let fixed = FixedCosts { load, build: Spent::default(), write };
+        let fixed = FixedCosts { load, write, ..FixedCosts::default() };
         let result = ProfileResult {
             frame,
             strata,
             samples,
+            cache_samples: Vec::new(),
+            effects: vec!["ambient".to_owned(), "mirror".to_owned()],
             fixed,
             spent: Spent { work: 50, cpu_nanos: 0 },
             artifacts,
@@ -213,6 +222,39 @@ mod tests {
         assert_eq!(forecast.frames[0].rays.primary.mean, 256.0);
         assert_eq!(forecast.job.profiled, Profiled { frames: vec![0], pixels: 28 });
         assert_eq!(forecast.job.spent.work, 100);
+        assert_eq!(forecast.job.effects, ["ambient", "mirror"]);
+    }
+
+    #[test]
+    fn records_are_counted_by_the_preview_and_priced_by_those_that_were_gathered() {
+        let mut preview = preview(&[(0, &[200, 40], 16), (3, &[100, 140], 16)]);
+        preview.record_prior_cost = Some(48.0);
+        preview.frames[0].cache_records = vec![900, 300];
+        preview.frames[1].cache_records = vec![700, 100];
+        let mut profile = profile(0, vec![stratum(1), stratum(0)], &[8, 16, 4]);
+        let plan = Spent { work: 1000, cpu_nanos: 5000 };
+        profile.result.fixed = FixedCosts { plan, plan_rays: [9, 0, 0, 0, 0, 20, 0], ..profile.result.fixed };
+        let sample =
+            |level, work| CacheSample { level, work, cpu_nanos: 10 * work, rays: [0, 1, 0, 0, 0, 48, 0] };
+        profile.result.cache_samples = [0, 1]
+            .into_iter()
+            .flat_map(|level| vec![sample(level, [5000, 2000][level as usize]); 12])
+            .collect();
+        let forecast = forecast(&preview, &[profile]).unwrap();
+        let expected = [
+            20_000.0 + 36_000.0 + 160.0 + 1007.0 + 900.0 * 5000.0 + 300.0 * 2000.0,
+            10_000.0 + 126_000.0 + 160.0 + 1007.0 + 700.0 * 5000.0 + 100.0 * 2000.0,
+        ];
+        for (frame, expected) in forecast.frames.iter().zip(expected) {
+            assert!((frame.work.mean / expected - 1.0).abs() < 1e-9, "{} for {expected}", frame.work.mean);
+            let seconds = frame.cpu_seconds.mean;
+            assert!((seconds / (expected * 10.0 * 2.0 * 1e-9) - 1.0).abs() < 1e-3, "{seconds}");
+        }
+        let known = |counts: [f64; 2]| counts.map(Quantiles::known).to_vec();
+        assert_eq!(forecast.frames[1].cache_records, known([700.0, 100.0]));
+        assert_eq!(forecast.job.total.cache_records, known([1600.0, 400.0]));
+        assert_eq!(forecast.frames[0].rays.ambient.mean, 20.0 + 48.0 * 1200.0);
+        assert_eq!(forecast.job.profiled.pixels, 28, "records are no pixels");
     }
 
     #[test]

@@ -226,10 +226,17 @@ impl Farm {
             TaskSpec::Preview(spec) => TaskResult::Preview(PreviewResult {
                 strata: vec![stratum()],
                 background_prior_cost: 0.1,
+                record_prior_cost: None,
                 frames: spec
                     .frames
                     .iter()
-                    .map(|&frame| FrameStrata { frame, pixels: vec![48], background: 16, preview_png: None })
+                    .map(|&frame| FrameStrata {
+                        frame,
+                        pixels: vec![48],
+                        background: 16,
+                        cache_records: Vec::new(),
+                        preview_png: None,
+                    })
                     .collect(),
                 backend: PreviewBackend::Cpu,
                 spent: Spent { work: 100, cpu_nanos: 100_000 },
@@ -250,10 +257,11 @@ impl Farm {
                     frame: spec.frame,
                     strata: vec![stratum()],
                     samples: samples.collect(),
+                    cache_samples: Vec::new(),
+                    effects: vec!["ambient".to_owned()],
                     fixed: FixedCosts {
                         load: Spent { work: 5, cpu_nanos: 5_000_000 },
-                        build: Spent::default(),
-                        write: Spent::default(),
+                        ..FixedCosts::default()
                     },
                     spent: Spent { work: 1000, cpu_nanos: 1_000_000 },
                     artifacts: ProfileArtifacts {
@@ -273,6 +281,7 @@ impl Farm {
                         effects: vec!["ambient".to_owned()],
                         rays: Rays { primary: 1024, ..Rays::default() },
                         cache_records: Vec::new(),
+                        cache: None,
                         work,
                         cpu_seconds: work as f64 * 1e-3,
                         wall_seconds: work as f64 * 1e-3,

@@ -24,7 +24,8 @@ Examples:
   forelight forecast kitchen/ --frames 0-47 --save-profile profiles/
 
 All frames are previewed; of at most --profile-frames of them, --samples pixels each are traced. These are finished pixels: \
-with --save-profile, `forelight render --profile` takes them over. Work is a count of operations that two runs agree on; \
+with --save-profile, `forelight render --profile` takes them over. With --cache on, the irradiance cache of every frame is \
+planned with its preview, so that the number of records is known; some of them are gathered to see what that takes. Work is a count of operations that two runs agree on; \
 CPU time is this machine's.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file
@@ -44,7 +45,7 @@ pub struct Args {
     /// Seed of the choice of pixels
     #[arg(long, value_name = "NUMBER", default_value_t = 0)]
     phase_seed: u64,
-    /// Write the profiled pixels of each profiled frame into this folder
+    /// Write what a render can take over of each profiled frame into this folder: its pixels, or its irradiance cache
     #[arg(long, value_name = "DIR")]
     save_profile: Option<PathBuf>,
     /// Print the quote as JSON to standard output
@@ -152,20 +153,26 @@ fn report(quote: &ForecastDoc) -> String {
         ("CPU time P50", Align::Right),
         ("P80", Align::Right),
         ("P95", Align::Right),
-        ("", Align::Left),
     ];
-    let row = |name: String, work: &Quantiles, cpu: &Quantiles, remark: &str| {
+    let cached = !quote.total.cache_records.is_empty();
+    let records_head = cached.then_some(("records", Align::Right));
+    let head: Vec<_> = head.into_iter().chain(records_head).chain([("", Align::Left)]).collect();
+    let row = |name: String, work: &Quantiles, cpu: &Quantiles, records: &[Quantiles], remark: &str| {
         let work = [work.p50, work.p80, work.p95].map(count);
         let cpu = [cpu.p50, cpu.p80, cpu.p95].map(seconds);
-        [name].into_iter().chain(work).chain(cpu).chain([remark.to_owned()]).collect::<Vec<_>>()
+        let levels: Vec<String> = records.iter().map(|level| format!("{:.0}", level.mean)).collect();
+        let cells = [name].into_iter().chain(work).chain(cpu);
+        cells.chain(cached.then(|| levels.join(" + "))).chain([remark.to_owned()]).collect::<Vec<_>>()
     };
     let mut table = Table::new(&head);
     for frame in &quote.frames {
         let remark = if quote.profiled.frames.contains(&frame.frame) { "profiled" } else { "" };
-        table.row(row(frame.frame.to_string(), &frame.work, &frame.cpu_seconds, remark));
+        let number = frame.frame.to_string();
+        table.row(row(number, &frame.work, &frame.cpu_seconds, &frame.cache_records, remark));
     }
     table.footer();
-    table.row(row("all".into(), &quote.total.work, &quote.total.cpu_seconds, ""));
+    let total = &quote.total;
+    table.row(row("all".into(), &total.work, &total.cpu_seconds, &total.cache_records, ""));
     let spent = &quote.spent;
     let frames = quote.profiled.frames.len();
     let plural = if frames == 1 { "" } else { "s" };
@@ -176,7 +183,8 @@ fn report(quote: &ForecastDoc) -> String {
     };
     table.render()
         + &format!(
-            "\n{} pixels of {frames} frame{plural} were profiled. The quote took {} CPU time and {:.1} % of the work that it forecasts.\n{calibrated}\n",
+            "\nsimulated: {}\n{} pixels of {frames} frame{plural} were profiled. The quote took {} CPU time and {:.1} % of the work that it forecasts.\n{calibrated}\n",
+            quote.effects.join(", "),
             quote.profiled.pixels,
             seconds(spent.cpu_seconds),
             spent.fraction_of_forecast * 100.0,

@@ -4,8 +4,8 @@ use crate::atomic_file::{write_bytes, write_with};
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::local::Local;
-use crate::options::{CacheMode, MachineOptions, QualityOptions};
-use crate::output::{self, Bars};
+use crate::options::{MachineOptions, QualityOptions};
+use crate::output::{self, Bars, RenderBar};
 use crate::quantities::{count, seconds};
 use crate::table::{Align, Table};
 use anyhow::{Context, Result};
@@ -22,8 +22,10 @@ Examples:
   forelight render kitchen/ --frame 12 --out 12.exr
   forelight render kitchen.zip --width 640 --spp 16 --out f.exr --stats f.json
   forelight render kitchen/ --profile profiles/frame-0000.profile --out 0.png
+  forelight render kitchen/ --cache on --cache-accuracy 0.1 --out smooth.png
+  forelight render kitchen/ --integrator path --spp 256 --out caustics.png
 
-The image has the same bits whatever the threads, and whether or not pixels were taken over from a profile. An .exr holds \
+The image has the same bits whatever the threads, and whether or not a profile was taken over. An .exr holds \
 linear colour and, beside it, object and material ids, cost and rays of every pixel; a .png is for looking at.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file
@@ -40,12 +42,9 @@ pub struct Args {
     /// Write the frame's cost as JSON
     #[arg(long, value_name = "FILE")]
     stats: Option<PathBuf>,
-    /// Take over the finished pixels of a profile that `forelight forecast --save-profile` wrote
+    /// Take over the finished pixels, or the irradiance cache, of a profile that `forelight forecast --save-profile` wrote
     #[arg(long, value_name = "FILE")]
     profile: Option<PathBuf>,
-    /// Irradiance cache
-    #[arg(long, value_name = "MODE", default_value = "off")]
-    cache: CacheMode,
     /// Print the cost as JSON to standard output
     #[arg(long)]
     json: bool,
@@ -64,21 +63,20 @@ enum Format {
 
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
-    let CacheMode::Off = args.cache;
     let format = args.out.as_deref().map(format_of).transpose()?;
     let profile = args.profile.as_deref().map(read_profile).transpose()?;
     let bars = Bars::new(args.json);
     let local = Local::open(&args.bundle, &args.machine, &bars)?;
     let settings = local.settings(&args.quality)?;
-    let bar = bars.bar("rendering", settings.pixels());
-    let progress = |done: u64, _all: u64| bar.set_position(done);
+    let bar = RenderBar::new(&bars);
+    let progress = |progress| bar.show(progress);
     let rendered = local
         .pool
         .install(|| {
             render_frame(&local.shot, args.frame, &settings, profile.as_ref(), &progress, interrupt.flag())
         })
         .with_context(|| format!("bundle {}", args.bundle.display()))?;
-    bar.finish_and_clear();
+    drop(bar);
     let rendered = rendered.ok_or(Interrupted)?;
     if let (Some(path), Some(format)) = (&args.out, format) {
         write_image(&rendered, path, format)?;
@@ -133,9 +131,24 @@ fn report(stats: &RenderStats) -> String {
     text += &format!("work        {} operations\n", count(stats.work as f64));
     text += &format!("CPU time    {}\n", seconds(stats.cpu_seconds));
     text += &format!("wall time   {}\n", seconds(stats.wall_seconds));
-    if stats.reused_pixels > 0 {
+    if let Some(cache) = &stats.cache {
+        let levels: Vec<String> = stats.cache_records.iter().map(u64::to_string).collect();
+        let share = |work: u64| 100.0 * work as f64 / stats.work.max(1) as f64;
         text += &format!(
-            "taken over  {} pixels, {} of the CPU time above\n",
+            "cache       {} records; {:.1} % of the work for planning, {:.1} % for filling; {} points uncovered\n",
+            levels.join(" + "),
+            share(cache.plan_work),
+            share(cache.fill_work),
+            cache.uncovered
+        );
+        if cache.rejected > 0 {
+            text += &format!("            {} records are not finite and were not used\n", cache.rejected);
+        }
+    }
+    if stats.reused_work > 0 {
+        let reused = stats.cache.map_or(0, |cache| cache.reused_records);
+        text += &format!(
+            "taken over  {} pixels, {reused} records, {} of the CPU time above\n",
             stats.reused_pixels,
             seconds(stats.reused_cpu_seconds)
         );

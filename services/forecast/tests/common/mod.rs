@@ -99,6 +99,7 @@ impl Picture {
                 object: object as u32,
                 material: (stream.uniform() * f64::from(recipe.materials)) as u32,
                 prior_cost: 1.0,
+                apart: false,
             })
             .collect();
         let objects: Vec<Object> = strata

@@ -2,7 +2,9 @@
 
 use std::ops::RangeInclusive;
 
-use forelight_protocol::{BundleSource, JobRequest, RenderSettings, RenderSettingsRequest, SceneSummary};
+use forelight_protocol::{
+    BadSetting, BundleSource, JobRequest, RenderSettings, RenderSettingsRequest, SceneSummary,
+};
 use forelight_store::{NewJob, StoreError};
 
 use crate::error::{ApiError, ApiResult};
@@ -47,21 +49,13 @@ pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<New
     Ok(NewJob { request, scene, source, settings })
 }
 
+/// Checks what does not depend on the scene; its camera's size is checked when it is known.
 fn check_settings(settings: &RenderSettingsRequest) -> ApiResult<()> {
-    let fields: [(&str, Option<u32>, RangeInclusive<i64>); 6] = [
-        ("width", settings.width, 1..=65_536),
-        ("height", settings.height, 1..=65_536),
-        ("spp", settings.spp, 1..=65_536),
-        ("ambient_bounces", settings.ambient_bounces, 0..=64),
-        ("ambient_divisions", settings.ambient_divisions, 1..=65_536),
-        ("max_depth", settings.max_depth, 1..=256),
-    ];
-    for (name, value, range) in fields {
-        if let Some(value) = value {
-            within(&format!("/settings/{name}"), i64::from(value), range)?;
-        }
-    }
-    Ok(())
+    settings.complete((1, 1)).check().map_err(bad_setting)
+}
+
+fn bad_setting(BadSetting { name, reason }: BadSetting) -> ApiError {
+    ApiError::invalid(format!("/settings/{name}"), reason)
 }
 
 fn check_size(app: &App, settings: &RenderSettings) -> ApiResult<()> {
@@ -72,7 +66,7 @@ fn check_size(app: &App, settings: &RenderSettings) -> ApiResult<()> {
         );
         return Err(ApiError::invalid("/settings/width", reason));
     }
-    Ok(())
+    settings.check().map_err(bad_setting)
 }
 
 fn within(pointer: &str, value: i64, range: RangeInclusive<i64>) -> ApiResult<()> {

@@ -4,8 +4,8 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    PreviewResult, PreviewSpec, ProfileResult, ProfileSpec, RenderResult, RenderSpec, Spent, Stratum,
-    TaskResult, TaskSpec,
+    CacheMode, PreviewResult, PreviewSpec, ProfileResult, ProfileSpec, RenderResult, RenderSettings,
+    RenderSpec, Spent, Stratum, TaskResult, TaskSpec,
 };
 
 use crate::error::{ApiError, ApiResult};
@@ -34,6 +34,9 @@ fn preview(spec: &PreviewSpec, result: &PreviewResult) -> ApiResult<()> {
     const AT: &str = "/result/preview";
     strata(&format!("{AT}/strata"), &result.strata)?;
     prior_cost(&format!("{AT}/background_prior_cost"), result.background_prior_cost)?;
+    if let Some(cost) = result.record_prior_cost {
+        prior_cost(&format!("{AT}/record_prior_cost"), cost)?;
+    }
     if result.frames.len() != spec.frames.len() {
         let reason = format!("{} frames; the task has {}", result.frames.len(), spec.frames.len());
         return wrong(format!("{AT}/frames"), reason);
@@ -55,8 +58,21 @@ fn preview(spec: &PreviewSpec, result: &PreviewResult) -> ApiResult<()> {
             let reason = format!("{pixels} pixels in all; the image has {}", spec.settings.pixels());
             return wrong(format!("{AT}/frames/{i}/pixels"), reason);
         }
+        let (found, levels) = (frame.cache_records.len(), levels(&spec.settings));
+        if found != levels {
+            let reason = format!("records of {found} levels; the settings call for {levels}");
+            return wrong(format!("{AT}/frames/{i}/cache_records"), reason);
+        }
     }
     spent(&format!("{AT}/spent"), result.spent)
+}
+
+/// Levels of the irradiance cache that settings call for.
+fn levels(settings: &RenderSettings) -> usize {
+    match settings.cache {
+        CacheMode::On => settings.ambient_bounces as usize,
+        CacheMode::Off => 0,
+    }
 }
 
 fn profile(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
@@ -87,9 +103,26 @@ fn profile(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
             return wrong(at, "a number is larger than 2⁶³ − 1");
         }
     }
-    spent(&format!("{AT}/fixed/load"), result.fixed.load)?;
-    spent(&format!("{AT}/fixed/build"), result.fixed.build)?;
-    spent(&format!("{AT}/fixed/write"), result.fixed.write)?;
+    let levels = levels(&spec.settings);
+    for (i, sample) in result.cache_samples.iter().enumerate() {
+        let at = format!("{AT}/cache_samples/{i}");
+        if sample.level as usize >= levels {
+            return wrong(at + "/level", format!("the settings call for {levels} levels"));
+        }
+        if [sample.work, sample.cpu_nanos].iter().chain(&sample.rays).any(|&number| number > LARGEST) {
+            return wrong(at, "a number is larger than 2⁶³ − 1");
+        }
+    }
+    effects(&format!("{AT}/effects"), &result.effects)?;
+    let fixed = &result.fixed;
+    for (name, cost) in
+        [("load", fixed.load), ("build", fixed.build), ("plan", fixed.plan), ("write", fixed.write)]
+    {
+        spent(&format!("{AT}/fixed/{name}"), cost)?;
+    }
+    if fixed.plan_rays.iter().any(|&number| number > LARGEST) {
+        return wrong(format!("{AT}/fixed/plan_rays"), "a number is larger than 2⁶³ − 1");
+    }
     spent(&format!("{AT}/spent"), result.spent)
 }
 
@@ -123,6 +156,11 @@ fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {
     }
     if u64::max(stats.work, stats.reused_work) > LARGEST || stats.rays.total() > LARGEST {
         return wrong(AT, "a number is larger than 2⁶³ − 1");
+    }
+    if stats.cache_records.len() != levels(settings) {
+        let (found, levels) = (stats.cache_records.len(), levels(settings));
+        let reason = format!("records of {found} levels; the settings call for {levels}");
+        return wrong(format!("{AT}/cache_records"), reason);
     }
     if stats.reused_pixels > settings.pixels() {
         return wrong(format!("{AT}/reused_pixels"), format!("the image has {} pixels", settings.pixels()));
@@ -160,6 +198,14 @@ fn prior_cost(pointer: &str, cost: f64) -> ApiResult<()> {
         return Ok(());
     }
     wrong(pointer, format!("a prior cost is above 0 and at most {}", Stratum::HIGHEST_PRIOR_COST))
+}
+
+/// Names of effects are shown to people, and kept with the job.
+fn effects(pointer: &str, effects: &[String]) -> ApiResult<()> {
+    if effects.len() <= 100 && effects.iter().all(|name| name.len() <= 100) {
+        return Ok(());
+    }
+    wrong(pointer, "at most 100 names of at most 100 bytes each")
 }
 
 fn spent(pointer: &str, spent: Spent) -> ApiResult<()> {

@@ -8,7 +8,7 @@ use crate::failure::Interrupted;
 use crate::interrupt::Interrupt;
 use crate::local::Local;
 use crate::options::{MachineOptions, QualityOptions};
-use crate::output::{self, Bars};
+use crate::output::{self, Bars, RenderBar};
 use crate::quantities::{count, percent, seconds};
 use crate::table::{Align, Table};
 use anyhow::{Context, Result};
@@ -139,13 +139,13 @@ fn measure(args: &Args, local: &Local, bounces: u32, bars: &Bars, interrupt: &In
     quality.width = quality.width.or(Some(PAPER_SIZE));
     quality.height = quality.height.or(Some(PAPER_SIZE));
     let settings = local.settings(&quality)?;
-    let bar = bars.bar("rendering", settings.pixels());
-    let progress = |done, _| bar.set_position(done);
+    let bar = RenderBar::new(bars);
+    let progress = |progress| bar.show(progress);
     let rendered = local
         .pool
         .install(|| render_frame(&local.shot, args.frame, &settings, None, &progress, interrupt.flag()))?
         .ok_or(Interrupted)?;
-    bar.finish_and_clear();
+    drop(bar);
     let actual = rendered.stats;
     let mut seeds = Vec::with_capacity(args.seeds as usize);
     let bar = bars.bar("forecasts", u64::from(args.seeds));

@@ -119,7 +119,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         let profile = quoted.profiled.iter().find(|p| p.frame == frame).map(|p| &p.profile);
         let rendered = local
             .pool
-            .install(|| render_frame(&local.shot, frame, &settings, profile, &|_, _| (), interrupt.flag()))?
+            .install(|| render_frame(&local.shot, frame, &settings, profile, &|_| (), interrupt.flag()))?
             .ok_or(Interrupted)?;
         actual.push(rendered.stats);
         bar.inc(1);

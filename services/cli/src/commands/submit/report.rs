@@ -88,6 +88,10 @@ fn remark(row: &FrameRow) -> String {
     if let Some(stats) = row.actual.as_ref().filter(|stats| stats.reused_pixels > 0) {
         remarks.push(format!("{} pixels from profiling", stats.reused_pixels));
     }
+    let cache = row.actual.as_ref().and_then(|stats| stats.cache);
+    if let Some(cache) = cache.filter(|cache| cache.reused_records > 0) {
+        remarks.push(format!("{} cache records from profiling", cache.reused_records));
+    }
     remarks.join("; ")
 }
 
@@ -106,6 +110,9 @@ fn verdict(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: 
             text += &format!("; costs {} (P50), {} (P80)", money(cost.p50.0), money(cost.p80.0));
         }
         text += "\n";
+        if !quote.effects.is_empty() {
+            text += &format!("simulated  {}\n", quote.effects.join(", "));
+        }
     }
     if let Some(verdict) = &job.verdict {
         let said = match verdict.verdict {

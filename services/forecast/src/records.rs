@@ -1,0 +1,65 @@
+//! Records of an irradiance cache, as strata that stand apart.
+//!
+//! How many records a frame's cache has is known once it is planned; what gathering one takes is learnt from a few. So the
+//! records of each level are a stratum whose size is exact, beside those of the pixels.
+
+use crate::cost::{Cost, Observation};
+use crate::frames::FramePopulation;
+use crate::strata::Stratum;
+
+/// Where the records stand in a list of strata.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RecordStrata {
+    first: u32,
+}
+
+impl RecordStrata {
+    /// Adds the records after the last stratum, which is the background: to `strata` a stratum for each level that any frame
+    /// has, of `prior_cost` a record, and to every frame's counts its numbers of records. `records` are these numbers, by
+    /// frame and level.
+    pub fn add(
+        strata: &mut Vec<Stratum>,
+        frames: &mut [FramePopulation],
+        records: &[&[u32]],
+        prior_cost: f64,
+    ) -> Self {
+        let first = strata.len();
+        let levels = records.iter().map(|levels| levels.len()).max().unwrap_or(0);
+        strata.extend(Stratum::of_records(levels, prior_cost));
+        for (frame, records) in frames.iter_mut().zip(records) {
+            frame.counts.extend_from_slice(records);
+            frame.counts.resize(first + levels, 0);
+        }
+        Self { first: first as u32 }
+    }
+
+    /// What gathering a record of a level cost.
+    pub fn observation(self, level: u32, cost: Cost) -> Observation {
+        Observation { stratum: self.first.saturating_add(level), cost }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_level_of_any_frame_has_a_stratum_and_every_frame_a_number_for_it() {
+        let mut strata = vec![Stratum::background(0.1)];
+        let mut frames =
+            [3, 4].map(|number| FramePopulation { number, counts: vec![number as u32] }).to_vec();
+        let records = RecordStrata::add(&mut strata, &mut frames, &[&[], &[700, 90]], 48.0);
+        assert_eq!(frames.iter().map(|f| &f.counts[..]).collect::<Vec<_>>(), [&[3, 0, 0], &[4, 700, 90]]);
+        assert!(strata[1..].iter().all(|stratum| stratum.apart && stratum.prior_cost == 48.0));
+        assert_ne!(strata[1].object, strata[2].object);
+        assert_eq!(records.observation(1, Cost::default()).stratum, 2);
+    }
+
+    #[test]
+    fn without_a_cache_nothing_is_added() {
+        let mut strata = vec![Stratum::background(0.1)];
+        let mut frames = vec![FramePopulation { number: 0, counts: vec![9] }];
+        RecordStrata::add(&mut strata, &mut frames, &[&[]], 1.0);
+        assert_eq!((strata.len(), &frames[0].counts[..]), (1, &[9][..]));
+    }
+}
