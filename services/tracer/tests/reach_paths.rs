@@ -47,7 +47,7 @@ const OUTER: f32 = 2.0;
 
 fn case(seed: u32) -> Case {
     let mut n = Numbers(seed);
-    let inside = seed % 2 == 0;
+    let inside = seed.is_multiple_of(2);
     let closed = seed % 5 != 4;
     let place = 10.0 * n.direction() * n.next();
     let mut builder = Builder::default();

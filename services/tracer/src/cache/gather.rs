@@ -101,7 +101,7 @@ impl Record {
 
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
-        let gradients = self.rotation.iter().chain(&self.translation);
-        self.irradiance.is_finite() && gradients.fold(true, |finite, gradient| finite && gradient.is_finite())
+        let mut gradients = self.rotation.iter().chain(&self.translation);
+        self.irradiance.is_finite() && gradients.all(|gradient| gradient.is_finite())
     }
 }

@@ -136,20 +136,20 @@ impl Strata {
                 gradient[channel] += direction * amount[channel];
             }
         };
-        let counts: Vec<(f32, f32)> = (0..self.rings).map(|j| self.ring(j, passes)).collect();
+        let counted: Vec<(f32, f32)> = (0..self.rings).map(|j| self.ring(j, passes)).collect();
         for k in 0..self.sectors {
             let centre = self.azimuth(k as f32 + 0.5);
             let border = self.azimuth(k as f32);
             let (mut around, mut outward, mut sideways) = (Vec3::ZERO, Vec3::ZERO, Vec3::ZERO);
-            for j in 0..self.rings {
+            for (j, &(passed, turned)) in counted.iter().enumerate() {
                 let sample = at(j, k);
                 let sin2 = (j as f32 + 0.5) / rings;
                 let (sin, cos) = (sin2.sqrt(), (1.0 - sin2).sqrt());
                 let inner_sin2 = j as f32 / rings;
                 let inner_cos = (1.0 - inner_sin2).sqrt();
                 let outer_cos = (1.0 - (j + 1) as f32 / rings).max(0.0).sqrt();
-                value += sample.radiance * counts[j].0;
-                around += sample.radiance * counts[j].1;
+                value += sample.radiance * passed;
+                around += sample.radiance * turned;
                 if j > 0 {
                     let inner = at(j - 1, k);
                     let share = inner_sin2.sqrt() * inner_cos * inner_cos * passes(inner_cos)

@@ -58,8 +58,8 @@ impl Cache {
         for depth in 0..self.levels.len() {
             let (before, level) = self.levels.split_at_mut(depth);
             match before.last() {
-                None => planning.from_pixels(&mut level[0]),
-                Some(before) => planning.from_gathers(before, depth as u32, &mut level[0]),
+                None => planning.cover_pixels(&mut level[0]),
+                Some(before) => planning.cover_gathers(before, depth as u32, &mut level[0]),
             }
         }
         for level in &mut self.levels {
@@ -145,11 +145,12 @@ impl Planning<'_> {
 
     /// The first level: the first diffuse hits of all pixels, coarse to fine, scattered within each stage so that a batch's
     /// places are far apart.
-    fn from_pixels(&mut self, level: &mut Level) {
+    fn cover_pixels(&mut self, level: &mut Level) {
         let camera = &self.tracer.frame.camera;
         let mut stride = COARSEST;
         while stride > 0 {
-            let seen = |x: u32, y: u32| stride < COARSEST && x % (2 * stride) == 0 && y % (2 * stride) == 0;
+            let coarser = |i: u32| i.is_multiple_of(2 * stride);
+            let seen = |x: u32, y: u32| stride < COARSEST && coarser(x) && coarser(y);
             let mut pixels: Vec<u32> = (0..camera.height)
                 .step_by(stride as usize)
                 .flat_map(|y| {
@@ -167,7 +168,7 @@ impl Planning<'_> {
     }
 
     /// A deeper level: the diffuse hits of the plan's rays of those records of the level before that are new.
-    fn from_gathers(&mut self, before: &Level, depth: u32, level: &mut Level) {
+    fn cover_gathers(&mut self, before: &Level, depth: u32, level: &mut Level) {
         let (explored, before) = (before.explored as u32, &before.planned);
         let mut order: Vec<u32> = (explored..before.len() as u32).collect();
         order.sort_by_cached_key(|&index| hash(u64::from(index)));

@@ -39,7 +39,7 @@ impl<const K: u32> Pixels<'_, K> {
         for (index, luminaire) in luminaires.all.iter().enumerate() {
             let light = luminaire.sample(&tracer.frame, self.sampler.related(points, luminaire.stratum));
             let density = |distance2, cos| luminaires.density(index, distance2, cos);
-            sum += self.from_triangle(p, response, &light, near(index), density);
+            sum += self.triangle_light(p, response, &light, near(index), density);
         }
         sum
     }
@@ -71,9 +71,9 @@ impl<const K: u32> Pixels<'_, K> {
                     let light = emitters.point(frame, emitter, self.sampler.related(points, i));
                     let near = response.has_diffuse() && emitters.is_near(frame, emitter, p.position);
                     let density = |distance2, cos| emitters.density(emitter, expected, distance2, cos);
-                    self.from_triangle(p, response, &light, near, density)
+                    self.triangle_light(p, response, &light, near, density)
                 }
-                Emitter::Point(index) => self.from_point(p, response, index) / expected as f32,
+                Emitter::Point(index) => self.point_light(p, response, index) / expected as f32,
             };
         }
         sum
@@ -107,7 +107,7 @@ impl<const K: u32> Pixels<'_, K> {
 
     /// Light from a point of an emitting triangle that was chosen with this density per steradian (of squared distance and cosine at
     /// the light); for a near light the diffuse lobe's share of it is weighed against [`Self::near_lights`].
-    fn from_triangle(
+    fn triangle_light(
         &mut self,
         p: &Point,
         response: &Response,
@@ -199,10 +199,10 @@ impl<const K: u32> Pixels<'_, K> {
 
     /// Few lights without surface: all of them.
     pub fn point_lights(&mut self, p: &Point, response: &Response) -> Vec3 {
-        self.tracer.points.iter().map(|&index| self.from_point(p, response, index)).sum()
+        self.tracer.points.iter().map(|&index| self.point_light(p, response, index)).sum()
     }
 
-    fn from_point(&mut self, p: &Point, response: &Response, index: usize) -> Vec3 {
+    fn point_light(&mut self, p: &Point, response: &Response, index: usize) -> Vec3 {
         let light = &self.tracer.frame.points[index];
         let to = light.position - p.position;
         let distance2 = to.length_squared();

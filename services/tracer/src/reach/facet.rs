@@ -4,7 +4,7 @@ use forelight_scene::Geometry;
 use glam::DVec3;
 
 /// Cosines below this count as a right angle: a step along one normal then moves nothing that f32 can tell along the other.
-const SQUARE: f64 = 1.0 / 1024.0;
+const SQUARE: f64 = 1.0 / 4096.0;
 
 /// A triangle in f64, where differences of f32 coordinates are exact.
 #[derive(Debug, Clone, Copy)]

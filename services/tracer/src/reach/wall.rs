@@ -27,7 +27,7 @@ pub struct Wall<'a> {
     tree: Tree,
     /// What is closer than this may touch, metres.
     margin: f32,
-    /// Positions closer than this are not told apart, metres.
+    /// Positions closer than this are not told apart, metres: several units in the last place of anything here.
     rounding: f64,
 }
 
@@ -36,7 +36,7 @@ impl<'a> Wall<'a> {
     pub fn new(geometry: &Geometry, shell: &'a Shell, extent: f32) -> Self {
         let tree = Tree::new(shell.triangles.iter().map(|&t| Bounds::of(geometry.corners(t))));
         let facets = shell.triangles.iter().map(|&t| Facet::new(geometry, t)).collect();
-        let rounding = f64::from(shell.bounds.reach().max(1.0 / 16.0)) / f64::from(1 << 20);
+        let rounding = f64::from((shell.bounds.reach() / 1_048_576.0).max(extent / 2_097_152.0));
         Self { shell, facets, tree, margin: margin(shell, extent), rounding }
     }
 
@@ -130,8 +130,9 @@ pub enum Meeting {
     Leaks,
 }
 
-/// Distance within which something may touch the shell: several times what ray origins are moved off surfaces (2⁻¹⁸ of a
-/// coordinate; see `forelight_bvh::offset_origin`), and well above the rounding of rays that come from far away.
+/// Distance within which something may touch the shell: several times what ray origins are moved off surfaces (2⁻¹⁸ of the largest
+/// coordinate of the triangle that they leave; see `forelight_bvh::offset_origin`), and well above the rounding of rays that come
+/// from far away.
 fn margin(shell: &Shell, extent: f32) -> f32 {
     (shell.bounds.reach() / 16_384.0).max(extent / 65_536.0)
 }

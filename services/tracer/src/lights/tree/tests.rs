@@ -90,7 +90,7 @@ fn tree(lamps: &[Lamp]) -> LightTree {
 fn receivers(numbers: &mut Numbers, count: usize) -> Vec<Receiver> {
     let one = |i: usize| Receiver {
         position: Vec3::new(numbers.within(-6.0, 6.0), numbers.within(-2.0, 2.0), numbers.within(-6.0, 6.0)),
-        normal: (i % 3 > 0).then(|| numbers.direction()),
+        normal: (!i.is_multiple_of(3)).then(|| numbers.direction()),
     };
     (0..count).map(one).collect()
 }
@@ -167,9 +167,9 @@ fn any_visits_every_light_that_bounds_do_not_rule_out() {
     for count in [0, 1, 2, 100] {
         let lamps = disorder(&mut numbers, count);
         let tree = tree(&lamps);
-        for wanted in 0..count {
+        for (wanted, lamp) in lamps.iter().enumerate() {
             assert!(tree.any(|_| true, |i| i == wanted), "{wanted} of {count}");
-            let centre = lamps[wanted].bounds.centre();
+            let centre = lamp.bounds.centre();
             let holds = |b: &Bounds| b.low.cmple(centre).all() && b.high.cmpge(centre).all();
             assert!(tree.any(holds, |i| i == wanted), "{wanted} of {count} by its bounds");
         }
