@@ -111,7 +111,7 @@ mod tests {
     }
 
     fn lengths(window: &Weekly, from: &str, until: &str) -> Vec<i64> {
-        let open = expand(&[window.clone()], at(from), at(until)).expect("a calendar");
+        let open = expand(std::slice::from_ref(window), at(from), at(until)).expect("a calendar");
         open.iter().map(|interval| (interval.end.expect("an end") - interval.start) / HOUR).collect()
     }
 

@@ -324,7 +324,7 @@ impl Description {
         let time = |text: &Option<String>, field: &str| {
             text.as_ref().map_or(Ok(0), |text| duration(text, &format!("{at}, {field}")))
         };
-        let speed = |value: f64, field: &str| Ok(scaled(value, WORK_PER_SECOND, &at, field)?);
+        let speed = |value: f64, field: &str| scaled(value, WORK_PER_SECOND, &at, field);
         let mut speeds = BTreeMap::new();
         for (class, &value) in &entry.speeds {
             speeds.insert(classes.get(class).copied().unwrap_or(0), speed(value, "speeds")?);

@@ -97,7 +97,7 @@ fn studio_node(size: Size, seed: u64, id: u64, class: u64) -> Node {
 }
 
 fn studio_job(size: Size, seed: u64, id: u64, frames: u64) -> Job {
-    let on_gpu = bits(seed, &[11, id]) % 20 == 0;
+    let on_gpu = bits(seed, &[11, id]).is_multiple_of(20);
     let typical = 2.0 * libm::exp(0.4 * normal(seed, &[12, id])) * WORK_OF_AN_HOUR;
     let frame = |number: u64| {
         let work = (typical * libm::exp(0.3 * normal(seed, &[13, id, number]))).round() as u64;

@@ -187,9 +187,8 @@ fn repair(state: &mut State) {
     });
     for job in jobs {
         move_what_is_late(state, job);
-        if problem.jobs[job].job.deadline.is_none() {
-            as_early_as_possible(state, job);
-        } else if !place_in_time(state, job) && !make_way(state, job) {
+        let has_deadline = problem.jobs[job].job.deadline.is_some();
+        if !has_deadline || !(place_in_time(state, job) || make_way(state, job)) {
             as_early_as_possible(state, job);
         }
     }

@@ -16,6 +16,9 @@ pub(crate) struct Placed {
     pub task: Task,
 }
 
+/// Rank, id and index of the node, and the place on it.
+type Candidate = ((i64, i64, i64), u64, usize, Fit);
+
 /// What a place is looked for with.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Search<'s> {
@@ -142,7 +145,8 @@ impl<'p, 'a> State<'p, 'a> {
             })
             .collect();
         classes.sort_unstable();
-        let mut best: Option<((i64, i64, i64), u64, usize, Fit)> = None;
+        // Rank and id decide; index and place go with them.
+        let mut best: Option<Candidate> = None;
         for (_, duration, class) in classes {
             let wanted = Wanted {
                 release: search.release,

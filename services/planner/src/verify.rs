@@ -310,7 +310,7 @@ fn check_rentals(
             wrong("does not end with a frame");
         }
         paid[first..beyond].iter_mut().for_each(|paid| *paid = true);
-        let total: i128 = within.iter().map(|booking| length(booking)).sum();
+        let total: i128 = within.iter().map(length).sum();
         let mut before = 0;
         for booking in within {
             let upto = before + length(booking);
