@@ -6,6 +6,7 @@ pub mod case;
 pub mod events;
 pub mod http;
 pub mod ledger;
+pub mod parsers;
 pub mod pictures;
 pub mod processes;
 pub mod reference;

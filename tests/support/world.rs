@@ -98,7 +98,8 @@ pub struct World {
 impl World {
     /// Under a sky of this radiance.
     pub fn under(sky: f32) -> Self {
-        let environment = if sky > 0.0 { Environment::Constant(Vec3::splat(sky)) } else { Environment::Black };
+        let environment =
+            if sky > 0.0 { Environment::Constant(Vec3::splat(sky)) } else { Environment::Black };
         Self { environment, ..Self::default() }
     }
 
@@ -201,7 +202,8 @@ impl World {
     /// The frame that a camera sees, with everything put elsewhere.
     pub fn frame_at(&self, view: View, place: &Similarity) -> Frame {
         let forward = place.direction((view.target - view.eye).normalize());
-        let above = if forward.cross(place.direction(DVec3::Y)).length() > 1e-3 { DVec3::Y } else { DVec3::Z };
+        let above =
+            if forward.cross(place.direction(DVec3::Y)).length() > 1e-3 { DVec3::Y } else { DVec3::Z };
         let right = forward.cross(place.direction(above)).normalize();
         let camera = Camera {
             origin: place.point(view.eye).as_vec3(),

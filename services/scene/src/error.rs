@@ -6,7 +6,7 @@ use std::fmt;
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
     /// A file is not there or cannot be read.
-    #[error("{file}: cannot be read: {source}")]
+    #[error("{}", one_line(format!("{file}: cannot be read: {source}")))]
     Io {
         /// Path as the bundle names it.
         file: String,
@@ -14,7 +14,7 @@ pub enum SceneError {
         source: std::io::Error,
     },
     /// A file is there and says something that no scene may say.
-    #[error("{file}: {place}{reason}")]
+    #[error("{}", one_line(format!("{file}: {place}{reason}")))]
     Malformed {
         /// Path as the bundle names it.
         file: String,
@@ -24,7 +24,7 @@ pub enum SceneError {
         reason: String,
     },
     /// A bundle asks for more than the [`crate::Limits`] allow.
-    #[error("{file}: {what}: {found} is more than the limit of {limit}")]
+    #[error("{}", one_line(format!("{file}: {what}: {found} is more than the limit of {limit}")))]
     Limit {
         /// Path as the bundle names it.
         file: String,
@@ -43,6 +43,15 @@ pub enum SceneError {
         /// The last frame of the shot.
         last: u32,
     },
+}
+
+/// The text in one line: names that a bundle gives, and what decoders say, may have several.
+fn one_line(text: String) -> String {
+    if !text.contains(char::is_control) {
+        return text;
+    }
+    let words = text.split(char::is_control).map(str::trim).filter(|part| !part.is_empty());
+    words.collect::<Vec<_>>().join(" ")
 }
 
 /// A place in a file.
@@ -93,5 +102,16 @@ impl SceneError {
         reason: impl Into<String>,
     ) -> Self {
         Self::Malformed { file: file.into(), place: Place::Pointer(pointer.into()), reason: reason.into() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_is_one_line_whatever_the_bundle_calls_things_and_decoders_say() {
+        let error = SceneError::pointer("a\nb.json", "/x\r\ny", "not enough bytes\n");
+        assert_eq!(error.to_string(), "a b.json: /x y: not enough bytes");
     }
 }

@@ -4,7 +4,7 @@ use forelight_scene::{Limits, Scene, SceneError};
 use forelight_tests::case::case;
 use forelight_tests::repository;
 use forelight_tests::world::{render, unsound};
-use forelight_tracer::Settings;
+use forelight_tracer::{CacheSettings, Integrator, Settings};
 use std::collections::BTreeMap;
 use tempfile::TempDir;
 
@@ -54,15 +54,32 @@ fn obj(text: &str) -> Files {
 }
 
 fn settings() -> Settings {
-    Settings { width: 16, height: 16, spp: 4, ambient_bounces: 1, ambient_divisions: 4, ..Settings::default() }
+    Settings {
+        width: 16,
+        height: 16,
+        spp: 4,
+        ambient_bounces: 1,
+        ambient_divisions: 4,
+        ..Settings::default()
+    }
 }
 
-/// Renders all frames of a scene and returns the number of pixels that are not sound, and of all.
+/// Renders all frames of a scene in every way and returns the number of pixels that are not sound, and of all.
 fn rendered(scene: &Scene) -> (u64, u64) {
-    (0..scene.frame_count()).fold((0, 0), |(wrong, all), frame| {
-        let image = render(&scene.frame(frame).expect("the frame is within the shot"), &settings());
-        (wrong + unsound(&image), all + 256)
-    })
+    let ways = [
+        settings(),
+        Settings { cache: Some(CacheSettings::default()), ..settings() },
+        Settings { integrator: Integrator::Path, ambient_bounces: 8, ..settings() },
+    ];
+    let (mut wrong, mut all) = (0, 0);
+    for frame in 0..scene.frame_count() {
+        let frame = scene.frame(frame).expect("the frame is within the shot");
+        for settings in &ways {
+            wrong += unsound(&render(&frame, settings));
+            all += 256;
+        }
+    }
+    (wrong, all)
 }
 
 /// A floor that makes every bundle a scene.
@@ -85,7 +102,8 @@ fn vertices_that_are_no_numbers_or_beyond_all_measure_are_refused_with_file_line
             }
         }
     }
-    case(11, "vertices that are no number or too large, not refused in one line").never(wrong, bad.len() as u64);
+    case(11, "vertices that are no number or too large, not refused in one line")
+        .never(wrong, bad.len() as u64);
 }
 
 #[test]
@@ -130,7 +148,8 @@ fn a_scene_with_nothing_in_it_is_refused_and_a_black_one_is_black() {
         let refused = obj(text).with("scene.json", description).load();
         wrong += u64::from(!matches!(refused, Err(e) if !e.to_string().contains('\n')));
     }
-    case(17, "bundles without a triangle that are not refused in one line").never(wrong, nothing.len() as u64);
+    case(17, "bundles without a triangle that are not refused in one line")
+        .never(wrong, nothing.len() as u64);
     let scene = obj(FLOOR).with("scene.json", description).load().expect("a scene without light loads");
     assert!(scene.warnings().iter().any(|w| w.contains("no light")), "{:?}", scene.warnings());
     let image = render(&scene.frame(0).expect("a frame"), &settings());
@@ -151,7 +170,8 @@ fn lights_are_accepted_up_to_1e12_and_refused_beyond() {
     case(17, "pixels under lights of 0, 1e-30 and 1e12 that are no finite number").never(wrong, pixels);
     let refused = ["[1e13,0,0]", "[-1,0,0]", "[1e400,0,0]"];
     let accepted = refused.iter().filter(|r| with(r).is_ok()).count() as u64;
-    case(17, "lights beyond 1e12, below 0 or beyond numbers that are accepted").never(accepted, refused.len() as u64);
+    case(17, "lights beyond 1e12, below 0 or beyond numbers that are accepted")
+        .never(accepted, refused.len() as u64);
 }
 
 #[test]

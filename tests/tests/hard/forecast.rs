@@ -2,8 +2,8 @@
 
 use crate::meshes::Stream;
 use forelight_forecast::{
-    Calibration, Cell, Cost, Costs, ForecastError, FrameDesign, FramePopulation, Observation, Pick, ProfiledFrame,
-    Quantity, ShotForecast, Stratum, allocate, estimate, forecast_shot,
+    Calibration, Cell, Cost, Costs, ForecastError, FrameDesign, FramePopulation, Observation, Pick,
+    ProfiledFrame, Quantity, ShotForecast, Stratum, allocate, estimate, forecast_shot,
 };
 use forelight_tests::case::case;
 use forelight_tests::statistics::{Moments, chi_square_upper, student_below};
@@ -13,7 +13,7 @@ use proptest::prelude::*;
 const PLAIN: Calibration = Calibration { inflation: 1.0, calibrated: true };
 
 fn strata(count: u32) -> Vec<Stratum> {
-    (0..count).map(|i| Stratum { object: i, material: i % 5, prior_cost: 1.0 }).collect()
+    (0..count).map(|i| Stratum { object: i, material: i % 5, prior_cost: 1.0, apart: false }).collect()
 }
 
 fn cost(work: u64) -> Cost {
@@ -69,12 +69,16 @@ impl Picture {
     }
 
     fn observe(&self, picks: &[Pick]) -> Vec<Observation> {
-        picks.iter().map(|p| Observation { stratum: p.stratum, cost: cost(self.works[p.pixel as usize]) }).collect()
+        picks
+            .iter()
+            .map(|p| Observation { stratum: p.stratum, cost: cost(self.works[p.pixel as usize]) })
+            .collect()
     }
 
     /// Both phases of a design.
     fn profile(&self, samples: u32, seed: u64) -> Vec<Observation> {
-        let design = FrameDesign::new(&self.strata, &self.ids, self.width, samples, seed, 0).expect("a good image");
+        let design =
+            FrameDesign::new(&self.strata, &self.ids, self.width, samples, seed, 0).expect("a good image");
         let first = self.observe(&design.first_phase());
         let second = design.second_phase(&first).expect("observations of this design");
         first.iter().copied().chain(self.observe(&second)).collect()
@@ -146,14 +150,15 @@ fn no_budget_and_no_scene_makes_a_forecast_negative_or_nan() {
             }
         }
     }
-    case(22, "forecasts of 1 to 300 objects from 0 to 10,000 samples that are negative or NaN").never(wrong, tried);
+    case(22, "forecasts of 1 to 300 objects from 0 to 10,000 samples that are negative or NaN")
+        .never(wrong, tried);
 }
 
 #[test]
 fn an_object_of_one_pixel_is_neither_lost_nor_blown_up() {
     // A pixel of a million times the cost of its neighbours, alone in its stratum, one in 4096.
     let mut picture = Picture::mosaic(64, 1, 0.3, 6);
-    picture.strata.push(Stratum { object: 1, material: 9, prior_cost: 1.0 });
+    picture.strata.push(Stratum { object: 1, material: 9, prior_cost: 1.0, apart: false });
     picture.ids[2077] = 1;
     picture.works[2077] = 2_000_000_000;
     let truth = picture.truth();
@@ -172,8 +177,9 @@ fn an_object_of_one_pixel_is_neither_lost_nor_blown_up() {
     case(22, "an object of one pixel: forecasts that are negative or NaN").never(wrong, 200);
     // Where the preview knows that it is dear, it is a stratum that is always sampled, and the total is close.
     picture.strata[1].prior_cost = 1e6;
-    let worst =
-        (0..50).map(|seed| (picture.forecast(256, seed).expect("a forecast").work.mean / truth - 1.0).abs()).fold(0.0, f64::max);
+    let worst = (0..50)
+        .map(|seed| (picture.forecast(256, seed).expect("a forecast").work.mean / truth - 1.0).abs())
+        .fold(0.0, f64::max);
     // The other 4095 pixels make 0.4 % of the total, and they are known to 2 %.
     case(22, "an object of one pixel whose prior cost is right, relative error").worst(worst, 1e-3);
 }
@@ -218,7 +224,8 @@ fn an_object_that_vanishes_and_returns_costs_only_where_it_is() {
     case(22, "frames of a vanishing object that are negative or NaN").never(wrong, 12);
     let (found, _) = shot(3, |t| if t == 0 { 30 } else { 0 }, &[0]);
     let gone = found.frames[2].strata[2];
-    case(22, "pixels times mean of an object that is gone").worst(f64::from(gone.pixels) * gone.mean.work, 0.0);
+    case(22, "pixels times mean of an object that is gone")
+        .worst(f64::from(gone.pixels) * gone.mean.work, 0.0);
 }
 
 #[test]
@@ -233,7 +240,8 @@ fn quantiles_hold_as_often_as_they_promise_over_200_jobs() {
         let sigma = 0.2 + 0.6 * stream.uniform();
         let objects = 3 + stream.below(40) as u32;
         let picture = Picture::mosaic(64, objects, sigma, u64::from(job) * 3 + 1);
-        let (found, truth) = (picture.forecast(256, u64::from(job)).expect("a forecast").work, picture.truth());
+        let (found, truth) =
+            (picture.forecast(256, u64::from(job)).expect("a forecast").work, picture.truth());
         below80 += u32::from(truth <= found.p80);
         below95 += u32::from(truth <= found.p95);
         errors.add(found.mean / truth - 1.0);
@@ -242,7 +250,12 @@ fn quantiles_hold_as_often_as_they_promise_over_200_jobs() {
         let p = student_below((truth / found.mean).ln() / sigma, found.degrees_of_freedom.min(1e6));
         histogram[((p * bins as f64) as usize).min(bins - 1)] += 1.0;
     }
-    println!("         shares: {:.3} of P80, {:.3} of P95; PIT {histogram:?}; {:?}", f64::from(below80) / 200.0, f64::from(below95) / 200.0, errors.sample());
+    println!(
+        "         shares: {:.3} of P80, {:.3} of P95; PIT {histogram:?}; {:?}",
+        f64::from(below80) / 200.0,
+        f64::from(below95) / 200.0,
+        errors.sample()
+    );
     // Binomial limits at 1e-4 two-sided: 3.9 standard deviations of √(p (1 − p) / 200).
     let limit = |p: f64| 3.9 * (p * (1.0 - p) / f64::from(jobs)).sqrt();
     case(23, "P80 over 200 jobs: distance of the share that holds from 0.80")
@@ -250,7 +263,8 @@ fn quantiles_hold_as_often_as_they_promise_over_200_jobs() {
     case(23, "P95 over 200 jobs: distance of the share that holds from 0.95")
         .worst((f64::from(below95) / f64::from(jobs) - 0.95).abs(), limit(0.95));
     let square: f64 = histogram.iter().map(|&h| (h - 20.0) * (h - 20.0) / 20.0).sum();
-    case(23, "PIT histogram of 200 jobs, p of its χ² test against a flat one").least(chi_square_upper(square, 9.0), 1e-4);
+    case(23, "PIT histogram of 200 jobs, p of its χ² test against a flat one")
+        .least(chi_square_upper(square, 9.0), 1e-4);
 }
 
 /// Σ N² S² / n of the sampled strata; infinite where one that varies has no sample.
@@ -293,7 +307,8 @@ fn the_greedy_allocation_is_the_optimum_of_every_small_case() {
                 let found = allocate(&cells, samples);
                 let within = cells.iter().zip(&found).all(|(c, &n)| c.floor.min(c.size) <= n && n <= c.size);
                 wrong += u64::from(found.iter().sum::<u64>() != samples || !within);
-                let (own, best) = (variance(&cells, &found), least_variance(&cells, samples, &mut Vec::new()));
+                let (own, best) =
+                    (variance(&cells, &found), least_variance(&cells, samples, &mut Vec::new()));
                 if best.is_finite() && best > 0.0 {
                     worst = worst.max(own / best - 1.0);
                 } else {
@@ -313,7 +328,8 @@ fn a_job_that_is_finished_costs_what_was_measured() {
     let all: Vec<usize> = (0..12).collect();
     let (found, truth) = shot(12, |t| 10 + t as u32, &all);
     let total: f64 = truth.iter().sum();
-    case(27, "after the last frame: estimate against the measured total").worst((found.total.work.mean - total).abs(), 0.0);
+    case(27, "after the last frame: estimate against the measured total")
+        .worst((found.total.work.mean - total).abs(), 0.0);
     let width = found.total.work.p95 - found.total.work.p50 + found.total.work.variance + found.job_sigma;
     case(27, "after the last frame: width of the interval").worst(width, 0.0);
 }
@@ -364,12 +380,15 @@ fn estimates_have_no_drift_while_frames_are_finished() {
             widths[done - 1] += (work.p95 / work.mean - 1.0) / runs as f64;
         }
     }
-    let worst = steps.iter().map(|m| m.sample()).map(|s| s.mean.abs() / s.variance.sqrt()).fold(0.0, f64::max);
+    let worst =
+        steps.iter().map(|m| m.sample()).map(|s| s.mean.abs() / s.variance.sqrt()).fold(0.0, f64::max);
     println!("         mean width of P95 after 1, 2, … 10 frames: {widths:.3?}");
     // Nine steps; none is off by 4 standard errors of 200 runs in 99.9 % of sets of seeds.
-    case(27, "mean step of the estimate from frame to frame over 200 runs, in standard errors").worst(worst, 4.0);
+    case(27, "mean step of the estimate from frame to frame over 200 runs, in standard errors")
+        .worst(worst, 4.0);
     let widest = widths.windows(2).map(|w| w[1] - w[0]).fold(f64::NEG_INFINITY, f64::max);
-    case(27, "growth of the interval from one finished frame to the next, mean of 200 runs").worst(widest, 0.0);
+    case(27, "growth of the interval from one finished frame to the next, mean of 200 runs")
+        .worst(widest, 0.0);
     case(27, "width of the interval after the last frame").worst(widths[frames - 1], 0.0);
 }
 

@@ -57,25 +57,37 @@ fn chains() -> Vec<(&'static str, Vec<Place>)> {
     let turn = ([0.3, 1.0, -0.4], 0.8);
     vec![
         ("plain", vec![place([-2.0, 0.0, 0.0], still, [1.0; 3])]),
-        ("nested", vec![
-            place([0.0, 1.0, 0.0], turn, [2.0; 3]),
-            place([0.5, 0.0, 0.3], ([1.0, 0.0, 0.0], 1.1), [0.5; 3]),
-            place([0.2, -0.7, 0.0], turn, [0.8; 3]),
-        ]),
+        (
+            "nested",
+            vec![
+                place([0.0, 1.0, 0.0], turn, [2.0; 3]),
+                place([0.5, 0.0, 0.3], ([1.0, 0.0, 0.0], 1.1), [0.5; 3]),
+                place([0.2, -0.7, 0.0], turn, [0.8; 3]),
+            ],
+        ),
         ("mirrored", vec![place([1.5, 0.3, 0.0], turn, [-1.0, 1.0, 1.0])]),
-        ("mirrored twice", vec![
-            place([0.0, -1.2, 0.0], turn, [1.0, -1.0, 1.0]),
-            place([0.3, 0.0, 0.0], turn, [1.0, 1.0, -0.7]),
-        ]),
-        ("mirrored in a mirror with a turn", vec![
-            place([-1.0, 1.5, -0.5], ([1.0, 1.0, 0.0], 2.0), [-0.8, 0.8, 0.8]),
-            place([0.1, 0.0, 0.0], turn, [-1.0, -1.0, -1.0]),
-        ]),
+        (
+            "mirrored twice",
+            vec![
+                place([0.0, -1.2, 0.0], turn, [1.0, -1.0, 1.0]),
+                place([0.3, 0.0, 0.0], turn, [1.0, 1.0, -0.7]),
+            ],
+        ),
+        (
+            "mirrored in a mirror with a turn",
+            vec![
+                place([-1.0, 1.5, -0.5], ([1.0, 1.0, 0.0], 2.0), [-0.8, 0.8, 0.8]),
+                place([0.1, 0.0, 0.0], turn, [-1.0, -1.0, -1.0]),
+            ],
+        ),
         ("uneven 1 : 10⁴", vec![place([2.0, -1.0, -1.0], ([0.0, 0.0, 1.0], 0.3), [2e-4, 2.0, 0.3])]),
-        ("uneven, mirrored, sheared by its parent", vec![
-            place([-1.0, -1.0, 0.0], turn, [1.5, 0.02, 1.0]),
-            place([0.0, 10.0, 0.0], ([0.0, 0.0, 1.0], 0.9), [0.5, -8.0, 0.4]),
-        ]),
+        (
+            "uneven, mirrored, sheared by its parent",
+            vec![
+                place([-1.0, -1.0, 0.0], turn, [1.5, 0.02, 1.0]),
+                place([0.0, 10.0, 0.0], ([0.0, 0.0, 1.0], 0.9), [0.5, -8.0, 0.4]),
+            ],
+        ),
     ]
 }
 
@@ -131,7 +143,8 @@ fn baked(frame: &Frame) -> Frame {
     let mut geometry = Geometry { strata: frame.geometry.strata.clone(), ..Geometry::default() };
     for (name, chain) in chains() {
         let object = geometry.strata.objects.iter().position(|o| o == name).expect("an object of this name");
-        let stratum = geometry.strata.pairs.iter().position(|p| p.0 as usize == object).expect("a stratum of it");
+        let stratum =
+            geometry.strata.pairs.iter().position(|p| p.0 as usize == object).expect("a stratum of it");
         let world = chain.iter().fold(DMat4::IDENTITY, |world, place| world * place.matrix());
         let turn = DMat3::from_mat4(world).inverse().transpose();
         let mirrored = world.determinant() < 0.0;
@@ -174,14 +187,15 @@ fn instances_are_where_the_same_meshes_are_when_baked() {
         inside_out += u64::from(n.dot(a.geometric_normal(s as u32)) < 0.999);
     }
     // Coordinates of at most 4 m are rounded once, to 2.4e-7.
-    case(14, "positions of nested, mirrored and uneven instances against baked ones, m").worst(furthest, 5e-7);
+    case(14, "positions of nested, mirrored and uneven instances against baked ones, m")
+        .worst(furthest, 5e-7);
     // A sliver of 10⁻⁴ m whose corners move by 2.4e-7 turns by 2.4e-3 at most: 3e-6 off a cosine.
     case(14, "normals of instances against baked ones, 1 − cos").worst(turned, 3e-6);
-    case(14, "triangles whose shading normal is not on their front").never(inside_out, a.triangles.len() as u64);
+    case(14, "triangles whose shading normal is not on their front")
+        .never(inside_out, a.triangles.len() as u64);
 
     // Along the same rays: the same surfaces at the same distances.
-    let (own, other) =
-        (Bvh::build(&a.positions, &a.triangles), Bvh::build(&b.positions, &b.triangles));
+    let (own, other) = (Bvh::build(&a.positions, &a.triangles), Bvh::build(&b.positions, &b.triangles));
     let (mut apart, mut differing, mut hits) = (0.0f64, 0, 0u64);
     let camera = frame.camera.resized(128, 128);
     for i in 0..128 * 128u32 {
@@ -205,12 +219,20 @@ fn instances_are_where_the_same_meshes_are_when_baked() {
     case(14, "rays that meet another instance than when baked, of 16,384").worst(f64::from(differing), 8.0);
     case(14, "distance along a ray to an instance against baked, relative").worst(apart, 1e-4);
 
-    let settings = Settings { width: 48, height: 48, spp: 16, ambient_bounces: 1, ambient_divisions: 4, ..Settings::default() };
+    let settings = Settings {
+        width: 48,
+        height: 48,
+        spp: 16,
+        ambient_bounces: 1,
+        ambient_divisions: 4,
+        ..Settings::default()
+    };
     let (x, y) = (render(&frame, &settings), render(&reference, &settings));
     assert_eq!(unsound(&x), 0);
     let pairs: Vec<(f64, f64)> = values(&x).into_iter().zip(values(&y)).collect();
     let total: f64 = pairs.iter().map(|p| p.1).sum();
     let apart: f64 = pairs.iter().map(|p| (p.0 - p.1).abs()).sum();
     // Other roundings send single paths elsewhere; a normal on the wrong side would darken a tenth of the image.
-    case(14, "mean absolute difference of an image of instances from the baked one, relative").worst(apart / total, 0.01);
+    case(14, "mean absolute difference of an image of instances from the baked one, relative")
+        .worst(apart / total, 0.01);
 }

@@ -11,15 +11,17 @@
 //! | 7, 8, 9 | scale, place and gaps | `similarity` |
 //! | 10 to 13 | closed meshes, degenerate triangles, special rays, coplanar surfaces | `meshes` |
 //! | 14 | instances | `instances` |
+//! | 2, 18 to 21 | the irradiance cache | `cache`, `shared_cache` |
 //! | 15 | dielectrics in dielectrics | `media` |
 //! | 11, 16, 17 | nasty bundles, through the loader | `bundles` |
 //! | 22 to 24, 27 | forecasts | `forecast` |
 //! | 25 | plans | `planning` |
 //! | 26 | sums | `sums` |
 //!
-//! `FORELIGHT_HARD_RAYS` sets the number of rays of case 10 (default ten million; the table asks for a hundred million).
+//! `FORELIGHT_HARD_RAYS` sets the number of rays of case 10 (default four million; the table asks for a hundred million).
 
 mod bundles;
+mod cache;
 mod forecast;
 mod instances;
 mod lights;
@@ -27,5 +29,6 @@ mod materials;
 mod media;
 mod meshes;
 mod planning;
+mod shared_cache;
 mod similarity;
 mod sums;

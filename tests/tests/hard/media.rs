@@ -40,9 +40,10 @@ fn media_within_media_vanish_in_a_furnace() {
         [&[1.5, 1.33 / 1.5], &[1.5, 1.33 / 1.5, 1.0 / 1.33], &[2.4, 1.5 / 2.4, 1.31 / 1.5], &[1.5, 1.0]];
     let (mut worst, mut wrong, mut pixels) = (0.0f64, 0, 0);
     for stack in stacks {
-        let world = stack.iter().enumerate().fold(World::under(1.0), |world, (i, &ior)| {
-            slab(world, 0.5 / f64::from(1 << i), ior)
-        });
+        let world = stack
+            .iter()
+            .enumerate()
+            .fold(World::under(1.0), |world, (i, &ior)| slab(world, 0.5 / f64::from(1 << i), ior));
         for eye in [from(0.0, 3.0, 0.1), from(2.0, 3.0, 1.0), from(4.0, 2.0, 0.0)] {
             let (value, error, unsound) = seen(&world, eye);
             worst = worst.max((value - 1.0).abs() - 5.0 * error);
@@ -50,7 +51,8 @@ fn media_within_media_vanish_in_a_furnace() {
         }
     }
     // What is still inside after 64 hits, at most 85° from the normal: R² < 0.4 a round trip, and nothing is left.
-    case(15, "two and three media within each other vanish in a furnace, beyond 5 standard errors").worst(worst, 1e-3);
+    case(15, "two and three media within each other vanish in a furnace, beyond 5 standard errors")
+        .worst(worst, 1e-3);
     case(15, "pixels of media within media that are no finite number").never(wrong, pixels);
 }
 
@@ -74,9 +76,12 @@ fn faces_in_the_same_place_bend_light_wrongly_but_make_none_beyond_their_indices
     // Two solids that touch: nothing in the format says which of the coincident faces counts. Radiance grows by η² on the way
     // out of what it did not enter, so the sum of all indices' squares is the most that can be made of it.
     let low = DVec3::new(-8.0, -0.5, -8.0);
-    let world = World::under(1.0)
-        .cuboid(low, DVec3::new(8.0, 0.0, 8.0), false, glass(1.5))
-        .cuboid(DVec3::new(-8.0, 0.0, -8.0), DVec3::new(8.0, 0.5, 8.0), false, glass(1.33));
+    let world = World::under(1.0).cuboid(low, DVec3::new(8.0, 0.0, 8.0), false, glass(1.5)).cuboid(
+        DVec3::new(-8.0, 0.0, -8.0),
+        DVec3::new(8.0, 0.5, 8.0),
+        false,
+        glass(1.33),
+    );
     let (mut most, mut least, mut wrong, mut pixels) = (0.0f64, 9.0f64, 0, 0);
     for eye in [from(0.0, 3.0, 0.1), from(2.0, 3.0, 1.0), from(0.0, -3.0, 0.1)] {
         let (value, _, unsound) = seen(&world, eye);
@@ -84,7 +89,8 @@ fn faces_in_the_same_place_bend_light_wrongly_but_make_none_beyond_their_indices
         (wrong, pixels) = (wrong + unsound, pixels + 256);
     }
     case(15, "coincident faces of two media in a furnace").worst(most, 1.5f64.powi(2) * 1.33f64.powi(2));
-    case(15, "coincident faces of two media in a furnace").least(least, 1.0 / (1.5f64.powi(2) * 1.33f64.powi(2)));
+    case(15, "coincident faces of two media in a furnace")
+        .least(least, 1.0 / (1.5f64.powi(2) * 1.33f64.powi(2)));
     case(15, "pixels of coincident faces that are no finite number").never(wrong, pixels);
 }
 

@@ -71,7 +71,8 @@ fn rough_box(n: u32) -> Mesh {
     let mut triangles = Vec::new();
     let mut vertex = |p: [u32; 3]| {
         *known.entry(p).or_insert_with(|| {
-            let unit = DVec3::new(f64::from(p[0]), f64::from(p[1]), f64::from(p[2])) / f64::from(n) * 2.0 - 1.0;
+            let unit =
+                DVec3::new(f64::from(p[0]), f64::from(p[1]), f64::from(p[2])) / f64::from(n) * 2.0 - 1.0;
             positions.push(unit * (1.0 + 0.02 * stream.uniform()));
             positions.len() as u32 - 1
         })
@@ -103,8 +104,9 @@ fn closed_meshes() -> Vec<Mesh> {
         .collect();
     let (positions, triangles) = cuboid(DVec3::splat(-1.0), DVec3::ONE, false);
     meshes.push(Mesh::new("box".into(), &positions, triangles, Vec3::splat(0.9)));
-    let (positions, triangles) = cuboid(DVec3::new(-1.0, -1e-4, -1e4), DVec3::new(1.0, 1e-4, 1e4), false);
-    meshes.push(Mesh::new("box 1 : 10⁴ : 10⁸".into(), &positions, triangles, Vec3::new(0.9, 9e-5, 9e3)));
+    // Distances along a ray are known to 6e-8 of the triangle's size: a wall must be farther away than that.
+    let (positions, triangles) = cuboid(DVec3::new(-1.0, -1e-2, -1e2), DVec3::new(1.0, 1e-2, 1e2), false);
+    meshes.push(Mesh::new("box 1 : 10² : 10⁴".into(), &positions, triangles, Vec3::new(0.9, 9e-3, 90.0)));
     meshes.extend([fans(5, 1.0), fans(10_000, 1.0), fans(1000, 1e4), rough_box(32)]);
     meshes
 }
@@ -112,7 +114,7 @@ fn closed_meshes() -> Vec<Mesh> {
 #[test]
 fn no_ray_escapes_from_a_closed_mesh() {
     let wanted = std::env::var("FORELIGHT_HARD_RAYS").ok().and_then(|n| n.parse().ok());
-    let rays: u64 = wanted.unwrap_or(10_000_000);
+    let rays: u64 = wanted.unwrap_or(4_000_000);
     let meshes = closed_meshes();
     let per_mesh = rays / meshes.len() as u64;
     let (mut escaped, mut shot) = (0, 0);
@@ -267,7 +269,8 @@ fn rays_along_axes_and_from_box_faces_hit_what_testing_every_triangle_hits() {
     }
     assert!(hits > rays / 4, "the boxes must be hit often enough to prove something: {hits}");
     // None: t, triangle and barycentric weights are the same bits.
-    case(12, "rays along axes, from corners, edges and faces, that differ from brute force").never(wrong, rays);
+    case(12, "rays along axes, from corners, edges and faces, that differ from brute force")
+        .never(wrong, rays);
 }
 
 #[test]
@@ -311,9 +314,8 @@ fn degenerate_triangles_are_never_hit_and_hide_nothing() {
         shot += 1;
         // What is met is the sphere, at a finite distance with weights inside the triangle; or, of the tiny ones, a hit that is
         // itself sound.
-        let is_sound = |h: &Hit| {
-            h.t.is_finite() && h.t > 0.0 && h.u >= 0.0 && h.v >= 0.0 && h.u + h.v <= 1.0 + 1e-6
-        };
+        let is_sound =
+            |h: &Hit| h.t.is_finite() && h.t > 0.0 && h.u >= 0.0 && h.v >= 0.0 && h.u + h.v <= 1.0 + 1e-6;
         let ok = match (a, b) {
             (Some(a), Some(b)) => is_sound(&b) && (a == b || (b.primitive >= sound && b.t < a.t)),
             _ => false,
@@ -362,7 +364,7 @@ fn slivers_are_hit_where_they_are() {
 }
 
 #[test]
-fn of_surfaces_in_the_same_place_the_first_one_wins() {
+fn of_surfaces_in_the_same_place_the_same_one_wins_whatever_the_tree() {
     // The same rectangle several times, some of them turned, flipped and cut along the other diagonal.
     let mut stream = Stream(13);
     let (mut wrong, mut rays, mut not_lowest) = (0u64, 0u64, 0u64);
@@ -388,7 +390,8 @@ fn of_surfaces_in_the_same_place_the_first_one_wins() {
         let shuffled: Vec<[u32; 3]> = order.iter().map(|&i| triangles[i]).collect();
         let other = Bvh::build(&positions, &shuffled);
         for _ in 0..20_000 {
-            let target = u * (1.8 * stream.uniform() - 0.9) as f32 + v * (1.8 * stream.uniform() - 0.9) as f32;
+            let target =
+                u * (1.8 * stream.uniform() - 0.9) as f32 + v * (1.8 * stream.uniform() - 0.9) as f32;
             let origin = stream.point() * 2.0;
             let ray = Ray::new(origin, target - origin);
             let hit = |bvh: &Bvh| bvh.closest(&ray, |_| true, &mut Traversal::default());
@@ -397,10 +400,32 @@ fn of_surfaces_in_the_same_place_the_first_one_wins() {
             wrong += u64::from(a != b);
             // In the other tree another one may have the lowest number, but the surface is at the same distance to the bit.
             wrong += u64::from(hit(&other).is_none_or(|c| c.t != a.t));
-            // Copies 0 and 1 are equal to the bit and together hold every point: nothing may be found behind them.
+            // The first copy holds every point; where rounding puts another cut of the same plane an ulp nearer, that one wins.
             not_lowest += u64::from(a.primitive > 1);
         }
     }
+    // t is compared to the bit, and of equal ones the lowest number wins.
     case(13, "rays at 24 surfaces in one place whose winner depends on the tree").never(wrong, rays);
-    println!("         (other triangles of the same plane were an ulp nearer in {not_lowest} of {rays})");
+    println!("         (a later copy was nearer by rounding in {not_lowest} of {rays})");
+}
+
+#[test]
+fn of_equal_surfaces_the_first_one_wins() {
+    let (sphere, faces) = icosphere(2);
+    let positions: Vec<Vec3> = sphere.iter().map(|p| p.as_vec3()).collect();
+    let once: Vec<[u32; 3]> = faces.clone();
+    let count = once.len() as u32;
+    // Ten times the same triangles, in blocks turned against each other.
+    let copies: Vec<[u32; 3]> =
+        (0..10 * count).map(|i| once[((i + i / count * 37) % count) as usize]).collect();
+    let (bvh, single) = (Bvh::build(&positions, &copies), Bvh::build(&positions, &once));
+    let mut stream = Stream(17);
+    let (mut wrong, mut rays) = (0, 0);
+    for _ in 0..50_000 {
+        let ray = Ray::new(stream.point() * 0.3, stream.point());
+        let hit = |bvh: &Bvh| bvh.closest(&ray, |_| true, &mut Traversal::default());
+        rays += 1;
+        wrong += u64::from(hit(&bvh) != hit(&single));
+    }
+    case(13, "rays at ten equal copies of a sphere that do not meet the first").never(wrong, rays);
 }

@@ -8,7 +8,7 @@ use glam::DVec3;
 use proptest::prelude::*;
 
 fn strata(count: u32) -> Vec<Stratum> {
-    (0..count).map(|i| Stratum { object: i, material: i, prior_cost: 1.0 }).collect()
+    (0..count).map(|i| Stratum { object: i, material: i, prior_cost: 1.0, apart: false }).collect()
 }
 
 fn observe(stratum: u32, work: u64) -> Observation {
@@ -22,7 +22,8 @@ fn a_tiny_variance_on_a_huge_offset_is_found() {
     for offset in [1_000_000_000u64, 1_000_000_000_000, 1_000_000_000_000_000] {
         let n = 1000u64;
         let observations: Vec<Observation> = (0..n).map(|i| observe(0, offset + i % 2)).collect();
-        let found = estimate(&strata(1), &[1_000_000], &observations, Calibration::NONE).expect("an estimate");
+        let found =
+            estimate(&strata(1), &[1_000_000], &observations, Calibration::NONE).expect("an estimate");
         // N² (1 − n/N) s²/n with s² = n / (4 (n − 1)); the tail allowance is the square of the influence of one pixel that
         // lies half a unit above the mean: (N (1 − n/N) · 0.5 / n)².
         let (n, size) = (n as f64, 1e6);
@@ -61,7 +62,8 @@ fn a_billion_pixels_of_one_cost_add_up_exactly() {
     let observations: Vec<Observation> = (0..16).map(|i| observe(i % 4, 1_000_003)).collect();
     let found = estimate(&strata(4), &[1 << 28; 4], &observations, Calibration::NONE).expect("an estimate");
     let exact = (1u64 << 30) as f64 * 1_000_003.0;
-    case(26, "a billion pixels of one cost, absolute error").worst((found.total.work.mean - exact).abs(), 0.0);
+    case(26, "a billion pixels of one cost, absolute error")
+        .worst((found.total.work.mean - exact).abs(), 0.0);
     case(26, "a billion pixels of one cost, width of the interval")
         .worst(found.total.work.p95 - found.total.work.mean, 0.0);
 }

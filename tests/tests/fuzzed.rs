@@ -1,0 +1,134 @@
+//! Damaged input of every kind: what fuzzing has found, again, and a fixed number of mutations of good input.
+//!
+//! `FORELIGHT_MUTATIONS` sets the number of mutations of each parser's input (default 400).
+
+use forelight_tests::parsers::{PARSERS, Parser};
+use forelight_tests::repository;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// Numbers from a counter (SplitMix64), so that a failure can be found again by its number.
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, bound: usize) -> usize {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) % bound.max(1) as u64) as usize
+    }
+}
+
+/// What is written in place of something else now and then.
+const WORDS: [&str; 24] = [
+    "-1",
+    "0",
+    "1e39",
+    "-1e-45",
+    "nan",
+    "inf",
+    "1e400",
+    "4294967295",
+    "4294967296",
+    "18446744073709551616",
+    "-9223372036854775808",
+    "null",
+    "true",
+    "[]",
+    "{}",
+    "\"\"",
+    "../",
+    "\n",
+    "\r\n",
+    "\0",
+    "\u{feff}",
+    "é",
+    ",",
+    "0.1.2",
+];
+
+/// One to eight changes: bits, bytes, words, ranges left out, doubled or moved, numbers of four bytes, an early end.
+fn mutated(bytes: &[u8], random: &mut Random) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    for _ in 0..=random.below(8) {
+        let at = random.below(bytes.len());
+        let length = random.below(16.min(bytes.len() - at + 1));
+        match random.below(9) {
+            0 if !bytes.is_empty() => bytes[at] ^= 1 << random.below(8),
+            1 if !bytes.is_empty() => bytes[at] = random.below(256) as u8,
+            2 => {
+                bytes.drain(at..at + length);
+            }
+            3 => {
+                let copy = bytes[at..at + length].to_vec();
+                let to = random.below(bytes.len() + 1);
+                bytes.splice(to..to, copy);
+            }
+            4 => {
+                let word = WORDS[random.below(WORDS.len())];
+                bytes.splice(at..at + length, word.bytes());
+            }
+            // A word in place of a number.
+            5 => {
+                let is_number = |b: &u8| b.is_ascii_digit() || matches!(b, b'.' | b'-' | b'e');
+                if let Some(start) = bytes[at..].iter().position(is_number).map(|p| at + p) {
+                    let end =
+                        bytes[start..].iter().position(|b| !is_number(b)).map_or(bytes.len(), |p| start + p);
+                    bytes.splice(start..end, WORDS[random.below(11)].bytes());
+                }
+            }
+            6 if at + 4 <= bytes.len() => {
+                let extreme = [0u32, 1, 0x7fff_ffff, 0x8000_0000, u32::MAX, 0x7f80_0000, 0x0001_0000];
+                bytes[at..at + 4].copy_from_slice(&extreme[random.below(7)].to_le_bytes());
+            }
+            7 if random.below(4) == 0 => bytes.truncate(at),
+            _ if !bytes.is_empty() => bytes[at] = b"0123456789-./ e\n{}[],:\""[random.below(23)],
+            _ => {}
+        }
+    }
+    bytes
+}
+
+/// Reads the bytes; a panic is repeated with what they were.
+fn read(parser: &Parser, bytes: &[u8], which: &str) {
+    if catch_unwind(AssertUnwindSafe(|| (parser.read)(bytes))).is_err() {
+        panic!("{} {which}: {:?}", parser.name, String::from_utf8_lossy(bytes));
+    }
+}
+
+#[test]
+fn good_input_of_every_parser_is_read() {
+    for parser in PARSERS {
+        for seed in (parser.seeds)() {
+            read(&parser, &seed, "seed");
+            read(&parser, &[], "nothing");
+        }
+    }
+}
+
+#[test]
+fn what_fuzzing_once_found_is_read_or_refused() {
+    let folder = repository().join("tests/hard/fuzzed");
+    let mut count = 0;
+    for parser in PARSERS {
+        let Ok(entries) = std::fs::read_dir(folder.join(parser.name)) else { continue };
+        for path in entries.map(|entry| entry.expect("the folder can be read").path()) {
+            read(&parser, &std::fs::read(&path).expect("the file can be read"), &path.display().to_string());
+            count += 1;
+        }
+    }
+    println!("{count} inputs");
+}
+
+#[test]
+fn mutated_input_of_every_parser_is_read_or_refused() {
+    let wanted = std::env::var("FORELIGHT_MUTATIONS").ok().and_then(|n| n.parse().ok());
+    let mutations: u64 = wanted.unwrap_or(400);
+    for parser in PARSERS {
+        let seeds = (parser.seeds)();
+        for number in 0..mutations {
+            let mut random = Random(number);
+            let seed = &seeds[random.below(seeds.len())];
+            read(&parser, &mutated(seed, &mut random), &format!("mutation {number}"));
+        }
+    }
+}
