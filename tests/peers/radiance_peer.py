@@ -64,6 +64,20 @@ def numbers(values):
     return " ".join(f"{value:.9g}" for value in values)
 
 
+def surface(polygon):
+    """Type and arguments of a light's surface, with the identifier to be put between: rpict aims at rectangles and discs without a
+    miss, at other polygons as if they were squares."""
+    centre = polygon.mean(axis=0)
+    spokes = polygon - centre
+    radii = numpy.linalg.norm(spokes, axis=1)
+    if len(polygon) < 8 or numpy.ptp(radii) > 1e-3 * radii.max():
+        return "polygon", f"{polygon.size} {numbers(polygon.ravel())}"
+    # A disc of the same area.
+    normal = numpy.cross(spokes, numpy.roll(spokes, -1, axis=0)).sum(axis=0) / 2
+    area = numpy.linalg.norm(normal)
+    return "ring", f"8 {numbers(centre)} {numbers(normal / area)} 0 {numpy.sqrt(area / numpy.pi):.9g}"
+
+
 def convert(bundle, folder):
     """Writes the bundle as an octree of one triangle mesh, the lights as polygons beside it; the octree's path."""
     folder = Path(folder)
@@ -88,8 +102,8 @@ def convert(bundle, folder):
     for part in bundle.parts:
         if bundle.materials[part.material].emits:
             for index, polygon in enumerate(bundles.outline(part)):
-                identifier = f"{names[part.material]}_{len(lights)}_{index}"
-                lights.append(f"{names[part.material]} polygon {identifier}\n0\n0\n{polygon.size} {numbers(polygon.ravel())}\n")
+                kind, arguments = surface(polygon)
+                lights.append(f"{names[part.material]} {kind} l{len(lights)}_{index}\n0\n0\n{arguments}\n")
             continue
         mesh.append(f"usemtl {names[part.material]}")
         here = counts + 1

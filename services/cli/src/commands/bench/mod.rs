@@ -1,6 +1,7 @@
 //! `forelight bench`: measurements of what this program promises, on bundles that the user names.
 
 mod forecast;
+mod images;
 mod plan;
 mod rays;
 mod shot;
@@ -14,6 +15,7 @@ use clap::Subcommand;
 #[command(after_help = "\
 Examples:
   forelight bench forecast kitchen/ corridor/ --out forecast.json
+  forelight bench images kitchen/ --size 256 --pictures images/
   forelight bench rays kitchen/
   forelight bench plan
   forelight bench shot kitchen/ --frames 0-47 --width 192 --height 108 --json")]
@@ -25,6 +27,7 @@ pub struct Args {
 #[derive(Debug, Subcommand)]
 enum Bench {
     Forecast(forecast::Args),
+    Images(images::Args),
     Plan(plan::Args),
     Rays(rays::Args),
     Shot(shot::Args),
@@ -34,6 +37,7 @@ enum Bench {
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     match &args.bench {
         Bench::Forecast(args) => forecast::run(args, interrupt),
+        Bench::Images(args) => images::run(args, interrupt),
         Bench::Plan(args) => plan::run(args),
         Bench::Rays(args) => rays::run(args, interrupt),
         Bench::Shot(args) => shot::run(args, interrupt),
