@@ -55,7 +55,7 @@ if [ "${1:-}" = --full ]; then
     mitsuba "$scene" --out "$images" --size 512 --spp 1,4,16,64,256 --repeats 3 | tee "$images/measured.jsonl"
     [ -e "$images/reference/mitsuba-4096.exr" ] || mitsuba "$scene" --out "$images/reference" --size 512 --spp 4096 --seed 2
     mapfile -t peers < <("$environment/bin/python" "$here/bundle.py" peers "$images/measured.jsonl" "$images/reference/mitsuba-4096.exr")
-    "$bin" bench images "$scene" --size 512 --materials lambert --ambient-bounces 1 --reference "$images/ours.exr" \
+    "$bin" bench images "$scene" --size 512 --materials lambert --ambient-bounces 1 --references "$images/references" \
       --out "$images/bench.json" --pictures "$images" "${peers[@]}"
   done
   exit 0
@@ -76,7 +76,7 @@ for scene in "${scenes[@]}"; do
   name=$(basename "$scene")
   mkdir "$work/$name"
   mitsuba "$scene" --out "$work/$name" --size 64 --spp 512 >/dev/null
-  for quality in '--spp 64 --ambient-divisions 8'; do
+  for quality in '--spp 64 --ambient-divisions 8' '--spp 64 --cache on'; do
     echo "$name, one bounce, $quality"
     # shellcheck disable=SC2086 # the flags are words
     "$FORELIGHT_BIN" render "$scene" --width 64 --height 64 --materials lambert --ambient-bounces 1 $quality \

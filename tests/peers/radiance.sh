@@ -45,7 +45,7 @@ if [ "${1:-}" = --full ]; then
   )
   for scene in "$@"; do
     images=$PWD/target/peers/radiance-$(basename "$scene")
-    rm -rf "$images/bundle"
+    [ ! -e "$images/bundle" ] || { chmod -R u+w "$images/bundle" && rm -rf "$images/bundle"; }
     mkdir -p "$images"
     echo "== $(basename "$scene"), without a sky"
     "$environment/bin/python" "$here/bundle.py" without-environment "$scene" "$images/bundle"
@@ -53,7 +53,7 @@ if [ "${1:-}" = --full ]; then
     # Converged without a cache: every hit gathers for itself.
     [ -e "$images/radiance-reference.exr" ] || radiance "$images/bundle" --out "$images" --size 512 --rung 'reference: x4 -aa 0 -ad 32 -as 0 -u+'
     mapfile -t peers < <("$environment/bin/python" "$here/bundle.py" peers "$images/measured.jsonl" "$images/radiance-reference.exr")
-    "$bin" bench images "$images/bundle" --size 512 --materials lambert --ambient-bounces 1 --reference "$images/ours.exr" \
+    "$bin" bench images "$images/bundle" --size 512 --materials lambert --ambient-bounces 1 --references "$images/references" \
       --out "$images/bench.json" --pictures "$images" "${peers[@]}"
   done
   exit 0
@@ -75,7 +75,7 @@ for scene in "${scenes[@]}"; do
   "$environment/bin/python" "$here/bundle.py" without-environment "$scene" "$work/$name"
   radiance "$work/$name" --out "$work" --size 64 \
     --rung 'cache: x4 -aa .15 -ad 256 -as 64 -ar 64' >/dev/null
-  for quality in '--spp 64 --ambient-divisions 8'; do
+  for quality in '--spp 64 --ambient-divisions 8' '--spp 64 --cache on'; do
     echo "$name without its sky, one bounce, $quality"
     # shellcheck disable=SC2086 # the flags are words
     "$FORELIGHT_BIN" render "$work/$name" --width 64 --height 64 --materials lambert --ambient-bounces 1 $quality \
