@@ -2,7 +2,7 @@
 
 use forelight_tests::reference::{self, Estimate};
 use forelight_tests::{shared, statistics::welch};
-use forelight_tracer::{MaterialOverride, Settings};
+use forelight_tracer::{Integrator, MaterialOverride, Settings};
 
 /// Independent passes behind the reference's standard errors, at least.
 const REFERENCE_PASSES: u32 = 16;
@@ -11,6 +11,7 @@ const PASSES: u32 = 24;
 
 struct Case {
     scene: &'static str,
+    integrator: Integrator,
     depth: u32,
     /// Relative tolerance of the image mean.
     mean: f64,
@@ -24,6 +25,7 @@ fn compare(case: &Case) -> Option<()> {
     };
     let theirs = reference::read(&part(""), &part(".stderr"), REFERENCE_PASSES);
     let settings = Settings {
+        integrator: case.integrator,
         width: theirs.width,
         height: theirs.height,
         spp: case.spp,
@@ -35,7 +37,11 @@ fn compare(case: &Case) -> Option<()> {
     let ours = reference::render(&shared.join("scenes").join(case.scene), 0, &settings, PASSES);
     let (a, b) = (ours.mean(), theirs.mean());
     let error = a / b - 1.0;
-    println!("{} depth {}: mean {a:.6} against {b:.6} ({:+.3} %)", case.scene, case.depth, error * 100.0);
+    let (scene, depth, error_percent) = (case.scene, case.depth, error * 100.0);
+    println!(
+        "{scene} depth {depth}, {:?}: mean {a:.6} against {b:.6} ({error_percent:+.3} %)",
+        case.integrator
+    );
     let pixels = significant("pixels", &ours.pooled(), &theirs.pooled());
     let blocks = significant("blocks of 8 × 8", &ours.pooled().blocks(8), &theirs.pooled().blocks(8));
     assert!(error.abs() <= case.mean, "{}: image mean is off by {:.3} %", case.scene, error * 100.0);
@@ -72,15 +78,16 @@ fn significant(what: &str, ours: &Estimate, theirs: &Estimate) -> usize {
 }
 
 macro_rules! cases {
-    ($($name:ident: $scene:literal, $depth:literal, $mean:literal, $spp:literal;)*) => {
+    ($integrator:ident: $($name:ident: $scene:literal, $depth:literal, $mean:literal, $spp:literal;)*) => {
         $(#[test]
         fn $name() {
-            compare(&Case { scene: $scene, depth: $depth, mean: $mean, spp: $spp });
+            let integrator = Integrator::$integrator;
+            compare(&Case { scene: $scene, integrator, depth: $depth, mean: $mean, spp: $spp });
         })*
     };
 }
 
-cases! {
+cases! { Ambient:
     cornell_box_direct_light_is_the_references: "cornell-box", 2, 0.005, 4;
     cornell_box_with_one_bounce_is_the_references: "cornell-box", 3, 0.005, 4;
     country_kitchen_direct_light_is_the_references: "country-kitchen", 2, 0.01, 4;
@@ -90,4 +97,44 @@ cases! {
     living_room_direct_light_is_the_references: "living-room", 2, 0.01, 4;
     living_room_with_one_bounce_is_the_references: "living-room", 3, 0.01, 2;
     veach_ajar_with_one_bounce_is_the_references: "veach-ajar", 3, 0.01, 4;
+}
+
+cases! { Path:
+    cornell_box_direct_light_by_paths_is_the_references: "cornell-box", 2, 0.005, 16;
+    cornell_box_with_one_bounce_by_paths_is_the_references: "cornell-box", 3, 0.005, 16;
+    country_kitchen_direct_light_by_paths_is_the_references: "country-kitchen", 2, 0.01, 8;
+    country_kitchen_with_one_bounce_by_paths_is_the_references: "country-kitchen", 3, 0.01, 8;
+    modern_hall_with_one_bounce_by_paths_is_the_references: "modern-hall", 3, 0.01, 8;
+    living_room_with_one_bounce_by_paths_is_the_references: "living-room", 3, 0.01, 8;
+    veach_ajar_with_one_bounce_by_paths_is_the_references: "veach-ajar", 3, 0.01, 16;
+}
+
+/// All materials, every kind of path, caustics included. Means alone: the reference's rough coat loses a quarter of its light at the
+/// roughness of these floors and more at others, so that ours is brighter wherever one is seen or lights what is seen, and in
+/// the reference mirrors and glass count as scattering events.
+fn compare_full(scene: &str, lowest: f64, highest: f64) -> Option<()> {
+    let shared = shared()?;
+    let part = |suffix: &str| shared.join(format!("reference/{scene}.full.depth12{suffix}.exr"));
+    let theirs = reference::read(&part(""), &part(".stderr"), REFERENCE_PASSES);
+    let settings = Settings {
+        integrator: Integrator::Path,
+        width: theirs.width,
+        height: theirs.height,
+        spp: 16,
+        ambient_bounces: 10,
+        ..Settings::default()
+    };
+    let ours = reference::render(&shared.join("scenes").join(scene), 0, &settings, 2);
+    let error = ours.mean() / theirs.mean() - 1.0;
+    println!("{scene} full: mean {:.6} against {:.6} ({:+.3} %)", ours.mean(), theirs.mean(), error * 100.0);
+    assert!((lowest..highest).contains(&error), "{scene}: image mean is off by {:.3} %", error * 100.0);
+    Some(())
+}
+
+#[test]
+fn interiors_with_all_materials_by_paths_are_as_bright_as_the_references_or_by_their_coats_losses_brighter() {
+    // No coat at all; coats on few things; coats on furniture and floor.
+    compare_full("cornell-box", -0.002, 0.002);
+    compare_full("country-kitchen", -0.002, 0.015);
+    compare_full("living-room", 0.0, 0.07);
 }
