@@ -325,6 +325,52 @@ async fn submitting_by_the_command_line_brings_every_picture_and_a_contact_sheet
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn with_a_cache_the_number_of_records_is_known_before_and_what_was_gathered_for_the_quote_is_taken_over()
+ {
+    let service = farm().await;
+    let (scene, data) = (shipped("kitchen").display().to_string(), service.data().display().to_string());
+    let job = [
+        "submit",
+        &scene,
+        "--server",
+        service.address(),
+        "--data",
+        &data,
+        "--frames",
+        "0,1,40",
+        "--follow",
+        "--json",
+    ];
+    let quality =
+        ["--width", "48", "--spp", "2", "--ambient-bounces", "2", "--cache", "on", "--cache-rays", "48"];
+    let profile = ["--samples", "64", "--profile-frames", "1"];
+    let printed = run_well(&[&job[..], &quality, &profile].concat());
+    let printed: Value = serde_json::from_str(&printed).expect("JSON is printed and nothing else");
+    assert_eq!(
+        (&printed["job"]["state"], &printed["job"]["settings"]["cache"]),
+        (&json!("done"), &json!("on"))
+    );
+    let quote: ForecastDoc = serde_json::from_value(printed["forecast"].clone()).expect("a quote");
+    let frames: Vec<FrameRow> = serde_json::from_value(printed["frames"].clone()).expect("frames");
+    assert!(quote.effects.iter().any(|effect| effect == "irradiance cache"), "{:?}", quote.effects);
+    let mut all = [0.0; 2];
+    for (forecast, row) in quote.frames.iter().zip(&frames) {
+        let actual = row.actual.as_ref().expect("what it took");
+        assert_eq!(actual.cache_records.len(), 2, "{actual:?}");
+        for (level, (known, &count)) in forecast.cache_records.iter().zip(&actual.cache_records).enumerate() {
+            assert_eq!(*known, Quantiles::known(count as f64), "frame {}, level {level}", row.frame);
+            all[level] += count as f64;
+        }
+        let cache = actual.cache.expect("what the cache came to");
+        let profiled = quote.profiled.frames.contains(&row.frame);
+        assert_eq!((cache.reused_records > 0, actual.reused_work > 0), (profiled, profiled), "{actual:?}");
+        let error = row.work.and_then(|work| work.error).expect("the error");
+        assert!(error.abs() < 0.5, "frame {}: {error}", row.frame);
+    }
+    assert_eq!(quote.total.cache_records, all.map(Quantiles::known));
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_job_cancelled_in_the_middle_of_its_frames_stops_and_frees_its_workers() {
     let mut service = farm().await;
     let http = service.http(Role::Submitter);
