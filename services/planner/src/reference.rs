@@ -37,7 +37,7 @@ impl Default for Size {
 
 /// A studio's week. Two fifths of the classes are its own farm, three tenths are workstations at night, three tenths are
 /// rented by the hour with a set-up; a fifth has graphics processors. A fifth of the jobs have seeds, a tenth need
-/// licences, one in twenty graphics memory; half allow tiles. About half of the farm's time is needed.
+/// licences, one in twenty graphics memory; half allow tiles. About a quarter of the farm's time is needed.
 pub fn studio(size: Size, seed: u64) -> Input {
     let mut input = Input {
         limits: vec![Limit { id: 0, name: "simulation licence".to_owned(), count: size.nodes / 8 + 1 }],
