@@ -1,6 +1,7 @@
 //! Damaged input of every kind: what fuzzing has found, again, and a fixed number of mutations of good input.
 //!
-//! `FORELIGHT_MUTATIONS` sets the number of mutations of each parser's input (default 400).
+//! `FORELIGHT_MUTATIONS` sets the number of mutations of each parser's input (default 400). `FORELIGHT_SEEDS` names a folder into which
+//! the good input is written, for fuzzing to start from: `tests/fuzz/corpus`.
 
 use forelight_tests::parsers::{PARSERS, Parser};
 use forelight_tests::repository;
@@ -98,10 +99,16 @@ fn read(parser: &Parser, bytes: &[u8], which: &str) {
 #[test]
 fn good_input_of_every_parser_is_read() {
     for parser in PARSERS {
-        for seed in (parser.seeds)() {
-            read(&parser, &seed, "seed");
-            read(&parser, &[], "nothing");
+        for (number, seed) in (parser.seeds)().iter().enumerate() {
+            read(&parser, seed, "seed");
+            if let Some(folder) = std::env::var_os("FORELIGHT_SEEDS") {
+                let folder = std::path::Path::new(&folder).join(parser.name);
+                std::fs::create_dir_all(&folder).expect("the folder can be made");
+                std::fs::write(folder.join(format!("seed-{number}")), seed)
+                    .expect("the folder can be written to");
+            }
         }
+        read(&parser, &[], "nothing");
     }
 }
 

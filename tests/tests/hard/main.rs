@@ -7,6 +7,7 @@
 //! | cases | subject | file |
 //! | --- | --- | --- |
 //! | 1, 4, 5, 6 | furnaces, reciprocity, sampling, Fresnel | `materials` |
+//! | 4, 5, 6 | the same of scattering functions by themselves | `scattering` |
 //! | 3, 6, 16, 17 | energy balance, form factors, lights, extreme radiance | `lights` |
 //! | 7, 8, 9 | scale, place and gaps | `similarity` |
 //! | 10 to 13 | closed meshes, degenerate triangles, special rays, coplanar surfaces | `meshes` |
@@ -29,6 +30,7 @@ mod materials;
 mod media;
 mod meshes;
 mod planning;
+mod scattering;
 mod shared_cache;
 mod similarity;
 mod sums;
