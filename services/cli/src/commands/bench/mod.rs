@@ -1,5 +1,6 @@
 //! `forelight bench`: measurements of what this program promises, on bundles that the user names.
 
+mod effects;
 mod forecast;
 mod images;
 mod plan;
@@ -14,6 +15,7 @@ use clap::Subcommand;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
+  forelight bench effects kitchen/ corridor/
   forelight bench forecast kitchen/ corridor/ --out forecast.json
   forelight bench images kitchen/ --size 256 --pictures images/
   forelight bench rays kitchen/
@@ -26,9 +28,10 @@ pub struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Bench {
+    Effects(effects::Args),
     Forecast(forecast::Args),
-    Images(images::Args),
     Plan(plan::Args),
+    Images(images::Args),
     Rays(rays::Args),
     Shot(shot::Args),
 }
@@ -36,9 +39,10 @@ enum Bench {
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     match &args.bench {
+        Bench::Effects(args) => effects::run(args, interrupt),
         Bench::Forecast(args) => forecast::run(args, interrupt),
-        Bench::Images(args) => images::run(args, interrupt),
         Bench::Plan(args) => plan::run(args),
+        Bench::Images(args) => images::run(args, interrupt),
         Bench::Rays(args) => rays::run(args, interrupt),
         Bench::Shot(args) => shot::run(args, interrupt),
     }
