@@ -93,7 +93,8 @@ mod tests {
     use clap::{CommandFactory, Parser};
 
     fn parse(line: &str) -> Result<Cli, clap::Error> {
-        Cli::try_parse_from(line.split_whitespace())
+        let words = shlex::split(line).expect("every quote is closed");
+        Cli::try_parse_from(words)
     }
 
     #[test]
