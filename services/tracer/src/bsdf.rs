@@ -40,7 +40,7 @@ pub enum Bsdf {
         eta: f32,
         /// Share of light that passes, per channel.
         transmittance: Vec3,
-        /// GGX alpha; below [`microfacet::SMOOTH`] the interface is smooth.
+        /// GGX alpha; below [`crate::microfacet::SMOOTH`] the interface is smooth.
         alpha: f32,
     },
 }
