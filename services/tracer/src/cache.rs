@@ -21,6 +21,7 @@
 //! | `octree` | which records are near |
 //! | `hemisphere` | strata of a gather; irradiance and its gradients from them |
 //! | `plan`, `gather`, `read` | the three phases |
+//! | `sample` | what a record takes, from a few of them |
 //! | `share` | records of one frame that hold in another |
 //! | `file` | the artefact |
 
@@ -30,13 +31,14 @@ mod hemisphere;
 mod octree;
 mod plan;
 mod read;
+mod sample;
 mod share;
 mod site;
 
 pub use file::CacheError;
-pub use gather::RecordCost;
 pub use hemisphere::{Irradiance, PLAN_RAYS, Sample, Strata};
 pub use plan::Keyed;
+pub use sample::RecordCost;
 pub use share::Shared;
 pub use site::Site;
 

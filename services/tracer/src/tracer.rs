@@ -204,11 +204,11 @@ impl Tracer {
         true
     }
 
-    /// What gathering a few records takes, about `each` of every level, spread evenly over the plan. Those of the deepest level,
-    /// whose values depend on no other record, are filled by it.
-    pub fn sample_records(&self, each: usize) -> Vec<RecordCost> {
+    /// What gathering a few records takes, `each` of every level that has as many, spread evenly over space and begun as `seed` says:
+    /// every record has the same chance. Those of the deepest level, whose values depend on no other record, are filled by it.
+    pub fn sample_records(&self, each: usize, seed: u64) -> Vec<RecordCost> {
         self.plan();
-        self.cache.get().map_or_else(Vec::new, |cache| cache.sample(self, each))
+        self.cache.get().map_or_else(Vec::new, |cache| cache.sample(self, each, seed))
     }
 
     /// The tree, to be shared with other frames of the same geometry.

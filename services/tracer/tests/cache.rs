@@ -183,7 +183,7 @@ fn a_scene_scaled_by_a_power_of_two_has_the_same_bits_and_the_same_records() {
 fn samples_of_records_and_unfilled_pixels_cost_what_they_cost_in_a_render() {
     let settings = settings(2);
     let tracer = Tracer::new(&room(|b| b), &settings);
-    let sampled = tracer.sample_records(8);
+    let sampled = tracer.sample_records(8, 1);
     assert_eq!(sampled.len(), 16);
     let before: Vec<Pixel> = tracer.profile(&[0, 500, 1000, 2000]);
     let image = render(&tracer);

@@ -333,8 +333,8 @@ impl FrameRenderer for AmbientFrame<'_> {
         runs.par_iter().map(|run| self.tracer.profile(run)).collect()
     }
 
-    fn sample_records(&self, each: usize) -> Vec<RecordCost> {
-        self.tracer.sample_records(each)
+    fn sample_records(&self, each: usize, seed: u64) -> Vec<RecordCost> {
+        self.tracer.sample_records(each, seed)
     }
 
     fn profile(&self, pixels: &[(u32, Pixel)]) -> Profile {

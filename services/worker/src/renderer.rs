@@ -197,9 +197,9 @@ pub trait FrameRenderer: Send + Sync {
     /// The same for runs of pixels: those of a run are traced one after the other by one thread, as a tile's are in a render.
     fn trace_runs(&self, runs: &[Vec<u32>]) -> Vec<Vec<Pixel>>;
 
-    /// What gathering records of the irradiance cache takes: about `each` of every level, spread evenly over the plan, on the
-    /// current thread pool. None without a cache.
-    fn sample_records(&self, each: usize) -> Vec<RecordCost>;
+    /// What gathering records of the irradiance cache takes: of `each` of every level, chosen by `seed` so that all have the same
+    /// chance, on the current thread pool. None without a cache.
+    fn sample_records(&self, each: usize, seed: u64) -> Vec<RecordCost>;
 
     /// What can be taken over by [`FrameRenderer::render`]: these pixels or, with an irradiance cache, that, as far as it was filled.
     fn profile(&self, pixels: &[(u32, Pixel)]) -> Profile;

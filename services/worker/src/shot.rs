@@ -169,7 +169,8 @@ const SAMPLES_PER_RECORD: f64 = 256.0 / 96.0;
 const LEAST_RECORDS: usize = 16;
 
 /// Profiles about `samples` pixels of one frame in two phases: the first spread by strata, the second where the first found
-/// cost and variation; with an irradiance cache also some records of every level. `seed` chooses the pixels; the pixels' own random numbers come from the settings, as in the render.
+/// cost and variation; with an irradiance cache also some records of every level. `seed` chooses both; the pixels' own random
+/// numbers come from the settings, as in the render.
 pub fn profile_frame(
     renderer: &dyn Renderer,
     frame: u32,
@@ -213,7 +214,7 @@ pub fn profile_frame(
         return Err(ShotError::Cancelled);
     }
     let each = (f64::from(samples) / SAMPLES_PER_RECORD) as usize;
-    let records = ready.sample_records(each.max(LEAST_RECORDS));
+    let records = ready.sample_records(each.max(LEAST_RECORDS), seed);
     let pixels = finished.iter().fold(Spent::default(), |sum, (_, pixel)| {
         sum.plus(Spent { work: pixel.work, cpu_nanos: pixel.cpu_nanos })
     });

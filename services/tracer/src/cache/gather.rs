@@ -8,17 +8,6 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-/// What gathering one record takes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct RecordCost {
-    /// Its level, from 0.
-    pub level: u32,
-    /// Work and time.
-    pub cost: Cost,
-    /// Rays by category.
-    pub rays: [u32; 7],
-}
-
 impl Cache {
     /// Gathers a range of a level's records, on the current thread pool; those that are filled already stay. `progress` is told the
     /// number done, now and then. The next deeper level has to be filled: a gather reads it. `false` if `cancel` was set.
@@ -40,27 +29,8 @@ impl Cache {
         !cancel.load(Ordering::Relaxed)
     }
 
-    /// See [`Tracer::sample_records`].
-    pub fn sample(&self, tracer: &Tracer, each: usize) -> Vec<RecordCost> {
-        let picks = self.levels.iter().enumerate().flat_map(|(level, here)| {
-            let count = here.planned.len();
-            let picks = each.min(count);
-            (0..picks).map(move |pick| (level, (2 * pick + 1) * count / (2 * picks)))
-        });
-        let picks: Vec<(usize, usize)> = picks.collect();
-        let sample = |(level, index): (usize, usize)| {
-            let gathered = || self.gathered(tracer, level, index);
-            let record = if level + 1 == self.levels.len() {
-                *self.levels[level].records[index].get_or_init(gathered)
-            } else {
-                gathered()
-            };
-            RecordCost { level: level as u32, cost: record.cost, rays: record.rays }
-        };
-        picks.into_par_iter().map(sample).collect()
-    }
-
-    fn gathered(&self, tracer: &Tracer, level: usize, index: usize) -> Record {
+    /// What the hemisphere above a record sends, and what gathering that takes.
+    pub(super) fn gathered(&self, tracer: &Tracer, level: usize, index: usize) -> Record {
         let here = &self.levels[level];
         let planned = &here.planned[index];
         let start = thread_cpu_nanos();

@@ -1,0 +1,136 @@
+//! Sampling: a few records are gathered, to learn what a record takes.
+
+use super::{Cache, Level, Planned};
+use crate::cost::Cost;
+use crate::random::hash;
+use crate::tracer::Tracer;
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// What gathering one record takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RecordCost {
+    /// Its level, from 0.
+    pub level: u32,
+    /// Work and time.
+    pub cost: Cost,
+    /// Rays by category.
+    pub rays: [u32; 7],
+}
+
+/// Bits of a position along each axis: cells of a thousandth of what the records cover.
+const BITS: u32 = 10;
+
+impl Cache {
+    /// See [`Tracer::sample_records`].
+    pub fn sample(&self, tracer: &Tracer, each: usize, seed: u64) -> Vec<RecordCost> {
+        let picks: Vec<(usize, usize)> = (0u64..)
+            .zip(&self.levels)
+            .flat_map(|(level, here)| {
+                let own = u64::from(tracer.frame.number) << 32 | level;
+                let picks = here.spread(each, hash(hash(seed) ^ own));
+                picks.into_iter().map(move |index| (level as usize, index))
+            })
+            .collect();
+        let sample = |(level, index): (usize, usize)| {
+            let gathered = || self.gathered(tracer, level, index);
+            let record = if level + 1 == self.levels.len() {
+                *self.levels[level].records[index].get_or_init(gathered)
+            } else {
+                gathered()
+            };
+            RecordCost { level: level as u32, cost: record.cost, rays: record.rays }
+        };
+        picks.into_par_iter().map(sample).collect()
+    }
+}
+
+impl Level {
+    /// `each` records (all of them, if there are no more), each with the same chance. Neighbours that face the same way cost alike, so
+    /// every so many-th record is picked along a curve through space, one for each direction that a surface can face (systematic
+    /// sampling: Cochran, *Sampling Techniques*, 3rd edition 1977, chapter 8); `start`, in units of 2⁻⁶⁴ of the step, says with
+    /// which to begin.
+    fn spread(&self, each: usize, start: u64) -> Vec<usize> {
+        let count = self.planned.len();
+        let picks = each.min(count);
+        let positions = || self.planned.iter().map(|planned| planned.site.position);
+        let low = positions().reduce(Vec3::min).unwrap_or_default();
+        let extent = positions().reduce(Vec3::max).unwrap_or_default() - low;
+        let scale = ((1 << BITS) - 1) as f32 / extent.max_element().max(f32::MIN_POSITIVE);
+        let mut order: Vec<usize> = (0..count).collect();
+        order.sort_by_cached_key(|&index| curve(&self.planned[index], low, scale));
+        let place = |pick: usize| {
+            let at = (pick as u128) << 64 | u128::from(start);
+            // Below the count, since `at` is below picks · 2⁶⁴.
+            ((at * count as u128 / picks as u128) >> 64) as usize
+        };
+        (0..picks).map(|pick| order[place(pick)]).collect()
+    }
+}
+
+/// Place of a record along the curve: the axis that its normal is nearest to, then the Morton order of its position.
+fn curve(planned: &Planned, low: Vec3, scale: f32) -> u64 {
+    let normal = planned.site.normal;
+    let axis = normal.abs().max_position();
+    let facing = 2 * axis as u64 + u64::from(normal[axis] < 0.0);
+    let cell = ((planned.site.position - low) * scale).to_array().map(|coordinate| coordinate as u64);
+    (0..BITS).rev().fold(facing, |code, bit| cell.iter().fold(code, |code, c| code << 1 | c >> bit & 1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cache::Site;
+
+    fn level(count: usize) -> Level {
+        let place = |index: usize| Planned {
+            key: 0,
+            site: Site {
+                position: Vec3::new((index * 37 % count) as f32, 0.0, (index % 7) as f32 * 1e-3),
+                normal: if index.is_multiple_of(4) { Vec3::Y } else { Vec3::NEG_Z },
+                geometric: Vec3::Y,
+                coat: 0.0,
+                size: 1.0,
+            },
+            radius: 1.0,
+            entered: 1.0,
+            corral: [f32::INFINITY; super::super::hemisphere::SECTORS],
+            hits: [None; super::super::PLAN_RAYS],
+        };
+        Level { planned: (0..count).map(place).collect(), ..Level::default() }
+    }
+
+    #[test]
+    fn every_record_has_the_same_chance_and_none_is_picked_twice() {
+        let level = level(101);
+        let mut times = vec![0; 101];
+        // Starts in steps so small that each of them moves the picks by a part of a record.
+        for start in 0..1010u64 {
+            let mut picks = level.spread(10, start * (u64::MAX / 1010));
+            assert_eq!(picks.len(), 10);
+            picks.iter().for_each(|&pick| times[pick] += 1);
+            picks.sort_unstable();
+            picks.dedup();
+            assert_eq!(picks.len(), 10, "no record twice");
+        }
+        assert!(times.iter().all(|&n| (98..=102).contains(&n)), "{times:?}");
+        let mut all = level.spread(usize::MAX, 77);
+        all.sort_unstable();
+        assert!(all.into_iter().eq(0..101));
+        assert!(Level::default().spread(5, 0).is_empty());
+    }
+
+    #[test]
+    fn picks_are_spread_over_space_and_over_the_directions_that_surfaces_face() {
+        let level = level(400);
+        for start in [0, u64::MAX / 3, u64::MAX] {
+            let picks = level.spread(40, start);
+            let up = picks.iter().filter(|&&pick| level.planned[pick].site.normal == Vec3::Y).count();
+            assert!((9..=11).contains(&up), "a quarter of the records face upwards, of 40 picks {up}");
+            let mut along: Vec<f32> = picks.iter().map(|&pick| level.planned[pick].site.position.x).collect();
+            along.sort_by(f32::total_cmp);
+            let widest = along.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f32::max);
+            assert!(widest < 40.0, "{widest} of 400 m without a pick");
+        }
+    }
+}
