@@ -67,15 +67,16 @@ const OBJ: &str = "mtllib scene.mtl\no wall\nv 0 0 0\nv 1 0 0 1\nv 1 1 0 1 0.5 0
 
 const MTL: &str = "newmtl a\nKd 0.8 0.8 0.8\nmap_Kd sky\nillum 1\nnewmtl b\nKs 0.1 0.2 0.3\nNi 1.5\nPr 0.3\nillum 2\nKe 1 2 3\nTf 1 1 1\nd 0.5\n";
 
-const GLTF: &str = r#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0,1,2]}],"extensionsUsed":["KHR_lights_punctual","KHR_materials_transmission","KHR_materials_ior","KHR_texture_transform"],
-"nodes":[{"name":"tri","mesh":0,"scale":[1,-1,1]},{"name":"view","camera":0,"translation":[0,0,3]},{"name":"p","rotation":[0,0,0,1],"children":[3],"extensions":{"KHR_lights_punctual":{"light":0}}},{"mesh":0,"matrix":[1,0,0,0,0,1,0,0,0,0,1,0,1,0,0,1]}],
+const GLTF: &str = r#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0,1,2]}],"extensionsUsed":["KHR_lights_punctual","KHR_materials_transmission","KHR_materials_ior","KHR_materials_volume","KHR_materials_specular","KHR_texture_transform"],
+"nodes":[{"name":"tri","mesh":0,"scale":[1,-1,1]},{"name":"view","camera":0,"translation":[0,0,3]},{"skin":0,"name":"p","rotation":[0,0,0,1],"children":[3],"extensions":{"KHR_lights_punctual":{"light":0}}},{"mesh":0,"matrix":[1,0,0,0,0,1,0,0,0,0,1,0,1,0,0,1]}],
 "cameras":[{"type":"perspective","perspective":{"yfov":1.0,"aspectRatio":1.5,"znear":0.1}}],
 "extensions":{"KHR_lights_punctual":{"lights":[{"type":"spot","intensity":3,"spot":{"innerConeAngle":0.1,"outerConeAngle":0.4}}]}},
 "meshes":[{"primitives":[{"attributes":{"POSITION":0,"TEXCOORD_0":2},"indices":1,"material":0}]}],
-"materials":[{"name":"m","alphaMode":"MASK","alphaCutoff":0.4,"doubleSided":true,"emissiveFactor":[0.1,0,0],"pbrMetallicRoughness":{"metallicFactor":0.5,"roughnessFactor":0.3,"baseColorTexture":{"index":0}},"extensions":{"KHR_materials_transmission":{"transmissionFactor":0.5},"KHR_materials_ior":{"ior":1.4}}}],
-"textures":[{"source":0}],"images":[{"uri":"sky"}],
+"materials":[{"name":"m","alphaMode":"MASK","alphaCutoff":0.4,"doubleSided":true,"emissiveFactor":[0.1,0,0],"pbrMetallicRoughness":{"metallicFactor":0.5,"roughnessFactor":0.3,"baseColorTexture":{"index":0}},"normalTexture":{"index":0},"emissiveTexture":{"index":0,"extensions":{"KHR_texture_transform":{"offset":[0,1],"texCoord":0}}},"extensions":{"KHR_materials_transmission":{"transmissionFactor":0.5,"transmissionTexture":{"index":0}},"KHR_materials_volume":{"thicknessFactor":1,"thicknessTexture":{"index":0}},"KHR_materials_specular":{"specularTexture":{"index":0},"specularColorTexture":{"index":0}},"KHR_materials_ior":{"ior":1.4}}}],
+"textures":[{"source":0,"sampler":0}],"samplers":[{"wrapS":10497,"magFilter":9729}],"images":[{"uri":"sky"},{"bufferView":0,"mimeType":"image/png"}],
 "accessors":[{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[1,1,0]},{"bufferView":1,"componentType":5123,"count":3,"type":"SCALAR"},{"bufferView":0,"componentType":5126,"count":3,"type":"VEC2"},{"bufferView":2,"componentType":5126,"count":2,"type":"SCALAR","min":[0],"max":[1]},{"bufferView":0,"componentType":5126,"count":2,"type":"VEC3"}],
 "bufferViews":[{"buffer":0,"byteLength":36},{"buffer":0,"byteOffset":36,"byteLength":6},{"buffer":0,"byteOffset":8,"byteLength":8}],
+"skins":[{"joints":[0,1],"skeleton":0,"inverseBindMatrices":1}],
 "animations":[{"samplers":[{"input":3,"output":4,"interpolation":"LINEAR"}],"channels":[{"sampler":0,"target":{"node":0,"path":"translation"}}]}],
 "buffers":[{"uri":"data.bin","byteLength":44}]}"#;
 

@@ -5,6 +5,7 @@
 
 use forelight_tests::parsers::{PARSERS, Parser};
 use forelight_tests::repository;
+use serde_json::Value;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Numbers from a counter (SplitMix64), so that a failure can be found again by its number.
@@ -138,4 +139,39 @@ fn mutated_input_of_every_parser_is_read_or_refused() {
             read(&parser, &mutated(seed, &mut random), &format!("mutation {number}"));
         }
     }
+}
+
+/// The places of all numbers in a JSON document.
+fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
+    match value {
+        Value::Number(_) => found.push(pointer.to_owned()),
+        Value::Array(list) => {
+            list.iter().enumerate().for_each(|(i, v)| numbers(v, &format!("{pointer}/{i}"), found));
+        }
+        Value::Object(map) => map.iter().for_each(|(k, v)| numbers(v, &format!("{pointer}/{k}"), found)),
+        _ => {}
+    }
+}
+
+#[test]
+fn any_number_of_a_document_may_be_any_other_number() {
+    let others = ["-1", "0", "1", "5", "4294967295", "18446744073709551615", "1e38", "-1e300", "0.5", "null"];
+    let mut count = 0;
+    for parser in PARSERS.iter().filter(|p| ["description", "gltf", "protocol"].contains(&p.name)) {
+        for seed in (parser.seeds)() {
+            let document: Value = serde_json::from_slice(&seed).expect("the seed is JSON");
+            let mut found = Vec::new();
+            numbers(&document, "", &mut found);
+            for pointer in found {
+                for other in others {
+                    let mut changed = document.clone();
+                    let place = changed.pointer_mut(&pointer).expect("the place was just found");
+                    *place = serde_json::from_str(other).expect("a number");
+                    read(parser, changed.to_string().as_bytes(), &format!("{pointer} = {other}"));
+                    count += 1;
+                }
+            }
+        }
+    }
+    assert!(count > 1000, "{count} documents");
 }

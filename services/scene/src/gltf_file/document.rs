@@ -191,6 +191,18 @@ fn check(root: &Root) -> Result<(), (String, String)> {
             }
         }
     }
+    for (a, animation) in root.animations.iter().enumerate() {
+        for (c, channel) in animation.channels.iter().enumerate() {
+            if channel.target.node.value() >= root.nodes.len() {
+                let pointer = format!("/animations/{a}/channels/{c}/target/node");
+                return fail(pointer, "there is no such node");
+            }
+            if matches!(channel.target.path, Checked::Invalid) {
+                let pointer = format!("/animations/{a}/channels/{c}/target/path");
+                return fail(pointer, "is not one of `translation`, `rotation`, `scale`, `weights`");
+            }
+        }
+    }
     for (i, image) in root.images.iter().enumerate() {
         if image.uri.is_none() && image.buffer_view.is_none() {
             return fail(format!("/images/{i}"), "has neither a `uri` nor a `bufferView`");

@@ -370,3 +370,24 @@ fn animations_with_keys_that_do_not_fit() {
     assert_eq!(with([0.0, 1.0], 3).error(), format!("{at}: 2 keys need 2 values, not 3"));
     assert_eq!(with([0.0, 1e6], 2).error(), "tri.gltf: frames: 24000001 is more than the limit of 100000");
 }
+
+#[test]
+fn an_animation_of_no_node_or_of_no_property() {
+    let with = |target: serde_json::Value| {
+        triangle_with(
+            "/animations",
+            json!([{
+                "samplers": [{"input": 0, "output": 0}],
+                "channels": [{"sampler": 0, "target": target}]
+            }]),
+        )
+    };
+    assert_eq!(
+        with(json!({"node": 2, "path": "scale"})).error(),
+        "tri.gltf: /animations/0/channels/0/target/node: there is no such node"
+    );
+    assert_eq!(
+        with(json!({"node": 0, "path": "colour"})).error(),
+        "tri.gltf: /animations/0/channels/0/target/path: is not one of `translation`, `rotation`, `scale`, `weights`"
+    );
+}
