@@ -5,8 +5,8 @@ mod support;
 use std::time::Duration;
 
 use forelight_protocol::{
-    ArtifactHash, BookingPage, Dashboard, ForecastDoc, FramePage, FrameState, Job, JobState, Plan, TaskKind,
-    TaskResult, TrackRecord, Verdict,
+    ArtifactHash, BookingPage, CacheSample, Dashboard, ForecastDoc, FramePage, FrameState, Job, JobState,
+    Plan, TaskKind, TaskResult, TrackRecord, Verdict,
 };
 use reqwest::StatusCode;
 use serde_json::json;
@@ -299,6 +299,12 @@ async fn a_result_that_does_not_fit_its_task_is_refused_with_the_place_and_the_l
         empty.background_prior_cost = prior_cost;
         cases.push((empty, "/result/preview/background_prior_cost"));
     }
+    let mut cached = preview.clone();
+    cached.frames[1].cache_records = vec![100];
+    cases.push((cached, "/result/preview/frames/1/cache_records"));
+    let mut dear = preview.clone();
+    dear.record_prior_cost = Some(0.0);
+    cases.push((dear, "/result/preview/record_prior_cost"));
     let mut nothing = preview.clone();
     nothing.strata[0].object = u32::MAX;
     cases.push((nothing, "/result/preview/strata/0/object"));
@@ -321,13 +327,23 @@ async fn a_result_that_does_not_fit_its_task_is_refused_with_the_place_and_the_l
         .problem(forelight_protocol::ProblemKind::MissingArtifact)
         .await;
     assert!(problem.detail.contains("0909"), "{}", problem.detail);
-    let mut stray = good;
+    let mut stray = good.clone();
     stray.samples[5].pixel = 64;
-    let problem = farm
-        .report(&profile, TaskResult::Profile(stray))
-        .await
-        .problem(forelight_protocol::ProblemKind::Invalid)
-        .await;
-    assert_eq!(problem.pointer.as_deref(), Some("/result/profile/samples/5/pixel"));
+    let mut gathered = good.clone();
+    gathered.cache_samples = vec![CacheSample { level: 0, work: 1, cpu_nanos: 1, rays: [0; 7] }];
+    let mut endless = good.clone();
+    endless.fixed.plan.work = u64::MAX;
+    let mut wordy = good;
+    wordy.effects = vec!["x".repeat(101)];
+    for (bad, pointer) in [
+        (stray, "/result/profile/samples/5/pixel"),
+        (gathered, "/result/profile/cache_samples/0/level"),
+        (endless, "/result/profile/fixed/plan"),
+        (wordy, "/result/profile/effects"),
+    ] {
+        let answer = farm.report(&profile, TaskResult::Profile(bad)).await;
+        let problem = answer.problem(forelight_protocol::ProblemKind::Invalid).await;
+        assert_eq!(problem.pointer.as_deref(), Some(pointer));
+    }
     assert!(!farm.finish(&profile).await.duplicate);
 }
