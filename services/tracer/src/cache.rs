@@ -65,8 +65,8 @@ pub struct Planned {
     pub entered: f32,
     /// Distance to what blocks the way along the surface, by sector of azimuth, metres.
     pub corral: [f32; hemisphere::SECTORS],
-    /// What the plan's rays met.
-    pub hits: [Option<Hit>; PLAN_RAYS],
+    /// What the plan's rays met; apart from the rest, which reading looks at millions of times.
+    pub hits: Box<[Option<Hit>; PLAN_RAYS]>,
 }
 
 /// What was gathered at a record.

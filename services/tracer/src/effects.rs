@@ -4,12 +4,12 @@
 //! from it (see `kernel`), so that what is not in the set has no code in the path, no rays and no memory.
 
 use crate::environment::Sky;
-use crate::lights::FEW;
+use crate::lights::Looks;
 use crate::microfacet::SMOOTH;
 use crate::{Integrator, Settings};
 use forelight_scene::{Camera, Color, Material, Sun, Surface};
 use std::fmt;
-use std::ops::{BitOr, BitOrAssign};
+use std::ops::BitOr;
 
 /// A set of effects.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Default)]
@@ -28,7 +28,7 @@ const NAMES: [(u32, &str); 18] = [
     (Effects::SOFT_SHADOWS, "soft shadows"),
     (Effects::AREA_LIGHTS, "area lights"),
     (Effects::POINT_LIGHTS, "point lights"),
-    (Effects::MANY_LIGHTS, "many lights"),
+    (Effects::LIGHT_CHOICE, "choice of lights"),
     (Effects::SUN, "sun"),
     (Effects::ENVIRONMENT, "environment"),
     (Effects::AMBIENT, "ambient"),
@@ -72,13 +72,13 @@ impl Effects {
     pub const CACHE: u32 = 1 << 15;
     /// A lens with an aperture.
     pub const DEPTH_OF_FIELD: u32 = 1 << 16;
-    /// More lights with a position than every point can look at: some are chosen by a light tree.
-    pub const MANY_LIGHTS: u32 = 1 << 17;
+    /// Points look at some of the lights with a position, chosen by a light tree, instead of all.
+    pub const LIGHT_CHOICE: u32 = 1 << 17;
 
     /// Everything that a picture may hold. What is not a matter of the picture but of how it is found (integrator, bounces, choice
     /// of lights) stays as it is.
     pub fn with_all(self) -> Self {
-        let how = Self::AMBIENT | Self::SECOND_BOUNCE | Self::CACHE | Self::MANY_LIGHTS;
+        let how = Self::AMBIENT | Self::SECOND_BOUNCE | Self::CACHE | Self::LIGHT_CHOICE;
         let all = NAMES.iter().fold(0, |set, (bit, _)| set | bit);
         Self(all & !how | self.0)
     }
@@ -108,8 +108,8 @@ pub(crate) struct CalledFor<'a> {
     pub points: usize,
     /// Those that are looked at.
     pub suns: &'a [Sun],
-    /// Lights with a position among which to choose where there are many.
-    pub choice: usize,
+    /// How many of the lights with a position are looked at.
+    pub looks: Looks,
     pub sky: &'a Sky,
     pub camera: &'a Camera,
     pub settings: &'a Settings,
@@ -138,11 +138,15 @@ impl CalledFor<'_> {
         let Settings { ambient_bounces, integrator, cache, .. } = *self.settings;
         add(Effects::AREA_LIGHTS | Effects::SOFT_SHADOWS, self.area_lights > 0);
         add(Effects::POINT_LIGHTS, self.points > 0);
-        add(Effects::MANY_LIGHTS, self.choice > FEW);
         add(Effects::SUN, !self.suns.is_empty());
         add(Effects::SOFT_SHADOWS, self.suns.iter().any(|sun| sun.angle_deg > 0.0));
         add(Effects::ENVIRONMENT, !self.sky.is_black());
         add(Effects::AMBIENT, ambient_bounces > 0);
+        let gathered = ambient_bounces > 0 && self.looks.gathered.is_some();
+        add(
+            Effects::LIGHT_CHOICE,
+            integrator == Integrator::Ambient && (self.looks.seen.is_some() || gathered),
+        );
         add(Effects::SECOND_BOUNCE, ambient_bounces > 1);
         let cached = cache.is_some() && integrator == Integrator::Ambient;
         add(Effects::CACHE, ambient_bounces > 0 && cached);
@@ -155,12 +159,6 @@ impl BitOr<u32> for Effects {
     type Output = Self;
     fn bitor(self, bits: u32) -> Self {
         Self(self.0 | bits)
-    }
-}
-
-impl BitOrAssign<u32> for Effects {
-    fn bitor_assign(&mut self, bits: u32) {
-        self.0 |= bits;
     }
 }
 

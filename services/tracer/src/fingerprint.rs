@@ -1,22 +1,23 @@
 //! A hash of everything that an image depends on.
 
 use crate::{Reach, Settings};
+use blake3::Hasher;
 use forelight_scene::{Frame, Texels};
 
 /// Raised when a change of the tracer changes images or counters: finished pixels of another version are not taken over.
-const TRACER_VERSION: u32 = 4;
+const TRACER_VERSION: u32 = 5;
 
-/// BLAKE3 of frame, settings and tracer version.
-pub fn fingerprint(frame: &Frame, settings: &Settings) -> [u8; 32] {
-    let mut hasher = light(frame);
+/// BLAKE3 of frame, settings and tracer version; `content` is [`of_content`] of the frame.
+pub fn fingerprint(content: &Hasher, frame: &Frame, settings: &Settings) -> [u8; 32] {
+    let mut hasher = content.clone();
     hasher.update(format!("{} {:?} {settings:?}", frame.number, frame.camera).as_bytes());
     *hasher.finalize().as_bytes()
 }
 
 /// The same without what only the view depends on: camera, frame number, size and samples. But frames that look at different
 /// lights, because others cannot reach what they see, differ.
-pub fn light_fingerprint(frame: &Frame, settings: &Settings, reach: &Reach) -> [u8; 32] {
-    let mut hasher = light(frame);
+pub fn light_fingerprint(content: &Hasher, settings: &Settings, reach: &Reach) -> [u8; 32] {
+    let mut hasher = content.clone();
     let Settings { integrator, ambient_bounces, max_depth, materials, cache, seed, .. } = settings;
     let small = format!(
         "{integrator:?} {ambient_bounces} {max_depth} {materials:?} {cache:?} {seed} {:?}",
@@ -26,8 +27,9 @@ pub fn light_fingerprint(frame: &Frame, settings: &Settings, reach: &Reach) -> [
     *hasher.finalize().as_bytes()
 }
 
-fn light(frame: &Frame) -> blake3::Hasher {
-    let mut hasher = blake3::Hasher::new();
+/// What does not depend on the view, hashed so far: geometry, textures, materials, lights, and the tracer's version.
+pub fn of_content(frame: &Frame) -> Hasher {
+    let mut hasher = Hasher::new();
     let geometry = &frame.geometry;
     hasher.update(&TRACER_VERSION.to_le_bytes());
     hasher.update(bytemuck::cast_slice(&geometry.positions));

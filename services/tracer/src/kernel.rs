@@ -11,6 +11,7 @@ use crate::cache::{Irradiance, Keyed, PLAN_RAYS, Planned, Site, Strata};
 use crate::cost::Counters;
 use crate::effects::Effects;
 use crate::integrator::{Pixels, Point, Segment};
+use crate::lights::Looks;
 use crate::random::{Sampler, hash};
 use crate::response::Response;
 use crate::tracer::{Pixel, Tracer};
@@ -43,8 +44,10 @@ pub type Ambient<const K: u32> = fn(&mut Pixels<'_, K>, &Segment, &Point, &Respo
 pub struct Kernel<const K: u32> {
     /// The ray of a camera sample of a pixel.
     pub camera: fn(&mut Pixels<'_, K>, u32, u32) -> Ray,
-    /// Lights with a position or a direction, by kind.
+    /// Lights with a position or a direction, by kind, at points that the camera sees.
     pub lights: Vec<Light<K>>,
+    /// The same at points that gathered rays meet.
+    pub gathered_lights: Vec<Light<K>>,
     /// What surrounds the scene.
     pub sky: Option<Light<K>>,
     /// Indirect light.
@@ -91,21 +94,7 @@ pub trait Trace: Send + Sync {
 }
 
 impl<const K: u32> Kernel<K> {
-    fn new(effects: Effects, integrator: Integrator) -> Self {
-        let mut lights: Vec<Light<K>> = Vec::new();
-        let many = effects.has(Effects::MANY_LIGHTS);
-        if many {
-            lights.push(|pixels, p, response, vertex| pixels.many_lights(p, response, vertex));
-        }
-        if effects.has(Effects::AREA_LIGHTS) && !many {
-            lights.push(|pixels, p, response, vertex| pixels.area_lights(p, response, vertex));
-        }
-        if effects.has(Effects::POINT_LIGHTS) && !many {
-            lights.push(|pixels, p, response, _| pixels.point_lights(p, response));
-        }
-        if effects.has(Effects::SUN) {
-            lights.push(|pixels, p, response, vertex| pixels.suns(p, response, vertex));
-        }
+    fn new(effects: Effects, integrator: Integrator, looks: Looks) -> Self {
         let sky: Option<Light<K>> = match effects.has(Effects::ENVIRONMENT) {
             true => Some(|pixels, p, response, vertex| pixels.sky(p, response, vertex)),
             false => None,
@@ -121,7 +110,8 @@ impl<const K: u32> Kernel<K> {
                 true => |pixels, x, y| pixels.through_lens(x, y),
                 false => |pixels, x, y| pixels.through_pinhole(x, y),
             },
-            lights,
+            lights: lights(effects, 0, looks),
+            gathered_lights: lights(effects, 1, looks),
             sky,
             ambient,
             integrate: match integrator {
@@ -137,11 +127,33 @@ impl<const K: u32> Kernel<K> {
     fn probe(&self) -> Self {
         Self {
             lights: Vec::new(),
+            gathered_lights: Vec::new(),
             sky: None,
             ambient: Some(|pixels, _, p, response| pixels.note(p, response)),
             ..self.clone()
         }
     }
+}
+
+/// The kinds of light that a point after `level` diffuse bounces looks at.
+fn lights<const K: u32>(effects: Effects, level: u32, looks: Looks) -> Vec<Light<K>> {
+    let mut lights: Vec<Light<K>> = Vec::new();
+    match (looks.at(level), level) {
+        (None, _) => {
+            if effects.has(Effects::AREA_LIGHTS) {
+                lights.push(|pixels, p, response, vertex| pixels.all_area_lights(p, response, vertex));
+            }
+            if effects.has(Effects::POINT_LIGHTS) {
+                lights.push(|pixels, p, response, _| pixels.all_point_lights(p, response));
+            }
+        }
+        (Some(_), 0) => lights.push(|pixels, p, response, vertex| pixels.some_lights(p, response, 0, vertex)),
+        (Some(_), _) => lights.push(|pixels, p, response, vertex| pixels.some_lights(p, response, 1, vertex)),
+    }
+    if effects.has(Effects::SUN) {
+        lights.push(|pixels, p, response, vertex| pixels.suns(p, response, vertex));
+    }
+    lights
 }
 
 impl<const K: u32> Trace for Kernel<K> {
@@ -217,7 +229,7 @@ impl<const K: u32> Trace for Kernel<K> {
 }
 
 /// The kernel for these effects.
-pub fn kernel(effects: Effects, integrator: Integrator) -> Box<dyn Trace> {
+pub fn kernel(effects: Effects, integrator: Integrator, looks: Looks) -> Box<dyn Trace> {
     let parameters = [
         (has::GLOSSY, Effects::GLOSSY),
         (has::SPECULAR, Effects::MIRROR),
@@ -232,8 +244,8 @@ pub fn kernel(effects: Effects, integrator: Integrator) -> Box<dyn Trace> {
     macro_rules! compiled {
         ($($k:literal)*) => {
             match wanted {
-                $($k => Box::new(Kernel::<$k>::new(effects, integrator)) as Box<dyn Trace>,)*
-                _ => Box::new(Kernel::<31>::new(effects, integrator)),
+                $($k => Box::new(Kernel::<$k>::new(effects, integrator, looks)) as Box<dyn Trace>,)*
+                _ => Box::new(Kernel::<31>::new(effects, integrator, looks)),
             }
         };
     }

@@ -4,11 +4,11 @@ use crate::cache::{Cache, CacheError, RecordCost};
 use crate::cost::{Cost, build_work, thread_cpu_nanos};
 use crate::effects::{CalledFor, Effects};
 use crate::environment::Sky;
-use crate::fingerprint::{fingerprint, light_fingerprint};
+use crate::fingerprint::{fingerprint, light_fingerprint, of_content};
 use crate::fresnel;
 use crate::image::Image;
 use crate::kernel::{Trace, kernel};
-use crate::lights::{Lights, Luminaires};
+use crate::lights::{Lights, Looks, Luminaires};
 use crate::profile::Profile;
 use crate::reach::{LeftOut, Reach, reachable};
 use crate::tree::Tree;
@@ -61,6 +61,8 @@ pub struct Tracer {
     pub(crate) suns: Vec<usize>,
     /// Everything that shines, for choosing one light out of it; empty where the integrator does not choose so.
     pub(crate) lights: Lights,
+    /// How many of the lights with a position a point looks at.
+    pub(crate) looks: Looks,
     pub(crate) sky: Sky,
     /// Internal diffuse reflectance of each coated material.
     pub(crate) internal: Vec<f32>,
@@ -71,6 +73,8 @@ pub struct Tracer {
     effects: Effects,
     pub(crate) kernel: Box<dyn Trace>,
     build: Cost,
+    /// What the frame holds, hashed when it is first asked for.
+    content: OnceLock<blake3::Hasher>,
 }
 
 impl Tracer {
@@ -118,19 +122,22 @@ impl Tracer {
         let sky = if included.environment() { Sky::new(&frame) } else { Sky::Black };
         let points: Vec<usize> = (0..frame.points.len()).filter(|&i| included.point_light(i)).collect();
         let suns: Vec<usize> = (0..frame.suns.len()).filter(|&i| included.sun(i)).collect();
+        // Of those that are put back, none is ever among the chosen.
+        let choice =
+            luminaires.reaching() + (0..frame.points.len()).filter(|&i| reach.point_light(i)).count();
+        let looks = Looks::new(choice);
         let called_for = CalledFor {
             materials: &included.materials(&frame.geometry, &materials),
             area_lights: luminaires.all.len(),
             points: points.len(),
             suns: &suns.iter().map(|&i| frame.suns[i]).collect::<Vec<Sun>>(),
-            // Of those that are put back, none is ever among the chosen.
-            choice: luminaires.reaching() + (0..frame.points.len()).filter(|&i| reach.point_light(i)).count(),
+            looks,
             sky: &sky,
             camera: &frame.camera,
             settings,
         };
         let effects = called_for.effects();
-        let chosen = settings.integrator == Integrator::Path || effects.has(Effects::MANY_LIGHTS);
+        let chosen = settings.integrator == Integrator::Path || effects.has(Effects::LIGHT_CHOICE);
         let lights = if chosen { Lights::new(&frame, &materials, &sky, &reach) } else { Lights::default() };
         Self {
             internal: internal.collect(),
@@ -143,12 +150,14 @@ impl Tracer {
             lights,
             sky,
             effects,
-            kernel: kernel(effects, settings.integrator),
+            looks,
+            kernel: kernel(effects, settings.integrator, looks),
             materials,
             settings: settings.clone(),
             bvh,
             frame,
             build,
+            content: OnceLock::new(),
         }
     }
 
@@ -173,7 +182,7 @@ impl Tracer {
 
     /// Hash of all that the records of a cache depend on.
     pub fn cache_fingerprint(&self) -> [u8; 32] {
-        light_fingerprint(&self.frame, &self.settings, &self.reach)
+        light_fingerprint(self.content(), &self.settings, &self.reach)
     }
 
     /// The frame's irradiance cache, if it is called for and planned.
@@ -234,7 +243,11 @@ impl Tracer {
 
     /// Hash of all that a pixel's value depends on: frame, settings, and the version of this tracer.
     pub fn fingerprint(&self) -> [u8; 32] {
-        fingerprint(&self.frame, &self.settings)
+        fingerprint(self.content(), &self.frame, &self.settings)
+    }
+
+    fn content(&self) -> &blake3::Hasher {
+        self.content.get_or_init(|| of_content(&self.frame))
     }
 
     /// The effects that this frame calls for.
@@ -245,7 +258,7 @@ impl Tracer {
     /// The same, traced by a kernel that also holds code for effects that are not called for: for showing what leaving them out
     /// saves. Images and counters keep their bits.
     pub fn with_kernel_for(self, effects: Effects) -> Self {
-        Self { kernel: kernel(self.effects | effects.bits(), self.settings.integrator), ..self }
+        Self { kernel: kernel(self.effects | effects.bits(), self.settings.integrator, self.looks), ..self }
     }
 
     /// One finished pixel by its row-major index. Its colour, rays and work depend on nothing but frame, settings and index.
@@ -259,7 +272,7 @@ impl Tracer {
     /// calling this from several threads of a pool.
     pub fn profile(&self, pixels: &[u32]) -> Vec<Pixel> {
         self.plan();
-        timed(|| pixels.iter().map(|&i| self.pixel(i)).collect())
+        timed(|| pixels.iter().map(|&i| self.kernel.pixel(self, i)).collect())
     }
 
     /// The whole image, on the current rayon pool: pixels of `reuse` are taken over, the others traced. `progress` is told the
@@ -299,7 +312,8 @@ impl Tracer {
                 let traced: Vec<u32> =
                     indices.iter().copied().filter(|&i| known[i as usize].is_none()).collect();
                 let wanted = || !cancel.load(Ordering::Relaxed);
-                let pixels = || traced.iter().take_while(|_| wanted()).map(|&i| self.pixel(i)).collect();
+                let pixels =
+                    || traced.iter().take_while(|_| wanted()).map(|&i| self.kernel.pixel(self, i)).collect();
                 let finished = timed(pixels);
                 progress(done.fetch_add(indices.len() as u64, Ordering::Relaxed) + indices.len() as u64);
                 traced.into_iter().zip(finished).collect()

@@ -215,7 +215,7 @@ fn the_other_integrator_finds_many_lights_by_the_tree_with_the_same_mean() {
         let whole = blocks(&scene(1, height), &settings, 16);
         for strips in [3, 40] {
             let names: Vec<_> = Tracer::new(&scene(strips, height), &settings).effects().names().collect();
-            assert!(names.contains(&"many lights"), "{names:?}");
+            assert!(names.contains(&"choice of lights"), "{names:?}");
             agree(&whole, &blocks(&scene(strips, height), &settings, 16));
         }
     }

@@ -165,7 +165,7 @@ fn lights_that_cannot_reach_are_not_among_those_chosen_of_many() {
         let (one, many) = (scene(0), scene(400));
         let tracer = Tracer::new(&many, &settings);
         assert_eq!(tracer.left_out().len(), 800);
-        assert!(tracer.effects().names().all(|name| name != "many lights"));
+        assert!(tracer.effects().names().all(|name| name != "choice of lights"));
         assert!(bits(&render(&tracer)) == bits(&render(&Tracer::new(&one, &settings))));
         assert!(bits(&render(&tracer)) == bits(&render(&Tracer::complete(&many, &settings))));
     }

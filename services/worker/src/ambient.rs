@@ -18,7 +18,7 @@ use forelight_tracer::{
 use rayon::prelude::*;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Opens bundles for our renderer. One previewer serves them all: a process has one device.
 #[derive(Clone)]
@@ -204,9 +204,7 @@ impl AmbientShot {
         *lock(&self.moved_tree) = Some(tree);
         ready
     }
-}
 
-impl AmbientShot {
     /// Records of a frame's irradiance cache by level, none without one, and what planning them took, with any tree that had
     /// to be built for it.
     fn planned_records(&self, frame: &Frame, settings: &Settings) -> (Vec<u32>, Spent) {
@@ -257,7 +255,6 @@ impl Renderer for AmbientShot {
         let Ready { tracer, own_tree, built_now } = self.tracer(&frame, &settings);
         Ok(Box::new(AmbientFrame {
             previewer: &self.previewer,
-            fingerprint: OnceLock::new(),
             tracer,
             fixed: FixedCosts {
                 load: Spent { work: 0, cpu_nanos: moved },
@@ -273,17 +270,9 @@ impl Renderer for AmbientShot {
 struct AmbientFrame<'a> {
     previewer: &'a SharedPreviewer,
     tracer: Tracer,
-    /// Hashing the geometry takes a while, and only profiles need it.
-    fingerprint: OnceLock<[u8; 32]>,
     /// Without the plan of its irradiance cache.
     fixed: FixedCosts,
     built_now: Spent,
-}
-
-impl AmbientFrame<'_> {
-    fn fingerprint(&self) -> [u8; 32] {
-        *self.fingerprint.get_or_init(|| self.tracer.fingerprint())
-    }
 }
 
 /// Pixels that are traced in one go, so that a thread's clock is read seldom and every thread has work.
@@ -341,7 +330,7 @@ impl FrameRenderer for AmbientFrame<'_> {
         let cache = self.tracer.cache().map(|cache| cache.to_bytes());
         // The colours of pixels that read a cache before it is filled are not the image's.
         let pixels = if cache.is_none() { pixels.to_vec() } else { Vec::new() };
-        Profile { frame: self.tracer.frame().number, fingerprint: self.fingerprint(), pixels, cache }
+        Profile { frame: self.tracer.frame().number, fingerprint: self.tracer.fingerprint(), pixels, cache }
     }
 
     fn render(
@@ -353,7 +342,7 @@ impl FrameRenderer for AmbientFrame<'_> {
         let pixels = self.tracer.frame().camera.pixels();
         let mut taken_over = CacheTotals::default();
         if let Some(profile) = reuse {
-            if profile.fingerprint != self.fingerprint() || !profile.fits(pixels) {
+            if profile.fingerprint != self.tracer.fingerprint() || !profile.fits(pixels) {
                 return Err(RenderError::ForeignProfile { frame: profile.frame });
             }
             if let Some(bytes) = &profile.cache {

@@ -296,9 +296,9 @@ fn planned_of(row: &PlannedRow) -> Option<Planned> {
         radius: row.radius,
         entered: row.entered,
         corral: row.corral,
-        hits: row.hits.map(|h| {
+        hits: Box::new(row.hits.map(|h| {
             (h.triangle != NOTHING).then_some(Hit { primitive: h.triangle, u: h.u, v: h.v, t: h.t })
-        }),
+        })),
     })
 }
 

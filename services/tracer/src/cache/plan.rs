@@ -261,7 +261,7 @@ fn plan_record(tracer: &Tracer, strata: &Strata, (key, site): Keyed, level: &Lev
     }
     let harmonic = if inverse > 0.0 { (PLAN_RAYS as f64 / inverse) as f32 } else { f32::INFINITY };
     let radius = harmonic.clamp(level.smallest, level.largest);
-    (Planned { key, site, radius, entered: radius, corral, hits }, counters)
+    (Planned { key, site, radius, entered: radius, corral, hits: Box::new(hits) }, counters)
 }
 
 impl Level {

@@ -20,7 +20,7 @@ impl Cache {
         for index in here.octree.near(place.position) {
             looked_at += 1;
             let planned = &here.planned[index as usize];
-            let Some(error) = planned.error(place).filter(|error| *error < allowed) else { continue };
+            let Some(error) = planned.error(place, allowed) else { continue };
             let Some(record) = here.records[index as usize].get() else {
                 weights += 1.0;
                 continue;

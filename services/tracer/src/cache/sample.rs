@@ -95,7 +95,7 @@ mod tests {
             radius: 1.0,
             entered: 1.0,
             corral: [f32::INFINITY; super::super::hemisphere::SECTORS],
-            hits: [None; super::super::PLAN_RAYS],
+            hits: Box::new([None; super::super::PLAN_RAYS]),
         };
         Level { planned: (0..count).map(place).collect(), ..Level::default() }
     }

@@ -26,16 +26,23 @@ const SLANT: f32 = 0.25;
 
 impl Planned {
     /// The error of using this record at a place, in units in which the allowed error is compared: the split-sphere bound without its
-    /// constants, |p − pᵢ| / Rᵢ + √(1 − n·nᵢ) (Ward, Rubinstein, Clear 1988, equation 5). `None` where the record must not be
-    /// used at all: on another side, in front of or behind the surface, beyond something that stands in the way.
-    pub fn error(&self, place: &Site) -> Option<f32> {
-        let cos = self.site.normal.dot(place.normal);
+    /// constants, |p − pᵢ| / Rᵢ + √(1 − n·nᵢ) (Ward, Rubinstein, Clear 1988, equation 5). `None` if that is not below `allowed`, and
+    /// where the record must not be used at all: on another side, in front of or behind the surface, beyond something that
+    /// stands in the way.
+    pub fn error(&self, place: &Site, allowed: f32) -> Option<f32> {
         let difference = place.position - self.site.position;
-        let distance = difference.length();
+        let distance2 = difference.length_squared();
+        let farthest = allowed * self.radius;
+        let cos = self.site.normal.dot(place.normal);
+        // Most of the records that are looked at are too far off: that is found out first.
+        if !(distance2 < farthest * farthest && cos > 0.0 && self.site.coat == place.coat) {
+            return None;
+        }
+        let distance = distance2.sqrt();
         let error = distance / self.radius + (1.0 - cos).max(0.0).sqrt();
         let mean_normal = self.site.normal + place.normal;
         let slant = 0.5 * difference.dot(mean_normal).abs();
-        let fits = cos > 0.0 && slant <= SLANT * distance && self.site.coat == place.coat;
+        let fits = error < allowed && slant <= SLANT * distance;
         (fits && distance <= self.free_distance(difference)).then_some(error)
     }
 
@@ -51,6 +58,6 @@ impl Level {
     pub(super) fn covers(&self, place: &Site) -> bool {
         self.octree
             .near(place.position)
-            .any(|index| self.planned[index as usize].error(place).is_some_and(|error| error < self.accuracy))
+            .any(|index| self.planned[index as usize].error(place, self.accuracy).is_some())
     }
 }

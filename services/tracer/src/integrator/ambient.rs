@@ -9,6 +9,7 @@
 //! importance sampling (Veach 1997, balance heuristic), and so do diffuse surfaces the lights that are near.
 
 use super::{Pixels, Point, cap_height, leaving};
+use crate::Settings;
 use crate::cost::Category;
 use crate::environment::Sky;
 use crate::fresnel;
@@ -24,6 +25,9 @@ use glam::Vec3;
 
 /// On the camera's own tree, a branch that adds less than this share of the pixel survives only by roulette.
 const FAINT: f32 = 0.02;
+
+/// Rays with which all samples of a pixel together gather, if no record of the cache covers any of them.
+const UNCOVERED: u32 = 128;
 
 /// After a diffuse bounce, glossy lobes narrower than this alpha do not see the lights: their highlights are caustics.
 const CAUSTIC_ALPHA: f32 = 0.2;
@@ -156,7 +160,7 @@ impl<const K: u32> Pixels<'_, K> {
             Arrival::Everything => 1.0,
             Arrival::Shared { receiver, density, travelled } => {
                 let distance = travelled + p.distance;
-                let by_light = self.density_of_lights(&receiver, triangle, distance * distance, cos);
+                let by_light = self.density_of_lights(&receiver, s.level, triangle, distance * distance, cos);
                 by_light.map_or(1.0, |by_light| density / (density + by_light))
             }
         };
@@ -180,7 +184,7 @@ impl<const K: u32> Pixels<'_, K> {
             _ => None,
         };
         if response.has_diffuse() || response.glossy.is_some() {
-            total += self.direct(p, &response, s.vertex);
+            total += self.direct(p, &response, s.level, s.vertex);
         }
         let gathers_sky = ambient.is_some() && self.gathers_sky();
         if let Some(sky) = kernel.sky
@@ -346,13 +350,25 @@ impl<const K: u32> Pixels<'_, K> {
 
     /// Indirect diffuse light: the mean over stratified, cosine-weighted rays.
     pub fn gather(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
-        let arrival = self.gathered();
         let divisions = self.tracer.settings.ambient_divisions;
         let count = if s.level == 0 {
             ((divisions as f32 * s.weight).ceil() as u32).clamp(1, divisions)
         } else {
             (divisions >> (3 * s.level).min(31)).max(1)
         };
+        self.gather_rays(count, s, p, response)
+    }
+
+    /// Indirect diffuse light of a point that no record of the cache covers: by few rays, since few samples of a pixel meet such points,
+    /// and few rays of a record's gather.
+    pub(super) fn gather_uncovered(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
+        let Settings { spp, ambient_divisions, .. } = self.tracer.settings;
+        let count = if s.level == 0 { UNCOVERED.div_ceil(spp).min(ambient_divisions) } else { 1 };
+        self.gather_rays(count, s, p, response)
+    }
+
+    fn gather_rays(&mut self, count: u32, s: &Segment, p: &Point, response: &Response) -> Vec3 {
+        let arrival = self.gathered();
         let mut sum = Vec3::ZERO;
         for _ in 0..count {
             let wo = geometry::cosine_hemisphere(self.sampler.next(Purpose::Gather, s.vertex));

@@ -20,7 +20,7 @@ impl<const K: u32> Pixels<'_, K> {
             Some(irradiance) => response.outgoing(p.wi) * irradiance * FRAC_1_PI,
             None => {
                 self.counters.uncovered += 1;
-                self.gather(s, p, response)
+                self.gather_uncovered(s, p, response)
             }
         }
     }

@@ -1,12 +1,11 @@
 //! Direct light: every light sampled from a surface, and what lies between.
 
 use super::{Pixels, Point, cap_height, leaving};
-use crate::Effects;
 use crate::cost::Category;
 use crate::environment::Sky;
 use crate::geometry::{self, Basis};
 use crate::kernel::has;
-use crate::lights::{Emitter, FEW, LightPoint, Receiver};
+use crate::lights::{Choice, Emitter, LightPoint, MOST_LOOKS, Receiver};
 use crate::random::Purpose;
 use crate::response::Response;
 use forelight_bvh::{Hit, offset_origin};
@@ -15,14 +14,15 @@ use glam::{Vec2, Vec3};
 use std::cell::Cell;
 
 impl<const K: u32> Pixels<'_, K> {
-    /// Light straight from the lights, the environment apart.
-    pub(super) fn direct(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
+    /// Light straight from the lights, the environment apart, on a point after `level` diffuse bounces.
+    pub(super) fn direct(&mut self, p: &Point, response: &Response, level: u32, vertex: u32) -> Vec3 {
         let kernel = self.kernel;
-        kernel.lights.iter().map(|light| light(self, p, response, vertex)).sum()
+        let lights = if level == 0 { &kernel.lights } else { &kernel.gathered_lights };
+        lights.iter().map(|light| light(self, p, response, vertex)).sum()
     }
 
-    /// Few area lights: a point of each.
-    pub fn area_lights(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
+    /// All area lights: a point of each.
+    pub fn all_area_lights(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
         let tracer = self.tracer;
         let luminaires = &tracer.luminaires;
         let near = |index: usize| response.has_diffuse() && luminaires.all[index].is_near(p.position);
@@ -44,32 +44,42 @@ impl<const K: u32> Pixels<'_, K> {
         sum
     }
 
-    /// Many lights with a position: some of them, chosen by the light tree.
-    pub fn many_lights(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
+    /// Lights with a position: some of them, as many as a point after `level` diffuse bounces looks at, chosen by the light tree.
+    pub fn some_lights(&mut self, p: &Point, response: &Response, level: u32, vertex: u32) -> Vec3 {
         let tracer = self.tracer;
+        let Some(looks) = tracer.looks.at(level) else { return Vec3::ZERO };
         let (frame, emitters) = (&tracer.frame, &tracer.lights.emitters);
         let receiver = p.receiver();
-        let mut sum = if response.has_diffuse() && emitters.any_near(frame, p.position) {
+        let mut sum = if response.has_diffuse() && emitters.any_near(p.position) {
             self.near_lights(p, response, vertex, |this, hit, distance2, cos| {
                 let emitter = emitters.of_triangle(hit.primitive)?;
-                let near = emitters.is_near(frame, emitter, p.position);
-                near.then(|| this.density_among_many(&receiver, emitter, distance2, cos))
+                let near = emitters.is_near(emitter, p.position);
+                near.then(|| this.density_of_choice(&receiver, emitter, looks, distance2, cos))
             })
         } else {
             Vec3::ZERO
         };
         let points = self.sampler.draw(Purpose::Light, vertex);
-        let choices = self.sampler.draw(Purpose::LightChoice, vertex);
-        for i in 0..FEW as u32 {
+        let fine_choices = self.sampler.draw(Purpose::LightChoice, vertex);
+        let few = emitters.are_few();
+        let mut places = [Vec2::ZERO; MOST_LOOKS];
+        let mut choices = [Choice::default(); MOST_LOOKS];
+        let choices = &mut choices[..looks as usize];
+        for (i, (place, choice)) in (0..).zip(places.iter_mut().zip(&mut *choices)) {
+            *place = self.sampler.related(points, i);
+            let u = if few { place.x.into() } else { fine(self.sampler.related(fine_choices, i)) };
             // One choice in each part of the tree's unit interval.
-            let u = (f64::from(i) + fine(self.sampler.related(choices, i))) / FEW as f64;
-            let visited = &mut self.counters.traversal.nodes;
-            let Some((emitter, probability)) = emitters.choose(&receiver, u, visited) else { continue };
-            let expected = probability * FEW as f64;
+            *choice = Choice::by((f64::from(i) + u) / f64::from(looks));
+        }
+        emitters.choose(&receiver, choices, &mut self.counters.traversal.nodes);
+        for (place, choice) in places.into_iter().zip(choices) {
+            let Some(emitter) = emitters.chosen(choice) else { continue };
+            let expected = choice.probability * f64::from(looks);
             sum += match emitter {
-                Emitter::Triangle(emitter) => {
-                    let light = emitters.point(frame, emitter, self.sampler.related(points, i));
-                    let near = response.has_diffuse() && emitters.is_near(frame, emitter, p.position);
+                Emitter::Patch(emitter) => {
+                    let place = if few { place.with_x(choice.number as f32) } else { place };
+                    let light = emitters.point(frame, emitter, place);
+                    let near = response.has_diffuse() && emitters.is_near(emitter, p.position);
                     let density = |distance2, cos| emitters.density(emitter, expected, distance2, cos);
                     self.triangle_light(p, response, &light, near, density)
                 }
@@ -79,26 +89,34 @@ impl<const K: u32> Pixels<'_, K> {
         sum
     }
 
-    /// Density per steradian of [`Self::many_lights`] for light that leaves an emitting triangle under `cos`, all choices together.
-    fn density_among_many(&mut self, receiver: &Receiver, emitter: usize, distance2: f32, cos: f32) -> f32 {
+    /// Density per steradian of [`Self::some_lights`] for light that leaves an emitting triangle under `cos`, all choices together.
+    fn density_of_choice(
+        &mut self,
+        receiver: &Receiver,
+        emitter: usize,
+        looks: u32,
+        distance2: f32,
+        cos: f32,
+    ) -> f32 {
         let emitters = &self.tracer.lights.emitters;
         let probability = emitters.probability(receiver, emitter, &mut self.counters.traversal.nodes);
-        emitters.density(emitter, probability * FEW as f64, distance2, cos)
+        emitters.density(emitter, probability * f64::from(looks), distance2, cos)
     }
 
-    /// Density per steradian with which light sampling at a receiver chooses a direction, for light that leaves a triangle under
-    /// `cos` at a squared distance of `distance2`; `None` for triangles that it does not know.
+    /// Density per steradian with which light sampling at a receiver after `level` diffuse bounces chooses a direction, for light
+    /// that leaves a triangle under `cos` at a squared distance of `distance2`; `None` for triangles that it does not know.
     pub(super) fn density_of_lights(
         &mut self,
         receiver: &Receiver,
+        level: u32,
         triangle: u32,
         distance2: f32,
         cos: f32,
     ) -> Option<f32> {
         let tracer = self.tracer;
-        if tracer.effects().has(Effects::MANY_LIGHTS) {
+        if let Some(looks) = tracer.looks.at(level) {
             let emitter = tracer.lights.emitters.of_triangle(triangle)?;
-            return Some(self.density_among_many(receiver, emitter, distance2, cos));
+            return Some(self.density_of_choice(receiver, emitter, looks, distance2, cos));
         }
         let stratum = tracer.frame.geometry.triangle_stratum[triangle as usize];
         let index = tracer.luminaires.of_stratum(stratum)?;
@@ -197,8 +215,8 @@ impl<const K: u32> Pixels<'_, K> {
         sum
     }
 
-    /// Few lights without surface: all of them.
-    pub fn point_lights(&mut self, p: &Point, response: &Response) -> Vec3 {
+    /// All lights without surface.
+    pub fn all_point_lights(&mut self, p: &Point, response: &Response) -> Vec3 {
         self.tracer.points.iter().map(|&index| self.point_light(p, response, index)).sum()
     }
 

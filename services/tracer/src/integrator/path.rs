@@ -193,7 +193,7 @@ impl<const K: u32> Pixels<'_, K> {
                 let lights = &tracer.lights;
                 lights.emitters.of_triangle(primitive).map_or(1.0, |emitter| {
                     let visited = &mut self.counters.traversal.nodes;
-                    let probability = lights.of_triangle(receiver, emitter, visited);
+                    let probability = lights.of_patch(receiver, emitter, visited);
                     let distance = travelled + p.distance;
                     let by_light = lights.emitters.density(emitter, probability, distance * distance, cos);
                     power(*density, by_light)
@@ -240,7 +240,7 @@ impl<const K: u32> Pixels<'_, K> {
             return Vec3::ZERO;
         };
         let candidate = match light {
-            Light::Triangle(emitter) => self.toward_triangle(p, emitter, probability, vertex),
+            Light::Patch(patch) => self.toward_patch(p, patch, probability, vertex),
             Light::Point(index) => toward_point(p, &tracer.frame.points[index], probability as f32),
             Light::Sun(index) => {
                 let sun = &tracer.frame.suns[index];
@@ -268,17 +268,17 @@ impl<const K: u32> Pixels<'_, K> {
         }
     }
 
-    fn toward_triangle(&mut self, p: &Point, emitter: usize, chance: f64, vertex: u32) -> Option<Candidate> {
+    fn toward_patch(&mut self, p: &Point, patch: usize, chance: f64, vertex: u32) -> Option<Candidate> {
         let tracer = self.tracer;
         let emitters = &tracer.lights.emitters;
-        let light = emitters.point(&tracer.frame, emitter, self.sampler.next(Purpose::Light, vertex));
+        let light = emitters.point(&tracer.frame, patch, self.sampler.next(Purpose::Light, vertex));
         let material = &tracer.materials[tracer.frame.geometry.material(light.hit.primitive) as usize];
         let to = light.position - p.position;
         let distance2 = to.length_squared();
         let direction = to / distance2.sqrt();
         let cos = -direction.dot(light.normal);
         let cos_light = if material.emits_both_sides { cos.abs() } else { cos };
-        let density = emitters.density(emitter, chance, distance2, cos_light);
+        let density = emitters.density(patch, chance, distance2, cos_light);
         // Written so that a light point on the surface itself (0/0) is left out.
         if !(cos_light > 0.0 && density > 0.0 && density.is_finite()) {
             return None;

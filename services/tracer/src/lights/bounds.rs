@@ -29,10 +29,16 @@ const SLACK: f32 = 1e-3;
 
 impl Bounds {
     /// A flat light that shines by the cosine law from the side that `normal` points to, or from both.
-    pub fn flat(corners: [Vec3; 3], normal: Vec3, area: f32, both_sides: bool, intensity: f64) -> Self {
+    pub fn flat(
+        (low, high): (Vec3, Vec3),
+        normal: Vec3,
+        area: f32,
+        both_sides: bool,
+        intensity: f64,
+    ) -> Self {
         Self {
-            low: corners[0].min(corners[1]).min(corners[2]),
-            high: corners[0].max(corners[1]).max(corners[2]),
+            low,
+            high,
             axis: normal,
             spread: (1.0, 0.0),
             reach: 0.0,

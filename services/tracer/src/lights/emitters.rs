@@ -1,30 +1,50 @@
-//! Lights with a position, one by one: emitting triangles and lights without surface.
+//! Lights with a position: emitting patches of surface and lights without surface.
 
-use super::LightPoint;
 use super::bounds::Bounds;
-use super::tree::{LightTree, Receiver};
+use super::tree::{Choice, LightTree, Receiver};
+use super::{LightPoint, cumulative, is_near, part};
 use crate::Reach;
-use forelight_scene::{Color, Frame, Material, Texels};
+use crate::geometry::Basis;
+use forelight_scene::{Color, Frame, Geometry, Material, Texels};
 use glam::{Vec2, Vec3};
 
 /// A light with a position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Emitter {
-    /// An emitting triangle, by its place among [`Emitters`].
-    Triangle(usize),
+    /// An emitting patch, by its place among [`Emitters`].
+    Patch(usize),
     /// A light without surface, by its index in the frame.
     Point(usize),
+}
+
+/// Emitting triangles that are one light: a flat and compact piece of an object that is equally bright everywhere, or one triangle.
+#[derive(Debug, Clone, Copy)]
+struct Patch {
+    /// Range of its triangles among those of all patches.
+    first: u32,
+    end: u32,
+    /// Total area, m².
+    area: f32,
+    low: Vec3,
+    high: Vec3,
 }
 
 /// All of them, and the tree by which one is chosen.
 #[derive(Debug, Clone, Default)]
 pub struct Emitters {
-    /// Emitting triangles in ascending order, with their areas in m².
-    triangles: Vec<(u32, f32)>,
-    /// Lights without surface that shine, in ascending order; in the tree they come after the triangles.
+    patches: Vec<Patch>,
+    /// Triangles by patch, and the cumulative shares of the patch's area.
+    triangles: Vec<u32>,
+    cumulative: Vec<f32>,
+    /// Emitting triangles in ascending order, each with its patch.
+    patch_of: Vec<(u32, u32)>,
+    /// Lights without surface that shine, in ascending order; in the tree they come after the patches.
     points: Vec<u32>,
     tree: LightTree,
 }
+
+/// Up to so many emitters, what choosing one leaves of a random number is fine enough to choose a point of it as well.
+const FEW: usize = 256;
 
 impl Emitters {
     /// Collects what shines: triangles that have an area and emit, that are not entirely transparent, and points with an intensity.
@@ -32,7 +52,7 @@ impl Emitters {
     pub fn new(frame: &Frame, materials: &[Material], reach: &Reach) -> Self {
         let geometry = &frame.geometry;
         let mut glow = Glow::new(frame, materials);
-        let (mut triangles, mut points, mut bounds) = (Vec::new(), Vec::new(), Vec::new());
+        let mut members: Vec<Vec<Member>> = vec![Vec::new(); geometry.strata.len()];
         for (t, &stratum) in geometry.triangle_stratum.iter().enumerate() {
             let (t, material) = (t as u32, geometry.strata.pairs[stratum as usize].1 as usize);
             if !glow.may_shine(material) || !reach.area_light(stratum) {
@@ -41,20 +61,49 @@ impl Emitters {
             let (normal, area) = plane(geometry.corners(t));
             let intensity = f64::from(glow.radiance(t, material)) * f64::from(area);
             if area >= f32::MIN_POSITIVE && area.is_finite() && intensity > 0.0 && intensity.is_finite() {
-                let both = materials[material].emits_both_sides;
-                triangles.push((t, area));
-                bounds.push(Bounds::flat(geometry.corners(t), normal, area, both, intensity));
+                members[stratum as usize].push(Member { triangle: t, normal, area, intensity });
             }
         }
+        let mut emitters = Self::default();
+        let mut bounds = Vec::new();
+        for (members, (_, material)) in members.iter().zip(&geometry.strata.pairs) {
+            let material = &materials[*material as usize];
+            let even = material.emission.texture.is_none();
+            let whole = even && is_flat_and_compact(geometry, members);
+            let size = if whole { members.len() } else { 1 };
+            for patch in members.chunks(size.max(1)) {
+                bounds.push(emitters.add(geometry, patch, material.emits_both_sides));
+            }
+        }
+        emitters.patch_of.sort_unstable();
         for (i, light) in frame.points.iter().enumerate() {
             let intensity = f64::from(light.intensity.max_element());
             if intensity > 0.0 && light.intensity.is_finite() && reach.point_light(i) {
-                points.push(i as u32);
+                emitters.points.push(i as u32);
                 let cone = light.cone.map(|(axis, _, outer)| (axis, outer));
                 bounds.push(Bounds::point(light.position, cone, intensity));
             }
         }
-        Self { triangles, points, tree: LightTree::new(&bounds) }
+        Self { tree: LightTree::new(&bounds), ..emitters }
+    }
+
+    fn add(&mut self, geometry: &Geometry, members: &[Member], both_sides: bool) -> Bounds {
+        let corners = || members.iter().flat_map(|m| geometry.corners(m.triangle));
+        let areas = members.iter().map(|m| f64::from(m.area));
+        let first = self.triangles.len() as u32;
+        let patch = Patch {
+            first,
+            end: first + members.len() as u32,
+            area: areas.clone().sum::<f64>() as f32,
+            low: corners().fold(Vec3::INFINITY, Vec3::min),
+            high: corners().fold(Vec3::NEG_INFINITY, Vec3::max),
+        };
+        self.patch_of.extend(members.iter().map(|m| (m.triangle, self.patches.len() as u32)));
+        self.triangles.extend(members.iter().map(|m| m.triangle));
+        self.cumulative.extend(cumulative(areas));
+        self.patches.push(patch);
+        let intensity = members.iter().map(|m| m.intensity).sum();
+        Bounds::flat((patch.low, patch.high), members[0].normal, patch.area, both_sides, intensity)
     }
 
     /// Irradiance that all of them together are expected to bring, W/m².
@@ -62,56 +111,99 @@ impl Emitters {
         self.tree.importance(receiver)
     }
 
-    /// One of them, see [`LightTree::choose`].
-    pub fn choose(&self, receiver: &Receiver, u: f64, visited: &mut u64) -> Option<(Emitter, f64)> {
-        let (index, probability) = self.tree.choose(receiver, u, visited)?;
-        let emitter = match self.points.get(index.wrapping_sub(self.triangles.len())) {
+    /// Whether they are so few that one random number chooses an emitter and a point of it.
+    pub fn are_few(&self) -> bool {
+        self.patches.len() + self.points.len() <= FEW
+    }
+
+    /// Chooses some of them, see [`LightTree::choose`].
+    pub fn choose(&self, receiver: &Receiver, choices: &mut [Choice], visited: &mut u64) {
+        self.tree.choose(receiver, choices, visited);
+    }
+
+    /// What was chosen; `None` if nothing was.
+    pub fn chosen(&self, choice: &Choice) -> Option<Emitter> {
+        let emitter = match self.points.get(choice.light.wrapping_sub(self.patches.len())) {
             Some(&point) => Emitter::Point(point as usize),
-            None => Emitter::Triangle(index),
+            None => Emitter::Patch(choice.light),
         };
-        Some((emitter, probability))
+        (choice.probability > 0.0).then_some(emitter)
     }
 
-    /// Probability with which [`Self::choose`] chooses an emitting triangle.
-    pub fn probability(&self, receiver: &Receiver, emitter: usize, visited: &mut u64) -> f64 {
-        self.tree.probability(receiver, emitter, visited)
+    /// Probability with which [`Self::choose`] chooses a patch.
+    pub fn probability(&self, receiver: &Receiver, patch: usize, visited: &mut u64) -> f64 {
+        self.tree.probability(receiver, patch, visited)
     }
 
-    /// The place of one of the frame's triangles among the emitters.
+    /// The patch that one of the frame's triangles belongs to.
     pub fn of_triangle(&self, triangle: u32) -> Option<usize> {
-        self.triangles.binary_search_by_key(&triangle, |t| t.0).ok()
+        let found = self.patch_of.binary_search_by_key(&triangle, |entry| entry.0).ok()?;
+        Some(self.patch_of[found].1 as usize)
     }
 
-    /// Density per steradian of a uniform point of an emitting triangle that was chosen with this probability (or so often), for
-    /// light that leaves it under `cos` (> 0) at a squared distance of `distance2` m².
-    pub fn density(&self, emitter: usize, probability: f64, distance2: f32, cos: f32) -> f32 {
-        let area = f64::from(self.triangles[emitter].1);
+    /// Density per steradian of a uniform point of a patch that was chosen with this probability (or so often), for light that
+    /// leaves it under `cos` (> 0) at a squared distance of `distance2` m².
+    pub fn density(&self, patch: usize, probability: f64, distance2: f32, cos: f32) -> f32 {
+        let area = f64::from(self.patches[patch].area);
         (probability * f64::from(distance2) / (f64::from(cos) * area)) as f32
     }
 
-    /// A uniform point of an emitting triangle.
-    pub fn point(&self, frame: &Frame, emitter: usize, u: Vec2) -> LightPoint {
-        LightPoint::on(frame, self.triangles[emitter].0, u)
+    /// A uniform point of a patch.
+    pub fn point(&self, frame: &Frame, patch: usize, u: Vec2) -> LightPoint {
+        let Patch { first, end, .. } = self.patches[patch];
+        let (i, within) = part(&self.cumulative[first as usize..end as usize], u.x);
+        LightPoint::on(frame, self.triangles[first as usize + i], Vec2::new(within, u.y))
     }
 
-    /// Whether a point is closer to the box of an emitting triangle than the triangle is wide. There, points chosen by area miss
-    /// the few that matter (their weight grows like 1/distance²), and directions chosen by the surface have to help.
-    pub fn is_near(&self, frame: &Frame, emitter: usize, point: Vec3) -> bool {
-        let (triangle, area) = self.triangles[emitter];
-        let [a, b, c] = frame.geometry.corners(triangle);
-        is_near(a.min(b).min(c), a.max(b).max(c), area, point)
+    /// See [`is_near`].
+    pub fn is_near(&self, patch: usize, point: Vec3) -> bool {
+        let Patch { area, low, high, .. } = self.patches[patch];
+        is_near(low, high, area, point)
     }
 
-    /// Whether a point is near any emitting triangle.
-    pub fn any_near(&self, frame: &Frame, point: Vec3) -> bool {
+    /// Whether a point is near any patch.
+    pub fn any_near(&self, point: Vec3) -> bool {
         let may_hold = |bounds: &Bounds| is_near(bounds.low, bounds.high, bounds.largest_area, point);
-        self.tree.any(may_hold, |i| i < self.triangles.len() && self.is_near(frame, i, point))
+        self.tree.any(may_hold, |i| i < self.patches.len() && self.is_near(i, point))
     }
 }
 
-fn is_near(low: Vec3, high: Vec3, area: f32, point: Vec3) -> bool {
-    let outside = (low - point).max(point - high).max(Vec3::ZERO);
-    outside.length_squared() < area
+/// An emitting triangle.
+#[derive(Debug, Clone, Copy)]
+struct Member {
+    triangle: u32,
+    normal: Vec3,
+    area: f32,
+    /// Radiant intensity along the normal, W/sr in the strongest channel.
+    intensity: f64,
+}
+
+/// Cosine between normals of one plane: what they differ is well within the slack of [`Bounds`].
+const SAME_PLANE: f32 = 1.0 - 1.2e-7;
+
+/// Share of a rectangle that a patch covers at least: a disc covers 0.79.
+const COMPACT: f64 = 0.6;
+
+/// Whether triangles lie in one plane and fill most of a rectangle: then points that are uniform over all of them are as good as if
+/// the nearer triangles were chosen more often. The rectangle is aligned with the shortest edge of the largest triangle.
+fn is_flat_and_compact(geometry: &Geometry, members: &[Member]) -> bool {
+    let Some(largest) = members.iter().max_by(|a, b| a.area.total_cmp(&b.area)) else { return false };
+    if members.iter().any(|m| m.normal.dot(largest.normal) < SAME_PLANE) {
+        return false;
+    }
+    let [a, b, c] = geometry.corners(largest.triangle);
+    let edges = [b - a, c - b, a - c];
+    let shortest = edges.into_iter().min_by(|x, y| x.length_squared().total_cmp(&y.length_squared()));
+    let along = shortest.unwrap_or(Vec3::X).normalize_or(Basis::new(largest.normal).to_world(Vec3::X));
+    let extent = |axis: Vec3| {
+        let places =
+            || members.iter().flat_map(|m| geometry.corners(m.triangle)).map(|p| f64::from(p.dot(axis)));
+        places().fold(f64::NEG_INFINITY, f64::max) - places().fold(f64::INFINITY, f64::min)
+    };
+    let across = largest.normal.cross(along);
+    let area: f64 = members.iter().map(|m| f64::from(m.area)).sum();
+    let (width, height, depth) = (extent(along), extent(across), extent(largest.normal));
+    area >= COMPACT * width * height && depth * depth <= 1e-6 * area
 }
 
 /// Unit normal and area of a triangle, in f64 because corners lie far from the origin and close to each other.

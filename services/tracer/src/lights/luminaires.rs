@@ -1,6 +1,6 @@
 //! Few area lights: each is sampled at every point, uniformly by area.
 
-use super::LightPoint;
+use super::{LightPoint, cumulative, is_near, part};
 use crate::Reach;
 use forelight_scene::Frame;
 use glam::{Vec2, Vec3};
@@ -55,20 +55,15 @@ impl Luminaires {
         };
         luminaires.reaching = found(true).count();
         for (stratum, members) in found(true).chain(found(false)) {
-            let total: f64 = members.iter().map(|m| m.1).sum();
-            let mut sum = 0.0;
-            let cumulative = members.iter().map(|m| {
-                sum += m.1;
-                (sum / total) as f32
-            });
+            let areas = members.iter().map(|m| m.1);
             let corners = || members.iter().flat_map(|m| geometry.corners(m.0));
             luminaires.of_stratum[stratum as usize] = luminaires.all.len() as u32;
             luminaires.all.push(Luminaire {
                 stratum,
                 low: corners().fold(Vec3::INFINITY, Vec3::min),
                 high: corners().fold(Vec3::NEG_INFINITY, Vec3::max),
-                area: total as f32,
-                cumulative: cumulative.collect(),
+                area: areas.clone().sum::<f64>() as f32,
+                cumulative: cumulative(areas).collect(),
                 triangles: members.iter().map(|m| m.0).collect(),
             });
         }
@@ -99,19 +94,14 @@ impl Luminaire {
         (self.low, self.high)
     }
 
-    /// Whether the point is closer to the light's box than the light is wide. There, points chosen by area miss the few that
-    /// matter (their weight grows like 1/distance²), and directions chosen by the surface have to help.
+    /// See [`is_near`].
     pub fn is_near(&self, point: Vec3) -> bool {
-        let outside = (self.low - point).max(point - self.high).max(Vec3::ZERO);
-        outside.length_squared() < self.area
+        is_near(self.low, self.high, self.area, point)
     }
 
     /// A uniform point of the surface.
     pub fn sample(&self, frame: &Frame, u: Vec2) -> LightPoint {
-        let i = self.cumulative.partition_point(|&c| c <= u.x).min(self.triangles.len() - 1);
-        let below = if i == 0 { 0.0 } else { self.cumulative[i - 1] };
-        let within = ((u.x - below) / (self.cumulative[i] - below)).clamp(0.0, 1.0);
-        let within = if within.is_nan() { 0.5 } else { within };
+        let (i, within) = part(&self.cumulative, u.x);
         LightPoint::on(frame, self.triangles[i], Vec2::new(within, u.y))
     }
 }

@@ -1,7 +1,7 @@
 //! One light out of everything that shines: emitters by their tree, suns by their irradiance, the sky's image.
 
 use super::emitters::{Emitter, Emitters};
-use super::tree::Receiver;
+use super::tree::{BELOW_ONE, Choice, Receiver};
 use crate::Reach;
 use crate::environment::Sky;
 use forelight_scene::{Frame, Material, Sun};
@@ -9,8 +9,8 @@ use forelight_scene::{Frame, Material, Sun};
 /// A light that was chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Light {
-    /// An emitting triangle, by its place among the emitters.
-    Triangle(usize),
+    /// An emitting patch, by its place among the emitters.
+    Patch(usize),
     /// A light without surface, by its index in the frame.
     Point(usize),
     /// A sun, by its index in the frame.
@@ -65,13 +65,13 @@ impl Lights {
     pub fn choose(&self, receiver: &Receiver, u: f64, visited: &mut u64) -> Option<(Light, f64)> {
         let kinds = self.kinds(receiver)?;
         if u < kinds.emitters {
-            let (emitter, probability) =
-                self.emitters.choose(receiver, (u / kinds.emitters).min(BELOW_ONE), visited)?;
-            let light = match emitter {
-                Emitter::Triangle(index) => Light::Triangle(index),
+            let mut choice = Choice::by((u / kinds.emitters).min(BELOW_ONE));
+            self.emitters.choose(receiver, std::slice::from_mut(&mut choice), visited);
+            let light = match self.emitters.chosen(&choice)? {
+                Emitter::Patch(index) => Light::Patch(index),
                 Emitter::Point(index) => Light::Point(index),
             };
-            return Some((light, kinds.emitters * probability));
+            return Some((light, kinds.emitters * choice.probability));
         }
         let u = u - kinds.emitters;
         if u < kinds.suns {
@@ -83,8 +83,8 @@ impl Lights {
         (kinds.sky > 0.0).then_some((Light::Sky, kinds.sky))
     }
 
-    /// Probability with which [`Self::choose`] chooses an emitting triangle.
-    pub fn of_triangle(&self, receiver: &Receiver, emitter: usize, visited: &mut u64) -> f64 {
+    /// Probability with which [`Self::choose`] chooses an emitting patch.
+    pub fn of_patch(&self, receiver: &Receiver, emitter: usize, visited: &mut u64) -> f64 {
         let kinds = self.kinds(receiver).map_or(0.0, |kinds| kinds.emitters);
         kinds * self.emitters.probability(receiver, emitter, visited)
     }
@@ -123,6 +123,3 @@ impl Lights {
         (sum > 0.0).then_some(Kinds { emitters, suns, sky })
     }
 }
-
-/// The largest number below 1.
-const BELOW_ONE: f64 = 1.0 - f64::EPSILON / 2.0;

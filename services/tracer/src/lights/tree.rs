@@ -31,6 +31,25 @@ struct Node {
     parent: u32,
 }
 
+/// A choice among lights.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Choice {
+    /// The uniform random number in [0, 1) by which to choose; after the choice what this leaves of it, uniform in [0, 1) again, but
+    /// coarse if there are many lights.
+    pub number: f64,
+    /// The light.
+    pub light: usize,
+    /// Probability of the choice; 0 before it, and where the way down led to lights that do not reach the receiver.
+    pub probability: f64,
+}
+
+impl Choice {
+    /// A choice to be made by this random number.
+    pub fn by(number: f64) -> Self {
+        Self { number, ..Self::default() }
+    }
+}
+
 const LEAF: u32 = 1 << 31;
 const ROOT: u32 = 0;
 
@@ -66,30 +85,47 @@ impl LightTree {
         self.nodes.first().map_or(0.0, |root| root.bounds.importance(receiver))
     }
 
-    /// A light for the uniform random number `u` in [0, 1), and the probability of this choice. `None` if the way led to lights that
-    /// do not reach the receiver. `visited` counts the nodes looked at.
-    pub fn choose(&self, receiver: &Receiver, mut u: f64, visited: &mut u64) -> Option<(usize, f64)> {
-        let mut node = self.nodes.first()?;
-        let mut probability = 1.0;
-        if node.content & LEAF != 0 {
+    /// Makes choices by random numbers that ascend. Their ways down are gone together as far as they are the same. `visited` counts
+    /// the nodes looked at.
+    pub fn choose(&self, receiver: &Receiver, choices: &mut [Choice], visited: &mut u64) {
+        let Some(root) = self.nodes.first() else { return };
+        if root.content & LEAF != 0 {
             *visited += 1;
-            return (node.bounds.importance(receiver) > 0.0)
-                .then_some(((node.content & !LEAF) as usize, 1.0));
+            if root.bounds.importance(receiver) <= 0.0 {
+                return;
+            }
         }
-        while node.content & LEAF == 0 {
-            *visited += 2;
-            let pair = &self.nodes[node.content as usize..node.content as usize + 2];
-            let [first, second] = [&pair[0], &pair[1]].map(|child| child.bounds.importance(receiver));
-            let share = share(first, second)?;
-            // What is left of the random number is uniform again; its strata stay together along the way down.
-            (node, probability, u) = if u < share {
-                (&pair[0], probability * share, u / share)
-            } else {
-                (&pair[1], probability * (1.0 - share), (u - share) / (1.0 - share))
-            };
-            u = u.min(1.0 - f64::EPSILON / 2.0);
+        self.descend(root, receiver, choices, 1.0, visited);
+    }
+
+    fn descend(
+        &self,
+        node: &Node,
+        receiver: &Receiver,
+        choices: &mut [Choice],
+        probability: f64,
+        visited: &mut u64,
+    ) {
+        if node.content & LEAF != 0 {
+            let light = (node.content & !LEAF) as usize;
+            choices.iter_mut().for_each(|c| *c = Choice { light, probability, number: c.number });
+            return;
         }
-        Some(((node.content & !LEAF) as usize, probability))
+        *visited += 2;
+        let pair = &self.nodes[node.content as usize..node.content as usize + 2];
+        let [first, second] = [&pair[0], &pair[1]].map(|child| child.bounds.importance(receiver));
+        let Some(share) = share(first, second) else { return };
+        // What is left of a random number is uniform again; its strata stay together along the way down.
+        let (to_first, to_second) = choices.split_at_mut(choices.partition_point(|c| c.number < share));
+        if !to_first.is_empty() {
+            to_first.iter_mut().for_each(|c| c.number = (c.number / share).min(BELOW_ONE));
+            self.descend(&pair[0], receiver, to_first, probability * share, visited);
+        }
+        if !to_second.is_empty() {
+            let rest = 1.0 - share;
+            to_second.iter_mut().for_each(|c| c.number = ((c.number - share) / rest).min(BELOW_ONE));
+            self.descend(&pair[1], receiver, to_second, probability * rest, visited);
+        }
     }
 
     /// Probability with which [`Self::choose`] chooses this light.
@@ -159,6 +195,9 @@ impl LightTree {
             self.nodes[first as usize].bounds.union(&self.nodes[first as usize + 1].bounds);
     }
 }
+
+/// The largest number below 1.
+pub const BELOW_ONE: f64 = 1.0 - f64::EPSILON / 2.0;
 
 /// Probability of the first of two children; `None` if neither brings anything.
 fn share(first: f64, second: f64) -> Option<f64> {

@@ -43,7 +43,9 @@ impl Lamp {
         let u = normal.any_orthonormal_vector() * edge;
         let v = normal.cross(u);
         let corners = [centre + u, centre - 0.5 * u + 0.8 * v, centre - 0.5 * u - 0.8 * v];
-        let bounds = Bounds::flat(corners, normal, 1.2 * edge * edge, both_sides, intensity);
+        let (low, high) =
+            corners.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), c| (l.min(*c), h.max(*c)));
+        let bounds = Bounds::flat((low, high), normal, 1.2 * edge * edge, both_sides, intensity);
         Self { bounds, centre, shape: Shape::Flat(normal, both_sides), intensity }
     }
 
@@ -87,6 +89,34 @@ fn tree(lamps: &[Lamp]) -> LightTree {
     LightTree::new(&lamps.iter().map(|l| l.bounds).collect::<Vec<_>>())
 }
 
+fn choose(tree: &LightTree, receiver: &Receiver, u: f64, visited: &mut u64) -> Option<Choice> {
+    let mut choice = Choice::by(u);
+    tree.choose(receiver, std::slice::from_mut(&mut choice), visited);
+    (choice.probability > 0.0).then_some(choice)
+}
+
+#[test]
+fn choices_made_together_are_those_made_one_by_one() {
+    let mut numbers = Numbers(9);
+    let lamps = disorder(&mut numbers, 40);
+    let tree = tree(&lamps);
+    for receiver in receivers(&mut numbers, 50) {
+        let mut together: Vec<Choice> =
+            (0..7).map(|i| Choice::by((f64::from(i) + f64::from(numbers.within(0.0, 1.0))) / 7.0)).collect();
+        let alone: Vec<_> = together.iter().map(|c| choose(&tree, &receiver, c.number, &mut 0)).collect();
+        let (mut visited, mut one_by_one) = (0, 0);
+        together.iter().for_each(|c| {
+            choose(&tree, &receiver, c.number, &mut one_by_one);
+        });
+        tree.choose(&receiver, &mut together, &mut visited);
+        for (together, alone) in together.iter().zip(alone) {
+            let made = |c: &Choice| (c.light, c.probability, c.number);
+            assert_eq!((together.probability > 0.0).then(|| made(together)), alone.as_ref().map(made));
+        }
+        assert!(visited < one_by_one, "{visited} nodes together, {one_by_one} one by one");
+    }
+}
+
 fn receivers(numbers: &mut Numbers, count: usize) -> Vec<Receiver> {
     let one = |i: usize| Receiver {
         position: Vec3::new(numbers.within(-6.0, 6.0), numbers.within(-2.0, 2.0), numbers.within(-6.0, 6.0)),
@@ -106,8 +136,9 @@ fn probabilities_are_those_of_the_choices_and_sum_to_one() {
             let (mut chosen, mut nothing) = (vec![0u32; count], 0u32);
             for i in 0..STEPS {
                 let u = (f64::from(i) + 0.5) / f64::from(STEPS);
-                match tree.choose(&receiver, u, &mut 0) {
-                    Some((light, probability)) => {
+                match choose(&tree, &receiver, u, &mut 0) {
+                    Some(Choice { light, probability, number }) => {
+                        assert!((0.0..1.0).contains(&number));
                         chosen[light] += 1;
                         let again = tree.probability(&receiver, light, &mut 0);
                         assert!((probability / again - 1.0).abs() < 1e-12, "{probability} and {again}");
@@ -226,7 +257,7 @@ fn ten_thousand_lights_in_a_hundred_rooms_are_found_far_better_than_by_chance_or
     }
     let mut visited = 0;
     let receiver = Receiver { position: Vec3::new(2.0, 0.0, 2.0), normal: Some(Vec3::Y) };
-    tree.choose(&receiver, 0.3, &mut visited);
+    choose(&tree, &receiver, 0.3, &mut visited);
     let points = f64::from(POINTS);
     println!(
         "relative variance of one choice among {count}: tree {:.2}, power {:.0}, even {:.0}; {visited} nodes",
