@@ -33,6 +33,9 @@ struct Subtree {
     promise: f32,
 }
 
+/// Share of a box's longest side by which it is widened.
+const BOX_SLACK: f32 = 1.0 / 2_097_152.0;
+
 pub(crate) struct Collapse<'a> {
     binary: &'a Bvh2,
     input: &'a [Triangle],
@@ -107,7 +110,11 @@ impl<'a> Collapse<'a> {
             self.out.depth = self.out.depth.max(level);
             for (slot, child) in self.children(binary).into_iter().enumerate() {
                 let source = &self.binary.nodes[child as usize];
-                let (lower, upper) = (source.aabb.min.to_array(), source.aabb.max.to_array());
+                // The triangle test shears corners along the ray: what a corner's distance along the ray is off by, a few 2⁻²⁴ of
+                // the box's longest side, shows across it. A box that is tighter than that would hide hits at long, narrow triangles.
+                let slack = (source.aabb.max - source.aabb.min).max_element() * BOX_SLACK;
+                let (lower, upper) =
+                    ((source.aabb.min - slack).to_array(), (source.aabb.max + slack).to_array());
                 let reference = if self.subtrees[child as usize].leaf {
                     self.group(child)
                 } else {

@@ -32,11 +32,11 @@ pub(crate) struct LookAt {
 }
 
 impl LookAt {
-    /// The camera at a frame.
+    /// The camera at a frame, seen from `scene_origin`.
     ///
     /// # Errors
     /// The reason why the description has no meaning there.
-    pub(crate) fn at(&self, frame: f64) -> Result<Camera, String> {
+    pub(crate) fn at(&self, frame: f64, scene_origin: DVec3) -> Result<Camera, String> {
         let (origin, target) = (self.origin.at(frame), self.target.at(frame));
         let view = target - origin;
         let distance = view.length();
@@ -62,7 +62,7 @@ impl LookAt {
             FovAxis::Y => (tangent / ratio, tangent),
         };
         Ok(Camera {
-            origin: origin.as_vec3(),
+            origin: (origin - scene_origin).as_vec3(),
             right: right.as_vec3(),
             up: right.cross(forward).as_vec3(),
             forward: forward.as_vec3(),
@@ -163,7 +163,7 @@ mod tests {
         let mut view = look_at();
         (view.width, view.height) = (200, 100);
         (view.fov_deg, view.fov_axis) = (Animated::Constant(90.0), FovAxis::X);
-        let camera = view.at(0.0).unwrap();
+        let camera = view.at(0.0, DVec3::ZERO).unwrap();
         assert_eq!((camera.right, camera.up, camera.forward), (Vec3::X, Vec3::Y, -Vec3::Z));
         assert!((camera.tan_half_x - 1.0).abs() < 1e-6 && (camera.tan_half_y - 0.5).abs() < 1e-6);
         assert_eq!(camera.focus_distance, 5.0);
@@ -174,7 +174,7 @@ mod tests {
         let mut view = look_at();
         (view.width, view.height) = (200, 100);
         (view.fov_deg, view.fov_axis) = (Animated::Constant(90.0), FovAxis::Y);
-        let camera = view.at(0.0).unwrap();
+        let camera = view.at(0.0, DVec3::ZERO).unwrap();
         assert!((camera.tan_half_x - 2.0).abs() < 1e-6 && (camera.tan_half_y - 1.0).abs() < 1e-6);
     }
 
@@ -191,7 +191,7 @@ mod tests {
     #[test]
     fn the_default_view_sees_the_whole_bounding_box() {
         let (lowest, highest) = (DVec3::new(-3.0, 0.0, 1.0), DVec3::new(2.0, 9.0, 4.0));
-        let camera = default_view(lowest, highest).at(0.0).unwrap();
+        let camera = default_view(lowest, highest).at(0.0, DVec3::ZERO).unwrap();
         for i in 0..8 {
             let pick = |bit: usize, axis: usize| if i >> bit & 1 == 0 { lowest[axis] } else { highest[axis] };
             let corner = DVec3::new(pick(0, 0), pick(1, 1), pick(2, 2)).as_vec3() - camera.origin;

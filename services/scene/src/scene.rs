@@ -178,7 +178,7 @@ impl Scene {
     fn camera_at(&self, frame: u32, world: &[DMat4]) -> Result<Camera, SceneError> {
         match &self.camera {
             CameraSource::LookAt(look_at) => look_at
-                .at(self.time(frame))
+                .at(self.time(frame), self.shot.origin)
                 .map_err(|reason| SceneError::pointer(&self.file, "/camera", reason)),
             CameraSource::Node(camera) => Some(&world[camera.node])
                 .filter(|world| is_near(world))
@@ -224,7 +224,7 @@ impl Scene {
             match light {
                 LightSource::Quad { .. } => {}
                 LightSource::Point { position, intensity } => points.push(PointLight {
-                    position: position.as_vec3(),
+                    position: (*position - self.shot.origin).as_vec3(),
                     intensity: light_at(intensity, time),
                     cone: None,
                 }),
@@ -343,8 +343,13 @@ impl Scene {
             let (found, limit) = (u64::from(frames), u64::from(limit));
             return Err(SceneError::Limit { file, what: "frames", found, limit });
         }
-        let still_world = assembly.shot.world(start);
-        let still = assembly.shot.bake(&still_world)?;
+        let mut still_world = assembly.shot.world(start);
+        let mut still = assembly.shot.bake(&still_world)?;
+        if let Some(centre) = far_centre(&still.geometry.positions) {
+            assembly.shot.origin = centre;
+            still_world = assembly.shot.world(start);
+            still = assembly.shot.bake(&still_world)?;
+        }
         let moving = assembly.shot.moving();
         let mut movers: Vec<usize> =
             assembly.shot.parts.iter().map(|part| part.node).filter(|&node| moving[node]).collect();
@@ -377,7 +382,8 @@ impl Scene {
             (None, None) => {
                 assembly.warn(format!("{file}: the scene has no camera; the view shows all of it"));
                 let (low, high) = bounds(&still.geometry.positions);
-                CameraSource::LookAt(Box::new(default_view(low, high)))
+                let origin = assembly.shot.origin;
+                CameraSource::LookAt(Box::new(default_view(low + origin, high + origin)))
             }
         };
         let digest = assembly.bundle.digest();
@@ -507,6 +513,17 @@ fn bounds(positions: &[Vec3]) -> (DVec3, DVec3) {
     let high = positions.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
     (low.as_dvec3(), high.as_dvec3())
 }
+
+/// The middle of positions that are much farther from the origin than from each other, as a georeferenced building is. Seen from
+/// there, f32 coordinates tell small things apart again. What is not as far stays where it is, bit by bit.
+fn far_centre(positions: &[Vec3]) -> Option<DVec3> {
+    let (low, high) = bounds(positions);
+    let (centre, extent) = (0.5 * (low + high), (high - low).max_element());
+    (extent > 0.0 && centre.abs().max_element() > FAR * extent).then_some(centre)
+}
+
+/// Distance from the origin, in units of its own extent, from which a scene is seen from its middle.
+const FAR: f64 = 16.0;
 
 #[cfg(test)]
 mod tests {

@@ -111,6 +111,8 @@ pub(crate) struct Shot {
     pub(crate) nodes: Vec<Node>,
     pub(crate) parts: Vec<Part>,
     pub(crate) strata: Strata,
+    /// Where the origin of what [`Shot::world`] says is, in the coordinates of the files, metres.
+    pub(crate) origin: DVec3,
     stratum_by_pair: BTreeMap<(u32, u32), u32>,
     /// Names in use, and how many objects asked for each.
     object_names: BTreeMap<String, u32>,
@@ -182,12 +184,13 @@ impl Shot {
         self.vertices
     }
 
-    /// World matrix of every node at a frame.
+    /// World matrix of every node at a frame, seen from [`Shot::origin`].
     pub(crate) fn world(&self, frame: f64) -> Vec<DMat4> {
         let mut world: Vec<DMat4> = Vec::with_capacity(self.nodes.len());
         for node in &self.nodes {
             let local = node.local(frame);
-            world.push(node.parent.map_or(local, |parent| world[parent] * local));
+            let root = |local| DMat4::from_translation(-self.origin) * local;
+            world.push(node.parent.map_or_else(|| root(local), |parent| world[parent] * local));
         }
         world
     }
