@@ -9,6 +9,7 @@
 //!    After it the number of records is known, not guessed.
 //! 2. **Fill** (`gather`): the hemisphere above every planned record is gathered, on any thread or machine, in any order;
 //!    the plan's rays are strata of the gather and are not traced again.
+//!    Records that agree are then averaged (`smooth`): their gathers share what they found.
 //! 3. **Read** (`read`): image samples only read. A point that no record covers gathers for itself, as without a cache, and is
 //!    counted.
 //!
@@ -20,7 +21,7 @@
 //! | `site` | where irradiance is wanted, and when one place serves for another |
 //! | `octree` | which records are near |
 //! | `hemisphere` | strata of a gather; irradiance and its gradients from them |
-//! | `plan`, `gather`, `read` | the three phases |
+//! | `plan`, `gather`, `smooth`, `read` | the phases |
 //! | `sample` | what a record takes, from a few of them |
 //! | `share` | records of one frame that hold in another |
 //! | `file` | the artefact |
@@ -34,6 +35,7 @@ mod read;
 mod sample;
 mod share;
 mod site;
+mod smooth;
 
 pub use file::CacheError;
 pub use hemisphere::{Irradiance, PLAN_RAYS, Sample, Strata};
@@ -46,6 +48,7 @@ use crate::cost::{Cost, Rays};
 use forelight_bvh::Hit;
 use glam::Vec3;
 use octree::Octree;
+use smooth::Smoothed;
 use std::sync::OnceLock;
 
 /// Records are read that much farther than they are planned to cover: several of them blend everywhere, and the samples between
@@ -93,6 +96,8 @@ pub struct Record {
 pub struct Level {
     planned: Vec<Planned>,
     records: Vec<OnceLock<Record>>,
+    /// What is read, once all records are filled.
+    smoothed: OnceLock<Smoothed>,
     octree: Octree,
     /// So many of the records, the first ones, have been followed to the next level.
     explored: usize,
@@ -126,7 +131,7 @@ pub struct CacheTotals {
     pub plan: Cost,
     /// Rays of planning.
     pub plan_rays: Rays,
-    /// What gathering took, of the records that are filled.
+    /// What gathering took, of the records that are filled, and smoothing them.
     pub fill: Cost,
     /// Rays of gathering.
     pub fill_rays: Rays,
@@ -180,6 +185,9 @@ impl Cache {
             images: self.images.len() as u64,
             ..CacheTotals::default()
         };
+        for smoothed in self.levels.iter().filter_map(|level| level.smoothed.get()) {
+            totals.fill += smoothed.cost;
+        }
         let records = self.levels.iter().flat_map(|level| &level.records);
         for record in records.filter_map(OnceLock::get) {
             totals.filled += 1;

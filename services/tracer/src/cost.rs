@@ -70,7 +70,7 @@ impl Counters {
 }
 
 /// Work of looking at one cache record, in the units of [`work`].
-const RECORD_WORK: u64 = 12;
+pub const RECORD_WORK: u64 = 12;
 
 /// Work: operations weighted by what each takes on a present-day core, in units of about a nanosecond, so that work
 /// is close to proportional to time without depending on any clock. The weights are a regression of time on counts over

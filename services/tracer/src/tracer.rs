@@ -208,6 +208,7 @@ impl Tracer {
             if !cache.fill(self, level, 0..count as usize, &|done| progress(before + done, all), cancel) {
                 return false;
             }
+            cache.smooth(level);
             before += count;
         }
         true

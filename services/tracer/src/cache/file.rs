@@ -221,6 +221,7 @@ impl Cache {
             return Err(CacheError::OtherPlan);
         }
         for (level, other) in self.levels.iter_mut().zip(&other.levels) {
+            level.smoothed = OnceLock::new();
             for (record, other) in level.records.iter_mut().zip(&other.records) {
                 if let (None, Some(other)) = (record.get(), other.get()) {
                     *record = OnceLock::from(*other);

@@ -64,6 +64,7 @@ impl Cache {
         }
         for level in &mut self.levels {
             level.records.resize_with(level.planned.len(), OnceLock::new);
+            level.smoothed = OnceLock::new();
             level.explored = level.planned.len();
         }
         self.plan += planning.plan.cost;

@@ -1,11 +1,8 @@
 //! Reading: interpolation between the records around a point.
 
+use super::smooth::Value;
 use super::{Cache, READ_RELAXED, Site};
 use glam::Vec3;
-
-/// A record's own gradients may change its irradiance at most to this share of it, and to this multiple.
-const LEAST: f32 = 0.05;
-const MOST: f32 = 3.0;
 
 impl Cache {
     /// Irradiance at a place from the records of a level, and the number of records looked at; `None` if no record covers it.
@@ -16,12 +13,15 @@ impl Cache {
     pub fn read(&self, level: usize, place: &Site) -> (Option<Vec3>, u64) {
         let here = &self.levels[level];
         let allowed = here.accuracy * READ_RELAXED;
+        let smoothed = here.smoothed.get();
         let (mut sum, mut weights, mut looked_at) = (Vec3::ZERO, 0.0f32, 0);
         for index in here.octree.near(place.position) {
             looked_at += 1;
             let planned = &here.planned[index as usize];
             let Some(error) = planned.error(place, allowed) else { continue };
-            let Some(record) = here.records[index as usize].get() else {
+            let gathered = || here.records[index as usize].get().map(Value::of);
+            let value = smoothed.map_or_else(gathered, |smoothed| Some(smoothed.values[index as usize]));
+            let Some(record) = value else {
                 weights += 1.0;
                 continue;
             };
@@ -30,15 +30,10 @@ impl Cache {
             }
             let difference = place.position - planned.site.position;
             let turn = planned.site.normal.cross(place.normal);
-            let change = Vec3::from([0, 1, 2].map(|channel| {
-                turn.dot(record.rotation[channel]) + difference.dot(record.translation[channel])
-            }));
-            let value =
-                (record.irradiance + change).clamp(record.irradiance * LEAST, record.irradiance * MOST);
             // Where the irradiance itself changes fast, a record counts for less from farther off.
             let trusted = error + difference.length() * (1.0 / record.trusted - 1.0 / planned.radius);
             let weight = (1.0 - error / allowed) * (1.0 - trusted / allowed).max(1e-3);
-            sum += weight * value;
+            sum += weight * record.at(difference, turn);
             weights += weight;
         }
         ((weights > 0.0).then(|| sum / weights), looked_at)

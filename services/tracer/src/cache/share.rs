@@ -66,8 +66,13 @@ impl Level {
 
     /// The level with some of its records.
     fn only(&self, kept: &[bool], tracer: &Tracer) -> Self {
-        let mut level =
-            Self { octree: octree(tracer), planned: Vec::new(), records: Vec::new(), explored: 0, ..*self };
+        let mut level = Self {
+            octree: octree(tracer),
+            accuracy: self.accuracy,
+            smallest: self.smallest,
+            largest: self.largest,
+            ..Self::default()
+        };
         for ((planned, record), _) in
             self.planned.iter().zip(&self.records).zip(kept).filter(|(_, kept)| **kept)
         {

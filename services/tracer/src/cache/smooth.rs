@@ -1,0 +1,134 @@
+//! Smoothing: records that agree, averaged.
+//!
+//! A record's gather is a sample of a few hundred rays, and what it lacks in rays shows as a fleck as large as the record. Its
+//! neighbours have gathered the same light by other rays, and their gradients say what it is here. So every record that is
+//! filled takes the weighted mean of what it and its neighbours say of its place, within a wider circle than records are read
+//! in: the flecks of several gathers for the price of one, paid once a record instead of at every sample that reads.
+
+use super::{Cache, Level, Planned, Record};
+use crate::cost::{Cost, RECORD_WORK, thread_cpu_nanos};
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Neighbours count as far as their error is below this multiple of the accuracy, seen from either side.
+const WIDER: f32 = 4.0;
+
+/// What a record says to those that read it.
+#[derive(Debug, Clone, Copy)]
+pub struct Value {
+    pub irradiance: Vec3,
+    /// See [`Record::rotation`].
+    pub rotation: [Vec3; 3],
+    /// See [`Record::translation`].
+    pub translation: [Vec3; 3],
+    /// See [`Record::trusted`].
+    pub trusted: f32,
+    /// Whether it is not to be used.
+    pub rejected: bool,
+}
+
+/// The values of a level, and what averaging them took.
+#[derive(Debug, Clone, Default)]
+pub struct Smoothed {
+    pub values: Vec<Value>,
+    pub cost: Cost,
+}
+
+impl Value {
+    /// What was gathered, as it is.
+    pub fn of(record: &Record) -> Self {
+        let Record { irradiance, rotation, translation, trusted, rejected, .. } = *record;
+        Self { irradiance, rotation, translation, trusted, rejected }
+    }
+
+    /// Irradiance somewhere else, by the gradients: the place lies off by `difference`, metres, and its normal is turned by
+    /// `turn` = nᵢ × n. A record's own gradients may change its irradiance at most to this share of it, and to this multiple.
+    pub fn at(&self, difference: Vec3, turn: Vec3) -> Vec3 {
+        const LEAST: f32 = 0.05;
+        const MOST: f32 = 3.0;
+        let change = Vec3::from(
+            [0, 1, 2]
+                .map(|channel| turn.dot(self.rotation[channel]) + difference.dot(self.translation[channel])),
+        );
+        (self.irradiance + change).clamp(self.irradiance * LEAST, self.irradiance * MOST)
+    }
+}
+
+impl Cache {
+    /// Smooths a level all of whose records are filled, on the current thread pool.
+    pub fn smooth(&self, level: usize) {
+        let level = &self.levels[level];
+        level.smoothed.get_or_init(|| {
+            let smoothed = (0..level.planned.len()).into_par_iter().map(|index| {
+                let start = thread_cpu_nanos();
+                let (value, looked_at) = level.averaged(index);
+                (value, Cost { work: RECORD_WORK * looked_at, cpu_nanos: thread_cpu_nanos() - start })
+            });
+            let smoothed: Vec<(Value, Cost)> = smoothed.collect();
+            let cost = smoothed.iter().fold(Cost::default(), |sum, (_, cost)| sum + *cost);
+            Smoothed { values: smoothed.into_iter().map(|(value, _)| value).collect(), cost }
+        });
+    }
+}
+
+impl Level {
+    /// What a record and its neighbours say of its place, and how many were looked at.
+    fn averaged(&self, index: usize) -> (Value, u64) {
+        let here = &self.planned[index];
+        let Some(own) = self.records[index].get().map(Value::of).filter(|own| !own.rejected) else {
+            return (Value { rejected: true, ..NOTHING }, 1);
+        };
+        let position = here.site.position;
+        let reach = here.radius * self.accuracy * WIDER;
+        let near = self.octree.touching(position - reach, position + reach);
+        let (mut sum, mut weights) = (NOTHING, 0.0f32);
+        for &neighbour in &near {
+            let there = &self.planned[neighbour as usize];
+            let value = if neighbour as usize == index {
+                own
+            } else {
+                match self.records[neighbour as usize].get() {
+                    Some(record) if !record.rejected => Value::of(record),
+                    _ => continue,
+                }
+            };
+            let Some(weight) = self.agreement((here, &own), (there, &value)) else { continue };
+            let difference = position - there.site.position;
+            let turn = there.site.normal.cross(here.site.normal);
+            sum.irradiance += weight * value.at(difference, turn);
+            for channel in 0..3 {
+                sum.rotation[channel] += weight * value.rotation[channel];
+                sum.translation[channel] += weight * value.translation[channel];
+            }
+            weights += weight;
+        }
+        // Its own weight is 1, so the sum is above 0.
+        let mean = |vector: Vec3| vector / weights;
+        let value = Value {
+            irradiance: mean(sum.irradiance),
+            rotation: sum.rotation.map(mean),
+            translation: sum.translation.map(mean),
+            ..own
+        };
+        (value, near.len() as u64)
+    }
+
+    /// How much one record counts at another's place: 1 at the place itself, falling to nothing where either says that the other
+    /// is too far off. The one with the smaller radius knows best how fast the light changes between them.
+    fn agreement(&self, (here, own): (&Planned, &Value), (there, value): (&Planned, &Value)) -> Option<f32> {
+        let allowed = self.accuracy * WIDER;
+        let error = there.error(&here.site, allowed)?.max(here.error(&there.site, allowed)?);
+        let distance = here.site.position.distance(there.site.position);
+        let trusted = distance / own.trusted.min(value.trusted);
+        let near = 1.0 - error / allowed;
+        Some(near * near * (1.0 - trusted / allowed).max(0.0))
+    }
+}
+
+const NOTHING: Value = Value {
+    irradiance: Vec3::ZERO,
+    rotation: [Vec3::ZERO; 3],
+    translation: [Vec3::ZERO; 3],
+    trusted: 0.0,
+    rejected: false,
+};
