@@ -208,9 +208,9 @@ impl Tracer {
             if !cache.fill(self, level, 0..count as usize, &|done| progress(before + done, all), cancel) {
                 return false;
             }
-            cache.smooth(level);
             before += count;
         }
+        cache.smooth(0);
         true
     }
 

@@ -19,6 +19,7 @@ impl Cache {
         progress: &(dyn Fn(u64) + Sync),
         cancel: &AtomicBool,
     ) -> bool {
+        self.smooth(level + 1);
         let done = AtomicU64::new(0);
         range.into_par_iter().for_each(|index| {
             if !cancel.load(Ordering::Relaxed) {
