@@ -53,6 +53,21 @@ impl Rays {
     }
 }
 
+/// A light or an object that cannot matter to an image.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LeftOut {
+    /// What it is, by name or number.
+    pub what: String,
+    /// Why it does not matter.
+    pub reason: String,
+}
+
+impl LeftOut {
+    /// Entries of one frame, at most; the last of so many stands for all that follow.
+    pub const MOST: usize = 100;
+}
+
 /// What an irradiance cache took and came to.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -67,6 +82,12 @@ pub struct CacheStats {
     pub uncovered: u64,
     /// Records that were taken over from profiling.
     pub reused_records: u64,
+    /// Records of the shot's cache that hold in this frame; their cost is the shot's, not the frame's.
+    #[serde(default)]
+    pub shared_records: u64,
+    /// Records of the shot's cache whose light has changed by what moved, and which were dropped.
+    #[serde(default)]
+    pub dropped_records: u64,
 }
 
 /// The true cost of one rendered frame, as `forelight render --stats` writes it.
@@ -87,6 +108,9 @@ pub struct RenderStats {
     pub spp: u32,
     /// The effects that the frame called for, by name, sorted.
     pub effects: Vec<String>,
+    /// Lights and objects that cannot matter to the image, and took no rays.
+    #[serde(default)]
+    pub left_out: Vec<LeftOut>,
     /// Rays by category.
     pub rays: Rays,
     /// Irradiance cache records, one number a level; empty without a cache.

@@ -228,6 +228,7 @@ fn stats(frame: u32) -> RenderStats {
         height: 8,
         spp: 16,
         effects: vec!["ambient".to_owned()],
+        left_out: Vec::new(),
         rays: Rays { primary: 1024, ..Rays::default() },
         cache_records: Vec::new(),
         cache: None,

@@ -45,6 +45,7 @@ pub use share::Shared;
 pub use site::Site;
 
 use crate::cost::{Cost, Rays};
+use crate::tracer::Tracer;
 use forelight_bvh::Hit;
 use glam::Vec3;
 use octree::Octree;
@@ -113,6 +114,8 @@ pub struct Level {
 pub struct Cache {
     /// What its records depend on, see [`crate::fingerprint`].
     fingerprint: [u8; 32],
+    /// Number of the frame whose world the records are in.
+    frame: u32,
     /// The images that it has been planned for, by their fingerprints.
     images: Vec<[u8; 32]>,
     strata: Strata,
@@ -139,8 +142,6 @@ pub struct CacheTotals {
     pub filled: u64,
     /// Records among them that are not finite, and never used.
     pub rejected: u64,
-    /// Images that it has been planned for.
-    pub images: u64,
 }
 
 impl Cache {
@@ -149,9 +150,9 @@ impl Cache {
         self.levels.iter().map(|level| level.planned.len() as u64).collect()
     }
 
-    /// The strata of its gathers.
-    pub fn strata(&self) -> &Strata {
-        &self.strata
+    /// Whether all records of a level are filled.
+    pub fn is_full(&self, level: usize) -> bool {
+        self.levels.get(level).is_none_or(|level| level.records.iter().all(|record| record.get().is_some()))
     }
 
     /// The planned records of a level.
@@ -164,16 +165,34 @@ impl Cache {
         self.levels[level].records[index].get()
     }
 
+    /// Number of the frame whose world the records are in: it was planned for this one first.
+    pub fn frame(&self) -> u32 {
+        self.frame
+    }
+
+    /// Whether its records hold in the frame of a tracer as they are: same geometry, same light, same settings of light.
+    pub fn suits(&self, tracer: &Tracer) -> bool {
+        self.fingerprint == tracer.cache_fingerprint()
+    }
+
     /// The same without the times that its making took: two caches of one plan are then equal byte by byte.
     pub fn without_times(&self) -> Self {
         let mut cache = self.clone();
         cache.plan.cpu_nanos = 0;
-        for record in
-            cache.levels.iter_mut().flat_map(|level| &mut level.records).filter_map(OnceLock::get_mut)
-        {
-            record.cost.cpu_nanos = 0;
-        }
+        cache.gathered_mut().for_each(|record| record.cost.cpu_nanos = 0);
         cache
+    }
+
+    /// The same as if it had cost nothing: for a frame that is given it, and is not to be charged for it.
+    pub fn as_given(mut self) -> Self {
+        self.plan = Cost::default();
+        self.plan_rays = Rays::default();
+        self.gathered_mut().for_each(|record| (record.cost, record.rays) = (Cost::default(), [0; 7]));
+        self
+    }
+
+    fn gathered_mut(&mut self) -> impl Iterator<Item = &mut Record> {
+        self.levels.iter_mut().flat_map(|level| &mut level.records).filter_map(OnceLock::get_mut)
     }
 
     /// What it holds and took.
@@ -182,7 +201,6 @@ impl Cache {
             records: self.records(),
             plan: self.plan,
             plan_rays: self.plan_rays,
-            images: self.images.len() as u64,
             ..CacheTotals::default()
         };
         for smoothed in self.levels.iter().filter_map(|level| level.smoothed.get()) {

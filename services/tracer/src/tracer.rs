@@ -180,6 +180,20 @@ impl Tracer {
         Ok(())
     }
 
+    /// Takes a cache as it is, without planning what this image needs beyond it: for filling it.
+    ///
+    /// # Errors
+    /// If it belongs to another scene, other light or other settings.
+    pub fn hold_cache(&self, mut cache: Cache) -> Result<&Cache, CacheError> {
+        cache.settle(self)?;
+        Ok(self.cache.get_or_init(|| cache))
+    }
+
+    /// The frame's irradiance cache, planned and filled as far as it was.
+    pub fn into_cache(self) -> Option<Cache> {
+        self.cache.into_inner()
+    }
+
     /// Hash of all that the records of a cache depend on.
     pub fn cache_fingerprint(&self) -> [u8; 32] {
         light_fingerprint(self.content(), &self.settings, &self.reach)
@@ -230,6 +244,11 @@ impl Tracer {
     /// memory and no time.
     pub fn left_out(&self) -> &[LeftOut] {
         self.reach.left_out()
+    }
+
+    /// What was asked of it.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
     }
 
     /// The frame as it is traced.

@@ -7,13 +7,13 @@ use crate::renderer::{
 };
 use forelight_preview::{Choice, PreviewError, Previewer};
 use forelight_protocol::{
-    CacheMode, FixedCosts, Integrator, MaterialMode, PreviewBackend, RenderSettings, SceneDigest,
+    CacheMode, FixedCosts, Integrator, LeftOut, MaterialMode, PreviewBackend, RenderSettings, SceneDigest,
     SceneSummary, Spent, StratumName,
 };
 use forelight_scene::{Frame, Geometry, Limits, Scene};
 use forelight_tracer::{
     Cache, CacheSettings, CacheTotals, Effects, MaterialOverride, Pixel, Profile, RecordCost, Settings,
-    Tracer, thread_cpu_nanos,
+    Shared, Tracer, thread_cpu_nanos,
 };
 use rayon::prelude::*;
 use std::path::Path;
@@ -69,6 +69,7 @@ impl Ambient {
         Ok(AmbientShot {
             info: ShotInfo { summary: summary(&scene, &first), strata: strata(&first), load },
             moves: scene.geometry_moves(),
+            everything: false,
             scene,
             previewer: self.previewer.clone(),
             still: first.geometry.clone(),
@@ -145,6 +146,8 @@ pub struct AmbientShot {
     previewer: Arc<SharedPreviewer>,
     /// Whether anything but the camera and the lights moves in the shot.
     moves: bool,
+    /// Whether everything is traced, also what cannot matter.
+    everything: bool,
     /// The geometry of frame 0, which frames in which nothing has moved share.
     still: Arc<Geometry>,
     still_tree: Mutex<Option<Tree>>,
@@ -160,8 +163,8 @@ struct Tree {
 }
 
 /// A tracer, and what its tree took.
-struct Ready {
-    tracer: Tracer,
+pub(crate) struct Ready {
+    pub(crate) tracer: Tracer,
     /// Building the tree, whenever that was, if the shot's frames cannot all share one.
     own_tree: Spent,
     /// Building the tree, if that was done just now.
@@ -169,18 +172,33 @@ struct Ready {
 }
 
 impl AmbientShot {
-    fn frame_of(&self, frame: u32, settings: &Settings) -> Result<Frame, RenderError> {
+    /// The same with code for all effects in the path, and with everything left in: for showing what leaving it out saves. Images
+    /// keep their bits.
+    pub fn with_everything(self) -> Self {
+        Self { everything: true, ..self }
+    }
+
+    pub(crate) fn frame_of(&self, frame: u32, settings: &Settings) -> Result<Frame, RenderError> {
         settings.validate()?;
         Ok(self.scene.frame_with(frame, Some((settings.width, settings.height)))?)
     }
 
-    fn tracer(&self, frame: &Frame, settings: &Settings) -> Ready {
+    /// The view of a frame onto the world of another.
+    pub(crate) fn view_of(&self, frame: u32, world: &Frame) -> Result<Frame, RenderError> {
+        let camera = self.scene.camera(frame)?.resized(world.camera.width, world.camera.height);
+        Ok(Frame { number: frame, camera, ..world.clone() })
+    }
+
+    pub(crate) fn tracer(&self, frame: &Frame, settings: &Settings) -> Ready {
         // In a shot in which something moves every frame is charged for a tree, so that what stands still for a while, or comes
         // back to where it was, does not make one frame cheaper than the next.
         let own = |build: Spent| if self.moves { build } else { Spent::default() };
         let ready = |known: Option<&Tree>| {
             let known = known.filter(|tree| Arc::ptr_eq(&tree.geometry, &frame.geometry));
             let tracer = match known {
+                _ if self.everything => {
+                    Tracer::complete(frame, settings).with_kernel_for(Effects::default().with_all())
+                }
                 Some(tree) => Tracer::with_bvh(frame, settings, tree.bvh.clone()),
                 None => Tracer::new(frame, settings),
             };
@@ -254,8 +272,9 @@ impl Renderer for AmbientShot {
         let moved = thread_cpu_nanos() - start;
         let Ready { tracer, own_tree, built_now } = self.tracer(&frame, &settings);
         Ok(Box::new(AmbientFrame {
-            previewer: &self.previewer,
+            shot: self,
             tracer,
+            shared: Mutex::default(),
             fixed: FixedCosts {
                 load: Spent { work: 0, cpu_nanos: moved },
                 build: own_tree,
@@ -268,8 +287,10 @@ impl Renderer for AmbientShot {
 
 /// One frame, ready.
 struct AmbientFrame<'a> {
-    previewer: &'a SharedPreviewer,
+    shot: &'a AmbientShot,
     tracer: Tracer,
+    /// What became of the shot's cache, if it was given one.
+    shared: Mutex<Shared>,
     /// Without the plan of its irradiance cache.
     fixed: FixedCosts,
     built_now: Spent,
@@ -285,7 +306,7 @@ impl FrameRenderer for AmbientFrame<'_> {
 
     fn preview(&self) -> Result<Previewed, RenderError> {
         let frame = self.tracer.frame();
-        Ok(self.previewer.with(|previewer| {
+        Ok(self.shot.previewer.with(|previewer| {
             let preview = previewer.preview(frame)?;
             Ok(Previewed { preview, backend: backend(previewer), spent: preview_spent(previewer, frame, 0) })
         })?)
@@ -312,6 +333,13 @@ impl FrameRenderer for AmbientFrame<'_> {
         effects
     }
 
+    fn left_out(&self) -> Vec<LeftOut> {
+        let left_out = self.tracer.left_out().iter();
+        left_out
+            .map(|left| LeftOut { what: left.what.to_string(), reason: left.reason.to_string() })
+            .collect()
+    }
+
     fn trace(&self, pixels: &[u32]) -> Vec<Pixel> {
         self.tracer.plan();
         pixels.par_chunks(BATCH).flat_map_iter(|batch| self.tracer.profile(batch)).collect()
@@ -331,6 +359,24 @@ impl FrameRenderer for AmbientFrame<'_> {
         // The colours of pixels that read a cache before it is filled are not the image's.
         let pixels = if cache.is_none() { pixels.to_vec() } else { Vec::new() };
         Profile { frame: self.tracer.frame().number, fingerprint: self.tracer.fingerprint(), pixels, cache }
+    }
+
+    fn share(&self, mut cache: Cache) -> Result<(), RenderError> {
+        let given = |cache: Cache| self.tracer.take_cache(cache.as_given());
+        let shared = if cache.suits(&self.tracer) {
+            let kept = cache.records();
+            given(cache)?;
+            Shared { dropped: vec![0; kept.len()], kept }
+        } else {
+            let settings = self.tracer.settings();
+            let from = self.shot.tracer(&self.shot.frame_of(cache.frame(), settings)?, settings).tracer;
+            cache.settle(&from)?;
+            let (carried, shared) = cache.carried(&from, &self.tracer);
+            given(carried)?;
+            shared
+        };
+        *lock(&self.shared) = shared;
+        Ok(())
     }
 
     fn render(
@@ -360,7 +406,11 @@ impl FrameRenderer for AmbientFrame<'_> {
             }
         }
         let image = self.tracer.render(reuse, &|done| at(Step::Tracing, done, pixels as u64), cancel);
-        let cache = self.tracer.cache().map(|cache| CacheUse { all: cache.totals(), taken_over });
+        let cache = self.tracer.cache().map(|cache| CacheUse {
+            all: cache.totals(),
+            taken_over,
+            shared: lock(&self.shared).clone(),
+        });
         Ok(image.map(|image| Finished { image, cache }))
     }
 }

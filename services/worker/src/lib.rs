@@ -27,6 +27,7 @@ mod render;
 mod renderer;
 mod server_events;
 mod shot;
+mod shot_cache;
 mod tasks;
 mod transport;
 mod warm_clock;
@@ -40,7 +41,7 @@ pub use execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 pub use library::Library;
 pub use pictures::png;
 pub use quote::{Quote, QuoteOptions, quote};
-pub use render::{Rendered, peak_rss_bytes, render_frame, seconds};
+pub use render::{Given, Rendered, peak_rss_bytes, render_frame, seconds};
 pub use renderer::{
     CacheUse, Counted, Finished, FrameRenderer, OpenRenderer, Previewed, Progress, RenderError, Renderer,
     ShotInfo, Step, StratumInfo,

@@ -3,7 +3,7 @@
 use crate::renderer::{CacheUse, Finished, FrameRenderer, Progress, RenderError, Renderer};
 use forelight_protocol::{CacheStats, Rays, RenderSettings, RenderStats, Spent};
 use forelight_scene::Frame;
-use forelight_tracer::{CacheTotals, Cost, Image, Profile};
+use forelight_tracer::{Cache, CacheTotals, Cost, Image, Profile};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
@@ -18,22 +18,32 @@ pub struct Rendered {
     pub frame: Frame,
 }
 
-/// Renders one frame on the current thread pool, taking over what `reuse` holds. `None` if `cancel` was set.
+/// What was done for a frame before it is rendered.
+#[derive(Debug, Default)]
+pub struct Given<'a> {
+    /// Its profile: finished pixels, or its cache.
+    pub profile: Option<&'a Profile>,
+    /// The cache of its shot.
+    pub cache: Option<Cache>,
+}
+
+/// Renders one frame on the current thread pool, taking over what it is given. `None` if `cancel` was set.
 ///
 /// The cost of a frame is that of its pixels, of setting it up, of its irradiance cache, planned and filled, and of building its
 /// acceleration structure in a shot in which something moves, whether or not some of it was done before, by profiling or for another frame: it is what a forecast forecasts. Loading the
-/// bundle and building the structure that all frames share, both paid once per process, are not in it.
+/// bundle and building the structure that all frames share, both paid once per process, are not in it, nor is the shot's cache.
 pub fn render_frame(
     renderer: &dyn Renderer,
     frame: u32,
     settings: &RenderSettings,
-    reuse: Option<&Profile>,
+    given: Given<'_>,
     progress: &(dyn Fn(Progress) + Sync),
     cancel: &AtomicBool,
 ) -> Result<Option<Rendered>, RenderError> {
     let start = Instant::now();
     let ready = renderer.frame(frame, settings)?;
-    let rendered = render_ready(&*ready, settings, reuse, progress, cancel)?;
+    given.cache.map_or(Ok(()), |cache| ready.share(cache))?;
+    let rendered = render_ready(&*ready, settings, given.profile, progress, cancel)?;
     Ok(rendered.map(|mut rendered| {
         rendered.stats.wall_seconds = start.elapsed().as_secs_f64();
         rendered
@@ -79,6 +89,7 @@ fn stats(
         height: settings.height,
         spp: settings.spp,
         effects: ready.effects(),
+        left_out: ready.left_out(),
         rays: rays(gathered, all.rays),
         cache_records: gathered.map_or(Vec::new(), |cache| cache.records.clone()),
         cache: finished.cache.as_ref().map(|cache| cache_stats(cache, &finished.image)),
@@ -100,6 +111,8 @@ fn cache_stats(cache: &CacheUse, image: &Image) -> CacheStats {
         rejected: cache.all.rejected,
         uncovered: image.pixels.iter().map(|pixel| u64::from(pixel.uncovered)).sum(),
         reused_records: cache.taken_over.filled,
+        shared_records: cache.shared.kept.iter().sum(),
+        dropped_records: cache.shared.dropped.iter().sum(),
     }
 }
 

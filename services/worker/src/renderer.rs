@@ -5,10 +5,12 @@
 //! door. Ours, over `scene`, `preview` and `tracer`, is in [`crate::ambient`].
 
 use forelight_preview::{Counts, Preview, PreviewError};
-use forelight_protocol::{FixedCosts, PreviewBackend, RenderSettings, SceneSummary, Spent, StratumName};
+use forelight_protocol::{
+    FixedCosts, LeftOut, PreviewBackend, RenderSettings, SceneSummary, Spent, StratumName,
+};
 use forelight_scene::{Frame, MaterialClass, SceneError};
 use forelight_tracer::{
-    CacheError, CacheTotals, Image, Pixel, Profile, ProfileError, RecordCost, SettingsError,
+    Cache, CacheError, CacheTotals, Image, Pixel, Profile, ProfileError, RecordCost, SettingsError, Shared,
 };
 use std::path::Path;
 use std::sync::Arc;
@@ -29,8 +31,8 @@ pub enum RenderError {
     /// The bytes are not a profile.
     #[error("profile: {0}")]
     Profile(#[from] ProfileError),
-    /// The irradiance cache in a profile cannot be used.
-    #[error("profile: {0}")]
+    /// An irradiance cache cannot be used.
+    #[error("{0}")]
     Cache(#[from] CacheError),
     /// The profile was made from another scene, another frame, at another quality, or by another version.
     #[error(
@@ -145,6 +147,8 @@ pub struct CacheUse {
     pub all: CacheTotals,
     /// The part of it that was taken over from a profile.
     pub taken_over: CacheTotals,
+    /// Records of the shot's cache that it was given, and those that do not hold in this frame; their cost is the shot's.
+    pub shared: Shared,
 }
 
 /// Opens bundles.
@@ -190,6 +194,9 @@ pub trait FrameRenderer: Send + Sync {
     /// The effects that the frame calls for, by name, sorted.
     fn effects(&self) -> Vec<String>;
 
+    /// Lights and objects that cannot matter to the frame's image, and why.
+    fn left_out(&self) -> Vec<LeftOut>;
+
     /// Finished pixels by index, in the order given, on the current thread pool. With an irradiance cache all but their colours is
     /// final: the cache is planned, but not filled.
     fn trace(&self, pixels: &[u32]) -> Vec<Pixel>;
@@ -203,6 +210,10 @@ pub trait FrameRenderer: Send + Sync {
 
     /// What can be taken over by [`FrameRenderer::render`]: these pixels or, with an irradiance cache, that, as far as it was filled.
     fn profile(&self, pixels: &[(u32, Pixel)]) -> Profile;
+
+    /// Gives the frame the cache of its shot: before anything is planned. Records whose light something that moved has changed are
+    /// dropped; what the frame needs beyond the others will be planned anew.
+    fn share(&self, cache: Cache) -> Result<(), RenderError>;
 
     /// The image, on the current thread pool; what `reuse` holds is taken over. `None` if `cancel` was set.
     fn render(

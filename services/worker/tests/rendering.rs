@@ -6,7 +6,7 @@ use forelight_protocol::{
     RenderSettingsRequest, RenderSpec, SceneDigest, TaskResult, TaskSpec,
 };
 use forelight_worker::{
-    Ambient, Assignment, Control, Execute, ExecuteError, Library, Observer, Outcome, QuoteOptions,
+    Ambient, Assignment, Control, Execute, ExecuteError, Given, Library, Observer, Outcome, QuoteOptions,
     TaskRunner, quote, render_frame,
 };
 use std::fs;
@@ -304,8 +304,9 @@ fn a_quote_from_all_pixels_is_the_render_to_the_last_operation() {
     let mut total = 0;
     for forecast in &quoted.document.frames {
         let cancel = AtomicBool::new(false);
-        let rendered =
-            render_frame(&shot, forecast.frame, &rig.settings, None, &|_| (), &cancel).unwrap().unwrap();
+        let rendered = render_frame(&shot, forecast.frame, &rig.settings, Given::default(), &|_| (), &cancel)
+            .unwrap()
+            .unwrap();
         let stats = rendered.stats;
         assert_eq!(forecast.work.mean, stats.work as f64, "frame {}", stats.frame);
         assert_eq!(forecast.work.p95, stats.work as f64);
@@ -339,7 +340,7 @@ fn building_the_tree_is_in_a_frames_cost_only_where_something_moves() {
         let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
         // Frame 0 of the moving shot has the geometry that it would have without the motion.
         let cancel = AtomicBool::new(false);
-        render_frame(&shot, 0, &rig.settings, None, &|_| (), &cancel).unwrap().unwrap().stats.work
+        render_frame(&shot, 0, &rig.settings, Given::default(), &|_| (), &cancel).unwrap().unwrap().stats.work
     };
     let without = work();
     let path = rig.bundle().join("scene.json");
@@ -363,8 +364,10 @@ fn the_records_that_the_preview_counted_are_those_of_the_render() {
         for (forecast, counted) in quoted.document.frames.iter().zip(&quoted.counted.cache_records) {
             let cancel = AtomicBool::new(false);
             let frame = forecast.frame;
-            let stats =
-                render_frame(&shot, frame, &rig.settings, None, &|_| (), &cancel).unwrap().unwrap().stats;
+            let stats = render_frame(&shot, frame, &rig.settings, Given::default(), &|_| (), &cancel)
+                .unwrap()
+                .unwrap()
+                .stats;
             assert_eq!(stats.cache_records.len(), bounces as usize);
             assert!(stats.cache_records.iter().all(|&count| count > 20), "{:?}", stats.cache_records);
             let known: Vec<u64> = counted.iter().map(|&count| u64::from(count)).collect();
@@ -461,7 +464,8 @@ fn with_a_cache_the_quote_of_the_kitchen_is_within_a_few_percent_of_its_render()
         let options = QuoteOptions { samples: 256, profile_frames: 1, seed: 0 };
         let quoted = quote(&shot, &[0], &settings, &options, &Nobody).unwrap();
         let cancel = AtomicBool::new(false);
-        let stats = render_frame(&shot, 0, &settings, None, &|_| (), &cancel).unwrap().unwrap().stats;
+        let stats =
+            render_frame(&shot, 0, &settings, Given::default(), &|_| (), &cancel).unwrap().unwrap().stats;
         let forecast = &quoted.document.frames[0];
         let error = forecast.work.mean / stats.work as f64 - 1.0;
         println!(

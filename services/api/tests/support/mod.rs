@@ -279,6 +279,7 @@ impl Farm {
                         height: spec.settings.height,
                         spp: spec.settings.spp,
                         effects: vec!["ambient".to_owned()],
+                        left_out: Vec::new(),
                         rays: Rays { primary: 1024, ..Rays::default() },
                         cache_records: Vec::new(),
                         cache: None,

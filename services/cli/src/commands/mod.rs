@@ -1,6 +1,7 @@
 //! The commands, one file each.
 
 mod bench;
+mod cache;
 mod farm;
 mod forecast;
 mod plan;
@@ -45,6 +46,7 @@ enum Command {
     Submit(submit::Args),
     Render(render::Args),
     Preview(preview::Args),
+    Cache(cache::Args),
     Forecast(forecast::Args),
     Plan(plan::Args),
     Token(token::Args),
@@ -70,6 +72,7 @@ impl Cli {
             // Tracing light is not waiting: it gets a thread that may block.
             Command::Render(args) => blocking(move || render::run(&args, &interrupt)).await,
             Command::Preview(args) => blocking(move || preview::run(&args)).await,
+            Command::Cache(args) => blocking(move || cache::run(&args, &interrupt)).await,
             Command::Forecast(args) => blocking(move || forecast::run(&args, &interrupt)).await,
             Command::Plan(args) => blocking(move || plan::run(&args)).await,
             Command::Bench(args) => blocking(move || bench::run(&args, &interrupt)).await,
@@ -135,6 +138,7 @@ mod tests {
             ("forelight submit b --cache-rays 192", "--cache"),
             ("forelight forecast b --integrator photons", "--integrator"),
             ("forelight preview b --preview tpu", "--preview"),
+            ("forelight cache fill b --cache-file c --part 5/4 --out d", "--part"),
             ("forelight forecast b --samples 0", "--samples"),
             ("forelight token --role boss", "--role"),
             ("forelight farm --lease-ttl 0s", "--lease-ttl"),

@@ -1,5 +1,6 @@
 //! `forelight render`: one frame on this machine, with its true cost.
 
+use super::cache::read_cache;
 use crate::atomic_file::{write_bytes, write_with};
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
@@ -9,9 +10,10 @@ use crate::output::{self, Bars, RenderBar};
 use crate::quantities::{count, seconds};
 use crate::table::{Align, Table};
 use anyhow::{Context, Result};
-use forelight_protocol::{Rays, RenderStats};
+use clap::ValueEnum;
+use forelight_protocol::{CacheMode, LeftOut, Rays, RenderStats};
 use forelight_tracer::Profile;
-use forelight_worker::{RenderError, Rendered, png, render_frame};
+use forelight_worker::{Given, RenderError, Rendered, png, render_frame};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -23,6 +25,7 @@ Examples:
   forelight render kitchen.zip --width 640 --spp 16 --out f.exr --stats f.json
   forelight render kitchen/ --profile profiles/frame-0000.profile --out 0.png
   forelight render kitchen/ --cache on --cache-accuracy 0.1 --out smooth.png
+  forelight render kitchen/ --frame 12 --cache-file shot.cache --out 12.exr
   forelight render kitchen/ --integrator path --spp 256 --out caustics.png
 
 The image has the same bits whatever the threads, and whether or not a profile was taken over. An .exr holds \
@@ -45,6 +48,12 @@ pub struct Args {
     /// Take over the finished pixels, or the irradiance cache, of a profile that `forelight forecast --save-profile` wrote
     #[arg(long, value_name = "FILE")]
     profile: Option<PathBuf>,
+    /// Take over the irradiance cache of the shot that `forelight cache` made; implies --cache on
+    #[arg(long, value_name = "FILE", conflicts_with = "profile")]
+    cache_file: Option<PathBuf>,
+    /// Trace with code for what the scene calls for alone, or for everything, with nothing left out: the image has the same bits
+    #[arg(long, value_name = "WHICH", default_value = "called-for")]
+    effects: EffectsSwitch,
     /// Print the cost as JSON to standard output
     #[arg(long)]
     json: bool,
@@ -52,6 +61,15 @@ pub struct Args {
     quality: QualityOptions,
     #[command(flatten)]
     machine: MachineOptions,
+}
+
+/// Which effects the code that traces a frame holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum EffectsSwitch {
+    /// Those that the frame calls for.
+    CalledFor,
+    /// All, and lights and objects that cannot matter stay in.
+    All,
 }
 
 /// Formats that an image can be written in.
@@ -65,15 +83,23 @@ enum Format {
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let format = args.out.as_deref().map(format_of).transpose()?;
     let profile = args.profile.as_deref().map(read_profile).transpose()?;
+    let cache = args.cache_file.as_deref().map(read_cache).transpose()?;
     let bars = Bars::new(args.json);
-    let local = Local::open(&args.bundle, &args.machine, &bars)?;
-    let settings = local.settings(&args.quality)?;
+    let mut local = Local::open(&args.bundle, &args.machine, &bars)?;
+    if args.effects == EffectsSwitch::All {
+        local.shot = local.shot.with_everything();
+    }
+    let mut settings = local.settings(&args.quality)?;
+    if cache.is_some() {
+        settings.cache = CacheMode::On;
+    }
     let bar = RenderBar::new(&bars);
     let progress = |progress| bar.show(progress);
     let rendered = local
         .pool
         .install(|| {
-            render_frame(&local.shot, args.frame, &settings, profile.as_ref(), &progress, interrupt.flag())
+            let given = Given { profile: profile.as_ref(), cache };
+            render_frame(&local.shot, args.frame, &settings, given, &progress, interrupt.flag())
         })
         .with_context(|| format!("bundle {}", args.bundle.display()))?;
     drop(bar);
@@ -128,6 +154,9 @@ fn report(stats: &RenderStats) -> String {
     let RenderStats { frame, width, height, spp, .. } = stats;
     text += &format!("\nframe {frame}, {width} x {height}, {spp} samples per pixel\n");
     text += &format!("effects     {}\n", stats.effects.join(", "));
+    for LeftOut { what, reason } in &stats.left_out {
+        text += &format!("left out    {what}: {reason}\n");
+    }
     text += &format!("work        {} operations\n", count(stats.work as f64));
     text += &format!("CPU time    {}\n", seconds(stats.cpu_seconds));
     text += &format!("wall time   {}\n", seconds(stats.wall_seconds));
@@ -141,6 +170,15 @@ fn report(stats: &RenderStats) -> String {
             share(cache.fill_work),
             cache.uncovered
         );
+        if cache.shared_records + cache.dropped_records > 0 {
+            let records: u64 = stats.cache_records.iter().sum();
+            text += &format!(
+                "            {} records are the shot's, {} of the shot's do not hold here, {} were made for this frame\n",
+                cache.shared_records,
+                cache.dropped_records,
+                records.saturating_sub(cache.shared_records)
+            );
+        }
         if cache.rejected > 0 {
             text += &format!("            {} records are not finite and were not used\n", cache.rejected);
         }

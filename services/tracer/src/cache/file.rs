@@ -19,7 +19,7 @@ use forelight_bvh::Hit;
 use glam::Vec3;
 use std::sync::OnceLock;
 
-const MAGIC: [u8; 8] = *b"FLcach01";
+const MAGIC: [u8; 8] = *b"FLcach02";
 const CHECKSUM: usize = 32;
 
 /// The triangle of a ray that met nothing.
@@ -32,7 +32,7 @@ const REJECTED: u32 = 2;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CacheError {
     /// The leading bytes are others.
-    #[error("not an irradiance cache of this version (it must begin with FLcach01)")]
+    #[error("not an irradiance cache of this version (it must begin with FLcach02)")]
     Foreign,
     /// Shorter or longer than it says.
     #[error("truncated irradiance cache: {found} bytes where {expected} were expected")]
@@ -66,7 +66,7 @@ struct Header {
     rays: u32,
     images: u32,
     levels: u32,
-    zero: u32,
+    frame: u32,
 }
 
 #[repr(C)]
@@ -133,7 +133,7 @@ impl Cache {
                 rays: self.strata.len() as u32,
                 images: self.images.len() as u32,
                 levels: self.levels.len() as u32,
-                zero: 0,
+                frame: self.frame,
             },
         );
         self.images.iter().for_each(|image| out.extend_from_slice(image));
@@ -169,6 +169,7 @@ impl Cache {
         let header: Header = reader.take()?;
         let mut cache = Self {
             fingerprint: header.fingerprint,
+            frame: header.frame,
             plan: Cost { work: header.plan_work, cpu_nanos: header.plan_nanos },
             plan_rays: header.plan_rays,
             strata: Strata::for_rays(header.rays),
@@ -191,9 +192,9 @@ impl Cache {
         Ok(cache)
     }
 
-    /// Makes a cache that was read fit to be used for a frame.
+    /// Makes a cache that was read fit to be used for a frame; it must have been planned for this scene, light and settings.
     pub fn settle(&mut self, tracer: &Tracer) -> Result<(), CacheError> {
-        if self.fingerprint != tracer.cache_fingerprint() {
+        if !self.suits(tracer) {
             return Err(CacheError::OtherScene);
         }
         let triangles = tracer.frame.geometry.triangles.len();

@@ -53,6 +53,7 @@ impl Cache {
         let mut planning = Planning { tracer, strata: self.strata, plan: PlanCost::default() };
         if self.levels.is_empty() {
             self.fingerprint = tracer.cache_fingerprint();
+            self.frame = tracer.frame.number;
             self.levels = planning.levels(settings.accuracy as f32 * 1e-3);
         }
         for depth in 0..self.levels.len() {

@@ -28,13 +28,17 @@ impl Cache {
     /// The records of this cache, planned (and perhaps filled) for `from`, that hold in the frame of `to`.
     pub fn carried(&self, from: &Tracer, to: &Tracer) -> (Self, Shared) {
         let counts = |levels: &[Level]| levels.iter().map(|level| level.planned.len() as u64).collect();
-        if self.fingerprint == to.cache_fingerprint() {
+        if self.suits(to) {
             let all: Vec<u64> = counts(&self.levels);
             let dropped = vec![0; all.len()];
             return (self.clone(), Shared { kept: all, dropped });
         }
-        let mut carried =
-            Self { fingerprint: to.cache_fingerprint(), strata: self.strata, ..Self::default() };
+        let mut carried = Self {
+            fingerprint: to.cache_fingerprint(),
+            frame: to.frame.number,
+            strata: self.strata,
+            ..Self::default()
+        };
         if let Some(change) = Change::between(from, to) {
             // The deepest level first: a record that reads one that was dropped cannot stay.
             let mut deeper: Option<(&Level, Vec<bool>)> = None;

@@ -57,10 +57,10 @@ impl Value {
 impl Cache {
     /// Smooths a level, if all its records are filled, on the current thread pool.
     pub fn smooth(&self, level: usize) {
-        let Some(level) = self.levels.get(level) else { return };
-        if level.records.iter().any(|record| record.get().is_none()) {
+        if !self.is_full(level) {
             return;
         }
+        let Some(level) = self.levels.get(level) else { return };
         level.smoothed.get_or_init(|| {
             let smoothed = (0..level.planned.len()).into_par_iter().map(|index| {
                 let start = thread_cpu_nanos();

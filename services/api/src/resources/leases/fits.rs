@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    CacheMode, PreviewResult, PreviewSpec, ProfileResult, ProfileSpec, RenderResult, RenderSettings,
+    CacheMode, LeftOut, PreviewResult, PreviewSpec, ProfileResult, ProfileSpec, RenderResult, RenderSettings,
     RenderSpec, Spent, Stratum, TaskResult, TaskSpec,
 };
 
@@ -157,6 +157,8 @@ fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {
     if u64::max(stats.work, stats.reused_work) > LARGEST || stats.rays.total() > LARGEST {
         return wrong(AT, "a number is larger than 2⁶³ − 1");
     }
+    effects(&format!("{AT}/effects"), &stats.effects)?;
+    left_out(&format!("{AT}/left_out"), &stats.left_out)?;
     if stats.cache_records.len() != levels(settings) {
         let (found, levels) = (stats.cache_records.len(), levels(settings));
         let reason = format!("records of {found} levels; the settings call for {levels}");
@@ -206,6 +208,16 @@ fn effects(pointer: &str, effects: &[String]) -> ApiResult<()> {
         return Ok(());
     }
     wrong(pointer, "at most 100 names of at most 100 bytes each")
+}
+
+/// What was left out is shown to people, too.
+fn left_out(pointer: &str, left_out: &[LeftOut]) -> ApiResult<()> {
+    const LONGEST: usize = 4096;
+    let fits = |left: &LeftOut| left.what.len() <= LONGEST && left.reason.len() <= LONGEST;
+    if left_out.len() <= LeftOut::MOST && left_out.iter().all(fits) {
+        return Ok(());
+    }
+    wrong(pointer, format!("at most {} entries, of at most {LONGEST} bytes each", LeftOut::MOST))
 }
 
 fn spent(pointer: &str, spent: Spent) -> ApiResult<()> {

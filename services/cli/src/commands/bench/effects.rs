@@ -8,6 +8,7 @@ use crate::output::{self, Bars};
 use crate::quantities::{count, percent, seconds};
 use crate::table::{Align, Table};
 use anyhow::Result;
+use forelight_protocol::LeftOut;
 use forelight_scene::{Frame, Limits, Scene};
 use forelight_tracer::{Effects, Image, Settings, Tracer};
 use forelight_worker::tracer_settings;
@@ -65,12 +66,6 @@ struct Measured {
     left_out: Vec<LeftOut>,
     /// As it is simulated by default, with everything, then by what was added.
     variants: Vec<Variant>,
-}
-
-#[derive(Debug, Serialize)]
-struct LeftOut {
-    what: String,
-    reason: String,
 }
 
 /// One way to simulate the frame.
@@ -163,7 +158,7 @@ fn measure(args: &Args, bundle: &Path, pool: &rayon::ThreadPool, interrupt: &Int
         triangles: frame.geometry.triangles.len(),
         effects: first.tracer.effects().names().collect(),
         left_out: left_out
-            .map(|l| LeftOut { what: l.what.to_string(), reason: l.reason.to_string() })
+            .map(|left| LeftOut { what: left.what.to_string(), reason: left.reason.to_string() })
             .collect(),
         variants: runners.iter().map(|runner| variant(runner, first)).collect(),
     })

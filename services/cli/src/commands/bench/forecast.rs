@@ -13,7 +13,7 @@ use crate::quantities::{count, percent, seconds};
 use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use forelight_protocol::Rays;
-use forelight_worker::{QuoteOptions, Renderer, quote, render_frame};
+use forelight_worker::{Given, QuoteOptions, Renderer, quote, render_frame};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -143,7 +143,9 @@ fn measure(args: &Args, local: &Local, bounces: u32, bars: &Bars, interrupt: &In
     let progress = |progress| bar.show(progress);
     let rendered = local
         .pool
-        .install(|| render_frame(&local.shot, args.frame, &settings, None, &progress, interrupt.flag()))?
+        .install(|| {
+            render_frame(&local.shot, args.frame, &settings, Given::default(), &progress, interrupt.flag())
+        })?
         .ok_or(Interrupted)?;
     drop(bar);
     let actual = rendered.stats;

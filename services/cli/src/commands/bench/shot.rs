@@ -12,7 +12,7 @@ use crate::quantities::{count, percent, seconds};
 use crate::table::{Align, Table};
 use anyhow::Result;
 use forelight_protocol::{FrameSet, Quantiles, RenderSettings, RenderStats, Spent};
-use forelight_worker::{Quote, QuoteOptions, Renderer, render_frame};
+use forelight_worker::{Given, Quote, QuoteOptions, Renderer, render_frame};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -119,7 +119,16 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         let profile = quoted.profiled.iter().find(|p| p.frame == frame).map(|p| &p.profile);
         let rendered = local
             .pool
-            .install(|| render_frame(&local.shot, frame, &settings, profile, &|_| (), interrupt.flag()))?
+            .install(|| {
+                render_frame(
+                    &local.shot,
+                    frame,
+                    &settings,
+                    Given { profile, cache: None },
+                    &|_| (),
+                    interrupt.flag(),
+                )
+            })?
             .ok_or(Interrupted)?;
         actual.push(rendered.stats);
         bar.inc(1);

@@ -1,0 +1,240 @@
+//! `forelight cache`: the irradiance cache of a shot, planned once for many frames and filled by many processes.
+
+use crate::atomic_file::write_bytes;
+use crate::failure::{BadInput, Interrupted};
+use crate::interrupt::Interrupt;
+use crate::local::Local;
+use crate::options::{MachineOptions, QualityOptions};
+use crate::output::{self, Bars};
+use crate::quantities::{count, seconds};
+use anyhow::{Context, Result};
+use clap::Subcommand;
+use forelight_protocol::{CacheMode, FrameSet, RenderSettings};
+use forelight_tracer::{Cache, CacheTotals};
+use forelight_worker::{RenderError, seconds as seconds_of};
+use serde::Serialize;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Make the irradiance cache of a shot, for `forelight render --cache-file`
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight cache plan kitchen/ --frames 0-47 --ambient-bounces 1 --out plan.cache
+  forelight cache fill kitchen/ --ambient-bounces 1 --cache-file plan.cache --part 1/2 --out 1.cache
+  forelight cache fill kitchen/ --ambient-bounces 1 --cache-file plan.cache --part 2/2 --out 2.cache
+  forelight cache merge 1.cache 2.cache --out shot.cache
+  forelight render kitchen/ --frame 12 --ambient-bounces 1 --cache-file shot.cache --out 12.exr
+
+Planning says how many records the shot needs before any light is gathered. Parts may be filled by any processes on any machines, and \
+merged in any order: the image has the same bits. With two bounces the second level is filled first: fill and merge parts twice, \
+or fill without --part. Where something has moved, a frame drops the records whose light that changes, and makes them anew.")]
+pub struct Args {
+    #[command(subcommand)]
+    step: Step,
+}
+
+#[derive(Debug, Subcommand)]
+enum Step {
+    Plan(Plan),
+    Fill(Fill),
+    Merge(Merge),
+}
+
+/// Find out where the frames of a shot need records
+#[derive(Debug, clap::Args)]
+struct Plan {
+    /// Scene bundle: a folder or a zip file
+    bundle: PathBuf,
+    /// Frames, such as 0-47 or 0,5,9-12; the records are in the world of the first [default: the whole shot]
+    #[arg(long, value_name = "LIST")]
+    frames: Option<FrameSet>,
+    #[command(flatten)]
+    written: Written,
+    #[command(flatten)]
+    quality: QualityOptions,
+    #[command(flatten)]
+    machine: MachineOptions,
+}
+
+/// Gather the light of a planned cache, or of a part of it
+#[derive(Debug, clap::Args)]
+struct Fill {
+    /// Scene bundle: a folder or a zip file
+    bundle: PathBuf,
+    /// The cache, as planned or as far as it was filled
+    #[arg(long, value_name = "FILE")]
+    cache_file: PathBuf,
+    /// Which of how many equal parts, such as 1/4: of the deepest level that is not full [default: everything]
+    #[arg(long, value_name = "PART/PARTS", value_parser = part)]
+    part: Option<(u32, u32)>,
+    #[command(flatten)]
+    written: Written,
+    #[command(flatten)]
+    quality: QualityOptions,
+    #[command(flatten)]
+    machine: MachineOptions,
+}
+
+/// Put parts of one plan together that were filled apart
+#[derive(Debug, clap::Args)]
+struct Merge {
+    /// Caches of the same plan
+    #[arg(required = true, value_name = "CACHE")]
+    parts: Vec<PathBuf>,
+    #[command(flatten)]
+    written: Written,
+}
+
+#[derive(Debug, clap::Args)]
+struct Written {
+    /// Cache to write
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Print what the cache holds as JSON to standard output
+    #[arg(long)]
+    json: bool,
+}
+
+/// What a cache holds.
+#[derive(Debug, Serialize)]
+struct Held {
+    /// Frame in whose world the records are.
+    frame: u32,
+    /// Records by level.
+    records: Vec<u64>,
+    filled: u64,
+    /// Records that are not finite, and never used.
+    rejected: u64,
+    plan_work: u64,
+    plan_cpu_seconds: f64,
+    fill_work: u64,
+    fill_cpu_seconds: f64,
+    bytes: u64,
+}
+
+/// Runs the command.
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    match &args.step {
+        Step::Plan(args) => plan(args, interrupt),
+        Step::Fill(args) => fill(args, interrupt),
+        Step::Merge(args) => merge(args),
+    }
+}
+
+fn plan(args: &Plan, interrupt: &Interrupt) -> Result<()> {
+    let bars = Bars::new(args.written.json);
+    let local = Local::open(&args.bundle, &args.machine, &bars)?;
+    let settings = settings(&local, &args.quality)?;
+    let frames = local.frames(args.frames.as_ref())?;
+    let bar = bars.bar("planning", frames.len() as u64);
+    let planned = local.pool.install(|| {
+        local.shot.plan_cache(&frames, &settings, &|done| bar.set_position(done), interrupt.flag())
+    });
+    bar.finish_and_clear();
+    let planned = planned.with_context(|| format!("bundle {}", args.bundle.display()))?;
+    if interrupt.is_set() {
+        return Err(Interrupted.into());
+    }
+    let no_use = "these settings have no use for a cache: it is for the integrator `ambient` with bounces of indirect light";
+    write(&planned.ok_or_else(|| BadInput::new(no_use))?, &args.written)
+}
+
+fn fill(args: &Fill, interrupt: &Interrupt) -> Result<()> {
+    let cache = read_cache(&args.cache_file)?;
+    let bars = Bars::new(args.written.json);
+    let local = Local::open(&args.bundle, &args.machine, &bars)?;
+    let settings = settings(&local, &args.quality)?;
+    let bar = bars.bar("filling", 0);
+    let progress = |done, all| {
+        bar.set_length(all);
+        bar.set_position(done);
+    };
+    let part = args.part.unwrap_or((0, 1));
+    let filled =
+        local.pool.install(|| local.shot.fill_cache(cache, &settings, part, &progress, interrupt.flag()));
+    bar.finish_and_clear();
+    let filled = filled.with_context(|| format!("--cache-file {}", args.cache_file.display()))?;
+    write(&filled.ok_or(Interrupted)?, &args.written)
+}
+
+fn merge(args: &Merge) -> Result<()> {
+    let mut merged: Option<Cache> = None;
+    for path in &args.parts {
+        let part = read_cache(path)?;
+        match &mut merged {
+            None => merged = Some(part),
+            Some(whole) => {
+                whole.merge(&part).map_err(RenderError::from).with_context(|| path.display().to_string())?;
+            }
+        }
+    }
+    write(&merged.ok_or_else(|| BadInput::new("there is no cache to merge"))?, &args.written)
+}
+
+/// The settings, with a cache whether or not that was said.
+fn settings(local: &Local, quality: &QualityOptions) -> Result<RenderSettings> {
+    Ok(RenderSettings { cache: CacheMode::On, ..local.settings(quality)? })
+}
+
+/// Reads a cache file.
+pub fn read_cache(path: &Path) -> Result<Cache> {
+    let bytes = fs::read(path).map_err(|e| BadInput::new(format!("{}: {e}", path.display())))?;
+    Cache::from_bytes(&bytes).map_err(RenderError::from).with_context(|| path.display().to_string())
+}
+
+fn write(cache: &Cache, to: &Written) -> Result<()> {
+    let bytes = cache.to_bytes();
+    write_bytes(&to.out, &bytes)?;
+    let CacheTotals { records, plan, fill, filled, rejected, .. } = cache.totals();
+    let held = Held {
+        frame: cache.frame(),
+        records,
+        filled,
+        rejected,
+        plan_work: plan.work,
+        plan_cpu_seconds: seconds_of(plan.cpu_nanos),
+        fill_work: fill.work,
+        fill_cpu_seconds: seconds_of(fill.cpu_nanos),
+        bytes: bytes.len() as u64,
+    };
+    if to.json { output::json(&held) } else { output::print(&report(&held)) }
+}
+
+fn report(held: &Held) -> String {
+    let levels: Vec<String> = held.records.iter().map(|&records| count(records as f64)).collect();
+    let cost =
+        |work: u64, cpu: f64| format!("{} operations, {} of CPU time", count(work as f64), seconds(cpu));
+    let mut text = format!("records   {} in the world of frame {}\n", levels.join(" + "), held.frame);
+    text += &format!("filled    {}\n", count(held.filled as f64));
+    if held.rejected > 0 {
+        text += &format!("rejected  {}: they are not finite, and will not be used\n", held.rejected);
+    }
+    text += &format!("planning  {}\n", cost(held.plan_work, held.plan_cpu_seconds));
+    text += &format!("filling   {}\n", cost(held.fill_work, held.fill_cpu_seconds));
+    text
+}
+
+/// `2/4` as the second of four, counted from 0.
+fn part(text: &str) -> Result<(u32, u32), String> {
+    let numbers =
+        text.split_once('/').and_then(|(part, parts)| Some((part.parse().ok()?, parts.parse().ok()?)));
+    match numbers {
+        Some((part, parts)) if (1..=parts).contains(&part) => Ok((part - 1, parts)),
+        _ => Err("expected a part and how many there are, such as 1/4".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::part;
+
+    #[test]
+    fn parts_are_counted_from_one() {
+        assert_eq!(part("1/4"), Ok((0, 4)));
+        assert_eq!(part("4/4"), Ok((3, 4)));
+        for wrong in ["0/4", "5/4", "4", "1/0", "a/b", "-1/2", "1/2/3", ""] {
+            assert!(part(wrong).is_err(), "{wrong}");
+        }
+    }
+}
