@@ -334,10 +334,13 @@ impl FrameRenderer for AmbientFrame<'_> {
     }
 
     fn left_out(&self) -> Vec<LeftOut> {
-        let left_out = self.tracer.left_out().iter();
-        left_out
-            .map(|left| LeftOut { what: left.what.to_string(), reason: left.reason.to_string() })
-            .collect()
+        let all = self.tracer.left_out();
+        let shown = if all.len() > LeftOut::MOST { LeftOut::MOST - 1 } else { all.len() };
+        let entry = |what: String, reason: String| LeftOut { what, reason };
+        let first = all[..shown].iter().map(|left| entry(left.what.to_string(), left.reason.to_string()));
+        let others = all.len() - shown;
+        let rest = (others > 0).then(|| entry(format!("{others} others"), "as those before them".into()));
+        first.chain(rest).collect()
     }
 
     fn trace(&self, pixels: &[u32]) -> Vec<Pixel> {
