@@ -14,6 +14,7 @@
 //!
 //! There is one conductor and it does one thing at a time: plans never compete.
 
+pub(crate) mod accuracy;
 #[cfg(test)]
 mod agreement;
 mod book;

@@ -34,6 +34,7 @@ pub(crate) fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(jobs::cancel))
         .routes(routes!(events::of_job))
         .routes(routes!(forecasts::of_job))
+        .routes(routes!(forecasts::accuracy_of_job))
         .routes(routes!(frames::list))
         .routes(routes!(frames::get))
         .routes(routes!(frames::preview_png))

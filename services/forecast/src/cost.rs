@@ -34,6 +34,14 @@ pub struct Cost {
 }
 
 impl Cost {
+    /// So many times the cost, to the nearest whole number: of a pixel with `factor` times as many camera samples.
+    #[must_use]
+    pub fn times(&self, factor: f64) -> Self {
+        // Saturates at the ends of the range, as float to integer does.
+        let times = |value: u64| (value as f64 * factor).round() as u64;
+        Self { work: times(self.work), cpu_nanos: times(self.cpu_nanos), rays: self.rays.map(times) }
+    }
+
     /// The columns as integers wide enough for any sum over a frame.
     pub(crate) fn columns(&self) -> [u128; COLUMNS] {
         let mut columns = [0; COLUMNS];

@@ -33,6 +33,9 @@
 //! **What is not made of pixels** ([`RecordStrata`]). With an irradiance cache most of a frame's cost is in its records, whose
 //! number is known from planning them. The records of a level are a stratum that stands apart ([`Stratum::apart`]).
 //!
+//! **How good** ([`accuracy`]). The same few pixels say how far the image will be from its converged self at any number of camera
+//! samples; [`accuracy::front`] says which qualities are worth their cost.
+//!
 //! # How sure
 //!
 //! The number of samples of a group depends a little on the costs seen first, which biases the pooled mean:
@@ -79,6 +82,7 @@
 //! # Ok::<(), forelight_forecast::ForecastError>(())
 //! ```
 
+pub mod accuracy;
 mod allocate;
 mod choose;
 mod cost;

@@ -29,6 +29,12 @@ impl Stratum {
         Self { object: u32::MAX, material: u32::MAX, prior_cost, apart: false }
     }
 
+    /// Pixels at the edges of lights: of the image's error, not of its cost, they are a stratum of their own, for an edge between a
+    /// lamp and what it lights may weigh more than all the rest of the image.
+    pub const fn edges_of_lights() -> Self {
+        Self { object: u32::MAX, material: u32::MAX - 2, prior_cost: 1.0, apart: false }
+    }
+
     /// The records of an irradiance cache's levels, each a stratum that stands apart; `prior_cost` is a record's.
     /// Objects and materials are numbered from below the background's downwards, where no scene's are.
     pub fn of_records(levels: usize, prior_cost: f64) -> impl Iterator<Item = Self> {

@@ -10,6 +10,7 @@
 //!   variant's name (`{"render": {…}}`), because only then can an error in it be pointed at.
 //! * Types that a client sends refuse unknown fields: a misspelt option is an error, not a silent default.
 
+mod accuracy;
 mod artifact;
 mod bundle;
 mod dashboard;
@@ -32,6 +33,9 @@ mod task;
 mod time;
 mod track_record;
 
+pub use accuracy::{
+    AccuracyDoc, AccuracyRung, ImageError, LadderKind, MeasuredRung, MissingLadder, NextRung,
+};
 pub use artifact::ArtifactStored;
 pub use bundle::{Bundle, BundleRef, BundleSource, SceneSummary};
 pub use dashboard::{Dashboard, DashboardCounts, DashboardJob, DashboardNode, NodeActivity, TaskCounts};
@@ -60,9 +64,9 @@ pub use role::{Role, UnknownRole};
 pub use settings::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest};
 pub use stats::{CacheStats, LeftOut, Rays, RenderStats};
 pub use task::{
-    CacheSample, FixedCosts, FrameStrata, PreviewBackend, PreviewResult, PreviewSpec, ProfileArtifacts,
-    ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts, RenderResult, RenderSpec, Spent, Stratum,
-    StratumName, TaskKind, TaskResult, TaskSpec,
+    CacheSample, FixedCosts, FrameStrata, NoiseCell, NoiseSample, PreviewBackend, PreviewResult, PreviewSpec,
+    ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts, RenderResult, RenderSpec,
+    Spent, Stratum, StratumName, TaskKind, TaskResult, TaskSpec,
 };
 pub use time::{MalformedTime, Timestamp};
 pub use track_record::{QuantileHits, TrackRecord, TrackRecordRow};

@@ -324,6 +324,28 @@ pub struct CacheSample {
     pub rays: [u64; 7],
 }
 
+/// What the camera samples of one profiled pixel say of its error.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NoiseSample {
+    /// Mean of the samples and of their three linear channels.
+    pub brightness: f32,
+    /// Estimates of V(1) − V(2), V(2) − V(4), V(4) − V(8), …, where V(n) is the variance of the mean of n camera samples, mean over
+    /// channels: as many as the number of samples can be halved. None is negative.
+    #[schema(max_items = 32)]
+    pub drops: Vec<f32>,
+}
+
+/// Pixels of a frame that are alike, and some of them with what their samples say.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NoiseCell {
+    /// How many pixels there are.
+    pub pixels: u32,
+    /// Some of them, all alike likely.
+    pub samples: Vec<NoiseSample>,
+}
+
 /// Costs that a frame has whatever its pixels show.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -377,6 +399,10 @@ pub struct ProfileResult {
     /// Records of the irradiance cache that were gathered, some of every level; empty without a cache.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cache_samples: Vec<CacheSample>,
+    /// What the profiled pixels say of the image's error, by what they show: all pixels of the frame are in one of the cells. Empty
+    /// with an irradiance cache, for it is not filled yet, and where too few camera samples were taken to tell.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub noise: Vec<NoiseCell>,
     /// The effects that the frame calls for, by name, sorted.
     #[serde(default)]
     pub effects: Vec<String>,

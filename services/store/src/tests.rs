@@ -120,6 +120,7 @@ impl Farm {
                     rays: [1, 2, 0, 0, 0, 3, 0],
                 }],
                 cache_samples: Vec::new(),
+                noise: Vec::new(),
                 effects: vec!["ambient".to_owned()],
                 fixed: FixedCosts::default(),
                 spent: Spent { work: 10, cpu_nanos: 500 },

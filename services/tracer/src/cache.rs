@@ -23,6 +23,7 @@
 //! | `hemisphere` | strata of a gather; irradiance and its gradients from them |
 //! | `plan`, `gather`, `smooth`, `read` | the phases |
 //! | `sample` | what a record takes, from a few of them |
+//! | `partial` | filling what some pixels read |
 //! | `share` | records of one frame that hold in another |
 //! | `file` | the artefact |
 
@@ -30,6 +31,7 @@ mod file;
 mod gather;
 mod hemisphere;
 mod octree;
+mod partial;
 mod plan;
 mod read;
 mod sample;

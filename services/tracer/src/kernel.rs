@@ -60,11 +60,18 @@ pub struct Kernel<const K: u32> {
 
 /// A kernel, whatever its parameters.
 pub trait Trace: Send + Sync {
-    /// One finished pixel by its row-major index.
-    fn pixel(&self, tracer: &Tracer, index: u32) -> Pixel;
+    /// One finished pixel by its row-major index; `each` is told the radiance of every camera sample, in order.
+    fn pixel(&self, tracer: &Tracer, index: u32, each: &mut dyn FnMut([f32; 3])) -> Pixel;
 
-    /// The places at which the first sample of a pixel reads the first level of the cache.
-    fn sites(&self, tracer: &Tracer, pixel: u32, found: &mut Vec<Keyed>, counters: &mut Counters);
+    /// The places at which the first `samples` samples of a pixel read the first level of the cache.
+    fn sites(
+        &self,
+        tracer: &Tracer,
+        pixel: u32,
+        samples: u32,
+        found: &mut Vec<Keyed>,
+        counters: &mut Counters,
+    );
 
     /// The places of level `level` that the plan's rays of a record of the level before meet.
     fn sites_beyond(
@@ -157,7 +164,7 @@ fn lights<const K: u32>(effects: Effects, level: u32, looks: Looks) -> Vec<Light
 }
 
 impl<const K: u32> Trace for Kernel<K> {
-    fn pixel(&self, tracer: &Tracer, index: u32) -> Pixel {
+    fn pixel(&self, tracer: &Tracer, index: u32, each: &mut dyn FnMut([f32; 3])) -> Pixel {
         let start = Instant::now();
         let settings = &tracer.settings;
         let (x, y) = (index % settings.width, index / settings.width);
@@ -165,7 +172,9 @@ impl<const K: u32> Trace for Kernel<K> {
         let mut pixels = Pixels::new(tracer, self, sampler);
         let mut sum = DVec3::ZERO;
         for _ in 0..settings.spp {
-            sum += pixels.sample(x, y).as_dvec3();
+            let sample = pixels.sample(x, y);
+            each(sample.to_array());
+            sum += sample.as_dvec3();
         }
         let color = (sum / f64::from(settings.spp)).as_vec3().to_array();
         Pixel {
@@ -178,12 +187,21 @@ impl<const K: u32> Trace for Kernel<K> {
         }
     }
 
-    fn sites(&self, tracer: &Tracer, pixel: u32, found: &mut Vec<Keyed>, counters: &mut Counters) {
+    fn sites(
+        &self,
+        tracer: &Tracer,
+        pixel: u32,
+        samples: u32,
+        found: &mut Vec<Keyed>,
+        counters: &mut Counters,
+    ) {
         let settings = &tracer.settings;
         let sampler = Sampler::new(settings.seed, tracer.frame.number, pixel);
         let mut pixels = Pixels::new(tracer, self.probe.as_deref().unwrap_or(self), sampler);
         std::mem::swap(&mut pixels.counters, counters);
-        pixels.sample(pixel % settings.width, pixel / settings.width);
+        for _ in 0..samples {
+            pixels.sample(pixel % settings.width, pixel / settings.width);
+        }
         let key = pixels.key();
         found.extend(pixels.sites.iter().zip(1..).map(|(site, n)| (hash(key ^ n), *site)));
         std::mem::swap(&mut pixels.counters, counters);

@@ -285,14 +285,32 @@ impl Tracer {
     /// With a cache that is not filled, all but the colour is.
     pub fn pixel(&self, index: u32) -> Pixel {
         self.plan();
-        self.kernel.pixel(self, index)
+        self.kernel.pixel(self, index, &mut |_| ())
+    }
+
+    /// The same as [`Self::profile`], with the radiance of every camera sample told to `each`, after the place of its pixel in `pixels`, in
+    /// the order of the samples.
+    pub fn profile_samples(&self, pixels: &[u32], each: &mut dyn FnMut(usize, [f32; 3])) -> Vec<Pixel> {
+        self.plan();
+        let mut traced = |(place, &index): (usize, &u32)| {
+            self.kernel.pixel(self, index, &mut |sample| each(place, sample))
+        };
+        timed(|| pixels.iter().enumerate().map(&mut traced).collect())
+    }
+
+    /// Gathers what the cache lacks for the colours of these pixels: the records of the first level that they read, and all of the deeper
+    /// ones. The colours are then those of the image but for the averaging of records, which takes all of them: a little noisier. On
+    /// the current thread pool; says what that took, nothing without a cache.
+    pub fn fill_for(&self, pixels: &[u32]) -> Cost {
+        self.plan();
+        self.cache.get().map_or_else(Cost::default, |cache| cache.fill_for(self, pixels))
     }
 
     /// Finished pixels by index, in the order given; see [`Self::pixel`] for their colours. With a cache, call [`Self::plan`] before
     /// calling this from several threads of a pool.
     pub fn profile(&self, pixels: &[u32]) -> Vec<Pixel> {
         self.plan();
-        timed(|| pixels.iter().map(|&i| self.kernel.pixel(self, i)).collect())
+        timed(|| pixels.iter().map(|&i| self.kernel.pixel(self, i, &mut |_| ())).collect())
     }
 
     /// The whole image, on the current rayon pool: pixels of `reuse` are taken over, the others traced. `progress` is told the
@@ -332,8 +350,13 @@ impl Tracer {
                 let traced: Vec<u32> =
                     indices.iter().copied().filter(|&i| known[i as usize].is_none()).collect();
                 let wanted = || !cancel.load(Ordering::Relaxed);
-                let pixels =
-                    || traced.iter().take_while(|_| wanted()).map(|&i| self.kernel.pixel(self, i)).collect();
+                let pixels = || {
+                    traced
+                        .iter()
+                        .take_while(|_| wanted())
+                        .map(|&i| self.kernel.pixel(self, i, &mut |_| ()))
+                        .collect()
+                };
                 let finished = timed(pixels);
                 progress(done.fetch_add(indices.len() as u64, Ordering::Relaxed) + indices.len() as u64);
                 traced.into_iter().zip(finished).collect()

@@ -278,3 +278,42 @@ fn records_that_saw_something_move_are_dropped_and_planned_anew() {
     let (carried, shared) = before.cache().unwrap().carried(&before, &Tracer::new(&frame, &settings(1)));
     assert_eq!((carried.records(), shared.kept), (vec![], vec![0]));
 }
+
+#[test]
+fn what_some_pixels_read_is_filled_as_in_the_whole_and_enough_for_their_colours() {
+    let pixels: Vec<u32> = (0..20).map(|i| i * 115).collect();
+    for bounces in [1, 2] {
+        let settings = Settings { spp: 5, ..settings(bounces) };
+        let frame = room(|b| b);
+        let whole = Tracer::new(&frame, &settings);
+        let image = render(&whole);
+        let tracer = Tracer::new(&frame, &settings);
+        let cost = pool(2).install(|| tracer.fill_for(&pixels));
+        let cache = tracer.cache().unwrap();
+        let totals = cache.totals();
+        let all: u64 = totals.records.iter().sum();
+        assert!(totals.filled < all && totals.filled > 0, "{} of {all} records", totals.filled);
+        assert!(cost.work > totals.fill.work, "finding them takes something too");
+        for (level, &count) in totals.records.iter().enumerate() {
+            for index in 0..count as usize {
+                let Some(record) = cache.record(level, index) else { continue };
+                let expected = whole.cache().unwrap().record(level, index).unwrap();
+                assert_eq!((record.irradiance, record.rays), (expected.irradiance, expected.rays));
+            }
+        }
+        // The image's records are averaged, these are not.
+        let (mut off, mut sum) = (0.0, 0.0);
+        for (&index, pixel) in pixels.iter().zip(tracer.profile(&pixels)) {
+            let expected = image.pixels[index as usize];
+            assert_eq!((pixel.work, pixel.uncovered), (expected.work, expected.uncovered));
+            off += (Vec3::from(pixel.color) - Vec3::from(expected.color)).abs().element_sum();
+            sum += Vec3::from(expected.color).element_sum();
+        }
+        assert!(off < 0.05 * sum, "{bounces} bounces: off by {} of the whole", off / sum);
+        // What is there is not gathered again.
+        let again = tracer.fill_for(&pixels);
+        assert!(again.work < cost.work && tracer.cache().unwrap().totals().filled == totals.filled);
+    }
+    let without = Tracer::new(&room(|b| b), &Settings { cache: None, ..settings(1) });
+    assert_eq!(without.fill_for(&pixels).work, 0);
+}

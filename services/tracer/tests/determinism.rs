@@ -81,6 +81,25 @@ fn profiled_pixels_taken_over_give_the_same_image_and_are_not_traced_again() {
 }
 
 #[test]
+fn camera_samples_that_are_told_are_those_of_the_pixel_and_of_an_image_of_fewer() {
+    let chosen: Vec<u32> = (0..40 * 28).filter(|i| i % 37 == 5).collect();
+    let told = |spp: u32| {
+        let tracer = Tracer::new(&frame(), &Settings { spp, ..settings() });
+        let mut samples = vec![Vec::new(); chosen.len()];
+        let pixels = tracer.profile_samples(&chosen, &mut |place, sample| samples[place].push(sample));
+        assert_eq!(bits(&pixels), bits(&tracer.profile(&chosen)));
+        for (pixel, samples) in pixels.iter().zip(&samples) {
+            assert_eq!(samples.len(), spp as usize);
+            let mean = |c: usize| samples.iter().map(|s| f64::from(s[c])).sum::<f64>() / f64::from(spp);
+            assert_eq!(pixel.color, [0, 1, 2].map(|c| mean(c) as f32));
+        }
+        samples
+    };
+    let (few, many) = (told(2), told(8));
+    assert!(few.iter().zip(&many).all(|(few, many)| few[..] == many[..2]));
+}
+
+#[test]
 fn a_fingerprint_changes_with_anything_that_changes_the_image() {
     let base = Tracer::new(&frame(), &settings()).fingerprint();
     let moved = {

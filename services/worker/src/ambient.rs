@@ -5,6 +5,7 @@ use crate::renderer::{
     CacheUse, Counted, Finished, FrameRenderer, OpenRenderer, Previewed, Progress, RenderError, Renderer,
     ShotInfo, Step, StratumInfo,
 };
+use forelight_forecast::accuracy::{PixelNoise, PixelSamples};
 use forelight_preview::{Choice, PreviewError, Previewer};
 use forelight_protocol::{
     CacheMode, FixedCosts, Integrator, LeftOut, MaterialMode, PreviewBackend, RenderSettings, SceneDigest,
@@ -232,11 +233,14 @@ impl AmbientShot {
         let Ready { tracer, built_now, .. } = self.tracer(frame, settings);
         tracer.plan();
         let Some(cache) = tracer.cache() else { return (Vec::new(), built_now) };
-        let CacheTotals { records, plan, .. } = cache.totals();
-        // There are fewer than the plan's rays, of which a frame cannot have 2³².
-        let records = records.into_iter().map(|count| u32::try_from(count).unwrap_or(u32::MAX)).collect();
-        (records, built_now.plus(spent(plan)))
+        (records(cache), built_now.plus(spent(cache.totals().plan)))
     }
+}
+
+/// Records of a planned cache by level.
+fn records(cache: &Cache) -> Vec<u32> {
+    // There are fewer than the plan's rays, of which a frame cannot have 2³².
+    cache.records().into_iter().map(|count| u32::try_from(count).unwrap_or(u32::MAX)).collect()
 }
 
 impl Renderer for AmbientShot {
@@ -296,6 +300,15 @@ struct AmbientFrame<'a> {
     built_now: Spent,
 }
 
+impl AmbientFrame<'_> {
+    /// Finished pixels on the current thread, with what their camera samples say.
+    fn traced(&self, pixels: &[u32]) -> Vec<(Pixel, PixelNoise)> {
+        let mut samples = vec![PixelSamples::default(); pixels.len()];
+        let traced = self.tracer.profile_samples(pixels, &mut |place, sample| samples[place].push(sample));
+        traced.into_iter().zip(samples.iter().map(PixelSamples::noise)).collect()
+    }
+}
+
 /// Pixels that are traced in one go, so that a thread's clock is read seldom and every thread has work.
 const BATCH: usize = 16;
 
@@ -323,6 +336,11 @@ impl FrameRenderer for AmbientFrame<'_> {
         }
     }
 
+    fn cache_records(&self) -> Vec<u32> {
+        self.tracer.plan();
+        self.tracer.cache().map_or_else(Vec::new, records)
+    }
+
     fn spent_on_setup(&self) -> Spent {
         self.fixed.load.plus(self.built_now)
     }
@@ -343,14 +361,18 @@ impl FrameRenderer for AmbientFrame<'_> {
         first.chain(rest).collect()
     }
 
-    fn trace(&self, pixels: &[u32]) -> Vec<Pixel> {
+    fn trace(&self, pixels: &[u32]) -> Vec<(Pixel, PixelNoise)> {
         self.tracer.plan();
-        pixels.par_chunks(BATCH).flat_map_iter(|batch| self.tracer.profile(batch)).collect()
+        pixels.par_chunks(BATCH).flat_map_iter(|batch| self.traced(batch)).collect()
     }
 
-    fn trace_runs(&self, runs: &[Vec<u32>]) -> Vec<Vec<Pixel>> {
+    fn fill_for(&self, pixels: &[u32]) -> Spent {
+        spent(self.tracer.fill_for(pixels))
+    }
+
+    fn trace_runs(&self, runs: &[Vec<u32>]) -> Vec<Vec<(Pixel, PixelNoise)>> {
         self.tracer.plan();
-        runs.par_iter().map(|run| self.tracer.profile(run)).collect()
+        runs.par_iter().map(|run| self.traced(run)).collect()
     }
 
     fn sample_records(&self, each: usize, seed: u64) -> Vec<RecordCost> {

@@ -5,6 +5,8 @@
 //! | `renderer` | the small door behind which the renderer stands |
 //! | `ambient` | our renderer behind it |
 //! | `shot`, `quote` | preview all frames, profile some, estimate all: the way to a quote |
+//! | `accuracy` | what accuracy costs in time |
+//! | `noise` | what profiled pixels say of the image's error |
 //! | `warm_clock` | what a scattered pixel would have taken among its neighbours |
 //! | `render` | one frame with its true cost |
 //! | `pictures` | the files of a finished frame, and what making them takes |
@@ -14,6 +16,7 @@
 //! | `calibrate` | how fast this machine is |
 //! | `client`, `transport`, `backoff`, `server_events` | the service's REST API |
 
+mod accuracy;
 mod agent;
 mod ambient;
 mod backoff;
@@ -21,6 +24,7 @@ mod calibrate;
 mod client;
 mod execute;
 mod library;
+mod noise;
 mod pictures;
 mod quote;
 mod render;
@@ -32,6 +36,7 @@ mod tasks;
 mod transport;
 mod warm_clock;
 
+pub use accuracy::{AccuracyObserver, AccuracyOptions, MeasureOptions, measure, predict};
 pub use agent::{Agent, AgentError};
 pub use ambient::{Ambient, AmbientShot, tracer_settings};
 pub use backoff::Backoff;
@@ -39,6 +44,7 @@ pub use calibrate::{MEASURING_TIME, REFERENCE_RATE, node_speed};
 pub use client::{Client, EventStream, FramePicture};
 pub use execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 pub use library::Library;
+pub use noise::FrameNoise;
 pub use pictures::png;
 pub use quote::{Quote, QuoteOptions, quote};
 pub use render::{Given, Rendered, peak_rss_bytes, render_frame, seconds};

@@ -161,7 +161,7 @@ fn rays(costs: &Costs<Quantity>) -> RayQuantiles {
     RayQuantiles::from_array(costs.rays.map(|category| quantiles(&category, 1.0)))
 }
 
-fn quantiles(quantity: &Quantity, unit: f64) -> Quantiles {
+pub(crate) fn quantiles(quantity: &Quantity, unit: f64) -> Quantiles {
     Quantiles {
         mean: quantity.mean * unit,
         p50: quantity.p50 * unit,

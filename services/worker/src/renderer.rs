@@ -4,6 +4,7 @@
 //! rendered, with what each took. Nothing else of the farm knows how light is traced: another renderer can be put behind this
 //! door. Ours, over `scene`, `preview` and `tracer`, is in [`crate::ambient`].
 
+use forelight_forecast::accuracy::PixelNoise;
 use forelight_preview::{Counts, Preview, PreviewError};
 use forelight_protocol::{
     FixedCosts, LeftOut, PreviewBackend, RenderSettings, SceneSummary, Spent, StratumName,
@@ -187,6 +188,9 @@ pub trait FrameRenderer: Send + Sync {
     /// not depend on what was done before it.
     fn fixed(&self) -> FixedCosts;
 
+    /// Records of the frame's irradiance cache by level, which is planned now if it was not; none without a cache.
+    fn cache_records(&self) -> Vec<u32>;
+
     /// What setting the frame up took this time, without the plan of its irradiance cache, with any acceleration structure that had to be built for it: also that of the
     /// shot, which is in no frame's cost, for it is built once per process.
     fn spent_on_setup(&self) -> Spent;
@@ -197,12 +201,16 @@ pub trait FrameRenderer: Send + Sync {
     /// Lights and objects that cannot matter to the frame's image, and why.
     fn left_out(&self) -> Vec<LeftOut>;
 
-    /// Finished pixels by index, in the order given, on the current thread pool. With an irradiance cache all but their colours is
-    /// final: the cache is planned, but not filled.
-    fn trace(&self, pixels: &[u32]) -> Vec<Pixel>;
+    /// Finished pixels by index, in the order given, on the current thread pool, with what their camera samples say of their error. With an
+    /// irradiance cache all but their colours is final: the cache is planned, but not filled; see [`FrameRenderer::fill_for`].
+    fn trace(&self, pixels: &[u32]) -> Vec<(Pixel, PixelNoise)>;
+
+    /// Fills the irradiance cache as far as the colours of these pixels need it, on the current thread pool, and says what that took. The
+    /// colours are then close to the image's: a whole cache is a little less noisy, for its records are averaged.
+    fn fill_for(&self, pixels: &[u32]) -> Spent;
 
     /// The same for runs of pixels: those of a run are traced one after the other by one thread, as a tile's are in a render.
-    fn trace_runs(&self, runs: &[Vec<u32>]) -> Vec<Vec<Pixel>>;
+    fn trace_runs(&self, runs: &[Vec<u32>]) -> Vec<Vec<(Pixel, PixelNoise)>>;
 
     /// What gathering records of the irradiance cache takes: of `each` of every level, chosen by `seed` so that all have the same
     /// chance, on the current thread pool. None without a cache.

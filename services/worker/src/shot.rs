@@ -3,14 +3,16 @@
 //! The service does the same steps spread over workers: a preview task is [`count_frames`], a profile task [`profile_frame`],
 //! and choosing and estimating happen in the service. Offline, [`crate::quote`] does all of it.
 
+use crate::noise::{FrameNoise, Zones};
 use crate::render::spent;
-use crate::renderer::{Counted, RenderError, Renderer, StratumInfo};
+use crate::renderer::{Counted, FrameRenderer, RenderError, Renderer, StratumInfo};
 use crate::warm_clock;
 use forelight_forecast::{Cost, FrameDesign, Observation, Stratum};
 use forelight_preview::NOTHING;
 use forelight_protocol::{CacheMode, FixedCosts, MaterialMode, PreviewBackend, RenderSettings, Spent};
 use forelight_scene::{Frame, MaterialClass};
 use forelight_tracer::{Pixel, Profile, RecordCost};
+use std::collections::BTreeSet;
 
 /// What can go wrong on the way to a quote.
 #[derive(Debug, thiserror::Error)]
@@ -135,6 +137,9 @@ pub struct ProfiledFrame {
     pub preview: Spent,
     /// What was spent on all traced pixels.
     pub pixels: Spent,
+    /// What the camera samples of the profiled pixels, and of some at the edges of lights, say of the image's error. With an irradiance
+    /// cache nothing, for it is not filled.
+    pub noise: Option<FrameNoise>,
     /// The preview as a picture.
     pub picture: image::RgbImage,
     /// The frame as it was traced.
@@ -180,20 +185,35 @@ pub fn profile_frame(
     observer: &dyn Observer,
 ) -> Result<ProfiledFrame, ShotError> {
     let ready = renderer.frame(frame, settings)?;
+    profile_ready(&*ready, &renderer.info().strata, settings, samples, seed, observer)
+}
+
+/// The same of a frame that was set up before; `shot` are the shot's strata.
+pub(crate) fn profile_ready(
+    ready: &dyn FrameRenderer,
+    shot: &[StratumInfo],
+    settings: &RenderSettings,
+    samples: u32,
+    seed: u64,
+    observer: &dyn Observer,
+) -> Result<ProfiledFrame, ShotError> {
+    let frame = ready.frame().number;
     let seen = ready.preview()?;
-    let strata = forecast_strata(&renderer.info().strata, settings);
+    let strata = forecast_strata(shot, settings);
     // The background is the last stratum.
-    let background = renderer.info().strata.len() as u32;
+    let background = shot.len() as u32;
     let ids: Vec<u32> =
         seen.preview.stratum.iter().map(|&s| if s == NOTHING { background } else { s }).collect();
     let design = FrameDesign::new(&strata, &ids, settings.width, samples, seed, i64::from(frame))?;
     let mut observations = Vec::with_capacity(samples as usize);
     let mut finished = Vec::with_capacity(samples as usize);
+    let mut sampled = Vec::with_capacity(samples as usize);
     let mut trace = |picks: &[forelight_forecast::Pick], observations: &mut Vec<Observation>| {
         let indices: Vec<u32> = picks.iter().map(|pick| pick.pixel).collect();
-        for (pick, pixel) in picks.iter().zip(ready.trace(&indices)) {
+        for (pick, (pixel, noise)) in picks.iter().zip(ready.trace(&indices)) {
             observations.push(Observation { stratum: pick.stratum, cost: cost_of(&pixel) });
             finished.push((pick.pixel, pixel));
+            sampled.push((pick.pixel, noise));
         }
     };
     if observer.is_cancelled() {
@@ -204,12 +224,26 @@ pub fn profile_frame(
         return Err(ShotError::Cancelled);
     }
     trace(&design.second_phase(&observations)?, &mut observations);
-    let warmth = warm_clock::measure(&*ready, design.counts(), &observations, &finished);
+    let warmth = warm_clock::measure(ready, design.counts(), &observations, &finished);
     for observation in &mut observations {
         let cpu_nanos = &mut observation.cost.cpu_nanos;
         *cpu_nanos = (*cpu_nanos as f64 * warmth.factor).round() as u64;
     }
-    finished.extend(warmth.pixels);
+    let (neighbours, of_neighbours): (Vec<_>, Vec<_>) =
+        warmth.pixels.into_iter().map(|(index, (pixel, noise))| ((index, pixel), (index, noise))).unzip();
+    finished.extend(neighbours);
+    let noise = (settings.cache == CacheMode::Off).then(|| {
+        let zones = Zones::new(ready, &seen.preview);
+        let taken: BTreeSet<u32> = finished.iter().map(|(pixel, _)| *pixel).collect();
+        let edges = zones.edges(observations.len(), &taken);
+        for (&index, (pixel, noise)) in edges.iter().zip(ready.trace(&edges)) {
+            finished.push((index, pixel));
+            sampled.push((index, noise));
+        }
+        let scattered = sampled.len();
+        sampled.extend(of_neighbours);
+        zones.noise(sampled, scattered)
+    });
     if observer.is_cancelled() {
         return Err(ShotError::Cancelled);
     }
@@ -227,6 +261,7 @@ pub fn profile_frame(
         setup: ready.spent_on_setup(),
         preview: seen.spent,
         pixels,
+        noise,
         picture: forelight_preview::picture(&seen.preview, ready.frame()),
         scene: ready.frame().clone(),
         profile: ready.profile(&finished),

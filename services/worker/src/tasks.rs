@@ -2,6 +2,7 @@
 
 use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 use crate::library::Library;
+use crate::noise::noise_strata;
 use crate::pictures::{encode, encoding_nanos, png, write_cost};
 use crate::render::{render_ready, seconds};
 use crate::renderer::{Progress, RenderError, Renderer, ShotInfo, Step};
@@ -10,10 +11,11 @@ use crate::shot::{
     record_prior_cost,
 };
 use bytes::Bytes;
+use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{
-    ArtifactHash, CacheMode, CacheSample, FrameStrata, PreviewResult, PreviewSpec, ProfileArtifacts,
-    ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts, RenderResult, RenderSettings, RenderSpec,
-    Stratum, TaskResult, TaskSpec,
+    ArtifactHash, CacheMode, CacheSample, FrameStrata, NoiseCell, NoiseSample, PreviewResult, PreviewSpec,
+    ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts, RenderResult,
+    RenderSettings, RenderSpec, Stratum, TaskResult, TaskSpec,
 };
 use forelight_tracer::Profile;
 use std::collections::BTreeSet;
@@ -139,12 +141,34 @@ pub fn profile_result(
         frame: profiled.frame,
         samples,
         cache_samples: gathered.collect(),
+        noise: noise_cells(info, settings, profiled),
         effects: profiled.effects.clone(),
         fixed: profiled.fixed,
         spent: profiled.spent(),
         strata: shown.list,
         artifacts,
     }
+}
+
+/// What the profiled pixels say of the image's error.
+fn noise_cells(info: &ShotInfo, settings: &RenderSettings, profiled: &ProfiledFrame) -> Vec<NoiseCell> {
+    let Some(noise) = profiled.noise.as_ref().filter(|noise| noise.is_known()) else { return Vec::new() };
+    let strata = noise_strata(&info.strata, settings);
+    // The strata are the frame's own, so they fit.
+    let cells = noise.cells(&strata, &noise.counts).unwrap_or_default();
+    // Seven digits of a number that is estimated from few pixels are plenty.
+    let sample = |sample: PixelNoise| NoiseSample {
+        brightness: sample.brightness as f32,
+        drops: sample.drops.into_iter().map(|drop| drop as f32).collect(),
+    };
+    cells
+        .into_iter()
+        .map(|cell| NoiseCell {
+            // At most the pixels of an image.
+            pixels: u32::try_from(cell.pixels).unwrap_or(u32::MAX),
+            samples: cell.samples.into_iter().map(sample).collect(),
+        })
+        .collect()
 }
 
 fn render(

@@ -18,6 +18,7 @@
 
 use crate::renderer::FrameRenderer;
 use forelight_forecast::Observation;
+use forelight_forecast::accuracy::PixelNoise;
 use forelight_tracer::Pixel;
 use std::collections::BTreeSet;
 
@@ -32,8 +33,8 @@ const WARMING_SHARE: f64 = 0.5;
 pub struct Warmth {
     /// Factor on the time of scattered pixels; 1 where nothing could be measured.
     pub factor: f64,
-    /// The neighbours, finished.
-    pub pixels: Vec<(u32, Pixel)>,
+    /// The neighbours, finished, with what their camera samples say.
+    pub pixels: Vec<(u32, (Pixel, PixelNoise))>,
 }
 
 /// Traces neighbours of some of the profiled pixels. `counts` are the frame's pixels by stratum; `profiled` are the pixels that
@@ -79,10 +80,10 @@ fn middle_mean(mut values: Vec<f64>) -> f64 {
 }
 
 /// Nanoseconds per unit of work of the later pixels of a run.
-fn warm_rate(run: &[Pixel]) -> Option<f64> {
+fn warm_rate(run: &[(Pixel, PixelNoise)]) -> Option<f64> {
     let measured = &run[(run.len() as f64 * WARMING_SHARE).round() as usize..];
-    let work: u64 = measured.iter().map(|pixel| pixel.work).sum();
-    let nanos: u64 = measured.iter().map(|pixel| pixel.cpu_nanos).sum();
+    let work: u64 = measured.iter().map(|(pixel, _)| pixel.work).sum();
+    let nanos: u64 = measured.iter().map(|(pixel, _)| pixel.cpu_nanos).sum();
     (work > 0).then(|| nanos as f64 / work as f64)
 }
 

@@ -199,6 +199,7 @@ mod tests {
             strata,
             samples,
             cache_samples: Vec::new(),
+            noise: Vec::new(),
             effects: vec!["ambient".to_owned(), "mirror".to_owned()],
             fixed,
             spent: Spent { work: 50, cpu_nanos: 0 },

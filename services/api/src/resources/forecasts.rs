@@ -2,8 +2,9 @@
 
 use axum::Json;
 use axum::extract::State;
-use forelight_protocol::{ForecastDoc, JobId, ProblemKind, Timestamp, TrackRecord};
+use forelight_protocol::{AccuracyDoc, ForecastDoc, JobId, ProblemKind, Timestamp, TrackRecord};
 
+use crate::conductor::accuracy::accuracy;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment};
 use crate::page::{PageQuery, cut};
@@ -22,6 +23,32 @@ pub(crate) async fn of_job(
         None => {
             let state = app.store.job(job).await?.state;
             Err(ApiError::new(ProblemKind::Conflict, format!("the job is {state} and has no forecast")))
+        }
+    }
+}
+
+/// What accuracy costs in time: other qualities of the job, with what all its frames would take and how far their images would be from
+/// their converged selves. It rests on the job's own profile, and nothing is traced for it: so of the other integrator, of a cache's
+/// accuracy and of the rays of a gather it says nothing. 409 until the profile is there.
+#[utoipa::path(get, path = "/v1/jobs/{id}/accuracy", tag = "jobs", params(("id" = JobId, Path)),
+    responses((status = 200, description = "The ladders", body = AccuracyDoc), Problems))]
+pub(crate) async fn accuracy_of_job(
+    State(app): State<App>,
+    _: Reader,
+    Segment(id): Segment<JobId>,
+) -> ApiResult<Json<AccuracyDoc>> {
+    let job = app.store.job(id).await?;
+    let preview = app.store.preview_result(id).await?;
+    let profiles = app.store.profile_results(id).await?.filter(|profiles| !profiles.is_empty());
+    let (Some(preview), Some(profiles)) = (preview, profiles) else {
+        let reason =
+            format!("the job is {} and not profiled, so nothing is known of other qualities", job.state);
+        return Err(ApiError::new(ProblemKind::Conflict, reason));
+    };
+    match accuracy(job.settings, preview, profiles).await {
+        Ok(document) => Ok(Json(document)),
+        Err(reason) => {
+            Err(ApiError::new(ProblemKind::Conflict, format!("the profile says nothing: {reason}")))
         }
     }
 }

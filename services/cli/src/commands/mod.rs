@@ -1,5 +1,6 @@
 //! The commands, one file each.
 
+mod accuracy;
 mod bench;
 mod cache;
 mod farm;
@@ -48,6 +49,7 @@ enum Command {
     Preview(preview::Args),
     Cache(cache::Args),
     Forecast(forecast::Args),
+    Accuracy(accuracy::Args),
     Plan(plan::Args),
     Token(token::Args),
     Bench(bench::Args),
@@ -74,6 +76,7 @@ impl Cli {
             Command::Preview(args) => blocking(move || preview::run(&args)).await,
             Command::Cache(args) => blocking(move || cache::run(&args, &interrupt)).await,
             Command::Forecast(args) => blocking(move || forecast::run(&args, &interrupt)).await,
+            Command::Accuracy(args) => blocking(move || accuracy::run(&args, &interrupt)).await,
             Command::Plan(args) => blocking(move || plan::run(&args)).await,
             Command::Bench(args) => blocking(move || bench::run(&args, &interrupt)).await,
         }

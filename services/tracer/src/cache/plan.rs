@@ -193,7 +193,7 @@ impl Planning<'_> {
             let start = thread_cpu_nanos();
             let (mut sites, mut counters) = (Vec::new(), Counters::default());
             for &pixel in pixels {
-                tracer.kernel.sites(tracer, pixel, &mut sites, &mut counters);
+                tracer.kernel.sites(tracer, pixel, 1, &mut sites, &mut counters);
             }
             (sites, counters, thread_cpu_nanos() - start)
         });

@@ -4,8 +4,8 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    CacheMode, LeftOut, PreviewResult, PreviewSpec, ProfileResult, ProfileSpec, RenderResult, RenderSettings,
-    RenderSpec, Spent, Stratum, TaskResult, TaskSpec,
+    CacheMode, LeftOut, NoiseCell, PreviewResult, PreviewSpec, ProfileResult, ProfileSpec, RenderResult,
+    RenderSettings, RenderSpec, Spent, Stratum, TaskResult, TaskSpec,
 };
 
 use crate::error::{ApiError, ApiResult};
@@ -113,6 +113,7 @@ fn profile(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
             return wrong(at, "a number is larger than 2⁶³ − 1");
         }
     }
+    noise(&format!("{AT}/noise"), spec, &result.noise)?;
     effects(&format!("{AT}/effects"), &result.effects)?;
     let fixed = &result.fixed;
     for (name, cost) in
@@ -200,6 +201,34 @@ fn prior_cost(pointer: &str, cost: f64) -> ApiResult<()> {
         return Ok(());
     }
     wrong(pointer, format!("a prior cost is above 0 and at most {}", Stratum::HIGHEST_PRIOR_COST))
+}
+
+/// What says how noisy the image will be: numbers that can be added up, of pixels that the image has.
+fn noise(pointer: &str, spec: &ProfileSpec, cells: &[NoiseCell]) -> ApiResult<()> {
+    const DROPS: usize = 32;
+    const HIGHEST: f32 = 1e30;
+    let pixels: u64 = cells.iter().map(|cell| u64::from(cell.pixels)).sum();
+    if !cells.is_empty() && pixels != spec.settings.pixels() {
+        return wrong(pointer, format!("{pixels} pixels in all; the image has {}", spec.settings.pixels()));
+    }
+    for (i, cell) in cells.iter().enumerate() {
+        if cell.samples.is_empty() {
+            return wrong(format!("{pointer}/{i}/samples"), "none of the cell's pixels was sampled");
+        }
+        for (j, sample) in cell.samples.iter().enumerate() {
+            let at = format!("{pointer}/{i}/samples/{j}");
+            if !(0.0..=HIGHEST).contains(&sample.brightness) {
+                return wrong(at + "/brightness", format!("it is 0 to {HIGHEST:e}"));
+            }
+            if sample.drops.is_empty() || sample.drops.len() > DROPS {
+                return wrong(at + "/drops", format!("there are 1 to {DROPS}"));
+            }
+            if sample.drops.iter().any(|drop| !(0.0..=HIGHEST).contains(drop)) {
+                return wrong(at + "/drops", format!("each is 0 to {HIGHEST:e}"));
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Names of effects are shown to people, and kept with the job.

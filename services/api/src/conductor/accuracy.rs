@@ -1,0 +1,181 @@
+//! What accuracy costs in time, of a job: from its profile alone, nothing is traced for it.
+//!
+//! *Camera samples*: a profiled pixel costs in proportion to its samples, while records and fixed costs stay; so every rung is the
+//! job's forecast with the profiled costs scaled. The error follows from the variance between the profiled pixels' camera samples
+//! (`forelight_forecast::accuracy`), frame by frame.
+//!
+//! *Resolution*: strata have so many times the pixels, and pixels cost and err as they do.
+//!
+//! What the profile cannot know is named as missing: the other integrator, other gathers; with an irradiance cache, its errors, for
+//! profiled pixels are traced before it is filled, and other accuracies and resolutions, whose records no one has counted.
+
+use forelight_forecast::accuracy::{
+    ErrorQuantiles, ImageNoise, MeanSquare, NoiseCell, PixelNoise, Point, front,
+};
+use forelight_forecast::{Calibration, Cost};
+use forelight_protocol::{
+    AccuracyDoc, AccuracyRung, CacheMode, ImageError, Integrator, LadderKind, MissingLadder, PreviewResult,
+    ProfileSample, RenderSettings,
+};
+use forelight_store::MeasuredProfile;
+
+use super::estimate::forecast;
+use super::{AdvanceError, compute};
+
+/// The ladders of a job with these settings.
+pub(crate) async fn accuracy(
+    asked: RenderSettings,
+    preview: PreviewResult,
+    profiles: Vec<MeasuredProfile>,
+) -> Result<AccuracyDoc, AdvanceError> {
+    compute(move || ladders(&asked, &preview, &profiles)).await
+}
+
+/// Of the ladders of [`LadderKind`], those that the profile knows something of.
+fn ladders(
+    asked: &RenderSettings,
+    preview: &PreviewResult,
+    profiles: &[MeasuredProfile],
+) -> Result<AccuracyDoc, AdvanceError> {
+    let whole = forecast(preview, profiles)?;
+    let mut document = AccuracyDoc {
+        frames: preview.frames.len() as u32,
+        settings: asked.clone(),
+        rungs: Vec::new(),
+        missing: Vec::new(),
+        profiled: whole.job.profiled,
+        spent: whole.job.spent,
+        calibrated: whole.job.calibrated,
+    };
+    let noise = images(profiles);
+    for kind in LadderKind::ALL {
+        let known = known(kind, asked).and_then(|()| kind.rungs(asked));
+        let mut rungs = match known {
+            Ok(rungs) => rungs,
+            Err(reason) => {
+                document.missing.push(MissingLadder { ladder: kind, reason });
+                continue;
+            }
+        };
+        if asked.cache == CacheMode::On {
+            // The ladder of samples is laid out without a cache; this job's has one.
+            rungs = rungs.into_iter().map(|rung| RenderSettings { spp: rung.spp, ..asked.clone() }).collect();
+        }
+        if let Err(reason) = &noise {
+            let reason = format!("errors: {reason}");
+            document.missing.push(MissingLadder { ladder: kind, reason });
+        }
+        for settings in rungs {
+            let error = noise.as_ref().ok().and_then(|images| error(images, settings.spp));
+            document.rungs.push(rung(kind, settings, asked, preview, profiles, error)?);
+        }
+    }
+    // What cannot be held against the others is as far off as can be.
+    let far = Point { cost: f64::INFINITY, error: f64::INFINITY };
+    let points = document.points().into_iter().map(|p| p.map_or(far, |(cost, error)| Point { cost, error }));
+    let steps = front(&points.collect::<Vec<_>>());
+    document.mark(steps.into_iter().map(|step| (step.rung, step.next)));
+    Ok(document)
+}
+
+/// Whether a profile of these settings says what a ladder takes, or why not.
+fn known(kind: LadderKind, asked: &RenderSettings) -> Result<(), String> {
+    let cached = asked.cache == CacheMode::On;
+    let reason = match (kind, asked.integrator) {
+        (LadderKind::Ambient, Integrator::Ambient) | (LadderKind::Path, Integrator::Path) => return Ok(()),
+        (LadderKind::Ambient, Integrator::Path) => "the job is profiled with the integrator path",
+        (LadderKind::Path, Integrator::Ambient) => "the job is profiled with the integrator ambient",
+        (LadderKind::Cache, _) => "the job is profiled at its own accuracy; no other is planned",
+        (LadderKind::Divisions, _) => "the job is profiled with its own gathers",
+        (LadderKind::Resolution, _) if cached => "the job's cache is planned at its own resolution",
+        (LadderKind::Resolution, _) => return Ok(()),
+    };
+    Err(format!("{reason}; `forelight accuracy` finds out"))
+}
+
+/// What every profile says of its frame's error, or in words why they do not.
+fn images(profiles: &[MeasuredProfile]) -> Result<Vec<ImageNoise>, String> {
+    let image = |profile: &MeasuredProfile| {
+        let settled =
+            "pixels were profiled before the irradiance cache was filled, or with one camera sample";
+        if profile.result.noise.is_empty() {
+            return Err(settled.to_owned());
+        }
+        let cells = profile.result.noise.iter().map(|cell| NoiseCell {
+            pixels: cell.pixels.into(),
+            samples: cell
+                .samples
+                .iter()
+                .map(|sample| PixelNoise {
+                    brightness: sample.brightness.into(),
+                    drops: sample.drops.iter().map(|&drop| drop.into()).collect(),
+                    bias_square: 0.0,
+                })
+                .collect(),
+        });
+        ImageNoise::new(cells.collect()).map_err(|error| error.to_string())
+    };
+    profiles.iter().map(image).collect()
+}
+
+/// Root mean square over the profiled frames.
+fn error(images: &[ImageNoise], spp: u32) -> Option<ImageError> {
+    let frames: Vec<MeanSquare> = images.iter().map(|image| image.at(spp)).collect();
+    let ErrorQuantiles { p05, p50, p80, p95 } = MeanSquare::mean(&frames)?.error(Calibration::NONE);
+    Some(ImageError { p05, p50, p80, p95 })
+}
+
+/// A rung, as the forecast of a job of which every profiled pixel took so many times as much, and which has so many times the pixels.
+fn rung(
+    kind: LadderKind,
+    settings: RenderSettings,
+    asked: &RenderSettings,
+    preview: &PreviewResult,
+    profiles: &[MeasuredProfile],
+    error: Option<ImageError>,
+) -> Result<AccuracyRung, AdvanceError> {
+    let samples = f64::from(settings.spp) / f64::from(asked.spp);
+    let pixels = settings.pixels() as f64 / asked.pixels() as f64;
+    let total = if settings == *asked {
+        forecast(preview, profiles)?
+    } else {
+        forecast(&enlarged(preview, pixels), &scaled(profiles, samples))?
+    }
+    .job
+    .total;
+    Ok(AccuracyRung {
+        ladder: kind,
+        asked_for: settings == *asked,
+        settings,
+        work: total.work,
+        cpu_seconds: total.cpu_seconds,
+        error,
+        worth_taking: false,
+        next: None,
+        measured: None,
+    })
+}
+
+/// The preview of an image of so many times the pixels.
+fn enlarged(preview: &PreviewResult, factor: f64) -> PreviewResult {
+    let mut preview = preview.clone();
+    for frame in &mut preview.frames {
+        for pixels in frame.pixels.iter_mut().chain([&mut frame.background]) {
+            // What is shown stays shown. Saturates at the end of the range, as float to integer does.
+            let least = u32::from(*pixels > 0);
+            *pixels = ((f64::from(*pixels) * factor).round() as u32).max(least);
+        }
+    }
+    preview
+}
+
+/// Profiles in which every pixel took so many times as much.
+fn scaled(profiles: &[MeasuredProfile], factor: f64) -> Vec<MeasuredProfile> {
+    let times = |sample: &mut ProfileSample| {
+        let cost = Cost { work: sample.work, cpu_nanos: sample.cpu_nanos, rays: sample.rays }.times(factor);
+        (sample.work, sample.cpu_nanos, sample.rays) = (cost.work, cost.cpu_nanos, cost.rays);
+    };
+    let mut profiles = profiles.to_vec();
+    profiles.iter_mut().flat_map(|profile| &mut profile.result.samples).for_each(times);
+    profiles
+}

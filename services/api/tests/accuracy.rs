@@ -1,0 +1,151 @@
+//! What accuracy costs in time, of a job.
+
+mod support;
+
+use forelight_protocol::{
+    AccuracyDoc, CacheSample, ForecastDoc, Job, LadderKind, ProblemKind, TaskKind, TaskResult,
+};
+use reqwest::StatusCode;
+use serde_json::json;
+use support::{Answer, Farm};
+
+async fn document(farm: &Farm, job: &Job) -> AccuracyDoc {
+    farm.viewer.get(&format!("/v1/jobs/{}/accuracy", job.id)).await.json_as(StatusCode::OK).await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_that_is_not_there_has_no_ladders_and_one_that_is_not_profiled_has_none_yet() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    for id in ["0197a8a5-0000-7000-8000-000000000000", "none"] {
+        let answer = farm.viewer.get(&format!("/v1/jobs/{id}/accuracy")).await;
+        answer.problem(ProblemKind::NotFound).await;
+    }
+    let job = farm.submit("0-4").await;
+    let ask = || async { farm.viewer.get(&format!("/v1/jobs/{}/accuracy", job.id)).await };
+    // Before the preview, after it, and after the first of two profiles.
+    for _ in 0..3 {
+        let problem = ask().await.problem(ProblemKind::Conflict).await;
+        assert!(problem.detail.contains("not profiled"), "{}", problem.detail);
+        let task = farm.next_task(&node).await;
+        assert_ne!(task.spec.kind(), TaskKind::Render);
+        farm.finish(&task).await;
+    }
+    assert_eq!(ask().await.status(), StatusCode::OK);
+    let cancelled = farm.submit("0-4").await;
+    farm.submitter.post(&format!("/v1/jobs/{}/cancel", cancelled.id), &json!({})).await;
+    let answer = farm.viewer.get(&format!("/v1/jobs/{}/accuracy", cancelled.id)).await;
+    assert!(answer.problem(ProblemKind::Conflict).await.detail.contains("cancelled"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn rungs_cost_in_proportion_and_err_by_the_profiled_variance() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let job = farm.submit("0-4").await;
+    farm.until_booked(&node, &job).await;
+    let document = document(&farm, &job).await;
+    let quote: ForecastDoc =
+        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.json_as(StatusCode::OK).await;
+    assert_eq!((document.frames, &document.settings), (5, &job.settings));
+    assert_eq!((&document.profiled, document.spent), (&quote.profiled, quote.spent));
+
+    let of = |kind| document.rungs.iter().filter(move |rung| rung.ladder == kind);
+    let samples: Vec<u32> = of(LadderKind::Ambient).map(|rung| rung.settings.spp).collect();
+    assert_eq!(samples, [1, 4, 16, 64, 256]);
+    // 5 of a frame's work are fixed, whatever its samples; of its time 5 ms at speed 2.
+    let fixed = (5.0 * 5.0, 5.0 * 5e-3 * 2.0);
+    let pixels = (quote.total.work.mean - fixed.0, quote.total.cpu_seconds.mean - fixed.1);
+    for rung in of(LadderKind::Ambient) {
+        let times = f64::from(rung.settings.spp) / 16.0;
+        // Costs of a scaled pixel are whole numbers.
+        let work = rung.work.mean / (fixed.0 + pixels.0 * times) - 1.0;
+        let cpu = rung.cpu_seconds.mean / (fixed.1 + pixels.1 * times) - 1.0;
+        assert!(work.abs() < 0.01 && cpu.abs() < 0.01, "{}: {work} {cpu}", rung.settings.spp);
+        // Three quarters of the image have a variance of 1 / n; its mean is 1.75.
+        let expected = 0.75f64.sqrt() / 1.75 / f64::from(rung.settings.spp).sqrt();
+        let error = rung.error.unwrap();
+        let allowed = if rung.settings.spp <= 16 { 0.02 } else { 0.1 };
+        assert!((error.p50 / expected - 1.0).abs() < allowed, "{}: {error:?}", rung.settings.spp);
+        assert!(error.p05 <= error.p50 && error.p50 <= error.p80 && error.p80 <= error.p95);
+    }
+    let asked = of(LadderKind::Ambient).find(|rung| rung.asked_for).unwrap();
+    assert_eq!((asked.work, asked.cpu_seconds), (quote.total.work, quote.total.cpu_seconds));
+
+    let marked: Vec<bool> = document.rungs.iter().map(|rung| rung.worth_taking).collect();
+    let resolutions = of(LadderKind::Resolution).count();
+    assert_eq!(marked, [vec![true; 5], vec![false; resolutions]].concat());
+    let next = document.rungs[0].next.unwrap();
+    assert_eq!(next.rung, 1);
+    assert!((next.times_error / 0.5 - 1.0).abs() < 0.02 && next.times_cpu_seconds > 3.0, "{next:?}");
+    assert!(document.rungs[4].next.is_none());
+
+    let pixels: Vec<u64> = of(LadderKind::Resolution).map(|rung| rung.settings.pixels()).collect();
+    assert_eq!(pixels, [16, 36, 64, 121, 256]);
+    let largest = of(LadderKind::Resolution).next_back().unwrap();
+    assert!((largest.work.mean / (4.0 * quote.total.work.mean) - 1.0).abs() < 0.01);
+    assert_eq!(largest.error, asked.error);
+
+    let missing: Vec<LadderKind> = document.missing.iter().map(|missing| missing.ladder).collect();
+    assert_eq!(missing, [LadderKind::Path, LadderKind::Cache, LadderKind::Divisions]);
+    assert!(document.missing.iter().all(|missing| missing.reason.contains("forelight accuracy")));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_with_a_cache_has_its_times_and_no_errors_and_says_why() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let mut request = farm.job_request("0-1");
+    request["profile_frames"] = json!(1);
+    request["settings"] = json!({"cache": "on", "ambient_bounces": 1, "spp": 4});
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    let preview = farm.next_task(&node).await;
+    let TaskResult::Preview(mut previewed) = farm.made_up_result(&preview).await else { panic!() };
+    previewed.frames.iter_mut().for_each(|frame| frame.cache_records = vec![30]);
+    previewed.record_prior_cost = Some(10.0);
+    assert_eq!(farm.report(&preview, TaskResult::Preview(previewed)).await.status(), StatusCode::OK);
+    let profile = farm.next_task(&node).await;
+    let TaskResult::Profile(mut profiled) = farm.made_up_result(&profile).await else { panic!() };
+    profiled.noise.clear();
+    profiled.cache_samples = vec![CacheSample { level: 0, work: 7000, cpu_nanos: 1, rays: [0; 7] }; 8];
+    assert_eq!(farm.report(&profile, TaskResult::Profile(profiled)).await.status(), StatusCode::OK);
+    let document = document(&farm, &job).await;
+    assert!(document.rungs.iter().all(|rung| rung.ladder == LadderKind::Ambient && rung.error.is_none()));
+    assert!(
+        document.rungs.iter().all(|rung| !rung.worth_taking && rung.settings.cache == job.settings.cache)
+    );
+    // Records are gathered once, whatever the samples.
+    let [first, second] = [0, 1].map(|i| document.rungs[i].work.mean);
+    let records = 2.0 * 30.0 * 7000.0;
+    assert!(first > records && (second - first) * 4.0 / 3.0 + records < second * 1.01, "{first} {second}");
+    assert!(document.missing.iter().any(|missing| missing.reason.contains("before the irradiance cache")));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn noise_that_makes_no_sense_is_refused_with_the_place() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    farm.submit("0").await;
+    let preview = farm.next_task(&node).await;
+    farm.finish(&preview).await;
+    let profile = farm.next_task(&node).await;
+    let TaskResult::Profile(good) = farm.made_up_result(&profile).await else { panic!() };
+    let at = |change: &dyn Fn(&mut forelight_protocol::ProfileResult)| {
+        let mut result = good.clone();
+        change(&mut result);
+        result
+    };
+    for (result, pointer) in [
+        (at(&|r| r.noise[0].pixels = 47), "/result/profile/noise"),
+        (at(&|r| r.noise[1].samples.clear()), "/result/profile/noise/1/samples"),
+        (at(&|r| r.noise[0].samples[2].brightness = -1.0), "/result/profile/noise/0/samples/2/brightness"),
+        (at(&|r| r.noise[0].samples[0].drops.clear()), "/result/profile/noise/0/samples/0/drops"),
+        (at(&|r| r.noise[0].samples[0].drops[1] = -1e-9), "/result/profile/noise/0/samples/0/drops"),
+        (at(&|r| r.noise[0].samples[0].drops[1] = 1e36), "/result/profile/noise/0/samples/0/drops"),
+    ] {
+        let answer = farm.report(&profile, TaskResult::Profile(result)).await;
+        let problem = answer.problem(ProblemKind::Invalid).await;
+        assert_eq!(problem.pointer.as_deref(), Some(pointer), "{}", problem.detail);
+    }
+    farm.report(&profile, TaskResult::Profile(good)).await.json_as::<serde_json::Value>(StatusCode::OK).await;
+}

@@ -1,0 +1,138 @@
+//! `forelight accuracy`: what accuracy costs in time.
+
+mod plot;
+mod table;
+
+use crate::atomic_file::write_bytes;
+use crate::failure::Interrupted;
+use crate::interrupt::Interrupt;
+use crate::local::Local;
+use crate::options::{MachineOptions, QualityOptions};
+use crate::output::{self, Bars};
+use anyhow::{Context, Result};
+use forelight_protocol::{AccuracyDoc, FrameSet, LadderKind};
+use forelight_worker::{
+    AccuracyObserver, AccuracyOptions, MeasureOptions, Renderer, ShotError, measure, predict,
+};
+use indicatif::ProgressBar;
+use std::path::PathBuf;
+use std::sync::atomic::AtomicBool;
+
+/// Say what accuracy costs in time: error against CPU time over ladders of qualities
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight accuracy kitchen/ --frame 12 --out accuracy.svg
+  forelight accuracy kitchen/ --width 1920 --spp 64 --json > accuracy.json
+  forelight accuracy kitchen/ --width 160 --measure --out accuracy.svg
+
+Around the quality that the flags ask for, ladders of camera samples (for both integrators), of the cache's accuracy, of the \
+rays of a gather and of the resolution are laid out. Of every kind of setting --samples pixels are profiled; from them follow the CPU time of every rung \
+and how far its image will be from its converged self: the root mean square over pixels and channels, as a share of the image's \
+mean. Rungs marked * are worth taking: none is both cheaper and better. With --measure all rungs are rendered, and held against \
+converged images; that takes as long as it sounds.")]
+pub struct Args {
+    /// Scene bundle: a folder or a zip file
+    bundle: PathBuf,
+    /// Frame number
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    frame: u32,
+    /// Pixels to profile of every kind of setting
+    #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
+    samples: u32,
+    /// Seed of the choice of pixels
+    #[arg(long, value_name = "NUMBER", default_value_t = 0)]
+    phase_seed: u64,
+    /// Render every rung too, and show its true time and error beside the forecast
+    #[arg(long)]
+    measure: bool,
+    /// Camera samples per pixel of the converged images that are measured against, which are made in two halves
+    #[arg(long, value_name = "SAMPLES", default_value_t = 512, requires = "measure", value_parser = clap::value_parser!(u32).range(2..=131_072))]
+    reference_spp: u32,
+    /// Write a plot of error over CPU time to this file, as SVG
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Print the ladders as JSON to standard output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    quality: QualityOptions,
+    #[command(flatten)]
+    machine: MachineOptions,
+}
+
+/// Runs the command.
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    let bars = Bars::new(args.json);
+    let local = Local::open(&args.bundle, &args.machine, &bars)?;
+    let settings = local.settings(&args.quality)?;
+    let frame = FrameSet::range(args.frame, args.frame);
+    local.frames(Some(&frame))?;
+    let options = AccuracyOptions { samples: args.samples, seed: args.phase_seed };
+    let watcher = Watcher::new(&bars, "profiling", interrupt);
+    let predicted = local.pool.install(|| predict(&local.shot, args.frame, &settings, &options, &watcher));
+    let mut document = watcher.done(predicted, args)?;
+    if args.measure {
+        let options = MeasureOptions { reference_spp: args.reference_spp };
+        let watcher = Watcher::new(&bars, "rendering", interrupt);
+        let measured =
+            local.pool.install(|| measure(&local.shot, args.frame, &mut document, &options, &watcher));
+        watcher.done(measured, args)?;
+    }
+    if let Some(path) = &args.out {
+        let title = format!("{}, frame {}", local.shot.info().summary.name, args.frame);
+        write_bytes(path, plot::svg(&title, &document)?.as_bytes())?;
+    }
+    if args.json { output::json(&document) } else { output::print(&table::text(&document)) }
+}
+
+/// A bar, and the user's wish to stop.
+struct Watcher<'a> {
+    bar: ProgressBar,
+    interrupt: &'a Interrupt,
+}
+
+impl<'a> Watcher<'a> {
+    fn new(bars: &Bars, name: &str, interrupt: &'a Interrupt) -> Self {
+        Self { bar: bars.bar(name, 0), interrupt }
+    }
+
+    fn done<T>(&self, outcome: Result<T, ShotError>, args: &Args) -> Result<T> {
+        self.bar.finish_and_clear();
+        match outcome {
+            Err(ShotError::Cancelled) => Err(Interrupted.into()),
+            Err(ShotError::Render(error)) => {
+                Err(error).with_context(|| format!("bundle {}", args.bundle.display()))
+            }
+            other => Ok(other?),
+        }
+    }
+}
+
+impl AccuracyObserver for Watcher<'_> {
+    fn predicted(&self, done: usize, all: usize) {
+        self.bar.set_length(all as u64);
+        self.bar.set_position(done as u64);
+    }
+
+    fn cancel(&self) -> &AtomicBool {
+        self.interrupt.flag()
+    }
+}
+
+/// What is changed along a ladder, for people: the ladder's name and the rung's value.
+fn value(document: &AccuracyDoc, rung: usize) -> String {
+    let rung = &document.rungs[rung];
+    let settings = &rung.settings;
+    match rung.ladder {
+        LadderKind::Ambient | LadderKind::Path => format!("{} spp", settings.spp),
+        LadderKind::Cache => format!("error {}", thousandths(settings.cache_accuracy)),
+        LadderKind::Divisions => format!("{} rays", settings.ambient_divisions),
+        LadderKind::Resolution => format!("{} x {}", settings.width, settings.height),
+    }
+}
+
+/// `0.15` of 150.
+fn thousandths(value: u32) -> f64 {
+    f64::from(value) / 1000.0
+}

@@ -1,0 +1,138 @@
+//! The ladders for people.
+
+use super::{thousandths, value};
+use crate::quantities::{count, percent, seconds};
+use crate::table::{Align, Table};
+use forelight_protocol::{AccuracyDoc, AccuracyRung, CacheMode, Integrator, LadderKind, RenderSettings};
+
+/// Everything: a table for every ladder, and what they rest on.
+pub fn text(document: &AccuracyDoc) -> String {
+    let mut text = format!("asked for: {}\n", described(&document.settings));
+    for kind in LadderKind::ALL {
+        let rungs: Vec<usize> =
+            (0..document.rungs.len()).filter(|&rung| document.rungs[rung].ladder == kind).collect();
+        if !rungs.is_empty() {
+            text += &format!("\n{}\n{}", heading(kind, &document.settings), ladder(document, &rungs));
+        }
+    }
+    for missing in &document.missing {
+        text += &format!("\n{}: {}\n", missing.ladder.name(), missing.reason);
+    }
+    let spent = &document.spent;
+    text += &format!(
+        "\n* worth taking: no other rung is both cheaper and better; `next` is what the next better of them costs.\n\
+         {} pixels were profiled, for {} of CPU time: {:.1} % of the work of one frame as asked for.\n\
+         {}.\n",
+        document.profiled.pixels,
+        seconds(spent.cpu_seconds),
+        spent.fraction_of_forecast * 100.0,
+        if document.calibrated { "Intervals are calibrated" } else { "Intervals are not calibrated" },
+    );
+    text
+}
+
+fn ladder(document: &AccuracyDoc, rungs: &[usize]) -> String {
+    let measured = rungs.iter().any(|&rung| document.rungs[rung].measured.is_some());
+    let mut head = vec![
+        ("", Align::Left),
+        ("", Align::Left),
+        ("work", Align::Right),
+        ("CPU P50", Align::Right),
+        ("P80", Align::Right),
+        ("P95", Align::Right),
+        ("error P50", Align::Right),
+        ("5 % to 95 %", Align::Right),
+    ];
+    if measured {
+        head.extend([
+            ("true work", Align::Right),
+            ("true CPU", Align::Right),
+            ("true error", Align::Right),
+            ("off by", Align::Right),
+        ]);
+    }
+    head.push(("next", Align::Left));
+    let mut table = Table::new(&head);
+    for &index in rungs {
+        let rung = &document.rungs[index];
+        let mut cells = vec![
+            if rung.worth_taking { "*" } else { "" }.to_owned(),
+            value(document, index) + if rung.asked_for { " (asked for)" } else { "" },
+            count(rung.work.p50),
+            seconds(rung.cpu_seconds.p50),
+            seconds(rung.cpu_seconds.p80),
+            seconds(rung.cpu_seconds.p95),
+            rung.error.map_or("-".into(), |error| share(error.p50)),
+            rung.error.map_or(String::new(), |e| format!("{} to {}", share(e.p05), share(e.p95))),
+        ];
+        if measured {
+            cells.extend(truth(rung));
+        }
+        cells.push(next(document, rung));
+        table.row(cells);
+    }
+    table.render()
+}
+
+fn truth(rung: &AccuracyRung) -> [String; 4] {
+    let Some(measured) = rung.measured else { return Default::default() };
+    let off = rung.error.filter(|_| measured.error > 0.0).map(|error| error.p50 / measured.error - 1.0);
+    [
+        count(measured.work as f64),
+        seconds(measured.cpu_seconds),
+        share(measured.error),
+        off.map_or("-".into(), percent),
+    ]
+}
+
+/// What the next better rung that is worth taking costs.
+fn next(document: &AccuracyDoc, rung: &AccuracyRung) -> String {
+    let Some(next) = rung.next else { return String::new() };
+    let index = next.rung as usize;
+    format!(
+        "{:.1} x the time (+{}) for {:.2} x the error: {}, {}",
+        next.times_cpu_seconds,
+        seconds(next.more_cpu_seconds),
+        next.times_error,
+        document.rungs[index].ladder.name(),
+        value(document, index),
+    )
+}
+
+fn heading(kind: LadderKind, asked: &RenderSettings) -> String {
+    match kind {
+        LadderKind::Ambient => {
+            format!("camera samples, integrator ambient, gathers of {} rays", asked.ambient_divisions)
+        }
+        LadderKind::Path => "camera samples, integrator path".to_owned(),
+        LadderKind::Cache => {
+            format!("accuracy of the irradiance cache, {} spp, {} rays a record", asked.spp, asked.cache_rays)
+        }
+        LadderKind::Divisions => format!("rays of a gather, {} spp", asked.spp),
+        LadderKind::Resolution => {
+            "resolution: the error is that of the delivered pixels, each against its own converged self"
+                .to_owned()
+        }
+    }
+}
+
+fn described(settings: &RenderSettings) -> String {
+    let light = match (settings.integrator, settings.cache) {
+        (Integrator::Path, _) => "path".to_owned(),
+        (Integrator::Ambient, CacheMode::Off) => {
+            format!("ambient, gathers of {} rays", settings.ambient_divisions)
+        }
+        (Integrator::Ambient, CacheMode::On) => {
+            format!("ambient, a cache of error {}", thousandths(settings.cache_accuracy))
+        }
+    };
+    format!(
+        "{} x {}, {} spp, {light}, {} bounces",
+        settings.width, settings.height, settings.spp, settings.ambient_bounces
+    )
+}
+
+/// `1.23 %`
+fn share(fraction: f64) -> String {
+    format!("{:.2} %", fraction * 100.0)
+}

@@ -1,0 +1,62 @@
+//! `forelight accuracy` as it is typed.
+
+use forelight_protocol::{AccuracyDoc, LadderKind};
+use std::process::{Command, Output};
+
+const KITCHEN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/scenes/kitchen");
+
+fn accuracy(flags: &str) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_forelight"));
+    command.args(["accuracy", KITCHEN, "--preview", "cpu", "--width", "16", "--samples", "16"]);
+    command.args(["--spp", "2", "--ambient-bounces", "1", "--ambient-divisions", "4"]).args(flags.split(' '));
+    command.output().unwrap()
+}
+
+#[test]
+fn json_is_the_document_and_the_plot_is_well_formed_and_names_what_it_shows() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("accuracy.svg");
+    let output = accuracy(&format!("--json --measure --reference-spp 4 --out {}", path.display()));
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let document: AccuracyDoc = serde_json::from_slice(&output.stdout).unwrap();
+    for kind in LadderKind::ALL {
+        assert!(document.rungs.iter().any(|rung| rung.ladder == kind), "{kind:?}");
+    }
+    assert!(document.rungs.iter().all(|rung| rung.measured.is_some() && rung.error.is_some()));
+    assert_eq!(document.rungs.iter().filter(|rung| rung.asked_for).count(), 3, "on three ladders");
+    assert!(document.rungs.iter().any(|rung| rung.worth_taking));
+    for rung in document.rungs.iter().filter_map(|rung| rung.next) {
+        assert!(rung.times_error < 1.0 && rung.more_cpu_seconds > 0.0);
+    }
+
+    let svg = std::fs::read_to_string(path).unwrap();
+    let tree = roxmltree::Document::parse(&svg).unwrap();
+    assert_eq!(tree.root_element().tag_name().name(), "svg");
+    let texts: Vec<&str> = tree.descendants().filter_map(|node| node.text()).map(str::trim).collect();
+    for wanted in ["ambient, by camera samples", "path, by camera samples", "measured", "256 spp"] {
+        assert!(texts.contains(&wanted), "{wanted} is not among {texts:?}");
+    }
+    assert!(texts.iter().any(|text| text.contains("kitchen, frame 0, 16 x 9")), "{texts:?}");
+    assert!(!svg.contains("NaN") && !svg.contains("inf"));
+}
+
+#[test]
+fn the_table_has_every_ladder_and_says_what_the_next_step_costs() {
+    let output = accuracy("--frame 1");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8(output.stdout).unwrap();
+    for wanted in ["integrator ambient", "integrator path", "error 0.15", "256 rays", "32 x 18", "x the time"]
+    {
+        assert!(text.contains(wanted), "{wanted} is not in {text}");
+    }
+}
+
+#[test]
+fn wrong_input_is_named_and_nothing_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("accuracy.svg");
+    let output = accuracy(&format!("--frame 4000 --out {}", path.display()));
+    assert_eq!(output.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("frame 4000"));
+    assert!(!path.exists());
+}

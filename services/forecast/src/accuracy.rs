@@ -1,0 +1,24 @@
+//! What accuracy costs in time: how far an image will be from its converged self, and which qualities are worth their cost.
+//!
+//! The error of an image is taken as the root mean square of (pixel − converged pixel) over pixels and channels, as a share of the
+//! image's mean. Its square, the mean over pixels of their variance (and of what interpolation adds), is estimated from a few
+//! pixels as a frame's cost is: by strata, whose numbers of pixels the preview knows.
+//!
+//! | file | subject |
+//! | --- | --- |
+//! | `pixel` | what the camera samples of one pixel say about its variance at any number of samples |
+//! | `image` | from some pixels to the whole image |
+//! | `front` | which rungs of a ladder are worth taking, and what the next one costs |
+//!
+//! # Why not the sample variance
+//! The usual estimate of a pixel's variance, s² / n, holds for independent samples. Camera samples are points of scrambled
+//! (0,2)-sequences, whose mean converges faster: on smooth pixels s² / n is too large by a factor that grows with n. So a pixel's
+//! variance is measured as a *spectrum* over the number of samples, see [`PixelSamples`].
+
+mod front;
+mod image;
+mod pixel;
+
+pub use front::{Point, Step, front};
+pub use image::{ErrorQuantiles, ImageNoise, MeanSquare, NoiseCell, NoiseSample, noise_cells};
+pub use pixel::{PixelNoise, PixelSamples};

@@ -1,0 +1,188 @@
+//! Errors of images from pixels whose variance is known in closed form.
+
+use forelight_forecast::accuracy::{
+    ImageNoise, NoiseCell, NoiseSample, PixelNoise, PixelSamples, Point, front, noise_cells,
+};
+use forelight_forecast::{Calibration, ForecastError, Stratum};
+use proptest::prelude::*;
+
+/// Uniform in [0, 1), a hash of its arguments.
+fn uniform(parts: &[u64]) -> f64 {
+    let mix = |state: u64, part: &u64| {
+        let mut z = (state ^ part).wrapping_add(0x9e37_79b9_7f4a_7c15);
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    };
+    (parts.iter().fold(7, mix) >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// A pixel of independent samples, uniform around `mean` with a standard deviation of `deviation`.
+fn pixel(mean: f64, deviation: f64, samples: u64, seed: u64) -> PixelNoise {
+    let mut pixel = PixelSamples::default();
+    for sample in 0..samples {
+        let value = mean + deviation * 12f64.sqrt() * (uniform(&[seed, sample]) - 0.5);
+        pixel.push([value as f32; 3]);
+    }
+    pixel.noise()
+}
+
+/// Half of the pixels of mean 1 and deviation 0.5, half of mean 3 and deviation 2.
+fn two_halves(samples: u64, pixels: u64) -> ImageNoise {
+    let cell = |mean, deviation, seed| NoiseCell {
+        pixels: 10_000,
+        samples: (0..pixels).map(|i| pixel(mean, deviation, samples, seed + i)).collect(),
+    };
+    ImageNoise::new(vec![cell(1.0, 0.5, 1 << 20), cell(3.0, 2.0, 1 << 40)]).unwrap()
+}
+
+#[test]
+fn independent_samples_have_the_error_of_the_closed_form_at_any_number_of_them() {
+    // Mean variance (0.25 + 4) / 2 of one sample, over a mean of 2.
+    let one = (2.125f64).sqrt() / 2.0;
+    let noise = two_halves(64, 400);
+    assert!((noise.mean() / 2.0 - 1.0).abs() < 0.01, "{}", noise.mean());
+    for spp in [1, 2, 3, 8, 16, 50, 64, 200, 1024] {
+        let error = noise.at(spp).error(Calibration::NONE);
+        let expected = one / f64::from(spp).sqrt();
+        let off = error.p50 / expected - 1.0;
+        let allowed = if spp <= 64 { 0.03 } else { 0.12 };
+        assert!(off.abs() < allowed, "{spp} samples: {off}");
+        let (low, high) = (error.p05 * 0.99, error.p95 * 1.01);
+        assert!(low < expected && expected < high, "{spp} samples: {error:?} for {expected}");
+    }
+}
+
+#[test]
+fn samples_that_make_up_for_each_other_are_known_to_converge_faster() {
+    // Antithetic pairs on top of independent ones: the variance of one sample is 1 + 4, of a pair only 1 / 2.
+    let pixel = |seed: u64| {
+        let mut pixel = PixelSamples::default();
+        for pair in 0..32 {
+            let common = |side: u64| 12f64.sqrt() * (uniform(&[seed, pair, side]) - 0.5);
+            let swing = 2.0 * 12f64.sqrt() * (uniform(&[seed, pair, 9]) - 0.5);
+            pixel.push([(10.0 + common(0) + swing) as f32; 3]);
+            pixel.push([(10.0 + common(1) - swing) as f32; 3]);
+        }
+        pixel.noise()
+    };
+    let cell = NoiseCell { pixels: 100_000, samples: (0..500).map(pixel).collect() };
+    let noise = ImageNoise::new(vec![cell]).unwrap();
+    for (spp, variance) in [(1, 5.0), (2, 0.5), (4, 0.25), (16, 1.0 / 16.0)] {
+        let found = noise.at(spp).value * 100.0;
+        assert!((found / variance - 1.0).abs() < 0.08, "{spp} samples: {found} for {variance}");
+    }
+}
+
+#[test]
+fn what_does_not_fall_with_samples_stays() {
+    let mut cell = NoiseCell { pixels: 1000, samples: (0..100).map(|i| pixel(1.0, 1.0, 16, i)).collect() };
+    let without = ImageNoise::new(vec![cell.clone()]).unwrap();
+    for (i, sample) in cell.samples.iter_mut().enumerate() {
+        // Of single pixels it may come out negative; the mean is 0.01.
+        sample.bias_square = if i % 2 == 0 { 0.05 } else { -0.03 };
+    }
+    let with = ImageNoise::new(vec![cell]).unwrap();
+    let added = (with.at(4096).value - without.at(4096).value) * with.mean() * with.mean();
+    assert!((added / 0.01 - 1.0).abs() < 1e-6, "{added}");
+    assert!(with.at(4096).error(Calibration::NONE).p05 > 0.05);
+}
+
+#[test]
+fn a_stratum_counts_by_its_pixels_and_one_without_samples_is_like_its_material() {
+    let stratum = |object, material| Stratum { object, material, prior_cost: 1.0, apart: false };
+    let strata = [stratum(0, 0), stratum(1, 1), stratum(2, 1), stratum(3, 2)];
+    let flat = |brightness: f64, drop: f64| PixelNoise { brightness, drops: vec![drop], bias_square: 0.0 };
+    let sample = |stratum, brightness, drop| NoiseSample { stratum, noise: flat(brightness, drop) };
+    let samples = [
+        sample(0, 1.0, 1.0),
+        sample(0, 1.0, 1.0),
+        sample(1, 3.0, 5.0),
+        sample(2, 3.0, 5.0),
+        sample(3, 9.0, 7.0),
+    ];
+    let cells = noise_cells(&strata, &[600, 100, 100, 200], &samples).unwrap();
+    let shape: Vec<(u64, usize)> = cells.iter().map(|cell| (cell.pixels, cell.samples.len())).collect();
+    // The last has a single sample and no kin: it is taken to be like everything.
+    assert_eq!(shape, [(600, 2), (200, 2), (200, 5)]);
+    let unsampled = noise_cells(&strata, &[600, 100, 0, 0], &samples[..3]).unwrap();
+    assert_eq!(unsampled.iter().map(|cell| cell.pixels).sum::<u64>(), 700);
+}
+
+#[test]
+fn what_says_nothing_is_refused() {
+    let stratum = Stratum { object: 0, material: 0, prior_cost: 1.0, apart: false };
+    let sample = |stratum, samples| NoiseSample { stratum, noise: pixel(1.0, 1.0, samples, 3) };
+    assert_eq!(noise_cells(&[stratum], &[4], &[]), Err(ForecastError::NoSamples));
+    assert!(matches!(noise_cells(&[stratum], &[4, 4], &[]), Err(ForecastError::CountsLength { .. })));
+    let foreign = noise_cells(&[stratum], &[4], &[sample(1, 4)]);
+    assert!(matches!(foreign, Err(ForecastError::UnknownStratum { .. })));
+    let single = noise_cells(&[stratum], &[4], &[sample(0, 1)]).unwrap();
+    assert!(matches!(ImageNoise::new(single), Err(ForecastError::NoSamples)));
+    assert!(matches!(ImageNoise::new(Vec::new()), Err(ForecastError::NoSamples)));
+}
+
+#[test]
+fn a_black_image_and_one_without_noise_have_no_error() {
+    for brightness in [0.0, 2.0] {
+        let pixel = PixelNoise { brightness, drops: vec![0.0; 4], bias_square: 0.0 };
+        let noise = ImageNoise::new(vec![NoiseCell { pixels: 9, samples: vec![pixel; 3] }]).unwrap();
+        for spp in [1, 7, 16, 4000] {
+            let error = noise.at(spp).error(Calibration::NONE);
+            assert_eq!([error.p05, error.p50, error.p80, error.p95], [0.0; 4]);
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn more_samples_are_never_worse_and_quantiles_are_in_order(
+        drops in prop::collection::vec(prop::collection::vec(0.0..1e6f64, 3), 2..12),
+        brightness in 1e-3..1e3f64,
+    ) {
+        let samples = drops
+            .into_iter()
+            .map(|drops| PixelNoise { brightness, drops, bias_square: 0.0 })
+            .collect();
+        let noise = ImageNoise::new(vec![NoiseCell { pixels: 500, samples }]).unwrap();
+        let mut before = f64::INFINITY;
+        for spp in [1, 2, 3, 4, 6, 8, 9, 100, 65_536] {
+            let error = noise.at(spp).error(Calibration::NONE);
+            prop_assert!(error.p50 <= before * (1.0 + 1e-12), "{} samples: {} after {}", spp, error.p50, before);
+            prop_assert!(error.p05 <= error.p50 && error.p50 <= error.p80 && error.p80 <= error.p95);
+            prop_assert!(error.p95.is_finite());
+            before = error.p50;
+        }
+    }
+
+    #[test]
+    fn the_front_holds_what_no_other_rung_beats_and_nothing_else(
+        rungs in prop::collection::vec((0u8..12, 0u8..12), 0..40),
+    ) {
+        let points: Vec<Point> =
+            rungs.iter().map(|&(cost, error)| Point { cost: cost.into(), error: error.into() }).collect();
+        let steps = front(&points);
+        let beats = |a: &Point, b: &Point| {
+            a.cost <= b.cost && a.error <= b.error && (a.cost < b.cost || a.error < b.error)
+        };
+        for (index, point) in points.iter().enumerate() {
+            let beaten = points.iter().any(|other| beats(other, point));
+            let twin = points[..index].contains(point);
+            prop_assert_eq!(steps.iter().any(|step| step.rung == index), !beaten && !twin);
+        }
+        for pair in steps.windows(2) {
+            prop_assert_eq!(pair[0].next, Some(pair[1].rung));
+            prop_assert!(points[pair[0].rung].cost < points[pair[1].rung].cost);
+            prop_assert!(points[pair[0].rung].error > points[pair[1].rung].error);
+        }
+        prop_assert_eq!(steps.last().and_then(|step| step.next), None);
+    }
+}
+
+#[test]
+fn a_rung_without_a_number_is_never_on_the_front() {
+    let point = |cost, error| Point { cost, error };
+    let points = [point(f64::NAN, 0.0), point(1.0, f64::INFINITY), point(2.0, 3.0), point(0.0, f64::NAN)];
+    let steps = front(&points);
+    assert_eq!(steps.iter().map(|step| step.rung).collect::<Vec<_>>(), [2]);
+}

@@ -1,0 +1,173 @@
+//! A pilot: profiled pixels of one kind of setting.
+
+use super::{AccuracyObserver, AccuracyOptions};
+use crate::noise::{FrameNoise, Zones, noise_strata};
+use crate::quote::quantiles;
+use crate::renderer::{FrameRenderer, RenderError, Renderer};
+use crate::shot::{Observer, ShotError, forecast_strata, profile_ready, record_prior_cost};
+use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise};
+use forelight_forecast::{
+    Calibration, Cost, ForecastError, FramePopulation, Observation, ProfiledFrame, RecordStrata, Stratum,
+    forecast_shot,
+};
+use forelight_preview::Preview;
+use forelight_protocol::{FixedCosts, ImageError, Quantiles, RenderSettings, Spent};
+use forelight_tracer::RecordCost;
+use std::sync::atomic::Ordering;
+
+/// What a frame shows at one size, in numbers.
+#[derive(Debug, Clone)]
+pub struct View {
+    /// Pixels by stratum of cost, the background as the last.
+    counts: Vec<u32>,
+    /// Pixels by stratum of error.
+    pub noise_counts: Vec<u32>,
+    cache_records: Vec<u32>,
+    fixed: FixedCosts,
+}
+
+impl View {
+    /// Of a frame, and what looking took.
+    pub fn of(ready: &dyn FrameRenderer) -> Result<(Self, Spent), RenderError> {
+        let seen = ready.preview()?;
+        let view = Self::new(ready, &seen.preview);
+        let spent = seen.spent.plus(ready.spent_on_setup()).plus(view.fixed.plan);
+        Ok((view, spent))
+    }
+
+    fn new(ready: &dyn FrameRenderer, preview: &Preview) -> Self {
+        let shown = preview.counts();
+        let mut counts = shown.per_stratum;
+        counts.push(shown.background);
+        Self {
+            counts,
+            noise_counts: Zones::new(ready, preview).counts,
+            cache_records: ready.cache_records(),
+            fixed: ready.fixed(),
+        }
+    }
+}
+
+/// Profiled pixels of one kind of setting.
+pub struct Pilot {
+    /// With the pilots' camera samples.
+    pub settings: RenderSettings,
+    /// At the size of its settings.
+    pub view: View,
+    strata: Vec<Stratum>,
+    /// Strata of the error.
+    pub noise_strata: Vec<Stratum>,
+    observations: Vec<Observation>,
+    records: Vec<RecordCost>,
+    /// What its pixels say of the error. Without what interpolation adds, and with an irradiance cache of no pixels, until
+    /// [`super::interpolation::Truth::interpolated`] has seen to it.
+    pub noise: FrameNoise,
+    /// What interpolation adds at some of its pixels; without an irradiance cache nothing.
+    pub interpolation: Option<FrameNoise>,
+    /// What it took.
+    pub spent: Spent,
+}
+
+impl Pilot {
+    /// Profiles a frame.
+    pub fn new(
+        renderer: &dyn Renderer,
+        ready: &dyn FrameRenderer,
+        settings: RenderSettings,
+        options: &AccuracyOptions,
+        observer: &dyn AccuracyObserver,
+    ) -> Result<Self, ShotError> {
+        let shot = &renderer.info().strata;
+        let profiled =
+            profile_ready(ready, shot, &settings, options.samples, options.seed, &Watching(observer))?;
+        let spent = profiled.spent();
+        let seen = ready.preview()?;
+        let view = View::new(ready, &seen.preview);
+        let noise = profiled.noise.unwrap_or_else(|| FrameNoise {
+            counts: view.noise_counts.clone(),
+            pixels: Vec::new(),
+            samples: Vec::new(),
+            scattered: 0,
+        });
+        Ok(Self {
+            noise,
+            interpolation: None,
+            strata: forecast_strata(shot, &settings),
+            noise_strata: noise_strata(shot, &settings),
+            observations: profiled.observations,
+            records: profiled.records,
+            spent: spent.plus(seen.spent),
+            settings,
+            view,
+        })
+    }
+
+    /// Number of profiled pixels.
+    pub fn profiled(&self) -> u64 {
+        self.observations.len() as u64
+    }
+
+    /// Error of a frame with so many camera samples a pixel that shows what `view` says.
+    pub fn error(&self, view: &View, spp: u32) -> Result<ImageError, ShotError> {
+        let image = |noise: &FrameNoise| -> Result<ImageNoise, ForecastError> {
+            ImageNoise::new(noise.cells(&self.noise_strata, &view.noise_counts)?)
+        };
+        let mut square = image(&self.noise)?.noise_at(spp);
+        if let Some(interpolation) = &self.interpolation {
+            square = square.plus(image(interpolation)?.bias_square());
+        }
+        let ErrorQuantiles { p05, p50, p80, p95 } = square.error(Calibration::NONE);
+        Ok(ImageError { p05, p50, p80, p95 })
+    }
+
+    /// Work and CPU seconds of a frame with so many camera samples a pixel that shows what `view` says.
+    pub fn cost(&self, view: &View, spp: u32) -> Result<(Quantiles, Quantiles), ShotError> {
+        let factor = f64::from(spp) / f64::from(self.settings.spp);
+        let mut strata = self.strata.clone();
+        let mut frame = [FramePopulation { number: 0, counts: view.counts.clone() }];
+        let of_pixels = self
+            .observations
+            .iter()
+            .map(|seen| Observation { stratum: seen.stratum, cost: seen.cost.times(factor) });
+        let mut observations: Vec<Observation> = of_pixels.collect();
+        // In a smaller image a stratum may have fewer pixels than were profiled of it in this one.
+        let mut least = vec![0; strata.len()];
+        observations.iter().for_each(|seen| least[seen.stratum as usize] += 1);
+        frame[0].counts.iter_mut().zip(least).for_each(|(count, least)| *count = (*count).max(least));
+        let prior_cost = record_prior_cost(&self.settings).unwrap_or(1.0);
+        let apart = RecordStrata::add(&mut strata, &mut frame, &[&view.cache_records], prior_cost);
+        let mut room = view.cache_records.clone();
+        room.fill(0);
+        for record in &self.records {
+            let cost = Cost {
+                work: record.cost.work,
+                cpu_nanos: record.cost.cpu_nanos,
+                rays: record.rays.map(u64::from),
+            };
+            // The same for records.
+            if let Some(room) = room.get_mut(record.level as usize)
+                && *room < view.cache_records[record.level as usize]
+            {
+                *room += 1;
+                observations.push(apart.observation(record.level, cost));
+            }
+        }
+        let Spent { work, cpu_nanos } = view.fixed.total();
+        let fixed = Cost { work, cpu_nanos, rays: view.fixed.plan_rays };
+        let profiled = [ProfiledFrame { frame: 0, observations: &observations, fixed }];
+        let forecast = forecast_shot(&strata, &frame, &profiled, Calibration::NONE)?;
+        let total = &forecast.total;
+        Ok((quantiles(&total.work, 1.0), quantiles(&total.cpu_nanos, 1e-9)))
+    }
+}
+
+/// Profiling as a part of it.
+struct Watching<'a>(&'a dyn AccuracyObserver);
+
+impl Observer for Watching<'_> {
+    fn previewed(&self, _: usize, _: usize) {}
+    fn profiled(&self, _: usize, _: usize) {}
+    fn is_cancelled(&self) -> bool {
+        self.0.cancel().load(Ordering::Relaxed)
+    }
+}

@@ -1,0 +1,85 @@
+//! Errors of settings that are close to others, by the same pixels with both.
+//!
+//! A rung that gathers with more rays, or interpolates, errs as the settings that were asked for do, a little less or more. Seen on pixels of
+//! its own, that little would be lost in the chance of which pixels these are: rare samples that meet a lamp make most of an
+//! image's error. So the scattered pixels of the first pilot are traced with the other settings too, from the same camera samples,
+//! and the drops of all of its pixels scaled by the ratios that these show (two-phase sampling with a ratio estimator: Cochran,
+//! *Sampling Techniques*, 3rd edition 1977, section 12.8).
+
+use super::pilot::Pilot;
+use crate::noise::FrameNoise;
+use crate::renderer::{FrameRenderer, Renderer};
+use crate::shot::ShotError;
+use forelight_forecast::accuracy::{ImageNoise, PixelNoise};
+use forelight_forecast::{ForecastError, Stratum};
+use forelight_protocol::{RenderSettings, Spent};
+use forelight_tracer::Pixel;
+use std::ops::RangeInclusive;
+
+/// Replaces what a pilot without a cache says of the error by what the first one says, scaled.
+pub fn relate(
+    renderer: &dyn Renderer,
+    ready: &dyn FrameRenderer,
+    first: &Pilot,
+    pilot: &mut Pilot,
+) -> Result<(), ShotError> {
+    let pixels = first.noise.scattered_pixels();
+    let traced = ready.trace(pixels);
+    pilot.spent = pilot.spent.plus(cost(&traced));
+    let own = first.noise.with_scattered(traced.into_iter().map(|(_, noise)| noise));
+    let known = if pilot.settings.spp == first.settings.spp {
+        first.noise.scattered_alone()
+    } else {
+        // Ratios are of the same camera samples, or what some of them met by chance would be in one part alone.
+        let alike = RenderSettings { spp: pilot.settings.spp, ..first.settings.clone() };
+        let again = renderer.frame(ready.frame().number, &alike)?;
+        let traced = again.trace(pixels);
+        pilot.spent = pilot.spent.plus(again.spent_on_setup()).plus(cost(&traced));
+        first.noise.with_scattered(traced.into_iter().map(|(_, noise)| noise))
+    };
+    let finer = pilot.settings.ambient_divisions > first.settings.ambient_divisions;
+    let bounds = if finer { LESS_NOISY } else { MORE_NOISY };
+    pilot.noise = scaled(&pilot.noise_strata, &first.noise, &known, &own, bounds)?;
+    Ok(())
+}
+
+/// More rays of a gather, and interpolation of gathers, never add to the variance between camera samples.
+pub const LESS_NOISY: RangeInclusive<f64> = 0.0..=1.0;
+const MORE_NOISY: RangeInclusive<f64> = 1.0..=f64::MAX;
+
+/// `first` with its drops scaled by the ratios of the image's drops that `own` has to those that `known`, the same settings as `first`,
+/// has on the same pixels; ratios that cannot be, which chance has made, are brought within their bounds. Where the two were traced
+/// with fewer camera samples than `first`, the last ratio holds for all further doublings.
+pub fn scaled(
+    strata: &[Stratum],
+    first: &FrameNoise,
+    known: &FrameNoise,
+    own: &FrameNoise,
+    bounds: RangeInclusive<f64>,
+) -> Result<FrameNoise, ForecastError> {
+    let drops = |noise: &FrameNoise| -> Result<Vec<f64>, ForecastError> {
+        Ok(ImageNoise::new(noise.cells(strata, &noise.counts)?)?.drops())
+    };
+    let ratios: Vec<f64> = drops(own)?
+        .iter()
+        .zip(drops(known)?)
+        .map(
+            |(own, known)| {
+                if known > 0.0 { (own / known).clamp(*bounds.start(), *bounds.end()) } else { 1.0 }
+            },
+        )
+        .collect();
+    let mut scaled = first.clone();
+    for sample in &mut scaled.samples {
+        for (k, drop) in sample.noise.drops.iter_mut().enumerate() {
+            *drop *= ratios.get(k).or(ratios.last()).copied().unwrap_or(1.0);
+        }
+    }
+    Ok(scaled)
+}
+
+/// What tracing took.
+pub fn cost(traced: &[(Pixel, PixelNoise)]) -> Spent {
+    let spent = |pixel: &Pixel| Spent { work: pixel.work, cpu_nanos: pixel.cpu_nanos };
+    traced.iter().map(|(pixel, _)| spent(pixel)).fold(Spent::default(), Spent::plus)
+}
