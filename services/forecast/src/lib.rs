@@ -33,6 +33,9 @@
 //! **What is not made of pixels** ([`RecordStrata`]). With an irradiance cache most of a frame's cost is in its records, whose
 //! number is known from planning them. The records of a level are a stratum that stands apart ([`Stratum::apart`]).
 //!
+//! **Against what** ([`Strategy`]). The seven strategies that the paper compares stand behind the same door, so that any of them
+//! can make a quote; six of them know no preview. How they differ in error is measured by `forelight bench paper`.
+//!
 //! # How sure
 //!
 //! The number of samples of a group depends a little on the costs seen first, which biases the pooled mean:
@@ -86,13 +89,16 @@ mod curve;
 mod drift;
 mod error;
 mod estimate;
+mod expansion;
 mod frames;
 mod interval;
 mod moments;
+mod nearest;
 mod random;
 mod records;
 mod shot;
 mod strata;
+mod strategies;
 mod student;
 
 pub use allocate::{Cell, allocate};
@@ -100,8 +106,10 @@ pub use choose::{FrameDesign, Pick};
 pub use cost::{Cost, Costs, Observation, Quantity, RAY_KINDS};
 pub use error::ForecastError;
 pub use estimate::{FrameEstimate, ObjectEstimate, StratumEstimate, by_object, estimate};
+pub use expansion::Expansion;
 pub use frames::{FramePopulation, choose_frames};
 pub use interval::Calibration;
 pub use records::RecordStrata;
 pub use shot::{FrameForecast, ProfiledFrame, ShotForecast, forecast_shot};
 pub use strata::Stratum;
+pub use strategies::{Design, Strategy, predicted_map};
