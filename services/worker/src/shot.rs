@@ -3,11 +3,12 @@
 //! The service does the same steps spread over workers: a preview task is [`count_frames`], a profile task [`profile_frame`],
 //! and choosing and estimating happen in the service. Offline, [`crate::quote`] does all of it.
 
+use crate::quote::QuoteOptions;
 use crate::render::spent;
 use crate::renderer::{Counted, RenderError, Renderer, StratumInfo};
 use crate::warm_clock;
-use forelight_forecast::{Cost, FrameDesign, Observation, Stratum};
-use forelight_preview::NOTHING;
+use forelight_forecast::{Cost, Expansion, Observation, Stratum};
+use forelight_preview::{NOTHING, Preview};
 use forelight_protocol::{CacheMode, FixedCosts, MaterialMode, PreviewBackend, RenderSettings, Spent};
 use forelight_scene::{Frame, MaterialClass};
 use forelight_tracer::{Pixel, Profile, RecordCost};
@@ -114,9 +115,11 @@ pub fn count_frames(
 pub struct ProfiledFrame {
     /// Frame number.
     pub frame: u32,
-    /// Stratum and cost of each profiled pixel, in the order of `traced`; the times are those that it would have taken
+    /// Stratum (of those that the strategy distinguishes) and cost of each profiled pixel, in the order of `traced`; the times are those that it would have taken
     /// in a render (see `warm_clock`).
     pub observations: Vec<Observation>,
+    /// How they stand for all pixels.
+    pub expansion: Expansion,
     /// The profiled pixels, then neighbours that were traced for their time.
     pub traced: Vec<(u32, Pixel)>,
     /// The records of the irradiance cache that were gathered, some of every level; none without a cache.
@@ -168,25 +171,33 @@ impl ProfiledFrame {
 const SAMPLES_PER_RECORD: f64 = 256.0 / 96.0;
 const LEAST_RECORDS: usize = 16;
 
-/// Profiles about `samples` pixels of one frame in two phases: the first spread by strata, the second where the first found
-/// cost and variation; with an irradiance cache also some records of every level. `seed` chooses both; the pixels' own random
-/// numbers come from the settings, as in the render.
+/// How many records of every level are gathered for so many profiled pixels.
+pub fn records_to_sample(samples: u32) -> usize {
+    ((f64::from(samples) / SAMPLES_PER_RECORD) as usize).max(LEAST_RECORDS)
+}
+
+/// What each pixel of a preview shows, in the numbers of [`forecast_strata`]: the background is the last stratum.
+pub fn stratum_ids(preview: &Preview) -> Vec<u32> {
+    let background = preview.pairs.len() as u32;
+    preview.stratum.iter().map(|&s| if s == NOTHING { background } else { s }).collect()
+}
+
+/// Profiles the pixels of one frame that the strategy of `options` picks; Snapshot does so in two phases, the first spread by strata,
+/// the second where the first found cost and variation. With an irradiance cache also some records of every level. The seed of
+/// `options` chooses both; the pixels' own random numbers come from the settings, as in the render.
 pub fn profile_frame(
     renderer: &dyn Renderer,
     frame: u32,
     settings: &RenderSettings,
-    samples: u32,
-    seed: u64,
+    options: &QuoteOptions,
     observer: &dyn Observer,
 ) -> Result<ProfiledFrame, ShotError> {
+    let &QuoteOptions { samples, seed, strategy, .. } = options;
     let ready = renderer.frame(frame, settings)?;
     let seen = ready.preview()?;
     let strata = forecast_strata(&renderer.info().strata, settings);
-    // The background is the last stratum.
-    let background = renderer.info().strata.len() as u32;
-    let ids: Vec<u32> =
-        seen.preview.stratum.iter().map(|&s| if s == NOTHING { background } else { s }).collect();
-    let design = FrameDesign::new(&strata, &ids, settings.width, samples, seed, i64::from(frame))?;
+    let ids = stratum_ids(&seen.preview);
+    let design = strategy.design(&strata, &ids, settings.width, samples, seed, i64::from(frame))?;
     let mut observations = Vec::with_capacity(samples as usize);
     let mut finished = Vec::with_capacity(samples as usize);
     let mut trace = |picks: &[forelight_forecast::Pick], observations: &mut Vec<Observation>| {
@@ -213,14 +224,14 @@ pub fn profile_frame(
     if observer.is_cancelled() {
         return Err(ShotError::Cancelled);
     }
-    let each = (f64::from(samples) / SAMPLES_PER_RECORD) as usize;
-    let records = ready.sample_records(each.max(LEAST_RECORDS), seed);
+    let records = ready.sample_records(records_to_sample(samples), seed);
     let pixels = finished.iter().fold(Spent::default(), |sum, (_, pixel)| {
         sum.plus(Spent { work: pixel.work, cpu_nanos: pixel.cpu_nanos })
     });
     Ok(ProfiledFrame {
         frame,
         observations,
+        expansion: design.expansion().clone(),
         records,
         fixed: ready.fixed(),
         effects: ready.effects(),
@@ -234,6 +245,13 @@ pub fn profile_frame(
     })
 }
 
-fn cost_of(pixel: &Pixel) -> Cost {
+/// What a pixel cost, as the forecast wants it.
+pub fn cost_of(pixel: &Pixel) -> Cost {
     Cost { work: pixel.work, cpu_nanos: pixel.cpu_nanos, rays: pixel.rays.map(u64::from) }
+}
+
+/// What gathering a record cost, as the forecast wants it.
+pub fn cost_of_record(record: &RecordCost) -> Cost {
+    let RecordCost { cost, rays, .. } = record;
+    Cost { work: cost.work, cpu_nanos: cost.cpu_nanos, rays: rays.map(u64::from) }
 }

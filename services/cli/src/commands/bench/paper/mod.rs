@@ -1,0 +1,261 @@
+//! `forelight bench paper`: the paper's experiment, whole: seven strategies and ours, at four ambient levels, with many seeds.
+
+mod chart;
+mod figures;
+mod level;
+mod picture;
+mod report;
+mod trial;
+
+use super::PAPER_SIZE;
+use crate::atomic_file::write_bytes;
+use crate::failure::Interrupted;
+use crate::interrupt::Interrupt;
+use crate::local::Local;
+use crate::options::MachineOptions;
+use crate::output::{self, Bars};
+use anyhow::{Context, Result};
+use figures::File;
+use forelight_forecast::Strategy;
+use forelight_worker::Renderer;
+use level::{Level, Seen, Task, Truth};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use trial::{Columns, Forecast, Outcome, Records, Score};
+
+/// The paper's experiment: eight ways to forecast a frame, at four ambient levels, with many seeds
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight bench paper kitchen/ corridor/
+  forelight bench paper kitchen/ --size 128 --seeds 100 --out kitchen-report/
+  forelight bench paper kitchen/ --out report/ --json > paper.json
+
+The frame is rendered once at each level, with one camera ray a pixel, and every strategy forecasts it from the costs of its pixels, \
+once with each seed. The folder gets report.md, with tables like the paper's 1 to 5 and the ones that it does not print, the \
+pictures of its figures 1 to 9, and the error against the number of profiled pixels as SVG.")]
+pub struct Args {
+    /// Scene bundles: folders or zip files
+    #[arg(required = true, value_name = "BUNDLE")]
+    bundles: Vec<PathBuf>,
+    /// Frame number
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    frame: u32,
+    /// Width and height of the image in pixels
+    #[arg(long, value_name = "PIXELS", default_value_t = PAPER_SIZE, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    size: u32,
+    /// Pixels to profile
+    #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    samples: u32,
+    /// Forecasts by each strategy at each level
+    #[arg(long, value_name = "COUNT", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    seeds: u32,
+    /// Rays of a gather of indirect light, with a cache and without one: 48, 192, 432, 768, ...
+    #[arg(long, value_name = "RAYS", default_value_t = 192, value_parser = clap::value_parser!(u32).range(48..=65_536))]
+    gather_rays: u32,
+    /// Folder for the report
+    #[arg(long, value_name = "DIR", default_value = "report")]
+    out: PathBuf,
+    /// Print the measurements as JSON to standard output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    machine: MachineOptions,
+}
+
+/// Numbers of profiled pixels at which errors are compared.
+const LADDER: [u32; 5] = [16, 64, 256, 1024, 4096];
+
+/// One bundle's frame.
+#[derive(Debug, Serialize)]
+pub struct Study {
+    bundle: String,
+    frame: u32,
+    size: u32,
+    samples: u32,
+    seeds: u32,
+    gather_rays: u32,
+    /// Pairs of object and material that the preview shows, the background among them.
+    strata_seen: usize,
+    levels: Vec<LevelStudy>,
+    curves: Vec<Curve>,
+}
+
+/// One ambient level.
+#[derive(Debug, Serialize)]
+pub struct LevelStudy {
+    level: Level,
+    actual: Columns<f64>,
+    /// Records of the cache, by level.
+    records: Vec<u32>,
+    /// As the paper has its strategies; ours as it is.
+    outcomes: Vec<Outcome>,
+    /// All strategies with the cache's records planned; empty without a cache.
+    planned: Vec<Outcome>,
+}
+
+/// Errors of a strategy by number of profiled pixels.
+#[derive(Debug, Serialize)]
+pub struct Curve {
+    level: Level,
+    strategy: Strategy,
+    /// Pixels profiled, and the errors of work.
+    points: Vec<(usize, Score)>,
+}
+
+impl Curve {
+    /// Pixels profiled, and root mean square of the errors of work.
+    fn points(&self) -> impl Iterator<Item = (f64, f64)> {
+        self.points.iter().map(|(samples, error)| (*samples as f64, error.root_mean_square))
+    }
+}
+
+/// Runs the command.
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    let bars = Bars::new(args.json);
+    let mut studies = Vec::with_capacity(args.bundles.len());
+    let mut files = Vec::new();
+    for (place, bundle) in args.bundles.iter().enumerate() {
+        let local = Local::open(bundle, &args.machine, &bars)?;
+        let folder = slug(place, &local.shot.info().summary.name);
+        let study = study(args, &local, &folder, &mut files, &bars, interrupt);
+        studies.push((folder, study.with_context(|| format!("bundle {}", bundle.display()))?));
+    }
+    // Nothing is written before all is measured.
+    files.push(File { path: "report.md".into(), contents: report::markdown(&studies).into_bytes() });
+    for File { path, contents } in &files {
+        write_bytes(&args.out.join(path), contents)?;
+    }
+    let studies: Vec<Study> = studies.into_iter().map(|(_, study)| study).collect();
+    if args.json {
+        return output::json(&studies);
+    }
+    output::print(&report::summary(&studies))?;
+    output::line(format!("\nThe report is {}.", args.out.join("report.md").display()))
+}
+
+/// Folder of a bundle's pictures: its name as far as it is plain, and its place, so that no two are the same.
+fn slug(place: usize, name: &str) -> String {
+    let plain = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
+    format!("{}-{}", place + 1, name.chars().take(40).map(plain).collect::<String>())
+}
+
+fn study(
+    args: &Args,
+    local: &Local,
+    folder: &str,
+    files: &mut Vec<File>,
+    bars: &Bars,
+    interrupt: &Interrupt,
+) -> Result<Study> {
+    let &Args { frame, size, samples, seeds, gather_rays, .. } = args;
+    for level in Level::ALL {
+        level.settings(size, gather_rays).check().map_err(|wrong| {
+            crate::failure::BadInput::new(format!("--size or --gather-rays: {}", wrong.reason))
+        })?;
+    }
+    let task = Task { local, frame, size, gather_rays, samples, seeds };
+    let (seen, truths) = task.measure(bars, interrupt)?;
+    let trials = Trials { args, local, seen: &seen, interrupt };
+    let uncached = || truths.iter().filter(|truth| !truth.level.is_cached());
+    let steps = truths.len() + uncached().count();
+    let bar = bars.bar("forecasts", (steps * Strategy::ALL.len()) as u64);
+    let done = || bar.inc(1);
+    let mut levels = Vec::with_capacity(truths.len());
+    for truth in &truths {
+        levels.push(trials.at(truth, &done)?);
+    }
+    let mut curves = Vec::new();
+    for truth in uncached() {
+        for strategy in Strategy::ALL {
+            curves.push(trials.curve(strategy, truth)?);
+            done();
+        }
+    }
+    bar.finish_and_clear();
+    files.extend(figures::of(Path::new(folder), &seen, &truths, &curves, size, samples)?);
+    let mut shown = seen.ids.clone();
+    shown.sort_unstable();
+    shown.dedup();
+    Ok(Study {
+        bundle: local.shot.info().summary.name.clone(),
+        frame,
+        size,
+        samples,
+        seeds,
+        gather_rays,
+        strata_seen: shown.len(),
+        levels,
+        curves,
+    })
+}
+
+/// Forecasts of one frame.
+struct Trials<'a> {
+    args: &'a Args,
+    local: &'a Local,
+    seen: &'a Seen,
+    interrupt: &'a Interrupt,
+}
+
+impl Trials<'_> {
+    /// All seeds, in their order.
+    fn all(
+        &self,
+        strategy: Strategy,
+        records: Records,
+        truth: &Truth,
+        samples: u32,
+    ) -> Result<Vec<Forecast>> {
+        let one = |seed: u32| {
+            if self.interrupt.is_set() {
+                return Err(Interrupted.into());
+            }
+            trial::forecast(strategy, records, (self.seen, truth), self.args.size, samples, seed.into())
+        };
+        self.local.pool.install(|| (0..self.args.seeds).into_par_iter().map(one).collect())
+    }
+
+    fn at(&self, truth: &Truth, done: &dyn Fn()) -> Result<LevelStudy> {
+        let actual = Columns::of(&truth.total());
+        let outcome = |strategy, records| -> Result<Outcome> {
+            let forecasts = self.all(strategy, records, truth, self.args.samples)?;
+            Ok(Outcome::new(strategy, records, &forecasts, actual))
+        };
+        let mut outcomes = Vec::with_capacity(Strategy::ALL.len());
+        let mut planned = Vec::new();
+        for strategy in Strategy::ALL {
+            let as_it_is = if strategy == Strategy::Snapshot { Records::Planned } else { Records::Unknown };
+            outcomes.push(outcome(strategy, as_it_is)?);
+            if truth.level.is_cached() {
+                planned.push(outcome(strategy, Records::Planned)?);
+            }
+            done();
+        }
+        Ok(LevelStudy { level: truth.level, actual, records: truth.records.clone(), outcomes, planned })
+    }
+
+    fn curve(&self, strategy: Strategy, truth: &Truth) -> Result<Curve> {
+        let actual = truth.total().work as f64;
+        let pixels = self.seen.ids.len();
+        let mut points = Vec::with_capacity(LADDER.len());
+        for samples in LADDER.into_iter().filter(|&samples| samples as usize <= pixels) {
+            let forecasts = self.all(strategy, Records::Unknown, truth, samples)?;
+            let picks = forecasts.first().map_or(0, |forecast| forecast.picks);
+            points.push((picks, Score::new(forecasts.iter().map(|f| f.mean.work), actual)));
+        }
+        Ok(Curve { level: truth.level, strategy, points })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folders_are_plain_and_never_the_same() {
+        assert_eq!(slug(0, "A kitchen/../x"), "1-a-kitchen----x");
+        assert_ne!(slug(0, "same"), slug(1, "same"));
+    }
+}
