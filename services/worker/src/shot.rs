@@ -252,6 +252,10 @@ pub fn cost_of(pixel: &Pixel) -> Cost {
 
 /// What gathering a record cost, as the forecast wants it.
 pub fn cost_of_record(record: &RecordCost) -> Cost {
-    let RecordCost { cost, rays, .. } = record;
+    cost_of_gather(record.cost, record.rays)
+}
+
+/// The same of its parts.
+pub fn cost_of_gather(cost: forelight_tracer::Cost, rays: [u32; 7]) -> Cost {
     Cost { work: cost.work, cpu_nanos: cost.cpu_nanos, rays: rays.map(u64::from) }
 }

@@ -52,7 +52,7 @@ fn panel<'a>(area: &Area<'a>, title: &str, curves: &[&Curve]) -> Result<(), Fail
         )?;
     chart
         .configure_mesh()
-        .light_line_style(RGBColor(240, 240, 240))
+        .max_light_lines(0)
         .bold_line_style(RGBColor(215, 215, 215))
         .x_desc("profiled pixels")
         .y_desc("root mean square error of work, %")

@@ -1,10 +1,10 @@
 //! The files of the paper's figures.
 
-use super::level::{Level, Seen, Truth};
+use super::level::{Level, Seen, Truth, mean_record};
 use super::picture::{Paint, Scale, key, map, positions};
 use super::{Curve, chart};
 use anyhow::Result;
-use forelight_forecast::{Strategy, predicted_map};
+use forelight_forecast::{Cost, Costs, Strategy, predicted_map};
 use forelight_worker::png;
 use image::RgbImage;
 use std::path::{Path, PathBuf};
@@ -91,23 +91,33 @@ pub fn of(
         }
     }
     for truth in truths {
-        let value = |shown, work: f64, rays: f64| if shown == Shown::Cost { work } else { rays };
+        let value =
+            |shown, costs: &Costs<f64>| if shown == Shown::Cost { costs.work } else { costs.all_rays };
         let truly = |shown| -> Vec<f64> {
-            let rays = |cost: &forelight_forecast::Cost| cost.rays.iter().sum::<u64>() as f64;
-            truth.drawn.iter().map(|cost| value(shown, cost.work as f64, rays(cost))).collect()
+            let mut values: Vec<f64> =
+                truth.pixels.iter().map(|cost| value(shown, &as_costs(cost))).collect();
+            for (pixel, record) in &truth.seen_records {
+                values[*pixel as usize] += value(shown, &as_costs(record));
+            }
+            values
         };
         let scales = Shown::ALL.map(|shown| Scale::of(&truly(shown)));
         for (shown, scale) in Shown::ALL.into_iter().zip(scales) {
             add(map_file(shown, truth.level, None), &map(size, &truly(shown), scale, shown.paint()))?;
         }
+        let one_record = mean_record(&truth.sampled_records[..truth.sampled_records.len().min(1)]);
         for &strategy in mapped(truth.level) {
-            // Ours reads the planned cache, the others meet an empty one.
-            let costs = if strategy == Strategy::Snapshot { &truth.pixels } else { &truth.cold };
+            // Ours reads the planned cache and knows where its records are; the others meet an empty one.
+            let ours = strategy == Strategy::Snapshot;
+            let costs = if ours { &truth.pixels } else { &truth.cold };
             let design = strategy.design(&seen.strata, &seen.ids, size, samples, 0, 0)?;
             let (picks, observations) = design.profile(|pixel| costs[pixel as usize])?;
             let predicted = predicted_map(strategy, &design, &seen.ids, size, &picks, &observations)?;
             for (shown, scale) in Shown::ALL.into_iter().zip(scales) {
-                let values: Vec<f64> = predicted.iter().map(|c| value(shown, c.work, c.all_rays)).collect();
+                let mut values: Vec<f64> = predicted.iter().map(|costs| value(shown, costs)).collect();
+                for (pixel, _) in truth.seen_records.iter().filter(|_| ours) {
+                    values[*pixel as usize] += value(shown, &one_record);
+                }
                 let picture = map(size, &values, scale, shown.paint());
                 add(map_file(shown, truth.level, Some(strategy)), &picture)?;
             }
@@ -122,4 +132,13 @@ pub fn of(
     }
     files.push(File { path: folder.join("samples.svg"), contents: chart::draw(&panels)?.into_bytes() });
     Ok(files)
+}
+
+fn as_costs(cost: &Cost) -> Costs<f64> {
+    Costs {
+        work: cost.work as f64,
+        cpu_nanos: cost.cpu_nanos as f64,
+        all_rays: cost.rays.iter().sum::<u64>() as f64,
+        rays: cost.rays.map(|rays| rays as f64),
+    }
 }

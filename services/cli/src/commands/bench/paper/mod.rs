@@ -3,6 +3,7 @@
 mod chart;
 mod figures;
 mod level;
+mod noise;
 mod picture;
 mod report;
 mod trial;
@@ -51,6 +52,9 @@ pub struct Args {
     /// Forecasts by each strategy at each level
     #[arg(long, value_name = "COUNT", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     seeds: u32,
+    /// Renders at each level, of whose CPU times the median counts, pixel by pixel
+    #[arg(long, value_name = "TIMES", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=99))]
+    repeats: u32,
     /// Rays of a gather of indirect light, with a cache and without one: 48, 192, 432, 768, ...
     #[arg(long, value_name = "RAYS", default_value_t = 192, value_parser = clap::value_parser!(u32).range(48..=65_536))]
     gather_rays: u32,
@@ -87,6 +91,8 @@ pub struct Study {
 pub struct LevelStudy {
     level: Level,
     actual: Columns<f64>,
+    /// The least root mean square error of work that pixels of known surfaces can have: see [`noise::floor`].
+    noise_floor: f64,
     /// Records of the cache, by level.
     records: Vec<u32>,
     /// As the paper has its strategies; ours as it is.
@@ -149,13 +155,13 @@ fn study(
     bars: &Bars,
     interrupt: &Interrupt,
 ) -> Result<Study> {
-    let &Args { frame, size, samples, seeds, gather_rays, .. } = args;
+    let &Args { frame, size, samples, seeds, repeats, gather_rays, .. } = args;
     for level in Level::ALL {
         level.settings(size, gather_rays).check().map_err(|wrong| {
             crate::failure::BadInput::new(format!("--size or --gather-rays: {}", wrong.reason))
         })?;
     }
-    let task = Task { local, frame, size, gather_rays, samples, seeds };
+    let task = Task { local, frame, size, gather_rays, samples, seeds, repeats };
     let (seen, truths) = task.measure(bars, interrupt)?;
     let trials = Trials { args, local, seen: &seen, interrupt };
     let uncached = || truths.iter().filter(|truth| !truth.level.is_cached());
@@ -233,7 +239,16 @@ impl Trials<'_> {
             }
             done();
         }
-        Ok(LevelStudy { level: truth.level, actual, records: truth.records.clone(), outcomes, planned })
+        let Args { size, samples, .. } = self.args;
+        let noise_floor = noise::floor(&self.seen.ids, *size, &truth.pixels, *samples, actual.work);
+        Ok(LevelStudy {
+            level: truth.level,
+            actual,
+            noise_floor,
+            records: truth.records.clone(),
+            outcomes,
+            planned,
+        })
     }
 
     fn curve(&self, strategy: Strategy, truth: &Truth) -> Result<Curve> {

@@ -18,7 +18,8 @@ pub fn markdown(studies: &[(String, Study)]) -> String {
     let mut text = String::from(INTRODUCTION);
     text += "\n## In short\n\nRoot mean square error of a frame's work over the seeds, in percent. \
              *Best blind* is the best of the six strategies that know no preview. With a cache all but ours are as in the paper: \
-             they cannot know the records.\n\n";
+             they cannot know the records. The *noise floor* is what would be left with all known but the noise between neighbouring \
+             pixels of one surface, and the best possible allocation.\n\n";
     text += &short(studies.iter().map(|(_, study)| study)).markdown();
     for (folder, study) in studies {
         scene(&mut text, folder, study);
@@ -39,14 +40,15 @@ Gillibrand, Longhurst, Debattista and Chalmers, *Cost Prediction for Global Illu
 them on our scenes, beside ours, with many seeds.
 
 * Every frame was rendered once at each ambient level, with one camera ray a pixel and the cost of every pixel; forecasts take these \
-costs as what profiling measures. Work is a deterministic count of operations; CPU time is what this machine made of it.
+costs as what profiling measures. Work is a deterministic count of operations; CPU time is what this machine made of it, a pixel's the \
+median of several renders.
 * With seed 0, grid, Halton and Hammersley are the paper's points; other seeds move them, and around at the border, by a \
 random vector.
 * *Snapshot, the paper's* has a pixel for every object and material and the rest by size, which the paper leaves open; its \
 estimate is the paper's. *Snapshot, ours* joins small strata, spreads its pixels along a curve, and places the second half by what the \
 first cost.
-* With a cache the paper's strategies profile into an empty cache: a profiled pixel gathers its hemisphere for itself, as without a cache. \
-Ours plans the cache first: it knows the number of records, gathers some, and its pixels only read. What the paper never did is \
+* With a cache the paper's strategies profile into an empty cache: a profiled pixel gathers its hemisphere for itself, as without a cache (with \
+two bounces its rays read a second level that is taken to be there, which is in their favour). Ours plans the cache first: it knows the number of records, gathers some, and its pixels only read. What the paper never did is \
 the table after: its strategies with planned records.
 ";
 
@@ -59,8 +61,9 @@ fn short<'a>(studies: impl Iterator<Item = &'a Study>) -> Table {
         ("Snapshot, the paper's", Align::Right),
         ("Snapshot, ours", Align::Right),
         ("ours / best blind", Align::Right),
+        ("noise floor", Align::Right),
         ("ours, mean |error|", Align::Right),
-        ("CPU time", Align::Right),
+        ("of CPU time", Align::Right),
     ]);
     for study in studies {
         for level in &study.levels {
@@ -82,6 +85,7 @@ fn short<'a>(studies: impl Iterator<Item = &'a Study>) -> Table {
                 root(paper),
                 root(ours),
                 if ratio.is_finite() { format!("{ratio:.2}") } else { "-".into() },
+                if level.level.is_cached() { "-".into() } else { share(level.noise_floor) },
                 share(error(ours).mean_absolute),
                 share(ours.error.cpu_seconds.mean_absolute),
             ]);
@@ -129,7 +133,7 @@ fn scene(text: &mut String, folder: &str, study: &Study) {
     for level in Level::ALL {
         let _ = write!(text, "\n### Maps: {}\n\n", level.title());
         text.push_str(if level.is_cached() {
-            "The truth shows each record of the first level at the pixel where it is seen; predictions are of the pixels alone. "
+            "The truth shows each record of the first level at the pixel where it is seen, and so does our prediction, which has them planned. "
         } else {
             "Blind predictions give each pixel the cost of the nearest profiled one; those by preview the mean of what it shows. "
         });
