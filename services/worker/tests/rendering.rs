@@ -1,5 +1,6 @@
 //! The tasks, done by our renderer on a room that is written here.
 
+use forelight_forecast::Strategy;
 use forelight_preview::Choice;
 use forelight_protocol::{
     BundleSource, CacheMode, JobId, PreviewSpec, ProfileSpec, Quantiles, RenderSettings,
@@ -317,6 +318,30 @@ fn a_quote_from_all_pixels_is_the_render_to_the_last_operation() {
     }
     assert_eq!(quoted.document.total.work.mean, total as f64);
     assert_eq!(quoted.document.profiled.pixels, 3 * 32 * 24);
+}
+
+#[test]
+fn every_strategy_quotes_a_shot_and_from_all_pixels_exactly() {
+    let rig = Rig::new();
+    let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
+    let work = |strategy: Strategy, samples: u32| {
+        let options = QuoteOptions { samples, profile_frames: 2, seed: 3, strategy };
+        let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
+        assert!(quoted.document.profiled.pixels <= 2 * u64::from(samples), "{strategy:?}");
+        quoted.document
+    };
+    let all = work(Strategy::Snapshot, 32 * 24);
+    for strategy in Strategy::ALL {
+        let exact = work(strategy, 32 * 24);
+        assert_eq!(exact.profiled.frames, all.profiled.frames, "{strategy:?}");
+        for frame in &all.profiled.frames {
+            let [one, other] = [&exact, &all].map(|document| document.frames[*frame as usize].work);
+            assert_eq!([one.mean, one.p95], [other.mean, other.p95], "{strategy:?}, frame {frame}");
+        }
+        let few = work(strategy, 48).total.work;
+        assert!(few.p95 > few.mean, "{strategy:?}: {few:?}");
+        assert!((few.mean / all.total.work.mean - 1.0).abs() < 0.4, "{strategy:?}: {few:?}");
+    }
 }
 
 #[test]

@@ -267,6 +267,81 @@ impl Trials<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    /// Runs the experiment on a floor with a block on it, under a lamp or in the dark; the report, and the measurements.
+    fn experiment(lamp: &str, flags: &[&str]) -> (tempfile::TempDir, Vec<(String, Study)>) {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = format!(
+            r#"{{"version":1,"name":"a|block","geometry":["t.obj"],"lights":[{lamp}],
+            "camera":{{"origin":[0,3,6],"target":[0,0,0],"up":[0,1,0],"fov_deg":50,"fov_axis":"x","width":4,"height":4}}}}"#
+        );
+        std::fs::write(folder.path().join("scene.json"), scene).unwrap();
+        let mesh = "o floor\nv -9 0 -9\nv 9 0 -9\nv 9 0 9\nv -9 0 9\nf 1 4 3 2\n\
+                    o block\nv -1 0 0\nv 1 0 0\nv 1 2 0\nv -1 2 0\nf 5 6 7 8\n";
+        std::fs::write(folder.path().join("t.obj"), mesh).unwrap();
+        let (bundle, out) = (folder.path().display().to_string(), folder.path().join("report"));
+        let out = out.display().to_string();
+        let fixed = ["paper", &bundle, "--out", &out, "--json", "--preview", "cpu", "--gather-rays", "48"];
+        let command = Command::parse_from(fixed.iter().chain(flags));
+        let bars = Bars::new(true);
+        let local = Local::open(folder.path(), &command.args.machine, &bars).unwrap();
+        let mut files = Vec::new();
+        let study = study(&command.args, &local, "1-t", &mut files, &bars, &Interrupt::default()).unwrap();
+        let studies = vec![("1-t".to_owned(), study)];
+        run(&command.args, &Interrupt::default()).unwrap();
+        (folder, studies)
+    }
+
+    const LAMP: &str = r#"{"type":"point","position":[2,5,3],"intensity":[40,40,40]}"#;
+
+    #[test]
+    fn the_experiment_writes_a_whole_report_and_every_number_of_it_is_one() {
+        for (lamp, flags) in [
+            (LAMP, ["--size", "24", "--samples", "40", "--seeds", "3"]),
+            ("", ["--size", "1", "--samples", "1000", "--seeds", "1"]),
+        ] {
+            let (folder, studies) = experiment(lamp, &flags);
+            let out = folder.path().join("report");
+            let report = std::fs::read_to_string(out.join("report.md")).unwrap();
+            for word in ["NaN", "inf ", "inf%"] {
+                assert!(!report.contains(word), "{report}");
+            }
+            let pictures: Vec<&str> = report
+                .match_indices("](")
+                .map(|(at, _)| {
+                    let rest = &report[at + 2..];
+                    &rest[..rest.find(')').unwrap()]
+                })
+                .collect();
+            assert!(pictures.len() > 60);
+            for picture in pictures {
+                assert!(out.join(picture).is_file(), "{picture}");
+            }
+            let text = serde_json::to_string(&studies).unwrap();
+            assert!(!text.contains("null,\"work\"") && !text.contains("NaN"), "{text}");
+            assert_eq!(studies[0].1.levels.len(), 4);
+        }
+    }
+
+    #[test]
+    fn as_many_samples_as_pixels_leave_no_error_but_that_of_the_records() {
+        let (_folder, studies) = experiment(LAMP, &["--size", "12", "--samples", "144", "--seeds", "2"]);
+        for level in &studies[0].1.levels {
+            assert!(level.actual.work > 0.0);
+            for outcome in level.outcomes.iter().filter(|_| !level.level.is_cached()) {
+                let error = outcome.error.work;
+                assert!(error.largest < 1e-12, "{:?} {:?}: {error:?}", level.level, outcome.strategy);
+            }
+            assert_eq!(level.records.is_empty(), !level.level.is_cached());
+        }
+    }
 
     #[test]
     fn folders_are_plain_and_never_the_same() {
