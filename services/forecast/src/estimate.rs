@@ -176,8 +176,8 @@ impl FrameFit {
         let samples = of_pixels.map(|(moments, _)| moments.count).sum();
         let grouping = match expansion {
             Expansion::Groups => Grouping::new(strata, counts, samples),
-            Expansion::EachStratum => Grouping::of_each(strata, counts),
-            _ => Grouping::new(strata, counts, 1),
+            Expansion::EachStratum | Expansion::Neighbours => Grouping::of_each(strata, counts),
+            Expansion::Flat | Expansion::Areas(_) => Grouping::new(strata, counts, 1),
         };
         let mut joined = vec![Moments::default(); grouping.groups.len()];
         for (h, moments) in moments.iter().enumerate() {
@@ -195,13 +195,20 @@ impl FrameFit {
             (0..joined.len()).map(|group| fit_group(&grouping, &joined, group)).collect();
         if *expansion != Expansion::Groups {
             let of_pixels = || observations.iter().filter(|o| !strata[o.stratum as usize].apart);
-            let known = Known {
-                total: expansion.total_by_areas(pixels_of(&groups), of_pixels())?,
-                variance: expansion.successive_variance(of_pixels()),
-            };
-            let of_all = expansion.is_of_all();
-            for (fit, own) in groups.iter_mut().zip(&joined).filter(|(fit, _)| !fit.apart) {
-                fit.as_in_textbooks(own, &joined, &known, of_all);
+            let total = expansion.total_by_areas(pixels_of(&groups), of_pixels())?;
+            let variances = expansion.successive_variances(strata.len(), observations);
+            // What stands apart lends nothing to pixels.
+            let alike: Vec<Moments> = joined
+                .iter()
+                .zip(&groups)
+                .filter(|(_, fit)| !fit.apart)
+                .map(|(own, _)| own.clone())
+                .collect();
+            for (g, (fit, own)) in groups.iter_mut().zip(&joined).enumerate().filter(|(_, (f, _))| !f.apart) {
+                // Where differences are taken, a stratum is a group.
+                let stratum = grouping.of.iter().position(|of| *of == Some(g));
+                let variance = stratum.and_then(|h| variances.get(h).copied().flatten());
+                fit.as_in_textbooks(own, &alike, total.filter(|_| expansion.is_of_all()), variance);
             }
         }
         let means = unit_costs(counts, &moments, &grouping, &groups);
@@ -234,17 +241,17 @@ fn pixels_of(groups: &[GroupFit]) -> u64 {
     groups.iter().filter(|group| !group.apart).map(|group| group.pixels).sum()
 }
 
-/// What is known of the only group of pixels by other means than its moments.
-struct Known {
-    total: Option<Row>,
-    /// Of one observation.
-    variance: Option<Row>,
-}
-
 impl GroupFit {
     /// Makes of a group's fit what the expansions other than [`Expansion::Groups`] say: no tail allowance, means that are not
-    /// drawn towards those of others, and of the only group (`of_all`) what is known by other means.
-    fn as_in_textbooks(&mut self, own: &Moments, joined: &[Moments], known: &Known, of_all: bool) {
+    /// drawn towards those of others, and the total of all columns or the variance of one observation where these are known by other
+    /// means.
+    fn as_in_textbooks(
+        &mut self,
+        own: &Moments,
+        alike: &[Moments],
+        total: Option<Row>,
+        variance: Option<Row>,
+    ) {
         self.influence = [0.0; COLUMNS];
         let size = self.pixels as f64;
         let unseen = 1.0 - own.count as f64 / size;
@@ -253,7 +260,7 @@ impl GroupFit {
         }
         for column in 0..COLUMNS {
             if own.count < 2
-                && let Some(pool) = Pool::new(joined.iter(), column)
+                && let Some(pool) = Pool::new(alike.iter(), column)
             {
                 let (mean, variance) = match own.count {
                     0 => (pool.mean, pool.between + pool.within / pool.samples),
@@ -262,10 +269,10 @@ impl GroupFit {
                 (self.mean[column], self.variance[column]) = (mean, unseen * variance);
                 self.total[column] = size * mean;
             }
-            if let Some(variance) = known.variance.filter(|_| of_all) {
+            if let Some(variance) = variance {
                 self.variance[column] = unseen * variance[column] / own.count as f64;
             }
-            if let Some(total) = known.total.filter(|_| of_all) {
+            if let Some(total) = total {
                 self.total[column] = total[column];
                 self.mean[column] = total[column] / size;
             }

@@ -17,9 +17,9 @@ pub enum Expansion {
     EachStratum,
     /// By all pixels: N ȳ, with the variance N² (1 − n/N) s² / n of a simple random sample (Cochran 1977, section 2.6).
     Flat,
-    /// By all pixels: N ȳ. Successive observations are those of neighbouring cells, and the variance is that of a sample with a
-    /// stratum for every two of them, N² (1 − n/N) / n · Σ (y_(i+1) − y_i)² / (2 (n − 1)) (successive differences: Cochran
-    /// 1977, section 8.11).
+    /// By strata: Σ N_h ȳ_h. Successive observations of a stratum are neighbours in some order along which it was sampled
+    /// systematically, and its variance is that of a sample with a stratum for every two of them, N_h² (1 − n_h/N_h) / n_h ·
+    /// Σ (y_(i+1) − y_i)² / (2 (n_h − 1)) (successive differences: Cochran 1977, section 8.11).
     Neighbours,
     /// By the pixels that each observation stands for, in the order of the observations: Σ a_i y_i. With the variance of
     /// [`Expansion::Flat`] in place of its own, which is not known.
@@ -29,7 +29,7 @@ pub enum Expansion {
 impl Expansion {
     /// Whether all pixels are one group to it.
     pub(crate) fn is_of_all(&self) -> bool {
-        matches!(self, Expansion::Flat | Expansion::Neighbours | Expansion::Areas(_))
+        matches!(self, Expansion::Flat | Expansion::Areas(_))
     }
 
     /// Total by the areas, if there are any. `observations` are those of pixels.
@@ -55,27 +55,31 @@ impl Expansion {
         Ok(Some(total.map(|sum| sum as f64)))
     }
 
-    /// Variance of one observation by differences of successive ones, if that is how it is seen and there are two.
-    pub(crate) fn successive_variance<'a>(
+    /// Variance of one observation of each stratum by differences of successive ones, if that is how they are seen; none for a stratum
+    /// with less than two.
+    pub(crate) fn successive_variances(
         &self,
-        observations: impl Iterator<Item = &'a Observation>,
-    ) -> Option<Row> {
+        strata: usize,
+        observations: &[Observation],
+    ) -> Vec<Option<Row>> {
         if *self != Expansion::Neighbours {
-            return None;
+            return Vec::new();
         }
-        let mut squares = [0.0; COLUMNS];
-        let mut pairs = 0u64;
-        let mut before: Option<Row> = None;
+        let mut squares = vec![([0.0; COLUMNS], 0u64); strata];
+        let mut before: Vec<Option<Row>> = vec![None; strata];
         for observation in observations {
+            let stratum = observation.stratum as usize;
             let row = observation.cost.columns().map(|value| value as f64);
-            if let Some(before) = before {
-                pairs += 1;
-                for (sum, (one, other)) in squares.iter_mut().zip(row.iter().zip(&before)) {
+            if let Some(before) = before[stratum].replace(row) {
+                let (sums, pairs) = &mut squares[stratum];
+                *pairs += 1;
+                for (sum, (one, other)) in sums.iter_mut().zip(row.iter().zip(&before)) {
                     *sum += (one - other) * (one - other);
                 }
             }
-            before = Some(row);
         }
-        (pairs > 0).then(|| squares.map(|sum| sum / (2 * pairs) as f64))
+        let variance =
+            |(sums, pairs): (Row, u64)| (pairs > 0).then(|| sums.map(|sum| sum / (2 * pairs) as f64));
+        squares.into_iter().map(variance).collect()
     }
 }

@@ -69,12 +69,16 @@ pub fn quote(
     observer: &dyn Observer,
 ) -> Result<Quote, ShotError> {
     let strategy = options.strategy;
-    let mut strata = strategy.strata(&forecast_strata(&renderer.info().strata, settings));
+    let shown = forecast_strata(&renderer.info().strata, settings);
+    let mut strata = strategy.strata(&shown);
     let counted = count_frames(renderer, frames, settings, observer)?;
     let mut populations: Vec<FramePopulation> = frames
         .iter()
         .zip(&counted.counts)
-        .map(|(&frame, counts)| FramePopulation { number: i64::from(frame), counts: strategy.counts(counts) })
+        .map(|(&frame, counts)| FramePopulation {
+            number: i64::from(frame),
+            counts: strategy.counts(&shown, counts),
+        })
         .collect();
     let records: Vec<&[u32]> = counted.cache_records.iter().map(Vec::as_slice).collect();
     let prior_cost = record_prior_cost(settings).unwrap_or(1.0);

@@ -1,4 +1,4 @@
-//! The seven strategies that the paper compares (its section 4), and ours, behind one door.
+//! The seven strategies that the paper compares (its section 4), and two of ours, behind one door.
 //!
 //! A strategy says which pixels of a frame are profiled, and how what they cost is expanded to all pixels:
 //!
@@ -11,6 +11,7 @@
 //! | [`Strategy::Random`] | any pixels | flat mean | that of a simple random sample |
 //! | [`Strategy::RandomArea`] | the same | by the area that is nearest to each | none known |
 //! | [`Strategy::PaperSnapshot`] | one for every object and material, the rest by size | by object and material | by stratum |
+//! | [`Strategy::Systematic`] | every so many-th along objects and materials, by expected cost | by expected cost | differences of neighbours along the order |
 //! | [`Strategy::Snapshot`] | [`FrameDesign`]'s | by groups of objects and materials | by group, with a tail allowance |
 //!
 //! The first six are *blind*: they know no preview, and to them a frame is one stratum. Where no variance is known, that of a simple
@@ -26,10 +27,12 @@
 //! | `sequence` | Halton, Hammersley |
 //! | `uniform` | random |
 //! | `snapshot` | the paper's Snapshot |
+//! | `systematic` | every so many-th pixel of an order |
 
 mod cells;
 mod sequence;
 mod snapshot;
+mod systematic;
 mod uniform;
 
 use serde::{Deserialize, Serialize};
@@ -64,13 +67,16 @@ pub enum Strategy {
     /// The paper's strategy 7, as it states it.
     #[serde(rename = "snapshot-paper")]
     PaperSnapshot,
+    /// By the preview, but in one pass and without strata of single objects: one order of all pixels, sampled systematically.
+    #[serde(rename = "snapshot-systematic")]
+    Systematic,
     /// Ours: what this crate's documentation describes.
     Snapshot,
 }
 
 impl Strategy {
     /// All of them, in the paper's order.
-    pub const ALL: [Strategy; 8] = [
+    pub const ALL: [Strategy; 9] = [
         Strategy::RegularGrid,
         Strategy::Jittered,
         Strategy::Halton,
@@ -78,6 +84,7 @@ impl Strategy {
         Strategy::Random,
         Strategy::RandomArea,
         Strategy::PaperSnapshot,
+        Strategy::Systematic,
         Strategy::Snapshot,
     ];
 
@@ -91,6 +98,7 @@ impl Strategy {
             Strategy::Random => "random",
             Strategy::RandomArea => "random-area",
             Strategy::PaperSnapshot => "snapshot-paper",
+            Strategy::Systematic => "snapshot-systematic",
             Strategy::Snapshot => "snapshot",
         }
     }
@@ -105,6 +113,7 @@ impl Strategy {
             Strategy::Random => "Random, average",
             Strategy::RandomArea => "Random, area weighted",
             Strategy::PaperSnapshot => "Snapshot, the paper's",
+            Strategy::Systematic => "Snapshot, systematic",
             Strategy::Snapshot => "Snapshot, ours",
         }
     }
@@ -121,6 +130,9 @@ impl Strategy {
             Strategy::PaperSnapshot => {
                 "By the ID preview as the paper states it: a pixel for every object and material, the rest by size"
             }
+            Strategy::Systematic => {
+                "By the ID preview in one pass: every so many-th pixel along materials and objects, more where cost is expected"
+            }
             Strategy::Snapshot => {
                 "By what the ID preview shows: strata of object and material, in two phases"
             }
@@ -129,7 +141,7 @@ impl Strategy {
 
     /// Whether it knows nothing of the preview.
     pub const fn is_blind(self) -> bool {
-        !matches!(self, Strategy::PaperSnapshot | Strategy::Snapshot)
+        !matches!(self, Strategy::PaperSnapshot | Strategy::Systematic | Strategy::Snapshot)
     }
 
     /// Whether the variance of its estimates is its own, and not that of a simple random sample in its place.
@@ -139,15 +151,24 @@ impl Strategy {
 
     /// What it distinguishes of the strata that a preview can show (and that do not stand apart).
     pub fn strata(self, strata: &[Stratum]) -> Vec<Stratum> {
-        if self.is_blind() { vec![Stratum::background(1.0)] } else { strata.to_vec() }
+        match self {
+            Strategy::PaperSnapshot | Strategy::Snapshot => strata.to_vec(),
+            Strategy::Systematic => systematic::classes(strata).0,
+            _ => vec![Stratum::background(1.0)],
+        }
     }
 
     /// Pixels of what it distinguishes, from the pixels of all strata.
-    pub fn counts(self, counts: &[u32]) -> Vec<u32> {
-        if self.is_blind() {
-            vec![counts.iter().fold(0, |sum, &n| sum.saturating_add(n))]
-        } else {
-            counts.to_vec()
+    pub fn counts(self, strata: &[Stratum], counts: &[u32]) -> Vec<u32> {
+        match self {
+            Strategy::PaperSnapshot | Strategy::Snapshot => counts.to_vec(),
+            Strategy::Systematic => {
+                let (classes, of) = systematic::classes(strata);
+                let mut sums = vec![0u32; classes.len()];
+                of.iter().zip(counts).for_each(|(&class, &n)| sums[class as usize] += n);
+                sums
+            }
+            _ => vec![counts.iter().fold(0, |sum, &n| sum.saturating_add(n))],
         }
     }
 
@@ -194,6 +215,15 @@ impl Strategy {
                 let picks = snapshot::as_stated(&counts, stratum_ids, samples, counters);
                 return Ok(by_preview(Picks::Known(picks), Expansion::EachStratum));
             }
+            Strategy::Systematic => {
+                let picks = systematic::picks(strata, &counts, stratum_ids, image, samples, counters);
+                return Ok(Design {
+                    strata: self.strata(strata),
+                    counts: self.counts(strata, &counts),
+                    picks: Picks::Known(picks),
+                    expansion: Expansion::Neighbours,
+                });
+            }
             Strategy::Snapshot => {
                 let design = FrameDesign::new(strata, stratum_ids, width, samples, seed, frame)?;
                 return Ok(by_preview(Picks::TwoPhases(Box::new(design)), Expansion::Groups));
@@ -202,7 +232,7 @@ impl Strategy {
         let picks = pixels.into_iter().map(|pixel| Pick { pixel, stratum: 0 }).collect();
         Ok(Design {
             strata: self.strata(strata),
-            counts: self.counts(&counts),
+            counts: self.counts(strata, &counts),
             picks: Picks::Known(picks),
             expansion,
         })
@@ -306,14 +336,14 @@ impl Design {
 }
 
 /// What a strategy thinks that each pixel costs, for a picture of it: by the preview, the mean of what the pixel shows; blindly, the
-/// cost of the profiled pixel that is nearest. `stratum_ids` and `width` are those of the design; nothing is predicted where there
-/// are no observations.
+/// cost of the profiled pixel that is nearest. `strata`, `stratum_ids` and `width` are those that `design` was made for.
 ///
 /// # Errors
 /// As of [`Design::estimate`].
 pub fn predicted_map(
     strategy: Strategy,
     design: &Design,
+    strata: &[Stratum],
     stratum_ids: &[u32],
     width: u32,
     picks: &[Pick],
@@ -327,7 +357,18 @@ pub fn predicted_map(
         };
         return Ok(nearest(width, stratum_ids.len(), &pixels).into_iter().map(cost).collect());
     }
-    let means = design.estimate(observations, Calibration::NONE)?.strata;
+    let means = if strategy == Strategy::Systematic {
+        // It expands by class alone, but knows what its pixels show.
+        let counts = count_pixels(strata, stratum_ids, width, 0)?;
+        let shown: Vec<Observation> = picks
+            .iter()
+            .zip(observations)
+            .map(|(pick, observed)| Observation { stratum: stratum_ids[pick.pixel as usize], ..*observed })
+            .collect();
+        FrameFit::new(strata, 0, &counts, &shown, &Expansion::Groups)?.strata
+    } else {
+        design.estimate(observations, Calibration::NONE)?.strata
+    };
     Ok(stratum_ids.iter().map(|&stratum| means[stratum as usize].mean).collect())
 }
 

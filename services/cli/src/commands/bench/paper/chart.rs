@@ -95,6 +95,7 @@ fn style(strategy: Strategy) -> (RGBColor, u32) {
         Strategy::Random => (RGBColor(120, 120, 120), 1),
         Strategy::RandomArea => (RGBColor(230, 159, 0), 1),
         Strategy::PaperSnapshot => (RGBColor(0, 0, 0), 2),
+        Strategy::Systematic => (RGBColor(140, 60, 160), 2),
         _ => (RGBColor(213, 94, 0), 3),
     }
 }

@@ -2,6 +2,7 @@
 
 use super::level::{Level, Seen, Truth, mean_record};
 use super::picture::{Paint, Scale, key, map, positions};
+use super::trial::Records;
 use super::{Curve, chart};
 use anyhow::Result;
 use forelight_forecast::{Cost, Costs, Strategy, predicted_map};
@@ -47,10 +48,10 @@ impl Shown {
     }
 }
 
-/// Strategies whose maps are shown at a level: with a cache the paper shows Snapshot's alone.
+/// Strategies whose maps are shown at a level: with a cache, as in the paper, those by preview alone.
 pub fn mapped(level: Level) -> &'static [Strategy] {
     let all = &Strategy::ALL;
-    if level.is_cached() { &all[all.len() - 2..] } else { all }
+    if level.is_cached() { &all[all.len() - 3..] } else { all }
 }
 
 /// File name of a map: of a strategy's prediction, or of the truth.
@@ -108,11 +109,12 @@ pub fn of(
         let one_record = mean_record(&truth.sampled_records[..truth.sampled_records.len().min(1)]);
         for &strategy in mapped(truth.level) {
             // Ours reads the planned cache and knows where its records are; the others meet an empty one.
-            let ours = strategy == Strategy::Snapshot;
+            let ours = Records::of(strategy) == Records::Planned;
             let costs = if ours { &truth.pixels } else { &truth.cold };
             let design = strategy.design(&seen.strata, &seen.ids, size, samples, 0, 0)?;
             let (picks, observations) = design.profile(|pixel| costs[pixel as usize])?;
-            let predicted = predicted_map(strategy, &design, &seen.ids, size, &picks, &observations)?;
+            let predicted =
+                predicted_map(strategy, &design, &seen.strata, &seen.ids, size, &picks, &observations)?;
             for (shown, scale) in Shown::ALL.into_iter().zip(scales) {
                 let mut values: Vec<f64> = predicted.iter().map(|costs| value(shown, costs)).collect();
                 for (pixel, _) in truth.seen_records.iter().filter(|_| ours) {

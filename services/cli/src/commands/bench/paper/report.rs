@@ -46,7 +46,7 @@ median of several renders.
 random vector.
 * *Snapshot, the paper's* has a pixel for every object and material and the rest by size, which the paper leaves open; its \
 estimate is the paper's. *Snapshot, ours* joins small strata, spreads its pixels along a curve, and places the second half by what the \
-first cost.
+first cost. *Snapshot, systematic* is the other one of ours: all in one pass, every so many-th pixel along materials and objects.
 * With a cache the paper's strategies profile into an empty cache: a profiled pixel gathers its hemisphere for itself, as without a cache (with \
 two bounces its rays read a second level that is taken to be there, which is in their favour). Ours plans the cache first: it knows the number of records, gathers some, and its pixels only read. What the paper never did is \
 the table after: its strategies with planned records.
@@ -59,6 +59,7 @@ fn short<'a>(studies: impl Iterator<Item = &'a Study>) -> Table {
         ("best blind", Align::Left),
         ("its RMSE", Align::Right),
         ("Snapshot, the paper's", Align::Right),
+        ("systematic", Align::Right),
         ("Snapshot, ours", Align::Right),
         ("ours / best blind", Align::Right),
         ("noise floor", Align::Right),
@@ -70,9 +71,8 @@ fn short<'a>(studies: impl Iterator<Item = &'a Study>) -> Table {
             let of = |strategy| level.outcomes.iter().find(|outcome| outcome.strategy == strategy);
             let blind = level.outcomes.iter().filter(|outcome| outcome.strategy.is_blind());
             let best = blind.min_by(|a, b| error(a).root_mean_square.total_cmp(&error(b).root_mean_square));
-            let (Some(best), Some(paper), Some(ours)) =
-                (best, of(Strategy::PaperSnapshot), of(Strategy::Snapshot))
-            else {
+            let by_preview = (of(Strategy::PaperSnapshot), of(Strategy::Systematic), of(Strategy::Snapshot));
+            let (Some(best), (Some(paper), Some(systematic), Some(ours))) = (best, by_preview) else {
                 continue;
             };
             let root = |outcome: &Outcome| share(error(outcome).root_mean_square);
@@ -83,6 +83,7 @@ fn short<'a>(studies: impl Iterator<Item = &'a Study>) -> Table {
                 best.strategy.title().into(),
                 root(best),
                 root(paper),
+                root(systematic),
                 root(ours),
                 if ratio.is_finite() { format!("{ratio:.2}") } else { "-".into() },
                 if level.level.is_cached() { "-".into() } else { share(level.noise_floor) },

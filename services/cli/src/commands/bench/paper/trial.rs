@@ -54,6 +54,16 @@ pub enum Records {
     Planned,
 }
 
+impl Records {
+    /// How a strategy does it if it is left as it is: ours plan, the paper's do not.
+    pub fn of(strategy: Strategy) -> Self {
+        match strategy {
+            Strategy::Systematic | Strategy::Snapshot => Records::Planned,
+            _ => Records::Unknown,
+        }
+    }
+}
+
 /// A forecast of the frame's total.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Forecast {
