@@ -54,6 +54,26 @@ impl Table {
         text
     }
 
+    /// The whole table in Markdown; totals are not set off.
+    pub fn markdown(&self) -> String {
+        // A bar would begin another cell.
+        let line = |cells: &mut dyn Iterator<Item = String>| {
+            let cells: Vec<String> = cells.map(|cell| cell.replace('|', "\\|")).collect();
+            format!("| {} |\n", cells.join(" | "))
+        };
+        let rule = self.head.iter().map(|(_, align)| match align {
+            Align::Left => "---".to_owned(),
+            Align::Right => "---:".to_owned(),
+        });
+        let mut text = line(&mut self.head.iter().map(|(title, _)| title.clone()));
+        text += &line(&mut rule.into_iter());
+        for row in &self.rows {
+            let cell = |column: usize| row.get(column).cloned().unwrap_or_default();
+            text += &line(&mut (0..self.head.len()).map(cell));
+        }
+        text
+    }
+
     fn line(&self, cells: &[String], widths: &[usize]) -> String {
         let mut line = String::new();
         for (column, (&width, (_, align))) in widths.iter().zip(&self.head).enumerate() {
@@ -93,5 +113,12 @@ frame  node      error
 total          -12.0 %
 ";
         assert_eq!(table.render(), expected);
+    }
+
+    #[test]
+    fn in_markdown_every_row_has_all_cells_and_a_bar_starts_none() {
+        let mut table = Table::new(&[("name", Align::Left), ("mean |error|", Align::Right)]);
+        table.row(["a|b".into()]);
+        assert_eq!(table.markdown(), "| name | mean \\|error\\| |\n| --- | ---: |\n| a\\|b |  |\n");
     }
 }

@@ -72,19 +72,8 @@ impl FrameDesign {
         seed: u64,
         frame: i64,
     ) -> Result<Self, ForecastError> {
-        let shape = ForecastError::ImageShape { pixels: stratum_ids.len(), width };
-        let row = usize::try_from(width).unwrap_or(usize::MAX);
-        if stratum_ids.len() > u32::MAX as usize || row == 0 || !stratum_ids.len().is_multiple_of(row) {
-            return Err(shape);
-        }
-        let height = (stratum_ids.len() / row) as u32;
-        let mut counts = vec![0u32; strata.len()];
-        for &stratum in stratum_ids {
-            *counts
-                .get_mut(stratum as usize)
-                .ok_or(ForecastError::UnknownStratum { stratum, strata: strata.len() })? += 1;
-        }
-        check(strata, frame, &counts)?;
+        let counts = count_pixels(strata, stratum_ids, width, frame)?;
+        let height = stratum_ids.len() as u32 / width;
         let samples = u64::from(samples).min(stratum_ids.len() as u64);
         let grouping = Grouping::new(strata, &counts, samples);
 
@@ -186,6 +175,30 @@ impl FrameDesign {
         }
         picks
     }
+}
+
+/// Pixels of each stratum of an image; checks what every design needs.
+///
+/// # Errors
+/// As of [`FrameDesign::new`].
+pub(crate) fn count_pixels(
+    strata: &[Stratum],
+    stratum_ids: &[u32],
+    width: u32,
+    frame: i64,
+) -> Result<Vec<u32>, ForecastError> {
+    let row = usize::try_from(width).unwrap_or(usize::MAX);
+    if stratum_ids.len() > u32::MAX as usize || row == 0 || !stratum_ids.len().is_multiple_of(row) {
+        return Err(ForecastError::ImageShape { pixels: stratum_ids.len(), width });
+    }
+    let mut counts = vec![0u32; strata.len()];
+    for &stratum in stratum_ids {
+        *counts
+            .get_mut(stratum as usize)
+            .ok_or(ForecastError::UnknownStratum { stratum, strata: strata.len() })? += 1;
+    }
+    check(strata, frame, &counts)?;
+    Ok(counts)
 }
 
 /// The first `wanted` distinct places among `size` of the Kronecker sequence that starts at `start` (all in

@@ -61,4 +61,18 @@ pub enum ForecastError {
         /// Index into the shot's frames.
         index: usize,
     },
+    /// Observations that stand for areas do not match these.
+    #[error(
+        "{areas} areas of {covered} pixels in all for {observations} observations of a frame of {pixels}"
+    )]
+    Areas {
+        /// How many areas there are.
+        areas: usize,
+        /// Pixels of all of them.
+        covered: u64,
+        /// How many observations there are.
+        observations: usize,
+        /// Pixels of the frame.
+        pixels: u64,
+    },
 }

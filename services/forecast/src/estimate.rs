@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::cost::{COLUMNS, Costs, Observation, Quantity, Row};
 use crate::error::ForecastError;
+use crate::expansion::Expansion;
 use crate::interval::{Calibration, Part, quantity, together};
 use crate::moments::{Moments, sum};
 use crate::strata::{Group, Grouping, Stratum, check};
@@ -65,19 +66,24 @@ pub fn estimate(
     observations: &[Observation],
     calibration: Calibration,
 ) -> Result<FrameEstimate, ForecastError> {
-    let fit = FrameFit::new(strata, 0, counts, observations)?;
+    let fit = FrameFit::new(strata, 0, counts, observations, &Expansion::Groups)?;
+    Ok(estimate_fit(fit, observations.len(), calibration))
+}
+
+/// The estimate of a frame from its fit to so many observations.
+pub(crate) fn estimate_fit(fit: FrameFit, observations: usize, calibration: Calibration) -> FrameEstimate {
     let total = std::array::from_fn(|column| {
         let mut uncertainty = Uncertainty::default();
         fit.groups.iter().for_each(|group| uncertainty.add(group, group.pixels as f64, column));
         quantity(fit.total(column), uncertainty.together(), calibration)
     });
-    Ok(FrameEstimate {
+    FrameEstimate {
         total: Costs::from(total),
         borrowed: fit.groups.iter().filter(|group| group.borrowed).count(),
         strata: fit.strata,
-        samples: observations.len() as u64,
+        samples: observations as u64,
         calibrated: calibration.calibrated,
-    })
+    }
 }
 
 /// The estimate of a frame in the form in which other frames can use it.
@@ -148,6 +154,7 @@ impl FrameFit {
         frame: i64,
         counts: &[u32],
         observations: &[Observation],
+        expansion: &Expansion,
     ) -> Result<Self, ForecastError> {
         check(strata, frame, counts)?;
         let mut moments = vec![Moments::default(); strata.len()];
@@ -167,7 +174,11 @@ impl FrameFit {
         // What stands apart says nothing of how many samples the pixels' groups can have.
         let of_pixels = moments.iter().zip(strata).filter(|(_, stratum)| !stratum.apart);
         let samples = of_pixels.map(|(moments, _)| moments.count).sum();
-        let grouping = Grouping::new(strata, counts, samples);
+        let grouping = match expansion {
+            Expansion::Groups => Grouping::new(strata, counts, samples),
+            Expansion::EachStratum | Expansion::Neighbours => Grouping::of_each(strata, counts),
+            Expansion::Flat | Expansion::Areas(_) => Grouping::new(strata, counts, 1),
+        };
         let mut joined = vec![Moments::default(); grouping.groups.len()];
         for (h, moments) in moments.iter().enumerate() {
             if let Some(group) = grouping.of[h] {
@@ -180,8 +191,26 @@ impl FrameFit {
         if grouping.groups.iter().any(|group| !sampled(group.apart)) {
             return Err(ForecastError::NoSamples);
         }
-        let groups: Vec<GroupFit> =
+        let mut groups: Vec<GroupFit> =
             (0..joined.len()).map(|group| fit_group(&grouping, &joined, group)).collect();
+        if *expansion != Expansion::Groups {
+            let of_pixels = || observations.iter().filter(|o| !strata[o.stratum as usize].apart);
+            let total = expansion.total_by_areas(pixels_of(&groups), of_pixels())?;
+            let variances = expansion.successive_variances(strata.len(), observations);
+            // What stands apart lends nothing to pixels.
+            let alike: Vec<Moments> = joined
+                .iter()
+                .zip(&groups)
+                .filter(|(_, fit)| !fit.apart)
+                .map(|(own, _)| own.clone())
+                .collect();
+            for (g, (fit, own)) in groups.iter_mut().zip(&joined).enumerate().filter(|(_, (f, _))| !f.apart) {
+                // Where differences are taken, a stratum is a group.
+                let stratum = grouping.of.iter().position(|of| *of == Some(g));
+                let variance = stratum.and_then(|h| variances.get(h).copied().flatten());
+                fit.as_in_textbooks(own, &alike, total.filter(|_| expansion.is_of_all()), variance);
+            }
+        }
         let means = unit_costs(counts, &moments, &grouping, &groups);
         let strata = (0..strata.len())
             .map(|h| StratumEstimate {
@@ -202,9 +231,52 @@ impl FrameFit {
 
     /// Estimated mean over the pixels alone; zero if there are none.
     pub fn mean_of_pixels(&self, column: usize) -> f64 {
-        let of_pixels = || self.groups.iter().filter(|group| !group.apart);
-        let pixels: u64 = of_pixels().map(|group| group.pixels).sum();
-        sum(of_pixels().map(|group| group.total[column])) / (pixels as f64).max(1.0)
+        let of_pixels = self.groups.iter().filter(|group| !group.apart);
+        sum(of_pixels.map(|group| group.total[column])) / (pixels_of(&self.groups) as f64).max(1.0)
+    }
+}
+
+/// Pixels of all groups that do not stand apart.
+fn pixels_of(groups: &[GroupFit]) -> u64 {
+    groups.iter().filter(|group| !group.apart).map(|group| group.pixels).sum()
+}
+
+impl GroupFit {
+    /// Makes of a group's fit what the expansions other than [`Expansion::Groups`] say: no tail allowance, means that are not
+    /// drawn towards those of others, and the total of all columns or the variance of one observation where these are known by other
+    /// means.
+    fn as_in_textbooks(
+        &mut self,
+        own: &Moments,
+        alike: &[Moments],
+        total: Option<Row>,
+        variance: Option<Row>,
+    ) {
+        self.influence = [0.0; COLUMNS];
+        let size = self.pixels as f64;
+        let unseen = 1.0 - own.count as f64 / size;
+        if own.count == self.pixels {
+            return;
+        }
+        for column in 0..COLUMNS {
+            if own.count < 2
+                && let Some(pool) = Pool::new(alike.iter(), column)
+            {
+                let (mean, variance) = match own.count {
+                    0 => (pool.mean, pool.between + pool.within / pool.samples),
+                    count => (own.mean(column), pool.within / count as f64),
+                };
+                (self.mean[column], self.variance[column]) = (mean, unseen * variance);
+                self.total[column] = size * mean;
+            }
+            if let Some(variance) = variance {
+                self.variance[column] = unseen * variance[column] / own.count as f64;
+            }
+            if let Some(total) = total {
+                self.total[column] = total[column];
+                self.mean[column] = total[column] / size;
+            }
+        }
     }
 }
 

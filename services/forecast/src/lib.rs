@@ -36,6 +36,9 @@
 //! **How good** ([`accuracy`]). The same few pixels say how far the image will be from its converged self at any number of camera
 //! samples; [`accuracy::front`] says which qualities are worth their cost.
 //!
+//! **Against what** ([`Strategy`]). The seven strategies that the paper compares stand behind the same door, so that any of them
+//! can make a quote; six of them know no preview. How they differ in error is measured by `forelight bench paper`.
+//!
 //! # How sure
 //!
 //! The number of samples of a group depends a little on the costs seen first, which biases the pooled mean:
@@ -90,13 +93,16 @@ mod curve;
 mod drift;
 mod error;
 mod estimate;
+mod expansion;
 mod frames;
 mod interval;
 mod moments;
+mod nearest;
 mod random;
 mod records;
 mod shot;
 mod strata;
+mod strategies;
 mod student;
 
 pub use allocate::{Cell, allocate};
@@ -104,8 +110,10 @@ pub use choose::{FrameDesign, Pick};
 pub use cost::{Cost, Costs, Observation, Quantity, RAY_KINDS};
 pub use error::ForecastError;
 pub use estimate::{FrameEstimate, ObjectEstimate, StratumEstimate, by_object, estimate};
+pub use expansion::Expansion;
 pub use frames::{FramePopulation, choose_frames};
 pub use interval::Calibration;
 pub use records::RecordStrata;
 pub use shot::{FrameForecast, ProfiledFrame, ShotForecast, forecast_shot};
 pub use strata::Stratum;
+pub use strategies::{Design, Strategy, predicted_map};

@@ -21,6 +21,11 @@ pub(crate) fn hash(counters: &[u64]) -> u64 {
     })
 }
 
+/// A number below `limit` from a uniform 64-bit one, all alike to within `limit` / 2⁶⁴; 0 for a limit of 0.
+pub(crate) fn below(number: u64, limit: u64) -> u64 {
+    ((u128::from(number) * u128::from(limit)) >> 64) as u64
+}
+
 #[cfg(test)]
 mod tests {
     use super::hash;

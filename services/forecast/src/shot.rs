@@ -6,6 +6,7 @@ use crate::cost::{COLUMNS, Cost, Costs, Observation, Quantity, Row, WORK, add_sc
 use crate::drift::Drift;
 use crate::error::ForecastError;
 use crate::estimate::{BORROWED_FREEDOM, BORROWED_VARIATION, FrameFit, StratumEstimate, Uncertainty};
+use crate::expansion::Expansion;
 use crate::frames::{FramePopulation, apart, check_frames};
 use crate::interval::{Calibration, Part, log_deviation, quantity};
 use crate::moments::sum;
@@ -16,8 +17,10 @@ use crate::strata::Stratum;
 pub struct ProfiledFrame<'a> {
     /// Index of the frame among the shot's frames.
     pub frame: usize,
-    /// The profiled pixels.
+    /// The profiled pixels, and what was measured of what stands apart.
     pub observations: &'a [Observation],
+    /// How the profiled pixels stand for all of the frame's.
+    pub expansion: &'a Expansion,
     /// Cost of the frame whatever its pixels: loading, building, writing.
     pub fixed: Cost,
 }
@@ -177,7 +180,8 @@ impl<'a> Carrier<'a> {
             if std::mem::replace(&mut taken[profile.frame], true) {
                 return Err(unknown);
             }
-            let fit = FrameFit::new(strata, frame.number, &frame.counts, profile.observations)?;
+            let fit =
+                FrameFit::new(strata, frame.number, &frame.counts, profile.observations, profile.expansion)?;
             let overall = std::array::from_fn(|column| fit.mean_of_pixels(column));
             let fixed = profile.fixed.columns().map(|value| value as f64);
             sources.push(Source { frame: profile.frame, fit, fixed, overall });

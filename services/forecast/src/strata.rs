@@ -115,6 +115,19 @@ impl Grouping {
         grouping
     }
 
+    /// Every stratum that is seen is a group of its own.
+    pub fn of_each(strata: &[Stratum], counts: &[u32]) -> Self {
+        let weights: Vec<f64> =
+            strata.iter().zip(counts).map(|(s, &n)| f64::from(n) * s.prior_cost).collect();
+        let mut grouping = Grouping { of: vec![None; strata.len()], groups: Vec::new() };
+        for apart in [false, true] {
+            for h in (0..strata.len()).filter(|&h| strata[h].apart == apart && counts[h] > 0) {
+                grouping.join(&[h], strata, counts, &weights);
+            }
+        }
+        grouping
+    }
+
     /// Strata of pixels of `least` weight stand alone; the rest are joined by material, and what is still too light
     /// in one last group.
     fn with_least_weight(strata: &[Stratum], counts: &[u32], weights: &[f64], least: f64) -> Self {

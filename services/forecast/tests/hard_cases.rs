@@ -4,8 +4,8 @@ mod common;
 
 use common::{INTERIOR, LIGHT, Picture, Recipe, cost_of};
 use forelight_forecast::{
-    Calibration, Cost, Costs, ForecastError, FrameDesign, FramePopulation, Observation, ProfiledFrame,
-    Quantity, Stratum, by_object, choose_frames, estimate, forecast_shot,
+    Calibration, Cost, Costs, Expansion, ForecastError, FrameDesign, FramePopulation, Observation,
+    ProfiledFrame, Quantity, Stratum, by_object, choose_frames, estimate, forecast_shot,
 };
 use proptest::prelude::*;
 
@@ -150,7 +150,12 @@ fn wrong_input_is_named() {
     assert!(matches!(FrameDesign::new(&strata, &[9], 1, 2, 0, 0), Err(ForecastError::UnknownStratum { .. })));
     let frame = |number| FramePopulation { number, counts: vec![1, 1] };
     assert_eq!(choose_frames(&strata, &[frame(4), frame(4)], 1), Err(ForecastError::FrameOrder { frame: 4 }));
-    let profiled = |frame| ProfiledFrame { frame, observations: &twice[..1], fixed: Cost::default() };
+    let profiled = |frame| ProfiledFrame {
+        frame,
+        observations: &twice[..1],
+        expansion: &Expansion::Groups,
+        fixed: Cost::default(),
+    };
     assert_eq!(
         forecast_shot(&strata, &[frame(1)], &[profiled(0), profiled(0)], calibration),
         Err(ForecastError::ProfiledFrame { index: 0 })

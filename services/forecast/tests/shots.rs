@@ -4,8 +4,8 @@ mod common;
 
 use common::{INTERIOR, LIGHT, Picture, Recipe, cost_of, errors};
 use forelight_forecast::{
-    Calibration, Cost, FramePopulation, Observation, ProfiledFrame, RecordStrata, ShotForecast, Stratum,
-    choose_frames, forecast_shot,
+    Calibration, Cost, Expansion, FramePopulation, Observation, ProfiledFrame, RecordStrata, ShotForecast,
+    Stratum, choose_frames, forecast_shot,
 };
 
 struct Shot {
@@ -39,7 +39,12 @@ impl Shot {
         let profiled: Vec<ProfiledFrame<'_>> = chosen
             .iter()
             .zip(&observed)
-            .map(|(&frame, observations)| ProfiledFrame { frame, observations, fixed: Cost::default() })
+            .map(|(&frame, observations)| ProfiledFrame {
+                frame,
+                observations,
+                expansion: &Expansion::Groups,
+                fixed: Cost::default(),
+            })
             .collect();
         forecast_shot(strata, &self.frames, &profiled, Calibration::NONE).expect("a forecast")
     }
@@ -154,8 +159,12 @@ fn an_object_that_vanishes_takes_its_cost_with_it() {
             cost: cost_of(if i >= 20 { 5000.0 } else { 10.0 }),
         })
         .collect();
-    let profiled =
-        [ProfiledFrame { frame: 0, observations: &observed, fixed: Cost { work: 7, ..Cost::default() } }];
+    let profiled = [ProfiledFrame {
+        frame: 0,
+        observations: &observed,
+        expansion: &Expansion::Groups,
+        fixed: Cost { work: 7, ..Cost::default() },
+    }];
     let found = forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast");
     assert_eq!(found.frames[0].total.work.mean, 900.0 * 10.0 + 100.0 * 5000.0 + 7.0);
     assert!((found.frames[2].total.work.mean - 10_007.0).abs() < 1e-6);
@@ -168,7 +177,12 @@ fn an_object_that_no_profiled_frame_shows_borrows_and_widens_the_quote() {
     strata[2].material = 0;
     let observed: Vec<Observation> =
         (0..40).map(|_| Observation { stratum: 0, cost: cost_of(10.0) }).collect();
-    let profiled = [ProfiledFrame { frame: 0, observations: &observed, fixed: Cost::default() }];
+    let profiled = [ProfiledFrame {
+        frame: 0,
+        observations: &observed,
+        expansion: &Expansion::Groups,
+        fixed: Cost::default(),
+    }];
     let found = forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast");
     assert_eq!(found.borrowed, 1);
     assert!((found.frames[1].total.work.mean - 10_000.0).abs() < 1e-6);
@@ -183,7 +197,12 @@ fn unit_costs_follow_a_trend_between_profiled_frames() {
         (0..4000).map(|_| Observation { stratum: 0, cost: cost_of(work) }).collect()
     };
     let (early, late) = (observed(1000.0), observed(2000.0));
-    let profile = |frame, observations| ProfiledFrame { frame, observations, fixed: Cost::default() };
+    let profile = |frame, observations| ProfiledFrame {
+        frame,
+        observations,
+        expansion: &Expansion::Groups,
+        fixed: Cost::default(),
+    };
     let profiled = [profile(10, &late[..]), profile(0, &early[..])];
     let found = forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast");
     let unit = |t: usize| found.frames[t].total.work.mean / 100_000.0;
@@ -209,6 +228,7 @@ fn with_records(shot: &Shot, records: &[&[u32]], works: &[&[f64]]) -> ShotForeca
     let profiled = [(8, &observed[0]), (40, &observed[1])].map(|(frame, observations)| ProfiledFrame {
         frame,
         observations,
+        expansion: &Expansion::Groups,
         fixed: Cost::default(),
     });
     forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast")
@@ -252,7 +272,12 @@ fn records_of_which_none_was_gathered_are_an_error_and_not_a_guess() {
     let (mut strata, mut frames) = one_stratum_each(&[[1000, 0, 0]]);
     RecordStrata::add(&mut strata, &mut frames, &[&[50]], 20.0);
     let observed = [Observation { stratum: 0, cost: cost_of(10.0) }];
-    let profiled = [ProfiledFrame { frame: 0, observations: &observed, fixed: Cost::default() }];
+    let profiled = [ProfiledFrame {
+        frame: 0,
+        observations: &observed,
+        expansion: &Expansion::Groups,
+        fixed: Cost::default(),
+    }];
     let refused = forecast_shot(&strata, &frames, &profiled, Calibration::NONE);
     assert_eq!(refused, Err(forelight_forecast::ForecastError::NoSamples));
 }

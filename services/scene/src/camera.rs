@@ -36,6 +36,16 @@ impl Camera {
         self.forward + x * self.right + y * self.up
     }
 
+    /// The pixel (column, row) on which a point lies through the pinhole; none behind the camera or outside the image.
+    pub fn pixel_of(&self, point: Vec3) -> Option<(u32, u32)> {
+        let offset = point - self.origin;
+        let depth = offset.dot(self.forward);
+        let x = (offset.dot(self.right) / (depth * self.tan_half_x) + 1.0) * 0.5 * self.width as f32;
+        let y = (1.0 - offset.dot(self.up) / (depth * self.tan_half_y)) * 0.5 * self.height as f32;
+        let inside = depth > 0.0 && x >= 0.0 && y >= 0.0 && x < self.width as f32 && y < self.height as f32;
+        inside.then_some((x as u32, y as u32))
+    }
+
     /// The same camera with another image size, square pixels; the field of view along `x` stays.
     pub fn resized(mut self, width: u32, height: u32) -> Self {
         self.width = width;
@@ -47,5 +57,33 @@ impl Camera {
     /// Number of pixels.
     pub fn pixels(&self) -> usize {
         self.width as usize * self.height as usize
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_point_along_a_pixels_direction_lies_on_that_pixel() {
+        let camera = Camera {
+            origin: Vec3::new(1.0, 2.0, 3.0),
+            right: Vec3::X,
+            up: Vec3::Y,
+            forward: Vec3::NEG_Z,
+            tan_half_x: 0.7,
+            tan_half_y: 0.4,
+            width: 7,
+            height: 4,
+            aperture_radius: 0.0,
+            focus_distance: 1.0,
+        };
+        for (x, y) in (0..4).flat_map(|y| (0..7).map(move |x| (x, y))) {
+            let direction = camera.direction(Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+            assert_eq!(camera.pixel_of(camera.origin + 9.0 * direction), Some((x, y)));
+            assert_eq!(camera.pixel_of(camera.origin - 9.0 * direction), None);
+        }
+        assert_eq!(camera.pixel_of(camera.origin + camera.direction(Vec2::new(7.5, 2.0))), None);
+        assert_eq!(camera.pixel_of(camera.origin), None);
     }
 }

@@ -206,7 +206,7 @@ impl Cache {
             ..CacheTotals::default()
         };
         for smoothed in self.levels.iter().filter_map(|level| level.smoothed.get()) {
-            totals.fill += smoothed.cost;
+            totals.fill.cpu_nanos += smoothed.cpu_nanos;
         }
         let records = self.levels.iter().flat_map(|level| &level.records);
         for record in records.filter_map(OnceLock::get) {

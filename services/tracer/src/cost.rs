@@ -70,7 +70,11 @@ impl Counters {
 }
 
 /// Work of looking at one cache record, in the units of [`work`].
-pub const RECORD_WORK: u64 = 12;
+const RECORD_WORK: u64 = 12;
+
+/// Work of averaging a cache record with its neighbours, of which it has some 180; the same for every record, so that what a record takes
+/// is known when it is gathered.
+pub const SMOOTHING_WORK: u64 = 2200;
 
 /// Work: operations weighted by what each takes on a present-day core, in units of about a nanosecond, so that work
 /// is close to proportional to time without depending on any clock. The weights are a regression of time on counts over

@@ -54,8 +54,8 @@ pub use renderer::{
 };
 pub use server_events::{EventParser, ServerEvent};
 pub use shot::{
-    CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, forecast_strata, profile_frame,
-    record_prior_cost,
+    CountedFrames, Observer, ProfiledFrame, ShotError, cost_of, cost_of_gather, cost_of_record, count_frames,
+    forecast_strata, profile_frame, record_prior_cost, records_to_sample, stratum_ids,
 };
 pub use tasks::{TaskRunner, preview_result, profile_result};
 pub use transport::{ClientError, Token};

@@ -3,11 +3,11 @@
 use crate::render::seconds;
 use crate::renderer::Renderer;
 use crate::shot::{
-    CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, forecast_strata, profile_frame,
-    record_prior_cost,
+    CountedFrames, Observer, ProfiledFrame, ShotError, cost_of_record, count_frames, forecast_strata,
+    profile_frame, record_prior_cost,
 };
 use forelight_forecast::{
-    Calibration, Cost, Costs, FramePopulation, Observation, Quantity, RecordStrata, ShotForecast,
+    Calibration, Cost, Costs, FramePopulation, Observation, Quantity, RecordStrata, ShotForecast, Strategy,
 };
 use forelight_protocol::{
     FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, Profiled, Quantiles, RayQuantiles,
@@ -24,11 +24,13 @@ pub struct QuoteOptions {
     pub profile_frames: usize,
     /// Seed of the choice of pixels.
     pub seed: u64,
+    /// How the pixels are chosen and expanded.
+    pub strategy: Strategy,
 }
 
 impl Default for QuoteOptions {
     fn default() -> Self {
-        Self { samples: 256, profile_frames: 5, seed: 0 }
+        Self { samples: 256, profile_frames: 5, seed: 0, strategy: Strategy::Snapshot }
     }
 }
 
@@ -66,12 +68,17 @@ pub fn quote(
     options: &QuoteOptions,
     observer: &dyn Observer,
 ) -> Result<Quote, ShotError> {
-    let mut strata = forecast_strata(&renderer.info().strata, settings);
+    let strategy = options.strategy;
+    let shown = forecast_strata(&renderer.info().strata, settings);
+    let mut strata = strategy.strata(&shown);
     let counted = count_frames(renderer, frames, settings, observer)?;
     let mut populations: Vec<FramePopulation> = frames
         .iter()
         .zip(&counted.counts)
-        .map(|(&frame, counts)| FramePopulation { number: i64::from(frame), counts: counts.clone() })
+        .map(|(&frame, counts)| FramePopulation {
+            number: i64::from(frame),
+            counts: strategy.counts(&shown, counts),
+        })
         .collect();
     let records: Vec<&[u32]> = counted.cache_records.iter().map(Vec::as_slice).collect();
     let prior_cost = record_prior_cost(settings).unwrap_or(1.0);
@@ -80,17 +87,14 @@ pub fn quote(
     let mut profiled = Vec::with_capacity(chosen.len());
     for &index in &chosen {
         let frame = frames[index];
-        profiled.push(profile_frame(renderer, frame, settings, options.samples, options.seed, observer)?);
+        profiled.push(profile_frame(renderer, frame, settings, options, observer)?);
         observer.profiled(profiled.len(), chosen.len());
     }
     let observed: Vec<Vec<Observation>> = profiled
         .iter()
         .map(|profile: &ProfiledFrame| {
-            let records = profile.records.iter().map(|record| {
-                let rays = record.rays.map(u64::from);
-                let cost = Cost { work: record.cost.work, cpu_nanos: record.cost.cpu_nanos, rays };
-                apart.observation(record.level, cost)
-            });
+            let records =
+                profile.records.iter().map(|record| apart.observation(record.level, cost_of_record(record)));
             profile.observations.iter().copied().chain(records).collect()
         })
         .collect();
@@ -101,6 +105,7 @@ pub fn quote(
         .map(|((&frame, profile), observations)| forelight_forecast::ProfiledFrame {
             frame,
             observations,
+            expansion: &profile.expansion,
             fixed: fixed_cost(&profile.fixed),
         })
         .collect();

@@ -4,11 +4,12 @@
 //! and choosing and estimating happen in the service. Offline, [`crate::quote`] does all of it.
 
 use crate::noise::{FrameNoise, Zones};
+use crate::quote::QuoteOptions;
 use crate::render::spent;
 use crate::renderer::{Counted, FrameRenderer, RenderError, Renderer, StratumInfo};
 use crate::warm_clock;
-use forelight_forecast::{Cost, FrameDesign, Observation, Stratum};
-use forelight_preview::NOTHING;
+use forelight_forecast::{Cost, Expansion, Observation, Stratum};
+use forelight_preview::{NOTHING, Preview};
 use forelight_protocol::{CacheMode, FixedCosts, MaterialMode, PreviewBackend, RenderSettings, Spent};
 use forelight_scene::{Frame, MaterialClass};
 use forelight_tracer::{Pixel, Profile, RecordCost};
@@ -116,9 +117,11 @@ pub fn count_frames(
 pub struct ProfiledFrame {
     /// Frame number.
     pub frame: u32,
-    /// Stratum and cost of each profiled pixel, in the order of `traced`; the times are those that it would have taken
+    /// Stratum (of those that the strategy distinguishes) and cost of each profiled pixel, in the order of `traced`; the times are those that it would have taken
     /// in a render (see `warm_clock`).
     pub observations: Vec<Observation>,
+    /// How they stand for all pixels.
+    pub expansion: Expansion,
     /// The profiled pixels, then neighbours that were traced for their time.
     pub traced: Vec<(u32, Pixel)>,
     /// The records of the irradiance cache that were gathered, some of every level; none without a cache.
@@ -173,19 +176,29 @@ impl ProfiledFrame {
 const SAMPLES_PER_RECORD: f64 = 256.0 / 96.0;
 const LEAST_RECORDS: usize = 16;
 
-/// Profiles about `samples` pixels of one frame in two phases: the first spread by strata, the second where the first found
-/// cost and variation; with an irradiance cache also some records of every level. `seed` chooses both; the pixels' own random
-/// numbers come from the settings, as in the render.
+/// How many records of every level are gathered for so many profiled pixels.
+pub fn records_to_sample(samples: u32) -> usize {
+    ((f64::from(samples) / SAMPLES_PER_RECORD) as usize).max(LEAST_RECORDS)
+}
+
+/// What each pixel of a preview shows, in the numbers of [`forecast_strata`]: the background is the last stratum.
+pub fn stratum_ids(preview: &Preview) -> Vec<u32> {
+    let background = preview.pairs.len() as u32;
+    preview.stratum.iter().map(|&s| if s == NOTHING { background } else { s }).collect()
+}
+
+/// Profiles the pixels of one frame that the strategy of `options` picks; Snapshot does so in two phases, the first spread by strata,
+/// the second where the first found cost and variation. With an irradiance cache also some records of every level. The seed of
+/// `options` chooses both; the pixels' own random numbers come from the settings, as in the render.
 pub fn profile_frame(
     renderer: &dyn Renderer,
     frame: u32,
     settings: &RenderSettings,
-    samples: u32,
-    seed: u64,
+    options: &QuoteOptions,
     observer: &dyn Observer,
 ) -> Result<ProfiledFrame, ShotError> {
     let ready = renderer.frame(frame, settings)?;
-    profile_ready(&*ready, &renderer.info().strata, settings, samples, seed, observer)
+    profile_ready(&*ready, &renderer.info().strata, settings, options, observer)
 }
 
 /// The same of a frame that was set up before; `shot` are the shot's strata.
@@ -193,18 +206,15 @@ pub(crate) fn profile_ready(
     ready: &dyn FrameRenderer,
     shot: &[StratumInfo],
     settings: &RenderSettings,
-    samples: u32,
-    seed: u64,
+    options: &QuoteOptions,
     observer: &dyn Observer,
 ) -> Result<ProfiledFrame, ShotError> {
+    let &QuoteOptions { samples, seed, strategy, .. } = options;
     let frame = ready.frame().number;
     let seen = ready.preview()?;
     let strata = forecast_strata(shot, settings);
-    // The background is the last stratum.
-    let background = shot.len() as u32;
-    let ids: Vec<u32> =
-        seen.preview.stratum.iter().map(|&s| if s == NOTHING { background } else { s }).collect();
-    let design = FrameDesign::new(&strata, &ids, settings.width, samples, seed, i64::from(frame))?;
+    let ids = stratum_ids(&seen.preview);
+    let design = strategy.design(&strata, &ids, settings.width, samples, seed, i64::from(frame))?;
     let mut observations = Vec::with_capacity(samples as usize);
     let mut finished = Vec::with_capacity(samples as usize);
     let mut sampled = Vec::with_capacity(samples as usize);
@@ -247,14 +257,14 @@ pub(crate) fn profile_ready(
     if observer.is_cancelled() {
         return Err(ShotError::Cancelled);
     }
-    let each = (f64::from(samples) / SAMPLES_PER_RECORD) as usize;
-    let records = ready.sample_records(each.max(LEAST_RECORDS), seed);
+    let records = ready.sample_records(records_to_sample(samples), seed);
     let pixels = finished.iter().fold(Spent::default(), |sum, (_, pixel)| {
         sum.plus(Spent { work: pixel.work, cpu_nanos: pixel.cpu_nanos })
     });
     Ok(ProfiledFrame {
         frame,
         observations,
+        expansion: design.expansion().clone(),
         records,
         fixed: ready.fixed(),
         effects: ready.effects(),
@@ -269,6 +279,17 @@ pub(crate) fn profile_ready(
     })
 }
 
-fn cost_of(pixel: &Pixel) -> Cost {
+/// What a pixel cost, as the forecast wants it.
+pub fn cost_of(pixel: &Pixel) -> Cost {
     Cost { work: pixel.work, cpu_nanos: pixel.cpu_nanos, rays: pixel.rays.map(u64::from) }
+}
+
+/// What gathering a record cost, as the forecast wants it.
+pub fn cost_of_record(record: &RecordCost) -> Cost {
+    cost_of_gather(record.cost, record.rays)
+}
+
+/// The same of its parts.
+pub fn cost_of_gather(cost: forelight_tracer::Cost, rays: [u32; 7]) -> Cost {
+    Cost { work: cost.work, cpu_nanos: cost.cpu_nanos, rays: rays.map(u64::from) }
 }

@@ -4,6 +4,7 @@ use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 use crate::library::Library;
 use crate::noise::noise_strata;
 use crate::pictures::{encode, encoding_nanos, png, write_cost};
+use crate::quote::QuoteOptions;
 use crate::render::{render_ready, seconds};
 use crate::renderer::{Progress, RenderError, Renderer, ShotInfo, Step};
 use crate::shot::{
@@ -90,14 +91,8 @@ pub fn preview_result(
 }
 
 fn profile(renderer: &dyn Renderer, spec: &ProfileSpec, control: &Control) -> Result<Outcome, ExecuteError> {
-    let mut profiled = profile_frame(
-        renderer,
-        spec.frame,
-        &spec.settings,
-        spec.samples,
-        spec.phase_seed,
-        &Reporting(control),
-    )?;
+    let options = QuoteOptions { samples: spec.samples, seed: spec.phase_seed, ..QuoteOptions::default() };
+    let mut profiled = profile_frame(renderer, spec.frame, &spec.settings, &options, &Reporting(control))?;
     let encoding = encoding_nanos(&profiled)?;
     profiled.fixed.write = write_cost(encoding, profiled.preview);
     let mut files = Files::default();

@@ -1,5 +1,6 @@
 //! The tasks, done by our renderer on a room that is written here.
 
+use forelight_forecast::Strategy;
 use forelight_preview::Choice;
 use forelight_protocol::{
     BundleSource, CacheMode, JobId, PreviewSpec, ProfileSpec, Quantiles, RenderSettings,
@@ -213,7 +214,7 @@ fn a_frames_time_holds_that_of_writing_its_files_and_the_profile_measures_it() {
     );
     // With every pixel taken over, what is left of the frame's time is setting it up and writing it.
     let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
-    let all = QuoteOptions { samples: 32 * 24, profile_frames: 1, seed: 1 };
+    let all = QuoteOptions { samples: 32 * 24, profile_frames: 1, seed: 1, ..QuoteOptions::default() };
     let quoted = quote(&shot, &[1], &rig.settings, &all, &Nobody).unwrap();
     let bytes = bytes::Bytes::from(quoted.profiled[0].profile.to_bytes());
     let TaskResult::Render(render) = rig.run(rig.render_spec(1), Some(bytes)).unwrap().result else {
@@ -299,7 +300,7 @@ fn a_cancelled_task_says_so() {
 fn a_quote_from_all_pixels_is_the_render_to_the_last_operation() {
     let rig = Rig::new();
     let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
-    let options = QuoteOptions { samples: 32 * 24, profile_frames: 3, seed: 1 };
+    let options = QuoteOptions { samples: 32 * 24, profile_frames: 3, seed: 1, ..QuoteOptions::default() };
     let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
     let mut total = 0;
     for forecast in &quoted.document.frames {
@@ -320,12 +321,36 @@ fn a_quote_from_all_pixels_is_the_render_to_the_last_operation() {
 }
 
 #[test]
+fn every_strategy_quotes_a_shot_and_from_all_pixels_exactly() {
+    let rig = Rig::new();
+    let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
+    let work = |strategy: Strategy, samples: u32| {
+        let options = QuoteOptions { samples, profile_frames: 2, seed: 3, strategy };
+        let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
+        assert!(quoted.document.profiled.pixels <= 2 * u64::from(samples), "{strategy:?}");
+        quoted.document
+    };
+    let all = work(Strategy::Snapshot, 32 * 24);
+    for strategy in Strategy::ALL {
+        let exact = work(strategy, 32 * 24);
+        assert_eq!(exact.profiled.frames, all.profiled.frames, "{strategy:?}");
+        for frame in &all.profiled.frames {
+            let [one, other] = [&exact, &all].map(|document| document.frames[*frame as usize].work);
+            assert_eq!([one.mean, one.p95], [other.mean, other.p95], "{strategy:?}, frame {frame}");
+        }
+        let few = work(strategy, 48).total.work;
+        assert!(few.p95 > few.mean, "{strategy:?}: {few:?}");
+        assert!((few.mean / all.total.work.mean - 1.0).abs() < 0.4, "{strategy:?}: {few:?}");
+    }
+}
+
+#[test]
 fn a_quote_depends_on_its_seed_and_not_on_the_threads() {
     let rig = Rig::new();
     let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
     let work = |seed: u64, threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let options = QuoteOptions { samples: 64, profile_frames: 1, seed };
+        let options = QuoteOptions { samples: 64, profile_frames: 1, seed, ..QuoteOptions::default() };
         let quoted = pool.install(|| quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody)).unwrap();
         quoted.document.frames.iter().map(|frame| frame.work).collect::<Vec<_>>()
     };
@@ -359,7 +384,7 @@ fn the_records_that_the_preview_counted_are_those_of_the_render() {
     for bounces in [1, 2] {
         let rig = Rig::cached(bounces);
         let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
-        let options = QuoteOptions { samples: 64, profile_frames: 1, seed: 2 };
+        let options = QuoteOptions { samples: 64, profile_frames: 1, seed: 2, ..QuoteOptions::default() };
         let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
         for (forecast, counted) in quoted.document.frames.iter().zip(&quoted.counted.cache_records) {
             let cancel = AtomicBool::new(false);
@@ -461,7 +486,7 @@ fn with_a_cache_the_quote_of_the_kitchen_is_within_a_few_percent_of_its_render()
             ..Default::default()
         };
         let settings = settings.complete((48, 27));
-        let options = QuoteOptions { samples: 256, profile_frames: 1, seed: 0 };
+        let options = QuoteOptions { samples: 256, profile_frames: 1, seed: 0, ..QuoteOptions::default() };
         let quoted = quote(&shot, &[0], &settings, &options, &Nobody).unwrap();
         let cancel = AtomicBool::new(false);
         let stats =

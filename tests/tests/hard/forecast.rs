@@ -2,8 +2,8 @@
 
 use crate::meshes::Stream;
 use forelight_forecast::{
-    Calibration, Cell, Cost, Costs, ForecastError, FrameDesign, FramePopulation, Observation, Pick,
-    ProfiledFrame, Quantity, ShotForecast, Stratum, allocate, estimate, forecast_shot,
+    Calibration, Cell, Cost, Costs, Expansion, ForecastError, FrameDesign, FramePopulation, Observation,
+    Pick, ProfiledFrame, Quantity, ShotForecast, Stratum, allocate, estimate, forecast_shot,
 };
 use forelight_tests::case::case;
 use forelight_tests::statistics::{Moments, chi_square_upper, student_below};
@@ -202,7 +202,12 @@ fn shot(frames: usize, seen: impl Fn(usize) -> u32, known: &[usize]) -> (ShotFor
         .collect();
     let profiled: Vec<ProfiledFrame<'_>> = known
         .iter()
-        .map(|&frame| ProfiledFrame { frame, observations: &all[frame], fixed: Cost::default() })
+        .map(|&frame| ProfiledFrame {
+            frame,
+            observations: &all[frame],
+            expansion: &Expansion::Groups,
+            fixed: Cost::default(),
+        })
         .collect();
     let truth = all.iter().map(|o| o.iter().map(|o| o.cost.work).sum::<u64>() as f64).collect();
     (forecast_shot(&strata, &population, &profiled, PLAIN).expect("a forecast"), truth)
@@ -370,7 +375,12 @@ fn estimates_have_no_drift_while_frames_are_finished() {
         for done in 1..=frames {
             let profiled: Vec<ProfiledFrame<'_>> = order[..done]
                 .iter()
-                .map(|&frame| ProfiledFrame { frame, observations: &observed[frame], fixed: Cost::default() })
+                .map(|&frame| ProfiledFrame {
+                    frame,
+                    observations: &observed[frame],
+                    expansion: &Expansion::Groups,
+                    fixed: Cost::default(),
+                })
                 .collect();
             let work = forecast_shot(&strata, &population, &profiled, PLAIN).expect("a forecast").total.work;
             if let Some(before) = before {
@@ -421,7 +431,7 @@ proptest! {
         }
         let profiled: Vec<ProfiledFrame<'_>> = frames
             .iter()
-            .map(|(frame, observations)| ProfiledFrame { frame: *frame, observations, fixed: Cost::default() })
+            .map(|(frame, observations)| ProfiledFrame { frame: *frame, observations, expansion: &Expansion::Groups, fixed: Cost::default() })
             .collect();
         if let Ok(found) = forecast_shot(&strata, &population, &profiled, PLAIN) {
             prop_assert_eq!(unsound(&found.total), 0);

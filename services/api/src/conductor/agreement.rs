@@ -79,7 +79,7 @@ fn an_offline_quote_and_the_estimate_of_the_service_agree_to_the_last_bit() {
         }))
         .unwrap();
         let settings = settings.complete((48, 32));
-        let options = QuoteOptions { samples, profile_frames: 2, seed: 3 };
+        let options = QuoteOptions { samples, profile_frames: 2, seed: 3, ..QuoteOptions::default() };
         let quoted = quote(&shot, &frames, &settings, &options, &Nobody).unwrap();
 
         let preview = preview_result(info, &frames, &settings, &quoted.counted);

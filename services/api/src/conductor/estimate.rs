@@ -2,7 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use forelight_forecast::{Calibration, Cost, Costs, Observation, ProfiledFrame, Quantity, forecast_shot};
+use forelight_forecast::{
+    Calibration, Cost, Costs, Expansion, Observation, ProfiledFrame, Quantity, forecast_shot,
+};
 use forelight_protocol::{
     ForecastTotals, FrameForecast, PreviewResult, Profiled, Quantiles, RayQuantiles, Spent, SpentOnForecast,
 };
@@ -56,7 +58,12 @@ pub(super) fn forecast(
     }
     let profiled: Vec<ProfiledFrame<'_>> = observations
         .iter()
-        .map(|(frame, observations, fixed)| ProfiledFrame { frame: *frame, observations, fixed: *fixed })
+        .map(|(frame, observations, fixed)| ProfiledFrame {
+            frame: *frame,
+            observations,
+            expansion: &Expansion::Groups,
+            fixed: *fixed,
+        })
         .collect();
     let shot = forecast_shot(&populations.strata, &populations.frames, &profiled, Calibration::NONE)
         .map_err(|error| AdvanceError::Hopeless(format!("no forecast: {error}")))?;

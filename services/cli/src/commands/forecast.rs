@@ -9,7 +9,8 @@ use crate::output::{self, Bars};
 use crate::quantities::{count, seconds};
 use crate::table::{Align, Table};
 use anyhow::{Context, Result};
-use clap::ValueEnum;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use forelight_forecast::Strategy;
 use forelight_protocol::{ForecastDoc, FrameSet, Quantiles, RenderSettings};
 use forelight_worker::{Observer, Quote, QuoteOptions, ShotError, quote};
 use indicatif::ProgressBar;
@@ -22,6 +23,7 @@ Examples:
   forelight forecast kitchen/ --frames 0-47
   forelight forecast kitchen/ --frames 12 --width 1920 --spp 64 --json > quote.json
   forelight forecast kitchen/ --frames 0-47 --save-profile profiles/
+  forelight forecast kitchen/ --frames 12 --strategy jittered
 
 All frames are previewed; of at most --profile-frames of them, --samples pixels each are traced. These are finished pixels: \
 with --save-profile, `forelight render --profile` takes them over. With --cache on, the irradiance cache of every frame is \
@@ -39,8 +41,8 @@ pub struct Args {
     /// Frames to profile at most
     #[arg(long, value_name = "FRAMES", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     profile_frames: u32,
-    /// How the pixels are chosen
-    #[arg(long, value_name = "NAME", default_value = "snapshot")]
+    /// How the pixels are chosen, and what they cost is expanded to the frame
+    #[arg(long, value_name = "NAME", default_value = Strategy::Snapshot.name(), value_parser = strategies())]
     strategy: Strategy,
     /// Seed of the choice of pixels
     #[arg(long, value_name = "NUMBER", default_value_t = 0)]
@@ -57,16 +59,17 @@ pub struct Args {
     machine: MachineOptions,
 }
 
-/// Ways to choose pixels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Strategy {
-    /// By what the ID preview shows: strata of object and material.
-    Snapshot,
+/// Reads the name of a strategy.
+fn strategies() -> impl TypedValueParser<Value = Strategy> {
+    let possible = |strategy: Strategy| PossibleValue::new(strategy.name()).help(strategy.summary());
+    PossibleValuesParser::new(Strategy::ALL.map(possible)).try_map(|name| {
+        let found = Strategy::ALL.into_iter().find(|strategy| strategy.name() == name);
+        found.ok_or("there is no such strategy")
+    })
 }
 
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
-    let Strategy::Snapshot = args.strategy;
     let bars = Bars::new(args.json);
     let local = Local::open(&args.bundle, &args.machine, &bars)?;
     let settings = local.settings(&args.quality)?;
@@ -75,6 +78,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         samples: args.samples,
         profile_frames: args.profile_frames as usize,
         seed: args.phase_seed,
+        strategy: args.strategy,
     };
     let watcher = Watcher::new(&bars, frames.len(), interrupt);
     let quoted = watcher.quote(&local, &args.bundle, &frames, &settings, &options)?;

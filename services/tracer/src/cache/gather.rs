@@ -2,7 +2,7 @@
 
 use super::hemisphere::Irradiance;
 use super::{Cache, Planned, Record};
-use crate::cost::{Cost, thread_cpu_nanos};
+use crate::cost::{Cost, SMOOTHING_WORK, thread_cpu_nanos};
 use crate::tracer::Tracer;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -37,7 +37,7 @@ impl Cache {
         let start = thread_cpu_nanos();
         let (irradiance, counters) = tracer.kernel.gather(tracer, &self.strata, level as u32, planned);
         let mut record = Record::new(planned, &irradiance, here.smallest);
-        record.cost = Cost { work: counters.work(), cpu_nanos: thread_cpu_nanos() - start };
+        record.cost = Cost { work: counters.work() + SMOOTHING_WORK, cpu_nanos: thread_cpu_nanos() - start };
         record.rays = counters.rays;
         record
     }

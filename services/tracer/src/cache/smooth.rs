@@ -6,7 +6,7 @@
 //! in: the flecks of several gathers for the price of one, paid once a record instead of at every sample that reads.
 
 use super::{Cache, Level, Planned, Record};
-use crate::cost::{Cost, RECORD_WORK, thread_cpu_nanos};
+use crate::cost::thread_cpu_nanos;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -27,11 +27,11 @@ pub struct Value {
     pub rejected: bool,
 }
 
-/// The values of a level, and what averaging them took.
+/// The values of a level, and the time that averaging them took; the work of it is in the records' own.
 #[derive(Debug, Clone, Default)]
 pub struct Smoothed {
     pub values: Vec<Value>,
-    pub cost: Cost,
+    pub cpu_nanos: u64,
 }
 
 impl Value {
@@ -64,22 +64,20 @@ impl Cache {
         level.smoothed.get_or_init(|| {
             let smoothed = (0..level.planned.len()).into_par_iter().map(|index| {
                 let start = thread_cpu_nanos();
-                let (value, looked_at) = level.averaged(index);
-                (value, Cost { work: RECORD_WORK * looked_at, cpu_nanos: thread_cpu_nanos() - start })
+                (level.averaged(index), thread_cpu_nanos() - start)
             });
-            let smoothed: Vec<(Value, Cost)> = smoothed.collect();
-            let cost = smoothed.iter().fold(Cost::default(), |sum, (_, cost)| sum + *cost);
-            Smoothed { values: smoothed.into_iter().map(|(value, _)| value).collect(), cost }
+            let (values, nanos): (Vec<Value>, Vec<u64>) = smoothed.unzip();
+            Smoothed { values, cpu_nanos: nanos.into_iter().sum() }
         });
     }
 }
 
 impl Level {
-    /// What a record and its neighbours say of its place, and how many were looked at.
-    fn averaged(&self, index: usize) -> (Value, u64) {
+    /// What a record and its neighbours say of its place.
+    fn averaged(&self, index: usize) -> Value {
         let here = &self.planned[index];
         let Some(own) = self.records[index].get().map(Value::of).filter(|own| !own.rejected) else {
-            return (Value { rejected: true, ..NOTHING }, 1);
+            return Value { rejected: true, ..NOTHING };
         };
         let position = here.site.position;
         let reach = here.radius * self.accuracy * WIDER;
@@ -107,13 +105,12 @@ impl Level {
         }
         // Its own weight is 1, so the sum is above 0.
         let mean = |vector: Vec3| vector / weights;
-        let value = Value {
+        Value {
             irradiance: mean(sum.irradiance),
             rotation: sum.rotation.map(mean),
             translation: sum.translation.map(mean),
             ..own
-        };
-        (value, near.len() as u64)
+        }
     }
 
     /// How much one record counts at another's place: 1 at the place itself, falling to nothing where either says that the other

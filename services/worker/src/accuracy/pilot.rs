@@ -2,13 +2,13 @@
 
 use super::{AccuracyObserver, AccuracyOptions};
 use crate::noise::{FrameNoise, Zones, noise_strata};
-use crate::quote::quantiles;
+use crate::quote::{QuoteOptions, quantiles};
 use crate::renderer::{FrameRenderer, RenderError, Renderer};
 use crate::shot::{Observer, ShotError, forecast_strata, profile_ready, record_prior_cost};
 use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise};
 use forelight_forecast::{
-    Calibration, Cost, ForecastError, FramePopulation, Observation, ProfiledFrame, RecordStrata, Stratum,
-    forecast_shot,
+    Calibration, Cost, Expansion, ForecastError, FramePopulation, Observation, ProfiledFrame, RecordStrata,
+    Stratum, forecast_shot,
 };
 use forelight_preview::Preview;
 use forelight_protocol::{FixedCosts, ImageError, Quantiles, RenderSettings, Spent};
@@ -78,8 +78,8 @@ impl Pilot {
         observer: &dyn AccuracyObserver,
     ) -> Result<Self, ShotError> {
         let shot = &renderer.info().strata;
-        let profiled =
-            profile_ready(ready, shot, &settings, options.samples, options.seed, &Watching(observer))?;
+        let picked = QuoteOptions { samples: options.samples, seed: options.seed, ..QuoteOptions::default() };
+        let profiled = profile_ready(ready, shot, &settings, &picked, &Watching(observer))?;
         let spent = profiled.spent();
         let seen = ready.preview()?;
         let view = View::new(ready, &seen.preview);
@@ -154,7 +154,8 @@ impl Pilot {
         }
         let Spent { work, cpu_nanos } = view.fixed.total();
         let fixed = Cost { work, cpu_nanos, rays: view.fixed.plan_rays };
-        let profiled = [ProfiledFrame { frame: 0, observations: &observations, fixed }];
+        let expansion = &Expansion::Groups;
+        let profiled = [ProfiledFrame { frame: 0, observations: &observations, fixed, expansion }];
         let forecast = forecast_shot(&strata, &frame, &profiled, Calibration::NONE)?;
         let total = &forecast.total;
         Ok((quantiles(&total.work, 1.0), quantiles(&total.cpu_nanos, 1e-9)))

@@ -1,7 +1,8 @@
-//! `forelight bench forecast`: the paper's experiment. One frame of each bundle, forecast from a few pixels with several seeds,
-//! against its full render.
+//! `forelight bench forecast`: one frame of each bundle, forecast from a few pixels with several seeds, against its full render. Every
+//! forecast is made from scratch, as `forelight forecast` makes it, with pixels that are traced for it; `bench paper` compares many
+//! more forecasts on costs that are traced once.
 
-use super::{mean_absolute, relative_error};
+use super::{PAPER_SIZE, mean_absolute, relative_error};
 use crate::atomic_file::write_bytes;
 use crate::commands::forecast::Watcher;
 use crate::failure::Interrupted;
@@ -52,9 +53,6 @@ pub struct Args {
     #[command(flatten)]
     machine: MachineOptions,
 }
-
-/// Image size of the paper's experiment, pixels.
-const PAPER_SIZE: u32 = 256;
 
 /// One bundle at one ambient level.
 #[derive(Debug, Serialize)]
@@ -152,7 +150,8 @@ fn measure(args: &Args, local: &Local, bounces: u32, bars: &Bars, interrupt: &In
     let mut seeds = Vec::with_capacity(args.seeds as usize);
     let bar = bars.bar("forecasts", u64::from(args.seeds));
     for seed in 0..u64::from(args.seeds) {
-        let options = QuoteOptions { samples: args.samples, profile_frames: 1, seed };
+        let options =
+            QuoteOptions { samples: args.samples, profile_frames: 1, seed, ..QuoteOptions::default() };
         let watcher = Watcher::new(&Bars::new(true), 1, interrupt);
         let quoted = local.pool.install(|| quote(&local.shot, &[args.frame], &settings, &options, &watcher));
         let total = match quoted {

@@ -3,6 +3,7 @@
 mod effects;
 mod forecast;
 mod images;
+mod paper;
 mod plan;
 mod rays;
 mod shot;
@@ -19,6 +20,7 @@ Examples:
   forelight bench forecast kitchen/ corridor/ --out forecast.json
   forelight bench images kitchen/ --size 256 --pictures images/
   forelight bench rays kitchen/
+  forelight bench paper kitchen/ corridor/ --out report/
   forelight bench plan
   forelight bench shot kitchen/ --frames 0-47 --width 192 --height 108 --json")]
 pub struct Args {
@@ -30,6 +32,7 @@ pub struct Args {
 enum Bench {
     Effects(effects::Args),
     Forecast(forecast::Args),
+    Paper(paper::Args),
     Plan(plan::Args),
     Images(images::Args),
     Rays(rays::Args),
@@ -41,12 +44,16 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     match &args.bench {
         Bench::Effects(args) => effects::run(args, interrupt),
         Bench::Forecast(args) => forecast::run(args, interrupt),
+        Bench::Paper(args) => paper::run(args, interrupt),
         Bench::Plan(args) => plan::run(args),
         Bench::Images(args) => images::run(args, interrupt),
         Bench::Rays(args) => rays::run(args, interrupt),
         Bench::Shot(args) => shot::run(args, interrupt),
     }
 }
+
+/// Width and height of the image of the paper's experiment, pixels.
+const PAPER_SIZE: u32 = 256;
 
 /// forecast / actual − 1; 0 if both are 0.
 fn relative_error(forecast: f64, actual: f64) -> f64 {

@@ -110,6 +110,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         samples: args.samples,
         profile_frames: args.profile_frames as usize,
         seed: args.phase_seed,
+        ..QuoteOptions::default()
     };
     let watcher = Watcher::new(&bars, frames.len(), interrupt);
     let quoted = watcher.quote(&local, &args.bundle, &frames, &settings, &options)?;

@@ -1,0 +1,101 @@
+//! Error against the number of profiled pixels, both in logarithms.
+
+use super::Curve;
+use anyhow::{Result, anyhow};
+use forelight_forecast::Strategy;
+use plotters::prelude::*;
+
+/// Size of a panel, pixels.
+const PANEL: (u32, u32) = (520, 460);
+
+/// One panel beside the other: the title of each, and its curves.
+pub fn draw(panels: &[(&str, Vec<&Curve>)]) -> Result<String> {
+    let mut svg = String::new();
+    {
+        let size = (PANEL.0 * panels.len() as u32, PANEL.1);
+        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
+        root.fill(&WHITE).map_err(failed)?;
+        for (area, (title, curves)) in root.split_evenly((1, panels.len())).iter().zip(panels) {
+            panel(area, title, curves).map_err(failed)?;
+        }
+        root.present().map_err(failed)?;
+    }
+    Ok(svg)
+}
+
+fn failed(error: impl std::fmt::Display) -> anyhow::Error {
+    anyhow!("cannot draw the chart: {error}")
+}
+
+type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
+type Failure<'a> = DrawingAreaErrorKind<<SVGBackend<'a> as DrawingBackend>::ErrorType>;
+
+fn panel<'a>(area: &Area<'a>, title: &str, curves: &[&Curve]) -> Result<(), Failure<'a>> {
+    let points = || curves.iter().flat_map(|curve| curve.points());
+    let range = |values: &mut dyn Iterator<Item = f64>| {
+        values.filter(|v| *v > 0.0).fold((f64::INFINITY, 0.0f64), |(low, high), v| (low.min(v), high.max(v)))
+    };
+    let (fewest, most) = range(&mut points().map(|point| point.0));
+    let (least, greatest) = range(&mut points().map(|point| point.1));
+    if fewest > most || least > greatest {
+        // Nothing was ever off: there is no logarithm to draw.
+        return area.titled(&format!("{title}: no errors"), ("sans-serif", 15)).map(|_| ());
+    }
+    let mut chart = ChartBuilder::on(area)
+        .caption(title, ("sans-serif", 15))
+        .margin(12)
+        .x_label_area_size(38)
+        .y_label_area_size(52)
+        .build_cartesian_2d(
+            (fewest * 0.9..most * 1.1).log_scale(),
+            (least * 70.0..greatest * 140.0).log_scale(),
+        )?;
+    chart
+        .configure_mesh()
+        .max_light_lines(0)
+        .bold_line_style(RGBColor(215, 215, 215))
+        .x_desc("profiled pixels")
+        .y_desc("root mean square error of work, %")
+        .x_label_formatter(&|samples| format!("{samples:.0}"))
+        .y_label_formatter(&|percent| format!("{percent}"))
+        .draw()?;
+    // What a simple random sample would do.
+    let random = curves.iter().find(|curve| curve.strategy == Strategy::Random);
+    if let Some((samples, error)) = random.and_then(|curve| curve.points().next()) {
+        let root = [fewest, most].map(|n| (n, 100.0 * error * (samples / n).sqrt()));
+        chart.draw_series(LineSeries::new(root, RGBColor(190, 190, 190).stroke_width(1)))?;
+    }
+    for curve in curves {
+        let (colour, width) = style(curve.strategy);
+        let line = || curve.points().filter(|point| point.1 > 0.0).map(|(n, error)| (n, 100.0 * error));
+        let stroke = colour.stroke_width(width);
+        chart
+            .draw_series(LineSeries::new(line(), stroke))?
+            .label(curve.strategy.title())
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], stroke));
+        chart.draw_series(line().map(|point| Circle::new(point, 1 + width, colour.filled())))?;
+    }
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::LowerLeft)
+        .background_style(WHITE.mix(0.85))
+        .border_style(RGBColor(215, 215, 215))
+        .label_font(("sans-serif", 12))
+        .draw()
+}
+
+/// Colour and width of a strategy's line: the blind ones thin, ours the thickest. The colours are told apart by those who do not see
+/// all of them (Okabe, Ito 2008).
+fn style(strategy: Strategy) -> (RGBColor, u32) {
+    match strategy {
+        Strategy::RegularGrid => (RGBColor(86, 180, 233), 1),
+        Strategy::Jittered => (RGBColor(0, 114, 178), 1),
+        Strategy::Halton => (RGBColor(0, 158, 115), 1),
+        Strategy::Hammersley => (RGBColor(204, 121, 167), 1),
+        Strategy::Random => (RGBColor(120, 120, 120), 1),
+        Strategy::RandomArea => (RGBColor(230, 159, 0), 1),
+        Strategy::PaperSnapshot => (RGBColor(0, 0, 0), 2),
+        Strategy::Systematic => (RGBColor(140, 60, 160), 2),
+        _ => (RGBColor(213, 94, 0), 3),
+    }
+}
