@@ -7,6 +7,7 @@ mod connection;
 mod contact_sheet;
 mod failure;
 mod interrupt;
+mod json_file;
 mod local;
 mod options;
 mod output;

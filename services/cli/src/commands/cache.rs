@@ -16,6 +16,9 @@ use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+/// Why no cache is made.
+pub const NO_USE_FOR_A_CACHE: &str = "these settings have no use for a cache: it is for the integrator `ambient` with bounces of indirect light";
+
 /// Make the irradiance cache of a shot, for `forelight render --cache-file`
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
@@ -136,8 +139,7 @@ fn plan(args: &Plan, interrupt: &Interrupt) -> Result<()> {
     if interrupt.is_set() {
         return Err(Interrupted.into());
     }
-    let no_use = "these settings have no use for a cache: it is for the integrator `ambient` with bounces of indirect light";
-    write(&planned.ok_or_else(|| BadInput::new(no_use))?, &args.written)
+    write(&planned.ok_or_else(|| BadInput::new(NO_USE_FOR_A_CACHE))?, &args.written)
 }
 
 fn fill(args: &Fill, interrupt: &Interrupt) -> Result<()> {

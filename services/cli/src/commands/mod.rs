@@ -3,6 +3,7 @@
 mod accuracy;
 mod bench;
 mod cache;
+mod export;
 mod farm;
 mod forecast;
 mod plan;
@@ -50,6 +51,7 @@ enum Command {
     Cache(cache::Args),
     Forecast(forecast::Args),
     Accuracy(accuracy::Args),
+    Export(export::Args),
     Plan(plan::Args),
     Token(token::Args),
     Bench(bench::Args),
@@ -77,6 +79,7 @@ impl Cli {
             Command::Cache(args) => blocking(move || cache::run(&args, &interrupt)).await,
             Command::Forecast(args) => blocking(move || forecast::run(&args, &interrupt)).await,
             Command::Accuracy(args) => blocking(move || accuracy::run(&args, &interrupt)).await,
+            Command::Export(args) => blocking(move || export::run(&args)).await,
             Command::Plan(args) => blocking(move || plan::run(&args)).await,
             Command::Bench(args) => blocking(move || bench::run(&args, &interrupt)).await,
         }
@@ -143,6 +146,9 @@ mod tests {
             ("forelight preview b --preview tpu", "--preview"),
             ("forelight cache fill b --cache-file c --part 5/4 --out d", "--part"),
             ("forelight forecast b --samples 0", "--samples"),
+            ("forelight export b --format yaml", "--format"),
+            ("forelight export b --cache-parts 4", "--cache"),
+            ("forelight export b --timeout soon", "--timeout"),
             ("forelight token --role boss", "--role"),
             ("forelight farm --lease-ttl 0s", "--lease-ttl"),
         ] {

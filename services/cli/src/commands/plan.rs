@@ -2,10 +2,11 @@
 
 use crate::atomic_file::write_bytes;
 use crate::failure::BadInput;
+use crate::json_file;
 use crate::output;
 use crate::quantities::{money, parse_duration, parse_money, seconds};
 use crate::table::{Align, Table};
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Result, anyhow};
 use forelight_planner::{
     Change, Description, Effect, Explanation, Input, Offer, Outlook, Plan, Simulation, Verdict, curve,
     earliest_for_budget, explain, gantt, outlook, plan, price_curve, simulate, verify, ways_out, what_if,
@@ -135,11 +136,7 @@ pub fn run(args: &Args) -> Result<()> {
 }
 
 fn read(path: &std::path::Path) -> Result<Input> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let mut reader = serde_json::Deserializer::from_str(&text);
-    let description: Description = serde_path_to_error::deserialize(&mut reader)
-        .map_err(|error| BadInput::new(format!("{}: {}: {}", path.display(), error.path(), error.inner())))?;
-    reader.end().map_err(|error| BadInput::new(format!("{}: {error}", path.display())))?;
+    let description: Description = json_file::read(path)?;
     Ok(description.input().map_err(|error| BadInput::new(format!("{}: {error}", path.display())))?)
 }
 

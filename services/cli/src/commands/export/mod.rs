@@ -1,0 +1,366 @@
+//! `forelight export`: a shot as a job for another farm's scheduler.
+
+mod openjd;
+mod template;
+
+use crate::atomic_file::write_bytes;
+use crate::commands::cache::NO_USE_FOR_A_CACHE;
+use crate::failure::BadInput;
+use crate::json_file;
+use crate::local::Local;
+use crate::options::{MachineOptions, PreviewBackend, QualityOptions, duration};
+use crate::output::{self, Bars};
+use crate::quantities::{money, seconds};
+use anyhow::Result;
+use clap::ValueEnum;
+use forelight_protocol::{CacheMode, ForecastDoc, FrameSet, RenderSettings, RenderStats, SceneSummary};
+use forelight_worker::Renderer;
+use openjd::ExportedShot;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use template::{GREATEST_INTEGER, LONGEST_JOB_NAME, LONGEST_VALUE};
+
+/// A task may take so many times what is forecast with 95 % before it is taken to hang: other machines are slower, and others work on
+/// them.
+const PATIENCE: f64 = 4.0;
+
+/// No limit that follows from a forecast is shorter, in seconds: a machine also has to load the scene.
+const SHORTEST_LIMIT: f64 = 600.0;
+
+/// Write a shot as a job that other render farms can run
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight export kitchen/ --frames 0-47 --out job.json
+  forelight export kitchen/ --cache on --cache-parts 8 --width 1920 --spp 64 --out job.json
+  forelight export kitchen/ --frames 0-47 --forecast quote.json --stats 12.json --threads 8 --out job.json
+
+The job is an Open Job Description template: `openjd run job.json` runs it on this machine, and farms that read such templates \
+anywhere. Flags become the defaults of its parameters, which can be set anew when it is submitted. Bundle has a default if the bundle \
+is beside the template or in a folder there, since a template may not point elsewhere; otherwise it has to be said at submission. \
+With --cache on, steps before the renders make the irradiance cache of the shot, in a folder that all machines have to see. What a \
+machine has to have is said as far as it is known: by --threads its cores, by --stats its memory. With --forecast, a task that takes \
+four times what is forecast (P95, on one core; at least 10 minutes) is stopped.")]
+pub struct Args {
+    /// Scene bundle: a folder or a zip file
+    bundle: PathBuf,
+    /// Frames, such as 0-47 or 0,5,9-12 [default: the whole shot]
+    #[arg(long, value_name = "LIST")]
+    frames: Option<FrameSet>,
+    /// What the job is written as
+    #[arg(long, value_name = "FORMAT", default_value = "openjd")]
+    format: Format,
+    /// Template to write, .json [default: standard output]
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Name of the job [default: the scene's]
+    #[arg(long, value_name = "NAME")]
+    name: Option<String>,
+    /// Tasks among which each level of the cache is divided, with --cache on
+    #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256), requires = "cache")]
+    cache_parts: u32,
+    /// Threads of a task, and cores that a machine must have [default: one per core, whatever there are]
+    #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// What a frame of the shot took, as `forelight render --stats` wrote it: its memory is what a machine must have
+    #[arg(long, value_name = "FILE")]
+    stats: Option<PathBuf>,
+    /// A quote of these frames with this quality, as `forelight forecast --json` wrote it: for the description, and limits of time
+    #[arg(long, value_name = "FILE")]
+    forecast: Option<PathBuf>,
+    /// Stop a task after so long, such as 30m or 2h [default: what follows from --forecast; no limit without]
+    #[arg(long, value_name = "DURATION", value_parser = duration)]
+    timeout: Option<Duration>,
+    #[command(flatten)]
+    quality: QualityOptions,
+}
+
+/// Descriptions of jobs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Format {
+    /// Open Job Description, revision 2023-09, as JSON.
+    Openjd,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    if let Some(out) = args.out.as_deref().filter(|out| out.extension().is_none_or(|end| end != "json")) {
+        let why = "the name must end in .json, by which others know how to read it";
+        return Err(BadInput::new(format!("--out {}: {why}", out.display())).into());
+    }
+    let forecast: Option<ForecastDoc> = args.forecast.as_deref().map(json_file::read).transpose()?;
+    let stats: Option<RenderStats> = args.stats.as_deref().map(json_file::read).transpose()?;
+    // Nothing is traced or previewed here.
+    let machine = MachineOptions { threads: Some(1), preview: PreviewBackend::Cpu };
+    let local = Local::open(&args.bundle, &machine, &Bars::new(args.out.is_none()))?;
+    let settings = local.settings(&args.quality)?;
+    let frames = local.frames(args.frames.as_ref())?;
+    let frames = FrameSet::from_frames(frames).ok_or_else(|| BadInput::new("--frames: there are none"))?;
+    let Format::Openjd = args.format;
+    let shot =
+        exported(args, &local.shot.info().summary, settings, frames, forecast.as_ref(), stats.as_ref())?;
+    let template = shot.template();
+    let Some(out) = &args.out else {
+        return output::json(&template);
+    };
+    write_bytes(out, (output::pretty(&template)? + "\n").as_bytes())?;
+    let steps: Vec<&str> = template.steps.iter().map(|step| step.name.as_str()).collect();
+    let mut report = format!("steps   {}\nframes  {}\n", steps.join(", "), shot.frames);
+    if shot.bundle.is_none() {
+        report += "Bundle has no default, since it is not beside the template: say it at submission\n";
+    }
+    output::print(&report)
+}
+
+/// The shot, once nothing is left in it that a template cannot hold.
+fn exported(
+    args: &Args,
+    scene: &SceneSummary,
+    settings: RenderSettings,
+    frames: FrameSet,
+    forecast: Option<&ForecastDoc>,
+    stats: Option<&RenderStats>,
+) -> Result<ExportedShot> {
+    if settings.cache == CacheMode::On && settings.ambient_bounces == 0 {
+        return Err(BadInput::new(format!("--cache: {NO_USE_FOR_A_CACHE}")).into());
+    }
+    if settings.cache == CacheMode::Off && args.cache_parts > 1 {
+        return Err(
+            BadInput::new("--cache-parts: there is no cache to divide; it goes with --cache on").into()
+        );
+    }
+    if settings.seed > GREATEST_INTEGER {
+        let why =
+            format!("{} is beyond {GREATEST_INTEGER}, the greatest integer of a template", settings.seed);
+        return Err(BadInput::new(format!("--seed: {why}")).into());
+    }
+    let list = frames.to_string();
+    if list.len() > LONGEST_VALUE {
+        let why = format!("the list has {} characters; a template holds {LONGEST_VALUE}", list.len());
+        return Err(BadInput::new(format!("--frames: {why}")).hint("export the shot as several jobs").into());
+    }
+    let name = args.name.as_deref().unwrap_or(&scene.name);
+    let limits = Limits::new(args.timeout, forecast, &frames)?;
+    Ok(ExportedShot {
+        name: job_name(name)?.to_owned(),
+        description: description(scene, &settings, &frames, forecast),
+        bundle: bundle_default(&args.bundle, args.out.as_deref())?,
+        bundle_is_folder: args.bundle.is_dir(),
+        frames,
+        settings,
+        cache_parts: args.cache_parts,
+        threads: args.threads,
+        memory_mib: stats.map(|stats| stats.peak_rss_bytes.div_ceil(1 << 20)).filter(|&mib| mib > 0),
+        frame_limit: limits.frame,
+        cache_limit: limits.cache,
+    })
+}
+
+/// A name that a job may have.
+fn job_name(name: &str) -> Result<&str> {
+    let length = name.chars().count();
+    let wrong = match length {
+        0 => "a job has to have a name".to_owned(),
+        _ if length > LONGEST_JOB_NAME => {
+            format!("the name has {length} characters; a job's has at most {LONGEST_JOB_NAME}")
+        }
+        _ if name.contains(char::is_control) => format!("{name:?} holds control characters"),
+        _ => return Ok(name),
+    };
+    Err(BadInput::new(format!("--name: {wrong}"))
+        .hint("--name gives the job another name than the scene's")
+        .into())
+}
+
+/// The bundle as it is seen from the template's folder, if it is there: a template may neither hold an absolute path nor lead out
+/// of its folder.
+fn bundle_default(bundle: &Path, out: Option<&Path>) -> Result<Option<String>> {
+    let folder = match out.and_then(Path::parent) {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    // A folder that is yet to be made holds no bundle.
+    let (Ok(folder), Ok(bundle)) = (folder.canonicalize(), bundle.canonicalize()) else { return Ok(None) };
+    let Ok(below) = bundle.strip_prefix(&folder) else { return Ok(None) };
+    let wrong = |why: &str| BadInput::new(format!("bundle {}: {why}", bundle.display()));
+    let below = below.to_str().ok_or_else(|| wrong("its name is not Unicode, which a template has to be"))?;
+    if below.contains(char::is_control) {
+        return Err(wrong("its name holds control characters, which a template may not").into());
+    }
+    let length = below.chars().count();
+    if length > LONGEST_VALUE {
+        let why = format!("its name has {length} characters; a template holds {LONGEST_VALUE}");
+        return Err(wrong(&why).into());
+    }
+    Ok(Some(if below.is_empty() { ".".to_owned() } else { below.to_owned() }))
+}
+
+/// How long tasks may take, in seconds; without end where nothing is known.
+#[derive(Debug, PartialEq, Eq)]
+struct Limits {
+    frame: Option<u64>,
+    cache: Option<u64>,
+}
+
+impl Limits {
+    /// The limit that was asked for, or what follows from a forecast: for a frame from the dearest, for the cache, which may be most of
+    /// the work, from all together.
+    ///
+    /// # Errors
+    /// If the forecast is of other frames, or holds what is no time.
+    fn new(asked: Option<Duration>, forecast: Option<&ForecastDoc>, frames: &FrameSet) -> Result<Self> {
+        let mut limits = Self { frame: None, cache: None };
+        if let Some(quote) = forecast {
+            let quoted = FrameSet::from_frames(quote.frames.iter().map(|frame| frame.frame));
+            if quoted.as_ref() != Some(frames) {
+                let quoted = quoted.map_or("no frames".to_owned(), |quoted| format!("the frames {quoted}"));
+                return Err(BadInput::new(format!("--forecast: it is of {quoted}, not of {frames}")).into());
+            }
+            let dearest = quote.frames.iter().map(|frame| frame.cpu_seconds.p95).fold(0.0, f64::max);
+            limits = Self { frame: Some(limit(dearest)?), cache: Some(limit(quote.total.cpu_seconds.p95)?) };
+        }
+        if let Some(asked) = asked {
+            let whole = asked.as_secs() + u64::from(asked.subsec_nanos() > 0);
+            limits = Self { frame: Some(whole), cache: Some(whole) };
+        }
+        Ok(limits)
+    }
+}
+
+/// The limit of a task that is forecast to take so many seconds.
+fn limit(p95: f64) -> Result<u64> {
+    // About thirty years: beyond it, a file is wrong rather than a frame dear.
+    if !(0.0..=1e9).contains(&p95) {
+        return Err(BadInput::new(format!("--forecast: {p95} seconds of CPU time cannot be")).into());
+    }
+    Ok((p95 * PATIENCE).max(SHORTEST_LIMIT).ceil() as u64)
+}
+
+/// What people read of the job. Names are left out: a description may not hold every character.
+fn description(
+    scene: &SceneSummary,
+    settings: &RenderSettings,
+    frames: &FrameSet,
+    forecast: Option<&ForecastDoc>,
+) -> String {
+    let count = frames.count();
+    let plural = if count == 1 { "" } else { "s" };
+    let mut text = format!(
+        "{count} frame{plural} of {} x {} pixels, {} samples a pixel.\nScene {}.\n",
+        settings.width, settings.height, settings.spp, scene.digest
+    );
+    if let Some(quote) = forecast {
+        let cpu = &quote.total.cpu_seconds;
+        let [p50, p80, p95] = [cpu.p50, cpu.p80, cpu.p95].map(seconds);
+        text += &format!(
+            "Forecast: {p50} of CPU time (P50), {p80} (P80), {p95} (P95) on a machine of speed 1.\n"
+        );
+        if let Some(cost) = &quote.cost {
+            let [p50, p80, p95] = [cost.p50, cost.p80, cost.p95].map(|cost| money(cost.micro_units()));
+            text += &format!("Costs {p50} (P50), {p80} (P80), {p95} (P95).\n");
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    fn message<T: std::fmt::Debug>(result: Result<T>) -> String {
+        result.unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_name_that_a_job_cannot_have_is_refused() {
+        let longest = "ä".repeat(LONGEST_JOB_NAME);
+        assert_eq!(job_name(&longest).unwrap(), longest);
+        assert!(message(job_name(&format!("{longest}x"))).contains("129 characters"));
+        assert!(message(job_name("a\nb")).contains("control"));
+        assert!(message(job_name("")).contains("has to have a name"));
+    }
+
+    #[test]
+    fn a_bundle_is_named_from_the_templates_folder_or_not_at_all() {
+        let dir = tempfile::tempdir().unwrap();
+        let bundle = dir.path().join("shots/a {{b}} \"c\"");
+        fs::create_dir_all(&bundle).unwrap();
+        let seen = |out: &str| bundle_default(&bundle, Some(&dir.path().join(out))).unwrap();
+        assert_eq!(seen("job.json").as_deref(), Some("shots/a {{b}} \"c\""));
+        assert_eq!(seen("shots/job.json").as_deref(), Some("a {{b}} \"c\""));
+        assert_eq!(seen("shots/a {{b}} \"c\"/job.json").as_deref(), Some("."));
+        assert_eq!(seen("shots/../job.json").as_deref(), Some("shots/a {{b}} \"c\""));
+        fs::create_dir(dir.path().join("jobs")).unwrap();
+        assert_eq!(seen("jobs/job.json"), None);
+        assert_eq!(seen("to/be/made/job.json"), None);
+
+        let odd = dir.path().join("a\nb");
+        fs::create_dir(&odd).unwrap();
+        let refused = bundle_default(&odd, Some(&dir.path().join("job.json")));
+        assert!(message(refused).contains("control characters"));
+    }
+
+    fn quote(frames: &str, p95: f64) -> ForecastDoc {
+        let quantiles = |p95: f64| serde_json::json!({"mean": p95, "p50": p95, "p80": p95, "p95": p95});
+        let rays = |value: f64| {
+            let names = ["primary", "shadow", "transparent", "reflected", "refracted", "ambient", "specular"];
+            names
+                .map(|name| (name.to_owned(), quantiles(value)))
+                .into_iter()
+                .collect::<serde_json::Map<_, _>>()
+        };
+        let forecast = |value: f64| serde_json::json!({"rays": rays(1.0), "cache_records": [], "work": quantiles(1.0), "cpu_seconds": quantiles(value)});
+        let frames: FrameSet = frames.parse().unwrap();
+        let each = frames.iter().map(|frame| {
+            let mut one = forecast(p95);
+            one["frame"] = frame.into();
+            one
+        });
+        serde_json::from_value(serde_json::json!({
+            "frames": each.collect::<Vec<_>>(),
+            "total": forecast(p95 * frames.count() as f64),
+            "profiled": {"frames": [], "pixels": 0},
+            "spent": {"work": 0, "cpu_seconds": 0.0, "fraction_of_forecast": 0.0},
+            "calibrated": false,
+            "cost": {"mean": 0, "p50": 12_500_000, "p80": 0, "p95": 0},
+        }))
+        .unwrap()
+    }
+
+    #[test]
+    fn a_forecast_sets_limits_of_time_unless_one_is_asked_for() {
+        let frames: FrameSet = "0-9".parse().unwrap();
+        let limits = |asked, quote: Option<&ForecastDoc>| Limits::new(asked, quote, &frames);
+        assert_eq!(limits(None, None).unwrap(), Limits { frame: None, cache: None });
+        let dear = quote("0-9", 1000.25);
+        assert_eq!(limits(None, Some(&dear)).unwrap(), Limits { frame: Some(4001), cache: Some(40010) });
+        let cheap = quote("0-9", 20.0);
+        assert_eq!(limits(None, Some(&cheap)).unwrap(), Limits { frame: Some(600), cache: Some(800) });
+        let asked = Some(Duration::from_millis(1500));
+        assert_eq!(limits(asked, Some(&dear)).unwrap(), Limits { frame: Some(2), cache: Some(2) });
+        assert!(message(limits(None, Some(&quote("0-8", 1.0)))).contains("the frames 0-8, not of 0-9"));
+        assert!(message(limits(None, Some(&quote("0-9", -1.0)))).contains("cannot be"));
+        assert!(message(limits(None, Some(&quote("0-9", 1e300)))).contains("cannot be"));
+    }
+
+    #[test]
+    fn the_description_says_what_the_shot_will_cost() {
+        let scene = SceneSummary {
+            name: "x".into(),
+            digest: "00".repeat(32).parse().unwrap(),
+            frames: 10,
+            width: 4,
+            height: 2,
+            objects: 1,
+            materials: 1,
+            triangles: 1,
+        };
+        let settings = forelight_protocol::RenderSettingsRequest::default().complete((4, 2));
+        let frames: FrameSet = "0-9".parse().unwrap();
+        let text = description(&scene, &settings, &frames, Some(&quote("0-9", 20.0)));
+        assert!(text.starts_with("10 frames of 4 x 2 pixels, 16 samples"), "{text}");
+        assert!(text.contains("3m 20s (P95)") && text.contains("Costs 12.50 (P50)"), "{text}");
+        assert!(!description(&scene, &settings, &frames, None).contains("Forecast"));
+    }
+}

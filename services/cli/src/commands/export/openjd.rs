@@ -1,0 +1,445 @@
+//! A shot as an Open Job Description job: a step of renders, one task a frame, and before it, where there is a cache, the steps that
+//! plan it, fill it and put its parts together.
+
+use super::template::{
+    Action, Actions, Amount, Attribute, Cancelation, DataFlow, Dependency, HostRequirements, JobTemplate,
+    LONGEST_JOB_NAME, ObjectType, Parameter, ParameterSpace, ParameterType, Script, Step, TaskParameter,
+};
+use crate::options::{IntegratorName, Materials, PreviewBackend};
+use clap::ValueEnum;
+use forelight_protocol::{CacheMode, FrameSet, Integrator, MaterialMode, RenderSettings};
+
+/// What is exported.
+#[derive(Debug, Clone)]
+pub struct ExportedShot {
+    /// Name of the job.
+    pub name: String,
+    /// What people read of it.
+    pub description: String,
+    /// Where the bundle is, seen from the template's folder; `None` if it has to be said at submission.
+    pub bundle: Option<String>,
+    /// Whether the bundle is a folder, and not a file.
+    pub bundle_is_folder: bool,
+    /// The frames.
+    pub frames: FrameSet,
+    /// Their quality.
+    pub settings: RenderSettings,
+    /// Tasks that fill a level of the cache.
+    pub cache_parts: u32,
+    /// Threads of a task; as many as the machine has cores, if it does not matter.
+    pub threads: Option<u16>,
+    /// Memory that a task takes, in MiB, where that is known.
+    pub memory_mib: Option<u64>,
+    /// Seconds after which a frame's task is stopped.
+    pub frame_limit: Option<u64>,
+    /// Seconds after which a task of the cache is stopped.
+    pub cache_limit: Option<u64>,
+}
+
+/// A flag of `forelight render` and `forelight cache`, and the parameter that holds its value.
+struct Flag {
+    flag: &'static str,
+    parameter: Parameter,
+}
+
+impl ExportedShot {
+    /// The job.
+    pub fn template(&self) -> JobTemplate {
+        JobTemplate {
+            specification_version: "jobtemplate-2023-09",
+            name: of("JobName"),
+            description: self.description.clone(),
+            parameter_definitions: self.parameters(),
+            steps: self.steps(),
+        }
+    }
+
+    fn is_cached(&self) -> bool {
+        self.settings.cache == CacheMode::On
+    }
+
+    fn parameters(&self) -> Vec<Parameter> {
+        let bundle_type = if self.bundle_is_folder { ObjectType::Directory } else { ObjectType::File };
+        let mut bundle = Parameter::path("Bundle", bundle_type, DataFlow::In, "Scene bundle");
+        bundle.default = self.bundle.clone().map(Into::into);
+        let mut name = Parameter::new("JobName", ParameterType::String, "Name of the job");
+        name.max_length = Some(LONGEST_JOB_NAME);
+        let frames = "Frames, such as 0-47 or 0,5,9-12";
+        let program = "The program, as the machines find it";
+        let preview = "Who makes ID previews: the GPU where there is one, the GPU or nothing, the CPU";
+        let folder = |name, flow, what| Parameter::path(name, ObjectType::Directory, flow, what);
+        let mut parameters = vec![
+            name.default(self.name.clone()),
+            Parameter::new("Forelight", ParameterType::String, program).default("forelight"),
+            bundle,
+            Parameter::new("Frames", ParameterType::String, frames).default(self.frames.to_string()),
+            folder("Images", DataFlow::Out, "Folder of the images, and of what each took").default("images"),
+            Parameter::new("ImageFormat", ParameterType::String, "Format of the images")
+                .default("exr")
+                .one_of(["exr", "png"]),
+            Parameter::new("Preview", ParameterType::String, preview)
+                .default("auto")
+                .one_of(names::<PreviewBackend>()),
+        ];
+        if self.is_cached() {
+            let what = "Folder of the irradiance cache, which all machines see";
+            parameters.push(folder("CacheFolder", DataFlow::InOut, what).default("cache"));
+        }
+        parameters.extend(self.quality().into_iter().map(|quality| quality.parameter));
+        parameters
+    }
+
+    /// The flags of quality. All are given, whatever their defaults: a job renders the same with a later version.
+    fn quality(&self) -> Vec<Flag> {
+        let settings = &self.settings;
+        let whole = |flag, name, value: u32, what| Flag {
+            flag,
+            parameter: Parameter::new(name, ParameterType::Int, what).default(value),
+        };
+        let one_of = |flag, name, value: &'static str, values: Vec<String>, what| Flag {
+            flag,
+            parameter: Parameter::new(name, ParameterType::String, what).default(value).one_of(values),
+        };
+        let integrator = match settings.integrator {
+            Integrator::Ambient => "ambient",
+            Integrator::Path => "path",
+        };
+        let materials = match settings.materials {
+            MaterialMode::Full => "full",
+            MaterialMode::Lambert => "lambert",
+        };
+        let mut bounces = whole(
+            "--ambient-bounces",
+            "AmbientBounces",
+            settings.ambient_bounces,
+            "Diffuse bounces of indirect light",
+        );
+        if self.is_cached() && self.cache_parts > 1 {
+            // There are steps for each level of the cache.
+            bounces.parameter = bounces.parameter.one_of([settings.ambient_bounces]);
+        }
+        let seed = Parameter::new("Seed", ParameterType::Int, "Seed of all random numbers");
+        // Only `ambient` reads a cache.
+        let integrators =
+            if self.is_cached() { vec![integrator.to_owned()] } else { names::<IntegratorName>() };
+        let mut flags = vec![
+            whole("--width", "Width", settings.width, "Image width in pixels"),
+            whole("--height", "Height", settings.height, "Image height in pixels"),
+            whole("--spp", "Spp", settings.spp, "Camera samples per pixel"),
+            one_of("--integrator", "Integrator", integrator, integrators, "How light is simulated"),
+            bounces,
+            whole(
+                "--ambient-divisions",
+                "AmbientDivisions",
+                settings.ambient_divisions,
+                "Rays of one indirect gather",
+            ),
+            whole("--max-depth", "MaxDepth", settings.max_depth, "Longest chain of mirror and glass hits"),
+            one_of(
+                "--materials",
+                "Materials",
+                materials,
+                names::<Materials>(),
+                "Materials as they are, or every surface as Lambert",
+            ),
+            Flag { flag: "--seed", parameter: seed.default(settings.seed) },
+        ];
+        if self.is_cached() {
+            let accuracy = "Error that the cache may make, 0.01 to 1";
+            flags.push(Flag {
+                flag: "--cache-accuracy",
+                parameter: Parameter::new("CacheAccuracy", ParameterType::Float, accuracy)
+                    .default((f64::from(settings.cache_accuracy) / 1000.0).to_string()),
+            });
+            flags.push(whole(
+                "--cache-rays",
+                "CacheRays",
+                settings.cache_rays,
+                "Rays gathered at a place of the cache",
+            ));
+        }
+        flags
+    }
+
+    fn steps(&self) -> Vec<Step> {
+        let mut steps = if self.is_cached() { self.cache_steps() } else { Vec::new() };
+        let image = format!("{}/{}", of("Images"), of_task("Frame"));
+        let mut args = strings(["render", &of("Bundle"), "--frame", &of_task("Frame")]);
+        if self.is_cached() {
+            args.extend(["--cache-file".to_owned(), cache_file("shot")]);
+        }
+        args.extend(["--out".to_owned(), format!("{image}.{}", of("ImageFormat"))]);
+        args.extend(["--stats".to_owned(), format!("{image}.json")]);
+        args.extend(self.how());
+        let space = Some(tasks("Frame", of("Frames")));
+        steps.push(self.step("Render", steps.last(), space, args, self.frame_limit));
+        steps
+    }
+
+    /// The steps that make the shot's cache. With parts, a level is filled by many tasks and put together before the next one, since
+    /// the levels above read it.
+    fn cache_steps(&self) -> Vec<Step> {
+        let mut args = strings(["cache", "plan", &of("Bundle"), "--frames", &of("Frames")]);
+        args.extend(["--out".to_owned(), cache_file("plan")]);
+        args.extend(self.how());
+        let mut steps = vec![self.step("PlanCache", None, None, args, self.cache_limit)];
+        let fill = |from: &str, flags: Vec<String>| {
+            let from = ["--cache-file".to_owned(), cache_file(from)];
+            let args = strings(["cache", "fill", &of("Bundle")]).into_iter().chain(from).chain(flags);
+            args.chain(self.how()).collect::<Vec<_>>()
+        };
+        if self.cache_parts == 1 {
+            let args = fill("plan", vec!["--out".to_owned(), cache_file("shot")]);
+            steps.push(self.step("FillCache", steps.last(), None, args, self.cache_limit));
+            return steps;
+        }
+        let mut from = "plan".to_owned();
+        for level in (1..=self.settings.ambient_bounces).rev() {
+            let part = |part: &str| cache_file(&format!("level-{level}-part-{part}"));
+            let filled = if level == 1 { "shot".to_owned() } else { format!("level-{level}") };
+            let which = format!("{}/{}", of_task("Part"), self.cache_parts);
+            let flags = vec!["--part".to_owned(), which, "--out".to_owned(), part(&of_task("Part"))];
+            let space = Some(tasks("Part", format!("1-{}", self.cache_parts)));
+            let name = format!("FillCacheLevel{level}");
+            steps.push(self.step(&name, steps.last(), space, fill(&from, flags), self.cache_limit));
+
+            let mut args = strings(["cache", "merge"]);
+            args.extend((1..=self.cache_parts).map(|number| part(&number.to_string())));
+            args.extend(["--out".to_owned(), cache_file(&filled)]);
+            let name = format!("MergeCacheLevel{level}");
+            steps.push(self.step(&name, steps.last(), None, args, self.cache_limit));
+            from = filled;
+        }
+        steps
+    }
+
+    /// The flags that every command has which traces light.
+    fn how(&self) -> Vec<String> {
+        let quality = self.quality().into_iter();
+        let mut flags: Vec<String> =
+            quality.flat_map(|Flag { flag, parameter }| [flag.to_owned(), of(parameter.name)]).collect();
+        if self.is_cached() {
+            flags.extend(strings(["--cache", "on"]));
+        }
+        flags.extend(["--preview".to_owned(), of("Preview")]);
+        if let Some(threads) = self.threads {
+            flags.extend(["--threads".to_owned(), threads.to_string()]);
+        }
+        flags
+    }
+
+    fn step(
+        &self,
+        name: &str,
+        after: Option<&Step>,
+        parameter_space: Option<ParameterSpace>,
+        args: Vec<String>,
+        timeout: Option<u64>,
+    ) -> Step {
+        let cores = self.threads.map(|threads| Amount { name: "amount.worker.vcpu", min: threads.into() });
+        let memory = self.memory_mib.map(|min| Amount { name: "amount.worker.memory", min });
+        // Told to terminate, the program ends at once and leaves nothing half-written.
+        let cancelation = Cancelation { mode: "NOTIFY_THEN_TERMINATE", notify_period_in_seconds: 30 };
+        Step {
+            name: name.to_owned(),
+            dependencies: after
+                .map(|step| Dependency { depends_on: step.name.clone() })
+                .into_iter()
+                .collect(),
+            parameter_space,
+            host_requirements: HostRequirements {
+                amounts: cores.into_iter().chain(memory).collect(),
+                attributes: vec![Attribute { name: "attr.worker.os.family", any_of: vec!["linux"] }],
+            },
+            script: Script {
+                actions: Actions { on_run: Action { command: of("Forelight"), args, timeout, cancelation } },
+            },
+        }
+    }
+}
+
+/// The value of a parameter of the job.
+fn of(parameter: &str) -> String {
+    format!("{{{{Param.{parameter}}}}}")
+}
+
+/// The value of a parameter of the task.
+fn of_task(parameter: &str) -> String {
+    format!("{{{{Task.Param.{parameter}}}}}")
+}
+
+fn cache_file(name: &str) -> String {
+    format!("{}/{name}.cache", of("CacheFolder"))
+}
+
+fn tasks(name: &'static str, range: String) -> ParameterSpace {
+    ParameterSpace { task_parameter_definitions: [TaskParameter { name, kind: ParameterType::Int, range }] }
+}
+
+fn strings<const COUNT: usize>(words: [&str; COUNT]) -> Vec<String> {
+    words.map(str::to_owned).to_vec()
+}
+
+/// The values of a flag, as they are typed.
+fn names<T: ValueEnum>() -> Vec<String> {
+    let values = T::value_variants().iter().filter_map(ValueEnum::to_possible_value);
+    values.map(|value| value.get_name().to_owned()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::ExportedShot;
+    use crate::commands::Cli;
+    use clap::Parser;
+    use forelight_protocol::{CacheMode, Integrator, RenderSettings, RenderSettingsRequest};
+    use serde_json::Value;
+    use std::collections::BTreeMap;
+
+    fn settings(cache: CacheMode) -> RenderSettings {
+        let request =
+            RenderSettingsRequest { cache: Some(cache), cache_accuracy: Some(150), ..Default::default() };
+        request.complete((64, 36))
+    }
+
+    fn shot(cache: CacheMode, cache_parts: u32) -> ExportedShot {
+        ExportedShot {
+            name: "a {{shot}} of 'mine'".into(),
+            description: "three frames".into(),
+            bundle: Some("{{x}} \"y\" $(z)".into()),
+            bundle_is_folder: true,
+            frames: "0-1,5".parse().unwrap(),
+            settings: settings(cache),
+            cache_parts,
+            threads: None,
+            memory_mib: None,
+            frame_limit: None,
+            cache_limit: None,
+        }
+    }
+
+    fn document(shot: &ExportedShot) -> Value {
+        serde_json::to_value(shot.template()).unwrap()
+    }
+
+    fn parameter<'a>(document: &'a Value, name: &str) -> &'a Value {
+        let all = document["parameterDefinitions"].as_array().unwrap();
+        all.iter().find(|parameter| parameter["name"] == name).unwrap_or_else(|| panic!("no {name}"))
+    }
+
+    fn steps(document: &Value) -> Vec<(&str, Option<&str>, Option<&str>)> {
+        let steps = document["steps"].as_array().unwrap().iter();
+        steps
+            .map(|step| {
+                let range = &step["parameterSpace"]["taskParameterDefinitions"][0]["range"];
+                let after = step["dependencies"][0]["dependsOn"].as_str();
+                (step["name"].as_str().unwrap(), after, range.as_str())
+            })
+            .collect()
+    }
+
+    #[test]
+    fn frames_are_a_range_expression_over_which_the_renders_run() {
+        let document = document(&shot(CacheMode::Off, 1));
+        assert_eq!(parameter(&document, "Frames")["default"], "0-1,5");
+        assert_eq!(steps(&document), [("Render", None, Some("{{Param.Frames}}"))]);
+    }
+
+    #[test]
+    fn a_cache_is_made_before_the_frames_that_read_it() {
+        let whole = document(&shot(CacheMode::On, 1));
+        assert_eq!(
+            steps(&whole),
+            [
+                ("PlanCache", None, None),
+                ("FillCache", Some("PlanCache"), None),
+                ("Render", Some("FillCache"), Some("{{Param.Frames}}")),
+            ]
+        );
+        assert_eq!(parameter(&whole, "CacheAccuracy")["default"], "0.15");
+        let parts = document(&shot(CacheMode::On, 3));
+        assert_eq!(
+            steps(&parts),
+            [
+                ("PlanCache", None, None),
+                ("FillCacheLevel2", Some("PlanCache"), Some("1-3")),
+                ("MergeCacheLevel2", Some("FillCacheLevel2"), None),
+                ("FillCacheLevel1", Some("MergeCacheLevel2"), Some("1-3")),
+                ("MergeCacheLevel1", Some("FillCacheLevel1"), None),
+                ("Render", Some("MergeCacheLevel1"), Some("{{Param.Frames}}")),
+            ]
+        );
+        // The steps are for two levels.
+        assert_eq!(parameter(&parts, "AmbientBounces")["allowedValues"], serde_json::json!([2]));
+        assert!(parameter(&whole, "AmbientBounces").get("allowedValues").is_none());
+    }
+
+    #[test]
+    fn what_the_user_named_is_a_default_and_never_part_of_a_format_string() {
+        let mut document = document(&shot(CacheMode::On, 2));
+        assert_eq!(parameter(&document, "JobName")["default"], "a {{shot}} of 'mine'");
+        assert_eq!(parameter(&document, "Bundle")["default"], "{{x}} \"y\" $(z)");
+        document["parameterDefinitions"] = Value::Null;
+        let rest = document.to_string();
+        assert!(!rest.contains("{{shot}}") && !rest.contains("{{x}}"), "{rest}");
+    }
+
+    #[test]
+    fn what_is_not_known_is_left_out() {
+        let mut exported = shot(CacheMode::On, 1);
+        exported.bundle = None;
+        let unknown = document(&exported);
+        assert!(parameter(&unknown, "Bundle").get("default").is_none());
+        for step in unknown["steps"].as_array().unwrap() {
+            assert!(step["hostRequirements"].get("amounts").is_none());
+            assert!(step["script"]["actions"]["onRun"].get("timeout").is_none());
+        }
+        (exported.threads, exported.memory_mib) = (Some(4), Some(900));
+        (exported.frame_limit, exported.cache_limit) = (Some(700), Some(7000));
+        let known = document(&exported);
+        let limits = known["steps"].as_array().unwrap().iter().map(|step| {
+            let amounts = &step["hostRequirements"]["amounts"];
+            assert_eq!((&amounts[0]["min"], &amounts[1]["min"]), (&4.into(), &900.into()));
+            step["script"]["actions"]["onRun"]["timeout"].as_u64().unwrap()
+        });
+        assert_eq!(limits.collect::<Vec<_>>(), [7000, 7000, 700]);
+    }
+
+    /// Puts the defaults of all parameters into a format string, as a farm does.
+    fn resolved(text: &str, values: &BTreeMap<String, String>) -> String {
+        let mut out = String::new();
+        let mut rest = text;
+        while let Some((before, after)) = rest.split_once("{{") {
+            let (name, behind) = after.split_once("}}").expect("every brace is closed");
+            out.push_str(before);
+            out.push_str(values.get(name).unwrap_or_else(|| panic!("{name} is not defined")));
+            rest = behind;
+        }
+        out + rest
+    }
+
+    #[test]
+    fn every_command_of_a_job_can_be_typed() {
+        let mut path = shot(CacheMode::Off, 1);
+        path.settings.integrator = Integrator::Path;
+        path.threads = Some(3);
+        for exported in [shot(CacheMode::Off, 1), path, shot(CacheMode::On, 1), shot(CacheMode::On, 4)] {
+            let document = document(&exported);
+            let mut values =
+                BTreeMap::from(["Frame", "Part"].map(|name| (format!("Task.Param.{name}"), "1".into())));
+            for parameter in document["parameterDefinitions"].as_array().unwrap() {
+                let default = &parameter["default"];
+                let allowed = parameter["allowedValues"].as_array();
+                assert!(allowed.is_none_or(|allowed| allowed.contains(default)), "{parameter}");
+                let value = default.as_str().map_or_else(|| default.to_string(), str::to_owned);
+                values.insert(format!("Param.{}", parameter["name"].as_str().unwrap()), value);
+            }
+            for step in document["steps"].as_array().unwrap() {
+                let run = &step["script"]["actions"]["onRun"];
+                let words = [&run["command"]].into_iter().chain(run["args"].as_array().unwrap());
+                let words: Vec<String> =
+                    words.map(|word| resolved(word.as_str().unwrap(), &values)).collect();
+                Cli::try_parse_from(&words).unwrap_or_else(|error| panic!("{words:?}: {error}"));
+            }
+        }
+    }
+}

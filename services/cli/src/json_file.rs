@@ -1,0 +1,45 @@
+//! JSON documents that the user names.
+
+use crate::failure::BadInput;
+use anyhow::Result;
+use serde::de::DeserializeOwned;
+use std::fs;
+use std::path::Path;
+
+/// Reads a document.
+///
+/// # Errors
+/// With the file, the field and the reason.
+pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T> {
+    let wrong = |why: String| BadInput::new(format!("{}: {why}", path.display()));
+    let text = fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
+    let mut reader = serde_json::Deserializer::from_str(&text);
+    let document = serde_path_to_error::deserialize(&mut reader)
+        .map_err(|error| wrong(format!("{}: {}", error.path(), error.inner())))?;
+    reader.end().map_err(|error| wrong(error.to_string()))?;
+    Ok(document)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use forelight_protocol::RenderSettingsRequest;
+
+    #[test]
+    fn what_is_wrong_is_said_with_file_and_field() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("x.json");
+        let message = || read::<RenderSettingsRequest>(&path).unwrap_err().to_string();
+        assert!(message().contains("x.json: No such file"), "{}", message());
+        for (text, reason) in [
+            (r#"{"spp": "many"}"#, "x.json: spp: invalid type"),
+            (r#"{"spp": 4} {}"#, "x.json: trailing characters"),
+            (r#"{"spp": 4"#, "EOF"),
+        ] {
+            fs::write(&path, text).unwrap();
+            assert!(message().contains(reason), "{text}: {}", message());
+        }
+        fs::write(&path, r#"{"spp": 4}"#).unwrap();
+        assert_eq!(read::<RenderSettingsRequest>(&path).unwrap().spp, Some(4));
+    }
+}

@@ -1,0 +1,74 @@
+#!/usr/bin/env bash
+# The reference implementation of Open Job Description (https://github.com/OpenJobDescription) reads the jobs that `forelight export`
+# writes, and runs them: the images must be those of `forelight render`, byte by byte.
+#
+#   FORELIGHT_BIN   the program (default: target/debug/forelight, which is built)
+#
+# Skips with a line that says why where Python, pip or the network is missing.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+skip() { echo "skipped: $1"; exit 0; }
+
+version=0.8.0
+environment=$PWD/target/venv-openjd
+if [ ! -e "$environment/ready-$version" ]; then
+  command -v python3 >/dev/null || skip 'no python3'
+  python3 -m venv "$environment" || skip 'python3 has no venv (Debian: python3-venv)'
+  "$environment/bin/pip" install --quiet --disable-pip-version-check "openjd-cli==$version" ||
+    skip 'openjd-cli cannot be installed (no network?)'
+  touch "$environment/ready-$version"
+fi
+export PYTHONDONTWRITEBYTECODE=1
+if [ -z "${FORELIGHT_BIN:-}" ]; then
+  cargo build --quiet -p forelight-cli
+  FORELIGHT_BIN=$PWD/target/debug/forelight
+fi
+
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+log=$work/log
+quietly() { "$@" >"$log" 2>&1 || { cat "$log"; echo "failed: $*"; exit 1; }; }
+# Each of these means something to a shell, to JSON or to a format string.
+scene="$work/it's {{Param.Frames}} \"shot\" \$(false); *"
+cp -r deploy/scenes/corridor "$scene"
+small=(--width 64 --height 36 --spp 2)
+# An extension would keep farms out that do not know it.
+check() { quietly "$environment/bin/openjd" check "$1" --extensions ''; }
+
+echo 'a job without a cache'
+quietly "$FORELIGHT_BIN" export "$scene" --frames 0,2 "${small[@]}" --name "it's {{mine}}" --out "$work/plain.json"
+check "$work/plain.json"
+quietly "$environment/bin/openjd" run "$work/plain.json" -p "Forelight=$FORELIGHT_BIN" -p Preview=cpu -p "Images=$work/plain"
+for frame in 0 2; do
+  quietly "$FORELIGHT_BIN" render "$scene" --frame "$frame" "${small[@]}" --preview cpu --out "$work/$frame.exr"
+  cmp "$work/$frame.exr" "$work/plain/$frame.exr"
+  [ -s "$work/plain/$frame.json" ]
+done
+[ "$(find "$work/plain" -type f | wc -l)" = 4 ]
+
+echo 'with a forecast, and what a frame took'
+quietly "$FORELIGHT_BIN" forecast "$scene" --frames 0-2 "${small[@]}" --samples 16 --preview cpu --json
+cp "$log" "$work/quote.json"
+quietly "$FORELIGHT_BIN" export "$scene" --frames 0-2 "${small[@]}" --threads 2 \
+  --forecast "$work/quote.json" --stats "$work/plain/0.json" --out "$work/known.json"
+check "$work/known.json"
+grep -q 'amount.worker.memory' "$work/known.json"
+quietly "$environment/bin/openjd" summary "$work/known.json"
+grep -q 'Total tasks: 3' "$log"
+
+# With two bounces the second level of the cache is filled and put together before the first.
+cached=("${small[@]}" --cache on --cache-rays 48 --ambient-bounces 2)
+echo 'a shot with a cache'
+quietly "$FORELIGHT_BIN" cache plan "$scene" --frames 0-1 "${cached[@]}" --preview cpu --out "$work/plan.cache"
+quietly "$FORELIGHT_BIN" cache fill "$scene" "${cached[@]}" --preview cpu --cache-file "$work/plan.cache" --out "$work/shot.cache"
+for frame in 0 1; do
+  quietly "$FORELIGHT_BIN" render "$scene" --frame "$frame" "${cached[@]}" --preview cpu --cache-file "$work/shot.cache" --out "$work/$frame.exr"
+done
+for parts in 1 3; do
+  echo "  tasks that fill a level: $parts"
+  quietly "$FORELIGHT_BIN" export "$scene" --frames 0-1 "${cached[@]}" --cache-parts "$parts" --out "$work/cached.json"
+  check "$work/cached.json"
+  quietly "$environment/bin/openjd" run "$work/cached.json" -p "Forelight=$FORELIGHT_BIN" -p Preview=cpu \
+    -p "Images=$work/cached-$parts" -p "CacheFolder=$work/cache-$parts"
+  for frame in 0 1; do cmp "$work/$frame.exr" "$work/cached-$parts/$frame.exr"; done
+done
