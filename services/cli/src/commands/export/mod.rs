@@ -344,23 +344,62 @@ mod tests {
         assert!(message(limits(None, Some(&quote("0-9", 1e300)))).contains("cannot be"));
     }
 
-    #[test]
-    fn the_description_says_what_the_shot_will_cost() {
-        let scene = SceneSummary {
+    fn scene() -> SceneSummary {
+        SceneSummary {
             name: "x".into(),
             digest: "00".repeat(32).parse().unwrap(),
-            frames: 10,
+            frames: 1000,
             width: 4,
             height: 2,
             objects: 1,
             materials: 1,
             triangles: 1,
+        }
+    }
+
+    #[derive(Debug, clap::Parser)]
+    struct Typed {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    #[test]
+    fn what_a_job_cannot_hold_or_has_no_use_for_is_refused_by_its_flag() {
+        let every_second = |frames: u32| FrameSet::from_frames((0..frames).map(|frame| 2 * frame)).unwrap();
+        let exported = |flags: &str, change: fn(&mut RenderSettings), frames: u32| {
+            let Typed { args } = clap::Parser::try_parse_from(flags.split(' ')).unwrap();
+            let mut settings = forelight_protocol::RenderSettingsRequest::default().complete((4, 2));
+            change(&mut settings);
+            super::exported(&args, &scene(), settings, every_second(frames), None, None)
         };
+        assert_eq!(exported("export b", |_| (), 270).unwrap().frames.count(), 270);
+        for (message, flag) in [
+            (message(exported("export b", |_| (), 271)), "--frames: the list has 1028 characters"),
+            (message(exported("export b", |settings| settings.seed = u64::MAX, 1)), "--seed"),
+            (message(exported("export b --cache off --cache-parts 2", |_| (), 1)), "--cache-parts"),
+            (
+                message(exported(
+                    "export b --cache on",
+                    |settings| {
+                        settings.cache = CacheMode::On;
+                        settings.ambient_bounces = 0;
+                    },
+                    1,
+                )),
+                "--cache: these settings have no use",
+            ),
+        ] {
+            assert!(message.starts_with(flag), "{message}");
+        }
+    }
+
+    #[test]
+    fn the_description_says_what_the_shot_will_cost() {
         let settings = forelight_protocol::RenderSettingsRequest::default().complete((4, 2));
         let frames: FrameSet = "0-9".parse().unwrap();
-        let text = description(&scene, &settings, &frames, Some(&quote("0-9", 20.0)));
+        let text = description(&scene(), &settings, &frames, Some(&quote("0-9", 20.0)));
         assert!(text.starts_with("10 frames of 4 x 2 pixels, 16 samples"), "{text}");
         assert!(text.contains("3m 20s (P95)") && text.contains("Costs 12.50 (P50)"), "{text}");
-        assert!(!description(&scene, &settings, &frames, None).contains("Forecast"));
+        assert!(!description(&scene(), &settings, &frames, None).contains("Forecast"));
     }
 }
