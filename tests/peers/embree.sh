@@ -12,7 +12,7 @@
 # Skips with a line that says why where Embree or a compiler cannot be had.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
-skip() { echo "skipped: $1"; exit 0; }
+source tests/peers/support.bash
 
 deploy/packages.sh g++ libembree-dev || skip 'Embree cannot be installed (no network?)'
 command -v g++ >/dev/null || skip 'no C++ compiler'
@@ -31,19 +31,13 @@ if [ ! -x "$peer" ] || [ tests/peers/embree.cpp -nt "$peer" ]; then
   mkdir -p target/peers
   g++ -std=c++17 -O2 -Wall -Wextra tests/peers/embree.cpp -o "$peer" "-lembree$embree"
 fi
-if [ -z "${FORELIGHT_BIN:-}" ]; then
-  cargo build --quiet -p forelight-cli
-  FORELIGHT_BIN=$PWD/target/debug/forelight
-fi
+need_forelight
 
-bundles=(deploy/scenes/kitchen deploy/scenes/corridor)
-for name in country-kitchen modern-hall living-room; do
-  bundle=${FORELIGHT_SHARED:-../shared}/scenes/$name
-  if [ -d "$bundle" ]; then bundles+=("$bundle"); fi
-done
+test_scenes kitchen country-kitchen modern-hall living-room
+scenes+=("$PWD/deploy/scenes/corridor")
 result=$(mktemp)
 trap 'rm -f "$result"' EXIT
-"$FORELIGHT_BIN" bench rays "${bundles[@]}" --peer "$peer" --json \
+"$FORELIGHT_BIN" bench rays "${scenes[@]}" --peer "$peer" --json \
   --rays "${FORELIGHT_EMBREE_RAYS:-5000}" --repeats "${FORELIGHT_EMBREE_REPEATS:-3}" >"$result"
 
 python3 - "$result" <<'PYTHON'

@@ -11,20 +11,9 @@
 # Skips with a line that says why where Python, pip or the network is missing.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
-here=$PWD/tests/peers
-skip() { echo "skipped: $1"; exit 0; }
-shared=${FORELIGHT_SHARED:-$PWD/../shared}
+source tests/peers/support.bash
 
-version=3.9.1
-environment=$PWD/target/venv-mitsuba
-if [ ! -e "$environment/ready-$version" ]; then
-  command -v python3 >/dev/null || skip 'no python3'
-  python3 -m venv "$environment" || skip 'python3 has no venv (Debian: python3-venv)'
-  "$environment/bin/pip" install --quiet --disable-pip-version-check "mitsuba==$version" 'numpy>=2,<3' 'OpenEXR>=3.3,<4' ||
-    skip 'Mitsuba cannot be installed (no network?)'
-  touch "$environment/ready-$version"
-fi
-export PYTHONDONTWRITEBYTECODE=1
+python_with mitsuba mitsuba==3.9.1 'numpy>=2,<3' 'OpenEXR>=3.3,<4'
 
 # Mitsuba's vectorised renderer compiles with LLVM, of which it needs a recent one; without, it renders a ray at a time.
 llvm() {
@@ -61,16 +50,8 @@ if [ "${1:-}" = --full ]; then
   exit 0
 fi
 
-if [ -z "${FORELIGHT_BIN:-}" ]; then
-  cargo build --quiet -p forelight-cli
-  FORELIGHT_BIN=$PWD/target/debug/forelight
-fi
-scenes=("$PWD/deploy/scenes/kitchen")
-if [ -d "$shared/scenes/cornell-box" ]; then
-  scenes+=("$shared/scenes/cornell-box")
-else
-  echo "note: no cornell-box: there is no folder $shared/scenes"
-fi
+need_forelight
+test_scenes kitchen cornell-box
 failed=0
 for scene in "${scenes[@]}"; do
   name=$(basename "$scene")

@@ -68,7 +68,7 @@ def bsdf(material, materials):
         return {"type": "dielectric", "int_ior": material.ni, "specular_transmittance": rgb(material.tf)}
     diffuse = colour(material.kd, material.map_kd)
     if material.illum == 2 and material.ks and any(material.ks):
-        coat = {"int_ior": material.ni, "diffuse_reflectance": diffuse, "nonlinear": True}
+        coat = {"int_ior": material.ni, "diffuse_reflectance": diffuse, "nonlinear": False}
         smooth = alpha < 1e-3
         plastic = {"type": "plastic", **coat} if smooth else {"type": "roughplastic", **coat, **rough}
         return {"type": "twosided", "bsdf": plastic}

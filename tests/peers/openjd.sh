@@ -7,22 +7,10 @@
 # Skips with a line that says why where Python, pip or the network is missing.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
-skip() { echo "skipped: $1"; exit 0; }
+source tests/peers/support.bash
 
-version=0.8.0
-environment=$PWD/target/venv-openjd
-if [ ! -e "$environment/ready-$version" ]; then
-  command -v python3 >/dev/null || skip 'no python3'
-  python3 -m venv "$environment" || skip 'python3 has no venv (Debian: python3-venv)'
-  "$environment/bin/pip" install --quiet --disable-pip-version-check "openjd-cli==$version" 'numpy>=2,<3' 'OpenEXR>=3.3,<4' ||
-    skip 'openjd-cli cannot be installed (no network?)'
-  touch "$environment/ready-$version"
-fi
-export PYTHONDONTWRITEBYTECODE=1
-if [ -z "${FORELIGHT_BIN:-}" ]; then
-  cargo build --quiet -p forelight-cli
-  FORELIGHT_BIN=$PWD/target/debug/forelight
-fi
+python_with openjd openjd-cli==0.8.0 'numpy>=2,<3' 'OpenEXR>=3.3,<4'
+need_forelight
 
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT

@@ -11,20 +11,9 @@
 # Skips with a line that says why where Python, pip or the network is missing.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
-here=$PWD/tests/peers
-skip() { echo "skipped: $1"; exit 0; }
-shared=${FORELIGHT_SHARED:-$PWD/../shared}
+source tests/peers/support.bash
 
-version=1.3.1
-environment=$PWD/target/venv-radiance
-if [ ! -e "$environment/ready-$version" ]; then
-  command -v python3 >/dev/null || skip 'no python3'
-  python3 -m venv "$environment" || skip 'python3 has no venv (Debian: python3-venv)'
-  "$environment/bin/pip" install --quiet --disable-pip-version-check "pyradiance==$version" 'numpy>=2,<3' 'pillow>=11' 'OpenEXR>=3.3,<4' ||
-    skip 'Radiance cannot be installed (no network?)'
-  touch "$environment/ready-$version"
-fi
-export PYTHONDONTWRITEBYTECODE=1
+python_with radiance pyradiance==1.3.1 'numpy>=2,<3' 'pillow>=11' 'OpenEXR>=3.3,<4'
 radiance() { "$environment/bin/python" "$here/radiance_peer.py" "$@"; }
 
 work=$(mktemp -d)
@@ -59,16 +48,8 @@ if [ "${1:-}" = --full ]; then
   exit 0
 fi
 
-if [ -z "${FORELIGHT_BIN:-}" ]; then
-  cargo build --quiet -p forelight-cli
-  FORELIGHT_BIN=$PWD/target/debug/forelight
-fi
-scenes=("$PWD/deploy/scenes/kitchen")
-if [ -d "$shared/scenes/cornell-box" ]; then
-  scenes+=("$shared/scenes/cornell-box")
-else
-  echo "note: no cornell-box: there is no folder $shared/scenes"
-fi
+need_forelight
+test_scenes kitchen cornell-box
 failed=0
 for scene in "${scenes[@]}"; do
   name=$(basename "$scene")

@@ -10,23 +10,12 @@
 # Further arguments go to schemathesis. Skips with a line that says why where Python, pip or the network is missing.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
-here=$PWD/tests/peers
-skip() { echo "skipped: $1"; exit 0; }
+source tests/peers/support.bash
 
 # The newest version is not taken by itself: it brings new checks, and with them news for people, not for a test run.
-version=4.32.5
-environment=$PWD/target/venv-schemathesis
-if [ ! -x "$environment/bin/schemathesis" ]; then
-  command -v python3 >/dev/null || skip 'no python3'
-  python3 -m venv "$environment" || skip 'python3 has no venv (Debian: python3-venv)'
-  "$environment/bin/pip" install --quiet --disable-pip-version-check "schemathesis==$version" ||
-    skip 'schemathesis cannot be installed (no network?)'
-fi
+python_with schemathesis schemathesis==4.32.5
 
-if [ -z "${FORELIGHT_BIN:-}" ]; then
-  cargo build --quiet -p forelight-cli
-  FORELIGHT_BIN=$PWD/target/debug/forelight
-fi
+need_forelight
 scene=$PWD/deploy/scenes/corridor
 
 work=$(mktemp -d)
@@ -66,7 +55,7 @@ PYTHON
 "$environment/bin/python" "$here/schemathesis_config.py" "$work/job.json" "$node" >"$work/schemathesis.toml"
 bundle=$("$environment/bin/python" -c 'import json, sys; print(json.load(sys.stdin)["job"]["bundle"]["id"])' <"$work/job.json")
 
-export SCHEMATHESIS_HOOKS=schemathesis_hooks PYTHONPATH=$here PYTHONDONTWRITEBYTECODE=1 FORELIGHT_EXAMPLE_SCENE=$scene FORELIGHT_EXAMPLE_BUNDLE=$bundle
+export SCHEMATHESIS_HOOKS=schemathesis_hooks PYTHONPATH=$here FORELIGHT_EXAMPLE_SCENE=$scene FORELIGHT_EXAMPLE_BUNDLE=$bundle
 cd "$work"
 "$environment/bin/schemathesis" --config-file "$work/schemathesis.toml" run "$url/openapi.yaml" \
   --header "Authorization: Bearer $token" \
