@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::Money;
+use crate::{LeftOut, Money};
 
 /// A forecast of one number: its mean and the values that it stays below with probability 50, 80 and 95 %.
 #[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
@@ -205,6 +205,9 @@ pub struct ForecastDoc {
     /// The effects that any of the profiled frames calls for, by name, sorted: what is simulated, and so paid for.
     #[serde(default)]
     pub effects: Vec<String>,
+    /// Lights and objects that cannot matter to any of the profiled frames: what is not simulated, and costs nothing.
+    #[serde(default)]
+    pub left_out: Vec<LeftOut>,
     /// The total in money, at the mean price of the farm's nodes; absent without nodes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cost: Option<MoneyQuantiles>,

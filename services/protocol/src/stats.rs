@@ -66,6 +66,15 @@ pub struct LeftOut {
 impl LeftOut {
     /// Entries of one frame, at most; the last of so many stands for all that follow.
     pub const MOST: usize = 100;
+
+    /// What is left out of all of several frames: of those that the first one leaves out, in its order.
+    pub fn of_all<'a>(frames: impl IntoIterator<Item = &'a [Self]>) -> Vec<Self> {
+        let mut frames = frames.into_iter();
+        let Some(first) = frames.next() else { return Vec::new() };
+        frames.fold(first.to_vec(), |kept, frame| {
+            kept.into_iter().filter(|left| frame.contains(left)).collect()
+        })
+    }
 }
 
 /// What an irradiance cache took and came to.

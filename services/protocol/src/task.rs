@@ -5,7 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{ArtifactHash, BundleSource, JobId, RenderSettings, RenderStats, SceneDigest};
+use crate::{ArtifactHash, BundleSource, JobId, LeftOut, RenderSettings, RenderStats, SceneDigest};
 
 /// The kinds of tasks.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize, ToSchema)]
@@ -406,6 +406,9 @@ pub struct ProfileResult {
     /// The effects that the frame calls for, by name, sorted.
     #[serde(default)]
     pub effects: Vec<String>,
+    /// Lights and objects that cannot matter to the frame's image.
+    #[serde(default)]
+    pub left_out: Vec<LeftOut>,
     /// Costs beside the pixels.
     pub fixed: FixedCosts,
     /// What the whole task took.

@@ -1,8 +1,8 @@
 //! Quotes: choosing to profile, and keeping what was forecast.
 
 use forelight_protocol::{
-    ForecastDoc, ForecastTotals, FrameForecast, JobId, JobState, MoneyQuantiles, Profiled, SpentOnForecast,
-    Timestamp,
+    ForecastDoc, ForecastTotals, FrameForecast, JobId, JobState, LeftOut, MoneyQuantiles, Profiled,
+    SpentOnForecast, Timestamp,
 };
 use serde::{Deserialize, Serialize};
 
@@ -26,6 +26,9 @@ pub struct JobForecast {
     /// The effects that any of the profiled frames calls for.
     #[serde(default)]
     pub effects: Vec<String>,
+    /// What is left out of all of them.
+    #[serde(default)]
+    pub left_out: Vec<LeftOut>,
     /// The total in money.
     pub cost: Option<MoneyQuantiles>,
 }
@@ -68,7 +71,7 @@ impl Store {
             .fetch_optional(&mut *transaction)
             .await?;
         let kept: Option<JobForecast> = json_opt(&row.ok_or(StoreError::NotFound("job"))?, "forecast")?;
-        let Some(JobForecast { total, profiled, spent, calibrated, effects, cost }) = kept else {
+        let Some(JobForecast { total, profiled, spent, calibrated, effects, left_out, cost }) = kept else {
             return Ok(None);
         };
         let rows = sqlx::query(
@@ -78,7 +81,7 @@ impl Store {
         .fetch_all(&mut *transaction)
         .await?;
         let frames = rows.iter().map(|row| json(row, "forecast")).collect::<Result<_, _>>()?;
-        Ok(Some(ForecastDoc { frames, total, profiled, spent, calibrated, effects, cost }))
+        Ok(Some(ForecastDoc { frames, total, profiled, spent, calibrated, effects, left_out, cost }))
     }
 }
 

@@ -122,6 +122,7 @@ impl Farm {
                 cache_samples: Vec::new(),
                 noise: Vec::new(),
                 effects: vec!["ambient".to_owned()],
+                left_out: Vec::new(),
                 fixed: FixedCosts::default(),
                 spent: Spent { work: 10, cpu_nanos: 500 },
                 artifacts: ProfileArtifacts { profile: self.artifact("a profile").await, preview_png: None },
@@ -262,6 +263,7 @@ fn job_forecast() -> JobForecast {
         spent: SpentOnForecast::default(),
         calibrated: false,
         effects: vec!["ambient".to_owned()],
+        left_out: Vec::new(),
         cost: None,
     }
 }

@@ -10,7 +10,7 @@ use forelight_forecast::{
     Calibration, Cost, Costs, FramePopulation, Observation, Quantity, RecordStrata, ShotForecast, Strategy,
 };
 use forelight_protocol::{
-    FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, Profiled, Quantiles, RayQuantiles,
+    FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, LeftOut, Profiled, Quantiles, RayQuantiles,
     RenderSettings, Spent, SpentOnForecast,
 };
 use std::collections::BTreeSet;
@@ -158,6 +158,7 @@ fn document(
         spent: SpentOnForecast::default(),
         calibrated: forecast.calibrated,
         effects: effects.into_iter().cloned().collect(),
+        left_out: LeftOut::of_all(profiled.iter().map(|profile| &profile.left_out[..])),
         cost: None,
     }
 }

@@ -10,7 +10,9 @@ use crate::renderer::{Counted, FrameRenderer, RenderError, Renderer, StratumInfo
 use crate::warm_clock;
 use forelight_forecast::{Cost, Expansion, Observation, Stratum};
 use forelight_preview::{NOTHING, Preview};
-use forelight_protocol::{CacheMode, FixedCosts, MaterialMode, PreviewBackend, RenderSettings, Spent};
+use forelight_protocol::{
+    CacheMode, FixedCosts, LeftOut, MaterialMode, PreviewBackend, RenderSettings, Spent,
+};
 use forelight_scene::{Frame, MaterialClass};
 use forelight_tracer::{Pixel, Profile, RecordCost};
 use std::collections::BTreeSet;
@@ -134,6 +136,8 @@ pub struct ProfiledFrame {
     pub fixed: FixedCosts,
     /// The effects that the frame calls for, by name, sorted.
     pub effects: Vec<String>,
+    /// Lights and objects that cannot matter to the frame's image.
+    pub left_out: Vec<LeftOut>,
     /// What setting the frame up took this time.
     pub setup: Spent,
     /// The frame's preview.
@@ -268,6 +272,7 @@ pub(crate) fn profile_ready(
         records,
         fixed: ready.fixed(),
         effects: ready.effects(),
+        left_out: ready.left_out(),
         setup: ready.spent_on_setup(),
         preview: seen.spent,
         pixels,

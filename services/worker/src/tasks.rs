@@ -138,6 +138,7 @@ pub fn profile_result(
         cache_samples: gathered.collect(),
         noise: noise_cells(info, settings, profiled),
         effects: profiled.effects.clone(),
+        left_out: profiled.left_out.clone(),
         fixed: profiled.fixed,
         spent: profiled.spent(),
         strata: shown.list,

@@ -6,7 +6,8 @@ use forelight_forecast::{
     Calibration, Cost, Costs, Expansion, Observation, ProfiledFrame, Quantity, forecast_shot,
 };
 use forelight_protocol::{
-    ForecastTotals, FrameForecast, PreviewResult, Profiled, Quantiles, RayQuantiles, Spent, SpentOnForecast,
+    ForecastTotals, FrameForecast, LeftOut, PreviewResult, Profiled, Quantiles, RayQuantiles, Spent,
+    SpentOnForecast,
 };
 use forelight_store::{JobForecast, MeasuredProfile};
 
@@ -109,6 +110,7 @@ pub(super) fn forecast(
         total,
         calibrated: shot.calibrated,
         effects: effects.into_iter().cloned().collect(),
+        left_out: LeftOut::of_all(profiles.iter().map(|profile| &profile.result.left_out[..])),
         cost: None,
     };
     Ok(Forecast { job, frames })
@@ -208,6 +210,7 @@ mod tests {
             cache_samples: Vec::new(),
             noise: Vec::new(),
             effects: vec!["ambient".to_owned(), "mirror".to_owned()],
+            left_out: vec![LeftOut { what: "sun 0".to_owned(), reason: "outside".to_owned() }],
             fixed,
             spent: Spent { work: 50, cpu_nanos: 0 },
             artifacts,
@@ -231,6 +234,7 @@ mod tests {
         assert_eq!(forecast.job.profiled, Profiled { frames: vec![0], pixels: 28 });
         assert_eq!(forecast.job.spent.work, 100);
         assert_eq!(forecast.job.effects, ["ambient", "mirror"]);
+        assert_eq!(forecast.job.left_out[0].what, "sun 0");
     }
 
     #[test]

@@ -260,6 +260,7 @@ impl Farm {
                     cache_samples: Vec::new(),
                     noise: made_up_noise(spec.settings.spp),
                     effects: vec!["ambient".to_owned()],
+                    left_out: Vec::new(),
                     fixed: FixedCosts {
                         load: Spent { work: 5, cpu_nanos: 5_000_000 },
                         ..FixedCosts::default()

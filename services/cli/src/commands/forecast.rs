@@ -11,7 +11,7 @@ use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use forelight_forecast::Strategy;
-use forelight_protocol::{ForecastDoc, FrameSet, Quantiles, RenderSettings};
+use forelight_protocol::{ForecastDoc, FrameSet, LeftOut, Quantiles, RenderSettings};
 use forelight_worker::{Observer, Quote, QuoteOptions, ShotError, quote};
 use indicatif::ProgressBar;
 use std::path::{Path, PathBuf};
@@ -185,10 +185,13 @@ fn report(quote: &ForecastDoc) -> String {
     } else {
         "The quantiles rest on the statistics of this shot alone; they are not calibrated on past jobs."
     };
+    let left_out =
+        quote.left_out.iter().map(|LeftOut { what, reason }| format!("left out: {what}: {reason}\n"));
     table.render()
         + &format!(
-            "\nsimulated: {}\n{} pixels of {frames} frame{plural} were profiled. The quote took {} CPU time and {:.1} % of the work that it forecasts.\n{calibrated}\n",
+            "\nsimulated: {}\n{}{} pixels of {frames} frame{plural} were profiled. The quote took {} CPU time and {:.1} % of the work that it forecasts.\n{calibrated}\n",
             quote.effects.join(", "),
+            left_out.collect::<String>(),
             quote.profiled.pixels,
             seconds(spent.cpu_seconds),
             spent.fraction_of_forecast * 100.0,

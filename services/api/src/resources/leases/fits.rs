@@ -115,6 +115,7 @@ fn profile(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
     }
     noise(&format!("{AT}/noise"), spec, &result.noise)?;
     effects(&format!("{AT}/effects"), &result.effects)?;
+    left_out(&format!("{AT}/left_out"), &result.left_out)?;
     let fixed = &result.fixed;
     for (name, cost) in
         [("load", fixed.load), ("build", fixed.build), ("plan", fixed.plan), ("write", fixed.write)]

@@ -2,7 +2,7 @@
 
 use crate::quantities::{clock, count, money, percent, seconds};
 use crate::table::{Align, Table};
-use forelight_protocol::{ForecastDoc, FrameRow, FrameState, Job, JobState, Timestamp, Verdict};
+use forelight_protocol::{ForecastDoc, FrameRow, FrameState, Job, JobState, LeftOut, Timestamp, Verdict};
 use serde::Serialize;
 
 /// All of it, for machines.
@@ -112,6 +112,9 @@ fn verdict(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: 
         text += "\n";
         if !quote.effects.is_empty() {
             text += &format!("simulated  {}\n", quote.effects.join(", "));
+        }
+        for LeftOut { what, reason } in &quote.left_out {
+            text += &format!("left out   {what}: {reason}\n");
         }
     }
     if let Some(verdict) = &job.verdict {
