@@ -46,7 +46,7 @@ pub use sample::RecordCost;
 pub use share::Shared;
 pub use site::Site;
 
-use crate::cost::{Cost, Rays};
+use crate::cost::{Cost, Rays, add_rays};
 use crate::tracer::Tracer;
 use forelight_bvh::Hit;
 use glam::Vec3;
@@ -213,7 +213,7 @@ impl Cache {
             totals.filled += 1;
             totals.rejected += u64::from(record.rejected);
             totals.fill += record.cost;
-            totals.fill_rays.iter_mut().zip(record.rays).for_each(|(sum, rays)| *sum += u64::from(rays));
+            add_rays(&mut totals.fill_rays, &record.rays);
         }
         totals
     }

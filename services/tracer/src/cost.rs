@@ -22,6 +22,11 @@ pub enum Category {
 /// Rays by category, in the order of [`RAY_NAMES`].
 pub type Rays = [u64; 7];
 
+/// Adds rays to a sum, category by category.
+pub fn add_rays<R: Copy + Into<u64>>(sum: &mut Rays, rays: &[R; 7]) {
+    sum.iter_mut().zip(rays).for_each(|(sum, &rays)| *sum += rays.into());
+}
+
 /// A cost in both currencies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Cost {

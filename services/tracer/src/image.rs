@@ -1,5 +1,6 @@
 //! Finished images: linear EXR with identity and cost layers, a tone-mapped PNG, and the cost map.
 
+use crate::cost::add_rays;
 use crate::{Pixel, RAY_NAMES, Rays};
 use exr::prelude as exr;
 use forelight_scene::Frame;
@@ -45,7 +46,7 @@ impl Totals {
     pub fn of<'a>(pixels: impl Iterator<Item = &'a Pixel>) -> Self {
         pixels.fold(Self::default(), |mut t, p| {
             t.pixels += 1;
-            t.rays.iter_mut().zip(p.rays).for_each(|(sum, r)| *sum += u64::from(r));
+            add_rays(&mut t.rays, &p.rays);
             t.work += p.work;
             t.cpu_nanos += p.cpu_nanos;
             t

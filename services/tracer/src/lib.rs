@@ -21,6 +21,7 @@
 //! | `tree` | the tree over what matters |
 //! | `tracer`, `profile`, `image` | a frame's pixels, some of them, and all of them |
 
+mod bounds;
 pub mod bsdf;
 mod cache;
 mod cost;

@@ -18,6 +18,7 @@ pub use luminaires::Luminaires;
 pub use selection::{Light, Lights};
 pub use tree::{Choice, Receiver};
 
+use crate::bounds::Bounds;
 use crate::geometry;
 use forelight_bvh::{Hit, size_of};
 use forelight_scene::Frame;
@@ -84,8 +85,8 @@ fn cumulative(areas: impl Iterator<Item = f64> + Clone) -> impl Iterator<Item = 
 
 /// Whether a point is closer to a light's box than the light is wide. There, points chosen by area miss the few that matter (their
 /// weight grows like 1/distance²), and directions chosen by the surface have to help.
-fn is_near(low: Vec3, high: Vec3, area: f32, point: Vec3) -> bool {
-    let outside = (low - point).max(point - high).max(Vec3::ZERO);
+fn is_near(light: &Bounds, area: f32, point: Vec3) -> bool {
+    let outside = (light.low - point).max(point - light.high).max(Vec3::ZERO);
     outside.length_squared() < area
 }
 

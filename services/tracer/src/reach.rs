@@ -36,14 +36,14 @@
 //!
 //! Whatever is in doubt stays in. All of it takes linear time but for the shells that may hold something, and these have a budget.
 
-mod bounds;
 mod facet;
 mod separation;
 mod shell;
+mod tree;
 mod wall;
 mod weld;
 
-use bounds::Bounds;
+use crate::bounds::Bounds;
 use forelight_scene::{Color, Environment, Frame, Geometry, Material, PointLight, Surface};
 use glam::{DVec3, Vec3};
 use separation::{Kept, Separation};

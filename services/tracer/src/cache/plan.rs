@@ -4,7 +4,7 @@ use super::hemisphere::{PLAN_RAYS, RINGS, SECTORS, Strata};
 use super::octree::Octree;
 use super::{Cache, Level, Planned, READ_RELAXED, Site};
 use crate::CacheSettings;
-use crate::cost::{Cost, Counters, Rays, thread_cpu_nanos};
+use crate::cost::{Cost, Counters, Rays, add_rays, thread_cpu_nanos};
 use crate::geometry::Basis;
 use crate::random::{Sampler, hash};
 use crate::tracer::Tracer;
@@ -69,7 +69,7 @@ impl Cache {
             level.explored = level.planned.len();
         }
         self.plan += planning.plan.cost;
-        self.plan_rays.iter_mut().zip(planning.plan.rays).for_each(|(sum, rays)| *sum += rays);
+        add_rays(&mut self.plan_rays, &planning.plan.rays);
     }
 }
 
@@ -96,7 +96,7 @@ struct PlanCost {
 impl PlanCost {
     fn charge(&mut self, counters: &Counters, cpu_nanos: u64) {
         self.cost += Cost { work: counters.work(), cpu_nanos };
-        self.rays.iter_mut().zip(counters.rays).for_each(|(sum, rays)| *sum += u64::from(rays));
+        add_rays(&mut self.rays, &counters.rays);
     }
 }
 

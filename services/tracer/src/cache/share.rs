@@ -6,6 +6,7 @@
 
 use super::plan::octree;
 use super::{Cache, Level, Planned};
+use crate::bounds::Bounds;
 use crate::geometry::Basis;
 use crate::random::Sampler;
 use crate::tracer::Tracer;
@@ -19,10 +20,6 @@ pub struct Shared {
     /// Records that do not.
     pub dropped: Vec<u64>,
 }
-
-/// A box, by its lowest and highest corner.
-#[derive(Debug, Clone, Copy)]
-struct Bounds(Vec3, Vec3);
 
 impl Cache {
     /// The records of this cache, planned (and perhaps filled) for `from`, that hold in the frame of `to`.
@@ -145,7 +142,7 @@ impl Change {
         }
         let objects = old.strata.objects.len();
         let mut moved = vec![false; objects];
-        let mut places = vec![Bounds(Vec3::INFINITY, Vec3::NEG_INFINITY); objects];
+        let mut places = vec![Bounds::EMPTY; objects];
         for (triangle, corners) in old.triangles.iter().enumerate() {
             if corners.iter().any(|&v| {
                 old.positions[v as usize] != new.positions[v as usize]
@@ -154,10 +151,8 @@ impl Change {
                 let object = old.object(triangle as u32) as usize;
                 moved[object] = true;
                 for &v in corners {
-                    let bounds = &mut places[object];
-                    for position in [old.positions[v as usize], new.positions[v as usize]] {
-                        *bounds = Bounds(bounds.0.min(position), bounds.1.max(position));
-                    }
+                    let both = Bounds::of([old.positions[v as usize], new.positions[v as usize]]);
+                    places[object] = places[object].union(both);
                 }
             }
         }
@@ -171,11 +166,8 @@ impl Change {
         if (0..objects).any(|object| moved[object] && emits(object)) {
             return None;
         }
-        let area = luminaires.all.iter().map(|luminaire| {
-            let (low, high) = luminaire.bounds();
-            Bounds(low, high)
-        });
-        let points = from.frame.points.iter().map(|light| Bounds(light.position, light.position));
+        let area = luminaires.all.iter().map(|luminaire| luminaire.bounds);
+        let points = from.frame.points.iter().map(|light| Bounds::of([light.position]));
         Some(Self {
             places: places
                 .into_iter()
@@ -209,41 +201,13 @@ impl Change {
     fn shadows(&self, point: Vec3) -> bool {
         self.places.iter().any(|place| {
             // Around everything that moved, the sky is seen otherwise.
-            let by_sky = self.sky && place.grown((place.1 - place.0) * 0.5).contains(point);
+            let by_sky = self.sky && place.grown_by(place.half()).contains(point);
             by_sky
                 || self.suns.iter().any(|&sun| place.meets(point, sun, f32::INFINITY))
                 || self.lights.iter().any(|light| {
-                    let half = (light.1 - light.0) * 0.5;
-                    let towards = light.0 + half - point;
-                    place.grown(half).meets(point, towards, 1.0)
+                    let towards = light.low + light.half() - point;
+                    place.grown_by(light.half()).meets(point, towards, 1.0)
                 })
         })
-    }
-}
-
-impl Bounds {
-    fn grown(self, by: Vec3) -> Self {
-        Self(self.0 - by, self.1 + by)
-    }
-
-    fn contains(self, point: Vec3) -> bool {
-        point.cmpge(self.0).all() && point.cmple(self.1).all()
-    }
-
-    /// Whether origin + t · direction, 0 ≤ t ≤ length, touches the box.
-    fn meets(self, origin: Vec3, direction: Vec3, length: f32) -> bool {
-        let (mut near, mut far) = (0.0f32, length);
-        for axis in 0..3 {
-            let (low, high) = (self.0[axis] - origin[axis], self.1[axis] - origin[axis]);
-            if direction[axis] == 0.0 {
-                if low > 0.0 || high < 0.0 {
-                    return false;
-                }
-                continue;
-            }
-            let (a, b) = (low / direction[axis], high / direction[axis]);
-            (near, far) = (near.max(a.min(b)), far.min(a.max(b)));
-        }
-        near <= far
     }
 }

@@ -1,6 +1,7 @@
 //! Where a set of lights is, where it shines to, and how much of it reaches a point at most.
 
 use super::tree::Receiver;
+use crate::bounds::Bounds as Place;
 use glam::{DVec3, Vec3};
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -29,16 +30,10 @@ const SLACK: f32 = 1e-3;
 
 impl Bounds {
     /// A flat light that shines by the cosine law from the side that `normal` points to, or from both.
-    pub fn flat(
-        (low, high): (Vec3, Vec3),
-        normal: Vec3,
-        area: f32,
-        both_sides: bool,
-        intensity: f64,
-    ) -> Self {
+    pub fn flat(place: Place, normal: Vec3, area: f32, both_sides: bool, intensity: f64) -> Self {
         Self {
-            low,
-            high,
+            low: place.low,
+            high: place.high,
             axis: normal,
             spread: (1.0, 0.0),
             reach: 0.0,
@@ -62,6 +57,11 @@ impl Bounds {
             intensity,
             largest_area: 0.0,
         }
+    }
+
+    /// The box that the lights are in.
+    pub fn place(&self) -> Place {
+        Place { low: self.low, high: self.high }
     }
 
     /// Middle of the box.

@@ -1,9 +1,10 @@
 //! Lights with a position: emitting patches of surface and lights without surface.
 
-use super::bounds::Bounds;
+use super::bounds::Bounds as LightBounds;
 use super::tree::{Choice, LightTree, Receiver};
 use super::{LightPoint, cumulative, is_near, part};
 use crate::Reach;
+use crate::bounds::Bounds;
 use crate::geometry::Basis;
 use forelight_scene::{Color, Frame, Geometry, Material, Texels};
 use glam::{Vec2, Vec3};
@@ -25,8 +26,7 @@ struct Patch {
     end: u32,
     /// Total area, m².
     area: f32,
-    low: Vec3,
-    high: Vec3,
+    bounds: Bounds,
 }
 
 /// All of them, and the tree by which one is chosen.
@@ -81,29 +81,28 @@ impl Emitters {
             if intensity > 0.0 && light.intensity.is_finite() && reach.point_light(i) {
                 emitters.points.push(i as u32);
                 let cone = light.cone.map(|(axis, _, outer)| (axis, outer));
-                bounds.push(Bounds::point(light.position, cone, intensity));
+                bounds.push(LightBounds::point(light.position, cone, intensity));
             }
         }
         Self { tree: LightTree::new(&bounds), ..emitters }
     }
 
-    fn add(&mut self, geometry: &Geometry, members: &[Member], both_sides: bool) -> Bounds {
-        let corners = || members.iter().flat_map(|m| geometry.corners(m.triangle));
+    fn add(&mut self, geometry: &Geometry, members: &[Member], both_sides: bool) -> LightBounds {
+        let corners = members.iter().flat_map(|m| geometry.corners(m.triangle));
         let areas = members.iter().map(|m| f64::from(m.area));
         let first = self.triangles.len() as u32;
         let patch = Patch {
             first,
             end: first + members.len() as u32,
             area: areas.clone().sum::<f64>() as f32,
-            low: corners().fold(Vec3::INFINITY, Vec3::min),
-            high: corners().fold(Vec3::NEG_INFINITY, Vec3::max),
+            bounds: Bounds::of(corners),
         };
         self.patch_of.extend(members.iter().map(|m| (m.triangle, self.patches.len() as u32)));
         self.triangles.extend(members.iter().map(|m| m.triangle));
         self.cumulative.extend(cumulative(areas));
         self.patches.push(patch);
         let intensity = members.iter().map(|m| m.intensity).sum();
-        Bounds::flat((patch.low, patch.high), members[0].normal, patch.area, both_sides, intensity)
+        LightBounds::flat(patch.bounds, members[0].normal, patch.area, both_sides, intensity)
     }
 
     /// Irradiance that all of them together are expected to bring, W/m².
@@ -157,13 +156,13 @@ impl Emitters {
 
     /// See [`is_near`].
     pub fn is_near(&self, patch: usize, point: Vec3) -> bool {
-        let Patch { area, low, high, .. } = self.patches[patch];
-        is_near(low, high, area, point)
+        let Patch { area, bounds, .. } = self.patches[patch];
+        is_near(&bounds, area, point)
     }
 
     /// Whether a point is near any patch.
     pub fn any_near(&self, point: Vec3) -> bool {
-        let may_hold = |bounds: &Bounds| is_near(bounds.low, bounds.high, bounds.largest_area, point);
+        let may_hold = |bounds: &LightBounds| is_near(&bounds.place(), bounds.largest_area, point);
         self.tree.any(may_hold, |i| i < self.patches.len() && self.is_near(i, point))
     }
 }
@@ -178,7 +177,7 @@ struct Member {
     intensity: f64,
 }
 
-/// Cosine between normals of one plane: what they differ is well within the slack of [`Bounds`].
+/// Cosine between normals of one plane: what they differ is well within the slack of [`LightBounds`].
 const SAME_PLANE: f32 = 1.0 - 1.2e-7;
 
 /// Share of a rectangle that a patch covers at least: a disc covers 0.79.

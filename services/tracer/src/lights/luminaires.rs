@@ -2,6 +2,7 @@
 
 use super::{LightPoint, cumulative, is_near, part};
 use crate::Reach;
+use crate::bounds::Bounds;
 use forelight_scene::Frame;
 use glam::{Vec2, Vec3};
 
@@ -12,8 +13,8 @@ pub struct Luminaire {
     pub stratum: u32,
     /// Total area, m².
     pub area: f32,
-    low: Vec3,
-    high: Vec3,
+    /// The box around it.
+    pub bounds: Bounds,
     triangles: Vec<u32>,
     /// Cumulative share of the area by triangle; the last entry is 1.
     cumulative: Vec<f32>,
@@ -56,12 +57,11 @@ impl Luminaires {
         luminaires.reaching = found(true).count();
         for (stratum, members) in found(true).chain(found(false)) {
             let areas = members.iter().map(|m| m.1);
-            let corners = || members.iter().flat_map(|m| geometry.corners(m.0));
+            let corners = members.iter().flat_map(|m| geometry.corners(m.0));
             luminaires.of_stratum[stratum as usize] = luminaires.all.len() as u32;
             luminaires.all.push(Luminaire {
                 stratum,
-                low: corners().fold(Vec3::INFINITY, Vec3::min),
-                high: corners().fold(Vec3::NEG_INFINITY, Vec3::max),
+                bounds: Bounds::of(corners),
                 area: areas.clone().sum::<f64>() as f32,
                 cumulative: cumulative(areas).collect(),
                 triangles: members.iter().map(|m| m.0).collect(),
@@ -89,14 +89,9 @@ impl Luminaires {
 }
 
 impl Luminaire {
-    /// The box around it, by its lowest and highest corner.
-    pub fn bounds(&self) -> (Vec3, Vec3) {
-        (self.low, self.high)
-    }
-
     /// See [`is_near`].
     pub fn is_near(&self, point: Vec3) -> bool {
-        is_near(self.low, self.high, self.area, point)
+        is_near(&self.bounds, self.area, point)
     }
 
     /// A uniform point of the surface.

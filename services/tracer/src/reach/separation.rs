@@ -1,10 +1,11 @@
 //! What shells keep from the camera.
 
-use super::bounds::{Bounds, Tree};
 use super::facet::Facet;
 use super::shell::{Shell, shells};
+use super::tree::Tree;
 use super::wall::{Meeting, Wall};
 use super::weld::{Groups, Sets, number, weld};
+use crate::bounds::Bounds;
 use forelight_scene::{Frame, Geometry, Material, Surface};
 use glam::Vec3;
 

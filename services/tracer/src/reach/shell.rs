@@ -1,7 +1,7 @@
 //! Closed opaque surfaces.
 
-use super::bounds::Bounds;
 use super::weld::{Edges, Groups, Sets, number};
+use crate::bounds::Bounds;
 use forelight_scene::Geometry;
 
 /// Triangles without a border: every edge belongs to an even number of them.

@@ -1,8 +1,9 @@
 //! A shell, ready to be asked what lies inside it and what comes close.
 
-use super::bounds::{Bounds, Tree};
 use super::facet::{Facet, Sides};
 use super::shell::Shell;
+use super::tree::Tree;
+use crate::bounds::Bounds;
 use forelight_scene::Geometry;
 use glam::DVec3;
 

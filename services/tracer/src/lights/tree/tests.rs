@@ -43,9 +43,13 @@ impl Lamp {
         let u = normal.any_orthonormal_vector() * edge;
         let v = normal.cross(u);
         let corners = [centre + u, centre - 0.5 * u + 0.8 * v, centre - 0.5 * u - 0.8 * v];
-        let (low, high) =
-            corners.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), c| (l.min(*c), h.max(*c)));
-        let bounds = Bounds::flat((low, high), normal, 1.2 * edge * edge, both_sides, intensity);
+        let bounds = Bounds::flat(
+            crate::bounds::Bounds::of(corners),
+            normal,
+            1.2 * edge * edge,
+            both_sides,
+            intensity,
+        );
         Self { bounds, centre, shape: Shape::Flat(normal, both_sides), intensity }
     }
 

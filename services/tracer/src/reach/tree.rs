@@ -1,57 +1,7 @@
-//! Axis-parallel boxes, and a tree over many of them.
+//! A tree over many boxes.
 
-use glam::{DVec3, Vec3};
-
-/// A box; empty if `low` exceeds `high`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Bounds {
-    pub low: Vec3,
-    pub high: Vec3,
-}
-
-impl Bounds {
-    pub const EMPTY: Self = Self { low: Vec3::INFINITY, high: Vec3::NEG_INFINITY };
-
-    pub fn of(points: impl IntoIterator<Item = Vec3>) -> Self {
-        points.into_iter().fold(Self::EMPTY, |b, p| Self { low: b.low.min(p), high: b.high.max(p) })
-    }
-
-    pub fn union(self, other: Self) -> Self {
-        Self { low: self.low.min(other.low), high: self.high.max(other.high) }
-    }
-
-    /// Larger by `margin` on every side.
-    pub fn grown(self, margin: f32) -> Self {
-        Self { low: self.low - margin, high: self.high + margin }
-    }
-
-    pub fn overlaps(&self, other: &Self) -> bool {
-        self.low.cmple(other.high).all() && other.low.cmple(self.high).all()
-    }
-
-    pub fn holds(&self, other: &Self) -> bool {
-        self.low.cmple(other.low).all() && other.high.cmple(self.high).all()
-    }
-
-    /// Largest distance of a coordinate from zero.
-    pub fn reach(&self) -> f32 {
-        self.low.abs().max(self.high.abs()).max_element()
-    }
-
-    pub fn corners(&self) -> impl Iterator<Item = Vec3> {
-        let ends = [self.low, self.high];
-        (0..8).map(move |i| Vec3::new(ends[i & 1].x, ends[i >> 1 & 1].y, ends[i >> 2].z))
-    }
-
-    /// Whether the line `origin` + t · `direction`, t ≥ 0, may meet the box. `inverse` is 1 / `direction`, all of it finite.
-    fn is_ahead(&self, origin: DVec3, inverse: DVec3) -> bool {
-        let (a, b) = ((self.low.as_dvec3() - origin) * inverse, (self.high.as_dvec3() - origin) * inverse);
-        let (near, far) = (a.min(b).max_element(), a.max(b).min_element());
-        // Generous by far more than f64 rounds: a box that is met in vain costs a test, one that is missed a wrong answer.
-        let slack = 1e-9 * (near.abs() + far.abs());
-        far >= -slack && near <= far + slack
-    }
-}
+use crate::bounds::Bounds;
+use glam::DVec3;
 
 /// Items in a leaf at most.
 const LEAF: usize = 4;
@@ -148,6 +98,7 @@ impl Tree {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::Vec3;
 
     fn boxes() -> Vec<Bounds> {
         let number = |i: u64| (crate::random::hash(i) >> 40) as f32 / (1 << 24) as f32;
@@ -176,15 +127,5 @@ mod tests {
             assert_eq!(found, (0..1000).filter(ahead).collect::<Vec<u32>>());
             assert!(!found.is_empty());
         }
-    }
-
-    #[test]
-    fn a_box_knows_what_lies_ahead() {
-        let cube = Bounds { low: Vec3::ZERO, high: Vec3::ONE };
-        let inverse = DVec3::new(0.01, 0.02, 1.0).recip();
-        assert!(cube.is_ahead(DVec3::new(0.5, 0.5, -3.0), inverse));
-        assert!(cube.is_ahead(DVec3::splat(0.5), inverse));
-        assert!(!cube.is_ahead(DVec3::new(0.5, 0.5, 2.0), inverse));
-        assert!(!cube.is_ahead(DVec3::new(0.5, 1.5, 0.5), inverse));
     }
 }
