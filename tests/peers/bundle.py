@@ -326,19 +326,20 @@ def write_image(path, image):
 def compare(ours, theirs, mean_tolerance, block_tolerance, blocks=8):
     """Compares two images of one scene, and says where they differ too much: an empty list if they agree.
 
-    Pixels that see a light, or lie beside one that does, are left out: they are a hundred times as bright as what is lit, and how much of a
-    light lies in a pixel says little about its transport. The means of the rest may differ by `mean_tolerance`, relative. So may, by
-    `block_tolerance` of the mean, the root mean square of the differences between `blocks` × `blocks` parts of the image: light
-    that is lost here and comes back there.
+    Pixels that see a light, or lie within two of one that does, are left out: they are a hundred times as bright as what is lit, and how
+    much of a light lies in a pixel says little about its transport. Two, because whether a pixel that sees a sliver of a light counts as
+    one that sees it is a matter of noise, and must not decide whether the sliver counts. The means of the rest may differ by
+    `mean_tolerance`, relative. So may, by `block_tolerance` of the mean, the root mean square of the differences between `blocks` ×
+    `blocks` parts of the image: light that is lost here and comes back there.
     """
     if ours.shape != theirs.shape:
         return [f"sizes {ours.shape} and {theirs.shape}"]
     brightest = numpy.maximum(ours, theirs).max(axis=2)
     # Not a number is neither above nor below, and must not hide.
-    lights = brightest > 10 * numpy.median(theirs)
-    padded = numpy.pad(lights, 1)
+    lights = brightest > 40 * numpy.median(theirs)
+    padded = numpy.pad(lights, 2)
     height, width = lights.shape
-    seen = ~numpy.any([padded[y : y + height, x : x + width] for y in range(3) for x in range(3)], axis=0)
+    seen = ~numpy.any([padded[y : y + height, x : x + width] for y in range(5) for x in range(5)], axis=0)
     mean = theirs[seen].mean()
     difference = ours[seen].mean() / mean - 1
     kept = numpy.where(seen[..., None], ours - theirs, 0)

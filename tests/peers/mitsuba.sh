@@ -56,13 +56,13 @@ failed=0
 for scene in "${scenes[@]}"; do
   name=$(basename "$scene")
   mkdir "$work/$name"
-  mitsuba "$scene" --out "$work/$name" --size 64 --spp 512 >/dev/null
+  mitsuba "$scene" --out "$work/$name" --size 64 --spp 4096 >/dev/null
   for quality in '--spp 64 --ambient-divisions 8' '--spp 64 --cache on'; do
     echo "$name, one bounce, $quality"
     # shellcheck disable=SC2086 # the flags are words
     "$FORELIGHT_BIN" render "$scene" --width 64 --height 64 --materials lambert --ambient-bounces 1 $quality \
       --preview cpu --out "$work/$name/ours.exr" >/dev/null 2>"$work/log" || { cat "$work/log"; exit 1; }
-    "$environment/bin/python" "$here/bundle.py" compare "$work/$name/ours.exr" "$work/$name/mitsuba-512.exr" 0.005 0.02 || failed=1
+    "$environment/bin/python" "$here/bundle.py" compare "$work/$name/ours.exr" "$work/$name/mitsuba-4096.exr" 0.005 0.02 || failed=1
   done
 done
 exit "$failed"
