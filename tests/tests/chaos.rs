@@ -24,7 +24,7 @@ const SCENE: &str = "corridor";
 const WIDTH: u32 = 48;
 const HEIGHT: u32 = 27;
 /// So many that a frame takes about two seconds of a test build: long enough for its worker to be caught in the middle of it.
-const SAMPLES_PER_PIXEL: u32 = 12;
+const SAMPLES_PER_PIXEL: u32 = 24;
 const FRAMES: u32 = 10;
 /// Profiled pixels of a profiled frame, and profiled frames: the job's and those of the render without a farm.
 const PROFILED_PIXELS: u32 = 64;
