@@ -19,6 +19,6 @@ mod front;
 mod image;
 mod pixel;
 
-pub use front::{Point, Step, front};
+pub use front::{Point, Step, front, front_of_known};
 pub use image::{ErrorQuantiles, ImageNoise, MeanSquare, NoiseCell, NoiseSample, noise_cells};
 pub use pixel::{PixelNoise, PixelSamples};

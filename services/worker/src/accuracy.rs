@@ -24,7 +24,7 @@ use crate::render::seconds;
 use crate::renderer::{FrameRenderer, Renderer};
 use crate::shot::ShotError;
 use forelight_forecast::Calibration;
-use forelight_forecast::accuracy::{Point, front};
+use forelight_forecast::accuracy::front_of_known;
 use forelight_protocol::{
     AccuracyDoc, AccuracyRung, CacheMode, Integrator, LadderKind, MissingLadder, Profiled, RenderSettings,
     Spent, SpentOnForecast,
@@ -79,11 +79,7 @@ pub fn predict(
 
 /// Marks the rungs that are worth taking.
 pub fn mark(document: &mut AccuracyDoc) {
-    let far = Point { cost: f64::INFINITY, error: f64::INFINITY };
-    let points = document.points();
-    let points: Vec<Point> =
-        points.into_iter().map(|point| point.map_or(far, |(cost, error)| Point { cost, error })).collect();
-    document.mark(front(&points).into_iter().map(|step| (step.rung, step.next)));
+    document.mark(front_of_known(&document.points()));
 }
 
 struct Prediction<'a> {

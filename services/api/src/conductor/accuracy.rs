@@ -10,7 +10,7 @@
 //! profiled pixels are traced before it is filled, and other accuracies and resolutions, whose records no one has counted.
 
 use forelight_forecast::accuracy::{
-    ErrorQuantiles, ImageNoise, MeanSquare, NoiseCell, PixelNoise, Point, front,
+    ErrorQuantiles, ImageNoise, MeanSquare, NoiseCell, PixelNoise, front_of_known,
 };
 use forelight_forecast::{Calibration, Cost};
 use forelight_protocol::{
@@ -70,11 +70,7 @@ fn ladders(
             document.rungs.push(rung(kind, settings, asked, preview, profiles, error)?);
         }
     }
-    // What cannot be held against the others is as far off as can be.
-    let far = Point { cost: f64::INFINITY, error: f64::INFINITY };
-    let points = document.points().into_iter().map(|p| p.map_or(far, |(cost, error)| Point { cost, error }));
-    let steps = front(&points.collect::<Vec<_>>());
-    document.mark(steps.into_iter().map(|step| (step.rung, step.next)));
+    document.mark(front_of_known(&document.points()));
     Ok(document)
 }
 

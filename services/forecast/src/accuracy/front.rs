@@ -18,6 +18,15 @@ pub struct Step {
     pub next: Option<usize>,
 }
 
+/// [`front`] of rungs given by cost and error, some of which are not known and so never on it: pairs of a rung's index and that of the
+/// next better one.
+pub fn front_of_known(points: &[Option<(f64, f64)>]) -> Vec<(usize, Option<usize>)> {
+    let far = Point { cost: f64::INFINITY, error: f64::INFINITY };
+    let points: Vec<Point> =
+        points.iter().map(|point| point.map_or(far, |(cost, error)| Point { cost, error })).collect();
+    front(&points).into_iter().map(|step| (step.rung, step.next)).collect()
+}
+
 /// The Pareto front by rising cost: rungs that no other beats in one of cost and error without losing in the other. Of rungs that
 /// are alike in both the first is taken, and none whose numbers are not finite.
 pub fn front(points: &[Point]) -> Vec<Step> {
