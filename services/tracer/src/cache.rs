@@ -86,6 +86,8 @@ pub struct Record {
     pub translation: [Vec3; 3],
     /// Radius within which the gradients can be trusted, metres: at most the planned one.
     pub trusted: f32,
+    /// Standard error of the irradiance, mean of the channels, W/m²: what its rays leave open.
+    pub noise: f32,
     /// Whether a number of it is not finite: such a record is never used.
     pub rejected: bool,
     /// What gathering it took.

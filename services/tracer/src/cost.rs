@@ -77,9 +77,9 @@ impl Counters {
 /// Work of looking at one cache record, in the units of [`work`].
 const RECORD_WORK: u64 = 12;
 
-/// Work of averaging a cache record with its neighbours, of which it has some 180; the same for every record, so that what a record takes
+/// Work of averaging a cache record with its neighbours, of which it has some 280; the same for every record, so that what a record takes
 /// is known when it is gathered.
-pub const SMOOTHING_WORK: u64 = 2200;
+pub const SMOOTHING_WORK: u64 = 3400;
 
 /// Work: operations weighted by what each takes on a present-day core, in units of about a nanosecond, so that work
 /// is close to proportional to time without depending on any clock. The weights are a regression of time on counts over

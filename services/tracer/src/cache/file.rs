@@ -19,7 +19,7 @@ use forelight_bvh::Hit;
 use glam::Vec3;
 use std::sync::OnceLock;
 
-const MAGIC: [u8; 8] = *b"FLcach02";
+const MAGIC: [u8; 8] = *b"FLcach03";
 const CHECKSUM: usize = 32;
 
 /// The triangle of a ray that met nothing.
@@ -32,7 +32,7 @@ const REJECTED: u32 = 2;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CacheError {
     /// The leading bytes are others.
-    #[error("not an irradiance cache of this version (it must begin with FLcach02)")]
+    #[error("not an irradiance cache of this version (it must begin with FLcach03)")]
     Foreign,
     /// Shorter or longer than it says.
     #[error("truncated irradiance cache: {found} bytes where {expected} were expected")]
@@ -114,8 +114,10 @@ struct RecordRow {
     rotation: [[f32; 3]; 3],
     translation: [[f32; 3]; 3],
     trusted: f32,
+    noise: f32,
     flags: u32,
     rays: [u32; 7],
+    zero: u32,
 }
 
 impl Cache {
@@ -313,8 +315,10 @@ fn record_row(record: Option<&Record>) -> RecordRow {
         rotation: record.rotation.map(|g| g.to_array()),
         translation: record.translation.map(|g| g.to_array()),
         trusted: record.trusted,
+        noise: record.noise,
         flags: FILLED | if record.rejected { REJECTED } else { 0 },
         rays: record.rays,
+        zero: 0,
     }
 }
 
@@ -324,6 +328,7 @@ fn record_of(row: &RecordRow) -> Option<Record> {
         rotation: row.rotation.map(Vec3::from),
         translation: row.translation.map(Vec3::from),
         trusted: row.trusted,
+        noise: row.noise,
         rejected: row.flags & REJECTED != 0,
         cost: Cost { work: row.work, cpu_nanos: row.nanos },
         rays: row.rays,

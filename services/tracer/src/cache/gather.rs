@@ -63,6 +63,7 @@ impl Record {
             rotation: irradiance.rotation,
             translation,
             trusted,
+            noise: irradiance.noise,
             cost: Cost::default(),
             rays: [0; 7],
         };
@@ -73,6 +74,8 @@ impl Record {
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
         let mut gradients = self.rotation.iter().chain(&self.translation);
-        self.irradiance.is_finite() && gradients.all(|gradient| gradient.is_finite())
+        self.irradiance.is_finite()
+            && self.noise.is_finite()
+            && gradients.all(|gradient| gradient.is_finite())
     }
 }

@@ -55,6 +55,8 @@ pub struct Sample {
 pub struct Irradiance {
     /// Per channel, W/m².
     pub value: Vec3,
+    /// Standard error of the mean of the channels, W/m².
+    pub noise: f32,
     /// By channel, see [`super::Record::rotation`].
     pub rotation: [Vec3; 3],
     /// By channel, see [`super::Record::translation`].
@@ -121,6 +123,23 @@ impl Strata {
         (passed, turned)
     }
 
+    /// Standard error of the sum over all strata of the mean of the channels: from the spread within blocks of 2 × 2 neighbouring strata
+    /// (Cochran, *Sampling Techniques*, 3rd edition 1977, section 5A.12, collapsed strata), too high rather than too low.
+    fn noise(&self, samples: &[Sample]) -> f32 {
+        let at = |j: usize, k: usize| samples[j * self.sectors + k].radiance.element_sum() / 3.0;
+        let mut variance = 0.0;
+        // Both numbers are even.
+        for j in (0..self.rings).step_by(2) {
+            for k in (0..self.sectors).step_by(2) {
+                let block = [at(j, k), at(j, k + 1), at(j + 1, k), at(j + 1, k + 1)];
+                let mean = block.iter().sum::<f32>() / 4.0;
+                let squares = block.iter().map(|value| (value - mean) * (value - mean));
+                variance += 4.0 * squares.sum::<f32>() / 3.0;
+            }
+        }
+        variance.sqrt()
+    }
+
     /// Irradiance under a coat of index `coat` (0 for none), with its gradients: rotational after Ward and Heckbert 1992, translational
     /// in the form of Křivánek et al. 2005 (equation 5), with the coat's transmittance taken where the strata meet.
     pub fn integrate(&self, samples: &[Sample], basis: &Basis, coat: f32) -> Irradiance {
@@ -168,6 +187,7 @@ impl Strata {
         let solid = PI / (rings * sectors);
         Irradiance {
             value: value * solid,
+            noise: self.noise(samples) * solid,
             rotation: rotation.map(|local| basis.to_world(local * solid)),
             translation: translation.map(|local| basis.to_world(local)),
         }
@@ -234,12 +254,33 @@ mod tests {
     }
 
     #[test]
+    fn the_noise_is_what_gathers_by_other_rays_differ_by() {
+        let (strata, basis) = (Strata::for_rays(192), Basis::new(Vec3::Z));
+        let gathers: Vec<Irradiance> = (0..400)
+            .map(|key| {
+                let sampler = Sampler::keyed(key);
+                let direction = |stratum| strata.direction(stratum, &sampler);
+                let samples: Vec<Sample> =
+                    (0..strata.len()).map(|s| surroundings(Vec3::new(1.5, 0.2, 0.0), direction(s))).collect();
+                strata.integrate(&samples, &basis, 0.0)
+            })
+            .collect();
+        let values = || gathers.iter().map(|gather| f64::from(gather.value.element_sum()) / 3.0);
+        let count = gathers.len() as f64;
+        let mean = values().sum::<f64>() / count;
+        let true_noise = (values().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt();
+        let noise = gathers.iter().map(|gather| f64::from(gather.noise)).sum::<f64>() / count;
+        // Strata are collapsed, so some of what differs between them is taken for noise.
+        assert!((1.0..2.5).contains(&(noise / true_noise)), "{noise}, truly {true_noise}");
+    }
+
+    #[test]
     fn constant_surroundings_have_no_gradients() {
         let strata = Strata::for_rays(192);
         let sample = |i: usize| Sample { radiance: Vec3::ONE, distance: 0.5 + i as f32 };
         let samples: Vec<Sample> = (0..strata.len()).map(sample).collect();
         let sums = strata.integrate(&samples, &Basis::new(Vec3::Y), 0.0);
-        assert!((sums.value - PI).abs().max_element() < 1e-4);
+        assert!((sums.value - PI).abs().max_element() < 1e-4 && sums.noise < 1e-4);
         for gradient in sums.rotation.iter().chain(&sums.translation) {
             assert!(gradient.length() < 1e-4, "{gradient}");
         }

@@ -3,7 +3,8 @@
 //! A record's gather is a sample of a few hundred rays, and what it lacks in rays shows as a fleck as large as the record. Its
 //! neighbours have gathered the same light by other rays, and their gradients say what it is here. So every record that is
 //! filled takes the weighted mean of what it and its neighbours say of its place, within a wider circle than records are read
-//! in: the flecks of several gathers for the price of one, paid once a record instead of at every sample that reads.
+//! in: the flecks of several gathers for the price of one, paid once a record instead of at every sample that reads. A neighbour
+//! that differs by more than both their noises explain has gathered other light, and counts for less.
 
 use super::{Cache, Level, Planned, Record};
 use crate::cost::thread_cpu_nanos;
@@ -11,7 +12,12 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 /// Neighbours count as far as their error is below this multiple of the accuracy, seen from either side.
-const WIDER: f32 = 4.0;
+const WIDER: f32 = 6.0;
+
+/// How fast a neighbour's weight falls with what it differs by beyond the noise. The weight of least error would be
+/// 1 / (1 + b²/σ²), for a bias b of the neighbour and a variance σ² of either; a single difference d says that b² = d² − 2σ²,
+/// but so vaguely that it is believed by a part only. Between a quarter and 1 the image's error hardly changes.
+const DISAGREEMENT: f32 = 0.25;
 
 /// What a record says to those that read it.
 #[derive(Debug, Clone, Copy)]
@@ -23,6 +29,8 @@ pub struct Value {
     pub translation: [Vec3; 3],
     /// See [`Record::trusted`].
     pub trusted: f32,
+    /// See [`Record::noise`].
+    pub noise: f32,
     /// Whether it is not to be used.
     pub rejected: bool,
 }
@@ -37,8 +45,8 @@ pub struct Smoothed {
 impl Value {
     /// What was gathered, as it is.
     pub fn of(record: &Record) -> Self {
-        let Record { irradiance, rotation, translation, trusted, rejected, .. } = *record;
-        Self { irradiance, rotation, translation, trusted, rejected }
+        let Record { irradiance, rotation, translation, trusted, noise, rejected, .. } = *record;
+        Self { irradiance, rotation, translation, trusted, noise, rejected }
     }
 
     /// Irradiance somewhere else, by the gradients: the place lies off by `difference`, metres, and its normal is turned by
@@ -93,10 +101,12 @@ impl Level {
                     _ => continue,
                 }
             };
-            let Some(weight) = self.agreement((here, &own), (there, &value)) else { continue };
+            let Some(nearness) = self.nearness((here, &own), (there, &value)) else { continue };
             let difference = position - there.site.position;
             let turn = there.site.normal.cross(here.site.normal);
-            sum.irradiance += weight * value.at(difference, turn);
+            let said = value.at(difference, turn);
+            let weight = nearness * agreement(&own, &value, said);
+            sum.irradiance += weight * said;
             for channel in 0..3 {
                 sum.rotation[channel] += weight * value.rotation[channel];
                 sum.translation[channel] += weight * value.translation[channel];
@@ -115,7 +125,7 @@ impl Level {
 
     /// How much one record counts at another's place: 1 at the place itself, falling to nothing where either says that the other
     /// is too far off. The one with the smaller radius knows best how fast the light changes between them.
-    fn agreement(&self, (here, own): (&Planned, &Value), (there, value): (&Planned, &Value)) -> Option<f32> {
+    fn nearness(&self, (here, own): (&Planned, &Value), (there, value): (&Planned, &Value)) -> Option<f32> {
         let allowed = self.accuracy * WIDER;
         let error = there.error(&here.site, allowed)?.max(here.error(&there.site, allowed)?);
         let distance = here.site.position.distance(there.site.position);
@@ -125,10 +135,39 @@ impl Level {
     }
 }
 
+/// How far what a neighbour says of a record's place can be explained by their noise: 1 if it can, falling to nothing.
+fn agreement(own: &Value, neighbour: &Value, said: Vec3) -> f32 {
+    let difference = (said - own.irradiance).element_sum() / 3.0;
+    let variance = own.noise * own.noise + neighbour.noise * neighbour.noise;
+    let beyond = difference * difference / variance.max(f32::MIN_POSITIVE) - 1.0;
+    1.0 / (1.0 + DISAGREEMENT * beyond.max(0.0))
+}
+
 const NOTHING: Value = Value {
     irradiance: Vec3::ZERO,
     rotation: [Vec3::ZERO; 3],
     translation: [Vec3::ZERO; 3],
     trusted: 0.0,
+    noise: 0.0,
     rejected: false,
 };
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_neighbour_counts_less_the_less_noise_explains_what_it_says() {
+        let value = |level: f32| Value { irradiance: Vec3::splat(level), noise: 0.1, ..NOTHING };
+        let counts = |level: f32| agreement(&value(1.0), &value(level), Vec3::splat(level));
+        assert_eq!(counts(1.0), 1.0);
+        assert_eq!(counts(1.1), 1.0, "within the noise");
+        assert!(counts(1.5) < 0.5 && counts(2.0) < 0.1 && counts(f32::MAX) == 0.0);
+        let exact = Value { noise: 0.0, ..value(1.0) };
+        assert_eq!(agreement(&exact, &exact, exact.irradiance), 1.0);
+        assert!(
+            agreement(&exact, &exact, Vec3::splat(1.001)) < 1e-6,
+            "without noise nothing but the same agrees"
+        );
+    }
+}
