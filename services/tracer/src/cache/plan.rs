@@ -1,4 +1,10 @@
 //! Planning: where the records are, and how far each is valid.
+//!
+//! Radii are the split sphere's: the harmonic mean distance of what a few rays meet. Radii by the occlusion Hessian
+//! (Schwarzhaupt et al. 2012) need the radiance of a whole gather at every place that is tried, so that the number of records
+//! is known only when they have been paid for. Measured at equal numbers of records (192 × 192, 768 rays a record, RMSE against
+//! the uncached image, split sphere / Hessian): a furnished hall 0.96 / 1.03 %, a kitchen 0.35 / 0.35 %, an empty box 0.69 / 0.48 %.
+//! What the Hessian gains in empty rooms is not worth a plan that costs as much as the render.
 
 use super::hemisphere::{PLAN_RAYS, RINGS, SECTORS, Strata};
 use super::octree::Octree;
