@@ -127,6 +127,8 @@ pub struct Cache {
     /// What planning took.
     plan: Cost,
     plan_rays: Rays,
+    /// Set when the first level alone was filled, for some pixels: deeper points are then followed, not interpolated.
+    partial: OnceLock<()>,
 }
 
 /// What a cache holds and took, in numbers.

@@ -298,9 +298,10 @@ impl Tracer {
         timed(|| pixels.iter().enumerate().map(&mut traced).collect())
     }
 
-    /// Gathers what the cache lacks for the colours of these pixels: the records of the first level that they read, and all of the deeper
-    /// ones. The colours are then those of the image but for the averaging of records, which takes all of them: a little noisier. On
-    /// the current thread pool; says what that took, nothing without a cache.
+    /// Gathers what the cache lacks for the colours of these pixels: the records of the first level that they read. The colours are then
+    /// nearly those of the image: fewer records are averaged, so they are a little noisier, and deeper levels are followed by single rays. Once, and
+    /// for these pixels alone: an image is not to be rendered by this tracer any more. On the current thread pool; says what
+    /// that took, nothing without a cache.
     pub fn fill_for(&self, pixels: &[u32]) -> Cost {
         self.plan();
         self.cache.get().map_or_else(Cost::default, |cache| cache.fill_for(self, pixels))

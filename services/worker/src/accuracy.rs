@@ -31,13 +31,16 @@ use forelight_protocol::{
 };
 use interpolation::Truth;
 use pilot::{Pilot, View};
-use related::relate;
+use related::{affordable, relate};
 
 /// Camera samples of a profiled pixel: four doublings of them can be seen.
 const PILOT_SPP: u32 = 16;
 
 /// A profiled pixel gathers with this many rays, over all its camera samples, unless these would be fewer than [`LEAST_SPP`].
 const PILOT_RAYS: u32 = 256;
+
+/// Pixels that are profiled at least of gathers with many rays, of which as many as of the others would take longer than all else.
+const LEAST_SAMPLES: u32 = 48;
 
 /// Two doublings of camera samples.
 const LEAST_SPP: u32 = 4;
@@ -170,7 +173,14 @@ impl<'a> Prediction<'a> {
             _ => None,
         };
         let ready = self.renderer.frame(self.frame, &settings)?;
-        let mut pilot = Pilot::new(self.renderer, &*ready, settings, self.options, self.observer)?;
+        let samples = match settings.cache {
+            CacheMode::Off if settings.integrator == Integrator::Ambient => {
+                affordable(self.options.samples, LEAST_SAMPLES, &first, &settings)
+            }
+            _ => self.options.samples,
+        };
+        let options = AccuracyOptions { samples, ..*self.options };
+        let mut pilot = Pilot::new(self.renderer, &*ready, settings, &options, self.observer)?;
         if let Some(first) = known.map(|known| &self.pilots[known]) {
             if pilot.settings.cache == CacheMode::Off {
                 relate(self.renderer, &*ready, first, &mut pilot)?;

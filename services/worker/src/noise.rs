@@ -53,10 +53,14 @@ impl FrameNoise {
         &self.pixels[..self.scattered]
     }
 
-    /// The scattered pixels alone.
+    /// At most so many of the scattered pixels, every so many-th, with what they said.
     #[must_use]
-    pub fn scattered_alone(&self) -> Self {
-        self.with_scattered(self.samples.iter().map(|sample| sample.noise.clone()))
+    pub fn thinned(&self, most: usize) -> Self {
+        let count = most.min(self.scattered);
+        // The middle of each of so many equal parts.
+        let picks = (0..count).map(|i| (2 * i + 1) * self.scattered / (2 * count));
+        let (pixels, samples) = picks.map(|i| (self.pixels[i], self.samples[i].clone())).unzip();
+        Self { counts: self.counts.clone(), pixels, samples, scattered: count }
     }
 
     /// The scattered pixels alone, with what they said another time, in their order.

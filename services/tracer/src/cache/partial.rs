@@ -1,26 +1,24 @@
-//! Filling in part: what some pixels read, so that their colours are known before the image is rendered.
+//! Filling in part: what the colours of some pixels call for.
 //!
-//! All but for the averaging of records that agree (`smooth`), which takes all of a level: the colours are those of a cache of the
-//! same records that is a little noisier, and so no better than the image's.
+//! The records of the first level that they read are gathered, and averaged with each other as far as they are there. The deeper levels
+//! would be wanted whole, since where gathers read them is not known before: their light is followed by single rays instead, whose
+//! noise vanishes in the hundreds of rays of a gather. So the colours are those of a cache whose first level is a little noisier
+//! and whose deeper levels are exact.
 
 use super::{Cache, READ_RELAXED};
 use crate::cost::{Cost, Counters, thread_cpu_nanos};
 use crate::tracer::Tracer;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
-use std::sync::atomic::AtomicBool;
 
 impl Cache {
     /// See [`Tracer::fill_for`].
     pub fn fill_for(&self, tracer: &Tracer, pixels: &[u32]) -> Cost {
         let Some(first) = self.levels.first() else { return Cost::default() };
         let before = self.totals().fill;
-        // The gathers of a level read the next deeper one, and where they do is not known before.
-        for level in (1..self.levels.len()).rev() {
-            let all = 0..self.levels[level].planned.len();
-            self.fill(tracer, level, all, &|_| (), &AtomicBool::new(false));
+        if !(1..self.levels.len()).all(|level| self.is_full(level)) {
+            self.partial.get_or_init(|| ());
         }
-        self.smooth(1);
         let allowed = first.accuracy * READ_RELAXED;
         let found = pixels.par_iter().map(|&pixel| {
             let start = thread_cpu_nanos();
@@ -43,11 +41,15 @@ impl Cache {
             let index = index as usize;
             first.records[index].get_or_init(|| self.gathered(tracer, 0, index));
         });
-        // Does nothing unless these were all that there are.
-        self.smooth(0);
+        self.smooth_filled(0);
         let after = self.totals().fill;
         let gathering =
             Cost { work: after.work - before.work, cpu_nanos: after.cpu_nanos - before.cpu_nanos };
         looking + gathering
+    }
+
+    /// Whether points of a level are followed though it was planned.
+    pub fn is_followed(&self, level: usize) -> bool {
+        level > 0 && self.partial.get().is_some()
     }
 }

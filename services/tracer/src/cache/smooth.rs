@@ -65,9 +65,13 @@ impl Value {
 impl Cache {
     /// Smooths a level, if all its records are filled, on the current thread pool.
     pub fn smooth(&self, level: usize) {
-        if !self.is_full(level) {
-            return;
+        if self.is_full(level) {
+            self.smooth_filled(level);
         }
+    }
+
+    /// Smooths the records of a level that are filled; the others are not to be read from then on.
+    pub(super) fn smooth_filled(&self, level: usize) {
         let Some(level) = self.levels.get(level) else { return };
         level.smoothed.get_or_init(|| {
             let smoothed = (0..level.planned.len()).into_par_iter().map(|index| {

@@ -13,6 +13,9 @@ use std::f32::consts::FRAC_1_PI;
 impl<const K: u32> Pixels<'_, K> {
     /// Indirect diffuse light, interpolated; gathered where no record covers the point.
     pub fn interpolate(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
+        if self.tracer.planned().is_followed(s.level as usize) {
+            return self.gather_uncovered(s, p, response);
+        }
         let site = site(p, response);
         let (irradiance, looked_at) = self.tracer.planned().read(s.level as usize, &site);
         self.counters.records += looked_at;

@@ -2,7 +2,7 @@
 //! camera samples, for all of them read the same records.
 //!
 //! It is found out on the profiled pixels. The records that they read are gathered, so that their values `c` are those that they
-//! would have in the image, but for the averaging of records that agree, which takes all of them: what is found is an upper
+//! would have in the image, but for the averaging of records that agree, which takes more of them: what is found is an upper
 //! estimate. Against them are held two gathered values of the same pixels without a cache, of more divisions: `g`
 //! from the *same* camera samples, `h` from independent ones. With t for the converged pixel, e for the error of the camera samples
 //! that c and g share, b for that of the cache, and u and v for what else is random in g and h,
@@ -30,8 +30,13 @@ const MOST_DIVISIONS: u32 = 65_536;
 /// The seed of the independent values is the image's with these bits flipped.
 const OTHER_SEED: u64 = 0x7275_7468;
 
+/// Pixels at most on which a cache is held against gathers: each of them reads dozens of records.
+const PIXELS: usize = 64;
+
 /// Values of scattered pixels without a cache.
 pub struct Truth {
+    /// These pixels, with what gathers say of them.
+    gathered: FrameNoise,
     same: Vec<[f32; 3]>,
     independent: Vec<[f32; 3]>,
     /// What finding them out took.
@@ -46,7 +51,8 @@ impl Truth {
             ..pilot.settings.clone()
         };
         let other = RenderSettings { seed: finer.seed ^ OTHER_SEED, ..finer.clone() };
-        let pixels = pilot.noise.scattered_pixels();
+        let gathered = pilot.noise.thinned(PIXELS);
+        let pixels = gathered.scattered_pixels();
         let mut spent = Spent::default();
         let mut colors = |settings: &RenderSettings| -> Result<Vec<[f32; 3]>, RenderError> {
             let ready = renderer.frame(frame, settings)?;
@@ -55,7 +61,7 @@ impl Truth {
             Ok(traced.into_iter().map(|(pixel, _)| pixel.color).collect())
         };
         let (same, independent) = (colors(&finer)?, colors(&other)?);
-        Ok(Self { same, independent, spent })
+        Ok(Self { gathered, same, independent, spent })
     }
 
     /// Completes a pilot with a cache by the pixels of the pilot without one that the truth is of: what its camera samples say, and what
@@ -66,7 +72,7 @@ impl Truth {
         gathered: &FrameNoise,
         pilot: &mut Pilot,
     ) -> Result<(), ForecastError> {
-        let pixels = gathered.scattered_pixels();
+        let pixels = self.gathered.scattered_pixels();
         let filling = ready.fill_for(pixels);
         let traced = ready.trace(pixels);
         pilot.spent = pilot.spent.plus(filling).plus(cost(&traced));
@@ -74,9 +80,8 @@ impl Truth {
             bias_square: product(pixel.color, self.same[i], self.independent[i]),
             ..noise
         });
-        let cached = gathered.with_scattered(noise);
-        pilot.noise =
-            scaled(&pilot.noise_strata, gathered, &gathered.scattered_alone(), &cached, LESS_NOISY)?;
+        let cached = self.gathered.with_scattered(noise);
+        pilot.noise = scaled(&pilot.noise_strata, gathered, &self.gathered, &cached, LESS_NOISY)?;
         pilot.interpolation = Some(cached);
         Ok(())
     }

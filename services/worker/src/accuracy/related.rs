@@ -16,6 +16,9 @@ use forelight_protocol::{RenderSettings, Spent};
 use forelight_tracer::Pixel;
 use std::ops::RangeInclusive;
 
+/// So many pixels at least are traced with both settings, of gathers however large.
+const LEAST_PIXELS: u32 = 32;
+
 /// Replaces what a pilot without a cache says of the error by what the first one says, scaled.
 pub fn relate(
     renderer: &dyn Renderer,
@@ -23,19 +26,21 @@ pub fn relate(
     first: &Pilot,
     pilot: &mut Pilot,
 ) -> Result<(), ShotError> {
-    let pixels = first.noise.scattered_pixels();
+    let most = affordable(first.noise.scattered as u32, LEAST_PIXELS, &first.settings, &pilot.settings);
+    let few = first.noise.thinned(most as usize);
+    let pixels = few.scattered_pixels();
     let traced = ready.trace(pixels);
     pilot.spent = pilot.spent.plus(cost(&traced));
-    let own = first.noise.with_scattered(traced.into_iter().map(|(_, noise)| noise));
+    let own = few.with_scattered(traced.into_iter().map(|(_, noise)| noise));
     let known = if pilot.settings.spp == first.settings.spp {
-        first.noise.scattered_alone()
+        few
     } else {
         // Ratios are of the same camera samples, or what some of them met by chance would be in one part alone.
         let alike = RenderSettings { spp: pilot.settings.spp, ..first.settings.clone() };
         let again = renderer.frame(ready.frame().number, &alike)?;
         let traced = again.trace(pixels);
         pilot.spent = pilot.spent.plus(again.spent_on_setup()).plus(cost(&traced));
-        first.noise.with_scattered(traced.into_iter().map(|(_, noise)| noise))
+        few.with_scattered(traced.into_iter().map(|(_, noise)| noise))
     };
     let finer = pilot.settings.ambient_divisions > first.settings.ambient_divisions;
     let bounds = if finer { LESS_NOISY } else { MORE_NOISY };
@@ -76,6 +81,26 @@ pub fn scaled(
         }
     }
     Ok(scaled)
+}
+
+/// How many pixels of other gathers may be traced for about the price of `count` pixels of the first pilot's; `least`, or all, however
+/// dear they are.
+pub fn affordable(count: u32, least: u32, first: &RenderSettings, other: &RenderSettings) -> u32 {
+    let times = gathered_rays(other) / gathered_rays(first);
+    let affordable = if times > 1.0 { (f64::from(count) / times) as u32 } else { count };
+    affordable.max(least.min(count))
+}
+
+/// Rays that a pixel gathers without a cache, of all levels: every level but the first has an eighth of the rays of the one before.
+fn gathered_rays(settings: &RenderSettings) -> f64 {
+    let divisions = f64::from(settings.ambient_divisions);
+    let mut rays = 1.0;
+    let mut of_level = f64::from(settings.spp);
+    for level in 0..settings.ambient_bounces {
+        of_level *= (divisions / f64::from(1 << (3 * level).min(30))).max(1.0);
+        rays += of_level;
+    }
+    rays
 }
 
 /// What tracing took.
