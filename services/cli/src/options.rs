@@ -116,15 +116,25 @@ pub struct ConnectionOptions {
     pub data: Option<PathBuf>,
 }
 
-/// How sure the booking has to be.
+/// How sure a booking, or what a frame comes to, has to be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum ConfidenceLevel {
-    /// As likely late as not.
+    /// As likely missed as kept.
     P50,
-    /// Four times out of five in time.
+    /// Kept four times out of five.
     P80,
-    /// Nineteen times out of twenty in time.
+    /// Kept nineteen times out of twenty.
     P95,
+}
+
+impl From<ConfidenceLevel> for forelight_protocol::Confidence {
+    fn from(level: ConfidenceLevel) -> Self {
+        match level {
+            ConfidenceLevel::P50 => Self::P50,
+            ConfidenceLevel::P80 => Self::P80,
+            ConfidenceLevel::P95 => Self::P95,
+        }
+    }
 }
 
 /// A duration flag as the standard library's type.

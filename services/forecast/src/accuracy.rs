@@ -8,6 +8,7 @@
 //! | --- | --- |
 //! | `pixel` | what the camera samples of one pixel say about its variance at any number of samples |
 //! | `image` | from some pixels to the whole image |
+//! | `allot` | how many camera samples each part of an image gets, for a budget or an error |
 //! | `front` | which rungs of a ladder are worth taking, and what the next one costs |
 //!
 //! # Why not the sample variance
@@ -15,10 +16,14 @@
 //! (0,2)-sequences, whose mean converges faster: on smooth pixels s² / n is too large by a factor that grows with n. So a pixel's
 //! variance is measured as a *spectrum* over the number of samples, see [`PixelSamples`].
 
+mod allot;
 mod front;
 mod image;
 mod pixel;
 
+pub use allot::{MOST_SAMPLES, Zone, mean_variance, samples_for_budget, samples_for_variance, whole};
 pub use front::{Point, Step, front, front_of_known};
-pub use image::{ErrorQuantiles, ImageNoise, MeanSquare, NoiseCell, NoiseSample, noise_cells};
+pub use image::{
+    ErrorQuantiles, ImageNoise, MeanSquare, NoiseCell, NoiseGroup, NoiseSample, noise_cells, noise_groups,
+};
 pub use pixel::{PixelNoise, PixelSamples};

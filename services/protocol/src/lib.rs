@@ -62,7 +62,7 @@ pub use plan::{Booking, BookingPage, JobVerdict, Plan, PlanReason, Verdict};
 pub use problem::{Problem, ProblemKind};
 pub use role::{Role, UnknownRole};
 pub use settings::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest};
-pub use stats::{CacheStats, LeftOut, Rays, RenderStats};
+pub use stats::{AllottedStats, CacheStats, LeftOut, Rays, RenderStats};
 pub use task::{
     CacheSample, FixedCosts, FrameStrata, NoiseCell, NoiseSample, PreviewBackend, PreviewResult, PreviewSpec,
     ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts, RenderResult, RenderSpec,

@@ -1,5 +1,6 @@
 //! What a frame took.
 
+use crate::{ImageError, Quantiles};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -113,8 +114,11 @@ pub struct RenderStats {
     pub width: u32,
     /// Image height in pixels.
     pub height: u32,
-    /// Camera paths per pixel.
+    /// Camera paths per pixel; where they differ by pixel, their mean, rounded.
     pub spp: u32,
+    /// How camera paths were allotted; absent where all pixels have equally many.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub allotted: Option<AllottedStats>,
     /// The effects that the frame called for, by name, sorted.
     pub effects: Vec<String>,
     /// Lights and objects that cannot matter to the image, and took no rays.
@@ -148,4 +152,26 @@ pub struct RenderStats {
     /// CPU seconds of the same when they were profiled.
     #[serde(default)]
     pub reused_cpu_seconds: f64,
+}
+
+/// Camera paths that differ by pixel, for a time or an error that was asked for, and what they were forecast to come to.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AllottedStats {
+    /// Fewest camera paths of a pixel.
+    pub least: u32,
+    /// Most of a pixel.
+    pub most: u32,
+    /// Mean over the pixels.
+    pub mean: f64,
+    /// Work of the frame.
+    pub work: Quantiles,
+    /// CPU seconds of the frame, without those of profiling.
+    pub cpu_seconds: Quantiles,
+    /// Error of the image, without what an irradiance cache adds.
+    pub error: ImageError,
+    /// Work of the pixels that were profiled for it, and of previews; not in the frame's.
+    pub profiling_work: u64,
+    /// CPU seconds of the same.
+    pub profiling_cpu_seconds: f64,
 }

@@ -229,6 +229,7 @@ fn stats(frame: u32) -> RenderStats {
         width: 8,
         height: 8,
         spp: 16,
+        allotted: None,
         effects: vec!["ambient".to_owned()],
         left_out: Vec::new(),
         rays: Rays { primary: 1024, ..Rays::default() },

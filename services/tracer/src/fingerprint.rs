@@ -1,6 +1,6 @@
 //! A hash of everything that an image depends on.
 
-use crate::{Reach, Settings};
+use crate::{Reach, SampleCounts, Settings};
 use blake3::Hasher;
 use forelight_scene::{Frame, Texels};
 
@@ -8,9 +8,17 @@ use forelight_scene::{Frame, Texels};
 const TRACER_VERSION: u32 = 6;
 
 /// BLAKE3 of frame, settings and tracer version; `content` is [`of_content`] of the frame.
-pub fn fingerprint(content: &Hasher, frame: &Frame, settings: &Settings) -> [u8; 32] {
+pub fn fingerprint(
+    content: &Hasher,
+    frame: &Frame,
+    settings: &Settings,
+    samples: Option<&SampleCounts>,
+) -> [u8; 32] {
     let mut hasher = content.clone();
     hasher.update(format!("{} {:?} {settings:?}", frame.number, frame.camera).as_bytes());
+    if let Some(samples) = samples {
+        hasher.update(bytemuck::cast_slice(samples.as_slice()));
+    }
     *hasher.finalize().as_bytes()
 }
 

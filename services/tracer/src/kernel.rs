@@ -171,12 +171,13 @@ impl<const K: u32> Trace for Kernel<K> {
         let sampler = Sampler::new(settings.seed, tracer.frame.number, index);
         let mut pixels = Pixels::new(tracer, self, sampler);
         let mut sum = DVec3::ZERO;
-        for _ in 0..settings.spp {
+        let samples = tracer.samples_of(index);
+        for _ in 0..samples {
             let sample = pixels.sample(x, y);
             each(sample.to_array());
             sum += sample.as_dvec3();
         }
-        let color = (sum / f64::from(settings.spp)).as_vec3().to_array();
+        let color = (sum / f64::from(samples)).as_vec3().to_array();
         Pixel {
             color,
             rays: pixels.counters.rays,

@@ -12,7 +12,7 @@ use crate::lights::{Lights, Looks, Luminaires};
 use crate::profile::Profile;
 use crate::reach::{LeftOut, Reach, reachable};
 use crate::tree::Tree;
-use crate::{Integrator, MaterialOverride, Settings};
+use crate::{Integrator, MaterialOverride, SampleCounts, SampleCountsError, Settings};
 use forelight_bvh::Hit;
 use forelight_scene::{Color, Frame, Material, Sun, Surface};
 use glam::Vec3;
@@ -73,6 +73,8 @@ pub struct Tracer {
     effects: Effects,
     pub(crate) kernel: Box<dyn Trace>,
     build: Cost,
+    /// Camera samples by pixel, where they differ.
+    samples: OnceLock<SampleCounts>,
     /// What the frame holds, hashed when it is first asked for.
     content: OnceLock<blake3::Hasher>,
 }
@@ -157,8 +159,27 @@ impl Tracer {
             bvh,
             frame,
             build,
+            samples: OnceLock::new(),
             content: OnceLock::new(),
         }
+    }
+
+    /// Gives every pixel a number of camera samples of its own, in place of [`Settings::spp`]; once. A pixel's first samples are the same
+    /// whatever their number. What was planned or filled before stays as it is.
+    ///
+    /// # Errors
+    /// If the numbers are not those of this image's pixels, or others were given before.
+    pub fn allot(&self, samples: SampleCounts) -> Result<(), SampleCountsError> {
+        let (found, expected) = (samples.as_slice().len(), self.frame.camera.pixels());
+        if found != expected {
+            return Err(SampleCountsError::Length { found, expected });
+        }
+        self.samples.set(samples).map_err(|_| SampleCountsError::Late)
+    }
+
+    /// Camera samples of a pixel.
+    pub(crate) fn samples_of(&self, pixel: u32) -> u32 {
+        self.samples.get().map_or(self.settings.spp, |samples| u32::from(samples.as_slice()[pixel as usize]))
     }
 
     /// Plans the irradiance cache, on the current thread pool, if one is called for and there is none.
@@ -263,7 +284,7 @@ impl Tracer {
 
     /// Hash of all that a pixel's value depends on: frame, settings, and the version of this tracer.
     pub fn fingerprint(&self) -> [u8; 32] {
-        fingerprint(self.content(), &self.frame, &self.settings)
+        fingerprint(self.content(), &self.frame, &self.settings, self.samples.get())
     }
 
     fn content(&self) -> &blake3::Hasher {

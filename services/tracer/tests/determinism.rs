@@ -3,7 +3,7 @@
 mod support;
 
 use forelight_scene::{Color, Environment, Frame, Surface};
-use forelight_tracer::{Image, Pixel, Profile, Settings, Tracer};
+use forelight_tracer::{Image, Pixel, Profile, SampleCounts, SampleCountsError, Settings, Tracer};
 use glam::Vec3;
 use std::sync::atomic::AtomicBool;
 use support::{Builder, lambert, material};
@@ -114,6 +114,28 @@ fn a_fingerprint_changes_with_anything_that_changes_the_image() {
         for j in 0..i {
             assert_ne!(all[i], all[j], "{i} and {j}");
         }
+    }
+}
+
+#[test]
+fn a_pixel_with_samples_of_its_own_is_that_of_an_image_of_so_many() {
+    let (frame, settings) = (frame(), settings());
+    let counts: Vec<u16> = (0..40 * 28).map(|pixel| if pixel % 3 == 0 { 5 } else { 2 }).collect();
+    let tracer = Tracer::new(&frame, &settings);
+    let plain = tracer.fingerprint();
+    assert_eq!(SampleCounts::new(vec![1, 0]), Err(SampleCountsError::None(1)));
+    let few = SampleCounts::new(vec![1; 7]).unwrap();
+    assert_eq!(tracer.allot(few), Err(SampleCountsError::Length { found: 7, expected: 40 * 28 }));
+    let counts = SampleCounts::new(counts).unwrap();
+    tracer.allot(counts.clone()).unwrap();
+    assert_eq!(tracer.allot(counts), Err(SampleCountsError::Late));
+    assert_ne!(tracer.fingerprint(), plain);
+    let whole = |tracer: &Tracer| tracer.render(None, &|_| (), &AtomicBool::new(false)).unwrap();
+    let mixed = whole(&tracer);
+    let images = [2, 5].map(|spp| whole(&Tracer::new(&frame, &Settings { spp, ..settings.clone() })));
+    for (pixel, mixed) in mixed.pixels.iter().enumerate() {
+        let alike = &images[usize::from(pixel % 3 == 0)].pixels[pixel];
+        assert_eq!(bits(&[*mixed]), bits(&[*alike]), "pixel {pixel}");
     }
 }
 

@@ -19,6 +19,7 @@ mod pilot;
 mod related;
 
 pub use measure::{MeasureOptions, measure};
+pub(crate) use pilot::Pilot;
 
 use crate::render::seconds;
 use crate::renderer::{FrameRenderer, Renderer};
@@ -30,7 +31,7 @@ use forelight_protocol::{
     Spent, SpentOnForecast,
 };
 use interpolation::Truth;
-use pilot::{Pilot, View};
+use pilot::View;
 use related::{affordable, relate};
 
 /// Camera samples of a profiled pixel: four doublings of them can be seen.
@@ -247,7 +248,7 @@ impl<'a> Prediction<'a> {
 
 /// The settings of the pilot for these settings. What makes no difference to them is brought to one value, so that one
 /// pilot serves many rungs.
-fn piloted(settings: &RenderSettings) -> RenderSettings {
+pub(crate) fn piloted(settings: &RenderSettings) -> RenderSettings {
     let plain = forelight_protocol::RenderSettingsRequest::default().complete((1, 1));
     let mut piloted = settings.clone();
     if settings.cache == CacheMode::Off {

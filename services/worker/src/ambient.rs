@@ -13,8 +13,8 @@ use forelight_protocol::{
 };
 use forelight_scene::{Frame, Geometry, Limits, Scene};
 use forelight_tracer::{
-    Cache, CacheSettings, CacheTotals, Effects, MaterialOverride, Pixel, Profile, RecordCost, Settings,
-    Shared, Tracer, thread_cpu_nanos,
+    Cache, CacheSettings, CacheTotals, Effects, MaterialOverride, Pixel, Profile, RecordCost, SampleCounts,
+    Settings, Shared, Tracer, thread_cpu_nanos,
 };
 use rayon::prelude::*;
 use std::path::Path;
@@ -370,6 +370,23 @@ impl FrameRenderer for AmbientFrame<'_> {
         spent(self.tracer.fill_for(pixels))
     }
 
+    fn fill(&self, progress: &(dyn Fn(Progress) + Sync), cancel: &AtomicBool) -> bool {
+        if !self.tracer.effects().has(Effects::CACHE) {
+            return true;
+        }
+        progress(Progress { step: Step::Planning, done: 0, all: 1 });
+        self.tracer.plan();
+        self.tracer.fill(&|done, all| progress(Progress { step: Step::Filling, done, all }), cancel)
+    }
+
+    fn has_final_colours(&self) -> bool {
+        self.tracer.cache().is_none_or(|cache| (0..cache.records().len()).all(|level| cache.is_full(level)))
+    }
+
+    fn allot(&self, samples: SampleCounts) -> Result<(), RenderError> {
+        Ok(self.tracer.allot(samples)?)
+    }
+
     fn trace_runs(&self, runs: &[Vec<u32>]) -> Vec<Vec<(Pixel, PixelNoise)>> {
         self.tracer.plan();
         runs.par_iter().map(|run| self.traced(run)).collect()
@@ -422,15 +439,11 @@ impl FrameRenderer for AmbientFrame<'_> {
                 self.tracer.take_cache(cache)?;
             }
         }
-        let at = |step, done, all| progress(Progress { step, done, all });
-        if self.tracer.effects().has(Effects::CACHE) {
-            at(Step::Planning, 0, 1);
-            self.tracer.plan();
-            if !self.tracer.fill(&|done, all| at(Step::Filling, done, all), cancel) {
-                return Ok(None);
-            }
+        if !self.fill(progress, cancel) {
+            return Ok(None);
         }
-        let image = self.tracer.render(reuse, &|done| at(Step::Tracing, done, pixels as u64), cancel);
+        let traced = |done| progress(Progress { step: Step::Tracing, done, all: pixels as u64 });
+        let image = self.tracer.render(reuse, &traced, cancel);
         let cache = self.tracer.cache().map(|cache| CacheUse {
             all: cache.totals(),
             taken_over,

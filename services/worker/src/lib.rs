@@ -6,6 +6,7 @@
 //! | `ambient` | our renderer behind it |
 //! | `shot`, `quote` | preview all frames, profile some, estimate all: the way to a quote |
 //! | `accuracy` | what accuracy costs in time |
+//! | `allot` | a frame for so many seconds, or of so small an error |
 //! | `noise` | what profiled pixels say of the image's error |
 //! | `warm_clock` | what a scattered pixel would have taken among its neighbours |
 //! | `render` | one frame with its true cost |
@@ -18,6 +19,7 @@
 
 mod accuracy;
 mod agent;
+mod allot;
 mod ambient;
 mod backoff;
 mod calibrate;
@@ -38,6 +40,7 @@ mod warm_clock;
 
 pub use accuracy::{AccuracyObserver, AccuracyOptions, MeasureOptions, measure, predict};
 pub use agent::{Agent, AgentError};
+pub use allot::{Aim, AllotError, AllotOptions, render_allotted};
 pub use ambient::{Ambient, AmbientShot, tracer_settings};
 pub use backoff::Backoff;
 pub use calibrate::{MEASURING_TIME, REFERENCE_RATE, node_speed};

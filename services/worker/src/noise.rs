@@ -132,6 +132,12 @@ impl Zones {
         (0..wanted).map(|i| free[(2 * i + 1) * free.len() / (2 * wanted)]).collect()
     }
 
+    /// The pixels that show one of these strata, ascending.
+    pub fn pixels_of(&self, strata: &[usize]) -> Vec<u32> {
+        let shown = (0u32..).zip(&self.stratum).filter(|(_, stratum)| strata.contains(&(**stratum as usize)));
+        shown.map(|(pixel, _)| pixel).collect()
+    }
+
     /// What pixels of this frame said.
     pub fn noise(&self, traced: impl IntoIterator<Item = (u32, PixelNoise)>, scattered: usize) -> FrameNoise {
         let (pixels, samples) = traced

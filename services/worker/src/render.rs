@@ -88,6 +88,7 @@ fn stats(
         width: settings.width,
         height: settings.height,
         spp: settings.spp,
+        allotted: None,
         effects: ready.effects(),
         left_out: ready.left_out(),
         rays: rays(gathered, all.rays),

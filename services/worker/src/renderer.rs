@@ -11,7 +11,8 @@ use forelight_protocol::{
 };
 use forelight_scene::{Frame, MaterialClass, SceneError};
 use forelight_tracer::{
-    Cache, CacheError, CacheTotals, Image, Pixel, Profile, ProfileError, RecordCost, SettingsError, Shared,
+    Cache, CacheError, CacheTotals, Image, Pixel, Profile, ProfileError, RecordCost, SampleCounts,
+    SampleCountsError, SettingsError, Shared,
 };
 use std::path::Path;
 use std::sync::Arc;
@@ -35,6 +36,9 @@ pub enum RenderError {
     /// An irradiance cache cannot be used.
     #[error("{0}")]
     Cache(#[from] CacheError),
+    /// Numbers of camera samples do not fit the image.
+    #[error("camera samples: {0}")]
+    Samples(#[from] SampleCountsError),
     /// The profile was made from another scene, another frame, at another quality, or by another version.
     #[error(
         "profile: it belongs to another image (of frame {frame}); make it again with the same bundle and settings"
@@ -57,6 +61,7 @@ impl RenderError {
             | Self::Settings(_)
             | Self::Profile(_)
             | Self::Cache(_)
+            | Self::Samples(_)
             | Self::ForeignProfile { .. } => true,
         }
     }
@@ -208,6 +213,15 @@ pub trait FrameRenderer: Send + Sync {
     /// Fills the irradiance cache as far as the colours of these pixels need it, on the current thread pool, and says what that took. The
     /// colours are then close to the image's: a whole cache is a little less noisy, for its records are averaged.
     fn fill_for(&self, pixels: &[u32]) -> Spent;
+
+    /// Plans and fills the irradiance cache, if there is one, on the current thread pool. `false` if `cancel` was set.
+    fn fill(&self, progress: &(dyn Fn(Progress) + Sync), cancel: &AtomicBool) -> bool;
+
+    /// Whether pixels that are traced have the image's colours: without an irradiance cache, or once it is filled.
+    fn has_final_colours(&self) -> bool;
+
+    /// Gives every pixel a number of camera samples of its own; once.
+    fn allot(&self, samples: SampleCounts) -> Result<(), RenderError>;
 
     /// The same for runs of pixels: those of a run are traced one after the other by one thread, as a tile's are in a render.
     fn trace_runs(&self, runs: &[Vec<u32>]) -> Vec<Vec<(Pixel, PixelNoise)>>;

@@ -145,7 +145,7 @@ pub struct ProfiledFrame {
     /// What was spent on all traced pixels.
     pub pixels: Spent,
     /// What the camera samples of the profiled pixels, and of some at the edges of lights, say of the image's error. With an irradiance
-    /// cache nothing, for it is not filled.
+    /// cache nothing, unless it was filled before.
     pub noise: Option<FrameNoise>,
     /// The preview as a picture.
     pub picture: image::RgbImage,
@@ -246,7 +246,7 @@ pub(crate) fn profile_ready(
     let (neighbours, of_neighbours): (Vec<_>, Vec<_>) =
         warmth.pixels.into_iter().map(|(index, (pixel, noise))| ((index, pixel), (index, noise))).unzip();
     finished.extend(neighbours);
-    let noise = (settings.cache == CacheMode::Off).then(|| {
+    let noise = ready.has_final_colours().then(|| {
         let zones = Zones::new(ready, &seen.preview);
         let taken: BTreeSet<u32> = finished.iter().map(|(pixel, _)| *pixel).collect();
         let edges = zones.edges(observations.len(), &taken);

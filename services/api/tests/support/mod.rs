@@ -280,6 +280,7 @@ impl Farm {
                         width: spec.settings.width,
                         height: spec.settings.height,
                         spp: spec.settings.spp,
+                        allotted: None,
                         effects: vec!["ambient".to_owned()],
                         left_out: Vec::new(),
                         rays: Rays { primary: 1024, ..Rays::default() },

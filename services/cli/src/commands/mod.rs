@@ -1,6 +1,7 @@
 //! The commands, one file each.
 
 mod accuracy;
+mod allot;
 mod bench;
 mod cache;
 mod export;

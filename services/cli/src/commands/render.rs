@@ -1,5 +1,6 @@
 //! `forelight render`: one frame on this machine, with its true cost.
 
+use super::allot::{self, AllotArgs, Stopping};
 use super::cache::read_cache;
 use crate::atomic_file::{write_bytes, write_with};
 use crate::failure::{BadInput, Interrupted};
@@ -13,7 +14,7 @@ use anyhow::{Context, Result};
 use clap::ValueEnum;
 use forelight_protocol::{CacheMode, LeftOut, Rays, RenderStats};
 use forelight_tracer::Profile;
-use forelight_worker::{Given, RenderError, Rendered, png, render_frame};
+use forelight_worker::{Given, RenderError, Rendered, png, render_allotted, render_frame};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -27,6 +28,8 @@ Examples:
   forelight render kitchen/ --cache on --cache-accuracy 0.1 --out smooth.png
   forelight render kitchen/ --frame 12 --cache-file shot.cache --out 12.exr
   forelight render kitchen/ --integrator path --spp 256 --out caustics.png
+  forelight render kitchen/ --cache on --within 60 --out minute.png
+  forelight render kitchen/ --cache on --error 2 --confidence p95 --out clean.exr
 
 The image has the same bits whatever the threads, and whether or not a profile was taken over. An .exr holds \
 linear colour and, beside it, object and material ids, cost and rays of every pixel; a .png is for looking at.")]
@@ -57,6 +60,8 @@ pub struct Args {
     /// Print the cost as JSON to standard output
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    allot: AllotArgs,
     #[command(flatten)]
     quality: QualityOptions,
     #[command(flatten)]
@@ -99,7 +104,16 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         .pool
         .install(|| {
             let given = Given { profile: profile.as_ref(), cache };
-            render_frame(&local.shot, args.frame, &settings, given, &progress, interrupt.flag())
+            match args.allot.options() {
+                None => {
+                    Ok(render_frame(&local.shot, args.frame, &settings, given, &progress, interrupt.flag())?)
+                }
+                Some(options) => {
+                    let stopping = Stopping(interrupt);
+                    render_allotted(&local.shot, args.frame, &settings, given, &options, &progress, &stopping)
+                        .map_err(allot::failure)
+                }
+            }
         })
         .with_context(|| format!("bundle {}", args.bundle.display()))?;
     drop(bar);
@@ -153,6 +167,7 @@ fn report(stats: &RenderStats) -> String {
     let mut text = table.render();
     let RenderStats { frame, width, height, spp, .. } = stats;
     text += &format!("\nframe {frame}, {width} x {height}, {spp} samples per pixel\n");
+    text += &stats.allotted.as_ref().map_or_else(String::new, allot::report);
     text += &format!("effects     {}\n", stats.effects.join(", "));
     for LeftOut { what, reason } in &stats.left_out {
         text += &format!("left out    {what}: {reason}\n");

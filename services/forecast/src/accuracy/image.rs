@@ -86,7 +86,7 @@ impl MeanSquare {
 /// Beyond what was sampled the variance is taken to be A / n^1.5 + B / n. The first is what scrambled nets make of an edge that runs
 /// through a pixel (Owen 1997; Mitchell 1996), which dominates while a pixel has few samples; the second what is as good as random,
 /// and is left in the end.
-const EXPONENTS: [f64; 2] = [1.5, 1.0];
+pub(super) const EXPONENTS: [f64; 2] = [1.5, 1.0];
 
 /// At least this share of the variance at the last sampled number of samples is taken to be random. Few drops of few pixels may well say that
 /// nothing is; on the test scenes that was never so, and halved the error that was forecast for sixteen times the samples.
@@ -142,6 +142,16 @@ impl ImageNoise {
     /// The image's own drops, of [`PixelNoise::drops`]: means over its pixels, in the unit of brightness squared.
     pub fn drops(&self) -> Vec<f64> {
         (0..self.levels).map(|k| self.stratified(|pixel| pixel.drops[k]).0).collect()
+    }
+
+    /// A and B of the image's variance A / n^1.5 + B / n, mean of its pixels, in the unit of brightness squared.
+    pub fn curve(&self) -> [f64; 2] {
+        [0, 1].map(|which| self.stratified(|pixel| self.curve_of(pixel)[which]).0)
+    }
+
+    /// What one pixel says of them; of a single one they may be negative.
+    pub fn curve_of(&self, pixel: &PixelNoise) -> [f64; 2] {
+        [0, 1].map(|which| weighted(&self.fit.weights[which], pixel))
     }
 
     /// The mean square error of the image at a number of camera samples a pixel, at least 1, with what does not fall with samples.
@@ -303,49 +313,74 @@ fn weighted(weights: &[f64], pixel: &PixelNoise) -> f64 {
     sum(weights.iter().zip(&pixel.drops).map(|(weight, drop)| weight * drop))
 }
 
-/// Cells for an image of which `counts` pixels show each stratum: strata of two samples or more alone, others with those of
+/// Strata that are looked at together, and the samples that stand for them.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NoiseGroup {
+    /// Indices of strata; all of them are shown.
+    pub strata: Vec<usize>,
+    /// Indices of samples: those of the strata or, if they have none, all that there are.
+    pub samples: Vec<usize>,
+}
+
+/// Groups for an image of which `counts` pixels show each stratum: strata of two samples or more alone, others with those of
 /// their material, and what is still too few with all such, or, where even these have none, like everything.
 ///
 /// # Errors
 /// If strata, counts and samples do not fit together, or there is no sample.
-pub fn noise_cells(
+pub fn noise_groups(
     strata: &[Stratum],
     counts: &[u32],
     samples: &[NoiseSample],
-) -> Result<Vec<NoiseCell>, ForecastError> {
+) -> Result<Vec<NoiseGroup>, ForecastError> {
     if counts.len() != strata.len() {
         return Err(ForecastError::CountsLength { frame: 0, counts: counts.len(), strata: strata.len() });
     }
     if samples.is_empty() {
         return Err(ForecastError::NoSamples);
     }
-    let mut own: Vec<Vec<&PixelNoise>> = vec![Vec::new(); strata.len()];
-    for NoiseSample { stratum, noise } in samples {
+    let mut own: Vec<Vec<usize>> = vec![Vec::new(); strata.len()];
+    for (index, NoiseSample { stratum, .. }) in samples.iter().enumerate() {
         let unknown = ForecastError::UnknownStratum { stratum: *stratum, strata: strata.len() };
-        own.get_mut(*stratum as usize).ok_or(unknown)?.push(noise);
+        own.get_mut(*stratum as usize).ok_or(unknown)?.push(index);
     }
-    let join = |members: &[usize]| NoiseCell {
-        pixels: members.iter().map(|&h| u64::from(counts[h])).sum(),
-        samples: members.iter().flat_map(|&h| own[h].iter().copied().cloned()).collect(),
+    let join = |members: &[usize]| NoiseGroup {
+        strata: members.to_vec(),
+        samples: members.iter().flat_map(|&h| own[h].iter().copied()).collect(),
     };
     let shown: Vec<usize> = (0..strata.len()).filter(|&h| counts[h] > 0).collect();
     let (alone, few): (Vec<_>, Vec<_>) = shown.into_iter().partition(|&h| own[h].len() >= 2);
-    let mut cells: Vec<NoiseCell> = alone.iter().map(|&h| join(&[h])).collect();
+    let mut groups: Vec<NoiseGroup> = alone.iter().map(|&h| join(&[h])).collect();
     let mut materials: Vec<u32> = few.iter().map(|&h| strata[h].material).collect();
     materials.sort_unstable();
     materials.dedup();
     let mut rest = Vec::new();
     for material in materials {
         let members: Vec<usize> = few.iter().copied().filter(|&h| strata[h].material == material).collect();
-        let cell = join(&members);
-        if cell.samples.len() >= 2 { cells.push(cell) } else { rest.extend(members) }
+        let group = join(&members);
+        if group.samples.len() >= 2 { groups.push(group) } else { rest.extend(members) }
     }
     if !rest.is_empty() {
-        let mut cell = join(&rest);
-        if cell.samples.len() < 2 {
-            cell.samples = samples.iter().map(|sample| sample.noise.clone()).collect();
+        let mut group = join(&rest);
+        if group.samples.len() < 2 {
+            group.samples = (0..samples.len()).collect();
         }
-        cells.push(cell);
+        groups.push(group);
     }
-    Ok(cells)
+    Ok(groups)
+}
+
+/// The cells of [`noise_groups`].
+///
+/// # Errors
+/// The same.
+pub fn noise_cells(
+    strata: &[Stratum],
+    counts: &[u32],
+    samples: &[NoiseSample],
+) -> Result<Vec<NoiseCell>, ForecastError> {
+    let cell = |group: NoiseGroup| NoiseCell {
+        pixels: group.strata.iter().map(|&h| u64::from(counts[h])).sum(),
+        samples: group.samples.iter().map(|&i| samples[i].noise.clone()).collect(),
+    };
+    Ok(noise_groups(strata, counts, samples)?.into_iter().map(cell).collect())
 }

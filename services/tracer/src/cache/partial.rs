@@ -23,7 +23,7 @@ impl Cache {
         let found = pixels.par_iter().map(|&pixel| {
             let start = thread_cpu_nanos();
             let (mut sites, mut counters) = (Vec::new(), Counters::default());
-            tracer.kernel.sites(tracer, pixel, tracer.settings.spp, &mut sites, &mut counters);
+            tracer.kernel.sites(tracer, pixel, tracer.samples_of(pixel), &mut sites, &mut counters);
             let reads = |index: &u32, site| first.planned[*index as usize].error(site, allowed).is_some();
             let read: BTreeSet<u32> = sites
                 .iter()

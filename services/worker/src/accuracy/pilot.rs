@@ -13,6 +13,7 @@ use forelight_forecast::{
 use forelight_preview::Preview;
 use forelight_protocol::{FixedCosts, ImageError, Quantiles, RenderSettings, Spent};
 use forelight_tracer::RecordCost;
+use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
 
 /// What a frame shows at one size, in numbers.
@@ -64,8 +65,12 @@ pub struct Pilot {
     pub noise: FrameNoise,
     /// What interpolation adds at some of its pixels; without an irradiance cache nothing.
     pub interpolation: Option<FrameNoise>,
+    /// Work of the pixels of `noise`, in their order.
+    pub pixel_work: Vec<u64>,
     /// What it took.
     pub spent: Spent,
+    /// The part of it that a render of the frame does not take anyway: its pixels and the preview.
+    pub overhead: Spent,
 }
 
 impl Pilot {
@@ -83,13 +88,19 @@ impl Pilot {
         let spent = profiled.spent();
         let seen = ready.preview()?;
         let view = View::new(ready, &seen.preview);
+        let traced: BTreeMap<u32, u64> =
+            profiled.traced.iter().map(|(pixel, traced)| (*pixel, traced.work)).collect();
+        let overhead = profiled.pixels.plus(profiled.preview).plus(seen.spent);
         let noise = profiled.noise.unwrap_or_else(|| FrameNoise {
             counts: view.noise_counts.clone(),
             pixels: Vec::new(),
             samples: Vec::new(),
             scattered: 0,
         });
+        let work = |pixel: &u32| traced.get(pixel).copied().unwrap_or_default();
         Ok(Self {
+            pixel_work: noise.pixels.iter().map(work).collect(),
+            overhead,
             noise,
             interpolation: None,
             strata: forecast_strata(shot, &settings),

@@ -14,8 +14,8 @@ use crate::output::{self, Bars};
 use crate::quantities::{Deadline, parse_deadline, parse_money};
 use anyhow::{Context, Result, bail};
 use forelight_protocol::{
-    BundleRef, Confidence, FrameSet, Job, JobId, JobRequest, JobState, Money, RenderSettingsRequest,
-    SceneSummary, Timestamp,
+    BundleRef, FrameSet, Job, JobId, JobRequest, JobState, Money, RenderSettingsRequest, SceneSummary,
+    Timestamp,
 };
 use forelight_worker::Client;
 use std::path::{Path, PathBuf};
@@ -165,11 +165,7 @@ fn request(
         profile_frames: args.profile_frames,
         deadline,
         budget: args.budget.map(Money),
-        confidence: match args.confidence {
-            ConfidenceLevel::P50 => Confidence::P50,
-            ConfidenceLevel::P80 => Confidence::P80,
-            ConfidenceLevel::P95 => Confidence::P95,
-        },
+        confidence: args.confidence.into(),
         priority: args.priority,
     })
 }

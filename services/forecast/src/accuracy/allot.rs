@@ -1,0 +1,202 @@
+//! How many camera samples each part of an image gets: the least error for a budget, or the least cost for an error.
+//!
+//! Let zone *h* have N_h pixels, each of variance v_h(n) = a_h n^−1.5 + b_h n^−1 at n samples (see [`super::ImageNoise`]) and of cost
+//! c_h a sample. The mean square error Σ N_h v_h(n_h) under a budget Σ N_h c_h n_h is least where one more unit of cost lowers it
+//! equally everywhere (Neyman 1934; Cochran, *Sampling Techniques*, 3rd edition 1977, section 5.5, for variances that fall faster
+//! than 1 / n):
+//!
+//! ```text
+//! −v_h'(n_h) = λ c_h ,   n_h ≥ 1 .
+//! ```
+//!
+//! Numbers of samples need not be whole: of a zone with 2.25, every fourth pixel gets 3 and the others 2.
+
+use super::image::{EXPONENTS, ImageNoise};
+use super::pixel::PixelNoise;
+use crate::error::ForecastError;
+use crate::moments::sum;
+
+/// Most camera samples of a pixel.
+pub const MOST_SAMPLES: f64 = 65_535.0;
+
+/// A zone's own pixels are believed like this many of the image's.
+const IMAGE_COUNTS: f64 = 2.0;
+
+/// Pixels that get equally many camera samples.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Zone {
+    /// How many they are.
+    pub pixels: f64,
+    /// Variance of a pixel at n samples: the sum of these over n^1.5 and n, in the unit of brightness squared.
+    pub variance: [f64; 2],
+    /// What a camera sample of one of them costs, in any unit.
+    pub cost: f64,
+}
+
+impl Zone {
+    /// Of sampled pixels of a zone, with what each cost at `spp` camera samples; `image` says how the whole image's variance falls, and lends
+    /// to zones of few samples.
+    ///
+    /// # Errors
+    /// If nothing was sampled.
+    pub fn new(
+        pixels: u64,
+        samples: &[(&PixelNoise, f64)],
+        spp: u32,
+        image: &ImageNoise,
+    ) -> Result<Self, ForecastError> {
+        if samples.is_empty() {
+            return Err(ForecastError::NoSamples);
+        }
+        let count = samples.len() as f64;
+        let of_image = image.curve();
+        let variance = [0, 1].map(|which| {
+            let own = sum(samples.iter().map(|(noise, _)| image.curve_of(noise)[which]));
+            ((own + IMAGE_COUNTS * of_image[which]) / (count + IMAGE_COUNTS)).max(0.0)
+        });
+        let cost = sum(samples.iter().map(|(_, cost)| *cost)) / count / f64::from(spp);
+        Ok(Self { pixels: pixels as f64, variance, cost })
+    }
+
+    /// Sum of its pixels' variances at so many samples each.
+    fn error(&self, samples: f64) -> f64 {
+        self.pixels * sum([0, 1].map(|k| self.variance[k] * libm::pow(samples, -EXPONENTS[k])))
+    }
+
+    /// By how much a little more cost, from so many samples on, lowers the error.
+    fn gain(&self, samples: f64) -> f64 {
+        let slope = |k: usize| EXPONENTS[k] * self.variance[k] * libm::pow(samples, -EXPONENTS[k] - 1.0);
+        sum([0, 1].map(slope)) / self.cost.max(f64::MIN_POSITIVE)
+    }
+
+    /// Where that gain has fallen to `price`.
+    fn samples_at(&self, price: f64) -> f64 {
+        let (mut low, mut high) = (1.0, MOST_SAMPLES);
+        if self.gain(low) <= price {
+            return low;
+        }
+        if self.gain(high) >= price {
+            return high;
+        }
+        // The gain falls with samples. By ratios: a hundred halvings are more than a number has digits.
+        for _ in 0..100 {
+            let middle = libm::sqrt(low * high);
+            if self.gain(middle) > price { low = middle } else { high = middle }
+        }
+        libm::sqrt(low * high)
+    }
+}
+
+/// Samples per pixel of each zone that cost `budget` all together, with the least error. `None` if one sample per pixel costs more.
+pub fn samples_for_budget(zones: &[Zone], budget: f64) -> Option<Vec<f64>> {
+    let cost = |samples: &[f64]| sum(zones.iter().zip(samples).map(|(zone, n)| zone.pixels * zone.cost * n));
+    let least = vec![1.0; zones.len()];
+    (cost(&least) <= budget).then(|| by_price(zones, |samples| cost(samples) <= budget))
+}
+
+/// Samples per pixel of each zone with the least cost for a mean variance of the pixels of `variance`; the most that there may be, if that is
+/// not enough.
+pub fn samples_for_variance(zones: &[Zone], variance: f64) -> Vec<f64> {
+    let pixels = sum(zones.iter().map(|zone| zone.pixels));
+    let error = |samples: &[f64]| sum(zones.iter().zip(samples).map(|(zone, n)| zone.error(*n)));
+    by_price(zones, |samples| error(samples) >= variance * pixels)
+}
+
+/// The samples of the lowest price that still meets a condition, which only few samples meet.
+fn by_price(zones: &[Zone], is_few_enough: impl Fn(&[f64]) -> bool) -> Vec<f64> {
+    let at = |price: f64| -> Vec<f64> { zones.iter().map(|zone| zone.samples_at(price)).collect() };
+    // Between these all zones go from the most samples to one.
+    let gains = |samples: f64| zones.iter().map(move |zone| zone.gain(samples)).filter(|gain| *gain > 0.0);
+    let (Some(mut low), Some(mut high)) = (gains(MOST_SAMPLES).reduce(f64::min), gains(1.0).reduce(f64::max))
+    else {
+        return vec![1.0; zones.len()];
+    };
+    let most = at(low);
+    if is_few_enough(&most) {
+        return most;
+    }
+    for _ in 0..100 {
+        let middle = libm::sqrt(low * high);
+        if is_few_enough(&at(middle)) { high = middle } else { low = middle }
+    }
+    at(high)
+}
+
+/// The mean variance of the pixels with so many samples in each zone.
+pub fn mean_variance(zones: &[Zone], samples: &[f64]) -> f64 {
+    let pixels = sum(zones.iter().map(|zone| zone.pixels));
+    sum(zones.iter().zip(samples).map(|(zone, n)| zone.error(*n))) / pixels.max(1.0)
+}
+
+/// Whole numbers of samples for the pixels of a zone, in their order: each the one below or above `samples`, evenly mixed.
+pub fn whole(samples: f64, pixels: usize) -> impl Iterator<Item = u32> {
+    let (least, share) = (libm::floor(samples), samples - libm::floor(samples));
+    // The fraction adds up; whenever it passes a whole number, a pixel gets one more. From the middle, so that single pixels are rounded.
+    let passed = move |i: usize| libm::floor(share * i as f64 + 0.5);
+    (0..pixels).map(move |i| (least + passed(i + 1) - passed(i)) as u32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn zones() -> Vec<Zone> {
+        vec![
+            Zone { pixels: 1000.0, variance: [0.0, 1.0], cost: 1.0 },
+            Zone { pixels: 50.0, variance: [40.0, 10.0], cost: 2.0 },
+            Zone { pixels: 200.0, variance: [0.0, 0.0], cost: 1.0 },
+        ]
+    }
+
+    fn cost(samples: &[f64]) -> f64 {
+        zones().iter().zip(samples).map(|(zone, n)| zone.pixels * zone.cost * n).sum()
+    }
+
+    #[test]
+    fn a_budget_is_spent_and_no_exchange_between_zones_lowers_the_error() {
+        let zones = zones();
+        let samples = samples_for_budget(&zones, 20_000.0).unwrap();
+        assert!((cost(&samples) / 20_000.0 - 1.0).abs() < 1e-9);
+        assert_eq!(samples[2], 1.0, "what does not vary gets one sample");
+        assert!(samples[1] > 2.0 * samples[0], "{samples:?}");
+        let best = mean_variance(&zones, &samples);
+        for moved in [-0.05, 0.05] {
+            let mut other = samples.clone();
+            other[0] += moved;
+            other[1] -= moved * zones[0].pixels / (zones[1].pixels * zones[1].cost);
+            assert!(mean_variance(&zones, &other) > best);
+        }
+    }
+
+    #[test]
+    fn an_error_costs_what_its_own_budget_gives_it_for() {
+        let zones = zones();
+        let samples = samples_for_variance(&zones, 0.02);
+        assert!((mean_variance(&zones, &samples) / 0.02 - 1.0).abs() < 1e-6);
+        let again = samples_for_budget(&zones, cost(&samples)).unwrap();
+        assert!(samples.iter().zip(&again).all(|(a, b)| (a / b - 1.0).abs() < 1e-4), "{samples:?} {again:?}");
+    }
+
+    #[test]
+    fn what_cannot_be_had_is_said_or_comes_as_near_as_it_can() {
+        let zones = zones();
+        assert_eq!(samples_for_budget(&zones, 1299.0), None, "one sample of every pixel costs 1300");
+        assert!(samples_for_budget(&zones, 1300.0).is_some());
+        let most = samples_for_variance(&zones, 0.0);
+        assert_eq!(most[0], MOST_SAMPLES);
+        assert_eq!(samples_for_variance(&zones, f64::INFINITY), [1.0; 3]);
+        let black = [Zone { pixels: 5.0, variance: [0.0; 2], cost: 0.0 }];
+        assert_eq!(samples_for_budget(&black, 0.0), Some(vec![1.0]));
+        assert_eq!(samples_for_budget(&[], 1.0), Some(vec![]));
+    }
+
+    #[test]
+    fn whole_numbers_of_samples_have_the_mean_of_the_broken_one() {
+        for (samples, pixels) in [(2.25, 1000), (1.0, 7), (3.999, 500), (1.5, 1), (7.1, 3)] {
+            let all: Vec<u32> = whole(samples, pixels).collect();
+            let mean = f64::from(all.iter().sum::<u32>()) / pixels as f64;
+            assert!((mean - samples).abs() <= 0.5 / pixels as f64 + 1e-9, "{samples}: {mean}");
+            assert!(all.iter().all(|&n| f64::from(n) >= samples.floor() && f64::from(n) <= samples.ceil()));
+        }
+    }
+}

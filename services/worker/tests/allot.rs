@@ -1,0 +1,90 @@
+//! Camera samples by what they come to, on the kitchen that ships with the project.
+
+use forelight_preview::Choice;
+use forelight_protocol::{Confidence, RenderSettings, RenderSettingsRequest};
+use forelight_worker::{
+    AccuracyObserver, Aim, AllotError, AllotOptions, Ambient, AmbientShot, Given, Rendered, render_allotted,
+    render_frame,
+};
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+#[derive(Default)]
+struct Nobody(AtomicBool);
+
+impl AccuracyObserver for Nobody {
+    fn predicted(&self, _: usize, _: usize) {}
+    fn cancel(&self) -> &AtomicBool {
+        &self.0
+    }
+}
+
+fn kitchen() -> AmbientShot {
+    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/scenes/kitchen"));
+    Ambient::new(Choice::Cpu).open(path).unwrap()
+}
+
+fn settings(spp: u32) -> RenderSettings {
+    let request = RenderSettingsRequest {
+        spp: Some(spp),
+        ambient_bounces: Some(0),
+        ..RenderSettingsRequest::default()
+    };
+    request.complete((64, 36))
+}
+
+fn allotted(aim: Aim) -> Result<Rendered, AllotError> {
+    let options = AllotOptions { aim, confidence: Confidence::P50, samples: 256, seed: 3 };
+    let (shot, nobody) = (kitchen(), Nobody::default());
+    let rendered = render_allotted(&shot, 0, &settings(1), Given::default(), &options, &|_| (), &nobody);
+    rendered.map(Option::unwrap)
+}
+
+fn uniform(spp: u32) -> Rendered {
+    let rendered =
+        render_frame(&kitchen(), 0, &settings(spp), Given::default(), &|_| (), &AtomicBool::new(false));
+    rendered.unwrap().unwrap()
+}
+
+/// Root mean square over pixels and channels, as a share of the reference's mean.
+fn error(image: &Rendered, reference: &Rendered) -> f64 {
+    let (mut squares, mut sum, mut count) = (0.0, 0.0, 0.0);
+    for (a, b) in image.image.pixels.iter().zip(&reference.image.pixels) {
+        for (a, b) in a.color.iter().zip(b.color) {
+            squares += f64::from(a - b).powi(2);
+            sum += f64::from(b);
+            count += 1.0;
+        }
+    }
+    (squares / count).sqrt() / (sum / count)
+}
+
+#[test]
+fn an_error_that_is_asked_for_is_made_with_less_work_than_equally_many_samples_everywhere() {
+    let reference = uniform(1024);
+    let image = allotted(Aim::Error(0.04)).unwrap();
+    let made = error(&image, &reference);
+    let samples = image.stats.allotted.clone().unwrap();
+    assert!((samples.error.p50 / 0.04 - 1.0).abs() < 0.01, "{samples:?}");
+    assert!(made > 0.02 && made < 0.08, "asked for 4 %, made {made}");
+    assert!(samples.most > 4 * samples.least, "edges of lamps need more than walls: {samples:?}");
+    let work = image.stats.work as f64;
+    assert!((samples.work.p50 / work - 1.0).abs() < 0.1, "forecast {:?}, took {work}", samples.work);
+    // Uniform images on both sides of that work.
+    let at_equal_work = [64, 128, 256].map(uniform);
+    let worse = at_equal_work.iter().rfind(|other| (other.stats.work as f64) < work).unwrap();
+    let better = at_equal_work.iter().find(|other| (other.stats.work as f64) >= work).unwrap();
+    let between = (error(worse, &reference) * error(better, &reference)).sqrt();
+    assert!(made < between, "{made} with samples where they pay, {between} with equally many everywhere");
+}
+
+#[test]
+fn more_time_buys_more_samples_and_too_little_is_refused_with_what_it_takes() {
+    let refused = allotted(Aim::CpuSeconds(1e-6)).unwrap_err();
+    let AllotError::TooLittle { given, least } = refused else { panic!("{refused}") };
+    assert!(given < least && least < 60.0, "{least}");
+    // How many they are depends on the machine's speed while it profiled, how they lie does not.
+    let [few, many] = [2.0, 6.0].map(|times| allotted(Aim::CpuSeconds(times * least)).unwrap().stats);
+    let [few, many] = [few, many].map(|stats| stats.allotted.unwrap());
+    assert!(many.mean > 1.3 * few.mean && many.error.p50 < few.error.p50, "{few:?} {many:?}");
+}
