@@ -6,7 +6,7 @@ mod images;
 mod paper;
 mod plan;
 mod rays;
-mod shot;
+mod shots;
 
 use crate::interrupt::Interrupt;
 use anyhow::Result;
@@ -22,7 +22,7 @@ Examples:
   forelight bench rays kitchen/
   forelight bench paper kitchen/ corridor/ --out report/
   forelight bench plan
-  forelight bench shot kitchen/ --frames 0-47 --width 192 --height 108 --json")]
+  forelight bench shots kitchen/ corridor/ --svg plots/")]
 pub struct Args {
     #[command(subcommand)]
     bench: Bench,
@@ -36,7 +36,7 @@ enum Bench {
     Plan(plan::Args),
     Images(images::Args),
     Rays(rays::Args),
-    Shot(shot::Args),
+    Shots(shots::Args),
 }
 
 /// Runs the command.
@@ -48,7 +48,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         Bench::Plan(args) => plan::run(args),
         Bench::Images(args) => images::run(args, interrupt),
         Bench::Rays(args) => rays::run(args, interrupt),
-        Bench::Shot(args) => shot::run(args, interrupt),
+        Bench::Shots(args) => shots::run(args, interrupt),
     }
 }
 
@@ -66,9 +66,21 @@ fn mean_absolute(errors: impl Iterator<Item = f64>) -> f64 {
     if count == 0 { 0.0 } else { sum / f64::from(count) }
 }
 
+/// Name of what is written of a bundle: its own as far as it is plain, and its place, so that no two are the same.
+fn slug(place: usize, name: &str) -> String {
+    let plain = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
+    format!("{}-{}", place + 1, name.chars().take(40).map(plain).collect::<String>())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_of_files_are_plain_and_never_the_same() {
+        assert_eq!(slug(0, "A kitchen/../x"), "1-a-kitchen----x");
+        assert_ne!(slug(0, "same"), slug(1, "same"));
+    }
 
     #[test]
     fn errors_have_a_sign_and_their_mean_has_none() {

@@ -8,7 +8,7 @@ mod picture;
 mod report;
 mod trial;
 
-use super::PAPER_SIZE;
+use super::{PAPER_SIZE, slug};
 use crate::atomic_file::write_bytes;
 use crate::failure::Interrupted;
 use crate::interrupt::Interrupt;
@@ -139,12 +139,6 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     }
     output::print(&report::summary(&studies))?;
     output::line(format!("\nThe report is {}.", args.out.join("report.md").display()))
-}
-
-/// Folder of a bundle's pictures: its name as far as it is plain, and its place, so that no two are the same.
-fn slug(place: usize, name: &str) -> String {
-    let plain = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
-    format!("{}-{}", place + 1, name.chars().take(40).map(plain).collect::<String>())
 }
 
 fn study(
@@ -340,11 +334,5 @@ mod tests {
             }
             assert_eq!(level.records.is_empty(), !level.level.is_cached());
         }
-    }
-
-    #[test]
-    fn folders_are_plain_and_never_the_same() {
-        assert_eq!(slug(0, "A kitchen/../x"), "1-a-kitchen----x");
-        assert_ne!(slug(0, "same"), slug(1, "same"));
     }
 }
