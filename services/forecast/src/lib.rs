@@ -27,7 +27,8 @@
 //! **A shot** ([`choose_frames`], [`forecast_shot`]). A few frames are profiled, so chosen that what matters
 //! is near in time to a frame that shows it (k-median). Others get ŷ_t = Σ N_h,t ĉ_h(t) with unit costs
 //! carried over time. All frames rest on the same samples, so their errors are added before they are squared;
-//! what drifts between profiled frames is a random walk pinned at each of them. The error that a job's frames
+//! what drifts between profiled frames is a random walk pinned at each of them, in a time that runs faster where the
+//! picture changes faster (`clock`), so that nothing is carried over a cut. The error that a job's frames
 //! have in common is [`ShotForecast::job_sigma`].
 //!
 //! **What is not made of pixels** ([`RecordStrata`]). With an irradiance cache most of a frame's cost is in its records, whose
@@ -88,6 +89,7 @@
 pub mod accuracy;
 mod allocate;
 mod choose;
+mod clock;
 mod cost;
 mod curve;
 mod drift;
