@@ -58,7 +58,8 @@
 //! samples.
 //!
 //! While no past job says how well intervals hold, [`Calibration::NONE`] stretches them by 1.3 and the
-//! forecast says that it is not calibrated.
+//! forecast says that it is not calibrated. Once [`LEAST_JOBS`] jobs of the same kind are finished, [`Experience`] says where the
+//! quantiles belong, and [`ShotForecast::corrected`] puts them there: these hold whatever is wrong with the formulas.
 //!
 //! # Use
 //! ```
@@ -90,6 +91,7 @@ pub mod accuracy;
 mod allocate;
 mod choose;
 mod clock;
+mod conformal;
 mod cost;
 mod curve;
 mod drift;
@@ -109,6 +111,7 @@ mod student;
 
 pub use allocate::{Cell, allocate};
 pub use choose::{FrameDesign, Pick};
+pub use conformal::{Correction, Corrections, Experience, LEAST_JOBS, Past, residual};
 pub use cost::{Cost, Costs, Observation, Quantity, RAY_KINDS};
 pub use error::ForecastError;
 pub use estimate::{FrameEstimate, ObjectEstimate, StratumEstimate, by_object, estimate};
