@@ -1,5 +1,6 @@
 //! `forelight bench`: measurements of what this program promises, on bundles that the user names.
 
+mod coverage;
 mod effects;
 mod forecast;
 mod images;
@@ -16,6 +17,7 @@ use clap::Subcommand;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
+  forelight bench coverage kitchen/ corridor/ --svg reliability.svg
   forelight bench effects kitchen/ corridor/
   forelight bench forecast kitchen/ corridor/ --out forecast.json
   forelight bench images kitchen/ --size 256 --pictures images/
@@ -30,6 +32,7 @@ pub struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Bench {
+    Coverage(coverage::Args),
     Effects(effects::Args),
     Forecast(forecast::Args),
     Paper(paper::Args),
@@ -42,6 +45,7 @@ enum Bench {
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     match &args.bench {
+        Bench::Coverage(args) => coverage::run(args, interrupt),
         Bench::Effects(args) => effects::run(args, interrupt),
         Bench::Forecast(args) => forecast::run(args, interrupt),
         Bench::Paper(args) => paper::run(args, interrupt),
