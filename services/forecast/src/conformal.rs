@@ -46,13 +46,17 @@ impl Quantity {
     }
 }
 
+/// What differs by less than this share is the same: the mean is a rounded sum.
+const ROUNDING: f64 = 1e-9;
+
 /// How far a forecast was off, in units of its spread: infinite where it was sure and wrong, none where it was sure and right, or
 /// where a logarithm says nothing.
 pub fn residual(mean: f64, spread: f64, actual: f64) -> Option<f64> {
-    if actual == mean || !(mean > 0.0 && actual > 0.0 && spread >= 0.0) {
-        return (spread > 0.0 && actual == mean).then_some(0.0);
+    if !(mean > 0.0 && actual > 0.0 && spread >= 0.0) {
+        return None;
     }
-    Some(libm::log(actual / mean) / spread)
+    let off = libm::log(actual / mean);
+    (spread > 0.0 || off.abs() > ROUNDING).then(|| off / spread)
 }
 
 /// Residuals of past forecasts, by job.
