@@ -89,6 +89,7 @@
 
 pub mod accuracy;
 mod allocate;
+mod binomial;
 mod choose;
 mod clock;
 mod conformal;
@@ -110,6 +111,7 @@ mod strategies;
 mod student;
 
 pub use allocate::{Cell, allocate};
+pub use binomial::share_interval;
 pub use choose::{FrameDesign, Pick};
 pub use conformal::{Correction, Corrections, Experience, LEAST_JOBS, Past, residual};
 pub use cost::{Cost, Costs, Observation, Quantity, RAY_KINDS};

@@ -2,12 +2,16 @@
 
 use axum::Json;
 use axum::extract::State;
+use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
+use axum::response::{IntoResponse, Response};
 use forelight_protocol::{AccuracyDoc, ForecastDoc, JobId, ProblemKind, Timestamp, TrackRecord};
 
 use crate::conductor::accuracy::accuracy;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment};
+use crate::openapi::FileContent;
 use crate::page::{PageQuery, cut};
+use crate::plot;
 use crate::state::App;
 
 /// A job's quote. 409 until it is there.
@@ -53,7 +57,7 @@ pub(crate) async fn accuracy_of_job(
     }
 }
 
-/// Forecast against actual over all finished frames, and the frames themselves, newest first.
+/// Forecast against actual over all finished frames, also by kind of quote, and the frames themselves, newest first.
 #[utoipa::path(get, path = "/v1/forecasts/track-record", tag = "farm", params(PageQuery),
     responses((status = 200, description = "The record", body = TrackRecord), Problems))]
 pub(crate) async fn track_record(
@@ -67,4 +71,20 @@ pub(crate) async fn track_record(
     record.next_page_token =
         cut(&mut record.items, size, "track-record", |row| (row.finished, row.job_id, row.frame));
     Ok(Json(record))
+}
+
+/// Finished jobs whose errors the picture of the record shows.
+const SHOWN_JOBS: u32 = 500;
+
+/// The same as a picture: how often truths stayed at or below the quantiles that were promised, of quotes that were calibrated on past jobs
+/// and of those that were not, and the errors of the newest 500 finished jobs in their order.
+#[utoipa::path(get, path = "/v1/forecasts/track-record.svg", tag = "farm",
+    responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"), Problems))]
+pub(crate) async fn track_record_svg(State(app): State<App>, _: Reader) -> ApiResult<Response> {
+    let record = app.store.track_record(None, 0).await?;
+    let jobs = app.store.finished_jobs(SHOWN_JOBS).await?;
+    let svg = plot::track_record(&record, &jobs).map_err(|reason| {
+        ApiError::new(ProblemKind::Internal, format!("the picture cannot be drawn: {reason}"))
+    })?;
+    Ok(([(CONTENT_TYPE, "image/svg+xml"), (CACHE_CONTROL, "private, no-cache")], svg).into_response())
 }

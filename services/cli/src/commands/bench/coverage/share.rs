@@ -1,10 +1,8 @@
 //! A share with its interval.
 
+use forelight_forecast::share_interval;
 use serde::Serialize;
 use std::fmt;
-
-/// Quantile at 0.975 of the standard normal distribution.
-const NORMAL: f64 = 1.959_963_984_540_054;
 
 /// A mean of shares, with an interval that holds the true one in nineteen of twenty cases.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -18,7 +16,7 @@ pub struct Share {
 }
 
 impl Share {
-    /// Of shares of independent groups, all of one weight. The interval is the binomial one of Wilson (1927) for as many trials as would vary
+    /// Of shares of independent groups, all of one weight. The interval is the binomial one for as many trials as would vary
     /// as the groups do: for groups of one trial each, that is their number; where trials of a group go together, hardly more.
     pub fn of(groups: &[f64]) -> Self {
         let count = groups.len() as f64;
@@ -29,10 +27,8 @@ impl Share {
         let squares: f64 = groups.iter().map(|group| (group - share) * (group - share)).sum();
         let variance_of_mean = squares / (count * (count - 1.0).max(1.0));
         let trials = if variance_of_mean > 0.0 { share * (1.0 - share) / variance_of_mean } else { count };
-        let (z, n) = (NORMAL * NORMAL / trials, trials);
-        let centre = (share + z / 2.0) / (1.0 + z);
-        let half = NORMAL / (1.0 + z) * (share * (1.0 - share) / n + z / (4.0 * n)).sqrt();
-        Self { share, low: (centre - half).max(0.0), high: (centre + half).min(1.0) }
+        let (low, high) = share_interval(share, trials);
+        Self { share, low, high }
     }
 }
 
