@@ -52,6 +52,7 @@ pub(crate) fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(artifacts::put, artifacts::get, artifacts::head))
         .routes(routes!(forecasts::track_record))
         .routes(routes!(forecasts::track_record_svg))
+        .routes(routes!(forecasts::calibration))
         .routes(routes!(events::of_farm))
         .routes(routes!(dashboard::get))
         .routes(routes!(health::healthz))

@@ -2,7 +2,7 @@
 
 mod support;
 
-use forelight_protocol::{ForecastDoc, Job, JobState, Node, TaskResult, TrackRecord};
+use forelight_protocol::{CalibrationDoc, ForecastDoc, Job, JobState, Node, TaskResult, TrackRecord};
 use reqwest::StatusCode;
 use support::{Answer, Farm};
 
@@ -62,6 +62,15 @@ async fn after_nineteen_jobs_quantiles_hold_and_another_version_starts_anew() {
     }
     let other = run(&farm, &node, "r 2", 1.0).await;
     assert!(!other.calibrated && other.total.work.p50 == other.total.work.mean);
+
+    let taught: CalibrationDoc =
+        farm.viewer.get("/v1/forecasts/calibration").await.json_as(StatusCode::OK).await;
+    let jobs: Vec<(&str, u64, bool)> = taught
+        .kinds
+        .iter()
+        .map(|kind| (kind.renderer.as_str(), kind.jobs, kind.corrections.is_some()))
+        .collect();
+    assert_eq!(jobs, [("r 1", 20, true), ("r 2", 1, false)]);
 
     let path = "/v1/forecasts/track-record";
     let record: TrackRecord =

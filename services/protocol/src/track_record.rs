@@ -65,6 +65,55 @@ pub struct TrackRecordRow {
     pub cpu_actual: f64,
 }
 
+/// Where quantiles lie above the forecast's mean, in its own standard deviations of the logarithm.
+#[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CalibratedQuantiles {
+    /// Of one in two.
+    pub p50: f64,
+    /// Of four in five.
+    pub p80: f64,
+    /// Of nineteen in twenty.
+    pub p95: f64,
+}
+
+/// What finished jobs of one kind teach of the next job's quote.
+#[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Corrections {
+    /// Work of single frames.
+    pub frame_work: CalibratedQuantiles,
+    /// CPU time of single frames.
+    pub frame_cpu: CalibratedQuantiles,
+    /// Work of the whole job.
+    pub job_work: CalibratedQuantiles,
+    /// CPU time of the whole job.
+    pub job_cpu: CalibratedQuantiles,
+}
+
+/// What is known of quotes of one kind.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CalibrationKind {
+    /// The renderer, with its version.
+    pub renderer: String,
+    /// How light is simulated.
+    pub feature_class: String,
+    /// Finished jobs that it rests on.
+    pub jobs: u64,
+    /// Absent while these are too few, which is below 19.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub corrections: Option<Corrections>,
+}
+
+/// What the farm's finished jobs teach, by kind of quote; `forelight forecast --calibration` reads it too.
+#[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CalibrationDoc {
+    /// In order of renderer and class.
+    pub kinds: Vec<CalibrationKind>,
+}
+
 /// The record of all finished frames, and a page of them, newest first.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct TrackRecord {

@@ -49,6 +49,23 @@ pub struct QuoteBasis {
 }
 
 impl Store {
+    /// The kinds of which jobs are finished, with how many.
+    pub async fn learnt_kinds(&self) -> Result<Vec<(QuoteKind, u64)>, StoreError> {
+        let rows = sqlx::query(
+            "SELECT renderer, feature_class, count(*) AS jobs FROM quotes WHERE learnt_at IS NOT NULL GROUP BY 1, 2 ORDER BY 1, 2",
+        )
+        .fetch_all(self.readers())
+        .await?;
+        let kind = |row: &sqlx::sqlite::SqliteRow| {
+            let kind = QuoteKind {
+                renderer: row.try_get("renderer")?,
+                feature_class: row.try_get("feature_class")?,
+            };
+            Ok((kind, whole(row, "jobs")?))
+        };
+        rows.iter().map(kind).collect()
+    }
+
     /// What the newest finished jobs of this kind teach.
     pub async fn experience(&self, kind: &QuoteKind) -> Result<Experience, StoreError> {
         let rows = sqlx::query(

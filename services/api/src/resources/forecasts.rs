@@ -4,7 +4,11 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
-use forelight_protocol::{AccuracyDoc, ForecastDoc, JobId, ProblemKind, Timestamp, TrackRecord};
+use forelight_forecast::Correction;
+use forelight_protocol::{
+    AccuracyDoc, CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, ForecastDoc, JobId,
+    ProblemKind, Timestamp, TrackRecord,
+};
 
 use crate::conductor::accuracy::accuracy;
 use crate::error::{ApiError, ApiResult, Problems};
@@ -87,4 +91,28 @@ pub(crate) async fn track_record_svg(State(app): State<App>, _: Reader) -> ApiRe
         ApiError::new(ProblemKind::Internal, format!("the picture cannot be drawn: {reason}"))
     })?;
     Ok(([(CONTENT_TYPE, "image/svg+xml"), (CACHE_CONTROL, "private, no-cache")], svg).into_response())
+}
+
+/// What the finished jobs teach of the next quote's quantiles, by renderer and class of features: what a quote that is made now would be
+/// calibrated with. `forelight forecast --calibration` takes it for quotes that are made offline.
+#[utoipa::path(get, path = "/v1/forecasts/calibration", tag = "farm",
+    responses((status = 200, description = "The calibration", body = CalibrationDoc), Problems))]
+pub(crate) async fn calibration(State(app): State<App>, _: Reader) -> ApiResult<Json<CalibrationDoc>> {
+    let quantiles = |Correction { p50, p80, p95 }| CalibratedQuantiles { p50, p80, p95 };
+    let mut kinds = Vec::new();
+    for (kind, jobs) in app.store.learnt_kinds().await? {
+        let corrections = app.store.experience(&kind).await?.corrections();
+        kinds.push(CalibrationKind {
+            renderer: kind.renderer,
+            feature_class: kind.feature_class,
+            jobs,
+            corrections: corrections.map(|found| Corrections {
+                frame_work: quantiles(found.frame_work),
+                frame_cpu: quantiles(found.frame_cpu),
+                job_work: quantiles(found.job_work),
+                job_cpu: quantiles(found.job_cpu),
+            }),
+        });
+    }
+    Ok(Json(CalibrationDoc { kinds }))
 }

@@ -95,7 +95,8 @@ fn draw(area: &Area<'_>, shot: &Measured) -> Result<(), Box<dyn std::error::Erro
     }
     let line =
         |values: Vec<f64>| values.into_iter().enumerate().map(|(place, value)| (at(place), value)).collect();
-    let curves: [(&str, Vec<(f64, f64)>, RGBColor, u32); 3] = [
+    type Line = Vec<(f64, f64)>;
+    let curves: [(&str, Line, RGBColor, u32); 3] = [
         ("lines between first, middle and last", line(theirs), THEIRS, 1),
         ("forecast", line(shot.frames.iter().map(|f| f.work.forecast.mean).collect()), FORECAST, 2),
         ("full render", line(actual), TRUTH, 2),
