@@ -101,19 +101,30 @@ pub struct LevelStudy {
     planned: Vec<Outcome>,
 }
 
-/// Errors of a strategy by number of profiled pixels.
+/// Errors of a strategy by number of profiled pixels. With a cache its records are planned, and more of them are gathered the more
+/// pixels are profiled.
 #[derive(Debug, Serialize)]
 pub struct Curve {
     level: Level,
     strategy: Strategy,
-    /// Pixels profiled, and the errors of work.
-    points: Vec<(usize, Score)>,
+    points: Vec<CurvePoint>,
+}
+
+/// A point of it.
+#[derive(Debug, Serialize)]
+pub struct CurvePoint {
+    /// Pixels profiled.
+    pixels: usize,
+    /// CPU seconds of profiling: of these pixels, and of the records that were gathered; the mean over the seeds.
+    cpu_seconds: f64,
+    /// Errors of work.
+    error: Score,
 }
 
 impl Curve {
     /// Pixels profiled, and root mean square of the errors of work.
     fn points(&self) -> impl Iterator<Item = (f64, f64)> {
-        self.points.iter().map(|(samples, error)| (*samples as f64, error.root_mean_square))
+        self.points.iter().map(|point| (point.pixels as f64, point.error.root_mean_square))
     }
 }
 
@@ -158,8 +169,7 @@ fn study(
     let task = Task { local, frame, size, gather_rays, samples, seeds, repeats };
     let (seen, truths) = task.measure(bars, interrupt)?;
     let trials = Trials { args, local, seen: &seen, interrupt };
-    let uncached = || truths.iter().filter(|truth| !truth.level.is_cached());
-    let steps = truths.len() + uncached().count();
+    let steps = 2 * truths.len();
     let bar = bars.bar("forecasts", (steps * Strategy::ALL.len()) as u64);
     let done = || bar.inc(1);
     let mut levels = Vec::with_capacity(truths.len());
@@ -167,7 +177,7 @@ fn study(
         levels.push(trials.at(truth, &done)?);
     }
     let mut curves = Vec::new();
-    for truth in uncached() {
+    for truth in &truths {
         for strategy in Strategy::ALL {
             curves.push(trials.curve(strategy, truth)?);
             done();
@@ -249,9 +259,14 @@ impl Trials<'_> {
         let pixels = self.seen.ids.len();
         let mut points = Vec::with_capacity(LADDER.len());
         for samples in LADDER.into_iter().filter(|&samples| samples as usize <= pixels) {
-            let forecasts = self.all(strategy, Records::Unknown, truth, samples)?;
-            let picks = forecasts.first().map_or(0, |forecast| forecast.picks);
-            points.push((picks, Score::new(forecasts.iter().map(|f| f.mean.work), actual)));
+            let records = if truth.level.is_cached() { Records::Planned } else { Records::Unknown };
+            let forecasts = self.all(strategy, records, truth, samples)?;
+            let seconds = forecasts.iter().map(|forecast| forecast.profiling_seconds).sum::<f64>();
+            points.push(CurvePoint {
+                pixels: forecasts.first().map_or(0, |forecast| forecast.picks),
+                cpu_seconds: seconds / forecasts.len().max(1) as f64,
+                error: Score::new(forecasts.iter().map(|f| f.mean.work), actual),
+            });
         }
         Ok(Curve { level: truth.level, strategy, points })
     }
