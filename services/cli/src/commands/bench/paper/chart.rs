@@ -52,7 +52,7 @@ fn panel<'a>(area: &Area<'a>, title: &str, curves: &[&Curve]) -> Result<(), Fail
         .x_label_area_size(38)
         .y_label_area_size(52)
         .build_cartesian_2d(
-            (fewest * 0.9..most * 1.1).log_scale(),
+            (fewest * 0.9..most * 1.6).log_scale(),
             (least * 70.0..greatest * 140.0).log_scale(),
         )?;
     chart
@@ -84,7 +84,7 @@ fn panel<'a>(area: &Area<'a>, title: &str, curves: &[&Curve]) -> Result<(), Fail
             let font = ("sans-serif", 11).into_font().color(&colour);
             let label = |point: &CurvePoint| {
                 let at = (point.pixels as f64, 100.0 * point.error.root_mean_square);
-                EmptyElement::at(at) + Text::new(seconds(point.cpu_seconds), (4, -14), font.clone())
+                EmptyElement::at(at) + Text::new(short(point.cpu_seconds), (4, -14), font.clone())
             };
             let seen = curve.points.iter().filter(|point| point.error.root_mean_square > 0.0);
             chart.draw_series(seen.map(label))?;
@@ -97,6 +97,11 @@ fn panel<'a>(area: &Area<'a>, title: &str, curves: &[&Curve]) -> Result<(), Fail
         .border_style(RGBColor(215, 215, 215))
         .label_font(("sans-serif", 12))
         .draw()
+}
+
+/// A time in a word; most are far below a second.
+fn short(time: f64) -> String {
+    if time < 1.0 { format!("{:.1} ms", time * 1e3) } else { seconds(time) }
 }
 
 /// Colour and width of a strategy's line: the blind ones thin, ours the thickest. The colours are told apart by those who do not see
