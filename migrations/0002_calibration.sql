@@ -11,15 +11,15 @@ CREATE TABLE quotes (
 ) STRICT, WITHOUT ROWID;
 CREATE INDEX quotes_learnt ON quotes (renderer, feature_class, learnt_at, job_id) WHERE learnt_at IS NOT NULL;
 
--- Frame -1 is all frames together. CPU seconds are those of a node of speed 1. A residual is NULL before the job is finished, of a
--- quote that was sure and right, and of frames of a long job that are left out; infinite of one that was sure and wrong.
+-- Frame -1 is all frames together. CPU seconds are those of a node of speed 1. A residual is NULL before the job is finished, of
+-- what cost nothing, and of frames of a long job that are left out.
 CREATE TABLE quote_spreads (
     job_id        BLOB NOT NULL REFERENCES quotes (job_id),
     frame         INTEGER NOT NULL CHECK (frame >= -1),
     work_mean     REAL NOT NULL,
-    work_spread   REAL NOT NULL CHECK (work_spread >= 0),
+    work_spread   REAL NOT NULL CHECK (work_spread > 0),
     cpu_mean      REAL NOT NULL,
-    cpu_spread    REAL NOT NULL CHECK (cpu_spread >= 0),
+    cpu_spread    REAL NOT NULL CHECK (cpu_spread > 0),
     work_residual REAL,
     cpu_residual  REAL,
     PRIMARY KEY (job_id, frame)

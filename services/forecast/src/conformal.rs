@@ -1,6 +1,6 @@
 //! What past jobs teach: quantiles that hold what they promise, whatever the distribution of costs.
 //!
-//! A forecast has a mean ŷ and a spread s, its own idea of the standard deviation of ln y. A finished job tells the *residual* z =
+//! A forecast has a mean ŷ and a spread s, its own idea of the standard deviation of ln y, and what no formula knows ([`Measure`]) added. A finished job tells the *residual* z =
 //! ln(y / ŷ) / s. If the next job is of the same kind as n past ones (exchangeable with them: any order of them is as likely), its z is
 //! as likely to have any of the n + 1 ranks, so it stays below the ⌈(n + 1) p⌉-th smallest of the past with probability p at the least,
 //! whatever is wrong with the formulas behind ŷ and s: split conformal prediction with a normalised residual (Papadopoulos et al. 2002; Vovk,
@@ -27,11 +27,33 @@ const NORMAL_95: f64 = 1.644_853_626_951_472_2;
 /// Least number of past jobs from which all quantiles follow: from 19 the 95th is the greatest.
 pub const LEAST_JOBS: usize = 19;
 
+/// What is measured, which decides by how much a forecast is off whatever its formulas say.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Measure {
+    /// A count of operations: what is rendered is what was profiled, to the last of them.
+    Work,
+    /// Time, which no two runs agree on.
+    CpuTime,
+}
+
+impl Measure {
+    /// Standard deviation of the logarithm that is added to every spread. Without it a forecast that is very sure, and off by what no
+    /// sample shows (noise of clocks, a tree that takes longer to build), would be off by hundreds of its spreads, and the next one, less
+    /// sure, would be stretched by as many of its own.
+    const fn unknown(self) -> f64 {
+        match self {
+            Measure::Work => 0.001,
+            Measure::CpuTime => 0.05,
+        }
+    }
+}
+
 impl Quantity {
-    /// The standard deviation of the logarithm that the estimate gives itself, without inflation: that of a normal distribution with the
-    /// same 95th quantile. Zero where everything is known.
-    pub fn spread(&self) -> f64 {
-        log_deviation(self.mean, self.variance) * student::quantile(0.95, self.degrees_of_freedom) / NORMAL_95
+    /// The standard deviation of the logarithm that the estimate gives itself, without inflation, and what no formula knows: that of
+    /// a normal distribution with the same 95th quantile. Never zero.
+    pub fn spread(&self, measure: Measure) -> f64 {
+        let own = log_deviation(self.mean, self.variance) * student::quantile(0.95, self.degrees_of_freedom);
+        libm::hypot(own / NORMAL_95, measure.unknown())
     }
 
     /// The quantile at any `p` between 0 and 1 of the distribution of which the estimate names three. Only of one that
@@ -46,18 +68,13 @@ impl Quantity {
     }
 }
 
-/// What differs by less than this share is the same: the mean is a rounded sum.
-const ROUNDING: f64 = 1e-9;
-
-/// How far a forecast was off, in units of its spread: infinite where it was sure and wrong, none where it was sure and right, or
-/// where a logarithm says nothing.
+/// How far a forecast was off, in units of its spread; none where a logarithm says nothing.
 pub fn residual(mean: f64, spread: f64, actual: f64) -> Option<f64> {
-    if !(mean > 0.0 && actual > 0.0 && spread >= 0.0) {
-        return None;
-    }
-    let off = libm::log(actual / mean);
-    (spread > 0.0 || off.abs() > ROUNDING).then(|| off / spread)
+    (mean > 0.0 && actual > 0.0 && spread > 0.0).then(|| libm::log(actual / mean) / spread)
 }
+
+/// No quantile lies farther from its mean than by the exponential of this: a number for every input.
+const FARTHEST: f64 = 50.0;
 
 /// Residuals of past forecasts, by job.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -112,10 +129,10 @@ pub struct Correction {
 }
 
 impl Correction {
-    /// The quantity with quantiles as past jobs teach them; what is known exactly stays so.
-    pub fn apply(&self, quantity: &Quantity) -> Quantity {
-        let spread = quantity.spread();
-        let at = |z: f64| if spread > 0.0 { quantity.mean * libm::exp(spread * z) } else { quantity.mean };
+    /// The quantity with quantiles as past jobs teach them.
+    pub fn apply(&self, quantity: &Quantity, measure: Measure) -> Quantity {
+        let spread = quantity.spread(measure);
+        let at = |z: f64| quantity.mean * libm::exp((spread * z).clamp(-FARTHEST, FARTHEST));
         Quantity { p50: at(self.p50), p80: at(self.p80), p95: at(self.p95), ..*quantity }
     }
 }
@@ -163,15 +180,15 @@ impl ShotForecast {
     #[must_use]
     pub fn corrected(mut self, corrections: &Corrections) -> Self {
         let correct = |costs: &mut Costs<Quantity>, work: &Correction, cpu: &Correction| {
-            costs.work = work.apply(&costs.work);
-            costs.cpu_nanos = cpu.apply(&costs.cpu_nanos);
+            costs.work = work.apply(&costs.work, Measure::Work);
+            costs.cpu_nanos = cpu.apply(&costs.cpu_nanos, Measure::CpuTime);
         };
         for frame in &mut self.frames {
             correct(&mut frame.total, &corrections.frame_work, &corrections.frame_cpu);
         }
         correct(&mut self.total, &corrections.job_work, &corrections.job_cpu);
         let work = &corrections.job_work;
-        self.job_sigma = self.total.work.spread() * (work.p95 - work.p50) / NORMAL_95;
+        self.job_sigma = self.total.work.spread(Measure::Work) * (work.p95 - work.p50) / NORMAL_95;
         self.calibrated = true;
         self
     }

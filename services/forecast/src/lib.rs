@@ -113,7 +113,7 @@ mod student;
 pub use allocate::{Cell, allocate};
 pub use binomial::share_interval;
 pub use choose::{FrameDesign, Pick};
-pub use conformal::{Correction, Corrections, Experience, LEAST_JOBS, Past, residual};
+pub use conformal::{Correction, Corrections, Experience, LEAST_JOBS, Measure, Past, residual};
 pub use cost::{Cost, Costs, Observation, Quantity, RAY_KINDS};
 pub use error::ForecastError;
 pub use estimate::{FrameEstimate, ObjectEstimate, StratumEstimate, by_object, estimate};

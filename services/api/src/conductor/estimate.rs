@@ -3,7 +3,8 @@
 use std::collections::BTreeSet;
 
 use forelight_forecast::{
-    Calibration, Corrections, Cost, Costs, Expansion, Observation, ProfiledFrame, Quantity, forecast_shot,
+    Calibration, Corrections, Cost, Costs, Expansion, Measure, Observation, ProfiledFrame, Quantity,
+    forecast_shot,
 };
 use forelight_protocol::{
     ForecastTotals, FrameForecast, LeftOut, PreviewResult, Profiled, Quantiles, RayQuantiles, RenderSettings,
@@ -100,8 +101,10 @@ pub(super) fn calibrated(
         Some(corrections) => shot.corrected(corrections),
         None => shot,
     };
-    let spreads =
-        |costs: &Costs<Quantity>| Spreads { work: costs.work.spread(), cpu: costs.cpu_nanos.spread() };
+    let spreads = |costs: &Costs<Quantity>| Spreads {
+        work: costs.work.spread(Measure::Work),
+        cpu: costs.cpu_nanos.spread(Measure::CpuTime),
+    };
     let spreads = (spreads(&shot.total), shot.frames.iter().map(|frame| spreads(&frame.total)).collect());
 
     let frames = preview

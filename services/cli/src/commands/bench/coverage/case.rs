@@ -2,8 +2,8 @@
 
 use anyhow::Result;
 use forelight_forecast::{
-    Calibration, Cost, Expansion, FrameDesign, FramePopulation, Observation, ProfiledFrame, Quantity,
-    Stratum, choose_frames, estimate, forecast_shot, residual,
+    Calibration, Cost, Expansion, FrameDesign, FramePopulation, Measure, Observation, ProfiledFrame,
+    Quantity, Stratum, choose_frames, estimate, forecast_shot, residual,
 };
 
 /// A shot with the true cost of every pixel.
@@ -38,9 +38,9 @@ pub struct Judged {
 }
 
 impl Judged {
-    /// How far it was off, in its own spread; none where nothing was uncertain and nothing wrong.
+    /// How far it was off, in its own spread; none where nothing costs anything.
     pub fn residual(&self) -> Option<f64> {
-        residual(self.forecast.mean, self.forecast.spread(), self.actual)
+        residual(self.forecast.mean, self.forecast.spread(Measure::Work), self.actual)
     }
 }
 
