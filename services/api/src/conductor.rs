@@ -23,6 +23,7 @@ mod estimate;
 
 use std::sync::Arc;
 
+use forelight_forecast::Experience;
 use forelight_protocol::{Job, JobId, JobState};
 use forelight_store::{Store, StoreError};
 
@@ -111,9 +112,19 @@ impl Conductor {
     async fn forecast_and_book(&self, job: &Job) -> Result<(), AdvanceError> {
         let Some(profiles) = self.store.profile_results(job.id).await? else { return Ok(()) };
         let Some(preview) = self.store.preview_result(job.id).await? else { return Ok(()) };
-        let forecast = compute(move || estimate::forecast(&preview, &profiles)).await?;
+        let kind = estimate::kind(&profiles, &job.settings);
+        let experience = match &kind {
+            Some(kind) => self.store.experience(kind).await?,
+            None => Experience::default(),
+        };
+        let forecast = compute(move || {
+            let corrections = experience.corrections();
+            estimate::calibrated(&preview, &profiles, corrections.as_ref())
+        })
+        .await?;
+        let basis = kind.map(|kind| forecast.basis(kind));
         for _ in 0..ATTEMPTS {
-            match self.book(job, &forecast).await {
+            match self.book(job, &forecast, basis.as_ref()).await {
                 // Overtaken by another plan, or by a cancellation: look again.
                 Err(AdvanceError::Store(StoreError::Conflict(reason))) => {
                     tracing::info!(job = %job.id, reason, "the plan is made again");

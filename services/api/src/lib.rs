@@ -15,6 +15,7 @@ mod extract;
 mod metrics;
 mod openapi;
 mod page;
+mod plot;
 mod resources;
 mod router;
 mod scenes;

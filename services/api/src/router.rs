@@ -51,6 +51,8 @@ pub(crate) fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(leases::result))
         .routes(routes!(artifacts::put, artifacts::get, artifacts::head))
         .routes(routes!(forecasts::track_record))
+        .routes(routes!(forecasts::track_record_svg))
+        .routes(routes!(forecasts::calibration))
         .routes(routes!(events::of_farm))
         .routes(routes!(dashboard::get))
         .routes(routes!(health::healthz))

@@ -1,6 +1,6 @@
 //! How far unit costs wander between profiled frames.
 
-use crate::frames::{FramePopulation, apart};
+use crate::clock::ShotClock;
 use crate::interval::Part;
 
 /// Prior log-standard deviation that a frame's cost picks up over a third of the shot, beyond what its pixel
@@ -10,8 +10,8 @@ const PRIOR_DEVIATION: f64 = 0.1;
 /// Weight of the prior, in leave-one-out comparisons.
 const PRIOR_FREEDOM: f64 = 2.0;
 
-/// The residual d_t = ln(y_t / ŷ_t) of the carried frames, as a random walk of variance q per frame that is
-/// zero at every profiled frame: a Brownian bridge between two of them, with Cov(d_s, d_t) = q (s − L)(R − t)
+/// The residual d_t = ln(y_t / ŷ_t) of the carried frames, as a random walk of variance q per frame of the shot's
+/// clock that is zero at every profiled frame: a Brownian bridge between two of them, with Cov(d_s, d_t) = q (s − L)(R − t)
 /// / (R − L) for L ≤ s ≤ t ≤ R, and a free walk before the first and after the last.
 ///
 /// It is the rough relative of a Gaussian process with Matérn covariance. A handful of profiled frames cannot
@@ -30,22 +30,17 @@ pub(crate) struct Drift {
 }
 
 impl Drift {
-    /// Variance per frame before anything is learnt.
-    pub fn prior_rate(frames: &[FramePopulation]) -> f64 {
-        let span = match frames {
-            [first, .., last] => apart(first.number, last.number),
-            _ => 1.0,
-        };
-        PRIOR_DEVIATION * PRIOR_DEVIATION / (span / 3.0)
+    /// Variance per frame of the shot's clock before anything is learnt.
+    pub fn prior_rate(clock: &ShotClock) -> f64 {
+        PRIOR_DEVIATION * PRIOR_DEVIATION / (clock.length() / 3.0)
     }
 
     /// The prior walk over the frames.
-    pub fn new(frames: &[FramePopulation], profiled: Vec<usize>) -> Self {
-        let first = frames.first().map_or(0, |frame| frame.number);
+    pub fn new(clock: &ShotClock, profiled: Vec<usize>) -> Self {
         Drift {
-            times: frames.iter().map(|frame| apart(first, frame.number)).collect(),
+            times: clock.times().to_vec(),
             profiled,
-            prior: Self::prior_rate(frames),
+            prior: Self::prior_rate(clock),
             learnt: 0.0,
             comparisons: 0.0,
         }
@@ -133,10 +128,13 @@ fn spread(at: f64, before: Option<f64>, after: Option<f64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::Drift;
+    use crate::clock::ShotClock;
     use crate::frames::FramePopulation;
 
-    fn shot(frames: i64) -> Vec<FramePopulation> {
-        (0..frames).map(|number| FramePopulation { number: 3 * number, counts: vec![] }).collect()
+    fn shot(frames: i64) -> ShotClock {
+        let frames: Vec<FramePopulation> =
+            (0..frames).map(|number| FramePopulation { number: 3 * number, counts: vec![] }).collect();
+        ShotClock::new(&[], &frames)
     }
 
     #[test]

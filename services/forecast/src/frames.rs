@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::clock::ShotClock;
 use crate::error::ForecastError;
 use crate::strata::{Stratum, check};
 
@@ -26,12 +27,7 @@ pub(crate) fn check_frames(strata: &[Stratum], frames: &[FramePopulation]) -> Re
     }
 }
 
-/// Frames from `early` to `late` as a number that neither overflows nor rounds for any sensible shot.
-pub(crate) fn apart(early: i64, late: i64) -> f64 {
-    late.abs_diff(early) as f64
-}
-
-/// At most this many frames, evenly spaced, stand for a longer shot.
+/// At most so many frames can be chosen; in a longer shot each stands for those around it.
 const MOST_CANDIDATES: usize = 256;
 
 /// Passes over the chosen frames in which each may move to a better place.
@@ -51,7 +47,8 @@ const NEVER_SEEN: f64 = 2.0;
 /// strata, weighted by pixels times prior cost, is made small greedily, frame by frame, and then by moving
 /// one frame at a time as long as that helps (the k-median problem; Arya et al. 2004, local search). Equal
 /// sums are settled for the earlier frame, so the choice is a function of the previews alone. Frames come out
-/// spread over time, drawn to where strata that matter appear.
+/// spread over time, drawn to where strata that matter appear. Time is the shot's own (`clock`), in which a cut is as long as the
+/// shot: so each side of it gets frames of its own.
 ///
 /// # Errors
 /// If frames are out of order, or counts and strata do not fit together.
@@ -67,22 +64,22 @@ pub fn choose_frames(
     let cover = Cover::new(strata, frames);
     let mut chosen: Vec<usize> = Vec::new();
     while chosen.len() < at_most.min(cover.frames.len()) {
-        let free = (0..cover.frames.len()).filter(|c| !chosen.contains(c));
-        let Some(best) = cover.best(free, &chosen) else { break };
+        let Some((_, best)) = cover.best(&chosen) else { break };
         chosen.push(best);
     }
+    let mut loss = cover.distances(&chosen).loss;
     for _ in 0..MOST_PASSES {
-        let before = cover.loss(&chosen);
+        let before = loss;
         for moved in 0..chosen.len() {
             let others: Vec<usize> = (0..chosen.len()).filter(|&i| i != moved).map(|i| chosen[i]).collect();
-            let free = (0..cover.frames.len()).filter(|c| !others.contains(c));
-            if let Some(best) = cover.best(free, &others)
-                && cover.loss(&with(&others, best)) < cover.loss(&chosen)
+            if let Some((less, best)) = cover.best(&others)
+                && less < loss
             {
                 chosen[moved] = best;
+                loss = less;
             }
         }
-        if cover.loss(&chosen) >= before {
+        if loss >= before {
             break;
         }
     }
@@ -91,74 +88,109 @@ pub fn choose_frames(
     Ok(chosen)
 }
 
-fn with(others: &[usize], one: usize) -> Vec<usize> {
-    others.iter().copied().chain([one]).collect()
-}
-
 /// A frame that may be chosen, and stands for its neighbours in a long shot.
 struct Candidate {
     index: usize,
     /// Time from 0 to 1.
     time: f64,
-    /// Strata shown, with their weight and whether there is enough of them to sample.
-    shown: Vec<(usize, f64, bool)>,
+    /// Strata shown by it or a frame that it stands for, with their weight.
+    shown: Vec<(usize, f64)>,
+    /// Whether it shows enough of a stratum for it to be sampled.
+    enough: Vec<bool>,
 }
 
 struct Cover {
     frames: Vec<Candidate>,
-    strata: usize,
+}
+
+/// How far it is from every stratum of every candidate to the nearest chosen frame.
+struct Distances {
+    /// In the order of the candidates and of the strata that they show.
+    nearest: Vec<Vec<f64>>,
+    /// Their weighted sum.
+    loss: f64,
 }
 
 impl Cover {
     fn new(strata: &[Stratum], frames: &[FramePopulation]) -> Self {
-        let stride = frames.len().div_ceil(MOST_CANDIDATES).max(1);
-        let (first, last) = (frames[0].number, frames[frames.len() - 1].number);
-        let span = apart(first, last).max(1.0);
+        let clock = ShotClock::new(strata, frames);
         let most: Vec<u32> = (0..strata.len())
             .map(|h| frames.iter().map(|frame| frame.counts[h]).max().unwrap_or(0))
             .collect();
-        let candidate = |index: usize| {
-            let frame = &frames[index];
-            let shown = (0..strata.len()).filter(|&h| frame.counts[h] > 0).map(|h| {
-                let pixels = f64::from(frame.counts[h]);
-                (h, pixels * strata[h].prior_cost, pixels >= ENOUGH_PIXELS * f64::from(most[h]))
-            });
-            Candidate { index, time: apart(first, frame.number) / span, shown: shown.collect() }
+        let candidate = |stands_for: std::ops::Range<usize>| {
+            let index = stands_for.start + stands_for.len() / 2;
+            let counts = &frames[index].counts;
+            let weight = |h: usize| {
+                let pixels: f64 = frames[stands_for.clone()].iter().map(|f| f64::from(f.counts[h])).sum();
+                pixels * strata[h].prior_cost
+            };
+            let enough =
+                |h: usize| counts[h] > 0 && f64::from(counts[h]) >= ENOUGH_PIXELS * f64::from(most[h]);
+            Candidate {
+                index,
+                time: clock.at(index) / clock.length(),
+                shown: (0..strata.len()).map(|h| (h, weight(h))).filter(|(_, w)| *w > 0.0).collect(),
+                enough: (0..strata.len()).map(enough).collect(),
+            }
         };
-        Cover {
-            frames: (stride / 2..frames.len()).step_by(stride).map(candidate).collect(),
-            strata: strata.len(),
-        }
+        Cover { frames: slices(&clock, frames.len()).into_iter().map(candidate).collect() }
     }
 
-    /// The candidate that leaves the least loss beside `others`; the earliest among equals.
-    fn best(&self, candidates: impl Iterator<Item = usize>, others: &[usize]) -> Option<usize> {
+    fn distances(&self, chosen: &[usize]) -> Distances {
+        let nearest = |frame: &Candidate| -> Vec<f64> {
+            let to = |h: usize| {
+                let seen = chosen.iter().map(|&c| &self.frames[c]).filter(|c| c.enough[h]);
+                seen.map(|c| (c.time - frame.time).abs()).fold(NEVER_SEEN, f64::min)
+            };
+            frame.shown.iter().map(|&(h, _)| to(h)).collect()
+        };
+        let nearest: Vec<Vec<f64>> = self.frames.iter().map(nearest).collect();
+        let weighted = |(frame, nearest): (&Candidate, &Vec<f64>)| -> f64 {
+            frame.shown.iter().zip(nearest).map(|((_, weight), distance)| weight * distance).sum()
+        };
+        let loss = self.frames.iter().zip(&nearest).map(weighted).sum();
+        Distances { nearest, loss }
+    }
+
+    /// The least loss that one more candidate leaves beside `others`, and the candidate; the earliest among equals.
+    fn best(&self, others: &[usize]) -> Option<(f64, usize)> {
+        let without = self.distances(others).nearest;
+        let with = |candidate: &Candidate| -> f64 {
+            let of_frame = |(frame, nearest): (&Candidate, &Vec<f64>)| -> f64 {
+                let distance = (candidate.time - frame.time).abs();
+                let term = |(&(h, weight), &nearest): (&(usize, f64), &f64)| {
+                    weight * if candidate.enough[h] { nearest.min(distance) } else { nearest }
+                };
+                frame.shown.iter().zip(nearest).map(term).sum()
+            };
+            self.frames.iter().zip(&without).map(of_frame).sum()
+        };
         let mut best: Option<(f64, usize)> = None;
-        for candidate in candidates {
-            let loss = self.loss(&with(others, candidate));
+        for candidate in (0..self.frames.len()).filter(|c| !others.contains(c)) {
+            let loss = with(&self.frames[candidate]);
             if best.is_none_or(|(least, _)| loss < least) {
                 best = Some((loss, candidate));
             }
         }
-        best.map(|(_, candidate)| candidate)
+        best
     }
+}
 
-    /// Weighted distance in time from every stratum in every frame to the nearest chosen frame with enough of
-    /// it.
-    fn loss(&self, chosen: &[usize]) -> f64 {
-        let mut times: Vec<Vec<f64>> = vec![Vec::new(); self.strata];
-        for &c in chosen {
-            let frame = &self.frames[c];
-            frame.shown.iter().filter(|(.., enough)| *enough).for_each(|&(h, ..)| times[h].push(frame.time));
-        }
-        let mut loss = 0.0;
-        for frame in &self.frames {
-            for &(h, weight, _) in &frame.shown {
-                let nearest =
-                    times[h].iter().map(|time| (time - frame.time).abs()).fold(NEVER_SEEN, f64::min);
-                loss += weight * nearest;
-            }
-        }
-        loss
+/// The frames in runs of equal length on the shot's clock, so that what is there for a few frames of a long shot only, and changes the
+/// picture, is in a run of its own. Of a shot that is not too long each frame is a run.
+fn slices(clock: &ShotClock, frames: usize) -> Vec<std::ops::Range<usize>> {
+    if frames <= MOST_CANDIDATES {
+        return (0..frames).map(|t| t..t + 1).collect();
     }
+    let slice = |t: usize| {
+        ((clock.at(t) / clock.length() * MOST_CANDIDATES as f64) as usize).min(MOST_CANDIDATES - 1)
+    };
+    let mut runs: Vec<std::ops::Range<usize>> = Vec::with_capacity(MOST_CANDIDATES);
+    for t in 0..frames {
+        match runs.last_mut() {
+            Some(run) if slice(run.start) == slice(t) => run.end = t + 1,
+            _ => runs.push(t..t + 1),
+        }
+    }
+    runs
 }

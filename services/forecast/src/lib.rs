@@ -27,7 +27,8 @@
 //! **A shot** ([`choose_frames`], [`forecast_shot`]). A few frames are profiled, so chosen that what matters
 //! is near in time to a frame that shows it (k-median). Others get ŷ_t = Σ N_h,t ĉ_h(t) with unit costs
 //! carried over time. All frames rest on the same samples, so their errors are added before they are squared;
-//! what drifts between profiled frames is a random walk pinned at each of them. The error that a job's frames
+//! what drifts between profiled frames is a random walk pinned at each of them, in a time that runs faster where the
+//! picture changes faster (`clock`), so that nothing is carried over a cut. The error that a job's frames
 //! have in common is [`ShotForecast::job_sigma`].
 //!
 //! **What is not made of pixels** ([`RecordStrata`]). With an irradiance cache most of a frame's cost is in its records, whose
@@ -57,7 +58,8 @@
 //! samples.
 //!
 //! While no past job says how well intervals hold, [`Calibration::NONE`] stretches them by 1.3 and the
-//! forecast says that it is not calibrated.
+//! forecast says that it is not calibrated. Once [`LEAST_JOBS`] jobs of the same kind are finished, [`Experience`] says where the
+//! quantiles belong, and [`ShotForecast::corrected`] puts them there: these hold whatever is wrong with the formulas.
 //!
 //! # Use
 //! ```
@@ -87,7 +89,10 @@
 
 pub mod accuracy;
 mod allocate;
+mod binomial;
 mod choose;
+mod clock;
+mod conformal;
 mod cost;
 mod curve;
 mod drift;
@@ -106,7 +111,9 @@ mod strategies;
 mod student;
 
 pub use allocate::{Cell, allocate};
+pub use binomial::share_interval;
 pub use choose::{FrameDesign, Pick};
+pub use conformal::{Correction, Corrections, Experience, LEAST_JOBS, Measure, Past, residual};
 pub use cost::{Cost, Costs, Observation, Quantity, RAY_KINDS};
 pub use error::ForecastError;
 pub use estimate::{FrameEstimate, ObjectEstimate, StratumEstimate, by_object, estimate};

@@ -2,12 +2,13 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::clock::ShotClock;
 use crate::cost::{COLUMNS, Cost, Costs, Observation, Quantity, Row, WORK, add_scaled};
 use crate::drift::Drift;
 use crate::error::ForecastError;
 use crate::estimate::{BORROWED_FREEDOM, BORROWED_VARIATION, FrameFit, StratumEstimate, Uncertainty};
 use crate::expansion::Expansion;
-use crate::frames::{FramePopulation, apart, check_frames};
+use crate::frames::{FramePopulation, check_frames};
 use crate::interval::{Calibration, Part, log_deviation, quantity};
 use crate::moments::sum;
 use crate::strata::Stratum;
@@ -58,8 +59,9 @@ pub struct ShotForecast {
 ///
 /// A profiled frame is estimated as by [`crate::estimate`]. In every other frame t, ŷ_t = Σ_h N_h,t ĉ_h(t) +
 /// fixed(t): the preview knows all N_h,t, and the unit cost of a stratum comes from the nearest profiled
-/// frame before and after in which it was sampled, each weighted by 1 / (CV² / n_h + q Δt): samples against
-/// distance in time, q being the prior drift of unit costs.
+/// frame before and after in which it was sampled, each weighted by 1 / (CV² / n_h + q Δτ): samples against
+/// distance in time, q being the prior drift of unit costs. Time is the shot's own (`clock`): a cut is as long as the
+/// shot, so that what lies behind it says little.
 ///
 /// The variance of a frame and of the total has three parts. *Sampling*: each group mean of a profiled frame
 /// with the number of pixels that depend on it in all frames together, so that what frames share is added
@@ -162,6 +164,7 @@ struct Source {
 struct Carrier<'a> {
     strata: &'a [Stratum],
     frames: &'a [FramePopulation],
+    clock: ShotClock,
     /// In order of time.
     sources: Vec<Source>,
 }
@@ -190,7 +193,7 @@ impl<'a> Carrier<'a> {
             return Err(ForecastError::NoSamples);
         }
         sources.sort_by_key(|source| source.frame);
-        Ok(Carrier { strata, frames, sources })
+        Ok(Carrier { strata, frames, clock: ShotClock::new(strata, frames), sources })
     }
 
     fn profiled_at(&self, t: usize) -> Option<usize> {
@@ -269,14 +272,13 @@ impl<'a> Carrier<'a> {
         let usable = |k: &usize| Some(*k) != left_out && samples(*k).is_some();
         let split = self.sources.partition_point(|source| source.frame <= t);
         let nearest = [(0..split).rev().find(usable), (split..self.sources.len()).find(usable)];
-        let drift = Drift::prior_rate(self.frames);
+        let drift = Drift::prior_rate(&self.clock);
         let mut shares: Vec<(usize, f64)> = nearest
             .into_iter()
             .flatten()
             .map(|k| {
-                let (one, other) = (self.frames[t].number, self.frames[self.sources[k].frame].number);
                 let noise = samples(k).map_or(0.0, |n| CARRIED_VARIATION_SQUARED / n);
-                (k, 1.0 / (noise + drift * apart(one, other)))
+                (k, 1.0 / (noise + drift * self.clock.between(t, self.sources[k].frame)))
             })
             .collect();
         let all: f64 = shares.iter().map(|(_, share)| share).sum();
@@ -334,7 +336,7 @@ impl<'a> Carrier<'a> {
 
     /// Learns how fast unit costs drift from how well each profiled frame is predicted by the others.
     fn drift(&self, column: usize) -> Drift {
-        let mut drift = Drift::new(self.frames, self.sources.iter().map(|source| source.frame).collect());
+        let mut drift = Drift::new(&self.clock, self.sources.iter().map(|source| source.frame).collect());
         if self.sources.len() < 2 {
             return drift;
         }

@@ -69,4 +69,7 @@ pub use task::{
     Spent, Stratum, StratumName, TaskKind, TaskResult, TaskSpec,
 };
 pub use time::{MalformedTime, Timestamp};
-pub use track_record::{QuantileHits, TrackRecord, TrackRecordRow};
+pub use track_record::{
+    CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Coverage, QuantileHits, TrackRecord,
+    TrackRecordKind, TrackRecordRow,
+};

@@ -112,6 +112,17 @@ impl RenderSettings {
         u64::from(self.width) * u64::from(self.height)
     }
 
+    /// What jobs are compared within when past ones say how sure a quote can be: the way in which light is simulated, for that decides where
+    /// costs come from and how unevenly they fall. One word.
+    pub fn feature_class(&self) -> &'static str {
+        match (self.integrator, self.cache, self.ambient_bounces) {
+            (Integrator::Path, ..) => "path",
+            (Integrator::Ambient, _, 0) => "direct",
+            (Integrator::Ambient, CacheMode::On, _) => "cached",
+            (Integrator::Ambient, CacheMode::Off, _) => "gathered",
+        }
+    }
+
     /// Checks every range, and what does not go together: exactly what the renderer takes passes.
     ///
     /// # Errors

@@ -409,6 +409,11 @@ pub struct ProfileResult {
     /// Lights and objects that cannot matter to the frame's image.
     #[serde(default)]
     pub left_out: Vec<LeftOut>,
+    /// The renderer that measured all this, with its version: what it took is compared with that of the same alone. At most 200 characters;
+    /// if it is left out, nothing is learnt from the job.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(max_length = 200)]
+    pub renderer: Option<String>,
     /// Costs beside the pixels.
     pub fixed: FixedCosts,
     /// What the whole task took.

@@ -17,6 +17,7 @@
 
 mod artifacts;
 mod bundles;
+mod calibration;
 mod dashboard;
 mod database;
 mod decode;
@@ -38,6 +39,7 @@ mod track_record;
 
 pub use artifacts::{ArtifactReader, Artifacts, Staged};
 pub use bundles::NewBundle;
+pub use calibration::{QuoteBasis, QuoteKind, Spreads};
 pub use database::Store;
 pub use error::StoreError;
 pub use forecasts::JobForecast;
@@ -47,6 +49,7 @@ pub use leases::{LeaseInfo, MAX_EXPIRIES, MAX_FAILURES, Swept};
 pub use plans::{NewBooking, NewPlan};
 pub use projection::{Holder, OpenBooking, Projected, project};
 pub use results::{Committed, MeasuredProfile};
+pub use track_record::FinishedJob;
 
 #[cfg(test)]
 mod tests;

@@ -13,7 +13,7 @@ use crate::decode::{corrupt, id, id_opt, json, time, time_opt, to_json, whole, w
 use crate::events::{append, event, job_state};
 use crate::projection::{Holder, OpenBooking};
 use crate::tasks::Common;
-use crate::{JobForecast, Store, StoreError, forecasts};
+use crate::{JobForecast, QuoteBasis, Store, StoreError, calibration, forecasts};
 
 /// A plan to be kept.
 #[derive(Clone, PartialEq, Debug)]
@@ -54,7 +54,8 @@ macro_rules! select_open {
 }
 
 impl Store {
-    /// Keeps a job's forecast and the plan that books it, and makes its render tasks: all of it or nothing.
+    /// Keeps a job's forecast and the plan that books it, and makes its render tasks: all of it or nothing. Without a `basis` nothing will be
+    /// learnt from the forecast once the job is finished.
     ///
     /// A [`StoreError::Conflict`] if the job is not waiting for this (it was cancelled, or was booked before), or if
     /// another plan was kept since this one was begun, on whose bookings it may lie.
@@ -63,6 +64,7 @@ impl Store {
         job: JobId,
         forecast: &JobForecast,
         frames: &[FrameForecast],
+        basis: Option<&QuoteBasis>,
         plan: &NewPlan,
         now: Timestamp,
     ) -> Result<PlanId, StoreError> {
@@ -103,6 +105,9 @@ impl Store {
             booked.insert(booking.frame, (booking.node, booking.start));
         }
         forecasts::keep_frames(&mut write, job, frames).await?;
+        if let Some(basis) = basis {
+            calibration::keep(&mut write, job, forecast, frames, basis).await?;
+        }
         sqlx::query("UPDATE jobs SET state = 'booked', forecast = ?, plan_id = ?, verdict = ? WHERE id = ?")
             .bind(to_json(forecast)?)
             .bind(plan_id.0)

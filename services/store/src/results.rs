@@ -12,7 +12,7 @@ use crate::database::Write;
 use crate::decode::{corrupt, id, json, to_json};
 use crate::events::{append, job_state};
 use crate::leases::{LeaseRow, LeaseState, end, read, touch};
-use crate::{Store, StoreError, jobs};
+use crate::{Store, StoreError, calibration, jobs};
 
 /// What became of a result.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -204,7 +204,7 @@ async fn show_preview(
     Ok(())
 }
 
-/// Keeps what a frame took; the last frame finishes the job in the same transaction.
+/// Keeps what a frame took; the last frame finishes the job, and says how far its quote was off, in the same transaction.
 async fn keep_render(
     write: &mut Write,
     row: &LeaseRow,
@@ -238,6 +238,7 @@ async fn keep_render(
     .execute(write.connection())
     .await?;
     if finished.rows_affected() == 1 {
+        calibration::learn(write, row.job_id, now).await?;
         job_state(write, row.job_id, JobState::Done, None, now).await?;
     }
     Ok(())

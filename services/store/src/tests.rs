@@ -14,6 +14,7 @@ use tempfile::TempDir;
 use crate::{Answered, JobForecast, NewBooking, NewJob, NewPlan, Store};
 
 mod artifacts;
+mod calibration;
 mod claims;
 mod fencing;
 mod jobs;
@@ -123,6 +124,7 @@ impl Farm {
                 noise: Vec::new(),
                 effects: vec!["ambient".to_owned()],
                 left_out: Vec::new(),
+                renderer: None,
                 fixed: FixedCosts::default(),
                 spent: Spent { work: 10, cpu_nanos: 500 },
                 artifacts: ProfileArtifacts { profile: self.artifact("a profile").await, preview_png: None },
@@ -141,6 +143,18 @@ impl Farm {
 
     /// Takes a job through preview and profile to `booked`, all on `node`, one frame after the other from `start`.
     async fn booked_job(&self, request: JobRequest, node: NodeId, start: Timestamp) -> JobId {
+        self.quoted_job(request, node, start, &job_forecast(), None).await
+    }
+
+    /// The same with a forecast that may be learnt from.
+    async fn quoted_job(
+        &self,
+        request: JobRequest,
+        node: NodeId,
+        start: Timestamp,
+        forecast: &JobForecast,
+        basis: Option<&crate::QuoteBasis>,
+    ) -> JobId {
         let job = self.submit(request).await;
         let preview = self.claim(node, at(0)).await.expect("a preview");
         assert_eq!(preview.job_id, job.id);
@@ -151,7 +165,7 @@ impl Farm {
         self.commit(&profile, at(0)).await;
         let plan = self.plan_for(&job, node, start).await;
         let frames = frame_forecasts(&job);
-        self.store.book(job.id, &job_forecast(), &frames, &plan, at(0)).await.unwrap();
+        self.store.book(job.id, forecast, &frames, basis, &plan, at(0)).await.unwrap();
         job.id
     }
 

@@ -60,3 +60,8 @@ pub fn of_content(frame: &Frame) -> Hasher {
     hasher.update(small.as_bytes());
     hasher
 }
+
+/// The version of everything that images and counters depend on.
+pub fn tracer_version() -> u32 {
+    TRACER_VERSION
+}

@@ -14,7 +14,7 @@ use forelight_protocol::{
 use forelight_scene::{Frame, Geometry, Limits, Scene};
 use forelight_tracer::{
     Cache, CacheSettings, CacheTotals, Effects, MaterialOverride, Pixel, Profile, RecordCost, SampleCounts,
-    Settings, Shared, Tracer, thread_cpu_nanos,
+    Settings, Shared, Tracer, thread_cpu_nanos, tracer_version,
 };
 use rayon::prelude::*;
 use std::path::Path;
@@ -68,7 +68,12 @@ impl Ambient {
         let load = Spent { work: 0, cpu_nanos: thread_cpu_nanos() - start };
         let first = scene.frame(0)?;
         Ok(AmbientShot {
-            info: ShotInfo { summary: summary(&scene, &first), strata: strata(&first), load },
+            info: ShotInfo {
+                summary: summary(&scene, &first),
+                renderer: format!("forelight {}, tracer {}", env!("CARGO_PKG_VERSION"), tracer_version()),
+                strata: strata(&first),
+                load,
+            },
             moves: scene.geometry_moves(),
             everything: false,
             scene,

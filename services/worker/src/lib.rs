@@ -50,7 +50,7 @@ pub use library::Library;
 pub use noise::FrameNoise;
 pub use pictures::png;
 pub use quote::{Quote, QuoteOptions, quote};
-pub use render::{Given, Rendered, peak_rss_bytes, render_frame, seconds};
+pub use render::{Given, Rendered, peak_rss_bytes, render_frame, render_ready, seconds};
 pub use renderer::{
     CacheUse, Counted, Finished, FrameRenderer, OpenRenderer, Previewed, Progress, RenderError, Renderer,
     ShotInfo, Step, StratumInfo,

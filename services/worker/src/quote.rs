@@ -7,7 +7,8 @@ use crate::shot::{
     profile_frame, record_prior_cost,
 };
 use forelight_forecast::{
-    Calibration, Cost, Costs, FramePopulation, Observation, Quantity, RecordStrata, ShotForecast, Strategy,
+    Calibration, Corrections, Cost, Costs, FramePopulation, Observation, Quantity, RecordStrata,
+    ShotForecast, Strategy,
 };
 use forelight_protocol::{
     FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, LeftOut, Profiled, Quantiles, RayQuantiles,
@@ -16,7 +17,7 @@ use forelight_protocol::{
 use std::collections::BTreeSet;
 
 /// How a quote is made.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct QuoteOptions {
     /// Pixels to profile per profiled frame.
     pub samples: u32,
@@ -26,11 +27,13 @@ pub struct QuoteOptions {
     pub seed: u64,
     /// How the pixels are chosen and expanded.
     pub strategy: Strategy,
+    /// What past jobs of the same renderer and class of features teach of the quantiles.
+    pub corrections: Option<Corrections>,
 }
 
 impl Default for QuoteOptions {
     fn default() -> Self {
-        Self { samples: 256, profile_frames: 5, seed: 0, strategy: Strategy::Snapshot }
+        Self { samples: 256, profile_frames: 5, seed: 0, strategy: Strategy::Snapshot, corrections: None }
     }
 }
 
@@ -110,6 +113,10 @@ pub fn quote(
         })
         .collect();
     let forecast = forelight_forecast::forecast_shot(&strata, &populations, &measured, Calibration::NONE)?;
+    let forecast = match &options.corrections {
+        Some(corrections) => forecast.corrected(corrections),
+        None => forecast,
+    };
     let document = document(frames, &counted, &profiled, &forecast);
     let mut quote = Quote { document, forecast, counted, profiled };
     let spent = quote.spent();

@@ -85,6 +85,8 @@ pub struct StratumInfo {
 pub struct ShotInfo {
     /// What there is.
     pub summary: SceneSummary,
+    /// The renderer, with all versions that costs or their forecasts may depend on.
+    pub renderer: String,
     /// All (object, material) pairs; the same for every frame of the shot.
     pub strata: Vec<StratumInfo>,
     /// What loading the bundle took. Paid once per process, not per frame.

@@ -139,6 +139,7 @@ pub fn profile_result(
         noise: noise_cells(info, settings, profiled),
         effects: profiled.effects.clone(),
         left_out: profiled.left_out.clone(),
+        renderer: Some(info.renderer.clone()),
         fixed: profiled.fixed,
         spent: profiled.spent(),
         strata: shown.list,

@@ -22,7 +22,8 @@ use forelight_forecast::accuracy::PixelNoise;
 use forelight_tracer::Pixel;
 use std::collections::BTreeSet;
 
-/// One block for so many profiled pixels.
+/// One block for so many profiled pixels as long as these are few; from the square of this on, the number of blocks grows with the root of
+/// theirs. A dozen or two make the mean of their rates sure enough, and they are the dearest part of a profile.
 const PICKS_PER_SITE: usize = 16;
 /// Edge of the block of neighbours, pixels.
 const BLOCK: u32 = 8;
@@ -56,7 +57,7 @@ pub fn measure(
     let time: f64 = observations.iter().map(|o| stands_for(o) * o.cost.cpu_nanos as f64).sum();
     let mut taken: BTreeSet<u32> = profiled.iter().map(|(pixel, _)| *pixel).collect();
     let mut runs = Vec::new();
-    for site in proportional_sites(&work, observations.len() / PICKS_PER_SITE) {
+    for site in proportional_sites(&work, sites(observations.len())) {
         let run = free_neighbours(profiled[site].0, camera.width, camera.height, &taken);
         taken.extend(&run);
         runs.push(run);
@@ -68,6 +69,11 @@ pub fn measure(
     let factor = if warm > 0.0 && scattered > 0.0 { warm / scattered } else { 1.0 };
     let pixels = runs.into_iter().flatten().zip(traced.into_iter().flatten()).collect();
     Warmth { factor, pixels }
+}
+
+/// Blocks for so many profiled pixels.
+fn sites(picks: usize) -> usize {
+    (picks / PICKS_PER_SITE).min(picks.isqrt())
 }
 
 /// Mean of the middle half of the values, NaN of none: a block in which the thread lost its processor, and its caches, is not what
@@ -119,6 +125,11 @@ mod tests {
         assert_eq!(middle_mean(vec![1.0, 1.2, 0.8, 90.0]), 1.1);
         assert_eq!(middle_mean(vec![3.0]), 3.0);
         assert!(middle_mean(Vec::new()).is_nan());
+    }
+
+    #[test]
+    fn four_times_the_pixels_take_twice_the_blocks_once_there_are_enough() {
+        assert_eq!([0, 15, 64, 256, 1024, 4096].map(sites), [0, 0, 4, 16, 32, 64]);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use forelight_protocol::{
     Confidence, ForecastTotals, Job, JobVerdict, Money, MoneyQuantiles, Node, NodeId, PlanReason, Quantiles,
     Timestamp, Verdict,
 };
-use forelight_store::{NewBooking, NewPlan, Projected, project};
+use forelight_store::{NewBooking, NewPlan, Projected, QuoteBasis, project};
 
 use super::estimate::Forecast;
 use super::{AdvanceError, Conductor, compute};
@@ -24,7 +24,12 @@ const SILENCE: i64 = 300_000_000;
 
 impl Conductor {
     /// Plans the job around everything that is booked already, has the plan verified, and keeps forecast, plan and bookings.
-    pub(super) async fn book(&self, job: &Job, forecast: &Forecast) -> Result<(), AdvanceError> {
+    pub(super) async fn book(
+        &self,
+        job: &Job,
+        forecast: &Forecast,
+        basis: Option<&QuoteBasis>,
+    ) -> Result<(), AdvanceError> {
         let now = self.clock.now();
         // The parent before the bookings: should another plan come in between, the store refuses this one.
         let parent = self.store.newest_plan().await?;
@@ -60,7 +65,7 @@ impl Conductor {
         };
         let mut kept = forecast.job.clone();
         kept.cost = cost(&kept.total, &nodes);
-        let plan = self.store.book(job.id, &kept, &forecast.frames, &new, now).await?;
+        let plan = self.store.book(job.id, &kept, &forecast.frames, basis, &new, now).await?;
         self.metrics.plans_stored.add(1);
         tracing::info!(job = %job.id, %plan, verdict = new.verdict.verdict.name(), "booked");
         Ok(())

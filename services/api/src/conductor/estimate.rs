@@ -3,13 +3,14 @@
 use std::collections::BTreeSet;
 
 use forelight_forecast::{
-    Calibration, Cost, Costs, Expansion, Observation, ProfiledFrame, Quantity, forecast_shot,
+    Calibration, Corrections, Cost, Costs, Expansion, Measure, Observation, ProfiledFrame, Quantity,
+    forecast_shot,
 };
 use forelight_protocol::{
-    ForecastTotals, FrameForecast, LeftOut, PreviewResult, Profiled, Quantiles, RayQuantiles, Spent,
-    SpentOnForecast,
+    ForecastTotals, FrameForecast, LeftOut, PreviewResult, Profiled, Quantiles, RayQuantiles, RenderSettings,
+    Spent, SpentOnForecast,
 };
-use forelight_store::{JobForecast, MeasuredProfile};
+use forelight_store::{JobForecast, MeasuredProfile, QuoteBasis, QuoteKind, Spreads};
 
 use super::AdvanceError;
 use super::choose::Populations;
@@ -19,6 +20,25 @@ use super::choose::Populations;
 pub(super) struct Forecast {
     pub job: JobForecast,
     pub frames: Vec<FrameForecast>,
+    /// How sure the formulas are, of all frames together and of each; before past jobs corrected the quantiles.
+    pub spreads: (Spreads, Vec<Spreads>),
+}
+
+impl Forecast {
+    /// What is remembered so that later quotes of the kind learn from this one.
+    pub fn basis(&self, kind: QuoteKind) -> QuoteBasis {
+        let (total, frames) = self.spreads.clone();
+        QuoteBasis { kind, total, frames }
+    }
+}
+
+/// The kind of a quote that rests on these profiles; none if they do not say which renderer measured them, or came from several.
+pub(super) fn kind(profiles: &[MeasuredProfile], settings: &RenderSettings) -> Option<QuoteKind> {
+    let mut renderers = profiles.iter().map(|profile| profile.result.renderer.as_ref());
+    let renderer = renderers.next()??;
+    renderers
+        .all(|other| other == Some(renderer))
+        .then(|| QuoteKind { renderer: renderer.clone(), feature_class: settings.feature_class().to_owned() })
 }
 
 /// Forecasts every frame from the preview's counts of pixels and records and from those that were profiled. CPU time is brought to a node of
@@ -26,6 +46,15 @@ pub(super) struct Forecast {
 pub(super) fn forecast(
     preview: &PreviewResult,
     profiles: &[MeasuredProfile],
+) -> Result<Forecast, AdvanceError> {
+    calibrated(preview, profiles, None)
+}
+
+/// The same with quantiles as past jobs teach them, if there are enough.
+pub(super) fn calibrated(
+    preview: &PreviewResult,
+    profiles: &[MeasuredProfile],
+    corrections: Option<&Corrections>,
 ) -> Result<Forecast, AdvanceError> {
     let strata = profiles.iter().flat_map(|profile| &profile.result.strata);
     let mut populations = Populations::new(preview, strata);
@@ -68,6 +97,15 @@ pub(super) fn forecast(
         .collect();
     let shot = forecast_shot(&populations.strata, &populations.frames, &profiled, Calibration::NONE)
         .map_err(|error| AdvanceError::Hopeless(format!("no forecast: {error}")))?;
+    let shot = match corrections {
+        Some(corrections) => shot.corrected(corrections),
+        None => shot,
+    };
+    let spreads = |costs: &Costs<Quantity>| Spreads {
+        work: costs.work.spread(Measure::Work),
+        cpu: costs.cpu_nanos.spread(Measure::CpuTime),
+    };
+    let spreads = (spreads(&shot.total), shot.frames.iter().map(|frame| spreads(&frame.total)).collect());
 
     let frames = preview
         .frames
@@ -113,7 +151,7 @@ pub(super) fn forecast(
         left_out: LeftOut::of_all(profiles.iter().map(|profile| &profile.result.left_out[..])),
         cost: None,
     };
-    Ok(Forecast { job, frames })
+    Ok(Forecast { job, frames, spreads })
 }
 
 /// The hazard: the frame was previewed on a graphics processor and profiled where there is none, and a pixel on an edge
@@ -149,6 +187,7 @@ fn quantiles(quantity: &Quantity, unit: f64) -> Quantiles {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use forelight_forecast::Correction;
     use forelight_protocol::{
         ArtifactHash, CacheSample, FixedCosts, FrameStrata, PreviewBackend, ProfileArtifacts, ProfileResult,
         ProfileSample, Stratum, StratumName,
@@ -211,6 +250,7 @@ mod tests {
             noise: Vec::new(),
             effects: vec!["ambient".to_owned(), "mirror".to_owned()],
             left_out: vec![LeftOut { what: "sun 0".to_owned(), reason: "outside".to_owned() }],
+            renderer: Some("r 1".to_owned()),
             fixed,
             spent: Spent { work: 50, cpu_nanos: 0 },
             artifacts,
@@ -283,5 +323,49 @@ mod tests {
         let chosen = super::super::choose::frames_to_profile(&preview(&frames), 3).unwrap();
         assert_eq!(chosen.len(), 3);
         assert!(chosen.iter().all(|frame| frames.iter().any(|(number, ..)| number == frame)), "{chosen:?}");
+    }
+
+    #[test]
+    fn past_jobs_move_the_quantiles_and_neither_the_means_nor_what_will_be_learnt() {
+        let preview = preview(&[(0, &[200, 40], 16), (3, &[100, 140], 16)]);
+        let mut profile = profile(0, vec![stratum(0), stratum(1)], &[16, 8, 4]);
+        profile.result.samples.iter_mut().for_each(|sample| sample.work += u64::from(sample.pixel % 5));
+        let profiles = [profile];
+        let plain = forecast(&preview, &profiles).unwrap();
+        let correction = Correction { p50: 1.0, p80: 2.0, p95: 4.0 };
+        let corrections = Corrections {
+            frame_work: correction,
+            frame_cpu: correction,
+            job_work: correction,
+            job_cpu: correction,
+        };
+        let taught = calibrated(&preview, &profiles, Some(&corrections)).unwrap();
+        assert!(taught.job.calibrated && !plain.job.calibrated);
+        assert_eq!(taught.spreads, plain.spreads);
+        assert_eq!((taught.spreads.1.len(), plain.frames[1].work.mean), (2, taught.frames[1].work.mean));
+        for (frame, spreads) in taught.frames.iter().zip(&taught.spreads.1) {
+            let log = |quantile: f64| (quantile / frame.work.mean).ln() / spreads.work;
+            assert!(spreads.work > 0.0 && (log(frame.work.p95) - 4.0).abs() < 1e-9);
+            assert!((log(frame.work.p50) - 1.0).abs() < 1e-9);
+        }
+        assert!(taught.job.total.cpu_seconds.p50 > plain.job.total.cpu_seconds.p50);
+    }
+
+    #[test]
+    fn profiles_of_several_renderers_are_of_no_kind() {
+        let settings = forelight_protocol::RenderSettingsRequest::default().complete((8, 8));
+        let of = |renderer: Option<&str>| {
+            let mut profile = profile(0, vec![stratum(0)], &[4]);
+            profile.result.renderer = renderer.map(str::to_owned);
+            profile
+        };
+        let found = kind(&[of(Some("a 1")), of(Some("a 1"))], &settings).unwrap();
+        assert_eq!((found.renderer.as_str(), found.feature_class.as_str()), ("a 1", "gathered"));
+        assert_eq!(kind(&[of(Some("a 1")), of(Some("a 2"))], &settings), None);
+        assert_eq!(
+            (kind(&[of(Some("a 1")), of(None)], &settings), kind(&[of(None)], &settings)),
+            (None, None)
+        );
+        assert_eq!(kind(&[], &settings), None);
     }
 }

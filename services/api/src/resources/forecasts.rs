@@ -2,12 +2,20 @@
 
 use axum::Json;
 use axum::extract::State;
-use forelight_protocol::{AccuracyDoc, ForecastDoc, JobId, ProblemKind, Timestamp, TrackRecord};
+use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
+use axum::response::{IntoResponse, Response};
+use forelight_forecast::Correction;
+use forelight_protocol::{
+    AccuracyDoc, CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, ForecastDoc, JobId,
+    ProblemKind, Timestamp, TrackRecord,
+};
 
 use crate::conductor::accuracy::accuracy;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment};
+use crate::openapi::FileContent;
 use crate::page::{PageQuery, cut};
+use crate::plot;
 use crate::state::App;
 
 /// A job's quote. 409 until it is there.
@@ -53,7 +61,7 @@ pub(crate) async fn accuracy_of_job(
     }
 }
 
-/// Forecast against actual over all finished frames, and the frames themselves, newest first.
+/// Forecast against actual over all finished frames, also by kind of quote, and the frames themselves, newest first.
 #[utoipa::path(get, path = "/v1/forecasts/track-record", tag = "farm", params(PageQuery),
     responses((status = 200, description = "The record", body = TrackRecord), Problems))]
 pub(crate) async fn track_record(
@@ -67,4 +75,44 @@ pub(crate) async fn track_record(
     record.next_page_token =
         cut(&mut record.items, size, "track-record", |row| (row.finished, row.job_id, row.frame));
     Ok(Json(record))
+}
+
+/// Finished jobs whose errors the picture of the record shows.
+const SHOWN_JOBS: u32 = 500;
+
+/// The same as a picture: how often truths stayed at or below the quantiles that were promised, of quotes that were calibrated on past jobs
+/// and of those that were not, and the errors of the newest 500 finished jobs in their order.
+#[utoipa::path(get, path = "/v1/forecasts/track-record.svg", tag = "farm",
+    responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"), Problems))]
+pub(crate) async fn track_record_svg(State(app): State<App>, _: Reader) -> ApiResult<Response> {
+    let record = app.store.track_record(None, 0).await?;
+    let jobs = app.store.finished_jobs(SHOWN_JOBS).await?;
+    let svg = plot::track_record(&record, &jobs).map_err(|reason| {
+        ApiError::new(ProblemKind::Internal, format!("the picture cannot be drawn: {reason}"))
+    })?;
+    Ok(([(CONTENT_TYPE, "image/svg+xml"), (CACHE_CONTROL, "private, no-cache")], svg).into_response())
+}
+
+/// What the finished jobs teach of the next quote's quantiles, by renderer and class of features: what a quote that is made now would be
+/// calibrated with. `forelight forecast --calibration` takes it for quotes that are made offline.
+#[utoipa::path(get, path = "/v1/forecasts/calibration", tag = "farm",
+    responses((status = 200, description = "The calibration", body = CalibrationDoc), Problems))]
+pub(crate) async fn calibration(State(app): State<App>, _: Reader) -> ApiResult<Json<CalibrationDoc>> {
+    let quantiles = |Correction { p50, p80, p95 }| CalibratedQuantiles { p50, p80, p95 };
+    let mut kinds = Vec::new();
+    for (kind, jobs) in app.store.learnt_kinds().await? {
+        let corrections = app.store.experience(&kind).await?.corrections();
+        kinds.push(CalibrationKind {
+            renderer: kind.renderer,
+            feature_class: kind.feature_class,
+            jobs,
+            corrections: corrections.map(|found| Corrections {
+                frame_work: quantiles(found.frame_work),
+                frame_cpu: quantiles(found.frame_cpu),
+                job_work: quantiles(found.job_work),
+                job_cpu: quantiles(found.job_cpu),
+            }),
+        });
+    }
+    Ok(Json(CalibrationDoc { kinds }))
 }

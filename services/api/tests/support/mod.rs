@@ -261,6 +261,7 @@ impl Farm {
                     noise: made_up_noise(spec.settings.spp),
                     effects: vec!["ambient".to_owned()],
                     left_out: Vec::new(),
+                    renderer: Some("made up 1".to_owned()),
                     fixed: FixedCosts {
                         load: Spent { work: 5, cpu_nanos: 5_000_000 },
                         ..FixedCosts::default()

@@ -1,8 +1,9 @@
 //! `forelight forecast`: the quote of a shot, on this machine.
 
 use crate::atomic_file::write_bytes;
-use crate::failure::Interrupted;
+use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
+use crate::json_file;
 use crate::local::Local;
 use crate::options::{MachineOptions, QualityOptions};
 use crate::output::{self, Bars};
@@ -10,9 +11,11 @@ use crate::quantities::{count, seconds};
 use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use forelight_forecast::Strategy;
-use forelight_protocol::{ForecastDoc, FrameSet, LeftOut, Quantiles, RenderSettings};
-use forelight_worker::{Observer, Quote, QuoteOptions, ShotError, quote};
+use forelight_forecast::{Correction, Corrections, LEAST_JOBS, Strategy};
+use forelight_protocol::{
+    CalibratedQuantiles, CalibrationDoc, ForecastDoc, FrameSet, LeftOut, Quantiles, RenderSettings,
+};
+use forelight_worker::{Observer, Quote, QuoteOptions, Renderer, ShotError, quote};
 use indicatif::ProgressBar;
 use std::path::{Path, PathBuf};
 
@@ -24,6 +27,7 @@ Examples:
   forelight forecast kitchen/ --frames 12 --width 1920 --spp 64 --json > quote.json
   forelight forecast kitchen/ --frames 0-47 --save-profile profiles/
   forelight forecast kitchen/ --frames 12 --strategy jittered
+  forelight forecast kitchen/ --calibration calibration.json
 
 All frames are previewed; of at most --profile-frames of them, --samples pixels each are traced. These are finished pixels: \
 with --save-profile, `forelight render --profile` takes them over. With --cache on, the irradiance cache of every frame is \
@@ -50,6 +54,9 @@ pub struct Args {
     /// Write what a render can take over of each profiled frame into this folder: its pixels, or its irradiance cache
     #[arg(long, value_name = "DIR")]
     save_profile: Option<PathBuf>,
+    /// Put the quantiles where past jobs teach that they belong: a file with what a farm's /v1/forecasts/calibration answers
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
     /// Print the quote as JSON to standard output
     #[arg(long)]
     json: bool,
@@ -79,6 +86,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         profile_frames: args.profile_frames as usize,
         seed: args.phase_seed,
         strategy: args.strategy,
+        corrections: match &args.calibration {
+            Some(path) => Some(corrections(path, args.strategy, &local, &settings)?),
+            None => None,
+        },
     };
     let watcher = Watcher::new(&bars, frames.len(), interrupt);
     let quoted = watcher.quote(&local, &args.bundle, &frames, &settings, &options)?;
@@ -86,6 +97,45 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         save_profiles(&quoted, folder)?;
     }
     if args.json { output::json(&quoted.document) } else { output::print(&report(&quoted.document)) }
+}
+
+/// What a farm's finished jobs teach of a quote like this one.
+fn corrections(
+    path: &Path,
+    strategy: Strategy,
+    local: &Local,
+    settings: &RenderSettings,
+) -> Result<Corrections> {
+    let document: CalibrationDoc = json_file::read(path)?;
+    if strategy != Strategy::Snapshot {
+        let reason =
+            "--calibration: farms quote by the strategy snapshot, and their jobs teach nothing of others";
+        return Err(BadInput::new(reason).into());
+    }
+    let (renderer, class) = (&local.shot.info().renderer, settings.feature_class());
+    let kind = document.kinds.iter().find(|kind| kind.renderer == *renderer && kind.feature_class == class);
+    let Some(known) = kind.and_then(|kind| kind.corrections) else {
+        let jobs = kind.map_or(0, |kind| kind.jobs);
+        let reason = format!(
+            "{}: {jobs} finished jobs of the renderer `{renderer}` and the class `{class}`; calibration takes {LEAST_JOBS}",
+            path.display()
+        );
+        return Err(BadInput::new(reason)
+            .hint("without --calibration the quote says that it is not calibrated")
+            .into());
+    };
+    let correction = |name: &str, CalibratedQuantiles { p50, p80, p95 }: CalibratedQuantiles| {
+        if p50 <= p80 && p80 <= p95 {
+            return Ok(Correction { p50, p80, p95 });
+        }
+        Err(BadInput::new(format!("{}: {name}: p50, p80 and p95 must not fall", path.display())))
+    };
+    Ok(Corrections {
+        frame_work: correction("frame_work", known.frame_work)?,
+        frame_cpu: correction("frame_cpu", known.frame_cpu)?,
+        job_work: correction("job_work", known.job_work)?,
+        job_cpu: correction("job_cpu", known.job_cpu)?,
+    })
 }
 
 /// Bars for the steps of a quote, and the user's wish to stop.
@@ -196,4 +246,84 @@ fn report(quote: &ForecastDoc) -> String {
             seconds(spent.cpu_seconds),
             spent.fraction_of_forecast * 100.0,
         )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    #[test]
+    fn a_farms_calibration_is_taken_for_its_own_kind_of_quote_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = r#"{"version":1,"name":"floor","geometry":["t.obj"],
+            "lights":[{"type":"point","position":[2,5,3],"intensity":[40,40,40]}],
+            "camera":{"origin":[0,3,6],"target":[0,0,0],"up":[0,1,0],"fov_deg":50,"fov_axis":"x","width":8,"height":8}}"#;
+        std::fs::write(folder.path().join("scene.json"), scene).unwrap();
+        std::fs::write(folder.path().join("t.obj"), "v -9 0 -9\nv 9 0 -9\nv 9 0 9\nf 1 3 2\n").unwrap();
+        let (bundle, file) = (folder.path().display().to_string(), folder.path().join("calibration.json"));
+        let path = file.display().to_string();
+        let args = |more: &[&str]| {
+            let fixed = [
+                "forecast",
+                &bundle,
+                "--samples",
+                "16",
+                "--spp",
+                "1",
+                "--preview",
+                "cpu",
+                "--calibration",
+                &path,
+            ];
+            Command::parse_from(fixed.iter().chain(more)).args
+        };
+        let local = Local::open(folder.path(), &args(&[]).machine, &Bars::new(true)).unwrap();
+        let renderer = local.shot.info().renderer.clone();
+        let write = |class: &str, p95: f64| {
+            let quantiles = CalibratedQuantiles { p50: 0.5, p80: 1.0, p95 };
+            let corrections = forelight_protocol::Corrections {
+                frame_work: quantiles,
+                frame_cpu: quantiles,
+                job_work: quantiles,
+                job_cpu: quantiles,
+            };
+            let kind = forelight_protocol::CalibrationKind {
+                renderer: renderer.clone(),
+                feature_class: class.to_owned(),
+                jobs: 20,
+                corrections: Some(corrections),
+            };
+            let document = CalibrationDoc { kinds: vec![kind] };
+            std::fs::write(&file, serde_json::to_string(&document).unwrap()).unwrap();
+        };
+        write("gathered", 2.0);
+        let wanted = args(&["--ambient-bounces", "1"]);
+        let settings = local.settings(&wanted.quality).unwrap();
+        let found = corrections(&file, Strategy::Snapshot, &local, &settings).unwrap();
+        let options = QuoteOptions { samples: 16, corrections: Some(found), ..QuoteOptions::default() };
+        let quoted = quote(
+            &local.shot,
+            &[0],
+            &settings,
+            &options,
+            &Watcher::new(&Bars::new(true), 1, &Interrupt::default()),
+        );
+        let total = quoted.unwrap().document;
+        assert!(total.calibrated && total.total.work.p50 > total.total.work.mean);
+        run(&wanted, &Interrupt::default()).unwrap();
+
+        let refused = |args: &Args| run(args, &Interrupt::default()).unwrap_err().to_string();
+        let none = refused(&args(&["--ambient-bounces", "0"]));
+        assert!(none.contains("0 finished jobs") && none.contains("`direct`"), "{none}");
+        assert!(refused(&args(&["--strategy", "jittered"])).contains("snapshot"));
+        write("gathered", 0.7);
+        assert!(refused(&wanted).contains("frame_work: p50, p80 and p95 must not fall"));
+    }
 }

@@ -39,13 +39,13 @@ async fn a_plan_made_on_old_bookings_is_refused_and_nothing_of_it_is_kept() {
     let stale_plan = farm.plan_for(&slow, node.id, at(0)).await;
     farm.booked_job(request("0"), node.id, at(0)).await;
     let frames = frame_forecasts(&slow);
-    let refused = farm.store.book(slow.id, &job_forecast(), &frames, &stale_plan, at(1)).await;
+    let refused = farm.store.book(slow.id, &job_forecast(), &frames, None, &stale_plan, at(1)).await;
     assert!(matches!(refused, Err(StoreError::Conflict(_))), "{refused:?}");
     assert_eq!(farm.store.job(slow.id).await.unwrap().state, JobState::Profiling);
     assert_eq!(farm.store.forecast(slow.id).await.unwrap(), None);
     let plan = farm.plan_for(&slow, node.id, at(50)).await;
-    farm.store.book(slow.id, &job_forecast(), &frames, &plan, at(1)).await.unwrap();
-    let again = farm.store.book(slow.id, &job_forecast(), &frames, &plan, at(1)).await;
+    farm.store.book(slow.id, &job_forecast(), &frames, None, &plan, at(1)).await.unwrap();
+    let again = farm.store.book(slow.id, &job_forecast(), &frames, None, &plan, at(1)).await;
     assert!(matches!(again, Err(StoreError::Conflict(_))), "booked twice: {again:?}");
 }
 
@@ -56,7 +56,7 @@ async fn a_cancelled_job_is_not_booked() {
     let job = farm.job("0").await;
     let plan = farm.plan_for(&job, node.id, at(0)).await;
     farm.store.cancel_job(job.id, at(0)).await.unwrap();
-    let refused = farm.store.book(job.id, &job_forecast(), &frame_forecasts(&job), &plan, at(1)).await;
+    let refused = farm.store.book(job.id, &job_forecast(), &frame_forecasts(&job), None, &plan, at(1)).await;
     assert!(matches!(refused, Err(StoreError::Conflict(_))), "{refused:?}");
     assert_eq!(farm.store.newest_plan().await.unwrap(), None);
 }

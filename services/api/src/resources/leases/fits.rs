@@ -116,6 +116,9 @@ fn profile(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
     noise(&format!("{AT}/noise"), spec, &result.noise)?;
     effects(&format!("{AT}/effects"), &result.effects)?;
     left_out(&format!("{AT}/left_out"), &result.left_out)?;
+    if result.renderer.as_ref().is_some_and(|name| !(1..=200).contains(&name.chars().count())) {
+        return wrong(format!("{AT}/renderer"), "must have 1 to 200 characters");
+    }
     let fixed = &result.fixed;
     for (name, cost) in
         [("load", fixed.load), ("build", fixed.build), ("plan", fixed.plan), ("write", fixed.write)]

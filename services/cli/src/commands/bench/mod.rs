@@ -1,12 +1,13 @@
 //! `forelight bench`: measurements of what this program promises, on bundles that the user names.
 
+mod coverage;
 mod effects;
 mod forecast;
 mod images;
 mod paper;
 mod plan;
 mod rays;
-mod shot;
+mod shots;
 
 use crate::interrupt::Interrupt;
 use anyhow::Result;
@@ -16,13 +17,14 @@ use clap::Subcommand;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
+  forelight bench coverage kitchen/ corridor/ --svg reliability.svg
   forelight bench effects kitchen/ corridor/
   forelight bench forecast kitchen/ corridor/ --out forecast.json
   forelight bench images kitchen/ --size 256 --pictures images/
   forelight bench rays kitchen/
   forelight bench paper kitchen/ corridor/ --out report/
   forelight bench plan
-  forelight bench shot kitchen/ --frames 0-47 --width 192 --height 108 --json")]
+  forelight bench shots kitchen/ corridor/ --svg plots/")]
 pub struct Args {
     #[command(subcommand)]
     bench: Bench,
@@ -30,25 +32,27 @@ pub struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Bench {
+    Coverage(coverage::Args),
     Effects(effects::Args),
     Forecast(forecast::Args),
     Paper(paper::Args),
     Plan(plan::Args),
     Images(images::Args),
     Rays(rays::Args),
-    Shot(shot::Args),
+    Shots(shots::Args),
 }
 
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     match &args.bench {
+        Bench::Coverage(args) => coverage::run(args, interrupt),
         Bench::Effects(args) => effects::run(args, interrupt),
         Bench::Forecast(args) => forecast::run(args, interrupt),
         Bench::Paper(args) => paper::run(args, interrupt),
         Bench::Plan(args) => plan::run(args),
         Bench::Images(args) => images::run(args, interrupt),
         Bench::Rays(args) => rays::run(args, interrupt),
-        Bench::Shot(args) => shot::run(args, interrupt),
+        Bench::Shots(args) => shots::run(args, interrupt),
     }
 }
 
@@ -66,9 +70,21 @@ fn mean_absolute(errors: impl Iterator<Item = f64>) -> f64 {
     if count == 0 { 0.0 } else { sum / f64::from(count) }
 }
 
+/// Name of what is written of a bundle: its own as far as it is plain, and its place, so that no two are the same.
+fn slug(place: usize, name: &str) -> String {
+    let plain = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
+    format!("{}-{}", place + 1, name.chars().take(40).map(plain).collect::<String>())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_of_files_are_plain_and_never_the_same() {
+        assert_eq!(slug(0, "A kitchen/../x"), "1-a-kitchen----x");
+        assert_ne!(slug(0, "same"), slug(1, "same"));
+    }
 
     #[test]
     fn errors_have_a_sign_and_their_mean_has_none() {

@@ -1,6 +1,7 @@
 //! Error against the number of profiled pixels, both in logarithms.
 
-use super::Curve;
+use super::{Curve, CurvePoint};
+use crate::quantities::seconds;
 use anyhow::{Result, anyhow};
 use forelight_forecast::Strategy;
 use plotters::prelude::*;
@@ -8,14 +9,18 @@ use plotters::prelude::*;
 /// Size of a panel, pixels.
 const PANEL: (u32, u32) = (520, 460);
 
-/// One panel beside the other: the title of each, and its curves.
+/// Panels beside each other.
+const COLUMNS: usize = 2;
+
+/// The panels, two in a row: the title of each, and its curves.
 pub fn draw(panels: &[(&str, Vec<&Curve>)]) -> Result<String> {
     let mut svg = String::new();
     {
-        let size = (PANEL.0 * panels.len() as u32, PANEL.1);
+        let rows = panels.len().div_ceil(COLUMNS).max(1);
+        let size = (PANEL.0 * COLUMNS as u32, PANEL.1 * rows as u32);
         let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
         root.fill(&WHITE).map_err(failed)?;
-        for (area, (title, curves)) in root.split_evenly((1, panels.len())).iter().zip(panels) {
+        for (area, (title, curves)) in root.split_evenly((rows, COLUMNS)).iter().zip(panels) {
             panel(area, title, curves).map_err(failed)?;
         }
         root.present().map_err(failed)?;
@@ -47,7 +52,7 @@ fn panel<'a>(area: &Area<'a>, title: &str, curves: &[&Curve]) -> Result<(), Fail
         .x_label_area_size(38)
         .y_label_area_size(52)
         .build_cartesian_2d(
-            (fewest * 0.9..most * 1.1).log_scale(),
+            (fewest * 0.9..most * 1.6).log_scale(),
             (least * 70.0..greatest * 140.0).log_scale(),
         )?;
     chart
@@ -74,6 +79,16 @@ fn panel<'a>(area: &Area<'a>, title: &str, curves: &[&Curve]) -> Result<(), Fail
             .label(curve.strategy.title())
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], stroke));
         chart.draw_series(line().map(|point| Circle::new(point, 1 + width, colour.filled())))?;
+        if curve.strategy == Strategy::Snapshot {
+            // What profiling takes, by our own.
+            let font = ("sans-serif", 11).into_font().color(&colour);
+            let label = |point: &CurvePoint| {
+                let at = (point.pixels as f64, 100.0 * point.error.root_mean_square);
+                EmptyElement::at(at) + Text::new(short(point.cpu_seconds), (4, -14), font.clone())
+            };
+            let seen = curve.points.iter().filter(|point| point.error.root_mean_square > 0.0);
+            chart.draw_series(seen.map(label))?;
+        }
     }
     chart
         .configure_series_labels()
@@ -82,6 +97,11 @@ fn panel<'a>(area: &Area<'a>, title: &str, curves: &[&Curve]) -> Result<(), Fail
         .border_style(RGBColor(215, 215, 215))
         .label_font(("sans-serif", 12))
         .draw()
+}
+
+/// A time in a word; most are far below a second.
+fn short(time: f64) -> String {
+    if time < 1.0 { format!("{:.1} ms", time * 1e3) } else { seconds(time) }
 }
 
 /// Colour and width of a strategy's line: the blind ones thin, ours the thickest. The colours are told apart by those who do not see

@@ -106,7 +106,7 @@ pub fn of(
         for (shown, scale) in Shown::ALL.into_iter().zip(scales) {
             add(map_file(shown, truth.level, None), &map(size, &truly(shown), scale, shown.paint()))?;
         }
-        let one_record = mean_record(&truth.sampled_records[..truth.sampled_records.len().min(1)]);
+        let one_record = mean_record(&truth.sampled(samples)[..truth.sampled(samples).len().min(1)]);
         for &strategy in mapped(truth.level) {
             // Ours reads the planned cache and knows where its records are; the others meet an empty one.
             let ours = Records::of(strategy) == Records::Planned;

@@ -1,5 +1,6 @@
 //! The paper's four ambient levels, each a full render with the cost of every pixel.
 
+use super::LADDER;
 use crate::failure::Interrupted;
 use crate::interrupt::Interrupt;
 use crate::local::Local;
@@ -15,6 +16,7 @@ use forelight_worker::{
 use glam::Vec3;
 use image::RgbImage;
 use serde::Serialize;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// How indirect light is simulated (the paper, section 5).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -114,13 +116,18 @@ pub struct Truth {
     pub seen_records: Vec<(u32, Cost)>,
     /// What a record is thought to cost before any is gathered, in pixels.
     pub record_prior_cost: f64,
-    /// By seed, the level and cost of the records that a forecast gathers.
-    pub sampled_records: Vec<Vec<(u32, Cost)>>,
+    /// By number of profiled pixels and by seed, the level and cost of the records that a forecast gathers; without a cache none.
+    pub sampled_records: BTreeMap<u32, Vec<Vec<(u32, Cost)>>>,
     /// The image.
     pub picture: RgbImage,
 }
 
 impl Truth {
+    /// By seed, the records that a forecast gathers that profiles so many pixels.
+    pub fn sampled(&self, samples: u32) -> &[Vec<(u32, Cost)>] {
+        self.sampled_records.get(&samples).map_or(&[], Vec::as_slice)
+    }
+
     /// What the frame cost: pixels, records and their plan.
     pub fn total(&self) -> Cost {
         self.pixels.iter().chain([&self.plan, &self.fill]).fold(Cost::default(), |sum, cost| plus(&sum, cost))
@@ -164,13 +171,13 @@ fn seen_records(ready: &dyn FrameRenderer, positions: &[Vec3]) -> Result<Vec<(u3
 /// which is cheap once its records are there; so the gather, which is what it costs more at one bounce than at none, costs in
 /// proportion what a record of the first level costs more with two bounces than with one. What it takes to begin the second level
 /// is left out, in favour of the paper's strategies.
-fn cold(level: Level, before: &[Truth], own_records: &[Vec<(u32, Cost)>]) -> Option<Vec<Cost>> {
+fn cold(level: Level, before: &[Truth], samples: u32, own_records: &[Vec<(u32, Cost)>]) -> Option<Vec<Cost>> {
     let at = |level| before.iter().find(|truth| truth.level == level);
     let (none, one) = (at(Level::NoAmbient)?, at(Level::OneBounce)?);
     if level != Level::TwoBouncesCached {
         return level.is_cached().then(|| one.pixels.clone());
     }
-    let (once, twice) = (mean_record(&at(Level::OneBounceCached)?.sampled_records), mean_record(own_records));
+    let (once, twice) = (mean_record(at(Level::OneBounceCached)?.sampled(samples)), mean_record(own_records));
     let deeper = |column: fn(&Costs<f64>) -> f64| {
         let ratio = column(&twice) / column(&once);
         if ratio.is_finite() { ratio } else { 1.0 }
@@ -267,9 +274,15 @@ impl Task<'_> {
         };
         let (image, cache) = render(&*ready)?;
         let mut pixels: Vec<Cost> = image.pixels.iter().map(cost_of).collect();
-        let sampled_records: Vec<_> = (0..self.seeds.into())
-            .map(|seed| self.sample_records(&*ready, seed, interrupt))
-            .collect::<Result<_>>()?;
+        let mut sampled_records = BTreeMap::new();
+        let numbers = LADDER.into_iter().chain([self.samples]).filter(|_| level.is_cached());
+        for samples in numbers.collect::<BTreeSet<u32>>() {
+            let by_seed = (0..self.seeds.into())
+                .map(|seed| sample_records(&*ready, samples, seed, interrupt))
+                .collect::<Result<Vec<_>>>()?;
+            sampled_records.insert(samples, by_seed);
+        }
+        let own_records = sampled_records.get(&self.samples).map_or(&[][..], Vec::as_slice);
         let seen_records = seen_records(&*ready, positions)?;
         let CacheTotals { plan, plan_rays, fill, fill_rays, records, .. } = cache;
         let mut times = Times::new(&pixels, &cache_times(plan, fill));
@@ -282,7 +295,7 @@ impl Task<'_> {
         let [plan_nanos, fill_nanos] = times.into_medians(&mut pixels);
         Ok(Truth {
             level,
-            cold: cold(level, before, &sampled_records).unwrap_or_else(|| pixels.clone()),
+            cold: cold(level, before, self.samples, own_records).unwrap_or_else(|| pixels.clone()),
             pixels,
             seen_records,
             plan: Cost { work: plan.work, cpu_nanos: plan_nanos, rays: plan_rays },
@@ -294,19 +307,19 @@ impl Task<'_> {
             picture: image.picture(),
         })
     }
+}
 
-    fn sample_records(
-        &self,
-        ready: &dyn FrameRenderer,
-        seed: u64,
-        interrupt: &Interrupt,
-    ) -> Result<Vec<(u32, Cost)>> {
-        if interrupt.is_set() {
-            return Err(Interrupted.into());
-        }
-        let records = ready.sample_records(records_to_sample(self.samples), seed);
-        Ok(records.iter().map(|record| (record.level, cost_of_record(record))).collect())
+fn sample_records(
+    ready: &dyn FrameRenderer,
+    samples: u32,
+    seed: u64,
+    interrupt: &Interrupt,
+) -> Result<Vec<(u32, Cost)>> {
+    if interrupt.is_set() {
+        return Err(Interrupted.into());
     }
+    let records = ready.sample_records(records_to_sample(samples), seed);
+    Ok(records.iter().map(|record| (record.level, cost_of_record(record))).collect())
 }
 
 fn cache_times(plan: forelight_tracer::Cost, fill: forelight_tracer::Cost) -> [u64; 2] {
@@ -356,7 +369,10 @@ mod tests {
             records: Vec::new(),
             seen_records: Vec::new(),
             record_prior_cost: 1.0,
-            sampled_records: vec![vec![(0, costs(&[record])[0]), (1, costs(&[9999])[0])]],
+            sampled_records: BTreeMap::from([(
+                16,
+                vec![vec![(0, costs(&[record])[0]), (1, costs(&[9999])[0])]],
+            )]),
             picture: RgbImage::new(1, 1),
         }
     }
@@ -367,11 +383,14 @@ mod tests {
         let one = truth(Level::OneBounce, &[110, 15], 0);
         let cached = truth(Level::OneBounceCached, &[30, 40], 50);
         let before = [none, one, cached];
-        assert_eq!(cold(Level::OneBounce, &before[..1], &[]), None);
-        assert_eq!(cold(Level::OneBounceCached, &before[..2], &[]), Some(costs(&[110, 15])));
-        let twice = truth(Level::TwoBouncesCached, &[], 75).sampled_records;
-        let found: Vec<u64> =
-            cold(Level::TwoBouncesCached, &before, &twice).expect("costs").iter().map(|c| c.work).collect();
+        assert_eq!(cold(Level::OneBounce, &before[..1], 16, &[]), None);
+        assert_eq!(cold(Level::OneBounceCached, &before[..2], 16, &[]), Some(costs(&[110, 15])));
+        let twice = truth(Level::TwoBouncesCached, &[], 75);
+        let found: Vec<u64> = cold(Level::TwoBouncesCached, &before, 16, twice.sampled(16))
+            .expect("costs")
+            .iter()
+            .map(|c| c.work)
+            .collect();
         assert_eq!(found, [10 + 150, 15]);
     }
 

@@ -8,7 +8,7 @@ mod picture;
 mod report;
 mod trial;
 
-use super::PAPER_SIZE;
+use super::{PAPER_SIZE, slug};
 use crate::atomic_file::write_bytes;
 use crate::failure::Interrupted;
 use crate::interrupt::Interrupt;
@@ -101,19 +101,30 @@ pub struct LevelStudy {
     planned: Vec<Outcome>,
 }
 
-/// Errors of a strategy by number of profiled pixels.
+/// Errors of a strategy by number of profiled pixels. With a cache its records are planned, and more of them are gathered the more
+/// pixels are profiled.
 #[derive(Debug, Serialize)]
 pub struct Curve {
     level: Level,
     strategy: Strategy,
-    /// Pixels profiled, and the errors of work.
-    points: Vec<(usize, Score)>,
+    points: Vec<CurvePoint>,
+}
+
+/// A point of it.
+#[derive(Debug, Serialize)]
+pub struct CurvePoint {
+    /// Pixels profiled.
+    pixels: usize,
+    /// CPU seconds of profiling: of these pixels, and of the records that were gathered; the mean over the seeds.
+    cpu_seconds: f64,
+    /// Errors of work.
+    error: Score,
 }
 
 impl Curve {
     /// Pixels profiled, and root mean square of the errors of work.
     fn points(&self) -> impl Iterator<Item = (f64, f64)> {
-        self.points.iter().map(|(samples, error)| (*samples as f64, error.root_mean_square))
+        self.points.iter().map(|point| (point.pixels as f64, point.error.root_mean_square))
     }
 }
 
@@ -141,12 +152,6 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     output::line(format!("\nThe report is {}.", args.out.join("report.md").display()))
 }
 
-/// Folder of a bundle's pictures: its name as far as it is plain, and its place, so that no two are the same.
-fn slug(place: usize, name: &str) -> String {
-    let plain = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
-    format!("{}-{}", place + 1, name.chars().take(40).map(plain).collect::<String>())
-}
-
 fn study(
     args: &Args,
     local: &Local,
@@ -164,8 +169,7 @@ fn study(
     let task = Task { local, frame, size, gather_rays, samples, seeds, repeats };
     let (seen, truths) = task.measure(bars, interrupt)?;
     let trials = Trials { args, local, seen: &seen, interrupt };
-    let uncached = || truths.iter().filter(|truth| !truth.level.is_cached());
-    let steps = truths.len() + uncached().count();
+    let steps = 2 * truths.len();
     let bar = bars.bar("forecasts", (steps * Strategy::ALL.len()) as u64);
     let done = || bar.inc(1);
     let mut levels = Vec::with_capacity(truths.len());
@@ -173,7 +177,7 @@ fn study(
         levels.push(trials.at(truth, &done)?);
     }
     let mut curves = Vec::new();
-    for truth in uncached() {
+    for truth in &truths {
         for strategy in Strategy::ALL {
             curves.push(trials.curve(strategy, truth)?);
             done();
@@ -255,9 +259,14 @@ impl Trials<'_> {
         let pixels = self.seen.ids.len();
         let mut points = Vec::with_capacity(LADDER.len());
         for samples in LADDER.into_iter().filter(|&samples| samples as usize <= pixels) {
-            let forecasts = self.all(strategy, Records::Unknown, truth, samples)?;
-            let picks = forecasts.first().map_or(0, |forecast| forecast.picks);
-            points.push((picks, Score::new(forecasts.iter().map(|f| f.mean.work), actual)));
+            let records = if truth.level.is_cached() { Records::Planned } else { Records::Unknown };
+            let forecasts = self.all(strategy, records, truth, samples)?;
+            let seconds = forecasts.iter().map(|forecast| forecast.profiling_seconds).sum::<f64>();
+            points.push(CurvePoint {
+                pixels: forecasts.first().map_or(0, |forecast| forecast.picks),
+                cpu_seconds: seconds / forecasts.len().max(1) as f64,
+                error: Score::new(forecasts.iter().map(|f| f.mean.work), actual),
+            });
         }
         Ok(Curve { level: truth.level, strategy, points })
     }
@@ -340,11 +349,5 @@ mod tests {
             }
             assert_eq!(level.records.is_empty(), !level.level.is_cached());
         }
-    }
-
-    #[test]
-    fn folders_are_plain_and_never_the_same() {
-        assert_eq!(slug(0, "A kitchen/../x"), "1-a-kitchen----x");
-        assert_ne!(slug(0, "same"), slug(1, "same"));
     }
 }

@@ -73,6 +73,8 @@ pub struct Forecast {
     pub work: Quantity,
     /// Pixels that were profiled.
     pub picks: usize,
+    /// CPU seconds of these, and of the records that were gathered.
+    pub profiling_seconds: f64,
 }
 
 /// Forecasts the frame at one level from `samples` pixels.
@@ -93,7 +95,7 @@ pub fn forecast(
     if planned {
         let prior = truth.record_prior_cost;
         let apart = RecordStrata::add(&mut strata, &mut frames, &[&truth.records], prior);
-        let sampled = truth.sampled_records.get(seed as usize).into_iter().flatten();
+        let sampled = truth.sampled(samples).get(seed as usize).into_iter().flatten();
         observations.extend(sampled.map(|&(level, cost)| apart.observation(level, cost)));
     }
     let fixed = if planned { truth.plan } else { Cost::default() };
@@ -102,7 +104,8 @@ pub fn forecast(
     let found = forecast_shot(&strata, &frames, &profiled, Calibration::NONE)?.total;
     let mut mean = Columns::<Quantity>::of(&found).map(|quantity| quantity.mean);
     mean.cpu_seconds *= 1e-9;
-    Ok(Forecast { mean, work: found.work, picks: picks.len() })
+    let profiling = observations.iter().map(|observation| observation.cost.cpu_nanos).sum::<u64>();
+    Ok(Forecast { mean, work: found.work, picks: picks.len(), profiling_seconds: profiling as f64 * 1e-9 })
 }
 
 /// Relative errors over many seeds.

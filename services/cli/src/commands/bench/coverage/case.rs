@@ -1,0 +1,147 @@
+//! One shot whose every pixel's cost is known, forecast, and held against it.
+
+use anyhow::Result;
+use forelight_forecast::{
+    Calibration, Cost, Expansion, FrameDesign, FramePopulation, Measure, Observation, ProfiledFrame,
+    Quantity, Stratum, choose_frames, estimate, forecast_shot, residual,
+};
+
+/// A shot with the true cost of every pixel.
+pub struct Known {
+    /// What the preview can show.
+    pub strata: Vec<Stratum>,
+    /// Width of a frame, pixels.
+    pub width: u32,
+    /// In order.
+    pub frames: Vec<KnownFrame>,
+}
+
+/// One of its frames.
+pub struct KnownFrame {
+    /// Its number.
+    pub number: i64,
+    /// Stratum by pixel.
+    pub ids: Vec<u32>,
+    /// Cost by pixel.
+    pub costs: Vec<Cost>,
+    /// Cost whatever its pixels show; known once it is profiled.
+    pub fixed: Cost,
+}
+
+/// A forecast of work beside the truth.
+#[derive(Debug, Clone, Copy)]
+pub struct Judged {
+    /// What was forecast, not calibrated.
+    pub forecast: Quantity,
+    /// What it was.
+    pub actual: f64,
+}
+
+impl Judged {
+    /// How far it was off, in its own spread; none where nothing costs anything.
+    pub fn residual(&self) -> Option<f64> {
+        residual(self.forecast.mean, self.forecast.spread(Measure::Work), self.actual)
+    }
+}
+
+/// All forecasts of one quote.
+#[derive(Debug, Clone, Default)]
+pub struct Case {
+    /// Strata of profiled frames with at least two profiled pixels and some that are not.
+    pub strata: Vec<Judged>,
+    /// Every frame.
+    pub frames: Vec<Judged>,
+    /// The whole.
+    pub shot: Vec<Judged>,
+}
+
+/// How a quote is made.
+#[derive(Debug, Clone, Copy)]
+pub struct Effort {
+    /// Frames that are profiled.
+    pub frames: usize,
+    /// Pixels in each.
+    pub samples: u32,
+}
+
+impl Known {
+    /// Makes a quote as the farm makes it, and holds it against the truth.
+    pub fn judge(&self, effort: Effort, seed: u64) -> Result<Case> {
+        let populations: Vec<FramePopulation> = self
+            .frames
+            .iter()
+            .map(|frame| FramePopulation { number: frame.number, counts: self.counts(frame) })
+            .collect();
+        let chosen = choose_frames(&self.strata, &populations, effort.frames)?;
+        let mut case = Case::default();
+        let mut observed = Vec::with_capacity(chosen.len());
+        for &t in &chosen {
+            let frame = &self.frames[t];
+            let design =
+                FrameDesign::new(&self.strata, &frame.ids, self.width, effort.samples, seed, frame.number)?;
+            let observe = |picks: Vec<forelight_forecast::Pick>| -> Vec<Observation> {
+                let cost = |pixel: u32| frame.costs[pixel as usize];
+                picks.iter().map(|p| Observation { stratum: p.stratum, cost: cost(p.pixel) }).collect()
+            };
+            let mut observations = observe(design.first_phase());
+            observations.extend(observe(design.second_phase(&observations)?));
+            case.strata.extend(self.judge_strata(frame, &populations[t].counts, &observations)?);
+            observed.push(observations);
+        }
+        let profiled: Vec<ProfiledFrame<'_>> = chosen
+            .iter()
+            .zip(&observed)
+            .map(|(&frame, observations)| ProfiledFrame {
+                frame,
+                observations,
+                expansion: &Expansion::Groups,
+                fixed: self.frames[frame].fixed,
+            })
+            .collect();
+        let found = forecast_shot(&self.strata, &populations, &profiled, Calibration::NONE)?;
+        let actual: Vec<f64> = self.frames.iter().map(KnownFrame::work).collect();
+        let judged = |(frame, &actual): (&forelight_forecast::FrameForecast, &f64)| Judged {
+            forecast: frame.total.work,
+            actual,
+        };
+        case.frames = found.frames.iter().zip(&actual).map(judged).collect();
+        case.shot = vec![Judged { forecast: found.total.work, actual: actual.iter().sum() }];
+        Ok(case)
+    }
+
+    fn counts(&self, frame: &KnownFrame) -> Vec<u32> {
+        let mut counts = vec![0; self.strata.len()];
+        frame.ids.iter().for_each(|&id| counts[id as usize] += 1);
+        counts
+    }
+
+    /// Each stratum as if it were all of the frame.
+    fn judge_strata(
+        &self,
+        frame: &KnownFrame,
+        counts: &[u32],
+        observations: &[Observation],
+    ) -> Result<Vec<Judged>> {
+        let mut judged = Vec::new();
+        for (h, (&stratum, &pixels)) in (0u32..).zip(self.strata.iter().zip(counts)) {
+            let own: Vec<Observation> = observations
+                .iter()
+                .filter(|observation| observation.stratum == h)
+                .map(|observation| Observation { stratum: 0, ..*observation })
+                .collect();
+            if own.len() < 2 || own.len() as u64 >= u64::from(pixels) {
+                continue;
+            }
+            let forecast = estimate(&[stratum], &[pixels], &own, Calibration::NONE)?.total.work;
+            let costs = frame.ids.iter().zip(&frame.costs).filter(|(id, _)| **id == h);
+            judged.push(Judged { forecast, actual: costs.map(|(_, cost)| cost.work as f64).sum() });
+        }
+        Ok(judged)
+    }
+}
+
+impl KnownFrame {
+    fn work(&self) -> f64 {
+        self.costs.iter().chain([&self.fixed]).map(|cost| cost.work as f64).sum()
+    }
+}

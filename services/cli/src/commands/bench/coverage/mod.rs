@@ -1,0 +1,382 @@
+//! `forelight bench coverage`: how often the truth stays below the quantiles that were promised, before calibration and after it.
+
+mod case;
+mod fields;
+mod plot;
+mod scenes;
+mod share;
+
+use crate::atomic_file::write_bytes;
+use crate::failure::Interrupted;
+use crate::interrupt::Interrupt;
+use crate::local::Local;
+use crate::options::MachineOptions;
+use crate::output::{self, Bars};
+use crate::table::{Align, Table};
+use anyhow::{Context, Result};
+use case::{Case, Effort, Judged};
+use fields::Family;
+use forelight_forecast::Past;
+use forelight_worker::Renderer;
+use rayon::prelude::*;
+use serde::Serialize;
+use share::Share;
+use std::path::PathBuf;
+
+/// How often the truth stays below the quantiles that were promised, before calibration and after it
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight bench coverage
+  forelight bench coverage kitchen/ corridor/ --svg reliability.svg --out coverage.json
+  forelight bench coverage --fields 4000 --json
+
+A case is a shot, quoted from a few pixels of a few of its frames, of which every pixel's cost is known: synthetic shots with \
+light and heavy tails, no two alike, and with bundles some frames of theirs at several qualities and seeds. Quantiles of work \
+are judged for the strata of profiled frames, for frames and for whole shots, as the formulas make them and calibrated on \
+other cases: synthetic shots on the other half of the synthetic shots, a scene on all other scenes. The intervals (95 %) count \
+shots, since frames of a shot share their errors.")]
+pub struct Args {
+    /// Scene bundles to judge too: folders or zip files
+    #[arg(value_name = "BUNDLE")]
+    bundles: Vec<PathBuf>,
+    /// Synthetic shots; half of them calibrate the others
+    #[arg(long, value_name = "COUNT", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
+    fields: u32,
+    /// Quotes of every scene at every quality, each with another choice of pixels
+    #[arg(long, value_name = "COUNT", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    seeds: u32,
+    /// Frames of every scene
+    #[arg(long, value_name = "FRAMES", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    views: u32,
+    /// Image width in pixels
+    #[arg(long, value_name = "PIXELS", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    width: u32,
+    /// Pixels to profile in a profiled frame
+    #[arg(long, value_name = "PIXELS", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    samples: u32,
+    /// Frames to profile at most
+    #[arg(long, value_name = "FRAMES", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    profile_frames: u32,
+    /// Write a reliability diagram to this file
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+    /// Also write the measurements to this file as JSON
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Print the measurements as JSON to standard output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    machine: MachineOptions,
+}
+
+/// What a forecast is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Level {
+    /// The pixels of one surface in a profiled frame.
+    Stratum,
+    /// A frame.
+    Frame,
+    /// All frames.
+    Shot,
+}
+
+impl Level {
+    const ALL: [Level; 3] = [Level::Stratum, Level::Frame, Level::Shot];
+
+    const fn title(self) -> &'static str {
+        match self {
+            Level::Stratum => "stratum",
+            Level::Frame => "frame",
+            Level::Shot => "shot",
+        }
+    }
+
+    fn of(self, case: &Case) -> &[Judged] {
+        match self {
+            Level::Stratum => &case.strata,
+            Level::Frame => &case.frames,
+            Level::Shot => &case.shot,
+        }
+    }
+}
+
+/// Quantiles at which the diagram has points; those that quotes name are among them.
+const NOMINAL: [f64; 13] = [0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98];
+
+/// The quantiles that quotes name.
+const NAMED: [f64; 3] = [0.50, 0.80, 0.95];
+
+/// The measurements.
+#[derive(Debug, Serialize)]
+pub struct Report {
+    samples: u32,
+    profile_frames: u32,
+    rows: Vec<Row>,
+}
+
+/// Forecasts of one level of one kind of shots.
+#[derive(Debug, Serialize)]
+pub struct Row {
+    shots: String,
+    level: Level,
+    /// Quotes.
+    cases: usize,
+    /// Different shots, of which each is a witness, whatever the number of its quotes.
+    independent: usize,
+    /// Forecasts.
+    forecasts: usize,
+    /// Jobs on which the calibrated quantiles rest.
+    calibrated_on: usize,
+    points: Vec<Point>,
+}
+
+/// A quantile.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Point {
+    /// Share of the truths that are promised to be at or below it.
+    nominal: f64,
+    /// Share that was, with quantiles as the formulas make them.
+    formulas: Share,
+    /// The same with quantiles calibrated on other cases; absent where these were too few.
+    calibrated: Option<Share>,
+}
+
+impl Row {
+    fn point(&self, nominal: f64) -> Option<&Point> {
+        self.points.iter().find(|point| point.nominal == nominal)
+    }
+}
+
+/// Cases of one shot, or of one scene at one quality.
+struct Group {
+    /// Whether it may calibrate the others of its kind, or is judged.
+    calibrates: bool,
+    family: String,
+    cases: Vec<Case>,
+}
+
+/// Runs the command.
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    let bars = Bars::new(args.json);
+    let report = measure(args, &bars, interrupt)?;
+    if let Some(path) = &args.svg {
+        write_bytes(path, plot::svg(&report)?.as_bytes())?;
+    }
+    if let Some(path) = &args.out {
+        write_bytes(path, (output::pretty(&report)? + "\n").as_bytes())?;
+    }
+    if args.json { output::json(&report) } else { output::print(&text(&report)) }
+}
+
+fn measure(args: &Args, bars: &Bars, interrupt: &Interrupt) -> Result<Report> {
+    let effort = Effort { frames: args.profile_frames as usize, samples: args.samples };
+    let synthetic = synthetic(args, effort, bars, interrupt)?;
+    let mut scenes: Vec<(String, Vec<Group>)> = Vec::with_capacity(args.bundles.len());
+    for bundle in &args.bundles {
+        let local = Local::open(bundle, &args.machine, bars)?;
+        let name = local.shot.info().summary.name.clone();
+        let groups = of_scene(args, &local, &name, effort, bars, interrupt);
+        scenes.push((name, groups.with_context(|| format!("bundle {}", bundle.display()))?));
+    }
+    let mut rows = Vec::new();
+    let (teachers, judged): (Vec<&Group>, Vec<&Group>) = synthetic.iter().partition(|group| group.calibrates);
+    if !judged.is_empty() {
+        rows.extend(Level::ALL.map(|level| row("synthetic: all", level, &judged, &teachers)));
+        for family in Family::ALL {
+            let own: Vec<&Group> =
+                judged.iter().copied().filter(|group| group.family == family.title()).collect();
+            rows.extend(Level::ALL.map(|level| row(family.title(), level, &own, &teachers)));
+        }
+    }
+    for (place, (name, groups)) in scenes.iter().enumerate() {
+        let others: Vec<&Group> = scenes
+            .iter()
+            .enumerate()
+            .filter(|(other, _)| *other != place)
+            .flat_map(|(_, (_, groups))| groups)
+            .collect();
+        let own: Vec<&Group> = groups.iter().collect();
+        rows.extend(Level::ALL.map(|level| row(name, level, &own, &others)));
+    }
+    Ok(Report { samples: args.samples, profile_frames: args.profile_frames, rows })
+}
+
+fn synthetic(args: &Args, effort: Effort, bars: &Bars, interrupt: &Interrupt) -> Result<Vec<Group>> {
+    let bar = bars.bar("synthetic", args.fields.into());
+    let one = |number: u32| -> Result<Group> {
+        if interrupt.is_set() {
+            return Err(Interrupted.into());
+        }
+        let family = Family::ALL[number as usize % Family::ALL.len()];
+        let case = fields::shot(family, number.into()).judge(effort, number.into())?;
+        bar.inc(1);
+        // Families alternate, so that both halves have equally many of each.
+        let calibrates = (number as usize / Family::ALL.len()).is_multiple_of(2);
+        Ok(Group { calibrates, family: family.title().to_owned(), cases: vec![case] })
+    };
+    let pool = crate::local::thread_pool(args.machine.threads)?;
+    let groups = pool.install(|| (0..args.fields).into_par_iter().map(one).collect());
+    bar.finish_and_clear();
+    groups
+}
+
+fn of_scene(
+    args: &Args,
+    local: &Local,
+    name: &str,
+    effort: Effort,
+    bars: &Bars,
+    interrupt: &Interrupt,
+) -> Result<Vec<Group>> {
+    let mut groups = Vec::with_capacity(scenes::QUALITIES.len());
+    for quality in scenes::QUALITIES {
+        let known = scenes::shot(local, quality, args.width, args.views, bars, interrupt)?;
+        let judge = |seed: u32| known.judge(effort, seed.into());
+        let cases =
+            local.pool.install(|| (0..args.seeds).into_par_iter().map(judge).collect::<Result<_>>())?;
+        groups.push(Group { calibrates: false, family: format!("{name}, {}", quality.title), cases });
+    }
+    Ok(groups)
+}
+
+fn row(shots: &str, level: Level, judged: &[&Group], teachers: &[&Group]) -> Row {
+    let mut past = Past::default();
+    for case in teachers.iter().flat_map(|group| &group.cases) {
+        past.push(level.of(case).iter().filter_map(Judged::residual).collect());
+    }
+    // Per group, the share of its forecasts that held.
+    let held = |holds: &dyn Fn(&Judged) -> bool| -> Vec<f64> {
+        let share = |group: &&Group| {
+            let all = || group.cases.iter().flat_map(|case| level.of(case));
+            let count = all().count();
+            (count > 0).then(|| all().filter(|judged| holds(judged)).count() as f64 / count as f64)
+        };
+        judged.iter().filter_map(share).collect()
+    };
+    let point = |&nominal: &f64| {
+        let limit = past.quantile(nominal);
+        let below = |judged: &Judged, limit: f64| judged.residual().is_none_or(|z| z <= limit);
+        Point {
+            nominal,
+            formulas: Share::of(&held(&|judged| judged.actual <= judged.forecast.at(nominal))),
+            calibrated: limit.map(|limit| Share::of(&held(&|judged| below(judged, limit)))),
+        }
+    };
+    let forecasts = |group: &&Group| group.cases.iter().map(|case| level.of(case).len()).sum::<usize>();
+    Row {
+        shots: shots.to_owned(),
+        level,
+        cases: judged.iter().map(|group| group.cases.len()).sum(),
+        independent: judged.len(),
+        forecasts: judged.iter().map(forecasts).sum(),
+        calibrated_on: past.jobs(),
+        points: NOMINAL.iter().map(point).collect(),
+    }
+}
+
+fn text(report: &Report) -> String {
+    let head = [
+        ("shots", Align::Left),
+        ("level", Align::Left),
+        ("quotes", Align::Right),
+        ("forecasts", Align::Right),
+        ("<=P50", Align::Right),
+        ("<=P80", Align::Right),
+        ("<=P95", Align::Right),
+        ("calibrated <=P50", Align::Right),
+        ("<=P80", Align::Right),
+        ("<=P95", Align::Right),
+    ];
+    let mut table = Table::new(&head);
+    for row in &report.rows {
+        let first = row.level == Level::Stratum;
+        let name = if first { row.shots.clone() } else { String::new() };
+        let shares = |of: fn(&Point) -> Option<Share>| {
+            NAMED.map(|p| row.point(p).and_then(of).map_or("-".to_owned(), |share| share.to_string()))
+        };
+        table.row(
+            [name, row.level.title().to_owned(), row.cases.to_string(), row.forecasts.to_string()]
+                .into_iter()
+                .chain(shares(|point| Some(point.formulas)))
+                .chain(shares(|point| point.calibrated)),
+        );
+    }
+    let teachers = report.rows.iter().map(|row| row.calibrated_on).max().unwrap_or(0);
+    table.render()
+        + &format!(
+            "\nShares of truths at or below the quantile, with 95 % intervals. {} pixels in {} frames of a shot were profiled; calibrated: on up to {teachers} other quotes, \
+             of other shots.\n",
+            report.samples, report.profile_frames
+        )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    #[test]
+    fn calibrated_quantiles_of_shots_that_calibrated_none_hold_what_they_promise() {
+        let args = Command::parse_from(["coverage", "--fields", "400", "--json"]).args;
+        let report = measure(&args, &Bars::new(true), &Interrupt::default()).unwrap();
+        let all: Vec<&Row> = report.rows.iter().filter(|row| row.shots == "synthetic: all").collect();
+        assert_eq!(all.len(), 3);
+        for row in all {
+            assert_eq!((row.cases, row.independent, row.calibrated_on), (200, 200, 200));
+            for nominal in [0.8, 0.95] {
+                let share = row.point(nominal).unwrap().calibrated.unwrap().share;
+                // Four standard errors of two hundred shots that calibrate and as many that are judged.
+                let noise = 4.0 * (2.0 * nominal * (1.0 - nominal) / 200.0f64).sqrt();
+                assert!((share - nominal).abs() < noise, "{:?} P{nominal}: {share}", row.level);
+            }
+        }
+        let plot = plot::svg(&report).unwrap();
+        roxmltree::Document::parse(&plot).unwrap();
+        assert!(!plot.contains("NaN") && !text(&report).contains("NaN"));
+    }
+
+    #[test]
+    fn a_scene_is_calibrated_on_the_others_and_without_others_on_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = r#"{"version":1,"name":"block","geometry":["t.obj"],
+            "lights":[{"type":"point","position":[2,5,3],"intensity":[40,40,40]}],
+            "camera":{"origin":[0,3,6],"target":[0,0,0],"up":[0,1,0],"fov_deg":50,"fov_axis":"x","width":16,"height":9}}"#;
+        let mesh = "o floor\nv -9 0 -9\nv 9 0 -9\nv 9 0 9\nv -9 0 9\nf 1 4 3 2\n\
+                    o block\nv -1 0 0\nv 1 0 0\nv 1 2 0\nv -1 2 0\nf 5 6 7 8\n";
+        std::fs::write(folder.path().join("scene.json"), scene).unwrap();
+        std::fs::write(folder.path().join("t.obj"), mesh).unwrap();
+        let bundle = folder.path().display().to_string();
+        let measured = |bundles: &[&str]| {
+            let fixed = [
+                "coverage",
+                "--fields",
+                "0",
+                "--width",
+                "12",
+                "--samples",
+                "12",
+                "--seeds",
+                "7",
+                "--preview",
+                "cpu",
+            ];
+            let args = Command::parse_from(fixed.iter().chain(bundles)).args;
+            measure(&args, &Bars::new(true), &Interrupt::default()).unwrap().rows
+        };
+        let alone = measured(&[&bundle]);
+        assert_eq!((alone.len(), alone[2].calibrated_on, alone[2].cases), (3, 0, 21));
+        assert!(alone[2].point(0.8).unwrap().calibrated.is_none());
+        let two = measured(&[&bundle, &bundle]);
+        assert_eq!((two.len(), two[2].calibrated_on), (6, 21));
+        assert!(two[2].point(0.8).unwrap().calibrated.is_some());
+    }
+}

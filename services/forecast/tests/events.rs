@@ -1,0 +1,223 @@
+//! Shots in which something happens: cuts, brief appearances, things and lights that move. Each is forecast from five of its frames and
+//! held against what farms do, the mean of the first, the middle and the last frame.
+
+mod common;
+
+use common::{Stream, cost_of};
+use forelight_forecast::{
+    Calibration, Cost, Expansion, FrameDesign, FramePopulation, Observation, ProfiledFrame, Stratum,
+    choose_frames, forecast_shot,
+};
+
+/// Edge of the image, pixels.
+const SIDE: u32 = 32;
+
+/// A shot whose objects each have, in every frame, a share of the picture and a cost.
+struct Shot {
+    strata: Vec<Stratum>,
+    frames: Vec<FramePopulation>,
+    /// Works by frame and pixel, objects one after the other.
+    works: Vec<Vec<f64>>,
+}
+
+impl Shot {
+    /// `look(object, frame)` is the object's part of the picture (relative to that of the others) and the mean work of its pixels, which
+    /// differ by a third.
+    fn new(objects: u32, frames: i64, seed: u64, look: impl Fn(u32, i64) -> (f64, f64)) -> Self {
+        let pixels = SIDE * SIDE;
+        let mut noise = Stream::new(seed);
+        let strata = (0..objects)
+            .map(|i| Stratum { object: i, material: i % 7, prior_cost: 1.0, apart: false })
+            .collect();
+        let mut all = Vec::new();
+        let mut works = Vec::new();
+        for number in 0..frames {
+            let looks: Vec<(f64, f64)> = (0..objects).map(|h| look(h, number)).collect();
+            let whole: f64 = looks.iter().map(|(part, _)| part).sum();
+            let (mut counts, mut reached, mut taken) = (Vec::new(), 0.0, 0);
+            for (part, _) in &looks {
+                reached += part / whole * f64::from(pixels);
+                let until = (reached.round() as u32).min(pixels);
+                counts.push(until - taken);
+                taken = until;
+            }
+            *counts.last_mut().expect("objects") += pixels - taken;
+            let pixel_works =
+                counts.iter().zip(&looks).flat_map(|(&count, &(_, mean))| vec![mean; count as usize]);
+            works.push(pixel_works.map(|mean| mean * (0.33 * noise.normal() - 0.054).exp()).collect());
+            all.push(FramePopulation { number, counts });
+        }
+        Shot { strata, frames: all, works }
+    }
+
+    fn truth(&self) -> Vec<f64> {
+        self.works.iter().map(|works| works.iter().map(|work| cost_of(*work).work as f64).sum()).collect()
+    }
+
+    fn observe(&self, t: usize, samples: u32, seed: u64) -> Vec<Observation> {
+        let counts = &self.frames[t].counts;
+        let ids: Vec<u32> = counts.iter().zip(0..).flat_map(|(&count, h)| vec![h; count as usize]).collect();
+        let design =
+            FrameDesign::new(&self.strata, &ids, SIDE, samples, seed, t as i64).expect("a good image");
+        let observe = |picks: Vec<forelight_forecast::Pick>| -> Vec<Observation> {
+            let one = |p: &forelight_forecast::Pick| Observation {
+                stratum: p.stratum,
+                cost: cost_of(self.works[t][p.pixel as usize]),
+            };
+            picks.iter().map(one).collect()
+        };
+        let mut observations = observe(design.first_phase());
+        observations.extend(observe(design.second_phase(&observations).expect("its own observations")));
+        observations
+    }
+
+    /// The frames' forecasts from five of them.
+    fn forecast(&self, seed: u64) -> (Vec<usize>, Vec<f64>) {
+        let chosen = choose_frames(&self.strata, &self.frames, 5).expect("good frames");
+        let observed: Vec<Vec<Observation>> = chosen.iter().map(|&t| self.observe(t, 256, seed)).collect();
+        let profiled: Vec<ProfiledFrame<'_>> = chosen
+            .iter()
+            .zip(&observed)
+            .map(|(&frame, observations)| ProfiledFrame {
+                frame,
+                observations,
+                expansion: &Expansion::Groups,
+                fixed: Cost::default(),
+            })
+            .collect();
+        let found =
+            forecast_shot(&self.strata, &self.frames, &profiled, Calibration::NONE).expect("a forecast");
+        (chosen, found.frames.iter().map(|frame| frame.total.work.mean).collect())
+    }
+}
+
+/// Means over many shots of the error of all work, of the errors of frames over all work, and of the error of the mean of the first, the
+/// middle and the last frame.
+struct Errors {
+    total: f64,
+    frame: f64,
+    practice: f64,
+}
+
+fn errors(shots: u64, shot: impl Fn(u64, &mut Stream) -> Shot) -> Errors {
+    let mut sums = Errors { total: 0.0, frame: 0.0, practice: 0.0 };
+    for seed in 0..shots {
+        let shot = shot(seed, &mut Stream::new(seed + 1000));
+        let truth = shot.truth();
+        let (_, said) = shot.forecast(seed);
+        let all: f64 = truth.iter().sum();
+        let last = truth.len() - 1;
+        let practice = (truth[0] + truth[last / 2] + truth[last]) / 3.0 * truth.len() as f64;
+        sums.total += (said.iter().sum::<f64>() / all - 1.0).abs();
+        sums.frame += said.iter().zip(&truth).map(|(said, is)| (said - is).abs()).sum::<f64>() / all;
+        sums.practice += (practice / all - 1.0).abs();
+    }
+    let mean = |sum: f64| sum / shots as f64;
+    let found = Errors { total: mean(sums.total), frame: mean(sums.frame), practice: mean(sums.practice) };
+    println!("total {:.4}, frame {:.4}, first-middle-last {:.4}", found.total, found.frame, found.practice);
+    found
+}
+
+impl Errors {
+    fn hold(&self) {
+        assert!(self.total <= 0.03 && self.frame <= 0.06, "{} {}", self.total, self.frame);
+        assert!(self.total <= self.practice / 3.0, "{} against {}", self.total, self.practice);
+    }
+}
+
+/// A size and a cost for each object that follow no pattern.
+fn objects(stream: &mut Stream, count: usize) -> Vec<(f64, f64)> {
+    (0..count).map(|i| (1.0 / (1.0 + i as f64), 1000.0 * stream.normal().exp())).collect()
+}
+
+#[test]
+fn behind_a_cut_the_same_objects_may_be_of_other_sizes_and_cost_something_else() {
+    errors(24, |seed, stream| {
+        let cut = 4 + (stream.uniform() * 40.0) as i64;
+        let (before, after) = (objects(stream, 12), objects(stream, 12));
+        Shot::new(12, 48, seed, move |h, t| {
+            let h = h as usize;
+            // The largest become the smallest.
+            if t < cut { before[h] } else { (before[11 - h].0, after[h].1) }
+        })
+    })
+    .hold();
+}
+
+#[test]
+fn an_object_that_appears_for_three_frames_is_paid_for() {
+    errors(24, |seed, stream| {
+        let at = 3 + (stream.uniform() * 40.0) as i64;
+        let all = objects(stream, 12);
+        Shot::new(13, 48, seed, move |h, t| match all.get(h as usize) {
+            Some(&look) => look,
+            None if (at..at + 3).contains(&t) => (1.5, 40_000.0),
+            None => (0.0, 1.0),
+        })
+    })
+    .hold();
+}
+
+#[test]
+fn objects_may_grow_and_shrink_as_they_come_and_go() {
+    errors(24, |seed, stream| {
+        let all = objects(stream, 12);
+        let phases: Vec<f64> = (0..12).map(|_| stream.uniform() * 6.0).collect();
+        Shot::new(12, 48, seed, move |h, t| {
+            let (part, work) = all[h as usize];
+            let swing = (phases[h as usize] + t as f64 / 9.0).sin();
+            (part * (1.5 * swing).exp(), work * (1.0 + 0.2 * swing))
+        })
+    })
+    .hold();
+}
+
+#[test]
+fn a_light_that_moves_or_is_switched_on_changes_what_the_preview_does_not_show() {
+    let moving = errors(24, |seed, stream| {
+        let all = objects(stream, 12);
+        let start = stream.uniform() * 6.0;
+        Shot::new(12, 48, seed, move |h, t| {
+            let (part, work) = all[h as usize];
+            (part, work * (1.5 + (start + t as f64 / 12.0 + f64::from(h)).sin()))
+        })
+    });
+    assert!(moving.total <= 0.03 && moving.frame <= 0.06);
+    let switched = errors(24, |seed, stream| {
+        let all = objects(stream, 12);
+        let on = 4 + (stream.uniform() * 40.0) as i64;
+        Shot::new(12, 48, seed, move |h, t| {
+            let (part, work) = all[h as usize];
+            (part, if t < on { work } else { 1.5 * work })
+        })
+    });
+    assert!(switched.total <= 0.03 && switched.frame <= 0.06);
+}
+
+#[test]
+fn in_a_shot_of_5000_frames_three_that_show_something_else_are_not_overlooked() {
+    for at in [1, 777, 2500, 4990] {
+        let mut shot = Shot::new(3, 5000, 1, |h, t| match h {
+            2 => (if (at..at + 3).contains(&t) { 3.0 } else { 0.0 }, 1.0),
+            _ => (1.0, 1.0),
+        });
+        // Known to be dear: three frames of 5,000 at the price of the others would not be worth one of five profiled ones.
+        shot.strata[2].prior_cost = 200.0;
+        let chosen = choose_frames(&shot.strata, &shot.frames, 5).expect("good frames");
+        assert!(chosen.iter().any(|&t| (at..at + 3).contains(&(t as i64))), "{at}: {chosen:?}");
+        assert!(
+            chosen.windows(2).any(|pair| pair[1] - pair[0] > 500),
+            "the rest is not forgotten: {chosen:?}"
+        );
+    }
+}
+
+#[test]
+fn both_sides_of_a_cut_are_profiled_wherever_it_is() {
+    for cut in [2, 5, 24, 43, 46] {
+        let shot = Shot::new(4, 48, 1, |h, t| (f64::from(u8::from((h < 2) == (t < cut))), 1.0));
+        let chosen = choose_frames(&shot.strata, &shot.frames, 3).expect("good frames");
+        let before = chosen.iter().filter(|&&t| (t as i64) < cut).count();
+        assert!((1..=2).contains(&before), "{cut}: {chosen:?}");
+    }
+}
