@@ -6,12 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::calendar::Window;
 use crate::chance::normal;
-use crate::model::{Input, InputError, Job, Plan, Task, price_of};
+use crate::model::{Input, InputError, Plan, Task, price_of};
 use crate::problem::Problem;
-
-/// z of 80 % and 95 %, one-sided.
-const Z80: f64 = 0.841_621_233_572_914_2;
-const Z95: f64 = 1.644_853_626_951_472_6;
 
 /// What came out of the scenarios.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -106,10 +102,8 @@ fn tasks(problem: &Problem, plan: &Plan) -> Vec<Drawn> {
         .jobs
         .iter()
         .map(|work| {
-            let common = spread(work.job.total.p50, work.job.total.p80);
-            let own = |p50, p80| f64::max(0.0, libm::pow(spread(p50, p80), 2.0) - common * common);
             let frames = work.job.frames.iter();
-            frames.map(|frame| (frame.number, libm::sqrt(own(frame.work, frame.work_p80)))).collect()
+            frames.map(|frame| (frame.number, work.job.own_spread(frame))).collect()
         })
         .collect();
     plan.bookings
@@ -134,30 +128,10 @@ fn tasks(problem: &Problem, plan: &Plan) -> Vec<Drawn> {
         .collect()
 }
 
-/// Standard deviation of the logarithm, from two quantiles.
-fn spread(p50: u64, p80: u64) -> f64 {
-    if p50 == 0 || p80 <= p50 { 0.0 } else { libm::log(p80 as f64 / p50 as f64) / Z80 }
-}
-
-/// The total's quantile at this z, as a multiple of its median: straight lines between the logarithms of P50, P80 and P95,
-/// continued at both ends.
-fn factor(job: &Job, z: f64) -> f64 {
-    let first = spread(job.total.p50, job.total.p80);
-    let log = if z <= Z80 {
-        first * z
-    } else if job.total.p80 == 0 {
-        0.0
-    } else {
-        let second = libm::log(job.total.p95 as f64 / job.total.p80 as f64) / (Z95 - Z80);
-        first * Z80 + second * (z - Z80)
-    };
-    libm::exp(log)
-}
-
 /// One scenario: the end of each job, and what the time costs.
 fn carry_out(problem: &Problem, tasks: &[Drawn], seed: u64, scenario: u64) -> (Vec<i64>, i64) {
     let factors: Vec<f64> =
-        problem.jobs.iter().map(|work| factor(work.job, normal(seed, &[scenario, work.job.id]))).collect();
+        problem.jobs.iter().map(|work| work.job.common_factor(normal(seed, &[scenario, work.job.id]))).collect();
     let now = problem.input.now;
     let mut free_from = vec![now; problem.nodes.len()];
     let mut ready: Vec<i64> = problem.jobs.iter().map(|work| work.release(now)).collect();
