@@ -1,6 +1,6 @@
 //! What a farm's jobs cost at least, without a plan.
 
-use crate::admission::admit;
+use crate::admission::{MOST_VARIABLES, admit};
 use crate::model::{Input, InputError};
 use crate::problem::Problem;
 use crate::proof::{Counted, value};
@@ -13,7 +13,7 @@ use crate::proof::{Counted, value};
 pub fn least_cost(input: &Input) -> Result<i64, InputError> {
     input.check()?;
     let problem = Problem::new(input);
-    let admission = admit(&problem);
+    let admission = admit(&problem, MOST_VARIABLES);
     let counted = |job: &crate::model::Job| {
         let admitted = problem.job(job.id).is_some_and(|index| admission.admitted[index]);
         match job.deadline {

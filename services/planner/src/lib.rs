@@ -78,6 +78,6 @@ pub use model::{
     Verdict, WorkTotal,
 };
 pub use replan::{AtRisk, Event, Replanned, replan};
-pub use schedule::plan;
+pub use schedule::{plan, plan_quickly};
 pub use simulate::{JobRisk, Simulation, simulate};
 pub use verify::{Violation, verify};

@@ -130,8 +130,11 @@ fn tasks(problem: &Problem, plan: &Plan) -> Vec<Drawn> {
 
 /// One scenario: the end of each job, and what the time costs.
 fn carry_out(problem: &Problem, tasks: &[Drawn], seed: u64, scenario: u64) -> (Vec<i64>, i64) {
-    let factors: Vec<f64> =
-        problem.jobs.iter().map(|work| work.job.common_factor(normal(seed, &[scenario, work.job.id]))).collect();
+    let factors: Vec<f64> = problem
+        .jobs
+        .iter()
+        .map(|work| work.job.common_factor(normal(seed, &[scenario, work.job.id])))
+        .collect();
     let now = problem.input.now;
     let mut free_from = vec![now; problem.nodes.len()];
     let mut ready: Vec<i64> = problem.jobs.iter().map(|work| work.release(now)).collect();

@@ -139,7 +139,9 @@ pub fn run(world: &World, policy: &mut dyn Policy, mut progress: impl FnMut(u64,
             farm.record.jobs[job].promised = policy.arrived(&mut farm, job);
         }
         let wake = policy.act(&mut farm);
-        if let Some(wake) = wake.filter(|&wake| wake > at && woken.is_none_or(|known| wake < known || known <= at)) {
+        if let Some(wake) =
+            wake.filter(|&wake| wake > at && woken.is_none_or(|known| wake < known || known <= at))
+        {
             farm.events.push(Reverse((wake, Event::Wake)));
             woken = Some(wake);
         }
@@ -349,8 +351,9 @@ impl<'w> Farm<'w> {
         }
         for held in &asked.uses {
             let place = self.world.input.limits.iter().position(|limit| limit.id == held.limit);
-            let free = place
-                .map_or(0, |place| self.world.input.limits[place].count.saturating_sub(self.limits_held[place]));
+            let free = place.map_or(0, |place| {
+                self.world.input.limits[place].count.saturating_sub(self.limits_held[place])
+            });
             if free < held.count {
                 return Err(Refusal::Limit);
             }

@@ -1,8 +1,8 @@
 //! Worlds to simulate.
 
-use forelight_planner::chance::{bits, between};
+use forelight_planner::chance::{between, bits};
 use forelight_planner::reference::{self, Size};
-use forelight_planner::{Confidence, Input, InputError, Interval, Project};
+use forelight_planner::{Confidence, Input, InputError, Interval, Project, Seed};
 use serde::{Deserialize, Serialize};
 
 use crate::world::{Chances, World};
@@ -24,17 +24,32 @@ pub struct Scenario {
     pub frames: u64,
     /// Days over which they come in.
     pub days: u64,
+    /// Typical minutes of a frame at speed 1; nodes have speeds from 0.6 to 3.
+    pub frame_minutes: u64,
     /// What every job asks for; none: a third each of P50, P80 and P95.
     pub confidence: Option<Confidence>,
 }
 
 impl Scenario {
     /// A month of a large studio: 1,000 nodes, 300 jobs, 45,000 frames.
-    pub const MONTH: Scenario =
-        Scenario { nodes: 1000, jobs: 300, frames: 45_000, days: 30, confidence: Some(Confidence::P80) };
+    pub const MONTH: Scenario = Scenario {
+        nodes: 1000,
+        jobs: 300,
+        frames: 45_000,
+        days: 30,
+        frame_minutes: 180,
+        confidence: Some(Confidence::P95),
+    };
     /// A small studio that is asked for a little more than a thousand promises at this confidence.
     pub const fn promises(confidence: Confidence) -> Scenario {
-        Scenario { nodes: 60, jobs: 1150, frames: 23_000, days: 100, confidence: Some(confidence) }
+        Scenario {
+            nodes: 60,
+            jobs: 1150,
+            frames: 23_000,
+            days: 60,
+            frame_minutes: 120,
+            confidence: Some(confidence),
+        }
     }
 
     /// The world, with this luck.
@@ -60,12 +75,22 @@ pub fn studio(scenario: Scenario, seed: u64) -> Input {
     input.projects = (1..=PROJECTS)
         .map(|id| Project { id, name: format!("project-{id}"), share: id as u32, usage: Vec::new() })
         .collect();
+    // The reference farm's frames typically take two hours.
+    let scaled = |work: u64| {
+        u64::try_from(u128::from(work) * u128::from(scenario.frame_minutes) / 120).unwrap_or(u64::MAX).max(1)
+    };
     let end = scenario.days as i64 * DAY;
     for job in &mut input.jobs {
         let release = between(seed, &[101, job.id], 0, end) / MINUTE * MINUTE;
         job.release = release;
         job.deadline = Some(release + between(seed, &[102, job.id], 16 * HOUR, 72 * HOUR) / MINUTE * MINUTE);
         job.tiles = 1;
+        for frame in &mut job.frames {
+            (frame.work, frame.work_p80) = (scaled(frame.work), scaled(frame.work_p80));
+        }
+        let total = &mut job.total;
+        (total.p50, total.p80, total.p95) = (scaled(total.p50), scaled(total.p80), scaled(total.p95));
+        job.seed = job.seed.map(|seed| Seed { work: scaled(seed.work), ..seed });
         job.project = Some(1 + bits(seed, &[103, job.id]) % PROJECTS);
         job.priority = (bits(seed, &[104, job.id]) % 3) as i32;
         if let Some(confidence) = scenario.confidence {

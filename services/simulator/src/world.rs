@@ -153,7 +153,9 @@ impl World {
             let mut frames = Vec::with_capacity(tasks.len());
             for task in tasks {
                 match task.task.frame() {
-                    None => job.seed = job.seed.map(|seed| forelight_planner::Seed { work: task.work, ..seed }),
+                    None => {
+                        job.seed = job.seed.map(|seed| forelight_planner::Seed { work: task.work, ..seed })
+                    }
                     Some(number) => {
                         frames.push(forelight_planner::Frame { number, work: task.work, work_p80: 0 });
                     }

@@ -41,7 +41,8 @@ fn check(world: &World, record: &Record) {
         for attempt in of_job() {
             assert!(attempt.start >= job.release && attempt.end <= over, "{attempt:?} is outside of its job");
         }
-        let last = of_job().filter(|attempt| attempt.outcome == Outcome::Done).map(|attempt| attempt.end).max();
+        let last =
+            of_job().filter(|attempt| attempt.outcome == Outcome::Done).map(|attempt| attempt.end).max();
         assert!(entry.finish.is_none() || entry.finish == last.or(Some(job.release)));
         let seeded = of_job().find(|a| a.task == Task::Seed && a.outcome == Outcome::Done).map(|a| a.end);
         if job.seed.is_some() {
@@ -66,7 +67,8 @@ fn check(world: &World, record: &Record) {
         };
         for attempt in &attempts {
             assert!(is_open(attempt.start, attempt.end), "{attempt:?} is outside of the calendar");
-            let paid = rentals.iter().any(|rental| rental.start <= attempt.start && attempt.end <= rental.end);
+            let paid =
+                rentals.iter().any(|rental| rental.start <= attempt.start && attempt.end <= rental.end);
             assert!(paid, "{attempt:?} was not paid");
         }
         for rental in &rentals {
@@ -96,7 +98,7 @@ fn check(world: &World, record: &Record) {
 }
 
 fn small(nodes: u64, jobs: u64, frames: u64, seed: u64, chances: Chances) -> World {
-    let scenario = Scenario { nodes, jobs, frames, days: 3, confidence: None };
+    let scenario = Scenario { nodes, jobs, frames, days: 3, frame_minutes: 120, confidence: None };
     let mut input = studio(scenario, seed);
     // Something for every rule to refuse.
     input.limits = vec![Limit { id: 0, name: "licence".into(), count: 2 }];
@@ -150,7 +152,8 @@ proptest! {
 
 #[test]
 fn the_same_seed_gives_the_same_bits_and_another_one_does_not() {
-    let world = |seed| small(20, 10, 100, seed, Chances { hours_between_failures: 40.0, ..Chances::default() });
+    let world =
+        |seed| small(20, 10, 100, seed, Chances { hours_between_failures: 40.0, ..Chances::default() });
     for kind in PolicyKind::ALL {
         let first = simulated(&world(5), kind, 100);
         assert_eq!(first, simulated(&world(5), kind, 100), "{}", kind.name());
@@ -167,17 +170,23 @@ fn a_lost_workers_frame_goes_back_when_its_lease_expires_and_not_before() {
         record.attempts.iter().filter(|attempt| attempt.outcome == Outcome::Lost).collect();
     assert!(lost.len() > 5, "only {} frames were lost", lost.len());
     for attempt in lost {
-        let again = record
-            .attempts
-            .iter()
-            .find(|other| (other.job, other.task) == (attempt.job, attempt.task) && other.start > attempt.start);
+        let again = record.attempts.iter().find(|other| {
+            (other.job, other.task) == (attempt.job, attempt.task) && other.start > attempt.start
+        });
         assert!(again.is_none_or(|again| again.start >= attempt.end + 600_000_000), "{attempt:?} {again:?}");
     }
 }
 
 #[test]
 fn forecasts_that_are_too_low_are_seen_through() {
-    let scenario = Scenario { nodes: 40, jobs: 150, frames: 3000, days: 20, confidence: Some(Confidence::P80) };
+    let scenario = Scenario {
+        nodes: 40,
+        jobs: 150,
+        frames: 3000,
+        days: 20,
+        frame_minutes: 120,
+        confidence: Some(Confidence::P80),
+    };
     let world = scenario.world(Chances { bias: 1.3, seed: 2, ..Chances::default() }).unwrap();
     let (record, plans) = simulated(&world, PolicyKind::Planned, 100);
     let report = report(&world, PolicyKind::Planned, 100, plans, 1, &record);

@@ -10,6 +10,7 @@ mod plan;
 mod preview;
 mod render;
 mod serve;
+mod simulate;
 mod submit;
 mod token;
 mod worker;
@@ -53,6 +54,7 @@ enum Command {
     Accuracy(accuracy::Args),
     Export(export::Args),
     Plan(plan::Args),
+    Simulate(simulate::Args),
     Token(token::Args),
     Bench(bench::Args),
 }
@@ -81,6 +83,7 @@ impl Cli {
             Command::Accuracy(args) => blocking(move || accuracy::run(&args, &interrupt)).await,
             Command::Export(args) => blocking(move || export::run(&args)).await,
             Command::Plan(args) => blocking(move || plan::run(&args)).await,
+            Command::Simulate(args) => blocking(move || simulate::run(&args, &interrupt)).await,
             Command::Bench(args) => blocking(move || bench::run(&args, &interrupt)).await,
         }
     }
@@ -150,6 +153,10 @@ mod tests {
             ("forelight export b --cache-parts 4", "--cache"),
             ("forelight export b --timeout soon", "--timeout"),
             ("forelight token --role boss", "--role"),
+            ("forelight simulate --nodes 3", "--nodes"),
+            ("forelight simulate --confidence 90", "--confidence"),
+            ("forelight simulate --pool 0", "--pool"),
+            ("forelight simulate --bias=-1", "--bias"),
             ("forelight farm --lease-ttl 0s", "--lease-ttl"),
         ] {
             let error = parse(line).expect_err(line);

@@ -11,7 +11,8 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use forelight_planner::{
-    FixedBooking, Frame, Input, Interval, Job, Node, Plan, Power, Seed, Task, Verdict, WorkTotal, plan,
+    FixedBooking, Frame, Input, Interval, Job, Node, Plan, Power, Seed, Task, Verdict, WorkTotal,
+    plan_quickly,
 };
 
 use super::Policy;
@@ -21,8 +22,12 @@ use crate::world::World;
 const HOUR: i64 = 3_600_000_000;
 /// Calendars are told to the planner this far beyond the last deadline.
 const BEYOND: i64 = 72 * HOUR;
+/// A frame that was lost is planned again at once if its job has less time left than this.
+const URGENT: i64 = 24 * HOUR;
 /// A running frame that takes longer than expected is expected to take a quarter more than it did.
 const OVERDUE: f64 = 1.25;
+/// What is late may be later by this part of the time that it still takes.
+const PATIENCE: i64 = 8;
 /// So many jobs' worth of trust are in the forecasts before any job was seen.
 const TRUST: f64 = 8.0;
 
@@ -38,6 +43,8 @@ pub struct Planned {
     /// By job: place of its frames by number.
     places: Vec<BTreeMap<i64, usize>>,
     promised: Vec<bool>,
+    /// By job: what the plan aims at once the deadline cannot be kept any more; the end of time: as early as can be.
+    targets: Vec<Option<i64>>,
     /// Promised jobs that the plan keeps.
     kept: BTreeSet<usize>,
     learned: Learned,
@@ -81,6 +88,7 @@ impl Planned {
             queues: vec![VecDeque::new(); world.input.nodes.len()],
             places: places.collect(),
             promised: vec![false; world.input.jobs.len()],
+            targets: vec![None; world.input.jobs.len()],
             kept: BTreeSet::new(),
             learned: Learned::default(),
             plans: 0,
@@ -127,18 +135,10 @@ impl Planned {
         let asked = farm.job(job);
         let own = asked.frames.first().map_or(0.0, |frame| asked.own_spread(frame)) * self.learned.widening();
         let Some(deadline) = asked.deadline.filter(|_| own > 0.0) else { return 0 };
-        let mut speeds: Vec<u64> = farm
-            .world
-            .input
-            .nodes
-            .iter()
-            .filter(|node| node.fits(asked))
-            .map(|node| node.speed_of(asked.class))
-            .filter(|&speed| speed > 0)
-            .collect();
-        speeds.sort_unstable();
-        // Slower than three in four.
-        let Some(&speed) = speeds.get(speeds.len() / 4) else { return 0 };
+        let able = farm.world.input.nodes.iter().filter(|node| node.fits(asked));
+        let speeds: Vec<u64> =
+            able.map(|node| node.speed_of(asked.class)).filter(|&speed| speed > 0).collect();
+        let Some(&speed) = speeds.iter().min() else { return 0 };
         let last = farm.jobs[job].left.min(speeds.len()).max(1) as f64;
         let one = libm::pow(asked.confidence.probability(), 1.0 / last);
         let more = libm::exp(own * z_of(one) - own * own / 2.0) - 1.0;
@@ -152,7 +152,8 @@ impl Planned {
             if entry.left > 0 || entry.measured.is_empty() || !self.learned.counted.insert(job) {
                 continue;
             }
-            let median: u128 = entry.measured.iter().map(|&t| u128::from(farm.world.tasks[job][t].median)).sum();
+            let median: u128 =
+                entry.measured.iter().map(|&t| u128::from(farm.world.tasks[job][t].median)).sum();
             let log = libm::log(entry.measured_work as f64 / median.max(1) as f64);
             let z = forelight_planner::Confidence::P80.z();
             self.learned.seen.push((log, libm::log(farm.job(job).common_factor(z)) / z));
@@ -178,18 +179,37 @@ impl Planned {
                 let end = self.expected_end(farm, node, job, task, start);
                 let uses = farm.job(job).uses.clone();
                 let job = Some(farm.job(job).id);
-                input.fixed.push(FixedBooking { node: farm.node(node).id, start: start.min(now), end, job, uses });
+                input.fixed.push(FixedBooking {
+                    node: farm.node(node).id,
+                    start: start.min(now),
+                    end,
+                    job,
+                    uses,
+                });
             }
         }
+        // A window is planned as if it closed a little earlier: by what a frame may take more than it is bought.
+        let spare = self.spare_work(farm, &factors);
         let last = farm.open().filter_map(|job| farm.job(job).deadline).max().unwrap_or(now).max(now);
         let until = last.saturating_add(BEYOND);
         for (node, windows) in farm.world.windows.iter().enumerate().filter(|&(node, _)| farm.is_up(node)) {
             let first = windows.partition_point(|window| window.end.is_some_and(|end| end <= now));
-            let calendar: Vec<Interval> =
-                windows[first..].iter().take_while(|window| window.start < until).copied().collect();
-            let power = if farm.is_warm(node) { Power::On } else { Power::Standby };
             let machine = farm.node(node);
-            input.nodes.push(Node { calendar, power, available_from: now, maintenance: Vec::new(), ..machine.clone() });
+            let spare = machine.duration(spare, 0).unwrap_or(0);
+            let earlier = |window: &Interval| Interval {
+                start: window.start,
+                end: window.end.map(|end| end.saturating_sub(spare).max(window.start)),
+            };
+            let calendar: Vec<Interval> =
+                windows[first..].iter().take_while(|window| window.start < until).map(earlier).collect();
+            let power = if farm.is_warm(node) { Power::On } else { Power::Standby };
+            input.nodes.push(Node {
+                calendar,
+                power,
+                available_from: now,
+                maintenance: Vec::new(),
+                ..machine.clone()
+            });
         }
         // A fixed booking is on a node that there is.
         input.fixed.retain(|booking| input.nodes.binary_search_by_key(&booking.node, |node| node.id).is_ok());
@@ -197,6 +217,26 @@ impl Planned {
             input.jobs.extend(self.rest_of(farm, job, factor));
         }
         input
+    }
+
+    /// Work by which a frame exceeds what is bought for it in one case of five, on average over what waits.
+    fn spare_work(&self, farm: &Farm, factors: &BTreeMap<usize, f64>) -> u64 {
+        let (mut spare, mut count) = (0.0, 0.0);
+        for (&job, factor) in factors {
+            let more = self.overrun(farm, job) - 1.0;
+            for &task in &farm.jobs[job].waiting {
+                spare += farm.world.tasks[job][task].median as f64 * factor * more;
+                count += 1.0;
+            }
+        }
+        if count > 0.0 { (spare / count) as u64 } else { 0 }
+    }
+
+    /// What one frame takes in relation to what is bought for it, in four cases of five at most.
+    fn overrun(&self, farm: &Farm, job: usize) -> f64 {
+        let asked = farm.job(job);
+        let own = asked.frames.first().map_or(0.0, |frame| asked.own_spread(frame)) * self.learned.widening();
+        libm::exp(own * forelight_planner::Confidence::P80.z() - own * own / 2.0).max(1.0)
     }
 
     /// What is left of a job, at its confidence; none if everything runs.
@@ -231,7 +271,11 @@ impl Planned {
         let behind = asked.deadline.is_some() && !self.promised[job];
         Some(Job {
             release,
-            deadline: asked.deadline.map(|deadline| deadline.saturating_sub(margin)),
+            deadline: match self.targets[job] {
+                Some(target) if target == i64::MAX => None,
+                Some(target) => Some(target),
+                None => asked.deadline.map(|deadline| deadline.saturating_sub(margin)),
+            },
             // Who was promised something comes before who was not.
             priority: if behind { i32::MIN } else { asked.priority },
             total: WorkTotal { p50: total, p80: total, p95: total },
@@ -256,12 +300,14 @@ impl Planned {
     /// Plans, and says which jobs the plan keeps; none if the input has no meaning.
     fn make(&mut self, farm: &Farm) -> Option<(Plan, BTreeSet<usize>)> {
         let input = self.input(farm);
-        let made = plan(&input).ok()?;
+        let made = plan_quickly(&input).ok()?;
         self.plans += 1;
         let mut kept: BTreeSet<usize> = farm.open().collect();
         for entry in &made.jobs {
-            let in_time = matches!(entry.verdict, Verdict::Feasible { .. } | Verdict::NoDeadline { .. });
-            if let Some(job) = farm.place_of(entry.job).filter(|_| !in_time) {
+            let Some(job) = farm.place_of(entry.job) else { continue };
+            let deadline = farm.job(job).deadline.unwrap_or(i64::MAX);
+            let finish = entry.verdict.finish().filter(|_| entry.verdict.is_kept());
+            if finish.is_none_or(|finish| finish > deadline) {
                 kept.remove(&job);
             }
         }
@@ -272,22 +318,43 @@ impl Planned {
         self.queues.iter_mut().for_each(VecDeque::clear);
         // Bookings are in the order of their starts.
         for booking in &made.bookings {
-            let Some(node) =
-                farm.world.input.nodes.binary_search_by_key(&booking.node, |node| node.id).ok()
+            let Some(node) = farm.world.input.nodes.binary_search_by_key(&booking.node, |node| node.id).ok()
             else {
                 continue;
             };
             let Some(job) = farm.place_of(booking.job) else { continue };
             let task = match booking.task {
                 Task::Seed => Some(0),
-                Task::Frame(number) | Task::Tile { frame: number, .. } => self.places[job].get(&number).copied(),
+                Task::Frame(number) | Task::Tile { frame: number, .. } => {
+                    self.places[job].get(&number).copied()
+                }
             };
             if let Some(task) = task {
                 self.queues[node].push_back((job, task, booking.end.saturating_sub(booking.start)));
             }
         }
+        self.aim(farm, made);
         self.kept = kept;
         self.next = farm.now().saturating_add(self.every);
+    }
+
+    /// A job that is late aims at when it can be done from now on: as soon as it can, and not at any price to be less late. Who is in
+    /// time again aims at the deadline.
+    fn aim(&mut self, farm: &Farm, made: &Plan) {
+        for entry in &made.jobs {
+            let Some(job) = farm.place_of(entry.job) else { continue };
+            let Some(deadline) = farm.job(job).deadline else { continue };
+            self.targets[job] = match &entry.verdict {
+                Verdict::Late { finish, .. } => {
+                    Some(finish.saturating_add(finish.saturating_sub(farm.now()) / PATIENCE))
+                }
+                Verdict::Unplaced { .. } => Some(i64::MAX),
+                Verdict::Feasible { finish, .. } | Verdict::NoDeadline { finish } if *finish <= deadline => {
+                    None
+                }
+                Verdict::Feasible { .. } | Verdict::NoDeadline { .. } => self.targets[job],
+            };
+        }
     }
 
     /// Starts the first task of a node's queue that can start and that its window is long enough for.
@@ -300,6 +367,7 @@ impl Planned {
                 self.queues[node].remove(place);
                 continue;
             }
+            let length = (length as f64 * self.overrun(farm, job)) as i64;
             if farm.now().saturating_add(setup).saturating_add(length) > until {
                 // What was booked after it is meant for a later window.
                 return;
@@ -322,7 +390,10 @@ impl Policy for Planned {
             return false;
         };
         let pushed = self.kept.iter().any(|&other| {
-            self.promised[other] && !kept.contains(&other) && farm.jobs[other].left > 0 && !farm.jobs[other].withdrawn
+            self.promised[other]
+                && !kept.contains(&other)
+                && farm.jobs[other].left > 0
+                && !farm.jobs[other].withdrawn
         });
         if kept.contains(&job) && !pushed {
             self.adopt(farm, &made, kept);
@@ -335,8 +406,11 @@ impl Policy for Planned {
     }
 
     fn act(&mut self, farm: &mut Farm) -> Option<i64> {
-        if !farm.given_back.is_empty() {
-            self.next = self.next.min(farm.now().saturating_add(self.every / 4));
+        for &job in &farm.given_back {
+            let urgent =
+                farm.job(job).deadline.is_some_and(|deadline| deadline < farm.now().saturating_add(URGENT));
+            let wait = if urgent { 0 } else { self.every / 4 };
+            self.next = self.next.min(farm.now().saturating_add(wait));
         }
         if self.next <= farm.now() && farm.open().next().is_some() {
             match self.make(farm) {

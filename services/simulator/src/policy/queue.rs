@@ -126,7 +126,8 @@ impl Queue {
         let frame = i64::try_from(mean.saturating_mul(1_000_000) / speed).unwrap_or(i64::MAX);
         let time = if entry.running == 0 { deadline } else { deadline.saturating_sub(frame) };
         let time = u128::try_from(time.saturating_sub(farm.now())).unwrap_or(0);
-        let is_enough = u128::from(entry.running_speed).saturating_mul(time) >= rest.saturating_mul(1_000_000);
+        let is_enough =
+            u128::from(entry.running_speed).saturating_mul(time) >= rest.saturating_mul(1_000_000);
         (!is_enough).then_some(first)
     }
 }
