@@ -79,5 +79,5 @@ pub use model::{
 };
 pub use replan::{AtRisk, Event, Replanned, replan};
 pub use schedule::{plan, plan_quickly};
-pub use simulate::{JobRisk, Simulation, simulate};
+pub use simulate::{JobRisk, Simulation, Stretch, scenarios, simulate};
 pub use verify::{Violation, verify};

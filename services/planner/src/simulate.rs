@@ -57,7 +57,7 @@ pub fn simulate(input: &Input, plan: &Plan, scenarios: u32, seed: u64) -> Result
     let mut finishes: Vec<Vec<i64>> = vec![Vec::with_capacity(scenarios as usize); problem.jobs.len()];
     let mut costs = Vec::with_capacity(scenarios as usize);
     for scenario in 0..scenarios {
-        let (ends, cost) = carry_out(&problem, &tasks, seed, u64::from(scenario));
+        let (ends, cost) = carry_out(&problem, &tasks, seed, u64::from(scenario), |_, _, _| {});
         finishes.iter_mut().zip(ends).for_each(|(all, end)| all.push(end));
         costs.push(cost.saturating_add(fixed_part));
     }
@@ -70,6 +70,46 @@ pub fn simulate(input: &Input, plan: &Plan, scenarios: u32, seed: u64) -> Result
         JobRisk { job: work.job.id, late: late as u32, finish: [finite(50), finite(80), finite(95)] }
     });
     Ok(Simulation { scenarios, jobs: jobs.collect(), cost: [at(&costs, 50), at(&costs, 80), at(&costs, 95)] })
+}
+
+/// Time that a job has a node in a scenario.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stretch {
+    /// The job.
+    pub job: u64,
+    /// The node.
+    pub node: u64,
+    /// First instant.
+    pub start: i64,
+    /// The instant after the last; the end of time if there is no free stretch that is long enough.
+    pub end: i64,
+}
+
+/// Carries the plan out as [`simulate`] does, and shows what happens in each scenario: its number, and the stretches in the order of the
+/// plan's bookings.
+///
+/// # Errors
+/// If the input has no meaning.
+pub fn scenarios(
+    input: &Input,
+    plan: &Plan,
+    scenarios: u32,
+    seed: u64,
+    mut visit: impl FnMut(u32, &[Stretch]),
+) -> Result<(), InputError> {
+    input.check()?;
+    let problem = Problem::new(input);
+    let tasks = tasks(&problem, plan);
+    let mut stretches = Vec::with_capacity(tasks.len());
+    for scenario in 0..scenarios {
+        stretches.clear();
+        carry_out(&problem, &tasks, seed, u64::from(scenario), |task, start, end| {
+            let (job, node) = (problem.jobs[task.job].job.id, problem.nodes[task.node].id);
+            stretches.push(Stretch { job, node, start, end });
+        });
+        visit(scenario, &stretches);
+    }
+    Ok(())
 }
 
 /// The least of the sorted values that so many per cent do not exceed; zero of none.
@@ -128,8 +168,14 @@ fn tasks(problem: &Problem, plan: &Plan) -> Vec<Drawn> {
         .collect()
 }
 
-/// One scenario: the end of each job, and what the time costs.
-fn carry_out(problem: &Problem, tasks: &[Drawn], seed: u64, scenario: u64) -> (Vec<i64>, i64) {
+/// One scenario: the end of each job, and what the time costs. `visit` is shown each task with its start and end.
+fn carry_out(
+    problem: &Problem,
+    tasks: &[Drawn],
+    seed: u64,
+    scenario: u64,
+    mut visit: impl FnMut(&Drawn, i64, i64),
+) -> (Vec<i64>, i64) {
     let factors: Vec<f64> = problem
         .jobs
         .iter()
@@ -153,6 +199,7 @@ fn carry_out(problem: &Problem, tasks: &[Drawn], seed: u64, scenario: u64) -> (V
         // A float beyond the range of time becomes its end.
         let length = ((task.median * factors[task.job] * own).ceil() as i64).max(1);
         let end = first_end(problem, task, free_from[task.node].max(ready[task.job]), length);
+        visit(task, if end < i64::MAX { end - length } else { end }, end);
         free_from[task.node] = end;
         if task.task == Task::Seed {
             ready[task.job] = ready[task.job].max(end);

@@ -2,6 +2,7 @@
 
 mod accuracy;
 mod bench;
+mod budget;
 mod cache;
 mod export;
 mod farm;
@@ -32,7 +33,7 @@ Examples:
   forelight farm --data farm-data --workers 2          a farm on this machine
   forelight submit kitchen/ --deadline 2h --data farm-data --out images/
 
-Exit codes: 0 done; 1 something failed; 2 wrong input; 130 stopped by the user.")]
+Exit codes: 0 done; 1 something failed; 2 wrong input; 3 a budget is threatened (`forelight budget`); 130 stopped by the user.")]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -55,6 +56,7 @@ enum Command {
     Export(export::Args),
     Plan(plan::Args),
     Simulate(simulate::Args),
+    Budget(Box<budget::Args>),
     Token(token::Args),
     Bench(bench::Args),
 }
@@ -75,6 +77,7 @@ impl Cli {
             Command::Worker(args) => worker::run(args, interrupt).await,
             Command::Submit(args) => submit::run(args, interrupt).await,
             Command::Token(args) => token::run(args).await,
+            Command::Budget(args) => budget::run(*args).await,
             // Tracing light is not waiting: it gets a thread that may block.
             Command::Render(args) => blocking(move || render::run(&args, &interrupt)).await,
             Command::Preview(args) => blocking(move || preview::run(&args)).await,
@@ -157,6 +160,9 @@ mod tests {
             ("forelight simulate --confidence 90", "--confidence"),
             ("forelight simulate --pool 0", "--pool"),
             ("forelight simulate --bias=-1", "--bias"),
+            ("forelight budget --date tomorrow", "--date"),
+            ("forelight budget --days 0", "--days"),
+            ("forelight budget set film 10 --stop 0", "--stop"),
             ("forelight farm --lease-ttl 0s", "--lease-ttl"),
         ] {
             let error = parse(line).expect_err(line);

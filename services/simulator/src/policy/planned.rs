@@ -28,6 +28,8 @@ const URGENT: i64 = 24 * HOUR;
 const OVERDUE: f64 = 1.25;
 /// What is late may be later by this part of the time that it still takes.
 const PATIENCE: i64 = 8;
+/// A job that has no place aims at this much after its deadline.
+const SOON: i64 = 12 * HOUR;
 /// So many jobs' worth of trust are in the forecasts before any job was seen.
 const TRUST: f64 = 8.0;
 
@@ -43,7 +45,7 @@ pub struct Planned {
     /// By job: place of its frames by number.
     places: Vec<BTreeMap<i64, usize>>,
     promised: Vec<bool>,
-    /// By job: what the plan aims at once the deadline cannot be kept any more; the end of time: as early as can be.
+    /// By job: what the plan aims at once the deadline cannot be kept any more.
     targets: Vec<Option<i64>>,
     /// Promised jobs that the plan keeps.
     kept: BTreeSet<usize>,
@@ -271,11 +273,7 @@ impl Planned {
         let behind = asked.deadline.is_some() && !self.promised[job];
         Some(Job {
             release,
-            deadline: match self.targets[job] {
-                Some(target) if target == i64::MAX => None,
-                Some(target) => Some(target),
-                None => asked.deadline.map(|deadline| deadline.saturating_sub(margin)),
-            },
+            deadline: self.targets[job].or(asked.deadline.map(|deadline| deadline.saturating_sub(margin))),
             // Who was promised something comes before who was not.
             priority: if behind { i32::MIN } else { asked.priority },
             total: WorkTotal { p50: total, p80: total, p95: total },
@@ -344,15 +342,17 @@ impl Planned {
         for entry in &made.jobs {
             let Some(job) = farm.place_of(entry.job) else { continue };
             let Some(deadline) = farm.job(job).deadline else { continue };
+            let patient = |finish: i64| finish.saturating_add(finish.saturating_sub(farm.now()) / PATIENCE);
+            let before = self.targets[job].unwrap_or(i64::MAX);
             self.targets[job] = match &entry.verdict {
-                Verdict::Late { finish, .. } => {
-                    Some(finish.saturating_add(finish.saturating_sub(farm.now()) / PATIENCE))
-                }
-                Verdict::Unplaced { .. } => Some(i64::MAX),
                 Verdict::Feasible { finish, .. } | Verdict::NoDeadline { finish } if *finish <= deadline => {
                     None
                 }
-                Verdict::Feasible { .. } | Verdict::NoDeadline { .. } => self.targets[job],
+                Verdict::Feasible { finish, .. } | Verdict::NoDeadline { finish } => {
+                    Some(before.min(patient(*finish)))
+                }
+                Verdict::Late { finish, .. } => Some(patient(*finish)),
+                Verdict::Unplaced { .. } => Some(deadline.max(farm.now()).saturating_add(SOON)),
             };
         }
     }
