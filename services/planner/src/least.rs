@@ -1,7 +1,7 @@
 //! What a farm's jobs cost at least, without a plan.
 
 use crate::admission::{MOST_VARIABLES, admit};
-use crate::model::{Input, InputError};
+use crate::model::{Input, InputError, Job, Proof};
 use crate::problem::Problem;
 use crate::proof::{Counted, value};
 
@@ -14,14 +14,14 @@ pub fn least_cost(input: &Input) -> Result<i64, InputError> {
     input.check()?;
     let problem = Problem::new(input);
     let admission = admit(&problem, MOST_VARIABLES);
-    let counted = |job: &crate::model::Job| {
+    let counted = |job: &Job| {
         let admitted = problem.job(job.id).is_some_and(|index| admission.admitted[index]);
         match job.deadline {
             Some(deadline) if admitted => Counted::By(deadline),
             _ => Counted::Whenever,
         }
     };
-    let plain = value(input, &Default::default(), true, &counted);
-    let priced = value(input, &admission.proof, true, &counted);
+    let plain = value(input, &Proof::default(), true, counted);
+    let priced = value(input, &admission.proof, true, counted);
     Ok(i64::try_from(plain.max(priced).max(0)).unwrap_or(i64::MAX))
 }

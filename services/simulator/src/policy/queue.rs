@@ -139,9 +139,8 @@ impl Policy for Queue {
     }
 
     fn act(&mut self, farm: &mut Farm) -> Option<i64> {
-        if farm.idle().next().is_none() {
-            return None;
-        }
+        // Nobody is free: nothing to do.
+        farm.idle().next()?;
         let mut running: BTreeMap<Option<u64>, u64> = BTreeMap::new();
         for job in farm.open() {
             *running.entry(farm.job(job).project).or_default() += farm.jobs[job].running as u64;
