@@ -28,11 +28,11 @@ Examples:
 Nodes, jobs and their true cost are drawn from the seed; node failures and withdrawn jobs, too. Every policy meets the same. \
 In a farm description (see `forelight plan`), a job comes in at its release.
 
-  forelight     plans that are made anew when something happens; a job is promised only if a plan keeps it
-  edf           the earliest deadline first, on whatever is free; no forecasts
-  three-frames  the same, on as many nodes as the first, the middle and the last frame say
-  fair-share    the project with least of its share first
-  fifo          by priority, first come first served
+  --policy forelight     plans that are made anew when something happens; a job is promised only if a plan keeps it
+  --policy edf           the earliest deadline first, on whatever is free; no forecasts
+  --policy three-frames  the same, on as many nodes as the first, the middle and the last frame say
+  --policy fair-share    the project with least of its share first
+  --policy fifo          by priority, first come first served
 
 Policies without plans rent what they are asked for; --pool lets them use the cheapest nodes only.")]
 pub struct Args {
