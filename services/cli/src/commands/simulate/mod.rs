@@ -172,7 +172,7 @@ fn not_negative(text: &str) -> Result<f64, String> {
 }
 
 /// Pools that EDF is tried with in the month: whoever sets it up today finds the best by trial, too.
-const POOLS: [u32; 8] = [100, 60, 50, 40, 30, 25, 20, 15];
+const POOLS: [u32; 9] = [100, 60, 40, 30, 25, 22, 20, 18, 16];
 /// What the month has to save, and by how much promises may be missed.
 const MONTH_SAVES: f64 = 0.15;
 const PROMISES: [(Confidence, f64); 2] = [(Confidence::P80, 0.80 - 0.03), (Confidence::P95, 0.95 - 0.02)];
