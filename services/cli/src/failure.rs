@@ -156,6 +156,7 @@ mod tests {
     #[test]
     fn wrong_input_is_told_from_failure_by_the_exit_code() {
         assert_eq!(exit_code(&BadInput::new("x").into()), 2);
+        assert_eq!(exit_code(&Threatened("x".into()).into()), 3);
         assert_eq!(exit_code(&refused(ProblemKind::Invalid)), 2);
         assert_eq!(exit_code(&refused(ProblemKind::Unauthenticated)), 1);
         assert_eq!(exit_code(&refused(ProblemKind::Busy)), 1);

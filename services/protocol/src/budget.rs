@@ -127,7 +127,7 @@ pub struct BudgetRequest {
     #[schema(default = "UTC")]
     pub zone: String,
     /// What happens when, at most 10; none: nothing.
-    #[serde(default = "thresholds")]
+    #[serde(default = "BudgetRequest::usual_thresholds")]
     #[schema(max_items = 10)]
     pub thresholds: Vec<BudgetThreshold>,
 }
@@ -136,12 +136,14 @@ fn utc() -> String {
     "UTC".to_owned()
 }
 
-/// A warning at 80 %, and nothing new beyond the amount.
-fn thresholds() -> Vec<BudgetThreshold> {
-    vec![
-        BudgetThreshold { percent: 80, action: BudgetAction::Warn },
-        BudgetThreshold { percent: 100, action: BudgetAction::Drain },
-    ]
+impl BudgetRequest {
+    /// What happens unless something else is asked for: a warning at 80 %, and nothing new is started once all is spent or committed.
+    pub fn usual_thresholds() -> Vec<BudgetThreshold> {
+        vec![
+            BudgetThreshold { percent: 80, action: BudgetAction::Warn },
+            BudgetThreshold { percent: 100, action: BudgetAction::Drain },
+        ]
+    }
 }
 
 /// A budget and how it stands.

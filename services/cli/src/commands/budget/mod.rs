@@ -198,10 +198,7 @@ async fn set(args: SetArgs) -> Result<()> {
         .filter_map(|(percent, action)| Some(BudgetThreshold { percent: percent?, action }))
         .collect();
     if thresholds.is_empty() {
-        thresholds = vec![
-            BudgetThreshold { percent: 80, action: BudgetAction::Warn },
-            BudgetThreshold { percent: 100, action: BudgetAction::Drain },
-        ];
+        thresholds = BudgetRequest::usual_thresholds();
     }
     if !(1..=200).contains(&args.project.trim().chars().count()) {
         return Err(BadInput::new("PROJECT: a name has 1 to 200 characters").into());
