@@ -13,6 +13,7 @@ mod config;
 mod error;
 mod extract;
 mod metrics;
+mod night;
 mod openapi;
 mod page;
 mod plot;
@@ -24,5 +25,6 @@ mod state;
 
 pub use clock::{Clock, ManualClock, SystemClock};
 pub use config::{Config, Limits};
+pub use night::{NightError, budget_forecast};
 pub use openapi::openapi_yaml;
 pub use service::{Service, ServiceError};

@@ -16,7 +16,7 @@ use utoipa_axum::routes;
 use crate::error::render_problems;
 use crate::openapi::frame;
 use crate::resources::{
-    artifacts, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes, plans,
+    artifacts, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes, plans,
 };
 use crate::state::App;
 
@@ -54,6 +54,8 @@ pub(crate) fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(forecasts::track_record_svg))
         .routes(routes!(forecasts::calibration))
         .routes(routes!(events::of_farm))
+        .routes(routes!(budgets::list, budgets::set))
+        .routes(routes!(budgets::forecast))
         .routes(routes!(dashboard::get))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))

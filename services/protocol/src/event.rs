@@ -35,6 +35,8 @@ pub enum EventKind {
     NodeRegistered,
     /// A node was drained, undrained or repriced.
     NodeChanged,
+    /// A budget's action came into force, or is over.
+    Budget,
 }
 
 impl EventKind {
@@ -54,6 +56,7 @@ impl EventKind {
             EventKind::LeaseLost => "lease_lost",
             EventKind::NodeRegistered => "node_registered",
             EventKind::NodeChanged => "node_changed",
+            EventKind::Budget => "budget",
         }
     }
 }

@@ -195,7 +195,7 @@ impl Store {
     /// Whether a claim could find something: asked by those who wait, so that they need not take the write lock.
     pub async fn may_have_work(&self, now: Timestamp) -> Result<bool, StoreError> {
         Ok(sqlx::query_scalar(
-            "SELECT EXISTS (SELECT 1 FROM tasks WHERE state = 'ready') \
+            "SELECT EXISTS (SELECT 1 FROM tasks WHERE state = 'ready' AND held = 0) \
              OR EXISTS (SELECT 1 FROM leases WHERE state = 'active' AND expires_at <= ?)",
         )
         .bind(now.micros())
@@ -392,13 +392,13 @@ async fn next_task(connection: &mut SqliteConnection, node: NodeId) -> Result<Op
 }
 
 pub(crate) const NEXT_QUOTE: &str = "SELECT id, job_id, spec FROM tasks INDEXED BY tasks_ready_quotes \
-     WHERE state = 'ready' AND kind <> 'render' ORDER BY priority DESC, due_at, job_id, frame LIMIT 1";
+     WHERE state = 'ready' AND kind <> 'render' AND held = 0 ORDER BY priority DESC, due_at, job_id, frame LIMIT 1";
 
 pub(crate) const NEXT_BOOKED: &str = "SELECT id, job_id, spec FROM tasks INDEXED BY tasks_ready_booked \
-     WHERE state = 'ready' AND kind = 'render' AND booked_node = ? ORDER BY booked_at, job_id, frame LIMIT 1";
+     WHERE state = 'ready' AND kind = 'render' AND booked_node = ? AND held = 0 ORDER BY booked_at, job_id, frame LIMIT 1";
 
 pub(crate) const NEXT_ANY: &str = "SELECT id, job_id, spec FROM tasks INDEXED BY tasks_ready_any \
-     WHERE state = 'ready' AND kind = 'render' ORDER BY due_at, priority DESC, job_id, frame LIMIT 1";
+     WHERE state = 'ready' AND kind = 'render' AND held = 0 ORDER BY due_at, priority DESC, job_id, frame LIMIT 1";
 
 /// Takes back the tasks whose leases have run out.
 pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept, StoreError> {

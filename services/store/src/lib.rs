@@ -16,6 +16,7 @@
 //! Time is never read here: every function that needs it is given `now`.
 
 mod artifacts;
+mod budgets;
 mod bundles;
 mod calibration;
 mod dashboard;
@@ -38,6 +39,7 @@ pub mod tokens;
 mod track_record;
 
 pub use artifacts::{ArtifactReader, Artifacts, Staged};
+pub use budgets::{KeptNight, OpenJob};
 pub use bundles::NewBundle;
 pub use calibration::{QuoteBasis, QuoteKind, Spreads};
 pub use database::Store;

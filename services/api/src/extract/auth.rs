@@ -51,6 +51,11 @@ caller!(
     WorkerToken, Worker | Operator
 );
 
+caller!(
+    /// A token that may run the farm.
+    Operator, Operator
+);
+
 async fn principal(parts: &Parts, app: &App) -> ApiResult<Principal> {
     let refused = |detail: &str, challenge| {
         Err(ApiError::new(ProblemKind::Unauthenticated, detail).authenticate(challenge))
