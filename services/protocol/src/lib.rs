@@ -16,6 +16,7 @@ mod budget;
 mod bundle;
 mod dashboard;
 mod event;
+mod explanation;
 mod forecast;
 mod frames;
 mod hash;
@@ -46,6 +47,7 @@ pub use budget::{
 pub use bundle::{Bundle, BundleRef, BundleSource, SceneSummary};
 pub use dashboard::{Dashboard, DashboardCounts, DashboardJob, DashboardNode, NodeActivity, TaskCounts};
 pub use event::{Event, EventKind};
+pub use explanation::{Explanation, Halving, ObjectShare, PartShare, RayShare};
 pub use forecast::{
     Confidence, ForecastDoc, ForecastTotals, FrameForecast, MoneyQuantiles, Profiled, Quantiles,
     RayQuantiles, SpentOnForecast,

@@ -5,6 +5,7 @@
 //! | `renderer` | the small door behind which the renderer stands |
 //! | `ambient` | our renderer behind it |
 //! | `shot`, `quote` | preview all frames, profile some, estimate all: the way to a quote |
+//! | `explain` | why frames are dear |
 //! | `accuracy` | what accuracy costs in time |
 //! | `allot` | a frame for so many seconds, or of so small an error |
 //! | `noise` | what profiled pixels say of the image's error |
@@ -25,6 +26,7 @@ mod backoff;
 mod calibrate;
 mod client;
 mod execute;
+mod explain;
 mod library;
 mod noise;
 mod pictures;

@@ -1,5 +1,6 @@
 //! `forelight forecast`: the quote of a shot, on this machine.
 
+use super::explain;
 use crate::atomic_file::write_bytes;
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
@@ -13,7 +14,8 @@ use anyhow::{Context, Result};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use forelight_forecast::{Correction, Corrections, LEAST_JOBS, Strategy};
 use forelight_protocol::{
-    CalibratedQuantiles, CalibrationDoc, ForecastDoc, FrameSet, LeftOut, Quantiles, RenderSettings,
+    CalibratedQuantiles, CalibrationDoc, Explanation, ForecastDoc, FrameSet, LeftOut, Quantiles,
+    RenderSettings,
 };
 use forelight_worker::{Observer, Quote, QuoteOptions, Renderer, ShotError, quote};
 use indicatif::ProgressBar;
@@ -27,6 +29,7 @@ Examples:
   forelight forecast kitchen/ --frames 12 --width 1920 --spp 64 --json > quote.json
   forelight forecast kitchen/ --frames 0-47 --save-profile profiles/
   forelight forecast kitchen/ --frames 12 --strategy jittered
+  forelight forecast kitchen/ --frames 0-47 --explain
   forelight forecast kitchen/ --calibration calibration.json
 
 All frames are previewed; of at most --profile-frames of them, --samples pixels each are traced. These are finished pixels: \
@@ -57,6 +60,9 @@ pub struct Args {
     /// Put the quantiles where past jobs teach that they belong: a file with what a farm's /v1/forecasts/calibration answers
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
+    /// Also say why it costs that: which objects, which rays, what would halve it
+    #[arg(long)]
+    explain: bool,
     /// Print the quote as JSON to standard output
     #[arg(long)]
     json: bool,
@@ -96,7 +102,20 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     if let Some(folder) = &args.save_profile {
         save_profiles(&quoted, folder)?;
     }
-    if args.json { output::json(&quoted.document) } else { output::print(&report(&quoted.document)) }
+    let explained = args.explain.then(|| quoted.explained(&local.shot.info().strata, &settings));
+    if args.json {
+        return output::json(&Explained { quote: &quoted.document, explanation: explained.as_ref() });
+    }
+    output::print(&(report(&quoted.document) + &explained.as_ref().map_or_else(String::new, explain::text)))
+}
+
+/// The quote's document, and why it is so if that was asked for.
+#[derive(serde::Serialize)]
+struct Explained<'a> {
+    #[serde(flatten)]
+    quote: &'a ForecastDoc,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    explanation: Option<&'a Explanation>,
 }
 
 /// What a farm's finished jobs teach of a quote like this one.

@@ -5,6 +5,7 @@ mod allot;
 mod bench;
 mod budget;
 mod cache;
+mod explain;
 mod export;
 mod farm;
 mod forecast;
