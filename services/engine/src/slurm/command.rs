@@ -151,6 +151,8 @@ pub fn reserve(
     arguments.push(format!("EndTime={}", time(*end)));
     arguments.push(format!("Users={user}"));
     arguments.push(format!("Nodes={}", nodes.join(",")));
+    // Its jobs may run elsewhere as well: a node never stands idle because a frame is booked on another.
+    arguments.push("Flags=FLEX".to_owned());
     arguments.extend(partition.map(|partition| format!("PartitionName={partition}")));
     arguments
 }
@@ -300,7 +302,7 @@ mod tests {
         let said = reserve(&reservation, "farm", None, at("2026-11-21T19:00:00Z")).join(" ");
         assert_eq!(
             said,
-            "create reservation ReservationName=forelight_1 StartTime=2026-11-21T20:00:00 EndTime=2026-11-21T21:00:00 Users=farm Nodes=a,b"
+            "create reservation ReservationName=forelight_1 StartTime=2026-11-21T20:00:00 EndTime=2026-11-21T21:00:00 Users=farm Nodes=a,b Flags=FLEX"
         );
         let late = reserve(&reservation, "farm", Some("render"), at("2026-11-21T20:30:00Z")).join(" ");
         assert!(late.contains("StartTime=now ") && late.ends_with("PartitionName=render"), "{late}");
