@@ -28,7 +28,7 @@ it was.")]
 pub struct Args {
     #[command(flatten)]
     service: ServiceOptions,
-    /// Workers in this process
+    /// Workers in this process; none with --executor slurm
     #[arg(long, value_name = "COUNT", default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..=256))]
     workers: u16,
     /// Threads of each worker

@@ -63,6 +63,8 @@ pub fn sbatch(
         "--nodes=1".to_owned(),
         "--ntasks=1".to_owned(),
         "--exclusive".to_owned(),
+        // All of its memory too.
+        "--mem=0".to_owned(),
         "--requeue".to_owned(),
         format!("--time={}", new.limit_minutes),
         "--chdir=/".to_owned(),

@@ -1,5 +1,6 @@
 //! The loop: looks at what Slurm has of ours, and hands it what waits.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -30,6 +31,22 @@ const SILENCE: i64 = 300_000_000;
 /// Pending elements leave their reservation when it lasts no longer than their limit and this: a minute, in microseconds. Slurm
 /// kills what still runs in a reservation when that ends.
 const LEAVE_AHEAD: i64 = 60_000_000;
+
+/// How often nodes that are as they were are noted as alive: half a minute, in microseconds.
+const NODES_AGAIN: i64 = 30_000_000;
+
+/// Why elements wait when all is well; any other reason is told.
+const WELL: [&str; 9] = [
+    "",
+    "None",
+    "BeginTime",
+    "Priority",
+    "Reservation",
+    "Resources",
+    "JobArrayTaskLimit",
+    "Licenses",
+    "NodeDown",
+];
 
 /// Elements that are cancelled by one command.
 const CANCELLED_AT_ONCE: usize = 500;
@@ -75,6 +92,10 @@ pub struct Engine<C> {
     refused_until: Option<Timestamp>,
     /// What is wrong, as it was last told.
     trouble: Option<String>,
+    /// Arrays that wait for a reason that was told.
+    stuck: BTreeSet<(Uuid, String)>,
+    /// The nodes as they were last noted, and when.
+    noted: Option<(Timestamp, Vec<SeenNode>)>,
 }
 
 /// Why a round ended early.
@@ -129,6 +150,8 @@ impl<C: Cluster> Engine<C> {
             poll: options.poll,
             refused_until: None,
             trouble: None,
+            stuck: BTreeSet::new(),
+            noted: None,
         }
     }
 
@@ -156,22 +179,33 @@ impl<C: Cluster> Engine<C> {
     /// Looks at everything once.
     async fn round(&mut self, now: Timestamp) -> Result<(), RoundError> {
         let nodes = self.cluster.nodes(self.submitting.partition.as_deref()).await?;
-        let there: Vec<SeenNode> = nodes
-            .iter()
-            .filter(|node| node.up)
-            .map(|node| SeenNode { name: node.name.clone(), cores: node.cpus })
-            .collect();
-        self.store.see_nodes(&there, self.submitting.price_per_hour, now).await?;
+        self.note_nodes(&nodes, now).await?;
         let jobs = self.cluster.jobs().await?;
-        for array in self.store.open_slurm_arrays().await? {
+        let arrays = self.store.open_slurm_arrays().await?;
+        self.stuck.retain(|(array, _)| arrays.iter().any(|open| open.id == *array));
+        for array in arrays {
             self.look_after(&array, &jobs, now).await?;
         }
         self.hand_over(&nodes, now).await
     }
 
+    /// Makes Slurm's nodes that are up the farm's.
+    async fn note_nodes(&mut self, nodes: &[SlurmNode], now: Timestamp) -> Result<(), RoundError> {
+        let up = nodes.iter().filter(|node| node.up);
+        let there: Vec<SeenNode> =
+            up.map(|node| SeenNode { name: node.name.clone(), cores: node.cpus }).collect();
+        let known = self.noted.as_ref();
+        if known.is_some_and(|(at, known)| *known == there && now.micros_since(*at) < NODES_AGAIN) {
+            return Ok(());
+        }
+        self.store.see_nodes(&there, self.submitting.price_per_hour, now).await?;
+        self.noted = Some((now, there));
+        Ok(())
+    }
+
     /// Brings an array up to date with what Slurm says of it.
     async fn look_after(
-        &self,
+        &mut self,
         array: &OpenArray,
         jobs: &[SlurmJob],
         now: Timestamp,
@@ -196,6 +230,15 @@ impl<C: Cluster> Engine<C> {
         // A number alone may be another's: a controller that lost its state counts from one again.
         let own: Vec<&SlurmJob> =
             jobs.iter().filter(|job| job.array == slurm_id && job.comment == mark).collect();
+        for job in
+            own.iter().filter(|job| job.stage() == Stage::Pending && !WELL.contains(&job.reason.as_str()))
+        {
+            if self.stuck.insert((array.id, job.reason.clone())) {
+                let message = format!("Slurm keeps job {slurm_id} waiting: {}", job.reason);
+                tracing::warn!("{message}");
+                self.store.tell_of_engine(&message, now).await?;
+            }
+        }
         let mut unwanted = Vec::new();
         let mut waits = false;
         for element in &array.elements {

@@ -374,3 +374,14 @@ async fn another_jobs_number_is_not_taken_for_ours_after_the_controller_lost_its
     assert_eq!(farm.slurm.said("sbatch").len(), 2);
     assert!(farm.slurm.said("scancel").is_empty());
 }
+
+#[tokio::test]
+async fn what_waits_for_a_reason_that_will_not_pass_by_itself_is_told_once() {
+    let mut farm = Farm::new().await;
+    farm.job().await;
+    farm.round(0).await;
+    farm.slurm.with(|fake| fake.jobs[0].reason = "PartitionTimeLimit".to_owned());
+    farm.round(5).await;
+    farm.round(10).await;
+    assert_eq!(farm.told(EventKind::EngineState).await, ["Slurm keeps job 100 waiting: PartitionTimeLimit"]);
+}
