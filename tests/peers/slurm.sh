@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # A real Slurm (https://slurm.schedmd.com) as the engine: a controller and four nodes on this machine, without root, munge or cgroups.
-# A job runs through it while a node's daemon is killed, a job is requeued, another one cancelled behind our back, the controller
-# restarted and the service killed. In the end every frame is there once, was rendered by one process, and has the bits that
-# `forelight render` gives it; nothing of ours is left in Slurm. A second job is cancelled here, and with it in Slurm.
+# A job runs through it while one of its processes is requeued, another one cancelled behind our back, the controller restarted and the
+# service killed. In the end every frame is there once, was rendered by one process, and has the bits that `forelight render` gives it;
+# nothing of ours is left in Slurm. Then a node's daemon dies, and Slurm runs its frame a second time while the first process goes on; and
+# a job that is cancelled here is cancelled in Slurm.
 #
 #   FORELIGHT_BIN      the program (default: target/debug/forelight, which is built)
 #   FORELIGHT_KEEP     if set, the folder with all logs is kept, and named
@@ -25,16 +26,13 @@ farm=
 controller=
 declare -A daemons=()
 cleanup() {
-  # Slurm's nodes end what they run when they are told to end; whatever is left of ours works for this farm alone.
-  scancel --quiet --user="$(id -un)" 2>/dev/null || true
-  for process in $farm $controller "${daemons[@]}"; do
-    kill -9 "$process" 2>/dev/null || true
-    wait "$process" 2>/dev/null || true
-  done
-  # Processes that Slurm started are no children of this script: they are known by the folder that they were given.
-  for process in $(grep -lsa "$work" /proc/[0-9]*/cmdline 2>/dev/null | cut -d/ -f3); do
+  # What Slurm starts are no children of this script. All of it has the path of our configuration in its environment, as have the
+  # daemons and the farm.
+  local process
+  for process in $(grep -lsza "^SLURM_CONF=$work/slurm.conf$" /proc/[0-9]*/environ | cut -d/ -f3); do
     [ "$process" = $$ ] || kill -9 "$process" 2>/dev/null || true
   done
+  wait 2>/dev/null || true
   if [ -n "${FORELIGHT_KEEP:-}" ]; then echo "kept: $work"; else rm -rf "$work"; fi
 }
 trap cleanup EXIT
@@ -114,21 +112,19 @@ is "SELECT count(*) FROM nodes WHERE name LIKE 'node_'" 4 || fail 'the nodes of 
 at_least "SELECT count(*) FROM slurm_arrays WHERE deadline_at IS NOT NULL" 1 || fail 'Slurm was not told the deadline'
 at_least "SELECT count(*) FROM slurm_arrays WHERE reservation IS NOT NULL" 1 || fail 'nothing was reserved'
 
-echo '  a node: its daemon dies, its process goes on, and Slurm will start another one'
-busy() { [ -n "$(running 4)" ]; }
-wait_for 20 busy
-victim=$(running 4)
-kill -9 "${daemons[4]}"
-wait "${daemons[4]}" 2>/dev/null || true
 echo '  a process: Slurm starts it once more while it works'
 busy() { [ -n "$(running 12)" ]; }
 wait_for 20 busy
 requeued=$(running 12)
 scontrol requeue "$requeued"
+# Slurm lets what it requeues wait for two minutes.
+waits() { squeue --array --noheader --states=PENDING --format='%F_%K %r' | grep -q "^$requeued BeginTime"; }
+wait_for 30 waits
+scontrol update "JobId=$requeued" StartTime=now
 echo '  a process: somebody cancels it'
-busy() { [ -n "$(running 3)" ]; }
+busy() { [ -n "$(running 34)" ]; }
 wait_for 20 busy
-scancel "$(running 3)"
+scancel "$(running 34)"
 echo '  the controller: away for a while'
 kill "$controller"
 wait "$controller" 2>/dev/null || true
@@ -142,9 +138,6 @@ kill -9 "$farm"
 wait "$farm" 2>/dev/null || true
 sleep 2
 start_farm
-down() { sinfo --noheader --Node --format='%N %T' | grep -q '^node4 down'; }
-wait_for 60 down
-start_node 4
 
 wait_for 400 bash -c "! kill -0 $submitted"
 wait "$submitted" || { cat "$work/submit.log"; fail 'the job was not delivered'; }
@@ -178,13 +171,52 @@ wait_for 60 nothing_left
 no_reservation() { ! scontrol --oneliner show reservation | grep -q forelight_; }
 wait_for 30 no_reservation
 
+echo 'a node whose daemon dies: Slurm runs its frame a second time while the first process goes on'
+job=$(submit deploy/scenes/corridor --frames 0-2 --width 640 --spp 256 --samples 16 --profile-frames 1 --name long)
+three() { [ "$(squeue --noheader --states=RUNNING --format=%j | grep -c '^forelight-render-long')" = 3 ]; }
+wait_for 120 three
+read -r element node < <(squeue --noheader --states=RUNNING --name=forelight-render-long --format='%F_%K %N' | head -1)
+task=$(ask "SELECT lower(hex(e.task_id)) FROM slurm_elements e JOIN slurm_arrays a ON a.id = e.array_id WHERE a.slurm_id || '_' || e.position = '$element'")
+dashed=${task:0:8}-${task:8:4}-${task:12:4}-${task:16:4}-${task:20}
+works() { # the numbers of the processes that were started for the task
+  "$environment/bin/python" - "$dashed" <<'PYTHON'
+import pathlib, sys
+
+for path in pathlib.Path("/proc").glob("[0-9]*/cmdline"):
+    try:
+        words = path.read_bytes().decode().split("\0")
+    except OSError:
+        continue
+    if words[1:2] == ["worker"] and sys.argv[1] in words:
+        print(path.parent.name)
+PYTHON
+}
+leases() { is "SELECT count(*) FROM leases WHERE lower(hex(task_id)) = '$task'" "$1"; }
+wait_for 30 leases 1
+first=$(works)
+[ "$(wc -w <<<"$first")" = 1 ] || fail "these processes render the frame: $first"
+kill -9 "${daemons[${node#node}]}"
+wait "${daemons[${node#node}]}" 2>/dev/null || true
+requeued() { squeue --array --noheader --states=PENDING --format='%F_%K' | grep -q "^$element\$"; }
+wait_for 90 requeued
+scontrol update "JobId=$element" StartTime=now
+again() { squeue --noheader --states=RUNNING --format='%F_%K %N' | grep "^$element " | grep -qv " $node\$"; }
+wait_for 60 again
+two() { [ "$(works | wc -w)" = 2 ]; }
+wait_for 30 two
+sleep 6
+two || fail 'one of the two processes has ended'
+leases 1 || fail 'the second process has been given what the first one renders'
+# The first one dies as well. Its lease runs out, and the second takes over.
+kill -9 "$first"
+wait_for 30 leases 2
+is "SELECT count(*) FROM leases WHERE lower(hex(task_id)) = '$task' AND state = 'active'" 1 || fail 'nobody has taken over'
+
 echo 'a job that is cancelled here is cancelled in Slurm'
-job=$(submit deploy/scenes/corridor --frames 0-19 --width 640 --spp 256 --samples 16 --profile-frames 1 --name long)
-rendering() { [ -n "$(running 1234)" ]; }
-wait_for 120 rendering
 curl -sf -X POST -H "Authorization: Bearer $(cat "$work/data/tokens/operator.token")" "http://127.0.0.1:$port/v1/jobs/$job/cancel" >/dev/null
 wait_for 60 nothing_left
 is "SELECT state FROM jobs WHERE name = 'long'" cancelled || fail 'the job is not cancelled'
+start_node "${node#node}"
 
 echo 'a program that is not there is given up on, with the reason'
 kill -INT "$farm"

@@ -104,8 +104,6 @@ pub struct SlurmNode {
     pub cpus: u32,
     /// Whether it takes jobs.
     pub up: bool,
-    /// Whether it has nothing to do.
-    pub idle: bool,
 }
 
 /// Why an answer cannot be used.
@@ -278,27 +276,29 @@ pub fn submitted(output: &[u8]) -> Result<u32, AnswerError> {
     number.parse().map_err(|_| AnswerError::new("sbatch", format!("`{}` is no job's number", text.trim())))
 }
 
-/// The nodes of `sinfo --Node --format='%N|%c|%T'`.
-pub fn nodes(output: &[u8]) -> Result<Vec<SlurmNode>, AnswerError> {
+/// The nodes of a partition, or of the default one, by `sinfo --Node --format='%N|%c|%T|%P'`.
+pub fn nodes(output: &[u8], partition: Option<&str>) -> Result<Vec<SlurmNode>, AnswerError> {
     let text = String::from_utf8_lossy(output);
     let mut nodes = Vec::new();
     for line in text.lines().filter(|line| !line.trim().is_empty()) {
-        let mut fields = line.trim().split('|');
-        let (Some(name), Some(cpus), Some(state), None) =
-            (fields.next(), fields.next(), fields.next(), fields.next())
-        else {
+        let fields: Vec<&str> = line.trim().split('|').collect();
+        let [name, cpus, state, of] = fields[..] else {
             return Err(AnswerError::new("sinfo", format!("`{line}` is no node")));
         };
         let cpus = cpus
             .trim_end_matches('+')
             .parse()
             .map_err(|_| AnswerError::new("sinfo", format!("`{cpus}` processors of {name}")))?;
+        // The default partition has a star.
+        if partition.map_or(!of.ends_with('*'), |partition| of.trim_end_matches('*') != partition) {
+            continue;
+        }
         // A mark behind the state says more: `*` does not answer, `$` and `@` are being maintained or restarted; `~` and `#` sleep or wake up,
         // and will take jobs.
         let marked = state.ends_with(['*', '$', '@', '%', '!']);
         let bare = state.trim_end_matches(|c: char| !c.is_ascii_alphabetic());
-        let up = !marked && matches!(bare, "idle" | "allocated" | "mixed" | "completing");
-        nodes.push(SlurmNode { name: name.to_owned(), cpus, up, idle: up && bare == "idle" });
+        let up = !marked && matches!(bare, "idle" | "allocated" | "mixed" | "completing" | "reserved");
+        nodes.push(SlurmNode { name: name.to_owned(), cpus, up });
     }
     nodes.sort_by(|a, b| a.name.cmp(&b.name));
     nodes.dedup_by(|a, b| a.name == b.name);
@@ -382,13 +382,18 @@ mod tests {
 
     #[test]
     fn nodes_are_up_if_they_take_jobs_now_or_when_they_are_woken() {
-        let listed = b"a|2|idle\nb|16|allocated\nc|4|down*\nd|4|idle*\ne|4|idle~\nf|8|drained\na|2|idle\ng|8|mixed\nh|4|maint\n";
-        let nodes = nodes(listed).unwrap();
-        let up: Vec<&str> = nodes.iter().filter(|node| node.up).map(|node| node.name.as_str()).collect();
-        assert_eq!((up, nodes.len()), (vec!["a", "b", "e", "g"], 8));
-        let idle: Vec<&str> = nodes.iter().filter(|node| node.idle).map(|node| node.name.as_str()).collect();
-        assert_eq!(idle, ["a", "e"]);
-        assert_eq!(nodes[1], SlurmNode { name: "b".to_owned(), cpus: 16, up: true, idle: false });
+        let listed = b"a|2|idle|day*\na|2|idle|night\nb|16|allocated|day*\nc|4|down*|day*\nd|4|idle*|day*\ne|4|idle~|day*\n\
+            f|8|drained|day*\ng|8|mixed|night\nh|4|maint|day*\ni|4|reserved|day*\n";
+        let up = |partition: Option<&str>| {
+            let nodes = nodes(listed, partition).unwrap();
+            nodes.into_iter().filter(|node| node.up).map(|node| node.name).collect::<Vec<_>>().join(" ")
+        };
+        assert_eq!(up(None), "a b e i");
+        assert_eq!(up(Some("day")), "a b e i");
+        assert_eq!(up(Some("night")), "a g");
+        let all = nodes(listed, None).unwrap();
+        assert_eq!(all.len(), 8);
+        assert_eq!(all[1], SlurmNode { name: "b".to_owned(), cpus: 16, up: true });
     }
 
     #[test]
@@ -397,6 +402,6 @@ mod tests {
             let error = jobs(text.as_bytes()).unwrap_err().to_string();
             assert!(error.starts_with("squeue answered") && !error.contains('\n'), "{error}");
         }
-        assert!(nodes(b"a|b").unwrap_err().to_string().contains("`a|b` is no node"));
+        assert!(nodes(b"a|b", None).unwrap_err().to_string().contains("`a|b` is no node"));
     }
 }

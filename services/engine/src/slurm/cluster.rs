@@ -54,7 +54,7 @@ pub enum ClusterError {
 pub trait Cluster {
     /// All jobs that Slurm knows.
     async fn jobs(&self) -> Result<Vec<SlurmJob>, ClusterError>;
-    /// The nodes of a partition.
+    /// The nodes of a partition, or of the default one.
     async fn nodes(&self, partition: Option<&str>) -> Result<Vec<SlurmNode>, ClusterError>;
     /// Submits a script; the number of the job.
     async fn submit(&self, arguments: Vec<String>, script: String) -> Result<u32, ClusterError>;
@@ -84,7 +84,7 @@ impl Cluster for Programs {
     }
 
     async fn nodes(&self, partition: Option<&str>) -> Result<Vec<SlurmNode>, ClusterError> {
-        Ok(answer::nodes(&run("sinfo", command::sinfo(partition), String::new()).await?)?)
+        Ok(answer::nodes(&run("sinfo", command::sinfo(), String::new()).await?, partition)?)
     }
 
     async fn submit(&self, arguments: Vec<String>, script: String) -> Result<u32, ClusterError> {

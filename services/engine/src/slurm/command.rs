@@ -108,21 +108,16 @@ pub fn script(submitting: &Submitting, tasks: &[TaskId]) -> String {
     )
 }
 
-/// The arguments of `scancel` for elements of an array; none: all of it.
+/// The arguments of `scancel` for elements of an array.
 pub fn scancel(array: u32, positions: &[u32]) -> Vec<String> {
     let mut arguments = vec!["--quiet".to_owned()];
-    if positions.is_empty() {
-        arguments.push(array.to_string());
-    }
     arguments.extend(positions.iter().map(|position| format!("{array}_{position}")));
     arguments
 }
 
 /// The arguments of `sinfo`.
-pub fn sinfo(partition: Option<&str>) -> Vec<String> {
-    let mut arguments = vec!["--noheader".to_owned(), "--Node".to_owned(), "--format=%N|%c|%T".to_owned()];
-    arguments.extend(partition.map(|partition| format!("--partition={partition}")));
-    arguments
+pub fn sinfo() -> Vec<String> {
+    ["--noheader", "--Node", "--format=%N|%c|%T|%P"].map(str::to_owned).into()
 }
 
 /// Nodes kept free for an array.
@@ -164,9 +159,10 @@ pub fn give_up(name: &str) -> Vec<String> {
     vec!["delete".to_owned(), format!("ReservationName={name}")]
 }
 
-/// The arguments of `scontrol` that let the rest of an array run outside of its reservation.
-pub fn leave_reservation(array: u32) -> Vec<String> {
-    vec!["update".to_owned(), format!("JobId={array}"), "ReservationName=".to_owned()]
+/// The arguments of `scontrol` that let elements of an array run outside of its reservation.
+pub fn leave_reservation(array: u32, positions: &[u32]) -> Vec<String> {
+    let elements: Vec<String> = positions.iter().map(|position| format!("{array}_{position}")).collect();
+    vec!["update".to_owned(), format!("JobId={}", elements.join(",")), "ReservationName=".to_owned()]
 }
 
 /// A time as Slurm wants it, in UTC and to the second, never later than it is.
@@ -311,8 +307,8 @@ mod tests {
     }
 
     #[test]
-    fn elements_are_cancelled_by_their_number_and_an_array_by_its_own() {
+    fn elements_are_named_one_by_one() {
         assert_eq!(scancel(12, &[0, 3]), ["--quiet", "12_0", "12_3"]);
-        assert_eq!(scancel(12, &[]), ["--quiet", "12"]);
+        assert_eq!(leave_reservation(12, &[0, 3]), ["update", "JobId=12_0,12_3", "ReservationName="]);
     }
 }

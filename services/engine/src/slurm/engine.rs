@@ -28,7 +28,7 @@ const GATHER: Duration = Duration::from_millis(300);
 /// A node that was not seen for this long is not counted on: five minutes, in microseconds. As for bookings.
 const SILENCE: i64 = 300_000_000;
 
-/// Pending elements leave their reservation when it lasts no longer than their limit and this: a minute, in microseconds. Slurm
+/// Elements leave their reservation when it lasts no longer than their limit and this: a minute, in microseconds. Slurm
 /// kills what still runs in a reservation when that ends.
 const LEAVE_AHEAD: i64 = 60_000_000;
 
@@ -240,10 +240,12 @@ impl<C: Cluster> Engine<C> {
             }
         }
         let mut unwanted = Vec::new();
-        let mut waits = false;
+        let mut live = Vec::new();
         for element in &array.elements {
             let seen = own.iter().find(|job| job.is_about(element.position)).copied();
-            waits |= seen.is_some_and(|job| job.stage() == Stage::Pending);
+            if seen.is_some_and(|job| matches!(job.stage(), Stage::Pending | Stage::Running)) {
+                live.push(element.position);
+            }
             match judge(element.state, seen) {
                 Step::Leave => {}
                 Step::Cancel => unwanted.push(element.position),
@@ -257,50 +259,40 @@ impl<C: Cluster> Engine<C> {
             tracing::info!(slurm = slurm_id, elements = ?positions, "cancelled: nobody wants them any more");
             self.cluster.cancel(command::scancel(slurm_id, positions)).await?;
         }
-        self.look_after_reservation(array, slurm_id, waits, now).await
+        self.look_after_reservation(array, slurm_id, &live, now).await
     }
 
-    /// Gives a reservation up when all is done, and has what still waits leave it in time.
+    /// Gives a reservation up when all is done, and has what is left leave it in time.
     async fn look_after_reservation(
         &self,
         array: &OpenArray,
         slurm_id: u32,
-        waits: bool,
+        live: &[u32],
         now: Timestamp,
     ) -> Result<(), RoundError> {
         let Some((_, until)) = &array.array.reservation else { return Ok(()) };
-        if array.elements.is_empty() {
-            self.give_up_reservation(array).await?;
-            return Ok(self.store.slurm_reservation_ended(array.id).await?);
-        }
         let limit = i64::from(array.array.limit_minutes) * 60_000_000;
-        if until.micros_since(now) > limit + LEAVE_AHEAD {
+        if !array.elements.is_empty() && until.micros_since(now) > limit + LEAVE_AHEAD {
             return Ok(());
         }
-        if waits {
-            tracing::info!(slurm = slurm_id, "runs late: its rest leaves the reservation");
-            self.unless_refused(self.cluster.control(command::leave_reservation(slurm_id)).await)?;
-        }
-        // If something else runs in it, it ends by itself.
-        self.give_up_reservation(array).await?;
-        Ok(self.store.slurm_reservation_ended(array.id).await?)
-    }
-
-    async fn give_up_reservation(&self, array: &OpenArray) -> Result<(), RoundError> {
-        match &array.array.reservation {
-            Some((name, _)) => self.unless_refused(self.cluster.control(command::give_up(name)).await),
-            None => Ok(()),
-        }
-    }
-
-    /// A refusal is only worth a line in the log here: the reservation is gone already, or ends by itself.
-    fn unless_refused(&self, outcome: Result<(), ClusterError>) -> Result<(), RoundError> {
-        match outcome {
-            Err(error @ ClusterError::Refused { .. }) => {
-                tracing::info!(%error, "a reservation could not be changed");
-                Ok(())
+        if !live.is_empty() {
+            let leave = command::leave_reservation(slurm_id, live);
+            if taken(self.cluster.control(leave).await)? {
+                tracing::info!(slurm = slurm_id, "runs late: its rest leaves the reservation");
             }
-            other => Ok(other?),
+        }
+        // It is in use for a moment longer than its jobs run. What cannot be given up at all ends by itself.
+        if self.give_up_reservation(array).await? || *until <= now {
+            self.store.slurm_reservation_ended(array.id).await?;
+        }
+        Ok(())
+    }
+
+    /// Whether Slurm let go of the array's reservation.
+    async fn give_up_reservation(&self, array: &OpenArray) -> Result<bool, RoundError> {
+        match &array.array.reservation {
+            Some((name, _)) => taken(self.cluster.control(command::give_up(name)).await),
+            None => Ok(true),
         }
     }
 
@@ -354,7 +346,7 @@ impl<C: Cluster> Engine<C> {
             Err(error @ (ClusterError::Refused { .. } | ClusterError::Missing { .. })) => {
                 self.store.slurm_array_refused(id).await?;
                 if let Some((name, _)) = &array.reservation {
-                    self.unless_refused(self.cluster.control(command::give_up(name)).await)?;
+                    taken(self.cluster.control(command::give_up(name)).await)?;
                 }
                 Err(error.into())
             }
@@ -428,6 +420,18 @@ impl<C: Cluster> Engine<C> {
         if let Err(error) = self.store.tell_of_engine(&message, now).await {
             tracing::warn!(%error, "what became of Slurm could not be written down");
         }
+    }
+}
+
+/// Whether Slurm did what it was told. That it refused is worth no more than a line in the log, where nothing depends on it.
+fn taken(outcome: Result<(), ClusterError>) -> Result<bool, RoundError> {
+    match outcome {
+        Ok(()) => Ok(true),
+        Err(error @ ClusterError::Refused { .. }) => {
+            tracing::debug!(%error, "not changed");
+            Ok(false)
+        }
+        Err(error) => Err(error.into()),
     }
 }
 

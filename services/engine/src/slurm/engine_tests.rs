@@ -63,7 +63,7 @@ impl Cluster for FakeCluster {
     }
 
     async fn nodes(&self, _: Option<&str>) -> Result<Vec<SlurmNode>, ClusterError> {
-        let node = |name: &str, up| SlurmNode { name: name.to_owned(), cpus: 4, up, idle: up };
+        let node = |name: &str, up| SlurmNode { name: name.to_owned(), cpus: 4, up };
         self.answer("sinfo", Vec::new(), |_| vec![node("n1", true), node("n2", true), node("n3", false)])
     }
 
