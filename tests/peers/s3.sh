@@ -11,7 +11,7 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 source tests/peers/support.bash
 
-python_with moto 'moto[server]==5.1.16' 'numpy>=2,<3' 'OpenEXR>=3.3,<4'
+python_with s3 'moto[server]==5.1.16' 'blake3>=1,<2' 'numpy>=2,<3' 'OpenEXR>=3.3,<4'
 need_forelight
 
 work=$(mktemp -d)
@@ -156,6 +156,35 @@ local = [path for path in (data / "artifacts").rglob("*") if path.is_file()]
 assert not local, f"left in the data folder: {local}"
 PYTHON
 grep -q "$AWS_SECRET_ACCESS_KEY" "$work/farm.log" && fail 'the log holds a secret'
+
+echo 'a long artefact goes there in parts and comes back; one that breaks off leaves nothing'
+"$environment/bin/python" - "$work" <<'PYTHON' >"$work/hashes"
+import blake3, pathlib, random, sys
+
+for name, seed in ("long", 1), ("other", 2):
+    content = random.Random(seed).randbytes(20_000_001)
+    (pathlib.Path(sys.argv[1]) / name).write_bytes(content)
+    print(blake3.blake3(content).hexdigest())
+PYTHON
+{ read -r long; read -r other; } <"$work/hashes"
+put() { curl -s -o "$work/answer.json" -w '%{http_code}' -X PUT --data-binary "@$work/$1" -H "Authorization: Bearer $token" "${@:3}" "$url/v1/artifacts/$2" || true; }
+[ "$(put long "$long")" = 201 ] || fail "a long artefact: $(cat "$work/answer.json")"
+[ "$(put long "$long")" = 200 ] || fail "the same again: $(cat "$work/answer.json")"
+curl -sf -H "Authorization: Bearer $token" "$url/v1/artifacts/$long" | cmp - "$work/long" || fail 'it comes back as something else'
+# 100 is "go on".
+[[ "$(put other "$other" --limit-rate 4M --max-time 1)" = [01]00 ]] || fail 'an upload that broke off was answered'
+staged() { [ -n "$(find "$work/data/artifacts" -type f)" ]; }
+wait_for 20 eval '! staged'
+"$environment/bin/python" - "$long" "$other" <<'PYTHON'
+import boto3, sys
+
+client = boto3.client("s3")
+pages = client.get_paginator("list_objects_v2").paginate(Bucket="renders")
+there = {entry["Key"].rsplit("/", 1)[1]: entry for page in pages for entry in page["Contents"]}
+assert there[sys.argv[1]]["Size"] == 20_000_001
+assert there[sys.argv[1]]["ETag"].strip('"').endswith("-3"), "it was not sent in parts of 8 MiB"
+assert sys.argv[2] not in there and not client.list_multipart_uploads(Bucket="renders").get("Uploads")
+PYTHON
 
 echo 'a farm that is started with another place is refused'
 kill -INT "$farm"
