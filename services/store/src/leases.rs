@@ -421,7 +421,7 @@ async fn next_task(connection: &mut SqliteConnection, node: NodeId) -> Result<Op
 
 /// A task by its id, if it is ready; nothing while it is leased.
 async fn this_task(connection: &mut SqliteConnection, task: TaskId) -> Result<Option<SqliteRow>, StoreError> {
-    let row = sqlx::query("SELECT id, job_id, spec, state FROM tasks WHERE id = ?")
+    let row = sqlx::query("SELECT id, job_id, spec, CASE WHEN state = 'ready' AND held THEN 'held back by a budget' ELSE state END AS state FROM tasks WHERE id = ?")
         .bind(task.0)
         .fetch_optional(connection)
         .await?

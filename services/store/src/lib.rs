@@ -39,9 +39,8 @@ mod tasks;
 pub mod tokens;
 mod track_record;
 
-pub use artifacts::{ArtifactReader, Artifacts, Staged};
-pub use budgets::{KeptNight, OpenJob};
 pub use artifacts::{ArtifactPlace, ArtifactReader, Artifacts, BadPlace, Staged};
+pub use budgets::{KeptNight, OpenJob};
 pub use bundles::NewBundle;
 pub use calibration::{QuoteBasis, QuoteKind, Spreads};
 pub use database::Store;

@@ -132,7 +132,7 @@ impl Store {
              LEFT JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame \
              LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id AND t.kind = 'render' AND b.frame = t.frame \
              LEFT JOIN nodes n ON n.id = b.node_id \
-             WHERE t.state = 'ready' AND NOT EXISTS (SELECT 1 FROM slurm_elements e WHERE e.task_id = t.id AND e.outcome IS NULL) \
+             WHERE t.state = 'ready' AND t.held = 0 AND NOT EXISTS (SELECT 1 FROM slurm_elements e WHERE e.task_id = t.id AND e.outcome IS NULL) \
              ORDER BY t.due_at, t.priority DESC, t.job_id, b.start_at, t.kind, t.frame",
         )
         .fetch_all(self.readers())
