@@ -16,21 +16,6 @@ work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 log=$work/log
 quietly() { "$@" >"$log" 2>&1 || { cat "$log"; echo "failed: $*"; exit 1; }; }
-same() {
-  "$environment/bin/python" - "$@" <<'PYTHON'
-import sys
-import OpenEXR
-
-def bits(path):
-    with OpenEXR.File(path, separate_channels=True) as file:
-        return {name: channel.pixels.tobytes() for name, channel in file.channels().items() if name != "cost.cpu_nanos"}
-
-ours, theirs = map(bits, sys.argv[1:])
-wrong = sorted(name for name in ours.keys() | theirs.keys() if ours.get(name) != theirs.get(name))
-if wrong or not {"R", "G", "B", "cost.work"} <= ours.keys():
-    sys.exit(f"{sys.argv[2]} differs from what forelight renders: {wrong or sorted(ours)}")
-PYTHON
-}
 # Each of these means something to a shell, to JSON or to a format string.
 scene="$work/it's {{Param.Frames}} \"shot\" \$(false); *"
 cp -r deploy/scenes/corridor "$scene"
@@ -44,7 +29,7 @@ check "$work/plain.json"
 quietly "$environment/bin/openjd" run "$work/plain.json" -p "Forelight=$FORELIGHT_BIN" -p Preview=cpu -p "Images=$work/plain"
 for frame in 0 2; do
   quietly "$FORELIGHT_BIN" render "$scene" --frame "$frame" "${small[@]}" --preview cpu --out "$work/$frame.exr"
-  same "$work/$frame.exr" "$work/plain/$frame.exr"
+  same_bits "$work/$frame.exr" "$work/plain/$frame.exr"
   [ -s "$work/plain/$frame.json" ]
 done
 [ "$(find "$work/plain" -type f | wc -l)" = 4 ]
@@ -73,5 +58,5 @@ for parts in 1 3; do
   check "$work/cached.json"
   quietly "$environment/bin/openjd" run "$work/cached.json" -p "Forelight=$FORELIGHT_BIN" -p Preview=cpu \
     -p "Images=$work/cached-$parts" -p "CacheFolder=$work/cache-$parts"
-  for frame in 0 1; do same "$work/$frame.exr" "$work/cached-$parts/$frame.exr"; done
+  for frame in 0 1; do same_bits "$work/$frame.exr" "$work/cached-$parts/$frame.exr"; done
 done

@@ -41,3 +41,24 @@ test_scenes() {
     fi
   done
 }
+
+# same_bits OURS THEIRS: fails unless every channel of two EXR files has the same bits, but for measured time. Needs numpy and OpenEXR in
+# the environment.
+same_bits() {
+  "$environment/bin/python" - "$@" <<'PYTHON'
+import sys
+import OpenEXR
+
+def bits(path):
+    with OpenEXR.File(path, separate_channels=True) as file:
+        return {name: channel.pixels.tobytes() for name, channel in file.channels().items() if name != "cost.cpu_nanos"}
+
+ours, theirs = map(bits, sys.argv[1:])
+wrong = sorted(name for name in ours.keys() | theirs.keys() if ours.get(name) != theirs.get(name))
+if wrong or not {"R", "G", "B", "cost.work"} <= ours.keys():
+    sys.exit(f"{sys.argv[2]} differs from what forelight renders: {wrong or sorted(ours)}")
+PYTHON
+}
+
+# free_port: prints a port that nobody listens on.
+free_port() { "$environment/bin/python" -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])'; }

@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use forelight_store::ArtifactPlace;
+
 use crate::clock::{Clock, SystemClock};
 
 /// How the service is to be run.
@@ -12,6 +14,10 @@ use crate::clock::{Clock, SystemClock};
 pub struct Config {
     /// Folder of the database and the artefacts; made if it is not there.
     pub data_dir: PathBuf,
+    /// Where artefacts rest. Default the data folder.
+    pub artifacts: ArtifactPlace,
+    /// Whether the artefacts have been copied there from where they were. Default no.
+    pub artifacts_moved: bool,
     /// Address to listen on. Default 127.0.0.1:7878: nobody from outside; port 0 picks a free one.
     pub listen: SocketAddr,
     /// How long a lease lasts without renewal. Default 30 s.
@@ -29,6 +35,8 @@ impl Config {
     pub fn new(data_dir: impl Into<PathBuf>) -> Self {
         Self {
             data_dir: data_dir.into(),
+            artifacts: ArtifactPlace::DataFolder,
+            artifacts_moved: false,
             listen: SocketAddr::from(([127, 0, 0, 1], 7878)),
             lease_ttl: Duration::from_secs(30),
             bundle_roots: Vec::new(),

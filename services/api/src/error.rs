@@ -18,6 +18,9 @@ use utoipa::openapi::{ContentBuilder, Ref, RefOr, Response as DocumentedResponse
 /// The media type of problem details.
 pub(crate) const PROBLEM_JSON: &str = "application/problem+json";
 
+/// Seconds after which a client may ask again when the artefact store is away. It was tried several times before that was said.
+const ARTIFACTS_AWAY: u32 = 2;
+
 /// An error on its way to the client.
 #[derive(Debug)]
 pub(crate) struct ApiError {
@@ -80,7 +83,7 @@ impl From<StoreError> for ApiError {
             StoreError::HashMismatch { .. } => ProblemKind::HashMismatch,
             StoreError::TooLarge { .. } => ProblemKind::TooLarge,
             StoreError::BrokenOff(_) => ProblemKind::Malformed,
-            StoreError::Busy => ProblemKind::Busy,
+            StoreError::Busy | StoreError::ArtifactsAway(_) => ProblemKind::Busy,
             StoreError::Full => ProblemKind::StorageFull,
             _ => ProblemKind::Internal,
         };
@@ -89,6 +92,11 @@ impl From<StoreError> for ApiError {
                 // What exactly failed is for the operator's log: a client can do nothing with it, and should not see paths.
                 tracing::error!(%error, "the store failed");
                 Self::new(kind, "the service failed; its log says more")
+            }
+            ProblemKind::Busy if matches!(error, StoreError::ArtifactsAway(_)) => {
+                // Whoever runs the farm has to see to it; a client has to know no more than that it may try again.
+                tracing::warn!(%error, "an artefact could not be moved");
+                Self::new(kind, "the artefact store cannot be used just now").retry_after(ARTIFACTS_AWAY)
             }
             ProblemKind::LeaseLost | ProblemKind::NotFound => Self::new(kind, error.to_string()),
             ProblemKind::IdempotencyKeyReused => {

@@ -56,7 +56,8 @@ pub struct Service {
 impl Service {
     /// Opens the data folder, resumes what was under way, and serves. When this returns, the service can be reached.
     pub async fn start(config: Config) -> Result<Self, ServiceError> {
-        let Config { data_dir, listen, lease_ttl, bundle_roots, limits, clock } = config;
+        let Config { data_dir, artifacts, artifacts_moved, listen, lease_ttl, bundle_roots, limits, clock } =
+            config;
         let roots = bundle_roots
             .into_iter()
             .map(|root| {
@@ -64,7 +65,7 @@ impl Service {
                     .map_err(|source| ServiceError::BundleRoot { path: root.display().to_string(), source })
             })
             .collect::<Result<Arc<[_]>, _>>()?;
-        let store = Store::open(&data_dir).await?;
+        let store = Store::open_with(&data_dir, &artifacts, artifacts_moved).await?;
         let extended = store.extend_leases_after_start(lease_ttl, clock.now()).await?;
         if extended > 0 {
             tracing::info!(leases = extended, "leases from before the start have one more term");

@@ -4,7 +4,7 @@ mod support;
 
 use std::time::Duration;
 
-use forelight_protocol::{Job, JobCheck, JobPage, Node, ProblemKind};
+use forelight_protocol::{Job, JobCheck, JobPage, Lease, Node, ProblemKind};
 use reqwest::header::CONTENT_TYPE;
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
@@ -283,6 +283,31 @@ async fn a_request_that_is_being_worked_on_is_not_begun_again() {
     let lease: Value = waiting.unwrap().json_as(StatusCode::OK).await;
     let repeated: Value = claim().await.unwrap().json_as(StatusCode::OK).await;
     assert_eq!(repeated, lease, "the same claim has the same lease");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_process_that_was_started_twice_for_a_task_waits_for_the_first_and_is_told_when_it_is_needless() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    farm.submit("0").await;
+    let first = farm.claim(&node).await.unwrap();
+    let by_id = async |task: &str, wait_ms: u32| {
+        let request = json!({"node_id": node.id, "wait_ms": wait_ms, "task_id": task});
+        farm.worker.post("/v1/leases", &request).await
+    };
+    let task = first.task_id.to_string();
+    assert_eq!(by_id(&task, 0).await.status(), StatusCode::NO_CONTENT);
+    let (second, _) = tokio::join!(by_id(&task, 10_000), async {
+        tokio::time::sleep(Duration::from_millis(200)).await;
+        let release = format!("/v1/leases/{}/release", first.lease_id);
+        farm.worker.post(&release, &json!({"fence": first.fence})).await
+    });
+    let second: Lease = second.json_as(StatusCode::OK).await;
+    assert_eq!((second.task_id, second.fence), (first.task_id, first.fence + 1));
+    let failed = json!({"fence": second.fence, "error": {"message": "no such scene", "permanent": true}});
+    farm.worker.post(&format!("/v1/leases/{}/result", second.lease_id), &failed).await;
+    by_id(&task, 10_000).await.problem(ProblemKind::Conflict).await;
+    by_id("0197a8a5-0000-7000-8000-000000000000", 0).await.problem(ProblemKind::NotFound).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -19,6 +19,10 @@ pub enum EventKind {
     PlanStored,
     /// A task was handed to a worker.
     TaskLeased,
+    /// A task was handed to Slurm, which is to start a process for it.
+    TaskSubmitted,
+    /// Slurm ended what it had for a task, and the task is not done; it is handed to Slurm again unless the job failed.
+    SubmissionLost,
     /// A worker reported progress.
     TaskProgress,
     /// A task's result was committed.
@@ -37,6 +41,8 @@ pub enum EventKind {
     NodeChanged,
     /// A budget's action came into force, or is over.
     Budget,
+    /// What runs the farm's processes, such as Slurm, went away, came back, or refused something.
+    EngineState,
 }
 
 impl EventKind {
@@ -48,6 +54,8 @@ impl EventKind {
             EventKind::ForecastReady => "forecast_ready",
             EventKind::PlanStored => "plan_stored",
             EventKind::TaskLeased => "task_leased",
+            EventKind::TaskSubmitted => "task_submitted",
+            EventKind::SubmissionLost => "submission_lost",
             EventKind::TaskProgress => "task_progress",
             EventKind::TaskDone => "task_done",
             EventKind::TaskFailed => "task_failed",
@@ -57,6 +65,7 @@ impl EventKind {
             EventKind::NodeRegistered => "node_registered",
             EventKind::NodeChanged => "node_changed",
             EventKind::Budget => "budget",
+            EventKind::EngineState => "engine_state",
         }
     }
 }

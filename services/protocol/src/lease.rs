@@ -18,6 +18,10 @@ pub struct ClaimRequest {
     #[serde(default)]
     #[schema(default = 0, maximum = 60000)]
     pub wait_ms: u32,
+    /// The one task that is wanted, by a process that was started for it; whoever placed it there has decided that this node does
+    /// it. Waits while another worker holds the task; a conflict once it is over. Absent: whatever is next.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub task_id: Option<TaskId>,
 }
 
 /// A task in a worker's hands.

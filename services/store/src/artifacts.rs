@@ -1,5 +1,12 @@
 //! Artefacts: files named by the BLAKE3 hash of their content, so that storing the same bytes twice is storing them
 //! once, and so that a name can never come to mean other bytes.
+//!
+//! Whatever comes in is staged in the data folder and hashed on the way: only what came in whole, and is what it was announced as, is
+//! given its name. It rests in the data folder then, where it is renamed into its place, or in a bucket, where it is sent as
+//! one object ([`ArtifactPlace`]). Either way the row is written after the file is durable.
+
+mod place;
+mod remote;
 
 use std::path::{Path, PathBuf};
 
@@ -12,7 +19,10 @@ use object_store::{ObjectStoreExt as _, WriteMultipart};
 use sqlx::SqlitePool;
 use uuid::Uuid;
 
+use self::remote::Remote;
 use crate::StoreError;
+
+pub use self::place::{ArtifactPlace, BadPlace};
 
 /// Bytes per write to disk.
 const CHUNK: usize = 1 << 20;
@@ -20,9 +30,13 @@ const CHUNK: usize = 1 << 20;
 /// Writes under way per upload: bounds what an upload holds in memory.
 const WRITES_UNDER_WAY: usize = 4;
 
-/// The files of one data folder.
+/// The artefacts of one farm.
+#[derive(Clone)]
 pub struct Artifacts {
+    /// Where uploads are staged, and artefacts rest that have no other place.
     files: LocalFileSystem,
+    /// Where artefacts rest, if not in `files`.
+    remote: Option<Remote>,
     rows: SqlitePool,
 }
 
@@ -65,10 +79,31 @@ pub struct ArtifactReader {
 }
 
 impl Artifacts {
-    pub(crate) fn open(folder: &Path, rows: SqlitePool) -> Result<Self, StoreError> {
+    pub(crate) fn open(folder: &Path, at: &ArtifactPlace, rows: SqlitePool) -> Result<Self, StoreError> {
         std::fs::create_dir_all(folder).map_err(|error| StoreError::file(folder, error))?;
         let files = LocalFileSystem::new_with_prefix(folder)?.with_fsync(true);
-        Ok(Self { files, rows })
+        let remote = match at {
+            ArtifactPlace::DataFolder => None,
+            ArtifactPlace::S3 { bucket, prefix } => {
+                Some(Remote::new(place::open_s3(bucket)?, place::folder(prefix), at.to_string()))
+            }
+        };
+        Ok(Self { files, remote, rows })
+    }
+
+    /// The same artefacts in another object store.
+    #[cfg(test)]
+    pub(crate) fn resting_in(&self, objects: std::sync::Arc<dyn object_store::ObjectStore>) -> Self {
+        let remote = Remote::new(objects, "shots/2026".into(), "a test".to_owned());
+        Self { remote: Some(remote), ..self.clone() }
+    }
+
+    /// Whether the place where artefacts rest can be used, as far as it says so.
+    pub(crate) async fn probe(&self) -> Result<(), StoreError> {
+        match &self.remote {
+            None => Ok(()),
+            Some(remote) => remote.probe().await,
+        }
     }
 
     /// Takes in a stream of at most `limit` bytes and hashes it on the way. Nothing is left behind if the stream
@@ -112,13 +147,35 @@ impl Artifacts {
         Ok(Staged { location, path, kept: false, hash: ArtifactHash(*hasher.finalize().as_bytes()), size })
     }
 
-    /// Keeps staged bytes. When this returns the file and its row are on disk.
+    /// Keeps staged bytes. When this returns the file is durable where artefacts rest, and its row is on disk.
     pub async fn keep(&self, mut staged: Staged, now: Timestamp) -> Result<ArtifactStored, StoreError> {
         let (hash, size) = (staged.hash, staged.size);
         // The file first, then the row: a row without a file would promise what is not there, a file without a
         // row is only waste, and is overwritten by the same bytes when they come again.
-        self.files.rename(&staged.location, &place(hash)).await?;
-        staged.kept = true;
+        let Some(remote) = &self.remote else {
+            self.files.rename(&staged.location, &place_of(hash)).await?;
+            staged.kept = true;
+            return self.remember(hash, size, now).await;
+        };
+        let known = matches!(self.size(hash).await, Ok(known) if known == size);
+        if known && remote.holds(&place_of(hash), size).await? {
+            return self.remember(hash, size, now).await;
+        }
+        // On a task of its own: a client that goes away meanwhile would leave the parts of half an upload behind.
+        let (own, remote) = (self.clone(), remote.clone());
+        let kept = tokio::spawn(async move {
+            remote.upload(&staged.path, &place_of(hash)).await?;
+            own.remember(hash, size, now).await
+        });
+        kept.await.unwrap_or_else(|error| Err(StoreError::BrokenOff(error.to_string())))
+    }
+
+    async fn remember(
+        &self,
+        hash: ArtifactHash,
+        size: u64,
+        now: Timestamp,
+    ) -> Result<ArtifactStored, StoreError> {
         let inserted = sqlx::query(
             "INSERT INTO artifacts (hash, size, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING",
         )
@@ -157,19 +214,31 @@ impl Artifacts {
     /// The artefact's content.
     pub async fn get(&self, hash: ArtifactHash) -> Result<ArtifactReader, StoreError> {
         let size = self.size(hash).await?;
-        let object = match self.files.get(&place(hash)).await {
-            Ok(object) if object.meta.size == size => object,
-            Ok(_) => {
-                return Err(StoreError::Corrupt(format!(
-                    "artefact {hash} does not have its length of {size} bytes"
-                )));
-            }
-            Err(object_store::Error::NotFound { .. }) => {
-                return Err(StoreError::Corrupt(format!("artefact {hash} has a row but no file")));
-            }
-            Err(error) => return Err(error.into()),
+        let found = match &self.remote {
+            Some(remote) => remote.get(&place_of(hash)).await?,
+            None => self.get_local(hash).await?,
         };
-        Ok(ArtifactReader { size, stream: object.into_stream().map_err(StoreError::from).boxed() })
+        match found {
+            Some(reader) if reader.size == size => Ok(reader),
+            Some(_) => {
+                Err(StoreError::Corrupt(format!("artefact {hash} does not have its length of {size} bytes")))
+            }
+            None => Err(StoreError::Corrupt(format!("artefact {hash} has a row but no file"))),
+        }
+    }
+
+    async fn get_local(&self, hash: ArtifactHash) -> Result<Option<ArtifactReader>, StoreError> {
+        match self.files.get(&place_of(hash)).await {
+            Ok(object) => {
+                let size = object.meta.size;
+                Ok(Some(ArtifactReader {
+                    size,
+                    stream: object.into_stream().map_err(StoreError::from).boxed(),
+                }))
+            }
+            Err(object_store::Error::NotFound { .. }) => Ok(None),
+            Err(error) => Err(error.into()),
+        }
     }
 
     /// Deletes what uploads left behind that were under way when the last process died.
@@ -184,7 +253,7 @@ impl Artifacts {
 }
 
 /// `blake3/ab/abcd…`: 256 folders keep each of them short.
-fn place(hash: ArtifactHash) -> object_store::path::Path {
+fn place_of(hash: ArtifactHash) -> object_store::path::Path {
     let name = hash.to_string();
     object_store::path::Path::from(format!("blake3/{}/{name}", &name[..2]))
 }

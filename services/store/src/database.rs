@@ -13,7 +13,7 @@ use sqlx::sqlite::{
 use sqlx::{Sqlite, Transaction};
 use tokio::sync::watch;
 
-use crate::{Artifacts, StoreError};
+use crate::{ArtifactPlace, Artifacts, StoreError};
 
 /// How long a writer waits for its turn before the caller is told that the database is busy.
 const WRITE_TURN: Duration = Duration::from_secs(5);
@@ -59,13 +59,21 @@ impl Write {
 
 impl Store {
     /// Opens the store in `data`, for a service: brings the schema up to date, checks the database, clears away
-    /// uploads that were cut off. Only one process at a time can do this.
+    /// uploads that were cut off. Only one process at a time can do this. Artefacts rest in the data folder.
     pub async fn open(data: &Path) -> Result<Self, StoreError> {
+        Self::open_with(data, &ArtifactPlace::DataFolder, false).await
+    }
+
+    /// As [`Store::open`], with artefacts in this place. A farm that has artefacts in another is refused, unless they `moved`: they have
+    /// been copied there by hand.
+    pub async fn open_with(data: &Path, artifacts: &ArtifactPlace, moved: bool) -> Result<Self, StoreError> {
         std::fs::create_dir_all(data).map_err(|error| StoreError::file(data, error))?;
         let lock = lock(data)?;
-        let store = Self::open_shared(data, Some(lock)).await?;
+        let store = Self::open_shared(data, Some(lock), artifacts).await?;
         store.check_integrity().await?;
+        store.settle_artifact_place(artifacts, moved).await?;
         store.artifacts().discard_unfinished().await?;
+        store.artifacts().probe().await?;
         Ok(store)
     }
 
@@ -73,10 +81,10 @@ impl Store {
     /// token. Brings the schema up to date, checks nothing.
     pub async fn open_beside(data: &Path) -> Result<Self, StoreError> {
         std::fs::create_dir_all(data).map_err(|error| StoreError::file(data, error))?;
-        Self::open_shared(data, None).await
+        Self::open_shared(data, None, &ArtifactPlace::DataFolder).await
     }
 
-    async fn open_shared(data: &Path, lock: Option<File>) -> Result<Self, StoreError> {
+    async fn open_shared(data: &Path, lock: Option<File>, at: &ArtifactPlace) -> Result<Self, StoreError> {
         let path = data.join("forelight.sqlite");
         let options = SqliteConnectOptions::from_str("sqlite:")?
             .filename(&path)
@@ -95,7 +103,7 @@ impl Store {
             .acquire_timeout(WRITE_TURN)
             .connect_with(options.read_only(true))
             .await?;
-        let artifacts = Artifacts::open(&data.join("artifacts"), writer.clone())?;
+        let artifacts = Artifacts::open(&data.join("artifacts"), at, writer.clone())?;
         let inner = Inner {
             writer,
             readers,
@@ -161,6 +169,28 @@ impl Store {
             self.inner.work.send_modify(|version| *version = version.wrapping_add(1));
         }
         Ok(())
+    }
+
+    /// Remembers where artefacts rest: a farm that was started with them elsewhere would have rows of files that are not there.
+    async fn settle_artifact_place(&self, place: &ArtifactPlace, moved: bool) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        let known: Option<String> =
+            sqlx::query_scalar("SELECT place FROM artifact_place").fetch_optional(write.connection()).await?;
+        // Before there was a choice they rested in the data folder.
+        let known = known.unwrap_or_else(|| ArtifactPlace::DataFolder.to_string());
+        let any: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM artifacts)")
+            .fetch_one(write.connection())
+            .await?;
+        if any && !moved && known != place.to_string() {
+            return Err(StoreError::ArtifactPlace(format!(
+                "{place}: this farm's are in {known}; start it with --artifacts {known}, or copy the folder `blake3` from there to {place} and add --artifacts-moved once"
+            )));
+        }
+        sqlx::query("INSERT INTO artifact_place (one, place) VALUES (1, ?) ON CONFLICT DO UPDATE SET place = excluded.place")
+            .bind(place.to_string())
+            .execute(write.connection())
+            .await?;
+        self.commit(write).await
     }
 
     async fn check_integrity(&self) -> Result<(), StoreError> {

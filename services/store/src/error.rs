@@ -59,6 +59,12 @@ pub enum StoreError {
     /// The artefact store failed.
     #[error("the artefact store failed: {0}")]
     Artifacts(#[source] object_store::Error),
+    /// The artefact store beyond this machine does not take or give anything just now; try again.
+    #[error("the artefact store cannot be used just now: {0}")]
+    ArtifactsAway(#[source] object_store::Error),
+    /// Artefacts cannot rest where they are told to.
+    #[error("artefacts cannot be kept in {0}")]
+    ArtifactPlace(String),
     /// A file could not be read or written.
     #[error("{path}: {source}")]
     File {

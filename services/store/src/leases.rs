@@ -119,6 +119,30 @@ impl Store {
         key: Option<&IdempotencyKey>,
         now: Timestamp,
     ) -> Result<Option<Answered<Lease>>, StoreError> {
+        self.hand_out(node, None, ttl, key, now).await
+    }
+
+    /// Hands the node exactly this task, whatever was planned for the node: nothing while another holds it, a
+    /// [`StoreError::Conflict`] once it is over.
+    pub async fn claim_task(
+        &self,
+        node: NodeId,
+        task: TaskId,
+        ttl: Duration,
+        key: Option<&IdempotencyKey>,
+        now: Timestamp,
+    ) -> Result<Option<Answered<Lease>>, StoreError> {
+        self.hand_out(node, Some(task), ttl, key, now).await
+    }
+
+    async fn hand_out(
+        &self,
+        node: NodeId,
+        wanted: Option<TaskId>,
+        ttl: Duration,
+        key: Option<&IdempotencyKey>,
+        now: Timestamp,
+    ) -> Result<Option<Answered<Lease>>, StoreError> {
         let mut write = self.write().await?;
         if let Some(answer) = earlier_answer(&mut write, key).await? {
             return Ok(Some(Answered::Repeated(answer)));
@@ -126,7 +150,11 @@ impl Store {
         touch(&mut write, node, now).await?;
         sweep(&mut write, now).await?;
         let node = nodes::read(write.connection(), node).await?;
-        let task = if node.drain { None } else { next_task(write.connection(), node.id).await? };
+        let task = match wanted {
+            Some(task) => this_task(write.connection(), task).await?,
+            None if node.drain => None,
+            None => next_task(write.connection(), node.id).await?,
+        };
         let Some(task) = task else {
             self.commit(write).await?;
             return Ok(None);
@@ -389,6 +417,20 @@ async fn next_task(connection: &mut SqliteConnection, node: NodeId) -> Result<Op
         return Ok(Some(booked));
     }
     Ok(sqlx::query(NEXT_ANY).fetch_optional(connection).await?)
+}
+
+/// A task by its id, if it is ready; nothing while it is leased.
+async fn this_task(connection: &mut SqliteConnection, task: TaskId) -> Result<Option<SqliteRow>, StoreError> {
+    let row = sqlx::query("SELECT id, job_id, spec, CASE WHEN state = 'ready' AND held THEN 'held back by a budget' ELSE state END AS state FROM tasks WHERE id = ?")
+        .bind(task.0)
+        .fetch_optional(connection)
+        .await?
+        .ok_or(StoreError::NotFound("task"))?;
+    match row.try_get("state")? {
+        "ready" => Ok(Some(row)),
+        "leased" => Ok(None),
+        over => Err(StoreError::Conflict(format!("the task is {over}"))),
+    }
 }
 
 pub(crate) const NEXT_QUOTE: &str = "SELECT id, job_id, spec FROM tasks INDEXED BY tasks_ready_quotes \

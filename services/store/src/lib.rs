@@ -34,11 +34,12 @@ mod plans;
 mod progress;
 mod projection;
 mod results;
+mod slurm;
 mod tasks;
 pub mod tokens;
 mod track_record;
 
-pub use artifacts::{ArtifactReader, Artifacts, Staged};
+pub use artifacts::{ArtifactPlace, ArtifactReader, Artifacts, BadPlace, Staged};
 pub use budgets::{KeptNight, OpenJob};
 pub use bundles::NewBundle;
 pub use calibration::{QuoteBasis, QuoteKind, Spreads};
@@ -51,6 +52,7 @@ pub use leases::{LeaseInfo, MAX_EXPIRIES, MAX_FAILURES, Swept};
 pub use plans::{NewBooking, NewPlan};
 pub use projection::{Holder, OpenBooking, Projected, project};
 pub use results::{Committed, MeasuredProfile};
+pub use slurm::{BookedTime, Holding, NewArray, OpenArray, OpenElement, SeenNode, Waiting};
 pub use track_record::FinishedJob;
 
 #[cfg(test)]

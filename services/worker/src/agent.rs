@@ -17,10 +17,12 @@ use crate::client::Client;
 use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 use crate::library::Library;
 use crate::transport::ClientError;
+use bytes::Bytes;
 use forelight_protocol::{
     ClaimRequest, Lease, LeaseOrder, NodeId, NodeRegistration, ProblemKind, RenewRequest, ResultRequest,
-    TaskError, TaskSpec,
+    TaskError, TaskId, TaskSpec,
 };
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
@@ -61,6 +63,17 @@ pub enum AgentError {
     },
 }
 
+/// What became of a process that was started for one task.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Errand {
+    /// It had the task, and the service knows how that ended.
+    Ended,
+    /// The task was over before it had it.
+    Needless,
+    /// It was told to stop; if it had the task, it has given it back.
+    Stopped,
+}
+
 /// How the work on a lease ended.
 enum Ending {
     /// With a result or an error, to be reported.
@@ -94,7 +107,7 @@ impl Agent {
         let Some(mut node) = self.register(&stop).await? else { return Ok(()) };
         let patient = self.client.with_backoff(Backoff::FOREVER);
         while !stop.is_cancelled() {
-            let claim = ClaimRequest { node_id: node, wait_ms: CLAIM_WAIT_MS };
+            let claim = ClaimRequest { node_id: node, wait_ms: CLAIM_WAIT_MS, task_id: None };
             let claimed = tokio::select! {
                 () = stop.cancelled() => break,
                 claimed = patient.claim(&claim, Uuid::now_v7()) => claimed,
@@ -115,6 +128,31 @@ impl Agent {
             }
         }
         Ok(())
+    }
+
+    /// Does one task, which this process was started for, and ends. It waits while another worker holds the task, as long as that one
+    /// renews; so a process that was started twice is harmless, and takes over when the first one dies. What became of it is told to
+    /// the service, and is no error here.
+    pub async fn run_task(&self, task: TaskId, stop: CancellationToken) -> Result<Errand, AgentError> {
+        let Some(node) = self.register(&stop).await? else { return Ok(Errand::Stopped) };
+        let patient = self.client.with_backoff(Backoff::FOREVER);
+        while !stop.is_cancelled() {
+            let claim = ClaimRequest { node_id: node, wait_ms: CLAIM_WAIT_MS, task_id: Some(task) };
+            let claimed = tokio::select! {
+                () = stop.cancelled() => break,
+                claimed = patient.claim(&claim, Uuid::now_v7()) => claimed,
+            };
+            match claimed {
+                Ok(Some(lease)) => {
+                    self.work(lease, &stop).await;
+                    return Ok(if stop.is_cancelled() { Errand::Stopped } else { Errand::Ended });
+                }
+                Ok(None) => tracing::info!(%task, "another worker has it"),
+                Err(error) if error.is(ProblemKind::Conflict) => return Ok(Errand::Needless),
+                Err(error) => return Err(self.refused(error)),
+            }
+        }
+        Ok(Errand::Stopped)
     }
 
     /// Announces the node until the service answers; `None` if `stop` came first.
@@ -179,13 +217,16 @@ impl Agent {
             let missing = error.is(ProblemKind::NotFound);
             if missing { ExecuteError::Permanent(message) } else { ExecuteError::Transient(message) }
         };
-        let bundle = self.library.locate(&self.client, lease.spec.bundle()).await.map_err(fetched)?;
-        let profile = match &lease.spec {
-            TaskSpec::Render(spec) => match spec.profile {
-                Some(hash) => Some(self.client.artifact(hash).await.map_err(fetched)?),
-                None => None,
-            },
-            TaskSpec::Preview(_) | TaskSpec::Profile(_) => None,
+        let (bundle, profile) = loop {
+            match self.fetch(lease).await {
+                Ok(fetched) => break fetched,
+                // That the service or its artefact store is away for a while is not the task's fault.
+                Err(error) if error.is_passing() && !control.is_cancelled() => {
+                    tracing::warn!(task = %lease.task_id, %error, "what the task needs cannot be fetched yet");
+                    tokio::time::sleep(AFTER_REFUSAL).await;
+                }
+                Err(error) => return Err(fetched(error)),
+            }
         };
         let assignment = Assignment { spec: lease.spec.clone(), bundle, profile };
         let (pool, executor) = (self.pool.clone(), self.executor.clone());
@@ -194,6 +235,19 @@ impl Agent {
             Ok(done) => done,
             Err(panic) => Err(ExecuteError::Transient(format!("the renderer failed: {}", panic_text(panic)))),
         }
+    }
+
+    /// The bundle and the profile that a task needs.
+    async fn fetch(&self, lease: &Lease) -> Result<(PathBuf, Option<Bytes>), ClientError> {
+        let bundle = self.library.locate(&self.client, lease.spec.bundle()).await?;
+        let profile = match &lease.spec {
+            TaskSpec::Render(spec) => spec.profile,
+            TaskSpec::Preview(_) | TaskSpec::Profile(_) => None,
+        };
+        Ok(match profile {
+            Some(hash) => (bundle, Some(self.client.artifact(hash).await?)),
+            None => (bundle, None),
+        })
     }
 
     /// Renews the lease three times in its life, and returns when the service says that it is lost or not wanted.

@@ -41,7 +41,7 @@ mod transport;
 mod warm_clock;
 
 pub use accuracy::{AccuracyObserver, AccuracyOptions, MeasureOptions, measure, predict};
-pub use agent::{Agent, AgentError};
+pub use agent::{Agent, AgentError, Errand};
 pub use allot::{Aim, AllotError, AllotOptions, render_allotted};
 pub use ambient::{Ambient, AmbientShot, tracer_settings};
 pub use backoff::Backoff;

@@ -73,6 +73,11 @@ impl ClientError {
         }
     }
 
+    /// Whether the same request may succeed when the service, or what stands behind it, is back.
+    pub fn is_passing(&self) -> bool {
+        matches!(self, Self::Unreachable { .. }) || is_not_now(self)
+    }
+
     /// Whether the service refused for this reason.
     pub fn is(&self, kind: ProblemKind) -> bool {
         self.problem().and_then(Problem::known_kind) == Some(kind)
@@ -171,6 +176,8 @@ impl Transport {
         let mut builder = reqwest::Client::builder()
             .connect_timeout(Duration::from_secs(5))
             .read_timeout(SILENCE)
+            // Only http:// is spoken here, so no certificates are needed, and machines without any will do.
+            .tls_certs_only([])
             // A redirect could carry the token to another host.
             .redirect(reqwest::redirect::Policy::none())
             .user_agent(concat!("forelight/", env!("CARGO_PKG_VERSION")));

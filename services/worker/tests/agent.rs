@@ -7,13 +7,13 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{patch, post, put};
 use axum::{Json, Router};
 use forelight_protocol::{
-    ArtifactHash, BundleSource, JobId, Lease, LeaseId, LeaseOrder, NodeRegistration, PreviewBackend,
-    PreviewResult, PreviewSpec, Problem, ProblemKind, RenderSettingsRequest, RenewRequest, Renewal,
-    ResultRequest, SceneDigest, Spent, TaskId, TaskResult, TaskSpec, Timestamp,
+    ArtifactHash, BundleSource, ClaimRequest, JobId, Lease, LeaseId, LeaseOrder, NodeRegistration,
+    PreviewBackend, PreviewResult, PreviewSpec, Problem, ProblemKind, RenderSettingsRequest, RenewRequest,
+    Renewal, ResultRequest, SceneDigest, Spent, TaskId, TaskResult, TaskSpec, Timestamp,
 };
 use forelight_worker::{
-    Agent, Assignment, Client, Control, Execute, ExecuteError, Library, OpenRenderer, Outcome, RenderError,
-    Renderer,
+    Agent, Assignment, Client, Control, Errand, Execute, ExecuteError, Library, OpenRenderer, Outcome,
+    RenderError, Renderer,
 };
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -28,6 +28,10 @@ const TTL_MS: u64 = 300;
 #[derive(Default)]
 struct Farm {
     ready: Vec<Lease>,
+    /// The tasks that claims asked for.
+    wanted: Vec<Option<TaskId>>,
+    /// Claims find that the task is done.
+    over: bool,
     /// Renewals answer this instead of "continue".
     order: Option<Result<LeaseOrder, ProblemKind>>,
     /// Reports are answered with this problem as often as it stands here.
@@ -48,9 +52,13 @@ fn problem(kind: ProblemKind) -> Response {
     (StatusCode::from_u16(problem.status).unwrap(), Json(problem)).into_response()
 }
 
-async fn claim(State(farm): State<Shared>) -> Response {
+async fn claim(State(farm): State<Shared>, Json(request): Json<ClaimRequest>) -> Response {
     {
         let mut farm = farm.lock().unwrap();
+        farm.wanted.push(request.task_id);
+        if farm.over {
+            return problem(ProblemKind::Conflict);
+        }
         if std::mem::take(&mut farm.forgot_nodes) {
             return problem(ProblemKind::NotFound);
         }
@@ -202,6 +210,16 @@ struct Rig {
     _bundles: tempfile::TempDir,
 }
 
+/// A worker, and the folder of its bundles.
+fn agent(address: &str, executor: Arc<Slow>) -> (Agent, tempfile::TempDir) {
+    let bundles = tempfile::tempdir().unwrap();
+    let library = Arc::new(Library::new(bundles.path(), Box::new(NoRenderer)).unwrap());
+    let registration =
+        NodeRegistration { name: "node-1".into(), speed: 1.0, price_per_hour: Default::default(), cores: 1 };
+    let client = Client::new(address, None).unwrap();
+    (Agent::new(client, library, executor, registration).unwrap(), bundles)
+}
+
 impl Rig {
     async fn new(farm: Farm, executor: Slow) -> Self {
         let farm: Shared = Arc::new(Mutex::new(farm));
@@ -213,17 +231,8 @@ impl Rig {
     }
 
     fn at(address: &str, farm: Shared, executor: Slow) -> Self {
-        let bundles = tempfile::tempdir().unwrap();
-        let library = Arc::new(Library::new(bundles.path(), Box::new(NoRenderer)).unwrap());
         let executor = Arc::new(executor);
-        let registration = NodeRegistration {
-            name: "node-1".into(),
-            speed: 1.0,
-            price_per_hour: Default::default(),
-            cores: 1,
-        };
-        let client = Client::new(address, None).unwrap();
-        let agent = Agent::new(client, library, executor.clone(), registration).unwrap();
+        let (agent, bundles) = agent(address, executor.clone());
         let stop = CancellationToken::new();
         let stopping = stop.clone();
         let agent = tokio::spawn(async move { agent.run(stopping).await });
@@ -382,4 +391,38 @@ async fn a_node_that_the_service_forgot_registers_again() {
     rig.until("the result came", |farm| farm.reports.len() == 1).await;
     assert_eq!(rig.farm.lock().unwrap().registrations, 2);
     rig.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_process_for_one_task_waits_for_it_does_it_and_ends_and_ends_at_once_when_it_is_over() {
+    let farm = Shared::default();
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = format!("http://{}", listener.local_addr().unwrap());
+    let app = app(farm.clone());
+    tokio::spawn(async move { axum::serve(listener, app).await.unwrap() });
+    let (agent, _bundles) = agent(&address, Arc::new(Slow::new(Duration::from_millis(10))));
+    let task = TaskId::new();
+    // Somebody else has it for a while, and loses it.
+    let later = farm.clone();
+    tokio::spawn(async move {
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        later.lock().unwrap().ready.push(Lease { task_id: task, ..lease(2) });
+    });
+    assert_eq!(agent.run_task(task, CancellationToken::new()).await.unwrap(), Errand::Ended);
+    {
+        let mut farm = farm.lock().unwrap();
+        assert_eq!((farm.reports.len(), farm.reports[0].fence), (1, 2));
+        assert!(farm.wanted.len() > 1 && farm.wanted.iter().all(|&wanted| wanted == Some(task)));
+        farm.over = true;
+    }
+    assert_eq!(agent.run_task(task, CancellationToken::new()).await.unwrap(), Errand::Needless);
+    farm.lock().unwrap().over = false;
+    let stop = CancellationToken::new();
+    let stopping = stop.clone();
+    tokio::spawn(async move {
+        tokio::time::sleep(Duration::from_millis(50)).await;
+        stopping.cancel();
+    });
+    assert_eq!(agent.run_task(task, stop).await.unwrap(), Errand::Stopped);
+    assert_eq!(farm.lock().unwrap().reports.len(), 1);
 }

@@ -1,6 +1,6 @@
 //! `forelight farm`: the service and workers on this machine, in one process.
 
-use super::serve::{self, ServiceOptions};
+use super::serve::{self, Executor, ServiceOptions};
 use super::worker::{library, measured_speed};
 use crate::interrupt::Interrupt;
 use crate::options::PreviewBackend;
@@ -19,6 +19,7 @@ use tokio_util::sync::CancellationToken;
 Examples:
   forelight farm --data farm-data --workers 2
   forelight farm --workers 4 --threads 2 --price 0.50 --listen 127.0.0.1:0
+  forelight farm --executor slurm --data /shared/farm-data
   forelight submit kitchen/ --data farm-data --out images/
 
 Each worker is a node of the farm with a name, a measured speed and a price. More workers may join from other machines by \
@@ -27,7 +28,7 @@ it was.")]
 pub struct Args {
     #[command(flatten)]
     service: ServiceOptions,
-    /// Workers in this process
+    /// Workers in this process; none with --executor slurm
     #[arg(long, value_name = "COUNT", default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..=256))]
     workers: u16,
     /// Threads of each worker
@@ -50,7 +51,9 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let client = Client::new(&reachable(&running.address()), Some(running.worker_token.clone()))?;
     let stop = CancellationToken::new();
     let mut agents: JoinSet<Result<(), AgentError>> = JoinSet::new();
-    for number in 1..=args.workers {
+    // Slurm starts processes on its own nodes, of which this machine may be one.
+    let workers = if args.service.executor == Executor::Slurm { 0 } else { args.workers };
+    for number in 1..=workers {
         let registration = NodeRegistration {
             name: format!("node-{number}"),
             speed,
@@ -62,9 +65,14 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
         let stop = stop.clone();
         agents.spawn(async move { agent.run(stop).await });
     }
-    let (workers, threads) = (args.workers, args.threads);
+    let threads = args.threads;
     output::line(running.greeting())?;
-    output::line(format!("{workers} workers of {threads} threads, speed {speed:.2}; Ctrl-C ends the farm"))?;
+    output::line(match workers {
+        0 => {
+            "Slurm starts the processes; Ctrl-C ends the farm, and Slurm goes on with what it has".to_owned()
+        }
+        _ => format!("{workers} workers of {threads} threads, speed {speed:.2}; Ctrl-C ends the farm"),
+    })?;
     let stopped = interrupt.token();
     // A worker ends by itself only if the service does not want it, which here means that something is very wrong.
     let mut outcome = tokio::select! {
@@ -75,7 +83,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     while let Some(ended) = agents.join_next().await {
         outcome = outcome.and(ended.map_err(anyhow::Error::from).and_then(|end| Ok(end?)));
     }
-    running.service.shutdown().await;
+    running.shutdown().await;
     outcome
 }
 

@@ -14,6 +14,7 @@ mod preview;
 mod render;
 mod serve;
 mod simulate;
+mod slurm;
 mod submit;
 mod token;
 mod worker;
@@ -166,6 +167,10 @@ mod tests {
             ("forelight budget --days 0", "--days"),
             ("forelight budget set film 10 --stop 0", "--stop"),
             ("forelight farm --lease-ttl 0s", "--lease-ttl"),
+            ("forelight farm --artifacts s3://UPPER", "--artifacts"),
+            ("forelight farm --executor pbs", "--executor"),
+            ("forelight serve --slurm-poll 0s", "--slurm-poll"),
+            ("forelight worker --task 12", "--task"),
         ] {
             let error = parse(line).expect_err(line);
             assert_eq!(error.exit_code(), 2, "{line}");

@@ -1,24 +1,31 @@
 //! `forelight serve`: the service alone. What it shares with `forelight farm` is here too.
 
 use crate::atomic_file::write_secret;
+use crate::commands::slurm::SlurmOptions;
 use crate::interrupt::Interrupt;
 use crate::options::duration;
 use crate::output;
 use anyhow::{Context, Result};
+use clap::ValueEnum;
 use forelight_api::{Config, Service};
+use forelight_engine::slurm::Engine;
 use forelight_protocol::{Role, Timestamp};
-use forelight_store::{Store, tokens};
+use forelight_store::{ArtifactPlace, Store, tokens};
 use forelight_worker::Token;
 use std::fs;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
 
 /// The service alone; workers connect from elsewhere
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   forelight serve --data farm-data --listen 0.0.0.0:7878 --bundle-root /mnt/shots
+  forelight serve --data farm-data --artifacts s3://renders/farm
+  forelight serve --data /shared/farm --listen 10.0.0.5:7878 --executor slurm --slurm-partition render
   forelight worker --server http://farm:7878 --token-file worker.token
 
 On the first start a token for each role is written into DATA/tokens, readable by you alone; `forelight token` makes others. \
@@ -35,6 +42,13 @@ pub struct ServiceOptions {
     /// Folder of the database, the artefacts and the tokens; made if it is not there
     #[arg(long, value_name = "DIR", default_value = "farm-data")]
     pub data: PathBuf,
+    /// Where images, profiles and bundles are kept: s3://BUCKET/PREFIX for a bucket that speaks S3, with its server and credentials
+    /// from AWS_ENDPOINT_URL, AWS_REGION, AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY (and AWS_ALLOW_HTTP=true if it has no TLS)
+    #[arg(long, value_name = "PLACE", default_value = "data-folder")]
+    pub artifacts: ArtifactPlace,
+    /// The artefacts of this farm have been copied to where --artifacts says
+    #[arg(long)]
+    pub artifacts_moved: bool,
     /// Address to listen on; port 0 picks a free one
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:7878")]
     pub listen: SocketAddr,
@@ -56,11 +70,27 @@ pub struct ServiceOptions {
     /// Most triangles of a scene
     #[arg(long, value_name = "COUNT", default_value_t = 50_000_000, value_parser = clap::value_parser!(u64).range(1..))]
     pub max_triangles: u64,
+    /// Who starts the processes that do the tasks
+    #[arg(long, value_name = "WHO", default_value = "workers")]
+    pub executor: Executor,
+    #[command(flatten)]
+    pub slurm: SlurmOptions,
+}
+
+/// Who starts the processes that do the tasks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Executor {
+    /// People: by `forelight worker`, or `forelight farm` for its own machine.
+    Workers,
+    /// Slurm: tasks become job arrays, bookings their begin and reservations, forecasts their time limits.
+    Slurm,
 }
 
 impl ServiceOptions {
     fn config(&self) -> Config {
         let mut config = Config::new(&self.data);
+        config.artifacts.clone_from(&self.artifacts);
+        config.artifacts_moved = self.artifacts_moved;
         config.listen = self.listen;
         config.lease_ttl = self.lease_ttl;
         config.bundle_roots.clone_from(&self.bundle_root);
@@ -77,7 +107,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let running = start(&args.service).await?;
     output::line(running.greeting())?;
     interrupt.token().cancelled().await;
-    running.service.shutdown().await;
+    running.shutdown().await;
     Ok(())
 }
 
@@ -88,12 +118,24 @@ pub struct Running {
     /// The token that workers of this process use.
     pub worker_token: Token,
     data: PathBuf,
+    engine: Option<(JoinHandle<()>, CancellationToken)>,
 }
 
 impl Running {
     /// Address of the service.
     pub fn address(&self) -> String {
         format!("http://{}", self.service.local_addr())
+    }
+
+    /// Ends the engine and the service in order. What Slurm has goes on, and is found again at the next start.
+    pub async fn shutdown(self) {
+        if let Some((engine, stop)) = self.engine {
+            stop.cancel();
+            if let Err(error) = engine.await {
+                tracing::warn!(%error, "the engine did not end in order");
+            }
+        }
+        self.service.shutdown().await;
     }
 
     /// What the person who started it wants to know.
@@ -112,7 +154,18 @@ pub async fn start(options: &ServiceOptions) -> Result<Running> {
     let worker_token = first_tokens(service.store(), &options.data)
         .await
         .with_context(|| format!("cannot make tokens in {data}"))?;
-    Ok(Running { service, worker_token, data: options.data.clone() })
+    let mut running = Running { service, worker_token, data: options.data.clone(), engine: None };
+    if options.executor == Executor::Slurm {
+        let logs = options.data.join("slurm");
+        fs::create_dir_all(&logs).with_context(|| format!("cannot make {}", logs.display()))?;
+        let token = token_path(&options.data, Role::Worker);
+        let chosen = options.slurm.engine(&running.address(), &logs, &token)?;
+        let engine =
+            Engine::start(running.service.store().clone(), chosen).await.context("cannot use Slurm")?;
+        let stop = CancellationToken::new();
+        running.engine = Some((tokio::spawn(engine.run(stop.clone())), stop));
+    }
+    Ok(running)
 }
 
 fn token_path(data: &Path, role: Role) -> PathBuf {

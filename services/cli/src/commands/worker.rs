@@ -1,15 +1,15 @@
 //! `forelight worker`: a worker process on this machine, for a service anywhere.
 
 use crate::connection::connect;
-use crate::failure::BadInput;
+use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::local::preview_choice;
 use crate::options::{ConnectionOptions, PreviewBackend};
 use crate::output;
 use crate::quantities::parse_money;
 use anyhow::{Context, Result};
-use forelight_protocol::{Money, NodeRegistration};
-use forelight_worker::{Agent, Ambient, Library, TaskRunner, node_speed};
+use forelight_protocol::{Money, NodeRegistration, TaskId};
+use forelight_worker::{Agent, Ambient, Errand, Library, TaskRunner, node_speed};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -38,6 +38,10 @@ pub struct Args {
     /// Who makes ID previews
     #[arg(long, value_name = "WHO", default_value = "auto")]
     preview: PreviewBackend,
+    /// Do this one task and end: for what starts processes for tasks, such as Slurm. Waits while another worker has it; ends at
+    /// once, with exit code 0, if it is over
+    #[arg(long, value_name = "ID")]
+    task: Option<TaskId>,
     #[command(flatten)]
     connection: ConnectionOptions,
 }
@@ -57,9 +61,17 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     };
     let executor = Arc::new(TaskRunner::new(library.clone()));
     let agent = Agent::new(client.clone(), library, executor, registration)?;
-    output::line(format!("worker {name} with {cores} threads for {}", client.address()))?;
-    agent.run(interrupt.token()).await?;
-    Ok(())
+    let address = client.address();
+    let Some(task) = args.task else {
+        output::line(format!("worker {name} with {cores} threads for {address}"))?;
+        return Ok(agent.run(interrupt.token()).await?);
+    };
+    output::line(format!("task {task} on {name} with {cores} threads for {address}"))?;
+    match agent.run_task(task, interrupt.token()).await? {
+        Errand::Ended => output::line("ended; the service knows how"),
+        Errand::Needless => output::line("needless: the task was over already"),
+        Errand::Stopped => Err(Interrupted.into()),
+    }
 }
 
 /// The bundles of a process, and the renderer that opens them.

@@ -1,9 +1,14 @@
 //! Files named by their hash.
 
+use std::sync::Arc;
+
 use futures::TryStreamExt as _;
+use object_store::aws::AmazonS3Builder;
+use object_store::memory::InMemory;
+use object_store::{ObjectStore, ObjectStoreExt as _, RetryConfig};
 
 use super::*;
-use crate::StoreError;
+use crate::{ArtifactPlace, StoreError};
 
 fn hash_of(content: &str) -> ArtifactHash {
     ArtifactHash(*blake3::hash(content.as_bytes()).as_bytes())
@@ -85,4 +90,110 @@ async fn what_was_taken_in_and_is_not_kept_is_deleted() {
     assert!(path.exists());
     drop(staged);
     assert!(!path.exists());
+}
+
+/// The name of an artefact in the bucket of these tests.
+fn object_of(hash: ArtifactHash) -> object_store::path::Path {
+    let name = hash.to_string();
+    format!("shots/2026/blake3/{}/{name}", &name[..2]).into()
+}
+
+#[tokio::test]
+async fn in_a_bucket_what_is_put_rests_below_the_prefix_and_comes_back_and_nothing_stays_in_the_data_folder()
+{
+    let farm = Farm::new().await;
+    let bucket = Arc::new(InMemory::new());
+    let artifacts = farm.store.artifacts().resting_in(bucket.clone());
+    artifacts.probe().await.unwrap();
+    // Two parts and a bit, so that it goes there in parts; and one that goes at once.
+    let long: &'static str = Box::leak("0123456789abcdef".repeat((17 << 20) / 16).into_boxed_str());
+    for content in [long, "short", ""] {
+        let hash = hash_of(content);
+        let stored = artifacts.put(hash, stream(&[content]), 20 << 20, at(0)).await.unwrap();
+        assert_eq!((stored.size, stored.existed), (content.len() as u64, false));
+        let object = bucket.get(&object_of(hash)).await.unwrap().bytes().await.unwrap();
+        assert_eq!(object.len(), content.len());
+        let reader = artifacts.get(hash).await.unwrap();
+        let parts: Vec<bytes::Bytes> = reader.stream.try_collect().await.unwrap();
+        assert!(parts.concat() == content.as_bytes());
+        assert!(artifacts.put(hash, stream(&[content]), 20 << 20, at(0)).await.unwrap().existed);
+    }
+    assert_eq!(files_below(&farm.folder.path().join("artifacts")), 0);
+}
+
+#[tokio::test]
+async fn in_a_bucket_what_does_not_come_in_whole_or_is_not_what_was_announced_never_gets_there() {
+    let farm = Farm::new().await;
+    let bucket = Arc::new(InMemory::new());
+    let artifacts = farm.store.artifacts().resting_in(bucket.clone());
+    assert!(matches!(
+        artifacts.put(hash_of("a"), stream(&["b"]), 100, at(0)).await,
+        Err(StoreError::HashMismatch { .. })
+    ));
+    assert!(matches!(
+        artifacts.put(hash_of("abc"), stream(&["ab", "c"]), 2, at(0)).await,
+        Err(StoreError::TooLarge { limit: 2 })
+    ));
+    let objects: Vec<_> = bucket.list(None).try_collect().await.unwrap();
+    assert!(objects.is_empty(), "{objects:?}");
+    assert_eq!(files_below(&farm.folder.path().join("artifacts")), 0);
+}
+
+#[tokio::test]
+async fn an_object_that_vanished_or_was_cut_short_is_reported_and_mended_by_the_next_upload() {
+    let farm = Farm::new().await;
+    let bucket = Arc::new(InMemory::new());
+    let artifacts = farm.store.artifacts().resting_in(bucket.clone());
+    let hash = hash_of("some content");
+    let put = async || artifacts.put(hash, stream(&["some content"]), 100, at(0)).await.unwrap();
+    put().await;
+    bucket.put(&object_of(hash), "some".into()).await.unwrap();
+    assert!(matches!(artifacts.get(hash).await, Err(StoreError::Corrupt(_))));
+    put().await;
+    assert_eq!(artifacts.get(hash).await.unwrap().size, 12);
+    bucket.delete(&object_of(hash)).await.unwrap();
+    assert!(matches!(artifacts.get(hash).await, Err(StoreError::Corrupt(_))));
+    assert!(put().await.existed);
+    assert_eq!(artifacts.get(hash).await.unwrap().size, 12);
+}
+
+#[tokio::test]
+async fn a_bucket_that_does_not_answer_is_away_not_an_error_of_ours_and_no_row_promises_what_it_did_not_take()
+{
+    let farm = Farm::new().await;
+    // A port that was free a moment ago, and that nobody listens on.
+    let closed = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let nobody = AmazonS3Builder::new()
+        .with_endpoint(format!("http://{closed}"))
+        .with_allow_http(true)
+        .with_bucket_name("farm")
+        .with_access_key_id("key")
+        .with_secret_access_key("secret")
+        .with_retry(RetryConfig { max_retries: 0, ..RetryConfig::default() })
+        .build()
+        .unwrap();
+    let artifacts = farm.store.artifacts().resting_in(Arc::new(nobody));
+    // A service that starts before its bucket does must not stay down.
+    artifacts.probe().await.unwrap();
+    let put = artifacts.put(hash_of("a"), stream(&["a"]), 100, at(0)).await;
+    assert!(matches!(put, Err(StoreError::ArtifactsAway(_))), "{put:?}");
+    assert!(matches!(artifacts.size(hash_of("a")).await, Err(StoreError::NotFound(_))));
+    assert_eq!(files_below(&farm.folder.path().join("artifacts")), 0);
+}
+
+#[tokio::test]
+async fn a_farm_with_artefacts_elsewhere_is_not_started_unless_they_were_moved() {
+    let farm = Farm::new().await;
+    farm.artifact("an image").await;
+    farm.store.close().await;
+    let (folder, store) = (farm.folder, farm.store);
+    drop(store);
+    let data = folder.path();
+    // Nothing is asked of the bucket before this is settled.
+    let bucket: ArtifactPlace = "s3://renders/farm".parse().unwrap();
+    let Err(StoreError::ArtifactPlace(reason)) = Store::open_with(data, &bucket, false).await else {
+        panic!("it was opened")
+    };
+    assert!(reason.contains("data-folder") && reason.contains("--artifacts-moved"), "{reason}");
+    Store::open_with(data, &ArtifactPlace::DataFolder, false).await.unwrap();
 }

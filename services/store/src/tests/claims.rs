@@ -183,3 +183,33 @@ async fn a_claim_finds_its_task_by_index_alone_however_many_there_are() {
         assert!(steps.len() == 1 && steps[0].contains("USING INDEX tasks_ready"), "{query}: {steps:?}");
     }
 }
+
+#[tokio::test]
+async fn a_task_that_is_asked_for_by_its_id_is_handed_to_whoever_asks_one_at_a_time_and_refused_once_it_is_over()
+ {
+    let farm = Farm::new().await;
+    let (first, second) = (farm.node("a").await, farm.node("b").await);
+    farm.job("0-9").await;
+    let wanted = farm.job("0").await;
+    let offered = farm.claim(first.id, at(0)).await.unwrap();
+    let task = farm.claim(first.id, at(0)).await.unwrap();
+    farm.store.release(task.lease_id, task.fence, at(0)).await.unwrap();
+    assert_eq!((offered.job_id == wanted.id, task.job_id), (false, wanted.id));
+    // Whoever starts a process on a node has decided that it works there.
+    let drain = NodeChange { drain: Some(true), ..NodeChange::default() };
+    farm.store.change_node(second.id, &drain, at(0)).await.unwrap();
+    let by_id = async |node, seconds| farm.store.claim_task(node, task.task_id, TTL, None, at(seconds)).await;
+    let lease = fresh(by_id(second.id, 1).await.unwrap().unwrap());
+    assert_eq!((lease.task_id, lease.fence), (task.task_id, task.fence + 1));
+    // Another one waits while that one lives, and takes over when it has died.
+    assert!(by_id(first.id, 2).await.unwrap().is_none());
+    let taken_over = fresh(by_id(first.id, 31).await.unwrap().unwrap());
+    assert_eq!(taken_over.fence, lease.fence + 1);
+    let late = farm.result_for(&lease).await;
+    let late = farm.store.commit_result(lease.lease_id, lease.fence, &late, at(32)).await;
+    assert!(matches!(late, Err(crate::StoreError::LeaseLost)), "{late:?}");
+    farm.commit(&taken_over, at(33)).await;
+    assert!(matches!(by_id(second.id, 34).await, Err(crate::StoreError::Conflict(_))));
+    let unknown = farm.store.claim_task(first.id, forelight_protocol::TaskId::new(), TTL, None, at(0)).await;
+    assert!(matches!(unknown, Err(crate::StoreError::NotFound("task"))));
+}

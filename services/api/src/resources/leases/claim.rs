@@ -26,7 +26,11 @@ pub(super) async fn wait_for_task(
     let mut work = app.store.watch_work();
     loop {
         work.borrow_and_update();
-        if let Some(lease) = app.store.claim(request.node_id, app.lease_ttl, key, app.now()).await? {
+        let claimed = match request.task_id {
+            Some(task) => app.store.claim_task(request.node_id, task, app.lease_ttl, key, app.now()).await?,
+            None => app.store.claim(request.node_id, app.lease_ttl, key, app.now()).await?,
+        };
+        if let Some(lease) = claimed {
             app.metrics.leases_granted.add(u64::from(matches!(lease, Answered::Fresh(_))));
             return Ok(Some(lease));
         }

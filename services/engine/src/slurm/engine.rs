@@ -1,0 +1,440 @@
+//! The loop: looks at what Slurm has of ours, and hands it what waits.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use forelight_protocol::Timestamp;
+use forelight_store::{OpenArray, SeenNode, Store, StoreError};
+use tokio_util::sync::CancellationToken;
+use uuid::Uuid;
+
+use super::answer::{SlurmJob, SlurmNode, Stage};
+use super::arrays::{Batch, Pricing, due};
+use super::cluster::{Cluster, ClusterError, Programs};
+use super::command::{self, Reservation, Submitting};
+use super::judge::{Step, judge};
+
+/// How long an array that was announced may be unknown to Slurm before it counts as never submitted: longer than the controller and
+/// `sbatch` are patient with each other. One minute, in microseconds.
+const UNSURE: i64 = 60_000_000;
+
+/// How long nothing is submitted after Slurm said no: half a minute, in microseconds.
+const AFTER_REFUSAL: i64 = 30_000_000;
+
+/// After a task became ready others often follow at once, and one array is better than two.
+const GATHER: Duration = Duration::from_millis(300);
+
+/// A node that was not seen for this long is not counted on: five minutes, in microseconds. As for bookings.
+const SILENCE: i64 = 300_000_000;
+
+/// Elements leave their reservation when it lasts no longer than their limit and this: a minute, in microseconds. Slurm
+/// kills what still runs in a reservation when that ends.
+const LEAVE_AHEAD: i64 = 60_000_000;
+
+/// How often nodes that are as they were are noted as alive: half a minute, in microseconds.
+const NODES_AGAIN: i64 = 30_000_000;
+
+/// Why elements wait when all is well; any other reason is told.
+const WELL: [&str; 9] = [
+    "",
+    "None",
+    "BeginTime",
+    "Priority",
+    "Reservation",
+    "Resources",
+    "JobArrayTaskLimit",
+    "Licenses",
+    "NodeDown",
+];
+
+/// Elements that are cancelled by one command.
+const CANCELLED_AT_ONCE: usize = 500;
+
+/// How the engine is run.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Partition, if not the default one.
+    pub partition: Option<String>,
+    /// Account, if not the user's default.
+    pub account: Option<String>,
+    /// The `forelight` that nodes run.
+    pub program: PathBuf,
+    /// Where nodes reach the service.
+    pub server: String,
+    /// File on the nodes that holds a worker's token.
+    pub token_file: PathBuf,
+    /// Folder on the nodes for fetched bundles, if not the default one.
+    pub bundles: Option<PathBuf>,
+    /// Who makes previews: `auto`, `gpu` or `cpu`.
+    pub preview: &'static str,
+    /// What an hour of a node costs, micro-units.
+    pub price_per_hour: i64,
+    /// Folder for what processes say, the same on all nodes.
+    pub logs: PathBuf,
+    /// Limit of previews and profiles, in minutes.
+    pub quote_minutes: u32,
+    /// Whose reservations they are; `None`: nothing is reserved.
+    pub reserve_for: Option<String>,
+    /// Pause between two looks at Slurm.
+    pub poll: Duration,
+}
+
+/// The engine.
+pub struct Engine<C> {
+    store: Store,
+    cluster: C,
+    submitting: Submitting,
+    quote_minutes: u32,
+    reserve_for: Option<String>,
+    poll: Duration,
+    /// Nothing is submitted before.
+    refused_until: Option<Timestamp>,
+    /// What is wrong, as it was last told.
+    trouble: Option<String>,
+    /// Arrays that wait for a reason that was told.
+    stuck: BTreeSet<(Uuid, String)>,
+    /// The nodes as they were last noted, and when.
+    noted: Option<(Timestamp, Vec<SeenNode>)>,
+}
+
+/// Why a round ended early.
+#[derive(Debug, thiserror::Error)]
+enum RoundError {
+    #[error(transparent)]
+    Cluster(#[from] ClusterError),
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+impl Engine<Programs> {
+    /// An engine with Slurm's own programs, which have to be there. Whether the controller is does not matter yet.
+    pub async fn start(store: Store, options: Options) -> Result<Self, ClusterError> {
+        Programs::check().await?;
+        Ok(Self::new(store, Programs, options))
+    }
+}
+
+impl<C: Cluster> Engine<C> {
+    /// An engine with this cluster.
+    pub fn new(store: Store, cluster: C, options: Options) -> Self {
+        let Options {
+            partition,
+            account,
+            program,
+            server,
+            token_file,
+            bundles,
+            preview,
+            price_per_hour,
+            logs,
+            ..
+        } = options;
+        let submitting = Submitting {
+            partition,
+            account,
+            program,
+            server,
+            token_file,
+            bundles,
+            preview,
+            price_per_hour,
+            logs,
+        };
+        Self {
+            store,
+            cluster,
+            submitting,
+            quote_minutes: options.quote_minutes.max(1),
+            reserve_for: options.reserve_for,
+            poll: options.poll,
+            refused_until: None,
+            trouble: None,
+            stuck: BTreeSet::new(),
+            noted: None,
+        }
+    }
+
+    /// Goes on until `stop` is cancelled. What Slurm has goes on without us, and is found again at the next start.
+    pub async fn run(mut self, stop: CancellationToken) {
+        let mut work = self.store.watch_work();
+        loop {
+            work.borrow_and_update();
+            let now = Timestamp::now();
+            let outcome = self.round(now).await;
+            self.tell(outcome, now).await;
+            tokio::select! {
+                () = stop.cancelled() => return,
+                () = tokio::time::sleep(self.poll) => {}
+                changed = work.changed() => {
+                    if changed.is_err() {
+                        return;
+                    }
+                    tokio::time::sleep(GATHER.min(self.poll)).await;
+                }
+            }
+        }
+    }
+
+    /// Looks at everything once.
+    async fn round(&mut self, now: Timestamp) -> Result<(), RoundError> {
+        let nodes = self.cluster.nodes(self.submitting.partition.as_deref()).await?;
+        self.note_nodes(&nodes, now).await?;
+        let jobs = self.cluster.jobs().await?;
+        let arrays = self.store.open_slurm_arrays().await?;
+        self.stuck.retain(|(array, _)| arrays.iter().any(|open| open.id == *array));
+        for array in arrays {
+            self.look_after(&array, &jobs, now).await?;
+        }
+        self.hand_over(&nodes, now).await
+    }
+
+    /// Makes Slurm's nodes that are up the farm's.
+    async fn note_nodes(&mut self, nodes: &[SlurmNode], now: Timestamp) -> Result<(), RoundError> {
+        let up = nodes.iter().filter(|node| node.up);
+        let there: Vec<SeenNode> =
+            up.map(|node| SeenNode { name: node.name.clone(), cores: node.cpus }).collect();
+        let known = self.noted.as_ref();
+        if known.is_some_and(|(at, known)| *known == there && now.micros_since(*at) < NODES_AGAIN) {
+            return Ok(());
+        }
+        self.store.see_nodes(&there, self.submitting.price_per_hour, now).await?;
+        self.noted = Some((now, there));
+        Ok(())
+    }
+
+    /// Brings an array up to date with what Slurm says of it.
+    async fn look_after(
+        &mut self,
+        array: &OpenArray,
+        jobs: &[SlurmJob],
+        now: Timestamp,
+    ) -> Result<(), RoundError> {
+        let mark = command::mark(array.id);
+        let slurm_id = match array.slurm_id {
+            Some(number) => number,
+            None => match jobs.iter().find(|job| job.comment == mark) {
+                Some(job) => {
+                    tracing::info!(array = %array.id, slurm = job.array, "an array was submitted before it could be written down");
+                    self.store.slurm_array_submitted(array.id, job.array, now).await?;
+                    job.array
+                }
+                None if now.micros_since(array.announced) < UNSURE => return Ok(()),
+                None => {
+                    tracing::info!(array = %array.id, "an array never reached Slurm; its tasks wait again");
+                    self.give_up_reservation(array).await?;
+                    return Ok(self.store.slurm_array_refused(array.id).await?);
+                }
+            },
+        };
+        // A number alone may be another's: a controller that lost its state counts from one again.
+        let own: Vec<&SlurmJob> =
+            jobs.iter().filter(|job| job.array == slurm_id && job.comment == mark).collect();
+        for job in
+            own.iter().filter(|job| job.stage() == Stage::Pending && !WELL.contains(&job.reason.as_str()))
+        {
+            if self.stuck.insert((array.id, job.reason.clone())) {
+                let message = format!("Slurm keeps job {slurm_id} waiting: {}", job.reason);
+                tracing::warn!("{message}");
+                self.store.tell_of_engine(&message, now).await?;
+            }
+        }
+        let mut unwanted = Vec::new();
+        let mut live = Vec::new();
+        for element in &array.elements {
+            let seen = own.iter().find(|job| job.is_about(element.position)).copied();
+            if seen.is_some_and(|job| matches!(job.stage(), Stage::Pending | Stage::Running)) {
+                live.push(element.position);
+            }
+            match judge(element.state, seen) {
+                Step::Leave => {}
+                Step::Cancel => unwanted.push(element.position),
+                Step::End(outcome) => {
+                    tracing::info!(task = %element.task, slurm = slurm_id, element = element.position, outcome, "ended");
+                    self.store.slurm_element_ended(array.id, element.position, &outcome, now).await?;
+                }
+            }
+        }
+        for positions in unwanted.chunks(CANCELLED_AT_ONCE) {
+            tracing::info!(slurm = slurm_id, elements = ?positions, "cancelled: nobody wants them any more");
+            self.cluster.cancel(command::scancel(slurm_id, positions)).await?;
+        }
+        self.look_after_reservation(array, slurm_id, &live, now).await
+    }
+
+    /// Gives a reservation up when all is done, and has what is left leave it in time.
+    async fn look_after_reservation(
+        &self,
+        array: &OpenArray,
+        slurm_id: u32,
+        live: &[u32],
+        now: Timestamp,
+    ) -> Result<(), RoundError> {
+        let Some((_, until)) = &array.array.reservation else { return Ok(()) };
+        let limit = i64::from(array.array.limit_minutes) * 60_000_000;
+        if !array.elements.is_empty() && until.micros_since(now) > limit + LEAVE_AHEAD {
+            return Ok(());
+        }
+        if !live.is_empty() {
+            let leave = command::leave_reservation(slurm_id, live);
+            if taken(self.cluster.control(leave).await)? {
+                tracing::info!(slurm = slurm_id, "runs late: its rest leaves the reservation");
+            }
+        }
+        // It is in use for a moment longer than its jobs run. What cannot be given up at all ends by itself.
+        if self.give_up_reservation(array).await? || *until <= now {
+            self.store.slurm_reservation_ended(array.id).await?;
+        }
+        Ok(())
+    }
+
+    /// Whether Slurm let go of the array's reservation.
+    async fn give_up_reservation(&self, array: &OpenArray) -> Result<bool, RoundError> {
+        match &array.array.reservation {
+            Some((name, _)) => taken(self.cluster.control(command::give_up(name)).await),
+            None => Ok(true),
+        }
+    }
+
+    /// Submits the tasks that wait.
+    async fn hand_over(&mut self, nodes: &[SlurmNode], now: Timestamp) -> Result<(), RoundError> {
+        let waiting = self.store.waiting_for_slurm().await?;
+        let slowest = self.store.slowest_node(now.plus_micros(-SILENCE)).await?;
+        let pricing = Pricing { slowest: slowest.unwrap_or(1.0), quote_minutes: self.quote_minutes };
+        let due = due(&waiting, pricing, now);
+        for (task, reason) in due.hopeless {
+            let reason =
+                format!("{reason}; what the processes said is in {}", self.submitting.logs.display());
+            tracing::error!(task = %task.task, reason, "given up");
+            self.store.fail_unrunnable(task.task, &reason, now).await?;
+        }
+        if self.refused_until.is_some_and(|until| now < until) {
+            return Ok(());
+        }
+        let mut drained = self.store.drained_nodes().await?;
+        drained.retain(|name| nodes.iter().any(|node| node.name == *name));
+        for batch in due.batches {
+            match self.submit(batch, &drained, now).await {
+                // Somebody took one of its tasks meanwhile; the next round looks again.
+                Err(RoundError::Store(StoreError::Conflict(reason))) => {
+                    tracing::debug!(reason, "not submitted")
+                }
+                Err(error @ RoundError::Cluster(ClusterError::Refused { .. })) => {
+                    self.refused_until = Some(now.plus_micros(AFTER_REFUSAL));
+                    return Err(error);
+                }
+                other => other?,
+            }
+        }
+        Ok(())
+    }
+
+    async fn submit(&mut self, batch: Batch, drained: &[String], now: Timestamp) -> Result<(), RoundError> {
+        let Batch { mut array, kind, job_name, keep_free } = batch;
+        if let Some((nodes, start, end)) = keep_free {
+            let end = end.plus_micros(i64::from(array.limit_minutes) * 60_000_000 + LEAVE_AHEAD);
+            array.reservation = self.reserve(nodes, start, end, now).await?.map(|name| (name, end));
+        }
+        let id = self.store.announce_slurm_array(&array, now).await?;
+        let arguments = command::sbatch(&self.submitting, id, &array, &job_name, kind, drained);
+        let script = command::script(&self.submitting, &array.tasks);
+        match self.cluster.submit(arguments, script).await {
+            Ok(number) => {
+                tracing::info!(slurm = number, tasks = array.tasks.len(), %kind, job = job_name, "submitted");
+                Ok(self.store.slurm_array_submitted(id, number, now).await?)
+            }
+            Err(error @ (ClusterError::Refused { .. } | ClusterError::Missing { .. })) => {
+                self.store.slurm_array_refused(id).await?;
+                if let Some((name, _)) = &array.reservation {
+                    taken(self.cluster.control(command::give_up(name)).await)?;
+                }
+                Err(error.into())
+            }
+            // It may have been taken: what is written down is looked up by its comment.
+            Err(error @ (ClusterError::Away(_) | ClusterError::Answer(_))) => Err(error.into()),
+        }
+    }
+
+    /// Has nodes kept free, if that is wanted and allowed; the reservation's name.
+    async fn reserve(
+        &mut self,
+        nodes: Vec<String>,
+        start: Timestamp,
+        end: Timestamp,
+        now: Timestamp,
+    ) -> Result<Option<String>, RoundError> {
+        let Some(user) = self.reserve_for.clone() else { return Ok(None) };
+        let name = format!("forelight_{}", &Uuid::new_v4().simple().to_string()[..12]);
+        let reservation = Reservation { name, nodes, start, end };
+        let partition = self.submitting.partition.as_deref();
+        match self.cluster.control(command::reserve(&reservation, &user, partition, now)).await {
+            Ok(()) => {
+                tracing::info!(name = reservation.name, nodes = ?reservation.nodes, "reserved");
+                Ok(Some(reservation.name))
+            }
+            Err(ClusterError::Refused { reason, .. }) => {
+                let lower = reason.to_ascii_lowercase();
+                if lower.contains("permission") || lower.contains("privilege") || lower.contains("access") {
+                    self.reserve_for = None;
+                    let message = format!(
+                        "Slurm does not let this user reserve nodes; jobs run without reservations ({reason})"
+                    );
+                    self.store.tell_of_engine(&message, now).await?;
+                } else {
+                    tracing::info!(reason, "not reserved; the array waits its turn like any other");
+                }
+                Ok(None)
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Tells of trouble once, and once of its end.
+    async fn tell(&mut self, outcome: Result<(), RoundError>, now: Timestamp) {
+        let (trouble, message) = match outcome {
+            Ok(()) if self.trouble.is_none() => return,
+            // What was refused is not tried again at once: that is no sign of its end.
+            Ok(()) if self.refused_until.is_some_and(|until| now < until) => return,
+            Ok(()) => (None, "Slurm answers again; tasks are handed to it".to_owned()),
+            Err(RoundError::Store(error)) => {
+                tracing::warn!(%error, "the store cannot just now; the next round tries again");
+                return;
+            }
+            Err(RoundError::Cluster(error)) => {
+                // Silence has many words, and is one thing.
+                let kind = match &error {
+                    ClusterError::Away(_) => "away".to_owned(),
+                    other => other.to_string(),
+                };
+                (Some(kind), format!("{error}; tasks wait"))
+            }
+        };
+        if self.trouble == trouble {
+            return;
+        }
+        match trouble {
+            Some(_) => tracing::warn!("{message}"),
+            None => tracing::info!("{message}"),
+        }
+        self.trouble = trouble;
+        if let Err(error) = self.store.tell_of_engine(&message, now).await {
+            tracing::warn!(%error, "what became of Slurm could not be written down");
+        }
+    }
+}
+
+/// Whether Slurm did what it was told. That it refused is worth no more than a line in the log, where nothing depends on it.
+fn taken(outcome: Result<(), ClusterError>) -> Result<bool, RoundError> {
+    match outcome {
+        Ok(()) => Ok(true),
+        Err(error @ ClusterError::Refused { .. }) => {
+            tracing::debug!(%error, "not changed");
+            Ok(false)
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
+#[cfg(test)]
+#[path = "engine_tests.rs"]
+mod tests;

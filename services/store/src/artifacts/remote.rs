@@ -1,0 +1,133 @@
+//! Artefacts in an object store beyond this machine.
+
+use std::sync::Arc;
+
+use bytes::{Bytes, BytesMut};
+use futures::{StreamExt as _, TryStreamExt as _};
+use object_store::path::Path;
+use object_store::{MultipartUpload, ObjectStore, ObjectStoreExt as _, PutPayload};
+use tokio::io::AsyncReadExt as _;
+
+use super::ArtifactReader;
+use crate::StoreError;
+
+/// Bytes of a part. S3 takes at most 10,000 parts of at least 5 MiB (the last may be shorter): 80 GB with this.
+const PART: usize = 8 << 20;
+
+/// A bucket, or what stands for one in tests.
+#[derive(Clone)]
+pub(super) struct Remote {
+    objects: Arc<dyn ObjectStore>,
+    /// All names begin with this.
+    folder: Path,
+    /// What people call it.
+    name: String,
+}
+
+impl Remote {
+    pub fn new(objects: Arc<dyn ObjectStore>, folder: Path, name: String) -> Self {
+        Self { objects, folder, name }
+    }
+
+    /// Whether the bucket takes and gives objects, asked with the same two requests that all the work needs. An answer that says "never"
+    /// is an error; silence is a warning, for a service that starts before its bucket does must not stay down.
+    pub async fn probe(&self) -> Result<(), StoreError> {
+        const CONTENT: &[u8] = b"artefacts of a forelight farm, named by their BLAKE3 hash\n";
+        let place = self.within("farm");
+        let written = self.objects.put(&place, PutPayload::from_static(CONTENT)).await.map(drop);
+        let read = match written {
+            Ok(()) => self.objects.get(&place).await.map(drop),
+            Err(error) => Err(error),
+        };
+        let refused = |reason: &str| Err(StoreError::ArtifactPlace(format!("{}: {reason}", self.name)));
+        match read {
+            Ok(()) => Ok(()),
+            Err(object_store::Error::NotFound { .. }) => refused("there is no such bucket; make it first"),
+            Err(object_store::Error::PermissionDenied { .. }) => {
+                refused("the credentials may not read and write there (s3:GetObject, s3:PutObject)")
+            }
+            Err(object_store::Error::Unauthenticated { .. }) => {
+                refused("the server does not know the credentials (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY)")
+            }
+            Err(error) => {
+                tracing::warn!(place = self.name, %error, "the artefact store does not answer; requests wait for it");
+                Ok(())
+            }
+        }
+    }
+
+    /// Whether an object of this length is there under this name.
+    pub async fn holds(&self, name: &Path, size: u64) -> Result<bool, StoreError> {
+        match self.objects.head(&self.below(name)).await {
+            Ok(meta) => Ok(meta.size == size),
+            Err(object_store::Error::NotFound { .. }) => Ok(false),
+            Err(error) => Err(away(error)),
+        }
+    }
+
+    /// Copies a local file there. The object appears whole or not at all, and is durable when this returns: that is what S3 promises
+    /// of an answered PUT and of a completed upload in parts.
+    pub async fn upload(&self, file: &std::path::Path, name: &Path) -> Result<(), StoreError> {
+        let place = self.below(name);
+        let failed = |error| StoreError::file(file, error);
+        let mut source = tokio::fs::File::open(file).await.map_err(failed)?;
+        let first = read_part(&mut source).await.map_err(failed)?;
+        if first.len() < PART {
+            self.objects.put(&place, first.into()).await.map_err(away)?;
+            return Ok(());
+        }
+        let mut upload = self.objects.put_multipart(&place).await.map_err(away)?;
+        let sent = async {
+            let mut part = first;
+            while !part.is_empty() {
+                upload.put_part(part.into()).await.map_err(away)?;
+                part = read_part(&mut source).await.map_err(failed)?;
+            }
+            upload.complete().await.map_err(away)
+        }
+        .await;
+        match sent {
+            Ok(_) => Ok(()),
+            Err(error) => {
+                if let Err(leftover) = upload.abort().await {
+                    tracing::warn!(place = self.name, error = %leftover, "the parts of an upload that failed are left to the bucket's clean-up rule");
+                }
+                Err(error)
+            }
+        }
+    }
+
+    /// The object's content; `None` if it is not there.
+    pub async fn get(&self, name: &Path) -> Result<Option<ArtifactReader>, StoreError> {
+        match self.objects.get(&self.below(name)).await {
+            Ok(object) => {
+                let size = object.meta.size;
+                let stream = object.into_stream().map_err(away).boxed();
+                Ok(Some(ArtifactReader { size, stream }))
+            }
+            Err(object_store::Error::NotFound { .. }) => Ok(None),
+            Err(error) => Err(away(error)),
+        }
+    }
+
+    fn within(&self, name: &str) -> Path {
+        self.below(&Path::from(name))
+    }
+
+    fn below(&self, name: &Path) -> Path {
+        self.folder.parts().chain(name.parts()).collect()
+    }
+}
+
+/// Whatever went wrong out there, the bytes are still in somebody's hands: they can be sent again.
+fn away(error: object_store::Error) -> StoreError {
+    StoreError::ArtifactsAway(error)
+}
+
+/// The next part of a file: shorter than [`PART`] only at its end.
+async fn read_part(file: &mut tokio::fs::File) -> Result<Bytes, std::io::Error> {
+    let mut part = BytesMut::with_capacity(PART);
+    let mut rest = file.take(PART as u64);
+    while rest.read_buf(&mut part).await? > 0 {}
+    Ok(part.freeze())
+}

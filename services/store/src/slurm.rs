@@ -1,0 +1,443 @@
+//! What was handed to Slurm: arrays, and the task of each of their elements.
+//!
+//! The life of a task here, beside its life in [`crate::leases`]:
+//!
+//! ```text
+//! ready, no open element ──announce──► array without Slurm's id ──sbatch──► array with it ──Slurm ends it──► element ended
+//!        ▲                                      │ sbatch says no                                              │ task not over
+//!        └──────────────────────────────────────┴─────────────────────────────────────────────────────────────┘
+//! ```
+//!
+//! An element says only that a process was asked for; who works on a task is the lease's business alone. So an element that ran twice, or
+//! was lost, or came late is harmless: its process asks for the lease of exactly its task, and gets it or not.
+
+use forelight_protocol::{Event, EventKind, JobId, NodeId, TaskId, TaskKind, Timestamp, Verdict};
+use sqlx::Row as _;
+use sqlx::sqlite::SqliteRow;
+use uuid::Uuid;
+
+use crate::decode::{id, json_opt, time, time_opt, whole, whole_opt, word};
+use crate::events::{append, event};
+use crate::{Store, StoreError, jobs};
+
+/// A task that waits to be handed to Slurm.
+#[derive(Clone, PartialEq, Debug)]
+pub struct Waiting {
+    /// The task.
+    pub task: TaskId,
+    /// Its job.
+    pub job: JobId,
+    /// What people call the job.
+    pub job_name: String,
+    /// What it does.
+    pub kind: TaskKind,
+    /// Its frame, of all but previews.
+    pub frame: Option<u32>,
+    /// Where and when the plan has booked it.
+    pub booked: Option<BookedTime>,
+    /// CPU seconds that the frame takes on a node of speed 1, at the 95 % quantile; absent before the forecast.
+    pub cpu_p95: Option<f64>,
+    /// The job's deadline, if the plan holds it.
+    pub deadline: Option<Timestamp>,
+    /// Elements of this task that ended without its being done, by what Slurm said of them, oldest first.
+    pub lost: Vec<String>,
+    /// When the last of them ended.
+    pub lost_at: Option<Timestamp>,
+}
+
+/// Where and when a plan has booked a frame.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct BookedTime {
+    /// The node's name.
+    pub node: String,
+    /// From when.
+    pub start: Timestamp,
+    /// Until when.
+    pub end: Timestamp,
+}
+
+/// An array to be submitted.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct NewArray {
+    /// The job of all its tasks.
+    pub job: JobId,
+    /// The tasks, by position.
+    pub tasks: Vec<TaskId>,
+    /// Minutes after which Slurm ends an element.
+    pub limit_minutes: u32,
+    /// Not to be started before.
+    pub begin: Option<Timestamp>,
+    /// To be given up if it cannot end by then.
+    pub deadline: Option<Timestamp>,
+    /// Reservation that it runs in, and until when that lasts.
+    pub reservation: Option<(String, Timestamp)>,
+}
+
+/// An array with elements that have not ended.
+#[derive(Clone, PartialEq, Debug)]
+pub struct OpenArray {
+    /// Its id, which the Slurm job's comment holds.
+    pub id: Uuid,
+    /// What it was to be.
+    pub array: NewArray,
+    /// Slurm's number of it; absent until that is known.
+    pub slurm_id: Option<u32>,
+    /// When it was written down.
+    pub announced: Timestamp,
+    /// Its open elements.
+    pub elements: Vec<OpenElement>,
+}
+
+/// An element that has not ended.
+#[derive(Clone, PartialEq, Debug)]
+pub struct OpenElement {
+    /// Its place in the array.
+    pub position: u32,
+    /// Its task.
+    pub task: TaskId,
+    /// Where its task stands.
+    pub state: Holding,
+}
+
+/// Where a task stands, as far as Slurm has to do with it.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Holding {
+    /// It waits for a process.
+    Ready,
+    /// A process holds it.
+    Leased,
+    /// Its result is there.
+    Done,
+    /// Nobody wants it any more: it failed, or its job was cancelled.
+    Withdrawn,
+}
+
+/// A machine as Slurm knows it.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct SeenNode {
+    /// Its name.
+    pub name: String,
+    /// Its cores.
+    pub cores: u32,
+}
+
+impl Store {
+    /// The tasks that are ready and in nobody's hands, by deadline, priority, age of the job, and booked time.
+    pub async fn waiting_for_slurm(&self) -> Result<Vec<Waiting>, StoreError> {
+        let rows = sqlx::query(
+            "SELECT t.id, t.job_id, t.kind, t.frame, j.name AS job, j.deadline_at, j.verdict, f.cpu_p95, n.name AS node, b.start_at, b.end_at, \
+             (SELECT group_concat(outcome, char(10) ORDER BY ended_at, array_id) FROM slurm_elements WHERE task_id = t.id) AS lost, \
+             (SELECT max(ended_at) FROM slurm_elements WHERE task_id = t.id) AS lost_at \
+             FROM tasks t JOIN jobs j ON j.id = t.job_id \
+             LEFT JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame \
+             LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id AND t.kind = 'render' AND b.frame = t.frame \
+             LEFT JOIN nodes n ON n.id = b.node_id \
+             WHERE t.state = 'ready' AND t.held = 0 AND NOT EXISTS (SELECT 1 FROM slurm_elements e WHERE e.task_id = t.id AND e.outcome IS NULL) \
+             ORDER BY t.due_at, t.priority DESC, t.job_id, b.start_at, t.kind, t.frame",
+        )
+        .fetch_all(self.readers())
+        .await?;
+        rows.iter().map(decode_waiting).collect()
+    }
+
+    /// Writes down that an array is about to be submitted, under an id of its own. A [`StoreError::Conflict`] if one of its tasks is in
+    /// somebody's hands already.
+    pub async fn announce_slurm_array(&self, new: &NewArray, now: Timestamp) -> Result<Uuid, StoreError> {
+        let mut write = self.write().await?;
+        let array = Uuid::now_v7();
+        sqlx::query(
+            "INSERT INTO slurm_arrays (id, job_id, limit_minutes, begin_at, deadline_at, reservation, reserved_to, created_at) \
+             VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+        )
+        .bind(array)
+        .bind(new.job.0)
+        .bind(i64::from(new.limit_minutes))
+        .bind(new.begin.map(Timestamp::micros))
+        .bind(new.deadline.map(Timestamp::micros))
+        .bind(new.reservation.as_ref().map(|(name, _)| name))
+        .bind(new.reservation.as_ref().map(|(_, until)| until.micros()))
+        .bind(now.micros())
+        .execute(write.connection())
+        .await?;
+        for (task, position) in new.tasks.iter().zip(0_i64..) {
+            let written = sqlx::query(
+                "INSERT INTO slurm_elements (array_id, position, task_id) SELECT ?1, ?2, id FROM tasks WHERE id = ?3 AND state = 'ready' \
+                 AND NOT EXISTS (SELECT 1 FROM slurm_elements WHERE task_id = ?3 AND outcome IS NULL)",
+            )
+            .bind(array)
+            .bind(position)
+            .bind(task.0)
+            .execute(write.connection())
+            .await?;
+            if written.rows_affected() != 1 {
+                return Err(StoreError::Conflict(format!("task {task} is in somebody's hands already")));
+            }
+        }
+        self.commit(write).await?;
+        Ok(array)
+    }
+
+    /// Writes down the number that Slurm gave to an array.
+    pub async fn slurm_array_submitted(
+        &self,
+        array: Uuid,
+        slurm_id: u32,
+        now: Timestamp,
+    ) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        sqlx::query("UPDATE slurm_arrays SET slurm_id = ? WHERE id = ?")
+            .bind(i64::from(slurm_id))
+            .bind(array)
+            .execute(write.connection())
+            .await?;
+        let elements = sqlx::query(
+            "SELECT e.position, t.id, t.job_id, t.kind, t.frame FROM slurm_elements e JOIN tasks t ON t.id = e.task_id \
+             WHERE e.array_id = ? ORDER BY e.position",
+        )
+        .bind(array)
+        .fetch_all(write.connection())
+        .await?;
+        for row in &elements {
+            let position: u32 = whole(row, "position")?;
+            let message = Some(format!("Slurm job {slurm_id}_{position}"));
+            append(&mut write, Event { message, ..of_task(row, EventKind::TaskSubmitted, now)? }).await?;
+        }
+        self.commit(write).await
+    }
+
+    /// Forgets an array that Slurm did not take: its tasks wait again.
+    pub async fn slurm_array_refused(&self, array: Uuid) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        sqlx::query("DELETE FROM slurm_elements WHERE array_id = ?")
+            .bind(array)
+            .execute(write.connection())
+            .await?;
+        sqlx::query("DELETE FROM slurm_arrays WHERE id = ?").bind(array).execute(write.connection()).await?;
+        self.commit(write).await
+    }
+
+    /// Takes note that an array runs in no reservation any more.
+    pub async fn slurm_reservation_ended(&self, array: Uuid) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        sqlx::query("UPDATE slurm_arrays SET reservation = NULL, reserved_to = NULL WHERE id = ?")
+            .bind(array)
+            .execute(write.connection())
+            .await?;
+        self.commit(write).await
+    }
+
+    /// The arrays that need looking after: those with elements that have not ended, and those whose reservation is still there.
+    pub async fn open_slurm_arrays(&self) -> Result<Vec<OpenArray>, StoreError> {
+        let mut transaction = self.read().await?;
+        let rows = sqlx::query(
+            "SELECT * FROM slurm_arrays a WHERE a.reservation IS NOT NULL \
+             OR EXISTS (SELECT 1 FROM slurm_elements e WHERE e.array_id = a.id AND e.outcome IS NULL) ORDER BY a.id",
+        )
+        .fetch_all(&mut *transaction)
+        .await?;
+        let mut arrays = Vec::with_capacity(rows.len());
+        for row in &rows {
+            let array: Uuid = id(row, "id")?;
+            let elements = sqlx::query(
+                "SELECT e.position, e.task_id, e.outcome, t.state FROM slurm_elements e JOIN tasks t ON t.id = e.task_id \
+                 WHERE e.array_id = ? ORDER BY e.position",
+            )
+            .bind(array)
+            .fetch_all(&mut *transaction)
+            .await?;
+            let mut tasks = Vec::with_capacity(elements.len());
+            let mut open = Vec::new();
+            for element in &elements {
+                let task = TaskId(id(element, "task_id")?);
+                tasks.push(task);
+                if element.try_get::<Option<&str>, _>("outcome")?.is_none() {
+                    let state = match element.try_get("state")? {
+                        "ready" => Holding::Ready,
+                        "leased" => Holding::Leased,
+                        "done" => Holding::Done,
+                        _ => Holding::Withdrawn,
+                    };
+                    open.push(OpenElement { position: whole(element, "position")?, task, state });
+                }
+            }
+            let reservation: Option<String> = row.try_get("reservation")?;
+            arrays.push(OpenArray {
+                id: array,
+                slurm_id: whole_opt(row, "slurm_id")?,
+                announced: time(row, "created_at")?,
+                elements: open,
+                array: NewArray {
+                    job: JobId(id(row, "job_id")?),
+                    tasks,
+                    limit_minutes: whole(row, "limit_minutes")?,
+                    begin: time_opt(row, "begin_at")?,
+                    deadline: time_opt(row, "deadline_at")?,
+                    reservation: reservation.zip(time_opt(row, "reserved_to")?),
+                },
+            });
+        }
+        Ok(arrays)
+    }
+
+    /// Writes down how an element ended. If its task is not over, that is an event, and the task waits again.
+    pub async fn slurm_element_ended(
+        &self,
+        array: Uuid,
+        position: u32,
+        outcome: &str,
+        now: Timestamp,
+    ) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        let ended = sqlx::query(
+            "UPDATE slurm_elements SET outcome = ?, ended_at = ? WHERE array_id = ? AND position = ? AND outcome IS NULL",
+        )
+        .bind(outcome)
+        .bind(now.micros())
+        .bind(array)
+        .bind(i64::from(position))
+        .execute(write.connection())
+        .await?;
+        if ended.rows_affected() == 1 {
+            let row = sqlx::query(
+                "SELECT t.id, t.job_id, t.kind, t.frame, t.state, a.slurm_id FROM slurm_elements e JOIN tasks t ON t.id = e.task_id \
+                 JOIN slurm_arrays a ON a.id = e.array_id WHERE e.array_id = ? AND e.position = ?",
+            )
+            .bind(array)
+            .bind(i64::from(position))
+            .fetch_one(write.connection())
+            .await?;
+            if row.try_get::<&str, _>("state")? == "ready" {
+                let number: Option<u32> = whole_opt(&row, "slurm_id")?;
+                let number =
+                    number.map_or("never submitted".to_owned(), |slurm| format!("job {slurm}_{position}"));
+                let message = Some(format!("Slurm ended it: {outcome} ({number})"));
+                append(&mut write, Event { message, ..of_task(&row, EventKind::SubmissionLost, now)? })
+                    .await?;
+            }
+        }
+        self.commit(write).await
+    }
+
+    /// Fails the job of a task that Slurm cannot bring to an end. Nothing if the task is over or in a worker's hands.
+    pub async fn fail_unrunnable(
+        &self,
+        task: TaskId,
+        reason: &str,
+        now: Timestamp,
+    ) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        let row = sqlx::query("UPDATE tasks SET state = 'failed', error = ?, finished_at = ? WHERE id = ? AND state = 'ready' RETURNING id, job_id, kind, frame")
+            .bind(reason)
+            .bind(now.micros())
+            .bind(task.0)
+            .fetch_optional(write.connection())
+            .await?;
+        if let Some(row) = row {
+            let kind: TaskKind = word(&row, "kind")?;
+            let of_frame =
+                whole_opt::<u32>(&row, "frame")?.map_or(String::new(), |frame| format!(" of frame {frame}"));
+            let error = format!("{kind}{of_frame}: {reason}");
+            jobs::fail(&mut write, JobId(id(&row, "job_id")?), &error, now).await?;
+        }
+        self.commit(write).await
+    }
+
+    /// Takes note of the machines that are there now. New ones become nodes of speed 1 at this price, until the first process that runs
+    /// there has measured them.
+    pub async fn see_nodes(
+        &self,
+        seen: &[SeenNode],
+        price_per_hour: i64,
+        now: Timestamp,
+    ) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        for node in seen {
+            let touched = sqlx::query("UPDATE nodes SET last_seen_at = max(last_seen_at, ?) WHERE name = ?")
+                .bind(now.micros())
+                .bind(&node.name)
+                .execute(write.connection())
+                .await?;
+            if touched.rows_affected() == 1 {
+                continue;
+            }
+            let new = NodeId::new();
+            sqlx::query(
+                "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at) VALUES (?, ?, 1, ?, ?, ?5, ?5)",
+            )
+            .bind(new.0)
+            .bind(&node.name)
+            .bind(price_per_hour)
+            .bind(i64::from(node.cores))
+            .bind(now.micros())
+            .execute(write.connection())
+            .await?;
+            let message = Some(node.name.clone());
+            append(
+                &mut write,
+                Event { node_id: Some(new), message, ..event(EventKind::NodeRegistered, now) },
+            )
+            .await?;
+        }
+        self.commit(write).await
+    }
+
+    /// The names of nodes that are to get no further tasks.
+    pub async fn drained_nodes(&self) -> Result<Vec<String>, StoreError> {
+        Ok(sqlx::query_scalar("SELECT name FROM nodes WHERE drain = 1 ORDER BY name")
+            .fetch_all(self.readers())
+            .await?)
+    }
+
+    /// The least that a node which is there and takes work does in a second, in seconds of a core of speed 1; absent if there is none.
+    pub async fn slowest_node(&self, seen_since: Timestamp) -> Result<Option<f64>, StoreError> {
+        Ok(sqlx::query_scalar(
+            "SELECT min(coalesce(speed_set, speed) * cores) FROM nodes WHERE drain = 0 AND last_seen_at >= ?",
+        )
+        .bind(seen_since.micros())
+        .fetch_one(self.readers())
+        .await?)
+    }
+
+    /// Tells everyone how the engine behind the farm is.
+    pub async fn tell_of_engine(&self, message: &str, now: Timestamp) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        append(&mut write, Event { message: Some(message.to_owned()), ..event(EventKind::EngineState, now) })
+            .await?;
+        self.commit(write).await
+    }
+}
+
+fn decode_waiting(row: &SqliteRow) -> Result<Waiting, StoreError> {
+    let verdict: Option<forelight_protocol::JobVerdict> = json_opt(row, "verdict")?;
+    let held =
+        verdict.is_some_and(|verdict| matches!(verdict.verdict, Verdict::OnTime | Verdict::OverBudget));
+    let lost: Option<String> = row.try_get("lost")?;
+    let node: Option<String> = row.try_get("node")?;
+    let booked = match (node, time_opt(row, "start_at")?, time_opt(row, "end_at")?) {
+        (Some(node), Some(start), Some(end)) => Some(BookedTime { node, start, end }),
+        _ => None,
+    };
+    Ok(Waiting {
+        task: TaskId(id(row, "id")?),
+        job: JobId(id(row, "job_id")?),
+        job_name: row.try_get("job")?,
+        kind: word(row, "kind")?,
+        frame: whole_opt(row, "frame")?,
+        booked,
+        cpu_p95: row.try_get("cpu_p95")?,
+        deadline: time_opt(row, "deadline_at")?.filter(|_| held),
+        lost: lost.map_or(Vec::new(), |lost| lost.lines().map(str::to_owned).collect()),
+        lost_at: time_opt(row, "lost_at")?,
+    })
+}
+
+/// An event about the task of a row.
+fn of_task(row: &SqliteRow, kind: EventKind, now: Timestamp) -> Result<Event, StoreError> {
+    Ok(Event {
+        job_id: Some(JobId(id(row, "job_id")?)),
+        task_id: Some(TaskId(id(row, "id")?)),
+        task_kind: Some(word(row, "kind")?),
+        frame: whole_opt(row, "frame")?,
+        ..event(kind, now)
+    })
+}

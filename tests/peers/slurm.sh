@@ -1,0 +1,230 @@
+#!/usr/bin/env bash
+# A real Slurm (https://slurm.schedmd.com) as the engine: a controller and four nodes on this machine, without root, munge or cgroups.
+# A job runs through it while one of its processes is requeued, another one cancelled behind our back, the controller restarted and the
+# service killed. In the end every frame is there once, was rendered by one process, and has the bits that `forelight render` gives it;
+# nothing of ours is left in Slurm. Then a node's daemon dies, and Slurm runs its frame a second time while the first process goes on; and
+# a job that is cancelled here is cancelled in Slurm.
+#
+#   FORELIGHT_BIN      the program (default: target/debug/forelight, which is built)
+#   FORELIGHT_KEEP     if set, the folder with all logs is kept, and named
+#
+# Skips with a line that says why where Slurm is missing and cannot be installed, or Python, pip or the network are missing.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+source tests/peers/support.bash
+
+deploy/packages.sh slurm-wlm || skip 'slurm-wlm cannot be installed (no network?)'
+PATH=$PATH:/usr/sbin
+for program in slurmctld slurmd sbatch; do
+  command -v $program >/dev/null || skip "there is no $program (Debian: slurm-wlm)"
+done
+python_with openjd openjd-cli==0.8.0 'numpy>=2,<3' 'OpenEXR>=3.3,<4'
+need_forelight
+
+work=$(mktemp -d)
+farm=
+controller=
+declare -A daemons=()
+cleanup() {
+  # What Slurm starts are no children of this script. All of it has the path of our configuration in its environment, as have the
+  # daemons and the farm.
+  local process
+  for process in $(grep -lsza "^SLURM_CONF=$work/slurm.conf$" /proc/[0-9]*/environ | cut -d/ -f3); do
+    [ "$process" = $$ ] || kill -9 "$process" 2>/dev/null || true
+  done
+  wait 2>/dev/null || true
+  if [ -n "${FORELIGHT_KEEP:-}" ]; then echo "kept: $work"; else rm -rf "$work"; fi
+}
+trap cleanup EXIT
+fail() {
+  echo "failed: $1"
+  squeue --states=all 2>/dev/null || true
+  tail -n 40 "$work/farm.log" 2>/dev/null || true
+  exit 1
+}
+wait_for() { # SECONDS COMMAND…
+  local tries=$(($1 * 5))
+  shift
+  while ! "$@" 2>/dev/null; do
+    tries=$((tries - 1))
+    [ $tries -gt 0 ] || fail "timed out: $*"
+    sleep 0.2
+  done
+}
+
+host=$(hostname -s)
+export SLURM_CONF=$work/slurm.conf
+mkdir -p "$work"/{run,spool,state,log}
+ports=()
+for _ in 1 2 3 4 5; do ports+=("$(free_port)"); done
+{
+  sed -e "s|@HOST@|$host|g" -e "s|@USER@|$(id -un)|g" -e "s|@FOLDER@|$work|g" deploy/slurm.conf
+  echo "SlurmctldPort=${ports[0]}"
+  for node in 1 2 3 4; do
+    echo "NodeName=node$node NodeHostname=$host NodeAddr=127.0.0.1 Port=${ports[$node]} CPUs=1 RealMemory=1000"
+  done
+  echo 'PartitionName=render Nodes=node[1-4] Default=YES MaxTime=INFINITE State=UP'
+} >"$SLURM_CONF"
+start_controller() {
+  slurmctld -D -f "$SLURM_CONF" >>"$work/log/slurmctld.out" 2>&1 &
+  controller=$!
+}
+start_node() {
+  mkdir -p "$work/spool/node$1"
+  slurmd -D -f "$SLURM_CONF" -N "node$1" >>"$work/log/node$1.out" 2>&1 &
+  daemons[$1]=$!
+}
+start_controller
+for node in 1 2 3 4; do start_node $node; done
+idle_nodes() { [ "$(sinfo --noheader --Node --format=%T | grep -c '^idle$')" = 4 ]; }
+wait_for 30 idle_nodes
+
+export NO_PROXY=127.0.0.1 no_proxy=127.0.0.1
+port=$(free_port)
+start_farm() {
+  "$FORELIGHT_BIN" serve --data "$work/data" --listen "127.0.0.1:$port" --lease-ttl 4s --executor slurm --slurm-poll 0.5s \
+    --slurm-bundles "$work/bundles" --slurm-preview cpu --slurm-price 0.5 >"$work/printed" 2>>"$work/farm.log" &
+  farm=$!
+  wait_for 30 grep -q '^listening on ' "$work/printed"
+}
+submit() { "$FORELIGHT_BIN" submit "$1" --server "http://127.0.0.1:$port" --data "$work/data" "${@:2}"; }
+ask() { # one value from the farm's database, by a query
+  "$environment/bin/python" - "$work/data/forelight.sqlite" "$1" <<'PYTHON'
+import sqlite3, sys
+row = sqlite3.connect(f"file:{sys.argv[1]}?mode=ro", uri=True, timeout=10).execute(sys.argv[2]).fetchone()
+print("" if row is None or row[0] is None else row[0])
+PYTHON
+}
+is() { [ "$(ask "$1")" = "$2" ]; }
+at_least() { [ "$(ask "$1")" -ge "$2" ]; }
+# An element that runs now, as NUMBER_PLACE, on one of the nodes named.
+running() { squeue --noheader --states=RUNNING --name="$(names render)" --format='%F_%K %N' | grep -E " node[$1]\$" | head -1 | cut -d' ' -f1; }
+names() { squeue --noheader --states=all --format=%j | grep "^forelight-$1" | sort -u | paste -sd,; }
+
+echo 'a job through Slurm, while everything around it fails'
+start_farm
+size=(--width 160 --height 90 --spp 8 --ambient-bounces 1)
+submit deploy/scenes/corridor --frames 0-19 "${size[@]}" --samples 64 --deadline 2h --name 'a "shot"; of ours' \
+  --follow --json --out "$work/images" >"$work/job.json" 2>"$work/submit.log" &
+submitted=$!
+wait_for 120 at_least "SELECT count(*) FROM results r JOIN tasks t ON t.id = r.task_id WHERE t.kind = 'render'" 2
+is "SELECT count(*) FROM nodes WHERE name LIKE 'node_'" 4 || fail 'the nodes of Slurm are not those of the farm'
+at_least "SELECT count(*) FROM slurm_arrays WHERE deadline_at IS NOT NULL" 1 || fail 'Slurm was not told the deadline'
+at_least "SELECT count(*) FROM slurm_arrays WHERE reservation IS NOT NULL" 1 || fail 'nothing was reserved'
+
+echo '  a process: Slurm starts it once more while it works'
+busy() { [ -n "$(running 12)" ]; }
+wait_for 20 busy
+requeued=$(running 12)
+scontrol requeue "$requeued"
+# Slurm lets what it requeues wait for two minutes.
+waits() { squeue --array --noheader --states=PENDING --format='%F_%K %r' | grep -q "^$requeued BeginTime"; }
+wait_for 30 waits
+scontrol update "JobId=$requeued" StartTime=now
+echo '  a process: somebody cancels it'
+busy() { [ -n "$(running 34)" ]; }
+wait_for 20 busy
+scancel "$(running 34)"
+echo '  the controller: away for a while'
+kill "$controller"
+wait "$controller" 2>/dev/null || true
+told() { at_least "SELECT count(*) FROM events WHERE kind = 'engine_state' AND body LIKE '%does not answer%'" "$1"; }
+wait_for 60 told 1
+start_controller
+back() { at_least "SELECT count(*) FROM events WHERE kind = 'engine_state' AND body LIKE '%answers again%'" 1; }
+wait_for 30 back
+echo '  the service: killed'
+kill -9 "$farm"
+wait "$farm" 2>/dev/null || true
+sleep 2
+start_farm
+
+wait_for 400 bash -c "! kill -0 $submitted"
+wait "$submitted" || { cat "$work/submit.log"; fail 'the job was not delivered'; }
+
+echo 'every frame once'
+"$environment/bin/python" - "$work/data/forelight.sqlite" <<'PYTHON'
+import sqlite3, sys
+
+database = sqlite3.connect(f"file:{sys.argv[1]}?mode=ro", uri=True)
+def rows(query): return database.execute(query).fetchall()
+
+done = rows("SELECT frame, count(*) FROM results r JOIN tasks t ON t.id = r.task_id WHERE t.kind = 'render' GROUP BY frame")
+assert done == [(frame, 1) for frame in range(20)], done
+# A process that was started again found the task taken or over: nothing was rendered by two at a time, whoever lost sight of whom.
+both = rows("""SELECT t.frame, a.fence, b.fence FROM leases a JOIN leases b ON a.task_id = b.task_id AND a.fence < b.fence JOIN tasks t ON t.id = a.task_id
+    WHERE b.granted_at < a.ended_at OR a.state = 'committed'""")
+assert not both, f"rendered by two: {both}"
+lost = rows("SELECT e.body FROM events e WHERE kind = 'submission_lost'")
+assert lost, "what was cancelled behind our back was not noticed"
+leased = rows("SELECT count(*) FROM leases l JOIN tasks t ON t.id = l.task_id WHERE t.kind = 'render'")[0][0]
+print(f"  20 frames, {leased} leases, {len(lost)} processes lost and started again")
+PYTHON
+for frame in 0 7 19; do
+  "$FORELIGHT_BIN" render deploy/scenes/corridor --frame $frame "${size[@]}" --preview cpu --out "$work/$frame.exr" >"$work/render.log" 2>&1 ||
+    { cat "$work/render.log"; fail "frame $frame cannot be rendered here"; }
+  same_bits "$work/$frame.exr" "$(find "$work/images" -name "*$(printf %04d $frame)*.exr" | head -1)"
+done
+ours() { squeue --noheader --format='%j %T' | grep -c '^forelight' || true; }
+nothing_left() { [ "$(ours)" = 0 ] && is 'SELECT count(*) FROM slurm_elements WHERE outcome IS NULL' 0; }
+wait_for 60 nothing_left
+no_reservation() { ! scontrol --oneliner show reservation | grep -q forelight_; }
+wait_for 30 no_reservation
+
+echo 'a node whose daemon dies: Slurm runs its frame a second time while the first process goes on'
+job=$(submit deploy/scenes/corridor --frames 0-2 --width 640 --spp 256 --samples 16 --profile-frames 1 --name long)
+three() { [ "$(squeue --noheader --states=RUNNING --format=%j | grep -c '^forelight-render-long')" = 3 ]; }
+wait_for 120 three
+read -r element node < <(squeue --noheader --states=RUNNING --name=forelight-render-long --format='%F_%K %N' | head -1)
+task=$(ask "SELECT lower(hex(e.task_id)) FROM slurm_elements e JOIN slurm_arrays a ON a.id = e.array_id WHERE a.slurm_id || '_' || e.position = '$element'")
+dashed=${task:0:8}-${task:8:4}-${task:12:4}-${task:16:4}-${task:20}
+works() { # the numbers of the processes that were started for the task
+  "$environment/bin/python" - "$dashed" <<'PYTHON'
+import pathlib, sys
+
+for path in pathlib.Path("/proc").glob("[0-9]*/cmdline"):
+    try:
+        words = path.read_bytes().decode().split("\0")
+    except OSError:
+        continue
+    if words[1:2] == ["worker"] and sys.argv[1] in words:
+        print(path.parent.name)
+PYTHON
+}
+leases() { is "SELECT count(*) FROM leases WHERE lower(hex(task_id)) = '$task'" "$1"; }
+wait_for 30 leases 1
+first=$(works)
+[ "$(wc -w <<<"$first")" = 1 ] || fail "these processes render the frame: $first"
+kill -9 "${daemons[${node#node}]}"
+wait "${daemons[${node#node}]}" 2>/dev/null || true
+requeued() { squeue --array --noheader --states=PENDING --format='%F_%K' | grep -q "^$element\$"; }
+wait_for 90 requeued
+scontrol update "JobId=$element" StartTime=now
+again() { squeue --noheader --states=RUNNING --format='%F_%K %N' | grep "^$element " | grep -qv " $node\$"; }
+wait_for 60 again
+two() { [ "$(works | wc -w)" = 2 ]; }
+wait_for 30 two
+sleep 6
+two || fail 'one of the two processes has ended'
+leases 1 || fail 'the second process has been given what the first one renders'
+# The first one dies as well. Its lease runs out, and the second takes over.
+kill -9 "$first"
+wait_for 30 leases 2
+is "SELECT count(*) FROM leases WHERE lower(hex(task_id)) = '$task' AND state = 'active'" 1 || fail 'nobody has taken over'
+
+echo 'a job that is cancelled here is cancelled in Slurm'
+curl -sf -X POST -H "Authorization: Bearer $(cat "$work/data/tokens/operator.token")" "http://127.0.0.1:$port/v1/jobs/$job/cancel" >/dev/null
+wait_for 60 nothing_left
+is "SELECT state FROM jobs WHERE name = 'long'" cancelled || fail 'the job is not cancelled'
+start_node "${node#node}"
+
+echo 'a program that is not there is given up on, with the reason'
+kill -INT "$farm"
+wait "$farm" || true
+"$FORELIGHT_BIN" serve --data "$work/data" --listen "127.0.0.1:$port" --executor slurm --slurm-poll 0.5s \
+  --slurm-program /nowhere/forelight >"$work/printed" 2>>"$work/farm.log" &
+farm=$!
+wait_for 30 grep -q '^listening on ' "$work/printed"
+submit deploy/scenes/corridor --frames 0 --width 16 --spp 1 --samples 16 --name hopeless >/dev/null
+failing() { at_least "SELECT count(*) FROM events WHERE kind = 'submission_lost' AND body LIKE '%FAILED with exit code 127%'" 2; }
+wait_for 60 failing
