@@ -33,8 +33,10 @@ pub enum EventKind {
     LeaseLost,
     /// A node was registered or updated.
     NodeRegistered,
-    /// A node was drained, undrained or repriced.
+    /// A node was given an order, repriced, or brought back.
     NodeChanged,
+    /// A node was set aside, because too much failed on it.
+    NodeSetAside,
 }
 
 impl EventKind {
@@ -54,6 +56,7 @@ impl EventKind {
             EventKind::LeaseLost => "lease_lost",
             EventKind::NodeRegistered => "node_registered",
             EventKind::NodeChanged => "node_changed",
+            EventKind::NodeSetAside => "node_set_aside",
         }
     }
 }

@@ -21,6 +21,7 @@ mod hash;
 mod ids;
 mod job;
 mod lease;
+mod log;
 mod money;
 mod node;
 mod page;
@@ -53,10 +54,14 @@ pub use job::{
 };
 pub use lease::{
     ClaimRequest, Lease, LeaseOrder, ReleaseRequest, RenewRequest, Renewal, ResultAnswer, ResultRequest,
-    TaskError,
+    TaskError, TaskLimit, TaskLimits,
 };
+pub use log::{LOG_LINE_CHARACTERS, LOG_LINES, LogLevel, LogLine, TaskLog, TaskLogLine, without_secrets};
 pub use money::Money;
-pub use node::{Node, NodeChange, NodePage, NodeRegistration};
+pub use node::{
+    Capabilities, JoinRequest, JoinToken, JoinTokenRequest, Node, NodeChange, NodePage, NodeRegistration,
+    NodeState,
+};
 pub use page::PageToken;
 pub use plan::{Booking, BookingPage, JobVerdict, Plan, PlanReason, Verdict};
 pub use problem::{Problem, ProblemKind};

@@ -24,6 +24,9 @@ const LOCK_WAIT: Duration = Duration::from_secs(5);
 /// Connections that only read. Readers never wait for the writer (write-ahead log), nor it for them.
 const READERS: u32 = 4;
 
+/// Name of the database in the data folder.
+pub(crate) const DATABASE: &str = "forelight.sqlite";
+
 static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations");
 
 /// The farm's memory. Cheap to clone; all clones are one store.
@@ -58,13 +61,17 @@ impl Write {
 }
 
 impl Store {
-    /// Opens the store in `data`, for a service: brings the schema up to date, checks the database, clears away
-    /// uploads that were cut off. Only one process at a time can do this.
+    /// Opens the store in `data`, for a service: checks the database, brings the schema up to date, clears away
+    /// uploads that were cut off. Only one process at a time can do this. A damaged database is refused before anything is written to it.
     pub async fn open(data: &Path) -> Result<Self, StoreError> {
         std::fs::create_dir_all(data).map_err(|error| StoreError::file(data, error))?;
         let lock = lock(data)?;
-        let store = Self::open_shared(data, Some(lock)).await?;
-        store.check_integrity().await?;
+        let store = Self::open_shared(data, Some(lock)).await.map_err(|error| match error {
+            StoreError::Corrupt(reason) => {
+                StoreError::Damaged { path: data.join(DATABASE).display().to_string(), reason }
+            }
+            other => other,
+        })?;
         store.artifacts().discard_unfinished().await?;
         Ok(store)
     }
@@ -77,7 +84,7 @@ impl Store {
     }
 
     async fn open_shared(data: &Path, lock: Option<File>) -> Result<Self, StoreError> {
-        let path = data.join("forelight.sqlite");
+        let path = data.join(DATABASE);
         let options = SqliteConnectOptions::from_str("sqlite:")?
             .filename(&path)
             .foreign_keys(true)
@@ -89,6 +96,9 @@ impl Store {
             .connect_with(options.clone().create_if_missing(true).synchronous(SqliteSynchronous::Full))
             .await?;
         restrict_to_owner(&path)?;
+        if lock.is_some() {
+            find_damage(&mut *writer.acquire().await?, "quick_check").await?;
+        }
         MIGRATIONS.run(&writer).await?;
         let readers = SqlitePoolOptions::new()
             .max_connections(READERS)
@@ -162,23 +172,26 @@ impl Store {
         }
         Ok(())
     }
+}
 
-    async fn check_integrity(&self) -> Result<(), StoreError> {
-        let complaints: Vec<String> =
-            sqlx::query_scalar("PRAGMA quick_check(10)").fetch_all(self.readers()).await?;
-        if complaints != ["ok"] {
-            return Err(StoreError::Corrupt(complaints.join("; ")));
-        }
-        let dangling: Option<String> =
-            sqlx::query_scalar("SELECT \"table\" FROM pragma_foreign_key_check LIMIT 1")
-                .fetch_optional(self.readers())
-                .await?;
-        match dangling {
-            None => Ok(()),
-            Some(table) => {
-                Err(StoreError::Corrupt(format!("a row of {table} refers to one that is not there")))
-            }
-        }
+/// Looks for damage: by `quick_check` (pages, order of keys) or `integrity_check` (indexes against tables as well), and for rows
+/// that refer to nothing.
+pub(crate) async fn find_damage(
+    connection: &mut SqliteConnection,
+    check: &'static str,
+) -> Result<(), StoreError> {
+    let check = sqlx::AssertSqlSafe(format!("PRAGMA {check}(10)"));
+    let complaints: Vec<String> = sqlx::query_scalar(check).fetch_all(&mut *connection).await?;
+    if complaints != ["ok"] {
+        return Err(StoreError::Corrupt(complaints.join("; ")));
+    }
+    let dangling: Option<String> =
+        sqlx::query_scalar("SELECT \"table\" FROM pragma_foreign_key_check LIMIT 1")
+            .fetch_optional(connection)
+            .await?;
+    match dangling {
+        None => Ok(()),
+        Some(table) => Err(StoreError::Corrupt(format!("a row of {table} refers to one that is not there"))),
     }
 }
 
@@ -198,7 +211,7 @@ fn lock(data: &Path) -> Result<File, StoreError> {
 }
 
 /// The database holds hashes of tokens and the names of unreleased films: other users have no business in it.
-fn restrict_to_owner(path: &Path) -> Result<(), StoreError> {
+pub(crate) fn restrict_to_owner(path: &Path) -> Result<(), StoreError> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt as _;

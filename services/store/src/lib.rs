@@ -16,6 +16,7 @@
 //! Time is never read here: every function that needs it is given `now`.
 
 mod artifacts;
+mod backup;
 mod bundles;
 mod calibration;
 mod dashboard;
@@ -23,11 +24,14 @@ mod database;
 mod decode;
 mod error;
 mod events;
+mod failures;
 mod forecasts;
 mod frames;
 mod idempotency;
 mod jobs;
+mod joining;
 mod leases;
+mod logs;
 mod nodes;
 mod plans;
 mod progress;
@@ -38,14 +42,17 @@ pub mod tokens;
 mod track_record;
 
 pub use artifacts::{ArtifactReader, Artifacts, Staged};
+pub use backup::{Backup, backup};
 pub use bundles::NewBundle;
 pub use calibration::{QuoteBasis, QuoteKind, Spreads};
 pub use database::Store;
 pub use error::StoreError;
+pub use failures::{FAILED_JOBS, FAILED_NODES, MAX_FAILURES};
 pub use forecasts::JobForecast;
 pub use idempotency::{Answered, IdempotencyKey, RecordedAnswer};
 pub use jobs::{JobFilter, NewJob};
-pub use leases::{LeaseInfo, MAX_EXPIRIES, MAX_FAILURES, Swept};
+pub use joining::token_hash;
+pub use leases::{LeaseInfo, MAX_EXPIRIES, Swept};
 pub use plans::{NewBooking, NewPlan};
 pub use projection::{Holder, OpenBooking, Projected, project};
 pub use results::{Committed, MeasuredProfile};

@@ -30,7 +30,66 @@ async fn a_damaged_database_is_refused_at_the_start() {
     bytes[middle..middle + 8192].fill(0xA5);
     std::fs::write(&path, bytes).unwrap();
     let opened = Store::open(folder.path()).await;
-    assert!(matches!(opened, Err(StoreError::Corrupt(_) | StoreError::Database(_))), "it was opened");
+    assert!(matches!(opened, Err(StoreError::Damaged { .. })), "it was opened");
+}
+
+#[tokio::test]
+async fn a_file_that_is_no_database_is_refused_and_left_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("forelight.sqlite");
+    std::fs::write(&path, "not a database, but long enough to have a header of one hundred bytes".repeat(9))
+        .unwrap();
+    let before = std::fs::read(&path).unwrap();
+    let Err(StoreError::Damaged { path: named, .. }) = Store::open(folder.path()).await else { panic!() };
+    assert_eq!((named, std::fs::read(&path).unwrap()), (path.display().to_string(), before));
+}
+
+#[tokio::test]
+async fn rows_that_refer_to_nothing_are_damage() {
+    let farm = Farm::new().await;
+    farm.job("0").await;
+    let Farm { folder, store } = farm;
+    store.close().await;
+    drop(store);
+    let options = sqlx::sqlite::SqliteConnectOptions::new()
+        .filename(folder.path().join("forelight.sqlite"))
+        .foreign_keys(false);
+    let mut connection = <sqlx::SqliteConnection as sqlx::Connection>::connect_with(&options).await.unwrap();
+    sqlx::query("DELETE FROM jobs").execute(&mut connection).await.unwrap();
+    sqlx::Connection::close(connection).await.unwrap();
+    let Err(StoreError::Damaged { reason, .. }) = Store::open(folder.path()).await else { panic!() };
+    assert!(reason.contains("refers to one that is not there"), "{reason}");
+}
+
+#[tokio::test]
+async fn a_backup_is_whole_while_others_write_and_is_what_a_farm_can_go_on_from() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let job = farm.booked_job(request("0-5"), node.id, at(0)).await;
+    let to = farm.folder.path().join("copy.sqlite");
+    // Frames are handed out and delivered all the while.
+    let writing = {
+        let store = farm.store.clone();
+        tokio::spawn(async move {
+            for second in 0..200 {
+                store.touch_node(node.id, at(second)).await.unwrap();
+            }
+        })
+    };
+    let made = crate::backup(farm.folder.path(), &to).await.unwrap();
+    writing.await.unwrap();
+    assert_eq!((made.jobs, made.bytes), (1, std::fs::metadata(&to).unwrap().len()));
+    assert_eq!(made.artifacts, 2);
+    assert!(matches!(crate::backup(farm.folder.path(), &to).await, Err(StoreError::Conflict(_))));
+    // Another farm goes on from it.
+    let restored = tempfile::tempdir().unwrap();
+    std::fs::copy(&to, restored.path().join("forelight.sqlite")).unwrap();
+    let store = Store::open(restored.path()).await.unwrap();
+    assert_eq!(store.job(job).await.unwrap(), farm.store.job(job).await.unwrap());
+    assert!(store.claim(node.id, TTL, None, at(300)).await.unwrap().is_some());
+    let left: Vec<_> =
+        std::fs::read_dir(farm.folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert!(left.iter().all(|name| !name.to_string_lossy().starts_with('.')), "{left:?}");
 }
 
 #[tokio::test]
