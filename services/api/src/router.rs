@@ -16,7 +16,7 @@ use utoipa_axum::routes;
 use crate::error::render_problems;
 use crate::openapi::frame;
 use crate::resources::{
-    artifacts, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes, plans,
+    artifacts, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes, plans, tasks,
 };
 use crate::state::App;
 
@@ -45,6 +45,9 @@ pub(crate) fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(plans::bookings))
         .routes(routes!(nodes::register, nodes::list))
         .routes(routes!(nodes::get, nodes::change))
+        .routes(routes!(nodes::join))
+        .routes(routes!(nodes::join_token))
+        .routes(routes!(tasks::log))
         .routes(routes!(leases::claim))
         .routes(routes!(leases::renew))
         .routes(routes!(leases::release))

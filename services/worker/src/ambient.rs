@@ -28,6 +28,15 @@ pub struct Ambient {
     limits: Limits,
 }
 
+/// A graphics device.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Adapter {
+    /// Its name, kind and driver.
+    pub name: String,
+    /// Whether it is a graphics processor, and no program that does its work.
+    pub is_hardware: bool,
+}
+
 /// The previewer, made when it is first wanted: opening a graphics device takes longer than many a render.
 struct SharedPreviewer {
     choice: Choice,
@@ -59,6 +68,15 @@ impl Ambient {
     /// there is none.
     pub fn ready(&self) -> Result<(), PreviewError> {
         self.previewer.with(|_| Ok(()))
+    }
+
+    /// The graphics device that previews are made with; `None` if they are made on the processor.
+    pub fn adapter(&self) -> Result<Option<Adapter>, PreviewError> {
+        self.previewer.with(|previewer| {
+            let adapter =
+                |name: &str| Adapter { name: name.to_owned(), is_hardware: previewer.is_hardware() };
+            Ok(previewer.adapter().map(adapter))
+        })
     }
 
     /// Opens a bundle.

@@ -6,8 +6,8 @@ use crate::transport::{ClientError, Payload, Request, Token, Transport};
 use bytes::Bytes;
 use forelight_protocol::{
     ArtifactHash, ArtifactStored, Bundle, ClaimRequest, Event, EventId, ForecastDoc, FramePage, FrameRow,
-    Job, JobCheck, JobId, JobRequest, Lease, LeaseId, Node, NodeRegistration, ReleaseRequest, RenewRequest,
-    Renewal, ResultAnswer, ResultRequest,
+    Job, JobCheck, JobId, JobRequest, JoinRequest, Lease, LeaseId, Node, NodeChange, NodeId, NodePage,
+    NodeRegistration, ReleaseRequest, RenewRequest, Renewal, ResultAnswer, ResultRequest, TaskId, TaskLog,
 };
 use reqwest::header::{HeaderName, HeaderValue};
 use reqwest::{Method, StatusCode};
@@ -142,6 +142,35 @@ impl Client {
     /// Announces a node; one of the same name is updated and keeps its id.
     pub async fn register(&self, node: &NodeRegistration, key: Uuid) -> Result<Node, ClientError> {
         self.transport.json(&with_key(json(Method::POST, "/v1/nodes", node), key)).await
+    }
+
+    /// Joins the farm with a one-time token: this client's. Asking again with the same hash is harmless.
+    pub async fn join(&self, request: &JoinRequest) -> Result<Node, ClientError> {
+        self.transport.json(&json(Method::POST, "/v1/nodes/join", request)).await
+    }
+
+    /// All nodes, oldest first.
+    pub async fn nodes(&self) -> Result<Vec<Node>, ClientError> {
+        let mut nodes = Vec::new();
+        let mut path = "/v1/nodes?page_size=200".to_owned();
+        loop {
+            let page: NodePage = self.transport.json(&Request::new(Method::GET, path)).await?;
+            nodes.extend(page.items);
+            match page.next_page_token {
+                Some(token) => path = format!("/v1/nodes?page_size=200&page_token={token}"),
+                None => return Ok(nodes),
+            }
+        }
+    }
+
+    /// Gives a node orders.
+    pub async fn change_node(&self, node: NodeId, change: &NodeChange) -> Result<Node, ClientError> {
+        self.transport.json(&json(Method::PATCH, format!("/v1/nodes/{node}"), change)).await
+    }
+
+    /// What the workers of a task had to say.
+    pub async fn task_log(&self, task: TaskId) -> Result<TaskLog, ClientError> {
+        self.transport.json(&Request::new(Method::GET, format!("/v1/tasks/{task}/log"))).await
     }
 
     /// Asks for a task; `None` if there was none within the time that the request allows for. If an answer gets lost, asking

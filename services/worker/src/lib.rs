@@ -14,7 +14,8 @@
 //! | `tasks` | the three kinds of tasks |
 //! | `execute`, `agent` | a task's life between lease and result |
 //! | `library` | bundles, fetched once and kept open |
-//! | `calibrate` | how fast this machine is |
+//! | `calibrate`, `capabilities` | how fast this machine is, and what it has |
+//! | `limits` | what a task may use at most |
 //! | `client`, `transport`, `backoff`, `server_events` | the service's REST API |
 
 mod accuracy;
@@ -23,9 +24,11 @@ mod allot;
 mod ambient;
 mod backoff;
 mod calibrate;
+mod capabilities;
 mod client;
 mod execute;
 mod library;
+mod limits;
 mod noise;
 mod pictures;
 mod quote;
@@ -41,9 +44,10 @@ mod warm_clock;
 pub use accuracy::{AccuracyObserver, AccuracyOptions, MeasureOptions, measure, predict};
 pub use agent::{Agent, AgentError};
 pub use allot::{Aim, AllotError, AllotOptions, render_allotted};
-pub use ambient::{Ambient, AmbientShot, tracer_settings};
+pub use ambient::{Adapter, Ambient, AmbientShot, tracer_settings};
 pub use backoff::Backoff;
 pub use calibrate::{MEASURING_TIME, REFERENCE_RATE, node_speed};
+pub use capabilities::capabilities;
 pub use client::{Client, EventStream, FramePicture};
 pub use execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 pub use library::Library;

@@ -14,8 +14,8 @@ use crate::shot::{
 use bytes::Bytes;
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{
-    ArtifactHash, CacheMode, CacheSample, FrameStrata, NoiseCell, NoiseSample, PreviewResult, PreviewSpec,
-    ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts, RenderResult,
+    ArtifactHash, CacheMode, CacheSample, FrameStrata, LogLevel, NoiseCell, NoiseSample, PreviewResult,
+    PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts, RenderResult,
     RenderSettings, RenderSpec, Stratum, TaskResult, TaskSpec,
 };
 use forelight_tracer::Profile;
@@ -48,6 +48,11 @@ impl Execute for TaskRunner {
                 "the bundle has changed since the job was submitted (its digest was {submitted} and is {found}): submit the job again"
             )));
         }
+        let scene = &renderer.info().summary;
+        control.log(
+            LogLevel::Info,
+            format!("scene {} with {} triangles in {} objects", scene.name, scene.triangles, scene.objects),
+        );
         match &assignment.spec {
             TaskSpec::Preview(spec) => preview(renderer, spec, control),
             TaskSpec::Profile(spec) => profile(renderer, spec, control),
@@ -59,6 +64,7 @@ impl Execute for TaskRunner {
 fn preview(renderer: &dyn Renderer, spec: &PreviewSpec, control: &Control) -> Result<Outcome, ExecuteError> {
     let counted = count_frames(renderer, &spec.frames, &spec.settings, &Reporting(control))?;
     let result = preview_result(renderer.info(), &spec.frames, &spec.settings, &counted);
+    control.log(LogLevel::Info, format!("previewed {} frames", result.frames.len()));
     Ok(Outcome { result: TaskResult::Preview(result), artifacts: Vec::new() })
 }
 
@@ -179,6 +185,7 @@ fn render(
     let progress = |progress: Progress| control.set_progress(fraction(progress, cached));
     let start = Instant::now();
     let ready = renderer.frame(spec.frame, &spec.settings)?;
+    control.log(LogLevel::Info, format!("frame {} calls for: {}", spec.frame, ready.effects().join(", ")));
     let mut rendered = render_ready(&*ready, &spec.settings, reuse.as_ref(), &progress, control.cancelled())?
         .ok_or(ExecuteError::Cancelled)?;
     let seen = ready.preview()?;
@@ -187,6 +194,14 @@ fn render(
     let written = write_cost(encoding, seen.spent);
     rendered.stats.cpu_seconds += seconds(written.cpu_nanos);
     rendered.stats.wall_seconds = start.elapsed().as_secs_f64();
+    let stats = &rendered.stats;
+    control.log(
+        LogLevel::Info,
+        format!(
+            "rendered {} × {} pixels, {} of them taken over: {:.1} CPU seconds, {} operations",
+            stats.width, stats.height, stats.reused_pixels, stats.cpu_seconds, stats.work
+        ),
+    );
     let mut files = Files::default();
     let artifacts = RenderArtifacts {
         image_exr: files.add(pictures.image_exr),

@@ -2,11 +2,14 @@
 
 mod accuracy;
 mod allot;
+mod backup;
 mod bench;
 mod cache;
 mod export;
 mod farm;
 mod forecast;
+mod log;
+mod node;
 mod plan;
 mod preview;
 mod render;
@@ -55,6 +58,9 @@ enum Command {
     Export(export::Args),
     Plan(plan::Args),
     Token(token::Args),
+    Node(node::Args),
+    Log(log::Args),
+    Backup(backup::Args),
     Bench(bench::Args),
 }
 
@@ -74,6 +80,9 @@ impl Cli {
             Command::Worker(args) => worker::run(args, interrupt).await,
             Command::Submit(args) => submit::run(args, interrupt).await,
             Command::Token(args) => token::run(args).await,
+            Command::Node(args) => node::run(args).await,
+            Command::Log(args) => log::run(args).await,
+            Command::Backup(args) => backup::run(args).await,
             // Tracing light is not waiting: it gets a thread that may block.
             Command::Render(args) => blocking(move || render::run(&args, &interrupt)).await,
             Command::Preview(args) => blocking(move || preview::run(&args)).await,
@@ -151,6 +160,10 @@ mod tests {
             ("forelight export b --cache-parts 4", "--cache"),
             ("forelight export b --timeout soon", "--timeout"),
             ("forelight token --role boss", "--role"),
+            ("forelight token --one-time --role worker", "--role"),
+            ("forelight worker --join-token-file j", "--token-file"),
+            ("forelight worker --task-memory little", "--task-memory"),
+            ("forelight backup --data d", "--to"),
             ("forelight farm --lease-ttl 0s", "--lease-ttl"),
         ] {
             let error = parse(line).expect_err(line);
