@@ -1,4 +1,4 @@
-//! Opening the database, and the one way to write to it.
+//! Opening the database, and reading from it; writing is in `writing`.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -13,10 +13,9 @@ use sqlx::sqlite::{
 use sqlx::{Sqlite, Transaction};
 use tokio::sync::watch;
 
+pub(crate) use crate::writing::Write;
+use crate::writing::{WRITE_TURN, Writer};
 use crate::{Artifacts, StoreError};
-
-/// How long a writer waits for its turn before the caller is told that the database is busy.
-const WRITE_TURN: Duration = Duration::from_secs(5);
 
 /// How long SQLite waits for a lock that another process holds (`forelight token` beside a running service).
 const LOCK_WAIT: Duration = Duration::from_secs(5);
@@ -36,28 +35,12 @@ pub struct Store {
 }
 
 struct Inner {
-    writer: SqlitePool,
+    writers: SqlitePool,
+    writer: Writer,
     readers: SqlitePool,
     artifacts: Artifacts,
-    /// Raised by every commit that wrote events.
-    events: watch::Sender<u64>,
-    /// Raised by every commit that made a task ready.
-    work: watch::Sender<u64>,
     /// Held while the store is open. The system lets go of it when the process dies, however it dies.
     _lock: Option<File>,
-}
-
-/// A write transaction. It is rolled back unless it is given to [`Store::commit`].
-pub(crate) struct Write {
-    transaction: Transaction<'static, Sqlite>,
-    pub(crate) wrote_events: bool,
-    pub(crate) made_work: bool,
-}
-
-impl Write {
-    pub(crate) fn connection(&mut self) -> &mut SqliteConnection {
-        &mut self.transaction
-    }
 }
 
 impl Store {
@@ -106,14 +89,8 @@ impl Store {
             .connect_with(options.read_only(true))
             .await?;
         let artifacts = Artifacts::open(&data.join("artifacts"), writer.clone())?;
-        let inner = Inner {
-            writer,
-            readers,
-            artifacts,
-            events: watch::Sender::new(0),
-            work: watch::Sender::new(0),
-            _lock: lock,
-        };
+        let inner =
+            Inner { writer: Writer::new(writer.clone()), writers: writer, readers, artifacts, _lock: lock };
         Ok(Self { inner: Arc::new(inner) })
     }
 
@@ -124,18 +101,18 @@ impl Store {
 
     /// Changes whenever events were written.
     pub fn watch_events(&self) -> watch::Receiver<u64> {
-        self.inner.events.subscribe()
+        self.inner.writer.signals().events.subscribe()
     }
 
     /// Changes whenever a task became ready.
     pub fn watch_work(&self) -> watch::Receiver<u64> {
-        self.inner.work.subscribe()
+        self.inner.writer.signals().work.subscribe()
     }
 
     /// Closes all connections and waits for them; further calls fail.
     pub async fn close(&self) {
         self.inner.readers.close().await;
-        self.inner.writer.close().await;
+        self.inner.writers.close().await;
     }
 
     /// Whether the database answers.
@@ -148,11 +125,9 @@ impl Store {
         &self.inner.readers
     }
 
-    /// Begins a write. `BEGIN IMMEDIATE` takes the write lock at once: a transaction that reads first and asks for
-    /// the lock later could find that another process wrote in between, and would fail half-way.
+    /// Begins a write.
     pub(crate) async fn write(&self) -> Result<Write, StoreError> {
-        let transaction = self.inner.writer.begin_with("BEGIN IMMEDIATE").await?;
-        Ok(Write { transaction, wrote_events: false, made_work: false })
+        self.inner.writer.write().await
     }
 
     /// Begins a read of several statements that all see the same state.
@@ -162,15 +137,7 @@ impl Store {
 
     /// Makes a write last, and only then wakes those who wait for what it changed.
     pub(crate) async fn commit(&self, write: Write) -> Result<(), StoreError> {
-        let Write { transaction, wrote_events, made_work } = write;
-        transaction.commit().await?;
-        if wrote_events {
-            self.inner.events.send_modify(|version| *version = version.wrapping_add(1));
-        }
-        if made_work {
-            self.inner.work.send_modify(|version| *version = version.wrapping_add(1));
-        }
-        Ok(())
+        self.inner.writer.commit(write).await
     }
 }
 

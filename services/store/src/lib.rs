@@ -3,9 +3,9 @@
 //!
 //! Three promises, and what keeps them:
 //!
-//! * **Nothing acknowledged is lost.** Every write is one transaction on one writing connection with
+//! * **Nothing acknowledged is lost.** Every write is part of a transaction on one writing connection with
 //!   `synchronous = FULL`: its commit is on disk before the caller hears of it, whether the process is killed or the
-//!   power goes. (With `NORMAL` a killed process loses nothing either, but a power cut takes the last commits. `FULL`
+//!   power goes. Writes that come at the same time share a flush (`writing`). (With `NORMAL` a killed process loses nothing either, but a power cut takes the last commits. `FULL`
 //!   costs a flush per commit, some thousand commits a second on a disk with a write cache; a farm makes a
 //!   few per frame.) An artefact is flushed before its row is written, and a result names only artefacts with rows.
 //! * **Two workers never hold the same task.** One writer at a time, `BEGIN IMMEDIATE`, and a unique index over the
@@ -40,6 +40,7 @@ mod results;
 mod tasks;
 pub mod tokens;
 mod track_record;
+mod writing;
 
 pub use artifacts::{ArtifactReader, Artifacts, Staged};
 pub use backup::{Backup, backup};

@@ -140,3 +140,56 @@ async fn a_writer_that_waits_too_long_for_its_turn_is_told_that_the_database_is_
     assert!(matches!(claimed, Err(StoreError::Busy)), "{claimed:?}");
     assert_eq!(read.unwrap().id, node.id);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn writes_that_share_a_flush_stand_for_themselves() {
+    let farm = Farm::new().await;
+    let names = |prefix: &'static str| (0..100).map(move |number| format!("{prefix} {number}"));
+    let write = async |store: Store, name: String, keep: bool| {
+        let mut write = store.write().await.unwrap();
+        sqlx::query("INSERT INTO tokens (hash, name, role, created_at) VALUES (?, ?, 'viewer', 0)")
+            .bind(&blake3::hash(name.as_bytes()).as_bytes()[..])
+            .bind(name)
+            .execute(write.connection())
+            .await
+            .unwrap();
+        // Dropped half-way, as when a client goes away.
+        if keep {
+            store.commit(write).await.unwrap()
+        }
+    };
+    let mut writers = tokio::task::JoinSet::new();
+    for (kept, dropped) in names("kept").zip(names("dropped")) {
+        writers.spawn(write(farm.store.clone(), kept, true));
+        writers.spawn(write(farm.store.clone(), dropped, false));
+        // One that asks for what cannot be, and is rolled back.
+        let store = farm.store.clone();
+        writers.spawn(async move {
+            let refused = store.release(forelight_protocol::LeaseId::new(), 1, at(0)).await;
+            assert!(matches!(refused, Err(StoreError::NotFound("lease"))), "{refused:?}");
+        });
+    }
+    writers.join_all().await;
+    let kept: i64 = sqlx::query_scalar("SELECT count(*) FROM tokens WHERE name LIKE 'kept %'")
+        .fetch_one(farm.store.readers())
+        .await
+        .unwrap();
+    assert_eq!((kept, tokens::count(&farm.store).await.unwrap()), (100, 100));
+    // Nothing is left open: another process may write.
+    let beside = Store::open_beside(farm.folder.path()).await.unwrap();
+    tokens::create(&beside, Role::Viewer, "beside", at(0)).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_commit_that_nobody_waits_for_any_more_is_made_all_the_same() {
+    let farm = Farm::new().await;
+    for number in 0..20 {
+        let create = tokens::create(&farm.store, Role::Viewer, "a screen", at(0));
+        // Whoever asked is gone after a moment, at a different place each time.
+        let _ = tokio::time::timeout(Duration::from_micros(100 * number), create).await;
+    }
+    // Whatever became of each, the next write finds the database free.
+    let before = tokens::count(&farm.store).await.unwrap();
+    tokens::create(&farm.store, Role::Viewer, "the last", at(0)).await.unwrap();
+    assert!(tokens::count(&farm.store).await.unwrap() > before);
+}
