@@ -33,10 +33,6 @@ ALTER TABLE tasks ADD COLUMN limits TEXT NOT NULL DEFAULT '{}' CHECK (json_valid
 ALTER TABLE tasks ADD COLUMN not_before INTEGER NOT NULL DEFAULT 0;
 CREATE INDEX tasks_backing_off ON tasks (not_before) WHERE state = 'ready' AND not_before > 0;
 
--- The finished tiles of a frame whose worker may be gone: the next one goes on from there.
-ALTER TABLE tasks ADD COLUMN checkpoint BLOB REFERENCES artifacts (hash);
-CREATE INDEX tasks_by_checkpoint ON tasks (checkpoint) WHERE checkpoint IS NOT NULL;
-
 -- Whether a failure says something about the node: not if anyone would have failed, or if the job's own limit was met.
 ALTER TABLE leases ADD COLUMN blameless INTEGER NOT NULL DEFAULT 0 CHECK (blameless IN (0, 1));
 CREATE INDEX leases_failed_on_node ON leases (node_id, ended_at) WHERE state = 'failed' AND NOT blameless;
@@ -52,3 +48,6 @@ CREATE TABLE task_logs (
     PRIMARY KEY (task_id, fence, number)
 ) STRICT, WITHOUT ROWID;
 CREATE INDEX task_logs_by_age ON task_logs (at);
+
+-- Whether a job has frames left is asked with every frame that is delivered.
+CREATE INDEX frames_open ON frames (job_id) WHERE actual IS NULL;

@@ -6,9 +6,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{
-    ArtifactHash, JobId, JobState, LeaseId, LogLine, NodeId, TaskId, TaskResult, TaskSpec, Timestamp,
-};
+use crate::{JobId, JobState, LeaseId, LogLine, NodeId, TaskId, TaskResult, TaskSpec, Timestamp};
 
 /// A worker asks for a task.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
@@ -42,9 +40,6 @@ pub struct Lease {
     /// What it may use at most.
     #[serde(default, skip_serializing_if = "TaskLimits::are_none")]
     pub limits: TaskLimits,
-    /// Tiles of the frame that an earlier worker finished before it was lost: a profile artefact to be taken over.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub checkpoint: Option<ArtifactHash>,
 }
 
 /// What a task of a job may use at most. These are limits, not forecasts: the worker ends a task that goes beyond, and says by which
@@ -106,10 +101,6 @@ pub struct RenewRequest {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schema(max_items = 100)]
     pub log: Vec<LogLine>,
-    /// The tiles that are finished so far, a profile artefact that was stored before: should this worker be lost, the next one need not
-    /// trace them again.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub checkpoint: Option<ArtifactHash>,
 }
 
 /// What the worker shall do now.

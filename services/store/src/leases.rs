@@ -29,14 +29,14 @@
 use std::time::Duration;
 
 use forelight_protocol::{
-    ArtifactHash, Event, EventKind, JobId, JobState, Lease, LeaseId, LeaseOrder, NodeId, RenewRequest,
-    Renewal, TaskId, TaskKind, TaskSpec, Timestamp,
+    Event, EventKind, JobId, JobState, Lease, LeaseId, LeaseOrder, NodeId, RenewRequest, Renewal, TaskId,
+    TaskKind, TaskSpec, Timestamp,
 };
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::database::Write;
-use crate::decode::{hash_opt, id, json, whole, whole_opt, word};
+use crate::decode::{id, json, whole, whole_opt, word};
 use crate::events::{append, event, forget_old_progress, job_state};
 use crate::failures::{HEAD_START, LONGEST_WAIT};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, forget_old, record};
@@ -158,7 +158,6 @@ impl Store {
             ttl_ms: u64::try_from(ttl.as_millis()).unwrap_or(u64::MAX),
             spec,
             limits: json(&task, "limits")?,
-            checkpoint: hash_opt(&task, "checkpoint")?,
         };
         sqlx::query(
             "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at) \
@@ -225,7 +224,7 @@ impl Store {
         ttl: Duration,
         now: Timestamp,
     ) -> Result<Renewal, StoreError> {
-        let &RenewRequest { fence, progress, paused, ref log, checkpoint } = renewal;
+        let &RenewRequest { fence, progress, paused, ref log } = renewal;
         let mut write = self.write().await?;
         let row = read(write.connection(), lease).await?;
         if row.fence == fence && row.state == LeaseState::Revoked {
@@ -256,9 +255,6 @@ impl Store {
                 .await?;
         }
         logs::keep(&mut write, &row, log).await?;
-        if let Some(checkpoint) = checkpoint {
-            keep_checkpoint(&mut write, &row, checkpoint).await?;
-        }
         self.commit(write).await?;
         let order = if row.pause { LeaseOrder::Pause } else { LeaseOrder::Continue };
         Ok(Renewal { expires_at, order, drain: row.drain })
@@ -410,7 +406,7 @@ async fn next_task(
 macro_rules! next_task {
     ($index:literal, $which:literal, $order:literal) => {
         concat!(
-            "SELECT id, job_id, spec, limits, checkpoint FROM tasks INDEXED BY ",
+            "SELECT id, job_id, spec, limits FROM tasks INDEXED BY ",
             $index,
             " WHERE state = 'ready' AND ",
             $which,
@@ -496,27 +492,6 @@ pub(crate) async fn fail_for_good(
         .await?;
     let of_frame = row.frame.map_or(String::new(), |frame| format!(" of frame {frame}"));
     jobs::fail(write, row.job_id, &format!("{}{of_frame}: {error}", row.kind), now).await
-}
-
-/// Remembers which tiles of a frame are finished, for whoever has it next.
-async fn keep_checkpoint(
-    write: &mut Write,
-    row: &LeaseRow,
-    artifact: ArtifactHash,
-) -> Result<(), StoreError> {
-    let there: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM artifacts WHERE hash = ?)")
-        .bind(&artifact.0[..])
-        .fetch_one(write.connection())
-        .await?;
-    if !there {
-        return Err(StoreError::MissingArtifact(artifact));
-    }
-    sqlx::query("UPDATE tasks SET checkpoint = ? WHERE id = ? AND kind = 'render'")
-        .bind(&artifact.0[..])
-        .bind(row.task_id.0)
-        .execute(write.connection())
-        .await?;
-    Ok(())
 }
 
 /// Ends an active lease.

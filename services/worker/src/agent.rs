@@ -229,7 +229,6 @@ impl Agent {
                 progress: control.progress(),
                 paused: control.stands_still(),
                 log: control.unsent(),
-                checkpoint: None,
             };
             match once.renew(lease.lease_id, &renewal, interval.max(Duration::from_secs(1))).await {
                 Ok(renewed) if renewed.order == LeaseOrder::Stop => return,

@@ -129,7 +129,6 @@ fn lease(fence: u64) -> Lease {
         ttl_ms: TTL_MS,
         spec: TaskSpec::Preview(spec),
         limits: TaskLimits::default(),
-        checkpoint: None,
     }
 }
 

@@ -58,7 +58,7 @@ pub(crate) async fn renew(
         return Err(ApiError::invalid("/progress", "progress is 0 to 1"));
     }
     let renewal = app.store.renew(lease, &request, app.lease_ttl, app.now()).await;
-    Ok(Json(counted(&app, renewal).map_err(|error| error.or_at("/checkpoint"))?))
+    Ok(Json(counted(&app, renewal)?))
 }
 
 /// Gives a task back unfinished.
