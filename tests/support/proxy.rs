@@ -53,7 +53,7 @@ impl Proxy {
             tokio::spawn(async move {
                 let mut random = Random::new(seed);
                 while let Ok((client, _)) = listener.accept().await {
-                    let seed = random.next();
+                    let seed = random.number();
                     let faults = (!calm.load(Ordering::Relaxed)).then(|| faults.clone());
                     // A broken connection is no error here.
                     tokio::spawn(
