@@ -260,13 +260,13 @@ impl Service {
 
     /// Starts a worker of one thread that calls itself `name`. All workers keep fetched bundles in the same folder.
     pub fn worker(&self, name: &str, process: &str) -> Process {
-        self.worker_at(&self.address, name, process)
+        self.worker_at(&self.address, name, process, "1m")
     }
 
-    /// The same, by way of another address.
-    pub fn worker_at(&self, address: &str, name: &str, process: &str) -> Process {
+    /// The same by way of another address, and with checkpoints at this interval.
+    pub fn worker_at(&self, address: &str, name: &str, process: &str, checkpoints: &str) -> Process {
         let (token, bundles) = (self.token_file(Role::Worker), self.folder().join("bundles"));
-        let arguments: [&OsStr; 14] = [
+        let arguments: [&OsStr; 16] = [
             "worker".as_ref(),
             "--server".as_ref(),
             address.as_ref(),
@@ -280,6 +280,8 @@ impl Service {
             "cpu".as_ref(),
             "--bundles".as_ref(),
             bundles.as_ref(),
+            "--checkpoints".as_ref(),
+            checkpoints.as_ref(),
             "-v".as_ref(),
         ];
         Process::start(self.folder(), process, &arguments)

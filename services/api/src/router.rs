@@ -52,6 +52,7 @@ pub(crate) fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(leases::renew))
         .routes(routes!(leases::release))
         .routes(routes!(leases::result))
+        .routes(routes!(leases::checkpoint::put, leases::checkpoint::get))
         .routes(routes!(artifacts::put, artifacts::get, artifacts::head))
         .routes(routes!(forecasts::track_record))
         .routes(routes!(forecasts::track_record_svg))

@@ -131,6 +131,38 @@ async fn what_workers_say_can_be_read_while_they_work_and_after_they_failed() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn finished_tiles_outlive_their_worker_and_go_with_the_task() {
+    let farm = Farm::with(|config| config.lease_ttl = Duration::from_millis(600)).await;
+    let (lost, other) = (farm.node("lost").await, farm.node("other").await);
+    let job = farm.submit("0").await;
+    farm.until_booked(&other, &job).await;
+    let lease = farm.next_task(&lost).await;
+    let address =
+        |lease: &Lease, fence: u64| format!("/v1/leases/{}/checkpoint?fence={fence}", lease.lease_id);
+    let put = async |lease: &Lease, fence: u64, tiles: &'static [u8]| {
+        farm.worker.request(Method::PUT, &address(lease, fence)).body(tiles).send().await.unwrap()
+    };
+    farm.worker.get(&address(&lease, 0)).await.problem(ProblemKind::NotFound).await;
+    for tiles in [b"one tile" as &[u8], b"two tiles"] {
+        assert_eq!(put(&lease, lease.fence, tiles).await.status(), StatusCode::NO_CONTENT);
+    }
+    put(&lease, lease.fence + 1, b"a stranger's").await.problem(ProblemKind::LeaseLost).await;
+    // Its worker is lost.
+    let taken = farm.claim_waiting(&other, 5000).await.unwrap();
+    assert_eq!((taken.task_id, taken.fence), (lease.task_id, lease.fence + 1));
+    put(&lease, lease.fence, b"too late").await.problem(ProblemKind::LeaseLost).await;
+    let found = farm.worker.get(&address(&taken, 0)).await;
+    assert_eq!(found.bytes().await.unwrap(), &b"two tiles"[..]);
+    farm.finish(&taken).await;
+    let folder = farm.folder.path().join("data/checkpoints");
+    let start = std::time::Instant::now();
+    while std::fs::read_dir(&folder).unwrap().count() > 0 {
+        assert!(start.elapsed() < Duration::from_secs(10), "it is kept for ever");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_task_that_failed_comes_back_to_a_waiting_claim_when_its_time_has_come() {
     let farm = Farm::new().await;
     let (a, b) = (farm.node("a").await, farm.node("b").await);

@@ -8,6 +8,9 @@ use utoipa::ToSchema;
 
 use crate::{JobId, JobState, LeaseId, LogLine, NodeId, TaskId, TaskResult, TaskSpec, Timestamp};
 
+/// Most bytes of a checkpoint, the finished tiles of a frame: about a million pixels. Larger frames have none.
+pub const CHECKPOINT_BYTES: usize = 64 << 20;
+
 /// A worker asks for a task.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]

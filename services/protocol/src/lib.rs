@@ -53,8 +53,8 @@ pub use job::{
     JobRequest, JobState,
 };
 pub use lease::{
-    ClaimRequest, Lease, LeaseOrder, ReleaseRequest, RenewRequest, Renewal, ResultAnswer, ResultRequest,
-    TaskError, TaskLimit, TaskLimits,
+    CHECKPOINT_BYTES, ClaimRequest, Lease, LeaseOrder, ReleaseRequest, RenewRequest, Renewal, ResultAnswer,
+    ResultRequest, TaskError, TaskLimit, TaskLimits,
 };
 pub use log::{LOG_LINE_CHARACTERS, LOG_LINES, LogLevel, LogLine, TaskLog, TaskLogLine, without_secrets};
 pub use money::Money;

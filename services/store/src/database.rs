@@ -39,6 +39,8 @@ struct Inner {
     writer: Writer,
     readers: SqlitePool,
     artifacts: Artifacts,
+    /// Folder of the checkpoints.
+    checkpoints: PathBuf,
     /// Held while the store is open. The system lets go of it when the process dies, however it dies.
     _lock: Option<File>,
 }
@@ -89,14 +91,24 @@ impl Store {
             .connect_with(options.read_only(true))
             .await?;
         let artifacts = Artifacts::open(&data.join("artifacts"), writer.clone())?;
-        let inner =
-            Inner { writer: Writer::new(writer.clone()), writers: writer, readers, artifacts, _lock: lock };
+        let inner = Inner {
+            writer: Writer::new(writer.clone()),
+            writers: writer,
+            readers,
+            artifacts,
+            checkpoints: data.join(crate::checkpoints::FOLDER),
+            _lock: lock,
+        };
         Ok(Self { inner: Arc::new(inner) })
     }
 
     /// The files named by their hash.
     pub fn artifacts(&self) -> &Artifacts {
         &self.inner.artifacts
+    }
+
+    pub(crate) fn checkpoints(&self) -> &Path {
+        &self.inner.checkpoints
     }
 
     /// Changes whenever events were written.

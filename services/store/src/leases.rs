@@ -303,6 +303,7 @@ impl Store {
         forget_old_progress(&mut write, now).await?;
         forget_old_logs(&mut write, now).await?;
         self.commit(write).await?;
+        self.forget_checkpoints().await?;
         Ok(swept)
     }
 

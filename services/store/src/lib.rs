@@ -19,6 +19,7 @@ mod artifacts;
 mod backup;
 mod bundles;
 mod calibration;
+mod checkpoints;
 mod dashboard;
 mod database;
 mod decode;

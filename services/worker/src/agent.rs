@@ -34,6 +34,9 @@ const CLAIM_WAIT_MS: u32 = 20_000;
 /// Pause after a refusal that is nobody's plan, so that it does not become a flood.
 const AFTER_REFUSAL: Duration = Duration::from_secs(2);
 
+/// How often what is finished of a frame is sent to the service, so that the next worker goes on from there should this one be lost.
+const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(60);
+
 /// A worker.
 pub struct Agent {
     client: Client,
@@ -42,6 +45,7 @@ pub struct Agent {
     pool: Arc<rayon::ThreadPool>,
     registration: NodeRegistration,
     limits: TaskLimits,
+    checkpoints: Duration,
 }
 
 /// Why a worker ended without being told to.
@@ -92,13 +96,18 @@ impl Agent {
             .thread_name(move |index| format!("{name}-{index}"))
             .build()
             .map_err(|error| AgentError::Threads { threads, reason: error.to_string() })?;
-        let limits = TaskLimits::default();
-        Ok(Self { client, library, executor, pool: Arc::new(pool), registration, limits })
+        let (pool, limits, checkpoints) = (Arc::new(pool), TaskLimits::default(), CHECKPOINT_INTERVAL);
+        Ok(Self { client, library, executor, pool, registration, limits, checkpoints })
     }
 
     /// The same worker with limits of its own for every task; where a job sets its own, the stricter holds.
     pub fn with_limits(self, limits: TaskLimits) -> Self {
         Self { limits, ..self }
+    }
+
+    /// The same worker, which sends what is finished of a frame to the service at this interval; a minute, if this is not called.
+    pub fn with_checkpoints(self, interval: Duration) -> Self {
+        Self { checkpoints: interval, ..self }
     }
 
     /// Works until `stop` is cancelled, or until the service does not want this worker.
@@ -150,7 +159,7 @@ impl Agent {
     async fn work(&self, lease: Lease, stop: &CancellationToken) {
         let kind = lease.spec.kind();
         tracing::info!(task = %lease.task_id, %kind, frame = lease.spec.frame(), fence = lease.fence, "leased");
-        let control = Arc::new(Control::default());
+        let control = Arc::new(Control::with_checkpoints(self.checkpoints));
         let name = &self.registration.name;
         control.log(LogLevel::Info, format!("{kind} begun on {name}, attempt {}", lease.fence));
         let limits = lease.limits.and(self.limits);
@@ -207,7 +216,14 @@ impl Agent {
             TaskSpec::Preview(_) | TaskSpec::Profile(_) => None,
         };
         control.log(LogLevel::Info, "the bundle is here");
-        let assignment = Assignment { spec: lease.spec.clone(), bundle, profile };
+        let checkpoint = match &lease.spec {
+            // Only another attempt can have left something behind. Without it, the frame is done from the beginning.
+            TaskSpec::Render(_) if lease.fence > 1 => {
+                self.client.checkpoint(lease.lease_id).await.unwrap_or_default()
+            }
+            _ => None,
+        };
+        let assignment = Assignment { spec: lease.spec.clone(), bundle, profile, checkpoint };
         let (pool, executor) = (self.pool.clone(), self.executor.clone());
         let work = move || pool.install(|| executor.execute(&assignment, &control));
         match tokio::task::spawn_blocking(work).await {
@@ -224,6 +240,19 @@ impl Agent {
         let mut order = LeaseOrder::Continue;
         loop {
             tokio::time::sleep(interval).await;
+            if let Some(tiles) = control.take_checkpoint() {
+                // The renewal comes first: what does not get through in a part of the lease's time is given up.
+                let sent = once.put_checkpoint(lease.lease_id, lease.fence, tiles);
+                match tokio::time::timeout(interval / 2, sent).await {
+                    Ok(Ok(())) => {}
+                    Ok(Err(error)) => {
+                        tracing::warn!(task = %lease.task_id, %error, "finished tiles were not taken")
+                    }
+                    Err(_) => {
+                        tracing::warn!(task = %lease.task_id, "finished tiles take too long to be sent")
+                    }
+                }
+            }
             let renewal = RenewRequest {
                 fence: lease.fence,
                 progress: control.progress(),

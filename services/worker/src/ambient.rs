@@ -448,6 +448,7 @@ impl FrameRenderer for AmbientFrame<'_> {
         &self,
         reuse: Option<&Profile>,
         progress: &(dyn Fn(Progress) + Sync),
+        finished: &(dyn Fn(&[(u32, Pixel)]) + Sync),
         cancel: &AtomicBool,
     ) -> Result<Option<Finished>, RenderError> {
         let pixels = self.tracer.frame().camera.pixels();
@@ -466,7 +467,7 @@ impl FrameRenderer for AmbientFrame<'_> {
             return Ok(None);
         }
         let traced = |done| progress(Progress { step: Step::Tracing, done, all: pixels as u64 });
-        let image = self.tracer.render(reuse, &traced, cancel);
+        let image = self.tracer.render_watched(reuse, &traced, finished, cancel);
         let cache = self.tracer.cache().map(|cache| CacheUse {
             all: cache.totals(),
             taken_over,

@@ -7,7 +7,8 @@ use bytes::Bytes;
 use forelight_protocol::{
     ArtifactHash, ArtifactStored, Bundle, ClaimRequest, Event, EventId, ForecastDoc, FramePage, FrameRow,
     Job, JobCheck, JobId, JobRequest, JoinRequest, Lease, LeaseId, Node, NodeChange, NodeId, NodePage,
-    NodeRegistration, ReleaseRequest, RenewRequest, Renewal, ResultAnswer, ResultRequest, TaskId, TaskLog,
+    NodeRegistration, ProblemKind, ReleaseRequest, RenewRequest, Renewal, ResultAnswer, ResultRequest,
+    TaskId, TaskLog,
 };
 use reqwest::header::{HeaderName, HeaderValue};
 use reqwest::{Method, StatusCode};
@@ -203,6 +204,21 @@ impl Client {
     ) -> Result<Renewal, ClientError> {
         let request = json(Method::PATCH, format!("/v1/leases/{lease}"), renewal).timeout(Some(patience));
         self.transport.json(&request).await
+    }
+
+    /// Keeps the tiles of a frame that are finished so far.
+    pub async fn put_checkpoint(&self, lease: LeaseId, fence: u64, tiles: Bytes) -> Result<(), ClientError> {
+        let path = format!("/v1/leases/{lease}/checkpoint?fence={fence}");
+        self.transport.send(&Request::new(Method::PUT, path).payload(Payload::Bytes(tiles))).await.map(drop)
+    }
+
+    /// The tiles of a lease's frame that an earlier worker finished, if there are any.
+    pub async fn checkpoint(&self, lease: LeaseId) -> Result<Option<Bytes>, ClientError> {
+        match self.bytes(&format!("/v1/leases/{lease}/checkpoint")).await {
+            Ok(tiles) => Ok(Some(tiles)),
+            Err(error) if error.is(ProblemKind::NotFound) => Ok(None),
+            Err(error) => Err(error),
+        }
     }
 
     /// Reports a task's end.

@@ -6,6 +6,7 @@ use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 /// A task with everything that it needs on this machine.
 #[derive(Debug, Clone)]
@@ -16,6 +17,8 @@ pub struct Assignment {
     pub bundle: PathBuf,
     /// The profile whose pixels are to be taken over, if the task names one.
     pub profile: Option<Bytes>,
+    /// The tiles of the frame that an earlier worker finished before it was lost, if there are any.
+    pub checkpoint: Option<Bytes>,
 }
 
 /// What came of a task.
@@ -54,6 +57,8 @@ pub struct Control {
     /// Threads that stand still.
     standing: AtomicUsize,
     log: Mutex<Book>,
+    checkpoint_interval: Duration,
+    checkpoint: Mutex<Option<Bytes>>,
 }
 
 /// The lines of one attempt at a task.
@@ -68,6 +73,26 @@ struct Book {
 impl Control {
     /// Most lines that one message takes.
     const LINES_AT_ONCE: usize = 100;
+
+    /// Of a task whose finished parts are wanted at this interval.
+    pub fn with_checkpoints(interval: Duration) -> Self {
+        Self { checkpoint_interval: interval, ..Self::default() }
+    }
+
+    /// How often finished parts are wanted.
+    pub fn checkpoint_interval(&self) -> Duration {
+        self.checkpoint_interval
+    }
+
+    /// All parts that are finished so far. Those that were offered before, and not fetched, are out of date.
+    pub fn offer_checkpoint(&self, bytes: Bytes) {
+        *lock(&self.checkpoint) = Some(bytes);
+    }
+
+    /// The parts that were offered since the last time.
+    pub fn take_checkpoint(&self) -> Option<Bytes> {
+        lock(&self.checkpoint).take()
+    }
 
     /// Says how far the work is, 0 to 1. Does not return while the work is to stand still, so that whoever works calls it often, on every
     /// thread.

@@ -15,6 +15,7 @@
 //! | `execute`, `agent` | a task's life between lease and result |
 //! | `library` | bundles, fetched once and kept open |
 //! | `calibrate`, `capabilities` | how fast this machine is, and what it has |
+//! | `checkpoint` | the finished tiles of a frame, for whoever has it next |
 //! | `limits` | what a task may use at most |
 //! | `client`, `transport`, `backoff`, `server_events` | the service's REST API |
 
@@ -25,6 +26,7 @@ mod ambient;
 mod backoff;
 mod calibrate;
 mod capabilities;
+mod checkpoint;
 mod client;
 mod execute;
 mod library;

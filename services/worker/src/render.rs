@@ -3,7 +3,7 @@
 use crate::renderer::{CacheUse, Finished, FrameRenderer, Progress, RenderError, Renderer};
 use forelight_protocol::{CacheStats, Rays, RenderSettings, RenderStats, Spent};
 use forelight_scene::Frame;
-use forelight_tracer::{Cache, CacheTotals, Cost, Image, Profile};
+use forelight_tracer::{Cache, CacheTotals, Cost, Image, Pixel, Profile};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
@@ -43,23 +43,24 @@ pub fn render_frame(
     let start = Instant::now();
     let ready = renderer.frame(frame, settings)?;
     given.cache.map_or(Ok(()), |cache| ready.share(cache))?;
-    let rendered = render_ready(&*ready, settings, given.profile, progress, cancel)?;
+    let rendered = render_ready(&*ready, settings, given.profile, progress, &|_| (), cancel)?;
     Ok(rendered.map(|mut rendered| {
         rendered.stats.wall_seconds = start.elapsed().as_secs_f64();
         rendered
     }))
 }
 
-/// The same for a frame that was set up before; its wall time is that of tracing alone.
+/// The same for a frame that was set up before, whose pixels are given to `finished` as they are; its wall time is that of tracing alone.
 pub fn render_ready(
     ready: &dyn FrameRenderer,
     settings: &RenderSettings,
     reuse: Option<&Profile>,
     progress: &(dyn Fn(Progress) + Sync),
+    pixels: &(dyn Fn(&[(u32, Pixel)]) + Sync),
     cancel: &AtomicBool,
 ) -> Result<Option<Rendered>, RenderError> {
     let start = Instant::now();
-    let Some(finished) = ready.render(reuse, progress, cancel)? else { return Ok(None) };
+    let Some(finished) = ready.render(reuse, progress, pixels, cancel)? else { return Ok(None) };
     let stats = stats(ready, &finished, settings, start.elapsed().as_secs_f64());
     Ok(Some(Rendered { stats, image: finished.image, frame: ready.frame().clone() }))
 }

@@ -239,11 +239,13 @@ pub trait FrameRenderer: Send + Sync {
     /// dropped; what the frame needs beyond the others will be planned anew.
     fn share(&self, cache: Cache) -> Result<(), RenderError>;
 
-    /// The image, on the current thread pool; what `reuse` holds is taken over. `None` if `cancel` was set.
+    /// The image, on the current thread pool; what `reuse` holds is taken over. `finished` is given pixels as they are finished. `None` if
+    /// `cancel` was set.
     fn render(
         &self,
         reuse: Option<&Profile>,
         progress: &(dyn Fn(Progress) + Sync),
+        finished: &(dyn Fn(&[(u32, Pixel)]) + Sync),
         cancel: &AtomicBool,
     ) -> Result<Option<Finished>, RenderError>;
 }

@@ -139,11 +139,8 @@ impl Storm {
 
     fn worker(&mut self, slot: usize) -> Process {
         self.born += 1;
-        self.service.worker_at(
-            &self.proxy.address(),
-            &format!("node-{slot}"),
-            &format!("worker-{}", self.born),
-        )
+        let (node, process) = (format!("node-{slot}"), format!("worker-{}", self.born));
+        self.service.worker_at(&self.proxy.address(), &node, &process, "100ms")
     }
 
     async fn moment(&mut self, longest_ms: u64) {

@@ -1,5 +1,6 @@
 //! Leases: handing tasks to workers and taking results from them.
 
+pub(crate) mod checkpoint;
 mod claim;
 mod fits;
 

@@ -51,6 +51,10 @@ pub struct Args {
     /// Most time that a task may take; beyond it the task is ended [default: no limit]
     #[arg(long, value_name = "DURATION", value_parser = duration)]
     task_time: Option<Duration>,
+    /// How often the finished tiles of a frame are sent to the service, for whoever has the frame next should this process be killed; frames
+    /// of up to a million pixels without an irradiance cache
+    #[arg(long, value_name = "DURATION", default_value = "1m", value_parser = duration)]
+    checkpoints: Duration,
     /// File with a one-time token, to join the farm with; the machine's own token is kept in --token-file
     #[arg(long, value_name = "FILE", requires = "token_file")]
     join_token_file: Option<PathBuf>,
@@ -77,7 +81,9 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     };
     let limits = task_limits(args.task_memory, args.task_time);
     let executor = Arc::new(TaskRunner::new(library.clone()));
-    let agent = Agent::new(client.clone(), library, executor, registration)?.with_limits(limits);
+    let agent = Agent::new(client.clone(), library, executor, registration)?
+        .with_limits(limits)
+        .with_checkpoints(args.checkpoints);
     output::line(format!("worker {name} with {cores} threads for {}", client.address()))?;
     agent.run(interrupt.token()).await?;
     Ok(())
