@@ -14,6 +14,7 @@ use tokio_util::sync::CancellationToken;
 use crate::clock::{Clock as _, SteadyClock};
 use crate::conductor::Conductor;
 use crate::config::Config;
+use crate::connections::serve;
 use crate::metrics::Metrics;
 use crate::openapi::openapi_yaml;
 use crate::router::router;
@@ -94,7 +95,7 @@ impl Service {
         let tasks = vec![
             tokio::spawn(conduct(app.clone(), jobs)),
             tokio::spawn(sweep(app.clone(), clock)),
-            tokio::spawn(serve(listener, app)),
+            tokio::spawn(serve(listener, router(app), stopping.clone())),
         ];
         Ok(Self { address, store, stopping, tasks })
     }
@@ -128,14 +129,6 @@ impl Drop for Service {
         for task in &self.tasks {
             task.abort();
         }
-    }
-}
-
-async fn serve(listener: TcpListener, app: App) {
-    let stopping = app.stopping.clone();
-    let served = axum::serve(listener, router(app)).with_graceful_shutdown(stopping.cancelled_owned()).await;
-    if let Err(error) = served {
-        tracing::error!(%error, "the service cannot serve");
     }
 }
 
