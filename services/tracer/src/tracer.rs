@@ -41,6 +41,9 @@ pub struct Pixel {
     pub stratum: u32,
 }
 
+/// Is given pixels of an image, by their row-major index, as soon as they are finished.
+pub type PixelsFinished<'a> = dyn Fn(&[(u32, Pixel)]) + Sync + 'a;
+
 impl Pixel {
     /// Stratum of a pixel whose first sample met no surface.
     pub const NOTHING: u32 = u32::MAX;
@@ -358,7 +361,7 @@ impl Tracer {
         &self,
         reuse: Option<&Profile>,
         progress: &(dyn Fn(u64) + Sync),
-        finished: &(dyn Fn(&[(u32, Pixel)]) + Sync),
+        finished: &PixelsFinished<'_>,
         cancel: &AtomicBool,
     ) -> Option<Image> {
         let (width, height) = (self.settings.width, self.settings.height);

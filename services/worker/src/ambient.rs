@@ -13,7 +13,7 @@ use forelight_protocol::{
 };
 use forelight_scene::{Frame, Geometry, Limits, Scene};
 use forelight_tracer::{
-    Cache, CacheSettings, CacheTotals, Effects, MaterialOverride, Pixel, Profile, RecordCost, SampleCounts,
+    Cache, CacheSettings, CacheTotals, Effects, MaterialOverride, Pixel, PixelsFinished, Profile, RecordCost, SampleCounts,
     Settings, Shared, Tracer, thread_cpu_nanos, tracer_version,
 };
 use rayon::prelude::*;
@@ -448,7 +448,7 @@ impl FrameRenderer for AmbientFrame<'_> {
         &self,
         reuse: Option<&Profile>,
         progress: &(dyn Fn(Progress) + Sync),
-        finished: &(dyn Fn(&[(u32, Pixel)]) + Sync),
+        finished: &PixelsFinished<'_>,
         cancel: &AtomicBool,
     ) -> Result<Option<Finished>, RenderError> {
         let pixels = self.tracer.frame().camera.pixels();

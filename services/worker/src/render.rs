@@ -3,7 +3,7 @@
 use crate::renderer::{CacheUse, Finished, FrameRenderer, Progress, RenderError, Renderer};
 use forelight_protocol::{CacheStats, Rays, RenderSettings, RenderStats, Spent};
 use forelight_scene::Frame;
-use forelight_tracer::{Cache, CacheTotals, Cost, Image, Pixel, Profile};
+use forelight_tracer::{Cache, CacheTotals, Cost, Image, PixelsFinished, Profile};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
@@ -56,7 +56,7 @@ pub fn render_ready(
     settings: &RenderSettings,
     reuse: Option<&Profile>,
     progress: &(dyn Fn(Progress) + Sync),
-    pixels: &(dyn Fn(&[(u32, Pixel)]) + Sync),
+    pixels: &PixelsFinished<'_>,
     cancel: &AtomicBool,
 ) -> Result<Option<Rendered>, RenderError> {
     let start = Instant::now();

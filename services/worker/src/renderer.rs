@@ -11,7 +11,7 @@ use forelight_protocol::{
 };
 use forelight_scene::{Frame, MaterialClass, SceneError};
 use forelight_tracer::{
-    Cache, CacheError, CacheTotals, Image, Pixel, Profile, ProfileError, RecordCost, SampleCounts,
+    Cache, CacheError, CacheTotals, Image, Pixel, PixelsFinished, Profile, ProfileError, RecordCost, SampleCounts,
     SampleCountsError, SettingsError, Shared,
 };
 use std::path::Path;
@@ -245,7 +245,7 @@ pub trait FrameRenderer: Send + Sync {
         &self,
         reuse: Option<&Profile>,
         progress: &(dyn Fn(Progress) + Sync),
-        finished: &(dyn Fn(&[(u32, Pixel)]) + Sync),
+        finished: &PixelsFinished<'_>,
         cancel: &AtomicBool,
     ) -> Result<Option<Finished>, RenderError>;
 }
