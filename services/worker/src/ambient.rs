@@ -13,8 +13,8 @@ use forelight_protocol::{
 };
 use forelight_scene::{Frame, Geometry, Limits, Scene};
 use forelight_tracer::{
-    Cache, CacheSettings, CacheTotals, Effects, MaterialOverride, Pixel, PixelsFinished, Profile, RecordCost, SampleCounts,
-    Settings, Shared, Tracer, thread_cpu_nanos, tracer_version,
+    Cache, CacheSettings, CacheTotals, Effects, MaterialOverride, Pixel, PixelsFinished, Profile, RecordCost,
+    SampleCounts, Settings, Shared, Tracer, thread_cpu_nanos, tracer_version,
 };
 use rayon::prelude::*;
 use std::path::Path;

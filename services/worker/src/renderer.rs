@@ -11,8 +11,8 @@ use forelight_protocol::{
 };
 use forelight_scene::{Frame, MaterialClass, SceneError};
 use forelight_tracer::{
-    Cache, CacheError, CacheTotals, Image, Pixel, PixelsFinished, Profile, ProfileError, RecordCost, SampleCounts,
-    SampleCountsError, SettingsError, Shared,
+    Cache, CacheError, CacheTotals, Image, Pixel, PixelsFinished, Profile, ProfileError, RecordCost,
+    SampleCounts, SampleCountsError, SettingsError, Shared,
 };
 use std::path::Path;
 use std::sync::Arc;

@@ -141,7 +141,7 @@ pub async fn fill(store: &Store, frames: u32) -> Result<()> {
             },
             bookings,
         };
-        store.book(job.id, &forecast(), &frame_forecasts(&job), &plan, now).await?;
+        store.book(job.id, &forecast(), &frame_forecasts(&job), None, &plan, now).await?;
     }
     Ok(())
 }
@@ -218,6 +218,7 @@ pub fn rendered(frame: u32, spp: u32) -> TaskResult {
             rays: Rays { primary: 64 * u64::from(spp), ..Rays::default() },
             cache_records: Vec::new(),
             cache: None,
+            allotted: None,
             work: 1000,
             cpu_seconds: 1.0,
             wall_seconds: 1.0,
