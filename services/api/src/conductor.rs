@@ -17,7 +17,7 @@
 pub(crate) mod accuracy;
 #[cfg(test)]
 mod agreement;
-mod book;
+pub(crate) mod book;
 mod choose;
 mod estimate;
 

@@ -14,6 +14,7 @@ mod connections;
 mod error;
 mod extract;
 mod metrics;
+mod night;
 mod openapi;
 mod page;
 mod plot;
@@ -25,5 +26,6 @@ mod state;
 
 pub use clock::{Clock, ManualClock, SystemClock};
 pub use config::{Config, Limits};
+pub use night::{NightError, budget_forecast};
 pub use openapi::openapi_yaml;
 pub use service::{Service, ServiceError};

@@ -1,6 +1,7 @@
 //! The resources, one file or folder each, with a small handler for each verb.
 
 pub(crate) mod artifacts;
+pub(crate) mod budgets;
 pub(crate) mod bundles;
 pub(crate) mod dashboard;
 pub(crate) mod events;

@@ -16,7 +16,8 @@ use utoipa_axum::routes;
 use crate::error::render_problems;
 use crate::openapi::frame;
 use crate::resources::{
-    artifacts, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes, plans, tasks,
+    artifacts, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes, plans,
+    tasks,
 };
 use crate::state::App;
 
@@ -58,6 +59,8 @@ pub(crate) fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(forecasts::track_record_svg))
         .routes(routes!(forecasts::calibration))
         .routes(routes!(events::of_farm))
+        .routes(routes!(budgets::list, budgets::set))
+        .routes(routes!(budgets::forecast))
         .routes(routes!(dashboard::get))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))

@@ -172,6 +172,15 @@ async fn sweep(app: App, clock: Arc<SteadyClock>) {
             Ok(_) => {}
             Err(error) => tracing::warn!(%error, "the sweep failed; the next one tries again"),
         }
+        match app.store.enforce_budgets(app.now()).await {
+            Ok(0) => {}
+            Ok(changed) => {
+                tracing::info!(budgets = changed, "actions of budgets came into force or are over")
+            }
+            Err(error) => {
+                tracing::warn!(%error, "budgets could not be looked at; the next sweep tries again")
+            }
+        }
     }
 }
 

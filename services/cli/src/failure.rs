@@ -50,11 +50,26 @@ impl fmt::Display for Interrupted {
 
 impl std::error::Error for Interrupted {}
 
+/// A budget is threatened: nothing failed, and whoever called has to know. Ends the program with exit code 3.
+#[derive(Debug)]
+pub struct Threatened(pub String);
+
+impl fmt::Display for Threatened {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for Threatened {}
+
 /// The exit code that belongs to an error.
 pub fn exit_code(error: &anyhow::Error) -> u8 {
     for cause in error.chain() {
         if cause.is::<Interrupted>() {
             return 130;
+        }
+        if cause.is::<Threatened>() {
+            return 3;
         }
         if cause.is::<BadInput>() || is_bad_bundle(cause) || is_refused_request(cause) {
             return 2;
@@ -149,6 +164,7 @@ mod tests {
     #[test]
     fn wrong_input_is_told_from_failure_by_the_exit_code() {
         assert_eq!(exit_code(&BadInput::new("x").into()), 2);
+        assert_eq!(exit_code(&Threatened("x".into()).into()), 3);
         assert_eq!(exit_code(&refused(ProblemKind::Invalid)), 2);
         assert_eq!(exit_code(&refused(ProblemKind::Unauthenticated)), 1);
         assert_eq!(exit_code(&refused(ProblemKind::Busy)), 1);

@@ -16,7 +16,7 @@ use crate::proof::{Counted, value};
 use crate::simplex::{Column, Programme, Solution};
 
 /// About as many variables as are solved in a third of a second.
-const MOST_VARIABLES: usize = 60_000;
+pub(crate) const MOST_VARIABLES: usize = 60_000;
 /// And as many slots as are worth the while.
 const MOST_SLOTS: usize = 96;
 const MICROSECONDS_PER_HOUR: f64 = 3.6e9;
@@ -50,10 +50,10 @@ impl Admission {
     }
 }
 
-/// Solves the programme.
-pub(crate) fn admit(problem: &Problem) -> Admission {
+/// Solves the programme, with slots so coarse that it has about this many variables at most.
+pub(crate) fn admit(problem: &Problem, most_variables: usize) -> Admission {
     let mut admitted: Vec<bool> = problem.jobs.iter().map(|work| !work.is_hopeless).collect();
-    let slots = slots(problem);
+    let slots = slots(problem, most_variables);
     let capacity = capacity(problem, &slots);
     let setting = Setting { problem, slots: &slots, capacity: &capacity };
     let first = Model::new(&setting, &admitted, true);
@@ -76,7 +76,7 @@ pub(crate) fn admit(problem: &Problem) -> Admission {
 }
 
 /// The instants between which slots lie.
-fn slots(problem: &Problem) -> Vec<i64> {
+fn slots(problem: &Problem, most_variables: usize) -> Vec<i64> {
     let now = problem.input.now;
     let with_deadline = || problem.jobs.iter().filter_map(|work| Some((work, work.job.deadline?)));
     let Some(horizon) = with_deadline().map(|(_, deadline)| deadline).max() else { return Vec::new() };
@@ -85,7 +85,7 @@ fn slots(problem: &Problem) -> Vec<i64> {
         return Vec::new();
     }
     let jobs = with_deadline().count();
-    let most = (MOST_VARIABLES / (jobs * problem.classes.len()).max(1)).clamp(8, MOST_SLOTS);
+    let most = (most_variables / (jobs * problem.classes.len()).max(1)).clamp(8, MOST_SLOTS);
 
     let mut of_jobs: Vec<i64> =
         with_deadline().flat_map(|(work, deadline)| [work.release(now), deadline]).collect();

@@ -106,6 +106,15 @@ pub(crate) fn windows(node: &Node, now: i64, fixed: &[&FixedBooking]) -> Vec<Win
         .collect()
 }
 
+/// When the node may be used from this instant on: its calendar, less maintenance and what is booked on it. In order; nothing touches.
+pub fn free_time(node: &Node, now: i64, fixed: &[FixedBooking]) -> Vec<Interval> {
+    let of_node: Vec<&FixedBooking> = fixed.iter().filter(|booking| booking.node == node.id).collect();
+    windows(node, now, &of_node)
+        .iter()
+        .map(|window| Interval { start: window.start, end: Some(window.end).filter(|&end| end < FOREVER) })
+        .collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::{FOREVER, FreeTime, Window, windows};

@@ -2,7 +2,7 @@
 //! they are drawn, nor which others are.
 
 /// A number of 64 random bits for this seed and these indices: the finalizer of SplitMix64 (Steele, Lea, Flood 2014) over each in turn.
-pub(crate) fn bits(seed: u64, indices: &[u64]) -> u64 {
+pub fn bits(seed: u64, indices: &[u64]) -> u64 {
     indices.iter().fold(mix(seed.wrapping_add(STEP)), |hash, &index| {
         mix(hash ^ mix(index.wrapping_mul(STEP).wrapping_add(STEP)))
     })
@@ -17,20 +17,20 @@ fn mix(mut z: u64) -> u64 {
 }
 
 /// Uniform in the open interval from 0 to 1: never either end.
-pub(crate) fn uniform(seed: u64, indices: &[u64]) -> f64 {
+pub fn uniform(seed: u64, indices: &[u64]) -> f64 {
     ((bits(seed, indices) >> 12) as f64 + 0.5) / (1u64 << 52) as f64
 }
 
 /// Standard normal, by Box and Muller (1958). From a pure implementation of the functions, so that every machine draws
 /// the same.
-pub(crate) fn normal(seed: u64, indices: &[u64]) -> f64 {
+pub fn normal(seed: u64, indices: &[u64]) -> f64 {
     let first = uniform(seed, indices);
     let second = uniform(!seed, indices);
     libm::sqrt(-2.0 * libm::log(first)) * libm::cos(std::f64::consts::TAU * second)
 }
 
 /// Uniform among the whole numbers from `low` to `high`, both included.
-pub(crate) fn between(seed: u64, indices: &[u64], low: i64, high: i64) -> i64 {
+pub fn between(seed: u64, indices: &[u64], low: i64, high: i64) -> i64 {
     let count = i128::from(high) - i128::from(low) + 1;
     let offset = (i128::from(bits(seed, indices)) * count.max(1)) >> 64;
     // At most `high`.

@@ -36,7 +36,7 @@ mod admission;
 mod answers;
 mod bound;
 mod calendar;
-mod chance;
+pub mod chance;
 mod civil;
 mod description;
 mod difference;
@@ -46,6 +46,7 @@ mod explain;
 mod fairness;
 mod improve;
 mod lane;
+mod least;
 mod limits;
 mod model;
 mod outcome;
@@ -63,18 +64,20 @@ mod verify;
 pub use answers::{
     Change, Effect, Offer, Outlook, changed, curve, earliest_for_budget, outlook, ways_out, what_if,
 };
+pub use calendar::free_time;
 pub use civil::{CalendarError, Weekly, expand};
 pub use description::{Description, DescriptionError};
 pub use difference::{Difference, JobDifference, difference};
 pub use drawing::{gantt, price_curve};
 pub use explain::{Explanation, Precedence, Reason, explain};
 pub use fairness::decayed_usage;
+pub use least::least_cost;
 pub use model::{
     Booking, Bound, Confidence, FixedBooking, Frame, Infeasible, Input, InputError, Interval, Job, JobPlan,
     Limit, LimitUse, Node, Plan, PlanId, Power, Prices, Project, Proof, Rental, Reserved, Seed, Task, Usage,
     Verdict, WorkTotal,
 };
 pub use replan::{AtRisk, Event, Replanned, replan};
-pub use schedule::plan;
-pub use simulate::{JobRisk, Simulation, simulate};
+pub use schedule::{plan, plan_quickly};
+pub use simulate::{JobRisk, Simulation, Stretch, scenarios, simulate};
 pub use verify::{Violation, verify};

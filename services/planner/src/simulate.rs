@@ -6,12 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::calendar::Window;
 use crate::chance::normal;
-use crate::model::{Input, InputError, Job, Plan, Task, price_of};
+use crate::model::{Input, InputError, Plan, Task, price_of};
 use crate::problem::Problem;
-
-/// z of 80 % and 95 %, one-sided.
-const Z80: f64 = 0.841_621_233_572_914_2;
-const Z95: f64 = 1.644_853_626_951_472_6;
 
 /// What came out of the scenarios.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -61,7 +57,7 @@ pub fn simulate(input: &Input, plan: &Plan, scenarios: u32, seed: u64) -> Result
     let mut finishes: Vec<Vec<i64>> = vec![Vec::with_capacity(scenarios as usize); problem.jobs.len()];
     let mut costs = Vec::with_capacity(scenarios as usize);
     for scenario in 0..scenarios {
-        let (ends, cost) = carry_out(&problem, &tasks, seed, u64::from(scenario));
+        let (ends, cost) = carry_out(&problem, &tasks, seed, u64::from(scenario), |_, _, _| {});
         finishes.iter_mut().zip(ends).for_each(|(all, end)| all.push(end));
         costs.push(cost.saturating_add(fixed_part));
     }
@@ -74,6 +70,46 @@ pub fn simulate(input: &Input, plan: &Plan, scenarios: u32, seed: u64) -> Result
         JobRisk { job: work.job.id, late: late as u32, finish: [finite(50), finite(80), finite(95)] }
     });
     Ok(Simulation { scenarios, jobs: jobs.collect(), cost: [at(&costs, 50), at(&costs, 80), at(&costs, 95)] })
+}
+
+/// Time that a job has a node in a scenario.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stretch {
+    /// The job.
+    pub job: u64,
+    /// The node.
+    pub node: u64,
+    /// First instant.
+    pub start: i64,
+    /// The instant after the last; the end of time if there is no free stretch that is long enough.
+    pub end: i64,
+}
+
+/// Carries the plan out as [`simulate`] does, and shows what happens in each scenario: its number, and the stretches in the order of the
+/// plan's bookings.
+///
+/// # Errors
+/// If the input has no meaning.
+pub fn scenarios(
+    input: &Input,
+    plan: &Plan,
+    scenarios: u32,
+    seed: u64,
+    mut visit: impl FnMut(u32, &[Stretch]),
+) -> Result<(), InputError> {
+    input.check()?;
+    let problem = Problem::new(input);
+    let tasks = tasks(&problem, plan);
+    let mut stretches = Vec::with_capacity(tasks.len());
+    for scenario in 0..scenarios {
+        stretches.clear();
+        carry_out(&problem, &tasks, seed, u64::from(scenario), |task, start, end| {
+            let (job, node) = (problem.jobs[task.job].job.id, problem.nodes[task.node].id);
+            stretches.push(Stretch { job, node, start, end });
+        });
+        visit(scenario, &stretches);
+    }
+    Ok(())
 }
 
 /// The least of the sorted values that so many per cent do not exceed; zero of none.
@@ -106,10 +142,8 @@ fn tasks(problem: &Problem, plan: &Plan) -> Vec<Drawn> {
         .jobs
         .iter()
         .map(|work| {
-            let common = spread(work.job.total.p50, work.job.total.p80);
-            let own = |p50, p80| f64::max(0.0, libm::pow(spread(p50, p80), 2.0) - common * common);
             let frames = work.job.frames.iter();
-            frames.map(|frame| (frame.number, libm::sqrt(own(frame.work, frame.work_p80)))).collect()
+            frames.map(|frame| (frame.number, work.job.own_spread(frame))).collect()
         })
         .collect();
     plan.bookings
@@ -134,30 +168,19 @@ fn tasks(problem: &Problem, plan: &Plan) -> Vec<Drawn> {
         .collect()
 }
 
-/// Standard deviation of the logarithm, from two quantiles.
-fn spread(p50: u64, p80: u64) -> f64 {
-    if p50 == 0 || p80 <= p50 { 0.0 } else { libm::log(p80 as f64 / p50 as f64) / Z80 }
-}
-
-/// The total's quantile at this z, as a multiple of its median: straight lines between the logarithms of P50, P80 and P95,
-/// continued at both ends.
-fn factor(job: &Job, z: f64) -> f64 {
-    let first = spread(job.total.p50, job.total.p80);
-    let log = if z <= Z80 {
-        first * z
-    } else if job.total.p80 == 0 {
-        0.0
-    } else {
-        let second = libm::log(job.total.p95 as f64 / job.total.p80 as f64) / (Z95 - Z80);
-        first * Z80 + second * (z - Z80)
-    };
-    libm::exp(log)
-}
-
-/// One scenario: the end of each job, and what the time costs.
-fn carry_out(problem: &Problem, tasks: &[Drawn], seed: u64, scenario: u64) -> (Vec<i64>, i64) {
-    let factors: Vec<f64> =
-        problem.jobs.iter().map(|work| factor(work.job, normal(seed, &[scenario, work.job.id]))).collect();
+/// One scenario: the end of each job, and what the time costs. `visit` is shown each task with its start and end.
+fn carry_out(
+    problem: &Problem,
+    tasks: &[Drawn],
+    seed: u64,
+    scenario: u64,
+    mut visit: impl FnMut(&Drawn, i64, i64),
+) -> (Vec<i64>, i64) {
+    let factors: Vec<f64> = problem
+        .jobs
+        .iter()
+        .map(|work| work.job.common_factor(normal(seed, &[scenario, work.job.id])))
+        .collect();
     let now = problem.input.now;
     let mut free_from = vec![now; problem.nodes.len()];
     let mut ready: Vec<i64> = problem.jobs.iter().map(|work| work.release(now)).collect();
@@ -176,6 +199,7 @@ fn carry_out(problem: &Problem, tasks: &[Drawn], seed: u64, scenario: u64) -> (V
         // A float beyond the range of time becomes its end.
         let length = ((task.median * factors[task.job] * own).ceil() as i64).max(1);
         let end = first_end(problem, task, free_from[task.node].max(ready[task.job]), length);
+        visit(task, if end < i64::MAX { end - length } else { end }, end);
         free_from[task.node] = end;
         if task.task == Task::Seed {
             ready[task.job] = ready[task.job].max(end);

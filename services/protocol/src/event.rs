@@ -37,6 +37,8 @@ pub enum EventKind {
     NodeChanged,
     /// A node was set aside, because too much failed on it.
     NodeSetAside,
+    /// A budget's action came into force, or is over.
+    Budget,
 }
 
 impl EventKind {
@@ -57,6 +59,7 @@ impl EventKind {
             EventKind::NodeRegistered => "node_registered",
             EventKind::NodeChanged => "node_changed",
             EventKind::NodeSetAside => "node_set_aside",
+            EventKind::Budget => "budget",
         }
     }
 }

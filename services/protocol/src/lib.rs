@@ -12,6 +12,7 @@
 
 mod accuracy;
 mod artifact;
+mod budget;
 mod bundle;
 mod dashboard;
 mod event;
@@ -38,6 +39,11 @@ pub use accuracy::{
     AccuracyDoc, AccuracyRung, ImageError, LadderKind, MeasuredRung, MissingLadder, NextRung,
 };
 pub use artifact::ArtifactStored;
+pub use budget::{
+    Budget, BudgetAction, BudgetChange, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetOutlook,
+    BudgetPeriod, BudgetRequest, BudgetThreshold, CostLine, LedgerLine, MoneyForecast, Night, NightForecast,
+    NightRecord, NotReady,
+};
 pub use bundle::{Bundle, BundleRef, BundleSource, SceneSummary};
 pub use dashboard::{Dashboard, DashboardCounts, DashboardJob, DashboardNode, NodeActivity, TaskCounts};
 pub use event::{Event, EventKind};

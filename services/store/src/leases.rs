@@ -201,7 +201,7 @@ impl Store {
     /// Whether a claim could find something: asked by those who wait, so that they need not take the write lock.
     pub async fn may_have_work(&self, now: Timestamp) -> Result<bool, StoreError> {
         Ok(sqlx::query_scalar(
-            "SELECT EXISTS (SELECT 1 FROM tasks WHERE state = 'ready' AND not_before <= ?1) \
+            "SELECT EXISTS (SELECT 1 FROM tasks WHERE state = 'ready' AND held = 0 AND not_before <= ?1) \
              OR EXISTS (SELECT 1 FROM leases WHERE state = 'active' AND expires_at <= ?1)",
         )
         .bind(now.micros())
@@ -411,7 +411,7 @@ macro_rules! next_task {
             $index,
             " WHERE state = 'ready' AND ",
             $which,
-            " AND not_before <= ?2 AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS (SELECT 1 FROM leases f \
+            " AND held = 0 AND not_before <= ?2 AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS (SELECT 1 FROM leases f \
               WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1)) ORDER BY ",
             $order,
             " LIMIT 1"

@@ -17,6 +17,7 @@
 
 mod artifacts;
 mod backup;
+mod budgets;
 mod bundles;
 mod calibration;
 mod checkpoints;
@@ -45,6 +46,7 @@ mod writing;
 
 pub use artifacts::{ArtifactReader, Artifacts, Staged};
 pub use backup::{Backup, backup};
+pub use budgets::{KeptNight, OpenJob};
 pub use bundles::NewBundle;
 pub use calibration::{QuoteBasis, QuoteKind, Spreads};
 pub use database::Store;

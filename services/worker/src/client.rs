@@ -5,10 +5,10 @@ use crate::server_events::{EventParser, ServerEvent};
 use crate::transport::{ClientError, Payload, Request, Token, Transport};
 use bytes::Bytes;
 use forelight_protocol::{
-    ArtifactHash, ArtifactStored, Bundle, ClaimRequest, Event, EventId, ForecastDoc, FramePage, FrameRow,
-    Job, JobCheck, JobId, JobRequest, JoinRequest, Lease, LeaseId, Node, NodeChange, NodeId, NodePage,
-    NodeRegistration, ProblemKind, ReleaseRequest, RenewRequest, Renewal, ResultAnswer, ResultRequest,
-    TaskId, TaskLog,
+    ArtifactHash, ArtifactStored, Budget, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetRequest,
+    Bundle, ClaimRequest, Event, EventId, ForecastDoc, FramePage, FrameRow, Job, JobCheck, JobId, JobRequest,
+    JoinRequest, Lease, LeaseId, Node, NodeChange, NodeId, NodePage, NodeRegistration, ProblemKind,
+    ReleaseRequest, RenewRequest, Renewal, ResultAnswer, ResultRequest, TaskId, TaskLog,
 };
 use reqwest::header::{HeaderName, HeaderValue};
 use reqwest::{Method, StatusCode};
@@ -120,6 +120,24 @@ impl Client {
                 None => return Ok(rows),
             }
         }
+    }
+
+    /// All budgets and how they stand.
+    pub async fn budgets(&self) -> Result<BudgetList, ClientError> {
+        self.transport.json(&Request::new(Method::GET, "/v1/budgets")).await
+    }
+
+    /// Sets a project's budget.
+    pub async fn set_budget(&self, budget: &BudgetRequest) -> Result<Budget, ClientError> {
+        self.transport.json(&json(Method::POST, "/v1/budgets", budget)).await
+    }
+
+    /// What tonight and the nights after it will cost.
+    pub async fn budget_forecast(
+        &self,
+        asked: &BudgetForecastRequest,
+    ) -> Result<BudgetForecast, ClientError> {
+        self.transport.json(&json(Method::POST, "/v1/budget-forecasts", asked)).await
     }
 
     /// One picture of one frame, into memory.

@@ -1,27 +1,11 @@
 //! What is predicted of a frame's error and work, against the frame rendered, on the kitchen that ships with the project.
 
-use forelight_preview::Choice;
+mod common;
+
+use common::{Nobody, kitchen};
 use forelight_protocol::{AccuracyDoc, CacheMode, LadderKind, RenderSettings, RenderSettingsRequest};
-use forelight_worker::{
-    AccuracyObserver, AccuracyOptions, Ambient, AmbientShot, MeasureOptions, ShotError, measure, predict,
-};
-use std::path::Path;
+use forelight_worker::{AccuracyOptions, MeasureOptions, ShotError, measure, predict};
 use std::sync::atomic::AtomicBool;
-
-#[derive(Default)]
-struct Nobody(AtomicBool);
-
-impl AccuracyObserver for Nobody {
-    fn predicted(&self, _: usize, _: usize) {}
-    fn cancel(&self) -> &AtomicBool {
-        &self.0
-    }
-}
-
-fn kitchen() -> AmbientShot {
-    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/scenes/kitchen"));
-    Ambient::new(Choice::Cpu).open(path).unwrap()
-}
 
 fn tiny() -> RenderSettings {
     let request = RenderSettingsRequest {

@@ -1,28 +1,11 @@
 //! Camera samples by what they come to, on the kitchen that ships with the project.
 
-use forelight_preview::Choice;
+mod common;
+
+use common::{Nobody, kitchen};
 use forelight_protocol::{Confidence, RenderSettings, RenderSettingsRequest};
-use forelight_worker::{
-    AccuracyObserver, Aim, AllotError, AllotOptions, Ambient, AmbientShot, Given, Rendered, render_allotted,
-    render_frame,
-};
-use std::path::Path;
+use forelight_worker::{Aim, AllotError, AllotOptions, Given, Rendered, render_allotted, render_frame};
 use std::sync::atomic::AtomicBool;
-
-#[derive(Default)]
-struct Nobody(AtomicBool);
-
-impl AccuracyObserver for Nobody {
-    fn predicted(&self, _: usize, _: usize) {}
-    fn cancel(&self) -> &AtomicBool {
-        &self.0
-    }
-}
-
-fn kitchen() -> AmbientShot {
-    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/scenes/kitchen"));
-    Ambient::new(Choice::Cpu).open(path).unwrap()
-}
 
 fn settings(spp: u32) -> RenderSettings {
     let request = RenderSettingsRequest {

@@ -94,9 +94,6 @@ fn planner_input(
     now: Timestamp,
 ) -> planner::Input {
     let index: BTreeMap<NodeId, u64> = nodes.iter().map(|node| node.id).zip(0..).collect();
-    let Quantiles { p50, p80, p95, .. } = forecast.job.total.cpu_seconds;
-    // At least one unit, so that no booking is empty however little a frame takes.
-    let total = [p50, p80, p95].map(|seconds| units(seconds).max(1));
     planner::Input {
         now: now.micros(),
         nodes: nodes
@@ -105,7 +102,7 @@ fn planner_input(
             .map(|(node, id)| planner::Node {
                 id,
                 name: node.name.clone(),
-                speed: units(seconds_per_second(node)).max(1),
+                speed: speed(node),
                 price_per_hour: node.price_per_hour.micro_units(),
                 available_from: now.micros(),
                 calendar: vec![Interval { start: now.micros(), end: None }],
@@ -125,31 +122,46 @@ fn planner_input(
             release: now.micros(),
             deadline: job.deadline.map(Timestamp::micros),
             priority: job.priority,
-            confidence: match job.confidence {
-                Confidence::P50 => planner::Confidence::P50,
-                Confidence::P80 => planner::Confidence::P80,
-                Confidence::P95 => planner::Confidence::P95,
-            },
-            // Rounding must not make a quantile fall below a lower one.
-            total: planner::WorkTotal {
-                p50: total[0],
-                p80: total[1].max(total[0]),
-                p95: total[2].max(total[1]).max(total[0]),
-            },
+            confidence: confidence(job.confidence),
+            total: total(&forecast.job.total.cpu_seconds),
             frames: forecast
                 .frames
                 .iter()
-                .map(|frame| planner::Frame {
-                    number: i64::from(frame.frame),
-                    work: units(frame.cpu_seconds.p50).max(1),
-                    work_p80: units(frame.cpu_seconds.p80).max(1),
-                })
+                .map(|each| frame(each.frame, each.cpu_seconds.p50, each.cpu_seconds.p80))
                 .collect(),
             budget: job.budget.map(Money::micro_units),
             ..planner::Job::default()
         }],
         ..planner::Input::default()
     }
+}
+
+/// A confidence in the planner's words.
+pub(crate) fn confidence(confidence: Confidence) -> planner::Confidence {
+    match confidence {
+        Confidence::P50 => planner::Confidence::P50,
+        Confidence::P80 => planner::Confidence::P80,
+        Confidence::P95 => planner::Confidence::P95,
+    }
+}
+
+/// CPU seconds of all frames as the planner's work.
+pub(crate) fn total(cpu_seconds: &Quantiles) -> planner::WorkTotal {
+    let Quantiles { p50, p80, p95, .. } = *cpu_seconds;
+    // At least one unit, so that no booking is empty however little a frame takes.
+    let [p50, p80, p95] = [p50, p80, p95].map(|seconds| units(seconds).max(1));
+    // Rounding must not make a quantile fall below a lower one.
+    planner::WorkTotal { p50, p80: p80.max(p50), p95: p95.max(p80).max(p50) }
+}
+
+/// CPU seconds of a frame, median and P80, as the planner's work.
+pub(crate) fn frame(number: u32, p50: f64, p80: f64) -> planner::Frame {
+    planner::Frame { number: i64::from(number), work: units(p50).max(1), work_p80: units(p80).max(1) }
+}
+
+/// What a node does a second, in the planner's unit of work.
+pub(crate) fn speed(node: &Node) -> u64 {
+    units(seconds_per_second(node)).max(1)
 }
 
 /// Seconds of a core of speed 1 that the node does in a second, with all its cores.

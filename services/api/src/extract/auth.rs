@@ -52,7 +52,7 @@ caller!(
 );
 caller!(
     /// A token that may do everything.
-    OperatorToken, Operator
+    Operator, Operator
 );
 
 impl WorkerToken {

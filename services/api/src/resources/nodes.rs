@@ -12,7 +12,7 @@ use forelight_protocol::{
 use super::{created, repeated};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{
-    Anyone, JsonBody, KeyHeader, OneTimeToken, OperatorToken, QueryParameters, Segment, WorkerToken,
+    Anyone, JsonBody, KeyHeader, OneTimeToken, Operator, QueryParameters, Segment, WorkerToken,
 };
 use crate::page::{PageQuery, cut};
 use crate::state::App;
@@ -63,7 +63,7 @@ pub(crate) async fn join(
     responses((status = 201, description = "The one-time token", body = JoinToken), Problems))]
 pub(crate) async fn join_token(
     State(app): State<App>,
-    _: OperatorToken,
+    _: Operator,
     JsonBody { value: request, .. }: JsonBody<JoinTokenRequest>,
 ) -> ApiResult<(StatusCode, Json<JoinToken>)> {
     check_name("/name", &request.name, 200)?;

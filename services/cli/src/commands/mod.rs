@@ -4,6 +4,7 @@ mod accuracy;
 mod allot;
 mod backup;
 mod bench;
+mod budget;
 mod cache;
 mod export;
 mod farm;
@@ -14,6 +15,7 @@ mod plan;
 mod preview;
 mod render;
 mod serve;
+mod simulate;
 mod submit;
 mod token;
 mod worker;
@@ -35,7 +37,7 @@ Examples:
   forelight farm --data farm-data --workers 2          a farm on this machine
   forelight submit kitchen/ --deadline 2h --data farm-data --out images/
 
-Exit codes: 0 done; 1 something failed; 2 wrong input; 130 stopped by the user.")]
+Exit codes: 0 done; 1 something failed; 2 wrong input; 3 a budget is threatened (`forelight budget`); 130 stopped by the user.")]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -57,6 +59,8 @@ enum Command {
     Accuracy(accuracy::Args),
     Export(export::Args),
     Plan(plan::Args),
+    Simulate(simulate::Args),
+    Budget(Box<budget::Args>),
     Token(token::Args),
     Node(node::Args),
     Log(log::Args),
@@ -83,6 +87,7 @@ impl Cli {
             Command::Node(args) => node::run(args).await,
             Command::Log(args) => log::run(args).await,
             Command::Backup(args) => backup::run(args).await,
+            Command::Budget(args) => budget::run(*args).await,
             // Tracing light is not waiting: it gets a thread that may block.
             Command::Render(args) => blocking(move || render::run(&args, &interrupt)).await,
             Command::Preview(args) => blocking(move || preview::run(&args)).await,
@@ -91,6 +96,7 @@ impl Cli {
             Command::Accuracy(args) => blocking(move || accuracy::run(&args, &interrupt)).await,
             Command::Export(args) => blocking(move || export::run(&args)).await,
             Command::Plan(args) => blocking(move || plan::run(&args)).await,
+            Command::Simulate(args) => blocking(move || simulate::run(&args, &interrupt)).await,
             Command::Bench(args) => blocking(move || bench::run(&args, &interrupt)).await,
         }
     }
@@ -164,6 +170,13 @@ mod tests {
             ("forelight worker --join-token-file j", "--token-file"),
             ("forelight worker --task-memory little", "--task-memory"),
             ("forelight backup --data d", "--to"),
+            ("forelight simulate --nodes 3", "--nodes"),
+            ("forelight simulate --confidence 90", "--confidence"),
+            ("forelight simulate --pool 0", "--pool"),
+            ("forelight simulate --bias=-1", "--bias"),
+            ("forelight budget --date tomorrow", "--date"),
+            ("forelight budget --days 0", "--days"),
+            ("forelight budget set film 10 --stop 0", "--stop"),
             ("forelight farm --lease-ttl 0s", "--lease-ttl"),
         ] {
             let error = parse(line).expect_err(line);

@@ -4,6 +4,10 @@ use serde::{Deserialize, Serialize};
 
 use super::LimitUse;
 
+/// z of 80 % and 95 %, one-sided.
+const Z80: f64 = 0.841_621_233_572_914_2;
+const Z95: f64 = 1.644_853_626_951_472_6;
+
 /// Frames to be rendered together.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
@@ -122,6 +126,31 @@ pub struct Usage {
     pub time: i64,
 }
 
+impl Confidence {
+    /// The standard normal variable that is below this with this probability.
+    pub fn z(self) -> f64 {
+        match self {
+            Confidence::P50 => 0.0,
+            Confidence::P80 => Z80,
+            Confidence::P95 => Z95,
+        }
+    }
+
+    /// The probability.
+    pub fn probability(self) -> f64 {
+        match self {
+            Confidence::P50 => 0.5,
+            Confidence::P80 => 0.8,
+            Confidence::P95 => 0.95,
+        }
+    }
+}
+
+/// Standard deviation of the logarithm, from median and P80; zero if they say nothing.
+fn log_spread(p50: u64, p80: u64) -> f64 {
+    if p50 == 0 || p80 <= p50 { 0.0 } else { libm::log(p80 as f64 / p50 as f64) / Z80 }
+}
+
 impl WorkTotal {
     /// The quantile of this confidence.
     pub fn at(&self, confidence: Confidence) -> u64 {
@@ -150,6 +179,27 @@ impl Job {
                 _ => self.share(frame.work, medians),
             })
             .collect()
+    }
+
+    /// What the work of all frames is multiplied by when what they have in common comes out at this z, as a multiple of the
+    /// median: straight lines between the logarithms of the total's P50, P80 and P95, continued at both ends.
+    pub fn common_factor(&self, z: f64) -> f64 {
+        let first = log_spread(self.total.p50, self.total.p80);
+        let log = if z <= Z80 {
+            first * z
+        } else if self.total.p80 == 0 {
+            0.0
+        } else {
+            let second = libm::log(self.total.p95 as f64 / self.total.p80 as f64) / (Z95 - Z80);
+            first * Z80 + second * (z - Z80)
+        };
+        libm::exp(log)
+    }
+
+    /// Standard deviation of the logarithm of a frame's own factor: of its work, less what all frames have in common.
+    pub fn own_spread(&self, frame: &Frame) -> f64 {
+        let common = log_spread(self.total.p50, self.total.p80);
+        libm::sqrt(f64::max(0.0, libm::pow(log_spread(frame.work, frame.work_p80), 2.0) - common * common))
     }
 
     /// Number and bought work of the frames that still need a place.

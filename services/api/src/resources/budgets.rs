@@ -1,0 +1,78 @@
+//! Budgets, and what the nights to come will cost.
+
+use axum::Json;
+use axum::extract::State;
+use forelight_protocol::{
+    Budget, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetRequest, Money, Night, ProblemKind,
+};
+
+use super::nodes::check_name;
+use crate::error::{ApiError, ApiResult, Problems};
+use crate::extract::{JsonBody, Operator, Reader};
+use crate::night::{NightError, budget_forecast};
+use crate::state::App;
+
+/// Thresholds that a budget may have.
+const MOST_THRESHOLDS: usize = 10;
+/// A million million units: no sum with it overflows.
+const HIGHEST: Money = Money(1_000_000_000_000_000_000);
+
+/// All budgets and how they stand.
+#[utoipa::path(get, path = "/v1/budgets", tag = "farm",
+    responses((status = 200, description = "The budgets", body = BudgetList), Problems))]
+pub(crate) async fn list(State(app): State<App>, _: Reader) -> ApiResult<Json<BudgetList>> {
+    Ok(Json(BudgetList { items: app.store.budgets(app.now()).await? }))
+}
+
+/// Sets a project's budget for nights, for months or for good. Setting it again replaces it, and ends what it had in force: so repeating the
+/// request is harmless.
+#[utoipa::path(post, path = "/v1/budgets", tag = "farm", request_body = BudgetRequest,
+    responses((status = 200, description = "The budget, as it stands", body = Budget), Problems))]
+pub(crate) async fn set(
+    State(app): State<App>,
+    _: Operator,
+    JsonBody { value: request, .. }: JsonBody<BudgetRequest>,
+) -> ApiResult<Json<Budget>> {
+    check_name("/project", &request.project, 200)?;
+    if !(Money(0)..=HIGHEST).contains(&request.amount) {
+        return Err(ApiError::invalid("/amount", format!("an amount is 0 to {} micro-units", HIGHEST.0)));
+    }
+    if Night::of(&request.zone, app.now()).is_none() {
+        return Err(ApiError::invalid(
+            "/zone",
+            "there is no such time zone; write for instance Europe/Berlin",
+        ));
+    }
+    if request.thresholds.len() > MOST_THRESHOLDS {
+        return Err(ApiError::invalid(
+            "/thresholds",
+            format!("at most {MOST_THRESHOLDS} thresholds are taken"),
+        ));
+    }
+    if let Some(wrong) =
+        request.thresholds.iter().position(|threshold| !(1..=1000).contains(&threshold.percent))
+    {
+        return Err(ApiError::invalid(
+            format!("/thresholds/{wrong}/percent"),
+            "a threshold is 1 to 1000 per cent",
+        ));
+    }
+    Ok(Json(app.store.set_budget(&request, app.now()).await?))
+}
+
+/// What tonight and the nights after it will cost, by project, job and class of nodes, against budgets; what will not be ready; what changed since the
+/// night before. It is kept as what was said of its first night, in one place however often it is asked for.
+#[utoipa::path(post, path = "/v1/budget-forecasts", tag = "farm", request_body = BudgetForecastRequest,
+    responses((status = 200, description = "The forecast", body = BudgetForecast), Problems))]
+pub(crate) async fn forecast(
+    State(app): State<App>,
+    _: Reader,
+    JsonBody { value: request, .. }: JsonBody<BudgetForecastRequest>,
+) -> ApiResult<Json<BudgetForecast>> {
+    match budget_forecast(&app.store, &request, app.now()).await {
+        Ok(forecast) => Ok(Json(forecast)),
+        Err(NightError::Invalid { pointer, reason }) => Err(ApiError::invalid(pointer, reason)),
+        Err(NightError::Store(error)) => Err(error.into()),
+        Err(error @ NightError::Bookings(_)) => Err(ApiError::new(ProblemKind::Conflict, error.to_string())),
+    }
+}

@@ -1,0 +1,262 @@
+//! `forelight budget`: what tonight and the nights after it will cost, against budgets; and the budgets.
+
+mod page;
+mod table;
+
+use crate::atomic_file::write_bytes;
+use crate::connection::connect;
+use crate::failure::{BadInput, Threatened};
+use crate::options::ConnectionOptions;
+use crate::output;
+use crate::quantities::parse_money;
+use anyhow::{Context, Result};
+use clap::{Subcommand, ValueEnum};
+use forelight_protocol::{
+    BudgetAction, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetPeriod, BudgetRequest,
+    BudgetThreshold, Money, Night, Timestamp,
+};
+use forelight_store::Store;
+use std::path::{Path, PathBuf};
+
+/// What tonight and the nights after it will cost, against budgets; sets budgets
+#[derive(Debug, clap::Args)]
+#[command(args_conflicts_with_subcommands = true)]
+#[command(after_help = "\
+Examples:
+  forelight budget --data farm-data
+  forelight budget --date 2026-03-01 --days 7 --html nights.html --csv nights.csv
+  forelight budget set hero-film 250 --per night --warn 80 --drain 100 --stop 120
+  forelight budget list --json
+  forelight budget --database farm-data --json   without the service
+
+A night is the 24 hours from noon of the date that it is named by. Amounts stay below P50, P80 and P95 with that probability. \
+The forecast is kept as what was said of its first night, in one place however often it is asked for: run it again at will.
+
+Exit codes for cron: 0 fine; 3 a budget is more likely than one in five to be exceeded; 1 and 2 as everywhere. \
+deploy/forelight-budget.timer and deploy/forelight-budget.crontab run it every evening.")]
+pub struct Args {
+    #[command(subcommand)]
+    what: Option<What>,
+    /// Date on which the first night begins; without it, tonight
+    #[arg(long, value_name = "YYYY-MM-DD", value_parser = parse_date)]
+    date: Option<Date>,
+    /// Nights
+    #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=60))]
+    days: u32,
+    /// Time zone of the nights, such as Europe/Berlin; without it, that of this machine
+    #[arg(long, value_name = "ZONE")]
+    zone: Option<String>,
+    /// Write amounts by night, project, job and node class into this file
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Write a page for people into this file
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
+    /// Print the forecast as JSON to standard output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    place: Place,
+}
+
+/// A service, or its data.
+#[derive(Debug, clap::Args)]
+struct Place {
+    #[command(flatten)]
+    connection: ConnectionOptions,
+    /// Work on the data folder of a farm on this machine, whether its service runs or not
+    #[arg(long, value_name = "DIR", help_heading = "Connection")]
+    database: Option<PathBuf>,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    Set(SetArgs),
+    List(ListArgs),
+}
+
+/// Set a project's budget; one of the same project and period is replaced
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight budget set hero-film 250
+  forelight budget set hero-film 4000 --per month --warn 75 --stop 110 --zone Europe/Berlin
+
+Without --warn, --drain and --stop: a warning at 80 per cent, nothing new is started at 100.")]
+struct SetArgs {
+    /// The project
+    project: String,
+    /// How much, in units of the farm's currency
+    #[arg(value_parser = parse_money)]
+    amount: i64,
+    /// For which time
+    #[arg(long, value_enum, default_value_t = Per::Night)]
+    per: Per,
+    /// Per cent at which an event warns
+    #[arg(long, value_name = "PERCENT", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    warn: Option<u32>,
+    /// Per cent at which what runs is finished and nothing new is started
+    #[arg(long, value_name = "PERCENT", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    drain: Option<u32>,
+    /// Per cent at which what runs is stopped
+    #[arg(long, value_name = "PERCENT", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    stop: Option<u32>,
+    /// Time zone of nights and months; without it, that of this machine
+    #[arg(long, value_name = "ZONE")]
+    zone: Option<String>,
+    /// Print the budget as JSON to standard output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    place: Place,
+}
+
+/// All budgets and how they stand
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight budget list --data farm-data")]
+struct ListArgs {
+    /// Print the budgets as JSON to standard output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    place: Place,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Per {
+    /// Every night anew
+    Night,
+    /// Every month anew
+    Month,
+    /// Once and for all
+    Total,
+}
+
+type Date = jiff::civil::Date;
+
+fn parse_date(text: &str) -> Result<Date, String> {
+    text.parse().map_err(|_| "expected a date such as 2026-03-01".to_owned())
+}
+
+/// Runs the command.
+pub async fn run(args: Args) -> Result<()> {
+    match args.what {
+        Some(What::Set(args)) => set(args).await,
+        Some(What::List(args)) => list(args).await,
+        None => forecast(args).await,
+    }
+}
+
+async fn forecast(args: Args) -> Result<()> {
+    let request = BudgetForecastRequest { date: args.date, days: args.days, zone: zone(args.zone)? };
+    let found = match &args.place.database {
+        Some(folder) => {
+            let store = open(folder).await?;
+            let found = forelight_api::budget_forecast(&store, &request, Timestamp::now()).await;
+            store.close().await;
+            found.map_err(|error| match error {
+                forelight_api::NightError::Invalid { .. } => {
+                    anyhow::Error::from(BadInput::new(error.to_string()))
+                }
+                other => other.into(),
+            })?
+        }
+        None => connect(&args.place.connection)?.budget_forecast(&request).await?,
+    };
+    if let Some(path) = &args.csv {
+        write_bytes(path, table::csv(&found).as_bytes())?;
+    }
+    if let Some(path) = &args.html {
+        write_bytes(path, page::html(&found).as_bytes())?;
+    }
+    if args.json { output::json(&found) } else { output::print(&table::text(&found)) }?;
+    threatened(&found)
+}
+
+/// The error that tells cron.
+fn threatened(found: &BudgetForecast) -> Result<()> {
+    let mut projects: Vec<&str> = found
+        .budgets
+        .iter()
+        .filter(|budget| budget.threatened)
+        .map(|budget| budget.project.as_str())
+        .collect();
+    projects.dedup();
+    if projects.is_empty() {
+        return Ok(());
+    }
+    Err(Threatened(format!("budgets are threatened: {}", projects.join(", "))).into())
+}
+
+async fn set(args: SetArgs) -> Result<()> {
+    let asked =
+        [(args.warn, BudgetAction::Warn), (args.drain, BudgetAction::Drain), (args.stop, BudgetAction::Stop)];
+    let mut thresholds: Vec<BudgetThreshold> = asked
+        .into_iter()
+        .filter_map(|(percent, action)| Some(BudgetThreshold { percent: percent?, action }))
+        .collect();
+    if thresholds.is_empty() {
+        thresholds = BudgetRequest::usual_thresholds();
+    }
+    if !(1..=200).contains(&args.project.trim().chars().count()) {
+        return Err(BadInput::new("PROJECT: a name has 1 to 200 characters").into());
+    }
+    let request = BudgetRequest {
+        project: args.project.trim().to_owned(),
+        period: match args.per {
+            Per::Night => BudgetPeriod::Night,
+            Per::Month => BudgetPeriod::Month,
+            Per::Total => BudgetPeriod::Total,
+        },
+        amount: Money(args.amount),
+        zone: zone(args.zone)?,
+        thresholds,
+    };
+    let budget = match &args.place.database {
+        Some(folder) => {
+            let store = open(folder).await?;
+            let set = store.set_budget(&request, Timestamp::now()).await;
+            store.close().await;
+            set?
+        }
+        None => connect(&args.place.connection)?.set_budget(&request).await?,
+    };
+    if args.json { output::json(&budget) } else { output::print(&table::budgets(&[budget])) }
+}
+
+async fn list(args: ListArgs) -> Result<()> {
+    let found = match &args.place.database {
+        Some(folder) => {
+            let store = open(folder).await?;
+            let items = store.budgets(Timestamp::now()).await;
+            store.close().await;
+            BudgetList { items: items? }
+        }
+        None => connect(&args.place.connection)?.budgets().await?,
+    };
+    if args.json { output::json(&found) } else { output::print(&table::budgets(&found.items)) }
+}
+
+async fn open(folder: &Path) -> Result<Store> {
+    if !folder.is_dir() {
+        return Err(BadInput::new(format!("--database {}: there is no such folder", folder.display()))
+            .hint("name the folder that the farm was started with (--data there)")
+            .into());
+    }
+    Store::open_beside(folder)
+        .await
+        .with_context(|| format!("cannot open the farm's data in {}", folder.display()))
+}
+
+/// The zone that was given, or this machine's.
+fn zone(given: Option<String>) -> Result<String> {
+    let zone = given.unwrap_or_else(|| jiff::tz::TimeZone::system().iana_name().unwrap_or("UTC").to_owned());
+    if Night::of(&zone, Timestamp::now()).is_none() {
+        return Err(BadInput::new(format!("--zone {zone}: there is no such time zone"))
+            .hint("write for instance Europe/Berlin")
+            .into());
+    }
+    Ok(zone)
+}

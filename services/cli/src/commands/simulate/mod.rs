@@ -1,0 +1,419 @@
+//! `forelight simulate`: a farm's weeks in a minute, under this project's plans and under what farm managers do today.
+
+mod plot;
+
+use crate::atomic_file::write_bytes;
+use crate::failure::{BadInput, Interrupted};
+use crate::interrupt::Interrupt;
+use crate::json_file;
+use crate::output::{self, Bars};
+use crate::quantities::{money, parse_duration};
+use crate::table::{Align, Table};
+use anyhow::Result;
+use clap::ValueEnum;
+use forelight_planner::{Confidence, Description};
+use forelight_simulator::{Chances, PolicyKind, Report, Scenario, World, report, run as simulate};
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// Simulate a farm for weeks: deadlines kept and money spent, by plans and by today's queues
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight simulate --nodes 100 --jobs 50 --svg week.svg
+  forelight simulate farm.json --policy forelight,edf --bias 1.3
+  forelight simulate --scenario month --json > month.json
+  forelight simulate --scenario promises
+
+Nodes, jobs and their true cost are drawn from the seed; node failures and withdrawn jobs, too. Every policy meets the same. \
+In a farm description (see `forelight plan`), a job comes in at its release.
+
+  --policy forelight     plans that are made anew when something happens; a job is promised only if a plan keeps it
+  --policy edf           the earliest deadline first, on whatever is free; no forecasts
+  --policy three-frames  the same, on as many nodes as the first, the middle and the last frame say
+  --policy fair-share    the project with least of its share first
+  --policy fifo          by priority, first come first served
+
+Policies without plans rent what they are asked for; --pool lets them use the cheapest nodes only.")]
+pub struct Args {
+    /// Farm description; without one a studio is drawn
+    #[arg(conflicts_with_all = ["scenario", "nodes", "jobs", "frames", "days", "frame_minutes", "confidence"])]
+    farm: Option<PathBuf>,
+    /// A known case, and what it has to show
+    #[arg(long, value_enum, conflicts_with_all = ["nodes", "jobs", "frames", "days", "frame_minutes", "confidence", "policy", "pool"])]
+    scenario: Option<Case>,
+    /// Nodes of the studio
+    #[arg(long, value_name = "COUNT", default_value_t = 100, value_parser = clap::value_parser!(u64).range(10..=10_000))]
+    nodes: u64,
+    /// Jobs that come in
+    #[arg(long, value_name = "COUNT", default_value_t = 50, value_parser = clap::value_parser!(u64).range(1..=1_000))]
+    jobs: u64,
+    /// Frames of a job, on average
+    #[arg(long, value_name = "COUNT", default_value_t = 40, value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    frames: u64,
+    /// Days over which jobs come in
+    #[arg(long, value_name = "COUNT", default_value_t = 7, value_parser = clap::value_parser!(u64).range(1..=365))]
+    days: u64,
+    /// Typical minutes of a frame on a node of speed 1; nodes have speeds from 0.6 to 3
+    #[arg(long, value_name = "MINUTES", default_value_t = 120, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    frame_minutes: u64,
+    /// How sure jobs want to be, in per cent: 50, 80 or 95; without it a third each
+    #[arg(long, value_name = "PERCENT", value_parser = parse_confidence)]
+    confidence: Option<Confidence>,
+    /// Policies to compare, separated by commas
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = Choice::ALL)]
+    policy: Vec<Choice>,
+    /// Per cent of the nodes that policies without plans may use, the cheapest first; several, separated by commas, are compared
+    #[arg(long, value_name = "PERCENT", value_delimiter = ',', default_value = "100", value_parser = clap::value_parser!(u32).range(1..=100))]
+    pool: Vec<u32>,
+    /// Longest time between two plans
+    #[arg(long, value_name = "DURATION", default_value = "1h", value_parser = parse_micros)]
+    every: i64,
+    /// True work is so many times the forecast
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = positive)]
+    bias: f64,
+    /// True spread is so many times the forecast's
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = not_negative)]
+    spread: f64,
+    /// Mean hours from a node's repair to its next failure; 0: nodes do not fail
+    #[arg(long, value_name = "HOURS", default_value_t = 720.0, value_parser = not_negative)]
+    failures: f64,
+    /// Mean hours of a repair
+    #[arg(long, value_name = "HOURS", default_value_t = 4.0, value_parser = positive)]
+    repair: f64,
+    /// Time without a word after which a worker's frame goes back
+    #[arg(long, value_name = "DURATION", default_value = "60s", value_parser = parse_micros)]
+    lease_ttl: i64,
+    /// Per cent of the jobs that are withdrawn
+    #[arg(long, value_name = "PERCENT", default_value_t = 1.0, value_parser = not_negative)]
+    withdrawn: f64,
+    /// Seed of everything that is drawn
+    #[arg(long, value_name = "NUMBER", default_value_t = 1)]
+    seed: u64,
+    /// Draw utilisation over time, and cost against on-time jobs, into this file
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+    /// Print everything as JSON to standard output
+    #[arg(long)]
+    json: bool,
+}
+
+/// Known cases.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Case {
+    /// 30 days, 1,000 nodes: cost against EDF without forecasts that is in time as often
+    Month,
+    /// 1,000 promises at 80 % and 1,000 at 95 %: how many are kept
+    Promises,
+}
+
+/// Policies as they are typed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Choice {
+    Forelight,
+    Edf,
+    ThreeFrames,
+    FairShare,
+    Fifo,
+}
+
+impl Choice {
+    const ALL: [Choice; 5] =
+        [Choice::Forelight, Choice::Edf, Choice::ThreeFrames, Choice::FairShare, Choice::Fifo];
+
+    fn kind(self) -> PolicyKind {
+        match self {
+            Choice::Forelight => PolicyKind::Planned,
+            Choice::Edf => PolicyKind::Deadline,
+            Choice::ThreeFrames => PolicyKind::ThreeFrames,
+            Choice::FairShare => PolicyKind::FairShare,
+            Choice::Fifo => PolicyKind::Fifo,
+        }
+    }
+}
+
+impl std::fmt::Display for Choice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Choice::Forelight => "forelight",
+            Choice::Edf => "edf",
+            Choice::ThreeFrames => "three-frames",
+            Choice::FairShare => "fair-share",
+            Choice::Fifo => "fifo",
+        })
+    }
+}
+
+fn parse_confidence(text: &str) -> Result<Confidence, String> {
+    match text {
+        "50" => Ok(Confidence::P50),
+        "80" => Ok(Confidence::P80),
+        "95" => Ok(Confidence::P95),
+        _ => Err("expected 50, 80 or 95".to_owned()),
+    }
+}
+
+fn parse_micros(text: &str) -> Result<i64, String> {
+    i64::try_from(parse_duration(text)?.as_micros()).map_err(|_| "too long".to_owned())
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|value| (1e-3..=1e3).contains(value))
+        .ok_or("expected a number from 0.001 to 1000".into())
+}
+
+fn not_negative(text: &str) -> Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|value| (0.0..=1e6).contains(value))
+        .ok_or("expected a number that is not negative".into())
+}
+
+/// Pools that EDF is tried with in the month: whoever sets it up today finds the best by trial, too.
+const POOLS: [u32; 9] = [100, 60, 40, 30, 25, 22, 20, 18, 16];
+/// What the month has to save, and by how much promises may be missed.
+const MONTH_SAVES: f64 = 0.15;
+const PROMISES: [(Confidence, f64); 2] = [(Confidence::P80, 0.80 - 0.03), (Confidence::P95, 0.95 - 0.02)];
+
+/// Everything that was found.
+#[derive(Debug, Serialize)]
+struct Document {
+    worlds: Vec<Simulated>,
+    /// Of a known case: what it has to show.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    findings: Vec<Finding>,
+}
+
+/// One world under some policies.
+#[derive(Debug, Serialize)]
+struct Simulated {
+    name: String,
+    nodes: usize,
+    jobs: usize,
+    chances: Chances,
+    reports: Vec<Report>,
+}
+
+/// A claim and whether it holds.
+#[derive(Debug, Serialize)]
+struct Finding {
+    what: String,
+    found: f64,
+    wanted: f64,
+    reached: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    let chances = Chances {
+        seed: args.seed,
+        bias: args.bias,
+        spread: args.spread,
+        hours_between_failures: args.failures,
+        hours_of_repair: args.repair,
+        lease_seconds: args.lease_ttl as f64 / 1e6,
+        withdrawn: args.withdrawn / 100.0,
+    };
+    let bars = Bars::new(args.json);
+    let runner = Runner { every: args.every, chances, bars, interrupt };
+    let document = match args.scenario {
+        Some(Case::Month) => month(&runner)?,
+        Some(Case::Promises) => promises(&runner)?,
+        None => {
+            let (name, world) = world(args, chances)?;
+            let queue = |kind: PolicyKind| args.pool.iter().map(move |&pool| (kind, pool));
+            let runs = args.policy.iter().flat_map(|choice| match choice.kind() {
+                PolicyKind::Planned => vec![(PolicyKind::Planned, 100)],
+                kind => queue(kind).collect(),
+            });
+            let runs: Vec<(PolicyKind, u32)> = runs.collect();
+            Document { worlds: vec![runner.world(name, &world, &runs)?], findings: Vec::new() }
+        }
+    };
+    if let Some(path) = &args.svg {
+        let worlds: Vec<(&str, &[Report])> =
+            document.worlds.iter().map(|world| (world.name.as_str(), world.reports.as_slice())).collect();
+        write_bytes(path, plot::svg(&worlds)?.as_bytes())?;
+    }
+    if args.json { output::json(&document) } else { output::print(&text(&document)) }
+}
+
+fn world(args: &Args, chances: Chances) -> Result<(String, World)> {
+    let Some(path) = &args.farm else {
+        let scenario = Scenario {
+            nodes: args.nodes,
+            jobs: args.jobs,
+            frames: args.jobs.saturating_mul(args.frames),
+            days: args.days,
+            frame_minutes: args.frame_minutes,
+            confidence: args.confidence,
+        };
+        return Ok(("a studio".to_owned(), scenario.world(chances)?));
+    };
+    let wrong = |error: String| BadInput::new(format!("{}: {error}", path.display()));
+    let description: Description = json_file::read(path)?;
+    let input = description.input().map_err(|error| wrong(error.to_string()))?;
+    let world = World::new(input, chances).map_err(|error| wrong(error.to_string()))?;
+    Ok((path.display().to_string(), world))
+}
+
+/// Runs policies, with a bar for each.
+struct Runner<'a> {
+    every: i64,
+    chances: Chances,
+    bars: Bars,
+    interrupt: &'a Interrupt,
+}
+
+impl Runner<'_> {
+    fn world(&self, name: String, world: &World, runs: &[(PolicyKind, u32)]) -> Result<Simulated> {
+        let spinner = self.bars.spinner("what nobody can cost less than");
+        let bound = world.least_cost()?;
+        spinner.finish_and_clear();
+        let mut reports = Vec::new();
+        for &(kind, pool) in runs {
+            let bar = self.bars.bar(kind.name(), world.input().jobs.len() as u64);
+            let mut policy = kind.policy(world, self.every, pool);
+            // An interrupted simulation has no result; the thread ends with the process.
+            let mut stopped = false;
+            let record = simulate(world, policy.as_mut(), |over, _| {
+                stopped |= self.interrupt.is_set();
+                bar.set_position(over);
+            });
+            bar.finish_and_clear();
+            if stopped {
+                return Err(Interrupted.into());
+            }
+            reports.push(report(world, kind, pool, policy.plans(), bound, &record));
+        }
+        let input = world.input();
+        let (nodes, jobs) = (input.nodes.len(), input.jobs.len());
+        Ok(Simulated { name, nodes, jobs, chances: self.chances, reports })
+    }
+}
+
+fn month(runner: &Runner) -> Result<Document> {
+    let world = Scenario::MONTH.world(runner.chances)?;
+    let mut runs = vec![(PolicyKind::Planned, 100)];
+    runs.extend(POOLS.map(|pool| (PolicyKind::Deadline, pool)));
+    runs.extend([PolicyKind::ThreeFrames, PolicyKind::FairShare, PolicyKind::Fifo].map(|kind| (kind, 100)));
+    let simulated = runner.world("a month, 1,000 nodes".to_owned(), &world, &runs)?;
+    let mut findings = Vec::new();
+    let ours = simulated.reports.iter().find(|report| report.policy == PolicyKind::Planned);
+    if let Some((ours, rival)) = ours.zip(rival(&simulated.reports)) {
+        let saved = 1.0 - ours.cost as f64 / rival.cost.max(1) as f64;
+        findings.push(Finding {
+            what: format!(
+                "saved against EDF without forecasts on the cheapest {} % of the nodes, which has {:.1} % in time (forelight: {:.1} %)",
+                rival.pool,
+                rival.on_time() * 100.0,
+                ours.on_time() * 100.0
+            ),
+            found: saved,
+            wanted: MONTH_SAVES,
+            reached: saved >= MONTH_SAVES,
+        });
+    }
+    Ok(Document { worlds: vec![simulated], findings })
+}
+
+/// The cheapest EDF that is in time as often as we are; if none is, the cheapest that is at most one job in a hundred behind; else the one
+/// that is in time most often.
+fn rival(reports: &[Report]) -> Option<&Report> {
+    let ours = reports.iter().find(|report| report.policy == PolicyKind::Planned)?;
+    let all = || reports.iter().filter(|report| report.policy == PolicyKind::Deadline);
+    let at_least = |rate: f64| all().filter(|r| r.on_time() >= rate).min_by_key(|report| report.cost);
+    at_least(ours.on_time())
+        .or_else(|| at_least(ours.on_time() - 0.01))
+        .or_else(|| all().max_by(|a, b| a.on_time().total_cmp(&b.on_time())))
+}
+
+fn promises(runner: &Runner) -> Result<Document> {
+    let mut document = Document { worlds: Vec::new(), findings: Vec::new() };
+    for (confidence, wanted) in PROMISES {
+        let world = Scenario::promises(confidence).world(runner.chances)?;
+        let per_cent = confidence.probability() * 100.0;
+        let name = format!("promises at {per_cent:.0} %");
+        let simulated = runner.world(name, &world, &[(PolicyKind::Planned, 100)])?;
+        for report in &simulated.reports {
+            document.findings.push(Finding {
+                what: format!("of {} promises at {per_cent:.0} % were kept", report.promised),
+                found: report.kept(),
+                wanted,
+                reached: report.kept() >= wanted && report.promised >= 1000,
+            });
+        }
+        document.worlds.push(simulated);
+    }
+    Ok(document)
+}
+
+fn text(document: &Document) -> String {
+    let mut text = String::new();
+    for world in &document.worlds {
+        text += &format!(
+            "{}: {} nodes, {} jobs, seed {}\n\n",
+            world.name, world.nodes, world.jobs, world.chances.seed
+        );
+        text += &table(world).render();
+        if let Some(first) = world.reports.first() {
+            text += &format!(
+                "\nNobody who keeps all deadlines can cost less than {}.\n\n",
+                money(first.cost_bound)
+            );
+        }
+    }
+    for finding in &document.findings {
+        let verdict = if finding.reached { "reached" } else { "missed" };
+        text += &format!(
+            "{:.1} % {} (wanted: at least {:.0} %): {verdict}\n",
+            finding.found * 100.0,
+            finding.what,
+            finding.wanted * 100.0
+        );
+    }
+    text
+}
+
+fn table(world: &Simulated) -> Table {
+    let mut table = Table::new(&[
+        ("policy", Align::Left),
+        ("pool", Align::Right),
+        ("promised", Align::Right),
+        ("kept", Align::Right),
+        ("in time", Align::Right),
+        ("late, mean", Align::Right),
+        ("late, P95", Align::Right),
+        ("cost", Align::Right),
+        ("of bound", Align::Right),
+        ("rented", Align::Right),
+        ("useful", Align::Right),
+        ("busy", Align::Right),
+        ("makespan", Align::Right),
+        ("lost", Align::Right),
+        ("plans", Align::Right),
+    ]);
+    let per_cent = |share: f64| format!("{:.1} %", share * 100.0);
+    for report in &world.reports {
+        table.row([
+            report.policy.name().to_owned(),
+            format!("{} %", report.pool),
+            report.promised.to_string(),
+            per_cent(report.kept()),
+            per_cent(report.on_time()),
+            format!("{:.1} h", report.mean_hours_late),
+            format!("{:.1} h", report.hours_late_p95),
+            money(report.cost),
+            format!("{:.2}", report.over_bound()),
+            format!("{:.0} h", report.rented_hours),
+            per_cent(report.useful),
+            per_cent(report.utilisation),
+            format!("{:.0} h", report.makespan_hours),
+            (report.lost + report.evicted).to_string(),
+            report.plans.to_string(),
+        ]);
+    }
+    table
+}

@@ -1,0 +1,27 @@
+//! What a farm's jobs cost at least, without a plan.
+
+use crate::admission::{MOST_VARIABLES, admit};
+use crate::model::{Input, InputError, Job, Proof};
+use crate::problem::Problem;
+use crate::proof::{Counted, value};
+
+/// Micro-units that no plan can cost less than, if it keeps all deadlines that can be kept together as far as a fluid tells,
+/// and places everything else whenever it likes: the bound of [`crate::plan`], for farms that are too large to be planned at once.
+///
+/// # Errors
+/// If the input has no meaning.
+pub fn least_cost(input: &Input) -> Result<i64, InputError> {
+    input.check()?;
+    let problem = Problem::new(input);
+    let admission = admit(&problem, MOST_VARIABLES);
+    let counted = |job: &Job| {
+        let admitted = problem.job(job.id).is_some_and(|index| admission.admitted[index]);
+        match job.deadline {
+            Some(deadline) if admitted => Counted::By(deadline),
+            _ => Counted::Whenever,
+        }
+    };
+    let plain = value(input, &Proof::default(), true, counted);
+    let priced = value(input, &admission.proof, true, counted);
+    Ok(i64::try_from(plain.max(priced).max(0)).unwrap_or(i64::MAX))
+}

@@ -1,0 +1,596 @@
+//! What happens: events in the order of time, and the rules that no policy can break.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeSet, BinaryHeap};
+
+use forelight_planner::{Job, Node, Task};
+
+use crate::policy::Policy;
+use crate::record::{Attempt, JobRecord, Outcome, Record, Rented};
+use crate::world::World;
+
+/// Something that happens at an instant. Of what happens at the same instant, what is listed first comes first: a frame that ends when its
+/// node's window closes is done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Event {
+    Finish { node: usize, attempt: usize },
+    Fail { node: usize, count: u64 },
+    Expire { attempt: usize },
+    Close { node: usize },
+    Repair { node: usize, count: u64 },
+    Open { node: usize, window: usize },
+    Paid { node: usize },
+    Withdraw { job: usize },
+    Arrive { job: usize },
+    Wake,
+}
+
+/// Why a task cannot start on a node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Refusal {
+    /// It is down, outside of its window, or busy.
+    #[error("the node is not idle")]
+    NotIdle,
+    /// It is done, held by a lease, not there yet, or withdrawn.
+    #[error("the task does not wait")]
+    NotWaiting,
+    /// The job's seed is not done.
+    #[error("the job's seed is not done")]
+    NoSeed,
+    /// Too little memory, or the wrong class of work.
+    #[error("the node cannot do it")]
+    Unfit,
+    /// A licence or the like is missing.
+    #[error("a limit is reached")]
+    Limit,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum TaskState {
+    Waiting,
+    /// Leased under this token; the worker may be dead already.
+    Held(usize),
+    Done,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct OpenRental {
+    start: i64,
+    setup: bool,
+}
+
+#[derive(Clone, Debug)]
+struct NodeState {
+    up: bool,
+    /// End of the window that is open; none while none is.
+    until: Option<i64>,
+    running: Option<usize>,
+    rental: Option<OpenRental>,
+    /// End of the last attempt in the rental.
+    worked_until: i64,
+    /// Place in the order of cheapness.
+    rank: usize,
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct JobState {
+    pub arrived: bool,
+    pub withdrawn: bool,
+    pub tasks: Vec<TaskState>,
+    pub left: usize,
+    /// Tasks that wait, by their place.
+    pub waiting: BTreeSet<usize>,
+    /// True work of its frames that are done, with their place: known to everyone.
+    pub measured: Vec<usize>,
+    pub measured_work: u128,
+    /// Tasks that are leased.
+    pub running: usize,
+    /// Work per second of the nodes that hold them.
+    pub running_speed: u64,
+}
+
+/// A farm at an instant, as a policy sees it.
+pub struct Farm<'w> {
+    pub(crate) world: &'w World,
+    now: i64,
+    nodes: Vec<NodeState>,
+    pub(crate) jobs: Vec<JobState>,
+    /// Open, up and without a task, the cheapest first.
+    idle: BTreeSet<(usize, usize)>,
+    /// Jobs that came in and are neither done nor withdrawn.
+    open: BTreeSet<usize>,
+    limits_held: Vec<u64>,
+    /// Place of job and task of every attempt.
+    places: Vec<(usize, usize)>,
+    events: BinaryHeap<Reverse<(i64, Event)>>,
+    /// Nodes that lost their task at this instant.
+    freed: Vec<usize>,
+    /// Jobs of which a task went back to the queue at this instant.
+    pub(crate) given_back: Vec<usize>,
+    /// Jobs that are done or withdrawn.
+    over: usize,
+    record: Record,
+}
+
+/// Lets a policy run a world until every job is done or withdrawn, or the world ends. `progress` is told how many of
+/// how many jobs are over.
+pub fn run(world: &World, policy: &mut dyn Policy, mut progress: impl FnMut(u64, u64)) -> Record {
+    let mut farm = Farm::new(world);
+    let all = farm.jobs.len();
+    let mut told = 0;
+    let mut woken = None;
+    progress(0, all as u64);
+    while let Some(&Reverse((at, _))) = farm.events.peek() {
+        if farm.over == all || at > world.horizon {
+            break;
+        }
+        farm.now = at;
+        let mut arrived = Vec::new();
+        while let Some(&Reverse((next, event))) = farm.events.peek()
+            && next == at
+        {
+            farm.events.pop();
+            if let Some(job) = farm.happens(event) {
+                arrived.push(job);
+            }
+        }
+        for job in arrived {
+            farm.record.jobs[job].promised = policy.arrived(&mut farm, job);
+        }
+        let wake = policy.act(&mut farm);
+        if let Some(wake) =
+            wake.filter(|&wake| wake > at && woken.is_none_or(|known| wake < known || known <= at))
+        {
+            farm.events.push(Reverse((wake, Event::Wake)));
+            woken = Some(wake);
+        }
+        farm.settle();
+        farm.given_back.clear();
+        if farm.over != told {
+            told = farm.over;
+            progress(told as u64, all as u64);
+        }
+    }
+    farm.finish()
+}
+
+impl<'w> Farm<'w> {
+    fn new(world: &'w World) -> Self {
+        let input = &world.input;
+        let mut by_price: Vec<usize> = (0..input.nodes.len()).collect();
+        by_price.sort_by_key(|&node| (price_of_work(&input.nodes[node]), node));
+        let mut rank = vec![0; by_price.len()];
+        by_price.iter().enumerate().for_each(|(place, &node)| rank[node] = place);
+        let mut events = BinaryHeap::new();
+        for (node, windows) in world.windows.iter().enumerate() {
+            if let Some(first) = windows.first() {
+                events.push(Reverse((first.start, Event::Open { node, window: 0 })));
+            }
+            if let Some(after) = world.until_failure(node, 0) {
+                events.push(Reverse((input.now.saturating_add(after), Event::Fail { node, count: 0 })));
+            }
+        }
+        for (index, job) in input.jobs.iter().enumerate() {
+            events.push(Reverse((job.release, Event::Arrive { job: index })));
+            if let Some(at) = world.withdrawn[index] {
+                events.push(Reverse((at, Event::Withdraw { job: index })));
+            }
+        }
+        let jobs = world.tasks.iter().map(|tasks| JobState {
+            arrived: false,
+            withdrawn: false,
+            tasks: vec![TaskState::Waiting; tasks.len()],
+            left: tasks.len(),
+            waiting: (0..tasks.len()).collect(),
+            measured: Vec::new(),
+            measured_work: 0,
+            running: 0,
+            running_speed: 0,
+        });
+        let records = input.jobs.iter().map(|job| JobRecord {
+            job: job.id,
+            promised: false,
+            finish: None,
+            withdrawn: None,
+        });
+        Farm {
+            world,
+            now: input.now,
+            nodes: rank
+                .into_iter()
+                .map(|rank| NodeState {
+                    up: true,
+                    until: None,
+                    running: None,
+                    rental: None,
+                    worked_until: i64::MIN,
+                    rank,
+                })
+                .collect(),
+            jobs: jobs.collect(),
+            idle: BTreeSet::new(),
+            open: BTreeSet::new(),
+            limits_held: vec![0; input.limits.len()],
+            places: Vec::new(),
+            events,
+            freed: Vec::new(),
+            given_back: Vec::new(),
+            over: 0,
+            record: Record { jobs: records.collect(), end: input.now, ..Record::default() },
+        }
+    }
+
+    /// The instant.
+    pub fn now(&self) -> i64 {
+        self.now
+    }
+
+    /// A job's description.
+    pub fn job(&self, job: usize) -> &'w Job {
+        &self.world.input.jobs[job]
+    }
+
+    /// A node's description.
+    pub fn node(&self, node: usize) -> &'w Node {
+        &self.world.input.nodes[node]
+    }
+
+    /// Nodes that could start something now, the cheapest work first: places in the list of nodes by id.
+    pub fn idle(&self) -> impl Iterator<Item = usize> + '_ {
+        self.idle.iter().map(|&(_, node)| node)
+    }
+
+    /// Jobs that came in and are not over: places in the list of jobs by id.
+    pub fn open(&self) -> impl Iterator<Item = usize> + '_ {
+        self.open.iter().copied()
+    }
+
+    /// Whether the node is up.
+    pub(crate) fn is_up(&self, node: usize) -> bool {
+        self.nodes[node].up
+    }
+
+    pub(crate) fn is_idle(&self, node: usize) -> bool {
+        self.idle.contains(&(self.nodes[node].rank, node))
+    }
+
+    /// Place of the node in the order of cheapness of work.
+    pub(crate) fn rank(&self, node: usize) -> usize {
+        self.nodes[node].rank
+    }
+
+    /// End of the open window; the end of time if it has none.
+    pub(crate) fn open_until(&self, node: usize) -> Option<i64> {
+        self.nodes[node].until
+    }
+
+    /// Whether the node is paid for: what starts now needs no set-up.
+    pub(crate) fn is_warm(&self, node: usize) -> bool {
+        self.nodes[node].rental.is_some()
+    }
+
+    /// What the node works on: place of the job and of its task, and when that began.
+    pub(crate) fn running(&self, node: usize) -> Option<(usize, usize, i64)> {
+        let attempt = self.nodes[node].running?;
+        let (job, task) = self.places[attempt];
+        Some((job, task, self.record.attempts[attempt].start))
+    }
+
+    /// Whether the seed is done, or there is none.
+    pub(crate) fn has_seed(&self, job: usize) -> bool {
+        self.world.tasks[job].first().is_none_or(|first| first.task != Task::Seed)
+            || self.jobs[job].tasks[0] == TaskState::Done
+    }
+
+    /// What a lease is for.
+    pub(crate) fn attempt(&self, token: usize) -> &Attempt {
+        &self.record.attempts[token]
+    }
+
+    /// Starts a task on a node now.
+    ///
+    /// # Errors
+    /// If that cannot be; nothing has happened then.
+    pub fn start(&mut self, node: usize, job: usize, task: usize) -> Result<(), Refusal> {
+        self.can_start(node, job, task)?;
+        let (world, now) = (self.world, self.now);
+        let machine = &world.input.nodes[node];
+        let truth = &world.tasks[job][task];
+        let length = machine.duration(truth.work, truth.class).unwrap_or(i64::MAX);
+        let state = &mut self.nodes[node];
+        let needs_setup = machine.setup > 0 || machine.setup_cost > 0;
+        let ready = match state.rental {
+            Some(_) => now,
+            None => {
+                state.rental = Some(OpenRental { start: now, setup: needs_setup });
+                now.saturating_add(machine.setup)
+            }
+        };
+        let attempt = self.record.attempts.len();
+        state.running = Some(attempt);
+        self.idle.remove(&(state.rank, node));
+        self.record.attempts.push(Attempt {
+            node: machine.id,
+            job: world.input.jobs[job].id,
+            task: truth.task,
+            start: ready,
+            end: i64::MAX,
+            outcome: Outcome::Running,
+        });
+        self.places.push((job, task));
+        let entry = &mut self.jobs[job];
+        entry.tasks[task] = TaskState::Held(attempt);
+        entry.waiting.remove(&task);
+        entry.running += 1;
+        entry.running_speed = entry.running_speed.saturating_add(machine.speed_of(truth.class));
+        self.hold(job, true);
+        self.events.push(Reverse((ready.saturating_add(length), Event::Finish { node, attempt })));
+        Ok(())
+    }
+
+    /// Whether a task could start on a node now.
+    ///
+    /// # Errors
+    /// Why not.
+    pub fn can_start(&self, node: usize, job: usize, task: usize) -> Result<(), Refusal> {
+        let (machine, asked) = (self.node(node), self.job(job));
+        let entry = &self.jobs[job];
+        if !self.is_idle(node) {
+            return Err(Refusal::NotIdle);
+        }
+        if !entry.arrived || entry.withdrawn || entry.tasks.get(task) != Some(&TaskState::Waiting) {
+            return Err(Refusal::NotWaiting);
+        }
+        let truth = &self.world.tasks[job][task];
+        if truth.task != Task::Seed && !self.has_seed(job) {
+            return Err(Refusal::NoSeed);
+        }
+        if !machine.fits(asked) || machine.speed_of(truth.class) == 0 {
+            return Err(Refusal::Unfit);
+        }
+        for held in &asked.uses {
+            let place = self.world.input.limits.iter().position(|limit| limit.id == held.limit);
+            let free = place.map_or(0, |place| {
+                self.world.input.limits[place].count.saturating_sub(self.limits_held[place])
+            });
+            if free < held.count {
+                return Err(Refusal::Limit);
+            }
+        }
+        Ok(())
+    }
+
+    fn hold(&mut self, job: usize, takes: bool) {
+        let world = self.world;
+        for held in &world.input.jobs[job].uses {
+            if let Some(place) = world.input.limits.iter().position(|limit| limit.id == held.limit) {
+                let count = &mut self.limits_held[place];
+                *count =
+                    if takes { count.saturating_add(held.count) } else { count.saturating_sub(held.count) };
+            }
+        }
+    }
+
+    /// Applies an event; a job that came in is returned.
+    fn happens(&mut self, event: Event) -> Option<usize> {
+        match event {
+            Event::Finish { node, attempt } => self.finished(node, attempt),
+            Event::Fail { node, count } => {
+                self.record.failures += 1;
+                let back = self.now.saturating_add(self.world.repair(node, count));
+                self.events.push(Reverse((back, Event::Repair { node, count })));
+                self.nodes[node].up = false;
+                self.idle.remove(&(self.nodes[node].rank, node));
+                if let Some(attempt) = self.nodes[node].running {
+                    self.ends(node, attempt, Outcome::Lost);
+                    let expiry = self.now.saturating_add(self.world.lease());
+                    self.events.push(Reverse((expiry, Event::Expire { attempt })));
+                }
+                self.close_rental(node);
+            }
+            Event::Expire { attempt } => self.give_back(attempt),
+            Event::Close { node } => {
+                self.nodes[node].until = None;
+                self.idle.remove(&(self.nodes[node].rank, node));
+                if let Some(attempt) = self.nodes[node].running {
+                    self.ends(node, attempt, Outcome::Evicted);
+                    self.give_back(attempt);
+                }
+                self.close_rental(node);
+            }
+            Event::Repair { node, count } => {
+                self.nodes[node].up = true;
+                self.idle_again(node);
+                if let Some(after) = self.world.until_failure(node, count + 1) {
+                    let at = self.now.saturating_add(after);
+                    self.events.push(Reverse((at, Event::Fail { node, count: count + 1 })));
+                }
+            }
+            Event::Open { node, window } => {
+                let windows = &self.world.windows[node];
+                let end = windows[window].end;
+                self.nodes[node].until = Some(end.unwrap_or(i64::MAX));
+                if let Some(end) = end {
+                    self.events.push(Reverse((end, Event::Close { node })));
+                }
+                if let Some(next) = windows.get(window + 1) {
+                    self.events.push(Reverse((next.start, Event::Open { node, window: window + 1 })));
+                }
+                self.idle_again(node);
+            }
+            Event::Paid { node } => self.stop_paying(node),
+            Event::Withdraw { job } => self.withdrawn(job),
+            Event::Arrive { job } => {
+                let entry = &mut self.jobs[job];
+                if !entry.withdrawn {
+                    entry.arrived = true;
+                    if entry.left == 0 {
+                        self.over += 1;
+                        self.record.jobs[job].finish = Some(self.now);
+                    } else {
+                        self.open.insert(job);
+                        return Some(job);
+                    }
+                }
+            }
+            Event::Wake => {}
+        }
+        None
+    }
+
+    fn finished(&mut self, node: usize, attempt: usize) {
+        // Otherwise the worker was lost, evicted or told to stop before.
+        if self.nodes[node].running != Some(attempt) {
+            return;
+        }
+        self.ends(node, attempt, Outcome::Done);
+        self.let_go(attempt);
+        let (job, task) = self.places[attempt];
+        let truth = &self.world.tasks[job][task];
+        let entry = &mut self.jobs[job];
+        entry.tasks[task] = TaskState::Done;
+        entry.left -= 1;
+        if truth.task != Task::Seed {
+            entry.measured.push(task);
+            entry.measured_work += u128::from(truth.work);
+        }
+        if entry.left == 0 {
+            self.over += 1;
+            self.open.remove(&job);
+            self.record.jobs[job].finish = Some(self.now);
+            self.record.end = self.now;
+        }
+        self.idle_again(node);
+    }
+
+    fn withdrawn(&mut self, job: usize) {
+        if self.jobs[job].withdrawn || (self.jobs[job].arrived && self.jobs[job].left == 0) {
+            return;
+        }
+        self.over += 1;
+        self.jobs[job].withdrawn = true;
+        self.record.jobs[job].withdrawn = Some(self.now);
+        self.record.end = self.now;
+        self.open.remove(&job);
+        let running: Vec<(usize, usize)> = (0..self.nodes.len())
+            .filter_map(|node| Some((node, self.nodes[node].running?)))
+            .filter(|&(_, attempt)| self.places[attempt].0 == job)
+            .collect();
+        for (node, attempt) in running {
+            self.ends(node, attempt, Outcome::Withdrawn);
+            self.idle_again(node);
+        }
+        // Leases of dead workers end with the job, too.
+        for task in 0..self.jobs[job].tasks.len() {
+            if let TaskState::Held(attempt) = self.jobs[job].tasks[task] {
+                self.let_go(attempt);
+            }
+        }
+        self.jobs[job].waiting.clear();
+    }
+
+    /// The attempt is over, and the node works on nothing.
+    fn ends(&mut self, node: usize, attempt: usize, outcome: Outcome) {
+        let entry = &mut self.record.attempts[attempt];
+        // It may have ended during its set-up.
+        entry.start = entry.start.min(self.now);
+        entry.end = self.now;
+        entry.outcome = outcome;
+        self.nodes[node].running = None;
+        self.nodes[node].worked_until = self.now;
+        self.freed.push(node);
+    }
+
+    /// The lease is over, and what came with it.
+    fn let_go(&mut self, attempt: usize) {
+        let (job, task) = self.places[attempt];
+        let speed = self.speed_of(attempt, task);
+        let entry = &mut self.jobs[job];
+        entry.running -= 1;
+        entry.running_speed = entry.running_speed.saturating_sub(speed);
+        self.hold(job, false);
+    }
+
+    fn speed_of(&self, attempt: usize, task: usize) -> u64 {
+        let (job, id) = (self.places[attempt].0, self.record.attempts[attempt].node);
+        let nodes = &self.world.input.nodes;
+        let node = nodes.binary_search_by_key(&id, |node| node.id).ok();
+        node.map_or(0, |node| nodes[node].speed_of(self.world.tasks[job][task].class))
+    }
+
+    fn give_back(&mut self, attempt: usize) {
+        let (job, task) = self.places[attempt];
+        if self.jobs[job].withdrawn || self.jobs[job].tasks[task] != TaskState::Held(attempt) {
+            return;
+        }
+        self.let_go(attempt);
+        self.jobs[job].tasks[task] = TaskState::Waiting;
+        self.jobs[job].waiting.insert(task);
+        self.given_back.push(job);
+    }
+
+    fn idle_again(&mut self, node: usize) {
+        let state = &self.nodes[node];
+        if state.up && state.until.is_some() && state.running.is_none() {
+            self.idle.insert((state.rank, node));
+        }
+    }
+
+    /// Nodes that got nothing new are paid to the end of the time that is billed anyway.
+    fn settle(&mut self) {
+        for node in std::mem::take(&mut self.freed) {
+            if self.nodes[node].running.is_some() {
+                continue;
+            }
+            if let Some(until) = self.paid_until(node) {
+                if until <= self.now {
+                    self.close_rental(node);
+                } else {
+                    self.events.push(Reverse((until, Event::Paid { node })));
+                }
+            }
+        }
+    }
+
+    fn paid_until(&self, node: usize) -> Option<i64> {
+        let rental = self.nodes[node].rental?;
+        let worked = self.nodes[node].worked_until.saturating_sub(rental.start);
+        Some(rental.start.saturating_add(self.node(node).billed(worked)))
+    }
+
+    fn stop_paying(&mut self, node: usize) {
+        let is_over = self.paid_until(node).is_some_and(|until| until <= self.now);
+        if is_over && self.nodes[node].running.is_none() {
+            self.close_rental(node);
+        }
+    }
+
+    fn close_rental(&mut self, node: usize) {
+        let Some(OpenRental { start, setup }) = self.nodes[node].rental.take() else { return };
+        let machine = self.node(node);
+        let end = self.nodes[node].worked_until.max(start);
+        let cost = machine.price(end.saturating_sub(start), setup);
+        self.record.rentals.push(Rented { node: machine.id, start, end, setup, cost });
+    }
+
+    /// Whoever still works stops.
+    fn finish(mut self) -> Record {
+        for node in 0..self.nodes.len() {
+            if let Some(attempt) = self.nodes[node].running {
+                self.ends(node, attempt, Outcome::Running);
+            }
+            self.close_rental(node);
+        }
+        if self.record.jobs.iter().any(|job| job.finish.is_none() && job.withdrawn.is_none()) {
+            self.record.end = self.now;
+        }
+        self.record
+    }
+}
+
+/// What a unit of work costs on a node, for comparison: micro-units of 10¹⁸ units. Where speeds differ by class, the greatest counts.
+pub(crate) fn price_of_work(node: &Node) -> i128 {
+    let speed = node.speeds.values().copied().fold(node.speed, u64::max).max(1);
+    i128::from(node.price_per_hour) * 1_000_000_000_000_000_000 / i128::from(speed)
+}

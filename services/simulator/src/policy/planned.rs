@@ -1,0 +1,465 @@
+//! This project's policy: a plan, made anew when something happens, at the confidence that each job asked for.
+//!
+//! * A job that comes in is planned with all that was promised. If it can be in time and nobody is pushed over their deadline, it
+//!   is promised. Otherwise it is told so, and rendered behind the promised jobs.
+//! * What frames took says how the rest will come out ([`Learned`]), and what jobs took how wrong forecasts are.
+//! * Frames have noise of their own that no capacity averages out for those that end last. Plans are made for a deadline that
+//!   is earlier by what the longest of them may take more ([`Planned::margin`]).
+//! * A new plan is made when a job comes in, when a lost frame has to go elsewhere, and otherwise every so often. In between, nodes
+//!   follow the order of their bookings, each as soon as it can.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+use forelight_planner::{
+    FixedBooking, Frame, Input, Interval, Job, Node, Plan, Power, Seed, Task, Verdict, WorkTotal,
+    plan_quickly,
+};
+
+use super::Policy;
+use crate::farm::{Farm, TaskState};
+use crate::world::World;
+
+const HOUR: i64 = 3_600_000_000;
+/// Calendars are told to the planner this far beyond the last deadline.
+const BEYOND: i64 = 72 * HOUR;
+/// A frame that was lost is planned again at once if its job has less time left than this.
+const URGENT: i64 = 24 * HOUR;
+/// A running frame that takes longer than expected is expected to take a quarter more than it did.
+const OVERDUE: f64 = 1.25;
+/// What is late may be later by this part of the time that it still takes.
+const PATIENCE: i64 = 8;
+/// A job that has no place aims at this much after its deadline.
+const SOON: i64 = 12 * HOUR;
+/// So many jobs' worth of trust are in the forecasts before any job was seen.
+const TRUST: f64 = 8.0;
+
+/// This project's policy.
+#[derive(Clone, Debug)]
+pub struct Planned {
+    /// Microseconds between two plans, if no job comes in.
+    every: i64,
+    /// When the next one is due.
+    next: i64,
+    /// By node: job, task and booked time of what it does next.
+    queues: Vec<VecDeque<(usize, usize, i64)>>,
+    /// By job: place of its frames by number.
+    places: Vec<BTreeMap<i64, usize>>,
+    promised: Vec<bool>,
+    /// By job: what the plan aims at once the deadline cannot be kept any more.
+    targets: Vec<Option<i64>>,
+    /// Promised jobs that the plan keeps.
+    kept: BTreeSet<usize>,
+    learned: Learned,
+    plans: u64,
+}
+
+/// What finished jobs say about forecasts.
+#[derive(Clone, Debug, Default)]
+struct Learned {
+    counted: BTreeSet<usize>,
+    /// Logarithm of true over forecast median, and the forecast's standard deviation of it.
+    seen: Vec<(f64, f64)>,
+}
+
+impl Learned {
+    /// By how much forecasts are off, as a logarithm: the mean, drawn towards nothing while few jobs were seen.
+    fn shift(&self) -> f64 {
+        self.seen.iter().map(|(log, _)| log).sum::<f64>() / (self.seen.len() as f64 + TRUST)
+    }
+
+    /// How many times wider errors are than forecast; at least one.
+    fn widening(&self) -> f64 {
+        let shift = self.shift();
+        let squares = |&(log, spread): &(f64, f64)| ((log - shift) / spread) * ((log - shift) / spread);
+        let known = self.seen.iter().filter(|(_, spread)| *spread > 0.0);
+        let (sum, count) = known.fold((0.0, 0.0), |(sum, count), seen| (sum + squares(seen), count + 1.0));
+        libm::sqrt((sum + TRUST) / (count + TRUST)).max(1.0)
+    }
+}
+
+impl Planned {
+    /// A policy that plans at least this often, in microseconds.
+    pub fn new(world: &World, every: i64) -> Self {
+        let places = world.tasks.iter().map(|tasks| {
+            let frames = tasks.iter().enumerate();
+            frames.filter_map(|(place, task)| Some((task.task.frame()?, place))).collect()
+        });
+        Planned {
+            every: every.max(1),
+            next: world.input.now,
+            queues: vec![VecDeque::new(); world.input.nodes.len()],
+            places: places.collect(),
+            promised: vec![false; world.input.jobs.len()],
+            targets: vec![None; world.input.jobs.len()],
+            kept: BTreeSet::new(),
+            learned: Learned::default(),
+            plans: 0,
+        }
+    }
+
+    /// The factor on all of a job's medians at its confidence: normal in the logarithm, what was forecast and learned before,
+    /// what its frames took since. `confident` false: the median.
+    fn factor(&self, farm: &Farm, job: usize, confident: bool) -> f64 {
+        let asked = farm.job(job);
+        let z = asked.confidence.z();
+        let reach = if z > 0.0 { z } else { forelight_planner::Confidence::P80.z() };
+        let widening = self.learned.widening();
+        let spread = libm::log(asked.common_factor(reach)) / reach * widening;
+        let z = if confident { z } else { 0.0 };
+        let (mut mean, mut variance) = (self.learned.shift(), spread * spread);
+        let (sum, count, own) = self.measured(farm, job, widening);
+        if count > 0.0 && variance > 0.0 {
+            // A frame without noise of its own would say all.
+            let noise = (own * own).max(1e-6) / count;
+            let weight = variance / (variance + noise);
+            mean += weight * (sum / count - mean);
+            variance *= 1.0 - weight;
+        }
+        libm::exp(mean + z * libm::sqrt(variance))
+    }
+
+    /// Sum over the job's measured frames of the logarithm of work over median; how many they are; the standard deviation of one frame.
+    fn measured(&self, farm: &Farm, job: usize, widening: f64) -> (f64, f64, f64) {
+        let asked = farm.job(job);
+        let own = asked.frames.first().map_or(0.0, |frame| asked.own_spread(frame)) * widening;
+        let mut sum = 0.0;
+        for &task in &farm.jobs[job].measured {
+            let truth = &farm.world.tasks[job][task];
+            // Own factors have a mean of one.
+            sum += libm::log(truth.work as f64 / truth.median.max(1) as f64) + own * own / 2.0;
+        }
+        (sum, farm.jobs[job].measured.len() as f64, own)
+    }
+
+    /// Microseconds by which the plan has to be early: as much longer as one of the frames that end last may take than it is
+    /// bought, with the job's confidence for all of them together.
+    fn margin(&self, farm: &Farm, job: usize, longest: u64) -> i64 {
+        let asked = farm.job(job);
+        let own = asked.frames.first().map_or(0.0, |frame| asked.own_spread(frame)) * self.learned.widening();
+        let Some(deadline) = asked.deadline.filter(|_| own > 0.0) else { return 0 };
+        let able = farm.world.input.nodes.iter().filter(|node| node.fits(asked));
+        let speeds: Vec<u64> =
+            able.map(|node| node.speed_of(asked.class)).filter(|&speed| speed > 0).collect();
+        let Some(&speed) = speeds.iter().min() else { return 0 };
+        let last = farm.jobs[job].left.min(speeds.len()).max(1) as f64;
+        let one = libm::pow(asked.confidence.probability(), 1.0 / last);
+        let more = libm::exp(own * z_of(one) - own * own / 2.0) - 1.0;
+        let margin = (longest as f64 * 1e6 / speed as f64 * more.max(0.0)) as i64;
+        // Whoever has hardly time left uses it.
+        margin.min(deadline.saturating_sub(farm.now()).max(0) / 3)
+    }
+
+    fn learn(&mut self, farm: &Farm) {
+        for (job, entry) in farm.jobs.iter().enumerate() {
+            if entry.left > 0 || entry.measured.is_empty() || !self.learned.counted.insert(job) {
+                continue;
+            }
+            let median: u128 =
+                entry.measured.iter().map(|&t| u128::from(farm.world.tasks[job][t].median)).sum();
+            let log = libm::log(entry.measured_work as f64 / median.max(1) as f64);
+            let z = forelight_planner::Confidence::P80.z();
+            self.learned.seen.push((log, libm::log(farm.job(job).common_factor(z)) / z));
+        }
+    }
+
+    /// The farm as the planner wants it.
+    fn input(&mut self, farm: &Farm) -> Input {
+        self.learn(farm);
+        let now = farm.now();
+        let known = &farm.world.input;
+        let mut input = Input {
+            now,
+            limits: known.limits.clone(),
+            projects: known.projects.clone(),
+            half_life: known.half_life,
+            ..Input::default()
+        };
+        let factors: BTreeMap<usize, f64> =
+            farm.open().map(|job| (job, self.factor(farm, job, true))).collect();
+        for node in 0..known.nodes.len() {
+            if let Some((job, task, start)) = farm.running(node) {
+                let end = self.expected_end(farm, node, job, task, start);
+                let uses = farm.job(job).uses.clone();
+                let job = Some(farm.job(job).id);
+                input.fixed.push(FixedBooking {
+                    node: farm.node(node).id,
+                    start: start.min(now),
+                    end,
+                    job,
+                    uses,
+                });
+            }
+        }
+        // A window is planned as if it closed a little earlier: by what a frame may take more than it is bought.
+        let spare = self.spare_work(farm, &factors);
+        let last = farm.open().filter_map(|job| farm.job(job).deadline).max().unwrap_or(now).max(now);
+        let until = last.saturating_add(BEYOND);
+        for (node, windows) in farm.world.windows.iter().enumerate().filter(|&(node, _)| farm.is_up(node)) {
+            let first = windows.partition_point(|window| window.end.is_some_and(|end| end <= now));
+            let machine = farm.node(node);
+            let spare = machine.duration(spare, 0).unwrap_or(0);
+            let earlier = |window: &Interval| Interval {
+                start: window.start,
+                end: window.end.map(|end| end.saturating_sub(spare).max(window.start)),
+            };
+            let calendar: Vec<Interval> =
+                windows[first..].iter().take_while(|window| window.start < until).map(earlier).collect();
+            let power = if farm.is_warm(node) { Power::On } else { Power::Standby };
+            input.nodes.push(Node {
+                calendar,
+                power,
+                available_from: now,
+                maintenance: Vec::new(),
+                ..machine.clone()
+            });
+        }
+        // A fixed booking is on a node that there is.
+        input.fixed.retain(|booking| input.nodes.binary_search_by_key(&booking.node, |node| node.id).is_ok());
+        for (&job, &factor) in &factors {
+            input.jobs.extend(self.rest_of(farm, job, factor));
+        }
+        input
+    }
+
+    /// Work by which a frame exceeds what is bought for it in one case of five, on average over what waits.
+    fn spare_work(&self, farm: &Farm, factors: &BTreeMap<usize, f64>) -> u64 {
+        let (mut spare, mut count) = (0.0, 0.0);
+        for (&job, factor) in factors {
+            let more = self.overrun(farm, job) - 1.0;
+            for &task in &farm.jobs[job].waiting {
+                spare += farm.world.tasks[job][task].median as f64 * factor * more;
+                count += 1.0;
+            }
+        }
+        if count > 0.0 { (spare / count) as u64 } else { 0 }
+    }
+
+    /// What one frame takes in relation to what is bought for it, in four cases of five at most.
+    fn overrun(&self, farm: &Farm, job: usize) -> f64 {
+        let asked = farm.job(job);
+        let own = asked.frames.first().map_or(0.0, |frame| asked.own_spread(frame)) * self.learned.widening();
+        libm::exp(own * forelight_planner::Confidence::P80.z() - own * own / 2.0).max(1.0)
+    }
+
+    /// What is left of a job, at its confidence; none if everything runs.
+    fn rest_of(&self, farm: &Farm, job: usize, factor: f64) -> Option<Job> {
+        let asked = farm.job(job);
+        let tasks = &farm.world.tasks[job];
+        let bought = |median: u64| (median as f64 * factor).ceil().max(1.0) as u64;
+        let mut frames = Vec::new();
+        let mut seed = None;
+        let mut release = asked.release.max(farm.now());
+        for &place in &farm.jobs[job].waiting {
+            let task = &tasks[place];
+            match task.task.frame() {
+                None => seed = Some(Seed { class: task.class, work: bought(task.median) }),
+                Some(number) => frames.push(Frame { number, work: bought(task.median), work_p80: 0 }),
+            }
+        }
+        if frames.is_empty() && seed.is_none() {
+            return None;
+        }
+        if !farm.has_seed(job)
+            && let TaskState::Held(attempt) = farm.jobs[job].tasks[0]
+        {
+            let held = farm.attempt(attempt);
+            let node = farm.world.input.nodes.binary_search_by_key(&held.node, |node| node.id).ok();
+            let end = node.map(|node| self.expected_end(farm, node, job, 0, held.start));
+            release = release.max(end.unwrap_or(release));
+        }
+        let total = frames.iter().fold(0u64, |sum, frame| sum.saturating_add(frame.work));
+        let longest = frames.iter().map(|frame| frame.work).max().unwrap_or(0);
+        let margin = self.margin(farm, job, longest);
+        let behind = asked.deadline.is_some() && !self.promised[job];
+        Some(Job {
+            release,
+            deadline: self.targets[job].or(asked.deadline.map(|deadline| deadline.saturating_sub(margin))),
+            // Who was promised something comes before who was not.
+            priority: if behind { i32::MIN } else { asked.priority },
+            total: WorkTotal { p50: total, p80: total, p95: total },
+            seed,
+            frames,
+            done: Vec::new(),
+            ..asked.clone()
+        })
+    }
+
+    /// When a running task should be done.
+    fn expected_end(&self, farm: &Farm, node: usize, job: usize, task: usize, start: i64) -> i64 {
+        let truth = &farm.world.tasks[job][task];
+        let work = (truth.median as f64 * self.factor(farm, job, false)).ceil() as u64;
+        let expected = farm.node(node).duration(work, truth.class).unwrap_or(i64::MAX);
+        let elapsed = farm.now().saturating_sub(start).max(0);
+        let overdue = (elapsed as f64 * OVERDUE) as i64;
+        let end = start.saturating_add(expected.max(overdue)).max(farm.now() + 1);
+        farm.open_until(node).map_or(end, |until| end.min(until))
+    }
+
+    /// Plans, and says which jobs the plan keeps; none if the input has no meaning.
+    fn make(&mut self, farm: &Farm) -> Option<(Plan, BTreeSet<usize>)> {
+        let input = self.input(farm);
+        let made = plan_quickly(&input).ok()?;
+        self.plans += 1;
+        let mut kept: BTreeSet<usize> = farm.open().collect();
+        for entry in &made.jobs {
+            let Some(job) = farm.place_of(entry.job) else { continue };
+            let deadline = farm.job(job).deadline.unwrap_or(i64::MAX);
+            let finish = entry.verdict.finish().filter(|_| entry.verdict.is_kept());
+            if finish.is_none_or(|finish| finish > deadline) {
+                kept.remove(&job);
+            }
+        }
+        Some((made, kept))
+    }
+
+    fn adopt(&mut self, farm: &Farm, made: &Plan, kept: BTreeSet<usize>) {
+        self.queues.iter_mut().for_each(VecDeque::clear);
+        // Bookings are in the order of their starts.
+        for booking in &made.bookings {
+            let Some(node) = farm.world.input.nodes.binary_search_by_key(&booking.node, |node| node.id).ok()
+            else {
+                continue;
+            };
+            let Some(job) = farm.place_of(booking.job) else { continue };
+            let task = match booking.task {
+                Task::Seed => Some(0),
+                Task::Frame(number) | Task::Tile { frame: number, .. } => {
+                    self.places[job].get(&number).copied()
+                }
+            };
+            if let Some(task) = task {
+                self.queues[node].push_back((job, task, booking.end.saturating_sub(booking.start)));
+            }
+        }
+        self.aim(farm, made);
+        self.kept = kept;
+        self.next = farm.now().saturating_add(self.every);
+    }
+
+    /// A job that is late aims at when it can be done from now on: as soon as it can, and not at any price to be less late. Who is in
+    /// time again aims at the deadline.
+    fn aim(&mut self, farm: &Farm, made: &Plan) {
+        for entry in &made.jobs {
+            let Some(job) = farm.place_of(entry.job) else { continue };
+            let Some(deadline) = farm.job(job).deadline else { continue };
+            let patient = |finish: i64| finish.saturating_add(finish.saturating_sub(farm.now()) / PATIENCE);
+            let before = self.targets[job].unwrap_or(i64::MAX);
+            self.targets[job] = match &entry.verdict {
+                Verdict::Feasible { finish, .. } | Verdict::NoDeadline { finish } if *finish <= deadline => {
+                    None
+                }
+                Verdict::Feasible { finish, .. } | Verdict::NoDeadline { finish } => {
+                    Some(before.min(patient(*finish)))
+                }
+                Verdict::Late { finish, .. } => Some(patient(*finish)),
+                Verdict::Unplaced { .. } => Some(deadline.max(farm.now()).saturating_add(SOON)),
+            };
+        }
+    }
+
+    /// Starts the first task of a node's queue that can start and that its window is long enough for.
+    fn start_next(&mut self, farm: &mut Farm, node: usize) {
+        let Some(until) = farm.open_until(node) else { return };
+        let setup = if farm.is_warm(node) { 0 } else { farm.node(node).setup };
+        let mut place = 0;
+        while let Some(&(job, task, length)) = self.queues[node].get(place) {
+            if farm.jobs[job].withdrawn || farm.jobs[job].tasks[task] != TaskState::Waiting {
+                self.queues[node].remove(place);
+                continue;
+            }
+            let length = (length as f64 * self.overrun(farm, job)) as i64;
+            if farm.now().saturating_add(setup).saturating_add(length) > until {
+                // What was booked after it is meant for a later window.
+                return;
+            }
+            if farm.start(node, job, task).is_ok() {
+                self.queues[node].remove(place);
+                return;
+            }
+            place += 1;
+        }
+    }
+}
+
+impl Policy for Planned {
+    fn arrived(&mut self, farm: &mut Farm, job: usize) -> bool {
+        // It is planned as if it were promised.
+        self.promised[job] = farm.job(job).deadline.is_some();
+        let Some((made, kept)) = self.make(farm) else {
+            self.promised[job] = false;
+            return false;
+        };
+        let pushed = self.kept.iter().any(|&other| {
+            self.promised[other]
+                && !kept.contains(&other)
+                && farm.jobs[other].left > 0
+                && !farm.jobs[other].withdrawn
+        });
+        if kept.contains(&job) && !pushed {
+            self.adopt(farm, &made, kept);
+        } else {
+            self.promised[job] = false;
+            // The plan that there is stays good until there is one that has the job behind the others.
+            self.next = self.next.min(farm.now().saturating_add(self.every / 4));
+        }
+        self.promised[job]
+    }
+
+    fn act(&mut self, farm: &mut Farm) -> Option<i64> {
+        for &job in &farm.given_back {
+            let urgent =
+                farm.job(job).deadline.is_some_and(|deadline| deadline < farm.now().saturating_add(URGENT));
+            let wait = if urgent { 0 } else { self.every / 4 };
+            self.next = self.next.min(farm.now().saturating_add(wait));
+        }
+        if self.next <= farm.now() && farm.open().next().is_some() {
+            match self.make(farm) {
+                Some((made, kept)) => self.adopt(farm, &made, kept),
+                None => self.next = farm.now().saturating_add(self.every),
+            }
+        }
+        let idle: Vec<usize> = farm.idle().filter(|&node| !self.queues[node].is_empty()).collect();
+        for node in idle {
+            self.start_next(farm, node);
+        }
+        farm.open().next().map(|_| self.next)
+    }
+
+    fn plans(&self) -> u64 {
+        self.plans
+    }
+}
+
+impl Farm<'_> {
+    /// Place of a job in the list of jobs by id.
+    fn place_of(&self, id: u64) -> Option<usize> {
+        self.world.input.jobs.binary_search_by_key(&id, |job| job.id).ok()
+    }
+}
+
+/// The standard normal variable that is below this with this probability, by halving; between −9 and 9.
+fn z_of(probability: f64) -> f64 {
+    let (mut low, mut high) = (-9.0f64, 9.0f64);
+    for _ in 0..60 {
+        let middle = (low + high) / 2.0;
+        // The upper tail keeps its digits where the probability is near one.
+        if libm::erfc(middle / std::f64::consts::SQRT_2) / 2.0 > 1.0 - probability {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    low
+}
+
+#[cfg(test)]
+mod tests {
+    use super::z_of;
+
+    #[test]
+    fn quantiles_of_the_normal_distribution_are_found() {
+        for (probability, z) in [(0.5, 0.0), (0.8, 0.841_621), (0.95, 1.644_854), (0.999, 3.090_232)] {
+            assert!((z_of(probability) - z).abs() < 1e-6, "{probability}");
+        }
+    }
+}

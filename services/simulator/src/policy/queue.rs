@@ -1,0 +1,189 @@
+//! What farm managers do today: a queue, and whoever is free takes the first of it. Nobody is turned away, nodes are rented as
+//! they are asked for, and no cost is known before.
+//!
+//! They are treated kindly. The cheapest node that is free is taken first; a rented hour is used to its end; and once a
+//! job has frames that are done, none is started in a window that is too short for their mean.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::{Deserialize, Serialize};
+
+use super::Policy;
+use crate::farm::{Farm, Refusal};
+use crate::world::World;
+
+/// Who comes first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum QueueRule {
+    /// The oldest job of the highest priority.
+    Fifo,
+    /// The project with the fewest running frames for its share, in it the oldest job of the highest priority.
+    FairShare,
+    /// The job with the earliest deadline.
+    Deadline,
+    /// The job with the earliest deadline; it renders its first, middle and last frame, and then uses as many nodes as their mean
+    /// says that it needs to be done one frame before its deadline.
+    ThreeFrames,
+}
+
+/// A queue.
+#[derive(Clone, Debug)]
+pub struct Queue {
+    rule: QueueRule,
+    /// Nodes of a lower place in the order of cheapness may be used.
+    pool: usize,
+    /// By job: none of these can do its frames.
+    needs_all: Vec<bool>,
+}
+
+/// What orders jobs: less comes first.
+type Key = (u64, Reverse<i32>, i64, usize);
+
+impl Queue {
+    /// A queue that uses so many per cent of the nodes, the cheapest first.
+    pub fn new(world: &World, rule: QueueRule, pool_per_cent: u32) -> Self {
+        let nodes = &world.input.nodes;
+        let pool = (nodes.len() * pool_per_cent as usize).div_ceil(100);
+        let mut by_price: Vec<usize> = (0..nodes.len()).collect();
+        by_price.sort_by_key(|&node| (crate::farm::price_of_work(&nodes[node]), node));
+        let needs_all = |(job, tasks): (&forelight_planner::Job, &Vec<crate::world::TrueTask>)| {
+            let can = |node: usize| {
+                let node = &nodes[node];
+                node.fits(job) && tasks.iter().all(|task| node.speed_of(task.class) > 0)
+            };
+            !by_price.iter().take(pool).any(|&node| can(node))
+        };
+        let needs_all = world.input.jobs.iter().zip(&world.tasks).map(needs_all).collect();
+        Queue { rule, pool, needs_all }
+    }
+
+    fn key(&self, farm: &Farm, job: usize, running: &BTreeMap<Option<u64>, u64>) -> Key {
+        let entry = farm.job(job);
+        match self.rule {
+            QueueRule::Fifo => (0, Reverse(entry.priority), entry.release, job),
+            QueueRule::FairShare => {
+                let share = farm.share(entry.project);
+                let has = running.get(&entry.project).copied().unwrap_or(0);
+                // A millionth of a share is as near as it has to be.
+                (has.saturating_mul(1_000_000) / share, Reverse(entry.priority), entry.release, job)
+            }
+            QueueRule::Deadline | QueueRule::ThreeFrames => {
+                (0, Reverse(0), entry.deadline.unwrap_or(i64::MAX), job)
+            }
+        }
+    }
+
+    /// Starts one task of the job, if there is a node for it.
+    fn start_one(&self, farm: &mut Farm, job: usize) -> bool {
+        let Some(task) = self.next_task(farm, job) else { return false };
+        let expected = farm.mean_work(job);
+        let class = farm.world.tasks[job][task].class;
+        let mut found = None;
+        for node in farm.idle() {
+            if farm.rank(node) >= self.pool && !self.needs_all[job] {
+                break;
+            }
+            match farm.can_start(node, job, task) {
+                Ok(()) => {}
+                Err(Refusal::Limit) => return false,
+                Err(_) => continue,
+            }
+            let machine = farm.node(node);
+            let length = expected.and_then(|work| machine.duration(work, class)).unwrap_or(0);
+            let setup = if farm.is_warm(node) { 0 } else { machine.setup };
+            let ends = farm.now().saturating_add(length).saturating_add(setup);
+            if farm.open_until(node).is_some_and(|until| ends <= until) {
+                found = Some(node);
+                break;
+            }
+        }
+        found.is_some_and(|node| farm.start(node, job, task).is_ok())
+    }
+
+    fn next_task(&self, farm: &Farm, job: usize) -> Option<usize> {
+        let entry = &farm.jobs[job];
+        let first = *entry.waiting.first()?;
+        if self.rule != QueueRule::ThreeFrames || !farm.has_seed(job) {
+            return Some(first);
+        }
+        let tasks = &farm.world.tasks[job];
+        let frames = tasks.iter().position(|task| task.task.frame().is_some())?;
+        let last = tasks.len() - 1;
+        let samples = [frames, frames + (last - frames) / 2, last];
+        if let Some(sample) = samples.into_iter().find(|sample| entry.waiting.contains(sample)) {
+            return Some(sample);
+        }
+        if samples.iter().any(|sample| !entry.measured.contains(sample)) {
+            return None;
+        }
+        let Some(deadline) = farm.job(job).deadline else { return Some(first) };
+        let mean = samples.iter().map(|&sample| u128::from(tasks[sample].work)).sum::<u128>() / 3;
+        let rest = mean.saturating_mul(entry.left as u128);
+        // A node of the job's mean speed, for the frame that it should be done before its deadline.
+        let speed = u128::from(entry.running_speed).checked_div(entry.running as u128).unwrap_or(0).max(1);
+        let frame = i64::try_from(mean.saturating_mul(1_000_000) / speed).unwrap_or(i64::MAX);
+        let time = if entry.running == 0 { deadline } else { deadline.saturating_sub(frame) };
+        let time = u128::try_from(time.saturating_sub(farm.now())).unwrap_or(0);
+        let is_enough =
+            u128::from(entry.running_speed).saturating_mul(time) >= rest.saturating_mul(1_000_000);
+        (!is_enough).then_some(first)
+    }
+}
+
+impl Policy for Queue {
+    fn arrived(&mut self, farm: &mut Farm, job: usize) -> bool {
+        // Everything is taken.
+        farm.job(job).deadline.is_some()
+    }
+
+    fn act(&mut self, farm: &mut Farm) -> Option<i64> {
+        // Nobody is free: nothing to do.
+        farm.idle().next()?;
+        let mut running: BTreeMap<Option<u64>, u64> = BTreeMap::new();
+        for job in farm.open() {
+            *running.entry(farm.job(job).project).or_default() += farm.jobs[job].running as u64;
+        }
+        let mut queue: BTreeSet<Key> = farm
+            .open()
+            .filter(|&job| !farm.jobs[job].waiting.is_empty())
+            .map(|job| self.key(farm, job, &running))
+            .collect();
+        while let Some((had, priority, since, job)) = queue.pop_first() {
+            if !self.start_one(farm, job) {
+                continue;
+            }
+            if self.rule == QueueRule::FairShare {
+                let project = farm.job(job).project;
+                *running.entry(project).or_default() += 1;
+                let jobs: Vec<usize> = queue
+                    .iter()
+                    .map(|key| key.3)
+                    .filter(|&other| farm.job(other).project == project)
+                    .chain([job])
+                    .collect();
+                queue.retain(|key| farm.job(key.3).project != project);
+                queue.extend(jobs.into_iter().map(|job| self.key(farm, job, &running)));
+            } else {
+                queue.insert((had, priority, since, job));
+            }
+        }
+        None
+    }
+}
+
+impl Farm<'_> {
+    /// A project's share.
+    fn share(&self, project: Option<u64>) -> u64 {
+        let found = self.world.input.projects.iter().find(|entry| Some(entry.id) == project);
+        u64::from(found.map_or(1, |entry| entry.share.max(1)))
+    }
+
+    /// Mean work of the job's frames that are done.
+    fn mean_work(&self, job: usize) -> Option<u64> {
+        let entry = &self.jobs[job];
+        let mean = entry.measured_work.checked_div(entry.measured.len() as u128)?;
+        u64::try_from(mean).ok()
+    }
+}

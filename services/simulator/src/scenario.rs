@@ -1,0 +1,108 @@
+//! Worlds to simulate.
+
+use forelight_planner::chance::{between, bits};
+use forelight_planner::reference::{self, Size};
+use forelight_planner::{Confidence, Input, InputError, Interval, Project, Seed};
+use serde::{Deserialize, Serialize};
+
+use crate::world::{Chances, World};
+
+const MINUTE: i64 = 60_000_000;
+const HOUR: i64 = 60 * MINUTE;
+const DAY: i64 = 24 * HOUR;
+/// Three projects, whose shares are their numbers.
+const PROJECTS: u64 = 3;
+
+/// How large a studio is and how long it is watched.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Scenario {
+    /// Nodes, from 10 to 10,000 in 5 to 20 classes.
+    pub nodes: u64,
+    /// Jobs that come in.
+    pub jobs: u64,
+    /// Frames of all jobs together.
+    pub frames: u64,
+    /// Days over which they come in.
+    pub days: u64,
+    /// Typical minutes of a frame at speed 1; nodes have speeds from 0.6 to 3.
+    pub frame_minutes: u64,
+    /// What every job asks for; none: a third each of P50, P80 and P95.
+    pub confidence: Option<Confidence>,
+}
+
+impl Scenario {
+    /// A month of a large studio: 1,000 nodes, 300 jobs, 45,000 frames.
+    pub const MONTH: Scenario = Scenario {
+        nodes: 1000,
+        jobs: 300,
+        frames: 45_000,
+        days: 30,
+        frame_minutes: 180,
+        confidence: Some(Confidence::P95),
+    };
+    /// A small studio that is asked for a little more than a thousand promises at this confidence.
+    pub const fn promises(confidence: Confidence) -> Scenario {
+        Scenario {
+            nodes: 60,
+            jobs: 1150,
+            frames: 23_000,
+            days: 60,
+            frame_minutes: 120,
+            confidence: Some(confidence),
+        }
+    }
+
+    /// The world, with this luck.
+    ///
+    /// # Errors
+    /// None that is known; the planner checks its input.
+    pub fn world(&self, chances: Chances) -> Result<World, InputError> {
+        World::new(studio(*self, chances.seed), chances)
+    }
+}
+
+/// A studio's nodes and jobs, as [`reference::studio`] draws them, with jobs that come in at any time of the days and are wanted 16 to 72
+/// hours later.
+pub fn studio(scenario: Scenario, seed: u64) -> Input {
+    let size = Size {
+        jobs: scenario.jobs,
+        frames: scenario.frames.max(scenario.jobs),
+        nodes: scenario.nodes,
+        classes: (scenario.nodes / 2).clamp(5, 20),
+        days: scenario.days,
+    };
+    let mut input = reference::studio(size, seed);
+    input.projects = (1..=PROJECTS)
+        .map(|id| Project { id, name: format!("project-{id}"), share: id as u32, usage: Vec::new() })
+        .collect();
+    // The reference farm's frames typically take two hours.
+    let scaled = |work: u64| {
+        u64::try_from(u128::from(work) * u128::from(scenario.frame_minutes) / 120).unwrap_or(u64::MAX).max(1)
+    };
+    let end = scenario.days as i64 * DAY;
+    for job in &mut input.jobs {
+        let release = between(seed, &[101, job.id], 0, end) / MINUTE * MINUTE;
+        job.release = release;
+        job.deadline = Some(release + between(seed, &[102, job.id], 16 * HOUR, 72 * HOUR) / MINUTE * MINUTE);
+        job.tiles = 1;
+        for frame in &mut job.frames {
+            (frame.work, frame.work_p80) = (scaled(frame.work), scaled(frame.work_p80));
+        }
+        let total = &mut job.total;
+        (total.p50, total.p80, total.p95) = (scaled(total.p50), scaled(total.p80), scaled(total.p95));
+        job.seed = job.seed.map(|seed| Seed { work: scaled(seed.work), ..seed });
+        job.project = Some(1 + bits(seed, &[103, job.id]) % PROJECTS);
+        job.priority = (bits(seed, &[104, job.id]) % 3) as i32;
+        if let Some(confidence) = scenario.confidence {
+            job.confidence = confidence;
+        }
+    }
+    // The nights go on until the last job is done.
+    for node in input.nodes.iter_mut().filter(|node| node.calendar.len() > 1) {
+        let days = scenario.days as i64;
+        let more = (days + 1..=days + 30)
+            .map(|day| Interval { start: day * DAY - 4 * HOUR, end: Some(day * DAY + 8 * HOUR) });
+        node.calendar.extend(more);
+    }
+    input
+}

@@ -1,0 +1,192 @@
+//! What is the case, whether anyone knows it or not.
+
+use forelight_planner::chance::{normal, uniform};
+use forelight_planner::{Input, InputError, Interval, Task, free_time, least_cost};
+use serde::{Deserialize, Serialize};
+
+/// What random numbers are for: the first index of each.
+const COMMON: u64 = 1;
+const OWN: u64 = 2;
+const FAILURE: u64 = 3;
+const REPAIR: u64 = 4;
+const WITHDRAWN: u64 = 5;
+
+const HOUR: f64 = 3.6e9;
+
+/// How unlucky a world is.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Chances {
+    /// Seed of everything that is drawn.
+    pub seed: u64,
+    /// True work is so many times what forecasts say, in all jobs.
+    pub bias: f64,
+    /// True spread, of a job and of a frame, is so many times what forecasts say.
+    pub spread: f64,
+    /// Mean hours from a node's repair to its next failure; 0: nodes do not fail.
+    pub hours_between_failures: f64,
+    /// Mean hours of a repair.
+    pub hours_of_repair: f64,
+    /// Seconds after a worker's last word until its lease expires and its frame goes back.
+    pub lease_seconds: f64,
+    /// Share of the jobs that are withdrawn at some time before their deadline.
+    pub withdrawn: f64,
+}
+
+impl Default for Chances {
+    fn default() -> Self {
+        Chances {
+            seed: 1,
+            bias: 1.0,
+            spread: 1.0,
+            hours_between_failures: 30.0 * 24.0,
+            hours_of_repair: 4.0,
+            lease_seconds: 60.0,
+            withdrawn: 0.01,
+        }
+    }
+}
+
+/// A farm, its jobs, and the truth about both.
+#[derive(Clone, Debug)]
+pub struct World {
+    /// Nodes and jobs by id, as everyone knows them. A job's release is when it comes in.
+    pub(crate) input: Input,
+    pub(crate) chances: Chances,
+    /// When each node may be used.
+    pub(crate) windows: Vec<Vec<Interval>>,
+    /// By job: its tasks, the seed first if there is one, then frames in the order in which they are given.
+    pub(crate) tasks: Vec<Vec<TrueTask>>,
+    /// By job: when it is withdrawn.
+    pub(crate) withdrawn: Vec<Option<i64>>,
+    /// Nothing happens after this.
+    pub(crate) horizon: i64,
+}
+
+/// A task and what it really takes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TrueTask {
+    pub task: Task,
+    /// Forecast median.
+    pub median: u64,
+    /// What it takes.
+    pub work: u64,
+    pub class: u32,
+}
+
+/// Beyond the last deadline, so that what is late may end.
+const PATIENCE: i64 = 60 * 24 * 3_600_000_000;
+
+impl World {
+    /// Draws the truth. The order of nodes and jobs in the input does not matter. Frames are rendered whole: into how many tiles they
+    /// may be split is ignored. Movable bookings are, too.
+    ///
+    /// # Errors
+    /// If the input has no meaning.
+    pub fn new(mut input: Input, chances: Chances) -> Result<Self, InputError> {
+        input.check()?;
+        input.movable.clear();
+        input.nodes.sort_by_key(|node| node.id);
+        input.jobs.sort_by_key(|job| job.id);
+        for job in &mut input.jobs {
+            job.tiles = 1;
+            job.release = job.release.max(input.now);
+        }
+        let seed = chances.seed;
+        let windows = input.nodes.iter().map(|node| free_time(node, input.now, &input.fixed)).collect();
+        let mut tasks = Vec::with_capacity(input.jobs.len());
+        let mut withdrawn = Vec::with_capacity(input.jobs.len());
+        let mut last = input.now;
+        for job in &input.jobs {
+            let z = normal(seed, &[COMMON, job.id]);
+            let common = libm::pow(job.common_factor(z), chances.spread) * chances.bias;
+            let drawn = |median: u64, own: f64| -> u64 {
+                // A float beyond the range becomes its end.
+                (median as f64 * common * own).round().max(1.0) as u64
+            };
+            let done: std::collections::BTreeSet<i64> = job.done.iter().copied().collect();
+            let mut of_job: Vec<TrueTask> = Vec::with_capacity(job.frames.len() + 1);
+            of_job.extend(job.seed.map(|seed| TrueTask {
+                task: Task::Seed,
+                median: seed.work,
+                work: drawn(seed.work, 1.0),
+                class: seed.class,
+            }));
+            for frame in job.frames.iter().filter(|frame| !done.contains(&frame.number)) {
+                let spread = job.own_spread(frame) * chances.spread;
+                let z = normal(seed, &[OWN, job.id, frame.number as u64]);
+                of_job.push(TrueTask {
+                    task: Task::Frame(frame.number),
+                    median: frame.work,
+                    work: drawn(frame.work, libm::exp(spread * z - spread * spread / 2.0)),
+                    class: job.class,
+                });
+            }
+            tasks.push(of_job);
+            let until = job.deadline.unwrap_or(job.release.saturating_add(PATIENCE / 60)).max(job.release);
+            let at = uniform(seed, &[WITHDRAWN, job.id, 1]);
+            let offset = (until.saturating_sub(job.release) as f64 * at) as i64;
+            let goes = uniform(seed, &[WITHDRAWN, job.id]) < chances.withdrawn;
+            withdrawn.push(goes.then(|| job.release.saturating_add(offset).saturating_add(1)));
+            last = last.max(until);
+        }
+        let horizon = last.saturating_add(PATIENCE);
+        Ok(World { input, chances, windows, tasks, withdrawn, horizon })
+    }
+
+    /// Nodes and jobs by id, as everyone knows them.
+    pub fn input(&self) -> &Input {
+        &self.input
+    }
+
+    /// Micro-units that no policy can cost less than if it keeps all deadlines that can be kept, even if it knew the true work, all jobs
+    /// from the start, and no node failed. Jobs that are withdrawn do not count.
+    ///
+    /// # Errors
+    /// If the input has no meaning.
+    pub fn least_cost(&self) -> Result<i64, InputError> {
+        let mut known = self.input.clone();
+        let mut index = 0;
+        known.jobs.retain_mut(|job| {
+            let (tasks, withdrawn) = (&self.tasks[index], self.withdrawn[index]);
+            index += 1;
+            let mut frames = Vec::with_capacity(tasks.len());
+            for task in tasks {
+                match task.task.frame() {
+                    None => {
+                        job.seed = job.seed.map(|seed| forelight_planner::Seed { work: task.work, ..seed })
+                    }
+                    Some(number) => {
+                        frames.push(forelight_planner::Frame { number, work: task.work, work_p80: 0 });
+                    }
+                }
+            }
+            let total = frames.iter().fold(0u64, |sum, frame| sum.saturating_add(frame.work));
+            job.total = forelight_planner::WorkTotal { p50: total, p80: total, p95: total };
+            job.frames = frames;
+            job.done.clear();
+            withdrawn.is_none()
+        });
+        least_cost(&known)
+    }
+
+    /// Microseconds from a node's n-th repair (from the start for n = 0) to its next failure; none if nodes do not fail.
+    pub(crate) fn until_failure(&self, node: usize, n: u64) -> Option<i64> {
+        let mean = self.chances.hours_between_failures;
+        (mean > 0.0).then(|| self.exponential(FAILURE, node, n, mean))
+    }
+
+    /// Microseconds that its n-th repair takes.
+    pub(crate) fn repair(&self, node: usize, n: u64) -> i64 {
+        self.exponential(REPAIR, node, n, self.chances.hours_of_repair)
+    }
+
+    pub(crate) fn lease(&self) -> i64 {
+        ((self.chances.lease_seconds * 1e6) as i64).max(1)
+    }
+
+    fn exponential(&self, what: u64, node: usize, n: u64, mean_hours: f64) -> i64 {
+        let u = uniform(self.chances.seed, &[what, self.input.nodes[node].id, n]);
+        ((-libm::log(u) * mean_hours * HOUR) as i64).max(1)
+    }
+}

@@ -1,0 +1,447 @@
+//! Budgets, the ledger that they are held against, and what was said of nights to come.
+//!
+//! The ledger has a row for each lease, written by triggers (`migrations/0003_budgets.sql`): what was paid for is known whatever way a lease
+//! ends. A budget that is used up holds its project's tasks back: they stay `ready`, and `held` keeps them from being handed out.
+//!
+//! An action, once in force, stays so until its period is over or the budget is set again. Without that, stopping what runs would free what was
+//! committed for it, and so start it again.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use forelight_protocol::{
+    Budget, BudgetAction, BudgetForecast, BudgetRequest, BudgetThreshold, Event, EventKind, Job, JobId,
+    JobState, LedgerLine, Money, NodeId, Timestamp,
+};
+use sqlx::sqlite::SqliteRow;
+use sqlx::{Row as _, SqliteConnection};
+
+use crate::database::Write;
+use crate::decode::{corrupt, id, json, time, time_opt, to_json, word};
+use crate::events::{append, event};
+use crate::{JobForecast, Store, StoreError, jobs, progress};
+
+/// A job that is booked and not done, with what its forecast says.
+#[derive(Clone, PartialEq, Debug)]
+pub struct OpenJob {
+    /// The job.
+    pub job: Job,
+    /// Its forecast; none before it is booked.
+    pub forecast: Option<JobForecast>,
+    /// CPU seconds of its frames that are not there yet, at P50 and P80.
+    pub frames: Vec<(u32, f64, f64)>,
+    /// Its project's budget holds it back.
+    pub held: bool,
+}
+
+/// A night that was forecast.
+#[derive(Clone, PartialEq, Debug)]
+pub struct KeptNight {
+    /// First instant.
+    pub from: Timestamp,
+    /// The instant after the last.
+    pub until: Timestamp,
+    /// What was said.
+    pub forecast: BudgetForecast,
+}
+
+/// A budget as it is kept.
+struct Kept {
+    request: BudgetRequest,
+    action: Option<BudgetAction>,
+    period_at: Option<Timestamp>,
+    updated_at: Timestamp,
+}
+
+impl Store {
+    /// Sets a budget; one of the same project and period is replaced, and what it had in force is over. The time zone must be known.
+    pub async fn set_budget(&self, request: &BudgetRequest, now: Timestamp) -> Result<Budget, StoreError> {
+        let mut write = self.write().await?;
+        sqlx::query(
+            "INSERT INTO budgets (project, period, amount, zone, thresholds, updated_at) VALUES (?, ?, ?, ?, ?, ?) \
+             ON CONFLICT (project, period) DO UPDATE SET amount = excluded.amount, zone = excluded.zone, \
+             thresholds = excluded.thresholds, updated_at = excluded.updated_at, action = NULL, period_at = NULL",
+        )
+        .bind(&request.project)
+        .bind(request.period.name())
+        .bind(request.amount.0)
+        .bind(&request.zone)
+        .bind(to_json(&request.thresholds)?)
+        .bind(now.micros())
+        .execute(write.connection())
+        .await?;
+        enforce(&mut write, now).await?;
+        let found = budgets(write.connection(), now)
+            .await?
+            .into_iter()
+            .find(|budget| budget.project == request.project && budget.period == request.period);
+        let budget = found.ok_or(StoreError::NotFound("budget"))?;
+        self.commit(write).await?;
+        Ok(budget)
+    }
+
+    /// All budgets and how they stand, by project and period.
+    pub async fn budgets(&self, now: Timestamp) -> Result<Vec<Budget>, StoreError> {
+        let mut transaction = self.read().await?;
+        budgets(&mut transaction, now).await
+    }
+
+    /// Puts into force what spending calls for, and ends what is over. Writes only if something changes. Says how many budgets changed.
+    pub async fn enforce_budgets(&self, now: Timestamp) -> Result<u32, StoreError> {
+        // Most farms have no budget, and most of the time nothing changes: that is found without the write lock.
+        let mut transaction = self.read().await?;
+        let due = due(&mut transaction, now).await?;
+        drop(transaction);
+        if due.is_empty() {
+            return Ok(0);
+        }
+        let mut write = self.write().await?;
+        let changed = enforce(&mut write, now).await?;
+        self.commit(write).await?;
+        Ok(changed)
+    }
+
+    /// What was paid for between two instants, in the order of leases.
+    pub async fn ledger(&self, from: Timestamp, until: Timestamp) -> Result<Vec<LedgerLine>, StoreError> {
+        let rows = sqlx::query(
+            "SELECT * FROM ledger WHERE from_at < ? AND (until_at IS NULL OR until_at > ?) ORDER BY from_at, lease_id",
+        )
+        .bind(until.micros())
+        .bind(from.micros())
+        .fetch_all(self.readers())
+        .await?;
+        rows.iter().map(line).collect()
+    }
+
+    /// The jobs that are neither done, failed nor cancelled, oldest first.
+    pub async fn open_jobs(&self) -> Result<Vec<OpenJob>, StoreError> {
+        let mut transaction = self.read().await?;
+        let rows = sqlx::query(
+            "SELECT * FROM jobs WHERE state IN ('previewing', 'profiling', 'booked', 'rendering') ORDER BY id",
+        )
+        .fetch_all(&mut *transaction)
+        .await?;
+        let mut open = Vec::with_capacity(rows.len());
+        for row in &rows {
+            let job_id = JobId(id(row, "id")?);
+            let done = progress::of_job(&mut transaction, job_id).await?;
+            let job = jobs::decode(row, done)?;
+            let frames = sqlx::query(
+                "SELECT frame, cpu_p50, cpu_p80 FROM frames WHERE job_id = ? AND finished_at IS NULL AND cpu_p50 IS NOT NULL \
+                 ORDER BY frame",
+            )
+            .bind(job_id.0)
+            .fetch_all(&mut *transaction)
+            .await?;
+            let held: bool =
+                sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM tasks WHERE job_id = ? AND held = 1)")
+                    .bind(job_id.0)
+                    .fetch_one(&mut *transaction)
+                    .await?;
+            let is_booked = matches!(job.state, JobState::Booked | JobState::Rendering);
+            open.push(OpenJob {
+                forecast: if is_booked { crate::decode::json_opt(row, "forecast")? } else { None },
+                frames: frames
+                    .iter()
+                    .map(|row| Ok((crate::decode::whole(row, "frame")?, row.try_get(1)?, row.try_get(2)?)))
+                    .collect::<Result<_, StoreError>>()?,
+                job,
+                held,
+            });
+        }
+        Ok(open)
+    }
+
+    /// Keeps what is said of a night, unless something was said before and the night is past its middle. One row a night, however often
+    /// this is called.
+    pub async fn keep_budget_forecast(&self, night: &KeptNight) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        let middle = night.from.plus_micros(night.until.micros_since(night.from) / 2);
+        sqlx::query(
+            "INSERT INTO budget_forecasts (date, zone, begin_at, end_at, made_at, body) VALUES (?1, ?2, ?3, ?4, ?5, ?6) \
+             ON CONFLICT (date, zone) DO UPDATE SET made_at = excluded.made_at, body = excluded.body WHERE ?5 < ?7",
+        )
+        .bind(night.forecast.date.to_string())
+        .bind(&night.forecast.zone)
+        .bind(night.from.micros())
+        .bind(night.until.micros())
+        .bind(night.forecast.made_at.micros())
+        .bind(to_json(&night.forecast)?)
+        .bind(middle.micros())
+        .execute(write.connection())
+        .await?;
+        self.commit(write).await
+    }
+
+    /// The nights of a zone that were forecast and begin before an instant, newest first, at most `limit`.
+    pub async fn budget_forecasts_before(
+        &self,
+        zone: &str,
+        before: Timestamp,
+        limit: u32,
+    ) -> Result<Vec<KeptNight>, StoreError> {
+        let rows = sqlx::query(
+            "SELECT * FROM budget_forecasts WHERE zone = ? AND begin_at < ? ORDER BY begin_at DESC LIMIT ?",
+        )
+        .bind(zone)
+        .bind(before.micros())
+        .bind(limit)
+        .fetch_all(self.readers())
+        .await?;
+        rows.iter()
+            .map(|row| {
+                Ok(KeptNight {
+                    from: time(row, "begin_at")?,
+                    until: time(row, "end_at")?,
+                    forecast: json(row, "body")?,
+                })
+            })
+            .collect()
+    }
+}
+
+fn line(row: &SqliteRow) -> Result<LedgerLine, StoreError> {
+    Ok(LedgerLine {
+        project: row.try_get("project")?,
+        job_id: JobId(id(row, "job_id")?),
+        node_id: NodeId(id(row, "node_id")?),
+        price_per_hour: Money(row.try_get("price_per_hour")?),
+        from: time(row, "from_at")?,
+        until: time_opt(row, "until_at")?,
+    })
+}
+
+async fn kept(connection: &mut SqliteConnection) -> Result<Vec<Kept>, StoreError> {
+    let rows = sqlx::query("SELECT * FROM budgets ORDER BY project, period").fetch_all(connection).await?;
+    let decode = |row: &SqliteRow| {
+        let action: Option<&str> = row.try_get("action")?;
+        Ok(Kept {
+            request: BudgetRequest {
+                project: row.try_get("project")?,
+                period: word(row, "period")?,
+                amount: Money(row.try_get("amount")?),
+                zone: row.try_get("zone")?,
+                thresholds: json(row, "thresholds")?,
+            },
+            action: action.map(|_| word(row, "action")).transpose()?,
+            period_at: time_opt(row, "period_at")?,
+            updated_at: time(row, "updated_at")?,
+        })
+    };
+    rows.iter().map(decode).collect()
+}
+
+async fn budgets(connection: &mut SqliteConnection, now: Timestamp) -> Result<Vec<Budget>, StoreError> {
+    let mut found = Vec::new();
+    for Kept { request, action, period_at, updated_at } in kept(connection).await? {
+        let BudgetRequest { project, period, amount, zone, thresholds } = request;
+        let (from, until) =
+            period.bounds(&zone, now).ok_or_else(|| corrupt("zone", format!("{zone} is no time zone")))?;
+        let spent = spent(connection, &project, from, now).await?;
+        let committed = committed(connection, &project, now).await?;
+        let action = action.filter(|_| period_at == Some(from));
+        found.push(Budget {
+            project,
+            period,
+            amount,
+            zone,
+            thresholds,
+            from,
+            until,
+            spent,
+            committed,
+            action,
+            updated_at,
+        });
+    }
+    Ok(found)
+}
+
+/// What a project's leases cost since an instant; those that run, up to now.
+async fn spent(
+    connection: &mut SqliteConnection,
+    project: &str,
+    from: Timestamp,
+    now: Timestamp,
+) -> Result<Money, StoreError> {
+    let rows = sqlx::query("SELECT * FROM ledger WHERE project = ? AND (until_at IS NULL OR until_at > ?)")
+        .bind(project)
+        .bind(from.micros())
+        .fetch_all(connection)
+        .await?;
+    let mut sum = 0i64;
+    for row in &rows {
+        sum = sum.saturating_add(line(row)?.cost_within(from, now).0);
+    }
+    Ok(Money(sum))
+}
+
+/// What the frames that a project has running are expected to cost from now on, at the median of their forecasts.
+async fn committed(
+    connection: &mut SqliteConnection,
+    project: &str,
+    now: Timestamp,
+) -> Result<Money, StoreError> {
+    let rows = sqlx::query(
+        "SELECT d.*, f.cpu_p50, coalesce(n.speed_set, n.speed) * n.cores AS rate FROM ledger d \
+         JOIN leases l ON l.id = d.lease_id JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = d.node_id \
+         JOIN frames f ON f.job_id = d.job_id AND f.frame = t.frame \
+         WHERE d.project = ? AND d.until_at IS NULL AND t.kind = 'render' AND f.cpu_p50 IS NOT NULL",
+    )
+    .bind(project)
+    .fetch_all(connection)
+    .await?;
+    let mut sum = 0i64;
+    for row in &rows {
+        let line = line(row)?;
+        let (cpu, rate): (f64, f64) = (row.try_get("cpu_p50")?, row.try_get("rate")?);
+        let whole = (cpu / rate * 1e6) as i64;
+        let left = whole.saturating_sub(now.micros_since(line.from)).max(0);
+        sum = sum.saturating_add(line.price_per_hour.for_micros_at_hourly_rate(left).0);
+    }
+    Ok(Money(sum))
+}
+
+/// The strongest action that so much spending calls for.
+fn called_for(thresholds: &[BudgetThreshold], amount: Money, used: Money) -> Option<BudgetAction> {
+    let reached =
+        |percent: u32| used.0 > 0 && i128::from(used.0) * 100 >= i128::from(amount.0) * i128::from(percent);
+    thresholds.iter().filter(|threshold| reached(threshold.percent)).map(|threshold| threshold.action).max()
+}
+
+/// Budgets of which something has to change: the budget as it stands, and the action that comes into force.
+async fn due(
+    connection: &mut SqliteConnection,
+    now: Timestamp,
+) -> Result<Vec<(Budget, Option<BudgetAction>)>, StoreError> {
+    let mut due = Vec::new();
+    let before: Vec<(Option<BudgetAction>, Option<Timestamp>)> =
+        kept(connection).await?.iter().map(|kept| (kept.action, kept.period_at)).collect();
+    for (budget, (had, period_at)) in budgets(connection, now).await?.into_iter().zip(before) {
+        let used = Money(budget.spent.0.saturating_add(budget.committed.0));
+        // In force stays what is in force in this period.
+        let action = called_for(&budget.thresholds, budget.amount, used).max(budget.action);
+        if action != had || (had.is_some() && period_at != Some(budget.from)) {
+            due.push((budget, action));
+        }
+    }
+    Ok(due)
+}
+
+async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
+    let due = due(write.connection(), now).await?;
+    for (budget, action) in &due {
+        sqlx::query("UPDATE budgets SET action = ?, period_at = ? WHERE project = ? AND period = ?")
+            .bind(action.map(BudgetAction::name))
+            .bind(action.map(|_| budget.from.micros()))
+            .bind(&budget.project)
+            .bind(budget.period.name())
+            .execute(write.connection())
+            .await?;
+        let message = match action {
+            Some(action) => format!(
+                "{}: {} and {} committed of {} micro-units a {}: {}",
+                budget.project,
+                budget.spent.0,
+                budget.committed.0,
+                budget.amount.0,
+                budget.period.name(),
+                match action {
+                    BudgetAction::Warn => "warning",
+                    BudgetAction::Drain => "nothing new is started",
+                    BudgetAction::Stop => "what runs is stopped",
+                }
+            ),
+            None => format!("{}: the budget's new {} begins", budget.project, budget.period.name()),
+        };
+        append(write, Event { message: Some(message), ..event(EventKind::Budget, now) }).await?;
+    }
+    // Of all budgets of a project, the strongest action counts. A budget that was just set again has none, and may have had one.
+    let mut in_force: BTreeMap<String, Option<BudgetAction>> = BTreeMap::new();
+    for kept in kept(write.connection()).await? {
+        let action = in_force.entry(kept.request.project).or_default();
+        *action = (*action).max(kept.action);
+    }
+    let held: Vec<String> = sqlx::query_scalar(
+        "SELECT DISTINCT j.project FROM tasks t JOIN jobs j ON j.id = t.job_id WHERE t.held = 1",
+    )
+    .fetch_all(write.connection())
+    .await?;
+    let held: BTreeSet<String> = held.into_iter().collect();
+    for (project, action) in in_force {
+        match action {
+            Some(BudgetAction::Drain | BudgetAction::Stop) => {
+                hold(write, &project, true).await?;
+                if action == Some(BudgetAction::Stop) {
+                    stop(write, &project, now).await?;
+                }
+            }
+            _ if held.contains(&project) => {
+                hold(write, &project, false).await?;
+                write.made_work = true;
+            }
+            _ => {}
+        }
+    }
+    Ok(u32::try_from(due.len()).unwrap_or(u32::MAX))
+}
+
+/// Keeps a project's tasks from being handed out, or lets them again.
+async fn hold(write: &mut Write, project: &str, held: bool) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE tasks SET held = ?1 WHERE held <> ?1 AND state IN ('ready', 'leased') AND job_id IN (SELECT id FROM jobs WHERE project = ?2)",
+    )
+    .bind(held)
+    .bind(project)
+    .execute(write.connection())
+    .await?;
+    if !held {
+        // Whatever ended meanwhile is not held either.
+        sqlx::query(
+            "UPDATE tasks SET held = 0 WHERE held = 1 AND job_id IN (SELECT id FROM jobs WHERE project = ?)",
+        )
+        .bind(project)
+        .execute(write.connection())
+        .await?;
+    }
+    Ok(())
+}
+
+/// Takes back what a project has running: the next renewal brings the order to stop, and the task goes back, held.
+async fn stop(write: &mut Write, project: &str, now: Timestamp) -> Result<(), StoreError> {
+    let running =
+        "SELECT t.id FROM tasks t JOIN jobs j ON j.id = t.job_id WHERE j.project = ? AND t.state = 'leased'";
+    let leases = format!(
+        "UPDATE leases SET state = 'revoked', ended_at = max(?, granted_at) WHERE state = 'active' AND task_id IN ({running})"
+    );
+    // Put together from constants alone.
+    sqlx::query(sqlx::AssertSqlSafe(leases))
+        .bind(now.micros())
+        .bind(project)
+        .execute(write.connection())
+        .await?;
+    let tasks =
+        format!("UPDATE tasks SET state = 'ready', progress = 0, node_id = NULL WHERE id IN ({running})");
+    sqlx::query(sqlx::AssertSqlSafe(tasks)).bind(project).execute(write.connection()).await?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::called_for;
+    use forelight_protocol::{BudgetAction, BudgetThreshold, Money};
+
+    #[test]
+    fn the_strongest_action_whose_share_is_reached_is_called_for() {
+        let at = |percent, action| BudgetThreshold { percent, action };
+        let thresholds =
+            [at(120, BudgetAction::Stop), at(80, BudgetAction::Warn), at(100, BudgetAction::Drain)];
+        let found = |used| called_for(&thresholds, Money(1000), Money(used));
+        assert_eq!(found(799), None);
+        assert_eq!(found(800), Some(BudgetAction::Warn));
+        assert_eq!(found(1000), Some(BudgetAction::Drain));
+        assert_eq!(found(1_000_000), Some(BudgetAction::Stop));
+        // Of nothing, everything is too much, but nothing is not.
+        assert_eq!(called_for(&thresholds, Money(0), Money(0)), None);
+        assert_eq!(called_for(&thresholds, Money(0), Money(1)), Some(BudgetAction::Stop));
+    }
+}
