@@ -1,5 +1,5 @@
 //! What several tests share: where test input lies, reference images, statistics, worlds
-//! built in code; the program's processes, its API, its ledger.
+//! built in code; the program's processes, its API, its ledger; networks, clocks and disks that fail.
 
 pub mod bundles;
 pub mod case;
@@ -9,7 +9,10 @@ pub mod ledger;
 pub mod parsers;
 pub mod pictures;
 pub mod processes;
+pub mod proxy;
+pub mod random;
 pub mod reference;
+pub mod shim;
 pub mod statistics;
 pub mod waiting;
 pub mod world;

@@ -70,6 +70,16 @@ pub struct Process {
 impl Process {
     /// Starts the program. What it prints and logs goes to files in `logs` that begin with `name`.
     pub fn start<A: AsRef<OsStr>>(logs: &Path, name: &str, arguments: &[A]) -> Self {
+        Self::start_with(logs, name, arguments, &[])
+    }
+
+    /// The same with these variables in its environment.
+    fn start_with<A: AsRef<OsStr>>(
+        logs: &Path,
+        name: &str,
+        arguments: &[A],
+        environment: &[(String, PathBuf)],
+    ) -> Self {
         let (output, log) = (logs.join(format!("{name}.out")), logs.join(format!("{name}.log")));
         let file =
             |path: &Path| File::create(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
@@ -80,6 +90,7 @@ impl Process {
             .stdout(file(&output))
             .stderr(file(&log))
             .env_remove("RUST_LOG")
+            .envs(environment.iter().map(|(name, value)| (name, value)))
             .spawn()
             .expect("the program can be started");
         Self { child, output, log, started }
@@ -139,6 +150,7 @@ impl Drop for Process {
 pub struct Service {
     folder: tempfile::TempDir,
     arguments: Vec<String>,
+    environment: Vec<(String, PathBuf)>,
     process: Option<Process>,
     address: String,
     starts: u32,
@@ -148,20 +160,36 @@ impl Service {
     /// Starts `command` (`serve` or `farm`) on a free port with these flags, and waits until it answers.
     pub async fn start(command: &str, flags: &[&str]) -> Self {
         let folder = tempfile::tempdir().expect("a temporary folder can be made");
-        let data = folder.path().join("data");
-        let mut arguments = vec![command.to_owned(), "--data".to_owned(), data.display().to_string()];
-        arguments.extend(flags.iter().map(|&flag| flag.to_owned()));
-        let mut service = Self { folder, arguments, process: None, address: String::new(), starts: 0 };
-        service.launch("127.0.0.1:0").await;
+        let mut service = Self::prepared(folder, command, flags);
+        service.launch().await;
         service
     }
 
-    async fn launch(&mut self, listen: &str) {
+    /// A service that has not been started, with its data in this folder.
+    pub fn prepared(folder: tempfile::TempDir, command: &str, flags: &[&str]) -> Self {
+        let data = folder.path().join("data");
+        let mut arguments = vec![command.to_owned(), "--data".to_owned(), data.display().to_string()];
+        arguments.extend(flags.iter().map(|&flag| flag.to_owned()));
+        Self { folder, arguments, environment: Vec::new(), process: None, address: String::new(), starts: 0 }
+    }
+
+    /// Starts of the service from here on have these variables in their environment.
+    pub fn set_environment(&mut self, environment: &[(&str, &Path)]) {
+        let owned = |&(name, value): &(&str, &Path)| (name.to_owned(), value.to_owned());
+        self.environment = environment.iter().map(owned).collect();
+    }
+
+    /// Starts it for the first time, on a free port, and waits until it answers.
+    pub async fn launch(&mut self) {
+        self.listen("127.0.0.1:0").await;
+    }
+
+    async fn listen(&mut self, listen: &str) {
         self.starts += 1;
         let mut arguments = self.arguments.clone();
         arguments.extend(["--listen".to_owned(), listen.to_owned()]);
         let name = format!("service-{}", self.starts);
-        let mut process = Process::start(self.folder.path(), &name, &arguments);
+        let mut process = Process::start_with(self.folder.path(), &name, &arguments, &self.environment);
         let address = eventually("the service's address", PATIENCE, async || {
             assert_eq!(process.has_ended(), None, "the service ended: {}", process.last_words());
             let printed = process.printed();
@@ -189,7 +217,7 @@ impl Service {
         assert!(self.process.is_none(), "the service runs");
         let address = self.address.clone();
         let listen = address.strip_prefix("http://").expect("an address of HTTP");
-        self.launch(listen).await;
+        self.listen(listen).await;
         assert_eq!(self.address, address);
     }
 
@@ -232,11 +260,16 @@ impl Service {
 
     /// Starts a worker of one thread that calls itself `name`. All workers keep fetched bundles in the same folder.
     pub fn worker(&self, name: &str, process: &str) -> Process {
+        self.worker_at(&self.address, name, process, "1m")
+    }
+
+    /// The same by way of another address, and with checkpoints at this interval.
+    pub fn worker_at(&self, address: &str, name: &str, process: &str, checkpoints: &str) -> Process {
         let (token, bundles) = (self.token_file(Role::Worker), self.folder().join("bundles"));
-        let arguments: [&OsStr; 14] = [
+        let arguments: [&OsStr; 16] = [
             "worker".as_ref(),
             "--server".as_ref(),
-            self.address.as_ref(),
+            address.as_ref(),
             "--token-file".as_ref(),
             token.as_ref(),
             "--name".as_ref(),
@@ -247,6 +280,8 @@ impl Service {
             "cpu".as_ref(),
             "--bundles".as_ref(),
             bundles.as_ref(),
+            "--checkpoints".as_ref(),
+            checkpoints.as_ref(),
             "-v".as_ref(),
         ];
         Process::start(self.folder(), process, &arguments)

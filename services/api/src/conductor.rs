@@ -180,7 +180,7 @@ mod tests {
         let Answered::Fresh(job) = store.create_job(&new, None, Timestamp::now()).await.unwrap() else {
             panic!()
         };
-        let conductor = Conductor::new(store.clone(), Arc::new(SystemClock), Arc::default());
+        let conductor = Conductor::new(store.clone(), Arc::new(SystemClock::default()), Arc::default());
         let busy = AdvanceError::Store(StoreError::Conflict("later".to_owned()));
         conductor.settle(job.id, Err(busy)).await;
         assert_eq!(store.jobs_to_advance().await.unwrap(), [job.id]);

@@ -41,7 +41,7 @@ impl Config {
             lease_ttl: Duration::from_secs(30),
             bundle_roots: Vec::new(),
             limits: Limits::default(),
-            clock: Arc::new(SystemClock),
+            clock: Arc::new(SystemClock::default()),
         }
     }
 }

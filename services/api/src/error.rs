@@ -6,6 +6,7 @@
 
 use std::collections::BTreeMap;
 
+use crate::extract::BAD_TOKEN;
 use axum::extract::Request;
 use axum::http::header::{CONTENT_TYPE, RETRY_AFTER, WWW_AUTHENTICATE};
 use axum::http::{HeaderValue, StatusCode};
@@ -13,6 +14,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{Problem, ProblemKind};
 use forelight_store::StoreError;
+
 use utoipa::openapi::{ContentBuilder, Ref, RefOr, Response as DocumentedResponse, ResponseBuilder};
 
 /// The media type of problem details.
@@ -78,6 +80,7 @@ impl From<StoreError> for ApiError {
             StoreError::NotFound(_) => ProblemKind::NotFound,
             StoreError::LeaseLost => ProblemKind::LeaseLost,
             StoreError::Conflict(_) => ProblemKind::Conflict,
+            StoreError::JoinRefused(_) => ProblemKind::Unauthenticated,
             StoreError::MissingArtifact(_) => ProblemKind::MissingArtifact,
             StoreError::KeyReused => ProblemKind::IdempotencyKeyReused,
             StoreError::HashMismatch { .. } => ProblemKind::HashMismatch,
@@ -99,6 +102,7 @@ impl From<StoreError> for ApiError {
                 Self::new(kind, "the artefact store cannot be used just now").retry_after(ARTIFACTS_AWAY)
             }
             ProblemKind::LeaseLost | ProblemKind::NotFound => Self::new(kind, error.to_string()),
+            ProblemKind::Unauthenticated => Self::new(kind, error.to_string()).authenticate(BAD_TOKEN),
             ProblemKind::IdempotencyKeyReused => {
                 Self::new(kind, error.to_string()).in_parameter("Idempotency-Key")
             }

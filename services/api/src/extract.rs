@@ -6,7 +6,7 @@ mod json;
 mod path;
 mod query;
 
-pub(crate) use auth::{Anyone, Operator, Reader, Submitter, WorkerToken};
+pub(crate) use auth::{Anyone, BAD_TOKEN, OneTimeToken, Operator, Reader, Submitter, WorkerToken};
 pub(crate) use idempotency::KeyHeader;
 pub(crate) use json::{JsonBody, Large};
 pub(crate) use path::{Segment, Segments};

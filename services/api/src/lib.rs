@@ -10,6 +10,7 @@
 mod clock;
 mod conductor;
 mod config;
+mod connections;
 mod error;
 mod extract;
 mod metrics;

@@ -12,6 +12,7 @@ pub(crate) mod jobs;
 pub(crate) mod leases;
 pub(crate) mod nodes;
 pub(crate) mod plans;
+pub(crate) mod tasks;
 
 use axum::Json;
 use axum::body::Body;

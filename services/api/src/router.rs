@@ -17,6 +17,7 @@ use crate::error::render_problems;
 use crate::openapi::frame;
 use crate::resources::{
     artifacts, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes, plans,
+    tasks,
 };
 use crate::state::App;
 
@@ -45,10 +46,14 @@ pub(crate) fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(plans::bookings))
         .routes(routes!(nodes::register, nodes::list))
         .routes(routes!(nodes::get, nodes::change))
+        .routes(routes!(nodes::join))
+        .routes(routes!(nodes::join_token))
+        .routes(routes!(tasks::log))
         .routes(routes!(leases::claim))
         .routes(routes!(leases::renew))
         .routes(routes!(leases::release))
         .routes(routes!(leases::result))
+        .routes(routes!(leases::checkpoint::put, leases::checkpoint::get))
         .routes(routes!(artifacts::put, artifacts::get, artifacts::head))
         .routes(routes!(forecasts::track_record))
         .routes(routes!(forecasts::track_record_svg))

@@ -11,8 +11,10 @@ use tokio::sync::{Semaphore, mpsc};
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
+use crate::clock::{Clock as _, SteadyClock};
 use crate::conductor::Conductor;
 use crate::config::Config;
+use crate::connections::serve;
 use crate::metrics::Metrics;
 use crate::openapi::openapi_yaml;
 use crate::router::router;
@@ -65,6 +67,7 @@ impl Service {
                     .map_err(|source| ServiceError::BundleRoot { path: root.display().to_string(), source })
             })
             .collect::<Result<Arc<[_]>, _>>()?;
+        let clock = Arc::new(SteadyClock::new(clock));
         let store = Store::open_with(&data_dir, &artifacts, artifacts_moved).await?;
         let extended = store.extend_leases_after_start(lease_ttl, clock.now()).await?;
         if extended > 0 {
@@ -79,7 +82,7 @@ impl Service {
         let (conductor, jobs) = mpsc::unbounded_channel();
         let app = App {
             store: store.clone(),
-            clock,
+            clock: clock.clone(),
             lease_ttl,
             bundle_roots: roots,
             checks: Arc::new(Semaphore::new(limits.checks_at_once.max(1))),
@@ -92,8 +95,8 @@ impl Service {
         };
         let tasks = vec![
             tokio::spawn(conduct(app.clone(), jobs)),
-            tokio::spawn(sweep(app.clone())),
-            tokio::spawn(serve(listener, app)),
+            tokio::spawn(sweep(app.clone(), clock)),
+            tokio::spawn(serve(listener, router(app), stopping.clone())),
         ];
         Ok(Self { address, store, stopping, tasks })
     }
@@ -130,14 +133,6 @@ impl Drop for Service {
     }
 }
 
-async fn serve(listener: TcpListener, app: App) {
-    let stopping = app.stopping.clone();
-    let served = axum::serve(listener, router(app)).with_graceful_shutdown(stopping.cancelled_owned()).await;
-    if let Err(error) = served {
-        tracing::error!(%error, "the service cannot serve");
-    }
-}
-
 /// Advances jobs as they are announced, and all that wait once in a while: an advance may have failed for a reason that
 /// has passed.
 async fn conduct(app: App, mut jobs: mpsc::UnboundedReceiver<JobId>) {
@@ -155,14 +150,20 @@ async fn conduct(app: App, mut jobs: mpsc::UnboundedReceiver<JobId>) {
     }
 }
 
-/// Takes back tasks whose leases have run out, four times a lease.
-async fn sweep(app: App) {
+/// A clock that is this much off was set; less is what a time server corrects all day.
+const CLOCK_WAS_SET: Duration = Duration::from_secs(1);
+
+/// Takes back tasks whose leases have run out, four times a lease; before that, follows a clock that was set.
+async fn sweep(app: App, clock: Arc<SteadyClock>) {
     let mut ticks = tokio::time::interval((app.lease_ttl / 4).max(Duration::from_millis(100)));
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     loop {
         tokio::select! {
             () = app.stopping.cancelled() => return,
             _ = ticks.tick() => {}
+        }
+        if let Err(error) = follow(&app.store, &clock).await {
+            tracing::warn!(%error, "the clock was set and could not be followed; the next sweep tries again");
         }
         match app.store.sweep(app.now()).await {
             Ok(swept) if swept.expired > 0 => {
@@ -182,4 +183,29 @@ async fn sweep(app: App) {
             }
         }
     }
+}
+
+/// Has the service's time follow the system's, if that was set, and takes everything along that is to end some time after now. The order
+/// is such that in between nothing can seem to have run out.
+async fn follow(store: &Store, clock: &SteadyClock) -> Result<(), StoreError> {
+    let micros = clock.set_by();
+    if micros.unsigned_abs() < CLOCK_WAS_SET.as_micros() as u64 {
+        clock.follow(micros);
+        return Ok(());
+    }
+    tracing::warn!(
+        seconds = micros as f64 * 1e-6,
+        "the system's clock was set; leases go on as long as they would have"
+    );
+    if micros < 0 {
+        clock.follow(micros);
+    }
+    let moved = store.clock_was_set(micros).await;
+    match (micros < 0, &moved) {
+        (false, Ok(())) => clock.follow(micros),
+        // Not moved: as if it had not been noticed.
+        (true, Err(_)) => clock.follow(-micros),
+        _ => {}
+    }
+    moved
 }

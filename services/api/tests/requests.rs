@@ -177,7 +177,7 @@ async fn every_role_may_do_what_it_is_for_and_nothing_else() {
     let id = job.id;
     let nothing = "0197a8a5-0000-7000-8000-000000000000";
     // Bodies are empty objects: who may not is told so before anything is looked at, who may hears that the body is wrong.
-    let table: [(Method, String, &str); 24] = [
+    let table: [(Method, String, &str); 26] = [
         (Method::POST, "/v1/bundles".into(), "s-o-"),
         (Method::GET, format!("/v1/bundles/{nothing}"), "swov"),
         (Method::POST, "/v1/jobs".into(), "s-o-"),
@@ -196,6 +196,8 @@ async fn every_role_may_do_what_it_is_for_and_nothing_else() {
         (Method::GET, "/v1/nodes".into(), "swov"),
         (Method::POST, "/v1/nodes".into(), "-wo-"),
         (Method::PATCH, format!("/v1/nodes/{}", node.id), "-wo-"),
+        (Method::POST, "/v1/join-tokens".into(), "--o-"),
+        (Method::GET, format!("/v1/tasks/{nothing}/log"), "s-ov"),
         (Method::POST, "/v1/leases".into(), "-wo-"),
         (Method::PATCH, format!("/v1/leases/{nothing}"), "-wo-"),
         (Method::POST, format!("/v1/leases/{nothing}/release"), "-wo-"),

@@ -4,7 +4,9 @@
 //! the service refuses as invalid); 1 means that something failed on the way (network, disk, a frame that was not
 //! delivered); 130 means that the user stopped it.
 
+use forelight_api::ServiceError;
 use forelight_protocol::Problem;
+use forelight_store::StoreError;
 use forelight_worker::{ClientError, RenderError};
 use std::fmt;
 
@@ -124,6 +126,12 @@ fn hint(error: &anyhow::Error) -> Option<String> {
         if let Some(bad) = cause.downcast_ref::<BadInput>() {
             return bad.hint.clone();
         }
+        if let Some(ServiceError::Store(StoreError::Damaged { path, .. })) = cause.downcast_ref() {
+            return Some(format!(
+                "nothing was changed. Move {path} and the files {path}-* away, put the newest backup in its place (`forelight backup --help`), \
+                 and start again"
+            ));
+        }
         match cause.downcast_ref::<ClientError>()? {
             ClientError::Unreachable { .. } => {
                 Some("is the service running? start one with `forelight farm`, or name it by --server".into())
@@ -162,6 +170,17 @@ mod tests {
         assert_eq!(exit_code(&refused(ProblemKind::Busy)), 1);
         assert_eq!(exit_code(&anyhow::anyhow!("disk full")), 1);
         assert_eq!(exit_code(&anyhow::Error::from(Interrupted).context("rendering")), 130);
+    }
+
+    #[test]
+    fn a_damaged_database_comes_with_the_way_to_restore_it() {
+        let damaged =
+            StoreError::Damaged { path: "/srv/farm/forelight.sqlite".into(), reason: "page 7".into() };
+        let error =
+            Err::<(), _>(ServiceError::Store(damaged)).context("cannot start the service").unwrap_err();
+        let text = describe(&error);
+        assert!(text.contains("is damaged: page 7\nhint: nothing was changed."), "{text}");
+        assert!(text.contains("forelight backup"), "{text}");
     }
 
     #[test]

@@ -9,6 +9,7 @@ mod failure;
 mod interrupt;
 mod json_file;
 mod local;
+mod open_files;
 mod options;
 mod output;
 mod quantities;

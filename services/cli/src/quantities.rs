@@ -54,6 +54,21 @@ pub fn parse_duration(text: &str) -> Result<SignedDuration, String> {
     Ok(duration)
 }
 
+/// Reads a size such as `512MiB`, `8GiB` or `1.5GiB`, at least a mebibyte, into bytes.
+pub fn parse_bytes(text: &str) -> Result<u64, String> {
+    let wrong = || "expected a size such as 512MiB or 8GiB, at least 1MiB".to_string();
+    let text = text.trim();
+    let (number, unit) = ["KiB", "MiB", "GiB", "TiB"]
+        .into_iter()
+        .zip([10, 20, 30, 40])
+        .find_map(|(unit, power)| Some((text.strip_suffix(unit)?, 1u64 << power)))
+        .unwrap_or((text, 1));
+    let number: f64 = number.trim().parse().map_err(|_| wrong())?;
+    let bytes = number * unit as f64;
+    // A pebibyte is more than any machine has.
+    if (f64::from(1 << 20)..=1e15).contains(&bytes) { Ok(bytes.round() as u64) } else { Err(wrong()) }
+}
+
 /// Reads a non-negative decimal amount such as `12.50` into micro-units, exactly.
 pub fn parse_money(text: &str) -> Result<i64, String> {
     let wrong = || "expected an amount such as 12.50, with at most six decimals".to_string();
@@ -140,6 +155,18 @@ pub fn percent(fraction: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sizes_have_units_and_are_neither_nothing_nor_beyond_measure() {
+        for (text, bytes) in
+            [("1MiB", 1 << 20), ("1.5GiB", 3 << 29), (" 2097152 ", 2 << 20), ("8 GiB", 8 << 30)]
+        {
+            assert_eq!(parse_bytes(text), Ok(bytes), "{text}");
+        }
+        for text in ["", "1KiB", "-8GiB", "much", "NaN", "1e30", "inf", "5GB"] {
+            assert!(parse_bytes(text).is_err(), "{text}");
+        }
+    }
 
     #[test]
     fn deadlines_are_durations_or_instants() {

@@ -97,6 +97,11 @@ impl Previewer {
         self.gpu.as_ref().map(Gpu::name)
     }
 
+    /// Whether a graphics processor is in use, and no program that does its work.
+    pub fn is_hardware(&self) -> bool {
+        self.gpu.as_ref().is_some_and(Gpu::is_hardware)
+    }
+
     /// What the last call of `preview` or `counts` took; zero after an error.
     pub fn cost(&self) -> Cost {
         self.cost

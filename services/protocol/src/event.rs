@@ -37,8 +37,10 @@ pub enum EventKind {
     LeaseLost,
     /// A node was registered or updated.
     NodeRegistered,
-    /// A node was drained, undrained or repriced.
+    /// A node was given an order, repriced, or brought back.
     NodeChanged,
+    /// A node was set aside, because too much failed on it.
+    NodeSetAside,
     /// A budget's action came into force, or is over.
     Budget,
     /// What runs the farm's processes, such as Slurm, went away, came back, or refused something.
@@ -64,6 +66,7 @@ impl EventKind {
             EventKind::LeaseLost => "lease_lost",
             EventKind::NodeRegistered => "node_registered",
             EventKind::NodeChanged => "node_changed",
+            EventKind::NodeSetAside => "node_set_aside",
             EventKind::Budget => "budget",
             EventKind::EngineState => "engine_state",
         }

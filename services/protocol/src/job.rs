@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 use crate::{
     ArtifactHash, BundleRef, Confidence, FrameForecast, FrameSet, JobId, JobVerdict, Money, NodeId,
     PageToken, PlanId, Quantiles, RenderSettings, RenderSettingsRequest, RenderStats, SceneSummary,
-    Timestamp,
+    TaskLimits, Timestamp,
 };
 
 /// A new job.
@@ -50,6 +50,9 @@ pub struct JobRequest {
     #[serde(default)]
     #[schema(default = 0, minimum = -1000, maximum = 1000)]
     pub priority: i32,
+    /// What one of its tasks may use at most.
+    #[serde(default, skip_serializing_if = "TaskLimits::are_none")]
+    pub limits: TaskLimits,
 }
 
 fn default_project() -> String {
@@ -157,6 +160,9 @@ pub struct Job {
     pub confidence: Confidence,
     /// Among jobs with the same deadline the greater goes first.
     pub priority: i32,
+    /// What one of its tasks may use at most.
+    #[serde(default, skip_serializing_if = "TaskLimits::are_none")]
+    pub limits: TaskLimits,
     /// Frames in all.
     pub frames_total: u32,
     /// Frames that are there.

@@ -6,7 +6,10 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{JobId, JobState, LeaseId, NodeId, TaskId, TaskResult, TaskSpec, Timestamp};
+use crate::{JobId, JobState, LeaseId, LogLine, NodeId, TaskId, TaskResult, TaskSpec, Timestamp};
+
+/// Most bytes of a checkpoint, the finished tiles of a frame: about a million pixels. Larger frames have none.
+pub const CHECKPOINT_BYTES: usize = 64 << 20;
 
 /// A worker asks for a task.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
@@ -41,10 +44,55 @@ pub struct Lease {
     pub ttl_ms: u64,
     /// What to do.
     pub spec: TaskSpec,
+    /// What it may use at most.
+    #[serde(default, skip_serializing_if = "TaskLimits::are_none")]
+    pub limits: TaskLimits,
+}
+
+/// What a task of a job may use at most. These are limits, not forecasts: the worker ends a task that goes beyond, and says by which
+/// limit.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TaskLimits {
+    /// Resident memory of the worker's process while it does the task, in bytes, 2²⁰ or more; absent: no limit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 1_048_576)]
+    pub memory_bytes: Option<u64>,
+    /// Wall time of one attempt in milliseconds, pauses not counted, 1 or more; absent: no limit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 1)]
+    pub wall_ms: Option<u64>,
+}
+
+impl TaskLimits {
+    /// Whether nothing is limited.
+    pub fn are_none(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// The stricter of both, limit by limit.
+    #[must_use]
+    pub fn and(self, other: Self) -> Self {
+        let stricter = |a: Option<u64>, b: Option<u64>| a.into_iter().chain(b).min();
+        Self {
+            memory_bytes: stricter(self.memory_bytes, other.memory_bytes),
+            wall_ms: stricter(self.wall_ms, other.wall_ms),
+        }
+    }
+}
+
+/// Which of the limits a task went beyond.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum TaskLimit {
+    /// Resident memory.
+    Memory,
+    /// Wall time.
+    WallTime,
 }
 
 /// A worker is still at it.
-#[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RenewRequest {
     /// The fencing token.
@@ -53,6 +101,13 @@ pub struct RenewRequest {
     #[serde(default)]
     #[schema(minimum = 0, maximum = 1)]
     pub progress: f64,
+    /// Whether it stands still, as it was ordered to.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub paused: bool,
+    /// What it had to say since, at most 100 lines.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schema(max_items = 100)]
+    pub log: Vec<LogLine>,
 }
 
 /// What the worker shall do now.
@@ -61,8 +116,10 @@ pub struct RenewRequest {
 pub enum LeaseOrder {
     /// Carry on.
     Continue,
-    /// Stop: the job was cancelled or failed. Nothing needs to be sent.
+    /// Stop: the job was cancelled or failed, or the task was taken away. Nothing needs to be sent.
     Stop,
+    /// Stand still and keep the lease, until the order is another one.
+    Pause,
 }
 
 /// The answer to a renewal.
@@ -72,6 +129,9 @@ pub struct Renewal {
     pub expires_at: Timestamp,
     /// What to do.
     pub order: LeaseOrder,
+    /// Whether this is the node's last task for now: it is being drained.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub drain: bool,
 }
 
 /// A worker gives a task back unfinished, for instance because it is being shut down. Does not count as a failure.
@@ -83,7 +143,7 @@ pub struct ReleaseRequest {
 }
 
 /// What went wrong on the worker.
-#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TaskError {
     /// One line for people, 1 to 2000 characters.
@@ -92,10 +152,13 @@ pub struct TaskError {
     /// Whether trying again would give the same error, as with a malformed scene: the job fails at once.
     #[serde(default)]
     pub permanent: bool,
+    /// The limit that the task went beyond, if that is what went wrong.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub limit: Option<TaskLimit>,
 }
 
 /// A task's end: exactly one of `result` and `error`.
-#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ResultRequest {
     /// The fencing token.
@@ -106,6 +169,10 @@ pub struct ResultRequest {
     /// Why nothing came of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<TaskError>,
+    /// What the worker had to say since its last renewal, at most 100 lines.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schema(max_items = 100)]
+    pub log: Vec<LogLine>,
 }
 
 /// The answer to a task's end. The result is in the database when this is sent.

@@ -23,6 +23,7 @@ mod hash;
 mod ids;
 mod job;
 mod lease;
+mod log;
 mod money;
 mod node;
 mod page;
@@ -60,11 +61,15 @@ pub use job::{
     JobRequest, JobState,
 };
 pub use lease::{
-    ClaimRequest, Lease, LeaseOrder, ReleaseRequest, RenewRequest, Renewal, ResultAnswer, ResultRequest,
-    TaskError,
+    CHECKPOINT_BYTES, ClaimRequest, Lease, LeaseOrder, ReleaseRequest, RenewRequest, Renewal, ResultAnswer,
+    ResultRequest, TaskError, TaskLimit, TaskLimits,
 };
+pub use log::{LOG_LINE_CHARACTERS, LOG_LINES, LogLevel, LogLine, TaskLog, TaskLogLine, without_secrets};
 pub use money::Money;
-pub use node::{Node, NodeChange, NodePage, NodeRegistration};
+pub use node::{
+    Capabilities, JoinRequest, JoinToken, JoinTokenRequest, Node, NodeChange, NodePage, NodeRegistration,
+    NodeState,
+};
 pub use page::PageToken;
 pub use plan::{Booking, BookingPage, JobVerdict, Plan, PlanReason, Verdict};
 pub use problem::{Problem, ProblemKind};

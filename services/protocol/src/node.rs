@@ -3,7 +3,7 @@
 use serde::{Deserialize, Deserializer, Serialize};
 use utoipa::ToSchema;
 
-use crate::{Money, NodeId, PageToken, TaskId, Timestamp};
+use crate::{ArtifactHash, Money, NodeId, PageToken, TaskId, Timestamp};
 
 /// A node announces itself. A node of the same name is updated, and keeps its id; its speed and price too, if they were set
 /// by hand.
@@ -24,6 +24,67 @@ pub struct NodeRegistration {
     #[serde(default = "default_cores")]
     #[schema(default = 1, minimum = 1, maximum = 4096)]
     pub cores: u32,
+    /// What else the machine has, as far as its worker could find out.
+    #[serde(default)]
+    pub capabilities: Capabilities,
+}
+
+/// What a machine has, as its worker found it.
+#[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Capabilities {
+    /// Main memory in bytes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub memory_bytes: Option<u64>,
+    /// Name of the processor: 1 to 200 characters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(min_length = 1, max_length = 200)]
+    pub processor: Option<String>,
+    /// Name, kind and driver of the Vulkan adapter that previews are made with: 1 to 200 characters; absent if they are made on the CPU.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(min_length = 1, max_length = 200)]
+    pub vulkan_adapter: Option<String>,
+    /// Whether that adapter is a graphics processor, and no program that does its work.
+    #[serde(default)]
+    pub gpu: bool,
+}
+
+/// A machine joins the farm with a one-time token.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct JoinRequest {
+    /// The node that it will be. If there is one of this name, the machine takes its place, and the token that the other one had is
+    /// void.
+    pub node: NodeRegistration,
+    /// BLAKE3 of the bearer token that the machine made for itself and will show from now on. The token itself stays there: an
+    /// answer that gets lost costs nothing, and nobody who listens learns it.
+    pub token_hash: ArtifactHash,
+}
+
+/// An operator asks for a one-time token.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct JoinTokenRequest {
+    /// Whom it is for: 1 to 200 characters.
+    #[schema(min_length = 1, max_length = 200)]
+    pub name: String,
+    /// Hours for which it may be used: 1 to 720.
+    #[serde(default = "default_hours")]
+    #[schema(default = 24, minimum = 1, maximum = 720)]
+    pub valid_hours: u32,
+}
+
+fn default_hours() -> u32 {
+    24
+}
+
+/// A one-time token. This is the only time that it is said; the farm keeps its hash.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct JoinToken {
+    /// The token.
+    pub token: String,
+    /// Until when it may be used.
+    pub expires_at: Timestamp,
 }
 
 fn default_speed() -> f64 {
@@ -39,9 +100,18 @@ fn default_cores() -> u32 {
 #[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NodeChange {
-    /// Whether to hand it no further tasks.
+    /// Whether to hand it no further tasks; it finishes the one that it has.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drain: Option<bool>,
+    /// Whether to stand still: its worker keeps the task that it has and goes on with it when this is taken back.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pause: Option<bool>,
+    /// `true`: take away the task that it has. Another node starts it anew; so may this one, unless it is drained as well.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cancel_task: Option<bool>,
+    /// `true`: set it aside by hand; `false`: bring it back, and forgive what made the farm set it aside.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub set_aside: Option<bool>,
     /// Speed of one of its cores against the reference, above 0, to 1000; `null`: as the node says.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "given")]
     #[schema(value_type = Option<f64>, exclusive_minimum = 0, maximum = 1000)]
@@ -57,6 +127,49 @@ fn given<'de, T: Deserialize<'de>, D: Deserializer<'de>>(
     deserializer: D,
 ) -> Result<Option<Option<T>>, D::Error> {
     Option::deserialize(deserializer).map(Some)
+}
+
+/// What a node is doing about the orders that it was given.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum NodeState {
+    /// Has nothing to do.
+    #[default]
+    Idle,
+    /// Has a task.
+    Working,
+    /// Was told to stand still; its worker has not heard it yet.
+    Pausing,
+    /// Stands still.
+    Paused,
+    /// Gets no further tasks, and finishes the one that it has.
+    Draining,
+    /// Gets no further tasks, and has none.
+    Drained,
+    /// Gets no tasks, because too much failed on it: see `set_aside`.
+    SetAside,
+}
+
+impl Node {
+    /// Whether it may be given tasks.
+    pub fn takes_tasks(&self) -> bool {
+        !self.drain && !self.pause && self.set_aside.is_none()
+    }
+}
+
+impl NodeState {
+    /// The name, as in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            NodeState::Idle => "idle",
+            NodeState::Working => "working",
+            NodeState::Pausing => "pausing",
+            NodeState::Paused => "paused",
+            NodeState::Draining => "draining",
+            NodeState::Drained => "drained",
+            NodeState::SetAside => "set_aside",
+        }
+    }
 }
 
 /// A node.
@@ -76,8 +189,20 @@ pub struct Node {
     pub price_set: bool,
     /// Cores that its worker uses.
     pub cores: u32,
+    /// What else the machine has.
+    #[serde(default)]
+    pub capabilities: Capabilities,
+    /// What it is doing about its orders.
+    #[serde(default)]
+    pub state: NodeState,
     /// Whether it gets no further tasks.
     pub drain: bool,
+    /// Whether it is to stand still.
+    #[serde(default)]
+    pub pause: bool,
+    /// Why it was set aside; absent if it was not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub set_aside: Option<String>,
     /// The task that it holds, if any.
     pub task_id: Option<TaskId>,
     /// When it was first registered.

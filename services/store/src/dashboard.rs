@@ -87,7 +87,7 @@ async fn counts(
         }
     }
     let row = sqlx::query(
-        "SELECT count(*) AS nodes, coalesce(sum(last_seen_at >= ? AND NOT drain), 0) AS alive FROM nodes",
+        "SELECT count(*) AS nodes, coalesce(sum(last_seen_at >= ? AND NOT drain AND set_aside IS NULL), 0) AS alive FROM nodes",
     )
     .bind(silent_since.micros())
     .fetch_one(connection)

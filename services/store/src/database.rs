@@ -1,4 +1,4 @@
-//! Opening the database, and the one way to write to it.
+//! Opening the database, and reading from it; writing is in `writing`.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -13,16 +13,18 @@ use sqlx::sqlite::{
 use sqlx::{Sqlite, Transaction};
 use tokio::sync::watch;
 
+pub(crate) use crate::writing::Write;
+use crate::writing::{WRITE_TURN, Writer};
 use crate::{ArtifactPlace, Artifacts, StoreError};
-
-/// How long a writer waits for its turn before the caller is told that the database is busy.
-const WRITE_TURN: Duration = Duration::from_secs(5);
 
 /// How long SQLite waits for a lock that another process holds (`forelight token` beside a running service).
 const LOCK_WAIT: Duration = Duration::from_secs(5);
 
 /// Connections that only read. Readers never wait for the writer (write-ahead log), nor it for them.
 const READERS: u32 = 4;
+
+/// Name of the database in the data folder.
+pub(crate) const DATABASE: &str = "forelight.sqlite";
 
 static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations");
 
@@ -33,33 +35,20 @@ pub struct Store {
 }
 
 struct Inner {
-    writer: SqlitePool,
+    writers: SqlitePool,
+    writer: Writer,
     readers: SqlitePool,
     artifacts: Artifacts,
-    /// Raised by every commit that wrote events.
-    events: watch::Sender<u64>,
-    /// Raised by every commit that made a task ready.
-    work: watch::Sender<u64>,
+    /// Folder of the checkpoints.
+    checkpoints: PathBuf,
     /// Held while the store is open. The system lets go of it when the process dies, however it dies.
     _lock: Option<File>,
 }
 
-/// A write transaction. It is rolled back unless it is given to [`Store::commit`].
-pub(crate) struct Write {
-    transaction: Transaction<'static, Sqlite>,
-    pub(crate) wrote_events: bool,
-    pub(crate) made_work: bool,
-}
-
-impl Write {
-    pub(crate) fn connection(&mut self) -> &mut SqliteConnection {
-        &mut self.transaction
-    }
-}
-
 impl Store {
-    /// Opens the store in `data`, for a service: brings the schema up to date, checks the database, clears away
-    /// uploads that were cut off. Only one process at a time can do this. Artefacts rest in the data folder.
+    /// Opens the store in `data`, for a service: checks the database, brings the schema up to date, clears away
+    /// uploads that were cut off. Only one process at a time can do this. A damaged database is refused before anything is written to it.
+    /// Artefacts rest in the data folder.
     pub async fn open(data: &Path) -> Result<Self, StoreError> {
         Self::open_with(data, &ArtifactPlace::DataFolder, false).await
     }
@@ -69,8 +58,13 @@ impl Store {
     pub async fn open_with(data: &Path, artifacts: &ArtifactPlace, moved: bool) -> Result<Self, StoreError> {
         std::fs::create_dir_all(data).map_err(|error| StoreError::file(data, error))?;
         let lock = lock(data)?;
-        let store = Self::open_shared(data, Some(lock), artifacts).await?;
-        store.check_integrity().await?;
+        let opened = Self::open_shared(data, Some(lock), artifacts).await;
+        let store = opened.map_err(|error| match error {
+            StoreError::Corrupt(reason) => {
+                StoreError::Damaged { path: data.join(DATABASE).display().to_string(), reason }
+            }
+            other => other,
+        })?;
         store.settle_artifact_place(artifacts, moved).await?;
         store.artifacts().discard_unfinished().await?;
         store.artifacts().probe().await?;
@@ -85,7 +79,7 @@ impl Store {
     }
 
     async fn open_shared(data: &Path, lock: Option<File>, at: &ArtifactPlace) -> Result<Self, StoreError> {
-        let path = data.join("forelight.sqlite");
+        let path = data.join(DATABASE);
         let options = SqliteConnectOptions::from_str("sqlite:")?
             .filename(&path)
             .foreign_keys(true)
@@ -97,6 +91,9 @@ impl Store {
             .connect_with(options.clone().create_if_missing(true).synchronous(SqliteSynchronous::Full))
             .await?;
         restrict_to_owner(&path)?;
+        if lock.is_some() {
+            find_damage(&mut *writer.acquire().await?, "quick_check").await?;
+        }
         MIGRATIONS.run(&writer).await?;
         let readers = SqlitePoolOptions::new()
             .max_connections(READERS)
@@ -105,11 +102,11 @@ impl Store {
             .await?;
         let artifacts = Artifacts::open(&data.join("artifacts"), at, writer.clone())?;
         let inner = Inner {
-            writer,
+            writer: Writer::new(writer.clone()),
+            writers: writer,
             readers,
             artifacts,
-            events: watch::Sender::new(0),
-            work: watch::Sender::new(0),
+            checkpoints: data.join(crate::checkpoints::FOLDER),
             _lock: lock,
         };
         Ok(Self { inner: Arc::new(inner) })
@@ -120,20 +117,24 @@ impl Store {
         &self.inner.artifacts
     }
 
+    pub(crate) fn checkpoints(&self) -> &Path {
+        &self.inner.checkpoints
+    }
+
     /// Changes whenever events were written.
     pub fn watch_events(&self) -> watch::Receiver<u64> {
-        self.inner.events.subscribe()
+        self.inner.writer.signals().events.subscribe()
     }
 
     /// Changes whenever a task became ready.
     pub fn watch_work(&self) -> watch::Receiver<u64> {
-        self.inner.work.subscribe()
+        self.inner.writer.signals().work.subscribe()
     }
 
     /// Closes all connections and waits for them; further calls fail.
     pub async fn close(&self) {
         self.inner.readers.close().await;
-        self.inner.writer.close().await;
+        self.inner.writers.close().await;
     }
 
     /// Whether the database answers.
@@ -146,11 +147,9 @@ impl Store {
         &self.inner.readers
     }
 
-    /// Begins a write. `BEGIN IMMEDIATE` takes the write lock at once: a transaction that reads first and asks for
-    /// the lock later could find that another process wrote in between, and would fail half-way.
+    /// Begins a write.
     pub(crate) async fn write(&self) -> Result<Write, StoreError> {
-        let transaction = self.inner.writer.begin_with("BEGIN IMMEDIATE").await?;
-        Ok(Write { transaction, wrote_events: false, made_work: false })
+        self.inner.writer.write().await
     }
 
     /// Begins a read of several statements that all see the same state.
@@ -160,15 +159,7 @@ impl Store {
 
     /// Makes a write last, and only then wakes those who wait for what it changed.
     pub(crate) async fn commit(&self, write: Write) -> Result<(), StoreError> {
-        let Write { transaction, wrote_events, made_work } = write;
-        transaction.commit().await?;
-        if wrote_events {
-            self.inner.events.send_modify(|version| *version = version.wrapping_add(1));
-        }
-        if made_work {
-            self.inner.work.send_modify(|version| *version = version.wrapping_add(1));
-        }
-        Ok(())
+        self.inner.writer.commit(write).await
     }
 
     /// Remembers where artefacts rest: a farm that was started with them elsewhere would have rows of files that are not there.
@@ -192,23 +183,26 @@ impl Store {
             .await?;
         self.commit(write).await
     }
+}
 
-    async fn check_integrity(&self) -> Result<(), StoreError> {
-        let complaints: Vec<String> =
-            sqlx::query_scalar("PRAGMA quick_check(10)").fetch_all(self.readers()).await?;
-        if complaints != ["ok"] {
-            return Err(StoreError::Corrupt(complaints.join("; ")));
-        }
-        let dangling: Option<String> =
-            sqlx::query_scalar("SELECT \"table\" FROM pragma_foreign_key_check LIMIT 1")
-                .fetch_optional(self.readers())
-                .await?;
-        match dangling {
-            None => Ok(()),
-            Some(table) => {
-                Err(StoreError::Corrupt(format!("a row of {table} refers to one that is not there")))
-            }
-        }
+/// Looks for damage: by `quick_check` (pages, order of keys) or `integrity_check` (indexes against tables as well), and for rows
+/// that refer to nothing.
+pub(crate) async fn find_damage(
+    connection: &mut SqliteConnection,
+    check: &'static str,
+) -> Result<(), StoreError> {
+    let check = sqlx::AssertSqlSafe(format!("PRAGMA {check}(10)"));
+    let complaints: Vec<String> = sqlx::query_scalar(check).fetch_all(&mut *connection).await?;
+    if complaints != ["ok"] {
+        return Err(StoreError::Corrupt(complaints.join("; ")));
+    }
+    let dangling: Option<String> =
+        sqlx::query_scalar("SELECT \"table\" FROM pragma_foreign_key_check LIMIT 1")
+            .fetch_optional(connection)
+            .await?;
+    match dangling {
+        None => Ok(()),
+        Some(table) => Err(StoreError::Corrupt(format!("a row of {table} refers to one that is not there"))),
     }
 }
 
@@ -228,7 +222,7 @@ fn lock(data: &Path) -> Result<File, StoreError> {
 }
 
 /// The database holds hashes of tokens and the names of unreleased films: other users have no business in it.
-fn restrict_to_owner(path: &Path) -> Result<(), StoreError> {
+pub(crate) fn restrict_to_owner(path: &Path) -> Result<(), StoreError> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt as _;

@@ -15,6 +15,9 @@ pub enum StoreError {
     /// The thing is not in a state for this.
     #[error("{0}")]
     Conflict(String),
+    /// A one-time token is none, or expired.
+    #[error("{0}")]
+    JoinRefused(String),
     /// A result names an artefact that was never stored.
     #[error("artefact {0} is not there; it has to be stored before a result names it")]
     MissingArtifact(ArtifactHash),
@@ -50,6 +53,14 @@ pub enum StoreError {
     /// The database does not hold what it should.
     #[error("the database is damaged: {0}")]
     Corrupt(String),
+    /// The database that a service was to open is damaged. Nothing was written to it.
+    #[error("the database {path} is damaged: {reason}")]
+    Damaged {
+        /// Its file.
+        path: String,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// The database failed.
     #[error("the database failed: {0}")]
     Database(#[source] sqlx::Error),
@@ -87,7 +98,9 @@ impl StoreError {
 /// SQLite's primary result codes that mean something to a caller.
 const SQLITE_BUSY: i32 = 5;
 const SQLITE_LOCKED: i32 = 6;
+const SQLITE_CORRUPT: i32 = 11;
 const SQLITE_FULL: i32 = 13;
+const SQLITE_NOTADB: i32 = 26;
 
 impl From<sqlx::Error> for StoreError {
     fn from(error: sqlx::Error) -> Self {
@@ -102,6 +115,7 @@ impl From<sqlx::Error> for StoreError {
         match code {
             Some(SQLITE_BUSY | SQLITE_LOCKED) => StoreError::Busy,
             Some(SQLITE_FULL) => StoreError::Full,
+            Some(SQLITE_CORRUPT | SQLITE_NOTADB) => StoreError::Corrupt(error.to_string()),
             _ => StoreError::Database(error),
         }
     }

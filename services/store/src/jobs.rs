@@ -55,8 +55,8 @@ impl Store {
         let job_id = JobId::new();
         sqlx::query(
             "INSERT INTO jobs (id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, frames_total, \
-             settings, samples, profile_frames, deadline_at, budget, confidence, priority, created_at) \
-             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+             settings, samples, profile_frames, deadline_at, budget, confidence, priority, created_at, limits) \
+             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
         )
         .bind(job_id.0)
         .bind(&request.name)
@@ -75,6 +75,7 @@ impl Store {
         .bind(request.confidence.name())
         .bind(i64::from(request.priority))
         .bind(now.micros())
+        .bind(to_json(&request.limits)?)
         .execute(write.connection())
         .await?;
         for frame in request.frames.iter() {
@@ -91,6 +92,7 @@ impl Store {
             settings: settings.clone(),
             deadline: request.deadline,
             priority: request.priority,
+            limits: request.limits,
         };
         common.preview(&mut write, request.frames.iter().collect()).await?;
         append(
@@ -254,6 +256,7 @@ pub(crate) fn decode(row: &SqliteRow, progress: Progress) -> Result<Job, StoreEr
         budget: row.try_get::<Option<i64>, _>("budget")?.map(Money),
         confidence: word(row, "confidence")?,
         priority: whole(row, "priority")?,
+        limits: json(row, "limits")?,
         frames_total: whole(row, "frames_total")?,
         frames_done: progress.frames_done,
         progress: progress.fraction,

@@ -4,9 +4,9 @@
 //!
 //! ```text
 //! task    ready ──claim──► leased ──commit──► done
-//!           ▲                │ ├──error (third, or permanent), tenth expiry──► failed (and with it the job)
+//!           ▲                │ ├──error (on the third node, or permanent), tenth expiry──► failed (and with it the job)
 //!           └─release, error,┘ └──job cancelled or failed──► cancelled
-//!             expiry
+//!             expiry, taken away
 //! lease   active ──► committed | failed | expired | released | revoked
 //! ```
 //!
@@ -22,12 +22,14 @@
 //!   one more term before its first sweep ([`Store::extend_leases_after_start`]).
 //! * *The job was cancelled while a worker renders it.* The lease is `revoked`: renewals answer with the order to stop.
 //! * *A task kills every worker that touches it.* Expiries are counted: the tenth fails the job. A worker that can say
-//!   what went wrong says so; the third such error fails the job, the first if trying again is pointless.
+//!   what went wrong says so; what follows from that is in `failures`.
+//! * *The clock is set.* While the service runs, the caller's clock is steady, and says by how much the other one was set
+//!   ([`Store::clock_was_set`]). If it was set while the service was down, every lease has exactly one more term all the same.
 
 use std::time::Duration;
 
 use forelight_protocol::{
-    Event, EventKind, JobId, JobState, Lease, LeaseId, LeaseOrder, NodeId, Renewal, TaskError, TaskId,
+    Event, EventKind, JobId, JobState, Lease, LeaseId, LeaseOrder, NodeId, RenewRequest, Renewal, TaskId,
     TaskKind, TaskSpec, Timestamp,
 };
 use sqlx::sqlite::SqliteRow;
@@ -36,11 +38,10 @@ use sqlx::{Row as _, SqliteConnection};
 use crate::database::Write;
 use crate::decode::{id, json, whole, whole_opt, word};
 use crate::events::{append, event, forget_old_progress, job_state};
+use crate::failures::{HEAD_START, LONGEST_WAIT};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, forget_old, record};
-use crate::{Store, StoreError, jobs, nodes};
-
-/// Errors of a task that its job survives, plus one.
-pub const MAX_FAILURES: u32 = 3;
+use crate::logs::forget_old_logs;
+use crate::{Store, StoreError, jobs, logs, nodes};
 
 /// Lost workers of a task that its job survives, plus one. More than errors: machines are switched off at night.
 pub const MAX_EXPIRIES: u32 = 10;
@@ -86,6 +87,9 @@ pub(crate) struct LeaseRow {
     pub failures: u32,
     pub expiries: u32,
     pub progress: f64,
+    /// What the operator wants of the node.
+    pub pause: bool,
+    pub drain: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug, serde::Deserialize)]
@@ -103,7 +107,8 @@ macro_rules! select_leases {
     ($rest:literal) => {
         concat!(
             "SELECT l.id, l.state, l.fence, l.node_id, l.node_speed, l.task_id, t.job_id, t.kind, t.frame, t.failures, \
-             t.expiries, t.progress FROM leases l JOIN tasks t ON t.id = l.task_id ",
+             t.expiries, t.progress, n.pause, n.drain FROM leases l JOIN tasks t ON t.id = l.task_id \
+             JOIN nodes n ON n.id = l.node_id ",
             $rest
         )
     };
@@ -151,9 +156,9 @@ impl Store {
         sweep(&mut write, now).await?;
         let node = nodes::read(write.connection(), node).await?;
         let task = match wanted {
-            Some(task) => this_task(write.connection(), task).await?,
-            None if node.drain => None,
-            None => next_task(write.connection(), node.id).await?,
+            Some(task) => this_task(write.connection(), task, now).await?,
+            None if node.takes_tasks() => next_task(write.connection(), node.id, now).await?,
+            None => None,
         };
         let Some(task) = task else {
             self.commit(write).await?;
@@ -180,6 +185,7 @@ impl Store {
             expires_at: now.plus_micros(ttl_micros),
             ttl_ms: u64::try_from(ttl.as_millis()).unwrap_or(u64::MAX),
             spec,
+            limits: json(&task, "limits")?,
         };
         sqlx::query(
             "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at) \
@@ -223,8 +229,8 @@ impl Store {
     /// Whether a claim could find something: asked by those who wait, so that they need not take the write lock.
     pub async fn may_have_work(&self, now: Timestamp) -> Result<bool, StoreError> {
         Ok(sqlx::query_scalar(
-            "SELECT EXISTS (SELECT 1 FROM tasks WHERE state = 'ready' AND held = 0) \
-             OR EXISTS (SELECT 1 FROM leases WHERE state = 'active' AND expires_at <= ?)",
+            "SELECT EXISTS (SELECT 1 FROM tasks WHERE state = 'ready' AND held = 0 AND not_before <= ?1) \
+             OR EXISTS (SELECT 1 FROM leases WHERE state = 'active' AND expires_at <= ?1)",
         )
         .bind(now.micros())
         .fetch_one(self.readers())
@@ -238,19 +244,19 @@ impl Store {
         self.commit(write).await
     }
 
-    /// A worker is still at it: its lease ends `ttl` from now.
+    /// A worker is still at it: its lease ends `ttl` from now. What it says is kept, and it is told what its operator wants.
     pub async fn renew(
         &self,
         lease: LeaseId,
-        fence: u64,
-        progress: f64,
+        renewal: &RenewRequest,
         ttl: Duration,
         now: Timestamp,
     ) -> Result<Renewal, StoreError> {
+        let &RenewRequest { fence, progress, paused, ref log } = renewal;
         let mut write = self.write().await?;
         let row = read(write.connection(), lease).await?;
         if row.fence == fence && row.state == LeaseState::Revoked {
-            return Ok(Renewal { expires_at: now, order: LeaseOrder::Stop });
+            return Ok(Renewal { expires_at: now, order: LeaseOrder::Stop, drain: row.drain });
         }
         if row.fence != fence || row.state != LeaseState::Active {
             return self.refuse(write, &row, now).await;
@@ -261,7 +267,12 @@ impl Store {
             .bind(lease.0)
             .execute(write.connection())
             .await?;
-        touch(&mut write, row.node_id, now).await?;
+        sqlx::query("UPDATE nodes SET last_seen_at = max(last_seen_at, ?), paused = ? WHERE id = ?")
+            .bind(now.micros())
+            .bind(paused)
+            .bind(row.node_id.0)
+            .execute(write.connection())
+            .await?;
         if progress >= row.progress + PROGRESS_STEP || (progress == 1.0 && row.progress < 1.0) {
             sqlx::query("UPDATE tasks SET progress = ? WHERE id = ?")
                 .bind(progress)
@@ -271,8 +282,10 @@ impl Store {
             append(&mut write, Event { progress: Some(progress), ..row.event(EventKind::TaskProgress, now) })
                 .await?;
         }
+        logs::keep(&mut write, &row, log).await?;
         self.commit(write).await?;
-        Ok(Renewal { expires_at, order: LeaseOrder::Continue })
+        let order = if row.pause { LeaseOrder::Pause } else { LeaseOrder::Continue };
+        Ok(Renewal { expires_at, order, drain: row.drain })
     }
 
     /// A worker gives its task back unfinished. Counts neither as an error nor as an expiry. A lease that was released
@@ -290,45 +303,6 @@ impl Store {
         back_to_ready(&mut write, &row, None).await?;
         append(&mut write, row.event(EventKind::LeaseReleased, now)).await?;
         self.commit(write).await
-    }
-
-    /// A worker could not do its task. Says whether this had been reported before, and where the job stands now.
-    pub async fn fail_task(
-        &self,
-        lease: LeaseId,
-        fence: u64,
-        error: &TaskError,
-        now: Timestamp,
-    ) -> Result<(bool, JobState), StoreError> {
-        let mut write = self.write().await?;
-        let row = read(write.connection(), lease).await?;
-        if row.fence == fence && row.state == LeaseState::Failed {
-            return Ok((true, jobs::state(write.connection(), row.job_id).await?));
-        }
-        if row.fence != fence || row.state != LeaseState::Active {
-            return self.refuse(write, &row, now).await;
-        }
-        end(&mut write, &row, "failed", now).await?;
-        touch(&mut write, row.node_id, now).await?;
-        append(
-            &mut write,
-            Event { message: Some(error.message.clone()), ..row.event(EventKind::TaskFailed, now) },
-        )
-        .await?;
-        let failures = row.failures + 1;
-        sqlx::query("UPDATE tasks SET failures = ? WHERE id = ?")
-            .bind(failures)
-            .bind(row.task_id.0)
-            .execute(write.connection())
-            .await?;
-        if error.permanent || failures >= MAX_FAILURES {
-            fail_for_good(&mut write, &row, &error.message, now).await?;
-        } else {
-            back_to_ready(&mut write, &row, Some(&error.message)).await?;
-        }
-        let state = jobs::state(write.connection(), row.job_id).await?;
-        self.commit(write).await?;
-        Ok((false, state))
     }
 
     /// What a lease is about, whatever became of it.
@@ -355,22 +329,49 @@ impl Store {
         let swept = sweep(&mut write, now).await?;
         forget_old(&mut write, now).await?;
         forget_old_progress(&mut write, now).await?;
+        forget_old_logs(&mut write, now).await?;
         self.commit(write).await?;
+        self.forget_checkpoints().await?;
         Ok(swept)
     }
 
-    /// Gives every active lease at least one more term. Called once when a service starts, before anything is swept:
-    /// that nobody could renew while it was down is not the workers' fault.
+    /// Gives every active lease one more term, from now. Called once when a service starts, before anything is swept:
+    /// that nobody could renew while it was down is not the workers' fault. Nor does a lease last any longer because the clock was set
+    /// back in the meantime; tasks that wait after a failure wait no longer than they would at most.
     pub async fn extend_leases_after_start(&self, ttl: Duration, now: Timestamp) -> Result<u64, StoreError> {
         let until = now.plus_micros(i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX));
         let mut write = self.write().await?;
-        let extended =
-            sqlx::query("UPDATE leases SET expires_at = ?1 WHERE state = 'active' AND expires_at < ?1")
-                .bind(until.micros())
-                .execute(write.connection())
-                .await?;
+        let extended = sqlx::query("UPDATE leases SET expires_at = ? WHERE state = 'active'")
+            .bind(until.micros())
+            .execute(write.connection())
+            .await?;
+        sqlx::query("UPDATE tasks SET not_before = ?1 WHERE state = 'ready' AND not_before > ?1")
+            .bind(now.plus_micros(LONGEST_WAIT).micros())
+            .execute(write.connection())
+            .await?;
         self.commit(write).await?;
         Ok(extended.rows_affected())
+    }
+
+    /// The clock was set forward by so many microseconds (back, if negative): what was to end in a minute still does.
+    pub async fn clock_was_set(&self, micros: i64) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        sqlx::query("UPDATE leases SET expires_at = expires_at + ? WHERE state = 'active'")
+            .bind(micros)
+            .execute(write.connection())
+            .await?;
+        sqlx::query(
+            "UPDATE tasks SET not_before = max(1, not_before + ?) WHERE state = 'ready' AND not_before > 0",
+        )
+        .bind(micros)
+        .execute(write.connection())
+        .await?;
+        // A node that was heard of in what is now the future would look alive for as long.
+        sqlx::query("UPDATE nodes SET last_seen_at = last_seen_at + ?1 WHERE ?1 < 0")
+            .bind(micros)
+            .execute(write.connection())
+            .await?;
+        self.commit(write).await
     }
 
     /// Refuses a worker that does not hold its lease any more, and remembers that it tried.
@@ -409,38 +410,69 @@ impl LeaseRow {
 ///
 /// Each of the three is one step into an index made for it, which is named because SQLite, left alone, prefers the index of
 /// all ready tasks and sorts them.
-async fn next_task(connection: &mut SqliteConnection, node: NodeId) -> Result<Option<SqliteRow>, StoreError> {
-    if let Some(quote) = sqlx::query(NEXT_QUOTE).fetch_optional(&mut *connection).await? {
-        return Ok(Some(quote));
+///
+/// A task that failed is passed over while it waits, and for a while longer on the nodes that it failed on. Such tasks are few, so
+/// the steps over them are.
+async fn next_task(
+    connection: &mut SqliteConnection,
+    node: NodeId,
+    now: Timestamp,
+) -> Result<Option<SqliteRow>, StoreError> {
+    for query in [NEXT_QUOTE, NEXT_BOOKED, NEXT_ANY] {
+        let found = sqlx::query(query)
+            .bind(node.0)
+            .bind(now.micros())
+            .bind(now.plus_micros(-HEAD_START).micros())
+            .fetch_optional(&mut *connection)
+            .await?;
+        if found.is_some() {
+            return Ok(found);
+        }
     }
-    if let Some(booked) = sqlx::query(NEXT_BOOKED).bind(node.0).fetch_optional(&mut *connection).await? {
-        return Ok(Some(booked));
-    }
-    Ok(sqlx::query(NEXT_ANY).fetch_optional(connection).await?)
+    Ok(None)
 }
 
-/// A task by its id, if it is ready; nothing while it is leased.
-async fn this_task(connection: &mut SqliteConnection, task: TaskId) -> Result<Option<SqliteRow>, StoreError> {
-    let row = sqlx::query("SELECT id, job_id, spec, CASE WHEN state = 'ready' AND held THEN 'held back by a budget' ELSE state END AS state FROM tasks WHERE id = ?")
+/// A task by its id, if it is ready; nothing while it is leased, or waits after a failure.
+async fn this_task(
+    connection: &mut SqliteConnection,
+    task: TaskId,
+    now: Timestamp,
+) -> Result<Option<SqliteRow>, StoreError> {
+    let row = sqlx::query("SELECT id, job_id, spec, limits, not_before, CASE WHEN state = 'ready' AND held THEN 'held back by a budget' ELSE state END AS state FROM tasks WHERE id = ?")
         .bind(task.0)
         .fetch_optional(connection)
         .await?
         .ok_or(StoreError::NotFound("task"))?;
     match row.try_get("state")? {
-        "ready" => Ok(Some(row)),
+        "ready" => Ok((row.try_get::<i64, _>("not_before")? <= now.micros()).then_some(row)),
         "leased" => Ok(None),
         over => Err(StoreError::Conflict(format!("the task is {over}"))),
     }
 }
 
-pub(crate) const NEXT_QUOTE: &str = "SELECT id, job_id, spec FROM tasks INDEXED BY tasks_ready_quotes \
-     WHERE state = 'ready' AND kind <> 'render' AND held = 0 ORDER BY priority DESC, due_at, job_id, frame LIMIT 1";
+macro_rules! next_task {
+    ($index:literal, $which:literal, $order:literal) => {
+        concat!(
+            "SELECT id, job_id, spec, limits FROM tasks INDEXED BY ",
+            $index,
+            " WHERE state = 'ready' AND ",
+            $which,
+            " AND held = 0 AND not_before <= ?2 AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS (SELECT 1 FROM leases f \
+              WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1)) ORDER BY ",
+            $order,
+            " LIMIT 1"
+        )
+    };
+}
 
-pub(crate) const NEXT_BOOKED: &str = "SELECT id, job_id, spec FROM tasks INDEXED BY tasks_ready_booked \
-     WHERE state = 'ready' AND kind = 'render' AND booked_node = ? AND held = 0 ORDER BY booked_at, job_id, frame LIMIT 1";
+pub(crate) const NEXT_QUOTE: &str =
+    next_task!("tasks_ready_quotes", "kind <> 'render'", "priority DESC, due_at, job_id, frame");
 
-pub(crate) const NEXT_ANY: &str = "SELECT id, job_id, spec FROM tasks INDEXED BY tasks_ready_any \
-     WHERE state = 'ready' AND kind = 'render' AND held = 0 ORDER BY due_at, priority DESC, job_id, frame LIMIT 1";
+pub(crate) const NEXT_BOOKED: &str =
+    next_task!("tasks_ready_booked", "kind = 'render' AND booked_node = ?1", "booked_at, job_id, frame");
+
+pub(crate) const NEXT_ANY: &str =
+    next_task!("tasks_ready_any", "kind = 'render'", "due_at, priority DESC, job_id, frame");
 
 /// Takes back the tasks whose leases have run out.
 pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept, StoreError> {
@@ -477,7 +509,11 @@ pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept, St
     Ok(swept)
 }
 
-async fn back_to_ready(write: &mut Write, row: &LeaseRow, error: Option<&str>) -> Result<(), StoreError> {
+pub(crate) async fn back_to_ready(
+    write: &mut Write,
+    row: &LeaseRow,
+    error: Option<&str>,
+) -> Result<(), StoreError> {
     sqlx::query(
         "UPDATE tasks SET state = 'ready', progress = 0, node_id = NULL, error = coalesce(?, error) WHERE id = ? AND state = 'leased'",
     )
@@ -489,7 +525,7 @@ async fn back_to_ready(write: &mut Write, row: &LeaseRow, error: Option<&str>) -
     Ok(())
 }
 
-async fn fail_for_good(
+pub(crate) async fn fail_for_good(
     write: &mut Write,
     row: &LeaseRow,
     error: &str,
@@ -549,5 +585,7 @@ fn decode(row: &SqliteRow) -> Result<LeaseRow, StoreError> {
         failures: whole(row, "failures")?,
         expiries: whole(row, "expiries")?,
         progress: row.try_get("progress")?,
+        pause: row.try_get("pause")?,
+        drain: row.try_get("drain")?,
     })
 }

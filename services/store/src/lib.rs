@@ -3,9 +3,9 @@
 //!
 //! Three promises, and what keeps them:
 //!
-//! * **Nothing acknowledged is lost.** Every write is one transaction on one writing connection with
+//! * **Nothing acknowledged is lost.** Every write is part of a transaction on one writing connection with
 //!   `synchronous = FULL`: its commit is on disk before the caller hears of it, whether the process is killed or the
-//!   power goes. (With `NORMAL` a killed process loses nothing either, but a power cut takes the last commits. `FULL`
+//!   power goes. Writes that come at the same time share a flush (`writing`). (With `NORMAL` a killed process loses nothing either, but a power cut takes the last commits. `FULL`
 //!   costs a flush per commit, some thousand commits a second on a disk with a write cache; a farm makes a
 //!   few per frame.) An artefact is flushed before its row is written, and a result names only artefacts with rows.
 //! * **Two workers never hold the same task.** One writer at a time, `BEGIN IMMEDIATE`, and a unique index over the
@@ -16,19 +16,24 @@
 //! Time is never read here: every function that needs it is given `now`.
 
 mod artifacts;
+mod backup;
 mod budgets;
 mod bundles;
 mod calibration;
+mod checkpoints;
 mod dashboard;
 mod database;
 mod decode;
 mod error;
 mod events;
+mod failures;
 mod forecasts;
 mod frames;
 mod idempotency;
 mod jobs;
+mod joining;
 mod leases;
+mod logs;
 mod nodes;
 mod plans;
 mod progress;
@@ -38,17 +43,21 @@ mod slurm;
 mod tasks;
 pub mod tokens;
 mod track_record;
+mod writing;
 
 pub use artifacts::{ArtifactPlace, ArtifactReader, Artifacts, BadPlace, Staged};
+pub use backup::{Backup, backup};
 pub use budgets::{KeptNight, OpenJob};
 pub use bundles::NewBundle;
 pub use calibration::{QuoteBasis, QuoteKind, Spreads};
 pub use database::Store;
 pub use error::StoreError;
+pub use failures::{FAILED_JOBS, FAILED_NODES, MAX_FAILURES};
 pub use forecasts::JobForecast;
 pub use idempotency::{Answered, IdempotencyKey, RecordedAnswer};
 pub use jobs::{JobFilter, NewJob};
-pub use leases::{LeaseInfo, MAX_EXPIRIES, MAX_FAILURES, Swept};
+pub use joining::token_hash;
+pub use leases::{LeaseInfo, MAX_EXPIRIES, Swept};
 pub use plans::{NewBooking, NewPlan};
 pub use projection::{Holder, OpenBooking, Projected, project};
 pub use results::{Committed, MeasuredProfile};

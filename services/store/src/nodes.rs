@@ -1,15 +1,17 @@
 //! Nodes.
 
 use forelight_protocol::{
-    Event, EventKind, Money, Node, NodeChange, NodeId, NodeRegistration, TaskId, Timestamp,
+    Event, EventKind, LeaseId, Money, Node, NodeChange, NodeId, NodeRegistration, NodeState, TaskId,
+    Timestamp,
 };
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
-use crate::decode::{id, id_opt, time, whole};
+use crate::database::Write;
+use crate::decode::{id, id_opt, json, time, to_json, whole};
 use crate::events::{append, event};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
-use crate::{Store, StoreError};
+use crate::{Store, StoreError, leases};
 
 macro_rules! select_nodes {
     ($rest:literal) => {
@@ -34,29 +36,7 @@ impl Store {
         if let Some(answer) = earlier_answer(&mut write, key).await? {
             return Ok(Answered::Repeated(answer));
         }
-        let node_id: uuid::Uuid = sqlx::query_scalar(
-            "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at) \
-             VALUES (?, ?, ?, ?, ?, ?6, ?6) ON CONFLICT (name) DO UPDATE SET speed = excluded.speed, \
-             price_per_hour = excluded.price_per_hour, cores = excluded.cores, last_seen_at = excluded.last_seen_at RETURNING id",
-        )
-        .bind(NodeId::new().0)
-        .bind(&registration.name)
-        .bind(registration.speed)
-        .bind(registration.price_per_hour.0)
-        .bind(i64::from(registration.cores))
-        .bind(now.micros())
-        .fetch_one(write.connection())
-        .await?;
-        let node = read(write.connection(), NodeId(node_id)).await?;
-        append(
-            &mut write,
-            Event {
-                node_id: Some(node.id),
-                message: Some(node.name.clone()),
-                ..event(EventKind::NodeRegistered, now)
-            },
-        )
-        .await?;
+        let node = upsert(&mut write, registration, now).await?;
         record(&mut write, key, 201, &node, now).await?;
         self.commit(write).await?;
         Ok(Answered::Fresh(node))
@@ -72,17 +52,25 @@ impl Store {
     ) -> Result<Node, StoreError> {
         let mut write = self.write().await?;
         sqlx::query(
-            "UPDATE nodes SET drain = coalesce(?, drain), speed_set = CASE WHEN ? THEN ? ELSE speed_set END, \
-             price_set = CASE WHEN ? THEN ? ELSE price_set END WHERE id = ?",
+            "UPDATE nodes SET drain = coalesce(?1, drain), pause = coalesce(?2, pause), \
+             speed_set = CASE WHEN ?3 THEN ?4 ELSE speed_set END, price_set = CASE WHEN ?5 THEN ?6 ELSE price_set END, \
+             set_aside = CASE ?7 WHEN 1 THEN coalesce(set_aside, 'by hand') WHEN 0 THEN NULL ELSE set_aside END, \
+             trusted_since = CASE ?7 WHEN 0 THEN ?8 ELSE trusted_since END WHERE id = ?9",
         )
         .bind(change.drain)
+        .bind(change.pause)
         .bind(change.speed.is_some())
         .bind(change.speed.flatten())
         .bind(change.price_per_hour.is_some())
         .bind(change.price_per_hour.flatten().map(Money::micro_units))
+        .bind(change.set_aside)
+        .bind(now.micros())
         .bind(node.0)
         .execute(write.connection())
         .await?;
+        if change.cancel_task == Some(true) {
+            take_tasks_away(&mut write, node, now).await?;
+        }
         let changed = read(write.connection(), node).await?;
         append(
             &mut write,
@@ -93,8 +81,8 @@ impl Store {
             },
         )
         .await?;
-        // Whoever waits on behalf of a node that is no longer draining should look again.
-        write.made_work = change.drain == Some(false);
+        // Whoever waits on behalf of a node that may be given tasks again should look again.
+        write.made_work |= [change.drain, change.pause, change.set_aside].contains(&Some(false));
         self.commit(write).await?;
         Ok(changed)
     }
@@ -110,6 +98,56 @@ impl Store {
         let mut connection = self.readers().acquire().await?;
         list(&mut connection, after, limit).await
     }
+}
+
+/// Makes a node, or updates the one of the same name.
+pub(crate) async fn upsert(
+    write: &mut Write,
+    registration: &NodeRegistration,
+    now: Timestamp,
+) -> Result<Node, StoreError> {
+    let node_id: uuid::Uuid = sqlx::query_scalar(
+        "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at, capabilities) \
+         VALUES (?, ?, ?, ?, ?, ?6, ?6, ?7) ON CONFLICT (name) DO UPDATE SET speed = excluded.speed, \
+         price_per_hour = excluded.price_per_hour, cores = excluded.cores, last_seen_at = excluded.last_seen_at, \
+         capabilities = excluded.capabilities, paused = 0 RETURNING id",
+    )
+    .bind(NodeId::new().0)
+    .bind(&registration.name)
+    .bind(registration.speed)
+    .bind(registration.price_per_hour.0)
+    .bind(i64::from(registration.cores))
+    .bind(now.micros())
+    .bind(to_json(&registration.capabilities)?)
+    .fetch_one(write.connection())
+    .await?;
+    let node = read(write.connection(), NodeId(node_id)).await?;
+    append(
+        write,
+        Event {
+            node_id: Some(node.id),
+            message: Some(node.name.clone()),
+            ..event(EventKind::NodeRegistered, now)
+        },
+    )
+    .await?;
+    Ok(node)
+}
+
+/// Takes the tasks away that a node has: they are ready for another, and the node's next renewal brings the order to stop.
+async fn take_tasks_away(write: &mut Write, node: NodeId, now: Timestamp) -> Result<(), StoreError> {
+    let held: Vec<uuid::Uuid> =
+        sqlx::query_scalar("SELECT id FROM leases WHERE node_id = ? AND state = 'active' ORDER BY id")
+            .bind(node.0)
+            .fetch_all(write.connection())
+            .await?;
+    for lease in held {
+        let row = leases::read(write.connection(), LeaseId(lease)).await?;
+        leases::end(write, &row, "revoked", now).await?;
+        leases::back_to_ready(write, &row, None).await?;
+        append(write, row.event(EventKind::LeaseReleased, now)).await?;
+    }
+    Ok(())
 }
 
 pub(crate) async fn read(connection: &mut SqliteConnection, node: NodeId) -> Result<Node, StoreError> {
@@ -133,6 +171,19 @@ pub(crate) async fn list(
 fn decode(row: &SqliteRow) -> Result<Node, StoreError> {
     let speed_set: Option<f64> = row.try_get("speed_set")?;
     let price_set: Option<i64> = row.try_get("price_set")?;
+    let task_id = id_opt(row, "task_id")?.map(TaskId);
+    let (drain, pause, paused): (bool, bool, bool) =
+        (row.try_get("drain")?, row.try_get("pause")?, row.try_get("paused")?);
+    let set_aside: Option<String> = row.try_get("set_aside")?;
+    let state = match (&set_aside, task_id) {
+        (Some(_), _) => NodeState::SetAside,
+        (None, Some(_)) if pause && !paused => NodeState::Pausing,
+        (None, _) if pause => NodeState::Paused,
+        (None, Some(_)) if drain => NodeState::Draining,
+        (None, None) if drain => NodeState::Drained,
+        (None, Some(_)) => NodeState::Working,
+        (None, None) => NodeState::Idle,
+    };
     Ok(Node {
         id: NodeId(id(row, "id")?),
         name: row.try_get("name")?,
@@ -141,8 +192,12 @@ fn decode(row: &SqliteRow) -> Result<Node, StoreError> {
         price_per_hour: Money(price_set.map_or_else(|| row.try_get("price_per_hour"), Ok)?),
         price_set: price_set.is_some(),
         cores: whole(row, "cores")?,
-        drain: row.try_get("drain")?,
-        task_id: id_opt(row, "task_id")?.map(TaskId),
+        capabilities: json(row, "capabilities")?,
+        state,
+        drain,
+        pause,
+        set_aside,
+        task_id,
         created_at: time(row, "created_at")?,
         last_seen_at: time(row, "last_seen_at")?,
     })

@@ -2,7 +2,7 @@
 
 use forelight_protocol::{
     ArtifactHash, BundleSource, JobId, NodeId, PreviewSpec, ProfileSpec, RenderSettings, RenderSpec,
-    SceneDigest, TaskId, TaskSpec, Timestamp,
+    SceneDigest, TaskId, TaskLimits, TaskSpec, Timestamp,
 };
 
 use sqlx::sqlite::SqliteRow;
@@ -20,6 +20,7 @@ pub(crate) struct Common {
     pub settings: RenderSettings,
     pub deadline: Option<Timestamp>,
     pub priority: i32,
+    pub limits: TaskLimits,
 }
 
 impl Common {
@@ -32,6 +33,7 @@ impl Common {
             settings: json(row, "settings")?,
             deadline: time_opt(row, "deadline_at")?,
             priority: whole(row, "priority")?,
+            limits: json(row, "limits")?,
         })
     }
 
@@ -89,8 +91,8 @@ impl Common {
         booked: Option<(NodeId, Timestamp)>,
     ) -> Result<(), StoreError> {
         sqlx::query(
-            "INSERT INTO tasks (id, job_id, kind, frame, state, spec, due_at, priority, booked_node, booked_at) \
-             VALUES (?, ?, ?, ?, 'ready', ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
+            "INSERT INTO tasks (id, job_id, kind, frame, state, spec, due_at, priority, booked_node, booked_at, limits) \
+             VALUES (?, ?, ?, ?, 'ready', ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
         )
         .bind(TaskId::new().0)
         .bind(self.job.0)
@@ -101,6 +103,7 @@ impl Common {
         .bind(i64::from(self.priority))
         .bind(booked.map(|(node, _)| node.0))
         .bind(booked.map(|(_, start)| start.micros()))
+        .bind(to_json(&self.limits)?)
         .execute(write.connection())
         .await?;
         write.made_work = true;

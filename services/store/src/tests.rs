@@ -3,11 +3,11 @@
 use std::time::Duration;
 
 use forelight_protocol::{
-    ArtifactHash, BundleRef, BundleSource, FixedCosts, ForecastTotals, FrameForecast, FrameStrata, Job,
-    JobId, JobRequest, JobVerdict, Lease, Node, NodeId, NodeRegistration, PlanReason, PreviewBackend,
-    PreviewResult, ProfileArtifacts, ProfileResult, ProfileSample, Profiled, Quantiles, RayQuantiles, Rays,
-    RenderArtifacts, RenderResult, RenderStats, SceneDigest, SceneSummary, Spent, SpentOnForecast, Stratum,
-    StratumName, TaskResult, TaskSpec, Timestamp, Verdict,
+    ArtifactHash, BundleRef, BundleSource, Capabilities, FixedCosts, ForecastTotals, FrameForecast,
+    FrameStrata, Job, JobId, JobRequest, JobVerdict, Lease, Node, NodeId, NodeRegistration, PlanReason,
+    PreviewBackend, PreviewResult, ProfileArtifacts, ProfileResult, ProfileSample, Profiled, Quantiles,
+    RayQuantiles, Rays, RenderArtifacts, RenderResult, RenderStats, RenewRequest, SceneDigest, SceneSummary,
+    Spent, SpentOnForecast, Stratum, StratumName, TaskResult, TaskSpec, Timestamp, Verdict,
 };
 use tempfile::TempDir;
 
@@ -16,9 +16,12 @@ use crate::{Answered, JobForecast, NewBooking, NewJob, NewPlan, Store};
 mod artifacts;
 mod calibration;
 mod claims;
+mod failures;
 mod fencing;
 mod jobs;
+mod joining;
 mod opening;
+mod orders;
 mod plans;
 mod records;
 
@@ -57,13 +60,7 @@ impl Farm {
     }
 
     async fn node(&self, name: &str) -> Node {
-        let registration = NodeRegistration {
-            name: name.to_owned(),
-            speed: 2.0,
-            price_per_hour: forelight_protocol::Money(1_000_000),
-            cores: 1,
-        };
-        fresh(self.store.register_node(&registration, None, at(0)).await.unwrap())
+        fresh(self.store.register_node(&registration(name), None, at(0)).await.unwrap())
     }
 
     async fn job(&self, frames: &str) -> Job {
@@ -188,6 +185,20 @@ impl Farm {
             bookings,
         }
     }
+}
+
+fn registration(name: &str) -> NodeRegistration {
+    NodeRegistration {
+        name: name.to_owned(),
+        speed: 2.0,
+        price_per_hour: forelight_protocol::Money(1_000_000),
+        cores: 1,
+        capabilities: Capabilities::default(),
+    }
+}
+
+fn renewal(fence: u64, progress: f64) -> RenewRequest {
+    RenewRequest { fence, progress, ..RenewRequest::default() }
 }
 
 /// The lock goes with the last clone of the store, and the connections are closed in the background.

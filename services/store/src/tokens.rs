@@ -1,10 +1,10 @@
 //! Bearer tokens.
 
-use forelight_protocol::{Role, Timestamp};
+use forelight_protocol::{NodeId, Role, Timestamp};
 use sqlx::Row as _;
 use uuid::Uuid;
 
-use crate::decode::word;
+use crate::decode::{id_opt, word};
 use crate::{Store, StoreError};
 
 /// Who is asking.
@@ -16,15 +16,22 @@ pub struct Principal {
     pub name: String,
     /// BLAKE3 of the token: what idempotency keys belong to.
     pub hash: [u8; 32],
+    /// The node that the token speaks for, if it is a node's own.
+    pub node: Option<NodeId>,
+}
+
+/// A token that nobody has yet.
+///
+/// It is `forelight_` and 64 hexadecimal digits: two UUIDs of version 4, 244 random bits from the operating
+/// system. At that entropy a plain fast hash cannot be inverted by guessing, so no slow password hash is needed.
+pub fn random() -> String {
+    format!("forelight_{}{}", Uuid::new_v4().simple(), Uuid::new_v4().simple())
 }
 
 /// Makes a token and returns it, for the only time: the database keeps its hash. `name` is for people,
 /// 1 to 200 characters.
-///
-/// The token is `forelight_` and 64 hexadecimal digits: two UUIDs of version 4, 244 random bits from the operating
-/// system. At that entropy a plain fast hash cannot be inverted by guessing, so no slow password hash is needed.
 pub async fn create(store: &Store, role: Role, name: &str, now: Timestamp) -> Result<String, StoreError> {
-    let token = format!("forelight_{}{}", Uuid::new_v4().simple(), Uuid::new_v4().simple());
+    let token = random();
     let mut write = store.write().await?;
     sqlx::query("INSERT INTO tokens (hash, name, role, created_at) VALUES (?, ?, ?, ?)")
         .bind(&hash(&token)[..])
@@ -40,11 +47,15 @@ pub async fn create(store: &Store, role: Role, name: &str, now: Timestamp) -> Re
 /// Whose token this is; `None` if it is nobody's. The lookup is by hash, so that its timing tells nothing of the token.
 pub async fn find(store: &Store, token: &str) -> Result<Option<Principal>, StoreError> {
     let hash = hash(token);
-    let row = sqlx::query("SELECT role, name FROM tokens WHERE hash = ?")
+    let row = sqlx::query("SELECT role, name, node_id FROM tokens WHERE hash = ?")
         .bind(&hash[..])
         .fetch_optional(store.readers())
         .await?;
-    row.map(|row| Ok(Principal { role: word(&row, "role")?, name: row.try_get("name")?, hash })).transpose()
+    row.map(|row| {
+        let node = id_opt(&row, "node_id")?.map(NodeId);
+        Ok(Principal { role: word(&row, "role")?, name: row.try_get("name")?, hash, node })
+    })
+    .transpose()
 }
 
 /// How many tokens there are.
@@ -53,6 +64,6 @@ pub async fn count(store: &Store) -> Result<u64, StoreError> {
     Ok(count.unsigned_abs())
 }
 
-fn hash(token: &str) -> [u8; 32] {
+pub(crate) fn hash(token: &str) -> [u8; 32] {
     *blake3::hash(token.as_bytes()).as_bytes()
 }

@@ -53,5 +53,5 @@ pub use profile::{Profile, ProfileError};
 pub use reach::{Excluded, LeftOut, Reach, Reason, reachable};
 pub use samples::{MOST_SAMPLES, SampleCounts, SampleCountsError};
 pub use settings::{CacheSettings, Integrator, MaterialOverride, Settings, SettingsError};
-pub use tracer::{Pixel, Tracer};
+pub use tracer::{Pixel, PixelsFinished, Tracer};
 pub use tree::Tree;

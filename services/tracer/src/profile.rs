@@ -103,6 +103,11 @@ impl Profile {
         Ok(Self { frame, fingerprint, pixels, cache })
     }
 
+    /// Bytes of a profile of so many pixels, without a cache.
+    pub const fn bytes_of(pixels: u64) -> u64 {
+        pixels.saturating_mul(PIXEL as u64).saturating_add((HEADER + CHECKSUM) as u64)
+    }
+
     /// Whether every pixel index lies inside an image of that many pixels.
     pub fn fits(&self, pixels: usize) -> bool {
         self.pixels.iter().all(|p| (p.0 as usize) < pixels)

@@ -41,6 +41,9 @@ pub struct Pixel {
     pub stratum: u32,
 }
 
+/// Is given pixels of an image, by their row-major index, as soon as they are finished.
+pub type PixelsFinished<'a> = dyn Fn(&[(u32, Pixel)]) + Sync + 'a;
+
 impl Pixel {
     /// Stratum of a pixel whose first sample met no surface.
     pub const NOTHING: u32 = u32::MAX;
@@ -346,6 +349,21 @@ impl Tracer {
         progress: &(dyn Fn(u64) + Sync),
         cancel: &AtomicBool,
     ) -> Option<Image> {
+        self.render_watched(reuse, progress, &|_| (), cancel)
+    }
+
+    /// The same; `finished` is given the pixels of every tile as soon as they are traced, also those of a tile in which the
+    /// work was stopped.
+    ///
+    /// # Panics
+    /// As [`Self::render`].
+    pub fn render_watched(
+        &self,
+        reuse: Option<&Profile>,
+        progress: &(dyn Fn(u64) + Sync),
+        finished: &PixelsFinished<'_>,
+        cancel: &AtomicBool,
+    ) -> Option<Image> {
         let (width, height) = (self.settings.width, self.settings.height);
         let mut known: Vec<Option<Pixel>> = vec![None; (width * height) as usize];
         if let Some(profile) = reuse {
@@ -379,9 +397,11 @@ impl Tracer {
                         .map(|&i| self.kernel.pixel(self, i, &mut |_| ()))
                         .collect()
                 };
-                let finished = timed(pixels);
+                let values = timed(pixels);
+                let tile: Vec<(u32, Pixel)> = traced.into_iter().zip(values).collect();
+                finished(&tile);
                 progress(done.fetch_add(indices.len() as u64, Ordering::Relaxed) + indices.len() as u64);
-                traced.into_iter().zip(finished).collect()
+                tile
             })
             .collect();
         if cancel.load(Ordering::Relaxed) {

@@ -8,7 +8,9 @@
 //! * **The service is silent.** It may be restarting. The work goes on and renewals are tried at each interval: if the lease
 //!   is still ours when the service is back, nothing was lost; if it is not, the fencing token protects whoever has it
 //!   now. A finished result is offered until it is answered.
-//! * **The work fails or panics.** The error is reported, and the service decides whether to try again.
+//! * **The work fails or panics.** The error is reported with what there was to say, and the service decides whether to try again.
+//! * **The work goes beyond a limit.** It is stopped, and the limit reported as the error.
+//! * **The operator has other plans.** Renewals bring orders: to stand still, to go on, to drop the task.
 //! * **This process is told to stop.** The work is stopped and the lease given back, so that another node can have the
 //!   task at once instead of after the lease's end.
 
@@ -16,11 +18,12 @@ use crate::backoff::Backoff;
 use crate::client::Client;
 use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 use crate::library::Library;
+use crate::limits::gone_beyond;
 use crate::transport::ClientError;
 use bytes::Bytes;
 use forelight_protocol::{
-    ClaimRequest, Lease, LeaseOrder, NodeId, NodeRegistration, ProblemKind, RenewRequest, ResultRequest,
-    TaskError, TaskId, TaskSpec,
+    ClaimRequest, Lease, LeaseOrder, LogLevel, NodeId, NodeRegistration, ProblemKind, RenewRequest,
+    ResultRequest, TaskError, TaskId, TaskLimits, TaskSpec, without_secrets,
 };
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -33,6 +36,9 @@ const CLAIM_WAIT_MS: u32 = 20_000;
 /// Pause after a refusal that is nobody's plan, so that it does not become a flood.
 const AFTER_REFUSAL: Duration = Duration::from_secs(2);
 
+/// How often what is finished of a frame is sent to the service, so that the next worker goes on from there should this one be lost.
+const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(60);
+
 /// A worker.
 pub struct Agent {
     client: Client,
@@ -40,6 +46,8 @@ pub struct Agent {
     executor: Arc<dyn Execute>,
     pool: Arc<rayon::ThreadPool>,
     registration: NodeRegistration,
+    limits: TaskLimits,
+    checkpoints: Duration,
 }
 
 /// Why a worker ended without being told to.
@@ -82,6 +90,8 @@ enum Ending {
     Lost,
     /// Without: this process is to stop.
     Stopped,
+    /// With this error: it went beyond a limit, and has to be stopped first.
+    Beyond(ExecuteError),
 }
 
 impl Agent {
@@ -99,7 +109,18 @@ impl Agent {
             .thread_name(move |index| format!("{name}-{index}"))
             .build()
             .map_err(|error| AgentError::Threads { threads, reason: error.to_string() })?;
-        Ok(Self { client, library, executor, pool: Arc::new(pool), registration })
+        let (pool, limits, checkpoints) = (Arc::new(pool), TaskLimits::default(), CHECKPOINT_INTERVAL);
+        Ok(Self { client, library, executor, pool, registration, limits, checkpoints })
+    }
+
+    /// The same worker with limits of its own for every task; where a job sets its own, the stricter holds.
+    pub fn with_limits(self, limits: TaskLimits) -> Self {
+        Self { limits, ..self }
+    }
+
+    /// The same worker, which sends what is finished of a frame to the service at this interval; a minute, if this is not called.
+    pub fn with_checkpoints(self, interval: Duration) -> Self {
+        Self { checkpoints: interval, ..self }
     }
 
     /// Works until `stop` is cancelled, or until the service does not want this worker.
@@ -176,12 +197,16 @@ impl Agent {
     async fn work(&self, lease: Lease, stop: &CancellationToken) {
         let kind = lease.spec.kind();
         tracing::info!(task = %lease.task_id, %kind, frame = lease.spec.frame(), fence = lease.fence, "leased");
-        let control = Arc::new(Control::default());
+        let control = Arc::new(Control::with_checkpoints(self.checkpoints));
+        let name = &self.registration.name;
+        control.log(LogLevel::Info, format!("{kind} begun on {name}, attempt {}", lease.fence));
+        let limits = lease.limits.and(self.limits);
         let ending = {
             let work = self.perform(&lease, control.clone());
             tokio::pin!(work);
             let ending = tokio::select! {
                 done = &mut work => Ending::Finished(Box::new(done)),
+                error = gone_beyond(limits, &control) => Ending::Beyond(error),
                 () = self.hold(&lease, &control) => Ending::Lost,
                 () = stop.cancelled() => Ending::Stopped,
             };
@@ -190,19 +215,22 @@ impl Agent {
                 // The threads are free again when the work has noticed.
                 let _ = work.await;
             }
-            ending
+            match ending {
+                Ending::Beyond(error) => Ending::Finished(Box::new(Err(error))),
+                other => other,
+            }
         };
         match ending {
             Ending::Finished(done) => {
                 tokio::select! {
-                    () = self.report(&lease, *done) => {}
+                    () = self.report(&lease, *done, &control) => {}
                     () = self.hold(&lease, &control) => {
                         tracing::info!(task = %lease.task_id, "the lease was lost; its result is dropped");
                     }
                     () = stop.cancelled() => self.give_back(&lease).await,
                 }
             }
-            Ending::Lost => {
+            Ending::Lost | Ending::Beyond(_) => {
                 tracing::info!(task = %lease.task_id, %kind, "the lease was lost; the work is dropped")
             }
             Ending::Stopped => self.give_back(&lease).await,
@@ -228,7 +256,15 @@ impl Agent {
                 Err(error) => return Err(fetched(error)),
             }
         };
-        let assignment = Assignment { spec: lease.spec.clone(), bundle, profile };
+        control.log(LogLevel::Info, "the bundle is here");
+        let checkpoint = match &lease.spec {
+            // Only another attempt can have left something behind. Without it, the frame is done from the beginning.
+            TaskSpec::Render(_) if lease.fence > 1 => {
+                self.client.checkpoint(lease.lease_id).await.unwrap_or_default()
+            }
+            _ => None,
+        };
+        let assignment = Assignment { spec: lease.spec.clone(), bundle, profile, checkpoint };
         let (pool, executor) = (self.pool.clone(), self.executor.clone());
         let work = move || pool.install(|| executor.execute(&assignment, &control));
         match tokio::task::spawn_blocking(work).await {
@@ -250,39 +286,79 @@ impl Agent {
         })
     }
 
-    /// Renews the lease three times in its life, and returns when the service says that it is lost or not wanted.
+    /// Renews the lease three times in its life, passes orders on to the work, and returns when the service says that the lease is lost
+    /// or not wanted.
     async fn hold(&self, lease: &Lease, control: &Control) {
         let interval = Duration::from_millis((lease.ttl_ms / 3).max(50));
         let once = self.client.with_backoff(Backoff { attempts: Some(1), ..Backoff::PATIENT });
+        let mut order = LeaseOrder::Continue;
         loop {
             tokio::time::sleep(interval).await;
-            let renewal = RenewRequest { fence: lease.fence, progress: control.progress() };
+            if let Some(tiles) = control.take_checkpoint() {
+                // The renewal comes first: what does not get through in a part of the lease's time is given up.
+                let sent = once.put_checkpoint(lease.lease_id, lease.fence, tiles);
+                match tokio::time::timeout(interval / 2, sent).await {
+                    Ok(Ok(())) => {}
+                    Ok(Err(error)) => {
+                        tracing::warn!(task = %lease.task_id, %error, "finished tiles were not taken")
+                    }
+                    Err(_) => {
+                        tracing::warn!(task = %lease.task_id, "finished tiles take too long to be sent")
+                    }
+                }
+            }
+            let renewal = RenewRequest {
+                fence: lease.fence,
+                progress: control.progress(),
+                paused: control.stands_still(),
+                log: control.unsent(),
+            };
             match once.renew(lease.lease_id, &renewal, interval.max(Duration::from_secs(1))).await {
                 Ok(renewed) if renewed.order == LeaseOrder::Stop => return,
-                Ok(_) => {}
+                Ok(renewed) => {
+                    control.sent(&renewal.log);
+                    if renewed.order != order {
+                        order = renewed.order;
+                        let paused = order == LeaseOrder::Pause;
+                        control
+                            .log(LogLevel::Info, if paused { "paused by order" } else { "goes on by order" });
+                        control.pause(paused);
+                    }
+                }
                 Err(error) if is_lost(&error) => return,
-                Err(error) => tracing::warn!(task = %lease.task_id, %error, "the lease was not renewed"),
+                Err(error) => {
+                    tracing::warn!(task = %lease.task_id, %error, "the lease was not renewed");
+                    control.log(LogLevel::Warn, format!("the lease was not renewed: {}", describe(&error)));
+                }
             }
         }
     }
 
     /// Stores the artefacts and reports the end of the task, as often as it takes to be answered.
-    async fn report(&self, lease: &Lease, done: Result<Outcome, ExecuteError>) {
+    async fn report(&self, lease: &Lease, done: Result<Outcome, ExecuteError>, control: &Control) {
         let client = self.client.with_backoff(Backoff::FOREVER);
+        let failed = |message, permanent, limit| TaskError { message, permanent, limit };
         let ended = match done {
-            Ok(outcome) => match self.deliver(&client, lease, &outcome).await {
+            Ok(outcome) => match self.deliver(&client, lease, outcome, control).await {
                 Ok(()) => return,
                 Err(error) if is_lost(&error) => Err(error),
                 // Nothing but another attempt at the task can help: say so rather than let the lease run out.
                 Err(error) => {
                     let message = format!("the result was refused: {}", describe(&error));
                     tracing::error!(task = %lease.task_id, %message);
-                    self.report_error(&client, lease, message, false).await
+                    self.report_error(&client, lease, failed(message, false, None), control).await
                 }
             },
             Err(ExecuteError::Cancelled) => return,
-            Err(ExecuteError::Permanent(message)) => self.report_error(&client, lease, message, true).await,
-            Err(ExecuteError::Transient(message)) => self.report_error(&client, lease, message, false).await,
+            Err(ExecuteError::Permanent(message)) => {
+                self.report_error(&client, lease, failed(message, true, None), control).await
+            }
+            Err(ExecuteError::Transient(message)) => {
+                self.report_error(&client, lease, failed(message, false, None), control).await
+            }
+            Err(ExecuteError::Limit(limit, message)) => {
+                self.report_error(&client, lease, failed(message, false, Some(limit)), control).await
+            }
         };
         match ended {
             Ok(()) => {}
@@ -293,8 +369,19 @@ impl Agent {
         }
     }
 
-    async fn deliver(&self, client: &Client, lease: &Lease, outcome: &Outcome) -> Result<(), ClientError> {
-        let result = ResultRequest { fence: lease.fence, result: Some(outcome.result.clone()), error: None };
+    async fn deliver(
+        &self,
+        client: &Client,
+        lease: &Lease,
+        outcome: Outcome,
+        control: &Control,
+    ) -> Result<(), ClientError> {
+        let result = ResultRequest {
+            fence: lease.fence,
+            result: Some(outcome.result),
+            error: None,
+            log: control.unsent(),
+        };
         for last_attempt in [false, true] {
             for artifact in &outcome.artifacts {
                 client.store(artifact.clone()).await?;
@@ -316,16 +403,28 @@ impl Agent {
         &self,
         client: &Client,
         lease: &Lease,
-        message: String,
-        permanent: bool,
+        error: TaskError,
+        control: &Control,
     ) -> Result<(), ClientError> {
+        let TaskError { message, permanent, .. } = &error;
         tracing::warn!(task = %lease.task_id, message, permanent, "the task failed");
-        let message = one_line(&message);
-        let error = Some(TaskError { message, permanent });
-        client
-            .report(lease.lease_id, &ResultRequest { fence: lease.fence, result: None, error })
-            .await
-            .map(drop)
+        control.log(LogLevel::Error, message.clone());
+        let error = TaskError { message: one_line(message), ..error.clone() };
+        // The lines that lead to the error belong to it, however many there are.
+        while control.unsent().last().is_some_and(|line| line.level != LogLevel::Error) {
+            let log = control.unsent();
+            let renewal = RenewRequest {
+                fence: lease.fence,
+                progress: control.progress(),
+                log,
+                ..RenewRequest::default()
+            };
+            client.renew(lease.lease_id, &renewal, Duration::from_secs(30)).await?;
+            control.sent(&renewal.log);
+        }
+        let log = control.unsent();
+        let end = ResultRequest { fence: lease.fence, result: None, error: Some(error), log };
+        client.report(lease.lease_id, &end).await.map(drop)
     }
 
     /// Gives the lease back; if the service does not answer soon, the lease runs out by itself.
@@ -370,7 +469,8 @@ fn describe(error: &dyn std::error::Error) -> String {
 
 /// The wire wants one line of 1 to 2000 characters.
 fn one_line(message: &str) -> String {
-    let line: String = message.split_whitespace().collect::<Vec<_>>().join(" ").chars().take(2000).collect();
+    let line = without_secrets(&message.split_whitespace().collect::<Vec<_>>().join(" "));
+    let line: String = line.chars().take(2000).collect();
     if line.is_empty() { "the task failed without a word".into() } else { line }
 }
 

@@ -98,7 +98,7 @@ pub fn render_allotted(
     };
     let (samples, allotted) = Costs::of(&pilot)?.allot(&*ready, &pilot, options)?;
     ready.allot(samples)?;
-    let mut rendered = render_ready(&*ready, &settings, None, progress, observer.cancel())?;
+    let mut rendered = render_ready(&*ready, &settings, None, progress, &|_| (), observer.cancel())?;
     if let Some(rendered) = &mut rendered {
         rendered.stats.spp = allotted.mean.round() as u32;
         rendered.stats.allotted = Some(allotted);

@@ -13,8 +13,8 @@ use forelight_protocol::{
 };
 use forelight_scene::{Frame, Geometry, Limits, Scene};
 use forelight_tracer::{
-    Cache, CacheSettings, CacheTotals, Effects, MaterialOverride, Pixel, Profile, RecordCost, SampleCounts,
-    Settings, Shared, Tracer, thread_cpu_nanos, tracer_version,
+    Cache, CacheSettings, CacheTotals, Effects, MaterialOverride, Pixel, PixelsFinished, Profile, RecordCost,
+    SampleCounts, Settings, Shared, Tracer, thread_cpu_nanos, tracer_version,
 };
 use rayon::prelude::*;
 use std::path::Path;
@@ -26,6 +26,15 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 pub struct Ambient {
     previewer: Arc<SharedPreviewer>,
     limits: Limits,
+}
+
+/// A graphics device.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Adapter {
+    /// Its name, kind and driver.
+    pub name: String,
+    /// Whether it is a graphics processor, and no program that does its work.
+    pub is_hardware: bool,
 }
 
 /// The previewer, made when it is first wanted: opening a graphics device takes longer than many a render.
@@ -59,6 +68,15 @@ impl Ambient {
     /// there is none.
     pub fn ready(&self) -> Result<(), PreviewError> {
         self.previewer.with(|_| Ok(()))
+    }
+
+    /// The graphics device that previews are made with; `None` if they are made on the processor.
+    pub fn adapter(&self) -> Result<Option<Adapter>, PreviewError> {
+        self.previewer.with(|previewer| {
+            let adapter =
+                |name: &str| Adapter { name: name.to_owned(), is_hardware: previewer.is_hardware() };
+            Ok(previewer.adapter().map(adapter))
+        })
     }
 
     /// Opens a bundle.
@@ -430,6 +448,7 @@ impl FrameRenderer for AmbientFrame<'_> {
         &self,
         reuse: Option<&Profile>,
         progress: &(dyn Fn(Progress) + Sync),
+        finished: &PixelsFinished<'_>,
         cancel: &AtomicBool,
     ) -> Result<Option<Finished>, RenderError> {
         let pixels = self.tracer.frame().camera.pixels();
@@ -448,7 +467,7 @@ impl FrameRenderer for AmbientFrame<'_> {
             return Ok(None);
         }
         let traced = |done| progress(Progress { step: Step::Tracing, done, all: pixels as u64 });
-        let image = self.tracer.render(reuse, &traced, cancel);
+        let image = self.tracer.render_watched(reuse, &traced, finished, cancel);
         let cache = self.tracer.cache().map(|cache| CacheUse {
             all: cache.totals(),
             taken_over,

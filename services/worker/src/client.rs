@@ -7,8 +7,8 @@ use bytes::Bytes;
 use forelight_protocol::{
     ArtifactHash, ArtifactStored, Budget, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetRequest,
     Bundle, ClaimRequest, Event, EventId, ForecastDoc, FramePage, FrameRow, Job, JobCheck, JobId, JobRequest,
-    Lease, LeaseId, Node, NodeRegistration, ReleaseRequest, RenewRequest, Renewal, ResultAnswer,
-    ResultRequest,
+    JoinRequest, Lease, LeaseId, Node, NodeChange, NodeId, NodePage, NodeRegistration, ProblemKind,
+    ReleaseRequest, RenewRequest, Renewal, ResultAnswer, ResultRequest, TaskId, TaskLog,
 };
 use reqwest::header::{HeaderName, HeaderValue};
 use reqwest::{Method, StatusCode};
@@ -163,6 +163,35 @@ impl Client {
         self.transport.json(&with_key(json(Method::POST, "/v1/nodes", node), key)).await
     }
 
+    /// Joins the farm with a one-time token: this client's. Asking again with the same hash is harmless.
+    pub async fn join(&self, request: &JoinRequest) -> Result<Node, ClientError> {
+        self.transport.json(&json(Method::POST, "/v1/nodes/join", request)).await
+    }
+
+    /// All nodes, oldest first.
+    pub async fn nodes(&self) -> Result<Vec<Node>, ClientError> {
+        let mut nodes = Vec::new();
+        let mut path = "/v1/nodes?page_size=200".to_owned();
+        loop {
+            let page: NodePage = self.transport.json(&Request::new(Method::GET, path)).await?;
+            nodes.extend(page.items);
+            match page.next_page_token {
+                Some(token) => path = format!("/v1/nodes?page_size=200&page_token={token}"),
+                None => return Ok(nodes),
+            }
+        }
+    }
+
+    /// Gives a node orders.
+    pub async fn change_node(&self, node: NodeId, change: &NodeChange) -> Result<Node, ClientError> {
+        self.transport.json(&json(Method::PATCH, format!("/v1/nodes/{node}"), change)).await
+    }
+
+    /// What the workers of a task had to say.
+    pub async fn task_log(&self, task: TaskId) -> Result<TaskLog, ClientError> {
+        self.transport.json(&Request::new(Method::GET, format!("/v1/tasks/{task}/log"))).await
+    }
+
     /// Asks for a task; `None` if there was none within the time that the request allows for. If an answer gets lost, asking
     /// again with the same key gives the same lease, instead of leaving it to run out.
     pub async fn claim(&self, claim: &ClaimRequest, key: Uuid) -> Result<Option<Lease>, ClientError> {
@@ -193,6 +222,21 @@ impl Client {
     ) -> Result<Renewal, ClientError> {
         let request = json(Method::PATCH, format!("/v1/leases/{lease}"), renewal).timeout(Some(patience));
         self.transport.json(&request).await
+    }
+
+    /// Keeps the tiles of a frame that are finished so far.
+    pub async fn put_checkpoint(&self, lease: LeaseId, fence: u64, tiles: Bytes) -> Result<(), ClientError> {
+        let path = format!("/v1/leases/{lease}/checkpoint?fence={fence}");
+        self.transport.send(&Request::new(Method::PUT, path).payload(Payload::Bytes(tiles))).await.map(drop)
+    }
+
+    /// The tiles of a lease's frame that an earlier worker finished, if there are any.
+    pub async fn checkpoint(&self, lease: LeaseId) -> Result<Option<Bytes>, ClientError> {
+        match self.bytes(&format!("/v1/leases/{lease}/checkpoint")).await {
+            Ok(tiles) => Ok(Some(tiles)),
+            Err(error) if error.is(ProblemKind::NotFound) => Ok(None),
+            Err(error) => Err(error),
+        }
     }
 
     /// Reports a task's end.

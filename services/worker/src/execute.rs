@@ -1,9 +1,12 @@
 //! What an agent asks of whoever does the work: a task in, a result and its files out.
 
 use bytes::Bytes;
-use forelight_protocol::{TaskResult, TaskSpec};
+use forelight_protocol::{LOG_LINES, LogLevel, LogLine, TaskLimit, TaskResult, TaskSpec, Timestamp};
+use std::collections::VecDeque;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 /// A task with everything that it needs on this machine.
 #[derive(Debug, Clone)]
@@ -14,6 +17,8 @@ pub struct Assignment {
     pub bundle: PathBuf,
     /// The profile whose pixels are to be taken over, if the task names one.
     pub profile: Option<Bytes>,
+    /// The tiles of the frame that an earlier worker finished before it was lost, if there are any.
+    pub checkpoint: Option<Bytes>,
 }
 
 /// What came of a task.
@@ -37,20 +42,71 @@ pub enum ExecuteError {
     /// It went wrong here and now.
     #[error("{0}")]
     Transient(String),
+    /// It went beyond a limit that was set for it.
+    #[error("{1}")]
+    Limit(TaskLimit, String),
 }
 
-/// Progress and the order to stop, shared between the thread that works and the task that talks to the service.
+/// Progress, orders and what there is to say, shared between the threads that work and the task that talks to the service.
 #[derive(Debug, Default)]
 pub struct Control {
     progress: AtomicU64,
     cancelled: AtomicBool,
+    pause: Mutex<bool>,
+    resumed: Condvar,
+    /// Threads that stand still.
+    standing: AtomicUsize,
+    log: Mutex<Book>,
+    checkpoint_interval: Duration,
+    checkpoint: Mutex<Option<Bytes>>,
+}
+
+/// The lines of one attempt at a task.
+#[derive(Debug, Default)]
+struct Book {
+    /// Those that the service has not acknowledged yet.
+    unsent: VecDeque<LogLine>,
+    /// The number of the next line.
+    next: u32,
 }
 
 impl Control {
-    /// Says how far the work is, 0 to 1.
+    /// Most lines that one message takes.
+    const LINES_AT_ONCE: usize = 100;
+
+    /// Of a task whose finished parts are wanted at this interval.
+    pub fn with_checkpoints(interval: Duration) -> Self {
+        Self { checkpoint_interval: interval, ..Self::default() }
+    }
+
+    /// How often finished parts are wanted.
+    pub fn checkpoint_interval(&self) -> Duration {
+        self.checkpoint_interval
+    }
+
+    /// All parts that are finished so far. Those that were offered before, and not fetched, are out of date.
+    pub fn offer_checkpoint(&self, bytes: Bytes) {
+        *lock(&self.checkpoint) = Some(bytes);
+    }
+
+    /// The parts that were offered since the last time.
+    pub fn take_checkpoint(&self) -> Option<Bytes> {
+        lock(&self.checkpoint).take()
+    }
+
+    /// Says how far the work is, 0 to 1. Does not return while the work is to stand still, so that whoever works calls it often, on every
+    /// thread.
     pub fn set_progress(&self, fraction: f64) {
         let fraction = if fraction.is_finite() { fraction.clamp(0.0, 1.0) } else { 0.0 };
         self.progress.store(fraction.to_bits(), Ordering::Relaxed);
+        let mut pause = lock(&self.pause);
+        if *pause && !self.is_cancelled() {
+            self.standing.fetch_add(1, Ordering::Relaxed);
+            while *pause && !self.is_cancelled() {
+                pause = self.resumed.wait(pause).unwrap_or_else(PoisonError::into_inner);
+            }
+            self.standing.fetch_sub(1, Ordering::Relaxed);
+        }
     }
 
     /// How far the work is, 0 to 1.
@@ -58,9 +114,23 @@ impl Control {
         f64::from_bits(self.progress.load(Ordering::Relaxed))
     }
 
+    /// Orders the work to stand still, or to go on.
+    pub fn pause(&self, pause: bool) {
+        *lock(&self.pause) = pause;
+        self.resumed.notify_all();
+    }
+
+    /// Whether the work stands still: at least one of its threads does, and the others will at their next report of progress.
+    pub fn stands_still(&self) -> bool {
+        self.standing.load(Ordering::Relaxed) > 0
+    }
+
     /// Orders the work to stop.
     pub fn cancel(&self) {
         self.cancelled.store(true, Ordering::Relaxed);
+        // Under the lock, so that nobody falls asleep between looking and waiting.
+        drop(lock(&self.pause));
+        self.resumed.notify_all();
     }
 
     /// Whether the work was ordered to stop.
@@ -72,10 +142,99 @@ impl Control {
     pub fn cancelled(&self) -> &AtomicBool {
         &self.cancelled
     }
+
+    /// Adds a line to the task's log. It is sent with the next renewal. What is too much is left out, which the last line says.
+    pub fn log(&self, level: LogLevel, text: impl Into<String>) {
+        let text = text.into();
+        let mut book = lock(&self.log);
+        let number = book.next;
+        // An error is the reason why people read a log at all: there is always room for the one that ends it.
+        let (level, text) = match LOG_LINES - number.min(LOG_LINES) {
+            0 => return,
+            1 if level != LogLevel::Error => return,
+            2 if level != LogLevel::Error => {
+                (LogLevel::Warn, "there was more to say than is kept".to_owned())
+            }
+            _ => (level, text),
+        };
+        book.next += 1;
+        book.unsent.push_back(LogLine { number, at: Timestamp::now(), level, text }.cleaned());
+    }
+
+    /// The next lines to be sent.
+    pub fn unsent(&self) -> Vec<LogLine> {
+        lock(&self.log).unsent.iter().take(Self::LINES_AT_ONCE).cloned().collect()
+    }
+
+    /// The service has these lines.
+    pub fn sent(&self, lines: &[LogLine]) {
+        let Some(last) = lines.last() else { return };
+        lock(&self.log).unsent.retain(|line| line.number > last.number);
+    }
+}
+
+/// What is behind these locks is whole after every statement, so a panic elsewhere does not spoil it.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Does tasks. Called on a thread pool that it may use all of; looks at `control` often.
 pub trait Execute: Send + Sync + 'static {
     /// Does one task.
     fn execute(&self, assignment: &Assignment, control: &Control) -> Result<Outcome, ExecuteError>;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Arc;
+
+    #[test]
+    fn work_that_is_paused_stands_still_until_it_goes_on_or_is_stopped() {
+        for stop in [false, true] {
+            let control = Arc::new(Control::default());
+            control.pause(true);
+            let working = {
+                let control = control.clone();
+                std::thread::spawn(move || control.set_progress(0.5))
+            };
+            while !control.stands_still() {
+                std::thread::yield_now();
+            }
+            assert_eq!(control.progress(), 0.5);
+            assert!(!working.is_finished());
+            if stop {
+                control.cancel()
+            } else {
+                control.pause(false)
+            }
+            working.join().unwrap();
+            assert!(!control.stands_still());
+        }
+    }
+
+    #[test]
+    fn lines_are_sent_until_they_are_acknowledged_and_there_is_always_room_for_the_last_error() {
+        let control = Control::default();
+        for number in 0..2 * LOG_LINES {
+            control.log(LogLevel::Info, format!("line {number}"));
+        }
+        control.log(LogLevel::Error, "the end");
+        let first = control.unsent();
+        assert_eq!((first.len(), first[0].number), (100, 0));
+        assert_eq!(control.unsent(), first, "not acknowledged");
+        let mut all = Vec::new();
+        loop {
+            let lines = control.unsent();
+            if lines.is_empty() {
+                break;
+            }
+            control.sent(&lines);
+            all.extend(lines);
+        }
+        assert_eq!(all.len(), LOG_LINES as usize);
+        assert!(all.iter().map(|line| line.number).eq(0..LOG_LINES));
+        let [.., more, end] = all.as_slice() else { panic!() };
+        assert_eq!((more.level, end.text.as_str()), (LogLevel::Warn, "the end"));
+    }
 }

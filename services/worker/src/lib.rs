@@ -15,7 +15,9 @@
 //! | `tasks` | the three kinds of tasks |
 //! | `execute`, `agent` | a task's life between lease and result |
 //! | `library` | bundles, fetched once and kept open |
-//! | `calibrate` | how fast this machine is |
+//! | `calibrate`, `capabilities` | how fast this machine is, and what it has |
+//! | `checkpoint` | the finished tiles of a frame, for whoever has it next |
+//! | `limits` | what a task may use at most |
 //! | `client`, `transport`, `backoff`, `server_events` | the service's REST API |
 
 mod accuracy;
@@ -24,10 +26,13 @@ mod allot;
 mod ambient;
 mod backoff;
 mod calibrate;
+mod capabilities;
+mod checkpoint;
 mod client;
 mod execute;
 mod explain;
 mod library;
+mod limits;
 mod noise;
 mod pictures;
 mod quote;
@@ -43,9 +48,10 @@ mod warm_clock;
 pub use accuracy::{AccuracyObserver, AccuracyOptions, MeasureOptions, measure, predict};
 pub use agent::{Agent, AgentError, Errand};
 pub use allot::{Aim, AllotError, AllotOptions, render_allotted};
-pub use ambient::{Ambient, AmbientShot, tracer_settings};
+pub use ambient::{Adapter, Ambient, AmbientShot, tracer_settings};
 pub use backoff::Backoff;
 pub use calibrate::{MEASURING_TIME, REFERENCE_RATE, node_speed};
+pub use capabilities::capabilities;
 pub use client::{Client, EventStream, FramePicture};
 pub use execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 pub use library::Library;

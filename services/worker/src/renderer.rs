@@ -11,8 +11,8 @@ use forelight_protocol::{
 };
 use forelight_scene::{Frame, MaterialClass, SceneError};
 use forelight_tracer::{
-    Cache, CacheError, CacheTotals, Image, Pixel, Profile, ProfileError, RecordCost, SampleCounts,
-    SampleCountsError, SettingsError, Shared,
+    Cache, CacheError, CacheTotals, Image, Pixel, PixelsFinished, Profile, ProfileError, RecordCost,
+    SampleCounts, SampleCountsError, SettingsError, Shared,
 };
 use std::path::Path;
 use std::sync::Arc;
@@ -239,11 +239,13 @@ pub trait FrameRenderer: Send + Sync {
     /// dropped; what the frame needs beyond the others will be planned anew.
     fn share(&self, cache: Cache) -> Result<(), RenderError>;
 
-    /// The image, on the current thread pool; what `reuse` holds is taken over. `None` if `cancel` was set.
+    /// The image, on the current thread pool; what `reuse` holds is taken over. `finished` is given pixels as they are finished. `None` if
+    /// `cancel` was set.
     fn render(
         &self,
         reuse: Option<&Profile>,
         progress: &(dyn Fn(Progress) + Sync),
+        finished: &PixelsFinished<'_>,
         cancel: &AtomicBool,
     ) -> Result<Option<Finished>, RenderError>;
 }

@@ -1,12 +1,13 @@
 //! The three kinds of tasks, done by a renderer.
 
+use crate::checkpoint::Checkpoints;
 use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 use crate::library::Library;
 use crate::noise::noise_strata;
 use crate::pictures::{encode, encoding_nanos, png, write_cost};
 use crate::quote::QuoteOptions;
 use crate::render::{render_ready, seconds};
-use crate::renderer::{Progress, RenderError, Renderer, ShotInfo, Step};
+use crate::renderer::{FrameRenderer, Progress, RenderError, Renderer, ShotInfo, Step};
 use crate::shot::{
     CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, forecast_strata, profile_frame,
     record_prior_cost,
@@ -14,8 +15,8 @@ use crate::shot::{
 use bytes::Bytes;
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{
-    ArtifactHash, CacheMode, CacheSample, FrameStrata, NoiseCell, NoiseSample, PreviewResult, PreviewSpec,
-    ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts, RenderResult,
+    ArtifactHash, CacheMode, CacheSample, FrameStrata, LogLevel, NoiseCell, NoiseSample, PreviewResult,
+    PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts, RenderResult,
     RenderSettings, RenderSpec, Stratum, TaskResult, TaskSpec,
 };
 use forelight_tracer::Profile;
@@ -48,10 +49,15 @@ impl Execute for TaskRunner {
                 "the bundle has changed since the job was submitted (its digest was {submitted} and is {found}): submit the job again"
             )));
         }
+        let scene = &renderer.info().summary;
+        control.log(
+            LogLevel::Info,
+            format!("scene {} with {} triangles in {} objects", scene.name, scene.triangles, scene.objects),
+        );
         match &assignment.spec {
             TaskSpec::Preview(spec) => preview(renderer, spec, control),
             TaskSpec::Profile(spec) => profile(renderer, spec, control),
-            TaskSpec::Render(spec) => render(renderer, spec, assignment.profile.as_ref(), control),
+            TaskSpec::Render(spec) => render(renderer, spec, assignment, control),
         }
     }
 }
@@ -59,6 +65,7 @@ impl Execute for TaskRunner {
 fn preview(renderer: &dyn Renderer, spec: &PreviewSpec, control: &Control) -> Result<Outcome, ExecuteError> {
     let counted = count_frames(renderer, &spec.frames, &spec.settings, &Reporting(control))?;
     let result = preview_result(renderer.info(), &spec.frames, &spec.settings, &counted);
+    control.log(LogLevel::Info, format!("previewed {} frames", result.frames.len()));
     Ok(Outcome { result: TaskResult::Preview(result), artifacts: Vec::new() })
 }
 
@@ -171,22 +178,41 @@ fn noise_cells(info: &ShotInfo, settings: &RenderSettings, profiled: &ProfiledFr
 fn render(
     renderer: &dyn Renderer,
     spec: &RenderSpec,
-    profile: Option<&Bytes>,
+    assignment: &Assignment,
     control: &Control,
 ) -> Result<Outcome, ExecuteError> {
-    let reuse = profile.map(|bytes| Profile::from_bytes(bytes)).transpose().map_err(RenderError::from)?;
+    let profile = assignment.profile.as_ref();
+    let profile = profile.map(|bytes| Profile::from_bytes(bytes)).transpose().map_err(RenderError::from)?;
     let cached = spec.settings.cache == CacheMode::On;
     let progress = |progress: Progress| control.set_progress(fraction(progress, cached));
     let start = Instant::now();
     let ready = renderer.frame(spec.frame, &spec.settings)?;
-    let mut rendered = render_ready(&*ready, &spec.settings, reuse.as_ref(), &progress, control.cancelled())?
-        .ok_or(ExecuteError::Cancelled)?;
+    control.log(LogLevel::Info, format!("frame {} calls for: {}", spec.frame, ready.effects().join(", ")));
+    let reuse = match (cached, &assignment.checkpoint) {
+        (false, Some(bytes)) => go_on_from(&*ready, bytes, profile, spec.settings.pixels(), control),
+        _ => profile,
+    };
+    // With an irradiance cache the pixels are the lesser part, and worth little without it.
+    let start_of_checkpoints = (!cached).then(|| reuse.clone().unwrap_or_else(|| ready.profile(&[])));
+    let checkpoints = Checkpoints::new(control, start_of_checkpoints, spec.settings.pixels());
+    let finished = |pixels: &[_]| checkpoints.finished(pixels);
+    let mut rendered =
+        render_ready(&*ready, &spec.settings, reuse.as_ref(), &progress, &finished, control.cancelled())?
+            .ok_or(ExecuteError::Cancelled)?;
     let seen = ready.preview()?;
     let picture = forelight_preview::picture(&seen.preview, &rendered.frame);
     let (pictures, encoding) = encode(&rendered.image, &rendered.frame, &picture)?;
     let written = write_cost(encoding, seen.spent);
     rendered.stats.cpu_seconds += seconds(written.cpu_nanos);
     rendered.stats.wall_seconds = start.elapsed().as_secs_f64();
+    let stats = &rendered.stats;
+    control.log(
+        LogLevel::Info,
+        format!(
+            "rendered {} × {} pixels, {} of them taken over: {:.1} CPU seconds, {} operations",
+            stats.width, stats.height, stats.reused_pixels, stats.cpu_seconds, stats.work
+        ),
+    );
     let mut files = Files::default();
     let artifacts = RenderArtifacts {
         image_exr: files.add(pictures.image_exr),
@@ -196,6 +222,33 @@ fn render(
     };
     let result = RenderResult { stats: rendered.stats, artifacts };
     Ok(Outcome { result: TaskResult::Render(result), artifacts: files.contents })
+}
+
+/// What an earlier worker finished of the frame, the profile included; the profile alone, if that cannot be used: a checkpoint is a help,
+/// and no part of the task.
+fn go_on_from(
+    ready: &dyn FrameRenderer,
+    checkpoint: &Bytes,
+    profile: Option<Profile>,
+    pixels: u64,
+    control: &Control,
+) -> Option<Profile> {
+    match Profile::from_bytes(checkpoint) {
+        Ok(found)
+            if found.fingerprint == ready.profile(&[]).fingerprint
+                && found.cache.is_none()
+                && found.fits(usize::try_from(pixels).unwrap_or(usize::MAX)) =>
+        {
+            let text = format!("goes on from {} pixels that an earlier worker finished", found.pixels.len());
+            control.log(LogLevel::Info, text);
+            Some(found)
+        }
+        found => {
+            let why = found.err().map_or("it belongs to another image".to_owned(), |error| error.to_string());
+            control.log(LogLevel::Warn, format!("an earlier worker's tiles cannot be used: {why}"));
+            profile
+        }
+    }
 }
 
 /// How much of a render is done, 0 to 1. An irradiance cache is given the first half: it takes about that.

@@ -2,7 +2,7 @@
 //!
 //! Everything that this program asks of the service may be asked twice: results carry a fencing token, artefacts are
 //! named by their hash, and whatever creates something (a claim creates a lease) carries an idempotency key. So a request is sent again whenever no answer came (refused, reset, timed out), or when the answer was
-//! "not now" (429, 502, 503, 504, or an idempotency key whose first request is still being worked on).
+//! "not now" (429, 502, 503, 504, a full disk at the service (507), or an idempotency key whose first request is still being worked on).
 
 use crate::backoff::Backoff;
 use bytes::Bytes;
@@ -300,7 +300,7 @@ async fn refusal(response: Response) -> ClientError {
 
 /// Whether the same request may succeed a little later.
 fn is_not_now(error: &ClientError) -> bool {
-    let busy = |status: u16| matches!(status, 429 | 502 | 503 | 504);
+    let busy = |status: u16| matches!(status, 429 | 502 | 503 | 504 | 507);
     match error {
         ClientError::Refused(problem) => {
             busy(problem.status) || problem.known_kind() == Some(ProblemKind::IdempotencyInFlight)

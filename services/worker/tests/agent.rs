@@ -7,9 +7,10 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{patch, post, put};
 use axum::{Json, Router};
 use forelight_protocol::{
-    ArtifactHash, BundleSource, ClaimRequest, JobId, Lease, LeaseId, LeaseOrder, NodeRegistration,
+    ArtifactHash, BundleSource, ClaimRequest, JobId, Lease, LeaseId, LeaseOrder, LogLevel, NodeRegistration,
     PreviewBackend, PreviewResult, PreviewSpec, Problem, ProblemKind, RenderSettingsRequest, RenewRequest,
-    Renewal, ResultRequest, SceneDigest, Spent, TaskId, TaskResult, TaskSpec, Timestamp,
+    Renewal, ResultRequest, SceneDigest, Spent, TaskId, TaskLimit, TaskLimits, TaskResult, TaskSpec,
+    Timestamp,
 };
 use forelight_worker::{
     Agent, Assignment, Client, Control, Errand, Execute, ExecuteError, Library, OpenRenderer, Outcome,
@@ -83,7 +84,7 @@ async fn renew(State(farm): State<Shared>, Json(renewal): Json<RenewRequest>) ->
     let mut farm = farm.lock().unwrap();
     farm.renewals.push(renewal);
     match farm.order.unwrap_or(Ok(LeaseOrder::Continue)) {
-        Ok(order) => Json(Renewal { expires_at: Timestamp::now(), order }).into_response(),
+        Ok(order) => Json(Renewal { expires_at: Timestamp::now(), order, drain: false }).into_response(),
         Err(kind) => problem(kind),
     }
 }
@@ -135,6 +136,7 @@ fn lease(fence: u64) -> Lease {
         expires_at: Timestamp::now(),
         ttl_ms: TTL_MS,
         spec: TaskSpec::Preview(spec),
+        limits: TaskLimits::default(),
     }
 }
 
@@ -214,8 +216,13 @@ struct Rig {
 fn agent(address: &str, executor: Arc<Slow>) -> (Agent, tempfile::TempDir) {
     let bundles = tempfile::tempdir().unwrap();
     let library = Arc::new(Library::new(bundles.path(), Box::new(NoRenderer)).unwrap());
-    let registration =
-        NodeRegistration { name: "node-1".into(), speed: 1.0, price_per_hour: Default::default(), cores: 1 };
+    let registration = NodeRegistration {
+        name: "node-1".into(),
+        speed: 1.0,
+        price_per_hour: Default::default(),
+        cores: 1,
+        capabilities: Default::default(),
+    };
     let client = Client::new(address, None).unwrap();
     (Agent::new(client, library, executor, registration).unwrap(), bundles)
 }
@@ -346,6 +353,43 @@ async fn errors_and_panics_are_reported_with_whether_trying_again_can_help() {
         assert_eq!(error.permanent, permanent, "{message}");
         rig.end().await;
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_task_beyond_its_time_limit_is_stopped_and_the_limit_is_said_in_error_and_log() {
+    let limits = TaskLimits { memory_bytes: Some(1 << 50), wall_ms: Some(150) };
+    let limited = Lease { limits, ..lease(1) };
+    let rig =
+        Rig::new(Farm { ready: vec![limited], ..Farm::default() }, Slow::new(Duration::from_secs(60))).await;
+    rig.until("an error came", |farm| !farm.reports.is_empty()).await;
+    assert!(rig.executor.stopped.load(Ordering::SeqCst));
+    let end = rig.farm.lock().unwrap().reports[0].clone();
+    let error = end.error.unwrap();
+    assert_eq!((error.limit, error.permanent), (Some(TaskLimit::WallTime), false));
+    assert!(error.message.contains("0.15 s"), "{}", error.message);
+    let last = end.log.last().unwrap();
+    assert_eq!((last.level, last.text.contains("0.15 s")), (LogLevel::Error, true), "{last:?}");
+    rig.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_paused_worker_stands_still_says_so_and_goes_on() {
+    let farm = Farm { ready: vec![lease(1)], order: Some(Ok(LeaseOrder::Pause)), ..Farm::default() };
+    let rig = Rig::new(farm, Slow::new(Duration::from_millis(TTL_MS))).await;
+    rig.until("it stands still", |farm| farm.renewals.last().is_some_and(|renewal| renewal.paused)).await;
+    tokio::time::sleep(Duration::from_millis(3 * TTL_MS)).await;
+    assert!(rig.farm.lock().unwrap().reports.is_empty(), "it went on");
+    rig.farm.lock().unwrap().order = None;
+    rig.until("the result came", |farm| !farm.reports.is_empty()).await;
+    let said: Vec<String> = {
+        let farm = rig.farm.lock().unwrap();
+        let renewed = farm.renewals.iter().flat_map(|renewal| &renewal.log);
+        renewed.chain(&farm.reports[0].log).map(|line| line.text.clone()).collect()
+    };
+    for line in ["paused by order", "goes on by order"] {
+        assert_eq!(said.iter().filter(|said| *said == line).count(), 1, "{said:?}");
+    }
+    rig.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -48,7 +48,13 @@ fn quick() -> Backoff {
 }
 
 fn registration() -> NodeRegistration {
-    NodeRegistration { name: "node-1".into(), speed: 1.0, price_per_hour: Default::default(), cores: 1 }
+    NodeRegistration {
+        name: "node-1".into(),
+        speed: 1.0,
+        price_per_hour: Default::default(),
+        cores: 1,
+        capabilities: Default::default(),
+    }
 }
 
 fn node() -> String {

@@ -93,7 +93,17 @@ impl Rig {
     }
 
     fn run(&self, spec: TaskSpec, profile: Option<bytes::Bytes>) -> Result<Outcome, ExecuteError> {
-        self.runner.execute(&Assignment { spec, bundle: self.bundle(), profile }, &Control::default())
+        self.run_from(spec, profile, None, &Control::default())
+    }
+
+    fn run_from(
+        &self,
+        spec: TaskSpec,
+        profile: Option<bytes::Bytes>,
+        checkpoint: Option<bytes::Bytes>,
+        control: &Control,
+    ) -> Result<Outcome, ExecuteError> {
+        self.runner.execute(&Assignment { spec, bundle: self.bundle(), profile, checkpoint }, control)
     }
 
     fn profile_spec(&self, frame: u32) -> TaskSpec {
@@ -201,6 +211,52 @@ fn a_profiled_pixel_is_a_finished_pixel() {
 }
 
 #[test]
+fn a_frame_that_was_broken_off_goes_on_from_its_finished_tiles_to_the_same_bits() {
+    let mut rig = Rig::new();
+    rig.settings.spp = 64;
+    let profiled = rig.run(rig.profile_spec(1), None).unwrap();
+    let profile = profiled.artifacts.first().cloned();
+    let undisturbed = rig.run(rig.render_spec(1), profile.clone()).unwrap();
+    let control = Control::with_checkpoints(std::time::Duration::ZERO);
+    let tiles = std::thread::scope(|scope| {
+        let work = scope.spawn(|| rig.run_from(rig.render_spec(1), profile.clone(), None, &control));
+        let tiles = loop {
+            if let Some(tiles) = control.take_checkpoint() {
+                break tiles;
+            }
+            assert!(!work.is_finished(), "it ended without a checkpoint");
+            std::thread::yield_now();
+        };
+        control.cancel();
+        let ended = work.join().unwrap();
+        assert!(matches!(ended, Err(ExecuteError::Cancelled) | Ok(_)), "{ended:?}");
+        // What was finished while it was stopped counts, too.
+        control.take_checkpoint().unwrap_or(tiles)
+    });
+    let control = Control::default();
+    let resumed = rig.run_from(rig.render_spec(1), profile.clone(), Some(tiles.clone()), &control).unwrap();
+    let (TaskResult::Render(before), TaskResult::Render(after)) = (&undisturbed.result, &resumed.result)
+    else {
+        panic!()
+    };
+    assert_eq!(before.artifacts.image_png, after.artifacts.image_png);
+    assert_eq!(before.artifacts.cost_map_png, after.artifacts.cost_map_png);
+    assert_eq!((before.stats.work, before.stats.rays), (after.stats.work, after.stats.rays));
+    assert!(after.stats.reused_pixels > before.stats.reused_pixels, "nothing was gone on from");
+    assert!(control.unsent().iter().any(|line| line.text.starts_with("goes on from")));
+    // Tiles of another frame, and damaged ones, are no reason to fail.
+    let mut damaged = tiles.to_vec();
+    damaged[100] ^= 1;
+    for (frame, tiles) in [(0, tiles), (1, damaged.into())] {
+        let control = Control::default();
+        let anyway = rig.run_from(rig.render_spec(frame), None, Some(tiles), &control).unwrap();
+        let TaskResult::Render(anyway) = anyway.result else { panic!() };
+        assert_eq!(anyway.stats.reused_pixels, 0);
+        assert!(control.unsent().iter().any(|line| line.text.contains("cannot be used")));
+    }
+}
+
+#[test]
 fn a_frames_time_holds_that_of_writing_its_files_and_the_profile_measures_it() {
     let rig = Rig::new();
     let profiled = rig.run(rig.profile_spec(1), None).unwrap();
@@ -291,7 +347,7 @@ fn a_cancelled_task_says_so() {
     let control = Control::default();
     control.cancel();
     for spec in [rig.render_spec(0), rig.profile_spec(0)] {
-        let assignment = Assignment { spec, bundle: rig.bundle(), profile: None };
+        let assignment = Assignment { spec, bundle: rig.bundle(), profile: None, checkpoint: None };
         assert_eq!(rig.runner.execute(&assignment, &control).unwrap_err(), ExecuteError::Cancelled);
     }
 }

@@ -38,7 +38,7 @@ impl Conductor {
             .nodes(None, MOST_NODES)
             .await?
             .into_iter()
-            .filter(|node| !node.drain && now.micros_since(node.last_seen_at) <= SILENCE)
+            .filter(|node| node.takes_tasks() && now.micros_since(node.last_seen_at) <= SILENCE)
             .collect();
         let taken = project(&self.store.open_bookings().await?, now);
         let input = planner_input(job, forecast, &nodes, &taken, now);

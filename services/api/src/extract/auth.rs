@@ -4,14 +4,14 @@
 use axum::extract::FromRequestParts;
 use axum::http::header::AUTHORIZATION;
 use axum::http::request::Parts;
-use forelight_protocol::{ProblemKind, Role};
+use forelight_protocol::{LeaseId, NodeId, ProblemKind, Role};
 use forelight_store::tokens::{self, Principal};
 
 use crate::error::{ApiError, ApiResult};
 use crate::state::App;
 
 const NO_TOKEN: &str = "Bearer realm=\"forelight\"";
-const BAD_TOKEN: &str = "Bearer realm=\"forelight\", error=\"invalid_token\"";
+pub(crate) const BAD_TOKEN: &str = "Bearer realm=\"forelight\", error=\"invalid_token\"";
 const WRONG_ROLE: &str = "Bearer realm=\"forelight\", error=\"insufficient_scope\"";
 
 macro_rules! caller {
@@ -50,29 +50,61 @@ caller!(
     /// A token that may do the work.
     WorkerToken, Worker | Operator
 );
-
 caller!(
-    /// A token that may run the farm.
+    /// A token that may do everything.
     Operator, Operator
 );
 
-async fn principal(parts: &Parts, app: &App) -> ApiResult<Principal> {
-    let refused = |detail: &str, challenge| {
-        Err(ApiError::new(ProblemKind::Unauthenticated, detail).authenticate(challenge))
-    };
+impl WorkerToken {
+    /// The token of a node speaks for that node alone.
+    pub fn speaks_for(&self, node: NodeId) -> ApiResult<()> {
+        match self.0.node {
+            Some(own) if own != node => {
+                Err(ApiError::new(ProblemKind::Forbidden, "this token speaks for another node")
+                    .authenticate(WRONG_ROLE))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// So it does for the leases that the node was given.
+    pub async fn speaks_for_lease(&self, app: &App, lease: LeaseId) -> ApiResult<()> {
+        match self.0.node {
+            Some(_) => self.speaks_for(app.store.lease_holder(lease).await?),
+            None => Ok(()),
+        }
+    }
+}
+
+/// A bearer token that may be a one-time token: whether it is good is found out when it is burnt.
+pub(crate) struct OneTimeToken(pub String);
+
+impl FromRequestParts<App> for OneTimeToken {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, _: &App) -> ApiResult<Self> {
+        bearer(parts).map(|token| Self(token.to_owned()))
+    }
+}
+
+/// The bearer token of a request.
+fn bearer(parts: &Parts) -> ApiResult<&str> {
+    let refused = |detail: &str| ApiError::new(ProblemKind::Unauthenticated, detail).authenticate(NO_TOKEN);
     let Some(header) = parts.headers.get(AUTHORIZATION) else {
-        return refused("send a token: Authorization: Bearer …", NO_TOKEN);
+        return Err(refused("send a token: Authorization: Bearer …"));
     };
     let token = header.to_str().ok().and_then(|header| {
         let (scheme, token) = header.split_once(' ')?;
         scheme.eq_ignore_ascii_case("bearer").then_some(token.trim())
     });
-    let Some(token) = token else {
-        return refused("only bearer tokens are taken: Authorization: Bearer …", NO_TOKEN);
-    };
-    match tokens::find(&app.store, token).await? {
+    token.ok_or_else(|| refused("only bearer tokens are taken: Authorization: Bearer …"))
+}
+
+async fn principal(parts: &Parts, app: &App) -> ApiResult<Principal> {
+    match tokens::find(&app.store, bearer(parts)?).await? {
         Some(principal) => Ok(principal),
-        None => refused("this token is not known here", BAD_TOKEN),
+        None => Err(ApiError::new(ProblemKind::Unauthenticated, "this token is not known here")
+            .authenticate(BAD_TOKEN)),
     }
 }
 

@@ -1,5 +1,6 @@
 //! Leases: handing tasks to workers and taking results from them.
 
+pub(crate) mod checkpoint;
 mod claim;
 mod fits;
 
@@ -8,7 +9,7 @@ use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{
-    ClaimRequest, Lease, LeaseId, ProblemKind, ReleaseRequest, RenewRequest, Renewal, ResultAnswer,
+    ClaimRequest, Lease, LeaseId, LogLine, ProblemKind, ReleaseRequest, RenewRequest, Renewal, ResultAnswer,
     ResultRequest, TaskKind,
 };
 use forelight_store::StoreError;
@@ -27,14 +28,15 @@ const LONGEST_WAIT: u32 = 60_000;
     responses((status = 200, description = "A task", body = Lease), (status = 204, description = "There is nothing to do"), Problems))]
 pub(crate) async fn claim(
     State(app): State<App>,
-    WorkerToken(principal): WorkerToken,
+    worker: WorkerToken,
     key: KeyHeader,
     JsonBody { value: request, hash, .. }: JsonBody<ClaimRequest>,
 ) -> ApiResult<Response> {
     if request.wait_ms > LONGEST_WAIT {
         return Err(ApiError::invalid("/wait_ms", format!("waits last up to {LONGEST_WAIT} ms")));
     }
-    let key = key.of(&principal, &hash);
+    worker.speaks_for(request.node_id)?;
+    let key = key.of(&worker.0, &hash);
     let _guard = app.in_flight.enter(key.as_ref())?;
     match claim::wait_for_task(&app, &request, key.as_ref()).await? {
         Some(lease) => Ok(created(StatusCode::OK, lease)),
@@ -42,19 +44,21 @@ pub(crate) async fn claim(
     }
 }
 
-/// Renews a lease and reports progress. The answer may be the order to stop.
+/// The heartbeat of a node that has a task: renews the lease, reports progress and what there is to say, and brings orders back.
 #[utoipa::path(patch, path = "/v1/leases/{id}", tag = "work", params(("id" = LeaseId, Path)), request_body = RenewRequest,
     responses((status = 200, description = "The lease goes on, or the task is to be dropped", body = Renewal), Problems))]
 pub(crate) async fn renew(
     State(app): State<App>,
-    _: WorkerToken,
+    worker: WorkerToken,
     Segment(lease): Segment<LeaseId>,
     JsonBody { value: request, .. }: JsonBody<RenewRequest>,
 ) -> ApiResult<Json<Renewal>> {
+    worker.speaks_for_lease(&app, lease).await?;
+    check_log(&request.log)?;
     if !(0.0..=1.0).contains(&request.progress) {
         return Err(ApiError::invalid("/progress", "progress is 0 to 1"));
     }
-    let renewal = app.store.renew(lease, request.fence, request.progress, app.lease_ttl, app.now()).await;
+    let renewal = app.store.renew(lease, &request, app.lease_ttl, app.now()).await;
     Ok(Json(counted(&app, renewal)?))
 }
 
@@ -63,10 +67,11 @@ pub(crate) async fn renew(
     responses((status = 204, description = "The task is ready for another worker"), Problems))]
 pub(crate) async fn release(
     State(app): State<App>,
-    _: WorkerToken,
+    worker: WorkerToken,
     Segment(lease): Segment<LeaseId>,
     JsonBody { value: request, .. }: JsonBody<ReleaseRequest>,
 ) -> ApiResult<StatusCode> {
+    worker.speaks_for_lease(&app, lease).await?;
     let released = app.store.release(lease, request.fence, app.now()).await;
     counted(&app, released)?;
     Ok(StatusCode::NO_CONTENT)
@@ -77,10 +82,13 @@ pub(crate) async fn release(
     responses((status = 200, description = "Committed, now or before", body = ResultAnswer), Problems))]
 pub(crate) async fn result(
     State(app): State<App>,
-    _: WorkerToken,
+    worker: WorkerToken,
     Segment(lease): Segment<LeaseId>,
     JsonBody { value: request, .. }: JsonBody<ResultRequest, Large>,
 ) -> ApiResult<Json<ResultAnswer>> {
+    worker.speaks_for_lease(&app, lease).await?;
+    check_log(&request.log)?;
+    app.store.keep_log(lease, request.fence, &request.log).await?;
     match (request.result, request.error) {
         (Some(result), None) => {
             let info = app.store.lease(lease).await?;
@@ -109,6 +117,18 @@ pub(crate) async fn result(
             Ok(Json(ResultAnswer { duplicate, job_state }))
         }
         _ => Err(ApiError::invalid("", "give exactly one of `result` and `error`")),
+    }
+}
+
+fn check_log(log: &[LogLine]) -> ApiResult<()> {
+    /// Lines in one request.
+    const MOST: usize = 100;
+    if log.len() > MOST {
+        return Err(ApiError::invalid("/log", format!("{} lines; a request has at most {MOST}", log.len())));
+    }
+    match log.iter().position(|line| line.text.is_empty()) {
+        Some(empty) => Err(ApiError::invalid(format!("/log/{empty}/text"), "a line says something")),
+        None => Ok(()),
     }
 }
 

@@ -4,11 +4,16 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::Response;
-use forelight_protocol::{Money, Node, NodeChange, NodeId, NodePage, NodeRegistration};
+use forelight_protocol::{
+    Capabilities, JoinRequest, JoinToken, JoinTokenRequest, Money, Node, NodeChange, NodeId, NodePage,
+    NodeRegistration, ProblemKind,
+};
 
 use super::{created, repeated};
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{Anyone, JsonBody, KeyHeader, QueryParameters, Segment, WorkerToken};
+use crate::extract::{
+    Anyone, JsonBody, KeyHeader, OneTimeToken, Operator, QueryParameters, Segment, WorkerToken,
+};
 use crate::page::{PageQuery, cut};
 use crate::state::App;
 
@@ -18,24 +23,55 @@ use crate::state::App;
     responses((status = 201, description = "The node", body = Node), Problems))]
 pub(crate) async fn register(
     State(app): State<App>,
-    WorkerToken(principal): WorkerToken,
+    worker: WorkerToken,
     key: KeyHeader,
     JsonBody { value: registration, hash, .. }: JsonBody<NodeRegistration>,
 ) -> ApiResult<Response> {
-    let key = key.of(&principal, &hash);
+    let key = key.of(&worker.0, &hash);
     if let Some(key) = &key
         && let Some(answer) = app.store.recorded_answer(key).await?
     {
         return Ok(repeated(answer));
     }
-    check_name("/name", &registration.name, 100)?;
-    check_speed(registration.speed)?;
-    check_price(registration.price_per_hour)?;
-    if !(1..=4096).contains(&registration.cores) {
-        return Err(ApiError::invalid("/cores", "a node has 1 to 4096 cores"));
+    check_registration("", &registration)?;
+    if let Some(node) = worker.0.node
+        && app.store.node(node).await?.name != registration.name
+    {
+        return Err(
+            ApiError::new(ProblemKind::Forbidden, "this token speaks for a node of another name").at("/name")
+        );
     }
     let _guard = app.in_flight.enter(key.as_ref())?;
     Ok(created(StatusCode::CREATED, app.store.register_node(&registration, key.as_ref(), app.now()).await?))
+}
+
+/// A machine joins the farm: the bearer token is a one-time token, which is burnt. From now on the machine's own token, whose hash it
+/// sends along, speaks for this node and no other. Asking again with the same hash is answered as before; with another one, 409.
+#[utoipa::path(post, path = "/v1/nodes/join", tag = "work", request_body = JoinRequest,
+    responses((status = 201, description = "The node", body = Node), Problems))]
+pub(crate) async fn join(
+    State(app): State<App>,
+    OneTimeToken(token): OneTimeToken,
+    JsonBody { value: request, .. }: JsonBody<JoinRequest>,
+) -> ApiResult<(StatusCode, Json<Node>)> {
+    check_registration("/node", &request.node)?;
+    Ok((StatusCode::CREATED, Json(app.store.join(&token, &request, app.now()).await?)))
+}
+
+/// Makes a one-time token, with which one machine can join the farm. It is said once; a request that is repeated makes another one.
+#[utoipa::path(post, path = "/v1/join-tokens", tag = "work", request_body = JoinTokenRequest,
+    responses((status = 201, description = "The one-time token", body = JoinToken), Problems))]
+pub(crate) async fn join_token(
+    State(app): State<App>,
+    _: Operator,
+    JsonBody { value: request, .. }: JsonBody<JoinTokenRequest>,
+) -> ApiResult<(StatusCode, Json<JoinToken>)> {
+    check_name("/name", &request.name, 200)?;
+    if !(1..=720).contains(&request.valid_hours) {
+        return Err(ApiError::invalid("/valid_hours", "a one-time token is valid for 1 to 720 hours"));
+    }
+    let valid = i64::from(request.valid_hours) * 3_600_000_000;
+    Ok((StatusCode::CREATED, Json(app.store.create_join_token(&request.name, valid, app.now()).await?)))
 }
 
 /// The nodes, oldest first.
@@ -63,20 +99,43 @@ pub(crate) async fn get(
     Ok(Json(app.store.node(node).await?))
 }
 
-/// Drains or undrains a node, or sets its speed or price by hand.
+/// Gives a node orders (drain, pause and resume, take its task away, set it aside or bring it back), or sets its speed or price by hand.
 ///
-/// What is set holds when the node registers again; `null` gives it up.
+/// Its worker hears of an order at the next renewal of its lease, and the node's `state` says how far it has obeyed. A speed or price that is set holds when the node registers again; `null` gives it up.
 #[utoipa::path(patch, path = "/v1/nodes/{id}", tag = "work", params(("id" = NodeId, Path)), request_body = NodeChange,
     responses((status = 200, description = "The node", body = Node), Problems))]
 pub(crate) async fn change(
     State(app): State<App>,
-    _: WorkerToken,
+    worker: WorkerToken,
     Segment(node): Segment<NodeId>,
     JsonBody { value: change, .. }: JsonBody<NodeChange>,
 ) -> ApiResult<Json<Node>> {
-    change.speed.flatten().map_or(Ok(()), check_speed)?;
-    change.price_per_hour.flatten().map_or(Ok(()), check_price)?;
+    worker.speaks_for(node)?;
+    if worker.0.node.is_some() && change.set_aside == Some(false) {
+        return Err(ApiError::new(ProblemKind::Forbidden, "an operator brings a node back, not the node")
+            .at("/set_aside"));
+    }
+    change.speed.flatten().map_or(Ok(()), |speed| check_speed("/speed", speed))?;
+    change.price_per_hour.flatten().map_or(Ok(()), |price| check_price("/price_per_hour", price))?;
     Ok(Json(app.store.change_node(node, &change, app.now()).await?))
+}
+
+fn check_registration(place: &str, node: &NodeRegistration) -> ApiResult<()> {
+    let at = |name: &str| format!("{place}/{name}");
+    check_name(&at("name"), &node.name, 100)?;
+    check_speed(&at("speed"), node.speed)?;
+    check_price(&at("price_per_hour"), node.price_per_hour)?;
+    if !(1..=4096).contains(&node.cores) {
+        return Err(ApiError::invalid(at("cores"), "a node has 1 to 4096 cores"));
+    }
+    let Capabilities { memory_bytes, processor, vulkan_adapter, gpu: _ } = &node.capabilities;
+    if memory_bytes.is_some_and(|bytes| i64::try_from(bytes).is_err()) {
+        return Err(ApiError::invalid(at("capabilities/memory_bytes"), "a number larger than 2⁶³ − 1"));
+    }
+    for (name, text) in [("processor", processor), ("vulkan_adapter", vulkan_adapter)] {
+        text.as_ref().map_or(Ok(()), |text| check_name(&at(&format!("capabilities/{name}")), text, 200))?;
+    }
+    Ok(())
 }
 
 /// A name is something that people can tell apart on a screen.
@@ -91,24 +150,21 @@ pub(crate) fn check_name(pointer: &str, name: &str, longest: usize) -> ApiResult
     Ok(())
 }
 
-fn check_speed(speed: f64) -> ApiResult<()> {
+fn check_speed(pointer: &str, speed: f64) -> ApiResult<()> {
     // Written so that a NaN, should one ever get here, is refused as well.
     if speed > 0.0 && speed <= 1000.0 {
         Ok(())
     } else {
-        Err(ApiError::invalid("/speed", "a speed is above 0 and at most 1000"))
+        Err(ApiError::invalid(pointer, "a speed is above 0 and at most 1000"))
     }
 }
 
-fn check_price(price: Money) -> ApiResult<()> {
+fn check_price(pointer: &str, price: Money) -> ApiResult<()> {
     /// A million units an hour: with this, no sum over a farm and a year overflows.
     const HIGHEST: Money = Money(1_000_000_000_000);
     if (Money(0)..=HIGHEST).contains(&price) {
         Ok(())
     } else {
-        Err(ApiError::invalid(
-            "/price_per_hour",
-            format!("a price is 0 to {} micro-units an hour", HIGHEST.0),
-        ))
+        Err(ApiError::invalid(pointer, format!("a price is 0 to {} micro-units an hour", HIGHEST.0)))
     }
 }

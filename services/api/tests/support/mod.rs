@@ -173,7 +173,7 @@ impl Farm {
     }
 
     pub async fn report(&self, lease: &Lease, result: TaskResult) -> Response {
-        let request = ResultRequest { fence: lease.fence, result: Some(result), error: None };
+        let request = ResultRequest { fence: lease.fence, result: Some(result), ..ResultRequest::default() };
         self.worker.post(&format!("/v1/leases/{}/result", lease.lease_id), &request).await
     }
 

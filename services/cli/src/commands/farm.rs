@@ -44,7 +44,7 @@ pub struct Args {
 
 /// Runs the command.
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
-    let library = library(&args.service.data.join("bundles"), args.preview)?;
+    let (library, capabilities) = library(&args.service.data.join("bundles"), args.preview)?;
     // Measured before there is anything else to do.
     let speed = measured_speed().await?;
     let running = serve::start(&args.service).await?;
@@ -59,6 +59,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
             speed,
             price_per_hour: Money(args.price),
             cores: u32::from(args.threads),
+            capabilities: capabilities.clone(),
         };
         let executor = Arc::new(TaskRunner::new(library.clone()));
         let agent = Agent::new(client.clone(), library.clone(), executor, registration)?;

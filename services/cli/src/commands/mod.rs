@@ -2,6 +2,7 @@
 
 mod accuracy;
 mod allot;
+mod backup;
 mod bench;
 mod budget;
 mod cache;
@@ -9,6 +10,8 @@ mod explain;
 mod export;
 mod farm;
 mod forecast;
+mod log;
+mod node;
 mod plan;
 mod preview;
 mod render;
@@ -61,6 +64,9 @@ enum Command {
     Simulate(simulate::Args),
     Budget(Box<budget::Args>),
     Token(token::Args),
+    Node(node::Args),
+    Log(log::Args),
+    Backup(backup::Args),
     Bench(bench::Args),
 }
 
@@ -80,6 +86,9 @@ impl Cli {
             Command::Worker(args) => worker::run(args, interrupt).await,
             Command::Submit(args) => submit::run(args, interrupt).await,
             Command::Token(args) => token::run(args).await,
+            Command::Node(args) => node::run(args).await,
+            Command::Log(args) => log::run(args).await,
+            Command::Backup(args) => backup::run(args).await,
             Command::Budget(args) => budget::run(*args).await,
             // Tracing light is not waiting: it gets a thread that may block.
             Command::Render(args) => blocking(move || render::run(&args, &interrupt)).await,
@@ -159,6 +168,10 @@ mod tests {
             ("forelight export b --cache-parts 4", "--cache"),
             ("forelight export b --timeout soon", "--timeout"),
             ("forelight token --role boss", "--role"),
+            ("forelight token --one-time --role worker", "--role"),
+            ("forelight worker --join-token-file j", "--token-file"),
+            ("forelight worker --task-memory little", "--task-memory"),
+            ("forelight backup --data d", "--to"),
             ("forelight simulate --nodes 3", "--nodes"),
             ("forelight simulate --confidence 90", "--confidence"),
             ("forelight simulate --pool 0", "--pool"),

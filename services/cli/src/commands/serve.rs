@@ -148,6 +148,8 @@ impl Running {
 /// Starts the service, and makes the tokens if need be.
 pub async fn start(options: &ServiceOptions) -> Result<Running> {
     let data = options.data.display();
+    // A connection for each worker, and what the service itself needs.
+    crate::open_files::allow(256)?;
     let service = Service::start(options.config())
         .await
         .with_context(|| format!("cannot start the service with data in {data}"))?;

@@ -2,11 +2,13 @@
 
 use crate::atomic_file;
 use crate::failure::BadInput;
+use crate::options::duration;
 use crate::output;
 use anyhow::{Context, Result};
 use forelight_protocol::{Role, Timestamp};
 use forelight_store::{Store, tokens};
 use std::path::PathBuf;
+use std::time::Duration;
 
 /// Make a bearer token for a person or a worker
 #[derive(Debug, clap::Args)]
@@ -14,17 +16,27 @@ use std::path::PathBuf;
 Examples:
   forelight token --data farm-data --role submitter --name anna
   forelight token --data farm-data --role worker --name rack-7 --out rack-7.token
+  forelight token --data farm-data --one-time --name rack-8 --out rack-8.join
 
 The token is shown or written once; the farm keeps only its hash. The service may be running.
 
-Roles: viewer reads; submitter also submits jobs and bundles; worker also takes tasks; operator may do everything.")]
+Roles: viewer reads; submitter also submits jobs and bundles; worker also takes tasks; operator may do everything.
+
+A one-time token lets one machine join the farm, once: `forelight worker --join-token-file rack-8.join --token-file rack-8.token`. The \
+machine gets a token of its own, which speaks for its node and no other.")]
 pub struct Args {
     /// Data folder of the farm
     #[arg(long, value_name = "DIR", default_value = "farm-data")]
     data: PathBuf,
     /// What its holder may do
-    #[arg(long, value_name = "ROLE")]
-    role: Role,
+    #[arg(long, value_name = "ROLE", required_unless_present = "one_time")]
+    role: Option<Role>,
+    /// Make a one-time token, with which one machine can join the farm as a node
+    #[arg(long, conflicts_with = "role")]
+    one_time: bool,
+    /// How long a one-time token may be used
+    #[arg(long, value_name = "DURATION", default_value = "24h", value_parser = duration, requires = "one_time")]
+    valid: Duration,
     /// Whom it is for
     #[arg(long, value_name = "NAME", default_value = "unnamed")]
     name: String,
@@ -46,7 +58,14 @@ pub async fn run(args: Args) -> Result<()> {
     let store = Store::open_beside(&args.data)
         .await
         .with_context(|| format!("cannot open the farm's data in {}", args.data.display()))?;
-    let token = tokens::create(&store, args.role, args.name.trim(), Timestamp::now()).await?;
+    let (name, now) = (args.name.trim(), Timestamp::now());
+    let token = match args.role {
+        Some(role) => tokens::create(&store, role, name, now).await?,
+        None => {
+            let valid = i64::try_from(args.valid.as_micros()).unwrap_or(i64::MAX);
+            store.create_join_token(name, valid, now).await?.token
+        }
+    };
     store.close().await;
     match &args.out {
         Some(path) => atomic_file::write_secret(path, token.as_bytes()),

@@ -1,17 +1,22 @@
 //! `forelight worker`: a worker process on this machine, for a service anywhere.
 
-use crate::connection::connect;
+use crate::atomic_file::write_secret;
+use crate::connection::{connect, read_token};
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::local::preview_choice;
-use crate::options::{ConnectionOptions, PreviewBackend};
+use crate::options::{ConnectionOptions, PreviewBackend, duration};
 use crate::output;
-use crate::quantities::parse_money;
+use crate::quantities::{parse_bytes, parse_money};
 use anyhow::{Context, Result};
-use forelight_protocol::{Money, NodeRegistration, TaskId};
-use forelight_worker::{Agent, Ambient, Errand, Library, TaskRunner, node_speed};
-use std::path::PathBuf;
+use forelight_protocol::{
+    Capabilities, JoinRequest, Money, NodeRegistration, ProblemKind, TaskId, TaskLimits,
+};
+use forelight_store::{token_hash, tokens};
+use forelight_worker::{Agent, Ambient, Client, Errand, Library, TaskRunner, capabilities, node_speed};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Work for a service: take tasks, render, report
 #[derive(Debug, clap::Args)]
@@ -19,9 +24,13 @@ use std::sync::Arc;
 Examples:
   forelight worker --server http://farm:7878 --token-file rack-7.token --name rack-7
   forelight worker --data farm-data --name this-machine --threads 2 --price 0.80
+  forelight worker --server http://farm:7878 --join-token-file rack-8.join --token-file rack-8.token --name rack-8
 
 The machine's speed is measured at the start (a third of a second). Ctrl-C stops taking tasks and gives the one at hand \
-back. A restart of the service is survived: results are offered until they are taken.")]
+back. A restart of the service is survived: results are offered until they are taken.
+
+With --join-token-file the machine joins the farm: the one-time token is burnt, and the machine's own token, which it makes itself, is \
+kept in --token-file. Started again with the same flags it finds that token and uses it.")]
 pub struct Args {
     /// Name of this node, unique on the farm [default: the host's name]
     #[arg(long, value_name = "NAME")]
@@ -42,25 +51,45 @@ pub struct Args {
     /// once, with exit code 0, if it is over
     #[arg(long, value_name = "ID")]
     task: Option<TaskId>,
+    /// Most memory that this process may use while it does a task, such as 8GiB; beyond it the task is ended [default: no limit]
+    #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+    task_memory: Option<u64>,
+    /// Most time that a task may take; beyond it the task is ended [default: no limit]
+    #[arg(long, value_name = "DURATION", value_parser = duration)]
+    task_time: Option<Duration>,
+    /// How often the finished tiles of a frame are sent to the service, for whoever has the frame next should this process be killed; frames
+    /// of up to a million pixels without an irradiance cache
+    #[arg(long, value_name = "DURATION", default_value = "1m", value_parser = duration)]
+    checkpoints: Duration,
+    /// File with a one-time token, to join the farm with; the machine's own token is kept in --token-file
+    #[arg(long, value_name = "FILE", requires = "token_file")]
+    join_token_file: Option<PathBuf>,
     #[command(flatten)]
     connection: ConnectionOptions,
 }
 
 /// Runs the command.
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
-    let client = connect(&args.connection)?;
     let name = args.name.map_or_else(host_name, Ok)?;
     let folder = args.bundles.unwrap_or_else(|| std::env::temp_dir().join("forelight-bundles"));
-    let library = library(&folder, args.preview)?;
+    let (library, capabilities) = library(&folder, args.preview)?;
     let cores = args.threads.map_or_else(cores, u32::from);
     let registration = NodeRegistration {
         name: name.clone(),
         speed: measured_speed().await?,
         price_per_hour: Money(args.price),
         cores,
+        capabilities,
     };
+    let client = match &args.join_token_file {
+        Some(one_time) => join(one_time, &args.connection, &registration).await?,
+        None => connect(&args.connection)?,
+    };
+    let limits = task_limits(args.task_memory, args.task_time);
     let executor = Arc::new(TaskRunner::new(library.clone()));
-    let agent = Agent::new(client.clone(), library, executor, registration)?;
+    let agent = Agent::new(client.clone(), library, executor, registration)?
+        .with_limits(limits)
+        .with_checkpoints(args.checkpoints);
     let address = client.address();
     let Some(task) = args.task else {
         output::line(format!("worker {name} with {cores} threads for {address}"))?;
@@ -74,13 +103,41 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     }
 }
 
-/// The bundles of a process, and the renderer that opens them.
-pub fn library(folder: &std::path::Path, preview: PreviewBackend) -> Result<Arc<Library>> {
+/// The bundles of a process, with the renderer that opens them, and what this machine has.
+pub fn library(folder: &Path, preview: PreviewBackend) -> Result<(Arc<Library>, Capabilities)> {
     let ambient = Ambient::new(preview_choice(preview));
-    ambient.ready().context("cannot make previews as asked")?;
+    let capabilities = capabilities(&ambient).context("cannot make previews as asked")?;
     let library = Library::new(folder, Box::new(ambient))
         .with_context(|| format!("cannot keep bundles in {}", folder.display()))?;
-    Ok(Arc::new(library))
+    Ok((Arc::new(library), capabilities))
+}
+
+/// Limits of tasks, from flags.
+pub fn task_limits(memory: Option<u64>, time: Option<Duration>) -> TaskLimits {
+    let millis = |time: Duration| u64::try_from(time.as_millis()).unwrap_or(u64::MAX).max(1);
+    TaskLimits { memory_bytes: memory, wall_ms: time.map(millis) }
+}
+
+/// A client with this machine's own token: the one in the token file or, if the service does not know that, a new one for which the
+/// one-time token is burnt. The own token is on disk before the service hears of it: whatever dies in between, nothing is lost.
+async fn join(one_time: &Path, connection: &ConnectionOptions, node: &NodeRegistration) -> Result<Client> {
+    let file = connection.token_file.as_ref().context("there is no file for the machine's own token")?;
+    if !file.exists() {
+        write_secret(file, tokens::random().as_bytes())?;
+    }
+    let client = connect(connection)?;
+    match client.nodes().await {
+        Ok(_) => return Ok(client),
+        Err(error) if error.is(ProblemKind::Unauthenticated) => {}
+        Err(error) => return Err(error.into()),
+    }
+    let own = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    let request = JoinRequest { node: node.clone(), token_hash: token_hash(own.trim()) };
+    Client::new(&connection.server, Some(read_token(one_time)?))?
+        .join(&request)
+        .await
+        .with_context(|| format!("cannot join the farm with the one-time token in {}", one_time.display()))?;
+    Ok(client)
 }
 
 /// The speed of one core, measured on a thread of its own.

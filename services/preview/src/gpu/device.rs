@@ -15,6 +15,8 @@ pub(crate) struct Device {
     pub queue: wgpu::Queue,
     /// Name and kind of the adapter, for messages.
     pub name: String,
+    /// Whether it is hardware: everything but a driver that renders on the processor.
+    pub is_hardware: bool,
     fault: Arc<Mutex<Option<String>>>,
 }
 
@@ -83,6 +85,7 @@ impl Device {
             device,
             queue,
             name: format!("{} ({:?}, {})", info.name, info.device_type, info.driver),
+            is_hardware: info.device_type != wgpu::DeviceType::Cpu,
             fault,
         })
     }

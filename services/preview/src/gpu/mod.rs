@@ -73,6 +73,11 @@ impl Gpu {
         &self.device.name
     }
 
+    /// Whether it is a graphics processor, and no program that does its work.
+    pub fn is_hardware(&self) -> bool {
+        self.device.is_hardware
+    }
+
     /// Takes the device away, as a driver that fails does.
     #[cfg(test)]
     pub fn lose(&self) {

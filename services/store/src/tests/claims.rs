@@ -127,7 +127,7 @@ async fn a_speed_and_a_price_set_by_hand_outlive_registrations_until_they_are_gi
     farm.store.change_node(node.id, &change, at(0)).await.unwrap();
     // It starts again, and measures itself anew.
     let registration =
-        NodeRegistration { name: "a".to_owned(), speed: 1.5, price_per_hour: Money(9), cores: 4 };
+        NodeRegistration { speed: 1.5, price_per_hour: Money(9), cores: 4, ..registration("a") };
     let again = fresh(farm.store.register_node(&registration, None, at(1)).await.unwrap());
     assert_eq!((again.id, numbers(&again), again.cores), (node.id, (3.0, true, 7, true), 4));
     // What was set counts, and not only on paper.
@@ -180,7 +180,10 @@ async fn a_claim_finds_its_task_by_index_alone_however_many_there_are() {
                 .await
                 .unwrap();
         let steps: Vec<&str> = plan.iter().map(|step| step.3.as_str()).collect();
-        assert!(steps.len() == 1 && steps[0].contains("USING INDEX tasks_ready"), "{query}: {steps:?}");
+        // The other steps look at a task's failures, by index too, if it has any.
+        assert!(steps[0].contains("USING INDEX tasks_ready"), "{query}: {steps:?}");
+        let slow = |step: &&str| step.starts_with("SCAN f") || step.contains("TEMP B-TREE");
+        assert!(!steps.iter().any(slow), "{query}: {steps:?}");
     }
 }
 

@@ -3,10 +3,10 @@
 use forelight_protocol::{EventKind, FrameState, JobState, LeaseOrder, TaskError};
 
 use super::*;
-use crate::{MAX_EXPIRIES, MAX_FAILURES, StoreError};
+use crate::{MAX_EXPIRIES, StoreError};
 
 fn error(message: &str) -> TaskError {
-    TaskError { message: message.to_owned(), permanent: false }
+    TaskError { message: message.to_owned(), ..TaskError::default() }
 }
 
 async fn events(farm: &Farm, kind: EventKind) -> usize {
@@ -29,7 +29,7 @@ async fn an_expired_lease_goes_back_and_the_stale_fence_is_refused_everywhere() 
     let lost =
         |result: Result<(), StoreError>| assert!(matches!(result, Err(StoreError::LeaseLost)), "{result:?}");
     let result = farm.result_for(&stale).await;
-    lost(store.renew(stale.lease_id, stale.fence, 0.5, TTL, at(31)).await.map(drop));
+    lost(store.renew(stale.lease_id, &renewal(stale.fence, 0.5), TTL, at(31)).await.map(drop));
     lost(store.commit_result(stale.lease_id, stale.fence, &result, at(31)).await.map(drop));
     lost(store.fail_task(stale.lease_id, stale.fence, &error("late"), at(31)).await.map(drop));
     lost(store.release(stale.lease_id, stale.fence, at(31)).await);
@@ -69,14 +69,14 @@ async fn a_renewed_lease_lives_on_and_shows_its_progress() {
     let node = farm.node("a").await;
     let job = farm.booked_job(request("0-1"), node.id, at(0)).await;
     let lease = farm.claim(node.id, at(1)).await.unwrap();
-    let renewal = farm.store.renew(lease.lease_id, lease.fence, 0.5, TTL, at(25)).await.unwrap();
-    assert_eq!((renewal.expires_at, renewal.order), (at(55), LeaseOrder::Continue));
+    let renewed = farm.store.renew(lease.lease_id, &renewal(lease.fence, 0.5), TTL, at(25)).await.unwrap();
+    assert_eq!((renewed.expires_at, renewed.order), (at(55), LeaseOrder::Continue));
     assert_eq!(farm.store.sweep(at(54)).await.unwrap().expired, 0);
     assert_eq!(farm.store.job(job).await.unwrap().progress, 0.25);
     assert_eq!(farm.store.frame(job, 0).await.unwrap().progress, 0.5);
     // A smaller step than a hundredth is not worth an event, and progress never runs backwards.
-    farm.store.renew(lease.lease_id, lease.fence, 0.501, TTL, at(26)).await.unwrap();
-    farm.store.renew(lease.lease_id, lease.fence, 0.1, TTL, at(27)).await.unwrap();
+    farm.store.renew(lease.lease_id, &renewal(lease.fence, 0.501), TTL, at(26)).await.unwrap();
+    farm.store.renew(lease.lease_id, &renewal(lease.fence, 0.1), TTL, at(27)).await.unwrap();
     assert_eq!(events(&farm, EventKind::TaskProgress).await, 1);
     assert_eq!(farm.store.frame(job, 0).await.unwrap().progress, 0.5);
     assert_eq!(farm.store.sweep(at(57)).await.unwrap().expired, 1);
@@ -91,7 +91,7 @@ async fn cancelling_a_job_stops_its_leases_and_takes_its_tasks_back() {
     let lease = farm.claim(node.id, at(1)).await.unwrap();
     let result = farm.result_for(&lease).await;
     assert_eq!(farm.store.cancel_job(job, at(2)).await.unwrap().state, JobState::Cancelled);
-    let renewal = farm.store.renew(lease.lease_id, lease.fence, 0.5, TTL, at(3)).await.unwrap();
+    let renewal = farm.store.renew(lease.lease_id, &renewal(lease.fence, 0.5), TTL, at(3)).await.unwrap();
     assert_eq!(renewal.order, LeaseOrder::Stop);
     farm.store.release(lease.lease_id, lease.fence, at(3)).await.unwrap();
     let refused = farm.store.commit_result(lease.lease_id, lease.fence, &result, at(3)).await;
@@ -108,7 +108,7 @@ async fn a_released_task_goes_back_at_once_and_counts_as_no_failure() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;
     farm.job("0").await;
-    for _ in 0..MAX_EXPIRIES + MAX_FAILURES {
+    for _ in 0..2 * MAX_EXPIRIES {
         let lease = farm.claim(node.id, at(0)).await.unwrap();
         farm.store.release(lease.lease_id, lease.fence, at(0)).await.unwrap();
         farm.store.release(lease.lease_id, lease.fence, at(0)).await.unwrap();
@@ -117,37 +117,12 @@ async fn a_released_task_goes_back_at_once_and_counts_as_no_failure() {
 }
 
 #[tokio::test]
-async fn the_third_error_fails_the_job_with_the_last_message() {
-    let farm = Farm::new().await;
-    let node = farm.node("a").await;
-    let job = farm.booked_job(request("0-1"), node.id, at(0)).await;
-    let other = farm.claim(node.id, at(1)).await.unwrap();
-    for attempt in 1..=MAX_FAILURES {
-        let lease = farm.claim(node.id, at(1)).await.unwrap();
-        assert_eq!(lease.spec.frame(), Some(1));
-        let message = error(&format!("out of memory, {attempt}"));
-        let (duplicate, state) =
-            farm.store.fail_task(lease.lease_id, lease.fence, &message, at(1)).await.unwrap();
-        assert!(!duplicate);
-        assert_eq!(state == JobState::Failed, attempt == MAX_FAILURES);
-        let (duplicate, _) =
-            farm.store.fail_task(lease.lease_id, lease.fence, &message, at(1)).await.unwrap();
-        assert!(duplicate, "the same report again counts once");
-    }
-    let failed = farm.store.job(job).await.unwrap();
-    assert_eq!(failed.error.as_deref(), Some("render of frame 1: out of memory, 3"));
-    let renewal = farm.store.renew(other.lease_id, other.fence, 0.1, TTL, at(2)).await.unwrap();
-    assert_eq!(renewal.order, LeaseOrder::Stop);
-    assert_eq!(farm.store.frame(job, 1).await.unwrap().state, FrameState::Failed);
-}
-
-#[tokio::test]
 async fn a_permanent_error_fails_the_job_at_once() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;
     let job = farm.job("0").await;
     let lease = farm.claim(node.id, at(0)).await.unwrap();
-    let message = TaskError { message: "scene.json is gone".to_owned(), permanent: true };
+    let message = TaskError { permanent: true, ..error("scene.json is gone") };
     let (_, state) = farm.store.fail_task(lease.lease_id, lease.fence, &message, at(1)).await.unwrap();
     assert_eq!(state, JobState::Failed);
     assert_eq!(farm.store.job(job.id).await.unwrap().error.as_deref(), Some("preview: scene.json is gone"));

@@ -69,7 +69,7 @@ async fn open_bookings_are_those_of_frames_not_yet_rendered() {
     let first = farm.claim(node.id, at(10)).await.unwrap();
     farm.commit(&first, at(20)).await;
     let second = farm.claim(node.id, at(21)).await.unwrap();
-    farm.store.renew(second.lease_id, second.fence, 0.25, TTL, at(22)).await.unwrap();
+    farm.store.renew(second.lease_id, &renewal(second.fence, 0.25), TTL, at(22)).await.unwrap();
     let open = farm.store.open_bookings().await.unwrap();
     let holder = Holder { node_id: node.id, started: at(21), progress: 0.25 };
     let seen: Vec<_> = open.iter().map(|open| (open.booking.frame, open.holder)).collect();

@@ -63,7 +63,7 @@ async fn the_dashboard_shows_what_every_node_does_and_which_are_silent() {
     let (a, b) = (farm.node("a").await, farm.node("b").await);
     let job = farm.booked_job(request("0-3"), a.id, at(100)).await;
     let lease = farm.claim(a.id, at(100)).await.unwrap();
-    farm.store.renew(lease.lease_id, lease.fence, 0.5, TTL, at(105)).await.unwrap();
+    farm.store.renew(lease.lease_id, &renewal(lease.fence, 0.5), TTL, at(105)).await.unwrap();
     let dashboard = farm.store.dashboard(TTL, at(105)).await.unwrap();
     assert_eq!(
         (dashboard.counts.jobs_active, dashboard.counts.nodes, dashboard.counts.nodes_alive),

@@ -9,12 +9,16 @@ use tokio::time::Instant;
 use crate::error::ApiResult;
 use crate::state::App;
 
+/// So much later than a task is due it is looked for, so that it is due by then.
+const RETRY_MARGIN: Duration = Duration::from_millis(5);
+
 /// Claims a task for the node, and waits for one if need be.
 ///
 /// The hazards of many workers waiting: a task that becomes ready between "there is nothing" and "wake me" must wake
 /// (the watch is marked as seen *before* looking); one ready task must not make a hundred workers queue for the write lock
 /// (those who are woken look first, without it); a lease that runs out is work too, though nobody announces it (so waiting
-/// is cut into pieces of half a lease, at the end of each of which the node is noted as alive); and a service that
+/// is cut into pieces of half a lease, at the end of each of which the node is noted as alive), and so is a task that has waited
+/// long enough after a failure (so a piece is shorter if there is one); and a service that
 /// is told to stop must not wait for its waiters.
 pub(super) async fn wait_for_task(
     app: &App,
@@ -35,7 +39,13 @@ pub(super) async fn wait_for_task(
             return Ok(Some(lease));
         }
         loop {
-            let pause = until.min(Instant::now() + piece);
+            let retry = match app.store.next_retry(app.now()).await? {
+                Some(due) => {
+                    Duration::from_micros(due.micros_since(app.now()).max(0).unsigned_abs()) + RETRY_MARGIN
+                }
+                None => piece,
+            };
+            let pause = until.min(Instant::now() + piece.min(retry));
             let announced = tokio::select! {
                 changed = work.changed() => { if changed.is_err() { return Ok(None) } true }
                 () = tokio::time::sleep_until(pause) => false,

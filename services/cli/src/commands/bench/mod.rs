@@ -2,6 +2,7 @@
 
 mod coverage;
 mod effects;
+mod farm;
 mod forecast;
 mod images;
 mod paper;
@@ -13,7 +14,7 @@ use crate::interrupt::Interrupt;
 use anyhow::Result;
 use clap::Subcommand;
 
-/// Measure how good forecasts are
+/// Measure how good forecasts are, and how much the farm bears
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -23,6 +24,8 @@ Examples:
   forelight bench images kitchen/ --size 256 --pictures images/
   forelight bench rays kitchen/
   forelight bench paper kitchen/ corridor/ --out report/
+  forelight bench leases
+  forelight bench workers --workers 5000
   forelight bench plan
   forelight bench shots kitchen/ corridor/ --svg plots/")]
 pub struct Args {
@@ -36,6 +39,8 @@ enum Bench {
     Effects(effects::Args),
     Forecast(forecast::Args),
     Paper(paper::Args),
+    Leases(farm::leases::Args),
+    Workers(farm::workers::Args),
     Plan(plan::Args),
     Images(images::Args),
     Rays(rays::Args),
@@ -49,6 +54,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         Bench::Effects(args) => effects::run(args, interrupt),
         Bench::Forecast(args) => forecast::run(args, interrupt),
         Bench::Paper(args) => paper::run(args, interrupt),
+        Bench::Leases(args) => farm::leases::run(args, interrupt),
+        Bench::Workers(args) => farm::workers::run(args, interrupt),
         Bench::Plan(args) => plan::run(args),
         Bench::Images(args) => images::run(args, interrupt),
         Bench::Rays(args) => rays::run(args, interrupt),

@@ -4,14 +4,15 @@ mod follow;
 mod images;
 mod report;
 
+use super::worker::task_limits;
 use crate::archive;
 use crate::connection::connect;
 use crate::failure::BadInput;
 use crate::interrupt::Interrupt;
 use crate::local::settings_request;
-use crate::options::{ConfidenceLevel, ConnectionOptions, QualityOptions};
+use crate::options::{ConfidenceLevel, ConnectionOptions, QualityOptions, duration};
 use crate::output::{self, Bars};
-use crate::quantities::{Deadline, parse_deadline, parse_money};
+use crate::quantities::{Deadline, parse_bytes, parse_deadline, parse_money};
 use anyhow::{Context, Result, bail};
 use forelight_protocol::{
     BundleRef, FrameSet, Job, JobId, JobRequest, JobState, Money, RenderSettingsRequest, SceneSummary,
@@ -69,6 +70,12 @@ pub struct Args {
     /// Frames to profile at most
     #[arg(long, value_name = "FRAMES", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     profile_frames: u32,
+    /// Most memory that a worker may use for one of the tasks, such as 8GiB; beyond it the task is ended [default: no limit]
+    #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+    task_memory: Option<u64>,
+    /// Most time that one of the tasks may take; beyond it the task is ended [default: no limit]
+    #[arg(long, value_name = "DURATION", value_parser = duration)]
+    task_time: Option<std::time::Duration>,
     /// Idempotency key: submitting again with the same key is the same submission (name the deadline as an instant then: 2h from now is another request each time)
     #[arg(long, value_name = "UUID")]
     idempotency_key: Option<Uuid>,
@@ -167,6 +174,7 @@ fn request(
         budget: args.budget.map(Money),
         confidence: args.confidence.into(),
         priority: args.priority,
+        limits: task_limits(args.task_memory, args.task_time),
     })
 }
 

@@ -69,7 +69,7 @@ pub fn shot(
 fn frame(local: &Local, number: u32, settings: &RenderSettings, interrupt: &Interrupt) -> Result<KnownFrame> {
     let ready = local.shot.frame(number, settings)?;
     let ids = stratum_ids(&ready.preview()?.preview);
-    let finished = ready.render(None, &|_| (), interrupt.flag())?.ok_or(Interrupted)?;
+    let finished = ready.render(None, &|_| (), &|_| (), interrupt.flag())?.ok_or(Interrupted)?;
     let fixed = Cost { work: ready.fixed().total().work, ..Cost::default() };
     Ok(KnownFrame {
         number: number.into(),

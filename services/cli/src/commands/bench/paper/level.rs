@@ -268,7 +268,7 @@ impl Task<'_> {
         let ready = self.local.shot.frame(self.frame, &settings)?;
         let render = |ready: &dyn FrameRenderer| -> Result<_> {
             let bar = RenderBar::new(bars);
-            let finished = ready.render(None, &|progress| bar.show(progress), interrupt.flag())?;
+            let finished = ready.render(None, &|progress| bar.show(progress), &|_| (), interrupt.flag())?;
             let finished = finished.ok_or(Interrupted)?;
             Ok((finished.image, finished.cache.map(|cache| cache.all).unwrap_or_default()))
         };

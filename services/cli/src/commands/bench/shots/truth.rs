@@ -47,7 +47,8 @@ fn of_frame(
     if let Some(path) = path.as_deref().filter(|path| path.exists()) {
         return json_file::read(path);
     }
-    let rendered = render_ready(&*ready, settings, None, &|_| (), interrupt.flag())?.ok_or(Interrupted)?;
+    let rendered =
+        render_ready(&*ready, settings, None, &|_| (), &|_| (), interrupt.flag())?.ok_or(Interrupted)?;
     if let Some(path) = path {
         write_bytes(&path, (output::pretty(&rendered.stats)? + "\n").as_bytes())?;
     }

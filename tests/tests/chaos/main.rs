@@ -3,6 +3,8 @@
 //!
 //! Nothing here says how fast anything has to be. What is waited for has a generous end, so that a hang is an error.
 
+mod storm;
+
 use forelight_protocol::{
     Event, EventKind, FramePage, FrameRow, FrameState, Job, JobState, Node, NodePage, Rays, RenderStats,
     Role, TaskKind, TrackRecord,

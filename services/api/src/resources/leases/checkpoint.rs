@@ -1,0 +1,57 @@
+//! The finished tiles of a frame, for whoever has it next should this worker be lost.
+
+use axum::body::Bytes;
+use axum::extract::State;
+use axum::http::StatusCode;
+use axum::http::header::CONTENT_TYPE;
+use forelight_protocol::{CHECKPOINT_BYTES, LeaseId, ProblemKind};
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+use super::counted;
+use crate::error::{ApiError, ApiResult, Problems};
+use crate::extract::{QueryParameters, Segment, WorkerToken};
+use crate::openapi::FileContent;
+use crate::state::App;
+
+/// Whose checkpoint it is.
+#[derive(Clone, Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+pub(crate) struct FenceQuery {
+    /// The lease's fencing token.
+    fence: u64,
+}
+
+/// Keeps the tiles of a frame that are finished so far, in place of those that were sent before.
+#[utoipa::path(put, path = "/v1/leases/{id}/checkpoint", tag = "work", params(("id" = LeaseId, Path), FenceQuery),
+    request_body(content = inline(FileContent), content_type = "application/octet-stream", description = "A profile, at most 64 MiB"),
+    responses((status = 204, description = "Kept until the task ends"), Problems))]
+pub(crate) async fn put(
+    State(app): State<App>,
+    worker: WorkerToken,
+    Segment(lease): Segment<LeaseId>,
+    QueryParameters(FenceQuery { fence }): QueryParameters<FenceQuery>,
+    body: axum::body::Body,
+) -> ApiResult<StatusCode> {
+    worker.speaks_for_lease(&app, lease).await?;
+    let bytes: Bytes = axum::body::to_bytes(body, CHECKPOINT_BYTES).await.map_err(|_| {
+        ApiError::new(
+            ProblemKind::TooLarge,
+            format!("a checkpoint has at most {CHECKPOINT_BYTES} bytes, and comes whole"),
+        )
+    })?;
+    counted(&app, app.store.put_checkpoint(lease, fence, bytes).await)?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// The tiles of the lease's frame that an earlier worker had finished; 404 if there are none.
+#[utoipa::path(get, path = "/v1/leases/{id}/checkpoint", tag = "work", params(("id" = LeaseId, Path)),
+    responses((status = 200, description = "A profile", body = inline(FileContent), content_type = "application/octet-stream"), Problems))]
+pub(crate) async fn get(
+    State(app): State<App>,
+    worker: WorkerToken,
+    Segment(lease): Segment<LeaseId>,
+) -> ApiResult<([(axum::http::HeaderName, &'static str); 1], Vec<u8>)> {
+    worker.speaks_for_lease(&app, lease).await?;
+    Ok(([(CONTENT_TYPE, "application/octet-stream")], app.store.checkpoint(lease).await?))
+}

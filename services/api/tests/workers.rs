@@ -1,0 +1,200 @@
+//! Workers that join, take orders and say what they do.
+
+mod support;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use forelight_api::{Clock as _, ManualClock};
+use forelight_protocol::{JoinToken, Lease, Node, NodeState, ProblemKind, Renewal, TaskLog, Timestamp};
+use forelight_store::{token_hash, tokens};
+use reqwest::{Method, Response, StatusCode};
+use serde_json::{Value, json};
+use support::{Answer, Client, Farm};
+
+impl Farm {
+    async fn order(&self, node: &Node, order: Value) -> Node {
+        let patch = self.operator.request(Method::PATCH, &format!("/v1/nodes/{}", node.id));
+        patch.json(&order).send().await.unwrap().json_as(StatusCode::OK).await
+    }
+
+    async fn renew(&self, lease: &Lease, more: Value) -> Response {
+        let mut body = json!({"fence": lease.fence, "progress": 0.5});
+        body.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+        let patch = self.worker.request(Method::PATCH, &format!("/v1/leases/{}", lease.lease_id));
+        patch.json(&body).send().await.unwrap()
+    }
+}
+
+fn node(name: &str) -> Value {
+    json!({"name": name, "cores": 4, "capabilities": {"memory_bytes": 1 << 30, "vulkan_adapter": "llvmpipe"}})
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_machine_joins_with_a_one_time_token_and_then_speaks_for_itself_alone() {
+    let farm = Farm::new().await;
+    let asked = json!({"name": "rack 7", "valid_hours": 1});
+    let made: JoinToken =
+        farm.operator.post("/v1/join-tokens", &asked).await.json_as(StatusCode::CREATED).await;
+    let joining = Client::new(farm.service.local_addr(), Some(made.token.clone()));
+    let own = tokens::random();
+    let request = json!({"node": node("rack-7"), "token_hash": token_hash(&own)});
+    // A one-time token is good for nothing else.
+    joining.get("/v1/nodes").await.problem(ProblemKind::Unauthenticated).await;
+    let joined: Node = joining.post("/v1/nodes/join", &request).await.json_as(StatusCode::CREATED).await;
+    assert_eq!((joined.capabilities.memory_bytes, joined.state), (Some(1 << 30), NodeState::Idle));
+    let again: Node = joining.post("/v1/nodes/join", &request).await.json_as(StatusCode::CREATED).await;
+    assert_eq!(again.id, joined.id);
+    let thief = json!({"node": node("other"), "token_hash": token_hash(&tokens::random())});
+    let used = joining.post("/v1/nodes/join", &thief).await.problem(ProblemKind::Conflict).await;
+    assert!(used.detail.contains("was used at"), "{}", used.detail);
+    let stranger = Client::new(farm.service.local_addr(), Some(tokens::random()));
+    let refused = stranger.post("/v1/nodes/join", &request).await;
+    assert!(refused.headers()["www-authenticate"].to_str().unwrap().contains("invalid_token"));
+    refused.problem(ProblemKind::Unauthenticated).await;
+    let wrong = json!({"node": {"name": "rack-7", "cores": 0}, "token_hash": token_hash(&own)});
+    let wrong = joining.post("/v1/nodes/join", &wrong).await.problem(ProblemKind::Invalid).await;
+    assert_eq!(wrong.pointer.as_deref(), Some("/node/cores"));
+
+    let itself = Client::new(farm.service.local_addr(), Some(own));
+    let other = farm.node("other").await;
+    farm.submit("0").await;
+    let claim = |node: &Node| json!({"node_id": node.id});
+    itself.post("/v1/nodes", &node("rack-7")).await.json_as::<Node>(StatusCode::CREATED).await;
+    itself.post("/v1/nodes", &node("other")).await.problem(ProblemKind::Forbidden).await;
+    itself.post("/v1/leases", &claim(&other)).await.problem(ProblemKind::Forbidden).await;
+    let lease: Lease = farm.worker.post("/v1/leases", &claim(&other)).await.json_as(StatusCode::OK).await;
+    let release = format!("/v1/leases/{}/release", lease.lease_id);
+    itself.post(&release, &json!({"fence": lease.fence})).await.problem(ProblemKind::Forbidden).await;
+    let released = farm.worker.post(&release, &json!({"fence": lease.fence})).await;
+    assert_eq!(released.status(), StatusCode::NO_CONTENT);
+    let lease: Lease = itself.post("/v1/leases", &claim(&joined)).await.json_as(StatusCode::OK).await;
+    let patch = itself.request(Method::PATCH, &format!("/v1/leases/{}", lease.lease_id));
+    let renewed = patch.json(&json!({"fence": lease.fence})).send().await.unwrap();
+    assert_eq!(renewed.status(), StatusCode::OK);
+    for (path, order) in [(&other, json!({"drain": true})), (&joined, json!({"set_aside": false}))] {
+        let patch = itself.request(Method::PATCH, &format!("/v1/nodes/{}", path.id)).json(&order);
+        patch.send().await.unwrap().problem(ProblemKind::Forbidden).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn orders_travel_with_the_heartbeat_and_are_seen_to_be_obeyed() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    farm.submit("0").await;
+    let lease = farm.next_task(&node).await;
+    let ordered = async |order: Value| farm.order(&node, order).await.state;
+    let heard = async |more: Value| -> Value { farm.renew(&lease, more).await.json_as(StatusCode::OK).await };
+    assert_eq!(ordered(json!({"pause": true})).await, NodeState::Pausing);
+    assert_eq!(heard(json!({})).await["order"], "pause");
+    assert_eq!(heard(json!({"paused": true})).await["order"], "pause");
+    assert_eq!(ordered(json!({})).await, NodeState::Paused);
+    assert_eq!(ordered(json!({"pause": false, "drain": true})).await, NodeState::Draining);
+    let told = heard(json!({})).await;
+    assert_eq!((&told["order"], &told["drain"]), (&json!("continue"), &json!(true)));
+    assert_eq!(ordered(json!({"cancel_task": true})).await, NodeState::Drained);
+    assert_eq!(heard(json!({})).await["order"], "stop");
+    assert_eq!(ordered(json!({"drain": false})).await, NodeState::Idle);
+    assert_eq!(farm.next_task(&node).await.fence, lease.fence + 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_workers_say_can_be_read_while_they_work_and_after_they_failed() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    farm.submit("0").await;
+    let lease = farm.next_task(&node).await;
+    let line = |number: u32, text: &str| json!({"number": number, "at": Timestamp::now(), "level": "info", "text": text});
+    let read = async || -> TaskLog {
+        farm.viewer.get(&format!("/v1/tasks/{}/log", lease.task_id)).await.json_as(StatusCode::OK).await
+    };
+    assert!(read().await.lines.is_empty());
+    farm.renew(&lease, json!({"log": [line(0, "bundle fetched")]}))
+        .await
+        .json_as::<Renewal>(StatusCode::OK)
+        .await;
+    assert_eq!(read().await.lines[0].text, "bundle fetched");
+    let end = json!({"fence": lease.fence, "error": {"message": "no"}, "log": [line(1, "the disk is full")]});
+    for _ in 0..2 {
+        let answer = farm.worker.post(&format!("/v1/leases/{}/result", lease.lease_id), &end).await;
+        assert_eq!(answer.status(), StatusCode::OK);
+    }
+    let log = read().await;
+    assert_eq!(
+        log.lines.iter().map(|line| (line.attempt, line.number)).collect::<Vec<_>>(),
+        [(1, 0), (1, 1)]
+    );
+    let many: Vec<Value> = (0..101).map(|number| line(number, "again")).collect();
+    let refused = farm.renew(&lease, json!({"log": many})).await.problem(ProblemKind::Invalid).await;
+    assert_eq!(refused.pointer.as_deref(), Some("/log"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn finished_tiles_outlive_their_worker_and_go_with_the_task() {
+    let farm = Farm::with(|config| config.lease_ttl = Duration::from_millis(600)).await;
+    let (lost, other) = (farm.node("lost").await, farm.node("other").await);
+    let job = farm.submit("0").await;
+    farm.until_booked(&other, &job).await;
+    let lease = farm.next_task(&lost).await;
+    let address =
+        |lease: &Lease, fence: u64| format!("/v1/leases/{}/checkpoint?fence={fence}", lease.lease_id);
+    let put = async |lease: &Lease, fence: u64, tiles: &'static [u8]| {
+        farm.worker.request(Method::PUT, &address(lease, fence)).body(tiles).send().await.unwrap()
+    };
+    farm.worker.get(&address(&lease, 0)).await.problem(ProblemKind::NotFound).await;
+    for tiles in [b"one tile" as &[u8], b"two tiles"] {
+        assert_eq!(put(&lease, lease.fence, tiles).await.status(), StatusCode::NO_CONTENT);
+    }
+    put(&lease, lease.fence + 1, b"a stranger's").await.problem(ProblemKind::LeaseLost).await;
+    // Its worker is lost.
+    let taken = farm.claim_waiting(&other, 5000).await.unwrap();
+    assert_eq!((taken.task_id, taken.fence), (lease.task_id, lease.fence + 1));
+    put(&lease, lease.fence, b"too late").await.problem(ProblemKind::LeaseLost).await;
+    let found = farm.worker.get(&address(&taken, 0)).await;
+    assert_eq!(found.bytes().await.unwrap(), &b"two tiles"[..]);
+    farm.finish(&taken).await;
+    let folder = farm.folder.path().join("data/checkpoints");
+    let start = std::time::Instant::now();
+    while std::fs::read_dir(&folder).unwrap().count() > 0 {
+        assert!(start.elapsed() < Duration::from_secs(10), "it is kept for ever");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_task_that_failed_comes_back_to_a_waiting_claim_when_its_time_has_come() {
+    let farm = Farm::new().await;
+    let (a, b) = (farm.node("a").await, farm.node("b").await);
+    farm.submit("0").await;
+    let lease = farm.next_task(&a).await;
+    let end = json!({"fence": lease.fence, "error": {"message": "no"}});
+    farm.worker.post(&format!("/v1/leases/{}/result", lease.lease_id), &end).await;
+    let begun = std::time::Instant::now();
+    let again = farm.next_task(&b).await;
+    assert_eq!(again.task_id, lease.task_id);
+    assert!((0.3..5.0).contains(&begun.elapsed().as_secs_f64()), "{:?}", begun.elapsed());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_clock_that_is_set_by_hours_costs_no_lease_and_holds_none() {
+    let clock = Arc::new(ManualClock::at(Timestamp::now()));
+    let farm = Farm::with(|config| {
+        config.clock = clock.clone();
+        config.lease_ttl = Duration::from_millis(400);
+    })
+    .await;
+    let (a, b) = (farm.node("a").await, farm.node("b").await);
+    farm.submit("0").await;
+    let lease = farm.next_task(&a).await;
+    for hours in [5, -9] {
+        clock.set_micros(hours * 3_600_000_000);
+        // Four sweeps later the clock has been followed.
+        tokio::time::sleep(Duration::from_millis(600)).await;
+        assert!(farm.claim(&b).await.is_none(), "the lease was taken for one that ran out");
+        let renewal: Renewal = farm.renew(&lease, json!({})).await.json_as(StatusCode::OK).await;
+        assert_eq!(renewal.expires_at, clock.now().plus_micros(400_000));
+    }
+    clock.advance_micros(400_000);
+    assert_eq!(farm.next_task(&b).await.task_id, lease.task_id);
+}

@@ -1,0 +1,77 @@
+//! `forelight backup`: a copy of the farm's database, made while the service runs.
+
+use crate::failure::BadInput;
+use crate::output::{self, Bars};
+use anyhow::{Context, Result};
+use forelight_store::StoreError;
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// Copy the farm's database, while the service runs, and check the copy
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight backup --data farm-data --to backups/2026-03-01.sqlite
+  forelight backup --data farm-data --to backup.sqlite --json
+
+The copy is what the database held at one instant; it is checked page by page before it gets its name. Artefacts (images, bundles, \
+profiles) never change once they are there: copy the folder DATA/artifacts after the database, with whatever copies files.
+
+To restore: stop the service, move DATA/forelight.sqlite and DATA/forelight.sqlite-* away, put the copy in their place under the name \
+forelight.sqlite, start the service. Frames that were delivered after the copy was made are rendered again.")]
+pub struct Args {
+    /// Data folder of the farm
+    #[arg(long, value_name = "DIR", default_value = "farm-data")]
+    data: PathBuf,
+    /// The copy; must not be there yet
+    #[arg(long, value_name = "FILE")]
+    to: PathBuf,
+    /// Print what the copy holds as JSON to standard output
+    #[arg(long)]
+    json: bool,
+}
+
+/// What the copy holds.
+#[derive(Debug, Serialize)]
+struct Document {
+    file: PathBuf,
+    bytes: u64,
+    jobs: u64,
+    artifacts: u64,
+    artifact_bytes: u64,
+}
+
+/// Runs the command.
+pub async fn run(args: Args) -> Result<()> {
+    let spinner = Bars::new(args.json).spinner(format!("copying to {}", args.to.display()));
+    let copied = forelight_store::backup(&args.data, &args.to).await;
+    spinner.finish_and_clear();
+    let backup = match copied {
+        Err(StoreError::NotFound(_)) => {
+            return Err(
+                BadInput::new(format!("--data {}: no farm has its data there", args.data.display())).into()
+            );
+        }
+        Err(StoreError::Conflict(reason)) => return Err(BadInput::new(format!("--to {reason}")).into()),
+        other => other.with_context(|| format!("cannot back up the database in {}", args.data.display()))?,
+    };
+    let document = Document {
+        file: args.to,
+        bytes: backup.bytes,
+        jobs: backup.jobs,
+        artifacts: backup.artifacts,
+        artifact_bytes: backup.artifact_bytes,
+    };
+    if args.json {
+        return output::json(&document);
+    }
+    output::line(format!(
+        "{}: {} bytes, {} jobs, checked; it speaks of {} artefacts of {} bytes in {}",
+        document.file.display(),
+        document.bytes,
+        document.jobs,
+        document.artifacts,
+        document.artifact_bytes,
+        args.data.join("artifacts").display()
+    ))
+}

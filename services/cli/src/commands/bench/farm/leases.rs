@@ -1,0 +1,230 @@
+//! `forelight bench leases`: how many lease calls a second the service answers, beside what the same transactions take without a
+//! service.
+//!
+//! Both sides do the same: a frame is claimed, its lease renewed once with progress, its result committed; every call is a
+//! transaction that is flushed to disk before it is answered. *Bare* is one thread that calls the store alone, on a database of its
+//! own: no HTTP, no tokens, no JSON on the wire, nobody to wait for. *HTTP* is the service in a process of its own, and in this process
+//! as many workers at a time as asked for, with the client that real workers have. The two take turns, so that what else the
+//! machine does meets both; medians of the rounds are compared.
+
+use super::{ServiceProcess, fill, prepare, quantile, register, registration, rendered};
+use crate::failure::{BadInput, Interrupted};
+use crate::interrupt::Interrupt;
+use crate::output::{self, Bars};
+use crate::table::{Align, Table};
+use anyhow::{Context, Result, anyhow, bail};
+use forelight_protocol::{ClaimRequest, NodeId, RenewRequest, ResultRequest, TaskSpec, Timestamp};
+use forelight_store::{Answered, IdempotencyKey, Store};
+use forelight_worker::{Client, Token};
+use serde::Serialize;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+use tokio::task::JoinSet;
+use uuid::Uuid;
+
+/// Measure lease calls per second, over HTTP and without
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight bench leases
+  forelight bench leases --workers 32 --rounds 9 --seconds 3 --json
+
+A call is a claim, a renewal or a completion; each is on disk before it is answered. Bare is the same transactions, one after the \
+other, without service and HTTP.")]
+pub struct Args {
+    /// Workers that call at the same time
+    #[arg(long, value_name = "COUNT", default_value_t = 16, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    workers: u16,
+    /// Rounds of each side, which take turns
+    #[arg(long, value_name = "COUNT", default_value_t = 7, value_parser = clap::value_parser!(u16).range(1..=100))]
+    rounds: u16,
+    /// Seconds of each side in a round
+    #[arg(long, value_name = "SECONDS", default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..=60))]
+    seconds: u16,
+    /// Folder for the databases: on the disk that is to be measured [default: a temporary folder]
+    #[arg(long, value_name = "DIR")]
+    folder: Option<PathBuf>,
+    /// Print the measurements as JSON to standard output
+    #[arg(long)]
+    json: bool,
+}
+
+/// What was measured.
+#[derive(Debug, Serialize)]
+struct Document {
+    workers: u16,
+    /// Calls a second, by round.
+    bare: Vec<f64>,
+    http: Vec<f64>,
+    bare_median: f64,
+    http_median: f64,
+    /// Median of HTTP over median of bare.
+    ratio: f64,
+    /// Of a call over HTTP, in milliseconds.
+    latency_p50_ms: f64,
+    latency_p99_ms: f64,
+}
+
+/// Frames that a side can at most get through in a second, with room to spare.
+const FRAMES_A_SECOND: u32 = 4000;
+
+/// How long leases last.
+const TTL: Duration = Duration::from_secs(30);
+
+/// Runs the command.
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let document = runtime.block_on(measure(args, interrupt))?;
+    if args.json { output::json(&document) } else { output::print(&report(&document)) }
+}
+
+async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
+    let folder = match &args.folder {
+        Some(folder) => tempfile::tempdir_in(folder)
+            .map_err(|error| BadInput::new(format!("--folder {}: {error}", folder.display())))?,
+        None => tempfile::tempdir()?,
+    };
+    let bars = Bars::new(args.json);
+    let frames = FRAMES_A_SECOND.saturating_mul(u32::from(args.rounds) * u32::from(args.seconds)).min(60_000);
+    let spinner = bars.spinner(format!("two farms of {frames} frames each"));
+    let bare_data = folder.path().join("bare");
+    let store = Store::open(&bare_data).await?;
+    fill(&store, frames).await?;
+    let bare_node = register(&store, "bare").await?.id;
+    let data = folder.path().join("http");
+    prepare(&data, frames).await?;
+    let service = ServiceProcess::start(&data)?;
+    spinner.finish_and_clear();
+    let mut workers = Vec::new();
+    for number in 0..args.workers {
+        let client = Client::new(&service.address, Some(Token::new(&service.token)))?;
+        let node = client.register(&registration(&format!("node-{number}")), Uuid::now_v7()).await?;
+        workers.push((client, node.id));
+    }
+    let (mut bare, mut http, mut latencies) = (Vec::new(), Vec::new(), Vec::new());
+    let time = Duration::from_secs(u64::from(args.seconds));
+    let bar = bars.bar("rounds", u64::from(args.rounds));
+    for _ in 0..args.rounds {
+        if interrupt.is_set() {
+            return Err(Interrupted.into());
+        }
+        bare.push(bare_round(&store, bare_node, time).await?);
+        http.push(http_round(&workers, time, &mut latencies).await?);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    store.close().await;
+    let median = |rates: &[f64]| {
+        let mut sorted = rates.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        quantile(&sorted, 0.5)
+    };
+    latencies.sort_by(f64::total_cmp);
+    let (bare_median, http_median) = (median(&bare), median(&http));
+    Ok(Document {
+        workers: args.workers,
+        bare,
+        http,
+        bare_median,
+        http_median,
+        ratio: http_median / bare_median,
+        latency_p50_ms: 1e3 * quantile(&latencies, 0.5),
+        latency_p99_ms: 1e3 * quantile(&latencies, 0.99),
+    })
+}
+
+/// Calls a second of the store alone.
+async fn bare_round(store: &Store, node: NodeId, time: Duration) -> Result<f64> {
+    let start = Instant::now();
+    let mut calls = 0u32;
+    while start.elapsed() < time {
+        let key =
+            IdempotencyKey { principal: [0; 32], key: Uuid::now_v7().to_string(), request_hash: [0; 32] };
+        let claimed = store.claim(node, TTL, Some(&key), Timestamp::now()).await?;
+        let Some(Answered::Fresh(lease)) = claimed else {
+            bail!("there are no frames left: fewer rounds, please")
+        };
+        let renewal = RenewRequest { fence: lease.fence, progress: 0.5, ..RenewRequest::default() };
+        store.renew(lease.lease_id, &renewal, TTL, Timestamp::now()).await?;
+        let result = result_of(&lease.spec)?;
+        store.commit_result(lease.lease_id, lease.fence, &result, Timestamp::now()).await?;
+        calls += 3;
+    }
+    Ok(f64::from(calls) / start.elapsed().as_secs_f64())
+}
+
+/// Calls a second of the service, all workers together; adds the seconds that each call took.
+async fn http_round(workers: &[(Client, NodeId)], time: Duration, latencies: &mut Vec<f64>) -> Result<f64> {
+    let start = Instant::now();
+    let mut set = JoinSet::new();
+    for (client, node) in workers {
+        let (client, node) = (client.clone(), *node);
+        set.spawn(async move {
+            let mut took = Vec::new();
+            while start.elapsed() < time {
+                frame(&client, node, &mut took).await?;
+            }
+            Ok::<_, anyhow::Error>(took)
+        });
+    }
+    let before = latencies.len();
+    while let Some(worked) = set.join_next().await {
+        latencies.extend(worked.map_err(|error| anyhow!(error))??);
+    }
+    Ok((latencies.len() - before) as f64 / start.elapsed().as_secs_f64())
+}
+
+/// One frame of one worker: three calls.
+async fn frame(client: &Client, node: NodeId, took: &mut Vec<f64>) -> Result<()> {
+    let mut last = Instant::now();
+    let mut lap = |took: &mut Vec<f64>| {
+        took.push(last.elapsed().as_secs_f64());
+        last = Instant::now();
+    };
+    let claim = ClaimRequest { node_id: node, wait_ms: 0, task_id: None };
+    let lease = client.claim(&claim, Uuid::now_v7()).await.context("claim")?;
+    let lease = lease.context("there are no frames left: fewer rounds, please")?;
+    lap(took);
+    let renewal = RenewRequest { fence: lease.fence, progress: 0.5, ..RenewRequest::default() };
+    client.renew(lease.lease_id, &renewal, TTL).await.context("renewal")?;
+    lap(took);
+    let result = Some(result_of(&lease.spec)?);
+    let end = ResultRequest { fence: lease.fence, result, ..ResultRequest::default() };
+    client.report(lease.lease_id, &end).await.context("completion")?;
+    lap(took);
+    Ok(())
+}
+
+fn result_of(spec: &TaskSpec) -> Result<forelight_protocol::TaskResult> {
+    match spec {
+        TaskSpec::Render(spec) => Ok(rendered(spec.frame, spec.settings.spp)),
+        other => bail!("a {} was handed out", other.kind()),
+    }
+}
+
+fn report(document: &Document) -> String {
+    let mut table = Table::new(&[
+        ("round", Align::Right),
+        ("bare calls/s", Align::Right),
+        ("HTTP calls/s", Align::Right),
+        ("ratio", Align::Right),
+    ]);
+    let share = |ratio: f64| format!("{:.0} %", 100.0 * ratio);
+    for (round, (bare, http)) in document.bare.iter().zip(&document.http).enumerate() {
+        table.row([format!("{}", round + 1), format!("{bare:.0}"), format!("{http:.0}"), share(http / bare)]);
+    }
+    table.footer();
+    table.row([
+        "median".into(),
+        format!("{:.0}", document.bare_median),
+        format!("{:.0}", document.http_median),
+        share(document.ratio),
+    ]);
+    format!(
+        "{}{} workers; a call over HTTP took {:.1} ms (median), {:.1} ms (p99)\n",
+        table.render(),
+        document.workers,
+        document.latency_p50_ms,
+        document.latency_p99_ms
+    )
+}

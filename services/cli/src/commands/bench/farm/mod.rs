@@ -1,0 +1,268 @@
+//! What `bench leases` and `bench workers` share: a service of this program in a process of its own, with a farm's worth of work in it.
+
+pub mod leases;
+pub mod workers;
+
+use anyhow::{Context, Result, anyhow, bail};
+use bytes::Bytes;
+use forelight_protocol::{
+    ArtifactHash, BundleSource, Capabilities, FrameForecast, FrameSet, Job, JobRequest, JobVerdict, Money,
+    Node, NodeRegistration, PlanReason, Profiled, Quantiles, RayQuantiles, Rays, RenderArtifacts,
+    RenderResult, RenderStats, Role, SceneDigest, SceneSummary, TaskKind, TaskResult, TaskSpec, Timestamp,
+    Verdict,
+};
+use forelight_protocol::{Confidence, ForecastTotals, SpentOnForecast};
+use forelight_store::{Answered, JobForecast, NewBooking, NewJob, NewPlan, Store};
+use std::fs;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// A lease of the service: long, so that nothing runs out while it is measured.
+const LEASE: Duration = Duration::from_secs(30);
+
+/// The images of frames that nobody rendered.
+const IMAGE: &[u8] = b"an image";
+
+/// A service in a process of its own. It dies with this value.
+pub struct ServiceProcess {
+    child: Child,
+    /// `http://host:port`.
+    pub address: String,
+    /// A worker's token.
+    pub token: String,
+}
+
+impl ServiceProcess {
+    /// Starts `forelight serve` with the data in this folder, and waits until it listens.
+    pub fn start(data: &Path) -> Result<Self> {
+        let output = data.with_extension("out");
+        let child = Command::new(std::env::current_exe().context("cannot find this program")?)
+            .args(["serve", "--listen", "127.0.0.1:0", "--data"])
+            .arg(data)
+            .stdin(Stdio::null())
+            .stdout(fs::File::create(&output)?)
+            .stderr(Stdio::null())
+            .env("RUST_LOG", "warn")
+            .spawn()
+            .context("cannot start the service")?;
+        let mut service = Self { child, address: String::new(), token: String::new() };
+        let start = Instant::now();
+        while service.address.is_empty() {
+            if let Some(status) = service.child.try_wait()? {
+                bail!("the service ended: {status}");
+            }
+            if start.elapsed() > Duration::from_secs(60) {
+                bail!("the service does not listen after a minute");
+            }
+            std::thread::sleep(Duration::from_millis(20));
+            let printed = fs::read_to_string(&output)?;
+            if let Some((line, _)) = printed.split_once('\n') {
+                service.address = line.trim_start_matches("listening on ").to_owned();
+            }
+        }
+        let token = data.join("tokens").join(format!("{}.token", Role::Worker));
+        service.token = fs::read_to_string(token)?.trim().to_owned();
+        Ok(service)
+    }
+
+    /// A number of `/proc/PID/status`, in bytes.
+    pub fn status_bytes(&self, name: &str) -> Result<u64> {
+        let status = fs::read_to_string(format!("/proc/{}/status", self.child.id()))?;
+        let line = status.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(':'));
+        let kibibytes = line.and_then(|rest| rest.split_whitespace().next()?.parse::<u64>().ok());
+        Ok(kibibytes.with_context(|| format!("the system does not say {name}"))? * 1024)
+    }
+
+    /// CPU seconds that the process has used.
+    pub fn cpu_seconds(&self) -> Result<f64> {
+        let stat = fs::read_to_string(format!("/proc/{}/stat", self.child.id()))?;
+        // After the name in brackets, which may hold anything, come the state and then numbers.
+        let rest = stat.rsplit_once(')').map_or("", |(_, rest)| rest);
+        let ticks: Vec<f64> =
+            rest.split_whitespace().skip(11).take(2).filter_map(|n| n.parse().ok()).collect();
+        let [user, system] = ticks[..] else { bail!("the system does not say CPU times") };
+        /// Linux counts in hundredths of a second, whatever its kernel ticks in.
+        const TICKS: f64 = 100.0;
+        Ok((user + system) / TICKS)
+    }
+}
+
+impl Drop for ServiceProcess {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A new farm in this folder, with so many frames ready to be rendered, all booked on nobody who asks.
+pub async fn prepare(data: &Path, frames: u32) -> Result<()> {
+    let store = Store::open(data).await?;
+    fill(&store, frames).await?;
+    store.close().await;
+    Ok(())
+}
+
+/// Puts jobs of so many frames in all into a farm, ready to be rendered.
+pub async fn fill(store: &Store, frames: u32) -> Result<()> {
+    /// Frames of a job.
+    const FRAMES: u32 = 1000;
+    let now = Timestamp::now();
+    let node = register(store, "planner").await?;
+    let stream = futures::stream::iter([Ok::<_, std::io::Error>(Bytes::from_static(IMAGE))]);
+    store.artifacts().put(image(), stream, 1 << 10, now).await?;
+    let mut left = frames;
+    while left > 0 {
+        let count = left.min(FRAMES);
+        left -= count;
+        let job = submit(store, count).await?;
+        let lease = store.claim(node.id, LEASE, None, now).await?;
+        let Some(Answered::Fresh(preview)) = lease else { bail!("the preview was not handed out") };
+        if preview.spec.kind() != TaskKind::Preview {
+            bail!("a {} came before the preview", preview.spec.kind());
+        }
+        store.commit_result(preview.lease_id, preview.fence, &previewed(&preview.spec)?, now).await?;
+        // No frame is profiled: the forecast is made up, and the plan puts all on one node.
+        store.start_profiling(job.id, &[], now).await?;
+        let end = now.plus_micros(1_000_000);
+        let bookings =
+            job.frames.iter().map(|frame| NewBooking { frame, node: node.id, start: now, end }).collect();
+        let plan = NewPlan {
+            parent: store.newest_plan().await?,
+            reason: PlanReason::JobForecast,
+            verdict: JobVerdict {
+                job_id: job.id,
+                verdict: Verdict::OnTime,
+                confidence: Confidence::P80,
+                finish: Some(end),
+                cost: Some(Money(0)),
+                reasons: Vec::new(),
+            },
+            bookings,
+        };
+        store.book(job.id, &forecast(), &frame_forecasts(&job), None, &plan, now).await?;
+    }
+    Ok(())
+}
+
+/// A node of this name.
+pub async fn register(store: &Store, name: &str) -> Result<Node> {
+    match store.register_node(&registration(name), None, Timestamp::now()).await? {
+        Answered::Fresh(node) => Ok(node),
+        Answered::Repeated(_) => Err(anyhow!("a request without a key was answered before")),
+    }
+}
+
+/// What a simulated worker says of its node.
+pub fn registration(name: &str) -> NodeRegistration {
+    NodeRegistration {
+        name: name.to_owned(),
+        speed: 1.0,
+        price_per_hour: Money(0),
+        cores: 1,
+        capabilities: Capabilities::default(),
+    }
+}
+
+async fn submit(store: &Store, frames: u32) -> Result<Job> {
+    let request: JobRequest = serde_json::from_value(serde_json::json!({
+        "name": "bench", "bundle": {"path": "/nowhere"}, "frames": FrameSet::range(0, frames - 1).to_string(),
+    }))?;
+    let scene = SceneSummary {
+        name: "bench".to_owned(),
+        digest: SceneDigest([0; 32]),
+        frames,
+        width: 8,
+        height: 8,
+        objects: 1,
+        materials: 1,
+        triangles: 2,
+    };
+    let settings = request.settings.complete((8, 8));
+    let new = NewJob { request, scene, source: BundleSource::Path("/nowhere".to_owned()), settings };
+    match store.create_job(&new, None, Timestamp::now()).await? {
+        Answered::Fresh(job) => Ok(job),
+        Answered::Repeated(_) => Err(anyhow!("a request without a key was answered before")),
+    }
+}
+
+fn image() -> ArtifactHash {
+    ArtifactHash(*blake3::hash(IMAGE).as_bytes())
+}
+
+/// A preview in which nothing is seen.
+fn previewed(spec: &TaskSpec) -> Result<TaskResult> {
+    let TaskSpec::Preview(spec) = spec else { bail!("the task is a {}", spec.kind()) };
+    let frames: Vec<serde_json::Value> = spec
+        .frames
+        .iter()
+        .map(|frame| serde_json::json!({"frame": frame, "pixels": [], "background": 64, "cache_records": [], "preview_png": null}))
+        .collect();
+    Ok(serde_json::from_value(serde_json::json!({"preview": {
+        "strata": [], "background_prior_cost": 1.0, "record_prior_cost": null, "frames": frames, "backend": "cpu",
+        "spent": {"work": 0, "cpu_nanos": 0},
+    }}))?)
+}
+
+/// The result of a frame that nobody rendered, as large as a real one.
+pub fn rendered(frame: u32, spp: u32) -> TaskResult {
+    TaskResult::Render(RenderResult {
+        stats: RenderStats {
+            frame,
+            width: 8,
+            height: 8,
+            spp,
+            effects: vec!["ambient".to_owned()],
+            left_out: Vec::new(),
+            rays: Rays { primary: 64 * u64::from(spp), ..Rays::default() },
+            cache_records: Vec::new(),
+            cache: None,
+            allotted: None,
+            work: 1000,
+            cpu_seconds: 1.0,
+            wall_seconds: 1.0,
+            peak_rss_bytes: 1,
+            reused_pixels: 0,
+            reused_rays: 0,
+            reused_work: 0,
+            reused_cpu_seconds: 0.0,
+        },
+        artifacts: RenderArtifacts {
+            image_exr: image(),
+            image_png: image(),
+            cost_map_png: image(),
+            preview_png: None,
+        },
+    })
+}
+
+fn forecast() -> JobForecast {
+    JobForecast {
+        total: ForecastTotals::default(),
+        profiled: Profiled { frames: Vec::new(), pixels: 0 },
+        spent: SpentOnForecast::default(),
+        calibrated: false,
+        effects: Vec::new(),
+        left_out: Vec::new(),
+        cost: None,
+    }
+}
+
+fn frame_forecasts(job: &Job) -> Vec<FrameForecast> {
+    let one = Quantiles { mean: 1.0, p50: 1.0, p80: 1.0, p95: 1.0 };
+    let forecast = |frame| FrameForecast {
+        frame,
+        rays: RayQuantiles::default(),
+        cache_records: Vec::new(),
+        work: one,
+        cpu_seconds: one,
+    };
+    job.frames.iter().map(forecast).collect()
+}
+
+/// The value below which this share of the sorted values lies; 0 of none.
+pub fn quantile(sorted: &[f64], share: f64) -> f64 {
+    let last = sorted.len().saturating_sub(1);
+    sorted.get((share * last as f64).round() as usize).copied().unwrap_or(0.0)
+}

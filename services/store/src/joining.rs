@@ -1,0 +1,109 @@
+//! Machines that join the farm with a one-time token.
+//!
+//! The machine makes its own bearer token and sends its hash with the one-time token, which is burnt in the same transaction that makes
+//! the node and its token. Two hazards are met by that: an answer that is lost (the machine asks again with the same hash, and is
+//! answered as before) and a one-time token that someone else picked up (it is good for one hash alone, and both notice).
+
+use forelight_protocol::{ArtifactHash, JoinRequest, JoinToken, Node, NodeId, Timestamp};
+use sqlx::Row as _;
+
+use crate::decode::{hash_opt, id_opt, time};
+use crate::{Store, StoreError, nodes, tokens};
+
+impl Store {
+    /// Makes a one-time token that is valid for so many microseconds from `now`.
+    pub async fn create_join_token(
+        &self,
+        name: &str,
+        valid_micros: i64,
+        now: Timestamp,
+    ) -> Result<JoinToken, StoreError> {
+        let token = tokens::random();
+        let expires_at = now.plus_micros(valid_micros);
+        let mut write = self.write().await?;
+        // Long expired ones are of no use to anyone, unless they say which node came by them.
+        sqlx::query("DELETE FROM join_tokens WHERE expires_at < ? AND used_at IS NULL")
+            .bind(now.micros())
+            .execute(write.connection())
+            .await?;
+        sqlx::query("INSERT INTO join_tokens (hash, name, created_at, expires_at) VALUES (?, ?, ?, ?)")
+            .bind(&tokens::hash(&token)[..])
+            .bind(name)
+            .bind(now.micros())
+            .bind(expires_at.micros())
+            .execute(write.connection())
+            .await?;
+        self.commit(write).await?;
+        Ok(JoinToken { token, expires_at })
+    }
+
+    /// Burns a one-time token: makes the node, and lets the token with the hash that the machine chose speak for it.
+    pub async fn join(&self, token: &str, request: &JoinRequest, now: Timestamp) -> Result<Node, StoreError> {
+        let burnt = tokens::hash(token);
+        let mut write = self.write().await?;
+        let row =
+            sqlx::query("SELECT expires_at, used_at, used_for, node_id FROM join_tokens WHERE hash = ?")
+                .bind(&burnt[..])
+                .fetch_optional(write.connection())
+                .await?
+                .ok_or_else(|| StoreError::JoinRefused("this one-time token is not known here".to_owned()))?;
+        if let (Some(node), Some(chosen)) = (id_opt(&row, "node_id")?, hash_opt(&row, "used_for")?) {
+            if chosen == request.token_hash {
+                return nodes::read(write.connection(), NodeId(node)).await;
+            }
+            return Err(StoreError::Conflict(format!(
+                "this one-time token was used at {} by another machine; ask an operator for a new one, and if nobody knows that machine, \
+                 have its node removed from service",
+                time(&row, "used_at")?
+            )));
+        }
+        let expires_at = time(&row, "expires_at")?;
+        if expires_at <= now {
+            return Err(StoreError::JoinRefused(format!(
+                "this one-time token expired at {expires_at}; ask an operator for a new one"
+            )));
+        }
+        let node = nodes::upsert(&mut write, &request.node, now).await?;
+        sqlx::query("UPDATE join_tokens SET used_at = ?, used_for = ?, node_id = ? WHERE hash = ?")
+            .bind(now.micros())
+            .bind(&request.token_hash.0[..])
+            .bind(node.id.0)
+            .bind(&burnt[..])
+            .execute(write.connection())
+            .await?;
+        // A machine that takes another's place takes its token away.
+        sqlx::query("DELETE FROM tokens WHERE node_id = ?")
+            .bind(node.id.0)
+            .execute(write.connection())
+            .await?;
+        let inserted = sqlx::query(
+            "INSERT INTO tokens (hash, name, role, created_at, node_id) VALUES (?, ?, 'worker', ?, ?) ON CONFLICT DO NOTHING",
+        )
+        .bind(&request.token_hash.0[..])
+        .bind(&node.name)
+        .bind(now.micros())
+        .bind(node.id.0)
+        .execute(write.connection())
+        .await?;
+        if inserted.rows_affected() == 0 {
+            return Err(StoreError::Conflict("the hash is that of a token which is in use".to_owned()));
+        }
+        self.commit(write).await?;
+        Ok(node)
+    }
+
+    /// The node that holds or held a lease.
+    pub async fn lease_holder(&self, lease: forelight_protocol::LeaseId) -> Result<NodeId, StoreError> {
+        let row = sqlx::query("SELECT node_id FROM leases WHERE id = ?")
+            .bind(lease.0)
+            .fetch_optional(self.readers())
+            .await?
+            .ok_or(StoreError::NotFound("lease"))?;
+        Ok(NodeId(row.try_get("node_id")?))
+    }
+}
+
+/// The hash of a token that a machine made for itself.
+pub fn token_hash(token: &str) -> ArtifactHash {
+    ArtifactHash(tokens::hash(token))
+}

@@ -1,0 +1,177 @@
+//! Tasks that fail, and nodes that are at fault.
+
+use forelight_protocol::{
+    EventKind, JobState, LogLevel, LogLine, NodeChange, NodeState, TaskError, TaskId, TaskLimit,
+};
+
+use super::*;
+use crate::failures::wait;
+use crate::{FAILED_JOBS, MAX_FAILURES};
+
+fn error(message: &str) -> TaskError {
+    TaskError { message: message.to_owned(), ..TaskError::default() }
+}
+
+impl Farm {
+    async fn fail(&self, lease: &Lease, error: &TaskError, now: Timestamp) -> JobState {
+        self.store.fail_task(lease.lease_id, lease.fence, error, now).await.unwrap().1
+    }
+}
+
+#[test]
+fn waits_double_to_a_minute_and_two_runs_agree() {
+    let task = TaskId::new();
+    for (failures, ceiling) in [(1, 1), (2, 2), (3, 4), (6, 32), (7, 60), (40, 60), (u32::MAX, 60)] {
+        let micros = wait(task, failures);
+        assert!((ceiling * SECOND / 2..=ceiling * SECOND).contains(&micros), "{failures}: {micros}");
+        assert_eq!(micros, wait(task, failures));
+    }
+    let others: std::collections::BTreeSet<i64> = (0..20).map(|_| wait(TaskId::new(), 5)).collect();
+    assert!(others.len() > 10, "tasks that failed together come back together: {others:?}");
+}
+
+#[tokio::test]
+async fn a_task_that_failed_waits_and_then_goes_to_another_node_first() {
+    let farm = Farm::new().await;
+    let (a, b) = (farm.node("a").await, farm.node("b").await);
+    farm.job("0").await;
+    let lease = farm.claim(a.id, at(0)).await.unwrap();
+    assert_eq!(farm.fail(&lease, &error("disk full"), at(0)).await, JobState::Previewing);
+    assert_eq!(farm.claim(b.id, at(0)).await, None, "at once");
+    let due = farm.store.next_retry(at(0)).await.unwrap().unwrap();
+    assert!((at(0)..=at(1)).contains(&due), "{due}");
+    assert!(!farm.store.may_have_work(at(0)).await.unwrap());
+    assert!(farm.store.may_have_work(at(1)).await.unwrap());
+    assert_eq!(farm.claim(a.id, at(2)).await, None, "on the node that it failed on");
+    assert_eq!(farm.store.next_retry(at(2)).await.unwrap(), Some(due.plus_micros(10 * SECOND)));
+    let retried = farm.claim(b.id, at(2)).await.unwrap();
+    assert_eq!((retried.task_id, retried.fence), (lease.task_id, 2));
+    farm.store.release(retried.lease_id, retried.fence, at(3)).await.unwrap();
+    // Where there is no other, the same node has to do.
+    assert_eq!(farm.claim(a.id, at(12)).await.unwrap().task_id, lease.task_id);
+    assert_eq!(farm.store.next_retry(at(12)).await.unwrap(), None);
+}
+
+#[tokio::test]
+async fn the_third_node_that_a_task_fails_on_fails_the_job_and_the_same_report_counts_once() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let job = farm.booked_job(request("0-1"), node.id, at(0)).await;
+    let other = farm.claim(node.id, at(1)).await.unwrap();
+    let mut task = None;
+    for (attempt, name) in (1..).zip(["a", "b", "c"]) {
+        let node = farm.node(name).await;
+        let lease = farm.claim(node.id, at(5 * attempt)).await.unwrap();
+        assert_eq!(lease.spec.frame(), Some(1));
+        task = Some(lease.task_id);
+        let message = error(&format!("out of memory, {attempt}"));
+        let state = farm.fail(&lease, &message, at(5 * attempt)).await;
+        assert_eq!(state == JobState::Failed, attempt == 3, "{attempt}");
+        let again = farm.store.fail_task(lease.lease_id, lease.fence, &message, at(1)).await.unwrap();
+        assert!(again.0, "the same report again counts once");
+    }
+    let failed = farm.store.job(job).await.unwrap();
+    let said = format!(
+        "render of frame 1: out of memory, 3 (it failed on a, b, c; the log of task {} says more)",
+        task.unwrap()
+    );
+    assert_eq!(failed.error, Some(said));
+    let order = farm.store.renew(other.lease_id, &renewal(other.fence, 0.1), TTL, at(16)).await;
+    assert_eq!(order.unwrap().order, forelight_protocol::LeaseOrder::Stop);
+    // It was the task's fault: no node is set aside.
+    assert_eq!(farm.store.node(node.id).await.unwrap().set_aside, None);
+}
+
+#[tokio::test]
+async fn on_a_farm_of_one_node_the_sixth_failure_is_the_last() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    farm.job("0").await;
+    for attempt in 1..=i64::from(MAX_FAILURES) {
+        let lease = farm.claim(node.id, at(100 * attempt)).await.unwrap();
+        let state = farm.fail(&lease, &error("no luck"), at(100 * attempt)).await;
+        assert_eq!(state == JobState::Failed, attempt == i64::from(MAX_FAILURES));
+    }
+}
+
+#[tokio::test]
+async fn a_node_that_fails_three_jobs_is_set_aside_with_the_reason_until_it_is_brought_back() {
+    let farm = Farm::new().await;
+    let (bad, good) = (farm.node("bad").await, farm.node("good").await);
+    for round in 0..i64::from(FAILED_JOBS) {
+        assert_eq!(farm.store.node(bad.id).await.unwrap().set_aside, None, "after {round} failures");
+        farm.job("0").await;
+        let lease = farm.claim(bad.id, at(round)).await.unwrap();
+        farm.fail(&lease, &error("no GPU"), at(round)).await;
+    }
+    let node = farm.store.node(bad.id).await.unwrap();
+    let reason = node.set_aside.clone().unwrap();
+    assert_eq!(node.state, NodeState::SetAside);
+    assert!(reason.contains("3 jobs") && reason.contains("no GPU"), "{reason}");
+    assert_eq!(farm.claim(bad.id, at(100)).await, None);
+    // The others' work goes on, and registering again does not help.
+    let lease = farm.claim(good.id, at(100)).await.unwrap();
+    farm.commit(&lease, at(101)).await;
+    assert!(farm.node("bad").await.set_aside.is_some());
+    let events = farm.store.events_after(None, 0, 1000).await.unwrap();
+    assert_eq!(events.iter().filter(|event| event.kind == EventKind::NodeSetAside).count(), 1);
+    let back = NodeChange { set_aside: Some(false), ..NodeChange::default() };
+    let node = farm.store.change_node(bad.id, &back, at(102)).await.unwrap();
+    assert_eq!((node.set_aside, node.state), (None, NodeState::Idle));
+    // What was is forgiven: one more failure does not set it aside again.
+    let lease = farm.claim(bad.id, at(200)).await.unwrap();
+    farm.fail(&lease, &error("no GPU"), at(200)).await;
+    assert_eq!(farm.store.node(bad.id).await.unwrap().set_aside, None);
+}
+
+#[tokio::test]
+async fn what_anyone_would_have_met_is_not_held_against_a_node() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let permanent = TaskError { permanent: true, ..error("scene.json is gone") };
+    let limited = TaskError { limit: Some(TaskLimit::Memory), ..error("beyond its limit") };
+    for round in 0..8 {
+        farm.job("0").await;
+        let lease = farm.claim(node.id, at(round)).await.unwrap();
+        farm.fail(&lease, if round % 2 == 0 { &permanent } else { &limited }, at(round)).await;
+    }
+    assert_eq!(farm.store.node(node.id).await.unwrap().set_aside, None);
+}
+
+#[tokio::test]
+async fn the_log_of_a_task_is_kept_by_attempt_each_line_once_and_without_secrets() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    farm.job("0").await;
+    let line =
+        |number, text: &str| LogLine { number, at: at(7), level: LogLevel::Warn, text: text.to_owned() };
+    let lease = farm.claim(node.id, at(0)).await.unwrap();
+    let secret = format!("forelight_{}", "ab".repeat(32));
+    let first = RenewRequest { log: vec![line(0, "begun"), line(1, &secret)], ..renewal(1, 0.1) };
+    for _ in 0..2 {
+        farm.store.renew(lease.lease_id, &first, TTL, at(1)).await.unwrap();
+    }
+    // Beyond the bound nothing is kept, nor of a lease that is not the worker's.
+    farm.store.keep_log(lease.lease_id, 1, &[line(2, "odd"), line(400, "too much")]).await.unwrap();
+    farm.store.keep_log(lease.lease_id, 9, &[line(3, "a stranger")]).await.unwrap();
+    farm.fail(&lease, &error("no"), at(2)).await;
+    let again = farm.claim(node.id, at(50)).await.unwrap();
+    farm.store.keep_log(again.lease_id, 2, &[line(0, "begun again")]).await.unwrap();
+    let log = farm.store.task_log(lease.task_id).await.unwrap();
+    let lines: Vec<_> =
+        log.lines.iter().map(|line| (line.attempt, line.number, line.text.as_str())).collect();
+    assert_eq!(lines, [(1, 0, "begun"), (1, 1, "forelight_…"), (1, 2, "odd"), (2, 0, "begun again")]);
+    assert!(matches!(farm.store.task_log(TaskId::new()).await, Err(crate::StoreError::NotFound("task"))));
+    farm.store.sweep(at(40 * 24 * 3600)).await.unwrap();
+    assert!(farm.store.task_log(lease.task_id).await.unwrap().lines.is_empty(), "kept for ever");
+}
+
+#[tokio::test]
+async fn a_limit_of_the_job_reaches_every_one_of_its_tasks() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let limits = forelight_protocol::TaskLimits { memory_bytes: Some(1 << 30), wall_ms: Some(5000) };
+    let job = farm.booked_job(JobRequest { limits, ..request("0") }, node.id, at(0)).await;
+    assert_eq!(farm.claim(node.id, at(1)).await.unwrap().limits, limits);
+    assert_eq!(farm.store.job(job).await.unwrap().limits, limits);
+}

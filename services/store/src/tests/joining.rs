@@ -1,0 +1,61 @@
+//! One-time tokens.
+
+use forelight_protocol::{JoinRequest, Role};
+
+use super::*;
+use crate::{StoreError, token_hash, tokens};
+
+fn join(name: &str, own: &str) -> JoinRequest {
+    JoinRequest { node: registration(name), token_hash: token_hash(own) }
+}
+
+#[tokio::test]
+async fn a_one_time_token_makes_one_node_with_a_token_of_its_own_and_is_burnt() {
+    let farm = Farm::new().await;
+    let store = &farm.store;
+    let made = store.create_join_token("rack 7", 3600 * SECOND, at(0)).await.unwrap();
+    assert_eq!(made.expires_at, at(3600));
+    assert_eq!(tokens::find(store, &made.token).await.unwrap(), None, "it is no bearer token");
+    let own = tokens::random();
+    let node = store.join(&made.token, &join("rack-7", &own), at(1)).await.unwrap();
+    let principal = tokens::find(store, &own).await.unwrap().unwrap();
+    assert_eq!((principal.role, principal.node), (Role::Worker, Some(node.id)));
+    // The answer was lost: the same machine asks again.
+    assert_eq!(store.join(&made.token, &join("rack-7", &own), at(2)).await.unwrap().id, node.id);
+    // Another machine, and one that comes much later.
+    let other = tokens::random();
+    let Err(StoreError::Conflict(why)) = store.join(&made.token, &join("rack-8", &other), at(3)).await else {
+        panic!()
+    };
+    assert!(why.contains("was used at"), "{why}");
+    assert_eq!(tokens::find(store, &other).await.unwrap(), None);
+    assert_eq!(store.nodes(None, 10).await.unwrap().len(), 1, "nothing was left behind");
+}
+
+#[tokio::test]
+async fn unknown_and_expired_one_time_tokens_are_refused() {
+    let farm = Farm::new().await;
+    let made = farm.store.create_join_token("a", 10 * SECOND, at(0)).await.unwrap();
+    for token in [made.token.as_str(), "forelight_0", ""] {
+        let refused = farm.store.join(token, &join("a", &tokens::random()), at(10)).await;
+        assert!(matches!(refused, Err(StoreError::JoinRefused(_))), "{refused:?}");
+    }
+}
+
+#[tokio::test]
+async fn a_machine_that_takes_a_nodes_place_takes_its_token_away() {
+    let farm = Farm::new().await;
+    let (first, second) = (tokens::random(), tokens::random());
+    let mut nodes = Vec::new();
+    for own in [&first, &second] {
+        let made = farm.store.create_join_token("a", SECOND, at(0)).await.unwrap();
+        nodes.push(farm.store.join(&made.token, &join("a", own), at(0)).await.unwrap().id);
+    }
+    assert_eq!(nodes[0], nodes[1]);
+    assert_eq!(tokens::find(&farm.store, &first).await.unwrap(), None);
+    assert!(tokens::find(&farm.store, &second).await.unwrap().is_some());
+    // Nor can a machine claim the token of another.
+    let made = farm.store.create_join_token("b", SECOND, at(0)).await.unwrap();
+    let stolen = farm.store.join(&made.token, &join("b", &second), at(0)).await;
+    assert!(matches!(stolen, Err(StoreError::Conflict(_))), "{stolen:?}");
+}

@@ -1,0 +1,49 @@
+//! A clock that can be set and a disk that can be full, for a service that knows nothing of either: see `shim.c`.
+
+use std::fs::File;
+use std::os::unix::fs::FileExt as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// What is loaded into the service, and the file by which it is told what to do.
+pub struct Shim {
+    library: PathBuf,
+    path: PathBuf,
+    control: File,
+}
+
+impl Shim {
+    /// Compiles it into this folder. `None`, with a line that says so, where there is no C compiler.
+    pub fn compile(folder: &Path) -> Option<Self> {
+        let (library, path) = (folder.join("shim.so"), folder.join("shim.control"));
+        let source = concat!(env!("CARGO_MANIFEST_DIR"), "/support/shim.c");
+        let compiler = Command::new("cc")
+            .args(["-shared", "-fPIC", "-O1", "-Wall", "-o"])
+            .arg(&library)
+            .arg(source)
+            .status();
+        if !compiler.is_ok_and(|status| status.success()) {
+            println!("no C compiler: clocks are not set and disks are not full");
+            return None;
+        }
+        let control =
+            File::options().create(true).truncate(true).write(true).open(&path).expect("a file can be made");
+        control.write_all_at(&[0; 16], 0).expect("a file can be written");
+        Some(Self { library, path, control })
+    }
+
+    /// The variables that a process is to be started with.
+    pub fn environment(&self) -> [(&'static str, &Path); 2] {
+        [("LD_PRELOAD", &self.library), ("FORELIGHT_SHIM", &self.path)]
+    }
+
+    /// Sets the clock to so many seconds after the true time (before, if negative).
+    pub fn set_clock(&self, seconds: i64) {
+        self.control.write_all_at(&seconds.to_ne_bytes(), 0).expect("a file can be written");
+    }
+
+    /// Fills the disk, or makes room again.
+    pub fn fill_disk(&self, full: bool) {
+        self.control.write_all_at(&i64::from(full).to_ne_bytes(), 8).expect("a file can be written");
+    }
+}

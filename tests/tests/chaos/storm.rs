@@ -1,0 +1,253 @@
+//! Everything at once: workers and service are killed at random moments, the network between them loses, doubles and delays messages, the
+//! service's clock is set forward and back by hours, its disk is full for moments; all the while small frames are rendered, job after
+//! job. In the end every frame is there once, with the bits of an undisturbed render, and the books balance.
+//!
+//! The story follows from a seed (when exactly things happen depends on the machine, too). Twelve kills by default; two
+//! hundred, as it is meant:
+//!
+//! ```sh
+//! FORELIGHT_STORM_KILLS=200 cargo test -p forelight-tests --test chaos storm -- --nocapture
+//! ```
+
+use super::{Acknowledged, counts, frames_of, job_of};
+use forelight_protocol::{Bundle, FrameState, Job, JobState, RenderStats, Role};
+use forelight_tests::bundles::{shipped, zipped};
+use forelight_tests::http::{Answer, Http};
+use forelight_tests::ledger::Ledger;
+use forelight_tests::pictures::Channels;
+use forelight_tests::processes::{Process, Service, run_well};
+use forelight_tests::proxy::Proxy;
+use forelight_tests::random::Random;
+use forelight_tests::shim::Shim;
+use forelight_tests::waiting::eventually;
+use reqwest::{Method, StatusCode};
+use serde_json::json;
+use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+const SCENE: &str = "corridor";
+const WIDTH: u32 = 32;
+const HEIGHT: u32 = 18;
+/// A frame takes about half a second of a test build.
+const SAMPLES_PER_PIXEL: u32 = 12;
+const FRAMES: u32 = 10;
+const WORKERS: usize = 3;
+/// For a whole job in a storm, and for what is left of it when the storm is over.
+const PATIENCE: Duration = Duration::from_secs(240);
+
+fn number(variable: &str, default: u64) -> u64 {
+    std::env::var(variable).ok().map_or(default, |text| text.parse().expect("a number"))
+}
+
+/// What `forelight render` makes of the frames.
+fn undisturbed() -> BTreeMap<u32, (Channels, RenderStats)> {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = shipped(SCENE).display().to_string();
+    let render = |frame: u32| {
+        let out = folder.path().join(format!("{frame}.exr"));
+        let arguments = [
+            "render",
+            &scene,
+            "--width",
+            &WIDTH.to_string(),
+            "--height",
+            &HEIGHT.to_string(),
+            "--spp",
+            &SAMPLES_PER_PIXEL.to_string(),
+            "--preview",
+            "cpu",
+            "--frame",
+            &frame.to_string(),
+            "--out",
+            out.to_str().unwrap(),
+            "--json",
+        ];
+        let stats: RenderStats = serde_json::from_str(&run_well(&arguments)).unwrap();
+        (frame, (Channels::of(&std::fs::read(out).unwrap()), stats))
+    };
+    (0..FRAMES).map(render).collect()
+}
+
+async fn submit(http: &Http, bundle: &Bundle, number: usize) -> Job {
+    let request = json!({
+        "name": format!("storm {number}"), "bundle": {"id": bundle.id}, "frames": format!("0-{}", FRAMES - 1),
+        "settings": {"width": WIDTH, "height": HEIGHT, "spp": SAMPLES_PER_PIXEL}, "samples": 32, "profile_frames": 2,
+    });
+    // The disk is not full when this is asked, but a service that has just been started may be busy.
+    let key = format!("storm-{number}");
+    eventually("a job to be taken", PATIENCE, async || {
+        let post = http.request(Method::POST, "/v1/jobs").header("idempotency-key", &key).json(&request);
+        let answer = post.send().await.ok()?;
+        match answer.status() {
+            StatusCode::CREATED => Some(answer.parsed(StatusCode::CREATED).await),
+            status => {
+                assert!(status.is_server_error(), "{status}");
+                None
+            }
+        }
+    })
+    .await
+}
+
+/// What happens, and how often it did.
+#[derive(Debug, Default)]
+struct Happened {
+    workers_killed: u64,
+    services_killed: u64,
+    clocks_set: u64,
+    disks_full: u64,
+}
+
+struct Storm {
+    service: Service,
+    proxy: Proxy,
+    shim: Option<Shim>,
+    workers: Vec<Process>,
+    born: usize,
+    random: Random,
+    clock: i64,
+    happened: Happened,
+}
+
+impl Storm {
+    async fn new(seed: u64) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let shim = Shim::compile(folder.path());
+        let mut service = Service::prepared(folder, "serve", &["--lease-ttl", "2s"]);
+        if let Some(shim) = &shim {
+            service.set_environment(&shim.environment());
+        }
+        service.launch().await;
+        let proxy = Proxy::start(service.address(), seed).await;
+        let mut storm = Self {
+            service,
+            proxy,
+            shim,
+            workers: Vec::new(),
+            born: 0,
+            random: Random::new(seed ^ 1),
+            clock: 0,
+            happened: Happened::default(),
+        };
+        for slot in 0..WORKERS {
+            let worker = storm.worker(slot);
+            storm.workers.push(worker);
+        }
+        storm
+    }
+
+    fn worker(&mut self, slot: usize) -> Process {
+        self.born += 1;
+        let (node, process) = (format!("node-{slot}"), format!("worker-{}", self.born));
+        self.service.worker_at(&self.proxy.address(), &node, &process, "100ms")
+    }
+
+    async fn moment(&mut self, longest_ms: u64) {
+        tokio::time::sleep(Duration::from_millis(self.random.below(longest_ms))).await;
+    }
+
+    /// One more thing goes wrong.
+    async fn strike(&mut self) {
+        match self.random.below(100) {
+            0..50 => {
+                let slot = self.random.below(WORKERS as u64) as usize;
+                self.workers.swap_remove(slot).kill();
+                self.happened.workers_killed += 1;
+                self.moment(300).await;
+                let worker = self.worker(slot);
+                // The last one took the place of the one that was killed; this one takes its name.
+                self.workers.push(worker);
+                let last = self.workers.len() - 1;
+                self.workers.swap(slot, last);
+            }
+            50..80 => {
+                self.service.kill();
+                self.happened.services_killed += 1;
+                self.moment(1200).await;
+                self.service.start_again().await;
+            }
+            80..92 => {
+                let hours = self.random.below(9) as i64 - 4;
+                self.clock += hours * 3600 + self.random.below(100) as i64;
+                if let Some(shim) = &self.shim {
+                    shim.set_clock(self.clock);
+                    self.happened.clocks_set += 1;
+                }
+            }
+            _ => {
+                if let Some(shim) = &self.shim {
+                    shim.fill_disk(true);
+                    self.happened.disks_full += 1;
+                }
+                self.moment(700).await;
+                if let Some(shim) = &self.shim {
+                    shim.fill_disk(false);
+                }
+            }
+        }
+    }
+
+    fn kills(&self) -> u64 {
+        self.happened.workers_killed + self.happened.services_killed
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_storm_of_kills_lost_messages_full_disks_and_clocks_that_are_set_loses_no_frame_and_changes_no_bit()
+{
+    let wanted = number("FORELIGHT_STORM_KILLS", 12);
+    let reference = undisturbed();
+    let mut storm = Storm::new(number("FORELIGHT_STORM_SEED", 1)).await;
+    let http = storm.service.http(Role::Operator);
+    let bundle: Bundle = http.upload(zipped(&shipped(SCENE)), None).await.parsed(StatusCode::CREATED).await;
+    let mut jobs = vec![submit(&http, &bundle, 0).await];
+    let mut acknowledged = Acknowledged::default();
+    while storm.kills() < wanted {
+        storm.moment(900).await;
+        storm.strike().await;
+        let last = jobs.last().unwrap();
+        acknowledged.look(&frames_of(&http, last).await);
+        let state = job_of(&http, last).await;
+        assert!(!matches!(state.state, JobState::Failed | JobState::Cancelled), "{:?}", state.error);
+        if state.state == JobState::Done {
+            acknowledged = Acknowledged::default();
+            jobs.push(submit(&http, &bundle, jobs.len()).await);
+        }
+    }
+    // The storm is over. What is left is done, and nothing is held for ever.
+    storm.proxy.calm();
+    for job in &jobs {
+        let done = eventually("the end of a job", PATIENCE, async || {
+            let job = job_of(&http, job).await;
+            job.state.is_final().then_some(job)
+        })
+        .await;
+        assert_eq!(done.state, JobState::Done, "{:?}", done.error);
+        assert_eq!((done.frames_done, done.progress), (FRAMES, 1.0));
+        for row in frames_of(&http, job).await {
+            let (image, stats) = &reference[&row.frame];
+            assert_eq!(row.state, FrameState::Done, "frame {}", row.frame);
+            assert_eq!(counts(row.actual.as_ref().unwrap()), counts(stats), "frame {}", row.frame);
+            let path = format!("/v1/jobs/{}/frames/{}/image.exr", job.id, row.frame);
+            let what = format!("frame {} of {} and of an undisturbed render", row.frame, done.name);
+            Channels::of(&http.bytes(&path, "image/x-exr").await).assert_same(image, &what);
+        }
+    }
+    for worker in storm.workers.drain(..) {
+        worker.end().await;
+    }
+    storm.service.end().await;
+    Ledger::of(&storm.service.data()).await.assert_balanced().await;
+    let faults = storm.proxy.faults();
+    println!("{} jobs of {FRAMES} frames; {:?}; {faults:?}", jobs.len(), storm.happened);
+    for (what, number) in [
+        ("lost requests", &faults.lost_requests),
+        ("lost answers", &faults.lost_answers),
+        ("doubled requests", &faults.doubled),
+        ("late requests", &faults.late),
+        ("delayed requests", &faults.delayed),
+    ] {
+        assert!(number.load(Ordering::Relaxed) > 0, "no {what}: it was no storm");
+    }
+}
