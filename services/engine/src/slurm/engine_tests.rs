@@ -202,6 +202,7 @@ impl Farm {
             speed: 1.5,
             price_per_hour: forelight_protocol::Money(0),
             cores: 4,
+            capabilities: Default::default(),
         };
         match self.store.register_node(&registration, None, at(0)).await.unwrap() {
             Answered::Fresh(node) => node.id,
