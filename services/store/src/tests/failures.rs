@@ -53,6 +53,30 @@ async fn a_task_that_failed_waits_and_then_goes_to_another_node_first() {
 }
 
 #[tokio::test]
+async fn a_task_that_is_asked_for_by_its_id_waits_after_a_failure_and_is_refused_while_a_budget_holds_it() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    farm.job("0").await;
+    let lease = farm.claim(node.id, at(0)).await.unwrap();
+    farm.fail(&lease, &error("disk full"), at(0)).await;
+    let by_id = async |seconds| farm.store.claim_task(node.id, lease.task_id, TTL, None, at(seconds)).await;
+    assert!(by_id(0).await.unwrap().is_none(), "at once");
+    let mut write = farm.store.write().await.unwrap();
+    sqlx::query("UPDATE tasks SET held = 1").execute(write.connection()).await.unwrap();
+    farm.store.commit(write).await.unwrap();
+    let refused = by_id(2).await;
+    assert!(
+        matches!(&refused, Err(crate::StoreError::Conflict(why)) if why.contains("budget")),
+        "{refused:?}"
+    );
+    let mut write = farm.store.write().await.unwrap();
+    sqlx::query("UPDATE tasks SET held = 0").execute(write.connection()).await.unwrap();
+    farm.store.commit(write).await.unwrap();
+    // Whoever started a process for it on the node that it failed on knows why.
+    assert!(by_id(2).await.unwrap().is_some());
+}
+
+#[tokio::test]
 async fn the_third_node_that_a_task_fails_on_fails_the_job_and_the_same_report_counts_once() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;
