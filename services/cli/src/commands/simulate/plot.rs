@@ -98,7 +98,7 @@ fn cost(area: &Area<'_>, reports: &[Report]) -> Result<(), Box<dyn std::error::E
     chart
         .configure_mesh()
         .x_desc("cost over bound")
-        .y_label_formatter(&|share| format!("{:.0} %", share * 100.0))
+        .y_label_formatter(&|share| format!("{:.1} %", share * 100.0))
         .light_line_style(TRANSPARENT)
         .bold_line_style(GREY.mix(0.18))
         .axis_style(GREY)
