@@ -16,12 +16,11 @@
 //! (0,2)-sequences, whose mean converges faster: on smooth pixels s² / n is too large by a factor that grows with n. So a pixel's
 //! variance is measured as a *spectrum* over the number of samples, see [`PixelSamples`].
 
-mod allot;
+pub mod allot;
 mod front;
 mod image;
 mod pixel;
 
-pub use allot::{MOST_SAMPLES, Zone, mean_variance, samples_for_budget, samples_for_variance, whole};
 pub use front::{Point, Step, front, front_of_known};
 pub use image::{
     ErrorQuantiles, ImageNoise, MeanSquare, NoiseCell, NoiseGroup, NoiseSample, noise_cells, noise_groups,

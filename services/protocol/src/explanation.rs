@@ -36,6 +36,8 @@ pub struct ObjectShare {
     pub shows: Option<StratumName>,
     /// How many they are, in all frames.
     pub pixels: u64,
+    /// Share of all pixels, 0 to 1.
+    pub share_of_pixels: f64,
     /// Their work.
     pub work: f64,
     /// Its share of the whole, 0 to 1.

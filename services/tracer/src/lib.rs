@@ -51,7 +51,7 @@ pub use fingerprint::tracer_version;
 pub use image::{Image, ImageError, Totals, cost_color};
 pub use profile::{Profile, ProfileError};
 pub use reach::{Excluded, LeftOut, Reach, Reason, reachable};
-pub use samples::{MOST_SAMPLES, SampleCounts, SampleCountsError};
+pub use samples::{SampleCounts, SampleCountsError};
 pub use settings::{CacheSettings, Integrator, MaterialOverride, Settings, SettingsError};
 pub use tracer::{Pixel, PixelsFinished, Tracer};
 pub use tree::Tree;

@@ -2,9 +2,6 @@
 
 use std::sync::Arc;
 
-/// Most camera samples of a pixel.
-pub const MOST_SAMPLES: u32 = 65_535;
-
 /// Numbers of camera samples, one for each pixel of an image, row by row from the top left; each at least 1.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SampleCounts(Arc<[u16]>);

@@ -6,14 +6,13 @@
 //! what is left of the time depends on it.
 
 use crate::accuracy::{AccuracyObserver, AccuracyOptions, Pilot, piloted};
-use crate::noise::Zones;
 use crate::render::{Given, Rendered, render_ready, seconds};
-use crate::renderer::{FrameRenderer, Progress, RenderError, Renderer};
+use crate::renderer::{Progress, RenderError, Renderer};
 use crate::shot::ShotError;
-use forelight_forecast::accuracy::{
-    ImageNoise, MOST_SAMPLES, Zone, mean_variance, noise_groups, samples_for_budget, samples_for_variance,
-    whole,
+use forelight_forecast::accuracy::allot::{
+    MOST_SAMPLES, Zone, cost, mean_variance, samples_for_budget, samples_for_variance, whole,
 };
+use forelight_forecast::accuracy::{ImageNoise, NoiseGroup, noise_groups};
 use forelight_forecast::{Calibration, ForecastError};
 use forelight_protocol::{AllottedStats, Confidence, ImageError, Quantiles, RenderSettings};
 use forelight_tracer::SampleCounts;
@@ -96,7 +95,7 @@ pub fn render_allotted(
         Err(ShotError::Cancelled) => return Ok(None),
         pilot => pilot?,
     };
-    let (samples, allotted) = Costs::of(&pilot)?.allot(&*ready, &pilot, options)?;
+    let (samples, allotted) = Costs::of(&pilot)?.allot(&pilot, options)?;
     ready.allot(samples)?;
     let mut rendered = render_ready(&*ready, &settings, None, progress, &|_| (), observer.cancel())?;
     if let Some(rendered) = &mut rendered {
@@ -131,7 +130,6 @@ impl Costs {
 
     fn allot(
         &self,
-        ready: &dyn FrameRenderer,
         pilot: &Pilot,
         options: &AllotOptions,
     ) -> Result<(SampleCounts, AllottedStats), AllotError> {
@@ -139,18 +137,7 @@ impl Costs {
         let noise = &pilot.noise;
         let image = ImageNoise::new(noise.cells(&pilot.noise_strata, &noise.counts)?)?;
         let groups = noise_groups(&pilot.noise_strata, &noise.counts, &noise.samples)?;
-        let zones: Vec<Zone> = groups
-            .iter()
-            .map(|group| {
-                let pixels = group.strata.iter().map(|&h| u64::from(noise.counts[h])).sum();
-                let samples: Vec<_> = group
-                    .samples
-                    .iter()
-                    .map(|&i| (&noise.samples[i].noise, pilot.pixel_work[i] as f64))
-                    .collect();
-                Zone::new(pixels, &samples, spp, &image)
-            })
-            .collect::<Result<_, _>>()?;
+        let zones = zones(pilot, &image, &groups)?;
         // The strata of cost are finer, and their estimate of the whole is the better one.
         let scale = self.pixel_work / cost(&zones, &vec![f64::from(spp); zones.len()]).max(f64::MIN_POSITIVE);
         let per_work = self.pixel_seconds / self.pixel_work.max(f64::MIN_POSITIVE);
@@ -178,17 +165,7 @@ impl Costs {
                 samples_for_variance(&zones, wanted * wanted)
             }
         };
-        let seen = ready.preview()?;
-        let of_zone = Zones::new(ready, &seen.preview);
-        let mut counts = vec![1u16; ready.frame().camera.pixels()];
-        for (group, &samples) in groups.iter().zip(&samples) {
-            let pixels = of_zone.pixels_of(&group.strata);
-            for (&pixel, n) in pixels.iter().zip(whole(samples, pixels.len())) {
-                // At most as many as that type holds.
-                counts[pixel as usize] = n.min(MOST_SAMPLES as u32) as u16;
-            }
-        }
-        let samples_of_pixels = SampleCounts::new(counts).map_err(RenderError::from)?;
+        let samples_of_pixels = laid_out(pilot, &groups, &samples)?;
         let (least, most, mean) = samples_of_pixels.range();
         let change = of_pixels(&samples) - self.pixel_work;
         let error = mean_variance(&zones, &samples).sqrt() / image.mean().max(f64::MIN_POSITIVE);
@@ -212,8 +189,28 @@ impl Costs {
     }
 }
 
-fn cost(zones: &[Zone], samples: &[f64]) -> f64 {
-    zones.iter().zip(samples).map(|(zone, n)| zone.pixels * zone.cost * n).sum()
+fn zones(pilot: &Pilot, image: &ImageNoise, groups: &[NoiseGroup]) -> Result<Vec<Zone>, ForecastError> {
+    let (noise, of_image) = (&pilot.noise, image.curve());
+    let zone = |group: &NoiseGroup| {
+        let pixels = group.strata.iter().map(|&h| u64::from(noise.counts[h])).sum();
+        let sample = |&i: &usize| (image.curve_of(&noise.samples[i].noise), pilot.pixel_work[i] as f64);
+        let samples: Vec<_> = group.samples.iter().map(sample).collect();
+        Zone::new(pixels, &samples, pilot.settings.spp, of_image)
+    };
+    groups.iter().map(zone).collect()
+}
+
+/// The samples of each group of strata, pixel by pixel.
+fn laid_out(pilot: &Pilot, groups: &[NoiseGroup], samples: &[f64]) -> Result<SampleCounts, RenderError> {
+    let mut counts = vec![1u16; pilot.settings.pixels() as usize];
+    for (group, &samples) in groups.iter().zip(samples) {
+        let pixels = pilot.zones.pixels_of(&group.strata);
+        for (&pixel, n) in pixels.iter().zip(whole(samples, pixels.len())) {
+            // At most as many as that type holds.
+            counts[pixel as usize] = n.min(MOST_SAMPLES as u32) as u16;
+        }
+    }
+    Ok(SampleCounts::new(counts)?)
 }
 
 /// 1 for nothing of nothing.

@@ -39,6 +39,7 @@ impl Quote {
             objects.extend(shown.map(|h| ObjectShare {
                 shows: strata.get(h).map(|stratum| stratum.name.clone()),
                 pixels: counts[h],
+                share_of_pixels: counts[h] as f64 / pixel_count,
                 work: work[h],
                 share: share(work[h]),
                 times_mean_pixel: work[h] / counts[h].max(1) as f64 / (pixel_work / pixel_count),

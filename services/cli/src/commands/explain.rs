@@ -22,17 +22,13 @@ pub fn text(explanation: &Explanation) -> String {
             ("a pixel costs", Align::Right),
         ]);
         for object in explanation.objects.iter().take(SHOWN) {
-            let ObjectShare { shows, share, times_mean_pixel, .. } = object;
+            let ObjectShare { shows, share, share_of_pixels, times_mean_pixel, .. } = object;
             let name =
                 shows.as_ref().map_or("nothing".into(), |name| format!("{}, {}", name.object, name.material));
-            // work = pixels · times · mean.
-            let pixels_work: f64 =
-                explanation.parts.iter().filter(|p| p.part == "pixels").map(|p| p.share).sum();
-            let of_pixels = share / pixels_work / times_mean_pixel;
             table.row([
                 name,
                 percent(*share),
-                percent(of_pixels),
+                percent(*share_of_pixels),
                 format!("{times_mean_pixel:.2} x the mean"),
             ]);
         }

@@ -11,8 +11,7 @@
 //!
 //! Numbers of samples need not be whole: of a zone with 2.25, every fourth pixel gets 3 and the others 2.
 
-use super::image::{EXPONENTS, ImageNoise};
-use super::pixel::PixelNoise;
+use super::image::EXPONENTS;
 use crate::error::ForecastError;
 use crate::moments::sum;
 
@@ -34,24 +33,23 @@ pub struct Zone {
 }
 
 impl Zone {
-    /// Of sampled pixels of a zone, with what each cost at `spp` camera samples; `image` says how the whole image's variance falls, and lends
-    /// to zones of few samples.
+    /// Of a zone's sampled pixels: how the variance of each falls (see [`super::ImageNoise::curve_of`]), and what it cost at `spp` camera
+    /// samples. The whole image's curve lends to zones of few samples.
     ///
     /// # Errors
     /// If nothing was sampled.
     pub fn new(
         pixels: u64,
-        samples: &[(&PixelNoise, f64)],
+        samples: &[([f64; 2], f64)],
         spp: u32,
-        image: &ImageNoise,
+        of_image: [f64; 2],
     ) -> Result<Self, ForecastError> {
         if samples.is_empty() {
             return Err(ForecastError::NoSamples);
         }
         let count = samples.len() as f64;
-        let of_image = image.curve();
         let variance = [0, 1].map(|which| {
-            let own = sum(samples.iter().map(|(noise, _)| image.curve_of(noise)[which]));
+            let own = sum(samples.iter().map(|(curve, _)| curve[which]));
             ((own + IMAGE_COUNTS * of_image[which]) / (count + IMAGE_COUNTS)).max(0.0)
         });
         let cost = sum(samples.iter().map(|(_, cost)| *cost)) / count / f64::from(spp);
@@ -89,17 +87,14 @@ impl Zone {
 
 /// Samples per pixel of each zone that cost `budget` all together, with the least error. `None` if one sample per pixel costs more.
 pub fn samples_for_budget(zones: &[Zone], budget: f64) -> Option<Vec<f64>> {
-    let cost = |samples: &[f64]| sum(zones.iter().zip(samples).map(|(zone, n)| zone.pixels * zone.cost * n));
     let least = vec![1.0; zones.len()];
-    (cost(&least) <= budget).then(|| by_price(zones, |samples| cost(samples) <= budget))
+    (cost(zones, &least) <= budget).then(|| by_price(zones, |samples| cost(zones, samples) <= budget))
 }
 
 /// Samples per pixel of each zone with the least cost for a mean variance of the pixels of `variance`; the most that there may be, if that is
 /// not enough.
 pub fn samples_for_variance(zones: &[Zone], variance: f64) -> Vec<f64> {
-    let pixels = sum(zones.iter().map(|zone| zone.pixels));
-    let error = |samples: &[f64]| sum(zones.iter().zip(samples).map(|(zone, n)| zone.error(*n)));
-    by_price(zones, |samples| error(samples) >= variance * pixels)
+    by_price(zones, |samples| mean_variance(zones, samples) >= variance)
 }
 
 /// The samples of the lowest price that still meets a condition, which only few samples meet.
@@ -120,6 +115,11 @@ fn by_price(zones: &[Zone], is_few_enough: impl Fn(&[f64]) -> bool) -> Vec<f64> 
         if is_few_enough(&at(middle)) { high = middle } else { low = middle }
     }
     at(high)
+}
+
+/// What so many samples in each zone cost.
+pub fn cost(zones: &[Zone], samples: &[f64]) -> f64 {
+    sum(zones.iter().zip(samples).map(|(zone, n)| zone.pixels * zone.cost * n))
 }
 
 /// The mean variance of the pixels with so many samples in each zone.
@@ -148,15 +148,11 @@ mod tests {
         ]
     }
 
-    fn cost(samples: &[f64]) -> f64 {
-        zones().iter().zip(samples).map(|(zone, n)| zone.pixels * zone.cost * n).sum()
-    }
-
     #[test]
     fn a_budget_is_spent_and_no_exchange_between_zones_lowers_the_error() {
         let zones = zones();
         let samples = samples_for_budget(&zones, 20_000.0).unwrap();
-        assert!((cost(&samples) / 20_000.0 - 1.0).abs() < 1e-9);
+        assert!((cost(&zones, &samples) / 20_000.0 - 1.0).abs() < 1e-9);
         assert_eq!(samples[2], 1.0, "what does not vary gets one sample");
         assert!(samples[1] > 2.0 * samples[0], "{samples:?}");
         let best = mean_variance(&zones, &samples);
@@ -173,7 +169,7 @@ mod tests {
         let zones = zones();
         let samples = samples_for_variance(&zones, 0.02);
         assert!((mean_variance(&zones, &samples) / 0.02 - 1.0).abs() < 1e-6);
-        let again = samples_for_budget(&zones, cost(&samples)).unwrap();
+        let again = samples_for_budget(&zones, cost(&zones, &samples)).unwrap();
         assert!(samples.iter().zip(&again).all(|(a, b)| (a / b - 1.0).abs() < 1e-4), "{samples:?} {again:?}");
     }
 

@@ -31,18 +31,18 @@ impl View {
     /// Of a frame, and what looking took.
     pub fn of(ready: &dyn FrameRenderer) -> Result<(Self, Spent), RenderError> {
         let seen = ready.preview()?;
-        let view = Self::new(ready, &seen.preview);
+        let view = Self::new(ready, &seen.preview, &Zones::new(ready, &seen.preview));
         let spent = seen.spent.plus(ready.spent_on_setup()).plus(view.fixed.plan);
         Ok((view, spent))
     }
 
-    fn new(ready: &dyn FrameRenderer, preview: &Preview) -> Self {
+    fn new(ready: &dyn FrameRenderer, preview: &Preview, zones: &Zones) -> Self {
         let shown = preview.counts();
         let mut counts = shown.per_stratum;
         counts.push(shown.background);
         Self {
             counts,
-            noise_counts: Zones::new(ready, preview).counts,
+            noise_counts: zones.counts.clone(),
             cache_records: ready.cache_records(),
             fixed: ready.fixed(),
         }
@@ -65,6 +65,8 @@ pub struct Pilot {
     pub noise: FrameNoise,
     /// What interpolation adds at some of its pixels; without an irradiance cache nothing.
     pub interpolation: Option<FrameNoise>,
+    /// Which pixel is in which of these strata.
+    pub zones: Zones,
     /// Work of the pixels of `noise`, in their order.
     pub pixel_work: Vec<u64>,
     /// What it took.
@@ -87,7 +89,8 @@ impl Pilot {
         let profiled = profile_ready(ready, shot, &settings, &picked, &Watching(observer))?;
         let spent = profiled.spent();
         let seen = ready.preview()?;
-        let view = View::new(ready, &seen.preview);
+        let zones = Zones::new(ready, &seen.preview);
+        let view = View::new(ready, &seen.preview, &zones);
         let traced: BTreeMap<u32, u64> =
             profiled.traced.iter().map(|(pixel, traced)| (*pixel, traced.work)).collect();
         let overhead = profiled.pixels.plus(profiled.preview).plus(seen.spent);
@@ -101,6 +104,7 @@ impl Pilot {
         Ok(Self {
             pixel_work: noise.pixels.iter().map(work).collect(),
             overhead,
+            zones,
             noise,
             interpolation: None,
             strata: forecast_strata(shot, &settings),
