@@ -5,6 +5,7 @@ mod atomic_file;
 mod commands;
 mod connection;
 mod contact_sheet;
+mod drawing;
 mod failure;
 mod interrupt;
 mod json_file;

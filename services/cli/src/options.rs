@@ -151,3 +151,14 @@ fn accuracy(text: &str) -> Result<u32, String> {
         Err("must lie in 0.01 to 1".into())
     }
 }
+
+/// The arguments of a command as its flags make them: what its tests run it with.
+#[cfg(test)]
+pub fn parsed<A: clap::Args>(words: impl IntoIterator<Item = impl Into<std::ffi::OsString> + Clone>) -> A {
+    #[derive(clap::Parser)]
+    struct Command<A: clap::Args> {
+        #[command(flatten)]
+        args: A,
+    }
+    <Command<A> as clap::Parser>::parse_from(words).args
+}

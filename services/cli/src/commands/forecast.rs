@@ -270,13 +270,7 @@ fn report(quote: &ForecastDoc) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::Parser;
-
-    #[derive(Parser)]
-    struct Command {
-        #[command(flatten)]
-        args: Args,
-    }
+    use crate::options::parsed;
 
     #[test]
     fn a_farms_calibration_is_taken_for_its_own_kind_of_quote_alone() {
@@ -301,7 +295,7 @@ mod tests {
                 "--calibration",
                 &path,
             ];
-            Command::parse_from(fixed.iter().chain(more)).args
+            parsed::<Args>(fixed.iter().chain(more))
         };
         let local = Local::open(folder.path(), &args(&[]).machine, &Bars::new(true)).unwrap();
         let renderer = local.shot.info().renderer.clone();

@@ -4,7 +4,7 @@ use crate::failure::BadInput;
 use crate::options::{PreviewBackend, duration};
 use crate::quantities::parse_money;
 use anyhow::{Context, Result};
-use forelight_engine::slurm::Options;
+use forelight_engine::slurm::{Options, Submitting};
 use std::path::{Path, PathBuf, absolute};
 use std::time::Duration;
 
@@ -75,7 +75,7 @@ impl SlurmOptions {
         let there =
             |path: &Path| absolute(path).with_context(|| format!("cannot say where {} is", path.display()));
         let reserve = self.slurm_reservations != "never";
-        Ok(Options {
+        let submitting = Submitting {
             partition: self.slurm_partition.clone(),
             account: self.slurm_account.clone(),
             program: there(&program)?,
@@ -89,6 +89,9 @@ impl SlurmOptions {
             },
             price_per_hour: self.slurm_price,
             logs: there(self.slurm_logs.as_deref().unwrap_or(logs))?,
+        };
+        Ok(Options {
+            submitting,
             quote_minutes: u32::try_from(self.slurm_quote_limit.as_secs().div_ceil(60)).unwrap_or(u32::MAX),
             reserve_for: reserve.then(user),
             poll: self.slurm_poll,

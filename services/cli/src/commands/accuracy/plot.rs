@@ -1,15 +1,14 @@
 //! The ladders as a picture: error over CPU time, both logarithmic.
 
 use super::value;
+use crate::drawing::{self, Area, Drawn};
 use crate::quantities::seconds;
-use anyhow::{Result, anyhow};
+use anyhow::Result;
 use forelight_protocol::{AccuracyDoc, AccuracyRung, ImageError, LadderKind};
-use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 const SIZE: (u32, u32) = (1100, 720);
@@ -43,17 +42,10 @@ struct Mark<'a> {
 
 /// The plot as SVG.
 pub fn svg(title: &str, document: &AccuracyDoc) -> Result<String> {
-    let mut text = String::new();
-    {
-        let area = SVGBackend::with_string(&mut text, SIZE).into_drawing_area();
-        draw(&area, title, document).map_err(|error| anyhow!("cannot draw the plot: {error}"))?;
-        area.present().map_err(|error| anyhow!("cannot draw the plot: {error}"))?;
-    }
-    Ok(text)
+    drawing::svg(SIZE, |area| draw(area, title, document))
 }
 
-fn draw(area: &Area<'_>, title: &str, document: &AccuracyDoc) -> Result<(), Box<dyn std::error::Error>> {
-    area.fill(&WHITE)?;
+fn draw(area: &Area<'_>, title: &str, document: &AccuracyDoc) -> Drawn {
     let marks = marks(document);
     let (x, y) = bounds(&marks);
     let settings = &document.settings;
@@ -115,7 +107,7 @@ fn grid(
     area: &Area<'_>,
     x: &std::ops::Range<f64>,
     y: &std::ops::Range<f64>,
-) -> Result<(), Box<dyn std::error::Error>> {
+) -> Drawn {
     chart.configure_mesh().disable_mesh().x_labels(0).y_labels(0).axis_style(GREY).draw()?;
     let font = ("sans-serif", 14).into_font().color(&GREY);
     let (left, bottom) =
@@ -165,11 +157,7 @@ fn percentage(value: f64) -> String {
 }
 
 /// The Pareto front as a broad line behind everything.
-fn front(
-    chart: &mut Chart<'_, '_>,
-    document: &AccuracyDoc,
-    marks: &[Mark<'_>],
-) -> Result<(), Box<dyn std::error::Error>> {
+fn front(chart: &mut Chart<'_, '_>, document: &AccuracyDoc, marks: &[Mark<'_>]) -> Drawn {
     let mut line: Vec<(f64, f64)> =
         marks.iter().filter(|mark| document.rungs[mark.index].worth_taking).map(|mark| mark.at).collect();
     line.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -181,11 +169,7 @@ fn front(
     Ok(())
 }
 
-fn ladder(
-    chart: &mut Chart<'_, '_>,
-    look: &Look,
-    marks: &[Mark<'_>],
-) -> Result<(), Box<dyn std::error::Error>> {
+fn ladder(chart: &mut Chart<'_, '_>, look: &Look, marks: &[Mark<'_>]) -> Drawn {
     let own: Vec<&Mark<'_>> = marks.iter().filter(|mark| mark.rung.ladder == look.kind).collect();
     if own.is_empty() {
         return Ok(());
@@ -232,12 +216,7 @@ const LABEL: (i32, i32) = (14, 7);
 type Space = (i32, i32, i32, i32);
 
 /// Names the rungs, each where there is room; what finds none stays without a name.
-fn labels(
-    chart: &Chart<'_, '_>,
-    area: &Area<'_>,
-    document: &AccuracyDoc,
-    marks: &[Mark<'_>],
-) -> Result<(), Box<dyn std::error::Error>> {
+fn labels(chart: &Chart<'_, '_>, area: &Area<'_>, document: &AccuracyDoc, marks: &[Mark<'_>]) -> Drawn {
     let meets = |a: &Space, b: &Space| a.0 < b.2 && b.0 < a.2 && a.1 < b.3 && b.1 < a.3;
     let point = |mark: &Mark<'_>| chart.backend_coord(&mark.at);
     let mut taken: Vec<Space> = marks.iter().map(point).map(|(x, y)| (x - 4, y - 4, x + 4, y + 4)).collect();
@@ -277,7 +256,7 @@ fn labels(
 }
 
 /// What rungs took and came to, joined with what was said of them.
-fn measured(chart: &mut Chart<'_, '_>, marks: &[Mark<'_>]) -> Result<(), Box<dyn std::error::Error>> {
+fn measured(chart: &mut Chart<'_, '_>, marks: &[Mark<'_>]) -> Drawn {
     let truths: Vec<((f64, f64), (f64, f64))> = marks
         .iter()
         .filter_map(|mark| {

@@ -289,13 +289,8 @@ mod tests {
                 {"type": "quad", "corner": [-0.5, 2.9, -0.5], "edge_u": [1, 0, 0], "edge_v": [0, 0, 1],
                     "radiance": [9, 9, 9]}]}"#;
         std::fs::write(folder.path().join("scene.json"), scene).unwrap();
-        #[derive(clap::Parser)]
-        struct Command {
-            #[command(flatten)]
-            args: Args,
-        }
         let flags = ["effects", "bundle", "--width", "12", "--height", "8", "--spp", "1", "--repeats", "2"];
-        let Command { args } = clap::Parser::parse_from(flags);
+        let args: Args = crate::options::parsed(flags);
         let pool = thread_pool(Some(1)).unwrap();
         let measured = measure(&args, folder.path(), &pool, &Interrupt::default()).unwrap();
         let left_out: Vec<&str> = measured.left_out.iter().map(|l| l.what.as_str()).collect();

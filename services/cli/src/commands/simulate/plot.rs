@@ -1,11 +1,9 @@
 //! A simulation as a picture: how busy the farm was, and what being in time cost.
 
-use anyhow::{Result, anyhow};
+use crate::drawing::{self, Area, Drawn};
+use anyhow::Result;
 use forelight_simulator::{PolicyKind, Report};
-use plotters::coord::Shift;
 use plotters::prelude::*;
-
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
 const WIDTH: u32 = 1100;
 /// Height of one picture.
@@ -24,18 +22,11 @@ fn colour(policy: PolicyKind) -> RGBColor {
 
 /// Two pictures for each world, one below the other.
 pub fn svg(worlds: &[(&str, &[Report])]) -> Result<String> {
-    let mut text = String::new();
-    {
-        let size = (WIDTH, HEIGHT * 2 * worlds.len().max(1) as u32);
-        let area = SVGBackend::with_string(&mut text, size).into_drawing_area();
-        draw(&area, worlds).map_err(|error| anyhow!("cannot draw the plot: {error}"))?;
-        area.present().map_err(|error| anyhow!("cannot draw the plot: {error}"))?;
-    }
-    Ok(text)
+    let size = (WIDTH, HEIGHT * 2 * worlds.len().max(1) as u32);
+    drawing::svg(size, |area| draw(area, worlds))
 }
 
-fn draw(area: &Area<'_>, worlds: &[(&str, &[Report])]) -> Result<(), Box<dyn std::error::Error>> {
-    area.fill(&WHITE)?;
+fn draw(area: &Area<'_>, worlds: &[(&str, &[Report])]) -> Drawn {
     let parts = area.split_evenly((worlds.len().max(1), 1));
     for ((name, reports), part) in worlds.iter().zip(parts) {
         let halves = part.split_evenly((2, 1));
@@ -46,7 +37,7 @@ fn draw(area: &Area<'_>, worlds: &[(&str, &[Report])]) -> Result<(), Box<dyn std
 }
 
 /// Of each policy the report with the largest pool: the pools of one policy look much alike here.
-fn utilisation(area: &Area<'_>, name: &str, reports: &[Report]) -> Result<(), Box<dyn std::error::Error>> {
+fn utilisation(area: &Area<'_>, name: &str, reports: &[Report]) -> Drawn {
     let shown: Vec<&Report> = PolicyKind::ALL
         .into_iter()
         .filter_map(|kind| reports.iter().filter(|r| r.policy == kind).max_by_key(|r| r.pool))
@@ -84,7 +75,7 @@ fn utilisation(area: &Area<'_>, name: &str, reports: &[Report]) -> Result<(), Bo
     Ok(())
 }
 
-fn cost(area: &Area<'_>, reports: &[Report]) -> Result<(), Box<dyn std::error::Error>> {
+fn cost(area: &Area<'_>, reports: &[Report]) -> Drawn {
     let most =
         reports.iter().map(Report::over_bound).filter(|value| value.is_finite()).fold(1.2, f64::max) * 1.1;
     let least = reports.iter().map(Report::on_time).fold(1.0, f64::min);

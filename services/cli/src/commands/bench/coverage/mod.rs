@@ -316,17 +316,11 @@ fn text(report: &Report) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::Parser;
-
-    #[derive(Parser)]
-    struct Command {
-        #[command(flatten)]
-        args: Args,
-    }
+    use crate::options::parsed;
 
     #[test]
     fn calibrated_quantiles_of_shots_that_calibrated_none_hold_what_they_promise() {
-        let args = Command::parse_from(["coverage", "--fields", "400", "--json"]).args;
+        let args: Args = parsed(["coverage", "--fields", "400", "--json"]);
         let report = measure(&args, &Bars::new(true), &Interrupt::default()).unwrap();
         let all: Vec<&Row> = report.rows.iter().filter(|row| row.shots == "synthetic: all").collect();
         assert_eq!(all.len(), 3);
@@ -369,7 +363,7 @@ mod tests {
                 "--preview",
                 "cpu",
             ];
-            let args = Command::parse_from(fixed.iter().chain(bundles)).args;
+            let args: Args = parsed(fixed.iter().chain(bundles));
             measure(&args, &Bars::new(true), &Interrupt::default()).unwrap().rows
         };
         let alone = measured(&[&bundle]);

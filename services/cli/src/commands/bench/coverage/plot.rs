@@ -1,8 +1,8 @@
 //! The reliability diagram: how often the truth stayed below a quantile, over how often it was promised to.
 
 use super::{Level, Report, Row};
-use anyhow::{Result, anyhow};
-use plotters::coord::Shift;
+use crate::drawing::{self, Area, Drawn};
+use anyhow::Result;
 use plotters::prelude::*;
 
 /// Size of a panel, pixels.
@@ -11,36 +11,19 @@ const FORMULAS: RGBColor = RGBColor(213, 94, 0);
 const CALIBRATED: RGBColor = RGBColor(0, 114, 178);
 const GREY: RGBColor = RGBColor(215, 215, 215);
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-
 /// A row of panels, by level, for each kind of shots.
 pub fn svg(report: &Report) -> Result<String> {
-    let mut text = String::new();
-    {
-        let columns = Level::ALL.len();
-        let lines = report.rows.len().div_ceil(columns).max(1);
-        let size = (PANEL.0 * columns as u32, PANEL.1 * lines as u32);
-        let root = SVGBackend::with_string(&mut text, size).into_drawing_area();
-        draw(&root, report, lines, columns).map_err(|error| anyhow!("cannot draw the diagram: {error}"))?;
-        root.present().map_err(|error| anyhow!("cannot draw the diagram: {error}"))?;
-    }
-    Ok(text)
+    let columns = Level::ALL.len();
+    let lines = report.rows.len().div_ceil(columns).max(1);
+    drawing::svg((PANEL.0 * columns as u32, PANEL.1 * lines as u32), |root| {
+        for (area, row) in root.split_evenly((lines, columns)).iter().zip(&report.rows) {
+            panel(area, row)?;
+        }
+        Ok(())
+    })
 }
 
-fn draw(
-    root: &Area<'_>,
-    report: &Report,
-    lines: usize,
-    columns: usize,
-) -> Result<(), Box<dyn std::error::Error>> {
-    root.fill(&WHITE)?;
-    for (area, row) in root.split_evenly((lines, columns)).iter().zip(&report.rows) {
-        panel(area, row)?;
-    }
-    Ok(())
-}
-
-fn panel(area: &Area<'_>, row: &Row) -> Result<(), Box<dyn std::error::Error>> {
+fn panel(area: &Area<'_>, row: &Row) -> Drawn {
     let mut chart = ChartBuilder::on(area)
         .caption(format!("{}: {}", row.shots, row.level.title()), ("sans-serif", 15))
         .margin(12)

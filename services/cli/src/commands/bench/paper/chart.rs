@@ -1,8 +1,9 @@
 //! Error against the number of profiled pixels, both in logarithms.
 
 use super::{Curve, CurvePoint};
+use crate::drawing::{self, Area, Drawn};
 use crate::quantities::seconds;
-use anyhow::{Result, anyhow};
+use anyhow::Result;
 use forelight_forecast::Strategy;
 use plotters::prelude::*;
 
@@ -14,28 +15,16 @@ const COLUMNS: usize = 2;
 
 /// The panels, two in a row: the title of each, and its curves.
 pub fn draw(panels: &[(&str, Vec<&Curve>)]) -> Result<String> {
-    let mut svg = String::new();
-    {
-        let rows = panels.len().div_ceil(COLUMNS).max(1);
-        let size = (PANEL.0 * COLUMNS as u32, PANEL.1 * rows as u32);
-        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
-        root.fill(&WHITE).map_err(failed)?;
+    let rows = panels.len().div_ceil(COLUMNS).max(1);
+    drawing::svg((PANEL.0 * COLUMNS as u32, PANEL.1 * rows as u32), |root| {
         for (area, (title, curves)) in root.split_evenly((rows, COLUMNS)).iter().zip(panels) {
-            panel(area, title, curves).map_err(failed)?;
+            panel(area, title, curves)?;
         }
-        root.present().map_err(failed)?;
-    }
-    Ok(svg)
+        Ok(())
+    })
 }
 
-fn failed(error: impl std::fmt::Display) -> anyhow::Error {
-    anyhow!("cannot draw the chart: {error}")
-}
-
-type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
-type Failure<'a> = DrawingAreaErrorKind<<SVGBackend<'a> as DrawingBackend>::ErrorType>;
-
-fn panel<'a>(area: &Area<'a>, title: &str, curves: &[&Curve]) -> Result<(), Failure<'a>> {
+fn panel(area: &Area<'_>, title: &str, curves: &[&Curve]) -> Drawn {
     let points = || curves.iter().flat_map(|curve| curve.points());
     let range = |values: &mut dyn Iterator<Item = f64>| {
         values.filter(|v| *v > 0.0).fold((f64::INFINITY, 0.0f64), |(low, high), v| (low.min(v), high.max(v)))
@@ -44,7 +33,8 @@ fn panel<'a>(area: &Area<'a>, title: &str, curves: &[&Curve]) -> Result<(), Fail
     let (least, greatest) = range(&mut points().map(|point| point.1));
     if fewest > most || least > greatest {
         // Nothing was ever off: there is no logarithm to draw.
-        return area.titled(&format!("{title}: no errors"), ("sans-serif", 15)).map(|_| ());
+        area.titled(&format!("{title}: no errors"), ("sans-serif", 15))?;
+        return Ok(());
     }
     let mut chart = ChartBuilder::on(area)
         .caption(title, ("sans-serif", 15))
@@ -96,7 +86,8 @@ fn panel<'a>(area: &Area<'a>, title: &str, curves: &[&Curve]) -> Result<(), Fail
         .background_style(WHITE.mix(0.85))
         .border_style(RGBColor(215, 215, 215))
         .label_font(("sans-serif", 12))
-        .draw()
+        .draw()?;
+    Ok(())
 }
 
 /// A time in a word; most are far below a second.

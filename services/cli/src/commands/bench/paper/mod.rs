@@ -275,13 +275,7 @@ impl Trials<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::Parser;
-
-    #[derive(Parser)]
-    struct Command {
-        #[command(flatten)]
-        args: Args,
-    }
+    use crate::options::parsed;
 
     /// Runs the experiment on a floor with a block on it, under a lamp or in the dark; the report, and the measurements.
     fn experiment(lamp: &str, flags: &[&str]) -> (tempfile::TempDir, Vec<(String, Study)>) {
@@ -297,13 +291,13 @@ mod tests {
         let (bundle, out) = (folder.path().display().to_string(), folder.path().join("report"));
         let out = out.display().to_string();
         let fixed = ["paper", &bundle, "--out", &out, "--json", "--preview", "cpu", "--gather-rays", "48"];
-        let command = Command::parse_from(fixed.iter().chain(flags));
+        let args: Args = parsed(fixed.iter().chain(flags));
         let bars = Bars::new(true);
-        let local = Local::open(folder.path(), &command.args.machine, &bars).unwrap();
+        let local = Local::open(folder.path(), &args.machine, &bars).unwrap();
         let mut files = Vec::new();
-        let study = study(&command.args, &local, "1-t", &mut files, &bars, &Interrupt::default()).unwrap();
+        let study = study(&args, &local, "1-t", &mut files, &bars, &Interrupt::default()).unwrap();
         let studies = vec![("1-t".to_owned(), study)];
-        run(&command.args, &Interrupt::default()).unwrap();
+        run(&args, &Interrupt::default()).unwrap();
         (folder, studies)
     }
 

@@ -324,13 +324,7 @@ fn wape(forecast: &[f64], actual: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::Parser;
-
-    #[derive(Parser)]
-    struct Command {
-        #[command(flatten)]
-        args: Args,
-    }
+    use crate::options::parsed;
 
     const SCENE: &str = r#"{"version":1,"name":"a block","geometry":["t.obj"],
         "lights":[{"type":"point","position":[2,5,3],"intensity":[40,40,40]}],
@@ -345,7 +339,7 @@ mod tests {
         std::fs::write(folder.join("t.obj"), MESH).unwrap();
         let bundle = folder.display().to_string();
         let fixed = ["shots", &bundle, "--json", "--preview", "cpu"];
-        let args = Command::parse_from(fixed.iter().chain(flags)).args;
+        let args: Args = parsed(fixed.iter().chain(flags));
         let bars = Bars::new(true);
         let local = Local::open(folder, &args.machine, &bars).unwrap();
         let found = measure(&args, &local, folder, &bars, &Interrupt::default()).unwrap();

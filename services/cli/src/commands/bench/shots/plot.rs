@@ -1,10 +1,10 @@
 //! Cost by frame: the forecast with its band, the truth, and what farms would have said.
 
 use super::{Measured, Practice};
+use crate::drawing::{self, Area, Drawn};
 use crate::quantities::count;
-use anyhow::{Result, anyhow};
+use anyhow::Result;
 use forelight_protocol::Quantiles;
-use plotters::coord::Shift;
 use plotters::prelude::*;
 
 const SIZE: (u32, u32) = (980, 460);
@@ -14,17 +14,9 @@ const TRUTH: RGBColor = RGBColor(0, 0, 0);
 const THEIRS: RGBColor = RGBColor(213, 94, 0);
 const GREY: RGBColor = RGBColor(215, 215, 215);
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-
 /// The plot of the first quote as SVG.
 pub fn svg(shot: &Measured) -> Result<String> {
-    let mut text = String::new();
-    {
-        let area = SVGBackend::with_string(&mut text, SIZE).into_drawing_area();
-        draw(&area, shot).map_err(|error| anyhow!("cannot draw the plot: {error}"))?;
-        area.present().map_err(|error| anyhow!("cannot draw the plot: {error}"))?;
-    }
-    Ok(text)
+    drawing::svg(SIZE, |area| draw(area, shot))
 }
 
 /// Below and above what costs stay in so many cases of a hundred: the quantiles of a quote that is not calibrated lie as far below its mean, by
@@ -33,8 +25,7 @@ fn band(work: &Quantiles, above: f64) -> [f64; 2] {
     [if above > 0.0 { work.mean * work.mean / above } else { 0.0 }, above]
 }
 
-fn draw(area: &Area<'_>, shot: &Measured) -> Result<(), Box<dyn std::error::Error>> {
-    area.fill(&WHITE)?;
+fn draw(area: &Area<'_>, shot: &Measured) -> Drawn {
     let at = |place: usize| f64::from(shot.frames[place].frame);
     let actual: Vec<f64> = shot.frames.iter().map(|frame| frame.work.actual).collect();
     let theirs = Practice::FirstMiddleLastLines.forecast(&actual);
