@@ -31,4 +31,5 @@ mod engine;
 mod judge;
 
 pub use cluster::{Cluster, ClusterError, Programs};
+pub use command::Submitting;
 pub use engine::{Engine, Options};

@@ -1,7 +1,6 @@
 //! The loop: looks at what Slurm has of ours, and hands it what waits.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
 use std::time::Duration;
 
 use forelight_protocol::Timestamp;
@@ -54,24 +53,8 @@ const CANCELLED_AT_ONCE: usize = 500;
 /// How the engine is run.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Partition, if not the default one.
-    pub partition: Option<String>,
-    /// Account, if not the user's default.
-    pub account: Option<String>,
-    /// The `forelight` that nodes run.
-    pub program: PathBuf,
-    /// Where nodes reach the service.
-    pub server: String,
-    /// File on the nodes that holds a worker's token.
-    pub token_file: PathBuf,
-    /// Folder on the nodes for fetched bundles, if not the default one.
-    pub bundles: Option<PathBuf>,
-    /// Who makes previews: `auto`, `gpu` or `cpu`.
-    pub preview: &'static str,
-    /// What an hour of a node costs, micro-units.
-    pub price_per_hour: i64,
-    /// Folder for what processes say, the same on all nodes.
-    pub logs: PathBuf,
+    /// How arrays are submitted.
+    pub submitting: Submitting,
     /// Limit of previews and profiles, in minutes.
     pub quote_minutes: u32,
     /// Whose reservations they are; `None`: nothing is reserved.
@@ -118,33 +101,10 @@ impl Engine<Programs> {
 impl<C: Cluster> Engine<C> {
     /// An engine with this cluster.
     pub fn new(store: Store, cluster: C, options: Options) -> Self {
-        let Options {
-            partition,
-            account,
-            program,
-            server,
-            token_file,
-            bundles,
-            preview,
-            price_per_hour,
-            logs,
-            ..
-        } = options;
-        let submitting = Submitting {
-            partition,
-            account,
-            program,
-            server,
-            token_file,
-            bundles,
-            preview,
-            price_per_hour,
-            logs,
-        };
         Self {
             store,
             cluster,
-            submitting,
+            submitting: options.submitting,
             quote_minutes: options.quote_minutes.max(1),
             reserve_for: options.reserve_for,
             poll: options.poll,

@@ -117,7 +117,7 @@ fn at(seconds: i64) -> Timestamp {
 }
 
 fn engine(store: &Store, slurm: &FakeCluster) -> Engine<FakeCluster> {
-    let options = Options {
+    let submitting = Submitting {
         partition: None,
         account: None,
         program: "/opt/forelight".into(),
@@ -127,10 +127,8 @@ fn engine(store: &Store, slurm: &FakeCluster) -> Engine<FakeCluster> {
         preview: "auto",
         price_per_hour: 0,
         logs: "/srv/logs".into(),
-        quote_minutes: 60,
-        reserve_for: None,
-        poll: Duration::from_secs(5),
     };
+    let options = Options { submitting, quote_minutes: 60, reserve_for: None, poll: Duration::from_secs(5) };
     Engine::new(store.clone(), slurm.clone(), options)
 }
 
