@@ -232,28 +232,37 @@ async fn kept(connection: &mut SqliteConnection) -> Result<Vec<Kept>, StoreError
 
 async fn budgets(connection: &mut SqliteConnection, now: Timestamp) -> Result<Vec<Budget>, StoreError> {
     let mut found = Vec::new();
-    for Kept { request, action, period_at, updated_at } in kept(connection).await? {
-        let BudgetRequest { project, period, amount, zone, thresholds } = request;
-        let (from, until) =
-            period.bounds(&zone, now).ok_or_else(|| corrupt("zone", format!("{zone} is no time zone")))?;
-        let spent = spent(connection, &project, from, now).await?;
-        let committed = committed(connection, &project, now).await?;
-        let action = action.filter(|_| period_at == Some(from));
-        found.push(Budget {
-            project,
-            period,
-            amount,
-            zone,
-            thresholds,
-            from,
-            until,
-            spent,
-            committed,
-            action,
-            updated_at,
-        });
+    for kept in kept(connection).await? {
+        found.push(as_it_stands(connection, kept, now).await?);
     }
     Ok(found)
+}
+
+async fn as_it_stands(
+    connection: &mut SqliteConnection,
+    kept: Kept,
+    now: Timestamp,
+) -> Result<Budget, StoreError> {
+    let Kept { request, action, period_at, updated_at } = kept;
+    let BudgetRequest { project, period, amount, zone, thresholds } = request;
+    let (from, until) =
+        period.bounds(&zone, now).ok_or_else(|| corrupt("zone", format!("{zone} is no time zone")))?;
+    let spent = spent(connection, &project, from, now).await?;
+    let committed = committed(connection, &project, now).await?;
+    let action = action.filter(|_| period_at == Some(from));
+    Ok(Budget {
+        project,
+        period,
+        amount,
+        zone,
+        thresholds,
+        from,
+        until,
+        spent,
+        committed,
+        action,
+        updated_at,
+    })
 }
 
 /// What a project's leases cost since an instant; those that run, up to now.
@@ -314,9 +323,9 @@ async fn due(
     now: Timestamp,
 ) -> Result<Vec<(Budget, Option<BudgetAction>)>, StoreError> {
     let mut due = Vec::new();
-    let before: Vec<(Option<BudgetAction>, Option<Timestamp>)> =
-        kept(connection).await?.iter().map(|kept| (kept.action, kept.period_at)).collect();
-    for (budget, (had, period_at)) in budgets(connection, now).await?.into_iter().zip(before) {
+    for kept in kept(connection).await? {
+        let (had, period_at) = (kept.action, kept.period_at);
+        let budget = as_it_stands(connection, kept, now).await?;
         let used = Money(budget.spent.0.saturating_add(budget.committed.0));
         // In force stays what is in force in this period.
         let action = called_for(&budget.thresholds, budget.amount, used).max(budget.action);
@@ -370,13 +379,13 @@ async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
     for (project, action) in in_force {
         match action {
             Some(BudgetAction::Drain | BudgetAction::Stop) => {
-                hold(write, &project, true).await?;
+                hold(write, &project).await?;
                 if action == Some(BudgetAction::Stop) {
                     stop(write, &project, now).await?;
                 }
             }
             _ if held.contains(&project) => {
-                hold(write, &project, false).await?;
+                let_go(write, &project).await?;
                 write.made_work = true;
             }
             _ => {}
@@ -385,24 +394,25 @@ async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
     Ok(u32::try_from(due.len()).unwrap_or(u32::MAX))
 }
 
-/// Keeps a project's tasks from being handed out, or lets them again.
-async fn hold(write: &mut Write, project: &str, held: bool) -> Result<(), StoreError> {
+/// Keeps a project's tasks from being handed out.
+async fn hold(write: &mut Write, project: &str) -> Result<(), StoreError> {
     sqlx::query(
-        "UPDATE tasks SET held = ?1 WHERE held <> ?1 AND state IN ('ready', 'leased') AND job_id IN (SELECT id FROM jobs WHERE project = ?2)",
+        "UPDATE tasks SET held = 1 WHERE held = 0 AND state IN ('ready', 'leased') AND job_id IN (SELECT id FROM jobs WHERE project = ?)",
     )
-    .bind(held)
     .bind(project)
     .execute(write.connection())
     .await?;
-    if !held {
-        // Whatever ended meanwhile is not held either.
-        sqlx::query(
-            "UPDATE tasks SET held = 0 WHERE held = 1 AND job_id IN (SELECT id FROM jobs WHERE project = ?)",
-        )
-        .bind(project)
-        .execute(write.connection())
-        .await?;
-    }
+    Ok(())
+}
+
+/// Lets a project's tasks be handed out again; what ended meanwhile is not held either.
+async fn let_go(write: &mut Write, project: &str) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE tasks SET held = 0 WHERE held = 1 AND job_id IN (SELECT id FROM jobs WHERE project = ?)",
+    )
+    .bind(project)
+    .execute(write.connection())
+    .await?;
     Ok(())
 }
 
