@@ -7,12 +7,13 @@ use bytes::Bytes;
 use forelight_protocol::{
     ArtifactHash, ArtifactStored, Budget, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetRequest,
     Bundle, ClaimRequest, Event, EventId, ForecastDoc, FramePage, FrameRow, Job, JobCheck, JobId, JobRequest,
-    JoinRequest, Lease, LeaseId, Node, NodeChange, NodeId, NodePage, NodeRegistration, ProblemKind,
-    ReleaseRequest, RenewRequest, Renewal, ResultAnswer, ResultRequest, TaskId, TaskLog,
+    JoinRequest, Lease, LeaseId, Node, NodeChange, NodeId, NodePage, NodeRegistration, PageToken,
+    ProblemKind, ReleaseRequest, RenewRequest, Renewal, ResultAnswer, ResultRequest, TaskId, TaskLog,
 };
 use reqwest::header::{HeaderName, HeaderValue};
 use reqwest::{Method, StatusCode};
 use serde::Serialize;
+use serde::de::DeserializeOwned;
 use std::path::Path;
 use std::time::Duration;
 use tokio::io::AsyncWriteExt;
@@ -106,20 +107,8 @@ impl Client {
 
     /// All frames of a job, ascending.
     pub async fn frames(&self, id: JobId) -> Result<Vec<FrameRow>, ClientError> {
-        let mut rows = Vec::new();
-        let mut page_token = None;
-        loop {
-            let mut path = format!("/v1/jobs/{id}/frames?page_size=200");
-            if let Some(token) = page_token {
-                path += &format!("&page_token={token}");
-            }
-            let page: FramePage = self.transport.json(&Request::new(Method::GET, path)).await?;
-            rows.extend(page.items);
-            match page.next_page_token {
-                Some(token) => page_token = Some(token),
-                None => return Ok(rows),
-            }
-        }
+        let pages = |page: FramePage| (page.items, page.next_page_token);
+        self.all_pages(&format!("/v1/jobs/{id}/frames"), pages).await
     }
 
     /// All budgets and how they stand.
@@ -170,14 +159,23 @@ impl Client {
 
     /// All nodes, oldest first.
     pub async fn nodes(&self) -> Result<Vec<Node>, ClientError> {
-        let mut nodes = Vec::new();
-        let mut path = "/v1/nodes?page_size=200".to_owned();
+        self.all_pages("/v1/nodes", |page: NodePage| (page.items, page.next_page_token)).await
+    }
+
+    /// The items of all pages of a list.
+    async fn all_pages<P: DeserializeOwned, T>(
+        &self,
+        path: &str,
+        parts: impl Fn(P) -> (Vec<T>, Option<PageToken>),
+    ) -> Result<Vec<T>, ClientError> {
+        let mut all = Vec::new();
+        let mut page = format!("{path}?page_size=200");
         loop {
-            let page: NodePage = self.transport.json(&Request::new(Method::GET, path)).await?;
-            nodes.extend(page.items);
-            match page.next_page_token {
-                Some(token) => path = format!("/v1/nodes?page_size=200&page_token={token}"),
-                None => return Ok(nodes),
+            let (items, next) = parts(self.transport.json(&Request::new(Method::GET, page)).await?);
+            all.extend(items);
+            match next {
+                Some(token) => page = format!("{path}?page_size=200&page_token={token}"),
+                None => return Ok(all),
             }
         }
     }
