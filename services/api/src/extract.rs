@@ -1,12 +1,14 @@
 //! From requests to values, with an error that names the place where that fails.
 
 mod auth;
+mod body;
 mod idempotency;
 mod json;
 mod path;
 mod query;
 
 pub(crate) use auth::{Anyone, BAD_TOKEN, OneTimeToken, Operator, Reader, Submitter, WorkerToken};
+pub(crate) use body::{whole, within_announced_length};
 pub(crate) use idempotency::KeyHeader;
 pub(crate) use json::{JsonBody, Large};
 pub(crate) use path::{Segment, Segments};

@@ -2,13 +2,13 @@
 
 use std::marker::PhantomData;
 
-use axum::body::Bytes;
 use axum::extract::{FromRequest, Request};
 use axum::http::header::CONTENT_TYPE;
 use forelight_protocol::ProblemKind;
 use serde::de::DeserializeOwned;
 use serde_path_to_error::{Path, Segment};
 
+use super::body::whole;
 use crate::error::{ApiError, ApiResult};
 use crate::state::App;
 
@@ -62,30 +62,10 @@ impl<T: DeserializeOwned, L: BodyLimit> FromRequest<App> for JsonBody<T, L> {
                 "send Content-Type: application/json",
             ));
         }
-        let bytes = read(request, L::bytes(app)).await?;
+        let (head, body) = request.into_parts();
+        let bytes = whole(&head.headers, body, L::bytes(app)).await?;
         Ok(Self { value: parse(&bytes)?, hash: *blake3::hash(&bytes).as_bytes(), limit: PhantomData })
     }
-}
-
-async fn read(request: Request, limit: usize) -> ApiResult<Bytes> {
-    let too_large = || ApiError::new(ProblemKind::TooLarge, format!("at most {limit} bytes are taken here"));
-    let announced = request
-        .headers()
-        .get(axum::http::header::CONTENT_LENGTH)
-        .and_then(|length| length.to_str().ok()?.parse::<u64>().ok());
-    if announced.is_some_and(|length| length > limit as u64) {
-        return Err(too_large());
-    }
-    axum::body::to_bytes(request.into_body(), limit).await.map_err(|error| {
-        let mut source: Option<&dyn std::error::Error> = Some(&error);
-        while let Some(cause) = source {
-            if cause.to_string().contains("length limit exceeded") {
-                return too_large();
-            }
-            source = cause.source();
-        }
-        ApiError::new(ProblemKind::Malformed, "the body broke off")
-    })
 }
 
 /// Parses a body. What is no JSON at all is malformed (400); JSON that is not what was asked for is invalid (422).

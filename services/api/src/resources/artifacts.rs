@@ -8,10 +8,9 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{ArtifactHash, ArtifactStored};
 
-use super::bundles::within_announced_length;
 use super::file;
 use crate::error::{ApiResult, Problems};
-use crate::extract::{Anyone, Segment, WorkerToken};
+use crate::extract::{Anyone, Segment, WorkerToken, within_announced_length};
 use crate::openapi::FileContent;
 use crate::state::App;
 

@@ -3,17 +3,15 @@
 use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
-use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
+use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
 use forelight_protocol::{Bundle, BundleId, ProblemKind};
 use forelight_store::NewBundle;
-use futures::StreamExt;
-use std::time::Duration;
 
 use super::{created, repeated};
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{Anyone, KeyHeader, Segment, Submitter};
+use crate::extract::{Anyone, KeyHeader, Segment, Submitter, within_announced_length};
 use crate::openapi::FileContent;
 use crate::scenes;
 use crate::state::App;
@@ -64,28 +62,4 @@ pub(crate) async fn get(
     Segment(bundle): Segment<BundleId>,
 ) -> ApiResult<Json<Bundle>> {
     Ok(Json(app.store.bundle(bundle).await?))
-}
-
-/// How much of a body that is refused for its length is read, bytes.
-const DRAINED: usize = 1 << 20;
-
-/// The body, unless it says of itself that it is too long. Then nothing of it is kept, but its beginning is read: a client that
-/// is still sending when the connection closes may never see the answer that says why.
-pub(crate) async fn within_announced_length(headers: &HeaderMap, body: Body, limit: u64) -> ApiResult<Body> {
-    let announced = headers.get(CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse::<u64>().ok());
-    if announced.is_none_or(|length| length <= limit) {
-        return Ok(body);
-    }
-    let mut stream = body.into_data_stream();
-    let drain = async {
-        let mut read = 0;
-        while read < DRAINED
-            && let Some(Ok(chunk)) = stream.next().await
-        {
-            read += chunk.len();
-        }
-    };
-    // Whether it ended in time or not, the answer is the same.
-    let _ = tokio::time::timeout(Duration::from_secs(2), drain).await;
-    Err(ApiError::new(ProblemKind::TooLarge, format!("at most {limit} bytes are taken here")))
 }

@@ -1,16 +1,15 @@
 //! The finished tiles of a frame, for whoever has it next should this worker be lost.
 
-use axum::body::Bytes;
 use axum::extract::State;
-use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
-use forelight_protocol::{CHECKPOINT_BYTES, LeaseId, ProblemKind};
+use axum::http::{HeaderMap, StatusCode};
+use forelight_protocol::{CHECKPOINT_BYTES, LeaseId};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
 use super::counted;
-use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{QueryParameters, Segment, WorkerToken};
+use crate::error::{ApiResult, Problems};
+use crate::extract::{QueryParameters, Segment, WorkerToken, whole};
 use crate::openapi::FileContent;
 use crate::state::App;
 
@@ -31,15 +30,11 @@ pub(crate) async fn put(
     worker: WorkerToken,
     Segment(lease): Segment<LeaseId>,
     QueryParameters(FenceQuery { fence }): QueryParameters<FenceQuery>,
+    headers: HeaderMap,
     body: axum::body::Body,
 ) -> ApiResult<StatusCode> {
     worker.speaks_for_lease(&app, lease).await?;
-    let bytes: Bytes = axum::body::to_bytes(body, CHECKPOINT_BYTES).await.map_err(|_| {
-        ApiError::new(
-            ProblemKind::TooLarge,
-            format!("a checkpoint has at most {CHECKPOINT_BYTES} bytes, and comes whole"),
-        )
-    })?;
+    let bytes = whole(&headers, body, CHECKPOINT_BYTES).await?;
     counted(&app, app.store.put_checkpoint(lease, fence, bytes).await)?;
     Ok(StatusCode::NO_CONTENT)
 }

@@ -1,0 +1,54 @@
+//! Bodies of at most so many bytes. What is refused for its length is read a little further all the same: a client that is still
+//! sending when the connection closes may never see the answer that says why.
+
+use std::time::Duration;
+
+use axum::body::{Body, BodyDataStream, Bytes};
+use axum::http::HeaderMap;
+use axum::http::header::CONTENT_LENGTH;
+use bytes::BytesMut;
+use forelight_protocol::ProblemKind;
+use futures::StreamExt;
+
+use crate::error::{ApiError, ApiResult};
+
+/// How much of a body that is refused for its length is read, bytes.
+const DRAINED: usize = 1 << 20;
+
+/// The body, unless it says of itself that it is too long.
+pub(crate) async fn within_announced_length(headers: &HeaderMap, body: Body, limit: u64) -> ApiResult<Body> {
+    let announced = headers.get(CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse::<u64>().ok());
+    if announced.is_none_or(|length| length <= limit) {
+        return Ok(body);
+    }
+    Err(too_large(body.into_data_stream(), limit).await)
+}
+
+/// All of a body, whether its length is announced or found out.
+pub(crate) async fn whole(headers: &HeaderMap, body: Body, limit: usize) -> ApiResult<Bytes> {
+    let mut stream = within_announced_length(headers, body, limit as u64).await?.into_data_stream();
+    let mut bytes = BytesMut::new();
+    while let Some(chunk) = stream.next().await {
+        let chunk = chunk.map_err(|_| ApiError::new(ProblemKind::Malformed, "the body broke off"))?;
+        if bytes.len() + chunk.len() > limit {
+            return Err(too_large(stream, limit as u64).await);
+        }
+        bytes.extend_from_slice(&chunk);
+    }
+    Ok(bytes.freeze())
+}
+
+/// What is answered to a body of which this is to come.
+async fn too_large(mut rest: BodyDataStream, limit: u64) -> ApiError {
+    let drain = async {
+        let mut read = 0;
+        while read < DRAINED
+            && let Some(Ok(chunk)) = rest.next().await
+        {
+            read += chunk.len();
+        }
+    };
+    // Whether it ended in time or not, the answer is the same.
+    let _ = tokio::time::timeout(Duration::from_secs(2), drain).await;
+    ApiError::new(ProblemKind::TooLarge, format!("at most {limit} bytes are taken here"))
+}
