@@ -1,7 +1,11 @@
 //! How far unit costs wander between profiled frames.
 
+use std::collections::BTreeSet;
+
 use crate::clock::ShotClock;
+use crate::frames::FramePopulation;
 use crate::interval::Part;
+use crate::moments::sum;
 
 /// Prior log-standard deviation that a frame's cost picks up over a third of the shot, beyond what its pixel
 /// counts explain.
@@ -12,7 +16,8 @@ const PRIOR_FREEDOM: f64 = 2.0;
 
 /// The residual d_t = ln(y_t / ŷ_t) of the carried frames, as a random walk of variance q per frame of the shot's
 /// clock that is zero at every profiled frame: a Brownian bridge between two of them, with Cov(d_s, d_t) = q (s − L)(R − t)
-/// / (R − L) for L ≤ s ≤ t ≤ R, and a free walk before the first and after the last.
+/// / (R − L) for L ≤ s ≤ t ≤ R, and a free walk before the first and after the last. Frames in which other lights shine have a walk of
+/// their own, of the same q; if none of them is profiled, they are all as far off as a walk as long as the shot goes.
 ///
 /// It is the rough relative of a Gaussian process with Matérn covariance. A handful of profiled frames cannot
 /// show a length scale; the walk needs none, is never too sure between frames, and has closed forms. Its one
@@ -22,6 +27,9 @@ const PRIOR_FREEDOM: f64 = 2.0;
 #[derive(Clone, Debug)]
 pub(crate) struct Drift {
     times: Vec<f64>,
+    length: f64,
+    /// Which lights shine, frame by frame.
+    lights: Vec<u32>,
     /// Indices of the profiled frames, increasing.
     profiled: Vec<usize>,
     prior: f64,
@@ -36,9 +44,11 @@ impl Drift {
     }
 
     /// The prior walk over the frames.
-    pub fn new(clock: &ShotClock, profiled: Vec<usize>) -> Self {
+    pub fn new(clock: &ShotClock, frames: &[FramePopulation], profiled: Vec<usize>) -> Self {
         Drift {
             times: clock.times().to_vec(),
+            length: clock.length(),
+            lights: frames.iter().map(|frame| frame.lights).collect(),
             profiled,
             prior: Self::prior_rate(clock),
             learnt: 0.0,
@@ -47,12 +57,11 @@ impl Drift {
     }
 
     /// Takes in that the profiled frame number `k` was missed by `residual` (logarithm) when predicted from
-    /// the others, of which sampling explains the variance `noise`.
+    /// the others, of which sampling explains the variance `noise`. If it is the only one with its lights, it says nothing of the walk.
     pub fn learn(&mut self, k: usize, residual: f64, noise: f64) {
-        let at = self.times[self.profiled[k]];
-        let before = k.checked_sub(1).map(|b| self.times[self.profiled[b]]);
-        let after = self.profiled.get(k + 1).map(|&a| self.times[a]);
-        let spread = spread(at, before, after);
+        let at = self.profiled[k];
+        let others: Vec<usize> = self.pins(self.lights[at]).filter(|&other| other != at).collect();
+        let spread = self.spread(at, &others);
         if spread > 0.0 {
             self.learnt += (residual * residual - noise) / spread;
             self.comparisons += 1.0;
@@ -74,10 +83,14 @@ impl Drift {
 
     /// The carried part of the variance of frame t, whose total is `total`.
     pub fn of_frame(&self, t: usize, total: f64) -> Part {
-        let split = self.profiled.partition_point(|&k| k <= t);
-        let before = split.checked_sub(1).map(|b| self.times[self.profiled[b]]);
-        let after = self.profiled.get(split).map(|&a| self.times[a]);
-        self.part(total * total * spread(self.times[t], before, after))
+        let pins: Vec<usize> = self.pins(self.lights[t]).collect();
+        let spread = if pins.is_empty() { self.length } else { self.spread(t, &pins) };
+        self.part(total * total * spread)
+    }
+
+    /// Profiled frames with these lights, increasing.
+    fn pins(&self, lights: u32) -> impl Iterator<Item = usize> {
+        self.profiled.iter().copied().filter(move |&k| self.lights[k] == lights)
     }
 
     /// The carried part of the variance of the sum over all frames, where frame t has the total `totals[t]`.
@@ -85,26 +98,43 @@ impl Drift {
     /// With walk steps of length Δ_i and S_i the sum of the totals after step i, the variance of a free walk
     /// is q Σ Δ_i S_i²; pinning its end takes off q (Σ Δ_i S_i)² / Σ Δ_i.
     pub fn of_total(&self, totals: &[f64]) -> Part {
-        let (Some(&first), Some(&last)) = (self.profiled.first(), self.profiled.last()) else {
-            return self.part(0.0);
+        let sets: BTreeSet<u32> = self.lights.iter().copied().collect();
+        let of_set = |lights: u32| {
+            let own = |(&total, &of): (&f64, &u32)| if of == lights { total } else { 0.0 };
+            let totals: Vec<f64> = totals.iter().zip(&self.lights).map(own).collect();
+            self.variance_of_set(&self.pins(lights).collect::<Vec<_>>(), &totals)
         };
-        let mut variance = self.walk((0..=first).rev(), totals).0;
-        variance += self.walk(last..totals.len(), totals).0;
-        for ends in self.profiled.windows(2) {
-            let (free, with_end, length) = self.walk(ends[0]..ends[1] + 1, totals);
+        self.part(sum(sets.into_iter().map(of_set)))
+    }
+
+    /// The same for the frames with the same lights, of which these are profiled, per variance of the walk; all others have a total of zero.
+    fn variance_of_set(&self, pins: &[usize], totals: &[f64]) -> f64 {
+        let (Some(&first), Some(&last)) = (pins.first(), pins.last()) else {
+            let all = sum(totals.iter().copied());
+            return all * all * self.length;
+        };
+        let mut variance = self.walk((0..=first).rev(), pins, totals).0;
+        variance += self.walk(last..totals.len(), pins, totals).0;
+        for ends in pins.windows(2) {
+            let (free, with_end, length) = self.walk(ends[0]..ends[1] + 1, pins, totals);
             // The far end is pinned, so its own total takes no part.
             variance += (free - with_end * with_end / length).max(0.0);
         }
-        self.part(variance)
+        variance
     }
 
     /// Σ Δ S², Σ Δ S and Σ Δ along a path of frames that starts at a profiled one. Only frames that are not
     /// profiled have a residual.
-    fn walk(&self, path: impl DoubleEndedIterator<Item = usize> + Clone, totals: &[f64]) -> (f64, f64, f64) {
+    fn walk(
+        &self,
+        path: impl DoubleEndedIterator<Item = usize> + Clone,
+        pins: &[usize],
+        totals: &[f64],
+    ) -> (f64, f64, f64) {
         let (mut squares, mut sums, mut length, mut after) = (0.0, 0.0, 0.0, 0.0);
         let nearer = path.clone().rev().skip(1);
         for (far, near) in path.rev().zip(nearer) {
-            if self.profiled.binary_search(&far).is_err() {
+            if pins.binary_search(&far).is_err() {
                 after += totals[far];
             }
             let step = (self.times[far] - self.times[near]).abs();
@@ -114,14 +144,18 @@ impl Drift {
         }
         (squares, sums, length)
     }
-}
 
-/// Variance of a walk of unit rate at a time, pinned at the times before and after as far as there are any.
-fn spread(at: f64, before: Option<f64>, after: Option<f64>) -> f64 {
-    match (before, after) {
-        (Some(before), Some(after)) => (at - before) * (after - at) / (after - before),
-        (Some(end), None) | (None, Some(end)) => (at - end).abs(),
-        (None, None) => 0.0,
+    /// Variance of a walk of unit rate at frame t, pinned at the nearest of `pins` (increasing) before and after; zero without any.
+    fn spread(&self, t: usize, pins: &[usize]) -> f64 {
+        let split = pins.partition_point(|&pin| pin <= t);
+        let before = split.checked_sub(1).map(|before| self.times[pins[before]]);
+        let after = pins.get(split).map(|&after| self.times[after]);
+        let at = self.times[t];
+        match (before, after) {
+            (Some(before), Some(after)) => (at - before) * (after - at) / (after - before),
+            (Some(end), None) | (None, Some(end)) => (at - end).abs(),
+            (None, None) => 0.0,
+        }
     }
 }
 
@@ -131,17 +165,22 @@ mod tests {
     use crate::clock::ShotClock;
     use crate::frames::FramePopulation;
 
-    fn shot(frames: i64) -> ShotClock {
-        let frames: Vec<FramePopulation> =
-            (0..frames).map(|number| FramePopulation { number: 3 * number, counts: vec![] }).collect();
-        ShotClock::new(&[], &frames)
+    /// Every third frame of a shot; `lights` says which shine.
+    fn lit(lights: impl IntoIterator<Item = u32>) -> (ShotClock, Vec<FramePopulation>) {
+        let frame = |(number, lights)| FramePopulation { number: 3 * number, counts: vec![], lights };
+        let frames: Vec<FramePopulation> = (0i64..).zip(lights).map(frame).collect();
+        (ShotClock::new(&[], &frames), frames)
+    }
+
+    fn drift(frames: usize, profiled: &[usize]) -> Drift {
+        let (clock, frames) = lit(vec![0; frames]);
+        Drift::new(&clock, &frames, profiled.to_vec())
     }
 
     #[test]
     fn the_closed_form_of_the_total_equals_the_sum_of_all_covariances() {
-        let frames = shot(12);
-        let profiled = vec![2, 7, 8];
-        let drift = Drift::new(&frames, profiled.clone());
+        let profiled = [2, 7, 8];
+        let drift = drift(12, &profiled);
         let totals: Vec<f64> = (0..12).map(|t| 10.0 + f64::from(t * t % 7)).collect();
         let time = |t: usize| 3.0 * t as f64;
         let covariance = |s: usize, t: usize| {
@@ -162,30 +201,51 @@ mod tests {
                 expected += totals[s] * totals[t] * covariance(s, t);
             }
         }
-        expected *= Drift::prior_rate(&frames);
+        expected *= drift.rate();
         let found = drift.of_total(&totals).variance;
         assert!((found / expected - 1.0).abs() < 1e-12, "{found} against {expected}");
     }
 
     #[test]
     fn profiled_frames_have_no_carried_error_and_distant_ones_more_than_near_ones() {
-        let drift = Drift::new(&shot(20), vec![5, 15]);
-        let variance = |t| drift.of_frame(t, 1.0).variance;
+        let drifting = drift(20, &[5, 15]);
+        let variance = |t| drifting.of_frame(t, 1.0).variance;
         assert_eq!(variance(5), 0.0);
         assert!(variance(6) < variance(10));
         assert!(variance(16) < variance(19));
-        assert_eq!(Drift::new(&shot(3), vec![0, 1, 2]).of_total(&[1.0; 3]).variance, 0.0);
+        assert_eq!(drift(3, &[0, 1, 2]).of_total(&[1.0; 3]).variance, 0.0);
     }
 
     #[test]
     fn good_predictions_lower_the_rate_and_bad_ones_raise_it() {
-        let frames = shot(20);
+        let prior = drift(20, &[2, 10, 18]);
         let rate = |residual| {
-            let mut drift = Drift::new(&frames, vec![2, 10, 18]);
+            let mut drift = prior.clone();
             (0..3).for_each(|k| drift.learn(k, residual, 0.0));
             drift.rate()
         };
-        assert!(rate(0.0) < Drift::prior_rate(&frames));
-        assert!(rate(0.5) > Drift::prior_rate(&frames));
+        assert!(rate(0.0) < prior.rate());
+        assert!(rate(0.5) > prior.rate());
+    }
+
+    #[test]
+    fn frames_with_other_lights_say_nothing_of_each_other() {
+        // On in every second frame; frames 0, 8 and 12 are profiled, all without it.
+        let (clock, frames) = lit((0..20).map(|t| t % 2));
+        let mut drift = Drift::new(&clock, &frames, vec![0, 8, 12]);
+        let variance = |drift: &Drift, t| drift.of_frame(t, 1.0).variance;
+        assert_eq!(variance(&drift, 8), 0.0);
+        assert!(variance(&drift, 2) < variance(&drift, 18));
+        assert!(variance(&drift, 9) > variance(&drift, 18), "its lights are in no profiled frame");
+        let off: Vec<f64> = (0..20).map(|t| f64::from(1 - t % 2)).collect();
+        assert!(drift.of_total(&off).variance < drift.of_total(&[1.0; 20]).variance / 10.0);
+
+        drift = Drift::new(&clock, &frames, vec![0, 7, 12]);
+        let before = drift.rate();
+        drift.learn(1, 2.0, 0.0);
+        assert_eq!(drift.rate(), before, "the only frame with its lights is not expected to be like others");
+        assert!(variance(&drift, 9) < variance(&drift, 17));
+        // The bridge goes from 0 to 12, whatever lies between.
+        assert!((variance(&drift, 6) / before - 9.0).abs() < 1e-9, "{}", variance(&drift, 6) / before);
     }
 }

@@ -1,5 +1,7 @@
 //! Which frames of a shot to profile.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use crate::clock::ShotClock;
@@ -14,6 +16,9 @@ pub struct FramePopulation {
     pub number: i64,
     /// Pixels of each stratum, N_h.
     pub counts: Vec<u32>,
+    /// Which lights shine, as a number that frames with the same ones share. What a surface costs depends on them, and no preview
+    /// shows it.
+    pub lights: u32,
 }
 
 /// Checks frames and counts against the strata.
@@ -30,6 +35,9 @@ pub(crate) fn check_frames(strata: &[Stratum], frames: &[FramePopulation]) -> Re
 /// At most so many frames can be chosen; in a longer shot each stands for those around it.
 const MOST_CANDIDATES: usize = 256;
 
+/// So many sets of lights are told apart when frames are chosen; what is left are one.
+const MOST_LIGHTS: usize = 8;
+
 /// Passes over the chosen frames in which each may move to a better place.
 const MOST_PASSES: usize = 8;
 
@@ -40,6 +48,9 @@ const ENOUGH_PIXELS: f64 = 0.25;
 /// Cost of having a stratum in no profiled frame, in shot lengths; being a whole shot away costs one.
 const NEVER_SEEN: f64 = 2.0;
 
+/// Cost of taking a unit cost from a frame in which other lights shine, in shot lengths.
+const OTHER_LIGHTS: f64 = 1.0;
+
 /// Chooses at most `at_most` frames to profile, as indices in increasing order.
 ///
 /// A stratum in a frame must take its unit cost from the nearest profiled frame that shows enough of it; that
@@ -48,7 +59,7 @@ const NEVER_SEEN: f64 = 2.0;
 /// one frame at a time as long as that helps (the k-median problem; Arya et al. 2004, local search). Equal
 /// sums are settled for the earlier frame, so the choice is a function of the previews alone. Frames come out
 /// spread over time, drawn to where strata that matter appear. Time is the shot's own (`clock`), in which a cut is as long as the
-/// shot: so each side of it gets frames of its own.
+/// shot: so each side of it gets frames of its own. A frame in which other lights shine is a shot's length further away.
 ///
 /// # Errors
 /// If frames are out of order, or counts and strata do not fit together.
@@ -93,10 +104,19 @@ struct Candidate {
     index: usize,
     /// Time from 0 to 1.
     time: f64,
+    lights: usize,
     /// Strata shown by it or a frame that it stands for, with their weight.
     shown: Vec<(usize, f64)>,
     /// Whether it shows enough of a stratum for it to be sampled.
     enough: Vec<bool>,
+}
+
+impl Candidate {
+    /// How far it is, in shot lengths, from this frame to one that takes its unit costs from it.
+    fn away(&self, other: &Self) -> f64 {
+        let lights = if self.lights == other.lights { 0.0 } else { OTHER_LIGHTS };
+        ((self.time - other.time).abs() + lights).min(NEVER_SEEN)
+    }
 }
 
 struct Cover {
@@ -117,11 +137,12 @@ impl Cover {
         let most: Vec<u32> = (0..strata.len())
             .map(|h| frames.iter().map(|frame| frame.counts[h]).max().unwrap_or(0))
             .collect();
-        let candidate = |stands_for: std::ops::Range<usize>| {
-            let index = stands_for.start + stands_for.len() / 2;
+        let lights = told_apart(frames);
+        let candidate = |stands_for: Vec<usize>| {
+            let index = stands_for[stands_for.len() / 2];
             let counts = &frames[index].counts;
             let weight = |h: usize| {
-                let pixels: f64 = frames[stands_for.clone()].iter().map(|f| f64::from(f.counts[h])).sum();
+                let pixels: f64 = stands_for.iter().map(|&t| f64::from(frames[t].counts[h])).sum();
                 pixels * strata[h].prior_cost
             };
             let enough =
@@ -129,18 +150,19 @@ impl Cover {
             Candidate {
                 index,
                 time: clock.at(index) / clock.length(),
+                lights: lights[index],
                 shown: (0..strata.len()).map(|h| (h, weight(h))).filter(|(_, w)| *w > 0.0).collect(),
                 enough: (0..strata.len()).map(enough).collect(),
             }
         };
-        Cover { frames: slices(&clock, frames.len()).into_iter().map(candidate).collect() }
+        Cover { frames: slices(&clock, &lights).into_iter().map(candidate).collect() }
     }
 
     fn distances(&self, chosen: &[usize]) -> Distances {
         let nearest = |frame: &Candidate| -> Vec<f64> {
             let to = |h: usize| {
                 let seen = chosen.iter().map(|&c| &self.frames[c]).filter(|c| c.enough[h]);
-                seen.map(|c| (c.time - frame.time).abs()).fold(NEVER_SEEN, f64::min)
+                seen.map(|c| c.away(frame)).fold(NEVER_SEEN, f64::min)
             };
             frame.shown.iter().map(|&(h, _)| to(h)).collect()
         };
@@ -157,7 +179,7 @@ impl Cover {
         let without = self.distances(others).nearest;
         let with = |candidate: &Candidate| -> f64 {
             let of_frame = |(frame, nearest): (&Candidate, &Vec<f64>)| -> f64 {
-                let distance = (candidate.time - frame.time).abs();
+                let distance = candidate.away(frame);
                 let term = |(&(h, weight), &nearest): (&(usize, f64), &f64)| {
                     weight * if candidate.enough[h] { nearest.min(distance) } else { nearest }
                 };
@@ -176,21 +198,33 @@ impl Cover {
     }
 }
 
-/// The frames in runs of equal length on the shot's clock, so that what is there for a few frames of a long shot only, and changes the
-/// picture, is in a run of its own. Of a shot that is not too long each frame is a run.
-fn slices(clock: &ShotClock, frames: usize) -> Vec<std::ops::Range<usize>> {
-    if frames <= MOST_CANDIDATES {
-        return (0..frames).map(|t| t..t + 1).collect();
-    }
-    let slice = |t: usize| {
-        ((clock.at(t) / clock.length() * MOST_CANDIDATES as f64) as usize).min(MOST_CANDIDATES - 1)
+/// Which lights shine in each frame, in numbers from 0 by first appearance.
+fn told_apart(frames: &[FramePopulation]) -> Vec<usize> {
+    let mut known = Vec::new();
+    let number = |frame: &FramePopulation| {
+        let place = known.iter().position(|&lights| lights == frame.lights);
+        place.unwrap_or_else(|| {
+            if known.len() < MOST_LIGHTS {
+                known.push(frame.lights);
+            }
+            known.len() - 1
+        })
     };
-    let mut runs: Vec<std::ops::Range<usize>> = Vec::with_capacity(MOST_CANDIDATES);
-    for t in 0..frames {
-        match runs.last_mut() {
-            Some(run) if slice(run.start) == slice(t) => run.end = t + 1,
-            _ => runs.push(t..t + 1),
-        }
+    frames.iter().map(number).collect()
+}
+
+/// The frames in runs of equal length on the shot's clock, each split by which lights shine, so that what is there for a few frames of
+/// a long shot only, and changes the picture or its light, is in a run of its own. Of a shot that is not too long each frame is a run.
+fn slices(clock: &ShotClock, lights: &[usize]) -> Vec<Vec<usize>> {
+    if lights.len() <= MOST_CANDIDATES {
+        return (0..lights.len()).map(|t| vec![t]).collect();
     }
-    runs
+    let sets = lights.iter().max().map_or(1, |&most| most + 1);
+    let all = MOST_CANDIDATES / sets;
+    let slice = |t: usize| ((clock.at(t) / clock.length() * all as f64) as usize).min(all - 1);
+    let mut runs: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
+    for (t, &lights) in lights.iter().enumerate() {
+        runs.entry((slice(t), lights)).or_default().push(t);
+    }
+    runs.into_values().collect()
 }

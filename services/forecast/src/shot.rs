@@ -61,7 +61,7 @@ pub struct ShotForecast {
 /// fixed(t): the preview knows all N_h,t, and the unit cost of a stratum comes from the nearest profiled
 /// frame before and after in which it was sampled, each weighted by 1 / (CV² / n_h + q Δτ): samples against
 /// distance in time, q being the prior drift of unit costs. Time is the shot's own (`clock`): a cut is as long as the
-/// shot, so that what lies behind it says little.
+/// shot, so that what lies behind it says little. Profiled frames in which the same lights shine are preferred to all others.
 ///
 /// The variance of a frame and of the total has three parts. *Sampling*: each group mean of a profiled frame
 /// with the number of pixels that depend on it in all frames together, so that what frames share is added
@@ -261,8 +261,8 @@ impl<'a> Carrier<'a> {
         f64::from(self.sources[k].fit.strata[h].samples)
     }
 
-    /// The nearest usable sources before and after frame t, with shares that add up to one. `samples` says on
-    /// how many samples a source stands, or none if it is of no use.
+    /// The nearest usable sources before and after frame t, of those with the frame's lights if any is usable, with shares that add up to
+    /// one. `samples` says on how many samples a source stands, or none if it is of no use.
     fn neighbours(
         &self,
         t: usize,
@@ -270,8 +270,16 @@ impl<'a> Carrier<'a> {
         samples: impl Fn(usize) -> Option<f64>,
     ) -> Vec<(usize, f64)> {
         let usable = |k: &usize| Some(*k) != left_out && samples(*k).is_some();
+        let lights = |k: usize| self.frames[self.sources[k].frame].lights;
+        let same = |k: &usize| usable(k) && lights(*k) == self.frames[t].lights;
         let split = self.sources.partition_point(|source| source.frame <= t);
-        let nearest = [(0..split).rev().find(usable), (split..self.sources.len()).find(usable)];
+        let nearest = |useful: &dyn Fn(&usize) -> bool| {
+            [(0..split).rev().find(useful), (split..self.sources.len()).find(useful)]
+        };
+        let nearest = match nearest(&same) {
+            [None, None] => nearest(&usable),
+            found => found,
+        };
         let drift = Drift::prior_rate(&self.clock);
         let mut shares: Vec<(usize, f64)> = nearest
             .into_iter()
@@ -336,7 +344,8 @@ impl<'a> Carrier<'a> {
 
     /// Learns how fast unit costs drift from how well each profiled frame is predicted by the others.
     fn drift(&self, column: usize) -> Drift {
-        let mut drift = Drift::new(&self.clock, self.sources.iter().map(|source| source.frame).collect());
+        let profiled = self.sources.iter().map(|source| source.frame).collect();
+        let mut drift = Drift::new(&self.clock, self.frames, profiled);
         if self.sources.len() < 2 {
             return drift;
         }

@@ -21,7 +21,7 @@ impl Shot {
             .collect();
         let frames = (0..)
             .zip(&pictures)
-            .map(|(number, p)| FramePopulation { number, counts: p.counts.clone() })
+            .map(|(number, p)| FramePopulation { number, counts: p.counts.clone(), lights: 0 })
             .collect();
         Shot { pictures, frames }
     }
@@ -118,7 +118,7 @@ fn one_stratum_each(counts: &[[u32; 3]]) -> (Vec<Stratum>, Vec<FramePopulation>)
     let strata = (0..3).map(|i| Stratum { object: i, material: i, prior_cost: 1.0, apart: false }).collect();
     let frames = (0..)
         .zip(counts)
-        .map(|(number, counts)| FramePopulation { number, counts: counts.to_vec() })
+        .map(|(number, counts)| FramePopulation { number, counts: counts.to_vec(), lights: 0 })
         .collect();
     (strata, frames)
 }

@@ -266,6 +266,10 @@ pub struct FrameStrata {
     /// Records of the frame's irradiance cache, which is planned with the preview, one number a level; empty without a cache.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cache_records: Vec<u32>,
+    /// Which of the scene's lights shine, as a number that frames with the same ones share: what is in sight costs something else
+    /// under other lights.
+    #[serde(default)]
+    pub lights: u32,
     /// The preview as an image.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub preview_png: Option<ArtifactHash>,

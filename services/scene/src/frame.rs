@@ -25,6 +25,17 @@ pub struct Frame {
     pub environment: Environment,
 }
 
+impl Frame {
+    /// Whether each light shines at this instant: materials by index (those that cannot emit never do), then lights without surface, then
+    /// suns. The same lights in every frame of a shot.
+    pub fn shining(&self) -> Vec<bool> {
+        let materials = self.materials.iter().map(Material::is_emissive);
+        let points = self.points.iter().map(|point| point.intensity.max_element() > 0.0);
+        let suns = self.suns.iter().map(|sun| sun.irradiance.max_element() > 0.0);
+        materials.chain(points).chain(suns).collect()
+    }
+}
+
 /// Indexed triangles with their attribution.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Geometry {

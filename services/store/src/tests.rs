@@ -101,6 +101,7 @@ impl Farm {
                         pixels: vec![60],
                         background: 4,
                         cache_records: Vec::new(),
+                        lights: 0,
                         preview_png: Some(image),
                     })
                     .collect(),

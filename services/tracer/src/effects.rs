@@ -141,15 +141,19 @@ impl CalledFor<'_> {
         add(Effects::SUN, !self.suns.is_empty());
         add(Effects::SOFT_SHADOWS, self.suns.iter().any(|sun| sun.angle_deg > 0.0));
         add(Effects::ENVIRONMENT, !self.sky.is_black());
-        add(Effects::AMBIENT, ambient_bounces > 0);
-        let gathered = ambient_bounces > 0 && self.looks.gathered.is_some();
+        // In the dark there is nothing to gather.
+        let lit = Effects::AREA_LIGHTS | Effects::POINT_LIGHTS | Effects::SUN | Effects::ENVIRONMENT;
+        let gathers = ambient_bounces > 0 && set.0 & lit != 0;
+        let mut add = |bit: u32, called_for: bool| set.0 |= if called_for { bit } else { 0 };
+        add(Effects::AMBIENT, gathers);
+        let gathered = gathers && self.looks.gathered.is_some();
         add(
             Effects::LIGHT_CHOICE,
             integrator == Integrator::Ambient && (self.looks.seen.is_some() || gathered),
         );
-        add(Effects::SECOND_BOUNCE, ambient_bounces > 1);
+        add(Effects::SECOND_BOUNCE, gathers && ambient_bounces > 1);
         let cached = cache.is_some() && integrator == Integrator::Ambient;
-        add(Effects::CACHE, ambient_bounces > 0 && cached);
+        add(Effects::CACHE, gathers && cached);
         add(Effects::DEPTH_OF_FIELD, self.camera.aperture_radius > 0.0);
         set
     }

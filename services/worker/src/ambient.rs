@@ -255,15 +255,19 @@ impl AmbientShot {
         }
         let Ready { tracer, built_now, .. } = self.tracer(frame, settings);
         tracer.plan();
-        let Some(cache) = tracer.cache() else { return (Vec::new(), built_now) };
-        (records(cache), built_now.plus(spent(cache.totals().plan)))
+        let planning = tracer.cache().map_or_else(Spent::default, |cache| spent(cache.totals().plan));
+        (records(&tracer), built_now.plus(planning))
     }
 }
 
-/// Records of a planned cache by level.
-fn records(cache: &Cache) -> Vec<u32> {
+/// Records of the irradiance cache by level, once it is planned: one number for each level that the settings have, whether the frame
+/// calls for it or not.
+fn records(tracer: &Tracer) -> Vec<u32> {
+    let settings = tracer.settings();
+    let levels = if settings.cache.is_some() { settings.ambient_bounces as usize } else { 0 };
+    let planned = tracer.cache().map_or_else(|| vec![0; levels], Cache::records);
     // There are fewer than the plan's rays, of which a frame cannot have 2³².
-    cache.records().into_iter().map(|count| u32::try_from(count).unwrap_or(u32::MAX)).collect()
+    planned.into_iter().map(|count| u32::try_from(count).unwrap_or(u32::MAX)).collect()
 }
 
 impl Renderer for AmbientShot {
@@ -282,6 +286,7 @@ impl Renderer for AmbientShot {
             Ok(Counted {
                 counts,
                 cache_records,
+                shining: frame.shining(),
                 backend: backend(previewer),
                 spent: preview_spent(previewer, &frame, setup).plus(planning),
             })
@@ -361,7 +366,7 @@ impl FrameRenderer for AmbientFrame<'_> {
 
     fn cache_records(&self) -> Vec<u32> {
         self.tracer.plan();
-        self.tracer.cache().map_or_else(Vec::new, records)
+        records(&self.tracer)
     }
 
     fn spent_on_setup(&self) -> Spent {

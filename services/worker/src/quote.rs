@@ -77,10 +77,11 @@ pub fn quote(
     let counted = count_frames(renderer, frames, settings, observer)?;
     let mut populations: Vec<FramePopulation> = frames
         .iter()
-        .zip(&counted.counts)
-        .map(|(&frame, counts)| FramePopulation {
+        .zip(counted.counts.iter().zip(&counted.lights))
+        .map(|(&frame, (counts, &lights))| FramePopulation {
             number: i64::from(frame),
             counts: strategy.counts(&shown, counts),
+            lights,
         })
         .collect();
     let records: Vec<&[u32]> = counted.cache_records.iter().map(Vec::as_slice).collect();

@@ -93,7 +93,7 @@ fn stats(
         effects: ready.effects(),
         left_out: ready.left_out(),
         rays: rays(gathered, all.rays),
-        cache_records: gathered.map_or(Vec::new(), |cache| cache.records.clone()),
+        cache_records: ready.cache_records().into_iter().map(u64::from).collect(),
         cache: finished.cache.as_ref().map(|cache| cache_stats(cache, &finished.image)),
         work: cost.work,
         cpu_seconds: seconds(cost.cpu_nanos),

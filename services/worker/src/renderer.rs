@@ -100,6 +100,8 @@ pub struct Counted {
     pub counts: Counts,
     /// Records of the frame's irradiance cache by level, as planned; empty without a cache.
     pub cache_records: Vec<u32>,
+    /// Whether each of the scene's lights shines.
+    pub shining: Vec<bool>,
     /// Who counted.
     pub backend: PreviewBackend,
     /// What it took.

@@ -15,7 +15,7 @@ use forelight_protocol::{
 };
 use forelight_scene::{Frame, MaterialClass};
 use forelight_tracer::{Pixel, Profile, RecordCost};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// What can go wrong on the way to a quote.
 #[derive(Debug, thiserror::Error)]
@@ -79,6 +79,8 @@ pub struct CountedFrames {
     pub counts: Vec<Vec<u32>>,
     /// Per frame, the records of its irradiance cache by level, as planned; empty without a cache.
     pub cache_records: Vec<Vec<u32>>,
+    /// Per frame, which lights shine, in numbers from 0 by first appearance.
+    pub lights: Vec<u32>,
     /// Who counted the last frame.
     pub backend: PreviewBackend,
     /// What it took.
@@ -95,18 +97,22 @@ pub fn count_frames(
     let mut all = CountedFrames {
         counts: Vec::with_capacity(frames.len()),
         cache_records: Vec::with_capacity(frames.len()),
+        lights: Vec::with_capacity(frames.len()),
         backend: PreviewBackend::Cpu,
         spent: Spent::default(),
     };
+    let mut lit: BTreeMap<Vec<bool>, u32> = BTreeMap::new();
     for (index, &frame) in frames.iter().enumerate() {
         if observer.is_cancelled() {
             return Err(ShotError::Cancelled);
         }
-        let Counted { counts, cache_records, backend, spent } = renderer.count(frame, settings)?;
+        let Counted { counts, cache_records, shining, backend, spent } = renderer.count(frame, settings)?;
         let mut pixels = counts.per_stratum;
         pixels.push(counts.background);
         all.counts.push(pixels);
         all.cache_records.push(cache_records);
+        let next = lit.len() as u32;
+        all.lights.push(*lit.entry(shining).or_insert(next));
         all.backend = backend;
         all.spent = all.spent.plus(spent);
         observer.previewed(index + 1, frames.len());

@@ -79,12 +79,13 @@ pub fn preview_result(
     let background = info.strata.len();
     let seen = |stratum: usize| counted.counts.iter().any(|counts| counts[stratum] > 0);
     let shown = Shown::new(info, settings, (0..background).filter(|&stratum| seen(stratum)));
-    let counts = counted.counts.iter().zip(&counted.cache_records);
-    let frames = frames.iter().zip(counts).map(|(&frame, (counts, records))| FrameStrata {
+    let counts = counted.counts.iter().zip(&counted.cache_records).zip(&counted.lights);
+    let frames = frames.iter().zip(counts).map(|(&frame, ((counts, records), &lights))| FrameStrata {
         frame,
         pixels: shown.strata.iter().map(|&stratum| counts[stratum]).collect(),
         background: counts[background],
         cache_records: records.clone(),
+        lights,
         preview_png: None,
     });
     PreviewResult {

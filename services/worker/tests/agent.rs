@@ -182,6 +182,7 @@ impl Execute for Slow {
             pixels: Vec::new(),
             background: 16,
             cache_records: Vec::new(),
+            lights: 0,
             preview_png: Some(hash),
         };
         let result = PreviewResult {

@@ -4,7 +4,7 @@ use forelight_forecast::Strategy;
 use forelight_preview::Choice;
 use forelight_protocol::{
     BundleSource, CacheMode, JobId, PreviewSpec, ProfileSpec, Quantiles, RenderSettings,
-    RenderSettingsRequest, RenderSpec, SceneDigest, TaskResult, TaskSpec,
+    RenderSettingsRequest, RenderSpec, RenderStats, SceneDigest, TaskResult, TaskSpec,
 };
 use forelight_worker::{
     Ambient, Assignment, Control, Execute, ExecuteError, Given, Library, Observer, Outcome, QuoteOptions,
@@ -76,6 +76,14 @@ impl Rig {
             Library::new(&folder.path().join("bundles"), Box::new(Ambient::new(Choice::Cpu))).unwrap();
         let settings = RenderSettingsRequest { spp: Some(2), ambient_bounces: Some(1), ..Default::default() };
         Self { folder, runner: TaskRunner::new(Arc::new(library)), settings: settings.complete((32, 24)) }
+    }
+
+    /// Adds a track to the scene's animation.
+    fn animate(&self, track: serde_json::Value) {
+        let path = self.bundle().join("scene.json");
+        let mut scene: serde_json::Value = serde_json::from_str(&fs::read_to_string(&path).unwrap()).unwrap();
+        scene["animation"]["tracks"].as_array_mut().unwrap().push(track);
+        fs::write(&path, scene.to_string()).unwrap();
     }
 
     fn bundle(&self) -> std::path::PathBuf {
@@ -424,15 +432,46 @@ fn building_the_tree_is_in_a_frames_cost_only_where_something_moves() {
         render_frame(&shot, 0, &rig.settings, Given::default(), &|_| (), &cancel).unwrap().unwrap().stats.work
     };
     let without = work();
-    let path = rig.bundle().join("scene.json");
-    let mut scene: serde_json::Value = serde_json::from_str(&fs::read_to_string(&path).unwrap()).unwrap();
-    let lift = serde_json::json!({
+    rig.animate(serde_json::json!({
         "target": "object:window", "property": "translation", "interpolation": "linear",
         "keys": [{ "frame": 0, "value": [0, 0, 0] }, { "frame": 2, "value": [0, 1, 0] }],
-    });
-    scene["animation"]["tracks"].as_array_mut().unwrap().push(lift);
-    fs::write(&path, scene.to_string()).unwrap();
+    }));
     assert!(work() > without);
+}
+
+#[test]
+fn a_frame_in_the_dark_is_forecast_from_one_in_the_dark() {
+    // With a cache, of which a frame in the dark has no records, all three are profiled: two others would be worth more.
+    for (rig, profile_frames) in [(Rig::new(), 2), (Rig::cached(1), 3)] {
+        rig.animate(serde_json::json!({
+            "target": "light:0", "property": "radiance", "interpolation": "step",
+            "keys": [
+                { "frame": 0, "value": [9, 9, 9] },
+                { "frame": 1, "value": [0, 0, 0] },
+                { "frame": 2, "value": [9, 9, 9] },
+            ],
+        }));
+        let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
+        // Half of all pixels: what is left of error is that of carrying.
+        let options = QuoteOptions { samples: 384, profile_frames, seed: 2, ..QuoteOptions::default() };
+        let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
+        assert_eq!(quoted.counted.lights, [0, 1, 0]);
+        let render = |frame| {
+            let given = Given::default();
+            let rendered = render_frame(&shot, frame, &rig.settings, given, &|_| (), &AtomicBool::new(false));
+            rendered.unwrap().unwrap().stats
+        };
+        let stats: Vec<RenderStats> = (0..3).map(render).collect();
+        assert!(4 * stats[1].work < stats[0].work, "{} of {}", stats[1].work, stats[0].work);
+        assert!(
+            stats[1].effects.iter().all(|effect| !["ambient", "irradiance cache"].contains(&&effect[..]))
+        );
+        for (forecast, stats) in quoted.document.frames.iter().zip(&stats) {
+            let off = forecast.work.mean / stats.work as f64 - 1.0;
+            assert!(off.abs() < 0.08, "frame {}: {off}", forecast.frame);
+            assert_eq!(stats.cache_records.len(), forecast.cache_records.len());
+        }
+    }
 }
 
 #[test]

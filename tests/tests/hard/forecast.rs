@@ -187,8 +187,9 @@ fn an_object_of_one_pixel_is_neither_lost_nor_blown_up() {
 /// A shot of `frames` frames of three strata, the third seen in some frames only; everything in `known` is profiled completely.
 fn shot(frames: usize, seen: impl Fn(usize) -> u32, known: &[usize]) -> (ShotForecast, Vec<f64>) {
     let strata = strata(3);
-    let population: Vec<FramePopulation> =
-        (0..frames).map(|t| FramePopulation { number: t as i64, counts: vec![200, 50, seen(t)] }).collect();
+    let population: Vec<FramePopulation> = (0..frames)
+        .map(|t| FramePopulation { number: t as i64, counts: vec![200, 50, seen(t)], lights: 0 })
+        .collect();
     let all: Vec<Vec<Observation>> = (0..frames)
         .map(|t| {
             let mut stream = Stream(t as u64);
@@ -356,8 +357,9 @@ fn estimates_have_no_drift_while_frames_are_finished() {
                 [900.0 * level[0].exp(), 4000.0 * level[1].exp()]
             })
             .collect();
-        let population: Vec<FramePopulation> =
-            (0..frames).map(|t| FramePopulation { number: t as i64, counts: vec![80, 20] }).collect();
+        let population: Vec<FramePopulation> = (0..frames)
+            .map(|t| FramePopulation { number: t as i64, counts: vec![80, 20], lights: 0 })
+            .collect();
         let observed: Vec<Vec<Observation>> = works
             .iter()
             .map(|w| {
@@ -412,7 +414,7 @@ proptest! {
     ) {
         let strata = strata(4);
         let population: Vec<FramePopulation> =
-            counts.iter().zip(0..).map(|(counts, number)| FramePopulation { number, counts: counts.clone() }).collect();
+            counts.iter().zip(0..).map(|(counts, number)| FramePopulation { number, counts: counts.clone(), lights: 0 }).collect();
         let mut frames: Vec<(usize, Vec<Observation>)> = Vec::new();
         for (index, samples) in known {
             let frame = index.index(counts.len());

@@ -48,7 +48,7 @@ impl Populations {
                 let mut counts = vec![0; strata.len()];
                 counts[..frame.pixels.len()].copy_from_slice(&frame.pixels);
                 counts[background] = frame.background;
-                FramePopulation { number: i64::from(frame.frame), counts }
+                FramePopulation { number: i64::from(frame.frame), counts, lights: frame.lights }
             })
             .collect();
         let records: Vec<&[u32]> = preview.frames.iter().map(|frame| &frame.cache_records[..]).collect();

@@ -211,6 +211,7 @@ mod tests {
                     pixels: pixels.to_vec(),
                     background,
                     cache_records: Vec::new(),
+                    lights: 0,
                     preview_png: None,
                 })
                 .collect(),

@@ -235,6 +235,7 @@ impl Farm {
                         pixels: vec![48],
                         background: 16,
                         cache_records: Vec::new(),
+                        lights: 0,
                         preview_png: None,
                     })
                     .collect(),

@@ -139,7 +139,7 @@ impl Pilot {
     pub fn cost(&self, view: &View, spp: u32) -> Result<(Quantiles, Quantiles), ShotError> {
         let factor = f64::from(spp) / f64::from(self.settings.spp);
         let mut strata = self.strata.clone();
-        let mut frame = [FramePopulation { number: 0, counts: view.counts.clone() }];
+        let mut frame = [FramePopulation { number: 0, counts: view.counts.clone(), lights: 0 }];
         let of_pixels = self
             .observations
             .iter()

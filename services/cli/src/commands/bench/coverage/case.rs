@@ -70,7 +70,7 @@ impl Known {
         let populations: Vec<FramePopulation> = self
             .frames
             .iter()
-            .map(|frame| FramePopulation { number: frame.number, counts: self.counts(frame) })
+            .map(|frame| FramePopulation { number: frame.number, counts: self.counts(frame), lights: 0 })
             .collect();
         let chosen = choose_frames(&self.strata, &populations, effort.frames)?;
         let mut case = Case::default();
