@@ -1,5 +1,6 @@
 //! The measurements.
 
+use super::allotted::Allotted;
 use super::ladder::{Cost, Rung, cost_at};
 use super::picture::{Distance, Picture};
 use super::quality::Quality;
@@ -118,22 +119,30 @@ pub struct Bench<'a> {
     /// Holds the tree that all share.
     tracer: Tracer,
     pool: rayon::ThreadPool,
+    /// For rungs whose camera samples are allotted.
+    allotted: Option<Allotted>,
 }
 
 /// A finished image and what it took.
-struct Rendered {
-    picture: Picture,
-    work: u64,
-    plan: u64,
-    fill: u64,
-    records: Vec<u64>,
-    cpu_seconds: f64,
-    wall_seconds: f64,
+pub struct Rendered {
+    pub picture: Picture,
+    pub work: u64,
+    pub plan: u64,
+    pub fill: u64,
+    pub records: Vec<u64>,
+    pub cpu_seconds: f64,
+    pub wall_seconds: f64,
 }
 
 impl<'a> Bench<'a> {
     /// Loads the bundle and builds its tree.
-    pub fn open(args: &'a Args, bundle: &Path, bars: &'a Bars, interrupt: &'a Interrupt) -> Result<Self> {
+    pub fn open(
+        args: &'a Args,
+        bundle: &Path,
+        rungs: &[Quality],
+        bars: &'a Bars,
+        interrupt: &'a Interrupt,
+    ) -> Result<Self> {
         if !bundle.exists() {
             let missing = format!("bundle {}: there is no such file or folder", bundle.display());
             return Err(BadInput::new(missing).into());
@@ -149,8 +158,10 @@ impl<'a> Bench<'a> {
             loaded.map_err(RenderError::from).with_context(|| format!("bundle {}", bundle.display()))?;
         let pool = thread_pool(args.threads)?;
         let tracer = pool.install(|| Tracer::new(&frame, &tracer_settings(&base)));
+        let open = || pool.install(|| Allotted::open(bundle, args.frame, &base));
+        let allotted = rungs.iter().any(|rung| rung.error().is_some()).then(open).transpose()?;
         spinner.finish_and_clear();
-        Ok(Self { args, bars, interrupt, name, frame, base, tracer, pool })
+        Ok(Self { args, bars, interrupt, name, frame, base, tracer, pool, allotted })
     }
 
     /// Everything that is measured on this bundle.
@@ -196,7 +207,13 @@ impl<'a> Bench<'a> {
         for _ in 0..self.args.repeats {
             for ((rung, settings), renders) in rungs.iter().zip(settings).zip(&mut renders) {
                 bar.set_message(rung.to_string());
-                renders.push(self.render(settings, &self.pool)?);
+                renders.push(match (&self.allotted, rung.error()) {
+                    (Some(allotted), Some(error)) => {
+                        let asked = rung.asked(&self.base)?;
+                        self.pool.install(|| allotted.render(&asked, error, self.interrupt))?
+                    }
+                    _ => self.render(settings, &self.pool)?,
+                });
                 bar.inc(1);
             }
         }
@@ -221,11 +238,7 @@ impl<'a> Bench<'a> {
             records: cache.records,
             cpu_seconds: cpu_nanos as f64 * 1e-9,
             wall_seconds,
-            picture: Picture {
-                width: image.width,
-                height: image.height,
-                pixels: image.pixels.iter().map(|pixel| pixel.color).collect(),
-            },
+            picture: Picture::of(&image),
         })
     }
 

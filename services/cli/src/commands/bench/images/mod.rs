@@ -1,5 +1,6 @@
 //! `forelight bench images`: what an image error costs, with an irradiance cache, without one, and in other programs.
 
+mod allotted;
 mod ladder;
 mod measure;
 mod peer;
@@ -24,11 +25,13 @@ use std::path::PathBuf;
 Examples:
   forelight bench images kitchen/ --size 256 --references references/
   forelight bench images kitchen/ --rung '--spp 4 --ambient-divisions 64' --rung '--spp 4 --cache on' --pictures out/
+  forelight bench images kitchen/ --rung '--spp 64 --cache on' --rung '--error 2 --cache on'
   forelight bench images kitchen/ --materials lambert --peer 'rpict 1:rpict-1.exr:93.4' --json
 
 Every rung is rendered several times, one rung after the other and then again, and its CPU time is the median. Errors are root \
 mean squares relative to the mean of the reference, over all pixels, and (`lit`) without those that see a light or lie beside one \
-that does. The cost of an equal error is interpolated along the rungs that are worth taking, in logarithms.")]
+that does. A rung of --error PERCENT in place of --spp allots camera samples as `forelight render --error` does, what finding that out \
+takes included. The cost of an equal error is interpolated along the rungs that are worth taking, in logarithms.")]
 pub struct Args {
     /// Scene bundles: folders or zip files
     #[arg(required = true, value_name = "BUNDLE")]
@@ -99,7 +102,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let rungs = if args.rung.is_empty() { quality::ladder() } else { args.rung.clone() };
     let mut measured = Vec::with_capacity(args.bundles.len());
     for bundle in &args.bundles {
-        let bench = measure::Bench::open(args, bundle, &bars, interrupt)?;
+        let bench = measure::Bench::open(args, bundle, &rungs, &bars, interrupt)?;
         let scene = bench.measure(&rungs)?;
         if !args.json {
             output::print(&report::text(&scene))?;

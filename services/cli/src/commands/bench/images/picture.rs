@@ -1,6 +1,7 @@
 //! Images as plain numbers, and how far one is from another.
 
 use anyhow::{Context, Result, bail};
+use forelight_tracer::Image;
 use image::{ImageFormat, Rgb, Rgb32FImage, RgbImage};
 use std::path::Path;
 
@@ -31,6 +32,12 @@ pub struct Distance {
 const LIGHT: f32 = 10.0;
 
 impl Picture {
+    /// Of a rendered image.
+    pub fn of(image: &Image) -> Self {
+        let pixels = image.pixels.iter().map(|pixel| pixel.color).collect();
+        Self { width: image.width, height: image.height, pixels }
+    }
+
     /// Reads an EXR file.
     pub fn read(path: &Path) -> Result<Self> {
         let context = || format!("{}", path.display());

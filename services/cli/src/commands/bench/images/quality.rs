@@ -1,5 +1,6 @@
 //! Settings of a render as one line of flags, and the ladders of them that are measured.
 
+use crate::commands::allot::positive;
 use crate::failure::BadInput;
 use crate::local::settings_request;
 use crate::options::{CacheSwitch, IntegratorName, QualityOptions};
@@ -15,6 +16,8 @@ use std::str::FromStr;
 struct Flags {
     #[command(flatten)]
     quality: QualityOptions,
+    #[arg(long, conflicts_with = "spp", value_parser = positive)]
+    error: Option<f64>,
 }
 
 /// One rung: flags of `forelight render`, and what they mean.
@@ -22,6 +25,8 @@ struct Flags {
 pub struct Quality {
     text: String,
     options: QualityOptions,
+    /// Noise for which camera samples are allotted, in percent of the image's mean.
+    error: Option<f64>,
 }
 
 impl FromStr for Quality {
@@ -37,7 +42,7 @@ impl FromStr for Quality {
         if flags.quality.width.is_some() || flags.quality.height.is_some() {
             return Err(format!("`{text}`: all images have the same size, which --size says"));
         }
-        Ok(Self { text: words.join(" "), options: flags.quality })
+        Ok(Self { text: words.join(" "), options: flags.quality, error: flags.error })
     }
 }
 
@@ -56,7 +61,14 @@ impl Quality {
     /// Whether it takes this many camera samples, and gathers indirect light at them or interpolates it: another rung of which this
     /// holds sees the same direct light, and differs by the indirect light alone.
     pub fn samples_like(&self, spp: u32) -> bool {
-        self.options.spp == Some(spp) && self.options.integrator != Some(IntegratorName::Path)
+        self.error.is_none()
+            && self.options.spp == Some(spp)
+            && self.options.integrator != Some(IntegratorName::Path)
+    }
+
+    /// The noise that camera samples are allotted for, as a share of the image's mean; `None` if all pixels have the same number.
+    pub fn error(&self) -> Option<f64> {
+        self.error.map(|percent| percent / 100.0)
     }
 
     /// The settings of gathering with so many rays at the same camera samples.
@@ -64,8 +76,13 @@ impl Quality {
         format!("--spp {spp} --ambient-divisions {rays}").parse()
     }
 
-    /// The whole settings. What the flags leave open is as in `base`.
+    /// The whole settings as the tracer takes them.
     pub fn settings(&self, base: &RenderSettings) -> Result<Settings, BadInput> {
+        Ok(tracer_settings(&self.asked(base)?))
+    }
+
+    /// The whole settings. What the flags leave open is as in `base`.
+    pub fn asked(&self, base: &RenderSettings) -> Result<RenderSettings, BadInput> {
         let size = (base.width, base.height);
         let mut settings = settings_request(&self.options, size).complete(size);
         if self.options.ambient_bounces.is_none() {
@@ -78,7 +95,7 @@ impl Quality {
             settings.seed = base.seed;
         }
         settings.check().map_err(|wrong| BadInput::new(format!("`{self}`: {wrong}")))?;
-        Ok(tracer_settings(&settings))
+        Ok(settings)
     }
 }
 
@@ -136,7 +153,12 @@ mod tests {
     fn only_what_sees_the_same_direct_light_is_compared() {
         let like = |text: &str| text.parse::<Quality>().unwrap().samples_like(4);
         assert!(like("--spp 4 --cache on") && like("--spp 4 --ambient-divisions 9"));
-        assert!(!like("--spp 5") && !like("--spp 4 --integrator path") && !like("--cache on"));
+        assert!(
+            !like("--error 2 --cache on")
+                && !like("--spp 5")
+                && !like("--spp 4 --integrator path")
+                && !like("--cache on")
+        );
     }
 
     #[test]
