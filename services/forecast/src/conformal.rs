@@ -22,7 +22,7 @@ use crate::shot::ShotForecast;
 use crate::student;
 
 /// Quantile at 0.95 of the standard normal distribution.
-const NORMAL_95: f64 = 1.644_853_626_951_472_2;
+pub(crate) const NORMAL_95: f64 = 1.644_853_626_951_472_2;
 
 /// Least number of past jobs from which all quantiles follow: from 19 the 95th is the greatest.
 pub const LEAST_JOBS: usize = 19;
@@ -40,7 +40,7 @@ impl Measure {
     /// Standard deviation of the logarithm that is added to every spread. Without it a forecast that is very sure, and off by what no
     /// sample shows (noise of clocks, a tree that takes longer to build), would be off by hundreds of its spreads, and the next one, less
     /// sure, would be stretched by as many of its own.
-    const fn unknown(self) -> f64 {
+    pub(crate) const fn unknown(self) -> f64 {
         match self {
             Measure::Work => 0.001,
             Measure::CpuTime => 0.05,
@@ -74,7 +74,7 @@ pub fn residual(mean: f64, spread: f64, actual: f64) -> Option<f64> {
 }
 
 /// No quantile lies farther from its mean than by the exponential of this: a number for every input.
-const FARTHEST: f64 = 50.0;
+pub(crate) const FARTHEST: f64 = 50.0;
 
 /// Residuals of past forecasts, by job.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -31,6 +31,9 @@
 //! picture changes faster (`clock`), so that nothing is carried over a cut. The error that a job's frames
 //! have in common is [`ShotForecast::job_sigma`].
 //!
+//! **While it is rendered** ([`live`]). Finished frames are the truth, and say of the others by how much the quote is off: a Gaussian
+//! process over the shot's clock, with a factor in common and a nugget, in time linear in the number of frames.
+//!
 //! **What is not made of pixels** ([`RecordStrata`]). With an irradiance cache most of a frame's cost is in its records, whose
 //! number is known from planning them. The records of a level are a stratum that stands apart ([`Stratum::apart`]).
 //!
@@ -101,6 +104,7 @@ mod estimate;
 mod expansion;
 mod frames;
 mod interval;
+mod live;
 mod moments;
 mod nearest;
 mod random;
@@ -120,6 +124,7 @@ pub use estimate::{FrameEstimate, ObjectEstimate, StratumEstimate, by_object, es
 pub use expansion::Expansion;
 pub use frames::{FramePopulation, choose_frames};
 pub use interval::Calibration;
+pub use live::{Band, Known, Live, LiveFrame, live, shot_times};
 pub use records::RecordStrata;
 pub use shot::{FrameForecast, ProfiledFrame, ShotForecast, forecast_shot};
 pub use strata::Stratum;

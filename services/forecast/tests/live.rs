@@ -1,0 +1,322 @@
+//! What the living estimate must hold: it begins as the quote, ends as the truth, and is honest in between.
+
+mod common;
+
+use common::Stream;
+use forelight_forecast::{Band, Known, Live, LiveFrame, Measure, live};
+
+/// Quantiles of a lognormal number, as a quote gives them.
+fn lognormal(median: f64, deviation: f64) -> Band {
+    let at = |normal: f64| median * (deviation * normal).exp();
+    Band { mean: median, p50: median, p80: at(0.8416), p95: at(1.6449) }
+}
+
+/// How a job's frames differ from their quotes: standard deviations of what they share, of what drifts, and of their own.
+#[derive(Clone, Copy)]
+struct Truth {
+    common: f64,
+    smooth: f64,
+    own: f64,
+}
+
+const AS_QUOTED: Truth = Truth { common: 0.12, smooth: 0.08, own: 0.08 };
+
+struct Job {
+    total: Band,
+    frames: Vec<LiveFrame>,
+    truth: Vec<f64>,
+}
+
+impl Job {
+    /// A job of `count` frames that cost alike to within a third, quoted with the spreads of `quoted` and differing from the quote as `truth` says.
+    fn new(seed: u64, count: usize, quoted: Truth, truth: Truth) -> Self {
+        let mut stream = Stream::new(seed);
+        let medians: Vec<f64> = (0..count).map(|_| 100.0 * (0.3 * stream.normal()).exp()).collect();
+        let Truth { common, smooth, own } = quoted;
+        let of_frame = common.hypot(smooth).hypot(own);
+        // The mean over a whole shot keeps about six tenths of the variance of what drifts over a third of it.
+        let of_job = common.hypot(0.6f64.sqrt() * smooth).hypot(own / (count as f64).sqrt());
+        let sum: f64 = medians.iter().sum();
+        let frames = medians
+            .iter()
+            .enumerate()
+            .map(|(t, &median)| LiveFrame {
+                time: t as f64,
+                quote: lognormal(median, of_frame),
+                known: Known::Nothing,
+            })
+            .collect();
+        // What drifts, as is assumed: a Gaussian process with Matérn covariance, a third of the shot long, from frame to frame.
+        let x = 3.0f64.sqrt() / (count as f64 / 3.0);
+        let fall = (-x).exp();
+        let step = [[fall * (1.0 + x), fall * x], [-fall * x, fall * (1.0 - x)]];
+        let kept = |i: usize, j: usize| step[i][0] * step[j][0] + step[i][1] * step[j][1];
+        let (level, both) = ((1.0 - kept(0, 0)).max(0.0), -kept(0, 1));
+        let slope = (1.0 - kept(1, 1) - both * both / level).max(0.0);
+        let shared = truth.common * stream.normal();
+        let mut drift = [stream.normal(), stream.normal()];
+        let costs = medians.iter().map(|median| {
+            let cost = median * (shared + truth.smooth * drift[0] + truth.own * stream.normal()).exp();
+            let new = stream.normal();
+            drift = [
+                step[0][0] * drift[0] + step[0][1] * drift[1] + level.sqrt() * new,
+                step[1][0] * drift[0]
+                    + step[1][1] * drift[1]
+                    + both / level.sqrt() * new
+                    + slope.sqrt() * stream.normal(),
+            ];
+            cost
+        });
+        Self { truth: costs.collect(), total: lognormal(sum, of_job), frames }
+    }
+
+    fn finish(&mut self, frame: usize) {
+        self.frames[frame].known = Known::All(self.truth[frame]);
+    }
+
+    fn live(&self) -> Live {
+        live(&self.total, &self.frames, Measure::Work)
+    }
+
+    fn whole(&self) -> f64 {
+        self.truth.iter().sum()
+    }
+}
+
+fn width(band: &Band) -> f64 {
+    band.p95 - band.p50
+}
+
+#[test]
+fn nothing_finished_is_the_quote_itself_and_everything_finished_is_the_truth() {
+    let mut job = Job::new(1, 48, AS_QUOTED, AS_QUOTED);
+    job.total.mean *= 0.9;
+    let begin = job.live();
+    assert_eq!((begin.whole, begin.remaining, begin.spent), (job.total, job.total, 0.0));
+    (0..48).for_each(|frame| job.finish(frame));
+    let end = job.live();
+    assert_eq!(end.whole, Band::known(end.spent));
+    assert_eq!(end.remaining, Band::default());
+    assert!((end.spent / job.whole() - 1.0).abs() < 1e-14);
+}
+
+#[test]
+fn from_the_quote_to_the_first_frame_is_no_leap() {
+    let mut job = Job::new(2, 200, AS_QUOTED, AS_QUOTED);
+    // A frame that costs exactly its median, of a quote whose shape past jobs have changed.
+    job.total = Band { mean: job.total.p50 / 1.1, p50: job.total.p50, ..job.total };
+    job.frames.iter_mut().for_each(|frame| frame.quote.mean /= 1.1);
+    job.truth[70] = job.frames[70].quote.p50;
+    job.finish(70);
+    let first = job.live();
+    for (now, quoted) in [
+        (first.whole.mean, job.total.mean),
+        (first.whole.p50, job.total.p50),
+        (first.whole.p80, job.total.p80),
+        (first.whole.p95, job.total.p95),
+    ] {
+        assert!((now / quoted - 1.0).abs() < 0.12, "{now} for {quoted}");
+    }
+    assert!(width(&first.whole) < width(&job.total));
+}
+
+#[test]
+fn intervals_shrink_to_nothing_as_frames_finish() {
+    let mut mean = [0.0; 5];
+    for seed in 0..40 {
+        let mut job = Job::new(seed, 48, AS_QUOTED, AS_QUOTED);
+        for (step, width_there) in mean.iter_mut().enumerate() {
+            (0..step * 12).for_each(|frame| job.finish(frame));
+            *width_there += width(&job.live().whole) / job.whole() / 40.0;
+        }
+    }
+    assert!(mean.windows(2).all(|pair| pair[1] < 0.8 * pair[0]), "{mean:?}");
+    assert_eq!(mean[4], 0.0);
+}
+
+#[test]
+fn a_job_thirty_percent_dearer_than_its_quote_is_seen_as_such_after_a_few_frames() {
+    let mut job = Job::new(5, 48, AS_QUOTED, Truth { common: 0.0, smooth: 0.0, own: 0.03 });
+    job.truth.iter_mut().for_each(|cost| *cost *= 1.3);
+    let off = |job: &Job| job.live().whole.p50 / job.whole() - 1.0;
+    assert!(off(&job) < -0.2);
+    let mut in_order = Job { frames: job.frames.clone(), truth: job.truth.clone(), total: job.total };
+    (0..6).for_each(|frame| {
+        job.finish(8 * frame);
+        in_order.finish(frame);
+    });
+    let live = job.live();
+    assert!(off(&job).abs() < 0.05 && (live.factor - 1.3).abs() < 0.07, "{} {live:?}", off(&job));
+    assert!(live.whole.p50 > job.total.p80, "the quote's P80 is out of reach");
+    // Frames beside each other may share what will pass, so that less is made of them.
+    let live = in_order.live();
+    assert!(off(&in_order).abs() < 0.1 && live.whole.p95 > job.whole(), "{} {live:?}", off(&in_order));
+}
+
+#[test]
+fn it_does_not_matter_in_which_order_frames_arrived() {
+    let mut one = Job::new(6, 30, AS_QUOTED, AS_QUOTED);
+    let mut other = Job::new(6, 30, AS_QUOTED, AS_QUOTED);
+    let finished = [3, 29, 0, 14, 15, 7, 21];
+    for &frame in &finished {
+        one.finish(frame);
+        one.live();
+    }
+    finished.iter().rev().for_each(|&frame| other.finish(frame));
+    assert_eq!(one.live(), other.live());
+}
+
+/// How often truths stayed at or below P50, P80 and P95 of the whole, over seeded jobs with these frames finished.
+fn hits(jobs: u64, quoted: Truth, change: impl Fn(&mut Job), finished: &[usize]) -> [f64; 3] {
+    let mut hits = [0.0; 3];
+    for seed in 1000..1000 + jobs {
+        let mut job = Job::new(seed, 48, quoted, AS_QUOTED);
+        change(&mut job);
+        finished.iter().for_each(|&frame| job.finish(frame));
+        let Band { p50, p80, p95, .. } = job.live().whole;
+        for (hit, quantile) in hits.iter_mut().zip([p50, p80, p95]) {
+            *hit += f64::from(u8::from(job.whole() <= quantile)) / jobs as f64;
+        }
+    }
+    hits
+}
+
+/// Two standard deviations of a share of 500 jobs are 0.036 at P80; what drifts is not exactly what is assumed.
+fn about(hits: [f64; 3], what: &str) {
+    for (hit, (low, high)) in hits.iter().zip([(0.40, 0.62), (0.72, 0.92), (0.90, 1.0)]) {
+        assert!((low..=high).contains(hit), "{what}: {hits:?}");
+    }
+}
+
+#[test]
+fn quantiles_hold_what_they_promise_where_the_quote_knows_itself() {
+    let scattered: Vec<usize> = (0..48).step_by(4).collect();
+    let in_order: Vec<usize> = (0..12).collect();
+    let half: Vec<usize> = (0..24).collect();
+    let most: Vec<usize> = (0..42).collect();
+    for (finished, what) in [
+        (&scattered[..3], "three here and there"),
+        (&scattered[..], "a quarter here and there"),
+        (&in_order[..], "the first quarter"),
+        (&half[..], "the first half"),
+        (&most[..], "all but six"),
+    ] {
+        let found = hits(500, AS_QUOTED, |_| {}, finished);
+        println!("{what}: {found:?}");
+        about(found, what);
+    }
+}
+
+#[test]
+fn a_quote_that_is_far_too_sure_of_itself_is_found_out() {
+    // It gives itself a third of the spread that there is: P95 holds in two jobs of three before anything is seen.
+    let third = Truth { common: 0.04, smooth: 0.027, own: 0.027 };
+    let none = hits(500, third, |_| {}, &[]);
+    assert!(none[2] < 0.8, "{none:?}");
+    let quarter: Vec<usize> = (0..48).step_by(4).collect();
+    let seen = hits(500, third, |_| {}, &quarter);
+    assert!(seen[2] > 0.9 && seen[1] > 0.7, "{seen:?}");
+}
+
+#[test]
+fn a_light_that_goes_on_half_way_is_learnt_once_it_is_seen_and_frames_here_and_there_see_it_soon() {
+    let switched_on = |job: &mut Job| job.truth[24..].iter_mut().for_each(|cost| *cost *= 1.4);
+    let quarter: Vec<usize> = (0..48).step_by(4).collect();
+    let scattered = hits(300, AS_QUOTED, switched_on, &quarter);
+    println!("scattered {scattered:?}");
+    assert!(scattered[2] > 0.88 && scattered[1] > 0.65, "{scattered:?}");
+    // In order: nothing tells of it before the half, and no estimate that is honest about the quote covers all of it.
+    let before: Vec<usize> = (0..24).collect();
+    let unseen = hits(300, AS_QUOTED, switched_on, &before);
+    let after: Vec<usize> = (0..32).collect();
+    let seen = hits(300, AS_QUOTED, switched_on, &after);
+    println!("before {unseen:?}, after {seen:?}");
+    assert!(unseen[2] < 0.1 && seen[2] > 0.75, "before {unseen:?}, after {seen:?}");
+}
+
+#[test]
+fn finished_tiles_move_the_estimate_of_a_job_of_one_frame() {
+    let mut job = Job::new(8, 1, AS_QUOTED, AS_QUOTED);
+    let quoted = job.frames[0].quote.p50;
+    let at = |job: &mut Job, share: f64| {
+        job.frames[0].known = Known::Part { share, cost: 1.5 * share * quoted };
+        job.live()
+    };
+    let early = at(&mut job, 0.1);
+    let late = at(&mut job, 0.9);
+    assert!(job.total.p50 < early.whole.p50 && early.whole.p50 < late.whole.p50);
+    assert!((late.whole.p50 / (1.5 * quoted) - 1.0).abs() < 0.05, "{late:?}");
+    assert!(width(&late.whole) < 0.3 * width(&early.whole), "{early:?} {late:?}");
+    assert_eq!(late.spent, 1.5 * 0.9 * quoted);
+}
+
+#[test]
+fn two_sides_of_a_cut_say_little_of_each_other() {
+    let estimate = |cut: f64| {
+        let quiet = Truth { common: 0.03, smooth: 0.15, own: 0.03 };
+        let mut job = Job::new(9, 40, quiet, Truth { common: 0.0, smooth: 0.0, own: 0.01 });
+        job.frames[20..].iter_mut().for_each(|frame| frame.time += cut);
+        (0..20).for_each(|frame| {
+            job.truth[frame] *= 1.4;
+            job.finish(frame);
+        });
+        job.live().factor
+    };
+    assert!(estimate(0.0) > estimate(400.0) + 0.05, "{} {}", estimate(0.0), estimate(400.0));
+}
+
+#[test]
+fn frames_that_cost_nothing_and_numbers_that_are_none_do_no_harm() {
+    let nothing = Band::default();
+    let odd = [0.0, 1.0, 1e-300, 1e18, f64::NAN, f64::INFINITY, -3.0];
+    let mut stream = Stream::new(10);
+    let mut pick = |n: usize| ((stream.uniform() * n as f64) as usize).min(n - 1);
+    for _ in 0..3000 {
+        let mut number = || odd[pick(odd.len())];
+        let mut frames: Vec<LiveFrame> = (0..6)
+            .map(|t| {
+                let quote = Band { mean: number(), p50: number(), p80: number(), p95: number() };
+                let known = match number() {
+                    0.0 => Known::Nothing,
+                    1.0 => Known::Part { share: number(), cost: number() },
+                    _ => Known::All(number()),
+                };
+                LiveFrame { time: f64::from(t), quote, known }
+            })
+            .collect();
+        let total = lognormal(100.0, 0.2);
+        for total in [total, nothing] {
+            let Live { spent, remaining, whole, factor } = live(&total, &frames, Measure::CpuTime);
+            for band in [remaining, whole] {
+                let Band { mean, p50, p80, p95 } = band;
+                assert!(mean >= 0.0 && p50 >= 0.0 && p50 <= p80 && p80 <= p95, "{band:?} of {frames:?}");
+                assert!(mean.is_finite() && p95.is_finite(), "{band:?} of {frames:?}");
+            }
+            assert!(spent >= 0.0 && spent.is_finite() && factor > 0.0 && factor.is_finite());
+        }
+        frames.truncate(1);
+        live(&total, &frames, Measure::Work);
+    }
+    let empty = live(&nothing, &[], Measure::Work);
+    assert_eq!((empty.whole, empty.spent), (nothing, 0.0));
+    let free = [LiveFrame { time: 0.0, quote: nothing, known: Known::All(0.0) }; 3];
+    assert_eq!(live(&nothing, &free, Measure::Work).whole, nothing);
+}
+
+#[test]
+fn five_thousand_frames_take_time_in_proportion() {
+    let time = |count: usize| {
+        let mut job = Job::new(11, count, AS_QUOTED, AS_QUOTED);
+        (0..count).step_by(2).for_each(|frame| job.finish(frame));
+        let best = (0..5).map(|_| {
+            let begin = std::time::Instant::now();
+            assert!(job.live().whole.p95 > 0.0);
+            begin.elapsed().as_secs_f64()
+        });
+        best.fold(f64::MAX, f64::min)
+    };
+    let (short, long) = (time(1250), time(5000));
+    assert!(long < 16.0 * short, "{short} s for 1250 frames, {long} s for 5000");
+    assert!(long < 0.5, "{long} s");
+    println!("1250 frames {short:.4} s, 5000 frames {long:.4} s");
+}
