@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    Booking, Event, JobId, JobState, Money, MoneyQuantiles, Node, QuantileHits, Quantiles, TaskId, TaskKind,
-    Timestamp, Verdict,
+    Booking, Event, JobId, JobState, LiveForecast, Money, MoneyQuantiles, Node, QuantileHits, Quantiles,
+    TaskId, TaskKind, Timestamp, Verdict,
 };
 
 /// Tasks by state.
@@ -75,6 +75,9 @@ pub struct DashboardJob {
     pub cpu_seconds: Option<Quantiles>,
     /// Forecast total in money.
     pub cost: Option<MoneyQuantiles>,
+    /// What it will have cost, as far as its frames are finished; absent until booked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub live: Option<LiveForecast>,
 }
 
 /// What a node does right now.

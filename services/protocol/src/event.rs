@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{EventId, JobId, JobState, NodeId, PlanId, TaskId, TaskKind, Timestamp};
+use crate::{EventId, JobId, JobState, NodeId, OffForecast, PlanId, TaskId, TaskKind, Timestamp};
 
 /// The kinds of events: also the `event:` field of the server-sent events.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
@@ -15,6 +15,10 @@ pub enum EventKind {
     JobState,
     /// A job's forecast is there.
     ForecastReady,
+    /// A job's living estimate has left what is booked for it: `off_forecast` says what and how far.
+    JobOffForecast,
+    /// It has come back to what is booked.
+    JobOnForecast,
     /// A plan was stored.
     PlanStored,
     /// A task was handed to a worker.
@@ -54,6 +58,8 @@ impl EventKind {
             EventKind::JobCreated => "job_created",
             EventKind::JobState => "job_state",
             EventKind::ForecastReady => "forecast_ready",
+            EventKind::JobOffForecast => "job_off_forecast",
+            EventKind::JobOnForecast => "job_on_forecast",
             EventKind::PlanStored => "plan_stored",
             EventKind::TaskLeased => "task_leased",
             EventKind::TaskSubmitted => "task_submitted",
@@ -106,6 +112,9 @@ pub struct Event {
     /// How far the task is, 0 to 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub progress: Option<f64>,
+    /// What left the booking or came back to it, with its numbers.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub off_forecast: Option<OffForecast>,
     /// A line for people.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub message: Option<String>,

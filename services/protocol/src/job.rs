@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    ArtifactHash, BundleRef, Confidence, FrameForecast, FrameSet, JobId, JobVerdict, Money, NodeId,
-    PageToken, PlanId, Quantiles, RenderSettings, RenderSettingsRequest, RenderStats, SceneSummary,
+    ArtifactHash, BundleRef, Confidence, FrameForecast, FrameSet, JobId, JobVerdict, LiveForecast, Money,
+    NodeId, PageToken, PlanId, Quantiles, RenderSettings, RenderSettingsRequest, RenderStats, SceneSummary,
     TaskLimits, Timestamp,
 };
 
@@ -175,6 +175,9 @@ pub struct Job {
     pub plan_id: Option<PlanId>,
     /// When the last frame is expected; absent until booked, and once final.
     pub eta: Option<Timestamp>,
+    /// What it will have cost, as far as its frames are finished, beside the quote; absent until booked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub live: Option<LiveForecast>,
     /// What went wrong, if it failed.
     pub error: Option<String>,
     /// When it was submitted.

@@ -101,6 +101,9 @@ pub struct RenewRequest {
     #[serde(default)]
     #[schema(minimum = 0, maximum = 1)]
     pub progress: f64,
+    /// What the finished pixels of a frame took so far; absent of other tasks, and with an irradiance cache, whose filling costs most.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pixels: Option<FinishedPixels>,
     /// Whether it stands still, as it was ordered to.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub paused: bool,
@@ -108,6 +111,21 @@ pub struct RenewRequest {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schema(max_items = 100)]
     pub log: Vec<LogLine>,
+}
+
+/// How many pixels of a frame are finished, and what they took.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FinishedPixels {
+    /// Finished pixels, those that were taken over among them: at most `all`.
+    pub done: u64,
+    /// Pixels of the frame, 1 or more.
+    #[schema(minimum = 1)]
+    pub all: u64,
+    /// Deterministic count of operations of the finished ones.
+    pub work: u64,
+    /// Their CPU time, in nanoseconds.
+    pub cpu_nanos: u64,
 }
 
 /// What the worker shall do now.

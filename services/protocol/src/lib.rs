@@ -23,6 +23,7 @@ mod hash;
 mod ids;
 mod job;
 mod lease;
+mod live;
 mod log;
 mod money;
 mod node;
@@ -61,8 +62,11 @@ pub use job::{
     JobRequest, JobState,
 };
 pub use lease::{
-    CHECKPOINT_BYTES, ClaimRequest, Lease, LeaseOrder, ReleaseRequest, RenewRequest, Renewal, ResultAnswer,
-    ResultRequest, TaskError, TaskLimit, TaskLimits,
+    CHECKPOINT_BYTES, ClaimRequest, FinishedPixels, Lease, LeaseOrder, ReleaseRequest, RenewRequest, Renewal,
+    ResultAnswer, ResultRequest, TaskError, TaskLimit, TaskLimits,
+};
+pub use live::{
+    Booked, BookedQuantity, ForecastHistory, HistoryPoint, LiveFigure, LiveForecast, OffForecast,
 };
 pub use log::{LOG_LINE_CHARACTERS, LOG_LINES, LogLevel, LogLine, TaskLog, TaskLogLine, without_secrets};
 pub use money::Money;

@@ -127,6 +127,7 @@ async fn dashboard_jobs(
             work: forecast.as_ref().map(|forecast| forecast.total.work),
             cpu_seconds: forecast.as_ref().map(|forecast| forecast.total.cpu_seconds),
             cost: forecast.and_then(|forecast| forecast.cost),
+            live: job.live,
         });
     }
     Ok(list)

@@ -25,6 +25,7 @@ pub(crate) fn event(kind: EventKind, now: Timestamp) -> Event {
         node_id: None,
         plan_id: None,
         progress: None,
+        off_forecast: None,
         message: None,
     }
 }

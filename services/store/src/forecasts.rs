@@ -31,6 +31,9 @@ pub struct JobForecast {
     pub left_out: Vec<LeftOut>,
     /// The total in money.
     pub cost: Option<MoneyQuantiles>,
+    /// When each frame is on the shot's own clock, in their order. Kept with the frames, and so empty when it is read back.
+    #[serde(skip)]
+    pub clock: Vec<f64>,
 }
 
 impl Store {
@@ -71,7 +74,9 @@ impl Store {
             .fetch_optional(&mut *transaction)
             .await?;
         let kept: Option<JobForecast> = json_opt(&row.ok_or(StoreError::NotFound("job"))?, "forecast")?;
-        let Some(JobForecast { total, profiled, spent, calibrated, effects, left_out, cost }) = kept else {
+        let Some(JobForecast { total, profiled, spent, calibrated, effects, left_out, cost, clock: _ }) =
+            kept
+        else {
             return Ok(None);
         };
         let rows = sqlx::query(
@@ -90,11 +95,12 @@ pub(crate) async fn keep_frames(
     write: &mut Write,
     job: JobId,
     frames: &[FrameForecast],
+    clock: &[f64],
 ) -> Result<(), StoreError> {
-    for forecast in frames {
+    for (place, forecast) in frames.iter().enumerate() {
         sqlx::query(
             "UPDATE frames SET forecast = ?, work_mean = ?, work_p50 = ?, work_p80 = ?, work_p95 = ?, \
-             cpu_mean = ?, cpu_p50 = ?, cpu_p80 = ?, cpu_p95 = ? WHERE job_id = ? AND frame = ?",
+             cpu_mean = ?, cpu_p50 = ?, cpu_p80 = ?, cpu_p95 = ?, clock = ? WHERE job_id = ? AND frame = ?",
         )
         .bind(to_json(forecast)?)
         .bind(forecast.work.mean)
@@ -105,6 +111,7 @@ pub(crate) async fn keep_frames(
         .bind(forecast.cpu_seconds.p50)
         .bind(forecast.cpu_seconds.p80)
         .bind(forecast.cpu_seconds.p95)
+        .bind(clock.get(place))
         .bind(job.0)
         .bind(i64::from(forecast.frame))
         .execute(write.connection())

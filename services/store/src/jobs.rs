@@ -263,6 +263,7 @@ pub(crate) fn decode(row: &SqliteRow, progress: Progress) -> Result<Job, StoreEr
         verdict: json_opt(row, "verdict")?,
         plan_id: id_opt(row, "plan_id")?.map(PlanId),
         eta: None,
+        live: progress.live,
         error: row.try_get("error")?,
         created_at: time(row, "created_at")?,
         finished_at: time_opt(row, "finished_at")?,

@@ -29,8 +29,8 @@
 use std::time::Duration;
 
 use forelight_protocol::{
-    Event, EventKind, JobId, JobState, Lease, LeaseId, LeaseOrder, NodeId, RenewRequest, Renewal, TaskId,
-    TaskKind, TaskSpec, Timestamp,
+    Event, EventKind, FinishedPixels, JobId, JobState, Lease, LeaseId, LeaseOrder, NodeId, RenewRequest,
+    Renewal, TaskId, TaskKind, TaskSpec, Timestamp,
 };
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
@@ -40,6 +40,7 @@ use crate::decode::{id, json, whole, whole_opt, word};
 use crate::events::{append, event, forget_old_progress, job_state};
 use crate::failures::{HEAD_START, LONGEST_WAIT};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, forget_old, record};
+use crate::live::{self, Occasion};
 use crate::logs::forget_old_logs;
 use crate::{Store, StoreError, jobs, logs, nodes};
 
@@ -168,7 +169,7 @@ impl Store {
         let job_id = JobId(id(&task, "job_id")?);
         let spec: TaskSpec = json(&task, "spec")?;
         let fence: i64 = sqlx::query_scalar(
-            "UPDATE tasks SET state = 'leased', fence = fence + 1, progress = 0, node_id = ?, started_at = ? \
+            "UPDATE tasks SET state = 'leased', fence = fence + 1, progress = 0, pixels_share = NULL, node_id = ?, started_at = ? \
              WHERE id = ? AND state = 'ready' RETURNING fence",
         )
         .bind(node.id.0)
@@ -252,7 +253,7 @@ impl Store {
         ttl: Duration,
         now: Timestamp,
     ) -> Result<Renewal, StoreError> {
-        let &RenewRequest { fence, progress, paused, ref log } = renewal;
+        let &RenewRequest { fence, progress, pixels, paused, ref log } = renewal;
         let mut write = self.write().await?;
         let row = read(write.connection(), lease).await?;
         if row.fence == fence && row.state == LeaseState::Revoked {
@@ -281,6 +282,16 @@ impl Store {
                 .await?;
             append(&mut write, Event { progress: Some(progress), ..row.event(EventKind::TaskProgress, now) })
                 .await?;
+        }
+        if let Some(FinishedPixels { done, all, work, cpu_nanos }) = pixels.filter(|pixels| pixels.all > 0) {
+            sqlx::query("UPDATE tasks SET pixels_share = ?, pixels_work = ?, pixels_cpu = ? WHERE id = ?")
+                .bind((done as f64 / all as f64).min(1.0))
+                .bind(work as f64)
+                .bind(cpu_nanos as f64 * 1e-9 * row.node_speed)
+                .bind(row.task_id.0)
+                .execute(write.connection())
+                .await?;
+            live::update(&mut write, row.job_id, Occasion::Pixels, now).await?;
         }
         logs::keep(&mut write, &row, log).await?;
         self.commit(write).await?;

@@ -33,6 +33,7 @@ mod idempotency;
 mod jobs;
 mod joining;
 mod leases;
+mod live;
 mod logs;
 mod nodes;
 mod plans;

@@ -11,6 +11,7 @@ use sqlx::{Row as _, SqliteConnection};
 
 use crate::decode::{corrupt, id, id_opt, json, time, time_opt, to_json, whole, word};
 use crate::events::{append, event, job_state};
+use crate::live::{self, Occasion};
 use crate::projection::{Holder, OpenBooking};
 use crate::tasks::Common;
 use crate::{JobForecast, QuoteBasis, Store, StoreError, calibration, forecasts};
@@ -104,7 +105,7 @@ impl Store {
                 .await?;
             booked.insert(booking.frame, (booking.node, booking.start));
         }
-        forecasts::keep_frames(&mut write, job, frames).await?;
+        forecasts::keep_frames(&mut write, job, frames, &forecast.clock).await?;
         if let Some(basis) = basis {
             calibration::keep(&mut write, job, forecast, frames, basis).await?;
         }
@@ -125,6 +126,7 @@ impl Store {
                 .render(&mut write, frame, booked.get(&frame).copied(), profiles.get(&frame).copied())
                 .await?;
         }
+        live::update(&mut write, job, Occasion::Booked, now).await?;
         append(&mut write, Event { job_id: Some(job), ..event(EventKind::ForecastReady, now) }).await?;
         append(
             &mut write,
@@ -198,18 +200,30 @@ async fn newest(connection: &mut SqliteConnection) -> Result<Option<PlanId>, Sto
 
 pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenBooking>, StoreError> {
     let rows = sqlx::query(select_open!("ORDER BY b.start_at, b.id")).fetch_all(connection).await?;
-    rows.iter()
-        .map(|row| {
-            let leased = row.try_get::<&str, _>("state")? == "leased";
-            let holder = match (leased, id_opt(row, "holder")?, time_opt(row, "started_at")?) {
-                (true, Some(node), Some(started)) => {
-                    Some(Holder { node_id: NodeId(node), started, progress: row.try_get("progress")? })
-                }
-                _ => None,
-            };
-            Ok(OpenBooking { booking: decode_booking(row)?, holder })
-        })
-        .collect()
+    rows.iter().map(decode_open).collect()
+}
+
+/// The bookings of a job's frames that are not rendered yet, by start.
+pub(crate) async fn open_of(
+    connection: &mut SqliteConnection,
+    job: JobId,
+) -> Result<Vec<OpenBooking>, StoreError> {
+    let rows = sqlx::query(select_open!("AND j.id = ? ORDER BY b.start_at, b.id"))
+        .bind(job.0)
+        .fetch_all(connection)
+        .await?;
+    rows.iter().map(decode_open).collect()
+}
+
+fn decode_open(row: &SqliteRow) -> Result<OpenBooking, StoreError> {
+    let leased = row.try_get::<&str, _>("state")? == "leased";
+    let holder = match (leased, id_opt(row, "holder")?, time_opt(row, "started_at")?) {
+        (true, Some(node), Some(started)) => {
+            Some(Holder { node_id: NodeId(node), started, progress: row.try_get("progress")? })
+        }
+        _ => None,
+    };
+    Ok(OpenBooking { booking: decode_booking(row)?, holder })
 }
 
 fn decode_booking(row: &SqliteRow) -> Result<Booking, StoreError> {

@@ -1,17 +1,19 @@
 //! How far a job is.
 
-use forelight_protocol::JobId;
+use forelight_protocol::{JobId, LiveForecast};
 use sqlx::{Row as _, SqliteConnection};
 
-use crate::StoreError;
 use crate::decode::whole;
+use crate::{StoreError, live};
 
 /// How far a job is.
-#[derive(Clone, Copy, PartialEq, Debug)]
+#[derive(Clone, PartialEq, Debug)]
 pub(crate) struct Progress {
     pub frames_done: u32,
     /// 0 to 1: of the forecast work; of the frames where there is no forecast.
     pub fraction: f64,
+    /// What the job will have cost; none before it is booked.
+    pub live: Option<LiveForecast>,
 }
 
 /// Weighs every frame by its forecast work, so that a job of 47 cheap frames and a dear one is not at 98 % when the
@@ -25,10 +27,10 @@ pub(crate) async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Res
          WHERE f.job_id = ?",
     )
     .bind(job.0)
-    .fetch_one(connection)
+    .fetch_one(&mut *connection)
     .await?;
     let weight: f64 = row.try_get("weight")?;
     let reached: f64 = row.try_get("reached")?;
     let fraction = if weight > 0.0 { (reached / weight).clamp(0.0, 1.0) } else { 0.0 };
-    Ok(Progress { frames_done: whole(&row, "done")?, fraction })
+    Ok(Progress { frames_done: whole(&row, "done")?, fraction, live: live::newest(connection, job).await? })
 }

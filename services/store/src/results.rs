@@ -12,6 +12,7 @@ use crate::database::Write;
 use crate::decode::{corrupt, id, json, to_json};
 use crate::events::{append, job_state};
 use crate::leases::{LeaseRow, LeaseState, end, read, touch};
+use crate::live::{self, Occasion};
 use crate::{Store, StoreError, calibration, jobs};
 
 /// What became of a result.
@@ -241,5 +242,5 @@ async fn keep_render(
         calibration::learn(write, row.job_id, now).await?;
         job_state(write, row.job_id, JobState::Done, None, now).await?;
     }
-    Ok(())
+    live::update(write, row.job_id, Occasion::Frame, now).await
 }

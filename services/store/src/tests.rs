@@ -20,6 +20,7 @@ mod failures;
 mod fencing;
 mod jobs;
 mod joining;
+mod live;
 mod opening;
 mod orders;
 mod plans;
@@ -292,6 +293,7 @@ fn job_forecast() -> JobForecast {
         effects: vec!["ambient".to_owned()],
         left_out: Vec::new(),
         cost: None,
+        clock: Vec::new(),
     }
 }
 

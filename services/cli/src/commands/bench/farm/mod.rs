@@ -246,6 +246,7 @@ fn forecast() -> JobForecast {
         effects: Vec::new(),
         left_out: Vec::new(),
         cost: None,
+        clock: Vec::new(),
     }
 }
 

@@ -1,0 +1,456 @@
+//! The living estimate of a job: made again as its frames are finished, in the transaction that keeps what they took.
+//!
+//! *How often.* An estimate reads all frames of the job, so it takes time in proportion to their number. It is made with each of the first
+//! [`FIRST`] frames, then with every 256th part of the job, and with the last: a job of n frames reads at most about 270 n rows for it in all its life, 5,000
+//! frames a few milliseconds each 20th. Finished pixels of frames under way move it as well, at most each [`BETWEEN_PIXELS`].
+//!
+//! *History.* Each estimate is kept beside those before it, at most [`MOST_POINTS`]; once there are as many, every second one goes, the first (which is
+//! the quote) excepted. So what is long ago is known coarsely, what was just now finely, and the room that a job takes is bounded.
+//!
+//! *Events.* Whether the estimate has left what is booked is remembered with it, so that leaving and coming back are each said once, in the same
+//! transaction. When a new plan books the job, what is booked is what was expected when it was made.
+
+use forelight_forecast::{Band, Known, LiveFrame, Measure, live};
+use forelight_protocol::{
+    Booked, BookedQuantity, Confidence, Event, EventKind, ForecastHistory, HistoryPoint, JobId, JobState,
+    JobVerdict, LiveFigure, LiveForecast, Money, MoneyQuantiles, OffForecast, PlanId, Quantiles, Timestamp,
+};
+use sqlx::sqlite::SqliteRow;
+use sqlx::{Row as _, SqliteConnection};
+
+use crate::database::Write;
+use crate::decode::{id, id_opt, json, json_opt, time, to_json, whole, word};
+use crate::events::{append, event};
+use crate::projection::{OpenBooking, Projected, project};
+use crate::{JobForecast, Store, StoreError, plans};
+
+/// With each of the first frames there is a new estimate.
+const FIRST: u32 = 16;
+
+/// Afterwards with each part of the job, if that is more than a frame.
+const PARTS: u32 = 256;
+
+/// Time between two estimates that rest on nothing but more finished pixels: ten seconds, in microseconds.
+const BETWEEN_PIXELS: i64 = 10_000_000;
+
+/// Estimates of a job that are kept at most.
+const MOST_POINTS: i64 = 512;
+
+/// So much above what is booked the estimate has left it: less is no news, and a plan that is met exactly would be left and met with every frame.
+const MARGIN: f64 = 0.02;
+
+/// And the job ends at least so much later, in microseconds: a second.
+const LEAST_DELAY: i64 = 1_000_000;
+
+/// Why there may be a new estimate.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) enum Occasion {
+    /// The job was booked.
+    Booked,
+    /// A frame was finished.
+    Frame,
+    /// Some pixels of a frame were.
+    Pixels,
+}
+
+impl Store {
+    /// How the job's estimate moved; `None` before it is booked.
+    pub async fn forecast_history(&self, job: JobId) -> Result<Option<ForecastHistory>, StoreError> {
+        let mut transaction = self.read().await?;
+        let row = sqlx::query(
+            "SELECT j.state, j.frames_total, l.body FROM jobs j LEFT JOIN live_forecasts l ON l.job_id = j.id WHERE j.id = ?",
+        )
+        .bind(job.0)
+        .fetch_optional(&mut *transaction)
+        .await?;
+        let row = row.ok_or(StoreError::NotFound("job"))?;
+        let Some(now) = json_opt(&row, "body")? else { return Ok(None) };
+        let points = sqlx::query("SELECT body FROM forecast_history WHERE job_id = ? ORDER BY point")
+            .bind(job.0)
+            .fetch_all(&mut *transaction)
+            .await?;
+        Ok(Some(ForecastHistory {
+            job_id: job,
+            state: word(&row, "state")?,
+            frames_total: whole(&row, "frames_total")?,
+            now,
+            points: points.iter().map(|row| json(row, "body")).collect::<Result<_, _>>()?,
+        }))
+    }
+}
+
+/// The job's newest estimate.
+pub(crate) async fn newest(
+    connection: &mut SqliteConnection,
+    job: JobId,
+) -> Result<Option<LiveForecast>, StoreError> {
+    let row = sqlx::query("SELECT body FROM live_forecasts WHERE job_id = ?")
+        .bind(job.0)
+        .fetch_optional(connection)
+        .await?;
+    row.as_ref().map(|row| json(row, "body")).transpose()
+}
+
+/// What is kept beside an estimate.
+struct Kept {
+    plan: PlanId,
+    booked_cpu: f64,
+    booked_rest: f64,
+    booked_share: f64,
+    frames_done: u32,
+    cost_is_off: bool,
+    finish_is_off: bool,
+    updated_at: Timestamp,
+    body: LiveForecast,
+}
+
+/// Makes the estimate again, if it is time to, inside a write.
+pub(crate) async fn update(
+    write: &mut Write,
+    job: JobId,
+    occasion: Occasion,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let kept = read(write.connection(), job).await?;
+    let row = sqlx::query(
+        "SELECT state, forecast, verdict, confidence, plan_id, frames_total, \
+         (SELECT count(*) FROM frames WHERE job_id = ?1 AND actual IS NULL) AS open FROM jobs WHERE id = ?1",
+    )
+    .bind(job.0)
+    .fetch_one(write.connection())
+    .await?;
+    let (total, open): (u32, u32) = (whole(&row, "frames_total")?, whole(&row, "open")?);
+    let done = total.saturating_sub(open);
+    if !kept.as_ref().is_none_or(|kept| kept.is_due(occasion, done, total, now)) {
+        return Ok(());
+    }
+    let (Some(quote), Some(plan)) =
+        (json_opt::<JobForecast>(&row, "forecast")?, id_opt(&row, "plan_id")?.map(PlanId))
+    else {
+        return Ok(());
+    };
+    let confidence: Confidence = word(&row, "confidence")?;
+    let verdict: Option<JobVerdict> = json_opt(&row, "verdict")?;
+    let frames = Frames::read(write.connection(), job).await?;
+    let work = figure(&quote.total.work, &frames.work, Measure::Work);
+    let cpu = figure(&quote.total.cpu_seconds, &frames.cpu, Measure::CpuTime);
+
+    // What the plan was made for: the estimate before this one if it is a new plan, the quote if there was none.
+    let [booked_cpu, booked_rest, booked_share] = match &kept {
+        Some(kept) if kept.plan == plan => [kept.booked_cpu, kept.booked_rest, kept.booked_share],
+        Some(Kept { body, .. }) => {
+            let Quantiles { p50, .. } = body.cpu_seconds.quote;
+            let left = body.cpu_seconds.remaining.p50 / body.cpu_seconds.factor;
+            let share = if p50 > 0.0 { (left / p50).clamp(0.0, 1.0) } else { 1.0 };
+            [body.cpu_seconds.whole.at(confidence), body.cpu_seconds.remaining.at(confidence), share]
+        }
+        None => [cpu.quote.at(confidence), cpu.quote.at(confidence), 1.0],
+    };
+    let booked = Booked {
+        confidence,
+        cpu_seconds: booked_cpu,
+        cost: verdict.as_ref().and_then(|verdict| verdict.cost),
+        finish: verdict.as_ref().and_then(|verdict| verdict.finish),
+    };
+    let stretch = {
+        let rest = if booked_share > 0.0 { booked_rest * frames.share_left / booked_share } else { 0.0 };
+        if rest > 0.0 { cpu.remaining.at(confidence) / rest } else { 1.0 }
+    };
+    let state: JobState = word(&row, "state")?;
+    let bookings = plans::open_of(write.connection(), job).await?;
+    let finish = if open == 0 || state.is_final() {
+        Some(now)
+    } else {
+        Projected::finish_of(&project(&stretched(&bookings, stretch), now), job)
+    };
+    let same_plan = kept.as_ref().filter(|kept| kept.plan == plan);
+    let was_off = same_plan.map_or([false; 2], |kept| [kept.cost_is_off, kept.finish_is_off]);
+    let delay = delay_that_counts(write.connection(), plan, job, booked.finish).await?;
+    let expected = cpu.whole.at(confidence);
+    let live = LiveForecast {
+        at: now,
+        frames_done: done,
+        work,
+        cpu_seconds: cpu,
+        cost: in_money(&cpu, quote.cost),
+        finish,
+        booked,
+        cost_is_off: is_off(was_off[0], expected, booked_cpu, MARGIN * booked_cpu),
+        finish_is_off: match (finish, booked.finish) {
+            (Some(finish), Some(booked)) => {
+                is_off(was_off[1], finish.micros_since(booked) as f64, 0.0, delay as f64)
+            }
+            _ => false,
+        },
+    };
+    tell(write, job, plan, &live, was_off).await?;
+    let baseline = [booked_cpu, booked_rest, booked_share];
+    keep(write, job, plan, baseline, &live).await
+}
+
+impl Kept {
+    fn is_due(&self, occasion: Occasion, done: u32, total: u32, now: Timestamp) -> bool {
+        match occasion {
+            Occasion::Booked => true,
+            Occasion::Frame => {
+                done <= FIRST || done >= total || done >= self.frames_done + (total / PARTS).max(1)
+            }
+            Occasion::Pixels => now.micros_since(self.updated_at) >= BETWEEN_PIXELS,
+        }
+    }
+}
+
+async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Option<Kept>, StoreError> {
+    let row = sqlx::query("SELECT * FROM live_forecasts WHERE job_id = ?")
+        .bind(job.0)
+        .fetch_optional(connection)
+        .await?;
+    let Some(row) = row else { return Ok(None) };
+    Ok(Some(Kept {
+        plan: PlanId(id(&row, "plan_id")?),
+        booked_cpu: row.try_get("booked_cpu")?,
+        booked_rest: row.try_get("booked_rest")?,
+        booked_share: row.try_get("booked_share")?,
+        frames_done: whole(&row, "frames_done")?,
+        cost_is_off: row.try_get("cost_is_off")?,
+        finish_is_off: row.try_get("finish_is_off")?,
+        updated_at: time(&row, "updated_at")?,
+        body: json(&row, "body")?,
+    }))
+}
+
+/// The job's frames as the forecast wants them.
+struct Frames {
+    work: Vec<LiveFrame>,
+    cpu: Vec<LiveFrame>,
+    /// The part of the quoted CPU time whose frames, or pixels, are not finished.
+    share_left: f64,
+}
+
+impl Frames {
+    async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Self, StoreError> {
+        let rows = sqlx::query(
+            "SELECT f.*, t.pixels_share, t.pixels_work, t.pixels_cpu FROM frames f \
+             LEFT JOIN tasks t ON t.job_id = f.job_id AND t.kind = 'render' AND ifnull(t.frame, -1) = f.frame AND t.state = 'leased' \
+             WHERE f.job_id = ? ORDER BY f.frame",
+        )
+        .bind(job.0)
+        .fetch_all(connection)
+        .await?;
+        let first: i64 = rows.first().map(|row| row.try_get("frame")).transpose()?.unwrap_or(0);
+        let mut frames = Self {
+            work: Vec::with_capacity(rows.len()),
+            cpu: Vec::with_capacity(rows.len()),
+            share_left: 0.0,
+        };
+        let (mut all, mut left) = (0.0, 0.0);
+        for row in &rows {
+            let number: i64 = row.try_get("frame")?;
+            let time = row.try_get::<Option<f64>, _>("clock")?.unwrap_or((number - first) as f64);
+            let share: Option<f64> = row.try_get("pixels_share")?;
+            let known = |actual: &str, part: &str| -> Result<Known, StoreError> {
+                let (actual, part): (Option<f64>, Option<f64>) = (row.try_get(actual)?, row.try_get(part)?);
+                Ok(match (actual, share, part) {
+                    (Some(cost), ..) => Known::All(cost),
+                    (None, Some(share), Some(cost)) if share > 0.0 => Known::Part { share, cost },
+                    _ => Known::Nothing,
+                })
+            };
+            let work = known("actual_work", "pixels_work")?;
+            let cpu = known("actual_cpu", "pixels_cpu")?;
+            let quote = band(row, ["work_mean", "work_p50", "work_p80", "work_p95"])?;
+            frames.work.push(LiveFrame { time, quote, known: work });
+            let quote = band(row, ["cpu_mean", "cpu_p50", "cpu_p80", "cpu_p95"])?;
+            frames.cpu.push(LiveFrame { time, quote, known: cpu });
+            all += quote.mean;
+            left += quote.mean
+                * match cpu {
+                    Known::Nothing => 1.0,
+                    Known::Part { share, .. } => 1.0 - share,
+                    Known::All(_) => 0.0,
+                };
+        }
+        frames.share_left = if all > 0.0 { left / all } else { 0.0 };
+        Ok(frames)
+    }
+}
+
+fn band(row: &SqliteRow, [mean, p50, p80, p95]: [&str; 4]) -> Result<Band, StoreError> {
+    // A job that is booked has a forecast of every frame.
+    let number =
+        |column: &str| Ok::<_, StoreError>(row.try_get::<Option<f64>, _>(column)?.unwrap_or_default());
+    Ok(Band { mean: number(mean)?, p50: number(p50)?, p80: number(p80)?, p95: number(p95)? })
+}
+
+fn figure(quote: &Quantiles, frames: &[LiveFrame], measure: Measure) -> LiveFigure {
+    let &Quantiles { mean, p50, p80, p95 } = quote;
+    let found = live(&Band { mean, p50, p80, p95 }, frames, measure);
+    let quantiles = |Band { mean, p50, p80, p95 }| Quantiles { mean, p50, p80, p95 };
+    LiveFigure {
+        quote: *quote,
+        spent: found.spent,
+        remaining: quantiles(found.remaining),
+        whole: quantiles(found.whole),
+        factor: found.factor,
+    }
+}
+
+/// The whole job at the price that the quote had for a second of CPU time.
+fn in_money(cpu: &LiveFigure, quoted: Option<MoneyQuantiles>) -> Option<MoneyQuantiles> {
+    let quoted = quoted.filter(|_| cpu.quote.mean > 0.0)?;
+    let price = quoted.mean.micro_units() as f64 / cpu.quote.mean;
+    let money = |seconds: f64| Money((seconds * price).round() as i64);
+    let Quantiles { mean, p50, p80, p95 } = cpu.whole;
+    Some(MoneyQuantiles { mean: money(mean), p50: money(p50), p80: money(p80), p95: money(p95) })
+}
+
+/// The bookings, as long as is now expected.
+fn stretched(bookings: &[OpenBooking], by: f64) -> Vec<OpenBooking> {
+    let mut bookings = bookings.to_vec();
+    for OpenBooking { booking, .. } in &mut bookings {
+        let length = booking.end.micros_since(booking.start) as f64 * by;
+        booking.end = booking.start.plus_micros((length as i64).max(1));
+    }
+    bookings
+}
+
+/// By how many microseconds a job must end later than booked for that to count.
+async fn delay_that_counts(
+    connection: &mut SqliteConnection,
+    plan: PlanId,
+    job: JobId,
+    finish: Option<Timestamp>,
+) -> Result<i64, StoreError> {
+    let begin: Option<i64> =
+        sqlx::query_scalar("SELECT min(start_at) FROM bookings WHERE plan_id = ? AND job_id = ?")
+            .bind(plan.0)
+            .bind(job.0)
+            .fetch_one(connection)
+            .await?;
+    let length = match (begin, finish) {
+        (Some(begin), Some(finish)) => finish.micros_since(Timestamp::from_micros(begin)),
+        _ => 0,
+    };
+    Ok(((length as f64 * MARGIN) as i64).max(LEAST_DELAY))
+}
+
+/// Whether an expectation is off: it leaves by more than the margin, and is back once it is at or below what is booked.
+fn is_off(was: bool, expected: f64, booked: f64, margin: f64) -> bool {
+    if was { expected > booked } else { expected > booked + margin }
+}
+
+/// Says what left the booking, and what came back to it.
+async fn tell(
+    write: &mut Write,
+    job: JobId,
+    plan: PlanId,
+    live: &LiveForecast,
+    was_off: [bool; 2],
+) -> Result<(), StoreError> {
+    let confidence = live.booked.confidence;
+    let expected = live.cpu_seconds.whole.at(confidence);
+    let level = confidence.name().to_uppercase();
+    let cost =
+        live.booked.cost.filter(|_| live.booked.cpu_seconds > 0.0).map(|cost| {
+            Money((cost.micro_units() as f64 * (expected / live.booked.cpu_seconds)).round() as i64)
+        });
+    let is_off = [live.cost_is_off, live.finish_is_off];
+    for (quantity, (was, is)) in
+        [BookedQuantity::Cost, BookedQuantity::Finish].into_iter().zip(was_off.into_iter().zip(is_off))
+    {
+        if was == is {
+            continue;
+        }
+        let numbers = match quantity {
+            BookedQuantity::Cost => format!(
+                "at {level} it takes {expected:.1} CPU seconds in all, {:.1} are booked",
+                live.booked.cpu_seconds
+            ),
+            BookedQuantity::Finish => {
+                let time = |at: Option<Timestamp>| at.map_or("-".to_owned(), |at| at.to_string());
+                format!(
+                    "at {level} it ends at {}, booked until {}",
+                    time(live.finish),
+                    time(live.booked.finish)
+                )
+            }
+        };
+        let what = quantity.name();
+        let message = if is {
+            format!("the {what} has left what is booked: {numbers}")
+        } else {
+            format!("the {what} is back within what is booked: {numbers}")
+        };
+        let kind = if is { EventKind::JobOffForecast } else { EventKind::JobOnForecast };
+        let off = OffForecast {
+            quantity,
+            frames_done: live.frames_done,
+            booked: live.booked,
+            cpu_seconds: expected,
+            cost,
+            finish: live.finish,
+        };
+        append(
+            write,
+            Event {
+                job_id: Some(job),
+                plan_id: Some(plan),
+                off_forecast: Some(off),
+                message: Some(message),
+                ..event(kind, live.at)
+            },
+        )
+        .await?;
+    }
+    Ok(())
+}
+
+async fn keep(
+    write: &mut Write,
+    job: JobId,
+    plan: PlanId,
+    [booked_cpu, booked_rest, booked_share]: [f64; 3],
+    live: &LiveForecast,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "INSERT INTO live_forecasts (job_id, plan_id, booked_cpu, booked_rest, booked_share, frames_done, cost_is_off, finish_is_off, body, updated_at) \
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (job_id) DO UPDATE SET plan_id = excluded.plan_id, \
+         booked_cpu = excluded.booked_cpu, booked_rest = excluded.booked_rest, booked_share = excluded.booked_share, \
+         frames_done = excluded.frames_done, cost_is_off = excluded.cost_is_off, finish_is_off = excluded.finish_is_off, \
+         body = excluded.body, updated_at = excluded.updated_at",
+    )
+    .bind(job.0)
+    .bind(plan.0)
+    .bind(booked_cpu)
+    .bind(booked_rest)
+    .bind(booked_share)
+    .bind(live.frames_done)
+    .bind(live.cost_is_off)
+    .bind(live.finish_is_off)
+    .bind(to_json(live)?)
+    .bind(live.at.micros())
+    .execute(write.connection())
+    .await?;
+    let points: i64 = sqlx::query_scalar("SELECT count(*) FROM forecast_history WHERE job_id = ?")
+        .bind(job.0)
+        .fetch_one(write.connection())
+        .await?;
+    if points >= MOST_POINTS {
+        sqlx::query(
+            "DELETE FROM forecast_history WHERE job_id = ?1 AND point IN (SELECT point FROM \
+             (SELECT point, row_number() OVER (ORDER BY point) AS place FROM forecast_history WHERE job_id = ?1) WHERE place % 2 = 0)",
+        )
+        .bind(job.0)
+        .execute(write.connection())
+        .await?;
+    }
+    sqlx::query(
+        "INSERT INTO forecast_history (job_id, point, body) \
+         VALUES (?1, (SELECT ifnull(max(point) + 1, 0) FROM forecast_history WHERE job_id = ?1), ?2)",
+    )
+    .bind(job.0)
+    .bind(to_json(&HistoryPoint::of(live))?)
+    .execute(write.connection())
+    .await?;
+    Ok(())
+}
