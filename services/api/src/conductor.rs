@@ -20,6 +20,7 @@ mod agreement;
 pub(crate) mod book;
 mod choose;
 mod estimate;
+pub(crate) mod explain;
 
 use std::sync::Arc;
 

@@ -1,4 +1,8 @@
-//! The track record as a picture.
+//! Pictures: the track record here, how a job's estimate moved in `history`.
+
+mod history;
+
+pub(crate) use history::forecast_history;
 
 use forelight_forecast::share_interval;
 use forelight_protocol::{Coverage, QuantileHits, TrackRecord};

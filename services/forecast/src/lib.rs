@@ -112,6 +112,7 @@ mod records;
 mod shot;
 mod strata;
 mod strategies;
+mod stratum_sum;
 mod student;
 
 pub use allocate::{Cell, allocate};
@@ -129,3 +130,4 @@ pub use records::RecordStrata;
 pub use shot::{FrameForecast, ProfiledFrame, ShotForecast, forecast_shot};
 pub use strata::Stratum;
 pub use strategies::{Design, Strategy, predicted_map};
+pub use stratum_sum::StratumSum;

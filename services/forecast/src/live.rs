@@ -15,7 +15,8 @@
 //! been seen to agree with the quote, and learns from how surprising each finished frame is, given those before it: the
 //! conjugate prior of a normal model (Gelman et al., *Bayesian Data Analysis*, 3rd edition 2013, section 3.3). The length of g and the
 //! nugget's share are not estimated from fewer than [`FEW`] frames: the length is a third of the shot, and the scale does not fall below
-//! one, so that no interval shrinks by luck. From there on a few of each are weighed by their marginal likelihood.
+//! one, so that no interval shrinks by luck. From there on a few of each are weighed by their marginal likelihood. That all frames are off alike by more
+//! than the quote thinks possible is weighed against the quote's word from the first frame on.
 //!
 //! *In linear time.* g is a state-space model (Hartikainen, Särkkä 2010): the state (c, g, g′) goes from frame to frame by a 3 × 3 matrix, and the
 //! Kalman filter with the modified Bryson–Frazier smoother (Bierman 1973) gives all residuals in one pass there and one back. The variance of the sum
@@ -47,6 +48,9 @@ const LENGTHS: [f64; 3] = [1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0];
 
 /// Shares of the nugget in what frames do not have in common; the first is used while there are few frames.
 const NUGGETS: [f64; 3] = [0.5, 0.1, 0.9];
+
+/// What frames have in common may be more than the quote knows of: this times the variance of a frame. Weighed against each other from the first frame on.
+const MORE_COMMON: [f64; 3] = [0.0, 1.0, 3.0];
 
 /// What frames have in common is at least this share of their variance, and so is what they do not: no quote knows either to be nothing.
 const LEAST_SHARE: f64 = 0.1;
@@ -283,9 +287,11 @@ impl Pieces {
             let decay = 3.0f64.sqrt() / (length * self.length);
             let averaged = self.variance_of_mean(decay);
             for &nugget in nuggets {
-                let model = self.model(decay, averaged, nugget, of_job);
-                let evidence = self.filter(&model, |_, _| {});
-                models.push((model, evidence));
+                for more in MORE_COMMON {
+                    let model = self.model(decay, averaged, nugget, of_job, more);
+                    let evidence = self.filter(&model, |_, _| {});
+                    models.push((model, evidence));
+                }
             }
         }
         // Integrated over the scale; what all models share is left out.
@@ -316,8 +322,8 @@ impl Pieces {
     }
 
     /// The variances that the quote's own spreads call for: frames have `self.variance`, the job has `of_job`², of which the process keeps the
-    /// part `averaged` when it is averaged over the job.
-    fn model(&self, decay: f64, averaged: f64, nugget: f64, of_job: f64) -> Model {
+    /// part `averaged` when it is averaged over the job; and `more` variances of a frame in common, of which the quote knows nothing.
+    fn model(&self, decay: f64, averaged: f64, nugget: f64, of_job: f64, more: f64) -> Model {
         let squares = sum(self.list.iter().map(|piece| {
             let weight = piece.quoted / self.quoted;
             weight * weight * piece.nugget
@@ -330,7 +336,7 @@ impl Pieces {
         let common = (of_job - kept * own).max(least);
         Model {
             decay,
-            common,
+            common: common + more * self.variance,
             smooth: own * (1.0 - nugget),
             nugget: own * nugget,
             of_job: common + kept * own,
@@ -429,7 +435,7 @@ struct Model {
     smooth: f64,
     /// Variance of the mean frame's nugget.
     nugget: f64,
-    /// Variance of the job's logarithm before anything is seen.
+    /// Variance of the job's logarithm before anything is seen, as the quote has it.
     of_job: f64,
 }
 

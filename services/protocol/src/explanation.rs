@@ -1,11 +1,23 @@
 //! Why frames are dear.
 
-use crate::StratumName;
+use crate::{Rays, RenderSettings, StratumName};
 use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
-/// What a quote's work goes into, and what would halve it. Work is that of all frames, as the quote expects it.
-#[derive(Clone, PartialEq, Debug, Serialize, Deserialize)]
+/// Objects with less than this share of the pixels' work are not listed.
+const LEAST_SHARE: f64 = 0.01;
+
+/// So many objects, and categories of rays, are named in words.
+const NAMED: usize = 3;
+
+/// What a quote's work goes into, and what would halve it. Work is that of all frames, or of one, as the quote expects it.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Explanation {
+    /// The same in words, a sentence each, the most important first.
+    pub words: Vec<String>,
+    /// The frame that it is about; absent if it is about all of them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<u32>,
     /// The whole.
     pub work: f64,
     /// Kinds of work, the dearest first.
@@ -14,12 +26,14 @@ pub struct Explanation {
     pub objects: Vec<ObjectShare>,
     /// Rays by what sends them out, the most first.
     pub rays: Vec<RayShare>,
+    /// Share of the whole that each camera sample of a pixel costs, 0 to 1.
+    pub camera_sample: f64,
     /// Ways to halve the whole; none where what no pixel can help is more than half of it.
     pub halving: Vec<Halving>,
 }
 
 /// A kind of work.
-#[derive(Clone, PartialEq, Debug, Serialize, Deserialize)]
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct PartShare {
     /// What it is.
     pub part: String,
@@ -30,7 +44,7 @@ pub struct PartShare {
 }
 
 /// Pixels that show one material of one object.
-#[derive(Clone, PartialEq, Debug, Serialize, Deserialize)]
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct ObjectShare {
     /// What they show; absent of the background.
     pub shows: Option<StratumName>,
@@ -44,10 +58,15 @@ pub struct ObjectShare {
     pub share: f64,
     /// Work of one of them over that of the mean pixel.
     pub times_mean_pixel: f64,
+    /// How many of them were profiled: what all this rests on.
+    pub samples: u64,
+    /// Share of the whole that each of the profiled ones stands for, 0 to 1; absent if none was, so that others like them had to speak for them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub share_per_sample: Option<f64>,
 }
 
 /// Rays of one category.
-#[derive(Clone, PartialEq, Debug, Serialize, Deserialize)]
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct RayShare {
     /// Its name.
     pub category: String,
@@ -58,7 +77,7 @@ pub struct RayShare {
 }
 
 /// A setting that would halve the whole.
-#[derive(Clone, PartialEq, Debug, Serialize, Deserialize)]
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Halving {
     /// Name of the setting.
     pub setting: String,
@@ -66,4 +85,173 @@ pub struct Halving {
     pub from: f64,
     /// The value that would do.
     pub to: f64,
+}
+
+/// Pixels that are alike, and what a quote expects of them, in all that is explained.
+#[derive(Clone, PartialEq, Debug)]
+pub struct ShownWork {
+    /// What they show; none of the background.
+    pub shows: Option<StratumName>,
+    /// How many they are.
+    pub pixels: u64,
+    /// How many of them were profiled.
+    pub samples: u64,
+    /// Their work.
+    pub work: f64,
+}
+
+/// What is to be explained.
+#[derive(Clone, PartialEq, Debug)]
+pub struct Amounts {
+    /// The frame; none for all of them.
+    pub frame: Option<u32>,
+    /// Work of everything.
+    pub work: f64,
+    /// Pixels, in parts that are told apart: each of them in one.
+    pub pixels: Vec<ShownWork>,
+    /// Whether these parts are what the pixels show. A quote by a strategy that knows no objects has none to name.
+    pub told_apart: bool,
+    /// Work of filling the irradiance cache; 0 without one.
+    pub records_work: f64,
+    /// Rays by category, in the order of [`Rays::NAMES`].
+    pub rays: [f64; 7],
+}
+
+impl Explanation {
+    /// What the work of a quote at these settings goes into.
+    pub fn new(amounts: Amounts, settings: &RenderSettings) -> Self {
+        let Amounts { frame, work: whole, pixels, told_apart, records_work, rays } = amounts;
+        let pixel_work: f64 = pixels.iter().map(|shown| shown.work).sum();
+        let pixel_count = pixels.iter().map(|shown| shown.pixels).sum::<u64>().max(1) as f64;
+        let share = |part: f64| if whole > 0.0 { part / whole } else { 0.0 };
+        let part = |name: &str, work: f64| PartShare { part: name.into(), work, share: share(work) };
+        let mut parts = vec![
+            part("pixels", pixel_work),
+            part("filling the irradiance cache", records_work),
+            part("setting up, and planning the cache", (whole - pixel_work - records_work).max(0.0)),
+        ];
+        parts.retain(|part| part.work > 0.0);
+        parts.sort_by(|a, b| b.work.total_cmp(&a.work));
+        let mut objects: Vec<ObjectShare> = Vec::new();
+        if told_apart {
+            let shown = pixels.into_iter().filter(|h| h.work >= LEAST_SHARE * pixel_work && h.work > 0.0);
+            objects.extend(shown.map(|ShownWork { shows, pixels, samples, work }| ObjectShare {
+                shows,
+                pixels,
+                share_of_pixels: pixels as f64 / pixel_count,
+                work,
+                share: share(work),
+                times_mean_pixel: work / pixels.max(1) as f64 / (pixel_work / pixel_count),
+                samples,
+                share_per_sample: (samples > 0).then(|| share(work) / samples as f64),
+            }));
+            objects.sort_by(|a, b| b.work.total_cmp(&a.work));
+        }
+        let all_rays: f64 = rays.iter().sum();
+        let named = Rays::NAMES.iter().zip(rays).filter(|(_, rays)| *rays > 0.0);
+        let mut rays: Vec<RayShare> = named
+            .map(|(name, rays)| RayShare { category: (*name).to_owned(), rays, share: rays / all_rays })
+            .collect();
+        rays.sort_by(|a, b| b.rays.total_cmp(&a.rays));
+        let mut explanation = Self {
+            words: Vec::new(),
+            frame,
+            work: whole,
+            parts,
+            objects,
+            rays,
+            camera_sample: share(pixel_work) / f64::from(settings.spp.max(1)),
+            halving: halving(whole, pixel_work, records_work, settings),
+        };
+        explanation.words = explanation.in_words();
+        explanation
+    }
+
+    /// The sentences.
+    fn in_words(&self) -> Vec<String> {
+        let mut words = Vec::new();
+        let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+        if let Some(PartShare { part, share, .. }) = self.parts.first() {
+            words.push(format!("{} of the work is {part}", percent(*share)));
+        }
+        for object in self.objects.iter().take(NAMED) {
+            let ObjectShare { share, share_of_pixels, times_mean_pixel, samples, .. } = object;
+            let name = object.name();
+            let told = match samples {
+                0 => "none was profiled: it is told from others of its material".to_owned(),
+                1 => "told from one profiled pixel".to_owned(),
+                samples => format!("told from {samples} profiled pixels"),
+            };
+            words.push(format!(
+                "{name}: {} of the work, {} of the pixels; one of its pixels costs {times_mean_pixel:.2} times the mean ({told})",
+                percent(*share),
+                percent(*share_of_pixels),
+            ));
+        }
+        if !self.rays.is_empty() {
+            let rays =
+                self.rays.iter().take(NAMED).map(|ray| format!("{} {}", percent(ray.share), ray.category));
+            words.push(format!("of the rays are {}", rays.collect::<Vec<_>>().join(", ")));
+        }
+        if self.camera_sample > 0.0 {
+            words.push(format!(
+                "each camera sample of a pixel costs {} of the whole",
+                percent(self.camera_sample)
+            ));
+        }
+        let way = |way: &Halving| match way.setting.as_str() {
+            "spp" => format!("{} camera samples per pixel in place of {}", way.to, way.from),
+            setting => format!("--{setting} {} in place of {}", way.to, way.from),
+        };
+        words.push(match &self.halving[..] {
+            [] => "half of it: no single setting does that".to_owned(),
+            ways => format!("half of it: {}", ways.iter().map(way).collect::<Vec<_>>().join("; or ")),
+        });
+        words
+    }
+}
+
+impl ObjectShare {
+    /// What people call it.
+    pub fn name(&self) -> String {
+        self.shows.as_ref().map_or("nothing".into(), |name| format!("{}, {}", name.object, name.material))
+    }
+}
+
+/// The pixels' part goes with the camera samples, and with the number of pixels; filling a cache with the rays of a record. What is left is
+/// taken to stay.
+fn halving(whole: f64, pixels: f64, gathered: f64, settings: &RenderSettings) -> Vec<Halving> {
+    // The share of a part that may be kept.
+    let kept = |part: f64| if part > 0.0 { (1.0 - 0.5 * whole / part).max(0.0) } else { 0.0 };
+    let way = |setting: &str, from: u32, to: f64| {
+        (to >= 1.0).then(|| Halving { setting: setting.into(), from: f64::from(from), to: to.floor() })
+    };
+    let ways = [
+        way("spp", settings.spp, f64::from(settings.spp) * kept(pixels)),
+        way("width", settings.width, f64::from(settings.width) * kept(pixels).sqrt()),
+        way("cache-rays", settings.cache_rays, f64::from(settings.cache_rays) * kept(gathered)),
+    ];
+    ways.into_iter().flatten().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::RenderSettingsRequest;
+
+    #[test]
+    fn what_is_named_really_halves_the_whole() {
+        let settings = RenderSettingsRequest { spp: Some(64), ..Default::default() }.complete((1000, 500));
+        let (whole, pixels) = (100.0, 80.0);
+        for way in halving(whole, pixels, 10.0, &settings) {
+            let share = if way.setting == "spp" { way.to / way.from } else { (way.to / way.from).powi(2) };
+            let after = whole - pixels + pixels * share;
+            assert!(after <= 50.0 && after > 48.0, "{way:?}: {after}");
+        }
+        let cached = halving(100.0, 10.0, 80.0, &settings);
+        assert_eq!(cached.len(), 1);
+        assert!(cached[0].setting == "cache-rays" && 20.0 + 80.0 * cached[0].to / cached[0].from <= 50.0);
+        assert!(halving(100.0, 40.0, 40.0, &settings).is_empty(), "no single part is more than half");
+        assert!(halving(0.0, 0.0, 0.0, &settings).is_empty());
+    }
 }

@@ -49,7 +49,7 @@ pub use budget::{
 pub use bundle::{Bundle, BundleRef, BundleSource, SceneSummary};
 pub use dashboard::{Dashboard, DashboardCounts, DashboardJob, DashboardNode, NodeActivity, TaskCounts};
 pub use event::{Event, EventKind};
-pub use explanation::{Explanation, Halving, ObjectShare, PartShare, RayShare};
+pub use explanation::{Amounts, Explanation, Halving, ObjectShare, PartShare, RayShare, ShownWork};
 pub use forecast::{
     Confidence, ForecastDoc, ForecastTotals, FrameForecast, MoneyQuantiles, Profiled, Quantiles,
     RayQuantiles, SpentOnForecast,

@@ -310,6 +310,7 @@ impl Agent {
             let renewal = RenewRequest {
                 fence: lease.fence,
                 progress: control.progress(),
+                pixels: control.pixels(),
                 paused: control.stands_still(),
                 log: control.unsent(),
             };

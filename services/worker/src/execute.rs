@@ -1,7 +1,9 @@
 //! What an agent asks of whoever does the work: a task in, a result and its files out.
 
 use bytes::Bytes;
-use forelight_protocol::{LOG_LINES, LogLevel, LogLine, TaskLimit, TaskResult, TaskSpec, Timestamp};
+use forelight_protocol::{
+    FinishedPixels, LOG_LINES, LogLevel, LogLine, TaskLimit, TaskResult, TaskSpec, Timestamp,
+};
 use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -59,6 +61,7 @@ pub struct Control {
     log: Mutex<Book>,
     checkpoint_interval: Duration,
     checkpoint: Mutex<Option<Bytes>>,
+    pixels: Mutex<Option<FinishedPixels>>,
 }
 
 /// The lines of one attempt at a task.
@@ -92,6 +95,23 @@ impl Control {
     /// The parts that were offered since the last time.
     pub fn take_checkpoint(&self) -> Option<Bytes> {
         lock(&self.checkpoint).take()
+    }
+
+    /// Pixels of the frame are finished, and took this much, beside those that were named before. The first call says of how many.
+    pub fn finished_pixels(&self, finished: FinishedPixels) {
+        let mut pixels = lock(&self.pixels);
+        let FinishedPixels { done, all, work, cpu_nanos } = pixels.unwrap_or_default();
+        *pixels = Some(FinishedPixels {
+            done: done + finished.done,
+            all: all.max(finished.all),
+            work: work + finished.work,
+            cpu_nanos: cpu_nanos + finished.cpu_nanos,
+        });
+    }
+
+    /// What is finished of the frame; none of other tasks.
+    pub fn pixels(&self) -> Option<FinishedPixels> {
+        *lock(&self.pixels)
     }
 
     /// Says how far the work is, 0 to 1. Does not return while the work is to stand still, so that whoever works calls it often, on every

@@ -15,11 +15,11 @@ use crate::shot::{
 use bytes::Bytes;
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{
-    ArtifactHash, CacheMode, CacheSample, FrameStrata, LogLevel, NoiseCell, NoiseSample, PreviewResult,
-    PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts, RenderResult,
-    RenderSettings, RenderSpec, Stratum, TaskResult, TaskSpec,
+    ArtifactHash, CacheMode, CacheSample, FinishedPixels, FrameStrata, LogLevel, NoiseCell, NoiseSample,
+    PreviewResult, PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts,
+    RenderResult, RenderSettings, RenderSpec, Stratum, TaskResult, TaskSpec,
 };
-use forelight_tracer::Profile;
+use forelight_tracer::{Pixel, Profile};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Instant;
@@ -196,7 +196,23 @@ fn render(
     // With an irradiance cache the pixels are the lesser part, and worth little without it.
     let start_of_checkpoints = (!cached).then(|| reuse.clone().unwrap_or_else(|| ready.profile(&[])));
     let checkpoints = Checkpoints::new(control, start_of_checkpoints, spec.settings.pixels());
-    let finished = |pixels: &[_]| checkpoints.finished(pixels);
+    // With an irradiance cache most of the cost is in filling it, of which pixels say nothing.
+    let count = |pixels: &[(u32, Pixel)]| {
+        if !cached {
+            let sum = |of: fn(&Pixel) -> u64| pixels.iter().map(|(_, pixel)| of(pixel)).sum();
+            control.finished_pixels(FinishedPixels {
+                done: pixels.len() as u64,
+                all: spec.settings.pixels(),
+                work: sum(|pixel| pixel.work),
+                cpu_nanos: sum(|pixel| pixel.cpu_nanos),
+            });
+        }
+    };
+    count(reuse.as_ref().map_or(&[], |profile| &profile.pixels));
+    let finished = |pixels: &[_]| {
+        count(pixels);
+        checkpoints.finished(pixels);
+    };
     let mut rendered =
         render_ready(&*ready, &spec.settings, reuse.as_ref(), &progress, &finished, control.cancelled())?
             .ok_or(ExecuteError::Cancelled)?;

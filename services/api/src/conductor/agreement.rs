@@ -8,6 +8,7 @@ use forelight_worker::{Ambient, Observer, QuoteOptions, preview_result, profile_
 
 use super::choose::frames_to_profile;
 use super::estimate::forecast;
+use super::explain::explained;
 
 /// Forty small things of ten materials, in front of a floor, while the camera moves along them: more strata than samples
 /// can tell apart, so that both sides have to join the same ones.
@@ -61,7 +62,7 @@ impl Observer for Nobody {
 }
 
 #[test]
-fn an_offline_quote_and_the_estimate_of_the_service_agree_to_the_last_bit() {
+fn an_offline_quote_and_the_estimate_of_the_service_agree_to_the_last_bit_and_explain_themselves_alike() {
     let folder = tempfile::tempdir().unwrap();
     write_bundle(folder.path());
     let shot = Ambient::new(forelight_preview::Choice::Cpu).open(folder.path()).unwrap();
@@ -104,5 +105,8 @@ fn an_offline_quote_and_the_estimate_of_the_service_agree_to_the_last_bit() {
         assert_eq!(estimated.job.spent, quoted.document.spent);
         assert_eq!(estimated.job.effects, quoted.document.effects);
         assert_eq!(estimated.job.total.cache_records.len(), levels);
+        let explanation = explained(&settings, &preview, &profiles, None).unwrap();
+        assert_eq!(explanation, quoted.explained(&info.strata, &settings));
+        assert!(explanation.objects.len() > 3 && !explanation.words.is_empty(), "{explanation:?}");
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use forelight_forecast::{FramePopulation, RecordStrata, Stratum, choose_frames};
-use forelight_protocol::{self as protocol, PreviewResult};
+use forelight_protocol::{self as protocol, PreviewResult, StratumName};
 
 use super::AdvanceError;
 
@@ -15,6 +15,8 @@ use super::AdvanceError;
 pub(super) struct Populations {
     pub strata: Vec<Stratum>,
     pub frames: Vec<FramePopulation>,
+    /// What people call the strata, the background and the records excepted.
+    pub names: Vec<StratumName>,
     /// Place of each stratum, by object and material.
     pub index: BTreeMap<(u32, u32), usize>,
     /// The number of the background's stratum.
@@ -32,9 +34,11 @@ impl Populations {
     ) -> Self {
         let mut index = BTreeMap::new();
         let mut strata: Vec<Stratum> = Vec::with_capacity(preview.strata.len() + 1);
+        let mut names = Vec::with_capacity(preview.strata.len());
         for stratum in preview.strata.iter().chain(more) {
             index.entry(stratum.identity()).or_insert_with(|| {
                 let protocol::Stratum { object, material, prior_cost, .. } = *stratum;
+                names.push(stratum.name.clone());
                 strata.push(Stratum { object, material, prior_cost, apart: false });
                 strata.len() - 1
             });
@@ -54,7 +58,7 @@ impl Populations {
         let records: Vec<&[u32]> = preview.frames.iter().map(|frame| &frame.cache_records[..]).collect();
         let prior_cost = preview.record_prior_cost.unwrap_or(1.0);
         let records = RecordStrata::add(&mut strata, &mut frames, &records, prior_cost);
-        Self { strata, frames, index, background, records }
+        Self { strata, frames, names, index, background, records }
     }
 }
 

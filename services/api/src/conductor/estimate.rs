@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use forelight_forecast::{
-    Calibration, Corrections, Cost, Costs, Expansion, Measure, Observation, ProfiledFrame, Quantity,
-    forecast_shot,
+    Calibration, Corrections, Cost, Costs, Expansion, ForecastError, Measure, Observation, ProfiledFrame,
+    Quantity, ShotForecast, forecast_shot, shot_times,
 };
 use forelight_protocol::{
     ForecastTotals, FrameForecast, LeftOut, PreviewResult, Profiled, Quantiles, RayQuantiles, RenderSettings,
@@ -50,12 +50,17 @@ pub(super) fn forecast(
     calibrated(preview, profiles, None)
 }
 
-/// The same with quantiles as past jobs teach them, if there are enough.
-pub(super) fn calibrated(
+/// What the statistics know of a shot.
+pub(super) struct Estimated {
+    pub shot: ShotForecast,
+    pub populations: Populations,
+}
+
+/// The statistics' part, with quantiles as the formulas have them.
+pub(super) fn estimated(
     preview: &PreviewResult,
     profiles: &[MeasuredProfile],
-    corrections: Option<&Corrections>,
-) -> Result<Forecast, AdvanceError> {
+) -> Result<Estimated, AdvanceError> {
     let strata = profiles.iter().flat_map(|profile| &profile.result.strata);
     let mut populations = Populations::new(preview, strata);
     let mut observations: Vec<(usize, Vec<Observation>, Cost)> = Vec::with_capacity(profiles.len());
@@ -96,7 +101,22 @@ pub(super) fn calibrated(
         })
         .collect();
     let shot = forecast_shot(&populations.strata, &populations.frames, &profiled, Calibration::NONE)
-        .map_err(|error| AdvanceError::Hopeless(format!("no forecast: {error}")))?;
+        .map_err(no_forecast)?;
+    Ok(Estimated { shot, populations })
+}
+
+fn no_forecast(error: ForecastError) -> AdvanceError {
+    AdvanceError::Hopeless(format!("no forecast: {error}"))
+}
+
+/// The forecast with quantiles as past jobs teach them, if there are enough.
+pub(super) fn calibrated(
+    preview: &PreviewResult,
+    profiles: &[MeasuredProfile],
+    corrections: Option<&Corrections>,
+) -> Result<Forecast, AdvanceError> {
+    let Estimated { shot, populations } = estimated(preview, profiles)?;
+    let clock = shot_times(&populations.strata, &populations.frames).map_err(no_forecast)?;
     let shot = match corrections {
         Some(corrections) => shot.corrected(corrections),
         None => shot,
@@ -150,6 +170,7 @@ pub(super) fn calibrated(
         effects: effects.into_iter().cloned().collect(),
         left_out: LeftOut::of_all(profiles.iter().map(|profile| &profile.result.left_out[..])),
         cost: None,
+        clock,
     };
     Ok(Forecast { job, frames, spreads })
 }

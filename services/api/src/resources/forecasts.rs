@@ -6,11 +6,16 @@ use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
 use forelight_forecast::Correction;
 use forelight_protocol::{
-    AccuracyDoc, CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, ForecastDoc, JobId,
-    ProblemKind, Timestamp, TrackRecord,
+    AccuracyDoc, CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Explanation, ForecastDoc,
+    ForecastHistory, Job, JobId, PreviewResult, ProblemKind, Timestamp, TrackRecord,
 };
 
+use forelight_store::MeasuredProfile;
+use serde::Deserialize;
+use utoipa::IntoParams;
+
 use crate::conductor::accuracy::accuracy;
+use crate::conductor::explain::explanation;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment};
 use crate::openapi::FileContent;
@@ -46,19 +51,95 @@ pub(crate) async fn accuracy_of_job(
     Segment(id): Segment<JobId>,
 ) -> ApiResult<Json<AccuracyDoc>> {
     let job = app.store.job(id).await?;
-    let preview = app.store.preview_result(id).await?;
-    let profiles = app.store.profile_results(id).await?.filter(|profiles| !profiles.is_empty());
-    let (Some(preview), Some(profiles)) = (preview, profiles) else {
-        let reason =
-            format!("the job is {} and not profiled, so nothing is known of other qualities", job.state);
-        return Err(ApiError::new(ProblemKind::Conflict, reason));
-    };
+    let (preview, profiles) = profile(&app, &job).await?;
     match accuracy(job.settings, preview, profiles).await {
         Ok(document) => Ok(Json(document)),
         Err(reason) => {
             Err(ApiError::new(ProblemKind::Conflict, format!("the profile says nothing: {reason}")))
         }
     }
+}
+
+/// What to explain.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+pub(crate) struct ExplanationQuery {
+    /// This frame alone.
+    pub frame: Option<u32>,
+}
+
+/// Why the job is dear, or one of its frames: what its work goes into, by parts, by what the pixels show and by kinds of rays; on how many profiled pixels that
+/// rests, what each camera sample of a pixel costs, and what would halve it. It is the quote taken apart, and nothing is traced for
+/// it. 409 until the profile is there.
+#[utoipa::path(get, path = "/v1/jobs/{id}/explanation", tag = "jobs", params(("id" = JobId, Path), ExplanationQuery),
+    responses((status = 200, description = "The explanation", body = Explanation), Problems))]
+pub(crate) async fn explanation_of_job(
+    State(app): State<App>,
+    _: Reader,
+    Segment(id): Segment<JobId>,
+    QueryParameters(ExplanationQuery { frame }): QueryParameters<ExplanationQuery>,
+) -> ApiResult<Json<Explanation>> {
+    let job = app.store.job(id).await?;
+    if let Some(frame) = frame.filter(|&frame| !job.frames.iter().any(|known| known == frame)) {
+        return Err(ApiError::new(ProblemKind::NotFound, format!("the job has no frame {frame}")));
+    }
+    let (preview, profiles) = profile(&app, &job).await?;
+    match explanation(job.settings, preview, profiles, frame).await {
+        Ok(document) => Ok(Json(document)),
+        Err(reason) => {
+            Err(ApiError::new(ProblemKind::Conflict, format!("the profile says nothing: {reason}")))
+        }
+    }
+}
+
+/// What is kept of the job's profile, or that it is not there yet.
+async fn profile(app: &App, job: &Job) -> ApiResult<(PreviewResult, Vec<MeasuredProfile>)> {
+    let preview = app.store.preview_result(job.id).await?;
+    let profiles = app.store.profile_results(job.id).await?.filter(|profiles| !profiles.is_empty());
+    preview.zip(profiles).ok_or_else(|| {
+        let reason = format!("the job is {} and not profiled, so nothing is known of its pixels", job.state);
+        ApiError::new(ProblemKind::Conflict, reason)
+    })
+}
+
+/// How the job's estimate moved, from the quote to the truth, with what is booked. 409 until it is booked.
+#[utoipa::path(get, path = "/v1/jobs/{id}/forecast/history", tag = "jobs", params(("id" = JobId, Path)),
+    responses((status = 200, description = "The history", body = ForecastHistory), Problems))]
+pub(crate) async fn history_of_job(
+    State(app): State<App>,
+    _: Reader,
+    Segment(job): Segment<JobId>,
+) -> ApiResult<Json<ForecastHistory>> {
+    Ok(Json(history(&app, job).await?))
+}
+
+/// The same as a picture: what the job was expected to take as its frames were finished, and when it was expected to end, beside what is booked.
+#[utoipa::path(get, path = "/v1/jobs/{id}/forecast/history.svg", tag = "jobs", params(("id" = JobId, Path)),
+    responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"), Problems))]
+pub(crate) async fn history_of_job_svg(
+    State(app): State<App>,
+    _: Reader,
+    Segment(job): Segment<JobId>,
+) -> ApiResult<Response> {
+    svg(plot::forecast_history(&history(&app, job).await?))
+}
+
+async fn history(app: &App, job: JobId) -> ApiResult<ForecastHistory> {
+    match app.store.forecast_history(job).await? {
+        Some(history) => Ok(history),
+        None => {
+            let state = app.store.job(job).await?.state;
+            Err(ApiError::new(ProblemKind::Conflict, format!("the job is {state} and has no forecast")))
+        }
+    }
+}
+
+/// A picture, or why it cannot be drawn.
+fn svg(drawn: Result<String, String>) -> ApiResult<Response> {
+    let svg = drawn.map_err(|reason| {
+        ApiError::new(ProblemKind::Internal, format!("the picture cannot be drawn: {reason}"))
+    })?;
+    Ok(([(CONTENT_TYPE, "image/svg+xml"), (CACHE_CONTROL, "private, no-cache")], svg).into_response())
 }
 
 /// Forecast against actual over all finished frames, also by kind of quote, and the frames themselves, newest first.
@@ -87,10 +168,7 @@ const SHOWN_JOBS: u32 = 500;
 pub(crate) async fn track_record_svg(State(app): State<App>, _: Reader) -> ApiResult<Response> {
     let record = app.store.track_record(None, 0).await?;
     let jobs = app.store.finished_jobs(SHOWN_JOBS).await?;
-    let svg = plot::track_record(&record, &jobs).map_err(|reason| {
-        ApiError::new(ProblemKind::Internal, format!("the picture cannot be drawn: {reason}"))
-    })?;
-    Ok(([(CONTENT_TYPE, "image/svg+xml"), (CACHE_CONTROL, "private, no-cache")], svg).into_response())
+    svg(plot::track_record(&record, &jobs))
 }
 
 /// What the finished jobs teach of the next quote's quantiles, by renderer and class of features: what a quote that is made now would be

@@ -58,6 +58,14 @@ pub(crate) async fn renew(
     if !(0.0..=1.0).contains(&request.progress) {
         return Err(ApiError::invalid("/progress", "progress is 0 to 1"));
     }
+    if let Some(pixels) = request.pixels {
+        if pixels.all == 0 {
+            return Err(ApiError::invalid("/pixels/all", "a frame has 1 pixel or more"));
+        }
+        if pixels.done > pixels.all {
+            return Err(ApiError::invalid("/pixels/done", "no more pixels are finished than there are"));
+        }
+    }
     let renewal = app.store.renew(lease, &request, app.lease_ttl, app.now()).await;
     Ok(Json(counted(&app, renewal)?))
 }

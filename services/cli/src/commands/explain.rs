@@ -2,7 +2,7 @@
 
 use crate::quantities::count;
 use crate::table::{Align, Table};
-use forelight_protocol::{Explanation, Halving, ObjectShare};
+use forelight_protocol::{Explanation, ObjectShare};
 
 /// So many objects are shown; the JSON has all.
 const SHOWN: usize = 10;
@@ -20,16 +20,19 @@ pub fn text(explanation: &Explanation) -> String {
             ("share of the work", Align::Right),
             ("share of the pixels' number", Align::Right),
             ("a pixel costs", Align::Right),
+            ("profiled", Align::Right),
+            ("each stands for", Align::Right),
         ]);
         for object in explanation.objects.iter().take(SHOWN) {
-            let ObjectShare { shows, share, share_of_pixels, times_mean_pixel, .. } = object;
-            let name =
-                shows.as_ref().map_or("nothing".into(), |name| format!("{}, {}", name.object, name.material));
+            let ObjectShare { share, share_of_pixels, times_mean_pixel, samples, share_per_sample, .. } =
+                object;
             table.row([
-                name,
+                object.name(),
                 percent(*share),
                 percent(*share_of_pixels),
                 format!("{times_mean_pixel:.2} x the mean"),
+                samples.to_string(),
+                share_per_sample.map_or("-".into(), |share| format!("{:.2} %", 100.0 * share)),
             ]);
         }
         text += "\n";
@@ -38,21 +41,9 @@ pub fn text(explanation: &Explanation) -> String {
             text += &format!("and {} others\n", explanation.objects.len() - SHOWN);
         }
     }
-    if !explanation.rays.is_empty() {
-        let rays = explanation.rays.iter().map(|ray| format!("{} {}", ray.category, percent(ray.share)));
-        text += &format!("\nrays: {}\n", rays.collect::<Vec<_>>().join(", "));
+    text += "\n";
+    for line in &explanation.words {
+        text += &format!("{line}\n");
     }
-    text += &halving(&explanation.halving);
     text
-}
-
-fn halving(ways: &[Halving]) -> String {
-    let way = |way: &Halving| match way.setting.as_str() {
-        "spp" => format!("{} camera samples per pixel in place of {}", way.to, way.from),
-        setting => format!("--{setting} {} in place of {}", way.to, way.from),
-    };
-    match ways {
-        [] => "half of it: no single setting does that\n".into(),
-        ways => format!("half of it: {}\n", ways.iter().map(way).collect::<Vec<_>>().join("; or ")),
-    }
 }

@@ -20,7 +20,13 @@ async fn booked(farm: &Farm, node: NodeId, frames: usize) -> JobId {
 }
 
 /// Renders the next frame at so much work and time, a node of speed 1 being the measure.
-async fn render(farm: &Farm, node: &Node, work: u64, cpu_seconds: f64, now: Timestamp) -> (Lease, TaskResult) {
+async fn render(
+    farm: &Farm,
+    node: &Node,
+    work: u64,
+    cpu_seconds: f64,
+    now: Timestamp,
+) -> (Lease, TaskResult) {
     let lease = farm.claim(node.id, now).await.unwrap();
     let TaskResult::Render(mut render) = farm.result_for(&lease).await else { panic!() };
     render.stats.work = work;
@@ -94,9 +100,7 @@ async fn leaving_the_booking_and_coming_back_are_said_once_each_with_numbers() {
         render(&farm, &node, 900, 6.0, at(11 + frame)).await;
     }
     let events = said(&farm, job).await;
-    let of_cost = |event: &&Event| {
-        event.off_forecast.is_some_and(|off| off.quantity == BookedQuantity::Cost)
-    };
+    let of_cost = |event: &&Event| event.off_forecast.is_some_and(|off| off.quantity == BookedQuantity::Cost);
     let [off] = events.iter().filter(of_cost).collect::<Vec<_>>()[..] else { panic!("{events:?}") };
     let numbers = off.off_forecast.unwrap();
     assert_eq!((off.kind, off.job_id), (EventKind::JobOffForecast, Some(job)));
@@ -198,7 +202,10 @@ async fn finished_pixels_move_the_estimate_of_the_frame_that_they_are_of_every_t
     // What the next worker does not have is not counted.
     farm.store.release(lease.lease_id, lease.fence, at(31)).await.unwrap();
     let lease = farm.claim(node.id, at(32)).await.unwrap();
-    let bare = RenewRequest { pixels: Some(FinishedPixels { all: 100, ..Default::default() }), ..renewal(lease.fence, 0.0) };
+    let bare = RenewRequest {
+        pixels: Some(FinishedPixels { all: 100, ..Default::default() }),
+        ..renewal(lease.fence, 0.0)
+    };
     farm.store.renew(lease.lease_id, &bare, TTL, at(41)).await.unwrap();
     assert_eq!(live(&farm, job).await.work.spent, 0.0);
 }

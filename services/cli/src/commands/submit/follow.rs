@@ -3,15 +3,19 @@
 use crate::failure::Interrupted;
 use crate::interrupt::Interrupt;
 use crate::output::Bars;
+use crate::quantities::seconds;
 use anyhow::{Context, Result};
-use forelight_protocol::{Event, EventId, EventKind, Job, JobState, TaskKind};
+use forelight_protocol::{Event, EventId, EventKind, Job, JobId, JobState, LiveForecast, TaskKind};
 use forelight_worker::{Backoff, Client, EventStream};
 use indicatif::ProgressBar;
 use std::collections::BTreeMap;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Without an event for so long the job itself is asked, should the stream have died silently.
 const QUIET: Duration = Duration::from_secs(20);
+
+/// Time between two looks at the job's estimate.
+const BETWEEN_ESTIMATES: Duration = Duration::from_secs(1);
 
 /// Follows a job until it is done, failed or cancelled, through lost connections and restarts of the service.
 pub async fn follow(client: &Client, job: Job, bars: &Bars, interrupt: &Interrupt) -> Result<Job> {
@@ -26,7 +30,7 @@ pub async fn follow(client: &Client, job: Job, bars: &Bars, interrupt: &Interrup
             match client.events(id, last).await {
                 Ok(stream) => {
                     failures = 0;
-                    last = listen(stream, last, &mut stages).await;
+                    last = listen(stream, last, &mut stages, client).await;
                 }
                 Err(error) => {
                     failures += 1;
@@ -59,12 +63,25 @@ pub async fn follow(client: &Client, job: Job, bars: &Bars, interrupt: &Interrup
 }
 
 /// Reads events until the stream ends, falls silent, or tells that the job is over; returns the last event's id.
-async fn listen(mut stream: EventStream, mut last: Option<EventId>, stages: &mut Stages) -> Option<EventId> {
+async fn listen(
+    mut stream: EventStream,
+    mut last: Option<EventId>,
+    stages: &mut Stages,
+    client: &Client,
+) -> Option<EventId> {
+    let mut asked = Instant::now();
     while let Ok(Some(event)) = tokio::time::timeout(QUIET, stream.next()).await {
         last = Some(event.id);
         stages.event(&event);
         if event.job_state.is_some_and(JobState::is_final) {
             break;
+        }
+        // Finished frames move the estimate, which the job has.
+        if stages.is_behind && asked.elapsed() >= BETWEEN_ESTIMATES {
+            asked = Instant::now();
+            if let Ok(job) = client.job(stages.id).await {
+                stages.job(&job);
+            }
         }
     }
     last
@@ -72,6 +89,7 @@ async fn listen(mut stream: EventStream, mut last: Option<EventId>, stages: &mut
 
 /// A bar for each stage of a job.
 struct Stages {
+    id: JobId,
     bars: Bars,
     previews: ProgressBar,
     profiling: ProgressBar,
@@ -79,18 +97,22 @@ struct Stages {
     /// Frames that are being profiled, and whether they are done.
     profiles: BTreeMap<u32, bool>,
     frames_done: u64,
+    /// A frame was finished since the job was asked for its estimate.
+    is_behind: bool,
 }
 
 impl Stages {
     fn new(bars: &Bars, job: &Job) -> Self {
         let frames = u64::from(job.frames_total);
         let mut stages = Self {
+            id: job.id,
             bars: bars.clone(),
             previews: bars.bar("previews", frames),
             profiling: bars.bar("profiling", frames.min(u64::from(job.profile_frames))),
             frames: bars.bar("frames", frames),
             profiles: BTreeMap::new(),
             frames_done: 0,
+            is_behind: false,
         };
         stages.job(job);
         stages
@@ -101,6 +123,10 @@ impl Stages {
         self.enter(job.state);
         self.frames_done = u64::from(job.frames_done);
         self.frames.set_position(self.frames_done);
+        if let Some(live) = &job.live {
+            self.frames.set_message(format!("{}, {}", job.state, expected(live)));
+        }
+        self.is_behind = false;
     }
 
     fn event(&mut self, event: &Event) {
@@ -121,7 +147,11 @@ impl Stages {
             }
             (EventKind::TaskDone, Some(TaskKind::Render), Some(_)) => {
                 self.frames_done += 1;
+                self.is_behind = true;
                 self.frames.set_position(self.frames_done);
+            }
+            (EventKind::JobOffForecast | EventKind::JobOnForecast, _, _) => {
+                event.message.iter().for_each(|message| self.bars.note(message));
             }
             (EventKind::TaskFailed | EventKind::LeaseExpired, Some(kind), frame) => {
                 let frame = frame.map(|frame| format!(" of frame {frame}")).unwrap_or_default();
@@ -152,6 +182,12 @@ impl Stages {
             bar.finish_and_clear();
         }
     }
+}
+
+/// What is finished and what is expected, for people.
+fn expected(live: &LiveForecast) -> String {
+    let cpu = &live.cpu_seconds;
+    format!("{} of {} CPU time (P80 {})", seconds(cpu.spent), seconds(cpu.whole.p50), seconds(cpu.whole.p80))
 }
 
 /// How far on the way a job in this state is; one that failed or was cancelled may have stopped anywhere.

@@ -1,0 +1,53 @@
+//! Why a job, or a frame of it, is dear: its quote taken apart. It is worked out from the kept profile when it is asked for; nothing
+//! is traced for it.
+
+use forelight_forecast::StratumSum;
+use forelight_protocol::{Amounts, Explanation, PreviewResult, RenderSettings, ShownWork};
+use forelight_store::MeasuredProfile;
+
+use super::estimate::{Estimated, estimated};
+use super::{AdvanceError, compute};
+
+/// Of a job with these settings, or of one of its frames.
+pub(crate) async fn explanation(
+    settings: RenderSettings,
+    preview: PreviewResult,
+    profiles: Vec<MeasuredProfile>,
+    frame: Option<u32>,
+) -> Result<Explanation, AdvanceError> {
+    compute(move || explained(&settings, &preview, &profiles, frame)).await
+}
+
+pub(super) fn explained(
+    settings: &RenderSettings,
+    preview: &PreviewResult,
+    profiles: &[MeasuredProfile],
+    frame: Option<u32>,
+) -> Result<Explanation, AdvanceError> {
+    let Estimated { shot, populations } = estimated(preview, profiles)?;
+    let (total, sums) = match frame {
+        None => (&shot.total, StratumSum::over(shot.frames.iter().map(|frame| &frame.strata[..]))),
+        Some(number) => {
+            let one = shot.frames.iter().find(|frame| frame.number == i64::from(number));
+            let one = one.ok_or_else(|| AdvanceError::Hopeless(format!("the job has no frame {number}")))?;
+            (&one.total, StratumSum::over(std::iter::once(&one.strata[..])))
+        }
+    };
+    // Objects first, then the background, then the records.
+    let (pixels, records) = sums.split_at((populations.background + 1).min(sums.len()));
+    let shown = |(place, sum): (usize, &StratumSum)| ShownWork {
+        shows: populations.names.get(place).cloned(),
+        pixels: sum.pixels,
+        samples: sum.samples,
+        work: sum.work,
+    };
+    let amounts = Amounts {
+        frame,
+        work: total.work.mean,
+        pixels: pixels.iter().enumerate().map(shown).collect(),
+        told_apart: true,
+        records_work: records.iter().map(|sum| sum.work).sum(),
+        rays: total.rays.map(|rays| rays.mean),
+    };
+    Ok(Explanation::new(amounts, settings))
+}

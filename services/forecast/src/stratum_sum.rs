@@ -1,0 +1,33 @@
+//! Forecast frames added up by stratum.
+
+use crate::estimate::StratumEstimate;
+use crate::moments::sum;
+
+/// What a stratum holds in some frames together.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StratumSum {
+    /// Pixels that show it.
+    pub pixels: u64,
+    /// Those that were profiled.
+    pub samples: u64,
+    /// Expected work of all of them.
+    pub work: f64,
+}
+
+impl StratumSum {
+    /// One sum for each stratum, over frames with the same strata.
+    pub fn over<'a>(frames: impl Iterator<Item = &'a [StratumEstimate]>) -> Vec<Self> {
+        let frames: Vec<&[StratumEstimate]> = frames.collect();
+        let strata = frames.first().map_or(0, |frame| frame.len());
+        (0..strata)
+            .map(|h| {
+                let own = || frames.iter().filter_map(move |frame| frame.get(h));
+                Self {
+                    pixels: own().map(|seen| u64::from(seen.pixels)).sum(),
+                    samples: own().map(|seen| u64::from(seen.samples)).sum(),
+                    work: sum(own().map(|seen| f64::from(seen.pixels) * seen.mean.work)),
+                }
+            })
+            .collect()
+    }
+}
