@@ -79,7 +79,7 @@ pub use plan::{Booking, BookingPage, JobVerdict, Plan, PlanReason, Verdict};
 pub use problem::{Problem, ProblemKind};
 pub use role::{Role, UnknownRole};
 pub use settings::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest};
-pub use stats::{AllottedStats, CacheStats, LeftOut, Rays, RenderStats};
+pub use stats::{AllottedStats, BudgetClock, CacheStats, LeftOut, Rays, RenderStats, WithinStats};
 pub use task::{
     CacheSample, FixedCosts, FrameStrata, NoiseCell, NoiseSample, PreviewBackend, PreviewResult, PreviewSpec,
     ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts, RenderResult, RenderSpec,

@@ -1,6 +1,6 @@
 //! What a frame took.
 
-use crate::{ImageError, Quantiles};
+use crate::{ImageError, Money, Quantiles};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -174,4 +174,34 @@ pub struct AllottedStats {
     pub profiling_work: u64,
     /// CPU seconds of the same.
     pub profiling_cpu_seconds: f64,
+    /// How it held to its time; absent where an error was asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub within: Option<WithinStats>,
+}
+
+/// Which seconds a time counts.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum BudgetClock {
+    /// Wall time, as whoever waits sees it.
+    Wall,
+    /// CPU time of all threads.
+    Cpu,
+}
+
+/// How a render held to the time that it was given.
+#[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct WithinStats {
+    /// Whose seconds these are.
+    pub clock: BudgetClock,
+    /// Seconds that it was given.
+    pub given_seconds: f64,
+    /// Seconds that it took: everything from the start to the written image.
+    pub spent_seconds: f64,
+    /// Passes in which the samples were given.
+    pub passes: u32,
+    /// What that costs, where a price was given, in micro-units.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cost: Option<Money>,
 }

@@ -54,6 +54,19 @@ impl Totals {
     }
 }
 
+impl Totals {
+    /// What was added since a total of the same pixels.
+    #[must_use]
+    pub fn minus(&self, before: &Self) -> Self {
+        Self {
+            pixels: self.pixels,
+            rays: std::array::from_fn(|kind| self.rays[kind] - before.rays[kind]),
+            work: self.work - before.work,
+            cpu_nanos: self.cpu_nanos - before.cpu_nanos,
+        }
+    }
+}
+
 impl Image {
     /// Sums over all pixels, as if nothing had been taken over.
     pub fn totals(&self) -> Totals {

@@ -21,7 +21,7 @@ use crate::cost::{Category, Counters};
 use crate::geometry::{self, Basis};
 use crate::kernel::{Kernel, has};
 use crate::lights::Receiver;
-use crate::random::{Purpose, Sampler};
+use crate::random::{Drawn, Purpose, Sampler};
 use crate::tracer::Tracer;
 use forelight_bvh::{Hit, Ray, offset_origin, size_of};
 use forelight_scene::Color;
@@ -73,6 +73,11 @@ impl<'a, const K: u32> Pixels<'a, K> {
     /// Key of its random numbers.
     pub fn key(&self) -> u64 {
         self.sampler.key()
+    }
+
+    /// How far its random sequences are drawn.
+    pub fn drawn(&self) -> Drawn {
+        self.sampler.drawn()
     }
 
     /// One camera sample of the pixel at column `x` and row `y`.

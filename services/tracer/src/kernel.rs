@@ -12,11 +12,12 @@ use crate::cost::Counters;
 use crate::effects::Effects;
 use crate::integrator::{Pixels, Point, Segment};
 use crate::lights::Looks;
+use crate::passes::Underway;
 use crate::random::{Sampler, hash};
 use crate::response::Response;
 use crate::tracer::{Pixel, Tracer};
 use forelight_bvh::{Hit, Ray};
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use std::time::Instant;
 
 /// Constant parameters of a kernel, as bits.
@@ -63,6 +64,16 @@ pub trait Trace: Send + Sync {
     /// One finished pixel by its row-major index; `each` is told the radiance of every camera sample, in order.
     fn pixel(&self, tracer: &Tracer, index: u32, each: &mut dyn FnMut([f32; 3])) -> Pixel;
 
+    /// A pixel that has some samples, brought to `samples` of them; `each` is told those that are new.
+    fn go_on(
+        &self,
+        tracer: &Tracer,
+        index: u32,
+        underway: &mut Underway,
+        samples: u32,
+        each: &mut dyn FnMut([f32; 3]),
+    );
+
     /// The places at which the first `samples` samples of a pixel read the first level of the cache.
     fn sites(
         &self,
@@ -101,6 +112,36 @@ pub trait Trace: Send + Sync {
 }
 
 impl<const K: u32> Kernel<K> {
+    /// Adds samples to a pixel, up to so many.
+    fn trace<'a>(
+        &'a self,
+        tracer: &'a Tracer,
+        index: u32,
+        underway: &mut Underway,
+        samples: u32,
+        each: &mut dyn FnMut([f32; 3]),
+    ) -> Pixels<'a, K> {
+        let start = Instant::now();
+        let settings = &tracer.settings;
+        let (x, y) = (index % settings.width, index / settings.width);
+        let sampler = Sampler::resumed(settings.seed, tracer.frame.number, index, &underway.drawn);
+        let mut pixels = Pixels::new(tracer, self, sampler);
+        let known = &mut underway.pixel;
+        pixels.stratum = (known.stratum != Pixel::NOTHING).then_some(known.stratum);
+        while underway.samples < samples {
+            let sample = pixels.sample(x, y);
+            each(sample.to_array());
+            underway.sum += sample.as_dvec3();
+            underway.samples += 1;
+        }
+        known.rays.iter_mut().zip(pixels.counters.rays).for_each(|(all, new)| *all += new);
+        known.work += pixels.counters.work();
+        known.uncovered += pixels.counters.uncovered;
+        known.stratum = pixels.stratum.unwrap_or(Pixel::NOTHING);
+        known.cpu_nanos += start.elapsed().as_nanos() as u64;
+        pixels
+    }
+
     fn new(effects: Effects, integrator: Integrator, looks: Looks) -> Self {
         let sky: Option<Light<K>> = match effects.has(Effects::ENVIRONMENT) {
             true => Some(|pixels, p, response, vertex| pixels.sky(p, response, vertex)),
@@ -165,27 +206,20 @@ fn lights<const K: u32>(effects: Effects, level: u32, looks: Looks) -> Vec<Light
 
 impl<const K: u32> Trace for Kernel<K> {
     fn pixel(&self, tracer: &Tracer, index: u32, each: &mut dyn FnMut([f32; 3])) -> Pixel {
-        let start = Instant::now();
-        let settings = &tracer.settings;
-        let (x, y) = (index % settings.width, index / settings.width);
-        let sampler = Sampler::new(settings.seed, tracer.frame.number, index);
-        let mut pixels = Pixels::new(tracer, self, sampler);
-        let mut sum = DVec3::ZERO;
-        let samples = tracer.samples_of(index);
-        for _ in 0..samples {
-            let sample = pixels.sample(x, y);
-            each(sample.to_array());
-            sum += sample.as_dvec3();
-        }
-        let color = (sum / f64::from(samples)).as_vec3().to_array();
-        Pixel {
-            color,
-            rays: pixels.counters.rays,
-            work: pixels.counters.work(),
-            cpu_nanos: start.elapsed().as_nanos() as u64,
-            uncovered: pixels.counters.uncovered,
-            stratum: pixels.stratum.unwrap_or(Pixel::NOTHING),
-        }
+        let mut underway = Underway::default();
+        self.trace(tracer, index, &mut underway, tracer.samples_of(index), each);
+        underway.finished()
+    }
+
+    fn go_on(
+        &self,
+        tracer: &Tracer,
+        index: u32,
+        underway: &mut Underway,
+        samples: u32,
+        each: &mut dyn FnMut([f32; 3]),
+    ) {
+        underway.drawn = self.trace(tracer, index, underway, samples, each).drawn();
     }
 
     fn sites(

@@ -20,6 +20,7 @@
 //! | `cost` | counters, `work`, clocks |
 //! | `tree` | the tree over what matters |
 //! | `tracer`, `profile`, `image` | a frame's pixels, some of them, and all of them |
+//! | `samples`, `passes` | camera samples that differ by pixel, and that are added bit by bit |
 
 mod bounds;
 pub mod bsdf;
@@ -35,6 +36,7 @@ mod integrator;
 mod kernel;
 mod lights;
 pub mod microfacet;
+mod passes;
 mod profile;
 mod random;
 mod reach;
@@ -49,6 +51,7 @@ pub use cost::{Cost, RAY_NAMES, Rays, process_cpu_nanos, thread_cpu_nanos, work}
 pub use effects::Effects;
 pub use fingerprint::tracer_version;
 pub use image::{Image, ImageError, Totals, cost_color};
+pub use passes::Passes;
 pub use profile::{Profile, ProfileError};
 pub use reach::{Excluded, LeftOut, Reach, Reason, reachable};
 pub use samples::{SampleCounts, SampleCountsError};

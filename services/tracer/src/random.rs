@@ -36,6 +36,10 @@ pub enum Purpose {
 const VERTICES: usize = 16;
 const PURPOSES: usize = 12;
 
+/// How far each sequence of a pixel was drawn: what it takes to go on from there. Those that were not begun are left out.
+#[derive(Debug, Clone, Default)]
+pub struct Drawn(Box<[(u8, u32)]>);
+
 /// The random points of one pixel.
 pub struct Sampler {
     key: u64,
@@ -47,6 +51,20 @@ impl Sampler {
     pub fn new(seed: u64, frame: u32, pixel: u32) -> Self {
         let key = hash(hash(seed) ^ (u64::from(frame) << 32 | u64::from(pixel)));
         Self { key, drawn: [0; VERTICES * PURPOSES] }
+    }
+
+    /// The same, going on from where another one of the same pixel was left.
+    pub fn resumed(seed: u64, frame: u32, pixel: u32, Drawn(left): &Drawn) -> Self {
+        let mut sampler = Self::new(seed, frame, pixel);
+        left.iter().for_each(|&(dimension, drawn)| sampler.drawn[usize::from(dimension)] = drawn);
+        sampler
+    }
+
+    /// How far its sequences are drawn.
+    pub fn drawn(&self) -> Drawn {
+        const { assert!(VERTICES * PURPOSES <= 256) };
+        let begun = (0u8..).zip(self.drawn).filter(|(_, drawn)| *drawn > 0);
+        Drawn(begun.collect())
     }
 
     /// Points for something else than a pixel, by a key of its own.

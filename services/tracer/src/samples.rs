@@ -42,6 +42,20 @@ impl SampleCounts {
         &self.0
     }
 
+    /// The numbers, if they are for so many pixels.
+    pub(crate) fn for_pixels(&self, expected: usize) -> Result<&[u16], SampleCountsError> {
+        match self.0.len() {
+            found if found == expected => Ok(&self.0),
+            found => Err(SampleCountsError::Length { found, expected }),
+        }
+    }
+
+    /// Each number or, where it is larger, that of `other`; both are for the same pixels.
+    #[must_use]
+    pub fn or_more(&self, other: &Self) -> Self {
+        Self(self.0.iter().zip(other.0.iter()).map(|(own, other)| *own.max(other)).collect())
+    }
+
     /// Fewest and most of a pixel, and their mean.
     pub fn range(&self) -> (u32, u32, f64) {
         let all = || self.0.iter().copied().map(u32::from);

@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 /// Edge of the square tiles in which an image is worked off, pixels.
-const TILE: u32 = 16;
+pub(crate) const TILE: u32 = 16;
 
 /// One finished pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -173,10 +173,7 @@ impl Tracer {
     /// # Errors
     /// If the numbers are not those of this image's pixels, or others were given before.
     pub fn allot(&self, samples: SampleCounts) -> Result<(), SampleCountsError> {
-        let (found, expected) = (samples.as_slice().len(), self.frame.camera.pixels());
-        if found != expected {
-            return Err(SampleCountsError::Length { found, expected });
-        }
+        samples.for_pixels(self.frame.camera.pixels())?;
         self.samples.set(samples).map_err(|_| SampleCountsError::Late)
     }
 
@@ -429,20 +426,29 @@ impl Tracer {
     }
 }
 
-/// Traces a batch of pixels and turns their wall-clock times into CPU time: a pixel's clock is cheap but counts what other
-/// processes took; the thread's CPU clock is exact but too dear to read twice a pixel. So each pixel gets the share of the
-/// batch's CPU time that it had of the batch's wall time.
+/// Traces a batch of pixels and turns their wall-clock times into CPU time: see [`share_cpu_time`].
 fn timed(trace: impl FnOnce() -> Vec<Pixel>) -> Vec<Pixel> {
+    let mut pixels = Vec::new();
+    share_cpu_time(|| {
+        pixels = trace();
+        pixels.iter_mut().map(|pixel| (0, &mut pixel.cpu_nanos)).collect()
+    });
+    pixels
+}
+
+/// Runs what traces some pixels and turns the wall-clock time that it has added to each, from what was there before, into CPU time. A pixel's
+/// clock is cheap but counts what other processes took; the thread's CPU clock is exact but too dear to read twice a pixel. So each
+/// pixel gets the share of the batch's CPU time that it had of the batch's wall time.
+pub(crate) fn share_cpu_time<'a>(trace: impl FnOnce() -> Vec<(u64, &'a mut u64)>) {
     let start = thread_cpu_nanos();
-    let mut pixels = trace();
+    let pixels = trace();
     let cpu = thread_cpu_nanos() - start;
-    let wall: u64 = pixels.iter().map(|p| p.cpu_nanos).sum();
+    let wall: u64 = pixels.iter().map(|(before, now)| **now - before).sum();
     if wall > 0 {
-        for p in &mut pixels {
-            p.cpu_nanos = (u128::from(p.cpu_nanos) * u128::from(cpu) / u128::from(wall)) as u64;
+        for (before, now) in pixels {
+            *now = before + (u128::from(*now - before) * u128::from(cpu) / u128::from(wall)) as u64;
         }
     }
-    pixels
 }
 
 /// The material as two-sided Lambert: its diffuse colour or texture, 0.5 grey for metals and glass. Emission stays.

@@ -3,9 +3,11 @@
 mod support;
 
 use forelight_scene::{Color, Environment, Frame, Surface};
-use forelight_tracer::{Image, Pixel, Profile, SampleCounts, SampleCountsError, Settings, Tracer};
+use forelight_tracer::{
+    Image, Integrator, Passes, Pixel, Profile, SampleCounts, SampleCountsError, Settings, Tracer,
+};
 use glam::Vec3;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use support::{Builder, lambert, material};
 
 /// Everything at once: diffuse, glossy, glass, pane, area light, sky.
@@ -137,6 +139,49 @@ fn a_pixel_with_samples_of_its_own_is_that_of_an_image_of_so_many() {
         let alike = &images[usize::from(pixel % 3 == 0)].pixels[pixel];
         assert_eq!(bits(&[*mixed]), bits(&[*alike]), "pixel {pixel}");
     }
+}
+
+#[test]
+fn an_image_made_in_passes_has_the_bits_of_one_made_at_once() {
+    for integrator in [Integrator::Ambient, Integrator::Path] {
+        let settings = Settings { integrator, ..settings() };
+        let counts = |of: &dyn Fn(usize) -> usize| {
+            SampleCounts::new((0..40 * 28).map(|pixel| of(pixel) as u16).collect()).unwrap()
+        };
+        let finally = |pixel: usize| 1 + pixel % 7;
+        let tracer = Tracer::new(&frame(), &settings);
+        let mut passes = Passes::new(&tracer);
+        assert!(passes.counts().is_err(), "no pixel has a sample yet");
+        let mut work = 0;
+        for wanted in [counts(&|_| 1), counts(&|pixel| finally(pixel).min(3)), counts(&finally)] {
+            work += passes.go_on(&tracer, &wanted, &|| false, &|_| ()).unwrap().work;
+        }
+        // What a pixel has got it keeps.
+        assert_eq!(passes.go_on(&tracer, &counts(&|_| 1), &|| false, &|_| ()).unwrap().work, 0);
+        assert_eq!(passes.counts(), Ok(counts(&finally)));
+        let at_once = Tracer::new(&frame(), &settings);
+        at_once.allot(counts(&finally)).unwrap();
+        let at_once = at_once.render(None, &|_| (), &AtomicBool::new(false)).unwrap();
+        assert_eq!(bits(&passes.image().pixels), bits(&at_once.pixels), "{integrator:?}");
+        assert_eq!(work, at_once.totals().work);
+    }
+}
+
+#[test]
+fn a_pass_that_is_stopped_leaves_every_pixel_with_the_samples_that_it_says() {
+    let tracer = Tracer::new(&frame(), &settings());
+    let all = |samples: u16| SampleCounts::new(vec![samples; 40 * 28]).unwrap();
+    let mut passes = Passes::new(&tracer);
+    passes.go_on(&tracer, &all(1), &|| false, &|_| ()).unwrap();
+    let asked = AtomicU32::new(0);
+    passes.go_on(&tracer, &all(3), &|| asked.fetch_add(1, Ordering::Relaxed) >= 400, &|_| ()).unwrap();
+    let counts = passes.counts().unwrap();
+    let given = counts.as_slice().iter().filter(|&&count| count == 3).count();
+    assert_eq!(given, 400);
+    let again = Tracer::new(&frame(), &settings());
+    again.allot(counts).unwrap();
+    let again = again.render(None, &|_| (), &AtomicBool::new(false)).unwrap();
+    assert_eq!(bits(&passes.image().pixels), bits(&again.pixels));
 }
 
 #[test]

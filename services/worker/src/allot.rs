@@ -3,36 +3,37 @@
 //! Some pixels are profiled with a few camera samples (see `accuracy::pilot`). They say, stratum by stratum and for the edges of lights
 //! apart, how variance falls with samples and what a sample costs; from these follow the numbers of samples that make the least
 //! error for the time, or the least time for the error (`forelight_forecast::accuracy::allot`). With an irradiance cache that is filled first, for
-//! what is left of the time depends on it.
+//! what is left of the time depends on it. How a render holds to its time is in [`crate::within`].
 
 use crate::accuracy::{AccuracyObserver, AccuracyOptions, Pilot, piloted};
-use crate::render::{Given, Rendered, render_ready, seconds};
+use crate::render::{Given, Rendered, render_ready, rendered, seconds};
 use crate::renderer::{Progress, RenderError, Renderer};
 use crate::shot::ShotError;
+use crate::within::{Budget, fits_the_cache, render_within};
 use forelight_forecast::accuracy::allot::{
     MOST_SAMPLES, Zone, cost, mean_variance, samples_for_budget, samples_for_variance, whole,
 };
-use forelight_forecast::accuracy::{ImageNoise, NoiseGroup, noise_groups};
+use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise, NoiseGroup, noise_groups};
 use forelight_forecast::{Calibration, ForecastError};
 use forelight_protocol::{AllottedStats, Confidence, ImageError, Quantiles, RenderSettings};
 use forelight_tracer::SampleCounts;
 use std::time::Instant;
 
 /// What a frame is to come to.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Aim {
-    /// CPU seconds of all threads, with those that finding out takes.
-    CpuSeconds(f64),
+#[derive(Clone, Copy)]
+pub enum Aim<'a> {
+    /// The best image for a time.
+    Within(Budget<'a>),
     /// Root mean square error as a share of the image's mean.
     Error(f64),
 }
 
 /// How camera samples are allotted.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct AllotOptions {
+#[derive(Clone, Copy)]
+pub struct AllotOptions<'a> {
     /// What to reach.
-    pub aim: Aim,
-    /// How sure.
+    pub aim: Aim<'a>,
+    /// How sure: of an error, that it is kept; of a time, that the least image fits before the first pixel is rendered.
     pub confidence: Confidence,
     /// Pixels to profile.
     pub samples: u32,
@@ -44,11 +45,13 @@ pub struct AllotOptions {
 #[derive(Debug, thiserror::Error)]
 pub enum AllotError {
     /// One camera sample a pixel takes longer.
-    #[error("{given} CPU seconds are too few: with one camera sample per pixel the frame takes {least:.3} s")]
+    #[error(
+        "{given:.3} s are too few: with one camera sample per pixel, the least there is, the frame takes about {least:.3} s"
+    )]
     TooLittle {
         /// Seconds given.
         given: f64,
-        /// Seconds that the least image takes.
+        /// Seconds that the least image takes, of the same clock.
         least: f64,
     },
     /// The frame cannot be profiled.
@@ -68,9 +71,19 @@ impl From<ForecastError> for AllotError {
     }
 }
 
+/// An image whose pixels differ in their camera samples.
+#[derive(Debug, Clone)]
+pub struct Allotted {
+    /// The image.
+    pub rendered: Rendered,
+    /// With which [`render_as_allotted`] makes it again, bit by bit.
+    pub samples: SampleCounts,
+}
+
 /// Renders one frame with the camera samples that reach an aim. `None` if the observer's flag was set.
 ///
-/// The image depends on the settings, the aim and, if that is a time, on how fast this machine was while it profiled.
+/// The image depends on the settings, the aim and, if that is a time, on how fast this machine was: that decides how many samples the
+/// pixels got, and nothing else.
 ///
 /// # Errors
 /// If the time is too short for any image.
@@ -79,13 +92,16 @@ pub fn render_allotted(
     frame: u32,
     asked: &RenderSettings,
     given: Given<'_>,
-    options: &AllotOptions,
+    options: &AllotOptions<'_>,
     progress: &(dyn Fn(Progress) + Sync),
     observer: &dyn AccuracyObserver,
-) -> Result<Option<Rendered>, AllotError> {
+) -> Result<Option<Allotted>, AllotError> {
     let start = Instant::now();
     let settings = piloted(asked);
     let ready = renderer.frame(frame, &settings)?;
+    if let (Aim::Within(budget), None) = (&options.aim, &given.cache) {
+        fits_the_cache(&*ready, budget, options.seed)?;
+    }
     given.cache.map_or(Ok(()), |cache| ready.share(cache))?;
     if !ready.fill(progress, observer.cancel()) {
         return Ok(None);
@@ -95,97 +111,187 @@ pub fn render_allotted(
         Err(ShotError::Cancelled) => return Ok(None),
         pilot => pilot?,
     };
-    let (samples, allotted) = Costs::of(&pilot)?.allot(&pilot, options)?;
-    ready.allot(samples)?;
-    let mut rendered = render_ready(&*ready, &settings, None, progress, &|_| (), observer.cancel())?;
-    if let Some(rendered) = &mut rendered {
-        rendered.stats.spp = allotted.mean.round() as u32;
-        rendered.stats.allotted = Some(allotted);
-        rendered.stats.wall_seconds = start.elapsed().as_secs_f64();
-    }
-    Ok(rendered)
+    let allotment = Allotment::new(&pilot)?;
+    let (finished, samples, within) = match &options.aim {
+        Aim::Within(budget) => {
+            match render_within(&*ready, &allotment, budget, options.confidence, progress, observer.cancel())? {
+                None => return Ok(None),
+                Some((finished, samples, within)) => (finished, samples, Some(within)),
+            }
+        }
+        Aim::Error(wanted) => {
+            let samples = allotment.laid_out(&allotment.for_error(*wanted, options.confidence))?;
+            ready.allot(samples.clone())?;
+            match ready.render(None, progress, &|_| (), observer.cancel())? {
+                None => return Ok(None),
+                Some(finished) => (finished, samples, None),
+            }
+        }
+    };
+    let allotted = AllottedStats { within, ..allotment.stats(&samples) };
+    let wall_seconds = start.elapsed().as_secs_f64();
+    let mut rendered = rendered(&*ready, finished, &settings, wall_seconds);
+    rendered.stats.spp = allotted.mean.round() as u32;
+    rendered.stats.allotted = Some(allotted);
+    Ok(Some(Allotted { rendered, samples }))
 }
 
-/// What the frame takes with the pilot's camera samples.
-struct Costs {
+/// Renders one frame with camera samples that were allotted before: with the same settings the same image, bit by bit. `None` if the
+/// observer's flag was set.
+///
+/// # Errors
+/// If there are not as many numbers as pixels.
+pub fn render_as_allotted(
+    renderer: &dyn Renderer,
+    frame: u32,
+    asked: &RenderSettings,
+    given: Given<'_>,
+    samples: &SampleCounts,
+    progress: &(dyn Fn(Progress) + Sync),
+    observer: &dyn AccuracyObserver,
+) -> Result<Option<Allotted>, RenderError> {
+    let start = Instant::now();
+    let settings = piloted(asked);
+    let ready = renderer.frame(frame, &settings)?;
+    given.cache.map_or(Ok(()), |cache| ready.share(cache))?;
+    ready.allot(samples.clone())?;
+    let rendered = render_ready(&*ready, &settings, None, progress, &|_| (), observer.cancel())?;
+    Ok(rendered.map(|mut rendered| {
+        rendered.stats.spp = samples.range().2.round() as u32;
+        rendered.stats.wall_seconds = start.elapsed().as_secs_f64();
+        Allotted { rendered, samples: samples.clone() }
+    }))
+}
+
+/// What samples cost and bring, part by part of a frame.
+pub(crate) struct Allotment<'a> {
+    pilot: &'a Pilot,
+    image: ImageNoise,
+    groups: Vec<NoiseGroup>,
+    zones: Vec<Zone>,
+    /// Of the frame with the pilot's camera samples.
     work: Quantiles,
     cpu_seconds: Quantiles,
     /// The part of it that is in proportion to the samples.
     pixel_work: f64,
-    pixel_seconds: f64,
+    /// Work of the pixels for a unit of the zones' cost: the strata of cost are finer, and their estimate of the whole is the better one.
+    scale: f64,
+    /// CPU seconds of a unit of work, by what the pilot took.
+    pub seconds_per_work: f64,
+    /// Error with the pilot's camera samples, and its root mean square.
+    spread: ErrorQuantiles,
+    rms: f64,
 }
 
-impl Costs {
-    fn of(pilot: &Pilot) -> Result<Self, ShotError> {
+impl<'a> Allotment<'a> {
+    fn new(pilot: &'a Pilot) -> Result<Self, ShotError> {
         let spp = pilot.settings.spp;
         let (work, cpu_seconds) = pilot.cost(&pilot.view, spp)?;
         let (double_work, double_seconds) = pilot.cost(&pilot.view, 2 * spp)?;
+        let pixel_work = double_work.mean - work.mean;
+        let noise = &pilot.noise;
+        let image = ImageNoise::new(noise.cells(&pilot.noise_strata, &noise.counts)?)?;
+        let groups = noise_groups(&pilot.noise_strata, &noise.counts, &noise.samples)?;
+        let zones = zones(pilot, &image, &groups)?;
+        let uniform = image.noise_at(spp);
         Ok(Self {
-            pixel_work: double_work.mean - work.mean,
-            pixel_seconds: double_seconds.mean - cpu_seconds.mean,
+            pixel_work,
+            scale: pixel_work / cost(&zones, &vec![f64::from(spp); zones.len()]).max(f64::MIN_POSITIVE),
+            seconds_per_work: (double_seconds.mean - cpu_seconds.mean) / pixel_work.max(f64::MIN_POSITIVE),
+            spread: uniform.error(Calibration::NONE),
+            rms: uniform.value.sqrt().max(f64::MIN_POSITIVE),
+            pilot,
+            image,
+            groups,
+            zones,
             work,
             cpu_seconds,
         })
     }
 
-    fn allot(
-        &self,
-        pilot: &Pilot,
-        options: &AllotOptions,
-    ) -> Result<(SampleCounts, AllottedStats), AllotError> {
-        let spp = pilot.settings.spp;
-        let noise = &pilot.noise;
-        let image = ImageNoise::new(noise.cells(&pilot.noise_strata, &noise.counts)?)?;
-        let groups = noise_groups(&pilot.noise_strata, &noise.counts, &noise.samples)?;
-        let zones = zones(pilot, &image, &groups)?;
-        // The strata of cost are finer, and their estimate of the whole is the better one.
-        let scale = self.pixel_work / cost(&zones, &vec![f64::from(spp); zones.len()]).max(f64::MIN_POSITIVE);
-        let per_work = self.pixel_seconds / self.pixel_work.max(f64::MIN_POSITIVE);
-        let of_pixels = |samples: &[f64]| scale * cost(&zones, samples);
-        let uniform = image.noise_at(spp);
-        let spread = uniform.error(Calibration::NONE);
-        let rms = uniform.value.sqrt().max(f64::MIN_POSITIVE);
-        let samples = match options.aim {
-            Aim::CpuSeconds(given) => {
-                let surety = ratio(self.cpu_seconds.at(options.confidence), self.cpu_seconds.mean);
-                let fixed = self.cpu_seconds.mean - self.pixel_seconds + seconds(pilot.overhead.cpu_nanos);
-                let left = (given / surety - fixed) / per_work.max(f64::MIN_POSITIVE);
-                samples_for_budget(&zones, left / scale.max(f64::MIN_POSITIVE)).ok_or_else(|| {
-                    let least = of_pixels(&vec![1.0; zones.len()]) * per_work;
-                    AllotError::TooLittle { given, least: surety * (fixed + least) }
-                })?
-            }
-            Aim::Error(wanted) => {
-                let quantile = match options.confidence {
-                    Confidence::P50 => spread.p50,
-                    Confidence::P80 => spread.p80,
-                    Confidence::P95 => spread.p95,
-                };
-                let wanted = wanted / ratio(quantile, rms) * image.mean();
-                samples_for_variance(&zones, wanted * wanted)
-            }
+    /// How much more than its mean the time may be, at a confidence.
+    pub fn surety(&self, confidence: Confidence) -> f64 {
+        ratio(self.cpu_seconds.at(confidence), self.cpu_seconds.mean)
+    }
+
+    /// Work of all pixels with so many samples in each zone.
+    fn work_of(&self, samples: &[f64]) -> f64 {
+        self.scale * cost(&self.zones, samples)
+    }
+
+    /// The same of one sample in each.
+    pub fn least_work(&self) -> f64 {
+        self.work_of(&vec![1.0; self.zones.len()])
+    }
+
+    /// Work of all pixels with so many samples each.
+    pub fn work_of_counts(&self, counts: &SampleCounts) -> f64 {
+        self.work_of(&self.means(counts))
+    }
+
+    /// Samples of each zone for so much work of all pixels, with the least error; one if it is less than these take.
+    pub fn for_work(&self, work: f64) -> Vec<f64> {
+        samples_for_budget(&self.zones, work / self.scale.max(f64::MIN_POSITIVE))
+            .unwrap_or_else(|| vec![1.0; self.zones.len()])
+    }
+
+    /// Samples of each zone for an error, as a share of the image's mean, with the least work.
+    fn for_error(&self, wanted: f64, confidence: Confidence) -> Vec<f64> {
+        let quantile = match confidence {
+            Confidence::P50 => self.spread.p50,
+            Confidence::P80 => self.spread.p80,
+            Confidence::P95 => self.spread.p95,
         };
-        let samples_of_pixels = laid_out(pilot, &groups, &samples)?;
-        let (least, most, mean) = samples_of_pixels.range();
-        let change = of_pixels(&samples) - self.pixel_work;
-        let error = mean_variance(&zones, &samples).sqrt() / image.mean().max(f64::MIN_POSITIVE);
-        let scaled = |quantile: f64| error * ratio(quantile, rms);
-        let allotted = AllottedStats {
+        let wanted = wanted / ratio(quantile, self.rms) * self.image.mean();
+        samples_for_variance(&self.zones, wanted * wanted)
+    }
+
+    /// The samples of each zone, pixel by pixel.
+    pub fn laid_out(&self, samples: &[f64]) -> Result<SampleCounts, RenderError> {
+        let mut counts = vec![1u16; self.pilot.settings.pixels() as usize];
+        for (group, &samples) in self.groups.iter().zip(samples) {
+            let pixels = self.pilot.zones.pixels_of(&group.strata);
+            for (&pixel, n) in pixels.iter().zip(whole(samples, pixels.len())) {
+                // At most as many as that type holds.
+                counts[pixel as usize] = n.min(MOST_SAMPLES as u32) as u16;
+            }
+        }
+        Ok(SampleCounts::new(counts)?)
+    }
+
+    /// Mean number of samples in each zone.
+    fn means(&self, counts: &SampleCounts) -> Vec<f64> {
+        let mean = |group: &NoiseGroup| {
+            let pixels = self.pilot.zones.pixels_of(&group.strata);
+            let sum: u64 = pixels.iter().map(|&pixel| u64::from(counts.as_slice()[pixel as usize])).sum();
+            (sum as f64 / pixels.len().max(1) as f64).max(1.0)
+        };
+        self.groups.iter().map(mean).collect()
+    }
+
+    /// What was forecast of a frame with these samples.
+    fn stats(&self, counts: &SampleCounts) -> AllottedStats {
+        let (least, most, mean) = counts.range();
+        let samples = self.means(counts);
+        let change = self.work_of(&samples) - self.pixel_work;
+        let error = mean_variance(&self.zones, &samples).sqrt() / self.image.mean().max(f64::MIN_POSITIVE);
+        let scaled = |quantile: f64| error * ratio(quantile, self.rms);
+        AllottedStats {
             least,
             most,
             mean,
             work: moved(&self.work, change),
-            cpu_seconds: moved(&self.cpu_seconds, change * per_work),
+            cpu_seconds: moved(&self.cpu_seconds, change * self.seconds_per_work),
             error: ImageError {
-                p05: scaled(spread.p05),
-                p50: scaled(spread.p50),
-                p80: scaled(spread.p80),
-                p95: scaled(spread.p95),
+                p05: scaled(self.spread.p05),
+                p50: scaled(self.spread.p50),
+                p80: scaled(self.spread.p80),
+                p95: scaled(self.spread.p95),
             },
-            profiling_work: pilot.overhead.work,
-            profiling_cpu_seconds: seconds(pilot.overhead.cpu_nanos),
-        };
-        Ok((samples_of_pixels, allotted))
+            profiling_work: self.pilot.overhead.work,
+            profiling_cpu_seconds: seconds(self.pilot.overhead.cpu_nanos),
+            within: None,
+        }
     }
 }
 
@@ -198,19 +304,6 @@ fn zones(pilot: &Pilot, image: &ImageNoise, groups: &[NoiseGroup]) -> Result<Vec
         Zone::new(pixels, &samples, pilot.settings.spp, of_image)
     };
     groups.iter().map(zone).collect()
-}
-
-/// The samples of each group of strata, pixel by pixel.
-fn laid_out(pilot: &Pilot, groups: &[NoiseGroup], samples: &[f64]) -> Result<SampleCounts, RenderError> {
-    let mut counts = vec![1u16; pilot.settings.pixels() as usize];
-    for (group, &samples) in groups.iter().zip(samples) {
-        let pixels = pilot.zones.pixels_of(&group.strata);
-        for (&pixel, n) in pixels.iter().zip(whole(samples, pixels.len())) {
-            // At most as many as that type holds.
-            counts[pixel as usize] = n.min(MOST_SAMPLES as u32) as u16;
-        }
-    }
-    Ok(SampleCounts::new(counts)?)
 }
 
 /// 1 for nothing of nothing.

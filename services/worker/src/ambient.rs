@@ -13,8 +13,8 @@ use forelight_protocol::{
 };
 use forelight_scene::{Frame, Geometry, Limits, Scene};
 use forelight_tracer::{
-    Cache, CacheSettings, CacheTotals, Effects, MaterialOverride, Pixel, PixelsFinished, Profile, RecordCost,
-    SampleCounts, Settings, Shared, Tracer, thread_cpu_nanos, tracer_version,
+    Cache, CacheSettings, CacheTotals, Effects, MaterialOverride, Passes, Pixel, PixelsFinished, Profile,
+    RecordCost, SampleCounts, Settings, Shared, Totals, Tracer, thread_cpu_nanos, tracer_version,
 };
 use rayon::prelude::*;
 use std::path::Path;
@@ -329,6 +329,12 @@ struct AmbientFrame<'a> {
 }
 
 impl AmbientFrame<'_> {
+    /// What the irradiance cache came to, if there is one.
+    fn cache_use(&self, taken_over: CacheTotals) -> Option<CacheUse> {
+        let shared = || lock(&self.shared).clone();
+        self.tracer.cache().map(|cache| CacheUse { all: cache.totals(), taken_over, shared: shared() })
+    }
+
     /// Finished pixels on the current thread, with what their camera samples say.
     fn traced(&self, pixels: &[u32]) -> Vec<(Pixel, PixelNoise)> {
         let mut samples = vec![PixelSamples::default(); pixels.len()];
@@ -415,6 +421,24 @@ impl FrameRenderer for AmbientFrame<'_> {
         Ok(self.tracer.allot(samples)?)
     }
 
+    fn begin(&self) -> Passes {
+        Passes::new(&self.tracer)
+    }
+
+    fn go_on(
+        &self,
+        passes: &mut Passes,
+        wanted: &SampleCounts,
+        stop: &(dyn Fn() -> bool + Sync),
+        progress: &(dyn Fn() + Sync),
+    ) -> Result<Totals, RenderError> {
+        Ok(passes.go_on(&self.tracer, wanted, stop, &|_| progress())?)
+    }
+
+    fn finished(&self, passes: &Passes) -> Finished {
+        Finished { image: passes.image(), cache: self.cache_use(CacheTotals::default()) }
+    }
+
     fn trace_runs(&self, runs: &[Vec<u32>]) -> Vec<Vec<(Pixel, PixelNoise)>> {
         self.tracer.plan();
         runs.par_iter().map(|run| self.traced(run)).collect()
@@ -473,12 +497,7 @@ impl FrameRenderer for AmbientFrame<'_> {
         }
         let traced = |done| progress(Progress { step: Step::Tracing, done, all: pixels as u64 });
         let image = self.tracer.render_watched(reuse, &traced, finished, cancel);
-        let cache = self.tracer.cache().map(|cache| CacheUse {
-            all: cache.totals(),
-            taken_over,
-            shared: lock(&self.shared).clone(),
-        });
-        Ok(image.map(|image| Finished { image, cache }))
+        Ok(image.map(|image| Finished { image, cache: self.cache_use(taken_over) }))
     }
 }
 

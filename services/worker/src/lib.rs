@@ -44,10 +44,11 @@ mod shot_cache;
 mod tasks;
 mod transport;
 mod warm_clock;
+mod within;
 
 pub use accuracy::{AccuracyObserver, AccuracyOptions, MeasureOptions, measure, predict};
 pub use agent::{Agent, AgentError, Errand};
-pub use allot::{Aim, AllotError, AllotOptions, render_allotted};
+pub use allot::{Aim, AllotError, AllotOptions, Allotted, render_allotted, render_as_allotted};
 pub use ambient::{Adapter, Ambient, AmbientShot, tracer_settings};
 pub use backoff::Backoff;
 pub use calibrate::{MEASURING_TIME, REFERENCE_RATE, node_speed};
@@ -70,3 +71,4 @@ pub use shot::{
 };
 pub use tasks::{TaskRunner, preview_result, profile_result};
 pub use transport::{ClientError, Token};
+pub use within::{Budget, Stopwatch};

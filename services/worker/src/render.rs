@@ -61,8 +61,18 @@ pub fn render_ready(
 ) -> Result<Option<Rendered>, RenderError> {
     let start = Instant::now();
     let Some(finished) = ready.render(reuse, progress, pixels, cancel)? else { return Ok(None) };
-    let stats = stats(ready, &finished, settings, start.elapsed().as_secs_f64());
-    Ok(Some(Rendered { stats, image: finished.image, frame: ready.frame().clone() }))
+    Ok(Some(rendered(ready, finished, settings, start.elapsed().as_secs_f64())))
+}
+
+/// A finished frame with what it took.
+pub(crate) fn rendered(
+    ready: &dyn FrameRenderer,
+    finished: Finished,
+    settings: &RenderSettings,
+    wall_seconds: f64,
+) -> Rendered {
+    let stats = stats(ready, &finished, settings, wall_seconds);
+    Rendered { stats, image: finished.image, frame: ready.frame().clone() }
 }
 
 fn stats(

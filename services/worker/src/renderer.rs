@@ -11,8 +11,8 @@ use forelight_protocol::{
 };
 use forelight_scene::{Frame, MaterialClass, SceneError};
 use forelight_tracer::{
-    Cache, CacheError, CacheTotals, Image, Pixel, PixelsFinished, Profile, ProfileError, RecordCost,
-    SampleCounts, SampleCountsError, SettingsError, Shared,
+    Cache, CacheError, CacheTotals, Image, Passes, Pixel, PixelsFinished, Profile, ProfileError, RecordCost,
+    SampleCounts, SampleCountsError, SettingsError, Shared, Totals,
 };
 use std::path::Path;
 use std::sync::Arc;
@@ -227,7 +227,23 @@ pub trait FrameRenderer: Send + Sync {
     /// Gives every pixel a number of camera samples of its own; once.
     fn allot(&self, samples: SampleCounts) -> Result<(), RenderError>;
 
-    /// The same for runs of pixels: those of a run are traced one after the other by one thread, as a tile's are in a render.
+    /// An image that is made in passes, with no sample yet.
+    fn begin(&self) -> Passes;
+
+    /// Brings its pixels to these numbers of camera samples, on the current thread pool, and says what that took; the irradiance cache has to be filled. Before
+    /// each pixel `stop` is asked whether to leave the others as they are; `progress` is called now and then.
+    fn go_on(
+        &self,
+        passes: &mut Passes,
+        wanted: &SampleCounts,
+        stop: &(dyn Fn() -> bool + Sync),
+        progress: &(dyn Fn() + Sync),
+    ) -> Result<Totals, RenderError>;
+
+    /// The image, as far as it has come.
+    fn finished(&self, passes: &Passes) -> Finished;
+
+    /// The same as [`FrameRenderer::trace`] for runs of pixels: those of a run are traced one after the other by one thread, as a tile's are in a render.
     fn trace_runs(&self, runs: &[Vec<u32>]) -> Vec<Vec<(Pixel, PixelNoise)>>;
 
     /// What gathering records of the irradiance cache takes: of `each` of every level, chosen by `seed` so that all have the same

@@ -1,31 +1,64 @@
 //! `forelight render --within` and `--error`: the camera samples follow from what the frame is to come to.
 
+use crate::atomic_file::write_bytes;
 use crate::failure::BadInput;
 use crate::interrupt::Interrupt;
 use crate::options::ConfidenceLevel;
-use crate::quantities::{count, seconds};
-use anyhow::Result;
-use forelight_protocol::AllottedStats;
-use forelight_worker::{AccuracyObserver, Aim, AllotOptions};
+use crate::quantities::{count, money, parse_duration, parse_money, seconds};
+use anyhow::{Context, Result};
+use clap::ValueEnum;
+use forelight_protocol::{AllottedStats, BudgetClock, Money, WithinStats};
+use forelight_scene::Frame;
+use forelight_tracer::{Image, SampleCounts};
+use forelight_worker::{AccuracyObserver, Aim, AllotError, AllotOptions, Budget, ShotError, Stopwatch};
+use image::{DynamicImage, ImageBuffer, ImageFormat, ImageReader, Luma};
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
+use std::time::Instant;
 
 /// What a frame is to come to, in place of a number of camera samples.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Camera samples by what they come to")]
 pub struct AllotArgs {
-    /// Make the best image that takes this many CPU seconds of all threads, finding out how included: in place of --spp, every object
-    /// and the edges of lights get as many camera samples as pay there
-    #[arg(long, value_name = "SECONDS", conflicts_with_all = ["spp", "error", "profile"], value_parser = positive)]
+    /// Make the best image for this time: seconds, or 5m, 1h30m. In place of --spp, every object and the edges of lights get as many camera
+    /// samples as pay there. All that you wait for counts: loading, preview, profile, cache and writing. The render looks at its clock as it goes, and
+    /// holds to the time
+    #[arg(long, value_name = "TIME", conflicts_with_all = ["spp", "error", "within_money", "profile"], value_parser = time)]
     within: Option<f64>,
+    /// The same for an amount of money, at --price an hour of wall time
+    #[arg(long, value_name = "AMOUNT", requires = "price", conflicts_with_all = ["spp", "error", "profile", "clock"], value_parser = parse_money)]
+    within_money: Option<i64>,
+    /// What an hour of this machine costs
+    #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
+    price: Option<i64>,
+    /// Which seconds --within counts
+    #[arg(long, value_name = "CLOCK", default_value = "wall", requires = "within")]
+    clock: ClockName,
     /// Make the cheapest image whose noise is at most this share of its mean, in percent (root mean square over the pixels)
     #[arg(long, value_name = "PERCENT", conflicts_with_all = ["spp", "profile"], value_parser = positive)]
     error: Option<f64>,
-    /// How sure the seconds or the error are to be kept
+    /// How sure an error is to be kept; of a time, how sure the least image must fit for the render to begin
     #[arg(long, value_name = "QUANTILE", default_value = "p80")]
     confidence: ConfidenceLevel,
     /// Pixels to profile for it
     #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
     samples: u32,
+    /// Write how many camera samples each pixel got, as a grey PNG of 16 bits
+    #[arg(long, value_name = "FILE.png")]
+    samples_map: Option<PathBuf>,
+    /// Give every pixel as many camera samples as such a file says: the same image again, bit by bit, whatever the clock
+    #[arg(long, value_name = "FILE.png", conflicts_with_all = ["spp", "within", "within_money", "error", "profile"])]
+    samples_from: Option<PathBuf>,
+}
+
+/// Which seconds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum ClockName {
+    /// Those that you wait, from start to end.
+    Wall,
+    /// CPU time of all threads.
+    Cpu,
 }
 
 /// A number above 0.
@@ -36,15 +69,114 @@ pub fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
+/// Seconds of `2.5`, `90s` or `1h30m`.
+fn time(text: &str) -> Result<f64, String> {
+    positive(text).or_else(|_| parse_duration(text).map(|duration| duration.as_secs_f64()))
+}
+
+/// What was asked for, with clocks that are running.
+pub struct Wish<'a> {
+    args: &'a AllotArgs,
+    started: Instant,
+}
+
 impl AllotArgs {
-    /// What was asked for, if anything was.
-    pub fn options(&self) -> Option<AllotOptions> {
-        let aim = match (self.within, self.error) {
-            (Some(seconds), _) => Aim::CpuSeconds(seconds),
-            (None, Some(percent)) => Aim::Error(percent / 100.0),
-            (None, None) => return None,
+    /// Counts wall time from `started` on.
+    pub fn wish(&self, started: Instant) -> Wish<'_> {
+        Wish { args: self, started }
+    }
+
+    /// The samples of each pixel, if they were given, for an image of this size.
+    pub fn given_samples(&self, (width, height): (u32, u32)) -> Result<Option<SampleCounts>> {
+        let Some(path) = &self.samples_from else { return Ok(None) };
+        read_samples(path, width, height).map(Some).with_context(|| format!("--samples-from {}", path.display()))
+    }
+
+    /// Writes the samples of each pixel, if that is wanted.
+    pub fn write_samples(&self, samples: &SampleCounts, (width, height): (u32, u32)) -> Result<()> {
+        let Some(path) = &self.samples_map else { return Ok(()) };
+        let pixels = ImageBuffer::<Luma<u16>, _>::from_raw(width, height, samples.as_slice().to_vec());
+        let pixels = pixels.context("there are not as many camera samples as pixels")?;
+        let mut bytes = Vec::new();
+        pixels.write_to(&mut Cursor::new(&mut bytes), ImageFormat::Png)?;
+        write_bytes(path, &bytes)
+    }
+
+    /// Whether samples that differ by pixel are wanted in a file; equally many everywhere are not worth one.
+    pub fn check_map(&self) -> Result<()> {
+        let allots = self.within.is_some()
+            || self.within_money.is_some()
+            || self.error.is_some()
+            || self.samples_from.is_some();
+        if self.samples_map.is_some() && !allots {
+            return Err(BadInput::new(
+                "--samples-map: without --within, --within-money or --error all pixels get --spp samples",
+            )
+            .into());
+        }
+        Ok(())
+    }
+}
+
+impl Wish<'_> {
+    /// How samples are to be allotted, if they are; `rehearse` writes an image for seeing how long that takes.
+    pub fn options<'a>(
+        &self,
+        rehearse: &'a (dyn Fn(&Image, &Frame) + Sync),
+    ) -> Result<Option<AllotOptions<'a>>> {
+        let clock = match self.args.clock {
+            ClockName::Wall => Stopwatch::Wall(self.started),
+            ClockName::Cpu => Stopwatch::Cpu(0),
         };
-        Some(AllotOptions { aim, confidence: self.confidence.into(), samples: self.samples, seed: 0 })
+        let within = |seconds: f64| Aim::Within(Budget { seconds, clock, rehearse });
+        let aim = match (self.args.within, self.args.within_money, self.args.error) {
+            (Some(seconds), ..) => within(seconds),
+            (_, Some(amount), _) => within(self.affordable(amount)?),
+            (.., Some(percent)) => Aim::Error(percent / 100.0),
+            _ => return Ok(None),
+        };
+        let AllotArgs { confidence, samples, .. } = *self.args;
+        Ok(Some(AllotOptions { aim, confidence: confidence.into(), samples, seed: 0 }))
+    }
+
+    /// Seconds that an amount of money buys.
+    fn affordable(&self, amount: i64) -> Result<f64> {
+        match self.args.price {
+            Some(price) if price > 0 && amount > 0 => Ok(3600.0 * amount as f64 / price as f64),
+            _ => Err(BadInput::new("--within-money: amount and --price must be more than nothing").into()),
+        }
+    }
+
+    /// Now that everything is written: what it took in the end.
+    pub fn settle(&self, within: &mut WithinStats) {
+        let clock = match within.clock {
+            BudgetClock::Wall => Stopwatch::Wall(self.started),
+            BudgetClock::Cpu => Stopwatch::Cpu(0),
+        };
+        within.spent_seconds = clock.elapsed();
+        let micros = (self.started.elapsed().as_secs_f64() * 1e6).ceil() as i64;
+        within.cost = self.args.price.map(|price| Money(price).for_micros_at_hourly_rate(micros));
+    }
+}
+
+fn read_samples(path: &Path, width: u32, height: u32) -> Result<SampleCounts> {
+    let wrong = |reason: String| anyhow::Error::from(BadInput::new(reason));
+    let reader = ImageReader::open(path).map_err(|e| wrong(e.to_string()))?;
+    let reader = reader.with_guessed_format().map_err(|e| wrong(e.to_string()))?;
+    let found = reader.into_dimensions().map_err(|e| wrong(e.to_string()))?;
+    if found != (width, height) {
+        return Err(wrong(format!(
+            "it is for {} x {} pixels and the image has {width} x {height}: give --width and --height as they were",
+            found.0, found.1
+        )));
+    }
+    let reader = ImageReader::open(path).map_err(|e| wrong(e.to_string()))?;
+    let reader = reader.with_guessed_format().map_err(|e| wrong(e.to_string()))?;
+    match reader.decode().map_err(|e| wrong(e.to_string()))? {
+        DynamicImage::ImageLuma16(pixels) => {
+            SampleCounts::new(pixels.into_raw()).map_err(|e| wrong(e.to_string()))
+        }
+        _ => Err(wrong("not a grey PNG of 16 bits, as --samples-map writes it".into())),
     }
 }
 
@@ -60,12 +192,12 @@ impl AccuracyObserver for Stopping<'_> {
 }
 
 /// A time too short is the user's to mend.
-pub fn failure(error: forelight_worker::AllotError) -> anyhow::Error {
+pub fn failure(error: AllotError) -> anyhow::Error {
     match error {
-        forelight_worker::AllotError::TooLittle { .. } => {
+        AllotError::TooLittle { .. } => {
             BadInput::new(format!("--within: {error}; give it more, or ask for a smaller image")).into()
         }
-        forelight_worker::AllotError::Shot(forelight_worker::ShotError::Render(error)) => error.into(),
+        AllotError::Shot(ShotError::Render(error)) => error.into(),
         error => error.into(),
     }
 }
@@ -73,7 +205,7 @@ pub fn failure(error: forelight_worker::AllotError) -> anyhow::Error {
 /// Lines of the report.
 pub fn report(allotted: &AllottedStats) -> String {
     let AllottedStats { least, most, mean, work, cpu_seconds, error, .. } = allotted;
-    format!(
+    let mut text = format!(
         "allotted    {least} to {most} camera samples per pixel, {mean:.1} on average\n\
          forecast    {} operations, {} CPU time (at 95 % {}), noise {:.2} % of the mean (at 95 % {:.2} %)\n\
          profiled    {} of CPU time to find that out\n",
@@ -83,5 +215,53 @@ pub fn report(allotted: &AllottedStats) -> String {
         100.0 * error.p50,
         100.0 * error.p95,
         seconds(allotted.profiling_cpu_seconds),
-    )
+    );
+    if let Some(within) = &allotted.within {
+        let WithinStats { clock, given_seconds, spent_seconds, passes, cost } = within;
+        let clock = match clock {
+            BudgetClock::Wall => "wall",
+            BudgetClock::Cpu => "CPU",
+        };
+        text += &format!(
+            "time        {} of {} {clock} time used ({:.1} %), in {passes} passes",
+            seconds(*spent_seconds),
+            seconds(*given_seconds),
+            100.0 * spent_seconds / given_seconds,
+        );
+        text += &cost.map_or_else(String::new, |cost| format!("; {} of money", money(cost.0)));
+        text += "\n";
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::options::parsed;
+
+    #[test]
+    fn a_time_is_seconds_or_a_duration_and_money_buys_hours() {
+        assert_eq!([time("2.5"), time("90s"), time("1h30m")], [Ok(2.5), Ok(90.0), Ok(5400.0)]);
+        assert!(time("0").is_err() && time("-3").is_err() && time("soon").is_err());
+        let args: AllotArgs = parsed(["x", "--within-money", "0.25", "--price", "1.80"]);
+        assert_eq!(args.wish(Instant::now()).affordable(250_000).unwrap(), 500.0);
+        let free: AllotArgs = parsed(["x", "--within-money", "0.25", "--price", "0"]);
+        assert!(free.wish(Instant::now()).options(&|_, _| ()).is_err());
+    }
+
+    #[test]
+    fn a_map_of_samples_reads_back_and_only_for_its_size() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("samples.png");
+        let text = path.to_str().unwrap();
+        let counts = SampleCounts::new((1..=12).map(|i| i * 5000).collect()).unwrap();
+        let args: AllotArgs = parsed(["x", "--error", "2", "--samples-map", text]);
+        args.write_samples(&counts, (4, 3)).unwrap();
+        let args: AllotArgs = parsed(["x", "--samples-from", text]);
+        assert_eq!(args.given_samples((4, 3)).unwrap(), Some(counts));
+        let error = format!("{:#}", args.given_samples((3, 4)).unwrap_err());
+        assert!(error.contains("4 x 3") && error.contains("--samples-from"), "{error}");
+        std::fs::write(&path, "no picture").unwrap();
+        assert!(args.given_samples((4, 3)).is_err());
+    }
 }

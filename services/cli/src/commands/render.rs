@@ -13,10 +13,12 @@ use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use forelight_protocol::{CacheMode, LeftOut, Rays, RenderStats};
-use forelight_tracer::Profile;
-use forelight_worker::{Given, RenderError, Rendered, png, render_allotted, render_frame};
+use forelight_scene::Frame;
+use forelight_tracer::{Image, Profile};
+use forelight_worker::{Given, RenderError, png, render_allotted, render_as_allotted, render_frame};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 /// Render one frame, and say what it took
 #[derive(Debug, clap::Args)]
@@ -28,7 +30,9 @@ Examples:
   forelight render kitchen/ --cache on --cache-accuracy 0.1 --out smooth.png
   forelight render kitchen/ --frame 12 --cache-file shot.cache --out 12.exr
   forelight render kitchen/ --integrator path --spp 256 --out caustics.png
-  forelight render kitchen/ --cache on --within 60 --out minute.png
+  forelight render kitchen/ --cache on --within 60 --out minute.png --samples-map minute-samples.png
+  forelight render kitchen/ --cache on --samples-from minute-samples.png --out again.png
+  forelight render kitchen/ --cache on --within-money 0.25 --price 1.80 --out quarter.exr
   forelight render kitchen/ --cache on --error 2 --confidence p95 --out clean.exr
 
 The image has the same bits whatever the threads, and whether or not a profile was taken over. An .exr holds \
@@ -86,7 +90,9 @@ enum Format {
 
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
-    let format = args.out.as_deref().map(format_of).transpose()?;
+    let wish = args.allot.wish(Instant::now());
+    args.allot.check_map()?;
+    let files = Files::new(args)?;
     let profile = args.profile.as_deref().map(read_profile).transpose()?;
     let cache = args.cache_file.as_deref().map(read_cache).transpose()?;
     let bars = Bars::new(args.json);
@@ -100,29 +106,42 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     }
     let bar = RenderBar::new(&bars);
     let progress = |progress| bar.show(progress);
+    let size = (settings.width, settings.height);
+    let samples = args.allot.given_samples(size)?;
+    // What cannot be written is said when the image is.
+    let rehearse = |image: &Image, frame: &Frame| drop(files.rehearse(image, frame));
+    let options = wish.options(&rehearse)?;
     let rendered = local
         .pool
         .install(|| {
             let given = Given { profile: profile.as_ref(), cache };
-            match args.allot.options() {
-                None => {
-                    Ok(render_frame(&local.shot, args.frame, &settings, given, &progress, interrupt.flag())?)
+            let (shot, frame, stopping) = (&local.shot, args.frame, Stopping(interrupt));
+            match (&samples, &options) {
+                (Some(samples), _) => {
+                    let again =
+                        render_as_allotted(shot, frame, &settings, given, samples, &progress, &stopping);
+                    Ok(again?.map(|allotted| (allotted.rendered, Some(allotted.samples))))
                 }
-                Some(options) => {
-                    let stopping = Stopping(interrupt);
-                    render_allotted(&local.shot, args.frame, &settings, given, &options, &progress, &stopping)
-                        .map_err(allot::failure)
+                (None, Some(options)) => {
+                    let made = render_allotted(shot, frame, &settings, given, options, &progress, &stopping);
+                    let made = made.map_err(allot::failure)?;
+                    Ok(made.map(|allotted| (allotted.rendered, Some(allotted.samples))))
+                }
+                (None, None) => {
+                    let made = render_frame(shot, frame, &settings, given, &progress, interrupt.flag())?;
+                    anyhow::Ok(made.map(|rendered| (rendered, None)))
                 }
             }
         })
         .with_context(|| format!("bundle {}", args.bundle.display()))?;
     drop(bar);
-    let rendered = rendered.ok_or(Interrupted)?;
-    if let (Some(path), Some(format)) = (&args.out, format) {
-        write_image(&rendered, path, format)?;
+    let (mut rendered, samples) = rendered.ok_or(Interrupted)?;
+    files.write(&rendered.image, &rendered.frame)?;
+    if let Some(samples) = &samples {
+        args.allot.write_samples(samples, size)?;
     }
-    if let Some(path) = &args.cost_map {
-        write_bytes(path, &png(&rendered.image.cost_map())?)?;
+    if let Some(within) = rendered.stats.allotted.as_mut().and_then(|allotted| allotted.within.as_mut()) {
+        wish.settle(within);
     }
     if let Some(path) = &args.stats {
         write_bytes(path, (output::pretty(&rendered.stats)? + "\n").as_bytes())?;
@@ -147,12 +166,40 @@ fn read_profile(path: &Path) -> Result<Profile> {
         .with_context(|| format!("--profile {}", path.display()))
 }
 
-fn write_image(rendered: &Rendered, path: &Path, format: Format) -> Result<()> {
-    match format {
-        Format::Exr => {
-            write_with(path, |temporary| Ok(rendered.image.write_exr(temporary, &rendered.frame)?))
+/// The files that an image is written to.
+struct Files<'a> {
+    image: Option<(&'a Path, Format)>,
+    cost_map: Option<&'a Path>,
+}
+
+impl<'a> Files<'a> {
+    fn new(args: &'a Args) -> Result<Self> {
+        let format = args.out.as_deref().map(format_of).transpose()?;
+        Ok(Self { image: args.out.as_deref().zip(format), cost_map: args.cost_map.as_deref() })
+    }
+
+    fn write(&self, image: &Image, frame: &Frame) -> Result<()> {
+        if let Some((path, format)) = self.image {
+            write_image(image, frame, path, format)?;
         }
-        Format::Png => write_bytes(path, &png(&rendered.image.picture())?),
+        self.cost_map.map_or(Ok(()), |path| write_bytes(path, &png(&image.cost_map())?))
+    }
+
+    /// Writes the same files beside the real ones, and removes them.
+    fn rehearse(&self, image: &Image, frame: &Frame) -> Result<()> {
+        let Some(first) = self.image.map(|(path, _)| path).or(self.cost_map) else { return Ok(()) };
+        let beside = first.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let folder = tempfile::tempdir_in(beside.unwrap_or(Path::new(".")))?;
+        let (out, cost_map) = (folder.path().join("image"), folder.path().join("cost-map"));
+        let image_there = self.image.map(|(_, format)| (&*out, format));
+        Files { image: image_there, cost_map: self.cost_map.map(|_| &*cost_map) }.write(image, frame)
+    }
+}
+
+fn write_image(image: &Image, frame: &Frame, path: &Path, format: Format) -> Result<()> {
+    match format {
+        Format::Exr => write_with(path, |temporary| Ok(image.write_exr(temporary, frame)?)),
+        Format::Png => write_bytes(path, &png(&image.picture())?),
     }
 }
 

@@ -128,12 +128,30 @@ pub fn mean_variance(zones: &[Zone], samples: &[f64]) -> f64 {
     sum(zones.iter().zip(samples).map(|(zone, n)| zone.error(*n))) / pixels.max(1.0)
 }
 
-/// Whole numbers of samples for the pixels of a zone, in their order: each the one below or above `samples`, evenly mixed.
+/// Whole numbers of samples for the pixels of a zone, in their order: each the one below or above `samples`, evenly mixed. With more
+/// samples no pixel gets fewer.
 pub fn whole(samples: f64, pixels: usize) -> impl Iterator<Item = u32> {
-    let (least, share) = (libm::floor(samples), samples - libm::floor(samples));
-    // The fraction adds up; whenever it passes a whole number, a pixel gets one more. From the middle, so that single pixels are rounded.
-    let passed = move |i: usize| libm::floor(share * i as f64 + 0.5);
-    (0..pixels).map(move |i| (least + passed(i + 1) - passed(i)) as u32)
+    let step = coprime_to(pixels);
+    // Every pixel has a threshold of its own, which the fraction passes or not; all are as far apart as can be, and those of neighbours
+    // about as far as the golden section.
+    (0..pixels).map(move |i| {
+        let threshold = (((i as u128 * step as u128) % pixels as u128) as f64 + 0.5) / pixels as f64;
+        libm::floor(samples + threshold) as u32
+    })
+}
+
+/// The first number from the golden section of `count` on that shares no divisor with it.
+fn coprime_to(count: usize) -> usize {
+    const GOLDEN: f64 = 0.618_033_988_749_894_9;
+    let share_no_divisor = |&step: &usize| {
+        let (mut a, mut b) = (count, step);
+        while b > 0 {
+            (a, b) = (b, a % b);
+        }
+        a == 1
+    };
+    let first = libm::round(GOLDEN * count as f64) as usize;
+    (first.max(1)..).find(share_no_divisor).unwrap_or(1)
 }
 
 #[cfg(test)]
@@ -193,6 +211,24 @@ mod tests {
             let mean = f64::from(all.iter().sum::<u32>()) / pixels as f64;
             assert!((mean - samples).abs() <= 0.5 / pixels as f64 + 1e-9, "{samples}: {mean}");
             assert!(all.iter().all(|&n| f64::from(n) >= samples.floor() && f64::from(n) <= samples.ceil()));
+        }
+        assert_eq!(whole(1.5, 0).count(), 0);
+    }
+
+    #[test]
+    fn with_more_samples_no_pixel_gets_fewer_and_every_stretch_of_pixels_its_share() {
+        for pixels in [1, 2, 6, 97, 1000] {
+            let mut before = vec![0; pixels];
+            for step in 0..50 {
+                let now: Vec<u32> = whole(1.0 + 0.07 * f64::from(step), pixels).collect();
+                assert!(before.iter().zip(&now).all(|(before, now)| before <= now), "{pixels}");
+                before = now;
+            }
+        }
+        let all: Vec<u32> = whole(2.25, 1000).collect();
+        for stretch in all.chunks(50) {
+            let mean = f64::from(stretch.iter().sum::<u32>()) / 50.0;
+            assert!((mean - 2.25).abs() < 0.05, "{stretch:?}");
         }
     }
 }

@@ -1,0 +1,175 @@
+//! An image in passes: every pixel goes on from the sample at which the pass before left it.
+//!
+//! Nothing of a pass is traced again in the next one, and nothing depends on where one pass ends and the next begins: a pixel's samples are
+//! added up in f64 in the order of their indices, and its random sequences go on where they were. So a pixel that got 3 samples, and 5 later on,
+//! has the bits of one that got 8 at once. What has to be kept for that is small: how far each random sequence that the pixel uses was
+//! drawn, 8 bytes for each, which comes to about a hundred bytes a pixel of the `ambient` integrator and several hundred of `path`.
+
+use crate::image::{Image, Totals};
+use crate::random::Drawn;
+use crate::samples::{SampleCounts, SampleCountsError};
+use crate::tracer::{Pixel, TILE, Tracer, share_cpu_time};
+use glam::DVec3;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// A pixel that can be given more samples.
+#[derive(Debug, Clone)]
+pub(crate) struct Underway {
+    /// How far its random sequences are drawn.
+    pub drawn: Drawn,
+    /// Radiance of its samples, added up in their order.
+    pub sum: DVec3,
+    pub samples: u32,
+    /// What its samples took; the colour is not known before [`Self::finished`].
+    pub pixel: Pixel,
+}
+
+impl Default for Underway {
+    fn default() -> Self {
+        let pixel = Pixel {
+            color: [0.0; 3],
+            rays: [0; 7],
+            work: 0,
+            cpu_nanos: 0,
+            uncovered: 0,
+            stratum: Pixel::NOTHING,
+        };
+        Self { drawn: Drawn::default(), sum: DVec3::ZERO, samples: 0, pixel }
+    }
+}
+
+impl Underway {
+    /// The pixel with the samples that it has; of none it is black.
+    pub fn finished(&self) -> Pixel {
+        let color = (self.sum / f64::from(self.samples.max(1))).as_vec3().to_array();
+        Pixel { color, ..self.pixel }
+    }
+}
+
+/// All pixels of an image, underway. They belong to the tracer that they are begun with, whose cache has to be filled.
+#[derive(Debug)]
+pub struct Passes {
+    width: u32,
+    height: u32,
+    tiles: Vec<Tile>,
+}
+
+/// Pixels that one thread works off one after the other.
+#[derive(Debug)]
+struct Tile {
+    indices: Vec<u32>,
+    pixels: Vec<Underway>,
+}
+
+impl Passes {
+    /// No sample of any pixel.
+    pub fn new(tracer: &Tracer) -> Self {
+        let (width, height) = (tracer.settings().width, tracer.settings().height);
+        let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
+        let tile = |number: u32| {
+            let (x0, y0) = (number % columns * TILE, number / columns * TILE);
+            let indices: Vec<u32> = (y0..(y0 + TILE).min(height))
+                .flat_map(|y| (x0..(x0 + TILE).min(width)).map(move |x| y * width + x))
+                .collect();
+            Tile { pixels: vec![Underway::default(); indices.len()], indices }
+        };
+        // Scattered, so that what a pass does not come to any more lies all over the image.
+        let tiles = scattered(columns * rows).map(tile).collect();
+        Self { width, height, tiles }
+    }
+
+    /// Brings every pixel to the number of samples that `wanted` has for it, on the current thread pool, and says what that took. Pixels that have as many keep theirs.
+    /// Before each pixel `stop` is asked whether to leave it, and all others, as they are. `progress` is told the pixels done.
+    ///
+    /// # Errors
+    /// If the numbers are not those of this image's pixels.
+    pub fn go_on(
+        &mut self,
+        tracer: &Tracer,
+        wanted: &SampleCounts,
+        stop: &(dyn Fn() -> bool + Sync),
+        progress: &(dyn Fn(u64) + Sync),
+    ) -> Result<Totals, SampleCountsError> {
+        let wanted = wanted.for_pixels((self.width * self.height) as usize)?;
+        tracer.plan();
+        let done = AtomicU64::new(0);
+        let before = self.totals();
+        self.tiles.par_iter_mut().for_each(|tile| {
+            share_cpu_time(|| {
+                let mut traced = Vec::new();
+                for (&index, pixel) in tile.indices.iter().zip(&mut tile.pixels) {
+                    let samples = u32::from(wanted[index as usize]);
+                    if samples <= pixel.samples {
+                        continue;
+                    }
+                    if stop() {
+                        break;
+                    }
+                    let nanos = pixel.pixel.cpu_nanos;
+                    tracer.kernel.go_on(tracer, index, pixel, samples, &mut |_| ());
+                    traced.push((nanos, &mut pixel.pixel.cpu_nanos));
+                }
+                traced
+            });
+            let pixels = tile.indices.len() as u64;
+            progress(done.fetch_add(pixels, Ordering::Relaxed) + pixels);
+        });
+        Ok(self.totals().minus(&before))
+    }
+
+    /// Samples that each pixel has got.
+    ///
+    /// # Errors
+    /// If one of them has none.
+    pub fn counts(&self) -> Result<SampleCounts, SampleCountsError> {
+        let mut counts = vec![0; (self.width * self.height) as usize];
+        for (index, pixel) in self.pixels() {
+            // No more were ever wanted than this type holds.
+            counts[index as usize] = pixel.samples as u16;
+        }
+        SampleCounts::new(counts)
+    }
+
+    /// What all passes took.
+    pub fn totals(&self) -> Totals {
+        let pixels: Vec<Pixel> = self.pixels().map(|(_, underway)| underway.pixel).collect();
+        Totals::of(pixels.iter())
+    }
+
+    /// The image, as far as it has come.
+    pub fn image(&self) -> Image {
+        let mut pixels = vec![Underway::default().pixel; (self.width * self.height) as usize];
+        for (index, underway) in self.pixels() {
+            pixels[index as usize] = underway.finished();
+        }
+        Image { width: self.width, height: self.height, reused: vec![false; pixels.len()], pixels }
+    }
+
+    fn pixels(&self) -> impl Iterator<Item = (u32, &Underway)> {
+        self.tiles.iter().flat_map(|tile| tile.indices.iter().copied().zip(&tile.pixels))
+    }
+}
+
+/// The numbers below `count`, each once, neighbours far apart: by their reversed bits.
+fn scattered(count: u32) -> impl Iterator<Item = u32> {
+    let bits = count.next_power_of_two().trailing_zeros();
+    (0..1u64 << bits)
+        .map(move |i| if bits == 0 { 0 } else { (i as u32).reverse_bits() >> (32 - bits) })
+        .filter(move |&i| i < count)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scattered_numbers_are_all_numbers_once() {
+        for count in [1, 2, 7, 24, 64] {
+            let mut all: Vec<u32> = scattered(count).collect();
+            all.sort_unstable();
+            assert!(all.iter().copied().eq(0..count), "{all:?}");
+        }
+        assert_eq!(scattered(8).collect::<Vec<_>>(), [0, 4, 2, 6, 1, 5, 3, 7]);
+    }
+}
