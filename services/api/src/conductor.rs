@@ -21,6 +21,7 @@ pub(crate) mod book;
 mod choose;
 mod estimate;
 pub(crate) mod explain;
+mod within;
 
 use std::sync::Arc;
 
@@ -118,9 +119,19 @@ impl Conductor {
             Some(kind) => self.store.experience(kind).await?,
             None => Experience::default(),
         };
+        let limit = match &job.within {
+            Some(within) => {
+                let nodes = self.nodes_for_plans(self.clock.now()).await?;
+                Some(within::Limit::new(within, job, book::mean_price(&nodes))?)
+            }
+            None => None,
+        };
         let forecast = compute(move || {
             let corrections = experience.corrections();
-            estimate::calibrated(&preview, &profiles, corrections.as_ref())
+            match limit {
+                None => estimate::calibrated(&preview, &profiles, corrections.as_ref()),
+                Some(limit) => limit.best(&preview, &profiles, corrections.as_ref()),
+            }
         })
         .await?;
         let basis = kind.map(|kind| forecast.basis(kind));

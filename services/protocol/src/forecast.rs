@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{LeftOut, Money};
+use crate::{ByClass, LeftOut, Money};
 
 /// A forecast of one number: its mean and the values that it stays below with probability 50, 80 and 95 %.
 #[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
@@ -208,7 +208,42 @@ pub struct ForecastDoc {
     /// Lights and objects that cannot matter to any of the profiled frames: what is not simulated, and costs nothing.
     #[serde(default)]
     pub left_out: Vec<LeftOut>,
+    /// Camera samples per pixel that were chosen for a time or an amount of money; absent where they were asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub chosen_spp: Option<u32>,
+    /// The work of the profiled frames by class: what it takes on other nodes follows from their calibrations.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub work_by_class: Option<ByClass>,
+    /// CPU seconds of all frames on calibrated nodes of the farm as it was when the quote was made, or on the node that was asked for; of
+    /// twenty nodes at most.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub cpu_seconds_on: Vec<NodeSeconds>,
     /// The total in money, at the mean price of the farm's nodes; absent without nodes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cost: Option<MoneyQuantiles>,
+}
+
+/// What a job takes on one node.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NodeSeconds {
+    /// Name of the node.
+    pub node: String,
+    /// Speed of one of its cores for this work against the reference.
+    pub speed: f64,
+    /// CPU seconds over all threads.
+    pub cpu_seconds: Quantiles,
+}
+
+impl NodeSeconds {
+    /// Nodes of a quote at most.
+    pub const MOST: usize = 20;
+
+    /// Of a node of this speed, for what takes `at_one` on a node of speed 1.
+    pub fn new(node: String, speed: f64, at_one: &Quantiles) -> Self {
+        let Quantiles { mean, p50, p80, p95 } = *at_one;
+        let cpu_seconds =
+            Quantiles { mean: mean / speed, p50: p50 / speed, p80: p80 / speed, p95: p95 / speed };
+        Self { node, speed, cpu_seconds }
+    }
 }

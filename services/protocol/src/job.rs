@@ -37,6 +37,10 @@ pub struct JobRequest {
     #[serde(default = "default_profile_frames")]
     #[schema(default = 5, minimum = 1, maximum = 1000)]
     pub profile_frames: u32,
+    /// Take the most camera samples that fit into this time or money, in place of `settings.spp`, which is then only what is profiled with. Chosen
+    /// when the profiles are there, as sure as `confidence` says; a job into which not even one sample fits fails, and says what would.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub within: Option<Within>,
     /// When all frames have to be there; absent: whenever.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deadline: Option<Timestamp>,
@@ -53,6 +57,34 @@ pub struct JobRequest {
     /// What one of its tasks may use at most.
     #[serde(default, skip_serializing_if = "TaskLimits::are_none")]
     pub limits: TaskLimits,
+}
+
+/// What frames may take. Exactly one of `cpu_micros` and `money`.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Within {
+    /// CPU time over all threads on a node of speed 1, microseconds; above 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(exclusive_minimum = 0)]
+    pub cpu_micros: Option<i64>,
+    /// Money at the mean price of the farm's nodes, micro-units; above 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<Money>)]
+    pub money: Option<Money>,
+    /// What may take so much.
+    #[serde(default)]
+    pub per: Per,
+}
+
+/// What a limit is for.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Per {
+    /// All frames together.
+    #[default]
+    Job,
+    /// Each frame.
+    Frame,
 }
 
 fn default_project() -> String {
@@ -152,6 +184,9 @@ pub struct Job {
     pub samples: u32,
     /// Frames to profile at most.
     pub profile_frames: u32,
+    /// What its frames may take, from which `settings.spp` was or will be chosen.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub within: Option<Within>,
     /// When all frames have to be there.
     pub deadline: Option<Timestamp>,
     /// The most that it may cost.

@@ -14,6 +14,7 @@ mod accuracy;
 mod artifact;
 mod budget;
 mod bundle;
+mod calibration;
 mod dashboard;
 mod event;
 mod explanation;
@@ -47,11 +48,12 @@ pub use budget::{
     NightRecord, NotReady,
 };
 pub use bundle::{Bundle, BundleRef, BundleSource, SceneSummary};
+pub use calibration::{ByClass, KernelTime, NodeCalibration};
 pub use dashboard::{Dashboard, DashboardCounts, DashboardJob, DashboardNode, NodeActivity, TaskCounts};
 pub use event::{Event, EventKind};
 pub use explanation::{Amounts, Explanation, Halving, ObjectShare, PartShare, RayShare, ShownWork};
 pub use forecast::{
-    Confidence, ForecastDoc, ForecastTotals, FrameForecast, MoneyQuantiles, Profiled, Quantiles,
+    Confidence, ForecastDoc, ForecastTotals, FrameForecast, MoneyQuantiles, NodeSeconds, Profiled, Quantiles,
     RayQuantiles, SpentOnForecast,
 };
 pub use frames::{FrameSet, MalformedFrames};
@@ -59,7 +61,7 @@ pub use hash::{ArtifactHash, MalformedHash, SceneDigest};
 pub use ids::{BookingId, BundleId, EventId, JobId, LeaseId, NodeId, PlanId, TaskId};
 pub use job::{
     FrameArtifacts, FrameBooking, FrameFigure, FramePage, FrameRow, FrameState, Job, JobCheck, JobPage,
-    JobRequest, JobState,
+    JobRequest, JobState, Per, Within,
 };
 pub use lease::{
     CHECKPOINT_BYTES, ClaimRequest, FinishedPixels, Lease, LeaseOrder, ReleaseRequest, RenewRequest, Renewal,

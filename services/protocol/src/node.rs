@@ -3,7 +3,7 @@
 use serde::{Deserialize, Deserializer, Serialize};
 use utoipa::ToSchema;
 
-use crate::{ArtifactHash, Money, NodeId, PageToken, TaskId, Timestamp};
+use crate::{ArtifactHash, ByClass, Money, NodeCalibration, NodeId, PageToken, TaskId, Timestamp};
 
 /// A node announces itself. A node of the same name is updated, and keeps its id; its speed and price too, if they were set
 /// by hand.
@@ -47,6 +47,9 @@ pub struct Capabilities {
     /// Whether that adapter is a graphics processor, and no program that does its work.
     #[serde(default)]
     pub gpu: bool,
+    /// How fast one of its cores is, by class of work.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<NodeCalibration>,
 }
 
 /// A machine joins the farm with a one-time token.
@@ -88,6 +91,10 @@ pub struct JoinToken {
 }
 
 fn default_speed() -> f64 {
+    1.0
+}
+
+fn one() -> f64 {
     1.0
 }
 
@@ -155,6 +162,17 @@ impl Node {
     pub fn takes_tasks(&self) -> bool {
         !self.drain && !self.pause && self.set_aside.is_none()
     }
+
+    /// Speed of one of its cores for this work, as its calibration says; `None` if it has none, if its speed was set by hand, which then
+    /// holds, or if the classes of the work are not known.
+    pub fn speed_by_class(&self, work: Option<&ByClass>) -> Option<f64> {
+        self.capabilities.calibration.as_ref().filter(|_| !self.speed_set)?.speed(work?)
+    }
+
+    /// The same, corrected by what frames took on the node.
+    pub fn corrected_speed(&self, work: Option<&ByClass>) -> Option<f64> {
+        Some(self.speed_by_class(work)? / self.time_factor)
+    }
 }
 
 impl NodeState {
@@ -187,6 +205,10 @@ pub struct Node {
     pub price_per_hour: Money,
     /// Whether the price was set by hand.
     pub price_set: bool,
+    /// By what factor frames of jobs that were profiled on other nodes took longer on it than its calibration says, as far as finished frames
+    /// tell.
+    #[serde(default = "one")]
+    pub time_factor: f64,
     /// Cores that its worker uses.
     pub cores: u32,
     /// What else the machine has.

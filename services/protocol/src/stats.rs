@@ -1,6 +1,6 @@
 //! What a frame took.
 
-use crate::{ImageError, Money, Quantiles};
+use crate::{ByClass, ImageError, Money, Quantiles};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -134,6 +134,9 @@ pub struct RenderStats {
     pub cache: Option<CacheStats>,
     /// Deterministic count of operations.
     pub work: u64,
+    /// The same by class, as far as it was traced here: what was taken over is thought to be of the same classes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub work_by_class: Option<ByClass>,
     /// CPU time over all threads, in seconds. On the farm also that of encoding the pictures and of the preview among them.
     pub cpu_seconds: f64,
     /// Seconds that this run took, from start to end.

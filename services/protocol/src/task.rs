@@ -5,7 +5,9 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{ArtifactHash, BundleSource, JobId, LeftOut, RenderSettings, RenderStats, SceneDigest};
+use crate::{
+    ArtifactHash, BundleSource, ByClass, JobId, LeftOut, RenderSettings, RenderStats, SceneDigest,
+};
 
 /// The kinds of tasks.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize, ToSchema)]
@@ -418,6 +420,9 @@ pub struct ProfileResult {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(max_length = 200)]
     pub renderer: Option<String>,
+    /// What the frame's work is thought to be, by class: that of the profiled pixels and records, brought to all of them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub work_by_class: Option<ByClass>,
     /// Costs beside the pixels.
     pub fixed: FixedCosts,
     /// What the whole task took.

@@ -1,8 +1,8 @@
 //! Quotes: choosing to profile, and keeping what was forecast.
 
 use forelight_protocol::{
-    ForecastDoc, ForecastTotals, FrameForecast, JobId, JobState, LeftOut, MoneyQuantiles, Profiled,
-    SpentOnForecast, Timestamp,
+    ByClass, ForecastDoc, ForecastTotals, FrameForecast, JobId, JobState, LeftOut, MoneyQuantiles,
+    NodeSeconds, Profiled, SpentOnForecast, Timestamp,
 };
 use serde::{Deserialize, Serialize};
 
@@ -29,6 +29,15 @@ pub struct JobForecast {
     /// What is left out of all of them.
     #[serde(default)]
     pub left_out: Vec<LeftOut>,
+    /// Camera samples that were chosen for a time or an amount of money: what the job is rendered with.
+    #[serde(default)]
+    pub chosen_spp: Option<u32>,
+    /// The work of the profiled frames by class.
+    #[serde(default)]
+    pub work_by_class: Option<ByClass>,
+    /// The total on calibrated nodes.
+    #[serde(default)]
+    pub cpu_seconds_on: Vec<NodeSeconds>,
     /// The total in money.
     pub cost: Option<MoneyQuantiles>,
     /// When each frame is on the shot's own clock, in their order. Kept with the frames, and so empty when it is read back.
@@ -74,11 +83,7 @@ impl Store {
             .fetch_optional(&mut *transaction)
             .await?;
         let kept: Option<JobForecast> = json_opt(&row.ok_or(StoreError::NotFound("job"))?, "forecast")?;
-        let Some(JobForecast { total, profiled, spent, calibrated, effects, left_out, cost, clock: _ }) =
-            kept
-        else {
-            return Ok(None);
-        };
+        let Some(kept) = kept else { return Ok(None) };
         let rows = sqlx::query(
             "SELECT forecast FROM frames WHERE job_id = ? AND forecast IS NOT NULL ORDER BY frame",
         )
@@ -86,7 +91,19 @@ impl Store {
         .fetch_all(&mut *transaction)
         .await?;
         let frames = rows.iter().map(|row| json(row, "forecast")).collect::<Result<_, _>>()?;
-        Ok(Some(ForecastDoc { frames, total, profiled, spent, calibrated, effects, left_out, cost }))
+        Ok(Some(ForecastDoc {
+            frames,
+            total: kept.total,
+            profiled: kept.profiled,
+            spent: kept.spent,
+            calibrated: kept.calibrated,
+            effects: kept.effects,
+            left_out: kept.left_out,
+            chosen_spp: kept.chosen_spp,
+            work_by_class: kept.work_by_class,
+            cpu_seconds_on: kept.cpu_seconds_on,
+            cost: kept.cost,
+        }))
     }
 }
 

@@ -55,8 +55,8 @@ impl Store {
         let job_id = JobId::new();
         sqlx::query(
             "INSERT INTO jobs (id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, frames_total, \
-             settings, samples, profile_frames, deadline_at, budget, confidence, priority, created_at, limits) \
-             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+             settings, samples, profile_frames, deadline_at, budget, confidence, priority, created_at, limits, within) \
+             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
         )
         .bind(job_id.0)
         .bind(&request.name)
@@ -76,6 +76,7 @@ impl Store {
         .bind(i64::from(request.priority))
         .bind(now.micros())
         .bind(to_json(&request.limits)?)
+        .bind(request.within.as_ref().map(to_json).transpose()?)
         .execute(write.connection())
         .await?;
         for frame in request.frames.iter() {
@@ -252,6 +253,7 @@ pub(crate) fn decode(row: &SqliteRow, progress: Progress) -> Result<Job, StoreEr
         settings: json(row, "settings")?,
         samples: whole(row, "samples")?,
         profile_frames: whole(row, "profile_frames")?,
+        within: json_opt(row, "within")?,
         deadline: time_opt(row, "deadline_at")?,
         budget: row.try_get::<Option<i64>, _>("budget")?.map(Money),
         confidence: word(row, "confidence")?,

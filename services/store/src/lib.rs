@@ -35,6 +35,7 @@ mod joining;
 mod leases;
 mod live;
 mod logs;
+mod node_learning;
 mod nodes;
 mod plans;
 mod progress;

@@ -1,5 +1,6 @@
 //! Nodes.
 
+use forelight_forecast::learned_factor;
 use forelight_protocol::{
     Event, EventKind, LeaseId, Money, Node, NodeChange, NodeId, NodeRegistration, NodeState, TaskId,
     Timestamp,
@@ -191,6 +192,7 @@ fn decode(row: &SqliteRow) -> Result<Node, StoreError> {
         speed_set: speed_set.is_some(),
         price_per_hour: Money(price_set.map_or_else(|| row.try_get("price_per_hour"), Ok)?),
         price_set: price_set.is_some(),
+        time_factor: learned_factor(row.try_get("learned_millionths")?, whole(row, "learned_jobs")?),
         cores: whole(row, "cores")?,
         capabilities: json(row, "capabilities")?,
         state,

@@ -116,9 +116,19 @@ impl Store {
             .bind(job.0)
             .execute(write.connection())
             .await?;
-        let common = Common::of(job, &row)?;
-        let profiles: BTreeMap<_, _> =
+        let mut common = Common::of(job, &row)?;
+        let mut profiles: BTreeMap<_, _> =
             Self::profile_artifacts(write.connection(), job).await?.into_iter().collect();
+        if let Some(spp) = forecast.chosen_spp.filter(|&spp| spp != common.settings.spp) {
+            common.settings.spp = spp;
+            sqlx::query("UPDATE jobs SET settings = ? WHERE id = ?")
+                .bind(to_json(&common.settings)?)
+                .bind(job.0)
+                .execute(write.connection())
+                .await?;
+            // They belong to images of other samples.
+            profiles.clear();
+        }
         let job_frames: FrameSet =
             row.try_get::<&str, _>("frames")?.parse().map_err(|error| corrupt("frames", error))?;
         for frame in job_frames.iter() {

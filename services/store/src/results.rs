@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    ArtifactHash, EventKind, JobId, JobState, LeaseId, PreviewResult, ProfileResult, RenderResult, TaskId,
-    TaskKind, TaskResult, Timestamp,
+    ArtifactHash, EventKind, JobId, JobState, LeaseId, NodeId, PreviewResult, ProfileResult, RenderResult,
+    TaskId, TaskKind, TaskResult, Timestamp,
 };
 use sqlx::Row as _;
 
@@ -13,7 +13,7 @@ use crate::decode::{corrupt, id, json, to_json};
 use crate::events::{append, job_state};
 use crate::leases::{LeaseRow, LeaseState, end, read, touch};
 use crate::live::{self, Occasion};
-use crate::{Store, StoreError, calibration, jobs};
+use crate::{Store, StoreError, calibration, jobs, node_learning, nodes};
 
 /// What became of a result.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -30,7 +30,7 @@ pub struct Committed {
     pub job_state: JobState,
 }
 
-/// A profile, and the speed of the node that measured it.
+/// A profile, and the speed of the node that measured it, for work of the profiled classes where the node is calibrated.
 #[derive(Clone, PartialEq, Debug)]
 pub struct MeasuredProfile {
     /// The profile.
@@ -141,7 +141,7 @@ impl Store {
     /// The job's profiles by frame, if all that were asked for are there; `None` while one is missing.
     pub async fn profile_results(&self, job: JobId) -> Result<Option<Vec<MeasuredProfile>>, StoreError> {
         let rows = sqlx::query(
-            "SELECT r.body, l.node_speed FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id \
+            "SELECT r.body, l.node_id, l.node_speed FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id \
              WHERE t.job_id = ? AND t.kind = 'profile' ORDER BY t.frame",
         )
         .bind(job.0)
@@ -152,7 +152,10 @@ impl Store {
             match crate::decode::json_opt(row, "body")? {
                 None => return Ok(None),
                 Some(TaskResult::Profile(result)) => {
-                    profiles.push(MeasuredProfile { result, node_speed: row.try_get("node_speed")? });
+                    let node = self.node(NodeId(id(row, "node_id")?)).await?;
+                    let by_class = node.corrected_speed(result.work_by_class.as_ref());
+                    let node_speed = by_class.map_or_else(|| row.try_get("node_speed"), Ok)?;
+                    profiles.push(MeasuredProfile { result, node_speed });
                 }
                 Some(other) => {
                     return Err(corrupt("body", format!("a {} result of a profile task", other.kind())));
@@ -213,9 +216,12 @@ async fn keep_render(
     now: Timestamp,
 ) -> Result<(), StoreError> {
     let stats = &render.stats;
+    let node = nodes::read(write.connection(), row.node_id).await?;
+    let speed = node.corrected_speed(stats.work_by_class.as_ref()).unwrap_or(row.node_speed);
     // CPU seconds spent here, brought to a node of speed 1. What was taken over from the profile is counted at this
     // node's speed as well: the profile does not say per pixel where it was made.
-    let cpu_at_speed_one = stats.cpu_seconds * row.node_speed;
+    let cpu_at_speed_one = stats.cpu_seconds * speed;
+    node_learning::learn(write, row, &node, stats).await?;
     sqlx::query(
         "UPDATE frames SET actual = ?, actual_work = ?, actual_cpu = ?, artifacts = ?, finished_at = ?, \
          preview_png = coalesce(?, preview_png) WHERE job_id = ? AND frame = ?",

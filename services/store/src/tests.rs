@@ -21,6 +21,7 @@ mod fencing;
 mod jobs;
 mod joining;
 mod live;
+mod node_learning;
 mod opening;
 mod orders;
 mod plans;
@@ -122,6 +123,7 @@ impl Farm {
                 cache_samples: Vec::new(),
                 noise: Vec::new(),
                 effects: vec!["ambient".to_owned()],
+                work_by_class: None,
                 left_out: Vec::new(),
                 renderer: None,
                 fixed: FixedCosts::default(),
@@ -263,6 +265,7 @@ fn stats(frame: u32) -> RenderStats {
         cache_records: Vec::new(),
         cache: None,
         work: 1000,
+        work_by_class: None,
         cpu_seconds: 2.0,
         wall_seconds: 2.0,
         peak_rss_bytes: 1,
@@ -292,6 +295,9 @@ fn job_forecast() -> JobForecast {
         calibrated: false,
         effects: vec!["ambient".to_owned()],
         left_out: Vec::new(),
+        chosen_spp: None,
+        work_by_class: None,
+        cpu_seconds_on: Vec::new(),
         cost: None,
         clock: Vec::new(),
     }

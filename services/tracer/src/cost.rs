@@ -2,6 +2,7 @@
 
 use forelight_bvh::Traversal;
 use std::ops::{Add, AddAssign};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Names of the seven ray categories, in the order of [`Rays`] (paper, section 2).
 pub const RAY_NAMES: [&str; 7] =
@@ -68,9 +69,43 @@ impl Counters {
     }
 
     pub fn work(&self) -> u64 {
+        self.work_by_class().iter().sum()
+    }
+
+    /// The same by what is done.
+    pub fn work_by_class(&self) -> WorkByClass {
         let rays = self.rays.iter().map(|&r| u64::from(r)).sum();
-        work(rays, self.traversal.nodes, self.traversal.triangles, self.shadings, self.texels)
-            + RECORD_WORK * self.records
+        let Traversal { nodes, triangles, .. } = self.traversal;
+        [
+            work(rays, 0, 0, 0, 0),
+            work(0, nodes, triangles, 0, 0),
+            work(0, 0, 0, self.shadings, 0),
+            work(0, 0, 0, 0, self.texels),
+            RECORD_WORK * self.records,
+        ]
+    }
+}
+
+/// Names of the classes of work, in the order of [`WorkByClass`]: what comes with every ray, going through the tree, what surfaces do
+/// with light, looking up images, and the irradiance cache's records.
+pub const WORK_CLASSES: [&str; 5] = ["rays", "traversal", "shading", "texture", "records"];
+
+/// Work by class, in the order of [`WORK_CLASSES`].
+pub type WorkByClass = [u64; 5];
+
+/// Work by class that many threads add up. A sum of whole numbers is the same in any order.
+#[derive(Debug, Default)]
+pub struct Tally([AtomicU64; 5]);
+
+impl Tally {
+    pub fn add(&self, work: WorkByClass) {
+        for (sum, work) in self.0.iter().zip(work).filter(|(_, work)| *work > 0) {
+            sum.fetch_add(work, Ordering::Relaxed);
+        }
+    }
+
+    pub fn sum(&self) -> WorkByClass {
+        std::array::from_fn(|class| self.0[class].load(Ordering::Relaxed))
     }
 }
 
@@ -80,6 +115,9 @@ const RECORD_WORK: u64 = 12;
 /// Work of averaging a cache record with its neighbours, of which it has some 280; the same for every record, so that what a record takes
 /// is known when it is gathered.
 pub const SMOOTHING_WORK: u64 = 3400;
+
+/// The same by class.
+pub const SMOOTHING: WorkByClass = [0, 0, 0, 0, SMOOTHING_WORK];
 
 /// Work: operations weighted by what each takes on a present-day core, in units of about a nanosecond, so that work
 /// is close to proportional to time without depending on any clock. The weights are a regression of time on counts over

@@ -135,7 +135,9 @@ impl<const K: u32> Kernel<K> {
             underway.samples += 1;
         }
         known.rays.iter_mut().zip(pixels.counters.rays).for_each(|(all, new)| *all += new);
-        known.work += pixels.counters.work();
+        let work = pixels.counters.work_by_class();
+        tracer.pixel_work.add(work);
+        known.work += work.iter().sum::<u64>();
         known.uncovered += pixels.counters.uncovered;
         known.stratum = pixels.stratum.unwrap_or(Pixel::NOTHING);
         known.cpu_nanos += start.elapsed().as_nanos() as u64;

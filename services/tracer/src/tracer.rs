@@ -1,7 +1,7 @@
 //! A frame, ready to be traced.
 
 use crate::cache::{Cache, CacheError, RecordCost};
-use crate::cost::{Cost, build_work, thread_cpu_nanos};
+use crate::cost::{Cost, Tally, WorkByClass, build_work, thread_cpu_nanos};
 use crate::effects::{CalledFor, Effects};
 use crate::environment::Sky;
 use crate::fingerprint::{fingerprint, light_fingerprint, of_content};
@@ -76,6 +76,9 @@ pub struct Tracer {
     effects: Effects,
     pub(crate) kernel: Box<dyn Trace>,
     build: Cost,
+    /// Work of all pixels that were traced so far, and of all gathers.
+    pub(crate) pixel_work: Tally,
+    pub(crate) gather_work: Tally,
     /// Camera samples by pixel, where they differ.
     samples: OnceLock<SampleCounts>,
     /// What the frame holds, hashed when it is first asked for.
@@ -162,6 +165,8 @@ impl Tracer {
             bvh,
             frame,
             build,
+            pixel_work: Tally::default(),
+            gather_work: Tally::default(),
             samples: OnceLock::new(),
             content: OnceLock::new(),
         }
@@ -280,6 +285,11 @@ impl Tracer {
     /// What building the tree took, and finding out what belongs into it; nothing if it existed.
     pub fn build_cost(&self) -> Cost {
         self.build
+    }
+
+    /// Work by class of all that was traced so far: of pixels, and of the irradiance cache's gathers, without planning them.
+    pub fn work_by_class(&self) -> (WorkByClass, WorkByClass) {
+        (self.pixel_work.sum(), self.gather_work.sum())
     }
 
     /// Hash of all that a pixel's value depends on: frame, settings, and the version of this tracer.

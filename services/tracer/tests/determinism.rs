@@ -164,6 +164,7 @@ fn an_image_made_in_passes_has_the_bits_of_one_made_at_once() {
         let at_once = at_once.render(None, &|_| (), &AtomicBool::new(false)).unwrap();
         assert_eq!(bits(&passes.image().pixels), bits(&at_once.pixels), "{integrator:?}");
         assert_eq!(work, at_once.totals().work);
+        assert_eq!(tracer.work_by_class().0.iter().sum::<u64>(), work, "classes are parts of the whole");
     }
 }
 

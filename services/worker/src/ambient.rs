@@ -1,5 +1,6 @@
 //! Our renderer: `scene`, `preview` and the `ambient` integrator of `tracer`.
 
+use crate::classes::by_class;
 use crate::render::spent;
 use crate::renderer::{
     CacheUse, Counted, Finished, FrameRenderer, OpenRenderer, Previewed, Progress, RenderError, Renderer,
@@ -8,7 +9,7 @@ use crate::renderer::{
 use forelight_forecast::accuracy::{PixelNoise, PixelSamples};
 use forelight_preview::{Choice, PreviewError, Previewer};
 use forelight_protocol::{
-    CacheMode, FixedCosts, Integrator, LeftOut, MaterialMode, PreviewBackend, RenderSettings, SceneDigest,
+    ByClass, CacheMode, FixedCosts, Integrator, LeftOut, MaterialMode, PreviewBackend, RenderSettings, SceneDigest,
     SceneSummary, Spent, StratumName,
 };
 use forelight_scene::{Frame, Geometry, Limits, Scene};
@@ -393,6 +394,12 @@ impl FrameRenderer for AmbientFrame<'_> {
         let others = all.len() - shown;
         let rest = (others > 0).then(|| entry(format!("{others} others"), "as those before them".into()));
         first.chain(rest).collect()
+    }
+
+    fn work_by_class(&self) -> (ByClass, ByClass) {
+        let triangles = self.tracer.frame().geometry.triangles.len();
+        let (pixels, gathers) = self.tracer.work_by_class();
+        (by_class(pixels, triangles), by_class(gathers, triangles))
     }
 
     fn trace(&self, pixels: &[u32]) -> Vec<(Pixel, PixelNoise)> {

@@ -16,6 +16,7 @@ pub fn capabilities(renderer: &Ambient) -> Result<Capabilities, PreviewError> {
         processor: processor(&fs::read_to_string("/proc/cpuinfo").unwrap_or_default()),
         gpu: adapter.as_ref().is_some_and(|adapter| adapter.is_hardware),
         vulkan_adapter: adapter.and_then(|adapter| name(&adapter.name)),
+        calibration: None,
     })
 }
 

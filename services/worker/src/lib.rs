@@ -15,7 +15,8 @@
 //! | `tasks` | the three kinds of tasks |
 //! | `execute`, `agent` | a task's life between lease and result |
 //! | `library` | bundles, fetched once and kept open |
-//! | `calibrate`, `capabilities` | how fast this machine is, and what it has |
+//! | `within` | a render that holds to its time |
+//! | `calibrate`, `classes`, `capabilities` | how fast this machine is by class of work, what a frame's work is of, and what the machine has |
 //! | `checkpoint` | the finished tiles of a frame, for whoever has it next |
 //! | `limits` | what a task may use at most |
 //! | `client`, `transport`, `backoff`, `server_events` | the service's REST API |
@@ -28,6 +29,7 @@ mod backoff;
 mod calibrate;
 mod capabilities;
 mod checkpoint;
+mod classes;
 mod client;
 mod execute;
 mod explain;
@@ -51,7 +53,7 @@ pub use agent::{Agent, AgentError, Errand};
 pub use allot::{Aim, AllotError, AllotOptions, Allotted, render_allotted, render_as_allotted};
 pub use ambient::{Adapter, Ambient, AmbientShot, tracer_settings};
 pub use backoff::Backoff;
-pub use calibrate::{MEASURING_TIME, REFERENCE_RATE, node_speed};
+pub use calibrate::{REFERENCE_RATE, calibrate, node_speed};
 pub use capabilities::capabilities;
 pub use client::{Client, EventStream, FramePicture};
 pub use execute::{Assignment, Control, Execute, ExecuteError, Outcome};

@@ -11,7 +11,7 @@ use forelight_forecast::{
     ShotForecast, Strategy,
 };
 use forelight_protocol::{
-    FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, LeftOut, Profiled, Quantiles, RayQuantiles,
+    ByClass, FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, LeftOut, Profiled, Quantiles, RayQuantiles,
     RenderSettings, Spent, SpentOnForecast,
 };
 use std::collections::BTreeSet;
@@ -167,6 +167,9 @@ fn document(
         calibrated: forecast.calibrated,
         effects: effects.into_iter().cloned().collect(),
         left_out: LeftOut::of_all(profiled.iter().map(|profile| &profile.left_out[..])),
+        chosen_spp: None,
+        work_by_class: profiled.iter().filter_map(|profile| profile.work_by_class).reduce(ByClass::plus),
+        cpu_seconds_on: Vec::new(),
         cost: None,
     }
 }

@@ -1,5 +1,6 @@
 //! One frame, rendered, with its true cost.
 
+use crate::classes::of_frame;
 use crate::renderer::{CacheUse, Finished, FrameRenderer, Progress, RenderError, Renderer};
 use forelight_protocol::{CacheStats, Rays, RenderSettings, RenderStats, Spent};
 use forelight_scene::Frame;
@@ -106,6 +107,12 @@ fn stats(
         cache_records: ready.cache_records().into_iter().map(u64::from).collect(),
         cache: finished.cache.as_ref().map(|cache| cache_stats(cache, &finished.image)),
         work: cost.work,
+        work_by_class: of_frame(
+            ready,
+            all.work as f64,
+            fill.work as f64,
+            gathered.map_or(0, |cache| cache.plan.work),
+        ),
         cpu_seconds: seconds(cost.cpu_nanos),
         wall_seconds,
         peak_rss_bytes: peak_rss_bytes(),

@@ -7,7 +7,7 @@
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_preview::{Counts, Preview, PreviewError};
 use forelight_protocol::{
-    FixedCosts, LeftOut, PreviewBackend, RenderSettings, SceneSummary, Spent, StratumName,
+    ByClass, FixedCosts, LeftOut, PreviewBackend, RenderSettings, SceneSummary, Spent, StratumName,
 };
 use forelight_scene::{Frame, MaterialClass, SceneError};
 use forelight_tracer::{
@@ -209,6 +209,9 @@ pub trait FrameRenderer: Send + Sync {
 
     /// Lights and objects that cannot matter to the frame's image, and why.
     fn left_out(&self) -> Vec<LeftOut>;
+
+    /// Work by class of all that was traced of it so far: of pixels, and of gathering records.
+    fn work_by_class(&self) -> (ByClass, ByClass);
 
     /// Finished pixels by index, in the order given, on the current thread pool, with what their camera samples say of their error. With an
     /// irradiance cache all but their colours is final: the cache is planned, but not filled; see [`FrameRenderer::fill_for`].

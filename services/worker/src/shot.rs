@@ -3,6 +3,7 @@
 //! The service does the same steps spread over workers: a preview task is [`count_frames`], a profile task [`profile_frame`],
 //! and choosing and estimating happen in the service. Offline, [`crate::quote`] does all of it.
 
+use crate::classes::of_frame;
 use crate::noise::{FrameNoise, Zones};
 use crate::quote::QuoteOptions;
 use crate::render::spent;
@@ -11,7 +12,7 @@ use crate::warm_clock;
 use forelight_forecast::{Cost, Expansion, Observation, Stratum};
 use forelight_preview::{NOTHING, Preview};
 use forelight_protocol::{
-    CacheMode, FixedCosts, LeftOut, MaterialMode, PreviewBackend, RenderSettings, Spent,
+    ByClass, CacheMode, FixedCosts, LeftOut, MaterialMode, PreviewBackend, RenderSettings, Spent,
 };
 use forelight_scene::{Frame, MaterialClass};
 use forelight_tracer::{Pixel, Profile, RecordCost};
@@ -146,6 +147,8 @@ pub struct ProfiledFrame {
     pub left_out: Vec<LeftOut>,
     /// What setting the frame up took this time.
     pub setup: Spent,
+    /// What all of the frame's work is thought to be, by class.
+    pub work_by_class: Option<ByClass>,
     /// The frame's preview.
     pub preview: Spent,
     /// What was spent on all traced pixels.
@@ -273,6 +276,12 @@ pub(crate) fn profile_ready(
     });
     Ok(ProfiledFrame {
         frame,
+        work_by_class: of_frame(
+            ready,
+            work_of_pixels(design.counts(), &observations),
+            work_of_records(&ready.cache_records(), &records),
+            ready.fixed().plan.work,
+        ),
         observations,
         expansion: design.expansion().clone(),
         records,
@@ -288,6 +297,32 @@ pub(crate) fn profile_ready(
         profile: ready.profile(&finished),
         traced: finished,
     })
+}
+
+/// Work of all pixels, thought to be in each stratum what was profiled of it on average, and of others what all were: good enough for knowing
+/// which part of a frame it is.
+fn work_of_pixels(counts: &[u32], observations: &[Observation]) -> f64 {
+    let mut seen = vec![(0u64, 0u64); counts.len()];
+    for observation in observations {
+        let (number, work) = &mut seen[observation.stratum as usize];
+        (*number, *work) = (*number + 1, *work + observation.cost.work);
+    }
+    let (all, work) = seen.iter().fold((0, 0), |sum, each| (sum.0 + each.0, sum.1 + each.1));
+    let mean = |(number, work): (u64, u64)| work as f64 / number.max(1) as f64;
+    let strata = counts.iter().zip(seen);
+    strata
+        .map(|(&count, own)| f64::from(count) * if own.0 > 0 { mean(own) } else { mean((all, work)) })
+        .sum()
+}
+
+/// The same of all records, level by level.
+fn work_of_records(counts: &[u32], records: &[RecordCost]) -> f64 {
+    let of_level = |(level, &count): (usize, &u32)| {
+        let own = records.iter().filter(|record| record.level as usize == level);
+        let (number, work) = own.fold((0u64, 0), |(n, sum), record| (n + 1, sum + record.cost.work));
+        f64::from(count) * work as f64 / number.max(1) as f64
+    };
+    counts.iter().enumerate().map(of_level).sum()
 }
 
 /// What a pixel cost, as the forecast wants it.

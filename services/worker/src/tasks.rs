@@ -148,6 +148,7 @@ pub fn profile_result(
         effects: profiled.effects.clone(),
         left_out: profiled.left_out.clone(),
         renderer: Some(info.renderer.clone()),
+        work_by_class: profiled.work_by_class,
         fixed: profiled.fixed,
         spent: profiled.spent(),
         strata: shown.list,

@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use forelight_planner::{self as planner, FixedBooking, Interval};
 use forelight_protocol::{
-    Confidence, ForecastTotals, Job, JobVerdict, Money, MoneyQuantiles, Node, NodeId, PlanReason, Quantiles,
-    Timestamp, Verdict,
+    ByClass, Confidence, ForecastTotals, Job, JobVerdict, Money, MoneyQuantiles, Node, NodeId, NodeSeconds,
+    PlanReason, Quantiles, Timestamp, Verdict,
 };
-use forelight_store::{NewBooking, NewPlan, Projected, QuoteBasis, project};
+use forelight_store::{JobForecast, NewBooking, NewPlan, Projected, QuoteBasis, project};
 
 use super::estimate::Forecast;
 use super::{AdvanceError, Conductor, compute};
@@ -17,6 +17,9 @@ const MOST_NODES: u32 = 10_000;
 
 /// The planner counts work in whole units, of which a node does so many a second; ours are nanoseconds of a core of speed 1.
 const PER_SECOND: f64 = 1e9;
+
+/// The planner's class of work like the job's: every plan is made for one job.
+const CLASS: u32 = 1;
 
 /// A node that was not heard of for this long is not booked: five minutes, in microseconds. Longer than a worker takes to
 /// be started again, and much shorter than a night.
@@ -33,13 +36,7 @@ impl Conductor {
         let now = self.clock.now();
         // The parent before the bookings: should another plan come in between, the store refuses this one.
         let parent = self.store.newest_plan().await?;
-        let nodes: Vec<Node> = self
-            .store
-            .nodes(None, MOST_NODES)
-            .await?
-            .into_iter()
-            .filter(|node| node.takes_tasks() && now.micros_since(node.last_seen_at) <= SILENCE)
-            .collect();
+        let nodes = self.nodes_for_plans(now).await?;
         let taken = project(&self.store.open_bookings().await?, now);
         let input = planner_input(job, forecast, &nodes, &taken, now);
         let plan = compute(move || {
@@ -65,10 +62,20 @@ impl Conductor {
         };
         let mut kept = forecast.job.clone();
         kept.cost = cost(&kept.total, &nodes);
+        kept.cpu_seconds_on = on_calibrated(&kept, &nodes);
         let plan = self.store.book(job.id, &kept, &forecast.frames, basis, &new, now).await?;
         self.metrics.plans_stored.add(1);
         tracing::info!(job = %job.id, %plan, verdict = new.verdict.verdict.name(), "booked");
         Ok(())
+    }
+}
+
+impl Conductor {
+    /// Nodes that take work and were heard of lately.
+    pub(super) async fn nodes_for_plans(&self, now: Timestamp) -> Result<Vec<Node>, AdvanceError> {
+        let mut nodes = self.store.nodes(None, MOST_NODES).await?;
+        nodes.retain(|node| node.takes_tasks() && now.micros_since(node.last_seen_at) <= SILENCE);
+        Ok(nodes)
     }
 }
 
@@ -103,6 +110,7 @@ fn planner_input(
                 id,
                 name: node.name.clone(),
                 speed: speed(node),
+                speeds: own_speeds(node, forecast.job.work_by_class.as_ref()),
                 price_per_hour: node.price_per_hour.micro_units(),
                 available_from: now.micros(),
                 calendar: vec![Interval { start: now.micros(), end: None }],
@@ -119,6 +127,7 @@ fn planner_input(
             .collect(),
         jobs: vec![planner::Job {
             id: 0,
+            class: CLASS,
             release: now.micros(),
             deadline: job.deadline.map(Timestamp::micros),
             priority: job.priority,
@@ -157,6 +166,23 @@ pub(crate) fn total(cpu_seconds: &Quantiles) -> planner::WorkTotal {
 /// CPU seconds of a frame, median and P80, as the planner's work.
 pub(crate) fn frame(number: u32, p50: f64, p80: f64) -> planner::Frame {
     planner::Frame { number: i64::from(number), work: units(p50).max(1), work_p80: units(p80).max(1) }
+}
+
+/// What a node does a second of work like the job's, where it is calibrated for its classes.
+fn own_speeds(node: &Node, work: Option<&ByClass>) -> BTreeMap<u32, u64> {
+    let speed = node.corrected_speed(work);
+    speed.map(|speed| (CLASS, units(speed * f64::from(node.cores)).max(1))).into_iter().collect()
+}
+
+/// CPU seconds of the job on calibrated nodes, each name once and the first ones by name.
+fn on_calibrated(forecast: &JobForecast, nodes: &[Node]) -> Vec<NodeSeconds> {
+    let work = forecast.work_by_class.as_ref();
+    let speeds = nodes.iter().filter_map(|node| Some((&node.name, node.corrected_speed(work)?)));
+    let by_name: BTreeMap<&String, f64> = speeds.collect();
+    let seconds = |(name, speed): (&String, f64)| {
+        NodeSeconds::new(name.clone(), speed, &forecast.total.cpu_seconds)
+    };
+    by_name.into_iter().take(NodeSeconds::MOST).map(seconds).collect()
 }
 
 /// What a node does a second, in the planner's unit of work.
@@ -248,14 +274,15 @@ fn duration(micros: i64) -> String {
     }
 }
 
+/// Micro-units for a second of a core of speed 1, on average over the nodes; `None` without nodes.
+pub(super) fn mean_price(nodes: &[Node]) -> Option<f64> {
+    let price = |node: &Node| node.price_per_hour.micro_units() as f64 / 3600.0 / seconds_per_second(node);
+    (!nodes.is_empty()).then(|| nodes.iter().map(price).sum::<f64>() / nodes.len() as f64)
+}
+
 /// The forecast in money, at the mean price that the nodes ask for a second of a core of speed 1.
 fn cost(total: &ForecastTotals, nodes: &[Node]) -> Option<MoneyQuantiles> {
-    if nodes.is_empty() {
-        return None;
-    }
-    let prices =
-        nodes.iter().map(|node| node.price_per_hour.micro_units() as f64 / 3600.0 / seconds_per_second(node));
-    let mean_price = prices.sum::<f64>() / nodes.len() as f64;
+    let mean_price = mean_price(nodes)?;
     let money = |seconds: f64| Money((seconds * mean_price).round() as i64);
     let Quantiles { mean, p50, p80, p95 } = total.cpu_seconds;
     Some(MoneyQuantiles { mean: money(mean), p50: money(p50), p80: money(p80), p95: money(p95) })

@@ -7,7 +7,7 @@ use forelight_forecast::{
     Quantity, ShotForecast, forecast_shot, shot_times,
 };
 use forelight_protocol::{
-    ForecastTotals, FrameForecast, LeftOut, PreviewResult, Profiled, Quantiles, RayQuantiles, RenderSettings,
+    ByClass, ForecastTotals, FrameForecast, LeftOut, PreviewResult, Profiled, Quantiles, RayQuantiles, RenderSettings,
     Spent, SpentOnForecast,
 };
 use forelight_store::{JobForecast, MeasuredProfile, QuoteBasis, QuoteKind, Spreads};
@@ -169,6 +169,12 @@ pub(super) fn calibrated(
         calibrated: shot.calibrated,
         effects: effects.into_iter().cloned().collect(),
         left_out: LeftOut::of_all(profiles.iter().map(|profile| &profile.result.left_out[..])),
+        chosen_spp: None,
+        work_by_class: profiles
+            .iter()
+            .filter_map(|profile| profile.result.work_by_class)
+            .reduce(ByClass::plus),
+        cpu_seconds_on: Vec::new(),
         cost: None,
         clock,
     };
@@ -271,6 +277,7 @@ mod tests {
             cache_samples: Vec::new(),
             noise: Vec::new(),
             effects: vec!["ambient".to_owned(), "mirror".to_owned()],
+            work_by_class: None,
             left_out: vec![LeftOut { what: "sun 0".to_owned(), reason: "outside".to_owned() }],
             renderer: Some("r 1".to_owned()),
             fixed,

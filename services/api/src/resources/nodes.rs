@@ -5,8 +5,8 @@ use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::Response;
 use forelight_protocol::{
-    Capabilities, JoinRequest, JoinToken, JoinTokenRequest, Money, Node, NodeChange, NodeId, NodePage,
-    NodeRegistration, ProblemKind,
+    Capabilities, JoinRequest, JoinToken, JoinTokenRequest, Money, Node, NodeCalibration, NodeChange, NodeId,
+    NodePage, NodeRegistration, ProblemKind,
 };
 
 use super::{created, repeated};
@@ -128,14 +128,17 @@ fn check_registration(place: &str, node: &NodeRegistration) -> ApiResult<()> {
     if !(1..=4096).contains(&node.cores) {
         return Err(ApiError::invalid(at("cores"), "a node has 1 to 4096 cores"));
     }
-    let Capabilities { memory_bytes, processor, vulkan_adapter, gpu: _ } = &node.capabilities;
+    let Capabilities { memory_bytes, processor, vulkan_adapter, gpu: _, calibration } = &node.capabilities;
     if memory_bytes.is_some_and(|bytes| i64::try_from(bytes).is_err()) {
         return Err(ApiError::invalid(at("capabilities/memory_bytes"), "a number larger than 2⁶³ − 1"));
     }
     for (name, text) in [("processor", processor), ("vulkan_adapter", vulkan_adapter)] {
         text.as_ref().map_or(Ok(()), |text| check_name(&at(&format!("capabilities/{name}")), text, 200))?;
     }
-    Ok(())
+    let checked = calibration.as_ref().map_or(Ok(()), NodeCalibration::check);
+    checked.map_err(|(field, reason)| {
+        ApiError::invalid(at(&format!("capabilities/calibration/{field}")), format!("{field} {reason}"))
+    })
 }
 
 /// A name is something that people can tell apart on a screen.

@@ -261,6 +261,7 @@ impl Farm {
                     cache_samples: Vec::new(),
                     noise: made_up_noise(spec.settings.spp),
                     effects: vec!["ambient".to_owned()],
+                    work_by_class: None,
                     left_out: Vec::new(),
                     renderer: Some("made up 1".to_owned()),
                     fixed: FixedCosts {
@@ -289,6 +290,7 @@ impl Farm {
                         cache_records: Vec::new(),
                         cache: None,
                         work,
+                        work_by_class: None,
                         cpu_seconds: work as f64 * 1e-3,
                         wall_seconds: work as f64 * 1e-3,
                         peak_rss_bytes: 1,

@@ -1,14 +1,14 @@
 //! `forelight farm`: the service and workers on this machine, in one process.
 
 use super::serve::{self, Executor, ServiceOptions};
-use super::worker::{library, measured_speed};
+use super::worker::{library, measured};
 use crate::interrupt::Interrupt;
 use crate::options::PreviewBackend;
 use crate::output;
 use crate::quantities::parse_money;
 use anyhow::Result;
-use forelight_protocol::{Money, NodeRegistration};
-use forelight_worker::{Agent, AgentError, Client, TaskRunner};
+use forelight_protocol::{Capabilities, Money, NodeRegistration};
+use forelight_worker::{Agent, AgentError, Client, TaskRunner, node_speed};
 use std::sync::Arc;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
@@ -46,7 +46,9 @@ pub struct Args {
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let (library, capabilities) = library(&args.service.data.join("bundles"), args.preview)?;
     // Measured before there is anything else to do.
-    let speed = measured_speed().await?;
+    let calibration = measured().await?;
+    let speed = node_speed(&calibration);
+    let capabilities = Capabilities { calibration: Some(calibration), ..capabilities };
     let running = serve::start(&args.service).await?;
     let client = Client::new(&reachable(&running.address()), Some(running.worker_token.clone()))?;
     let stop = CancellationToken::new();

@@ -1,6 +1,6 @@
 //! `forelight forecast`: the quote of a shot, on this machine.
 
-use super::explain;
+use super::{calibrate, explain};
 use crate::atomic_file::write_bytes;
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
@@ -14,8 +14,8 @@ use anyhow::{Context, Result};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use forelight_forecast::{Correction, Corrections, LEAST_JOBS, Strategy};
 use forelight_protocol::{
-    CalibratedQuantiles, CalibrationDoc, Explanation, ForecastDoc, FrameSet, LeftOut, Quantiles,
-    RenderSettings,
+    CalibratedQuantiles, CalibrationDoc, Explanation, ForecastDoc, FrameSet, LeftOut, NodeCalibration,
+    NodeSeconds, Quantiles, RenderSettings,
 };
 use forelight_worker::{Observer, Quote, QuoteOptions, Renderer, ShotError, quote};
 use indicatif::ProgressBar;
@@ -31,6 +31,7 @@ Examples:
   forelight forecast kitchen/ --frames 12 --strategy jittered
   forelight forecast kitchen/ --frames 0-47 --explain
   forelight forecast kitchen/ --calibration calibration.json
+  forelight forecast kitchen/ --for-node rack-7.json
 
 All frames are previewed; of at most --profile-frames of them, --samples pixels each are traced. These are finished pixels: \
 with --save-profile, `forelight render --profile` takes them over. With --cache on, the irradiance cache of every frame is \
@@ -60,6 +61,10 @@ pub struct Args {
     /// Put the quantiles where past jobs teach that they belong: a file with what a farm's /v1/forecasts/calibration answers
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
+    /// Also say what CPU time it takes on another machine, by what `forelight calibrate --out` wrote there; this machine is calibrated for a
+    /// few seconds to compare
+    #[arg(long, value_name = "FILE")]
+    for_node: Option<PathBuf>,
     /// Also say why it costs that: which objects, which rays, what would halve it
     #[arg(long)]
     explain: bool,
@@ -84,6 +89,7 @@ fn strategies() -> impl TypedValueParser<Value = Strategy> {
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let bars = Bars::new(args.json);
+    let other = args.for_node.as_deref().map(calibrate::read).transpose()?;
     let local = Local::open(&args.bundle, &args.machine, &bars)?;
     let settings = local.settings(&args.quality)?;
     let frames = local.frames(args.frames.as_ref())?;
@@ -98,7 +104,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         },
     };
     let watcher = Watcher::new(&bars, frames.len(), interrupt);
-    let quoted = watcher.quote(&local, &args.bundle, &frames, &settings, &options)?;
+    let mut quoted = watcher.quote(&local, &args.bundle, &frames, &settings, &options)?;
+    if let Some((name, other)) = other {
+        quoted.document.cpu_seconds_on.extend(on_another(&quoted.document, name, &other, &bars));
+    }
     if let Some(folder) = &args.save_profile {
         save_profiles(&quoted, folder)?;
     }
@@ -116,6 +125,20 @@ struct Explained<'a> {
     quote: &'a ForecastDoc,
     #[serde(skip_serializing_if = "Option::is_none")]
     explanation: Option<&'a Explanation>,
+}
+
+/// What the quote, which was made here, comes to on a machine of another calibration.
+fn on_another(
+    quote: &ForecastDoc,
+    name: String,
+    other: &NodeCalibration,
+    bars: &Bars,
+) -> Option<NodeSeconds> {
+    let work = quote.work_by_class?;
+    let (here, there) = (calibrate::measured(bars).speed(&work)?, other.speed(&work)?);
+    let Quantiles { mean, p50, p80, p95 } = quote.total.cpu_seconds;
+    let at_one = Quantiles { mean: mean * here, p50: p50 * here, p80: p80 * here, p95: p95 * here };
+    Some(NodeSeconds::new(name, there, &at_one))
 }
 
 /// What a farm's finished jobs teach of a quote like this one.
@@ -265,6 +288,15 @@ fn report(quote: &ForecastDoc) -> String {
             seconds(spent.cpu_seconds),
             spent.fraction_of_forecast * 100.0,
         )
+        + &on_others(&quote.cpu_seconds_on)
+}
+
+fn on_others(nodes: &[NodeSeconds]) -> String {
+    let line = |NodeSeconds { node, cpu_seconds, .. }: &NodeSeconds| {
+        let [p50, p80, p95] = [cpu_seconds.p50, cpu_seconds.p80, cpu_seconds.p95].map(seconds);
+        format!("on {node}: CPU time p50 {p50}, p80 {p80}, p95 {p95}\n")
+    };
+    nodes.iter().map(line).collect()
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ mod backup;
 mod bench;
 mod budget;
 mod cache;
+mod calibrate;
 mod explain;
 mod export;
 mod farm;
@@ -57,6 +58,7 @@ enum Command {
     Render(render::Args),
     Preview(preview::Args),
     Cache(cache::Args),
+    Calibrate(calibrate::Args),
     Forecast(forecast::Args),
     Accuracy(accuracy::Args),
     Export(export::Args),
@@ -94,6 +96,7 @@ impl Cli {
             Command::Render(args) => blocking(move || render::run(&args, &interrupt)).await,
             Command::Preview(args) => blocking(move || preview::run(&args)).await,
             Command::Cache(args) => blocking(move || cache::run(&args, &interrupt)).await,
+            Command::Calibrate(args) => blocking(move || calibrate::run(&args)).await,
             Command::Forecast(args) => blocking(move || forecast::run(&args, &interrupt)).await,
             Command::Accuracy(args) => blocking(move || accuracy::run(&args, &interrupt)).await,
             Command::Export(args) => blocking(move || export::run(&args)).await,

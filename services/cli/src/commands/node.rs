@@ -133,6 +133,7 @@ mod tests {
             speed_set: false,
             price_per_hour: Money(0),
             price_set: false,
+            time_factor: 1.0,
             cores: 8,
             capabilities: Capabilities { memory_bytes: Some(48 << 30), ..Capabilities::default() },
             state: NodeState::SetAside,

@@ -10,10 +10,12 @@ use crate::output;
 use crate::quantities::{parse_bytes, parse_money};
 use anyhow::{Context, Result};
 use forelight_protocol::{
-    Capabilities, JoinRequest, Money, NodeRegistration, ProblemKind, TaskId, TaskLimits,
+    Capabilities, JoinRequest, Money, NodeCalibration, NodeRegistration, ProblemKind, TaskId, TaskLimits,
 };
 use forelight_store::{token_hash, tokens};
-use forelight_worker::{Agent, Ambient, Client, Errand, Library, TaskRunner, capabilities, node_speed};
+use forelight_worker::{
+    Agent, Ambient, Client, Errand, Library, TaskRunner, calibrate, capabilities, node_speed,
+};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -73,13 +75,14 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let name = args.name.map_or_else(host_name, Ok)?;
     let folder = args.bundles.unwrap_or_else(|| std::env::temp_dir().join("forelight-bundles"));
     let (library, capabilities) = library(&folder, args.preview)?;
+    let calibration = measured().await?;
     let cores = args.threads.map_or_else(cores, u32::from);
     let registration = NodeRegistration {
         name: name.clone(),
-        speed: measured_speed().await?,
+        speed: node_speed(&calibration),
         price_per_hour: Money(args.price),
         cores,
-        capabilities,
+        capabilities: Capabilities { calibration: Some(calibration), ..capabilities },
     };
     let client = match &args.join_token_file {
         Some(one_time) => join(one_time, &args.connection, &registration).await?,
@@ -140,9 +143,10 @@ async fn join(one_time: &Path, connection: &ConnectionOptions, node: &NodeRegist
     Ok(client)
 }
 
-/// The speed of one core, measured on a thread of its own.
-pub async fn measured_speed() -> Result<f64> {
-    tokio::task::spawn_blocking(node_speed).await.context("cannot measure this machine's speed")
+/// How fast one core is, measured on a thread of its own.
+pub async fn measured() -> Result<NodeCalibration> {
+    let measure = || calibrate(&|_, _| ());
+    tokio::task::spawn_blocking(measure).await.context("cannot measure this machine's speed")
 }
 
 /// Cores of this machine.

@@ -2,7 +2,7 @@
 
 use super::hemisphere::Irradiance;
 use super::{Cache, Planned, Record};
-use crate::cost::{Cost, SMOOTHING_WORK, thread_cpu_nanos};
+use crate::cost::{Cost, SMOOTHING, SMOOTHING_WORK, thread_cpu_nanos};
 use crate::tracer::Tracer;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -36,6 +36,8 @@ impl Cache {
         let planned = &here.planned[index];
         let start = thread_cpu_nanos();
         let (irradiance, counters) = tracer.kernel.gather(tracer, &self.strata, level as u32, planned);
+        tracer.gather_work.add(counters.work_by_class());
+        tracer.gather_work.add(SMOOTHING);
         let mut record = Record::new(planned, &irradiance, here.smallest);
         record.cost = Cost { work: counters.work() + SMOOTHING_WORK, cpu_nanos: thread_cpu_nanos() - start };
         record.rays = counters.rays;

@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use forelight_protocol::{
-    BadSetting, BundleSource, JobRequest, RenderSettings, RenderSettingsRequest, SceneSummary,
+    BadSetting, BundleSource, JobRequest, Money, RenderSettings, RenderSettingsRequest, SceneSummary,
 };
 use forelight_store::{NewJob, StoreError};
 
@@ -25,6 +25,14 @@ pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<New
     if let Some(millis) = request.limits.wall_ms {
         // A month.
         within("/limits/wall_ms", i64::try_from(millis).unwrap_or(i64::MAX), 1..=31 * 86_400_000)?;
+    }
+    if let Some(limit) = request.within {
+        let amounts = [limit.cpu_micros, limit.money.map(Money::micro_units)];
+        match amounts {
+            [Some(micros), None] => within("/within/cpu_micros", micros, 1..=i64::MAX)?,
+            [None, Some(money)] => within("/within/money", money, 1..=i64::MAX)?,
+            _ => return Err(ApiError::invalid("/within", "give exactly one of `cpu_micros` and `money`")),
+        }
     }
     if let Some(budget) = request.budget {
         within("/budget", budget.micro_units(), 0..=i64::MAX)?;

@@ -15,8 +15,8 @@ use crate::output::{self, Bars};
 use crate::quantities::{Deadline, parse_bytes, parse_deadline, parse_money};
 use anyhow::{Context, Result, bail};
 use forelight_protocol::{
-    BundleRef, FrameSet, Job, JobId, JobRequest, JobState, Money, RenderSettingsRequest, SceneSummary,
-    Timestamp,
+    BundleRef, FrameSet, Job, JobId, JobRequest, JobState, Money, Per, RenderSettingsRequest, SceneSummary,
+    Timestamp, Within,
 };
 use forelight_worker::Client;
 use std::path::{Path, PathBuf};
@@ -27,6 +27,7 @@ use uuid::Uuid;
 #[command(after_help = "\
 Examples:
   forelight submit kitchen/ --frames 0-47 --deadline 2h --data farm-data --out images/
+  forelight submit kitchen/ --frames 0-47 --within 3h --confidence p95 --data farm-data
   forelight submit kitchen.zip --frames 0,12 --budget 12.50 --server http://farm:7878
   forelight submit /mnt/shots/kitchen --shared --frames 0-47 --deadline 2026-03-01T06:00:00Z
   forelight submit --job 0192f0c1-7a3b-7c55-8f00-0123456789ab --follow --out images/
@@ -52,7 +53,17 @@ pub struct Args {
     /// The most that the job may cost, such as 12.50
     #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
     budget: Option<i64>,
-    /// How sure the booking has to be
+    /// Take the most camera samples with which all frames fit into this CPU time of a node of speed 1, such as 90m; --spp is then only what is
+    /// profiled with
+    #[arg(long, value_name = "TIME", conflicts_with = "within_money", value_parser = duration)]
+    within: Option<std::time::Duration>,
+    /// The same for money, at the mean price of the farm's nodes
+    #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
+    within_money: Option<i64>,
+    /// --within or --within-money is for each frame, and not for all together
+    #[arg(long)]
+    per_frame: bool,
+    /// How sure the booking, and the choice of samples, has to be
     #[arg(long, value_name = "LEVEL", default_value = "p80")]
     confidence: ConfidenceLevel,
     /// Name of the job [default: the bundle's]
@@ -170,12 +181,21 @@ fn request(
         settings,
         samples: args.samples,
         profile_frames: args.profile_frames,
+        within: within(args),
         deadline,
         budget: args.budget.map(Money),
         confidence: args.confidence.into(),
         priority: args.priority,
         limits: task_limits(args.task_memory, args.task_time),
     })
+}
+
+/// What the frames may take, if that decides how good they are.
+fn within(args: &Args) -> Option<Within> {
+    let per = if args.per_frame { Per::Frame } else { Per::Job };
+    let cpu_micros = args.within.map(|time| i64::try_from(time.as_micros()).unwrap_or(i64::MAX));
+    let money = args.within_money.map(Money);
+    (cpu_micros.is_some() || money.is_some()).then_some(Within { cpu_micros, money, per })
 }
 
 /// A bundle on shared storage; the service says what is in it.

@@ -220,6 +220,7 @@ pub fn rendered(frame: u32, spp: u32) -> TaskResult {
             cache: None,
             allotted: None,
             work: 1000,
+            work_by_class: None,
             cpu_seconds: 1.0,
             wall_seconds: 1.0,
             peak_rss_bytes: 1,
@@ -245,6 +246,9 @@ fn forecast() -> JobForecast {
         calibrated: false,
         effects: Vec::new(),
         left_out: Vec::new(),
+        chosen_spp: None,
+        work_by_class: None,
+        cpu_seconds_on: Vec::new(),
         cost: None,
         clock: Vec::new(),
     }

@@ -1,0 +1,109 @@
+//! `forelight calibrate`: how fast this machine is, by class of work.
+
+use crate::atomic_file::write_bytes;
+use crate::failure::BadInput;
+use crate::json_file;
+use crate::output::{self, Bars};
+use crate::quantities::count;
+use crate::table::{Align, Table};
+use anyhow::Result;
+use forelight_protocol::{ByClass, NodeCalibration};
+use forelight_worker::{calibrate, node_speed};
+use std::path::{Path, PathBuf};
+
+/// Measure how fast one core of this machine is, by class of work
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight calibrate
+  forelight calibrate --out rack-7.json
+  forelight forecast kitchen/ --for-node rack-7.json
+
+A fixed set of small scenes is traced, the same on every machine, in a few seconds. What a unit of work takes differs between machines, and \
+between classes of work on one of them: a processor with small caches is slow in large scenes, and there alone. With the \
+calibrations of two machines a quote that was made on one says what it takes on the other. Workers of a farm calibrate themselves when \
+they start, and finished frames correct that.")]
+pub struct Args {
+    /// Write the calibration as JSON
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Print it as JSON to standard output
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    let calibration = measured(&Bars::new(args.json));
+    if let Some(path) = &args.out {
+        write_bytes(path, (output::pretty(&calibration)? + "\n").as_bytes())?;
+    }
+    if args.json { output::json(&calibration) } else { output::print(&report(&calibration)) }
+}
+
+/// This machine's calibration, measured now.
+pub fn measured(bars: &Bars) -> NodeCalibration {
+    let bar = bars.bar("calibrating", 0);
+    let calibration = calibrate(&|done, all| {
+        bar.set_length(all as u64);
+        bar.set_position(done as u64);
+    });
+    bar.finish_and_clear();
+    calibration
+}
+
+/// A calibration that `--out` wrote, with the name of its file for the machine's.
+pub fn read(path: &Path) -> Result<(String, NodeCalibration)> {
+    let calibration: NodeCalibration = json_file::read(path)?;
+    calibration
+        .check()
+        .map_err(|(field, reason)| BadInput::new(format!("{}: {field} {reason}", path.display())))?;
+    let name = path.file_stem().unwrap_or(path.as_os_str());
+    Ok((name.to_string_lossy().into_owned(), calibration))
+}
+
+fn report(calibration: &NodeCalibration) -> String {
+    let mut table = Table::new(&[("class of work", Align::Left), ("ns a unit", Align::Right)]);
+    let nanos = calibration.picos_per_work.to_array().map(|picos| picos as f64 / 1000.0);
+    for (name, nanos) in ByClass::NAMES.iter().zip(nanos) {
+        table.row([(*name).to_owned(), format!("{nanos:.2}")]);
+    }
+    let mut text = table.render() + "\n";
+    let mut table = Table::new(&[
+        ("kernel", Align::Left),
+        ("operations", Align::Right),
+        ("time", Align::Right),
+        ("ns an operation", Align::Right),
+        ("explained", Align::Right),
+    ]);
+    for kernel in &calibration.kernels {
+        let (work, nanos) = (kernel.work.total() as f64, kernel.cpu_nanos as f64);
+        table.row([
+            kernel.name.clone(),
+            count(work),
+            format!("{:.1} ms", nanos * 1e-6),
+            format!("{:.2}", nanos / work.max(1.0)),
+            format!("{:.0} %", 100.0 * calibration.seconds(&kernel.work) / (nanos * 1e-9).max(1e-9)),
+        ]);
+    }
+    text += &table.render();
+    text + &format!("\nspeed of one core against the reference: {:.2}\n", node_speed(calibration))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_calibration_reads_back_and_one_that_is_out_of_range_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("rack-7.json");
+        let written = NodeCalibration { picos_per_work: ByClass::from_array([900; 6]), kernels: Vec::new() };
+        std::fs::write(&path, serde_json::to_string(&written).unwrap()).unwrap();
+        assert_eq!(read(&path).unwrap(), ("rack-7".to_owned(), written));
+        std::fs::write(&path, r#"{"picos_per_work":{"rays":0,"traversal":1,"memory":1,"shading":1,"texture":1,"records":1}}"#)
+            .unwrap();
+        let error = format!("{:#}", read(&path).unwrap_err());
+        assert!(error.contains("rack-7.json") && error.contains("picos_per_work"), "{error}");
+    }
+}

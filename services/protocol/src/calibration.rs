@@ -1,0 +1,129 @@
+//! How fast machines are, by class of work.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// Work by what is done. Work is counted in operations that take about a nanosecond each on a present-day core; how long they
+/// really take differs between machines, and between classes on one machine.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ByClass {
+    /// What comes with every ray: random numbers, directions, setting it up.
+    pub rays: u64,
+    /// Going through a tree that fits into the processor's caches.
+    pub traversal: u64,
+    /// Going through one that does not.
+    pub memory: u64,
+    /// What surfaces do with light.
+    pub shading: u64,
+    /// Looking up images.
+    pub texture: u64,
+    /// Records of the irradiance cache.
+    pub records: u64,
+}
+
+impl ByClass {
+    /// Names of the classes, in the order of [`Self::to_array`].
+    pub const NAMES: [&'static str; 6] = ["rays", "traversal", "memory", "shading", "texture", "records"];
+
+    /// The numbers in the order of [`Self::NAMES`].
+    pub const fn to_array(self) -> [u64; 6] {
+        let Self { rays, traversal, memory, shading, texture, records } = self;
+        [rays, traversal, memory, shading, texture, records]
+    }
+
+    /// The numbers from an array in the order of [`Self::NAMES`].
+    pub const fn from_array([rays, traversal, memory, shading, texture, records]: [u64; 6]) -> Self {
+        Self { rays, traversal, memory, shading, texture, records }
+    }
+
+    /// Class by class the sum.
+    #[must_use]
+    pub fn plus(self, other: Self) -> Self {
+        let (own, other) = (self.to_array(), other.to_array());
+        Self::from_array(std::array::from_fn(|class| own[class].saturating_add(other[class])))
+    }
+
+    /// All classes together.
+    pub fn total(self) -> u64 {
+        self.to_array().into_iter().fold(0, u64::saturating_add)
+    }
+}
+
+/// What a kernel of the calibration took.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct KernelTime {
+    /// Its name: 1 to 50 characters.
+    #[schema(min_length = 1, max_length = 50)]
+    pub name: String,
+    /// Its work, the same on every machine.
+    pub work: ByClass,
+    /// CPU time of one core for it, nanoseconds: the median of several rounds.
+    pub cpu_nanos: u64,
+}
+
+/// How fast one core of a machine is, as `forelight calibrate` measures it.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NodeCalibration {
+    /// Picoseconds for a unit of work of each class: 1 to 1,000,000,000.
+    pub picos_per_work: ByClass,
+    /// What they were found with.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schema(max_items = 20)]
+    pub kernels: Vec<KernelTime>,
+}
+
+impl NodeCalibration {
+    /// Kernels of a calibration at most.
+    pub const MOST_KERNELS: usize = 20;
+
+    /// Seconds of one core for this work.
+    pub fn seconds(&self, work: &ByClass) -> f64 {
+        let classes = work.to_array().into_iter().zip(self.picos_per_work.to_array());
+        classes.map(|(work, picos)| work as f64 * picos as f64 * 1e-12).sum()
+    }
+
+    /// Speed for such work against the reference, a core that takes a nanosecond for every unit; `None` if there is no work.
+    pub fn speed(&self, work: &ByClass) -> Option<f64> {
+        let (reference, own) = (work.total() as f64 * 1e-9, self.seconds(work));
+        (reference > 0.0 && own > 0.0).then(|| reference / own)
+    }
+
+    /// Whether all numbers are in their ranges.
+    ///
+    /// # Errors
+    /// With the field and the reason.
+    pub fn check(&self) -> Result<(), (&'static str, &'static str)> {
+        if self.picos_per_work.to_array().into_iter().any(|picos| !(1..=1_000_000_000).contains(&picos)) {
+            return Err(("picos_per_work", "must each lie in 1 to 1000000000"));
+        }
+        if self.kernels.len() > Self::MOST_KERNELS {
+            return Err(("kernels", "must be 20 at most"));
+        }
+        if self.kernels.iter().any(|kernel| !(1..=50).contains(&kernel.name.chars().count())) {
+            return Err(("kernels", "must have names of 1 to 50 characters"));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_machine_that_is_slow_in_one_class_is_slow_where_that_is_what_is_done() {
+        let picos_per_work = ByClass { memory: 4000, ..ByClass::from_array([1000; 6]) };
+        let node = NodeCalibration { picos_per_work, kernels: Vec::new() };
+        let small = ByClass { traversal: 300, shading: 100, ..ByClass::default() };
+        let large = ByClass { memory: 300, shading: 100, ..ByClass::default() };
+        assert_eq!(node.speed(&small), Some(1.0));
+        assert_eq!(node.speed(&large), Some(400.0 / 1300.0));
+        assert_eq!(node.speed(&ByClass::default()), None);
+        assert!(node.check().is_ok());
+        let stopped = NodeCalibration { picos_per_work: ByClass::default(), kernels: Vec::new() };
+        assert_eq!(stopped.check().unwrap_err().0, "picos_per_work");
+    }
+}

@@ -1,0 +1,259 @@
+//! The scenes of the calibration.
+//!
+//! | kernel | most of its work |
+//! | --- | --- |
+//! | `coherent` | rays from the camera, one beside the other, through a small tree |
+//! | `incoherent` | rays gathered from all directions, in a room of boxes in matt, mirror and glass: most like a frame |
+//! | `memory` | the same above hills of half a million triangles, which no cache holds |
+//! | `shading` | a glossy floor under a lamp, with next to nothing in between |
+//! | `texture` | sheets that an image cuts out: one is looked up for each that a ray passes |
+//! | `records` | the room again, read from an irradiance cache |
+
+use forelight_scene::{
+    AlphaMask, Camera, Color, Environment, Frame, Geometry, Material, Strata, Surface, Texels, Texture,
+    TextureId,
+};
+use forelight_tracer::{CacheSettings, Settings, Tracer};
+use glam::{Vec2, Vec3};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// The kernel that is most like a frame.
+pub const REFERENCE: &str = "incoherent";
+
+/// Edge of the kernels' images, pixels.
+const SIZE: u32 = 48;
+
+/// Squares along an edge of the hills: twice its square of triangles.
+const HILLS: u32 = 512;
+
+/// Sheets of the kernel of textures, and the edge of their image in texels: 16 MiB.
+const SHEETS: u32 = 24;
+const TEXELS: u32 = 2048;
+
+/// Pixels to trace.
+pub struct Kernel {
+    pub name: &'static str,
+    pub tracer: Tracer,
+    pub pixels: Vec<u32>,
+}
+
+/// All kernels, ready.
+pub fn all() -> Vec<Kernel> {
+    let settings = Settings { width: SIZE, height: SIZE, ambient_bounces: 0, ..Settings::default() };
+    let with = |spp, ambient_bounces| Settings {
+        spp,
+        ambient_bounces,
+        ambient_divisions: 16,
+        ..settings.clone()
+    };
+    let cached =
+        Settings { cache: Some(CacheSettings { accuracy: 300, rays: 48 }), ..with(8, 1) };
+    let kernel = |name, frame: &Frame, settings: &Settings, every: usize| {
+        let tracer = Tracer::new(frame, settings);
+        // Only the kernel of records has any to fill.
+        tracer.fill(&|_, _| (), &AtomicBool::new(false));
+        Kernel { name, tracer, pixels: (0..SIZE * SIZE).step_by(every).collect() }
+    };
+    let room = room();
+    vec![
+        kernel("coherent", &room, &with(4, 0), 1),
+        kernel(REFERENCE, &room, &with(1, 1), 1),
+        kernel("memory", &hills(), &with(1, 1), 2),
+        kernel("shading", &floor(), &with(8, 0), 1),
+        kernel("texture", &sheets(), &with(1, 0), 1),
+        kernel("records", &room, &cached, 1),
+    ]
+}
+
+/// Things of one stratum each.
+#[derive(Default)]
+struct Builder {
+    geometry: Geometry,
+    materials: Vec<Material>,
+    textures: Vec<Texture>,
+}
+
+impl Builder {
+    /// Adds a material, and the object that is made of it.
+    fn object(&mut self, name: &str, surface: Surface, emission: f32) -> u32 {
+        let stratum = self.materials.len() as u32;
+        self.materials.push(Material {
+            name: name.into(),
+            surface,
+            emission: Color::plain(Vec3::splat(emission)),
+            emits_both_sides: false,
+            opacity: 1.0,
+            mask: None,
+        });
+        let Strata { objects, pairs } = &mut self.geometry.strata;
+        objects.push(name.to_owned());
+        pairs.push((stratum, stratum));
+        stratum
+    }
+
+    /// Seen from 8.5 m in front and 4.5 m above.
+    fn frame(self) -> Frame {
+        let forward = Vec3::new(0.0, -0.5, -1.0).normalize();
+        Frame {
+            number: 0,
+            camera: Camera {
+                origin: Vec3::new(0.0, 4.5, 8.5),
+                right: Vec3::X,
+                up: Vec3::X.cross(forward),
+                forward,
+                tan_half_x: 0.5,
+                tan_half_y: 0.5,
+                width: SIZE,
+                height: SIZE,
+                aperture_radius: 0.0,
+                focus_distance: 1.0,
+            },
+            geometry: Arc::new(self.geometry),
+            materials: self.materials.into(),
+            textures: self.textures.into(),
+            points: Vec::new(),
+            suns: Vec::new(),
+            environment: Environment::Constant(Vec3::splat(0.2)),
+        }
+    }
+}
+
+fn matt(albedo: f32) -> Surface {
+    Surface::Lambert { albedo: Color::plain(Vec3::splat(albedo)) }
+}
+
+/// A square of so many metres to each side at a height, facing up.
+fn square(half: f32, height: f32) -> [Vec3; 4] {
+    [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)].map(|(x, z)| Vec3::new(half * x, height, half * z))
+}
+
+/// The same, facing down.
+fn lamp(half: f32, height: f32) -> [Vec3; 4] {
+    let mut corners = square(half, height);
+    corners.reverse();
+    corners
+}
+
+/// A floor, a light above it, and 8 × 8 boxes of heights that follow no pattern.
+fn room() -> Frame {
+    let mut scene = Builder::default();
+    let ground = scene.object("floor", matt(0.6), 0.0);
+    let light = scene.object("light", matt(0.0), 12.0);
+    let boxes = [
+        scene.object("matt", matt(0.5), 0.0),
+        scene.object("mirror", Surface::Metal { f0: Color::plain(Vec3::splat(0.9)), alpha: 0.0 }, 0.0),
+        scene.object(
+            "glass",
+            Surface::Glass { ior: 1.5, transmittance: Color::plain(Vec3::ONE), alpha: 0.0 },
+            0.0,
+        ),
+    ];
+    quad(&mut scene.geometry, square(6.0, 0.0), ground);
+    quad(&mut scene.geometry, lamp(1.0, 5.0), light);
+    for i in 0..64u32 {
+        let (column, row) = (i % 8, i / 8);
+        let base = Vec3::new(column as f32 - 3.5, 0.0, row as f32 - 3.5);
+        let height = 0.2 + 0.1 * (i * 29 % 17) as f32;
+        cuboid(&mut scene.geometry, base, Vec3::new(0.35, height, 0.35), boxes[(i * 13 % 5 % 3) as usize]);
+    }
+    scene.frame()
+}
+
+/// Ground whose height follows no pattern.
+fn hills() -> Frame {
+    let mut scene = Builder::default();
+    let ground = scene.object("hills", matt(0.6), 0.0);
+    let geometry = &mut scene.geometry;
+    let side = HILLS + 1;
+    for i in 0..side * side {
+        let (column, row) = (i % side, i / side);
+        let at = |place: u32| 12.0 * (place as f32 / HILLS as f32 - 0.5);
+        // The high bits of a product with the golden section.
+        let height = (i.wrapping_mul(2_654_435_769) >> 22) as f32 / 1024.0;
+        geometry.positions.push(Vec3::new(at(column), 0.3 * height, at(row)));
+        geometry.normals.push(Vec3::ZERO);
+        geometry.uvs.push(Vec2::ZERO);
+    }
+    for i in 0..HILLS * HILLS {
+        let first = i / HILLS * side + i % HILLS;
+        let [a, b, c, d] = [first, first + side, first + side + 1, first + 1];
+        geometry.triangles.extend([[a, b, c], [a, c, d]]);
+        geometry.triangle_stratum.extend([ground; 2]);
+    }
+    scene.frame()
+}
+
+/// A glossy floor, a lamp.
+fn floor() -> Frame {
+    let mut scene = Builder::default();
+    let plastic = Surface::Plastic { albedo: Color::plain(Vec3::splat(0.4)), ior: 1.5, alpha: 0.3 };
+    let ground = scene.object("floor", plastic, 0.0);
+    let light = scene.object("light", matt(0.0), 12.0);
+    quad(&mut scene.geometry, square(9.0, 0.0), ground);
+    quad(&mut scene.geometry, lamp(1.0, 5.0), light);
+    scene.frame()
+}
+
+/// A floor under sheets that their image cuts away altogether.
+fn sheets() -> Frame {
+    let mut scene = Builder::default();
+    let ground = scene.object("floor", matt(0.6), 0.0);
+    let sheet = scene.object("sheets", matt(0.6), 0.0);
+    scene.materials[sheet as usize].mask = Some(AlphaMask { texture: TextureId(0), cutoff: 0.5 });
+    scene.textures.push(Texture {
+        name: "sheets".into(),
+        width: TEXELS,
+        height: TEXELS,
+        texels: Texels::Srgb8(vec![[90, 120, 60, 0]; (TEXELS * TEXELS) as usize]),
+    });
+    quad(&mut scene.geometry, square(9.0, 0.0), ground);
+    for i in 1..=SHEETS {
+        quad(&mut scene.geometry, square(9.0, 0.1 * i as f32), sheet);
+    }
+    scene.frame()
+}
+
+/// A box on the ground, `half` wide to each side and `half.y` high.
+fn cuboid(geometry: &mut Geometry, base: Vec3, half: Vec3, stratum: u32) {
+    let corner = |i: u32| {
+        let side = |bit: u32| if i >> bit & 1 == 1 { 1.0 } else { -1.0 };
+        let up = if i >> 1 & 1 == 1 { half.y } else { 0.01 };
+        base + Vec3::new(half.x * side(0), up, half.z * side(2))
+    };
+    for face in [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]] {
+        quad(geometry, face.map(corner), stratum);
+    }
+}
+
+/// Two triangles, counter-clockwise seen from the front.
+fn quad(geometry: &mut Geometry, corners: [Vec3; 4], stratum: u32) {
+    let first = geometry.positions.len() as u32;
+    geometry.positions.extend(corners);
+    geometry.normals.extend([Vec3::ZERO; 4]);
+    geometry.uvs.extend([Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y]);
+    geometry.triangles.extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
+    geometry.triangle_stratum.extend([stratum; 2]);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_boxes_face_outwards_and_the_hills_upwards() {
+        let frame = room();
+        let geometry = &frame.geometry;
+        for triangle in 4..geometry.triangles.len() as u32 {
+            let first = 8 + (triangle - 4) / 12 * 24;
+            let own: Vec<Vec3> = geometry.positions[first as usize..first as usize + 24].to_vec();
+            let centre = own.iter().sum::<Vec3>() / 24.0;
+            let [a, b, c] = geometry.corners(triangle);
+            let outward = geometry.geometric_normal(triangle).dot((a + b + c) / 3.0 - centre);
+            assert!(outward > 0.0, "triangle {triangle}");
+        }
+        let hills = hills();
+        assert_eq!(hills.geometry.triangles.len(), 524_288);
+        assert!((0..524_288).step_by(1009).all(|triangle| hills.geometry.geometric_normal(triangle).y > 0.0));
+    }
+}

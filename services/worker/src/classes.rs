@@ -1,0 +1,52 @@
+//! Work by class: what a frame's operations are, for seconds on other machines.
+
+use crate::renderer::FrameRenderer;
+use forelight_protocol::ByClass;
+use forelight_tracer::WorkByClass;
+
+/// Triangles of which tree and corners still fit into the caches of a core, and of which next to nothing does. In between, the share
+/// of going through the tree that waits for memory grows with the logarithm of their number.
+const CACHED: f64 = 8192.0;
+const UNCACHED: f64 = 524_288.0;
+
+/// The tracer's classes of work in a scene of so many triangles.
+pub fn by_class([rays, traversal, shading, texture, records]: WorkByClass, triangles: usize) -> ByClass {
+    let share = ((triangles as f64 / CACHED).ln() / (UNCACHED / CACHED).ln()).clamp(0.0, 1.0);
+    let memory = (traversal as f64 * share).round() as u64;
+    ByClass { rays, traversal: traversal - memory, memory, shading, texture, records }
+}
+
+/// Work of a frame of which so much is that of pixels, of gathering records, and of planning these: of the classes of what was traced of it so
+/// far. `None` if nothing was.
+pub fn of_frame(ready: &dyn FrameRenderer, pixels: f64, gathers: f64, plan: u64) -> Option<ByClass> {
+    let (of_pixels, of_gathers) = ready.work_by_class();
+    // A plan is rays and the way through the tree.
+    let plan = by_class([0, plan, 0, 0, 0], ready.frame().geometry.triangles.len());
+    let all = scaled(of_pixels, pixels).plus(scaled(of_gathers, gathers)).plus(plan);
+    (all.total() > 0).then_some(all)
+}
+
+/// As much work as `total`, of the same classes.
+fn scaled(work: ByClass, total: f64) -> ByClass {
+    let factor = total / (work.total() as f64).max(1.0);
+    ByClass::from_array(work.to_array().map(|class| (class as f64 * factor).round() as u64))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_larger_the_scene_the_more_of_its_traversal_waits_for_memory() {
+        let memory = |triangles| by_class([7, 1000, 5, 3, 2], triangles).memory;
+        assert_eq!([0, 12, 8192, 65_536, 524_288, 10_000_000].map(memory), [0, 0, 0, 500, 1000, 1000]);
+        assert_eq!(by_class([7, 1000, 5, 3, 2], 65_536).total(), 1017);
+    }
+
+    #[test]
+    fn scaled_work_keeps_its_shares() {
+        let work = ByClass { rays: 10, shading: 30, ..ByClass::default() };
+        assert_eq!(scaled(work, 400.0), ByClass { rays: 100, shading: 300, ..ByClass::default() });
+        assert_eq!(scaled(ByClass::default(), 400.0), ByClass::default());
+    }
+}
