@@ -62,7 +62,11 @@ async fn too_little_fails_with_what_would_do_and_nonsense_is_refused() {
     let failed = farm.until_booked(&node, &job).await;
     assert_eq!(failed.state, JobState::Failed);
     let error = failed.error.unwrap();
-    assert!(error.contains("one camera sample") && error.contains("5 were given") || error.contains("5 CPU microseconds were given"), "{error}");
+    assert!(
+        error.contains("one camera sample") && error.contains("5 were given")
+            || error.contains("5 CPU microseconds were given"),
+        "{error}"
+    );
     // What it names does fit.
     let words: Vec<&str> = error.split(' ').collect();
     let least: i64 = words[words.iter().position(|word| *word == "takes").unwrap() + 1].parse().unwrap();

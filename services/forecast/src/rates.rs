@@ -93,7 +93,8 @@ mod tests {
     #[test]
     fn rates_that_kernels_were_timed_with_are_found_again() {
         let truth = [1.0e-9, 2.0e-9, 0.4e-9];
-        let kernels = [[8.0e6, 1.0e6, 0.0], [1.0e6, 9.0e6, 1.0e6], [2.0e6, 0.0, 7.0e6], [3.0e6, 3.0e6, 3.0e6]];
+        let kernels =
+            [[8.0e6, 1.0e6, 0.0], [1.0e6, 9.0e6, 1.0e6], [2.0e6, 0.0, 7.0e6], [3.0e6, 3.0e6, 3.0e6]];
         let timed: Vec<_> =
             kernels.iter().map(|work| (*work, sum(work.iter().zip(truth).map(|(w, r)| w * r)))).collect();
         let found = class_rates(&timed).unwrap();
@@ -105,7 +106,10 @@ mod tests {
     #[test]
     fn a_class_that_no_kernel_does_has_the_mean_rate_and_nothing_says_nothing() {
         let found = class_rates(&[([4.0e6, 0.0], 8.0e-3)]).unwrap();
-        assert!((found[0] / 2.0e-9 - 1.0).abs() < 0.01 && (found[1] / 2.0e-9 - 1.0).abs() < 0.01, "{found:?}");
+        assert!(
+            (found[0] / 2.0e-9 - 1.0).abs() < 0.01 && (found[1] / 2.0e-9 - 1.0).abs() < 0.01,
+            "{found:?}"
+        );
         assert_eq!(class_rates::<2>(&[]), None);
         assert_eq!(class_rates(&[([0.0, 0.0], 1.0), ([1.0, 0.0], 0.0)]), None);
     }

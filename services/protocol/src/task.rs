@@ -5,9 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{
-    ArtifactHash, BundleSource, ByClass, JobId, LeftOut, RenderSettings, RenderStats, SceneDigest,
-};
+use crate::{ArtifactHash, BundleSource, ByClass, JobId, LeftOut, RenderSettings, RenderStats, SceneDigest};
 
 /// The kinds of tasks.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize, ToSchema)]

@@ -114,7 +114,8 @@ pub fn render_allotted(
     let allotment = Allotment::new(&pilot)?;
     let (finished, samples, within) = match &options.aim {
         Aim::Within(budget) => {
-            match render_within(&*ready, &allotment, budget, options.confidence, progress, observer.cancel())? {
+            match render_within(&*ready, &allotment, budget, options.confidence, progress, observer.cancel())?
+            {
                 None => return Ok(None),
                 Some((finished, samples, within)) => (finished, samples, Some(within)),
             }

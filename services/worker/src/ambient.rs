@@ -9,8 +9,8 @@ use crate::renderer::{
 use forelight_forecast::accuracy::{PixelNoise, PixelSamples};
 use forelight_preview::{Choice, PreviewError, Previewer};
 use forelight_protocol::{
-    ByClass, CacheMode, FixedCosts, Integrator, LeftOut, MaterialMode, PreviewBackend, RenderSettings, SceneDigest,
-    SceneSummary, Spent, StratumName,
+    ByClass, CacheMode, FixedCosts, Integrator, LeftOut, MaterialMode, PreviewBackend, RenderSettings,
+    SceneDigest, SceneSummary, Spent, StratumName,
 };
 use forelight_scene::{Frame, Geometry, Limits, Scene};
 use forelight_tracer::{

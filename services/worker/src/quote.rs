@@ -11,8 +11,8 @@ use forelight_forecast::{
     ShotForecast, Strategy,
 };
 use forelight_protocol::{
-    ByClass, FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, LeftOut, Profiled, Quantiles, RayQuantiles,
-    RenderSettings, Spent, SpentOnForecast,
+    ByClass, FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, LeftOut, Profiled, Quantiles,
+    RayQuantiles, RenderSettings, Spent, SpentOnForecast,
 };
 use std::collections::BTreeSet;
 

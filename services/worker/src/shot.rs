@@ -310,9 +310,7 @@ fn work_of_pixels(counts: &[u32], observations: &[Observation]) -> f64 {
     let (all, work) = seen.iter().fold((0, 0), |sum, each| (sum.0 + each.0, sum.1 + each.1));
     let mean = |(number, work): (u64, u64)| work as f64 / number.max(1) as f64;
     let strata = counts.iter().zip(seen);
-    strata
-        .map(|(&count, own)| f64::from(count) * if own.0 > 0 { mean(own) } else { mean((all, work)) })
-        .sum()
+    strata.map(|(&count, own)| f64::from(count) * if own.0 > 0 { mean(own) } else { mean((all, work)) }).sum()
 }
 
 /// The same of all records, level by level.

@@ -92,10 +92,10 @@ fn what_the_clock_decided_can_be_rendered_again_to_the_last_bit() {
     };
     let made = allotted(cpu_seconds(seconds)).unwrap();
     let (shot, nobody) = (kitchen(), Nobody::default());
-    let again =
-        render_as_allotted(&shot, 0, &settings(1), Given::default(), &made.samples, &|_| (), &nobody);
+    let again = render_as_allotted(&shot, 0, &settings(1), Given::default(), &made.samples, &|_| (), &nobody);
     let again = again.unwrap().unwrap().rendered;
-    let bits = |made: &Rendered| made.image.pixels.iter().map(|p| p.color.map(f32::to_bits)).collect::<Vec<_>>();
+    let bits =
+        |made: &Rendered| made.image.pixels.iter().map(|p| p.color.map(f32::to_bits)).collect::<Vec<_>>();
     assert_eq!(bits(&made.rendered), bits(&again));
     assert_eq!((made.rendered.stats.work, made.rendered.stats.rays), (again.stats.work, again.stats.rays));
     let few = SampleCounts::new(vec![1; 5]).unwrap();

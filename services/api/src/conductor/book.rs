@@ -179,9 +179,8 @@ fn on_calibrated(forecast: &JobForecast, nodes: &[Node]) -> Vec<NodeSeconds> {
     let work = forecast.work_by_class.as_ref();
     let speeds = nodes.iter().filter_map(|node| Some((&node.name, node.corrected_speed(work)?)));
     let by_name: BTreeMap<&String, f64> = speeds.collect();
-    let seconds = |(name, speed): (&String, f64)| {
-        NodeSeconds::new(name.clone(), speed, &forecast.total.cpu_seconds)
-    };
+    let seconds =
+        |(name, speed): (&String, f64)| NodeSeconds::new(name.clone(), speed, &forecast.total.cpu_seconds);
     by_name.into_iter().take(NodeSeconds::MOST).map(seconds).collect()
 }
 

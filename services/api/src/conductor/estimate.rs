@@ -7,8 +7,8 @@ use forelight_forecast::{
     Quantity, ShotForecast, forecast_shot, shot_times,
 };
 use forelight_protocol::{
-    ByClass, ForecastTotals, FrameForecast, LeftOut, PreviewResult, Profiled, Quantiles, RayQuantiles, RenderSettings,
-    Spent, SpentOnForecast,
+    ByClass, ForecastTotals, FrameForecast, LeftOut, PreviewResult, Profiled, Quantiles, RayQuantiles,
+    RenderSettings, Spent, SpentOnForecast,
 };
 use forelight_store::{JobForecast, MeasuredProfile, QuoteBasis, QuoteKind, Spreads};
 

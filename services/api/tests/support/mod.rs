@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use forelight_api::{Config, Service};
 use forelight_protocol::{
-    ArtifactHash, FixedCosts, FrameStrata, Job, JobState, Lease, Node, NoiseCell, NoiseSample,
+    ArtifactHash, ByClass, FixedCosts, FrameStrata, Job, JobState, Lease, Node, NoiseCell, NoiseSample,
     PreviewBackend, PreviewResult, Problem, ProblemKind, ProfileArtifacts, ProfileResult, ProfileSample,
     Rays, RenderArtifacts, RenderResult, RenderStats, ResultAnswer, ResultRequest, Role, Spent, Stratum,
     StratumName, TaskKind, TaskResult, TaskSpec, Timestamp,
@@ -261,7 +261,7 @@ impl Farm {
                     cache_samples: Vec::new(),
                     noise: made_up_noise(spec.settings.spp),
                     effects: vec!["ambient".to_owned()],
-                    work_by_class: None,
+                    work_by_class: Some(ByClass { rays: 800, memory: 200, ..ByClass::default() }),
                     left_out: Vec::new(),
                     renderer: Some("made up 1".to_owned()),
                     fixed: FixedCosts {

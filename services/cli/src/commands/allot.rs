@@ -89,7 +89,9 @@ impl AllotArgs {
     /// The samples of each pixel, if they were given, for an image of this size.
     pub fn given_samples(&self, (width, height): (u32, u32)) -> Result<Option<SampleCounts>> {
         let Some(path) = &self.samples_from else { return Ok(None) };
-        read_samples(path, width, height).map(Some).with_context(|| format!("--samples-from {}", path.display()))
+        read_samples(path, width, height)
+            .map(Some)
+            .with_context(|| format!("--samples-from {}", path.display()))
     }
 
     /// Writes the samples of each pixel, if that is wanted.

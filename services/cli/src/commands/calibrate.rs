@@ -101,8 +101,11 @@ mod tests {
         let written = NodeCalibration { picos_per_work: ByClass::from_array([900; 6]), kernels: Vec::new() };
         std::fs::write(&path, serde_json::to_string(&written).unwrap()).unwrap();
         assert_eq!(read(&path).unwrap(), ("rack-7".to_owned(), written));
-        std::fs::write(&path, r#"{"picos_per_work":{"rays":0,"traversal":1,"memory":1,"shading":1,"texture":1,"records":1}}"#)
-            .unwrap();
+        std::fs::write(
+            &path,
+            r#"{"picos_per_work":{"rays":0,"traversal":1,"memory":1,"shading":1,"texture":1,"records":1}}"#,
+        )
+        .unwrap();
         let error = format!("{:#}", read(&path).unwrap_err());
         assert!(error.contains("rack-7.json") && error.contains("picos_per_work"), "{error}");
     }

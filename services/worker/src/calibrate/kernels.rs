@@ -4,8 +4,10 @@
 //! | --- | --- |
 //! | `coherent` | rays from the camera, one beside the other, through a small tree |
 //! | `incoherent` | rays gathered from all directions, in a room of boxes in matt, mirror and glass: most like a frame |
-//! | `memory` | the same above hills of half a million triangles, which no cache holds |
-//! | `shading` | a glossy floor under a lamp, with next to nothing in between |
+//! | `traversal` | the same above hills of eight thousand triangles, which caches hold |
+//! | `memory` | the same of half a million triangles, which they do not |
+//! | `lights` | a glossy floor under a lamp, with next to nothing in between: rays that meet nothing |
+//! | `surfaces` | a floor without any light: the surface that each ray from the camera meets |
 //! | `texture` | sheets that an image cuts out: one is looked up for each that a ray passes |
 //! | `records` | the room again, read from an irradiance cache |
 
@@ -24,8 +26,12 @@ pub const REFERENCE: &str = "incoherent";
 /// Edge of the kernels' images, pixels.
 const SIZE: u32 = 48;
 
-/// Squares along an edge of the hills: twice its square of triangles.
-const HILLS: u32 = 512;
+/// Boxes along an edge of the room: 6916 triangles in all, which caches hold.
+const BOXES: u32 = 24;
+
+/// Squares along an edge of the low and the high hills: twice its square of triangles.
+const LOW: u32 = 64;
+const HIGH: u32 = 512;
 
 /// Sheets of the kernel of textures, and the edge of their image in texels: 16 MiB.
 const SHEETS: u32 = 24;
@@ -41,14 +47,9 @@ pub struct Kernel {
 /// All kernels, ready.
 pub fn all() -> Vec<Kernel> {
     let settings = Settings { width: SIZE, height: SIZE, ambient_bounces: 0, ..Settings::default() };
-    let with = |spp, ambient_bounces| Settings {
-        spp,
-        ambient_bounces,
-        ambient_divisions: 16,
-        ..settings.clone()
-    };
-    let cached =
-        Settings { cache: Some(CacheSettings { accuracy: 300, rays: 48 }), ..with(8, 1) };
+    let with =
+        |spp, ambient_bounces| Settings { spp, ambient_bounces, ambient_divisions: 16, ..settings.clone() };
+    let cached = Settings { cache: Some(CacheSettings { accuracy: 300, rays: 48 }), ..with(8, 1) };
     let kernel = |name, frame: &Frame, settings: &Settings, every: usize| {
         let tracer = Tracer::new(frame, settings);
         // Only the kernel of records has any to fill.
@@ -59,8 +60,10 @@ pub fn all() -> Vec<Kernel> {
     vec![
         kernel("coherent", &room, &with(4, 0), 1),
         kernel(REFERENCE, &room, &with(1, 1), 1),
-        kernel("memory", &hills(), &with(1, 1), 2),
-        kernel("shading", &floor(), &with(8, 0), 1),
+        kernel("traversal", &hills(LOW), &with(1, 1), 1),
+        kernel("memory", &hills(HIGH), &with(1, 1), 2),
+        kernel("lights", &lit_floor(), &with(8, 0), 1),
+        kernel("surfaces", &dark_floor(), &with(16, 0), 1),
         kernel("texture", &sheets(), &with(1, 0), 1),
         kernel("records", &room, &cached, 1),
     ]
@@ -135,7 +138,7 @@ fn lamp(half: f32, height: f32) -> [Vec3; 4] {
     corners
 }
 
-/// A floor, a light above it, and 8 × 8 boxes of heights that follow no pattern.
+/// A floor, a light above it, and boxes of heights that follow no pattern.
 fn room() -> Frame {
     let mut scene = Builder::default();
     let ground = scene.object("floor", matt(0.6), 0.0);
@@ -151,32 +154,32 @@ fn room() -> Frame {
     ];
     quad(&mut scene.geometry, square(6.0, 0.0), ground);
     quad(&mut scene.geometry, lamp(1.0, 5.0), light);
-    for i in 0..64u32 {
-        let (column, row) = (i % 8, i / 8);
-        let base = Vec3::new(column as f32 - 3.5, 0.0, row as f32 - 3.5);
+    for i in 0..BOXES * BOXES {
+        let at = |place: u32| 8.0 * ((place as f32 + 0.5) / BOXES as f32 - 0.5);
+        let base = Vec3::new(at(i % BOXES), 0.0, at(i / BOXES));
         let height = 0.2 + 0.1 * (i * 29 % 17) as f32;
-        cuboid(&mut scene.geometry, base, Vec3::new(0.35, height, 0.35), boxes[(i * 13 % 5 % 3) as usize]);
+        cuboid(&mut scene.geometry, base, Vec3::new(0.12, height, 0.12), boxes[(i * 13 % 5 % 3) as usize]);
     }
     scene.frame()
 }
 
-/// Ground whose height follows no pattern.
-fn hills() -> Frame {
+/// Ground of so many squares to each side whose height follows no pattern.
+fn hills(squares: u32) -> Frame {
     let mut scene = Builder::default();
     let ground = scene.object("hills", matt(0.6), 0.0);
     let geometry = &mut scene.geometry;
-    let side = HILLS + 1;
+    let side = squares + 1;
     for i in 0..side * side {
         let (column, row) = (i % side, i / side);
-        let at = |place: u32| 12.0 * (place as f32 / HILLS as f32 - 0.5);
+        let at = |place: u32| 12.0 * (place as f32 / squares as f32 - 0.5);
         // The high bits of a product with the golden section.
         let height = (i.wrapping_mul(2_654_435_769) >> 22) as f32 / 1024.0;
         geometry.positions.push(Vec3::new(at(column), 0.3 * height, at(row)));
         geometry.normals.push(Vec3::ZERO);
         geometry.uvs.push(Vec2::ZERO);
     }
-    for i in 0..HILLS * HILLS {
-        let first = i / HILLS * side + i % HILLS;
+    for i in 0..squares * squares {
+        let first = i / squares * side + i % squares;
         let [a, b, c, d] = [first, first + side, first + side + 1, first + 1];
         geometry.triangles.extend([[a, b, c], [a, c, d]]);
         geometry.triangle_stratum.extend([ground; 2]);
@@ -185,7 +188,7 @@ fn hills() -> Frame {
 }
 
 /// A glossy floor, a lamp.
-fn floor() -> Frame {
+fn lit_floor() -> Frame {
     let mut scene = Builder::default();
     let plastic = Surface::Plastic { albedo: Color::plain(Vec3::splat(0.4)), ior: 1.5, alpha: 0.3 };
     let ground = scene.object("floor", plastic, 0.0);
@@ -193,6 +196,14 @@ fn floor() -> Frame {
     quad(&mut scene.geometry, square(9.0, 0.0), ground);
     quad(&mut scene.geometry, lamp(1.0, 5.0), light);
     scene.frame()
+}
+
+/// A floor, and no light.
+fn dark_floor() -> Frame {
+    let mut scene = Builder::default();
+    let ground = scene.object("floor", matt(0.6), 0.0);
+    quad(&mut scene.geometry, square(9.0, 0.0), ground);
+    Frame { environment: Environment::Constant(Vec3::ZERO), ..scene.frame() }
 }
 
 /// A floor under sheets that their image cuts away altogether.
@@ -252,7 +263,7 @@ mod tests {
             let outward = geometry.geometric_normal(triangle).dot((a + b + c) / 3.0 - centre);
             assert!(outward > 0.0, "triangle {triangle}");
         }
-        let hills = hills();
+        let hills = hills(HIGH);
         assert_eq!(hills.geometry.triangles.len(), 524_288);
         assert!((0..524_288).step_by(1009).all(|triangle| hills.geometry.geometric_normal(triangle).y > 0.0));
     }
