@@ -5,7 +5,7 @@ mod support;
 use forelight_protocol::{ForecastDoc, Node, NodeSeconds};
 use reqwest::StatusCode;
 use serde_json::{Value, json};
-use support::Farm;
+use support::{Answer, Farm};
 
 /// A node that takes a nanosecond for an operation, and so many for one that waits for memory.
 fn registration(name: &str, memory: u64) -> Value {
@@ -20,7 +20,7 @@ async fn register(farm: &Farm, registration: &Value) -> Node {
 
 #[tokio::test]
 async fn a_quote_says_what_it_takes_on_each_calibrated_node() {
-    let farm = Farm::start().await;
+    let farm = Farm::new().await;
     let quick = register(&farm, &registration("quick", 1)).await;
     register(&farm, &registration("starved", 4)).await;
     farm.node("of unknown classes").await;
@@ -39,7 +39,7 @@ async fn a_quote_says_what_it_takes_on_each_calibrated_node() {
 
 #[tokio::test]
 async fn a_calibration_that_is_out_of_range_is_refused_with_its_place() {
-    let farm = Farm::start().await;
+    let farm = Farm::new().await;
     let mut wrong = registration("a", 1);
     wrong["capabilities"]["calibration"]["picos_per_work"]["shading"] = json!(0);
     let refused = farm.worker.post("/v1/nodes", &wrong).await;

@@ -5,7 +5,7 @@ mod support;
 use forelight_protocol::{ForecastDoc, Job, JobState, TaskSpec};
 use reqwest::StatusCode;
 use serde_json::{Value, json};
-use support::Farm;
+use support::{Answer, Farm};
 
 async fn submit(farm: &Farm, within: Value) -> Job {
     let mut request = farm.job_request("0-3");
@@ -20,7 +20,7 @@ async fn quote(farm: &Farm, job: &Job) -> ForecastDoc {
 
 #[tokio::test]
 async fn the_most_samples_that_fit_are_chosen_said_and_rendered() {
-    let farm = Farm::start().await;
+    let farm = Farm::new().await;
     let node = farm.node("n").await;
     let plain = farm.submit("0-3").await;
     let plain = farm.until_booked(&node, &plain).await;
@@ -44,7 +44,7 @@ async fn the_most_samples_that_fit_are_chosen_said_and_rendered() {
 
 #[tokio::test]
 async fn money_buys_samples_for_each_frame() {
-    let farm = Farm::start().await;
+    let farm = Farm::new().await;
     let node = farm.node("n").await;
     // At speed 2, two cores and 3.6 units an hour a CPU second of speed 1 costs 250 micro-units.
     let job = submit(&farm, json!({"money": 250 * 400, "per": "frame"})).await;
@@ -56,7 +56,7 @@ async fn money_buys_samples_for_each_frame() {
 
 #[tokio::test]
 async fn too_little_fails_with_what_would_do_and_nonsense_is_refused() {
-    let farm = Farm::start().await;
+    let farm = Farm::new().await;
     let node = farm.node("n").await;
     let job = submit(&farm, json!({"cpu_micros": 5})).await;
     let failed = farm.until_booked(&node, &job).await;

@@ -79,16 +79,21 @@ impl NodeCalibration {
     /// Kernels of a calibration at most.
     pub const MOST_KERNELS: usize = 20;
 
+    /// Picoseconds of one core for this work.
+    fn picos(&self, work: &ByClass) -> u128 {
+        let classes = work.to_array().into_iter().zip(self.picos_per_work.to_array());
+        classes.map(|(work, picos)| u128::from(work) * u128::from(picos)).sum()
+    }
+
     /// Seconds of one core for this work.
     pub fn seconds(&self, work: &ByClass) -> f64 {
-        let classes = work.to_array().into_iter().zip(self.picos_per_work.to_array());
-        classes.map(|(work, picos)| work as f64 * picos as f64 * 1e-12).sum()
+        self.picos(work) as f64 * 1e-12
     }
 
     /// Speed for such work against the reference, a core that takes a nanosecond for every unit; `None` if there is no work.
     pub fn speed(&self, work: &ByClass) -> Option<f64> {
-        let (reference, own) = (work.total() as f64 * 1e-9, self.seconds(work));
-        (reference > 0.0 && own > 0.0).then(|| reference / own)
+        let (reference, own) = (1000 * u128::from(work.total()), self.picos(work));
+        (reference > 0 && own > 0).then(|| reference as f64 / own as f64)
     }
 
     /// Whether all numbers are in their ranges.

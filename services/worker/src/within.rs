@@ -24,8 +24,11 @@ const CAREFUL: [f64; 2] = [0.25, 0.5];
 const BOLD: f64 = 0.9;
 /// A pass is worth its while if so much of the whole time is left for it.
 const WORTHWHILE: f64 = 0.01;
-/// Share of the whole time that is kept back: for the pixels that are being traced when the time is up, and for putting the image together.
-const MARGIN: f64 = 0.005;
+/// Share of the whole time that is kept back: for the pixels that are being traced when the time is up, and for putting the image together
+/// on a machine that is busy with other things.
+const MARGIN: f64 = 0.015;
+/// Writing is kept back so many times, for the same reason.
+const WRITING: f64 = 1.5;
 /// Records that are gathered of each level, to see how long all of them take.
 const RECORDS: usize = 16;
 
@@ -210,6 +213,6 @@ impl<'a> Run<'a> {
     fn keep_back_for_writing(&mut self) {
         let start = self.budget.clock.elapsed();
         (self.budget.rehearse)(&self.passes.image(), self.ready.frame());
-        self.end -= self.budget.clock.elapsed() - start;
+        self.end -= WRITING * (self.budget.clock.elapsed() - start);
     }
 }

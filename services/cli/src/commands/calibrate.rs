@@ -8,7 +8,9 @@ use crate::quantities::count;
 use crate::table::{Align, Table};
 use anyhow::Result;
 use forelight_protocol::{ByClass, NodeCalibration};
+use forelight_tracer::tracer_version;
 use forelight_worker::{calibrate, node_speed};
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// Measure how fast one core of this machine is, by class of work
@@ -22,7 +24,8 @@ Examples:
 A fixed set of small scenes is traced, the same on every machine, in a few seconds. What a unit of work takes differs between machines, and \
 between classes of work on one of them: a processor with small caches is slow in large scenes, and there alone. With the \
 calibrations of two machines a quote that was made on one says what it takes on the other. Workers of a farm calibrate themselves when \
-they start, and finished frames correct that.")]
+they first start, keep that beside their bundles (calibration-HOST.json; without the file they measure again), and finished frames \
+correct it.")]
 pub struct Args {
     /// Write the calibration as JSON
     #[arg(long, value_name = "FILE")]
@@ -50,6 +53,39 @@ pub fn measured(bars: &Bars) -> NodeCalibration {
     });
     bar.finish_and_clear();
     calibration
+}
+
+/// A calibration as a worker keeps it beside its bundles, so that one that is started for every task does not begin by measuring.
+#[derive(Debug, Serialize, Deserialize)]
+struct Kept {
+    processor: Option<String>,
+    tracer: u32,
+    calibration: NodeCalibration,
+}
+
+/// This machine's calibration: the one that was kept in a folder, if it is of this processor and this tracer; otherwise measured, and kept there.
+pub fn kept(folder: &Path, processor: Option<&str>) -> NodeCalibration {
+    // The folder may be shared by machines.
+    let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    let host: String = host.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').collect();
+    let path = folder.join(format!("calibration-{host}.json"));
+    match json_file::read::<Kept>(&path) {
+        Ok(Kept { processor: of, tracer, calibration })
+            if of.as_deref() == processor && tracer == tracer_version() && calibration.check().is_ok() =>
+        {
+            calibration
+        }
+        _ => {
+            let calibration = calibrate(&|_, _| ());
+            let processor = processor.map(str::to_owned);
+            let kept = Kept { processor, tracer: tracer_version(), calibration: calibration.clone() };
+            // Without the file the next start measures again.
+            if let Err(error) = output::pretty(&kept).and_then(|text| write_bytes(&path, text.as_bytes())) {
+                tracing::warn!(%error, "this machine's calibration could not be kept");
+            }
+            calibration
+        }
+    }
 }
 
 /// A calibration that `--out` wrote, with the name of its file for the machine's.
@@ -93,6 +129,15 @@ fn report(calibration: &NodeCalibration) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_kept_calibration_is_used_until_processor_or_tracer_are_others() {
+        let folder = tempfile::tempdir().unwrap();
+        let first = kept(folder.path(), Some("a processor"));
+        // Two measurements are never the same to the picosecond.
+        assert_eq!(kept(folder.path(), Some("a processor")), first);
+        assert_ne!(kept(folder.path(), Some("another")), first);
+    }
 
     #[test]
     fn a_calibration_reads_back_and_one_that_is_out_of_range_is_refused() {

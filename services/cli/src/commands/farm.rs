@@ -44,9 +44,10 @@ pub struct Args {
 
 /// Runs the command.
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
-    let (library, capabilities) = library(&args.service.data.join("bundles"), args.preview)?;
+    let bundles = args.service.data.join("bundles");
+    let (library, capabilities) = library(&bundles, args.preview)?;
     // Measured before there is anything else to do.
-    let calibration = measured().await?;
+    let calibration = measured(bundles, capabilities.processor.clone()).await?;
     let speed = node_speed(&calibration);
     let capabilities = Capabilities { calibration: Some(calibration), ..capabilities };
     let running = serve::start(&args.service).await?;

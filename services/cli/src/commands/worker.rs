@@ -1,5 +1,6 @@
 //! `forelight worker`: a worker process on this machine, for a service anywhere.
 
+use super::calibrate;
 use crate::atomic_file::write_secret;
 use crate::connection::{connect, read_token};
 use crate::failure::{BadInput, Interrupted};
@@ -13,9 +14,7 @@ use forelight_protocol::{
     Capabilities, JoinRequest, Money, NodeCalibration, NodeRegistration, ProblemKind, TaskId, TaskLimits,
 };
 use forelight_store::{token_hash, tokens};
-use forelight_worker::{
-    Agent, Ambient, Client, Errand, Library, TaskRunner, calibrate, capabilities, node_speed,
-};
+use forelight_worker::{Agent, Ambient, Client, Errand, Library, TaskRunner, capabilities, node_speed};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -28,7 +27,7 @@ Examples:
   forelight worker --data farm-data --name this-machine --threads 2 --price 0.80
   forelight worker --server http://farm:7878 --join-token-file rack-8.join --token-file rack-8.token --name rack-8
 
-The machine's speed is measured at the start (a third of a second). Ctrl-C stops taking tasks and gives the one at hand \
+The first time, the machine is calibrated for some seconds (see `forelight calibrate`). Ctrl-C stops taking tasks and gives the one at hand \
 back. A restart of the service is survived: results are offered until they are taken.
 
 With --join-token-file the machine joins the farm: the one-time token is burnt, and the machine's own token, which it makes itself, is \
@@ -75,7 +74,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let name = args.name.map_or_else(host_name, Ok)?;
     let folder = args.bundles.unwrap_or_else(|| std::env::temp_dir().join("forelight-bundles"));
     let (library, capabilities) = library(&folder, args.preview)?;
-    let calibration = measured().await?;
+    let calibration = measured(folder, capabilities.processor.clone()).await?;
     let cores = args.threads.map_or_else(cores, u32::from);
     let registration = NodeRegistration {
         name: name.clone(),
@@ -143,9 +142,9 @@ async fn join(one_time: &Path, connection: &ConnectionOptions, node: &NodeRegist
     Ok(client)
 }
 
-/// How fast one core is, measured on a thread of its own.
-pub async fn measured() -> Result<NodeCalibration> {
-    let measure = || calibrate(&|_, _| ());
+/// How fast one core of this machine is, as kept in a folder or measured on a thread of its own.
+pub async fn measured(folder: PathBuf, processor: Option<String>) -> Result<NodeCalibration> {
+    let measure = move || calibrate::kept(&folder, processor.as_deref());
     tokio::task::spawn_blocking(measure).await.context("cannot measure this machine's speed")
 }
 

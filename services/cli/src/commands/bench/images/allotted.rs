@@ -39,7 +39,7 @@ impl Allotted {
         let stopping = Stopping(interrupt);
         let rendered =
             render_allotted(&self.shot, self.frame, settings, Given::default(), &options, &|_| (), &stopping);
-        let rendered = rendered.map_err(failure)?.ok_or(Interrupted)?;
+        let rendered = rendered.map_err(failure)?.ok_or(Interrupted)?.rendered;
         let (cpu_nanos, wall_seconds) = (process_cpu_nanos() - used, start.elapsed().as_secs_f64());
         let stats = &rendered.stats;
         let profiled = stats.allotted.as_ref().map_or(0, |allotted| allotted.profiling_work);
