@@ -7,7 +7,7 @@ use crate::problem::{Problem, Work};
 /// The earliest conceivable end of this job, if it had the farm to itself.
 ///
 /// Any plan takes the frames' work out of the nodes' free time after the release, and gives the longest frame (or
-/// its longest tile) an unbroken stretch of one node after the seed; so neither part can be beaten. Without calendars the
+/// its longest tile) an unbroken stretch of one node after the seed, which takes at least as long as one of its parts; so neither can be beaten. Without calendars the
 /// first is Σ w / Σ s, the second max w / max s (Graham 1969).
 pub(crate) fn bound(problem: &Problem, work: &Work) -> Bound {
     let job = work.job;
@@ -24,7 +24,7 @@ pub(crate) fn bound(problem: &Problem, work: &Work) -> Bound {
             })
             .min()
     };
-    let seeded = match job.seed.zip(work.seed) {
+    let seeded = match job.seed.zip(work.seed_part()) {
         None => Some(release),
         Some((seed, amount)) => earliest(&work.seed_classes, seed.class, release, amount),
     };

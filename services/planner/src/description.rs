@@ -159,6 +159,9 @@ struct JobEntry {
     spread: f64,
     seed_hours: Option<f64>,
     seed_class: Option<String>,
+    /// Into how many equal parts the seed is split.
+    #[serde(default = "one")]
+    seed_parts: u32,
     #[serde(default)]
     memory_gib: f64,
     #[serde(default)]
@@ -445,7 +448,11 @@ fn job(
         total: WorkTotal { p50, p80, p95: quantile(1.954_4).max(p80) },
         seed: match entry.seed_hours {
             None => None,
-            Some(hours) => Some(Seed { class: class(&entry.seed_class), work: work(hours, "seed_hours")? }),
+            Some(hours) => Some(Seed {
+                class: class(&entry.seed_class),
+                work: work(hours, "seed_hours")?,
+                parts: entry.seed_parts,
+            }),
         },
         frames,
         done: Vec::new(),

@@ -125,7 +125,9 @@ impl<'a> Work<'a> {
             return None;
         }
         match task {
-            Task::Seed => node.duration(self.seed?, self.job.seed?.class),
+            Task::Seed | Task::SeedPart { .. } => {
+                node.duration(self.job.seed_work(task)?, self.job.seed?.class)
+            }
             Task::Frame(number) => node.duration(self.work_of(number)?, self.job.class),
             Task::Tile { frame, part, parts } => {
                 if part >= parts || parts > self.job.tiles {
@@ -134,6 +136,11 @@ impl<'a> Work<'a> {
                 node.duration(self.job.tile_work(self.work_of(frame)?, parts), self.job.class)
             }
         }
+    }
+
+    /// Work of each part of the seed, or of all of it if it is not split.
+    pub fn seed_part(&self) -> Option<u64> {
+        self.job.seed_work(self.job.seed?.tasks().next()?)
     }
 
     fn work_of(&self, number: i64) -> Option<u64> {

@@ -145,10 +145,15 @@ fn after(input: &Input, old: &Plan, event: &Event) -> Result<(Input, Vec<(u64, T
                 let job = own_job(&mut new, *job)?;
                 // It is a fact now, and no longer a task of the job; a seed that is done is a later release.
                 let facts: Vec<&Booking> = match task.frame() {
+                    // All parts of the seed are, with the one.
                     None => {
+                        let of_seed = |other: &&Booking| other.job == booking.job && other.task.is_seed();
+                        let parts: Vec<&Booking> = old.bookings.iter().filter(of_seed).collect();
+                        let others = parts.iter().filter(|part| part.task != *task).map(|part| part.end);
+                        let end = others.max().map_or(*until, |end| end.max(*until));
                         job.seed = None;
-                        job.release = job.release.max(*until);
-                        vec![booking]
+                        job.release = job.release.max(end);
+                        parts
                     }
                     // All tiles of a frame are, with the one.
                     Some(number) => {

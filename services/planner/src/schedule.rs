@@ -231,9 +231,7 @@ pub(crate) fn place_all(
 /// Places the seed, if there is one to place: all frames wait for it, so it is only cheap within twice the shortest wait.
 fn place_seed(state: &mut State, job: usize, latest_end: i64) -> bool {
     let work = &state.problem.jobs[job];
-    let Some((seed, amount)) = work.job.seed.zip(work.seed).filter(|_| state.misses_seed(job)) else {
-        return true;
-    };
+    let Some((seed, amount)) = work.job.seed.zip(work.seed_part()) else { return true };
     let release = work.release(state.problem.input.now);
     let search = |latest_end, prefer| Search {
         class_of_work: seed.class,
@@ -244,10 +242,12 @@ fn place_seed(state: &mut State, job: usize, latest_end: i64) -> bool {
         prefer,
         except: None,
     };
-    let Some((node, first)) = state.find(work, &search(latest_end, Prefer::Early)) else { return false };
-    let patience = first.end.saturating_add(first.end.saturating_sub(release)).min(latest_end);
-    let (node, fit) = state.find(work, &search(patience, Prefer::Cheap)).unwrap_or((node, first));
-    state.book(job, Placed { node, start: fit.start, end: fit.end, task: Task::Seed });
+    for task in state.missing_seed(job) {
+        let Some((node, first)) = state.find(work, &search(latest_end, Prefer::Early)) else { return false };
+        let patience = first.end.saturating_add(first.end.saturating_sub(release)).min(latest_end);
+        let (node, fit) = state.find(work, &search(patience, Prefer::Cheap)).unwrap_or((node, first));
+        state.book(job, Placed { node, start: fit.start, end: fit.end, task });
+    }
     true
 }
 

@@ -201,7 +201,7 @@ fn carry_out(
         let end = first_end(problem, task, free_from[task.node].max(ready[task.job]), length);
         visit(task, if end < i64::MAX { end - length } else { end }, end);
         free_from[task.node] = end;
-        if task.task == Task::Seed {
+        if task.task.is_seed() {
             ready[task.job] = ready[task.job].max(end);
         }
         ends[task.job] = ends[task.job].max(end);

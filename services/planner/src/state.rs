@@ -3,7 +3,7 @@
 use crate::admission::Admission;
 use crate::lane::{Fit, Lane, Prefer, Wanted};
 use crate::limits::Ledger;
-use crate::model::{Booking, Task};
+use crate::model::{Booking, Seed, Task};
 use crate::problem::{Problem, Work};
 
 /// A task's place.
@@ -65,7 +65,7 @@ impl<'p, 'a> State<'p, 'a> {
     /// returned.
     pub fn keep(&mut self, bookings: &[Booking]) -> Vec<Booking> {
         let mut sorted = bookings.to_vec();
-        sorted.sort_unstable_by_key(|booking| (booking.task != Task::Seed, *booking));
+        sorted.sort_unstable_by_key(|booking| (!booking.task.is_seed(), *booking));
         sorted.dedup();
         let refused = sorted.into_iter().filter(|booking| !self.keep_one(booking)).collect();
         self.drop_partial_frames(refused)
@@ -126,10 +126,14 @@ impl<'p, 'a> State<'p, 'a> {
     pub fn earliest(&self, job: usize, task: Task) -> Option<i64> {
         let work = &self.problem.jobs[job];
         let release = work.release(self.problem.input.now);
-        if work.seed.is_none() || task == Task::Seed {
+        if work.seed.is_none() || task.is_seed() {
             return Some(release);
         }
-        self.placed[job].iter().find(|placed| placed.task == Task::Seed).map(|seed| seed.end.max(release))
+        if self.misses_seed(job) {
+            return None;
+        }
+        let seeds = self.placed[job].iter().filter(|placed| placed.task.is_seed());
+        seeds.map(|seed| seed.end.max(release)).max()
     }
 
     /// The best place on these classes of nodes; among equals, on the node with the least id.
@@ -215,10 +219,15 @@ impl<'p, 'a> State<'p, 'a> {
         missing
     }
 
-    /// Whether the seed has no place although there is one.
+    /// The tasks of the seed that have no place.
+    pub fn missing_seed(&self, job: usize) -> Vec<Task> {
+        let all = self.problem.jobs[job].job.seed.into_iter().flat_map(Seed::tasks);
+        all.filter(|&task| !self.placed[job].iter().any(|placed| placed.task == task)).collect()
+    }
+
+    /// Whether the seed, or a part of it, has no place although there is one.
     pub fn misses_seed(&self, job: usize) -> bool {
-        self.problem.jobs[job].seed.is_some()
-            && !self.placed[job].iter().any(|placed| placed.task == Task::Seed)
+        !self.missing_seed(job).is_empty()
     }
 
     /// Whether all is placed, and by the deadline if there is one.
@@ -236,6 +245,7 @@ fn excludes(one: Task, other: Task) -> bool {
         (Task::Tile { frame: a, part: p, parts: m }, Task::Tile { frame: b, part: q, parts: n }) => {
             a == b && (p == q || m != n)
         }
+        (Task::SeedPart { part: p, parts: m }, Task::SeedPart { part: q, parts: n }) => p == q || m != n,
         _ => one.frame() == other.frame(),
     }
 }

@@ -6,7 +6,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::model::{
-    Booking, Bound, Input, InputError, Interval, Job, JobPlan, Node, Plan, Power, Rental, Task, Verdict,
+    Booking, Bound, Input, InputError, Interval, Job, JobPlan, Node, Plan, Power, Rental, Seed, Task, Verdict,
 };
 use crate::proof::{Counted, value};
 
@@ -386,12 +386,14 @@ fn check_job(
         Verdict::Unplaced { frames, seed } => (&frames[..], *seed),
         _ => (&[][..], false),
     };
-    let seed_end = bookings.iter().find(|booking| booking.task == Task::Seed).map(|booking| booking.end);
+    let seed_end = bookings.iter().filter(|booking| booking.task.is_seed()).map(|booking| booking.end).max();
     let release = job.release.max(input.now);
     let mut tasks: BTreeSet<Task> = BTreeSet::new();
     for &booking in bookings {
         let work = match booking.task {
-            Task::Seed => job.seed.zip(job.bought_seed()).map(|(seed, work)| (seed.class, work)),
+            task @ (Task::Seed | Task::SeedPart { .. }) => {
+                job.seed.zip(job.seed_work(task)).map(|(seed, work)| (seed.class, work))
+            }
             Task::Frame(frame) => works.get(&frame).map(|&work| (job.class, work)),
             Task::Tile { frame, parts, .. } => {
                 works.get(&frame).map(|&work| (job.class, job.tile_work(work, parts)))
@@ -412,7 +414,7 @@ fn check_job(
         if booking.start < release {
             found.push(Violation::Release(booking));
         }
-        let is_frame = booking.task != Task::Seed;
+        let is_frame = !booking.task.is_seed();
         if is_frame && job.seed.is_some() && seed_end.is_none_or(|end| booking.start < end) {
             found.push(Violation::Precedence(booking));
         }
@@ -483,9 +485,11 @@ fn check_complete(
             [task, ..] => found.push(Violation::Twice { job: job.id, task: *task }),
         }
     }
-    match (job.seed.is_some(), tasks.contains(&Task::Seed), seed_unplaced) {
-        (true, false, false) => found.push(Violation::Missing { job: job.id, task: Task::Seed }),
-        (true, true, true) => found.push(Violation::Twice { job: job.id, task: Task::Seed }),
+    let mut parts = job.seed.into_iter().flat_map(Seed::tasks);
+    let missing = parts.find(|part| !tasks.contains(part));
+    match (job.seed.is_some(), missing, seed_unplaced) {
+        (true, Some(task), false) => found.push(Violation::Missing { job: job.id, task }),
+        (true, None, true) => found.push(Violation::Twice { job: job.id, task: Task::Seed }),
         (false, _, true) => found.push(Violation::UnknownUnplaced { job: job.id, task: Task::Seed }),
         _ => {}
     }

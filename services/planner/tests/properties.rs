@@ -219,6 +219,9 @@ fn studio_input() -> impl Strategy<Value = Input> {
             let mut input = studio(Size { jobs, frames: frames.max(jobs), nodes, classes, days: 3 }, seed);
             // Some jobs without a deadline, so that turns are taken.
             input.jobs.iter_mut().take(without).for_each(|job| job.deadline = None);
+            for job in &mut input.jobs {
+                job.seed.iter_mut().for_each(|seed| seed.parts = (job.id % 4) as u32);
+            }
             input
         },
     )

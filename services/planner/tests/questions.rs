@@ -61,9 +61,17 @@ fn the_bound_of_a_plan_that_uses_all_cheap_time_is_its_cost() {
 
 #[test]
 fn frames_wait_for_their_seed_and_tiles_end_together_earlier() {
-    let seeded = Job { seed: Some(Seed { class: 0, work: 3600 }), ..job(1, None, &[2, 2]) };
+    let seeded = Job { seed: Some(Seed { class: 0, work: 3600, parts: 1 }), ..job(1, None, &[2, 2]) };
     let found = sound(&input(vec![node(1, 1, 0), node(2, 1, 0)], vec![seeded]));
     assert_eq!(found.jobs[0].verdict, Verdict::NoDeadline { finish: 3 * HOUR });
+    // In two parts the seed takes both nodes for half as long.
+    let split = Job { seed: Some(Seed { class: 0, work: 7200, parts: 2 }), ..job(1, None, &[2, 2]) };
+    let split = sound(&input(vec![node(1, 1, 0), node(2, 1, 0)], vec![split]));
+    assert_eq!(split.jobs[0].verdict, Verdict::NoDeadline { finish: 3 * HOUR });
+    let parts = [0, 1].map(|part| Task::SeedPart { part, parts: 2 });
+    let seeds: Vec<_> = split.bookings.iter().filter(|booking| booking.task.is_seed()).collect();
+    assert_eq!(seeds.iter().map(|booking| booking.task).collect::<Vec<_>>(), parts);
+    assert!(seeds.iter().all(|booking| booking.end - booking.start == HOUR) && seeds[0].node != seeds[1].node);
     let tiled = Job { tiles: 4, ..job(1, Some(2), &[4]) };
     let found = sound(&input(vec![node(1, 1, 0), node(2, 1, 0)], vec![tiled]));
     assert!(found.bookings.iter().all(|booking| matches!(booking.task, Task::Tile { parts: 2, .. })));

@@ -104,7 +104,7 @@ fn small(nodes: u64, jobs: u64, frames: u64, seed: u64, chances: Chances) -> Wor
     input.limits = vec![Limit { id: 0, name: "licence".into(), count: 2 }];
     for job in input.jobs.iter_mut().filter(|job| job.id % 3 == 0) {
         job.uses = vec![LimitUse { limit: 0, count: 1 }];
-        job.seed = Some(Seed { class: job.class, work: 1_000_000_000_000 });
+        job.seed = Some(Seed { class: job.class, work: 1_000_000_000_000, parts: 1 });
     }
     // Ten nodes need not have a graphics processor, nor all that memory.
     for job in &mut input.jobs {

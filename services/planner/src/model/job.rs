@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::LimitUse;
+use super::{LimitUse, Task};
 
 /// z of 80 % and 95 %, one-sided.
 const Z80: f64 = 0.841_621_233_572_914_2;
@@ -34,7 +34,7 @@ pub struct Job {
     pub confidence: Confidence,
     /// Forecast work of all frames together.
     pub total: WorkTotal,
-    /// What has to be done before any frame can start, on one node.
+    /// What has to be done before any frame can start.
     pub seed: Option<Seed>,
     /// Its frames.
     pub frames: Vec<Frame>,
@@ -76,6 +76,17 @@ pub struct Seed {
     pub class: u32,
     /// Median of its work.
     pub work: u64,
+    /// Into how many equal parts it is split, which may be done at the same time; zero and one: it is not.
+    pub parts: u32,
+}
+
+impl Seed {
+    /// What there is to do.
+    pub fn tasks(self) -> impl Iterator<Item = Task> {
+        let parts = self.parts.max(1);
+        let task = move |part| if parts == 1 { Task::Seed } else { Task::SeedPart { part, parts } };
+        (0..parts).map(task)
+    }
 }
 
 /// Quantiles of the work of a job's frames. They hold what the frames have in common: not sums of the frames'
@@ -209,13 +220,20 @@ impl Job {
         all.filter(move |(number, _)| !done.contains(number))
     }
 
-    /// Work bought for the seed: its median, scaled as the frames are.
+    /// Work bought for the whole seed: its median, scaled as the frames are.
     pub fn bought_seed(&self) -> Option<u64> {
         let seed = self.seed?;
         Some(match self.medians() {
             0 => seed.work,
             medians => self.share(seed.work, medians),
         })
+    }
+
+    /// Work bought for one of the seed's tasks, if it is one.
+    pub fn seed_work(&self, task: Task) -> Option<u64> {
+        let seed = self.seed?;
+        let work = self.bought_seed()?;
+        seed.tasks().any(|own| own == task).then(|| work.div_ceil(u64::from(seed.parts.max(1))))
     }
 
     /// Work of each of so many tiles of a frame.

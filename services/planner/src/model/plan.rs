@@ -45,6 +45,7 @@ impl Plan {
         for booking in &self.bookings {
             let (kind, frame, part, parts) = match booking.task {
                 Task::Seed => (0u32, 0, 0, 0),
+                Task::SeedPart { part, parts } => (3, 0, part, parts),
                 Task::Frame(frame) => (1, frame, 0, 1),
                 Task::Tile { frame, part, parts } => (2, frame, part, parts),
             };
@@ -79,6 +80,13 @@ impl Plan {
 pub enum Task {
     /// What comes before all frames.
     Seed,
+    /// A part of what comes before all frames.
+    SeedPart {
+        /// Which part, from zero.
+        part: u32,
+        /// Into how many parts the seed is split.
+        parts: u32,
+    },
     /// A whole frame, by its number.
     Frame(i64),
     /// A part of a frame.
@@ -96,9 +104,14 @@ impl Task {
     /// The frame that it belongs to; none for a seed.
     pub fn frame(self) -> Option<i64> {
         match self {
-            Task::Seed => None,
+            Task::Seed | Task::SeedPart { .. } => None,
             Task::Frame(frame) | Task::Tile { frame, .. } => Some(frame),
         }
+    }
+
+    /// Whether it is a seed, or a part of one.
+    pub fn is_seed(self) -> bool {
+        self.frame().is_none()
     }
 }
 
@@ -106,6 +119,7 @@ impl std::fmt::Display for Task {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Task::Seed => write!(f, "seed"),
+            Task::SeedPart { part, parts } => write!(f, "seed, part {} of {parts}", part + 1),
             Task::Frame(frame) => write!(f, "frame {frame}"),
             Task::Tile { frame, part, parts } => write!(f, "frame {frame}, tile {} of {parts}", part + 1),
         }

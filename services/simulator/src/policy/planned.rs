@@ -252,7 +252,7 @@ impl Planned {
         for &place in &farm.jobs[job].waiting {
             let task = &tasks[place];
             match task.task.frame() {
-                None => seed = Some(Seed { class: task.class, work: bought(task.median) }),
+                None => seed = Some(Seed { class: task.class, work: bought(task.median), ..Seed::default() }),
                 Some(number) => frames.push(Frame { number, work: bought(task.median), work_p80: 0 }),
             }
         }
@@ -322,7 +322,7 @@ impl Planned {
             };
             let Some(job) = farm.place_of(booking.job) else { continue };
             let task = match booking.task {
-                Task::Seed => Some(0),
+                Task::Seed | Task::SeedPart { .. } => Some(0),
                 Task::Frame(number) | Task::Tile { frame: number, .. } => {
                     self.places[job].get(&number).copied()
                 }
