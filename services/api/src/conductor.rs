@@ -1,8 +1,8 @@
 //! Takes jobs from one state to the next, as far as that is the service's own work:
 //!
 //! ```text
-//! previewing ──preview is there──► choose frames, make profile tasks ──► profiling
-//! profiling  ──last profile is there──► estimate, plan, verify, book, make render tasks ──► booked
+//! previewing ──preview is there──► choose frames, make profile tasks, and one that plans a shared cache ──► profiling
+//! profiling  ──all of these are there──► estimate, plan, verify, book, make render tasks, and those of the cache ──► booked
 //! ```
 //!
 //! (The first frame handed out makes a job `rendering`, the last result `done`; that happens in the store, in the same
@@ -21,13 +21,14 @@ pub(crate) mod book;
 mod choose;
 mod estimate;
 pub(crate) mod explain;
+mod sharing;
 mod within;
 
 use std::sync::Arc;
 
 use forelight_forecast::Experience;
 use forelight_protocol::{Job, JobId, JobState};
-use forelight_store::{Store, StoreError};
+use forelight_store::{PlannedCache, Store, StoreError};
 
 use crate::clock::Clock;
 use crate::metrics::Metrics;
@@ -106,14 +107,19 @@ impl Conductor {
     async fn choose(&self, job: &Job) -> Result<(), AdvanceError> {
         let Some(preview) = self.store.preview_result(job.id).await? else { return Ok(()) };
         let at_most = job.profile_frames;
+        let plan_cache = job.within.is_none() && sharing::is_worth_planning(job.cache, &preview);
         let frames = compute(move || choose::frames_to_profile(&preview, at_most)).await?;
-        tracing::info!(job = %job.id, ?frames, "frames to profile");
-        Ok(self.store.start_profiling(job.id, &frames, self.clock.now()).await?)
+        tracing::info!(job = %job.id, ?frames, plan_cache, "frames to profile");
+        Ok(self.store.start_profiling(job.id, &frames, plan_cache, self.clock.now()).await?)
     }
 
     async fn forecast_and_book(&self, job: &Job) -> Result<(), AdvanceError> {
         let Some(profiles) = self.store.profile_results(job.id).await? else { return Ok(()) };
         let Some(preview) = self.store.preview_result(job.id).await? else { return Ok(()) };
+        let planned = self.store.planned_cache(job.id).await?;
+        if planned == PlannedCache::Pending {
+            return Ok(());
+        }
         let kind = estimate::kind(&profiles, &job.settings);
         let experience = match &kind {
             Some(kind) => self.store.experience(kind).await?,
@@ -126,10 +132,11 @@ impl Conductor {
             }
             None => None,
         };
+        let (asked, settings) = (job.cache, job.settings.clone());
         let forecast = compute(move || {
             let corrections = experience.corrections();
             match limit {
-                None => estimate::calibrated(&preview, &profiles, corrections.as_ref()),
+                None => sharing::quote(asked, &settings, &preview, &profiles, &planned, corrections.as_ref()),
                 Some(limit) => limit.best(&preview, &profiles, corrections.as_ref()),
             }
         })

@@ -30,7 +30,7 @@ async fn run(farm: &Farm, node: &Node, renderer: &str, factor: f64) -> ForecastD
                 render.stats.work = (render.stats.work as f64 * factor) as u64;
                 render.stats.cpu_seconds *= factor;
             }
-            TaskResult::Preview(_) => {}
+            _ => {}
         }
         let reported = farm.report(&lease, result).await;
         assert_eq!(reported.status(), StatusCode::OK);

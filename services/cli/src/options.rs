@@ -137,6 +137,27 @@ impl From<ConfidenceLevel> for forelight_protocol::Confidence {
     }
 }
 
+/// Whether the frames of a job share one irradiance cache.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Sharing {
+    /// Whatever takes less work; the quote has both prices.
+    Auto,
+    /// One is made for all frames before any is rendered.
+    Shared,
+    /// Every frame makes its own.
+    Private,
+}
+
+impl From<Sharing> for forelight_protocol::CacheSharing {
+    fn from(sharing: Sharing) -> Self {
+        match sharing {
+            Sharing::Auto => Self::Auto,
+            Sharing::Shared => Self::Shared,
+            Sharing::Private => Self::Private,
+        }
+    }
+}
+
 /// A duration flag as the standard library's type.
 pub fn duration(text: &str) -> Result<std::time::Duration, String> {
     quantities::parse_duration(text)?.try_into().map_err(|_| "the duration is too long".to_string())

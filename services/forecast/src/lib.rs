@@ -104,6 +104,7 @@ mod estimate;
 mod expansion;
 mod frames;
 mod interval;
+mod known;
 mod live;
 mod moments;
 mod nearest;

@@ -5,12 +5,15 @@ use utoipa::ToSchema;
 
 use crate::{
     Booking, Event, JobId, JobState, LiveForecast, Money, MoneyQuantiles, Node, QuantileHits, Quantiles,
-    TaskId, TaskKind, Timestamp, Verdict,
+    SeedProgress, TaskId, TaskKind, Timestamp, Verdict,
 };
 
 /// Tasks by state.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct TaskCounts {
+    /// Waiting for others: frames, for the irradiance cache that they share.
+    #[serde(default)]
+    pub waiting: u64,
     /// To be handed out.
     pub ready: u64,
     /// With workers.
@@ -59,6 +62,9 @@ pub struct DashboardJob {
     pub frames_done: u32,
     /// The part of the forecast work that is done, 0 to 1.
     pub progress: f64,
+    /// How far the irradiance cache is that its frames share and wait for; absent if they do not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seed: Option<SeedProgress>,
     /// When it has to be there.
     pub deadline: Option<Timestamp>,
     /// Whether it can be had as asked for.

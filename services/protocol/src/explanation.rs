@@ -214,7 +214,9 @@ impl Explanation {
 impl ObjectShare {
     /// What people call it.
     pub fn name(&self) -> String {
-        self.shows.as_ref().map_or("the background".into(), |name| format!("{}, {}", name.object, name.material))
+        self.shows
+            .as_ref()
+            .map_or("the background".into(), |name| format!("{}, {}", name.object, name.material))
     }
 }
 

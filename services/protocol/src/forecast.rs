@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{ByClass, LeftOut, Money};
+use crate::{ByClass, CacheQuote, LeftOut, Money};
 
 /// A forecast of one number: its mean and the values that it stays below with probability 50, 80 and 95 %.
 #[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
@@ -218,7 +218,11 @@ pub struct ForecastDoc {
     /// twenty nodes at most.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cpu_seconds_on: Vec<NodeSeconds>,
-    /// The total in money, at the mean price of the farm's nodes; absent without nodes.
+    /// How the irradiance caches are made: one for all frames, which is a line of its own beside them, or one by each. Absent without
+    /// caches, and where camera samples were chosen for a limit: each frame makes its own then.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cache: Option<CacheQuote>,
+    /// The total in money, with the shared irradiance cache if there is one, at the mean price of the farm's nodes; absent without nodes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cost: Option<MoneyQuantiles>,
 }

@@ -6,9 +6,9 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    ArtifactHash, BundleRef, Confidence, FrameForecast, FrameSet, JobId, JobVerdict, LiveForecast, Money,
-    NodeId, PageToken, PlanId, Quantiles, RenderSettings, RenderSettingsRequest, RenderStats, SceneSummary,
-    TaskLimits, Timestamp,
+    ArtifactHash, BundleRef, CacheSharing, Confidence, FrameForecast, FrameSet, JobId, JobVerdict,
+    LiveForecast, Money, NodeId, PageToken, PlanId, Quantiles, RenderSettings, RenderSettingsRequest,
+    RenderStats, SceneSummary, SeedProgress, TaskLimits, Timestamp,
 };
 
 /// A new job.
@@ -29,6 +29,9 @@ pub struct JobRequest {
     /// How good.
     #[serde(default)]
     pub settings: RenderSettingsRequest,
+    /// Whether the frames share one irradiance cache, if they have any.
+    #[serde(default)]
+    pub cache: CacheSharing,
     /// Pixels to profile per profiled frame, 16 to 1,000,000.
     #[serde(default = "default_samples")]
     #[schema(default = 256, minimum = 16, maximum = 1_000_000)]
@@ -109,7 +112,7 @@ pub enum JobState {
     Profiling,
     /// The forecast is there and the farm is booked.
     Booked,
-    /// At least one frame has been handed to a worker.
+    /// At least one frame has been handed to a worker, or a part of the irradiance cache that the frames share.
     Rendering,
     /// All frames are there.
     Done,
@@ -180,6 +183,12 @@ pub struct Job {
     pub frames: FrameSet,
     /// How good, complete.
     pub settings: RenderSettings,
+    /// Whether its frames are to share one irradiance cache; the quote says whether they do.
+    #[serde(default)]
+    pub cache: CacheSharing,
+    /// How far the cache is that its frames share and wait for; absent if they do not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seed: Option<SeedProgress>,
     /// Pixels to profile per profiled frame.
     pub samples: u32,
     /// Frames to profile at most.
@@ -248,7 +257,7 @@ pub struct JobCheck {
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FrameState {
-    /// Not yet to be rendered: the job is being forecast.
+    /// Not yet to be rendered: the job is being forecast, or the irradiance cache made that its frames share.
     Waiting,
     /// To be rendered.
     Ready,

@@ -14,6 +14,7 @@ mod accuracy;
 mod artifact;
 mod budget;
 mod bundle;
+mod cache;
 mod calibration;
 mod dashboard;
 mod event;
@@ -48,6 +49,10 @@ pub use budget::{
     NightRecord, NotReady,
 };
 pub use bundle::{Bundle, BundleRef, BundleSource, SceneSummary};
+pub use cache::{
+    CACHE_BYTES, CACHE_ROUNDS, CacheFillResult, CacheFillSpec, CacheFrame, CacheMergeResult, CacheMergeSpec,
+    CachePlanResult, CachePlanSpec, CachePrice, CacheQuote, CacheSharing, SeedForecast, SeedProgress,
+};
 pub use calibration::{ByClass, KernelTime, NodeCalibration};
 pub use dashboard::{Dashboard, DashboardCounts, DashboardJob, DashboardNode, NodeActivity, TaskCounts};
 pub use event::{Event, EventKind};
@@ -77,7 +82,7 @@ pub use node::{
     NodeState,
 };
 pub use page::PageToken;
-pub use plan::{Booking, BookingPage, JobVerdict, Plan, PlanReason, Verdict};
+pub use plan::{Booking, BookingPage, JobVerdict, Plan, PlanReason, SeedBooking, Verdict};
 pub use problem::{Problem, ProblemKind};
 pub use role::{Role, UnknownRole};
 pub use settings::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest};
@@ -85,7 +90,7 @@ pub use stats::{AllottedStats, BudgetClock, CacheStats, LeftOut, Rays, RenderSta
 pub use task::{
     CacheSample, FixedCosts, FrameStrata, NoiseCell, NoiseSample, PreviewBackend, PreviewResult, PreviewSpec,
     ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts, RenderResult, RenderSpec,
-    Spent, Stratum, StratumName, TaskKind, TaskResult, TaskSpec,
+    SharedSample, Spent, Stratum, StratumName, TaskKind, TaskResult, TaskSpec,
 };
 pub use time::{MalformedTime, Timestamp};
 pub use track_record::{

@@ -75,6 +75,21 @@ pub struct Booking {
     pub end: Timestamp,
 }
 
+/// A node reserved for a part of a job's irradiance cache, before its frames.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct SeedBooking {
+    /// The job.
+    pub job_id: JobId,
+    /// Which part, from 0.
+    pub part: u32,
+    /// The node.
+    pub node_id: NodeId,
+    /// From when.
+    pub start: Timestamp,
+    /// Until when (exclusive).
+    pub end: Timestamp,
+}
+
 /// One page of bookings that are still open, by start.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct BookingPage {
@@ -100,4 +115,7 @@ pub struct Plan {
     pub verdicts: Vec<JobVerdict>,
     /// What it books, by start.
     pub bookings: Vec<Booking>,
+    /// What it books for irradiance caches that frames share, by start.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub seeds: Vec<SeedBooking>,
 }

@@ -98,6 +98,9 @@ pub struct CacheStats {
     /// Records of the shot's cache whose light has changed by what moved, and which were dropped.
     #[serde(default)]
     pub dropped_records: u64,
+    /// Records that the frame has beyond those of the shot's cache: all of them, if it was given none.
+    #[serde(default)]
+    pub own_records: u64,
 }
 
 /// The true cost of one rendered frame, as `forelight render --stats` writes it.

@@ -5,7 +5,10 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{ArtifactHash, BundleSource, ByClass, JobId, LeftOut, RenderSettings, RenderStats, SceneDigest};
+use crate::{
+    ArtifactHash, BundleSource, ByClass, CacheFillResult, CacheFillSpec, CacheMergeResult, CacheMergeSpec,
+    CachePlanResult, CachePlanSpec, JobId, LeftOut, RenderSettings, RenderStats, SceneDigest,
+};
 
 /// The kinds of tasks.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize, ToSchema)]
@@ -15,21 +18,42 @@ pub enum TaskKind {
     Preview,
     /// Trace a few pixels of one frame and measure them.
     Profile,
+    /// Plan the irradiance cache of all frames.
+    CachePlan,
+    /// Fill a part of it.
+    CacheFill,
+    /// Put its parts together.
+    CacheMerge,
     /// Render one frame.
     Render,
 }
 
 impl TaskKind {
     /// All kinds, in the order of a job's life.
-    pub const ALL: [TaskKind; 3] = [TaskKind::Preview, TaskKind::Profile, TaskKind::Render];
+    pub const ALL: [TaskKind; 6] = [
+        TaskKind::Preview,
+        TaskKind::Profile,
+        TaskKind::CachePlan,
+        TaskKind::CacheFill,
+        TaskKind::CacheMerge,
+        TaskKind::Render,
+    ];
 
     /// The name, as in JSON.
     pub const fn name(self) -> &'static str {
         match self {
             TaskKind::Preview => "preview",
             TaskKind::Profile => "profile",
+            TaskKind::CachePlan => "cache_plan",
+            TaskKind::CacheFill => "cache_fill",
+            TaskKind::CacheMerge => "cache_merge",
             TaskKind::Render => "render",
         }
+    }
+
+    /// Whether it is work that a plan books, rather than a step that a plan or a booked task waits for.
+    pub const fn is_booked(self) -> bool {
+        matches!(self, TaskKind::CacheFill | TaskKind::Render)
     }
 
     /// The kind of this name.
@@ -52,6 +76,12 @@ pub enum TaskSpec {
     Preview(PreviewSpec),
     /// Trace and measure a few pixels.
     Profile(ProfileSpec),
+    /// Plan the shot's irradiance cache.
+    CachePlan(CachePlanSpec),
+    /// Fill a part of it.
+    CacheFill(CacheFillSpec),
+    /// Put its parts together.
+    CacheMerge(CacheMergeSpec),
     /// Render a frame.
     Render(RenderSpec),
 }
@@ -62,16 +92,50 @@ impl TaskSpec {
         match self {
             TaskSpec::Preview(_) => TaskKind::Preview,
             TaskSpec::Profile(_) => TaskKind::Profile,
+            TaskSpec::CachePlan(_) => TaskKind::CachePlan,
+            TaskSpec::CacheFill(_) => TaskKind::CacheFill,
+            TaskSpec::CacheMerge(_) => TaskKind::CacheMerge,
             TaskSpec::Render(_) => TaskKind::Render,
         }
     }
 
-    /// The frame that the task is about; `None` for a preview, which is about all frames.
+    /// The frame that the task is about; `None` for a preview and the shot's cache, which are about all frames.
     pub const fn frame(&self) -> Option<u32> {
         match self {
-            TaskSpec::Preview(_) => None,
+            TaskSpec::Preview(_)
+            | TaskSpec::CachePlan(_)
+            | TaskSpec::CacheFill(_)
+            | TaskSpec::CacheMerge(_) => None,
             TaskSpec::Profile(spec) => Some(spec.frame),
             TaskSpec::Render(spec) => Some(spec.frame),
+        }
+    }
+
+    /// The round of filling the shot's cache that the task is of.
+    pub const fn round(&self) -> Option<u32> {
+        match self {
+            TaskSpec::CacheFill(spec) => Some(spec.round),
+            TaskSpec::CacheMerge(spec) => Some(spec.round),
+            _ => None,
+        }
+    }
+
+    /// The part of the shot's cache that the task fills.
+    pub const fn part(&self) -> Option<u32> {
+        match self {
+            TaskSpec::CacheFill(spec) => Some(spec.part),
+            _ => None,
+        }
+    }
+
+    /// The irradiance caches that the task is given, in its order.
+    pub fn caches(&self) -> Vec<ArtifactHash> {
+        match self {
+            TaskSpec::Preview(_) | TaskSpec::CachePlan(_) => Vec::new(),
+            TaskSpec::Profile(spec) => spec.cache.into_iter().collect(),
+            TaskSpec::CacheFill(spec) => vec![spec.cache],
+            TaskSpec::CacheMerge(spec) => spec.parts.clone(),
+            TaskSpec::Render(spec) => spec.cache.into_iter().collect(),
         }
     }
 
@@ -80,6 +144,9 @@ impl TaskSpec {
         match self {
             TaskSpec::Preview(spec) => &spec.bundle,
             TaskSpec::Profile(spec) => &spec.bundle,
+            TaskSpec::CachePlan(spec) => &spec.bundle,
+            TaskSpec::CacheFill(spec) => &spec.bundle,
+            TaskSpec::CacheMerge(spec) => &spec.bundle,
             TaskSpec::Render(spec) => &spec.bundle,
         }
     }
@@ -89,6 +156,9 @@ impl TaskSpec {
         match self {
             TaskSpec::Preview(spec) => spec.digest,
             TaskSpec::Profile(spec) => spec.digest,
+            TaskSpec::CachePlan(spec) => spec.digest,
+            TaskSpec::CacheFill(spec) => spec.digest,
+            TaskSpec::CacheMerge(spec) => spec.digest,
             TaskSpec::Render(spec) => spec.digest,
         }
     }
@@ -127,6 +197,10 @@ pub struct ProfileSpec {
     pub phase_seed: u64,
     /// The job's settings.
     pub settings: RenderSettings,
+    /// The irradiance cache, as planned, that all frames could share: the pixels are also measured with it. Absent if there is none, and
+    /// while the task waits for it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cache: Option<ArtifactHash>,
 }
 
 /// Render one frame.
@@ -144,6 +218,9 @@ pub struct RenderSpec {
     pub settings: RenderSettings,
     /// The finished pixels of this frame's profile, to be taken over; absent if the frame was not profiled.
     pub profile: Option<ArtifactHash>,
+    /// The irradiance cache of the shot, full; absent if the frame makes its own, and while the task waits for it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cache: Option<ArtifactHash>,
 }
 
 /// What came of it. In JSON an object with one key: `{"preview": {…}}`.
@@ -154,6 +231,12 @@ pub enum TaskResult {
     Preview(PreviewResult),
     /// Of a profile.
     Profile(ProfileResult),
+    /// Of planning the shot's irradiance cache.
+    CachePlan(CachePlanResult),
+    /// Of filling a part of it.
+    CacheFill(CacheFillResult),
+    /// Of putting its parts together.
+    CacheMerge(CacheMergeResult),
     /// Of a render.
     Render(RenderResult),
 }
@@ -164,6 +247,9 @@ impl TaskResult {
         match self {
             TaskResult::Preview(_) => TaskKind::Preview,
             TaskResult::Profile(_) => TaskKind::Profile,
+            TaskResult::CachePlan(_) => TaskKind::CachePlan,
+            TaskResult::CacheFill(_) => TaskKind::CacheFill,
+            TaskResult::CacheMerge(_) => TaskKind::CacheMerge,
             TaskResult::Render(_) => TaskKind::Render,
         }
     }
@@ -177,6 +263,9 @@ impl TaskResult {
             TaskResult::Profile(result) => {
                 std::iter::once(result.artifacts.profile).chain(result.artifacts.preview_png).collect()
             }
+            TaskResult::CachePlan(result) => result.cache.into_iter().collect(),
+            TaskResult::CacheFill(result) => vec![result.cache],
+            TaskResult::CacheMerge(result) => vec![result.cache],
             TaskResult::Render(result) => {
                 let RenderArtifacts { image_exr, image_png, cost_map_png, preview_png } = result.artifacts;
                 [image_exr, image_png, cost_map_png].into_iter().chain(preview_png).collect()
@@ -313,6 +402,19 @@ pub struct ProfileSample {
     pub rays: [u64; 7],
 }
 
+/// What a profiled pixel costs if the frame shares its irradiance cache with others: there are more records to look at.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SharedSample {
+    /// Deterministic count of operations of all its camera paths.
+    pub work: u64,
+    /// CPU time of all its camera paths, in nanoseconds.
+    pub cpu_nanos: u64,
+    /// Rays by category, in the order of [`crate::Rays::NAMES`].
+    #[schema(min_items = 7, max_items = 7)]
+    pub rays: [u64; 7],
+}
+
 /// One record of the irradiance cache, gathered to see what that takes.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -400,9 +502,15 @@ pub struct ProfileResult {
     pub strata: Vec<Stratum>,
     /// The profiled pixels, each once.
     pub samples: Vec<ProfileSample>,
+    /// What each of these pixels costs with the cache that the task names, in their order; empty if it names none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub shared_samples: Vec<SharedSample>,
     /// Records of the irradiance cache that were gathered, some of every level; empty without a cache.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cache_samples: Vec<CacheSample>,
+    /// The same of the cache that the task names: the gathers of one level look at the records of the next, of which there are more.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub shared_cache_samples: Vec<CacheSample>,
     /// What the profiled pixels say of the image's error, by what they show: all pixels of the frame are in one of the cells. Empty
     /// with an irradiance cache, for it is not filled yet, and where too few camera samples were taken to tell.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -397,7 +397,7 @@ async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
 /// Keeps a project's tasks from being handed out.
 async fn hold(write: &mut Write, project: &str) -> Result<(), StoreError> {
     sqlx::query(
-        "UPDATE tasks SET held = 1 WHERE held = 0 AND state IN ('ready', 'leased') AND job_id IN (SELECT id FROM jobs WHERE project = ?)",
+        "UPDATE tasks SET held = 1 WHERE held = 0 AND state IN ('waiting', 'ready', 'leased') AND job_id IN (SELECT id FROM jobs WHERE project = ?)",
     )
     .bind(project)
     .execute(write.connection())

@@ -77,8 +77,9 @@ async fn counts(
         .await?
     {
         let number: u64 = whole(&row, "number")?;
-        let TaskCounts { ready, leased, done, failed, cancelled } = &mut counts.tasks;
+        let TaskCounts { waiting, ready, leased, done, failed, cancelled } = &mut counts.tasks;
         match row.try_get("state")? {
+            "waiting" => *waiting = number,
             "ready" => *ready = number,
             "leased" => *leased = number,
             "done" => *done = number,
@@ -119,6 +120,7 @@ async fn dashboard_jobs(
             frames_total: job.frames_total,
             frames_done: job.frames_done,
             progress: job.progress,
+            seed: job.seed,
             deadline: job.deadline,
             verdict: job.verdict.as_ref().map(|verdict| verdict.verdict),
             eta: Projected::finish_of(projected, job.id),

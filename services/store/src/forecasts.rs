@@ -1,13 +1,14 @@
 //! Quotes: choosing to profile, and keeping what was forecast.
 
 use forelight_protocol::{
-    ByClass, ForecastDoc, ForecastTotals, FrameForecast, JobId, JobState, LeftOut, MoneyQuantiles,
-    NodeSeconds, Profiled, SpentOnForecast, Timestamp,
+    ByClass, CacheQuote, ForecastDoc, ForecastTotals, FrameForecast, FrameSet, JobId, JobState, LeftOut,
+    MoneyQuantiles, NodeSeconds, Profiled, SpentOnForecast, Timestamp,
 };
 use serde::{Deserialize, Serialize};
+use sqlx::Row as _;
 
 use crate::database::Write;
-use crate::decode::{json, json_opt, to_json, whole};
+use crate::decode::{corrupt, json, json_opt, to_json, whole};
 use crate::events::job_state;
 use crate::tasks::Common;
 use crate::{Store, StoreError, jobs};
@@ -38,7 +39,10 @@ pub struct JobForecast {
     /// The total on calibrated nodes.
     #[serde(default)]
     pub cpu_seconds_on: Vec<NodeSeconds>,
-    /// The total in money.
+    /// How the irradiance caches are made.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cache: Option<CacheQuote>,
+    /// The total in money, with the shared irradiance cache if there is one.
     pub cost: Option<MoneyQuantiles>,
     /// When each frame is on the shot's own clock, in their order. Kept with the frames, and so empty when it is read back.
     #[serde(skip)]
@@ -46,12 +50,13 @@ pub struct JobForecast {
 }
 
 impl Store {
-    /// Has these frames of the job profiled. Nothing if the job is not, or no longer, being previewed, so that doing
+    /// Has these frames of the job profiled, and the cache planned that all of its frames could share, if that is wanted. Nothing if the job is not, or no longer, being previewed, so that doing
     /// it again after a crash is harmless.
     pub async fn start_profiling(
         &self,
         job: JobId,
         frames: &[u32],
+        plan_cache: bool,
         now: Timestamp,
     ) -> Result<(), StoreError> {
         let mut write = self.write().await?;
@@ -65,7 +70,12 @@ impl Store {
         }
         let common = Common::of(job, &row)?;
         for &frame in frames {
-            common.profile(&mut write, frame, whole(&row, "samples")?).await?;
+            common.profile(&mut write, frame, plan_cache, whole(&row, "samples")?).await?;
+        }
+        if plan_cache {
+            let all: FrameSet =
+                row.try_get::<&str, _>("frames")?.parse().map_err(|error| corrupt("frames", error))?;
+            common.cache_plan(&mut write, all.iter().collect()).await?;
         }
         sqlx::query("UPDATE jobs SET state = 'profiling' WHERE id = ?")
             .bind(job.0)
@@ -102,6 +112,7 @@ impl Store {
             chosen_spp: kept.chosen_spp,
             work_by_class: kept.work_by_class,
             cpu_seconds_on: kept.cpu_seconds_on,
+            cache: kept.cache,
             cost: kept.cost,
         }))
     }

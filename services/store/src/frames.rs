@@ -68,7 +68,7 @@ fn decode(row: &SqliteRow, final_job: bool) -> Result<FrameRow, StoreError> {
     let task: Option<&str> = row.try_get("state")?;
     let state = match task {
         None if final_job => FrameState::Cancelled,
-        None => FrameState::Waiting,
+        None | Some("waiting") => FrameState::Waiting,
         Some("ready") => FrameState::Ready,
         Some("leased") => FrameState::Leased,
         Some("done") => FrameState::Done,

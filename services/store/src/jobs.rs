@@ -55,8 +55,8 @@ impl Store {
         let job_id = JobId::new();
         sqlx::query(
             "INSERT INTO jobs (id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, frames_total, \
-             settings, samples, profile_frames, deadline_at, budget, confidence, priority, created_at, limits, within) \
-             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+             settings, samples, profile_frames, deadline_at, budget, confidence, priority, created_at, limits, within, cache) \
+             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
         )
         .bind(job_id.0)
         .bind(&request.name)
@@ -77,6 +77,7 @@ impl Store {
         .bind(now.micros())
         .bind(to_json(&request.limits)?)
         .bind(request.within.as_ref().map(to_json).transpose()?)
+        .bind(request.cache.name())
         .execute(write.connection())
         .await?;
         for frame in request.frames.iter() {
@@ -251,6 +252,8 @@ pub(crate) fn decode(row: &SqliteRow, progress: Progress) -> Result<Job, StoreEr
         scene: json(row, "scene")?,
         frames,
         settings: json(row, "settings")?,
+        cache: word(row, "cache")?,
+        seed: progress.seed,
         samples: whole(row, "samples")?,
         profile_frames: whole(row, "profile_frames")?,
         within: json_opt(row, "within")?,

@@ -3,7 +3,8 @@
 //! The state machine of a task and of its leases:
 //!
 //! ```text
-//! task    ready ──claim──► leased ──commit──► done
+//! task    waiting ──what it waits for is committed──► ready
+//!         ready ──claim──► leased ──commit──► done
 //!           ▲                │ ├──error (on the third node, or permanent), tenth expiry──► failed (and with it the job)
 //!           └─release, error,┘ └──job cancelled or failed──► cancelled
 //!             expiry, taken away
@@ -201,7 +202,7 @@ impl Store {
         .bind(lease.expires_at.micros())
         .execute(write.connection())
         .await?;
-        if lease.spec.kind() == TaskKind::Render {
+        if lease.spec.kind().is_booked() {
             let first = sqlx::query("UPDATE jobs SET state = 'rendering' WHERE id = ? AND state = 'booked'")
                 .bind(job_id.0)
                 .execute(write.connection())
@@ -413,10 +414,10 @@ impl LeaseRow {
 
 /// The task that the node should do next.
 ///
-/// 1. Previews and profiles of any job: they are short, and every quote, and with it every booking, waits for them. By
-///    priority, then deadline, then age of the job.
-/// 2. The node's own bookings, earliest planned start first.
-/// 3. Any frame to be rendered, by the job's deadline, then priority, then age of the job, then frame: a node never
+/// 1. Previews and profiles of any job, and plans and merges of irradiance caches: they are short, and every quote, and with it every
+///    booking, waits for them. By priority, then deadline, then age of the job.
+/// 2. The node's own bookings, earliest planned start first: frames, and parts of irradiance caches.
+/// 3. Any of these, by the job's deadline, then priority, then age of the job, then frame: a node never
 ///    stands idle because a frame is booked on another that has not come to it yet.
 ///
 /// Each of the three is one step into an index made for it, which is named because SQLite, left alone, prefers the index of
@@ -456,7 +457,7 @@ async fn this_task(
         .ok_or(StoreError::NotFound("task"))?;
     match row.try_get("state")? {
         "ready" => Ok((row.try_get::<i64, _>("not_before")? <= now.micros()).then_some(row)),
-        "leased" => Ok(None),
+        "leased" | "waiting" => Ok(None),
         over => Err(StoreError::Conflict(format!("the task is {over}"))),
     }
 }
@@ -476,14 +477,23 @@ macro_rules! next_task {
     };
 }
 
-pub(crate) const NEXT_QUOTE: &str =
-    next_task!("tasks_ready_quotes", "kind <> 'render'", "priority DESC, due_at, job_id, frame");
+pub(crate) const NEXT_QUOTE: &str = next_task!(
+    "tasks_ready_quotes",
+    "kind NOT IN ('cache_fill', 'render')",
+    "priority DESC, due_at, job_id, frame"
+);
 
-pub(crate) const NEXT_BOOKED: &str =
-    next_task!("tasks_ready_booked", "kind = 'render' AND booked_node = ?1", "booked_at, job_id, frame");
+pub(crate) const NEXT_BOOKED: &str = next_task!(
+    "tasks_ready_booked",
+    "kind IN ('cache_fill', 'render') AND booked_node = ?1",
+    "booked_at, job_id, frame, part"
+);
 
-pub(crate) const NEXT_ANY: &str =
-    next_task!("tasks_ready_any", "kind = 'render'", "due_at, priority DESC, job_id, frame");
+pub(crate) const NEXT_ANY: &str = next_task!(
+    "tasks_ready_any",
+    "kind IN ('cache_fill', 'render')",
+    "due_at, priority DESC, job_id, frame, part"
+);
 
 /// Takes back the tasks whose leases have run out.
 pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept, StoreError> {

@@ -41,6 +41,7 @@ mod plans;
 mod progress;
 mod projection;
 mod results;
+mod seeds;
 mod slurm;
 mod tasks;
 pub mod tokens;
@@ -63,6 +64,7 @@ pub use leases::{LeaseInfo, MAX_EXPIRIES, Swept};
 pub use plans::{NewBooking, NewPlan};
 pub use projection::{Holder, OpenBooking, Projected, project};
 pub use results::{Committed, MeasuredProfile};
+pub use seeds::{NewSeed, NewSeedBooking, PlannedCache};
 pub use slurm::{BookedTime, Holding, NewArray, OpenArray, OpenElement, SeenNode, Waiting};
 pub use track_record::FinishedJob;
 

@@ -14,7 +14,7 @@ use crate::events::{append, event, job_state};
 use crate::live::{self, Occasion};
 use crate::projection::{Holder, OpenBooking};
 use crate::tasks::Common;
-use crate::{JobForecast, QuoteBasis, Store, StoreError, calibration, forecasts};
+use crate::{JobForecast, NewSeed, QuoteBasis, Store, StoreError, calibration, forecasts, seeds};
 
 /// A plan to be kept.
 #[derive(Clone, PartialEq, Debug)]
@@ -27,6 +27,8 @@ pub struct NewPlan {
     pub verdict: JobVerdict,
     /// What it books.
     pub bookings: Vec<NewBooking>,
+    /// The irradiance cache that the frames share and wait for, if they do.
+    pub seed: Option<NewSeed>,
 }
 
 /// A booking of a plan to be kept.
@@ -48,7 +50,7 @@ macro_rules! select_open {
             "SELECT b.*, t.state, t.node_id AS holder, t.started_at, t.progress FROM jobs j \
              JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
              JOIN tasks t ON t.job_id = b.job_id AND t.kind = 'render' AND ifnull(t.frame, -1) = b.frame \
-             WHERE j.state IN ('booked', 'rendering') AND t.state IN ('ready', 'leased') ",
+             WHERE j.state IN ('booked', 'rendering') AND t.state IN ('waiting', 'ready', 'leased') ",
             $rest
         )
     };
@@ -131,9 +133,15 @@ impl Store {
         }
         let job_frames: FrameSet =
             row.try_get::<&str, _>("frames")?.parse().map_err(|error| corrupt("frames", error))?;
+        if let Some(seed) = &plan.seed {
+            seeds::keep_bookings(&mut write, plan_id.0, job, &seed.bookings).await?;
+            seeds::begin(&mut write, &common, seed).await?;
+        }
         for frame in job_frames.iter() {
+            // What was gathered for a cache of the frame's own is of no use beside one that is shared.
+            let profile = profiles.get(&frame).copied().filter(|_| plan.seed.is_none());
             common
-                .render(&mut write, frame, booked.get(&frame).copied(), profiles.get(&frame).copied())
+                .render(&mut write, frame, plan.seed.is_some(), booked.get(&frame).copied(), profile)
                 .await?;
         }
         live::update(&mut write, job, Occasion::Booked, now).await?;
@@ -166,6 +174,7 @@ impl Store {
             .bind(plan.0)
             .fetch_all(&mut *transaction)
             .await?;
+        let seeds = seeds::of_plan(&mut transaction, plan.0).await?;
         Ok(Plan {
             id: plan,
             parent_id: id_opt(&row, "parent_id")?.map(PlanId),
@@ -173,6 +182,7 @@ impl Store {
             created_at: time(&row, "created_at")?,
             verdicts: json(&row, "verdicts")?,
             bookings: bookings.iter().map(decode_booking).collect::<Result<_, _>>()?,
+            seeds,
         })
     }
 

@@ -1,10 +1,10 @@
 //! How far a job is.
 
-use forelight_protocol::{JobId, LiveForecast};
+use forelight_protocol::{JobId, LiveForecast, SeedProgress};
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::decode::whole;
-use crate::{StoreError, live};
+use crate::{StoreError, live, seeds};
 
 /// How far a job is.
 #[derive(Clone, PartialEq, Debug)]
@@ -14,6 +14,8 @@ pub(crate) struct Progress {
     pub fraction: f64,
     /// What the job will have cost; none before it is booked.
     pub live: Option<LiveForecast>,
+    /// Of the irradiance cache that the frames share and wait for, if they do.
+    pub seed: Option<SeedProgress>,
 }
 
 /// Weighs every frame by its forecast work, so that a job of 47 cheap frames and a dear one is not at 98 % when the
@@ -32,5 +34,7 @@ pub(crate) async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Res
     let weight: f64 = row.try_get("weight")?;
     let reached: f64 = row.try_get("reached")?;
     let fraction = if weight > 0.0 { (reached / weight).clamp(0.0, 1.0) } else { 0.0 };
-    Ok(Progress { frames_done: whole(&row, "done")?, fraction, live: live::newest(connection, job).await? })
+    let live = live::newest(connection, job).await?;
+    let seed = seeds::progress(connection, job).await?;
+    Ok(Progress { frames_done: whole(&row, "done")?, fraction, live, seed })
 }

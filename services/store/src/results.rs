@@ -13,7 +13,7 @@ use crate::decode::{corrupt, id, json, to_json};
 use crate::events::{append, job_state};
 use crate::leases::{LeaseRow, LeaseState, end, read, touch};
 use crate::live::{self, Occasion};
-use crate::{Store, StoreError, calibration, jobs, node_learning, nodes};
+use crate::{Store, StoreError, calibration, jobs, node_learning, nodes, seeds};
 
 /// What became of a result.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -118,6 +118,9 @@ impl Store {
             TaskResult::Profile(profile) => {
                 show_preview(&mut write, row.job_id, profile.frame, profile.artifacts.preview_png).await?;
             }
+            TaskResult::CachePlan(planned) => seeds::planned(&mut write, &row, planned).await?,
+            TaskResult::CacheFill(filled) => seeds::part_filled(&mut write, &row, filled, now).await?,
+            TaskResult::CacheMerge(merged) => seeds::merged(&mut write, &row, merged, now).await?,
             TaskResult::Render(render) => keep_render(&mut write, &row, render, now).await?,
         }
         let state = jobs::state(write.connection(), row.job_id).await?;

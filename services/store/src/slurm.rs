@@ -125,15 +125,18 @@ impl Store {
     /// The tasks that are ready and in nobody's hands, by deadline, priority, age of the job, and booked time.
     pub async fn waiting_for_slurm(&self) -> Result<Vec<Waiting>, StoreError> {
         let rows = sqlx::query(
-            "SELECT t.id, t.job_id, t.kind, t.frame, j.name AS job, j.deadline_at, j.verdict, f.cpu_p95, n.name AS node, b.start_at, b.end_at, \
+            "SELECT t.id, t.job_id, t.kind, t.frame, j.name AS job, j.deadline_at, j.verdict, n.name AS node, coalesce(b.start_at, s.start_at) AS start_at, coalesce(b.end_at, s.end_at) AS end_at, \
+             CASE t.kind WHEN 'cache_fill' THEN json_extract(j.forecast, '$.cache.seed.cpu_seconds.p95') / json_extract(t.spec, '$.cache_fill.parts') \
+             ELSE f.cpu_p95 END AS cpu_p95, \
              (SELECT group_concat(outcome, char(10) ORDER BY ended_at, array_id) FROM slurm_elements WHERE task_id = t.id) AS lost, \
              (SELECT max(ended_at) FROM slurm_elements WHERE task_id = t.id) AS lost_at \
              FROM tasks t JOIN jobs j ON j.id = t.job_id \
              LEFT JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame \
              LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id AND t.kind = 'render' AND b.frame = t.frame \
-             LEFT JOIN nodes n ON n.id = b.node_id \
+             LEFT JOIN seed_bookings s ON s.plan_id = j.plan_id AND s.job_id = j.id AND t.kind = 'cache_fill' AND s.part = t.part \
+             LEFT JOIN nodes n ON n.id = coalesce(b.node_id, s.node_id) \
              WHERE t.state = 'ready' AND t.held = 0 AND NOT EXISTS (SELECT 1 FROM slurm_elements e WHERE e.task_id = t.id AND e.outcome IS NULL) \
-             ORDER BY t.due_at, t.priority DESC, t.job_id, b.start_at, t.kind, t.frame",
+             ORDER BY t.due_at, t.priority DESC, t.job_id, start_at, t.kind, t.frame, t.part",
         )
         .fetch_all(self.readers())
         .await?;

@@ -1,15 +1,21 @@
 //! A job's tasks: making them, and taking them all back.
 
 use forelight_protocol::{
-    ArtifactHash, BundleSource, JobId, NodeId, PreviewSpec, ProfileSpec, RenderSettings, RenderSpec,
-    SceneDigest, TaskId, TaskLimits, TaskSpec, Timestamp,
+    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, JobId, NodeId, PreviewSpec,
+    ProfileSpec, RenderSettings, RenderSpec, SceneDigest, TaskId, TaskLimits, TaskSpec, Timestamp,
 };
 
+use sqlx::SqliteConnection;
 use sqlx::sqlite::SqliteRow;
 
 use crate::database::Write;
 use crate::decode::{json, time_opt, to_json, whole};
 use crate::{StoreError, jobs};
+
+/// To be handed out.
+const READY: &str = "ready";
+/// Not before what it waits for is done.
+const WAITING: &str = "waiting";
 
 /// What all tasks of a job have in common.
 pub(crate) struct Common {
@@ -37,6 +43,13 @@ impl Common {
         })
     }
 
+    /// Read from the database.
+    pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Self, StoreError> {
+        let row =
+            sqlx::query("SELECT * FROM jobs WHERE id = ?").bind(job.0).fetch_optional(connection).await?;
+        Self::of(job, &row.ok_or(StoreError::NotFound("job"))?)
+    }
+
     pub(crate) async fn preview(&self, write: &mut Write, frames: Vec<u32>) -> Result<(), StoreError> {
         let spec = PreviewSpec {
             job_id: self.job,
@@ -45,13 +58,15 @@ impl Common {
             frames,
             settings: self.settings.clone(),
         };
-        self.insert(write, TaskSpec::Preview(spec), None).await
+        self.insert(write, TaskSpec::Preview(spec), READY, None).await
     }
 
+    /// A profile; one that waits becomes ready when the cache is planned that all frames could share.
     pub(crate) async fn profile(
         &self,
         write: &mut Write,
         frame: u32,
+        waits: bool,
         samples: u32,
     ) -> Result<(), StoreError> {
         let spec = ProfileSpec {
@@ -62,14 +77,66 @@ impl Common {
             samples,
             phase_seed: self.settings.seed,
             settings: self.settings.clone(),
+            cache: None,
         };
-        self.insert(write, TaskSpec::Profile(spec), None).await
+        self.insert(write, TaskSpec::Profile(spec), if waits { WAITING } else { READY }, None).await
     }
 
+    pub(crate) async fn cache_plan(&self, write: &mut Write, frames: Vec<u32>) -> Result<(), StoreError> {
+        let spec = CachePlanSpec {
+            job_id: self.job,
+            bundle: self.bundle.clone(),
+            digest: self.digest,
+            frames,
+            settings: self.settings.clone(),
+        };
+        self.insert(write, TaskSpec::CachePlan(spec), READY, None).await
+    }
+
+    /// One of `parts` equal parts of a round, from 0.
+    pub(crate) async fn cache_fill(
+        &self,
+        write: &mut Write,
+        cache: ArtifactHash,
+        round: u32,
+        (part, parts): (u32, u32),
+        booked: Option<(NodeId, Timestamp)>,
+    ) -> Result<(), StoreError> {
+        let spec = CacheFillSpec {
+            job_id: self.job,
+            bundle: self.bundle.clone(),
+            digest: self.digest,
+            settings: self.settings.clone(),
+            cache,
+            round,
+            part,
+            parts,
+        };
+        self.insert(write, TaskSpec::CacheFill(spec), READY, booked).await
+    }
+
+    pub(crate) async fn cache_merge(
+        &self,
+        write: &mut Write,
+        round: u32,
+        parts: Vec<ArtifactHash>,
+    ) -> Result<(), StoreError> {
+        let spec = CacheMergeSpec {
+            job_id: self.job,
+            bundle: self.bundle.clone(),
+            digest: self.digest,
+            round,
+            parts,
+        };
+        self.insert(write, TaskSpec::CacheMerge(spec), READY, None).await
+    }
+
+    /// A frame; one that waits becomes ready when the cache is there that it shares with the others.
     pub(crate) async fn render(
         &self,
         write: &mut Write,
         frame: u32,
+        waits: bool,
         booked: Option<(NodeId, Timestamp)>,
         profile: Option<ArtifactHash>,
     ) -> Result<(), StoreError> {
@@ -80,24 +147,29 @@ impl Common {
             frame,
             settings: self.settings.clone(),
             profile,
+            cache: None,
         };
-        self.insert(write, TaskSpec::Render(spec), booked).await
+        self.insert(write, TaskSpec::Render(spec), if waits { WAITING } else { READY }, booked).await
     }
 
     async fn insert(
         &self,
         write: &mut Write,
         spec: TaskSpec,
+        state: &'static str,
         booked: Option<(NodeId, Timestamp)>,
     ) -> Result<(), StoreError> {
         sqlx::query(
-            "INSERT INTO tasks (id, job_id, kind, frame, state, spec, due_at, priority, booked_node, booked_at, limits) \
-             VALUES (?, ?, ?, ?, 'ready', ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
+            "INSERT INTO tasks (id, job_id, kind, frame, round, part, state, spec, due_at, priority, booked_node, booked_at, limits) \
+             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
         )
         .bind(TaskId::new().0)
         .bind(self.job.0)
         .bind(spec.kind().name())
         .bind(spec.frame().map(i64::from))
+        .bind(spec.round().map(i64::from))
+        .bind(spec.part().map(i64::from))
+        .bind(state)
         .bind(to_json(&spec)?)
         .bind(self.deadline.map_or(i64::MAX, Timestamp::micros))
         .bind(i64::from(self.priority))
@@ -106,7 +178,7 @@ impl Common {
         .bind(to_json(&self.limits)?)
         .execute(write.connection())
         .await?;
-        write.made_work = true;
+        write.made_work |= state == READY;
         Ok(())
     }
 }
@@ -122,7 +194,7 @@ pub(crate) async fn withdraw(write: &mut Write, job: JobId, now: Timestamp) -> R
     .bind(job.0)
     .execute(write.connection())
     .await?;
-    sqlx::query("UPDATE tasks SET state = 'cancelled', finished_at = ? WHERE job_id = ? AND state IN ('ready', 'leased')")
+    sqlx::query("UPDATE tasks SET state = 'cancelled', finished_at = ? WHERE job_id = ? AND state IN ('waiting', 'ready', 'leased')")
         .bind(now.micros())
         .bind(job.0)
         .execute(write.connection())

@@ -3,11 +3,12 @@
 use std::time::Duration;
 
 use forelight_protocol::{
-    ArtifactHash, BundleRef, BundleSource, Capabilities, FixedCosts, ForecastTotals, FrameForecast,
-    FrameStrata, Job, JobId, JobRequest, JobVerdict, Lease, Node, NodeId, NodeRegistration, PlanReason,
-    PreviewBackend, PreviewResult, ProfileArtifacts, ProfileResult, ProfileSample, Profiled, Quantiles,
-    RayQuantiles, Rays, RenderArtifacts, RenderResult, RenderStats, RenewRequest, SceneDigest, SceneSummary,
-    Spent, SpentOnForecast, Stratum, StratumName, TaskResult, TaskSpec, Timestamp, Verdict,
+    ArtifactHash, BundleRef, BundleSource, CacheFillResult, CacheMergeResult, CachePlanResult, Capabilities,
+    FixedCosts, ForecastTotals, FrameForecast, FrameStrata, Job, JobId, JobRequest, JobVerdict, Lease, Node,
+    NodeId, NodeRegistration, PlanReason, PreviewBackend, PreviewResult, ProfileArtifacts, ProfileResult,
+    ProfileSample, Profiled, Quantiles, RayQuantiles, Rays, RenderArtifacts, RenderResult, RenderStats,
+    RenewRequest, SceneDigest, SceneSummary, Spent, SpentOnForecast, Stratum, StratumName, TaskResult,
+    TaskSpec, Timestamp, Verdict,
 };
 use tempfile::TempDir;
 
@@ -26,6 +27,7 @@ mod opening;
 mod orders;
 mod plans;
 mod records;
+mod seeds;
 
 const TTL: Duration = Duration::from_secs(30);
 const SECOND: i64 = 1_000_000;
@@ -120,6 +122,8 @@ impl Farm {
                     cpu_nanos: 500,
                     rays: [1, 2, 0, 0, 0, 3, 0],
                 }],
+                shared_samples: Vec::new(),
+                shared_cache_samples: Vec::new(),
                 cache_samples: Vec::new(),
                 noise: Vec::new(),
                 effects: vec!["ambient".to_owned()],
@@ -129,6 +133,26 @@ impl Farm {
                 fixed: FixedCosts::default(),
                 spent: Spent { work: 10, cpu_nanos: 500 },
                 artifacts: ProfileArtifacts { profile: self.artifact("a profile").await, preview_png: None },
+            }),
+            TaskSpec::CachePlan(_) => TaskResult::CachePlan(CachePlanResult {
+                cache: Some(self.artifact("a plan").await),
+                bytes: 6,
+                records: vec![50, 20],
+                frames: Vec::new(),
+                spent: Spent { work: 10, cpu_nanos: 500 },
+            }),
+            TaskSpec::CacheFill(spec) => TaskResult::CacheFill(CacheFillResult {
+                cache: self.artifact(["part 0", "part 1", "part 2"][spec.part as usize]).await,
+                bytes: 6,
+                filled: 10,
+                full: spec.parts == 1,
+                spent: Spent { work: 100, cpu_nanos: 1_000_000_000 },
+            }),
+            TaskSpec::CacheMerge(spec) => TaskResult::CacheMerge(CacheMergeResult {
+                cache: self.artifact(["half a cache", "a cache"][spec.round as usize]).await,
+                bytes: 6,
+                full: spec.round == 1,
+                spent: Spent { work: 0, cpu_nanos: 500 },
             }),
             TaskSpec::Render(spec) => TaskResult::Render(RenderResult {
                 stats: stats(spec.frame),
@@ -161,7 +185,7 @@ impl Farm {
         assert_eq!(preview.job_id, job.id);
         self.commit(&preview, at(0)).await;
         let first = job.frames.iter().next().unwrap();
-        self.store.start_profiling(job.id, &[first], at(0)).await.unwrap();
+        self.store.start_profiling(job.id, &[first], false, at(0)).await.unwrap();
         let profile = self.claim(node, at(0)).await.expect("a profile");
         self.commit(&profile, at(0)).await;
         let plan = self.plan_for(&job, node, start).await;
@@ -187,6 +211,7 @@ impl Farm {
             reason: PlanReason::JobForecast,
             verdict: verdict(job.id),
             bookings,
+            seed: None,
         }
     }
 }
@@ -298,6 +323,7 @@ fn job_forecast() -> JobForecast {
         chosen_spp: None,
         work_by_class: None,
         cpu_seconds_on: Vec::new(),
+        cache: None,
         cost: None,
         clock: Vec::new(),
     }

@@ -22,8 +22,8 @@ use crate::limits::gone_beyond;
 use crate::transport::ClientError;
 use bytes::Bytes;
 use forelight_protocol::{
-    ClaimRequest, Lease, LeaseOrder, LogLevel, NodeId, NodeRegistration, ProblemKind, RenewRequest,
-    ResultRequest, TaskError, TaskId, TaskLimits, TaskSpec, without_secrets,
+    CACHE_BYTES, ClaimRequest, Lease, LeaseOrder, LogLevel, NodeId, NodeRegistration, ProblemKind,
+    RenewRequest, ResultRequest, TaskError, TaskId, TaskLimits, TaskSpec, without_secrets,
 };
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -245,7 +245,7 @@ impl Agent {
             let missing = error.is(ProblemKind::NotFound);
             if missing { ExecuteError::Permanent(message) } else { ExecuteError::Transient(message) }
         };
-        let (bundle, profile) = loop {
+        let (bundle, profile, caches) = loop {
             match self.fetch(lease).await {
                 Ok(fetched) => break fetched,
                 // That the service or its artefact store is away for a while is not the task's fault.
@@ -264,7 +264,7 @@ impl Agent {
             }
             _ => None,
         };
-        let assignment = Assignment { spec: lease.spec.clone(), bundle, profile, checkpoint };
+        let assignment = Assignment { spec: lease.spec.clone(), bundle, profile, caches, checkpoint };
         let (pool, executor) = (self.pool.clone(), self.executor.clone());
         let work = move || pool.install(|| executor.execute(&assignment, &control));
         match tokio::task::spawn_blocking(work).await {
@@ -273,17 +273,22 @@ impl Agent {
         }
     }
 
-    /// The bundle and the profile that a task needs.
-    async fn fetch(&self, lease: &Lease) -> Result<(PathBuf, Option<Bytes>), ClientError> {
+    /// The bundle, the profile and the irradiance caches that a task needs.
+    async fn fetch(&self, lease: &Lease) -> Result<(PathBuf, Option<Bytes>, Vec<Bytes>), ClientError> {
         let bundle = self.library.locate(&self.client, lease.spec.bundle()).await?;
         let profile = match &lease.spec {
             TaskSpec::Render(spec) => spec.profile,
-            TaskSpec::Preview(_) | TaskSpec::Profile(_) => None,
+            _ => None,
         };
-        Ok(match profile {
-            Some(hash) => (bundle, Some(self.client.artifact(hash).await?)),
-            None => (bundle, None),
-        })
+        let profile = match profile {
+            Some(hash) => Some(self.client.artifact(hash, CACHE_BYTES).await?),
+            None => None,
+        };
+        let mut caches = Vec::new();
+        for hash in lease.spec.caches() {
+            caches.push(self.client.artifact(hash, CACHE_BYTES).await?);
+        }
+        Ok((bundle, profile, caches))
     }
 
     /// Renews the lease three times in its life, passes orders on to the work, and returns when the service says that the lease is lost

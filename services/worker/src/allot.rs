@@ -102,7 +102,7 @@ pub fn render_allotted(
     if let (Aim::Within(budget), None) = (&options.aim, &given.cache) {
         fits_the_cache(&*ready, budget, options.seed)?;
     }
-    given.cache.map_or(Ok(()), |cache| ready.share(cache))?;
+    given.cache.map_or(Ok(()), |cache| ready.share(cache).map(drop))?;
     if !ready.fill(progress, observer.cancel()) {
         return Ok(None);
     }

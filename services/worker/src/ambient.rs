@@ -316,6 +316,27 @@ impl Renderer for AmbientShot {
             built_now,
         }))
     }
+
+    fn plan_cache(
+        &self,
+        frames: &[u32],
+        settings: &RenderSettings,
+        progress: &dyn Fn(u64),
+        cancel: &AtomicBool,
+    ) -> Result<Option<Cache>, RenderError> {
+        AmbientShot::plan_cache(self, frames, settings, progress, cancel)
+    }
+
+    fn fill_cache(
+        &self,
+        cache: Cache,
+        settings: &RenderSettings,
+        part: (u32, u32),
+        progress: &(dyn Fn(u64, u64) + Sync),
+        cancel: &AtomicBool,
+    ) -> Result<Option<Cache>, RenderError> {
+        AmbientShot::fill_cache(self, cache, settings, part, progress, cancel)
+    }
 }
 
 /// One frame, ready.
@@ -462,7 +483,7 @@ impl FrameRenderer for AmbientFrame<'_> {
         Profile { frame: self.tracer.frame().number, fingerprint: self.tracer.fingerprint(), pixels, cache }
     }
 
-    fn share(&self, mut cache: Cache) -> Result<(), RenderError> {
+    fn share(&self, mut cache: Cache) -> Result<Shared, RenderError> {
         let given = |cache: Cache| self.tracer.take_cache(cache.as_given());
         let shared = if cache.suits(&self.tracer) {
             let kept = cache.records();
@@ -476,8 +497,8 @@ impl FrameRenderer for AmbientFrame<'_> {
             given(carried)?;
             shared
         };
-        *lock(&self.shared) = shared;
-        Ok(())
+        *lock(&self.shared) = shared.clone();
+        Ok(shared)
     }
 
     fn render(

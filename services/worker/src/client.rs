@@ -265,11 +265,29 @@ impl Client {
         Ok(hash)
     }
 
-    /// An artefact into memory, its hash verified.
-    pub async fn artifact(&self, hash: ArtifactHash) -> Result<Bytes, ClientError> {
-        let content = self.bytes(&format!("/v1/artifacts/{hash}")).await?;
+    /// An artefact into memory, its hash verified; refused if it is longer than `most` bytes.
+    pub async fn artifact(&self, hash: ArtifactHash, most: u64) -> Result<Bytes, ClientError> {
+        let too_large = || ClientError::TooLarge { what: format!("artefact {hash}"), most };
+        let request = Request::new(Method::GET, format!("/v1/artifacts/{hash}")).timeout(None);
+        let mut response = self.transport.send(&request).await?;
+        let announced = response.content_length().unwrap_or(0);
+        if announced > most {
+            return Err(too_large());
+        }
+        let mut content = Vec::with_capacity(usize::try_from(announced).unwrap_or(0));
+        while let Some(chunk) = response.chunk().await.map_err(|source| self.cut_off(&request, source))? {
+            if (content.len() + chunk.len()) as u64 > most {
+                return Err(too_large());
+            }
+            content.extend_from_slice(&chunk);
+        }
         verify(hash, *blake3::hash(&content).as_bytes())?;
-        Ok(content)
+        Ok(content.into())
+    }
+
+    fn cut_off(&self, request: &Request, source: reqwest::Error) -> ClientError {
+        let url = format!("{}{}", self.transport.base(), request.path);
+        ClientError::Unreachable { url, source: source.without_url() }
     }
 
     /// An artefact into a file, its hash verified while it streams.
@@ -280,10 +298,7 @@ impl Client {
         let mut file = tokio::fs::File::create(path).await.map_err(failed)?;
         let mut hasher = blake3::Hasher::new();
         loop {
-            let chunk = response.chunk().await.map_err(|source| ClientError::Unreachable {
-                url: format!("{}{}", self.transport.base(), request.path),
-                source: source.without_url(),
-            })?;
+            let chunk = response.chunk().await.map_err(|source| self.cut_off(&request, source))?;
             let Some(chunk) = chunk else { break };
             hasher.update(&chunk);
             file.write_all(&chunk).await.map_err(failed)?;
@@ -295,10 +310,7 @@ impl Client {
     async fn bytes(&self, path: &str) -> Result<Bytes, ClientError> {
         let request = Request::new(Method::GET, path).timeout(None);
         let response = self.transport.send(&request).await?;
-        response.bytes().await.map_err(|source| ClientError::Unreachable {
-            url: format!("{}{path}", self.transport.base()),
-            source: source.without_url(),
-        })
+        response.bytes().await.map_err(|source| self.cut_off(&request, source))
     }
 }
 

@@ -19,6 +19,8 @@ pub struct Assignment {
     pub bundle: PathBuf,
     /// The profile whose pixels are to be taken over, if the task names one.
     pub profile: Option<Bytes>,
+    /// The irradiance caches that the task names, in its order.
+    pub caches: Vec<Bytes>,
     /// The tiles of the frame that an earlier worker finished before it was lost, if there are any.
     pub checkpoint: Option<Bytes>,
 }

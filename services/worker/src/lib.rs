@@ -12,7 +12,8 @@
 //! | `warm_clock` | what a scattered pixel would have taken among its neighbours |
 //! | `render` | one frame with its true cost |
 //! | `pictures` | the files of a finished frame, and what making them takes |
-//! | `tasks` | the three kinds of tasks |
+//! | `shot_cache` | the irradiance cache that the frames of a shot share |
+//! | `tasks`, `cache_tasks` | the kinds of tasks |
 //! | `execute`, `agent` | a task's life between lease and result |
 //! | `library` | bundles, fetched once and kept open |
 //! | `within` | a render that holds to its time |
@@ -26,6 +27,7 @@ mod agent;
 mod allot;
 mod ambient;
 mod backoff;
+mod cache_tasks;
 mod calibrate;
 mod capabilities;
 mod checkpoint;
@@ -71,6 +73,7 @@ pub use shot::{
     CountedFrames, Observer, ProfiledFrame, ShotError, cost_of, cost_of_gather, cost_of_record, count_frames,
     forecast_strata, profile_frame, record_prior_cost, records_to_sample, stratum_ids,
 };
+pub use shot_cache::{Filled, SharedPlan, SharedProfile, fill_part, plan_shared, profile_shared};
 pub use tasks::{TaskRunner, preview_result, profile_result};
 pub use transport::{ClientError, Token};
 pub use within::{Budget, Stopwatch};

@@ -170,6 +170,7 @@ fn document(
         chosen_spp: None,
         work_by_class: profiled.iter().filter_map(|profile| profile.work_by_class).reduce(ByClass::plus),
         cpu_seconds_on: Vec::new(),
+        cache: None,
         cost: None,
     }
 }

@@ -4,7 +4,7 @@ use crate::classes::of_frame;
 use crate::renderer::{CacheUse, Finished, FrameRenderer, Progress, RenderError, Renderer};
 use forelight_protocol::{CacheStats, Rays, RenderSettings, RenderStats, Spent};
 use forelight_scene::Frame;
-use forelight_tracer::{Cache, CacheTotals, Cost, Image, PixelsFinished, Profile};
+use forelight_tracer::{Cache, CacheTotals, Cost, Image, PixelsFinished, Profile, Shared};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
@@ -43,7 +43,7 @@ pub fn render_frame(
 ) -> Result<Option<Rendered>, RenderError> {
     let start = Instant::now();
     let ready = renderer.frame(frame, settings)?;
-    given.cache.map_or(Ok(()), |cache| ready.share(cache))?;
+    given.cache.map_or(Ok(()), |cache| ready.share(cache).map(drop))?;
     let rendered = render_ready(&*ready, settings, given.profile, progress, &|_| (), cancel)?;
     Ok(rendered.map(|mut rendered| {
         rendered.stats.wall_seconds = start.elapsed().as_secs_f64();
@@ -132,7 +132,14 @@ fn cache_stats(cache: &CacheUse, image: &Image) -> CacheStats {
         reused_records: cache.taken_over.filled,
         shared_records: cache.shared.kept.iter().sum(),
         dropped_records: cache.shared.dropped.iter().sum(),
+        own_records: own_records(&cache.all.records, &cache.shared).iter().sum(),
     }
+}
+
+/// Records of a frame's cache beyond those of the shot's cache that hold in it, one number a level.
+pub(crate) fn own_records(all: &[u64], shared: &Shared) -> Vec<u64> {
+    let kept = shared.kept.iter().copied().chain(std::iter::repeat(0));
+    all.iter().zip(kept).map(|(&all, kept)| all.saturating_sub(kept)).collect()
 }
 
 /// A cost of the tracer's in the words of the wire.

@@ -181,6 +181,27 @@ pub trait Renderer: Send + Sync {
         frame: u32,
         settings: &RenderSettings,
     ) -> Result<Box<dyn FrameRenderer + '_>, RenderError>;
+
+    /// Plans an irradiance cache for all of these frames, in their order, on the current thread pool; `progress` is told the frames done.
+    /// `None` if `cancel` was set, and where there is no use for one.
+    fn plan_cache(
+        &self,
+        frames: &[u32],
+        settings: &RenderSettings,
+        progress: &dyn Fn(u64),
+        cancel: &AtomicBool,
+    ) -> Result<Option<Cache>, RenderError>;
+
+    /// Fills a part of such a cache, from 0, of its deepest level that is not full; all levels, if there is but one part. `progress` is told
+    /// the records done, and all records of the level. `None` if `cancel` was set.
+    fn fill_cache(
+        &self,
+        cache: Cache,
+        settings: &RenderSettings,
+        part: (u32, u32),
+        progress: &(dyn Fn(u64, u64) + Sync),
+        cancel: &AtomicBool,
+    ) -> Result<Option<Cache>, RenderError>;
 }
 
 /// One frame at one quality.
@@ -257,8 +278,8 @@ pub trait FrameRenderer: Send + Sync {
     fn profile(&self, pixels: &[(u32, Pixel)]) -> Profile;
 
     /// Gives the frame the cache of its shot: before anything is planned. Records whose light something that moved has changed are
-    /// dropped; what the frame needs beyond the others will be planned anew.
-    fn share(&self, cache: Cache) -> Result<(), RenderError>;
+    /// dropped; what the frame needs beyond the others will be planned anew. Says what became of them.
+    fn share(&self, cache: Cache) -> Result<Shared, RenderError>;
 
     /// The image, on the current thread pool; what `reuse` holds is taken over. `finished` is given pixels as they are finished. `None` if
     /// `cancel` was set.

@@ -1,5 +1,6 @@
-//! The three kinds of tasks, done by a renderer.
+//! The tasks, done by a renderer; those about the irradiance cache of a shot are in `cache_tasks`.
 
+use crate::cache_tasks;
 use crate::checkpoint::Checkpoints;
 use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 use crate::library::Library;
@@ -12,12 +13,13 @@ use crate::shot::{
     CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, forecast_strata, profile_frame,
     record_prior_cost,
 };
+use crate::shot_cache::{cache_sample, profile_shared};
 use bytes::Bytes;
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{
-    ArtifactHash, CacheMode, CacheSample, FinishedPixels, FrameStrata, LogLevel, NoiseCell, NoiseSample,
-    PreviewResult, PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts,
-    RenderResult, RenderSettings, RenderSpec, Stratum, TaskResult, TaskSpec,
+    ArtifactHash, CacheMode, FinishedPixels, FrameStrata, LogLevel, NoiseCell, NoiseSample, PreviewResult,
+    PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts, RenderResult,
+    RenderSettings, RenderSpec, Stratum, TaskResult, TaskSpec,
 };
 use forelight_tracer::{Pixel, Profile};
 use std::collections::BTreeSet;
@@ -56,7 +58,10 @@ impl Execute for TaskRunner {
         );
         match &assignment.spec {
             TaskSpec::Preview(spec) => preview(renderer, spec, control),
-            TaskSpec::Profile(spec) => profile(renderer, spec, control),
+            TaskSpec::Profile(spec) => profile(renderer, spec, assignment, control),
+            TaskSpec::CachePlan(spec) => cache_tasks::plan(renderer, spec, control),
+            TaskSpec::CacheFill(spec) => cache_tasks::fill(renderer, spec, assignment, control),
+            TaskSpec::CacheMerge(spec) => cache_tasks::merge(spec, assignment, control),
             TaskSpec::Render(spec) => render(renderer, spec, assignment, control),
         }
     }
@@ -98,7 +103,12 @@ pub fn preview_result(
     }
 }
 
-fn profile(renderer: &dyn Renderer, spec: &ProfileSpec, control: &Control) -> Result<Outcome, ExecuteError> {
+fn profile(
+    renderer: &dyn Renderer,
+    spec: &ProfileSpec,
+    assignment: &Assignment,
+    control: &Control,
+) -> Result<Outcome, ExecuteError> {
     let options = QuoteOptions { samples: spec.samples, seed: spec.phase_seed, ..QuoteOptions::default() };
     let mut profiled = profile_frame(renderer, spec.frame, &spec.settings, &options, &Reporting(control))?;
     let encoding = encoding_nanos(&profiled)?;
@@ -110,6 +120,13 @@ fn profile(renderer: &dyn Renderer, spec: &ProfileSpec, control: &Control) -> Re
     };
     let mut result = profile_result(renderer.info(), &spec.settings, &profiled, artifacts);
     result.spent.cpu_nanos += encoding;
+    if spec.cache.is_some() {
+        let cache = cache_tasks::only_cache(assignment)?;
+        let beside = profile_shared(renderer, &profiled, &spec.settings, &options, cache)
+            .map_err(cache_tasks::of_shared_cache)?;
+        result.spent = result.spent.plus(beside.spent);
+        (result.shared_samples, result.shared_cache_samples) = (beside.pixels, beside.records);
+    }
     Ok(Outcome { result: TaskResult::Profile(result), artifacts: files.contents })
 }
 
@@ -134,16 +151,12 @@ pub fn profile_result(
     };
     // The pixels after the observed ones are neighbours that were traced for their time alone.
     let samples = profiled.traced.iter().zip(&profiled.observations).map(sample).collect();
-    let gathered = profiled.records.iter().map(|record| CacheSample {
-        level: record.level,
-        work: record.cost.work,
-        cpu_nanos: record.cost.cpu_nanos,
-        rays: record.rays.map(u64::from),
-    });
     ProfileResult {
         frame: profiled.frame,
         samples,
-        cache_samples: gathered.collect(),
+        shared_samples: Vec::new(),
+        cache_samples: profiled.records.iter().map(cache_sample).collect(),
+        shared_cache_samples: Vec::new(),
         noise: noise_cells(info, settings, profiled),
         effects: profiled.effects.clone(),
         left_out: profiled.left_out.clone(),
@@ -190,6 +203,15 @@ fn render(
     let start = Instant::now();
     let ready = renderer.frame(spec.frame, &spec.settings)?;
     control.log(LogLevel::Info, format!("frame {} calls for: {}", spec.frame, ready.effects().join(", ")));
+    if spec.cache.is_some() {
+        let cache = cache_tasks::only_cache(assignment)?;
+        let shared = ready.share(cache).map_err(cache_tasks::of_shared_cache)?;
+        let (kept, dropped) = (shared.kept.iter().sum::<u64>(), shared.dropped.iter().sum::<u64>());
+        control.log(
+            LogLevel::Info,
+            format!("of the shot's irradiance cache {kept} records hold in this frame, {dropped} do not"),
+        );
+    }
     let reuse = match (cached, &assignment.checkpoint) {
         (false, Some(bytes)) => go_on_from(&*ready, bytes, profile, spec.settings.pixels(), control),
         _ => profile,
@@ -312,12 +334,12 @@ impl Shown {
 
 /// Files to be uploaded, named by their hash.
 #[derive(Default)]
-struct Files {
-    contents: Vec<Bytes>,
+pub(crate) struct Files {
+    pub(crate) contents: Vec<Bytes>,
 }
 
 impl Files {
-    fn add(&mut self, content: Vec<u8>) -> ArtifactHash {
+    pub(crate) fn add(&mut self, content: Vec<u8>) -> ArtifactHash {
         let hash = ArtifactHash(*blake3::hash(&content).as_bytes());
         self.contents.push(content.into());
         hash

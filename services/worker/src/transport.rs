@@ -54,6 +54,14 @@ pub enum ClientError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// It is longer than anything of its kind.
+    #[error("{what} is longer than {most} bytes")]
+    TooLarge {
+        /// What was asked for.
+        what: String,
+        /// The most that is taken.
+        most: u64,
+    },
     /// What arrived is not what was asked for.
     #[error("{what} arrived with the wrong content: its hash is {received}")]
     Corrupt {

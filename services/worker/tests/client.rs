@@ -143,7 +143,7 @@ async fn an_artefact_with_the_wrong_content_is_not_taken() {
     let (address, _) = server(Vec::new()).await;
     let client = Client::new(&address, None).unwrap();
     let hash = ArtifactHash([1; 32]);
-    assert!(matches!(client.artifact(hash).await, Err(ClientError::Corrupt { .. })));
+    assert!(matches!(client.artifact(hash, 1 << 20).await, Err(ClientError::Corrupt { .. })));
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("bundle.zip");
     assert!(matches!(client.artifact_to_file(hash, &file).await, Err(ClientError::Corrupt { .. })));

@@ -111,7 +111,10 @@ impl Rig {
         checkpoint: Option<bytes::Bytes>,
         control: &Control,
     ) -> Result<Outcome, ExecuteError> {
-        self.runner.execute(&Assignment { spec, bundle: self.bundle(), profile, checkpoint }, control)
+        self.runner.execute(
+            &Assignment { spec, bundle: self.bundle(), profile, caches: Vec::new(), checkpoint },
+            control,
+        )
     }
 
     fn profile_spec(&self, frame: u32) -> TaskSpec {
@@ -123,6 +126,7 @@ impl Rig {
             samples: 100,
             phase_seed: 5,
             settings: self.settings.clone(),
+            cache: None,
         })
     }
 
@@ -134,6 +138,7 @@ impl Rig {
             frame,
             settings: self.settings.clone(),
             profile: None,
+            cache: None,
         })
     }
 }
@@ -355,7 +360,8 @@ fn a_cancelled_task_says_so() {
     let control = Control::default();
     control.cancel();
     for spec in [rig.render_spec(0), rig.profile_spec(0)] {
-        let assignment = Assignment { spec, bundle: rig.bundle(), profile: None, checkpoint: None };
+        let assignment =
+            Assignment { spec, bundle: rig.bundle(), profile: None, caches: Vec::new(), checkpoint: None };
         assert_eq!(rig.runner.execute(&assignment, &control).unwrap_err(), ExecuteError::Cancelled);
     }
 }

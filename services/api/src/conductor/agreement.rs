@@ -105,7 +105,7 @@ fn an_offline_quote_and_the_estimate_of_the_service_agree_to_the_last_bit_and_ex
         assert_eq!(estimated.job.spent, quoted.document.spent);
         assert_eq!(estimated.job.effects, quoted.document.effects);
         assert_eq!(estimated.job.total.cache_records.len(), levels);
-        let explanation = explained(&settings, &preview, &profiles, None).unwrap();
+        let explanation = explained(&settings, &preview, &profiles, None, None).unwrap();
         assert_eq!(explanation, quoted.explained(&info.strata, &settings));
         assert!(explanation.objects.len() > 1 && !explanation.words.is_empty(), "{explanation:?}");
     }

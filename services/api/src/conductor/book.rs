@@ -4,10 +4,12 @@ use std::collections::BTreeMap;
 
 use forelight_planner::{self as planner, FixedBooking, Interval};
 use forelight_protocol::{
-    ByClass, Confidence, ForecastTotals, Job, JobVerdict, Money, MoneyQuantiles, Node, NodeId, NodeSeconds,
-    PlanReason, Quantiles, Timestamp, Verdict,
+    ByClass, CacheQuote, Confidence, Job, JobVerdict, Money, MoneyQuantiles, Node, NodeId, NodeSeconds,
+    PlanReason, Quantiles, SeedBooking, Timestamp, Verdict,
 };
-use forelight_store::{JobForecast, NewBooking, NewPlan, Projected, QuoteBasis, project};
+use forelight_store::{
+    JobForecast, NewBooking, NewPlan, NewSeed, NewSeedBooking, Projected, QuoteBasis, project,
+};
 
 use super::estimate::Forecast;
 use super::{AdvanceError, Conductor, compute};
@@ -25,6 +27,9 @@ const CLASS: u32 = 1;
 /// be started again, and much shorter than a night.
 const SILENCE: i64 = 300_000_000;
 
+/// How long a part of an irradiance cache that should be filled already is still given: a second, in microseconds.
+const OVERDUE: i64 = 1_000_000;
+
 impl Conductor {
     /// Plans the job around everything that is booked already, has the plan verified, and keeps forecast, plan and bookings.
     pub(super) async fn book(
@@ -38,7 +43,10 @@ impl Conductor {
         let parent = self.store.newest_plan().await?;
         let nodes = self.nodes_for_plans(now).await?;
         let taken = project(&self.store.open_bookings().await?, now);
-        let input = planner_input(job, forecast, &nodes, &taken, now);
+        let seeds = self.store.open_seed_bookings().await?;
+        let mut kept = forecast.job.clone();
+        price(&mut kept, forecast, &nodes);
+        let input = planner_input(job, &kept, forecast, &nodes, (&taken, &seeds), now);
         let plan = compute(move || {
             let plan = planner::plan(&input)
                 .map_err(|error| AdvanceError::Hopeless(format!("no plan could be made: {error}")))?;
@@ -52,16 +60,23 @@ impl Conductor {
         let Some(found) = plan.jobs.first() else {
             return Err(AdvanceError::Hopeless("the plan says nothing of the job".to_owned()));
         };
-        let bookings =
-            plan.bookings.iter().map(|booking| own_booking(booking, &nodes)).collect::<Result<_, _>>()?;
+        let of_frames = plan.bookings.iter().filter(|booking| !booking.task.is_seed());
+        let of_seed = plan.bookings.iter().filter(|booking| booking.task.is_seed());
+        let seed = match (&forecast.seed, kept.cache.as_ref().and_then(|cache| cache.seed.as_ref())) {
+            (Some(seed), Some(line)) => Some(NewSeed {
+                cache: seed.cache,
+                parts: line.parts,
+                bookings: of_seed.map(|booking| own_part(booking, &nodes)).collect::<Result<_, _>>()?,
+            }),
+            _ => None,
+        };
         let new = NewPlan {
             parent,
             reason: PlanReason::JobForecast,
             verdict: verdict(job, found, &nodes),
-            bookings,
+            bookings: of_frames.map(|booking| own_booking(booking, &nodes)).collect::<Result<_, _>>()?,
+            seed,
         };
-        let mut kept = forecast.job.clone();
-        kept.cost = cost(&kept.total, &nodes);
         kept.cpu_seconds_on = on_calibrated(&kept, &nodes);
         let plan = self.store.book(job.id, &kept, &forecast.frames, basis, &new, now).await?;
         self.metrics.plans_stored.add(1);
@@ -95,9 +110,10 @@ fn refused(violations: &[planner::Violation]) -> AdvanceError {
 /// The planner's view: nodes and jobs are numbers there, ours by their place in a list.
 fn planner_input(
     job: &Job,
+    kept: &JobForecast,
     forecast: &Forecast,
     nodes: &[Node],
-    taken: &[Projected],
+    (taken, seeds): (&[Projected], &[SeedBooking]),
     now: Timestamp,
 ) -> planner::Input {
     let index: BTreeMap<NodeId, u64> = nodes.iter().map(|node| node.id).zip(0..).collect();
@@ -124,6 +140,12 @@ fn planner_input(
                 let (start, end) = (frame.start.micros(), frame.end.micros());
                 Some(FixedBooking { node, start, end, ..FixedBooking::default() })
             })
+            .chain(seeds.iter().filter_map(|part| {
+                let node = *index.get(&part.node_id)?;
+                // One that should be filled by now is about to be.
+                let end = part.end.max(now.plus_micros(OVERDUE)).micros();
+                Some(FixedBooking { node, start: part.start.micros(), end, ..FixedBooking::default() })
+            }))
             .collect(),
         jobs: vec![planner::Job {
             id: 0,
@@ -133,6 +155,7 @@ fn planner_input(
             priority: job.priority,
             confidence: confidence(job.confidence),
             total: total(&forecast.job.total.cpu_seconds),
+            seed: kept.cache.as_ref().and_then(seed),
             frames: forecast
                 .frames
                 .iter()
@@ -184,6 +207,16 @@ fn on_calibrated(forecast: &JobForecast, nodes: &[Node]) -> Vec<NodeSeconds> {
     by_name.into_iter().take(NodeSeconds::MOST).map(seconds).collect()
 }
 
+/// The irradiance cache that the frames share and wait for, as the planner's work.
+fn seed(cache: &CacheQuote) -> Option<planner::Seed> {
+    let seed = cache.seed.as_ref()?;
+    Some(planner::Seed {
+        class: CLASS,
+        work: units(seed.cpu_seconds.p50).max(1),
+        parts: seed.parts,
+    })
+}
+
 /// What a node does a second, in the planner's unit of work.
 pub(crate) fn speed(node: &Node) -> u64 {
     units(seconds_per_second(node)).max(1)
@@ -197,6 +230,22 @@ fn seconds_per_second(node: &Node) -> f64 {
 /// Seconds in the planner's unit of work; saturates at the ends of the range, as float to integer does.
 fn units(seconds: f64) -> u64 {
     (seconds * PER_SECOND).round() as u64
+}
+
+fn own_part(booking: &planner::Booking, nodes: &[Node]) -> Result<NewSeedBooking, AdvanceError> {
+    let part = match booking.task {
+        planner::Task::SeedPart { part, .. } => part,
+        _ => 0,
+    };
+    match usize::try_from(booking.node).ok().and_then(|at| nodes.get(at)) {
+        Some(node) => Ok(NewSeedBooking {
+            part,
+            node: node.id,
+            start: Timestamp::from_micros(booking.start),
+            end: Timestamp::from_micros(booking.end),
+        }),
+        None => Err(AdvanceError::Hopeless("the plan books a part on a node that there is not".to_owned())),
+    }
 }
 
 fn own_booking(booking: &planner::Booking, nodes: &[Node]) -> Result<NewBooking, AdvanceError> {
@@ -279,12 +328,34 @@ pub(super) fn mean_price(nodes: &[Node]) -> Option<f64> {
     (!nodes.is_empty()).then(|| nodes.iter().map(price).sum::<f64>() / nodes.len() as f64)
 }
 
-/// The forecast in money, at the mean price that the nodes ask for a second of a core of speed 1.
-fn cost(total: &ForecastTotals, nodes: &[Node]) -> Option<MoneyQuantiles> {
-    let mean_price = mean_price(nodes)?;
-    let money = |seconds: f64| Money((seconds * mean_price).round() as i64);
-    let Quantiles { mean, p50, p80, p95 } = total.cpu_seconds;
-    Some(MoneyQuantiles { mean: money(mean), p50: money(p50), p80: money(p80), p95: money(p95) })
+/// Fills in what depends on the farm: into how many parts a shared cache is split, and everything in money, at the mean price that the nodes ask
+/// for a second of a core of speed 1.
+fn price(kept: &mut JobForecast, forecast: &Forecast, nodes: &[Node]) {
+    let mean_price = mean_price(nodes);
+    let money = |seconds: f64| mean_price.map(|price| Money((seconds * price).round() as i64));
+    let cost = |cpu_seconds: &Quantiles| {
+        let Quantiles { mean, p50, p80, p95 } = *cpu_seconds;
+        Some(MoneyQuantiles { mean: money(mean)?, p50: money(p50)?, p80: money(p80)?, p95: money(p95)? })
+    };
+    let mut all = kept.total.cpu_seconds;
+    if let Some(cache) = &mut kept.cache {
+        for price in std::iter::once(&mut cache.private_price).chain(&mut cache.shared_price) {
+            price.cost = money(price.cpu_seconds);
+        }
+        if let Some(seed) = &mut cache.seed {
+            seed.cost = cost(&seed.cpu_seconds);
+            seed.parts = forecast.seed.as_ref().map_or(1, |plan| plan.parts(nodes.len()));
+            // The same measurements are behind both: what one is off, the other is.
+            let Quantiles { mean, p50, p80, p95 } = seed.cpu_seconds;
+            all = Quantiles {
+                mean: all.mean + mean,
+                p50: all.p50 + p50,
+                p80: all.p80 + p80,
+                p95: all.p95 + p95,
+            };
+        }
+    }
+    kept.cost = cost(&all);
 }
 
 #[cfg(test)]

@@ -32,6 +32,16 @@ impl Populations {
         preview: &'a PreviewResult,
         more: impl IntoIterator<Item = &'a protocol::Stratum>,
     ) -> Self {
+        let records: Vec<&[u32]> = preview.frames.iter().map(|frame| &frame.cache_records[..]).collect();
+        Self::with_records(preview, more, &records)
+    }
+
+    /// The same with other numbers of records, by frame and level.
+    pub fn with_records<'a>(
+        preview: &'a PreviewResult,
+        more: impl IntoIterator<Item = &'a protocol::Stratum>,
+        records: &[&[u32]],
+    ) -> Self {
         let mut index = BTreeMap::new();
         let mut strata: Vec<Stratum> = Vec::with_capacity(preview.strata.len() + 1);
         let mut names = Vec::with_capacity(preview.strata.len());
@@ -55,9 +65,8 @@ impl Populations {
                 FramePopulation { number: i64::from(frame.frame), counts, lights: frame.lights }
             })
             .collect();
-        let records: Vec<&[u32]> = preview.frames.iter().map(|frame| &frame.cache_records[..]).collect();
         let prior_cost = preview.record_prior_cost.unwrap_or(1.0);
-        let records = RecordStrata::add(&mut strata, &mut frames, &records, prior_cost);
+        let records = RecordStrata::add(&mut strata, &mut frames, records, prior_cost);
         Self { strata, frames, names, index, background, records }
     }
 }

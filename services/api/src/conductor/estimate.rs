@@ -7,13 +7,14 @@ use forelight_forecast::{
     Quantity, ShotForecast, forecast_shot, shot_times,
 };
 use forelight_protocol::{
-    ByClass, ForecastTotals, FrameForecast, LeftOut, PreviewResult, Profiled, Quantiles, RayQuantiles,
-    RenderSettings, Spent, SpentOnForecast,
+    ByClass, CacheFrame, FixedCosts, ForecastTotals, FrameForecast, LeftOut, PreviewResult, Profiled,
+    Quantiles, RayQuantiles, RenderSettings, Spent, SpentOnForecast,
 };
 use forelight_store::{JobForecast, MeasuredProfile, QuoteBasis, QuoteKind, Spreads};
 
 use super::AdvanceError;
 use super::choose::Populations;
+use super::sharing::{SeedPlan, SharedWay, surplus};
 
 /// A job's forecast, and that of each of its frames.
 #[derive(Clone, PartialEq, Debug)]
@@ -22,6 +23,8 @@ pub(super) struct Forecast {
     pub frames: Vec<FrameForecast>,
     /// How sure the formulas are, of all frames together and of each; before past jobs corrected the quantiles.
     pub spreads: (Spreads, Vec<Spreads>),
+    /// The irradiance cache that is made before the frames, if they share one.
+    pub seed: Option<SeedPlan>,
 }
 
 impl Forecast {
@@ -47,7 +50,7 @@ pub(super) fn forecast(
     preview: &PreviewResult,
     profiles: &[MeasuredProfile],
 ) -> Result<Forecast, AdvanceError> {
-    calibrated(preview, profiles, None)
+    calibrated(preview, profiles, None, None)
 }
 
 /// What the statistics know of a shot.
@@ -56,39 +59,72 @@ pub(super) struct Estimated {
     pub populations: Populations,
 }
 
-/// The statistics' part, with quantiles as the formulas have them.
+/// The records of each frame's irradiance cache: those that it reads, and those of them that it gathers itself.
+fn records_of<'a>(preview: &'a PreviewResult, shared: Option<&SharedWay<'a>>) -> Vec<(&'a [u32], &'a [u32])> {
+    match shared {
+        Some(way) => way.plan.frames.iter().map(|frame| (&frame.records[..], &frame.own[..])).collect(),
+        None => preview.frames.iter().map(|frame| &frame.cache_records[..]).map(|all| (all, all)).collect(),
+    }
+}
+
+/// The statistics' part, with quantiles as the formulas have them; of frames that are given a `shared` irradiance cache, without what that
+/// takes, or that make their own.
 pub(super) fn estimated(
     preview: &PreviewResult,
     profiles: &[MeasuredProfile],
+    shared: Option<&SharedWay<'_>>,
 ) -> Result<Estimated, AdvanceError> {
     let strata = profiles.iter().flat_map(|profile| &profile.result.strata);
-    let mut populations = Populations::new(preview, strata);
+    let gathered: Vec<&[u32]> = records_of(preview, shared).into_iter().map(|(_, own)| own).collect();
+    let mut populations = Populations::with_records(preview, strata, &gathered);
+    // Beside a shared cache, planning was done for every frame, and is known.
+    let mut known: Vec<Costs<f64>> = match shared {
+        Some(way) => {
+            way.plan.frames.iter().map(|frame| Costs::from(planning(frame, way.node_speed))).collect()
+        }
+        None => Vec::new(),
+    };
+    let mut gathered_by: Vec<(usize, Vec<u32>)> = Vec::new();
     let mut observations: Vec<(usize, Vec<Observation>, Cost)> = Vec::with_capacity(profiles.len());
     for MeasuredProfile { result, node_speed } in profiles {
         let at = preview.frames.iter().position(|frame| frame.frame == result.frame).ok_or_else(|| {
             AdvanceError::Hopeless(format!("frame {} was profiled, but not previewed", result.frame))
         })?;
-        let pixels = result.samples.iter().map(|sample| {
+        let pixels = result.samples.iter().zip(0..).map(|(sample, place)| {
+            let beside = result.shared_samples.get::<usize>(place).filter(|_| shared.is_some());
+            let (work, cpu_nanos, rays) = match beside {
+                Some(sample) => (sample.work, sample.cpu_nanos, sample.rays),
+                None => (sample.work, sample.cpu_nanos, sample.rays),
+            };
             let known = result.strata.get(sample.stratum as usize);
             let place = known.and_then(|stratum| populations.index.get(&stratum.identity()));
             let stratum = place.copied().unwrap_or(populations.background);
-            let cost = Cost {
-                work: sample.work,
-                cpu_nanos: at_speed_one(sample.cpu_nanos, *node_speed),
-                rays: sample.rays,
-            };
+            let cost = Cost { work, cpu_nanos: at_speed_one(cpu_nanos, *node_speed), rays };
             Observation { stratum: stratum as u32, cost }
         });
-        let records = result.cache_samples.iter().map(|sample| {
+        let records = match shared {
+            Some(_) => &result.shared_cache_samples,
+            None => &result.cache_samples,
+        };
+        let records = records.iter().map(|sample| {
             let cpu_nanos = at_speed_one(sample.cpu_nanos, *node_speed);
             let cost = Cost { work: sample.work, cpu_nanos, rays: sample.rays };
             populations.records.observation(sample.level, cost)
         });
         let observed: Vec<Observation> = pixels.chain(records).collect();
+        if let Some(known) = known.get_mut(at) {
+            let counts = &populations.frames[at].counts;
+            *known = known.plus(&surplus(counts, &observed, &populations.strata).times(-1.0));
+        }
+        gathered_by.push((at, populations.frames[at].counts.clone()));
         make_room(&mut populations.frames[at].counts, &observed);
-        let Spent { work, cpu_nanos } = result.fixed.total();
+        let fixed = match shared {
+            Some(_) => FixedCosts { plan: Spent::default(), plan_rays: [0; 7], ..result.fixed },
+            None => result.fixed,
+        };
+        let Spent { work, cpu_nanos } = fixed.total();
         let cpu_nanos = at_speed_one(cpu_nanos, *node_speed);
-        let fixed = Cost { work, cpu_nanos, rays: result.fixed.plan_rays };
+        let fixed = Cost { work, cpu_nanos, rays: fixed.plan_rays };
         observations.push((at, observed, fixed));
     }
     let profiled: Vec<ProfiledFrame<'_>> = observations
@@ -100,8 +136,14 @@ pub(super) fn estimated(
             fixed: *fixed,
         })
         .collect();
-    let shot = forecast_shot(&populations.strata, &populations.frames, &profiled, Calibration::NONE)
-        .map_err(no_forecast)?;
+    let mut shot = forecast_shot(&populations.strata, &populations.frames, &profiled, Calibration::NONE)
+        .map_err(no_forecast)?
+        .with_known(&known, Calibration::NONE);
+    // The records that a frame gathers, and not those that were measured in a cache of its own.
+    for (at, counts) in gathered_by.iter().filter(|_| shared.is_some()) {
+        let strata = shot.frames[*at].strata.iter_mut().zip(&populations.strata).zip(counts);
+        strata.filter(|((_, stratum), _)| stratum.apart).for_each(|((own, _), &count)| own.pixels = count);
+    }
     Ok(Estimated { shot, populations })
 }
 
@@ -113,9 +155,11 @@ fn no_forecast(error: ForecastError) -> AdvanceError {
 pub(super) fn calibrated(
     preview: &PreviewResult,
     profiles: &[MeasuredProfile],
+    shared: Option<&SharedWay<'_>>,
     corrections: Option<&Corrections>,
 ) -> Result<Forecast, AdvanceError> {
-    let Estimated { shot, populations } = estimated(preview, profiles)?;
+    let of_frames = records_of(preview, shared);
+    let Estimated { shot, populations } = estimated(preview, profiles, shared)?;
     let clock = shot_times(&populations.strata, &populations.frames).map_err(no_forecast)?;
     let shot = match corrections {
         Some(corrections) => shot.corrected(corrections),
@@ -131,19 +175,18 @@ pub(super) fn calibrated(
         .frames
         .iter()
         .zip(&shot.frames)
-        .map(|(previewed, forecast)| FrameForecast {
+        .zip(&of_frames)
+        .map(|((previewed, forecast), (records, _))| FrameForecast {
             frame: previewed.frame,
             rays: rays(&forecast.total),
-            cache_records: FrameForecast::known_records(&previewed.cache_records),
+            cache_records: FrameForecast::known_records(records),
             work: quantiles(&forecast.total.work, 1.0),
             cpu_seconds: quantiles(&forecast.total.cpu_nanos, 1e-9),
         })
         .collect();
     let total = ForecastTotals {
         rays: rays(&shot.total),
-        cache_records: ForecastTotals::known_records(
-            preview.frames.iter().map(|frame| &frame.cache_records[..]),
-        ),
+        cache_records: ForecastTotals::known_records(of_frames.iter().map(|(records, _)| *records)),
         work: quantiles(&shot.total.work, 1.0),
         cpu_seconds: quantiles(&shot.total.cpu_nanos, 1e-9),
     };
@@ -175,16 +218,17 @@ pub(super) fn calibrated(
             .filter_map(|profile| profile.result.work_by_class)
             .reduce(ByClass::plus),
         cpu_seconds_on: Vec::new(),
+        cache: None,
         cost: None,
         clock,
     };
-    Ok(Forecast { job, frames, spreads })
+    Ok(Forecast { job, frames, spreads, seed: None })
 }
 
 /// The hazard: the frame was previewed on a graphics processor and profiled where there is none, and a pixel on an edge
 /// shows another object there. More pixels of a stratum are then profiled than were counted, which the forecast
 /// rightly refuses. What was traced is true, so the count gives way: a few pixels of a whole image.
-fn make_room(counts: &mut [u32], observations: &[Observation]) {
+pub(super) fn make_room(counts: &mut [u32], observations: &[Observation]) {
     let mut samples = vec![0u32; counts.len()];
     for observation in observations {
         // What belongs to no stratum is for the forecast to refuse.
@@ -197,16 +241,22 @@ fn make_room(counts: &mut [u32], observations: &[Observation]) {
     }
 }
 
-fn at_speed_one(nanos: u64, node_speed: f64) -> u64 {
+pub(super) fn at_speed_one(nanos: u64, node_speed: f64) -> u64 {
     // Saturates at the ends of the range, as float to integer does.
     (nanos as f64 * node_speed).round() as u64
+}
+
+/// What planning a frame's records beyond the shared cache takes, with its time on a node of speed 1.
+fn planning(frame: &CacheFrame, node_speed: f64) -> Cost {
+    let Spent { work, cpu_nanos } = frame.plan;
+    Cost { work, cpu_nanos: at_speed_one(cpu_nanos, node_speed), rays: frame.plan_rays }
 }
 
 fn rays(costs: &Costs<Quantity>) -> RayQuantiles {
     RayQuantiles::from_array(costs.rays.map(|category| quantiles(&category, 1.0)))
 }
 
-fn quantiles(quantity: &Quantity, unit: f64) -> Quantiles {
+pub(super) fn quantiles(quantity: &Quantity, unit: f64) -> Quantiles {
     let Quantity { mean, p50, p80, p95, .. } = *quantity;
     Quantiles { mean: mean * unit, p50: p50 * unit, p80: p80 * unit, p95: p95 * unit }
 }
@@ -216,7 +266,7 @@ mod tests {
     use super::*;
     use forelight_forecast::Correction;
     use forelight_protocol::{
-        ArtifactHash, CacheSample, FixedCosts, FrameStrata, PreviewBackend, ProfileArtifacts, ProfileResult,
+        ArtifactHash, CacheSample, FrameStrata, PreviewBackend, ProfileArtifacts, ProfileResult,
         ProfileSample, Stratum, StratumName,
     };
 
@@ -274,6 +324,8 @@ mod tests {
             frame,
             strata,
             samples,
+            shared_samples: Vec::new(),
+            shared_cache_samples: Vec::new(),
             cache_samples: Vec::new(),
             noise: Vec::new(),
             effects: vec!["ambient".to_owned(), "mirror".to_owned()],
@@ -368,7 +420,7 @@ mod tests {
             job_work: correction,
             job_cpu: correction,
         };
-        let taught = calibrated(&preview, &profiles, Some(&corrections)).unwrap();
+        let taught = calibrated(&preview, &profiles, None, Some(&corrections)).unwrap();
         assert!(taught.job.calibrated && !plain.job.calibrated);
         assert_eq!(taught.spreads, plain.spreads);
         assert_eq!((taught.spreads.1.len(), plain.frames[1].work.mean), (2, taught.frames[1].work.mean));

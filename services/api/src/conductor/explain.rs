@@ -3,28 +3,39 @@
 
 use forelight_forecast::StratumSum;
 use forelight_protocol::{Amounts, Explanation, PreviewResult, RenderSettings, ShownWork};
-use forelight_store::MeasuredProfile;
+use forelight_store::{MeasuredProfile, PlannedCache};
 
 use super::estimate::{Estimated, estimated};
+use super::sharing::SharedWay;
 use super::{AdvanceError, compute};
 
-/// Of a job with these settings, or of one of its frames.
+/// Of a job with these settings, or of one of its frames. `shared` is the irradiance cache that its frames share, if they do; what that
+/// takes is no frame's, and a line of its own in the quote.
 pub(crate) async fn explanation(
     settings: RenderSettings,
     preview: PreviewResult,
     profiles: Vec<MeasuredProfile>,
+    shared: PlannedCache,
     frame: Option<u32>,
 ) -> Result<Explanation, AdvanceError> {
-    compute(move || explained(&settings, &preview, &profiles, frame)).await
+    compute(move || {
+        let way = match &shared {
+            PlannedCache::There { plan, node_speed } => Some(SharedWay { plan, node_speed: *node_speed }),
+            PlannedCache::NotAsked | PlannedCache::Pending => None,
+        };
+        explained(&settings, &preview, &profiles, way.as_ref(), frame)
+    })
+    .await
 }
 
 pub(super) fn explained(
     settings: &RenderSettings,
     preview: &PreviewResult,
     profiles: &[MeasuredProfile],
+    shared: Option<&SharedWay<'_>>,
     frame: Option<u32>,
 ) -> Result<Explanation, AdvanceError> {
-    let Estimated { shot, populations } = estimated(preview, profiles)?;
+    let Estimated { shot, populations } = estimated(preview, profiles, shared)?;
     let (total, sums) = match frame {
         None => (&shot.total, StratumSum::over(shot.frames.iter().map(|frame| &frame.strata[..]))),
         Some(number) => {

@@ -1,7 +1,8 @@
 //! The most camera samples that fit into a time or an amount of money.
 //!
 //! A profiled pixel costs in proportion to its samples, while records and fixed costs stay: so what other numbers of samples take
-//! follows from the job's own profiles, as in `accuracy`, and the most that fit are found by halving. All frames get equally many.
+//! follows from the job's own profiles, as in `accuracy`, and the most that fit are found by halving. All frames get equally many. Frames of
+//! such a job make their irradiance caches themselves.
 
 use forelight_forecast::Corrections;
 use forelight_protocol::{Confidence, Job, Per, PreviewResult, Within};
@@ -60,7 +61,7 @@ impl Limit {
     ) -> Result<Forecast, AdvanceError> {
         let with = |spp: u32| -> Result<Forecast, AdvanceError> {
             let profiles = scaled(profiles, f64::from(spp) / f64::from(self.profiled));
-            let mut forecast = estimate::calibrated(preview, &profiles, corrections)?;
+            let mut forecast = estimate::calibrated(preview, &profiles, None, corrections)?;
             forecast.job.chosen_spp = Some(spp);
             Ok(forecast)
         };

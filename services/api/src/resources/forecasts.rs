@@ -10,7 +10,7 @@ use forelight_protocol::{
     ForecastHistory, Job, JobId, PreviewResult, ProblemKind, Timestamp, TrackRecord,
 };
 
-use forelight_store::MeasuredProfile;
+use forelight_store::{MeasuredProfile, PlannedCache};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
@@ -84,7 +84,10 @@ pub(crate) async fn explanation_of_job(
         return Err(ApiError::new(ProblemKind::NotFound, format!("the job has no frame {frame}")));
     }
     let (preview, profiles) = profile(&app, &job).await?;
-    match explanation(job.settings, preview, profiles, frame).await {
+    let quote = app.store.forecast(id).await?;
+    let shares = quote.and_then(|quote| quote.cache).is_some_and(|cache| cache.shared);
+    let shared = if shares { app.store.planned_cache(id).await? } else { PlannedCache::NotAsked };
+    match explanation(job.settings, preview, profiles, shared, frame).await {
         Ok(document) => Ok(Json(document)),
         Err(reason) => {
             Err(ApiError::new(ProblemKind::Conflict, format!("the profile says nothing: {reason}")))

@@ -258,6 +258,8 @@ impl Farm {
                     frame: spec.frame,
                     strata: vec![stratum()],
                     samples: samples.collect(),
+                    shared_samples: Vec::new(),
+                    shared_cache_samples: Vec::new(),
                     cache_samples: Vec::new(),
                     noise: made_up_noise(spec.settings.spp),
                     effects: vec!["ambient".to_owned()],
@@ -274,6 +276,9 @@ impl Farm {
                         preview_png: Some(self.artifact(b"a preview").await),
                     },
                 })
+            }
+            TaskSpec::CachePlan(_) | TaskSpec::CacheFill(_) | TaskSpec::CacheMerge(_) => {
+                panic!("these scenes have no irradiance caches")
             }
             TaskSpec::Render(spec) => {
                 let work = 48 * pixel_work(spec.frame) + 16 * 10 + 5;

@@ -142,7 +142,7 @@ fn batch(
 /// The minutes that a task is given.
 fn limit(task: &Waiting, pricing: Pricing) -> u32 {
     let minutes = match task.cpu_p95 {
-        Some(cpu) if task.kind == TaskKind::Render => {
+        Some(cpu) if task.kind.is_booked() => {
             (cpu.max(0.0) / pricing.slowest.max(1e-6) * SAFETY + START_UP) / 60.0
         }
         _ => f64::from(pricing.quote_minutes),

@@ -107,7 +107,7 @@ async fn starting_to_profile_twice_makes_each_task_once() {
     let preview = farm.claim(node.id, at(0)).await.unwrap();
     farm.commit(&preview, at(0)).await;
     for _ in 0..2 {
-        farm.store.start_profiling(job.id, &[0, 9], at(0)).await.unwrap();
+        farm.store.start_profiling(job.id, &[0, 9], false, at(0)).await.unwrap();
     }
     assert_eq!(farm.store.profile_results(job.id).await.unwrap(), None);
     for _ in 0..2 {

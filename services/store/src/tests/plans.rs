@@ -35,7 +35,7 @@ async fn a_plan_made_on_old_bookings_is_refused_and_nothing_of_it_is_kept() {
     let slow = farm.job("0").await;
     let preview = farm.claim(node.id, at(0)).await.unwrap();
     farm.commit(&preview, at(0)).await;
-    farm.store.start_profiling(slow.id, &[], at(0)).await.unwrap();
+    farm.store.start_profiling(slow.id, &[], false, at(0)).await.unwrap();
     let stale_plan = farm.plan_for(&slow, node.id, at(0)).await;
     farm.booked_job(request("0"), node.id, at(0)).await;
     let frames = frame_forecasts(&slow);

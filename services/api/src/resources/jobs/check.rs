@@ -3,7 +3,8 @@
 use std::ops::RangeInclusive;
 
 use forelight_protocol::{
-    BadSetting, BundleSource, JobRequest, Money, RenderSettings, RenderSettingsRequest, SceneSummary,
+    BadSetting, BundleSource, CacheMode, CacheSharing, JobRequest, Money, RenderSettings,
+    RenderSettingsRequest, SceneSummary,
 };
 use forelight_store::{NewJob, StoreError};
 
@@ -50,6 +51,14 @@ pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<New
         ));
     }
     check_settings(&request.settings)?;
+    if request.cache == CacheSharing::Shared && request.settings.complete((1, 1)).cache == CacheMode::Off {
+        let reason = "a cache cannot be shared where there is none: set `settings.cache` to `on`";
+        return Err(ApiError::invalid("/cache", reason));
+    }
+    if request.cache == CacheSharing::Shared && request.within.is_some() {
+        let reason = "frames whose camera samples are chosen for a limit make their own caches: leave out `cache` or `within`";
+        return Err(ApiError::invalid("/cache", reason));
+    }
     let (source, scene) = find_bundle(app, &mut request).await?;
     if request.frames.last() >= scene.frames {
         let reason = format!(

@@ -4,8 +4,9 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    CacheMode, LeftOut, NoiseCell, PreviewResult, PreviewSpec, ProfileResult, ProfileSpec, RenderResult,
-    RenderSettings, RenderSpec, Spent, Stratum, TaskResult, TaskSpec,
+    CACHE_BYTES, CacheFillResult, CacheFillSpec, CacheMergeResult, CacheMode, CachePlanResult, CachePlanSpec,
+    LeftOut, NoiseCell, PreviewResult, PreviewSpec, ProfileResult, ProfileSpec, RenderResult, RenderSettings,
+    RenderSpec, Spent, Stratum, TaskResult, TaskSpec,
 };
 
 use crate::error::{ApiError, ApiResult};
@@ -18,6 +19,9 @@ pub(super) fn check(spec: &TaskSpec, result: &TaskResult) -> ApiResult<()> {
     match (spec, result) {
         (TaskSpec::Preview(spec), TaskResult::Preview(result)) => preview(spec, result),
         (TaskSpec::Profile(spec), TaskResult::Profile(result)) => profile(spec, result),
+        (TaskSpec::CachePlan(spec), TaskResult::CachePlan(result)) => cache_plan(spec, result),
+        (TaskSpec::CacheFill(spec), TaskResult::CacheFill(result)) => cache_fill(spec, result),
+        (TaskSpec::CacheMerge(_), TaskResult::CacheMerge(result)) => cache_merge(result),
         (TaskSpec::Render(spec), TaskResult::Render(result)) => render(spec, result),
         (spec, result) => wrong(
             "/result",
@@ -103,14 +107,29 @@ fn profile(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
             return wrong(at, "a number is larger than 2⁶³ − 1");
         }
     }
-    let levels = levels(&spec.settings);
-    for (i, sample) in result.cache_samples.iter().enumerate() {
-        let at = format!("{AT}/cache_samples/{i}");
-        if sample.level as usize >= levels {
-            return wrong(at + "/level", format!("the settings call for {levels} levels"));
-        }
+    let expected = if spec.cache.is_some() { result.samples.len() } else { 0 };
+    if result.shared_samples.len() != expected {
+        let reason =
+            format!("{} samples; there are {expected} pixels to measure", result.shared_samples.len());
+        return wrong(format!("{AT}/shared_samples"), reason);
+    }
+    for (i, sample) in result.shared_samples.iter().enumerate() {
         if [sample.work, sample.cpu_nanos].iter().chain(&sample.rays).any(|&number| number > LARGEST) {
-            return wrong(at, "a number is larger than 2⁶³ − 1");
+            return wrong(format!("{AT}/shared_samples/{i}"), "a number is larger than 2⁶³ − 1");
+        }
+    }
+    let levels = levels(&spec.settings);
+    for (name, samples) in
+        [("cache_samples", &result.cache_samples), ("shared_cache_samples", &result.shared_cache_samples)]
+    {
+        for (i, sample) in samples.iter().enumerate() {
+            let at = format!("{AT}/{name}/{i}");
+            if sample.level as usize >= levels {
+                return wrong(at + "/level", format!("the settings call for {levels} levels"));
+            }
+            if [sample.work, sample.cpu_nanos].iter().chain(&sample.rays).any(|&number| number > LARGEST) {
+                return wrong(at, "a number is larger than 2⁶³ − 1");
+            }
         }
     }
     noise(&format!("{AT}/noise"), spec, &result.noise)?;
@@ -129,6 +148,69 @@ fn profile(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
         return wrong(format!("{AT}/fixed/plan_rays"), "a number is larger than 2⁶³ − 1");
     }
     spent(&format!("{AT}/spent"), result.spent)
+}
+
+fn cache_plan(spec: &CachePlanSpec, result: &CachePlanResult) -> ApiResult<()> {
+    const AT: &str = "/result/cache_plan";
+    let levels = levels(&spec.settings);
+    let right = |at: String, found: usize| {
+        if found == levels {
+            return Ok(());
+        }
+        wrong(at, format!("records of {found} levels; the settings call for {levels}"))
+    };
+    right(format!("{AT}/records"), result.records.len())?;
+    if result.cache.is_some() {
+        cache_bytes(&format!("{AT}/bytes"), result.bytes)?;
+    }
+    if result.bytes > LARGEST {
+        return wrong(format!("{AT}/bytes"), "a number is larger than 2⁶³ − 1");
+    }
+    if result.frames.len() != spec.frames.len() {
+        let reason = format!("{} frames; the task has {}", result.frames.len(), spec.frames.len());
+        return wrong(format!("{AT}/frames"), reason);
+    }
+    for (i, (frame, &expected)) in result.frames.iter().zip(&spec.frames).enumerate() {
+        let at = format!("{AT}/frames/{i}");
+        if frame.frame != expected {
+            let reason = format!("frame {}; the task has {expected} here", frame.frame);
+            return wrong(at + "/frame", reason);
+        }
+        right(format!("{at}/records"), frame.records.len())?;
+        right(format!("{at}/own"), frame.own.len())?;
+        if frame.own.iter().zip(&frame.records).any(|(own, all)| own > all) {
+            return wrong(at + "/own", "more than all records of the frame");
+        }
+        if frame.dropped > LARGEST || frame.plan_rays.iter().any(|&number| number > LARGEST) {
+            return wrong(at, "a number is larger than 2⁶³ − 1");
+        }
+        spent(&format!("{at}/plan"), frame.plan)?;
+    }
+    spent(&format!("{AT}/spent"), result.spent)
+}
+
+fn cache_fill(spec: &CacheFillSpec, result: &CacheFillResult) -> ApiResult<()> {
+    const AT: &str = "/result/cache_fill";
+    cache_bytes(&format!("{AT}/bytes"), result.bytes)?;
+    if spec.parts == 1 && !result.full {
+        return wrong(format!("{AT}/full"), "the only part of a cache fills all of it");
+    }
+    if result.filled > LARGEST {
+        return wrong(format!("{AT}/filled"), "a number is larger than 2⁶³ − 1");
+    }
+    spent(&format!("{AT}/spent"), result.spent)
+}
+
+fn cache_merge(result: &CacheMergeResult) -> ApiResult<()> {
+    cache_bytes("/result/cache_merge/bytes", result.bytes)?;
+    spent("/result/cache_merge/spent", result.spent)
+}
+
+fn cache_bytes(pointer: &str, bytes: u64) -> ApiResult<()> {
+    if bytes <= CACHE_BYTES {
+        return Ok(());
+    }
+    wrong(pointer, format!("an irradiance cache has at most {CACHE_BYTES} bytes"))
 }
 
 fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {

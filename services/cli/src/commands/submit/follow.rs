@@ -5,7 +5,7 @@ use crate::interrupt::Interrupt;
 use crate::output::Bars;
 use crate::quantities::seconds;
 use anyhow::{Context, Result};
-use forelight_protocol::{Event, EventId, EventKind, Job, JobId, JobState, LiveForecast, TaskKind};
+use forelight_protocol::{Event, EventId, EventKind, Job, JobId, JobState, LiveForecast, TaskId, TaskKind};
 use forelight_worker::{Backoff, Client, EventStream};
 use indicatif::ProgressBar;
 use std::collections::BTreeMap;
@@ -62,7 +62,7 @@ pub async fn follow(client: &Client, job: Job, bars: &Bars, interrupt: &Interrup
     }
 }
 
-/// Reads events until the stream ends, falls silent, or tells that the job is over; returns the last event's id.
+/// Reads events until the stream ends, falls silent, or tells that the job is booked or over; returns the last event's id.
 async fn listen(
     mut stream: EventStream,
     mut last: Option<EventId>,
@@ -73,7 +73,8 @@ async fn listen(
     while let Ok(Some(event)) = tokio::time::timeout(QUIET, stream.next()).await {
         last = Some(event.id);
         stages.event(&event);
-        if event.job_state.is_some_and(JobState::is_final) {
+        // A job that was booked says now whether its frames wait for a cache.
+        if event.job_state.is_some_and(|state| state.is_final() || state == JobState::Booked) {
             break;
         }
         // Finished frames move the estimate, which the job has.
@@ -93,6 +94,10 @@ struct Stages {
     bars: Bars,
     previews: ProgressBar,
     profiling: ProgressBar,
+    /// The irradiance cache that the frames wait for, in hundredths of its parts; there once it is known that they do.
+    cache: Option<ProgressBar>,
+    /// How far each part is that was handed out, 0 to 1.
+    parts: BTreeMap<TaskId, f64>,
     frames: ProgressBar,
     /// Frames that are being profiled, and whether they are done.
     profiles: BTreeMap<u32, bool>,
@@ -109,6 +114,8 @@ impl Stages {
             bars: bars.clone(),
             previews: bars.bar("previews", frames),
             profiling: bars.bar("profiling", frames.min(u64::from(job.profile_frames))),
+            cache: None,
+            parts: BTreeMap::new(),
             frames: bars.bar("frames", frames),
             profiles: BTreeMap::new(),
             frames_done: 0,
@@ -127,6 +134,14 @@ impl Stages {
             self.frames.set_message(format!("{}, {}", job.state, expected(live)));
         }
         self.is_behind = false;
+        if let Some(seed) = &job.seed {
+            let cache = self.cache.get_or_insert_with(|| self.bars.bar("cache", 0));
+            cache.set_length(u64::from(seed.parts) * 100);
+            cache.set_position((seed.progress * f64::from(seed.parts) * 100.0) as u64);
+            if seed.ready {
+                cache.finish();
+            }
+        }
     }
 
     fn event(&mut self, event: &Event) {
@@ -144,6 +159,14 @@ impl Stages {
             (EventKind::TaskDone, Some(TaskKind::Profile), Some(frame)) => {
                 self.profiles.insert(frame, true);
                 self.profiling.set_position(self.profiles.values().filter(|done| **done).count() as u64);
+            }
+            (EventKind::TaskProgress | EventKind::TaskDone, Some(TaskKind::CacheFill), _) => {
+                let done =
+                    if event.kind == EventKind::TaskDone { 1.0 } else { event.progress.unwrap_or(0.0) };
+                self.parts.extend(event.task_id.map(|part| (part, done)));
+                if let Some(cache) = &self.cache {
+                    cache.set_position((self.parts.values().sum::<f64>() * 100.0) as u64);
+                }
             }
             (EventKind::TaskDone, Some(TaskKind::Render), Some(_)) => {
                 self.frames_done += 1;
@@ -178,7 +201,7 @@ impl Stages {
     }
 
     fn finish(&self) {
-        for bar in [&self.previews, &self.profiling, &self.frames] {
+        for bar in [&self.previews, &self.profiling, &self.frames].into_iter().chain(&self.cache) {
             bar.finish_and_clear();
         }
     }

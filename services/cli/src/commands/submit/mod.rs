@@ -10,13 +10,13 @@ use crate::connection::connect;
 use crate::failure::BadInput;
 use crate::interrupt::Interrupt;
 use crate::local::settings_request;
-use crate::options::{ConfidenceLevel, ConnectionOptions, QualityOptions, duration};
+use crate::options::{ConfidenceLevel, ConnectionOptions, QualityOptions, Sharing, duration};
 use crate::output::{self, Bars};
 use crate::quantities::{Deadline, parse_bytes, parse_deadline, parse_money};
 use anyhow::{Context, Result, bail};
 use forelight_protocol::{
-    BundleRef, FrameSet, Job, JobId, JobRequest, JobState, Money, Per, RenderSettingsRequest, SceneSummary,
-    Timestamp, Within,
+    BundleRef, CacheSharing, FrameSet, Job, JobId, JobRequest, JobState, Money, Per, RenderSettingsRequest,
+    SceneSummary, Timestamp, Within,
 };
 use forelight_worker::Client;
 use std::path::{Path, PathBuf};
@@ -81,6 +81,9 @@ pub struct Args {
     /// Frames to profile at most
     #[arg(long, value_name = "FRAMES", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     profile_frames: u32,
+    /// Whether the frames share one irradiance cache, with --cache on
+    #[arg(long, value_name = "WAY", default_value = "auto")]
+    cache_sharing: Sharing,
     /// Most memory that a worker may use for one of the tasks, such as 8GiB; beyond it the task is ended [default: no limit]
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     task_memory: Option<u64>,
@@ -179,6 +182,7 @@ fn request(
         bundle,
         frames,
         settings,
+        cache: args.cache_sharing.into(),
         samples: args.samples,
         profile_frames: args.profile_frames,
         within: within(args),
@@ -214,6 +218,8 @@ async fn shared(args: &Args, bundle: &Path, client: &Client) -> Result<(BundleRe
         FrameSet::range(0, 0),
         RenderSettingsRequest::default(),
     )?;
+    // Only the scene is asked for: whether the caches of these settings can be shared is said when the job is submitted.
+    let question = JobRequest { cache: CacheSharing::Auto, ..question };
     let check = client.check(&question).await.context("the farm cannot use the bundle")?;
     Ok((reference, check.scene))
 }

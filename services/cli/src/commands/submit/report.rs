@@ -2,7 +2,9 @@
 
 use crate::quantities::{clock, count, money, percent, seconds};
 use crate::table::{Align, Table};
-use forelight_protocol::{ForecastDoc, FrameRow, FrameState, Job, JobState, LeftOut, Timestamp, Verdict};
+use forelight_protocol::{
+    CachePrice, CacheQuote, ForecastDoc, FrameRow, FrameState, Job, JobState, LeftOut, Timestamp, Verdict,
+};
 use serde::Serialize;
 
 /// All of it, for machines.
@@ -57,6 +59,37 @@ pub fn report(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], no
     format!("{}\n{}", table.render(), verdict(job, forecast, frames, now))
 }
 
+/// How the irradiance caches are made, with both prices, and what the shared one took.
+fn caches(cache: &CacheQuote, job: &Job) -> String {
+    let said = |price: &CachePrice| {
+        let cost = price.cost.map_or(String::new(), |cost| format!(", {}", money(cost.0)));
+        format!("{} records, {} CPU time{cost}", count(price.records as f64), seconds(price.cpu_seconds))
+    };
+    let way = if cache.shared { "one for all frames" } else { "each frame makes its own" };
+    let mut text = format!("caches     {way}: {}\n", cache.reason);
+    if let Some(shared) = &cache.shared_price {
+        text +=
+            &format!("           shared: {}; each its own: {}\n", said(shared), said(&cache.private_price));
+    }
+    if let Some(seed) = &cache.seed {
+        let parts = if seed.parts == 1 { "one part".to_owned() } else { format!("{} parts", seed.parts) };
+        text += &format!(
+            "seed       {} CPU time forecast in {parts}, before the frames",
+            seconds(seed.cpu_seconds.mean)
+        );
+        if let Some(done) = job.seed.as_ref().filter(|done| done.ready) {
+            text += &format!(
+                "; it took {}, {} operations for {} forecast",
+                seconds(done.cpu_seconds),
+                count(done.work as f64),
+                count(seed.work.mean)
+            );
+        }
+        text += "\n";
+    }
+    text
+}
+
 /// Sums over the frames that were forecast and are there: only like is compared with like.
 fn totals(frames: &[FrameRow]) -> Vec<String> {
     let sums = |figures: &mut dyn Iterator<Item = forelight_protocol::FrameFigure>| {
@@ -92,6 +125,12 @@ fn remark(row: &FrameRow) -> String {
     if let Some(cache) = cache.filter(|cache| cache.reused_records > 0) {
         remarks.push(format!("{} cache records from profiling", cache.reused_records));
     }
+    if let Some(cache) = cache.filter(|cache| cache.shared_records > 0 || cache.dropped_records > 0) {
+        remarks.push(format!(
+            "{} cache records shared, {} dropped, {} of its own",
+            cache.shared_records, cache.dropped_records, cache.own_records
+        ));
+    }
     remarks.join("; ")
 }
 
@@ -110,6 +149,9 @@ fn verdict(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: 
             text += &format!("; costs {} (P50), {} (P80)", money(cost.p50.0), money(cost.p80.0));
         }
         text += "\n";
+        if let Some(cache) = &quote.cache {
+            text += &caches(cache, job);
+        }
         if !quote.effects.is_empty() {
             text += &format!("simulated  {}\n", quote.effects.join(", "));
         }

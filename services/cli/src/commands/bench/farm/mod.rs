@@ -124,7 +124,7 @@ pub async fn fill(store: &Store, frames: u32) -> Result<()> {
         }
         store.commit_result(preview.lease_id, preview.fence, &previewed(&preview.spec)?, now).await?;
         // No frame is profiled: the forecast is made up, and the plan puts all on one node.
-        store.start_profiling(job.id, &[], now).await?;
+        store.start_profiling(job.id, &[], false, now).await?;
         let end = now.plus_micros(1_000_000);
         let bookings =
             job.frames.iter().map(|frame| NewBooking { frame, node: node.id, start: now, end }).collect();
@@ -140,6 +140,7 @@ pub async fn fill(store: &Store, frames: u32) -> Result<()> {
                 reasons: Vec::new(),
             },
             bookings,
+            seed: None,
         };
         store.book(job.id, &forecast(), &frame_forecasts(&job), None, &plan, now).await?;
     }
@@ -249,6 +250,7 @@ fn forecast() -> JobForecast {
         chosen_spp: None,
         work_by_class: None,
         cpu_seconds_on: Vec::new(),
+        cache: None,
         cost: None,
         clock: Vec::new(),
     }

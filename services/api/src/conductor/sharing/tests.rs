@@ -1,0 +1,236 @@
+//! Both ways of making irradiance caches, forecast and then done.
+
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+use forelight_forecast::LEAST_JOBS;
+use forelight_protocol::{ProfileArtifacts, RenderSettingsRequest, RenderStats};
+use forelight_tracer::Cache;
+use forelight_worker::{
+    Ambient, AmbientShot, Given, Observer, QuoteOptions, fill_part, plan_shared, preview_result,
+    profile_result, profile_shared, render_frame,
+};
+
+use super::*;
+
+/// An observer that looks away.
+struct Nobody;
+
+impl Observer for Nobody {
+    fn previewed(&self, _: usize, _: usize) {}
+    fn profiled(&self, _: usize, _: usize) {}
+    fn is_cancelled(&self) -> bool {
+        false
+    }
+}
+
+/// What a job of a shipped scene is quoted by, and done with.
+struct Case {
+    shot: AmbientShot,
+    frames: Vec<u32>,
+    settings: RenderSettings,
+    preview: PreviewResult,
+    profiles: Vec<MeasuredProfile>,
+    planned: PlannedCache,
+    cache: Cache,
+}
+
+impl Case {
+    fn new(scene: &str, frames: &[u32], bounces: u32) -> Self {
+        let bundle = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/scenes").join(scene);
+        let shot = Ambient::new(forelight_preview::Choice::Cpu).open(&bundle).unwrap();
+        let settings = RenderSettingsRequest {
+            spp: Some(1),
+            ambient_bounces: Some(bounces),
+            cache: Some(CacheMode::On),
+            cache_rays: Some(48),
+            ..Default::default()
+        };
+        let settings = settings.complete((48, 27));
+        let options = QuoteOptions { samples: 200, profile_frames: 3, seed: 3, ..QuoteOptions::default() };
+        let quoted = forelight_worker::quote(&shot, frames, &settings, &options, &Nobody).unwrap();
+        let info = forelight_worker::Renderer::info(&shot);
+        let preview = preview_result(info, frames, &settings, &quoted.counted);
+        let artifacts = ProfileArtifacts { profile: ArtifactHash([0; 32]), preview_png: None };
+        let never = AtomicBool::new(false);
+        let plan = plan_shared(&shot, frames, &settings, &|_| (), &never).unwrap().expect("a cache");
+        let measured = |profiled| {
+            let mut result = profile_result(info, &settings, profiled, artifacts);
+            let beside = profile_shared(&shot, profiled, &settings, &options, plan.cache.clone()).unwrap();
+            (result.shared_samples, result.shared_cache_samples) = (beside.pixels, beside.records);
+            MeasuredProfile { result, node_speed: 1.0 }
+        };
+        let profiles = quoted.profiled.iter().map(measured).collect();
+        let planned = PlannedCache::There {
+            plan: Box::new(CachePlanResult {
+                cache: Some(ArtifactHash([1; 32])),
+                bytes: plan.cache.to_bytes().len() as u64,
+                records: plan.cache.records().iter().map(|&count| count as u32).collect(),
+                frames: plan.frames,
+                spent: plan.spent,
+            }),
+            node_speed: 1.0,
+        };
+        Self { shot, frames: frames.to_vec(), settings, preview, profiles, planned, cache: plan.cache }
+    }
+
+    fn quote(&self, asked: CacheSharing) -> Forecast {
+        quote(asked, &self.settings, &self.preview, &self.profiles, &self.planned, None).unwrap()
+    }
+
+    fn filled(&self) -> (Cache, u64) {
+        let never = AtomicBool::new(false);
+        let filled = fill_part(&self.shot, self.cache.clone(), &self.settings, (0, 1), &|_, _| (), &never);
+        let filled = filled.unwrap().unwrap();
+        (filled.cache, filled.spent.work)
+    }
+
+    fn render(&self, cache: Option<&Cache>) -> Vec<RenderStats> {
+        let render = |&frame| {
+            let given = Given { cache: cache.cloned(), ..Given::default() };
+            let never = AtomicBool::new(false);
+            render_frame(&self.shot, frame, &self.settings, given, &|_| (), &never).unwrap().unwrap().stats
+        };
+        self.frames.iter().map(render).collect()
+    }
+}
+
+fn off(forecast: f64, actual: u64) -> f64 {
+    forecast / actual as f64 - 1.0
+}
+
+#[test]
+fn what_is_quoted_for_either_way_is_what_it_takes_and_the_way_that_takes_less_is_taken() {
+    // In the one only the camera moves, in the other things do; two bounces have two levels of records.
+    for (scene, frames, bounces) in [("corridor", [0, 8, 16, 24], 2), ("kitchen", [0, 12, 24, 40], 1)] {
+        let case = Case::new(scene, &frames, bounces);
+        let (cache, fill_work) = case.filled();
+        let mut taken = [0u64; 2];
+        for asked in [CacheSharing::Private, CacheSharing::Shared] {
+            let quoted = case.quote(asked);
+            let said = quoted.job.cache.as_ref().unwrap();
+            assert_eq!(
+                (said.shared, said.reason.as_str()),
+                (asked == CacheSharing::Shared, "the job asks for it")
+            );
+            let given = said.shared.then_some(&cache);
+            assert_eq!((quoted.seed.is_some(), said.seed.is_some()), (said.shared, said.shared));
+            let actual = case.render(given);
+            for (forecast, stats) in quoted.frames.iter().zip(&actual) {
+                let error = off(forecast.work.mean, stats.work);
+                println!(
+                    "{scene} {asked:?} frame {}: {:+.1} %, {:?}",
+                    stats.frame,
+                    100.0 * error,
+                    stats.cache
+                );
+                assert!(error.abs() < 0.2, "{scene}, {asked:?}, frame {}: {error}", stats.frame);
+                let known: Vec<f64> = forecast.cache_records.iter().map(|level| level.mean).collect();
+                let found: Vec<f64> = stats.cache_records.iter().map(|&count| count as f64).collect();
+                assert_eq!(known, found, "{scene}, {asked:?}, frame {}", stats.frame);
+            }
+            let frames_work: u64 = actual.iter().map(|stats| stats.work).sum();
+            let error = off(quoted.job.total.work.mean, frames_work);
+            assert!(error.abs() < 0.08, "{scene}, {asked:?}, all frames: {error}");
+            let price = if said.shared { said.shared_price.unwrap() } else { said.private_price };
+            taken[usize::from(said.shared)] = frames_work;
+            if let (Some(seed), PlannedCache::There { plan, .. }) = (&said.seed, &case.planned) {
+                let error = off(seed.work.mean, fill_work);
+                println!("{scene} seed: {:+.1} %", 100.0 * error);
+                assert!(error.abs() < 0.12, "{scene}, the seed: {error}");
+                assert!(seed.work.p80 > seed.work.mean && seed.cpu_seconds.mean > 0.0);
+                taken[1] += fill_work;
+                for (planned, stats) in plan.frames.iter().zip(&actual) {
+                    let found = stats.cache.unwrap();
+                    assert_eq!(
+                        planned.plan.work, found.plan_work,
+                        "planned with records that are not filled"
+                    );
+                    let own = sum(&planned.own);
+                    assert_eq!((own, planned.dropped), (found.own_records, found.dropped_records));
+                }
+                assert_eq!(price.records, sum(&plan.records) + sum(plan.frames.iter().flat_map(|f| &f.own)));
+            } else {
+                let records: u64 = actual.iter().flat_map(|stats| &stats.cache_records).sum();
+                assert_eq!(price.records, records);
+            }
+            let error = off(price.work, taken[usize::from(said.shared)]);
+            assert!(error.abs() < 0.08, "{scene}, {asked:?}, the price: {error}");
+        }
+        let chosen = case.quote(CacheSharing::Auto);
+        let said = chosen.job.cache.unwrap();
+        println!("{scene}: {taken:?}, {}", said.reason);
+        assert_eq!(said.shared, taken[1] < taken[0], "{scene}: {taken:?}, {}", said.reason);
+        assert!(said.reason.contains("% less work"), "{}", said.reason);
+    }
+}
+
+#[test]
+fn without_a_plan_or_with_one_that_is_too_large_frames_make_their_own_and_the_quote_says_why() {
+    let mut case = Case::new("corridor", &[0], 1);
+    assert!(!is_worth_planning(CacheSharing::Auto, &case.preview), "one frame shares with none");
+    assert!(is_worth_planning(CacheSharing::Shared, &case.preview));
+    case.planned = PlannedCache::NotAsked;
+    let quoted = case.quote(CacheSharing::Auto);
+    assert_eq!(quoted.job.cache.unwrap().reason, "there is but one frame");
+    case.planned = PlannedCache::There {
+        plan: Box::new(CachePlanResult {
+            cache: None,
+            bytes: CACHE_BYTES + 1,
+            records: vec![1],
+            frames: Vec::new(),
+            spent: Default::default(),
+        }),
+        node_speed: 1.0,
+    };
+    let quoted = case.quote(CacheSharing::Auto).job.cache.unwrap();
+    assert!(!quoted.shared && quoted.reason.contains(&(CACHE_BYTES + 1).to_string()), "{}", quoted.reason);
+    let forced =
+        quote(CacheSharing::Shared, &case.settings, &case.preview, &case.profiles, &case.planned, None);
+    assert!(forced.unwrap_err().to_string().contains("asks for a shared irradiance cache"));
+    let off = RenderSettings { cache: CacheMode::Off, ..case.settings.clone() };
+    let quoted = quote(CacheSharing::Auto, &off, &case.preview, &case.profiles, &case.planned, None).unwrap();
+    assert_eq!(quoted.job.cache, None);
+}
+
+#[test]
+fn a_cache_has_a_part_for_each_node_as_long_as_parts_are_worth_it() {
+    let plan = |records, bytes| SeedPlan { cache: ArtifactHash([0; 32]), bytes, records };
+    assert_eq!(plan(10_000, 10 << 20).parts(4), 4);
+    assert_eq!(plan(10_000, 10 << 20).parts(0), 1, "on a farm without nodes someone may come");
+    assert_eq!(plan(600, 1 << 20).parts(9), 2, "few records are filled by few");
+    assert_eq!(plan(3, 1 << 10).parts(9), 1);
+    assert_eq!(plan(1 << 30, 1 << 30).parts(1000), 4, "whoever puts them together holds all of them");
+    assert_eq!(plan(1 << 30, 1 << 20).parts(1000), 64);
+}
+
+#[test]
+fn past_jobs_move_the_quantiles_of_a_shared_cache_too() {
+    let case = Case::new("corridor", &[0, 8], 1);
+    let mut experience = forelight_forecast::Experience::default();
+    for job in 0..LEAST_JOBS + 1 {
+        let residual = 1.0 + 0.01 * job as f64;
+        for past in [
+            &mut experience.frame_work,
+            &mut experience.frame_cpu,
+            &mut experience.job_work,
+            &mut experience.job_cpu,
+        ] {
+            past.push(vec![residual]);
+        }
+    }
+    let corrections = experience.corrections().unwrap();
+    let plain = case.quote(CacheSharing::Shared);
+    let taught = quote(
+        CacheSharing::Shared,
+        &case.settings,
+        &case.preview,
+        &case.profiles,
+        &case.planned,
+        Some(&corrections),
+    )
+    .unwrap();
+    let seed = |forecast: &Forecast| forecast.job.cache.clone().unwrap().seed.unwrap();
+    assert_eq!(seed(&plain).work.mean, seed(&taught).work.mean);
+    assert!(seed(&taught).work.p50 > seed(&plain).work.p50, "past jobs took more than they were quoted");
+}

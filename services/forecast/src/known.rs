@@ -1,0 +1,99 @@
+//! What is known of frames beyond what was profiled.
+
+use crate::cost::{Costs, Quantity};
+use crate::interval::{Calibration, Part, log_deviation, quantity};
+use crate::shot::ShotForecast;
+
+impl ShotForecast {
+    /// The same with what is known for certain of each frame's cost on top, in the order of the frames: less than nothing where something
+    /// was counted that the frame has not. Means move, variances stay. For a forecast that `calibration` made, before past jobs correct it.
+    #[must_use]
+    pub fn with_known(mut self, known: &[Costs<f64>], calibration: Calibration) -> Self {
+        let mut all = Costs::default();
+        for (frame, known) in self.frames.iter_mut().zip(known) {
+            frame.total = shifted(&frame.total, known, calibration);
+            all = all.plus(known);
+        }
+        self.total = shifted(&self.total, &all, calibration);
+        let work = &self.total.work;
+        self.job_sigma = log_deviation(work.mean, work.variance) * calibration.inflation;
+        self
+    }
+}
+
+fn shifted(costs: &Costs<Quantity>, known: &Costs<f64>, calibration: Calibration) -> Costs<Quantity> {
+    let shift = |from: &Quantity, by: f64| {
+        let part = Part { variance: from.variance, degrees_of_freedom: from.degrees_of_freedom };
+        quantity((from.mean + by).max(0.0), part, calibration)
+    };
+    Costs {
+        work: shift(&costs.work, known.work),
+        cpu_nanos: shift(&costs.cpu_nanos, known.cpu_nanos),
+        all_rays: shift(&costs.all_rays, known.all_rays),
+        rays: std::array::from_fn(|kind| shift(&costs.rays[kind], known.rays[kind])),
+    }
+}
+
+impl Costs<f64> {
+    /// Both together.
+    #[must_use]
+    pub fn plus(&self, other: &Self) -> Self {
+        Self {
+            work: self.work + other.work,
+            cpu_nanos: self.cpu_nanos + other.cpu_nanos,
+            all_rays: self.all_rays + other.all_rays,
+            rays: std::array::from_fn(|kind| self.rays[kind] + other.rays[kind]),
+        }
+    }
+
+    /// So many times the cost.
+    #[must_use]
+    pub fn times(&self, factor: f64) -> Self {
+        Self {
+            work: self.work * factor,
+            cpu_nanos: self.cpu_nanos * factor,
+            all_rays: self.all_rays * factor,
+            rays: self.rays.map(|rays| rays * factor),
+        }
+    }
+}
+
+impl From<crate::cost::Cost> for Costs<f64> {
+    fn from(cost: crate::cost::Cost) -> Self {
+        Self::from(cost.columns().map(|value| value as f64))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Cost, Expansion, FramePopulation, Observation, ProfiledFrame, Stratum, forecast_shot};
+
+    #[test]
+    fn what_is_known_moves_means_and_leaves_what_is_uncertain_as_it_is() {
+        let strata = [Stratum::background(1.0)];
+        let frames = [0, 1].map(|number| FramePopulation { number, counts: vec![100], lights: 0 });
+        let cost = |work| Cost { work, ..Cost::default() };
+        let observations: Vec<Observation> =
+            [90, 110, 95, 105].map(|work| Observation { stratum: 0, cost: cost(work) }).to_vec();
+        let profiled = ProfiledFrame {
+            frame: 0,
+            observations: &observations,
+            expansion: &Expansion::Groups,
+            fixed: Cost::default(),
+        };
+        let plain = forecast_shot(&strata, &frames, &[profiled], Calibration::NONE).unwrap();
+        let known = [cost(5000), Cost::default()].map(Costs::from);
+        let more = plain.clone().with_known(&known, Calibration::NONE);
+        assert_eq!(more.frames[0].total.work.mean, plain.frames[0].total.work.mean + 5000.0);
+        assert_eq!(more.frames[1], plain.frames[1]);
+        assert_eq!(more.total.work.mean, plain.total.work.mean + 5000.0);
+        assert_eq!(more.total.work.variance, plain.total.work.variance);
+        let above = |q: &Quantity| q.p95 - q.mean;
+        assert!((above(&more.total.work) / above(&plain.total.work) - 1.0).abs() < 0.05);
+        assert!(more.job_sigma < plain.job_sigma);
+        // More than there is cannot be taken away.
+        let less = plain.clone().with_known(&[known[0].times(-10.0), known[1]], Calibration::NONE);
+        assert_eq!((less.frames[0].total.work.mean, less.frames[0].total.work.p95), (0.0, 0.0));
+    }
+}

@@ -1,0 +1,313 @@
+//! The irradiance cache that a job's frames share: it is planned with the quote, filled in parts, put together, and then the frames that
+//! waited for it are ready.
+//!
+//! ```text
+//! start of profiling ──► plan (ready), profiles (waiting)
+//! plan ──► profiles (ready), with the plan's name in what they are told
+//! book ──► parts of round 0 (ready), frames (waiting)
+//! last part of a round ──► merge                 a cache that is filled by one task needs none
+//! merge, not full ──► parts of the next round    each round fills one level, the deepest first
+//! merge, full ──► frames (ready), with the cache's name in what they are told
+//! ```
+//!
+//! Every arrow is part of the transaction that commits the result before it, and a job has each task once: a service that dies
+//! anywhere goes on where it was, and a worker that brings the same result twice changes nothing.
+
+use forelight_protocol::{
+    ArtifactHash, CACHE_ROUNDS, CacheFillResult, CacheMergeResult, CachePlanResult, JobId, NodeId,
+    SeedBooking, SeedForecast, SeedProgress, TaskId, TaskResult, TaskSpec, Timestamp,
+};
+use sqlx::sqlite::SqliteRow;
+use sqlx::{Row as _, SqliteConnection};
+
+use crate::database::Write;
+use crate::decode::{corrupt, id, id_opt, json, json_opt, time, time_opt, whole};
+use crate::leases::{LeaseRow, fail_for_good};
+use crate::tasks::Common;
+use crate::{Store, StoreError};
+
+/// A cache that a job's frames share, to be made before them.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct NewSeed {
+    /// The cache as planned.
+    pub cache: ArtifactHash,
+    /// Into how many parts it is split.
+    pub parts: u32,
+    /// Where and when parts are to be filled; those without a booking are for whoever is idle.
+    pub bookings: Vec<NewSeedBooking>,
+}
+
+/// A booking of a part.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct NewSeedBooking {
+    /// Which part, from 0.
+    pub part: u32,
+    /// The node.
+    pub node: NodeId,
+    /// From when.
+    pub start: Timestamp,
+    /// Until when (exclusive).
+    pub end: Timestamp,
+}
+
+/// The plan of the cache that a job's frames could share.
+#[derive(Clone, PartialEq, Debug)]
+pub enum PlannedCache {
+    /// None was asked for.
+    NotAsked,
+    /// A worker has yet to bring it.
+    Pending,
+    /// It is there.
+    There {
+        /// The plan.
+        plan: Box<CachePlanResult>,
+        /// Speed of the node that made it: a CPU second there is this many on a node of speed 1.
+        node_speed: f64,
+    },
+}
+
+impl Store {
+    /// The plan of the cache that the job's frames could share.
+    pub async fn planned_cache(&self, job: JobId) -> Result<PlannedCache, StoreError> {
+        let row = sqlx::query(
+            "SELECT r.body, l.node_speed FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id \
+             WHERE t.job_id = ? AND t.kind = 'cache_plan'",
+        )
+        .bind(job.0)
+        .fetch_optional(self.readers())
+        .await?;
+        let Some(row) = row else { return Ok(PlannedCache::NotAsked) };
+        match json_opt(&row, "body")? {
+            None => Ok(PlannedCache::Pending),
+            Some(TaskResult::CachePlan(plan)) => {
+                Ok(PlannedCache::There { plan: Box::new(plan), node_speed: row.try_get("node_speed")? })
+            }
+            Some(other) => Err(corrupt("body", format!("a {} result of a cache_plan task", other.kind()))),
+        }
+    }
+
+    /// The bookings of parts that are not filled yet, by start.
+    pub async fn open_seed_bookings(&self) -> Result<Vec<SeedBooking>, StoreError> {
+        let rows = sqlx::query(
+            "SELECT b.* FROM jobs j JOIN seed_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
+             WHERE j.state IN ('booked', 'rendering') AND EXISTS (SELECT 1 FROM tasks t WHERE t.job_id = j.id AND t.kind = 'cache_fill' \
+             AND t.part = b.part AND t.state IN ('ready', 'leased')) ORDER BY b.start_at, b.job_id, b.part",
+        )
+        .fetch_all(self.readers())
+        .await?;
+        rows.iter().map(decode_booking).collect()
+    }
+}
+
+/// The bookings of a plan, by start.
+pub(crate) async fn of_plan(
+    connection: &mut SqliteConnection,
+    plan: uuid::Uuid,
+) -> Result<Vec<SeedBooking>, StoreError> {
+    let rows = sqlx::query("SELECT * FROM seed_bookings WHERE plan_id = ? ORDER BY start_at, job_id, part")
+        .bind(plan)
+        .fetch_all(connection)
+        .await?;
+    rows.iter().map(decode_booking).collect()
+}
+
+fn decode_booking(row: &SqliteRow) -> Result<SeedBooking, StoreError> {
+    Ok(SeedBooking {
+        job_id: JobId(id(row, "job_id")?),
+        part: whole(row, "part")?,
+        node_id: NodeId(id(row, "node_id")?),
+        start: time(row, "start_at")?,
+        end: time(row, "end_at")?,
+    })
+}
+
+/// Keeps a plan's bookings of the parts.
+pub(crate) async fn keep_bookings(
+    write: &mut Write,
+    plan: uuid::Uuid,
+    job: JobId,
+    bookings: &[NewSeedBooking],
+) -> Result<(), StoreError> {
+    for booking in bookings {
+        sqlx::query(
+            "INSERT INTO seed_bookings (plan_id, job_id, part, node_id, start_at, end_at) VALUES (?, ?, ?, ?, ?, ?)",
+        )
+        .bind(plan)
+        .bind(job.0)
+        .bind(i64::from(booking.part))
+        .bind(booking.node.0)
+        .bind(booking.start.micros())
+        .bind(booking.end.micros())
+        .execute(write.connection())
+        .await?;
+    }
+    Ok(())
+}
+
+/// Makes the tasks of the first round.
+pub(crate) async fn begin(write: &mut Write, common: &Common, seed: &NewSeed) -> Result<(), StoreError> {
+    for part in 0..seed.parts {
+        let booked = seed.bookings.iter().find(|booking| booking.part == part);
+        let booked = booked.map(|booking| (booking.node, booking.start));
+        common.cache_fill(write, seed.cache, 0, (part, seed.parts), booked).await?;
+    }
+    Ok(())
+}
+
+/// What follows from a plan: profiles measure pixels with it as well, if there is a cache.
+pub(crate) async fn planned(
+    write: &mut Write,
+    row: &LeaseRow,
+    planned: &CachePlanResult,
+) -> Result<(), StoreError> {
+    make_ready(write, row.job_id, ("profile", "$.profile.cache"), planned.cache).await
+}
+
+/// Hands out what waited for a cache, with its name at this place in what it is told.
+async fn make_ready(
+    write: &mut Write,
+    job: JobId,
+    (kind, place): (&'static str, &'static str),
+    cache: Option<ArtifactHash>,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE tasks SET state = 'ready', spec = iif(?1 IS NULL, spec, json_set(spec, ?2, ?1)) \
+         WHERE job_id = ?3 AND kind = ?4 AND state = 'waiting'",
+    )
+    .bind(cache.map(|cache| cache.to_string()))
+    .bind(place)
+    .bind(job.0)
+    .bind(kind)
+    .execute(write.connection())
+    .await?;
+    write.made_work = true;
+    Ok(())
+}
+
+/// What follows from a part that was filled.
+pub(crate) async fn part_filled(
+    write: &mut Write,
+    row: &LeaseRow,
+    filled: &CacheFillResult,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let TaskSpec::CacheFill(spec) = spec(write.connection(), row.task_id).await? else {
+        return Err(corrupt("spec", "not that of a cache_fill task"));
+    };
+    if spec.parts == 1 {
+        return go_on(write, row, (spec.round, 1), filled.cache, filled.full, now).await;
+    }
+    let rows = sqlx::query(
+        "SELECT r.body FROM tasks t LEFT JOIN results r ON r.task_id = t.id \
+         WHERE t.job_id = ? AND t.kind = 'cache_fill' AND t.round = ? ORDER BY t.part",
+    )
+    .bind(row.job_id.0)
+    .bind(i64::from(spec.round))
+    .fetch_all(write.connection())
+    .await?;
+    let mut parts = Vec::with_capacity(rows.len());
+    for row in &rows {
+        match json_opt(row, "body")? {
+            None => return Ok(()),
+            Some(TaskResult::CacheFill(part)) => parts.push(part.cache),
+            Some(other) => {
+                return Err(corrupt("body", format!("a {} result of a cache_fill task", other.kind())));
+            }
+        }
+    }
+    let common = Common::read(write.connection(), row.job_id).await?;
+    common.cache_merge(write, spec.round, parts).await
+}
+
+/// What follows from parts that were put together.
+pub(crate) async fn merged(
+    write: &mut Write,
+    row: &LeaseRow,
+    merged: &CacheMergeResult,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let TaskSpec::CacheMerge(spec) = spec(write.connection(), row.task_id).await? else {
+        return Err(corrupt("spec", "not that of a cache_merge task"));
+    };
+    let parts = u32::try_from(spec.parts.len()).unwrap_or(u32::MAX);
+    go_on(write, row, (spec.round, parts), merged.cache, merged.full, now).await
+}
+
+/// A round is over: the next one, or the frames.
+async fn go_on(
+    write: &mut Write,
+    row: &LeaseRow,
+    (round, parts): (u32, u32),
+    cache: ArtifactHash,
+    full: bool,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    if full {
+        return make_ready(write, row.job_id, ("render", "$.render.cache"), Some(cache)).await;
+    }
+    if round + 1 >= CACHE_ROUNDS {
+        let error = format!("the irradiance cache is not full after {CACHE_ROUNDS} rounds of filling it");
+        return fail_for_good(write, row, &error, now).await;
+    }
+    let common = Common::read(write.connection(), row.job_id).await?;
+    let before = sqlx::query(
+        "SELECT part, booked_node, booked_at FROM tasks WHERE job_id = ? AND kind = 'cache_fill' AND round = ? ORDER BY part",
+    )
+    .bind(row.job_id.0)
+    .bind(i64::from(round))
+    .fetch_all(write.connection())
+    .await?;
+    for row in &before {
+        // Each round is done where the one before was.
+        let booked = id_opt(row, "booked_node")?.map(NodeId).zip(time_opt(row, "booked_at")?);
+        common.cache_fill(write, cache, round + 1, (whole(row, "part")?, parts), booked).await?;
+    }
+    Ok(())
+}
+
+/// What a task was told.
+async fn spec(connection: &mut SqliteConnection, task: TaskId) -> Result<TaskSpec, StoreError> {
+    let row =
+        sqlx::query("SELECT spec FROM tasks WHERE id = ?").bind(task.0).fetch_optional(connection).await?;
+    json(&row.ok_or(StoreError::NotFound("task"))?, "spec")
+}
+
+/// How far the cache is that a job's frames share; `None` if they do not.
+pub(crate) async fn progress(
+    connection: &mut SqliteConnection,
+    job: JobId,
+) -> Result<Option<SeedProgress>, StoreError> {
+    let row = sqlx::query("SELECT json_extract(forecast, '$.cache.seed') AS seed FROM jobs WHERE id = ?")
+        .bind(job.0)
+        .fetch_optional(&mut *connection)
+        .await?;
+    let Some(seed) = row.as_ref().map(|row| json_opt::<SeedForecast>(row, "seed")).transpose()?.flatten()
+    else {
+        return Ok(None);
+    };
+    let row = sqlx::query(
+        "SELECT count(*) FILTER (WHERE t.state = 'done') AS done, \
+                total(CASE t.state WHEN 'done' THEN 1.0 WHEN 'leased' THEN t.progress ELSE 0.0 END) AS reached, \
+                coalesce(sum(json_extract(r.body, '$.cache_fill.spent.work')), 0) AS work, \
+                total(json_extract(r.body, '$.cache_fill.spent.cpu_nanos') * l.node_speed) AS cpu_nanos, \
+                EXISTS (SELECT 1 FROM tasks w WHERE w.job_id = ?1 AND w.kind = 'render' AND w.state NOT IN ('waiting', 'cancelled')) AS ready \
+         FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id \
+         WHERE t.job_id = ?1 AND t.kind = 'cache_fill'",
+    )
+    .bind(job.0)
+    .fetch_one(connection)
+    .await?;
+    // One task fills all levels; several fill one after the other, and those that have no records are full.
+    let levels = seed.records.iter().filter(|&&records| records > 0).count();
+    let rounds = if seed.parts > 1 { u32::try_from(levels).unwrap_or(u32::MAX) } else { 1 };
+    let parts = seed.parts.saturating_mul(rounds).max(1);
+    let reached: f64 = row.try_get("reached")?;
+    Ok(Some(SeedProgress {
+        parts,
+        parts_done: whole(&row, "done")?,
+        progress: (reached / f64::from(parts)).clamp(0.0, 1.0),
+        ready: row.try_get("ready")?,
+        work: whole(&row, "work")?,
+        cpu_seconds: row.try_get::<f64, _>("cpu_nanos")? * 1e-9,
+    }))
+}

@@ -1,0 +1,142 @@
+//! The tasks that make the irradiance cache which the frames of a job share: plan, fill a part, put parts together.
+
+use crate::execute::{Assignment, Control, ExecuteError, Outcome};
+use crate::renderer::{RenderError, Renderer};
+use crate::shot_cache::{Filled, fill_part, plan_shared};
+use crate::tasks::Files;
+use forelight_protocol::{
+    CACHE_BYTES, CacheFillResult, CacheFillSpec, CacheMergeResult, CacheMergeSpec, CachePlanResult,
+    CachePlanSpec, LogLevel, Spent, TaskResult,
+};
+use forelight_tracer::{Cache, CacheError, thread_cpu_nanos};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Plans the cache of a shot, and what each frame makes of it.
+pub(crate) fn plan(
+    renderer: &dyn Renderer,
+    spec: &CachePlanSpec,
+    control: &Control,
+) -> Result<Outcome, ExecuteError> {
+    let progress = |fraction| control.set_progress(fraction);
+    let planned = plan_shared(renderer, &spec.frames, &spec.settings, &progress, control.cancelled())?;
+    if control.is_cancelled() {
+        return Err(ExecuteError::Cancelled);
+    }
+    let Some(planned) = planned else {
+        return Err(ExecuteError::Permanent("these settings have no use for an irradiance cache".into()));
+    };
+    let bytes = planned.cache.to_bytes();
+    let size = bytes.len() as u64;
+    let records: Vec<u32> = planned.cache.records().into_iter().map(saturated).collect();
+    control.log(
+        LogLevel::Info,
+        format!("planned {} records for {} frames: {size} bytes", sum(&records), spec.frames.len()),
+    );
+    let mut files = Files::default();
+    let result = CachePlanResult {
+        cache: (size <= CACHE_BYTES).then(|| files.add(bytes)),
+        bytes: size,
+        records,
+        frames: planned.frames,
+        spent: planned.spent,
+    };
+    Ok(Outcome { result: TaskResult::CachePlan(result), artifacts: files.contents })
+}
+
+/// Fills a part of the cache of a shot.
+pub(crate) fn fill(
+    renderer: &dyn Renderer,
+    spec: &CacheFillSpec,
+    assignment: &Assignment,
+    control: &Control,
+) -> Result<Outcome, ExecuteError> {
+    let cache = only_cache(assignment)?;
+    // Threads report in any order.
+    let most = AtomicU64::new(0);
+    let progress = |done: u64, all: u64| {
+        let done = done.max(most.fetch_max(done, Ordering::Relaxed));
+        let share = all.div_ceil(u64::from(spec.parts)).max(1);
+        control.set_progress(done as f64 / share as f64);
+    };
+    let part = (spec.part, spec.parts);
+    let filled = fill_part(renderer, cache, &spec.settings, part, &progress, control.cancelled());
+    let Filled { cache, filled, spent } = filled.map_err(of_shared_cache)?.ok_or(ExecuteError::Cancelled)?;
+    control.log(
+        LogLevel::Info,
+        format!("part {} of {}: {filled} records, {} operations", spec.part + 1, spec.parts, spent.work),
+    );
+    let (full, bytes) = (is_full(&cache), cache.to_bytes());
+    let mut files = Files::default();
+    let size = bytes.len() as u64;
+    let result = CacheFillResult { cache: files.add(bytes), bytes: size, filled, full, spent };
+    Ok(Outcome { result: TaskResult::CacheFill(result), artifacts: files.contents })
+}
+
+/// Puts the parts of a round together. No light is traced.
+pub(crate) fn merge(
+    spec: &CacheMergeSpec,
+    assignment: &Assignment,
+    control: &Control,
+) -> Result<Outcome, ExecuteError> {
+    let start = thread_cpu_nanos();
+    let mut whole: Option<Cache> = None;
+    for (bytes, done) in assignment.caches.iter().zip(1..) {
+        let part = Cache::from_bytes(bytes).map_err(unusable)?;
+        match &mut whole {
+            None => whole = Some(part),
+            Some(whole) => whole.merge(&part).map_err(unusable)?,
+        }
+        if control.is_cancelled() {
+            return Err(ExecuteError::Cancelled);
+        }
+        control.set_progress(f64::from(done) / spec.parts.len() as f64);
+    }
+    let whole = whole.ok_or_else(|| ExecuteError::Permanent("there are no parts to put together".into()))?;
+    let (full, bytes) = (is_full(&whole), whole.to_bytes());
+    let size = bytes.len() as u64;
+    control.log(LogLevel::Info, format!("{} parts put together: {size} bytes", spec.parts.len()));
+    let mut files = Files::default();
+    let spent = Spent { work: 0, cpu_nanos: thread_cpu_nanos() - start };
+    let result = CacheMergeResult { cache: files.add(bytes), bytes: size, full, spent };
+    Ok(Outcome { result: TaskResult::CacheMerge(result), artifacts: files.contents })
+}
+
+/// The one cache that a task was given.
+pub(crate) fn only_cache(assignment: &Assignment) -> Result<Cache, ExecuteError> {
+    match assignment.caches.as_slice() {
+        [bytes] => Cache::from_bytes(bytes).map_err(unusable),
+        others => {
+            Err(ExecuteError::Transient(format!("{} irradiance caches where one was expected", others.len())))
+        }
+    }
+}
+
+/// What goes wrong with a cache that is shared.
+pub(crate) fn of_shared_cache(error: RenderError) -> ExecuteError {
+    match error {
+        RenderError::Cache(error) => unusable(error),
+        other => other.into(),
+    }
+}
+
+/// A file that is damaged is damaged for everyone: it came under its own hash. One that another version of the renderer made may be right
+/// for another worker.
+fn unusable(error: CacheError) -> ExecuteError {
+    let text = format!("the shot's irradiance cache cannot be used: {error}");
+    match error {
+        CacheError::Length { .. } | CacheError::Damaged(_) => ExecuteError::Permanent(text),
+        CacheError::Foreign | CacheError::OtherScene | CacheError::OtherPlan => ExecuteError::Transient(text),
+    }
+}
+
+fn is_full(cache: &Cache) -> bool {
+    (0..cache.records().len()).all(|level| cache.is_full(level))
+}
+
+fn sum(records: &[u32]) -> u64 {
+    records.iter().copied().map(u64::from).sum()
+}
+
+fn saturated(count: u64) -> u32 {
+    u32::try_from(count).unwrap_or(u32::MAX)
+}
