@@ -120,7 +120,11 @@ fn studio_job(size: Size, seed: u64, id: u64, frames: u64) -> Job {
         deadline: Some(deadline / MINUTE * MINUTE),
         confidence: [Confidence::P50, Confidence::P80, Confidence::P95][pick(0, 3) as usize],
         total: WorkTotal { p50: total, p80: total + total / 8, p95: total + total / 4 },
-        seed: (pick(1, 5) == 0).then_some(Seed { class: u32::from(on_gpu), work: typical as u64 / 2, ..Seed::default() }),
+        seed: (pick(1, 5) == 0).then_some(Seed {
+            class: u32::from(on_gpu),
+            work: typical as u64 / 2,
+            ..Seed::default()
+        }),
         frames,
         memory: [16, 16, 32, 60, 100][pick(2, 5) as usize] * GIB,
         gpu_memory: if on_gpu { 16 * GIB } else { 0 },

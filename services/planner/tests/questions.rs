@@ -71,7 +71,9 @@ fn frames_wait_for_their_seed_and_tiles_end_together_earlier() {
     let parts = [0, 1].map(|part| Task::SeedPart { part, parts: 2 });
     let seeds: Vec<_> = split.bookings.iter().filter(|booking| booking.task.is_seed()).collect();
     assert_eq!(seeds.iter().map(|booking| booking.task).collect::<Vec<_>>(), parts);
-    assert!(seeds.iter().all(|booking| booking.end - booking.start == HOUR) && seeds[0].node != seeds[1].node);
+    assert!(
+        seeds.iter().all(|booking| booking.end - booking.start == HOUR) && seeds[0].node != seeds[1].node
+    );
     let tiled = Job { tiles: 4, ..job(1, Some(2), &[4]) };
     let found = sound(&input(vec![node(1, 1, 0), node(2, 1, 0)], vec![tiled]));
     assert!(found.bookings.iter().all(|booking| matches!(booking.task, Task::Tile { parts: 2, .. })));

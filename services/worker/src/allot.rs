@@ -154,7 +154,7 @@ pub fn render_as_allotted(
     let start = Instant::now();
     let settings = piloted(asked);
     let ready = renderer.frame(frame, &settings)?;
-    given.cache.map_or(Ok(()), |cache| ready.share(cache))?;
+    given.cache.map_or(Ok(()), |cache| ready.share(cache).map(drop))?;
     ready.allot(samples.clone())?;
     let rendered = render_ready(&*ready, &settings, None, progress, &|_| (), observer.cancel())?;
     Ok(rendered.map(|mut rendered| {

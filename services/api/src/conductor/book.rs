@@ -210,11 +210,7 @@ fn on_calibrated(forecast: &JobForecast, nodes: &[Node]) -> Vec<NodeSeconds> {
 /// The irradiance cache that the frames share and wait for, as the planner's work.
 fn seed(cache: &CacheQuote) -> Option<planner::Seed> {
     let seed = cache.seed.as_ref()?;
-    Some(planner::Seed {
-        class: CLASS,
-        work: units(seed.cpu_seconds.p50).max(1),
-        parts: seed.parts,
-    })
+    Some(planner::Seed { class: CLASS, work: units(seed.cpu_seconds.p50).max(1), parts: seed.parts })
 }
 
 /// What a node does a second, in the planner's unit of work.
