@@ -236,7 +236,7 @@ pub fn ways_out(input: &Input, job: u64) -> Result<Vec<Effect>, InputError> {
             break;
         }
     }
-    if asked.tiles < 8 {
+    if (1..8).contains(&asked.tiles) {
         consider(Change::Tiles { job, tiles: 8 })?;
     }
     for like in nodes_to_add(input, &before, asked) {

@@ -77,7 +77,7 @@ pub use model::{
     Limit, LimitUse, Node, Plan, PlanId, Power, Prices, Project, Proof, Rental, Reserved, Seed, Task, Usage,
     Verdict, WorkTotal,
 };
-pub use replan::{AtRisk, Event, Replanned, replan};
+pub use replan::{AtRisk, Event, Replanned, mend, replan};
 pub use schedule::{plan, plan_quickly};
 pub use simulate::{JobRisk, Simulation, Stretch, scenarios, simulate};
 pub use verify::{Violation, verify};

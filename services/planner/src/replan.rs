@@ -12,7 +12,7 @@ use crate::model::{
 };
 use crate::outcome;
 use crate::problem::Problem;
-use crate::schedule::{as_early_as_possible, place_all};
+use crate::schedule::{as_early_as_possible, in_turns, place_all};
 use crate::state::{Placed, State};
 
 /// Jobs that are asked to make way for one at most.
@@ -99,17 +99,33 @@ pub struct AtRisk {
 pub fn replan(input: &Input, old: &Plan, event: &Event) -> Result<Replanned, InputError> {
     input.check()?;
     let (input, taken) = after(input, old, event)?;
-    input.check()?;
-    let problem = Problem::new(&input);
-    let admission = Admission::none(&problem);
-    let mut state = State::new(&problem, &admission);
     let still: Vec<Booking> = old
         .bookings
         .iter()
         .filter(|booking| !taken.contains(&(booking.job, booking.task)))
         .copied()
         .collect();
-    state.keep(&still);
+    let mut replanned = mended(input, old, &still)?;
+    let late = late_by_fact(&replanned.input, old, &replanned.plan, event);
+    replanned.at_risk.extend(late);
+    Ok(replanned)
+}
+
+/// Plans on from how things stand, whatever happened: as [`replan`], with what is different in the input already. `old` holds the bookings
+/// that stand, and its verdicts say which promises there are; a job that it does not name is new.
+///
+/// # Errors
+/// If the input has no meaning.
+pub fn mend(input: &Input, old: &Plan) -> Result<Replanned, InputError> {
+    mended(Input { movable: Vec::new(), ..input.clone() }, old, &old.bookings)
+}
+
+fn mended(input: Input, old: &Plan, still: &[Booking]) -> Result<Replanned, InputError> {
+    input.check()?;
+    let problem = Problem::new(&input);
+    let admission = Admission::none(&problem);
+    let mut state = State::new(&problem, &admission);
+    state.keep(still);
     repair(&mut state);
     let bounds: Vec<Bound> = problem.jobs.iter().map(|work| bound(&problem, work)).collect();
     let together = bound_of_all(&problem, &bounds);
@@ -117,8 +133,7 @@ pub fn replan(input: &Input, old: &Plan, event: &Event) -> Result<Replanned, Inp
     // The old plan's prices still prove something, only perhaps less.
     let inherited = Admission { proof: old.proof.clone(), ..Admission::none(&problem) };
     let plan = outcome::plan(&state, &inherited, bounds, together, Some(parent));
-    let mut at_risk = at_risk(&input, old, &plan)?;
-    at_risk.extend(late_by_fact(&input, old, &plan, event));
+    let at_risk = at_risk(&input, old, &plan)?;
     let difference = difference(old, &plan);
     drop(state);
     Ok(Replanned { plan, difference, at_risk, input })
@@ -182,20 +197,27 @@ fn after(input: &Input, old: &Plan, event: &Event) -> Result<(Input, Vec<(u64, T
     Ok((new, taken))
 }
 
-/// Places what has no place, and what has one after its deadline, jobs with the earliest deadline first.
+/// Places what has no place, and what has one after its deadline, jobs with the earliest deadline first; then those without a deadline, in
+/// turns.
 fn repair(state: &mut State) {
     let problem = state.problem;
-    let mut jobs: Vec<usize> = (0..problem.jobs.len()).filter(|&job| is_open(state, job)).collect();
-    jobs.sort_unstable_by_key(|&job| {
+    let open: Vec<usize> = (0..problem.jobs.len()).filter(|&job| is_open(state, job)).collect();
+    let has_deadline = |&job: &usize| problem.jobs[job].job.deadline.is_some();
+    let (mut promised, mut others): (Vec<usize>, Vec<usize>) = open.into_iter().partition(has_deadline);
+    promised.sort_unstable_by_key(|&job| {
         let job = problem.jobs[job].job;
-        (job.deadline.is_none(), job.deadline, std::cmp::Reverse(job.priority), job.id)
+        (job.deadline, std::cmp::Reverse(job.priority), job.id)
     });
-    for job in jobs {
+    for job in promised {
         move_what_is_late(state, job);
-        let has_deadline = problem.jobs[job].job.deadline.is_some();
-        if !has_deadline || !(place_in_time(state, job) || make_way(state, job)) {
+        if !(place_in_time(state, job) || make_way(state, job)) {
             as_early_as_possible(state, job);
         }
+    }
+    let priority = |job: usize| problem.jobs[job].job.priority;
+    others.sort_unstable_by_key(|&job| (std::cmp::Reverse(priority(job)), problem.jobs[job].job.id));
+    for group in others.chunk_by(|&a, &b| priority(a) == priority(b)) {
+        in_turns(state, group);
     }
 }
 

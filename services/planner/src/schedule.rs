@@ -335,7 +335,7 @@ fn split_the_last(state: &mut State, job: usize) {
 }
 
 /// Places jobs without a deadline frame by frame, each time one of the job whose turn it is.
-fn in_turns(state: &mut State, jobs: &[usize]) {
+pub(crate) fn in_turns(state: &mut State, jobs: &[usize]) {
     let problem = state.problem;
     let mut turns = Turns::new(problem);
     let mut waiting: Vec<(usize, Option<u64>)> = Vec::new();

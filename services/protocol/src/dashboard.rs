@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    Booking, Event, JobId, JobState, LiveForecast, Money, MoneyQuantiles, Node, QuantileHits, Quantiles,
-    SeedProgress, TaskId, TaskKind, Timestamp, Verdict,
+    Booking, Event, JobId, JobState, LiveForecast, Money, MoneyQuantiles, Node, Promise, QuantileHits,
+    Quantiles, SeedProgress, TaskId, TaskKind, Timestamp, Verdict, Waits,
 };
 
 /// Tasks by state.
@@ -71,6 +71,12 @@ pub struct DashboardJob {
     pub verdict: Option<Verdict>,
     /// When the last frame is expected.
     pub eta: Option<Timestamp>,
+    /// Why it has not begun; absent if it has.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub waits: Option<Waits>,
+    /// What is left of its promise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub promise: Option<Promise>,
     /// What its bookings cost.
     pub booked_cost: Option<Money>,
     /// The most that it may cost.

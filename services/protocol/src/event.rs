@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{EventId, JobId, JobState, NodeId, OffForecast, PlanId, TaskId, TaskKind, Timestamp};
+use crate::{EventId, JobId, JobState, NodeId, OffForecast, PlanId, Promise, TaskId, TaskKind, Timestamp};
 
 /// The kinds of events: also the `event:` field of the server-sent events.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
@@ -49,6 +49,10 @@ pub enum EventKind {
     Budget,
     /// What runs the farm's processes, such as Slurm, went away, came back, or refused something.
     EngineState,
+    /// A job that was to be ready by its deadline will not be, at its confidence: `promise` says how sure that is, and the cheapest rescue.
+    JobPromiseAtRisk,
+    /// A job whose promise was at risk will be ready in time after all.
+    JobPromiseSafe,
 }
 
 impl EventKind {
@@ -75,6 +79,8 @@ impl EventKind {
             EventKind::NodeSetAside => "node_set_aside",
             EventKind::Budget => "budget",
             EventKind::EngineState => "engine_state",
+            EventKind::JobPromiseAtRisk => "job_promise_at_risk",
+            EventKind::JobPromiseSafe => "job_promise_safe",
         }
     }
 }
@@ -115,6 +121,9 @@ pub struct Event {
     /// What left the booking or came back to it, with its numbers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub off_forecast: Option<OffForecast>,
+    /// What is left of the job's promise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub promise: Option<Promise>,
     /// A line for people.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub message: Option<String>,

@@ -7,8 +7,8 @@ use utoipa::ToSchema;
 
 use crate::{
     ArtifactHash, BundleRef, CacheSharing, Confidence, FrameForecast, FrameSet, JobId, JobVerdict,
-    LiveForecast, Money, NodeId, PageToken, PlanId, Quantiles, RenderSettings, RenderSettingsRequest,
-    RenderStats, SceneSummary, SeedProgress, TaskLimits, Timestamp,
+    LiveForecast, Money, NodeId, PageToken, PlanId, Promise, Quantiles, RenderSettings,
+    RenderSettingsRequest, RenderStats, SceneSummary, SeedProgress, TaskLimits, Timestamp, Waits,
 };
 
 /// A new job.
@@ -57,6 +57,10 @@ pub struct JobRequest {
     #[serde(default)]
     #[schema(default = 0, minimum = -1000, maximum = 1000)]
     pub priority: i32,
+    /// Among jobs of equal priority, one of weight two is worth two of weight one: 1 to 1000.
+    #[serde(default = "default_weight")]
+    #[schema(default = 1, minimum = 1, maximum = 1000)]
+    pub weight: u32,
     /// What one of its tasks may use at most.
     #[serde(default, skip_serializing_if = "TaskLimits::are_none")]
     pub limits: TaskLimits,
@@ -100,6 +104,10 @@ fn default_samples() -> u32 {
 
 fn default_profile_frames() -> u32 {
     5
+}
+
+fn default_weight() -> u32 {
+    1
 }
 
 /// Where a job stands.
@@ -204,6 +212,9 @@ pub struct Job {
     pub confidence: Confidence,
     /// Among jobs with the same deadline the greater goes first.
     pub priority: i32,
+    /// What it is worth among jobs of its priority.
+    #[serde(default = "default_weight")]
+    pub weight: u32,
     /// What one of its tasks may use at most.
     #[serde(default, skip_serializing_if = "TaskLimits::are_none")]
     pub limits: TaskLimits,
@@ -217,6 +228,12 @@ pub struct Job {
     pub verdict: Option<JobVerdict>,
     /// The plan that booked it.
     pub plan_id: Option<PlanId>,
+    /// Why it has not begun; absent if it has, and until booked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub waits: Option<Waits>,
+    /// What is left of its promise; absent if its deadline was never promised.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub promise: Option<Promise>,
     /// When the last frame is expected; absent until booked, and once final.
     pub eta: Option<Timestamp>,
     /// What it will have cost, as far as its frames are finished, beside the quote; absent until booked.

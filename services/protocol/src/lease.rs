@@ -150,6 +150,9 @@ pub struct Renewal {
     /// Whether this is the node's last task for now: it is being drained.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub drain: bool,
+    /// The order to sleep: once this task is over, not to ask for another before then. Absent while the node's window is open.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sleep_until: Option<Timestamp>,
 }
 
 /// A worker gives a task back unfinished, for instance because it is being shut down. Does not count as a failure.

@@ -11,11 +11,13 @@
 //! * Types that a client sends refuse unknown fields: a misspelt option is an error, not a silent default.
 
 mod accuracy;
+mod answers;
 mod artifact;
 mod budget;
 mod bundle;
 mod cache;
 mod calibration;
+mod calendar;
 mod dashboard;
 mod event;
 mod explanation;
@@ -42,6 +44,10 @@ mod track_record;
 pub use accuracy::{
     AccuracyDoc, AccuracyRung, ImageError, LadderKind, MeasuredRung, MissingLadder, NextRung,
 };
+pub use answers::{
+    AnswersDoc, BudgetAnswer, MovedJob, OutlookLine, PlanChange, PlanEffect, PriceOffer, ProjectList,
+    ProjectRequest, ProjectShare, Promise, QualityOffer, WaitKind, Waits,
+};
 pub use artifact::ArtifactStored;
 pub use budget::{
     Budget, BudgetAction, BudgetChange, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetOutlook,
@@ -54,6 +60,10 @@ pub use cache::{
     CachePlanResult, CachePlanSpec, CachePrice, CacheQuote, CacheSharing, SeedForecast, SeedProgress,
 };
 pub use calibration::{ByClass, KernelTime, NodeCalibration};
+pub use calendar::{
+    ClockTime, Day, MOST_WINDOWS, MalformedCalendar, NodeCalendar, NodePower, NodeWindow, PowerState,
+    TimeSpan, WindowEnd,
+};
 pub use dashboard::{Dashboard, DashboardCounts, DashboardJob, DashboardNode, NodeActivity, TaskCounts};
 pub use event::{Event, EventKind};
 pub use explanation::{Amounts, Explanation, Halving, ObjectShare, PartShare, RayShare, ShownWork};
@@ -79,10 +89,13 @@ pub use log::{LOG_LINE_CHARACTERS, LOG_LINES, LogLevel, LogLine, TaskLog, TaskLo
 pub use money::Money;
 pub use node::{
     Capabilities, JoinRequest, JoinToken, JoinTokenRequest, Node, NodeChange, NodePage, NodeRegistration,
-    NodeState,
+    NodeState, NodeTerms,
 };
 pub use page::PageToken;
-pub use plan::{Booking, BookingPage, JobVerdict, Plan, PlanReason, SeedBooking, Verdict};
+pub use plan::{
+    Booking, BookingPage, FrameMove, FramePlace, JobVerdict, Plan, PlanDifference, PlanPage, PlanReason,
+    PlanSummary, SeedBooking, Verdict, VerdictChange,
+};
 pub use problem::{Problem, ProblemKind};
 pub use role::{Role, UnknownRole};
 pub use settings::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest};

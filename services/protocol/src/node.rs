@@ -3,7 +3,10 @@
 use serde::{Deserialize, Deserializer, Serialize};
 use utoipa::ToSchema;
 
-use crate::{ArtifactHash, ByClass, Money, NodeCalibration, NodeId, PageToken, TaskId, Timestamp};
+use crate::{
+    ArtifactHash, ByClass, Money, NodeCalendar, NodeCalibration, NodeId, NodePower, PageToken, TaskId, TimeSpan,
+    Timestamp, WindowEnd,
+};
 
 /// A node announces itself. A node of the same name is updated, and keeps its id; its speed and price too, if they were set
 /// by hand.
@@ -27,6 +30,30 @@ pub struct NodeRegistration {
     /// What else the machine has, as far as its worker could find out.
     #[serde(default)]
     pub capabilities: Capabilities,
+    /// When the machine is awake; absent: always.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub schedule: Option<NodeCalendar>,
+}
+
+/// On which terms a node is had: how its time is billed, when it is closed, and what happens then.
+#[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct NodeTerms {
+    /// Rented time is billed in multiples of this many seconds, 0 to 604,800; 0: as it is.
+    #[schema(maximum = 604_800)]
+    pub billing_step_seconds: u32,
+    /// The least rented time that is billed, in seconds, 0 to 604,800.
+    #[schema(maximum = 604_800)]
+    pub minimum_booking_seconds: u32,
+    /// Seconds that it takes to wake up before the first frame, 0 to 86,400; they are billed.
+    #[schema(maximum = 86_400)]
+    pub setup_seconds: u32,
+    /// What becomes of a task that still runs when a window ends.
+    pub window_end: WindowEnd,
+    /// When the node is closed whatever its calendar says, at most 50.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schema(max_items = 50)]
+    pub maintenance: Vec<TimeSpan>,
 }
 
 /// What a machine has, as its worker found it.
@@ -127,6 +154,13 @@ pub struct NodeChange {
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "given")]
     #[schema(value_type = Option<Money>)]
     pub price_per_hour: Option<Option<Money>>,
+    /// When it is awake; `null`: as the node says.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "given")]
+    #[schema(value_type = Option<NodeCalendar>)]
+    pub schedule: Option<Option<NodeCalendar>>,
+    /// On which terms it is had: all of them, those that are left out as they are by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub terms: Option<NodeTerms>,
 }
 
 /// Tells `null` (`Some(None)`) from a field that is left out (`None`, the default).
@@ -214,6 +248,18 @@ pub struct Node {
     /// What else the machine has.
     #[serde(default)]
     pub capabilities: Capabilities,
+    /// When it is awake; absent: always.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub schedule: Option<NodeCalendar>,
+    /// Whether that was set by hand.
+    #[serde(default)]
+    pub schedule_set: bool,
+    /// On which terms it is had.
+    #[serde(default)]
+    pub terms: NodeTerms,
+    /// Whether it is awake by calendar and maintenance.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub power: Option<NodePower>,
     /// What it is doing about its orders.
     #[serde(default)]
     pub state: NodeState,

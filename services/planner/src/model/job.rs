@@ -48,7 +48,7 @@ pub struct Job {
     pub cores: u32,
     /// What each running frame, tile and seed holds.
     pub uses: Vec<LimitUse>,
-    /// Into how many tiles a frame may be split at most; zero and one: it may not.
+    /// Into how many tiles a frame may be split at most. One: it may not, but could be allowed to; zero: it cannot be split at all.
     pub tiles: u32,
     /// Work that each tile costs on top of its part of the frame.
     pub tile_overhead: u64,
