@@ -10,6 +10,7 @@ use sqlx::{Row as _, SqliteConnection};
 
 use crate::decode::{id, json_opt, time, whole, whole_opt, word};
 use crate::projection::{Projected, project};
+use crate::schedule::with_power;
 use crate::{JobForecast, Store, StoreError, events, jobs, nodes, plans, progress, track_record};
 
 /// How much of everything the dashboard shows.
@@ -38,7 +39,7 @@ impl Store {
             last_event_id: newest.first().map_or(0, |event| event.id),
             counts: counts(connection, silent_since).await?,
             jobs: dashboard_jobs(connection, &projected).await?,
-            nodes: dashboard_nodes(connection, silent_since).await?,
+            nodes: dashboard_nodes(connection, silent_since, now).await?,
             bookings: open.into_iter().take(BOOKINGS).map(|open| open.booking).collect(),
             events: newest,
             track_frames: record.frames,
@@ -124,6 +125,8 @@ async fn dashboard_jobs(
             deadline: job.deadline,
             verdict: job.verdict.as_ref().map(|verdict| verdict.verdict),
             eta: Projected::finish_of(projected, job.id),
+            waits: job.waits,
+            promise: job.promise,
             booked_cost: job.verdict.and_then(|verdict| verdict.cost),
             budget: job.budget,
             work: forecast.as_ref().map(|forecast| forecast.total.work),
@@ -138,11 +141,13 @@ async fn dashboard_jobs(
 async fn dashboard_nodes(
     connection: &mut SqliteConnection,
     silent_since: Timestamp,
+    now: Timestamp,
 ) -> Result<Vec<DashboardNode>, StoreError> {
     let mut list = Vec::new();
     for node in nodes::list(connection, None, NODES).await? {
         let activity = activity(connection, node.id).await?;
-        list.push(DashboardNode { alive: node.last_seen_at >= silent_since, node, activity });
+        let alive = node.last_seen_at >= silent_since;
+        list.push(DashboardNode { alive, node: with_power(node, now), activity });
     }
     Ok(list)
 }

@@ -131,6 +131,11 @@ impl Store {
         self.inner.writer.signals().work.subscribe()
     }
 
+    /// Changes whenever something happened that the newest plan does not know of.
+    pub fn watch_plans(&self) -> watch::Receiver<u64> {
+        self.inner.writer.signals().plans.subscribe()
+    }
+
     /// Closes all connections and waits for them; further calls fail.
     pub async fn close(&self) {
         self.inner.readers.close().await;

@@ -26,6 +26,7 @@ pub(crate) fn event(kind: EventKind, now: Timestamp) -> Event {
         plan_id: None,
         progress: None,
         off_forecast: None,
+        promise: None,
         message: None,
     }
 }

@@ -12,7 +12,7 @@ use forelight_protocol::{Event, EventKind, JobState, LeaseId, NodeId, TaskError,
 use crate::database::Write;
 use crate::events::{append, event};
 use crate::leases::{LeaseState, back_to_ready, end, fail_for_good, read, touch};
-use crate::{Store, StoreError, jobs, nodes};
+use crate::{Store, StoreError, jobs, nodes, replans};
 
 /// Nodes on which a task fails before it fails its job.
 pub const FAILED_NODES: u32 = 3;
@@ -160,6 +160,7 @@ async fn set_aside_if_at_fault(
         .await?;
     if set.rows_affected() == 1 {
         let name = nodes::read(write.connection(), node).await?.name;
+        replans::want(write, &format!("node {name} is set aside")).await?;
         append(
             write,
             Event {

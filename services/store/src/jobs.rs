@@ -13,7 +13,7 @@ use crate::events::{append, event, job_state};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
 use crate::progress::{self, Progress};
 use crate::tasks::{Common, withdraw};
-use crate::{Store, StoreError};
+use crate::{JobOutlook, Store, StoreError, replans};
 
 /// A job that has been checked.
 #[derive(Clone, PartialEq, Debug)]
@@ -55,8 +55,8 @@ impl Store {
         let job_id = JobId::new();
         sqlx::query(
             "INSERT INTO jobs (id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, frames_total, \
-             settings, samples, profile_frames, deadline_at, budget, confidence, priority, created_at, limits, within, cache) \
-             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+             settings, samples, profile_frames, deadline_at, budget, confidence, priority, created_at, limits, within, cache, weight) \
+             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
         )
         .bind(job_id.0)
         .bind(&request.name)
@@ -78,6 +78,7 @@ impl Store {
         .bind(to_json(&request.limits)?)
         .bind(request.within.as_ref().map(to_json).transpose()?)
         .bind(request.cache.name())
+        .bind(i64::from(request.weight))
         .execute(write.connection())
         .await?;
         for frame in request.frames.iter() {
@@ -168,6 +169,9 @@ impl Store {
             .execute(write.connection())
             .await?;
         job_state(&mut write, job, JobState::Cancelled, None, now).await?;
+        if current.plan_id.is_some() {
+            replans::want(&mut write, &format!("job {} was cancelled", current.name)).await?;
+        }
         let cancelled = read(write.connection(), job).await?;
         self.commit(write).await?;
         Ok(cancelled)
@@ -209,6 +213,10 @@ pub(crate) async fn fail(
         return Ok(());
     }
     withdraw(write, job, now).await?;
+    let failed = read(write.connection(), job).await?;
+    if failed.plan_id.is_some() {
+        replans::want(write, &format!("job {} failed", failed.name)).await?;
+    }
     job_state(write, job, JobState::Failed, Some(error.to_owned()), now).await
 }
 
@@ -243,6 +251,7 @@ pub(crate) fn decode(row: &SqliteRow, progress: Progress) -> Result<Job, StoreEr
     let state: JobState = word(row, "state")?;
     let frames: &str = row.try_get("frames")?;
     let frames: FrameSet = frames.parse().map_err(|error| crate::decode::corrupt("frames", error))?;
+    let outlook: JobOutlook = json(row, "outlook")?;
     Ok(Job {
         id: JobId(id(row, "id")?),
         name: row.try_get("name")?,
@@ -261,12 +270,16 @@ pub(crate) fn decode(row: &SqliteRow, progress: Progress) -> Result<Job, StoreEr
         budget: row.try_get::<Option<i64>, _>("budget")?.map(Money),
         confidence: word(row, "confidence")?,
         priority: whole(row, "priority")?,
+        weight: whole(row, "weight")?,
         limits: json(row, "limits")?,
         frames_total: whole(row, "frames_total")?,
         frames_done: progress.frames_done,
         progress: progress.fraction,
         verdict: json_opt(row, "verdict")?,
         plan_id: id_opt(row, "plan_id")?.map(PlanId),
+        // Who has a frame with a worker does not wait, whatever the newest plan knew.
+        waits: outlook.waits.filter(|_| state == JobState::Booked),
+        promise: outlook.promise,
         eta: None,
         live: progress.live,
         error: row.try_get("error")?,

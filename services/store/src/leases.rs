@@ -30,8 +30,8 @@
 use std::time::Duration;
 
 use forelight_protocol::{
-    Event, EventKind, FinishedPixels, JobId, JobState, Lease, LeaseId, LeaseOrder, NodeId, RenewRequest,
-    Renewal, TaskId, TaskKind, TaskSpec, Timestamp,
+    Event, EventKind, FinishedPixels, JobId, JobState, Lease, LeaseId, LeaseOrder, Node, NodeId,
+    RenewRequest, Renewal, TaskId, TaskKind, TaskSpec, Timestamp,
 };
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
@@ -43,6 +43,7 @@ use crate::failures::{HEAD_START, LONGEST_WAIT};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, forget_old, record};
 use crate::live::{self, Occasion};
 use crate::logs::forget_old_logs;
+use crate::schedule::{Opening, opening};
 use crate::{Store, StoreError, jobs, logs, nodes};
 
 /// Lost workers of a task that its job survives, plus one. More than errors: machines are switched off at night.
@@ -159,7 +160,10 @@ impl Store {
         let node = nodes::read(write.connection(), node).await?;
         let task = match wanted {
             Some(task) => this_task(write.connection(), task, now).await?,
-            None if node.takes_tasks() => next_task(write.connection(), node.id, now).await?,
+            None if node.takes_tasks() => match opening(&node, now) {
+                Opening::Awake(until) => next_task(write.connection(), &node, until, now).await?,
+                Opening::Asleep(_) => None,
+            },
             None => None,
         };
         let Some(task) = task else {
@@ -239,6 +243,12 @@ impl Store {
         .await?)
     }
 
+    /// Until when the node sleeps; `None` if it is awake.
+    pub async fn sleeps_until(&self, node: NodeId, now: Timestamp) -> Result<Option<Timestamp>, StoreError> {
+        let mut connection = self.readers().acquire().await?;
+        sleep_of(&mut connection, node, now).await
+    }
+
     /// A node that waits for work is alive.
     pub async fn touch_node(&self, node: NodeId, now: Timestamp) -> Result<(), StoreError> {
         let mut write = self.write().await?;
@@ -258,7 +268,8 @@ impl Store {
         let mut write = self.write().await?;
         let row = read(write.connection(), lease).await?;
         if row.fence == fence && row.state == LeaseState::Revoked {
-            return Ok(Renewal { expires_at: now, order: LeaseOrder::Stop, drain: row.drain });
+            let sleep_until = sleep_of(write.connection(), row.node_id, now).await?;
+            return Ok(Renewal { expires_at: now, order: LeaseOrder::Stop, drain: row.drain, sleep_until });
         }
         if row.fence != fence || row.state != LeaseState::Active {
             return self.refuse(write, &row, now).await;
@@ -295,9 +306,10 @@ impl Store {
             live::update(&mut write, row.job_id, Occasion::Pixels, now).await?;
         }
         logs::keep(&mut write, &row, log).await?;
+        let sleep_until = sleep_of(write.connection(), row.node_id, now).await?;
         self.commit(write).await?;
         let order = if row.pause { LeaseOrder::Pause } else { LeaseOrder::Continue };
-        Ok(Renewal { expires_at, order, drain: row.drain })
+        Ok(Renewal { expires_at, order, drain: row.drain, sleep_until })
     }
 
     /// A worker gives its task back unfinished. Counts neither as an error nor as an expiry. A lease that was released
@@ -339,6 +351,7 @@ impl Store {
     pub async fn sweep(&self, now: Timestamp) -> Result<Swept, StoreError> {
         let mut write = self.write().await?;
         let swept = sweep(&mut write, now).await?;
+        nodes::stop_after_windows(&mut write, now).await?;
         forget_old(&mut write, now).await?;
         forget_old_progress(&mut write, now).await?;
         forget_old_logs(&mut write, now).await?;
@@ -412,6 +425,29 @@ impl LeaseRow {
     }
 }
 
+/// A node of which nobody knows when it wakes up asks again after a day.
+const ASLEEP_FOR_LONG: i64 = 24 * 3_600_000_000;
+
+async fn sleep_of(
+    connection: &mut SqliteConnection,
+    node: NodeId,
+    now: Timestamp,
+) -> Result<Option<Timestamp>, StoreError> {
+    let has_calendar: bool = sqlx::query_scalar(
+        "SELECT EXISTS (SELECT 1 FROM nodes WHERE id = ? AND (coalesce(schedule_set, schedule) IS NOT NULL OR terms <> '{}'))",
+    )
+    .bind(node.0)
+    .fetch_one(&mut *connection)
+    .await?;
+    if !has_calendar {
+        return Ok(None);
+    }
+    Ok(match opening(&nodes::read(connection, node).await?, now) {
+        Opening::Awake(_) => None,
+        Opening::Asleep(until) => Some(until.unwrap_or(now.plus_micros(ASLEEP_FOR_LONG))),
+    })
+}
+
 /// The task that the node should do next.
 ///
 /// 1. Previews and profiles of any job, and plans and merges of irradiance caches: they are short, and every quote, and with it every
@@ -425,16 +461,23 @@ impl LeaseRow {
 ///
 /// A task that failed is passed over while it waits, and for a while longer on the nodes that it failed on. Such tasks are few, so
 /// the steps over them are.
+///
+/// Before the node's window ends (`until`), frames are passed over that would not be done by then in one case of twenty.
 async fn next_task(
     connection: &mut SqliteConnection,
-    node: NodeId,
+    node: &Node,
+    until: Option<Timestamp>,
     now: Timestamp,
 ) -> Result<Option<SqliteRow>, StoreError> {
+    // CPU seconds of a node of speed 1 that this one has until then.
+    let at_most =
+        until.map(|until| until.micros_since(now).max(0) as f64 * 1e-6 * node.speed * f64::from(node.cores));
     for query in [NEXT_QUOTE, NEXT_BOOKED, NEXT_ANY] {
         let found = sqlx::query(query)
-            .bind(node.0)
+            .bind(node.id.0)
             .bind(now.micros())
             .bind(now.plus_micros(-HEAD_START).micros())
+            .bind(at_most)
             .fetch_optional(&mut *connection)
             .await?;
         if found.is_some() {
@@ -470,7 +513,8 @@ macro_rules! next_task {
             " WHERE state = 'ready' AND ",
             $which,
             " AND held = 0 AND not_before <= ?2 AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS (SELECT 1 FROM leases f \
-              WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1)) ORDER BY ",
+              WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1)) \
+              AND (?4 IS NULL OR ?4 >= ifnull((SELECT cpu_p95 FROM frames WHERE job_id = tasks.job_id AND frame = tasks.frame), 0)) ORDER BY ",
             $order,
             " LIMIT 1"
         )

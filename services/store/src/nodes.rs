@@ -2,17 +2,22 @@
 
 use forelight_forecast::learned_factor;
 use forelight_protocol::{
-    Event, EventKind, LeaseId, Money, Node, NodeChange, NodeId, NodeRegistration, NodeState, TaskId,
-    Timestamp,
+    Event, EventKind, LeaseId, Money, Node, NodeCalendar, NodeChange, NodeId, NodeRegistration, NodeState,
+    TaskId, Timestamp,
 };
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::database::Write;
-use crate::decode::{id, id_opt, json, time, to_json, whole};
+use crate::decode::{id, id_opt, json, json_opt, time, to_json, whole};
 use crate::events::{append, event};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
-use crate::{Store, StoreError, leases};
+use crate::schedule::{Opening, opening, silence};
+use crate::{Store, StoreError, leases, replans};
+
+/// A node that was not heard of for this long while it should have been awake is lost to plans: five minutes, in microseconds. Longer than a
+/// worker takes to be started again, and much shorter than a night.
+pub const LOST: i64 = 300_000_000;
 
 macro_rules! select_nodes {
     ($rest:literal) => {
@@ -56,7 +61,8 @@ impl Store {
             "UPDATE nodes SET drain = coalesce(?1, drain), pause = coalesce(?2, pause), \
              speed_set = CASE WHEN ?3 THEN ?4 ELSE speed_set END, price_set = CASE WHEN ?5 THEN ?6 ELSE price_set END, \
              set_aside = CASE ?7 WHEN 1 THEN coalesce(set_aside, 'by hand') WHEN 0 THEN NULL ELSE set_aside END, \
-             trusted_since = CASE ?7 WHEN 0 THEN ?8 ELSE trusted_since END WHERE id = ?9",
+             trusted_since = CASE ?7 WHEN 0 THEN ?8 ELSE trusted_since END, \
+             schedule_set = CASE WHEN ?10 THEN ?11 ELSE schedule_set END, terms = coalesce(?12, terms) WHERE id = ?9",
         )
         .bind(change.drain)
         .bind(change.pause)
@@ -67,6 +73,9 @@ impl Store {
         .bind(change.set_aside)
         .bind(now.micros())
         .bind(node.0)
+        .bind(change.schedule.is_some())
+        .bind(change.schedule.as_ref().and_then(Option::as_ref).map(to_json).transpose()?)
+        .bind(change.terms.as_ref().map(to_json).transpose()?)
         .execute(write.connection())
         .await?;
         if change.cancel_task == Some(true) {
@@ -83,7 +92,12 @@ impl Store {
         )
         .await?;
         // Whoever waits on behalf of a node that may be given tasks again should look again.
-        write.made_work |= [change.drain, change.pause, change.set_aside].contains(&Some(false));
+        write.made_work |= [change.drain, change.pause, change.set_aside].contains(&Some(false))
+            || change.schedule.is_some()
+            || change.terms.is_some();
+        if let Some(cause) = cause_of(change) {
+            replans::want(&mut write, &format!("node {} {cause}", changed.name)).await?;
+        }
         self.commit(write).await?;
         Ok(changed)
     }
@@ -101,17 +115,37 @@ impl Store {
     }
 }
 
-/// Makes a node, or updates the one of the same name.
+/// What a change means for plans, in words; nothing, if it is none that they know.
+fn cause_of(change: &NodeChange) -> Option<&'static str> {
+    if change.drain == Some(true) {
+        Some("is drained")
+    } else if change.set_aside == Some(true) {
+        Some("is set aside")
+    } else if change.pause == Some(true) {
+        Some("is paused")
+    } else if [change.drain, change.pause, change.set_aside].contains(&Some(false)) {
+        Some("is back")
+    } else if change.schedule.is_some() || change.terms.is_some() {
+        Some("has another calendar or other terms")
+    } else if change.speed.is_some() || change.price_per_hour.is_some() {
+        Some("has another speed or price")
+    } else {
+        None
+    }
+}
+
+/// Makes a node, or updates the one of the same name. If it is new, or not as it was, plans are due.
 pub(crate) async fn upsert(
     write: &mut Write,
     registration: &NodeRegistration,
     now: Timestamp,
 ) -> Result<Node, StoreError> {
+    let before = by_name(write.connection(), &registration.name).await?;
     let node_id: uuid::Uuid = sqlx::query_scalar(
-        "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at, capabilities) \
-         VALUES (?, ?, ?, ?, ?, ?6, ?6, ?7) ON CONFLICT (name) DO UPDATE SET speed = excluded.speed, \
+        "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at, capabilities, schedule) \
+         VALUES (?, ?, ?, ?, ?, ?6, ?6, ?7, ?8) ON CONFLICT (name) DO UPDATE SET speed = excluded.speed, \
          price_per_hour = excluded.price_per_hour, cores = excluded.cores, last_seen_at = excluded.last_seen_at, \
-         capabilities = excluded.capabilities, paused = 0 RETURNING id",
+         capabilities = excluded.capabilities, schedule = excluded.schedule, paused = 0 RETURNING id",
     )
     .bind(NodeId::new().0)
     .bind(&registration.name)
@@ -120,9 +154,17 @@ pub(crate) async fn upsert(
     .bind(i64::from(registration.cores))
     .bind(now.micros())
     .bind(to_json(&registration.capabilities)?)
+    .bind(registration.schedule.as_ref().map(to_json).transpose()?)
     .fetch_one(write.connection())
     .await?;
     let node = read(write.connection(), NodeId(node_id)).await?;
+    match before {
+        None => replans::want(write, &format!("node {} joined", node.name)).await?,
+        Some(before) if !same_machine(&before, &node) || silence(&before, now) > LOST => {
+            replans::want(write, &format!("node {} came back", node.name)).await?;
+        }
+        Some(_) => {}
+    }
     append(
         write,
         Event {
@@ -135,8 +177,18 @@ pub(crate) async fn upsert(
     Ok(node)
 }
 
+/// Whether plans see the same node in both. A measured speed is never quite the same; less than a tenth is none of their business.
+fn same_machine(one: &Node, other: &Node) -> bool {
+    let terms = |node: &Node| (node.price_per_hour, node.cores, node.schedule.clone());
+    terms(one) == terms(other) && (one.speed / other.speed - 1.0).abs() < 0.1
+}
+
 /// Takes the tasks away that a node has: they are ready for another, and the node's next renewal brings the order to stop.
-async fn take_tasks_away(write: &mut Write, node: NodeId, now: Timestamp) -> Result<(), StoreError> {
+pub(crate) async fn take_tasks_away(
+    write: &mut Write,
+    node: NodeId,
+    now: Timestamp,
+) -> Result<(), StoreError> {
     let held: Vec<uuid::Uuid> =
         sqlx::query_scalar("SELECT id FROM leases WHERE node_id = ? AND state = 'active' ORDER BY id")
             .bind(node.0)
@@ -156,6 +208,29 @@ pub(crate) async fn read(connection: &mut SqliteConnection, node: NodeId) -> Res
     decode(&row.ok_or(StoreError::NotFound("node"))?)
 }
 
+async fn by_name(connection: &mut SqliteConnection, name: &str) -> Result<Option<Node>, StoreError> {
+    let row = sqlx::query(select_nodes!("WHERE n.name = ?")).bind(name).fetch_optional(connection).await?;
+    row.as_ref().map(decode).transpose()
+}
+
+/// Takes the tasks from nodes whose window has ended, if that is what their terms say. Says how many nodes that were.
+pub(crate) async fn stop_after_windows(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
+    let rows = sqlx::query(select_nodes!(
+        "WHERE n.terms ->> 'window_end' = 'stop' AND EXISTS (SELECT 1 FROM leases l WHERE l.node_id = n.id AND l.state = 'active') ORDER BY n.id"
+    ))
+    .fetch_all(write.connection())
+    .await?;
+    let mut stopped = 0;
+    for row in &rows {
+        let node = decode(row)?;
+        if matches!(opening(&node, now), Opening::Asleep(_)) {
+            take_tasks_away(write, node.id, now).await?;
+            stopped += 1;
+        }
+    }
+    Ok(stopped)
+}
+
 pub(crate) async fn list(
     connection: &mut SqliteConnection,
     after: Option<NodeId>,
@@ -173,6 +248,7 @@ fn decode(row: &SqliteRow) -> Result<Node, StoreError> {
     let speed_set: Option<f64> = row.try_get("speed_set")?;
     let price_set: Option<i64> = row.try_get("price_set")?;
     let task_id = id_opt(row, "task_id")?.map(TaskId);
+    let schedule_set: Option<NodeCalendar> = json_opt(row, "schedule_set")?;
     let (drain, pause, paused): (bool, bool, bool) =
         (row.try_get("drain")?, row.try_get("pause")?, row.try_get("paused")?);
     let set_aside: Option<String> = row.try_get("set_aside")?;
@@ -195,6 +271,10 @@ fn decode(row: &SqliteRow) -> Result<Node, StoreError> {
         time_factor: learned_factor(row.try_get("learned_millionths")?, whole(row, "learned_jobs")?),
         cores: whole(row, "cores")?,
         capabilities: json(row, "capabilities")?,
+        schedule_set: schedule_set.is_some(),
+        schedule: schedule_set.map_or_else(|| json_opt(row, "schedule"), |set| Ok(Some(set)))?,
+        terms: json(row, "terms")?,
+        power: None,
         state,
         drain,
         pause,

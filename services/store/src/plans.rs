@@ -4,17 +4,20 @@ use std::collections::BTreeMap;
 
 use forelight_protocol::{
     Booking, BookingId, Event, EventKind, FrameForecast, FrameSet, JobId, JobState, JobVerdict, NodeId, Plan,
-    PlanId, PlanReason, Timestamp,
+    PlanId, PlanReason, PlanSummary, Promise, Timestamp, Waits,
 };
+use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
+use crate::database::Write;
 use crate::decode::{corrupt, id, id_opt, json, time, time_opt, to_json, whole, word};
 use crate::events::{append, event, job_state};
 use crate::live::{self, Occasion};
 use crate::projection::{Holder, OpenBooking};
+use crate::replans::{self, Wanted};
 use crate::tasks::Common;
-use crate::{JobForecast, NewSeed, QuoteBasis, Store, StoreError, calibration, forecasts, seeds};
+use crate::{JobForecast, NewSeed, QuoteBasis, Store, StoreError, calibration, forecasts, jobs, seeds};
 
 /// A plan to be kept.
 #[derive(Clone, PartialEq, Debug)]
@@ -23,12 +26,36 @@ pub struct NewPlan {
     pub parent: Option<PlanId>,
     /// Why it was made.
     pub reason: PlanReason,
-    /// Its word on the job that it books.
-    pub verdict: JobVerdict,
-    /// What it books.
-    pub bookings: Vec<NewBooking>,
-    /// The irradiance cache that the frames share and wait for, if they do.
+    /// What it takes into account.
+    pub wanted: Wanted,
+    /// The jobs that it books. All others stay as they are booked.
+    pub jobs: Vec<NewJobPlan>,
+    /// Why jobs wait, and what is left of promises, of all jobs of which something new is to be said.
+    pub outlooks: Vec<(JobId, JobOutlook)>,
+    /// The irradiance cache that the frames of the job that gets its first plan share and wait for, if they do.
     pub seed: Option<NewSeed>,
+}
+
+/// A job in a plan to be kept.
+#[derive(Clone, PartialEq, Debug)]
+pub struct NewJobPlan {
+    /// The plan's word on it.
+    pub verdict: JobVerdict,
+    /// Where its frames are booked that wait for a worker. All others keep the bookings that they have.
+    pub bookings: Vec<NewBooking>,
+    /// What the plan multiplies its forecast by.
+    pub factor: f64,
+}
+
+/// Why a job waits, and what is left of its promise.
+#[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize)]
+pub struct JobOutlook {
+    /// Why it has not begun.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub waits: Option<Waits>,
+    /// What is left of its promise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub promise: Option<Promise>,
 }
 
 /// A booking of a plan to be kept.
@@ -57,8 +84,8 @@ macro_rules! select_open {
 }
 
 impl Store {
-    /// Keeps a job's forecast and the plan that books it, and makes its render tasks: all of it or nothing. Without a `basis` nothing will be
-    /// learnt from the forecast once the job is finished.
+    /// Keeps a job's forecast and the plan that books it, and makes its render tasks: all of it or nothing. The plan may book other
+    /// jobs anew, too. Without a `basis` nothing will be learnt from the forecast once the job is finished.
     ///
     /// A [`StoreError::Conflict`] if the job is not waiting for this (it was cancelled, or was booked before), or if
     /// another plan was kept since this one was begun, on whose bookings it may lie.
@@ -81,40 +108,12 @@ impl Store {
         if state != JobState::Profiling {
             return Err(StoreError::Conflict(format!("the job is {state}, not profiling")));
         }
-        if newest(write.connection()).await? != plan.parent {
-            return Err(StoreError::Conflict("another plan was kept in the meantime".to_owned()));
-        }
-        let plan_id = PlanId::new();
-        sqlx::query("INSERT INTO plans (id, parent_id, reason, verdicts, created_at) VALUES (?, ?, ?, ?, ?)")
-            .bind(plan_id.0)
-            .bind(plan.parent.map(|parent| parent.0))
-            .bind(reason_name(plan.reason))
-            .bind(to_json(&[&plan.verdict])?)
-            .bind(now.micros())
-            .execute(write.connection())
-            .await?;
-        let mut booked = BTreeMap::new();
-        for booking in &plan.bookings {
-            sqlx::query("INSERT INTO bookings (id, plan_id, job_id, frame, node_id, start_at, end_at) VALUES (?, ?, ?, ?, ?, ?, ?)")
-                .bind(BookingId::new().0)
-                .bind(plan_id.0)
-                .bind(job.0)
-                .bind(i64::from(booking.frame))
-                .bind(booking.node.0)
-                .bind(booking.start.micros())
-                .bind(booking.end.micros())
-                .execute(write.connection())
-                .await?;
-            booked.insert(booking.frame, (booking.node, booking.start));
-        }
         forecasts::keep_frames(&mut write, job, frames, &forecast.clock).await?;
         if let Some(basis) = basis {
             calibration::keep(&mut write, job, forecast, frames, basis).await?;
         }
-        sqlx::query("UPDATE jobs SET state = 'booked', forecast = ?, plan_id = ?, verdict = ? WHERE id = ?")
+        sqlx::query("UPDATE jobs SET forecast = ? WHERE id = ?")
             .bind(to_json(forecast)?)
-            .bind(plan_id.0)
-            .bind(to_json(&plan.verdict)?)
             .bind(job.0)
             .execute(write.connection())
             .await?;
@@ -133,27 +132,107 @@ impl Store {
         }
         let job_frames: FrameSet =
             row.try_get::<&str, _>("frames")?.parse().map_err(|error| corrupt("frames", error))?;
+        for frame in job_frames.iter() {
+            // What was gathered for a cache of the frame's own is of no use beside one that is shared.
+            let profile = profiles.get(&frame).copied().filter(|_| plan.seed.is_none());
+            common.render(&mut write, frame, plan.seed.is_some(), None, profile).await?;
+        }
+        append(&mut write, Event { job_id: Some(job), ..event(EventKind::ForecastReady, now) }).await?;
+        let plan_id = keep(&mut write, plan, Some(job), now).await?;
         if let Some(seed) = &plan.seed {
             seeds::keep_bookings(&mut write, plan_id.0, job, &seed.bookings).await?;
             seeds::begin(&mut write, &common, seed).await?;
         }
-        for frame in job_frames.iter() {
-            // What was gathered for a cache of the frame's own is of no use beside one that is shared.
-            let profile = profiles.get(&frame).copied().filter(|_| plan.seed.is_none());
-            common
-                .render(&mut write, frame, plan.seed.is_some(), booked.get(&frame).copied(), profile)
-                .await?;
+        let booked = sqlx::query("UPDATE jobs SET state = 'booked' WHERE id = ? AND plan_id = ?")
+            .bind(job.0)
+            .bind(plan_id.0)
+            .execute(write.connection())
+            .await?;
+        if booked.rows_affected() != 1 {
+            return Err(StoreError::Conflict("the plan does not book the job".to_owned()));
         }
         live::update(&mut write, job, Occasion::Booked, now).await?;
-        append(&mut write, Event { job_id: Some(job), ..event(EventKind::ForecastReady, now) }).await?;
-        append(
-            &mut write,
-            Event { job_id: Some(job), plan_id: Some(plan_id), ..event(EventKind::PlanStored, now) },
-        )
-        .await?;
         job_state(&mut write, job, JobState::Booked, None, now).await?;
         self.commit(write).await?;
         Ok(plan_id)
+    }
+
+    /// Keeps a plan that was made because something happened. A [`StoreError::Conflict`] if another plan was kept since it was begun, or if
+    /// one of its jobs is over.
+    pub async fn replan(&self, plan: &NewPlan, now: Timestamp) -> Result<PlanId, StoreError> {
+        let mut write = self.write().await?;
+        let plan_id = keep(&mut write, plan, None, now).await?;
+        self.commit(write).await?;
+        Ok(plan_id)
+    }
+
+    /// Nothing has to be booked anew after what happened; only what is said of waiting and of promises changes.
+    pub async fn keep_outlooks(&self, plan: &NewPlan, now: Timestamp) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        if newest(write.connection()).await? != plan.parent {
+            return Err(StoreError::Conflict("another plan was kept in the meantime".to_owned()));
+        }
+        keep_outlooks(&mut write, &plan.outlooks, now).await?;
+        replans::planned(&mut write, &plan.wanted).await?;
+        self.commit(write).await
+    }
+
+    /// The plans, newest first, after the one that `before` names, at most `limit`.
+    pub async fn plans(&self, before: Option<PlanId>, limit: u32) -> Result<Vec<PlanSummary>, StoreError> {
+        let rows = sqlx::query(
+            "SELECT p.*, (SELECT count(*) FROM bookings b WHERE b.plan_id = p.id) AS bookings FROM plans p \
+             WHERE p.rowid < coalesce((SELECT rowid FROM plans WHERE id = ?1), 9223372036854775807) ORDER BY p.rowid DESC LIMIT ?2",
+        )
+        .bind(before.map(|plan| plan.0))
+        .bind(limit)
+        .fetch_all(self.readers())
+        .await?;
+        rows.iter()
+            .map(|row| {
+                Ok(PlanSummary {
+                    id: PlanId(id(row, "id")?),
+                    parent_id: id_opt(row, "parent_id")?.map(PlanId),
+                    reason: word(row, "reason")?,
+                    causes: json(row, "causes")?,
+                    created_at: time(row, "created_at")?,
+                    bookings: whole(row, "bookings")?,
+                })
+            })
+            .collect()
+    }
+
+    /// What the plans before this one booked last for each of its jobs, and said of it.
+    pub async fn booked_before(&self, plan: PlanId) -> Result<(Vec<Booking>, Vec<JobVerdict>), StoreError> {
+        let mut transaction = self.read().await?;
+        let rows = sqlx::query(
+            "SELECT j.job_id, (SELECT p.id FROM plans p WHERE p.rowid < (SELECT rowid FROM plans WHERE id = ?1) \
+             AND EXISTS (SELECT 1 FROM json_each(p.verdicts) v WHERE v.value ->> 'job_id' = j.job_id) \
+             ORDER BY p.rowid DESC LIMIT 1) AS before FROM (SELECT value ->> 'job_id' AS job_id FROM plans, json_each(plans.verdicts) WHERE plans.id = ?1) j",
+        )
+        .bind(plan.0)
+        .fetch_all(&mut *transaction)
+        .await?;
+        let (mut bookings, mut verdicts) = (Vec::new(), Vec::new());
+        for row in &rows {
+            let Some(before) = id_opt(row, "before")? else { continue };
+            let job: JobId =
+                row.try_get::<&str, _>("job_id")?.parse().map_err(|error| corrupt("verdicts", error))?;
+            let said = sqlx::query("SELECT verdicts FROM plans WHERE id = ?")
+                .bind(before)
+                .fetch_one(&mut *transaction)
+                .await?;
+            let said: Vec<JobVerdict> = json(&said, "verdicts")?;
+            verdicts.extend(said.into_iter().filter(|verdict| verdict.job_id == job));
+            let rows = sqlx::query("SELECT * FROM bookings WHERE plan_id = ? AND job_id = ?")
+                .bind(before)
+                .bind(job.0)
+                .fetch_all(&mut *transaction)
+                .await?;
+            for row in &rows {
+                bookings.push(decode_booking(row)?);
+            }
+        }
+        Ok((bookings, verdicts))
     }
 
     /// The newest plan; `None` before the first.
@@ -179,6 +258,7 @@ impl Store {
             id: plan,
             parent_id: id_opt(&row, "parent_id")?.map(PlanId),
             reason: word(&row, "reason")?,
+            causes: json(&row, "causes")?,
             created_at: time(&row, "created_at")?,
             verdicts: json(&row, "verdicts")?,
             bookings: bookings.iter().map(decode_booking).collect::<Result<_, _>>()?,
@@ -258,8 +338,157 @@ fn decode_booking(row: &SqliteRow) -> Result<Booking, StoreError> {
     })
 }
 
-fn reason_name(reason: PlanReason) -> &'static str {
-    match reason {
-        PlanReason::JobForecast => "job_forecast",
+/// Keeps a plan inside a write: its bookings become those of its jobs, and their tasks know where they are booked. `fresh` is a job
+/// that has no plan yet.
+async fn keep(
+    write: &mut Write,
+    plan: &NewPlan,
+    fresh: Option<JobId>,
+    now: Timestamp,
+) -> Result<PlanId, StoreError> {
+    if newest(write.connection()).await? != plan.parent {
+        return Err(StoreError::Conflict("another plan was kept in the meantime".to_owned()));
     }
+    let plan_id = PlanId::new();
+    let verdicts: Vec<&JobVerdict> = plan.jobs.iter().map(|job| &job.verdict).collect();
+    sqlx::query(
+        "INSERT INTO plans (id, parent_id, reason, causes, verdicts, created_at) VALUES (?, ?, ?, ?, ?, ?)",
+    )
+    .bind(plan_id.0)
+    .bind(plan.parent.map(|parent| parent.0))
+    .bind(plan.reason.name())
+    .bind(to_json(&plan.wanted.causes)?)
+    .bind(to_json(&verdicts)?)
+    .bind(now.micros())
+    .execute(write.connection())
+    .await?;
+    for job in &plan.jobs {
+        let job_id = job.verdict.job_id;
+        if fresh != Some(job_id) {
+            let state = jobs::state(write.connection(), job_id).await?;
+            if !matches!(state, JobState::Booked | JobState::Rendering) {
+                return Err(StoreError::Conflict(format!("job {job_id} is {state}, and needs no plan")));
+            }
+        }
+        keep_job(write, plan_id, job).await?;
+        let told =
+            Event { job_id: Some(job_id), plan_id: Some(plan_id), ..event(EventKind::PlanStored, now) };
+        let message = (!plan.wanted.causes.is_empty()).then(|| plan.wanted.causes.join("; "));
+        append(write, Event { message, ..told }).await?;
+    }
+    keep_outlooks(write, &plan.outlooks, now).await?;
+    replans::planned(write, &plan.wanted).await?;
+    Ok(plan_id)
+}
+
+/// Books one job of a plan: what waits as the plan says, everything else as it was.
+async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Result<(), StoreError> {
+    let job_id = job.verdict.job_id;
+    let mut booked: BTreeMap<u32, NewBooking> = BTreeMap::new();
+    let rows = sqlx::query(
+        "SELECT b.* FROM bookings b JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?",
+    )
+    .bind(job_id.0)
+    .fetch_all(write.connection())
+    .await?;
+    for row in &rows {
+        let Booking { frame, node_id: node, start, end, .. } = decode_booking(row)?;
+        booked.insert(frame, NewBooking { frame, node, start, end });
+    }
+    let waits: Vec<i64> = sqlx::query_scalar(
+        "SELECT frame FROM tasks WHERE job_id = ? AND kind = 'render' AND state = 'ready' AND frame IS NOT NULL",
+    )
+    .bind(job_id.0)
+    .fetch_all(write.connection())
+    .await?;
+    let planned: BTreeMap<u32, &NewBooking> =
+        job.bookings.iter().map(|booking| (booking.frame, booking)).collect();
+    for frame in waits {
+        let frame = u32::try_from(frame).map_err(|_| corrupt("frame", frame))?;
+        match planned.get(&frame) {
+            Some(&booking) => booked.insert(frame, booking.clone()),
+            None => booked.remove(&frame),
+        };
+        sqlx::query("UPDATE tasks SET booked_node = ?, booked_at = ? WHERE job_id = ? AND kind = 'render' AND frame = ?")
+            .bind(planned.get(&frame).map(|booking| booking.node.0))
+            .bind(planned.get(&frame).map(|booking| booking.start.micros()))
+            .bind(job_id.0)
+            .bind(i64::from(frame))
+            .execute(write.connection())
+            .await?;
+    }
+    for booking in booked.values() {
+        sqlx::query("INSERT INTO bookings (id, plan_id, job_id, frame, node_id, start_at, end_at) VALUES (?, ?, ?, ?, ?, ?, ?)")
+            .bind(BookingId::new().0)
+            .bind(plan_id.0)
+            .bind(job_id.0)
+            .bind(i64::from(booking.frame))
+            .bind(booking.node.0)
+            .bind(booking.start.micros())
+            .bind(booking.end.micros())
+            .execute(write.connection())
+            .await?;
+    }
+    // Parts of a cache that the frames share stay where they are booked.
+    sqlx::query(
+        "INSERT INTO seed_bookings (plan_id, job_id, part, node_id, start_at, end_at) SELECT ?1, b.job_id, b.part, b.node_id, b.start_at, b.end_at \
+         FROM seed_bookings b JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?2",
+    )
+    .bind(plan_id.0)
+    .bind(job_id.0)
+    .execute(write.connection())
+    .await?;
+    sqlx::query("UPDATE jobs SET plan_id = ?, verdict = ?, factor = ? WHERE id = ?")
+        .bind(plan_id.0)
+        .bind(to_json(&job.verdict)?)
+        .bind(job.factor)
+        .bind(job_id.0)
+        .execute(write.connection())
+        .await?;
+    Ok(())
+}
+
+/// Keeps what is said of jobs, and tells of promises that broke or were mended.
+async fn keep_outlooks(
+    write: &mut Write,
+    outlooks: &[(JobId, JobOutlook)],
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    for (job, outlook) in outlooks {
+        let row = sqlx::query("SELECT outlook FROM jobs WHERE id = ?")
+            .bind(job.0)
+            .fetch_optional(write.connection())
+            .await?;
+        let before: JobOutlook = json(&row.ok_or(StoreError::NotFound("job"))?, "outlook")?;
+        if before == *outlook {
+            continue;
+        }
+        sqlx::query("UPDATE jobs SET outlook = ? WHERE id = ?")
+            .bind(to_json(outlook)?)
+            .bind(job.0)
+            .execute(write.connection())
+            .await?;
+        let Some(promise) = &outlook.promise else { continue };
+        let was_kept = before.promise.as_ref().is_none_or(|promise| promise.kept);
+        if promise.kept == was_kept {
+            continue;
+        }
+        let kind = if promise.kept { EventKind::JobPromiseSafe } else { EventKind::JobPromiseAtRisk };
+        let message = Some(promise_in_words(promise));
+        let promise = Some(promise.clone());
+        append(write, Event { job_id: Some(*job), promise, message, ..event(kind, now) }).await?;
+    }
+    Ok(())
+}
+
+fn promise_in_words(promise: &Promise) -> String {
+    let sure = promise.probability * 100.0;
+    if promise.kept {
+        return format!("ready in time after all, with a probability of {sure:.0} %");
+    }
+    let rescue = match &promise.rescue {
+        Some(rescue) => format!("the cheapest rescue: {}", rescue.words),
+        None => "no rescue was found".to_owned(),
+    };
+    format!("ready in time with a probability of {sure:.0} % only; {rescue}")
 }

@@ -12,7 +12,7 @@ use forelight_protocol::{
 };
 use tempfile::TempDir;
 
-use crate::{Answered, JobForecast, NewBooking, NewJob, NewPlan, Store};
+use crate::{Answered, JobForecast, NewBooking, NewJob, NewJobPlan, NewPlan, Store};
 
 mod artifacts;
 mod calibration;
@@ -209,9 +209,10 @@ impl Farm {
         NewPlan {
             parent: self.store.newest_plan().await.unwrap(),
             reason: PlanReason::JobForecast,
-            verdict: verdict(job.id),
-            bookings,
             seed: None,
+            wanted: self.store.wanted_plan().await.unwrap(),
+            jobs: vec![NewJobPlan { verdict: verdict(job.id), bookings, factor: 1.0 }],
+            outlooks: Vec::new(),
         }
     }
 }
@@ -223,6 +224,7 @@ fn registration(name: &str) -> NodeRegistration {
         price_per_hour: forelight_protocol::Money(1_000_000),
         cores: 1,
         capabilities: Capabilities::default(),
+        schedule: None,
     }
 }
 
@@ -309,6 +311,7 @@ fn verdict(job_id: JobId) -> JobVerdict {
         finish: Some(at(100)),
         cost: Some(forelight_protocol::Money(5)),
         reasons: Vec::new(),
+        ways_out: Vec::new(),
     }
 }
 

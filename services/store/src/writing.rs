@@ -45,6 +45,8 @@ pub(crate) struct Signals {
     pub events: watch::Sender<u64>,
     /// Raised by every commit that made a task ready.
     pub work: watch::Sender<u64>,
+    /// Raised by every commit after which the newest plan does not know everything.
+    pub plans: watch::Sender<u64>,
 }
 
 /// What lies before the writer whose turn it is.
@@ -62,6 +64,7 @@ struct Batch {
     abandoned: bool,
     wrote_events: bool,
     made_work: bool,
+    wants_plan: bool,
     outcome: watch::Sender<Option<Outcome>>,
 }
 
@@ -93,6 +96,7 @@ pub(crate) struct Write {
     committed: bool,
     pub(crate) wrote_events: bool,
     pub(crate) made_work: bool,
+    pub(crate) wants_plan: bool,
 }
 
 impl Write {
@@ -115,7 +119,8 @@ impl Drop for Write {
 
 impl Writer {
     pub fn new(connections: SqlitePool) -> Self {
-        let signals = Signals { events: watch::Sender::new(0), work: watch::Sender::new(0) };
+        let sender = || watch::Sender::new(0);
+        let signals = Signals { events: sender(), work: sender(), plans: sender() };
         Self { desk: Arc::default(), connections, signals: Arc::new(signals) }
     }
 
@@ -147,6 +152,7 @@ impl Writer {
                 abandoned: false,
                 wrote_events: false,
                 made_work: false,
+                wants_plan: false,
                 outcome: watch::Sender::new(None),
             });
         }
@@ -156,7 +162,14 @@ impl Writer {
         batch.abandoned = true;
         let savepoint = batch.connection.execute("SAVEPOINT one").await;
         // From here on dropping it clears up, whatever has happened.
-        let write = Write { batch, writer: self, committed: false, wrote_events: false, made_work: false };
+        let write = Write {
+            batch,
+            writer: self,
+            committed: false,
+            wrote_events: false,
+            made_work: false,
+            wants_plan: false,
+        };
         savepoint?;
         Ok(write)
     }
@@ -169,12 +182,13 @@ impl Writer {
 
     async fn end(self, mut write: Write) -> Result<(), StoreError> {
         write.batch.connection.execute("RELEASE one").await?;
-        let (events, work) = (write.wrote_events, write.made_work);
+        let (events, work, plans) = (write.wrote_events, write.made_work, write.wants_plan);
         let batch = &mut write.batch;
         batch.abandoned = false;
         batch.members += 1;
         batch.wrote_events |= events;
         batch.made_work |= work;
+        batch.wants_plan |= plans;
         let mut outcome = batch.outcome.subscribe();
         write.committed = true;
         drop(write);
@@ -201,10 +215,12 @@ impl Writer {
             // What is not committed must not be in the way of what comes next. It may be gone already.
             let _ = batch.connection.execute("ROLLBACK").await;
         }
-        let Batch { connection, wrote_events, made_work, outcome: waiting, .. } = batch;
+        let Batch { connection, wrote_events, made_work, wants_plan, outcome: waiting, .. } = batch;
         drop(connection);
         if matches!(outcome, Outcome::Committed) {
-            for (happened, signal) in [(wrote_events, &self.signals.events), (made_work, &self.signals.work)]
+            let signals = &self.signals;
+            for (happened, signal) in
+                [(wrote_events, &signals.events), (made_work, &signals.work), (wants_plan, &signals.plans)]
             {
                 if happened {
                     signal.send_modify(|version| *version = version.wrapping_add(1));

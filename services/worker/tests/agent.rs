@@ -84,7 +84,7 @@ async fn renew(State(farm): State<Shared>, Json(renewal): Json<RenewRequest>) ->
     let mut farm = farm.lock().unwrap();
     farm.renewals.push(renewal);
     match farm.order.unwrap_or(Ok(LeaseOrder::Continue)) {
-        Ok(order) => Json(Renewal { expires_at: Timestamp::now(), order, drain: false }).into_response(),
+        Ok(order) => Json(Renewal { expires_at: Timestamp::now(), order, drain: false, sleep_until: None }).into_response(),
         Err(kind) => problem(kind),
     }
 }
@@ -223,6 +223,7 @@ fn agent(address: &str, executor: Arc<Slow>) -> (Agent, tempfile::TempDir) {
         price_per_hour: Default::default(),
         cores: 1,
         capabilities: Default::default(),
+        schedule: None,
     };
     let client = Client::new(address, None).unwrap();
     (Agent::new(client, library, executor, registration).unwrap(), bundles)

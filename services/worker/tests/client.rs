@@ -54,6 +54,7 @@ fn registration() -> NodeRegistration {
         price_per_hour: Default::default(),
         cores: 1,
         capabilities: Default::default(),
+        schedule: None,
     }
 }
 

@@ -63,6 +63,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
             price_per_hour: Money(args.price),
             cores: u32::from(args.threads),
             capabilities: capabilities.clone(),
+            schedule: None,
         };
         let executor = Arc::new(TaskRunner::new(library.clone()));
         let agent = Agent::new(client.clone(), library.clone(), executor, registration)?;

@@ -201,6 +201,7 @@ impl Farm {
             price_per_hour: forelight_protocol::Money(0),
             cores: 4,
             capabilities: Default::default(),
+            schedule: None,
         };
         match self.store.register_node(&registration, None, at(0)).await.unwrap() {
             Answered::Fresh(node) => node.id,

@@ -12,7 +12,7 @@ use forelight_protocol::{
     Verdict,
 };
 use forelight_protocol::{Confidence, ForecastTotals, SpentOnForecast};
-use forelight_store::{Answered, JobForecast, NewBooking, NewJob, NewPlan, Store};
+use forelight_store::{Answered, JobForecast, NewBooking, NewJob, NewJobPlan, NewPlan, Store};
 use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -128,19 +128,22 @@ pub async fn fill(store: &Store, frames: u32) -> Result<()> {
         let end = now.plus_micros(1_000_000);
         let bookings =
             job.frames.iter().map(|frame| NewBooking { frame, node: node.id, start: now, end }).collect();
+        let verdict = JobVerdict {
+            job_id: job.id,
+            verdict: Verdict::OnTime,
+            confidence: Confidence::P80,
+            finish: Some(end),
+            cost: Some(Money(0)),
+            reasons: Vec::new(),
+            ways_out: Vec::new(),
+        };
         let plan = NewPlan {
             parent: store.newest_plan().await?,
             reason: PlanReason::JobForecast,
-            verdict: JobVerdict {
-                job_id: job.id,
-                verdict: Verdict::OnTime,
-                confidence: Confidence::P80,
-                finish: Some(end),
-                cost: Some(Money(0)),
-                reasons: Vec::new(),
-            },
-            bookings,
             seed: None,
+            wanted: store.wanted_plan().await?,
+            jobs: vec![NewJobPlan { verdict, bookings, factor: 1.0 }],
+            outlooks: Vec::new(),
         };
         store.book(job.id, &forecast(), &frame_forecasts(&job), None, &plan, now).await?;
     }
@@ -163,6 +166,7 @@ pub fn registration(name: &str) -> NodeRegistration {
         price_per_hour: Money(0),
         cores: 1,
         capabilities: Capabilities::default(),
+        schedule: None,
     }
 }
 

@@ -1,0 +1,82 @@
+//! The farm's booked jobs as a plan needs them.
+
+use forelight_protocol::{Job, JobId};
+use sqlx::Row as _;
+
+use crate::decode::{id, json_opt, whole};
+use crate::{JobForecast, Store, StoreError, jobs, progress};
+
+/// A job that is booked and not over.
+#[derive(Clone, PartialEq, Debug)]
+pub struct FarmJob {
+    /// The job.
+    pub job: Job,
+    /// Its forecast; absent of a job that was booked before forecasts were kept.
+    pub forecast: Option<JobForecast>,
+    /// All its frames, ascending.
+    pub frames: Vec<FarmFrame>,
+    /// What the newest plan multiplies the forecast by, after what finished frames took.
+    pub factor: f64,
+    /// Its project's budget holds it back.
+    pub held: bool,
+}
+
+/// A frame of such a job. CPU seconds are those of a node of speed 1.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub struct FarmFrame {
+    /// Its number.
+    pub number: u32,
+    /// Forecast CPU seconds, median.
+    pub p50: f64,
+    /// Forecast CPU seconds that it exceeds in one case of five.
+    pub p80: f64,
+    /// CPU seconds that it took, once it is done.
+    pub actual: Option<f64>,
+    /// Whether it waits for a worker: neither done nor with one.
+    pub waits: bool,
+}
+
+impl Store {
+    /// The jobs that are booked or being rendered, oldest first.
+    pub async fn farm_jobs(&self) -> Result<Vec<FarmJob>, StoreError> {
+        let mut transaction = self.read().await?;
+        let rows = sqlx::query("SELECT * FROM jobs WHERE state IN ('booked', 'rendering') ORDER BY id")
+            .fetch_all(&mut *transaction)
+            .await?;
+        let mut found = Vec::with_capacity(rows.len());
+        for row in &rows {
+            let job_id = JobId(id(row, "id")?);
+            let done = progress::of_job(&mut transaction, job_id).await?;
+            let frames = sqlx::query(
+                "SELECT f.frame, f.cpu_p50, f.cpu_p80, f.actual_cpu, t.state = 'ready' AS waits, t.held \
+                 FROM frames f JOIN tasks t ON t.job_id = f.job_id AND t.kind = 'render' AND ifnull(t.frame, -1) = f.frame \
+                 WHERE f.job_id = ? AND f.cpu_p50 IS NOT NULL ORDER BY f.frame",
+            )
+            .bind(job_id.0)
+            .fetch_all(&mut *transaction)
+            .await?;
+            let mut held = false;
+            let frames = frames
+                .iter()
+                .map(|row| {
+                    held |= row.try_get::<bool, _>("held")?;
+                    Ok(FarmFrame {
+                        number: whole(row, "frame")?,
+                        p50: row.try_get("cpu_p50")?,
+                        p80: row.try_get("cpu_p80")?,
+                        actual: row.try_get("actual_cpu")?,
+                        waits: row.try_get("waits")?,
+                    })
+                })
+                .collect::<Result<_, StoreError>>()?;
+            found.push(FarmJob {
+                job: jobs::decode(row, done)?,
+                forecast: json_opt(row, "forecast")?,
+                frames,
+                factor: row.try_get("factor")?,
+                held,
+            });
+        }
+        Ok(found)
+    }
+}

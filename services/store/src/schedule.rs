@@ -1,0 +1,99 @@
+//! When nodes are awake.
+
+use forelight_planner as planner;
+use forelight_planner::{Interval, Weekly};
+use forelight_protocol::{Day, Node, NodeCalendar, NodePower, PowerState, Timestamp};
+use jiff::civil::{Time, Weekday};
+
+const DAY: i64 = 86_400_000_000;
+
+/// How far ahead calendars are looked at to say until when a node is awake or asleep: two weeks, in microseconds.
+const AHEAD: i64 = 14 * DAY;
+
+/// Whether a node is awake at an instant.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Opening {
+    /// It is, until then; without end if nothing is known to close it within two weeks.
+    Awake(Option<Timestamp>),
+    /// It is not, until then; for longer than two weeks if that is not known.
+    Asleep(Option<Timestamp>),
+}
+
+/// The node's free time between two instants, in order: its calendar less its maintenance. The last interval has no end if the
+/// node has no calendar.
+pub fn free_time_of(node: &Node, from: Timestamp, until: Timestamp) -> Vec<Interval> {
+    let (from, until) = (from.micros(), until.micros());
+    let calendar = match &node.schedule {
+        None => vec![Interval { start: from, end: None }],
+        // A calendar that was checked when it came in can be expanded; the years that it does not know are far away.
+        Some(calendar) => planner::expand(&weekly(calendar), from, until).unwrap_or_default(),
+    };
+    let maintenance = node
+        .terms
+        .maintenance
+        .iter()
+        .map(|span| Interval { start: span.start.micros(), end: span.end.map(Timestamp::micros) });
+    let node = planner::Node { calendar, maintenance: maintenance.collect(), ..planner::Node::default() };
+    planner::free_time(&node, from, &[])
+}
+
+/// The calendar in the planner's words.
+fn weekly(calendar: &NodeCalendar) -> Vec<Weekly> {
+    let time = |clock: forelight_protocol::ClockTime| {
+        // Hours and minutes are in range.
+        Time::new(clock.hour() as i8, clock.minute() as i8, 0, 0).unwrap_or(Time::midnight())
+    };
+    let day = |day: &Day| match day {
+        Day::Mon => Weekday::Monday,
+        Day::Tue => Weekday::Tuesday,
+        Day::Wed => Weekday::Wednesday,
+        Day::Thu => Weekday::Thursday,
+        Day::Fri => Weekday::Friday,
+        Day::Sat => Weekday::Saturday,
+        Day::Sun => Weekday::Sunday,
+    };
+    calendar
+        .windows
+        .iter()
+        .map(|window| Weekly {
+            zone: calendar.zone.clone(),
+            days: if window.days.is_empty() { &Day::ALL[..] } else { &window.days }.iter().map(day).collect(),
+            from: time(window.from),
+            until: time(window.until),
+        })
+        .collect()
+}
+
+/// Whether the node is awake now, and until when that is so.
+pub fn opening(node: &Node, now: Timestamp) -> Opening {
+    if node.schedule.is_none() && node.terms.maintenance.is_empty() {
+        return Opening::Awake(None);
+    }
+    let horizon = now.plus_micros(AHEAD);
+    let within = |instant: i64| Some(Timestamp::from_micros(instant)).filter(|&instant| instant < horizon);
+    match free_time_of(node, now, horizon).first() {
+        None => Opening::Asleep(None),
+        Some(first) if first.start > now.micros() => Opening::Asleep(within(first.start)),
+        Some(first) => Opening::Awake(first.end.and_then(within)),
+    }
+}
+
+/// For how many microseconds of the time in which it was awake the node has not been heard of: a node that sleeps by its calendar is
+/// not lost.
+pub fn silence(node: &Node, now: Timestamp) -> i64 {
+    let awake = free_time_of(node, node.last_seen_at, now);
+    awake.iter().fold(0i64, |sum, interval| {
+        let end = interval.end.map_or(now.micros(), |end| end.min(now.micros()));
+        sum.saturating_add(end.saturating_sub(interval.start).max(0))
+    })
+}
+
+/// The node with its power filled in.
+#[must_use]
+pub fn with_power(node: Node, now: Timestamp) -> Node {
+    let power = match opening(&node, now) {
+        Opening::Awake(until) => NodePower { state: PowerState::Awake, until },
+        Opening::Asleep(until) => NodePower { state: PowerState::Asleep, until },
+    };
+    Node { power: Some(power), ..node }
+}
