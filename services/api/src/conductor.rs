@@ -5,6 +5,8 @@
 //! profiling  ──all of these are there──► estimate, plan, verify, book, make render tasks, and those of the cache ──► booked
 //! ```
 //!
+//! When something happens that the newest plan does not know of, the farm is planned anew, moving as little as possible (`replan`).
+//!
 //! (The first frame handed out makes a job `rendering`, the last result `done`; that happens in the store, in the same
 //! transaction.)
 //!
@@ -17,17 +19,23 @@
 pub(crate) mod accuracy;
 #[cfg(test)]
 mod agreement;
-pub(crate) mod book;
+pub(crate) mod answers;
+mod book;
 mod choose;
+pub(crate) mod effects;
 mod estimate;
 pub(crate) mod explain;
 mod sharing;
 mod within;
+pub(crate) mod farm;
+mod replan;
+pub(crate) mod settle;
 
-use std::sync::Arc;
+use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex};
 
 use forelight_forecast::Experience;
-use forelight_protocol::{Job, JobId, JobState};
+use forelight_protocol::{Job, JobId, JobState, NodeId, Timestamp};
 use forelight_store::{PlannedCache, Store, StoreError};
 
 use crate::clock::Clock;
@@ -40,6 +48,10 @@ pub(crate) struct Conductor {
     store: Store,
     clock: Arc<dyn Clock>,
     metrics: Arc<Metrics>,
+    /// When the service was started.
+    started: Timestamp,
+    /// The nodes that could be booked when that was last looked at.
+    seen: Mutex<Option<BTreeSet<NodeId>>>,
 }
 
 /// Why a job does not advance.
@@ -55,7 +67,8 @@ pub(crate) enum AdvanceError {
 
 impl Conductor {
     pub fn new(store: Store, clock: Arc<dyn Clock>, metrics: Arc<Metrics>) -> Self {
-        Self { store, clock, metrics }
+        let started = clock.now();
+        Self { store, clock, metrics, started, seen: Mutex::new(None) }
     }
 
     /// Advances every job that may be waiting for it.
@@ -133,17 +146,27 @@ impl Conductor {
             None => None,
         };
         let (asked, settings) = (job.cache, job.settings.clone());
-        let forecast = compute(move || {
+        let (forecast, rungs) = compute(move || {
             let corrections = experience.corrections();
             match limit {
-                None => sharing::quote(asked, &settings, &preview, &profiles, &planned, corrections.as_ref()),
-                Some(limit) => limit.best(&preview, &profiles, corrections.as_ref()),
+                None => {
+                    let quote =
+                        sharing::quote(asked, &settings, &preview, &profiles, &planned, corrections.as_ref())?;
+                    // Nothing is known of other qualities without profiles, and of one that a cache was chosen for.
+                    let rungs = if profiles.is_empty() || quote.seed.is_some() {
+                        Vec::new()
+                    } else {
+                        accuracy::ladders(&settings, &preview, &profiles)?.rungs
+                    };
+                    Ok((quote, rungs))
+                }
+                Some(limit) => Ok((limit.best(&preview, &profiles, corrections.as_ref())?, Vec::new())),
             }
         })
         .await?;
         let basis = kind.map(|kind| forecast.basis(kind));
         for _ in 0..ATTEMPTS {
-            match self.book(job, &forecast, basis.as_ref()).await {
+            match self.book(job, &forecast, basis.as_ref(), &rungs).await {
                 // Overtaken by another plan, or by a cancellation: look again.
                 Err(AdvanceError::Store(StoreError::Conflict(reason))) => {
                     tracing::info!(job = %job.id, reason, "the plan is made again");
@@ -159,7 +182,7 @@ impl Conductor {
 }
 
 /// Runs what may take a while on a thread of its own, so that requests go on being answered.
-async fn compute<T: Send + 'static>(
+pub(crate) async fn compute<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, AdvanceError> + Send + 'static,
 ) -> Result<T, AdvanceError> {
     match tokio::task::spawn_blocking(work).await {
@@ -172,7 +195,7 @@ async fn compute<T: Send + 'static>(
 mod tests {
     use super::*;
     use crate::clock::SystemClock;
-    use forelight_protocol::{BundleSource, JobRequest, SceneDigest, SceneSummary, Timestamp};
+    use forelight_protocol::{BundleSource, JobRequest, SceneDigest, SceneSummary};
     use forelight_store::{Answered, NewJob};
 
     #[tokio::test]

@@ -11,6 +11,7 @@ mod clock;
 mod conductor;
 mod config;
 mod connections;
+mod difference;
 mod error;
 mod extract;
 mod metrics;

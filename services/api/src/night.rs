@@ -343,7 +343,7 @@ impl Making {
                 .zip(0..)
                 .map(|(node, id)| planner::Node {
                     id,
-                    speed: crate::conductor::book::speed(node),
+                    speed: crate::conductor::farm::speed(node),
                     price_per_hour: node.price_per_hour.micro_units(),
                     available_from: now,
                     calendar: vec![Interval { start: now, end: None }],
@@ -505,12 +505,12 @@ fn job(open: &OpenJob, id: u64, now: i64) -> planner::Job {
         name: open.job.name.clone(),
         release: now,
         deadline: open.job.deadline.map(Timestamp::micros),
-        confidence: crate::conductor::book::confidence(open.job.confidence),
-        total: total.map_or_else(planner::WorkTotal::default, |total| crate::conductor::book::total(&total)),
+        confidence: crate::conductor::farm::confidence(open.job.confidence),
+        total: total.map_or_else(planner::WorkTotal::default, |total| crate::conductor::farm::total(&total)),
         frames: open
             .frames
             .iter()
-            .map(|&(number, p50, p80)| crate::conductor::book::frame(number, p50, p80))
+            .map(|&(number, p50, p80)| crate::conductor::farm::frame(number, p50, p80))
             .collect(),
         ..planner::Job::default()
     }

@@ -1,5 +1,6 @@
 //! The resources, one file or folder each, with a small handler for each verb.
 
+pub(crate) mod answers;
 pub(crate) mod artifacts;
 pub(crate) mod budgets;
 pub(crate) mod bundles;
@@ -12,6 +13,7 @@ pub(crate) mod jobs;
 pub(crate) mod leases;
 pub(crate) mod nodes;
 pub(crate) mod plans;
+pub(crate) mod projects;
 pub(crate) mod tasks;
 
 use axum::Json;

@@ -16,8 +16,8 @@ use utoipa_axum::routes;
 use crate::error::render_problems;
 use crate::openapi::frame;
 use crate::resources::{
-    artifacts, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes, plans,
-    tasks,
+    answers, artifacts, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes,
+    plans, projects, tasks,
 };
 use crate::state::App;
 
@@ -45,7 +45,11 @@ pub(crate) fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(frames::cost_map_png))
         .routes(routes!(frames::image_png))
         .routes(routes!(frames::image_exr))
+        .routes(routes!(answers::of_job))
+        .routes(routes!(answers::price_curve))
+        .routes(routes!(plans::list))
         .routes(routes!(plans::get))
+        .routes(routes!(plans::changed))
         .routes(routes!(plans::bookings))
         .routes(routes!(nodes::register, nodes::list))
         .routes(routes!(nodes::get, nodes::change))
@@ -64,6 +68,7 @@ pub(crate) fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(events::of_farm))
         .routes(routes!(budgets::list, budgets::set))
         .routes(routes!(budgets::forecast))
+        .routes(routes!(projects::list, projects::set))
         .routes(routes!(dashboard::get))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))

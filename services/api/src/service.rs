@@ -9,6 +9,7 @@ use forelight_store::{Store, StoreError};
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, mpsc};
 use tokio::task::JoinHandle;
+use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use crate::clock::{Clock as _, SteadyClock};
@@ -91,6 +92,8 @@ impl Service {
             stopping: stopping.clone(),
             conductor,
             in_flight: InFlight::default(),
+            answers: Arc::default(),
+            started: clock.now(),
             openapi: openapi_yaml().into(),
         };
         let tasks = vec![
@@ -133,11 +136,18 @@ impl Drop for Service {
     }
 }
 
+/// The least time between two plans that nobody waits for; after one that took long, four times as long as that.
+const BREATH: Duration = Duration::from_millis(500);
+
 /// Advances jobs as they are announced, and all that wait once in a while: an advance may have failed for a reason that
-/// has passed.
+/// has passed. Plans the farm anew when something happened, one plan at a time: what happens meanwhile, or soon after, is in the next.
 async fn conduct(app: App, mut jobs: mpsc::UnboundedReceiver<JobId>) {
     let conductor = Conductor::new(app.store.clone(), app.clock.clone(), app.metrics.clone());
     let mut again = tokio::time::interval(app.lease_ttl.max(Duration::from_secs(1)));
+    let mut wanted = app.store.watch_plans();
+    let mut not_before = Instant::now();
+    // What was due when the service died is due now.
+    let mut due = true;
     loop {
         tokio::select! {
             () = app.stopping.cancelled() => return,
@@ -145,7 +155,22 @@ async fn conduct(app: App, mut jobs: mpsc::UnboundedReceiver<JobId>) {
                 Some(job) => conductor.advance(job).await,
                 None => return,
             },
-            _ = again.tick() => conductor.advance_all().await,
+            changed = wanted.changed(), if !due => match changed {
+                Ok(()) => due = true,
+                Err(_) => return,
+            },
+            () = tokio::time::sleep_until(not_before), if due => {
+                wanted.borrow_and_update();
+                let begun = Instant::now();
+                conductor.replan_if_due().await;
+                due = false;
+                not_before = Instant::now() + BREATH.max(begun.elapsed() * 4);
+            },
+            _ = again.tick() => {
+                conductor.advance_all().await;
+                conductor.watch().await;
+                due = true;
+            }
         }
     }
 }

@@ -14,6 +14,7 @@ use crate::clock::Clock;
 use crate::config::Limits;
 use crate::error::ApiError;
 use crate::metrics::Metrics;
+use crate::resources::answers::Desk;
 
 /// What every handler can reach. Cheap to clone.
 #[derive(Clone)]
@@ -32,6 +33,10 @@ pub(crate) struct App {
     /// Jobs for which the conductor may have something to do.
     pub conductor: mpsc::UnboundedSender<JobId>,
     pub in_flight: InFlight,
+    /// Answers about plans.
+    pub answers: Arc<Desk>,
+    /// When the service was started.
+    pub started: Timestamp,
     pub openapi: Arc<str>,
 }
 

@@ -1,7 +1,8 @@
 //! The farm's booked jobs as a plan needs them.
 
-use forelight_protocol::{Job, JobId};
+use forelight_protocol::{Job, JobId, Money};
 use sqlx::Row as _;
+use sqlx::sqlite::SqliteRow;
 
 use crate::decode::{id, json_opt, whole};
 use crate::{JobForecast, Store, StoreError, jobs, progress};
@@ -30,6 +31,10 @@ pub struct FarmFrame {
     pub p50: f64,
     /// Forecast CPU seconds that it exceeds in one case of five.
     pub p80: f64,
+    /// Forecast CPU seconds that it exceeds in one case of twenty.
+    pub p95: f64,
+    /// What its booking costs by the time that it takes, micro-units; 0 without one.
+    pub booked_cost: i64,
     /// CPU seconds that it took, once it is done.
     pub actual: Option<f64>,
     /// Whether it waits for a worker: neither done nor with one.
@@ -48,8 +53,11 @@ impl Store {
             let job_id = JobId(id(row, "id")?);
             let done = progress::of_job(&mut transaction, job_id).await?;
             let frames = sqlx::query(
-                "SELECT f.frame, f.cpu_p50, f.cpu_p80, f.actual_cpu, t.state = 'ready' AS waits, t.held \
-                 FROM frames f JOIN tasks t ON t.job_id = f.job_id AND t.kind = 'render' AND ifnull(t.frame, -1) = f.frame \
+                "SELECT f.frame, f.cpu_p50, f.cpu_p80, f.cpu_p95, f.actual_cpu, t.state = 'ready' AS waits, t.held, \
+                 b.end_at - b.start_at AS length, coalesce(n.price_set, n.price_per_hour) AS price \
+                 FROM frames f JOIN jobs j ON j.id = f.job_id \
+                 JOIN tasks t ON t.job_id = f.job_id AND t.kind = 'render' AND ifnull(t.frame, -1) = f.frame \
+                 LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = f.job_id AND b.frame = f.frame LEFT JOIN nodes n ON n.id = b.node_id \
                  WHERE f.job_id = ? AND f.cpu_p50 IS NOT NULL ORDER BY f.frame",
             )
             .bind(job_id.0)
@@ -64,6 +72,8 @@ impl Store {
                         number: whole(row, "frame")?,
                         p50: row.try_get("cpu_p50")?,
                         p80: row.try_get("cpu_p80")?,
+                        p95: row.try_get("cpu_p95")?,
+                        booked_cost: booked_cost(row)?,
                         actual: row.try_get("actual_cpu")?,
                         waits: row.try_get("waits")?,
                     })
@@ -79,4 +89,10 @@ impl Store {
         }
         Ok(found)
     }
+}
+
+fn booked_cost(row: &SqliteRow) -> Result<i64, StoreError> {
+    let (length, price): (Option<i64>, Option<i64>) = (row.try_get("length")?, row.try_get("price")?);
+    let cost = length.zip(price).map(|(length, price)| Money(price).for_micros_at_hourly_rate(length));
+    Ok(cost.unwrap_or_default().micro_units())
 }

@@ -32,7 +32,7 @@ pub(crate) async fn accuracy(
 }
 
 /// Of the ladders of [`LadderKind`], those that the profile knows something of.
-fn ladders(
+pub(super) fn ladders(
     asked: &RenderSettings,
     preview: &PreviewResult,
     profiles: &[MeasuredProfile],

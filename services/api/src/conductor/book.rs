@@ -2,65 +2,48 @@
 
 use std::collections::BTreeMap;
 
-use forelight_planner::{self as planner, FixedBooking, Interval};
+use forelight_planner as planner;
 use forelight_protocol::{
-    ByClass, CacheQuote, Confidence, Job, JobVerdict, Money, MoneyQuantiles, Node, NodeId, NodeSeconds,
-    PlanReason, Quantiles, SeedBooking, Timestamp, Verdict,
+    AccuracyRung, Job, Money, MoneyQuantiles, Node, NodeSeconds, PlanEffect, PlanReason, Quantiles, Timestamp,
+    Verdict,
 };
-use forelight_store::{
-    JobForecast, NewBooking, NewPlan, NewSeed, NewSeedBooking, Projected, QuoteBasis, project,
-};
+use forelight_store::{FarmFrame, FarmJob, JobForecast, NewPlan, NewSeed, NewSeedBooking, QuoteBasis};
 
+use super::answers::qualities;
 use super::estimate::Forecast;
+use super::farm::{Farm, MOST_NODES, Snapshot, bookable, seconds_per_second};
+use super::settle::{Settled, Unsettled, settle};
 use super::{AdvanceError, Conductor, compute};
 
-/// Nodes that a plan looks at.
-const MOST_NODES: u32 = 10_000;
-
-/// The planner counts work in whole units, of which a node does so many a second; ours are nanoseconds of a core of speed 1.
-const PER_SECOND: f64 = 1e9;
-
-/// The planner's class of work like the job's: every plan is made for one job.
-const CLASS: u32 = 1;
-
-/// A node that was not heard of for this long is not booked: five minutes, in microseconds. Longer than a worker takes to
-/// be started again, and much shorter than a night.
-const SILENCE: i64 = 300_000_000;
-
-/// How long a part of an irradiance cache that should be filled already is still given: a second, in microseconds.
-const OVERDUE: i64 = 1_000_000;
-
 impl Conductor {
-    /// Plans the job around everything that is booked already, has the plan verified, and keeps forecast, plan and bookings.
+    /// Plans the farm with the job, has the plan verified, and keeps forecast, plan and bookings. `rungs` are other qualities of the job.
     pub(super) async fn book(
         &self,
         job: &Job,
         forecast: &Forecast,
         basis: Option<&QuoteBasis>,
+        rungs: &[AccuracyRung],
     ) -> Result<(), AdvanceError> {
         let now = self.clock.now();
-        // The parent before the bookings: should another plan come in between, the store refuses this one.
-        let parent = self.store.newest_plan().await?;
-        let nodes = self.nodes_for_plans(now).await?;
-        let taken = project(&self.store.open_bookings().await?, now);
-        let seeds = self.store.open_seed_bookings().await?;
+        let mut snapshot = Snapshot::read(&self.store, now, self.started).await?;
+        let nodes = snapshot.nodes.clone();
+        let (parent, wanted) = (snapshot.parent, snapshot.wanted.clone());
         let mut kept = forecast.job.clone();
         price(&mut kept, forecast, &nodes);
-        let input = planner_input(job, &kept, forecast, &nodes, (&taken, &seeds), now);
-        let plan = compute(move || {
-            let plan = planner::plan(&input)
-                .map_err(|error| AdvanceError::Hopeless(format!("no plan could be made: {error}")))?;
-            Ok(planner::verify(&input, &plan).map(|()| plan))
+        snapshot.jobs.push(fresh(job, &kept, forecast));
+        let (id, rungs) = (job.id, rungs.to_vec());
+        let settled = compute(move || {
+            let farm = Farm::new(&snapshot);
+            let place = farm
+                .place(id)
+                .ok_or_else(|| AdvanceError::Hopeless("the plan says nothing of the job".to_owned()))?;
+            Ok(settle(&farm, Some(place)).and_then(|mut settled| {
+                add_qualities(&mut settled, &farm, place, &rungs)?;
+                Ok(settled)
+            }))
         })
         .await?;
-        let plan = plan.map_err(|violations| {
-            self.metrics.plans_refused.add(1);
-            refused(&violations)
-        })?;
-        let Some(found) = plan.jobs.first() else {
-            return Err(AdvanceError::Hopeless("the plan says nothing of the job".to_owned()));
-        };
-        let of_frames = plan.bookings.iter().filter(|booking| !booking.task.is_seed());
+        let Settled { plan, jobs, outlooks } = self.passed(settled)?;
         let of_seed = plan.bookings.iter().filter(|booking| booking.task.is_seed());
         let seed = match (&forecast.seed, kept.cache.as_ref().and_then(|cache| cache.seed.as_ref())) {
             (Some(seed), Some(line)) => Some(NewSeed {
@@ -70,28 +53,79 @@ impl Conductor {
             }),
             _ => None,
         };
-        let new = NewPlan {
-            parent,
-            reason: PlanReason::JobForecast,
-            verdict: verdict(job, found, &nodes),
-            bookings: of_frames.map(|booking| own_booking(booking, &nodes)).collect::<Result<_, _>>()?,
-            seed,
-        };
+        let verdict =
+            jobs.iter().find(|planned| planned.verdict.job_id == id).map(|planned| &planned.verdict);
+        let word = verdict.map_or("", |verdict| verdict.verdict.name());
+        tracing::info!(job = %id, verdict = word, jobs = jobs.len(), "planned");
+        let new = NewPlan { parent, reason: PlanReason::JobForecast, wanted, jobs, outlooks, seed };
         kept.cpu_seconds_on = on_calibrated(&kept, &nodes);
         let plan = self.store.book(job.id, &kept, &forecast.frames, basis, &new, now).await?;
         self.metrics.plans_stored.add(1);
-        tracing::info!(job = %job.id, %plan, verdict = new.verdict.verdict.name(), "booked");
+        tracing::info!(job = %job.id, %plan, "booked");
         Ok(())
+    }
+
+    /// Nodes that may be booked now.
+    pub(super) async fn nodes_for_plans(&self, now: Timestamp) -> Result<Vec<Node>, AdvanceError> {
+        Ok(bookable(self.store.nodes(None, MOST_NODES).await?, now, self.started))
+    }
+
+    /// A plan that the verifier passed, or why there is none.
+    pub(super) fn passed(&self, settled: Result<Settled, Unsettled>) -> Result<Settled, AdvanceError> {
+        settled.map_err(|unsettled| match unsettled {
+            Unsettled::Refused(violations) => {
+                self.metrics.plans_refused.add(1);
+                refused(&violations)
+            }
+            Unsettled::Failed(error) => error,
+        })
     }
 }
 
-impl Conductor {
-    /// Nodes that take work and were heard of lately.
-    pub(super) async fn nodes_for_plans(&self, now: Timestamp) -> Result<Vec<Node>, AdvanceError> {
-        let mut nodes = self.store.nodes(None, MOST_NODES).await?;
-        nodes.retain(|node| node.takes_tasks() && now.micros_since(node.last_seen_at) <= SILENCE);
-        Ok(nodes)
+/// A job that gets its first plan, as the farm has those that have one.
+fn fresh(job: &Job, kept: &JobForecast, forecast: &Forecast) -> FarmJob {
+    FarmJob {
+        job: job.clone(),
+        forecast: Some(kept.clone()),
+        frames: forecast
+            .frames
+            .iter()
+            .map(|each| FarmFrame {
+                number: each.frame,
+                p50: each.cpu_seconds.p50,
+                p80: each.cpu_seconds.p80,
+                p95: each.cpu_seconds.p95,
+                booked_cost: 0,
+                waits: true,
+            })
+            .collect(),
+        factor: 1.0,
+        held: false,
     }
+}
+
+/// A job that cannot be had as asked for can be had at another quality, perhaps: the best that fits is one of its ways out.
+fn add_qualities(
+    settled: &mut Settled,
+    farm: &Farm,
+    place: usize,
+    rungs: &[AccuracyRung],
+) -> Result<(), AdvanceError> {
+    let id = farm.jobs[place].job.id;
+    let Some(planned) = settled.jobs.iter_mut().find(|planned| planned.verdict.job_id == id) else {
+        return Ok(());
+    };
+    if planned.verdict.verdict == Verdict::OnTime {
+        return Ok(());
+    }
+    let offers = qualities(farm, place, &settled.plan.bookings, rungs)?;
+    let best: Option<PlanEffect> = offers.iter().find_map(|offer| offer.way_out(&planned.verdict));
+    if let Some(best) = best {
+        planned.verdict.ways_out.push(best);
+        planned.verdict.ways_out.sort_by_key(|way| way.added_cost);
+        planned.verdict.ways_out.truncate(3);
+    }
+    Ok(())
 }
 
 /// Why a plan that the verifier does not pass is not kept, in one line that becomes the job's error.
@@ -107,96 +141,6 @@ fn refused(violations: &[planner::Violation]) -> AdvanceError {
     ))
 }
 
-/// The planner's view: nodes and jobs are numbers there, ours by their place in a list.
-fn planner_input(
-    job: &Job,
-    kept: &JobForecast,
-    forecast: &Forecast,
-    nodes: &[Node],
-    (taken, seeds): (&[Projected], &[SeedBooking]),
-    now: Timestamp,
-) -> planner::Input {
-    let index: BTreeMap<NodeId, u64> = nodes.iter().map(|node| node.id).zip(0..).collect();
-    planner::Input {
-        now: now.micros(),
-        nodes: nodes
-            .iter()
-            .zip(0..)
-            .map(|(node, id)| planner::Node {
-                id,
-                name: node.name.clone(),
-                speed: speed(node),
-                speeds: own_speeds(node, forecast.job.work_by_class.as_ref()),
-                price_per_hour: node.price_per_hour.micro_units(),
-                available_from: now.micros(),
-                calendar: vec![Interval { start: now.micros(), end: None }],
-                ..planner::Node::default()
-            })
-            .collect(),
-        fixed: taken
-            .iter()
-            .filter_map(|frame| {
-                let node = *index.get(&frame.node_id)?;
-                let (start, end) = (frame.start.micros(), frame.end.micros());
-                Some(FixedBooking { node, start, end, ..FixedBooking::default() })
-            })
-            .chain(seeds.iter().filter_map(|part| {
-                let node = *index.get(&part.node_id)?;
-                // One that should be filled by now is about to be.
-                let end = part.end.max(now.plus_micros(OVERDUE)).micros();
-                Some(FixedBooking { node, start: part.start.micros(), end, ..FixedBooking::default() })
-            }))
-            .collect(),
-        jobs: vec![planner::Job {
-            id: 0,
-            class: CLASS,
-            release: now.micros(),
-            deadline: job.deadline.map(Timestamp::micros),
-            priority: job.priority,
-            confidence: confidence(job.confidence),
-            total: total(&forecast.job.total.cpu_seconds),
-            seed: kept.cache.as_ref().and_then(seed),
-            frames: forecast
-                .frames
-                .iter()
-                .map(|each| frame(each.frame, each.cpu_seconds.p50, each.cpu_seconds.p80))
-                .collect(),
-            budget: job.budget.map(Money::micro_units),
-            ..planner::Job::default()
-        }],
-        ..planner::Input::default()
-    }
-}
-
-/// A confidence in the planner's words.
-pub(crate) fn confidence(confidence: Confidence) -> planner::Confidence {
-    match confidence {
-        Confidence::P50 => planner::Confidence::P50,
-        Confidence::P80 => planner::Confidence::P80,
-        Confidence::P95 => planner::Confidence::P95,
-    }
-}
-
-/// CPU seconds of all frames as the planner's work.
-pub(crate) fn total(cpu_seconds: &Quantiles) -> planner::WorkTotal {
-    let Quantiles { p50, p80, p95, .. } = *cpu_seconds;
-    // At least one unit, so that no booking is empty however little a frame takes.
-    let [p50, p80, p95] = [p50, p80, p95].map(|seconds| units(seconds).max(1));
-    // Rounding must not make a quantile fall below a lower one.
-    planner::WorkTotal { p50, p80: p80.max(p50), p95: p95.max(p80).max(p50) }
-}
-
-/// CPU seconds of a frame, median and P80, as the planner's work.
-pub(crate) fn frame(number: u32, p50: f64, p80: f64) -> planner::Frame {
-    planner::Frame { number: i64::from(number), work: units(p50).max(1), work_p80: units(p80).max(1) }
-}
-
-/// What a node does a second of work like the job's, where it is calibrated for its classes.
-fn own_speeds(node: &Node, work: Option<&ByClass>) -> BTreeMap<u32, u64> {
-    let speed = node.corrected_speed(work);
-    speed.map(|speed| (CLASS, units(speed * f64::from(node.cores)).max(1))).into_iter().collect()
-}
-
 /// CPU seconds of the job on calibrated nodes, each name once and the first ones by name.
 fn on_calibrated(forecast: &JobForecast, nodes: &[Node]) -> Vec<NodeSeconds> {
     let work = forecast.work_by_class.as_ref();
@@ -205,27 +149,6 @@ fn on_calibrated(forecast: &JobForecast, nodes: &[Node]) -> Vec<NodeSeconds> {
     let seconds =
         |(name, speed): (&String, f64)| NodeSeconds::new(name.clone(), speed, &forecast.total.cpu_seconds);
     by_name.into_iter().take(NodeSeconds::MOST).map(seconds).collect()
-}
-
-/// The irradiance cache that the frames share and wait for, as the planner's work.
-fn seed(cache: &CacheQuote) -> Option<planner::Seed> {
-    let seed = cache.seed.as_ref()?;
-    Some(planner::Seed { class: CLASS, work: units(seed.cpu_seconds.p50).max(1), parts: seed.parts })
-}
-
-/// What a node does a second, in the planner's unit of work.
-pub(crate) fn speed(node: &Node) -> u64 {
-    units(seconds_per_second(node)).max(1)
-}
-
-/// Seconds of a core of speed 1 that the node does in a second, with all its cores.
-fn seconds_per_second(node: &Node) -> f64 {
-    node.speed * f64::from(node.cores)
-}
-
-/// Seconds in the planner's unit of work; saturates at the ends of the range, as float to integer does.
-fn units(seconds: f64) -> u64 {
-    (seconds * PER_SECOND).round() as u64
 }
 
 fn own_part(booking: &planner::Booking, nodes: &[Node]) -> Result<NewSeedBooking, AdvanceError> {
@@ -241,80 +164,6 @@ fn own_part(booking: &planner::Booking, nodes: &[Node]) -> Result<NewSeedBooking
             end: Timestamp::from_micros(booking.end),
         }),
         None => Err(AdvanceError::Hopeless("the plan books a part on a node that there is not".to_owned())),
-    }
-}
-
-fn own_booking(booking: &planner::Booking, nodes: &[Node]) -> Result<NewBooking, AdvanceError> {
-    let node = usize::try_from(booking.node).ok().and_then(|at| nodes.get(at));
-    let frame = booking.task.frame().and_then(|frame| u32::try_from(frame).ok());
-    match (node, frame) {
-        (Some(node), Some(frame)) => Ok(NewBooking {
-            frame,
-            node: node.id,
-            start: Timestamp::from_micros(booking.start),
-            end: Timestamp::from_micros(booking.end),
-        }),
-        _ => Err(AdvanceError::Hopeless("the plan books a node or a frame that there is not".to_owned())),
-    }
-}
-
-/// The plan's word on the job, in the words of the API.
-fn verdict(job: &Job, found: &planner::JobPlan, nodes: &[Node]) -> JobVerdict {
-    let time = Timestamp::from_micros;
-    let mut reasons = Vec::new();
-    let over_budget = found.within_budget == Some(false);
-    let (verdict, finish) = match &found.verdict {
-        planner::Verdict::Feasible { finish, slack } => {
-            reasons.push(format!("{} before the deadline", duration(*slack)));
-            (if over_budget { Verdict::OverBudget } else { Verdict::OnTime }, Some(*finish))
-        }
-        planner::Verdict::NoDeadline { finish } => {
-            (if over_budget { Verdict::OverBudget } else { Verdict::OnTime }, Some(*finish))
-        }
-        planner::Verdict::Late { finish, by, unavoidable } => {
-            reasons.push(format!("{} after the deadline", duration(*by)));
-            reasons.push(match (unavoidable, found.bound.earliest_finish()) {
-                (true, Some(bound)) => format!(
-                    "no plan can be in time: with all {} nodes to itself it ends at {} at the earliest",
-                    nodes.len(),
-                    time(bound)
-                ),
-                _ => "what is booked already stands in the way".to_owned(),
-            });
-            (Verdict::Late, Some(*finish))
-        }
-        planner::Verdict::Unplaced { frames, .. } => {
-            reasons.push(if nodes.is_empty() {
-                "there is no node that takes work".to_owned()
-            } else {
-                format!("{} frames fit into no free time of any node", frames.len())
-            });
-            (Verdict::Impossible, None)
-        }
-    };
-    if over_budget && let Some(budget) = job.budget {
-        reasons.push(format!(
-            "{} micro-units above the budget",
-            found.cost.saturating_sub(budget.micro_units())
-        ));
-    }
-    JobVerdict {
-        job_id: job.id,
-        verdict,
-        confidence: job.confidence,
-        finish: finish.map(time),
-        cost: finish.map(|_| Money(found.cost)),
-        reasons,
-    }
-}
-
-/// A length of time for people, from microseconds.
-fn duration(micros: i64) -> String {
-    let seconds = micros / 1_000_000;
-    match (seconds / 3600, seconds / 60 % 60, seconds % 60) {
-        (0, 0, seconds) => format!("{seconds} s"),
-        (0, minutes, seconds) => format!("{minutes} min {seconds} s"),
-        (hours, minutes, _) => format!("{hours} h {minutes} min"),
     }
 }
 
@@ -357,6 +206,7 @@ fn price(kept: &mut JobForecast, forecast: &Forecast, nodes: &[Node]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use forelight_planner::Interval;
 
     /// One node, and a job of six frames.
     fn input() -> planner::Input {

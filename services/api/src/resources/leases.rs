@@ -7,6 +7,7 @@ mod fits;
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
+use axum::http::header::RETRY_AFTER;
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{
     ClaimRequest, Lease, LeaseId, LogLine, ProblemKind, ReleaseRequest, RenewRequest, Renewal, ResultAnswer,
@@ -14,6 +15,7 @@ use forelight_protocol::{
 };
 use forelight_store::StoreError;
 
+use self::claim::Claimed;
 use super::created;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, KeyHeader, Large, Segment, WorkerToken};
@@ -22,10 +24,11 @@ use crate::state::App;
 /// Longest wait for a task, in milliseconds.
 const LONGEST_WAIT: u32 = 60_000;
 
-/// Hands out a task. If there is none, waits for one up to `wait_ms`; 204 if there still is none then.
+/// Hands out a task. If there is none, waits for one up to `wait_ms`; 204 if there still is none then. A node that sleeps by its calendar is answered 204 at
+/// once, with `Retry-After`: it is not to ask again before it wakes up.
 #[utoipa::path(post, path = "/v1/leases", tag = "work", request_body = ClaimRequest,
     params(("Idempotency-Key" = Option<String>, Header, description = "Makes repeating the request harmless", min_length = 1, max_length = 255, pattern = "^[ -~]+$")),
-    responses((status = 200, description = "A task", body = Lease), (status = 204, description = "There is nothing to do"), Problems))]
+    responses((status = 200, description = "A task", body = Lease), (status = 204, description = "There is nothing to do; with `Retry-After`, not before so many seconds have passed"), Problems))]
 pub(crate) async fn claim(
     State(app): State<App>,
     worker: WorkerToken,
@@ -39,8 +42,12 @@ pub(crate) async fn claim(
     let key = key.of(&worker.0, &hash);
     let _guard = app.in_flight.enter(key.as_ref())?;
     match claim::wait_for_task(&app, &request, key.as_ref()).await? {
-        Some(lease) => Ok(created(StatusCode::OK, lease)),
-        None => Ok(StatusCode::NO_CONTENT.into_response()),
+        Claimed::Lease(lease) => Ok(created(StatusCode::OK, lease)),
+        Claimed::Nothing => Ok(StatusCode::NO_CONTENT.into_response()),
+        Claimed::Asleep(until) => {
+            let seconds = until.micros_since(app.now()).max(0).unsigned_abs().div_ceil(1_000_000);
+            Ok((StatusCode::NO_CONTENT, [(RETRY_AFTER, seconds.to_string())]).into_response())
+        }
     }
 }
 

@@ -5,9 +5,10 @@ use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::Response;
 use forelight_protocol::{
-    Capabilities, JoinRequest, JoinToken, JoinTokenRequest, Money, Node, NodeCalibration, NodeChange, NodeId,
-    NodePage, NodeRegistration, ProblemKind,
+    Capabilities, JoinRequest, JoinToken, JoinTokenRequest, MOST_WINDOWS, Money, Node, NodeCalendar,
+    NodeCalibration, NodeChange, NodeId, NodePage, NodeRegistration, NodeTerms, ProblemKind,
 };
+use forelight_store::with_power;
 
 use super::{created, repeated};
 use crate::error::{ApiError, ApiResult, Problems};
@@ -85,6 +86,8 @@ pub(crate) async fn list(
     let size = query.size()?;
     let mut items = app.store.nodes(query.key("nodes")?, size + 1).await?;
     let next_page_token = cut(&mut items, size, "nodes", |node| node.id);
+    let now = app.now();
+    let items = items.into_iter().map(|node| with_power(node, now)).collect();
     Ok(Json(NodePage { items, next_page_token }))
 }
 
@@ -96,10 +99,10 @@ pub(crate) async fn get(
     _: Anyone,
     Segment(node): Segment<NodeId>,
 ) -> ApiResult<Json<Node>> {
-    Ok(Json(app.store.node(node).await?))
+    Ok(Json(with_power(app.store.node(node).await?, app.now())))
 }
 
-/// Gives a node orders (drain, pause and resume, take its task away, set it aside or bring it back), or sets its speed or price by hand.
+/// Gives a node orders (drain, pause and resume, take its task away, set it aside or bring it back), or sets its speed, price, calendar or terms by hand.
 ///
 /// Its worker hears of an order at the next renewal of its lease, and the node's `state` says how far it has obeyed. A speed or price that is set holds when the node registers again; `null` gives it up.
 #[utoipa::path(patch, path = "/v1/nodes/{id}", tag = "work", params(("id" = NodeId, Path)), request_body = NodeChange,
@@ -117,7 +120,14 @@ pub(crate) async fn change(
     }
     change.speed.flatten().map_or(Ok(()), |speed| check_speed("/speed", speed))?;
     change.price_per_hour.flatten().map_or(Ok(()), |price| check_price("/price_per_hour", price))?;
-    Ok(Json(app.store.change_node(node, &change, app.now()).await?))
+    change
+        .schedule
+        .as_ref()
+        .and_then(Option::as_ref)
+        .map_or(Ok(()), |schedule| check_schedule("/schedule", schedule))?;
+    change.terms.as_ref().map_or(Ok(()), check_terms)?;
+    let now = app.now();
+    Ok(Json(with_power(app.store.change_node(node, &change, now).await?, now)))
 }
 
 fn check_registration(place: &str, node: &NodeRegistration) -> ApiResult<()> {
@@ -132,6 +142,7 @@ fn check_registration(place: &str, node: &NodeRegistration) -> ApiResult<()> {
     if memory_bytes.is_some_and(|bytes| i64::try_from(bytes).is_err()) {
         return Err(ApiError::invalid(at("capabilities/memory_bytes"), "a number larger than 2⁶³ − 1"));
     }
+    node.schedule.as_ref().map_or(Ok(()), |schedule| check_schedule(&at("schedule"), schedule))?;
     for (name, text) in [("processor", processor), ("vulkan_adapter", vulkan_adapter)] {
         text.as_ref().map_or(Ok(()), |text| check_name(&at(&format!("capabilities/{name}")), text, 200))?;
     }
@@ -139,6 +150,36 @@ fn check_registration(place: &str, node: &NodeRegistration) -> ApiResult<()> {
     checked.map_err(|(field, reason)| {
         ApiError::invalid(at(&format!("capabilities/calibration/{field}")), format!("{field} {reason}"))
     })
+}
+
+fn check_schedule(pointer: &str, schedule: &NodeCalendar) -> ApiResult<()> {
+    schedule.check().map_err(|(field, reason)| ApiError::invalid(format!("{pointer}/{field}"), reason))
+}
+
+fn check_terms(terms: &NodeTerms) -> ApiResult<()> {
+    const WEEK: u32 = 7 * 86_400;
+    for (field, seconds, most) in [
+        ("billing_step_seconds", terms.billing_step_seconds, WEEK),
+        ("minimum_booking_seconds", terms.minimum_booking_seconds, WEEK),
+        ("setup_seconds", terms.setup_seconds, 86_400),
+    ] {
+        if seconds > most {
+            return Err(ApiError::invalid(
+                format!("/terms/{field}"),
+                format!("at most {most} seconds are taken"),
+            ));
+        }
+    }
+    if terms.maintenance.len() > MOST_WINDOWS {
+        let reason = format!("at most {MOST_WINDOWS} stretches of maintenance are taken");
+        return Err(ApiError::invalid("/terms/maintenance", reason));
+    }
+    match terms.maintenance.iter().position(|span| span.end.is_some_and(|end| end <= span.start)) {
+        Some(wrong) => {
+            Err(ApiError::invalid(format!("/terms/maintenance/{wrong}/end"), "it ends before it starts"))
+        }
+        None => Ok(()),
+    }
 }
 
 /// A name is something that people can tell apart on a screen.

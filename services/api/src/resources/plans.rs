@@ -2,12 +2,27 @@
 
 use axum::Json;
 use axum::extract::State;
-use forelight_protocol::{BookingPage, Plan, PlanId};
+use forelight_protocol::{BookingPage, Plan, PlanDifference, PlanId, PlanPage};
 
+use crate::difference::difference;
 use crate::error::{ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment};
 use crate::page::{PageQuery, cut};
 use crate::state::App;
+
+/// The plans, newest first. Each holds the jobs that it books; all others are booked as the plans before it say.
+#[utoipa::path(get, path = "/v1/plans", tag = "farm", params(PageQuery),
+    responses((status = 200, description = "A page of plans", body = PlanPage), Problems))]
+pub(crate) async fn list(
+    State(app): State<App>,
+    _: Reader,
+    QueryParameters(query): QueryParameters<PageQuery>,
+) -> ApiResult<Json<PlanPage>> {
+    let size = query.size()?;
+    let mut items = app.store.plans(query.key("plans")?, size + 1).await?;
+    let next_page_token = cut(&mut items, size, "plans", |plan| plan.id);
+    Ok(Json(PlanPage { items, next_page_token }))
+}
 
 /// A plan: what it books, and its word on the job.
 #[utoipa::path(get, path = "/v1/plans/{id}", tag = "farm", params(("id" = PlanId, Path)),
@@ -18,6 +33,17 @@ pub(crate) async fn get(
     Segment(plan): Segment<PlanId>,
 ) -> ApiResult<Json<Plan>> {
     Ok(Json(app.store.plan(plan).await?))
+}
+
+/// What a plan changed of what was booked before it: in words, by job, and by frame.
+#[utoipa::path(get, path = "/v1/plans/{id}/difference", tag = "farm", params(("id" = PlanId, Path)),
+    responses((status = 200, description = "The difference", body = PlanDifference), Problems))]
+pub(crate) async fn changed(
+    State(app): State<App>,
+    _: Reader,
+    Segment(plan): Segment<PlanId>,
+) -> ApiResult<Json<PlanDifference>> {
+    Ok(Json(difference(&app.store, plan).await?))
 }
 
 /// The bookings of frames that are not rendered yet, by start.

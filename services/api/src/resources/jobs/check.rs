@@ -20,6 +20,7 @@ pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<New
     within("/samples", i64::from(request.samples), 16..=1_000_000)?;
     within("/profile_frames", i64::from(request.profile_frames), 1..=1000)?;
     within("/priority", i64::from(request.priority), -1000..=1000)?;
+    within("/weight", i64::from(request.weight), 1..=1000)?;
     if let Some(bytes) = request.limits.memory_bytes {
         within("/limits/memory_bytes", i64::try_from(bytes).unwrap_or(i64::MAX), 1 << 20..=1 << 50)?;
     }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use forelight_protocol::{ClaimRequest, Lease};
+use forelight_protocol::{ClaimRequest, Lease, Timestamp};
 use forelight_store::{Answered, IdempotencyKey};
 use tokio::time::Instant;
 
@@ -12,7 +12,16 @@ use crate::state::App;
 /// So much later than a task is due it is looked for, so that it is due by then.
 const RETRY_MARGIN: Duration = Duration::from_millis(5);
 
-/// Claims a task for the node, and waits for one if need be.
+/// What came of a claim.
+pub(super) enum Claimed {
+    Lease(Answered<Lease>),
+    /// There is nothing to do.
+    Nothing,
+    /// The node sleeps until then: nobody has to ask before.
+    Asleep(Timestamp),
+}
+
+/// Claims a task for the node, and waits for one if need be. A node that sleeps by its calendar does not wait.
 ///
 /// The hazards of many workers waiting: a task that becomes ready between "there is nothing" and "wake me" must wake
 /// (the watch is marked as seen *before* looking); one ready task must not make a hundred workers queue for the write lock
@@ -24,7 +33,7 @@ pub(super) async fn wait_for_task(
     app: &App,
     request: &ClaimRequest,
     key: Option<&IdempotencyKey>,
-) -> ApiResult<Option<Answered<Lease>>> {
+) -> ApiResult<Claimed> {
     let until = Instant::now() + Duration::from_millis(u64::from(request.wait_ms));
     let piece = (app.lease_ttl / 2).max(Duration::from_millis(50));
     let mut work = app.store.watch_work();
@@ -36,7 +45,12 @@ pub(super) async fn wait_for_task(
         };
         if let Some(lease) = claimed {
             app.metrics.leases_granted.add(u64::from(matches!(lease, Answered::Fresh(_))));
-            return Ok(Some(lease));
+            return Ok(Claimed::Lease(lease));
+        }
+        if request.task_id.is_none()
+            && let Some(until) = app.store.sleeps_until(request.node_id, app.now()).await?
+        {
+            return Ok(Claimed::Asleep(until));
         }
         loop {
             let retry = match app.store.next_retry(app.now()).await? {
@@ -47,12 +61,12 @@ pub(super) async fn wait_for_task(
             };
             let pause = until.min(Instant::now() + piece.min(retry));
             let announced = tokio::select! {
-                changed = work.changed() => { if changed.is_err() { return Ok(None) } true }
+                changed = work.changed() => { if changed.is_err() { return Ok(Claimed::Nothing) } true }
                 () = tokio::time::sleep_until(pause) => false,
-                () = app.stopping.cancelled() => return Ok(None),
+                () = app.stopping.cancelled() => return Ok(Claimed::Nothing),
             };
             if Instant::now() >= until && !announced {
-                return Ok(None);
+                return Ok(Claimed::Nothing);
             }
             if !announced || app.store.may_have_work(app.now()).await? {
                 break;

@@ -1,0 +1,437 @@
+//! What people ask about a job's plan.
+//!
+//! Questions about the job alone are answered around what is booked, which stands. Questions whose answer may move others plan the farm whole
+//! where it is small enough to be done soon, and otherwise around what is booked, too. Pure but for the clock that says when to stop: what
+//! was not asked by then is named.
+
+use std::time::{Duration, Instant};
+
+use forelight_planner as planner;
+use forelight_planner::{Booking, Change};
+use forelight_protocol::{
+    AccuracyRung, AnswersDoc, BudgetAnswer, JobVerdict, Money, MovedJob, OutlookLine, PlanChange, PlanEffect,
+    PriceOffer, QualityOffer, Quantiles, Timestamp, Verdict,
+};
+
+use super::AdvanceError;
+use super::effects::{duration, priced};
+use super::farm::{Farm, own_confidence, times, total};
+use super::settle::end;
+
+/// Offers on a price curve.
+const POINTS: u32 = 13;
+
+/// An hour, in microseconds.
+const HOUR: i64 = 3_600_000_000;
+
+/// Kinds of nodes of which one more is asked about.
+const KINDS: usize = 3;
+
+/// What is asked about a job.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Question {
+    /// By when; the job's own deadline if absent.
+    pub deadline: Option<Timestamp>,
+    /// For how much; what is left of the job's own budget if absent.
+    pub budget: Option<Money>,
+    /// Other qualities of the job.
+    pub rungs: Vec<AccuracyRung>,
+    /// How long the answers may take; a question that was begun is answered.
+    pub patience: Duration,
+}
+
+/// Answers everything that is asked about a job.
+pub(crate) fn answers(farm: &Farm, job: usize, question: &Question) -> Result<AnswersDoc, AdvanceError> {
+    let begun = Instant::now();
+    let mut farm = farm.clone();
+    if let Some(deadline) = question.deadline {
+        farm.jobs[job].job.deadline = Some(deadline);
+        farm.input.jobs[job].deadline = Some(deadline.micros());
+    }
+    let farm = &farm;
+    let standing = &farm.standing[..];
+    let asked = &farm.jobs[job];
+    let around = farm.around(job, standing);
+    let mut document = AnswersDoc {
+        job_id: asked.job.id,
+        plan_id: None,
+        at: Timestamp::from_micros(farm.input.now),
+        deadline: asked.job.deadline,
+        outlook: outlook(farm, job, &around)?,
+        cheapest: None,
+        for_budget: None,
+        curve: Vec::new(),
+        qualities: Vec::new(),
+        what_if: Vec::new(),
+        pushes_back: Vec::new(),
+        why_not: Vec::new(),
+        ways_out: Vec::new(),
+        left_out: Vec::new(),
+    };
+    let plan = planner::plan(&around)?;
+    let finish = end(farm, &plan, job);
+    let kept = asked.is_kept(finish);
+    let entry = plan.job(job as u64);
+    let budget = question.budget.or(farm.input.jobs[job].budget.map(Money));
+    let affordable = entry.is_none_or(|entry| budget.is_none_or(|budget| entry.cost <= budget.micro_units()));
+    if kept && let (Some(finish), Some(deadline)) = (finish, asked.job.deadline) {
+        document.cheapest = Some(PriceOffer {
+            deadline,
+            finish: Timestamp::from_micros(finish),
+            cost: Money(plan.cost),
+            cost_at_least: Money(plan.cost_bound),
+        });
+    }
+    if !kept || !affordable {
+        document.why_not = why_not(farm, &around, &plan, job, budget);
+    }
+    let mut ask = |name: &str, answer: &mut dyn FnMut() -> Result<(), AdvanceError>| {
+        if begun.elapsed() < question.patience {
+            answer()
+        } else {
+            document.left_out.push(name.to_owned());
+            Ok(())
+        }
+    };
+    let (mut ways_out, mut for_budget, mut curve) = (Vec::new(), None, Vec::new());
+    let (mut offers, mut pushes_back, mut what_if) = (Vec::new(), Vec::new(), Vec::new());
+    ask("ways_out", &mut || {
+        if !kept || !affordable {
+            let mut limited = farm.clone();
+            limited.input.jobs[job].budget = budget.map(Money::micro_units);
+            ways_out = limited.ways_out(job, standing, affordable)?;
+        }
+        Ok(())
+    })?;
+    ask("for_budget", &mut || {
+        if let Some(budget) = budget {
+            let offer = planner::earliest_for_budget(&around, job as u64, budget.micro_units())?;
+            let offer = offer.map(|offer| own_offer(farm, job, &offer));
+            for_budget = Some(BudgetAnswer { budget, offer });
+        }
+        Ok(())
+    })?;
+    ask("curve", &mut || {
+        let found = planner::curve(&around, job as u64, POINTS)?;
+        curve = found.iter().map(|offer| own_offer(farm, job, offer)).collect();
+        Ok(())
+    })?;
+    ask("qualities", &mut || {
+        offers = qualities(farm, job, standing, &question.rungs)?;
+        Ok(())
+    })?;
+    ask("pushes_back", &mut || {
+        pushes_back = pushed_back(farm, job)?;
+        Ok(())
+    })?;
+    ask("what_if", &mut || {
+        what_if = effects(farm, job)?;
+        Ok(())
+    })?;
+    document.ways_out = ways_out;
+    if let Some(way) = offers.iter().find_map(|offer| (!kept || !affordable).then(|| offer.way(plan.cost))?) {
+        document.ways_out.push(way);
+        document.ways_out.sort_by_key(|way| way.added_cost);
+        document.ways_out.truncate(3);
+    }
+    document.qualities = offers.into_iter().map(|offer| offer.offer).collect();
+    (document.for_budget, document.curve) = (for_budget, curve);
+    (document.pushes_back, document.what_if) = (pushes_back, what_if);
+    Ok(document)
+}
+
+fn outlook(farm: &Farm, job: usize, around: &planner::Input) -> Result<Vec<OutlookLine>, AdvanceError> {
+    let asked = &farm.jobs[job];
+    let line = |found: &planner::Outlook| {
+        let finish = asked.finish(found.verdict.finish());
+        OutlookLine {
+            confidence: own_confidence(found.confidence),
+            finish: finish.map(Timestamp::from_micros),
+            in_time: asked.job.deadline.map(|_| asked.is_kept(finish)),
+            cost: Money(found.cost),
+            cost_at_least: Money(found.cost_bound),
+        }
+    };
+    Ok(planner::outlook(around, job as u64)?.iter().map(line).collect())
+}
+
+fn own_offer(farm: &Farm, job: usize, offer: &planner::Offer) -> PriceOffer {
+    let finish = farm.jobs[job].finish(Some(offer.finish)).unwrap_or(offer.finish);
+    PriceOffer {
+        deadline: Timestamp::from_micros(offer.deadline.max(finish)),
+        finish: Timestamp::from_micros(finish),
+        cost: Money(offer.cost),
+        cost_at_least: Money(offer.cost_bound),
+    }
+}
+
+/// Why it cannot be done by then, or for that.
+fn why_not(
+    farm: &Farm,
+    around: &planner::Input,
+    plan: &planner::Plan,
+    job: usize,
+    budget: Option<Money>,
+) -> Vec<String> {
+    let mut reasons = Vec::new();
+    let asked = &farm.jobs[job];
+    let finish = end(farm, plan, job);
+    let entry = plan.job(job as u64);
+    match (finish, asked.job.deadline.map(Timestamp::micros)) {
+        (None, _) => reasons.push(if farm.nodes.is_empty() {
+            "there is no node that takes work".to_owned()
+        } else {
+            "some of its frames fit into no free time of any node".to_owned()
+        }),
+        (Some(finish), Some(deadline)) if finish > deadline => {
+            reasons.push(format!(
+                "around what is booked it ends {} after the deadline",
+                duration(finish - deadline)
+            ));
+            match entry.and_then(|entry| asked.finish(entry.bound.earliest_finish())) {
+                Some(bound) if bound > deadline => reasons.push(format!(
+                    "with all {} nodes to itself, but for what is booked, it ends at {} at the earliest",
+                    farm.nodes.len(),
+                    Timestamp::from_micros(bound)
+                )),
+                _ => {}
+            }
+            for short in plan.infeasible.iter().flat_map(|infeasible| &infeasible.short) {
+                reasons.push(format!(
+                    "from {} to {} all of {} nodes would be needed",
+                    Timestamp::from_micros(short.start),
+                    Timestamp::from_micros(short.end),
+                    short.nodes.len()
+                ));
+            }
+            let mut holders: Vec<u64> = around
+                .fixed
+                .iter()
+                .filter(|fixed| fixed.start < deadline)
+                .filter_map(|fixed| fixed.job.filter(|&other| other != job as u64))
+                .collect();
+            holders.sort_unstable();
+            holders.dedup();
+            let names: Vec<&str> = holders
+                .iter()
+                .filter_map(|&other| farm.jobs.get(other as usize))
+                .take(3)
+                .map(|other| other.job.name.as_str())
+                .collect();
+            if !names.is_empty() {
+                reasons.push(format!("{} jobs are booked before then: {}", holders.len(), names.join(", ")));
+            }
+        }
+        _ => {}
+    }
+    if let Some((entry, budget)) = entry.zip(budget)
+        && entry.cost > budget.micro_units()
+    {
+        let above = entry.cost.saturating_sub(budget.micro_units());
+        reasons.push(format!(
+            "the cheapest plan that was found costs {} more than is left of the budget",
+            amount(above)
+        ));
+    }
+    reasons
+}
+
+fn amount(micro_units: i64) -> String {
+    format!("{:.2}", micro_units as f64 / 1e6)
+}
+
+/// A quality, and what the job is without it.
+pub(crate) struct Offered {
+    pub offer: QualityOffer,
+    words: String,
+}
+
+impl Offered {
+    /// As a way out for a job that cannot be had as asked for, if it is one.
+    pub fn way_out(&self, verdict: &JobVerdict) -> Option<PlanEffect> {
+        let cost = verdict.cost.unwrap_or_default();
+        (verdict.verdict != Verdict::OnTime).then(|| self.way(cost.micro_units())).flatten()
+    }
+
+    /// As a change of a job that costs so much as it is asked for; none if it does not fit, or is that.
+    fn way(&self, cost: i64) -> Option<PlanEffect> {
+        let QualityOffer { settings, asked_for, finish, cost: less, fits, .. } = &self.offer;
+        if *asked_for || !fits {
+            return None;
+        }
+        let added = less.micro_units().saturating_sub(cost);
+        Some(PlanEffect {
+            change: PlanChange::Quality { spp: settings.spp, width: settings.width, height: settings.height },
+            words: format!("{}: {}", self.words, priced(added)),
+            added_cost: Money(added),
+            finish: *finish,
+            in_time: true,
+            moved: Vec::new(),
+        })
+    }
+}
+
+/// The job at other qualities around what is booked, the best first: by the error of their images, then by what they cost. What is done of the job
+/// stays as it is done.
+pub(crate) fn qualities(
+    farm: &Farm,
+    job: usize,
+    standing: &[Booking],
+    rungs: &[AccuracyRung],
+) -> Result<Vec<Offered>, AdvanceError> {
+    let Some(own) = rungs.iter().find(|rung| rung.asked_for).filter(|rung| rung.cpu_seconds.p50 > 0.0) else {
+        return Ok(Vec::new());
+    };
+    let asked = &farm.jobs[job];
+    let around = farm.around(job, standing);
+    let mut offers = Vec::new();
+    for rung in rungs {
+        if rung.asked_for && offers.iter().any(|other: &Offered| other.offer.asked_for) {
+            continue;
+        }
+        let mut input = around.clone();
+        let Some(at) = input.jobs.first_mut() else { continue };
+        scale(at, &own.cpu_seconds, &rung.cpu_seconds, asked.factor);
+        let plan = planner::plan(&input)?;
+        let finish = end(farm, &plan, job);
+        let within = plan.job(job as u64).is_some_and(|entry| entry.within_budget != Some(false));
+        let pixels = (rung.settings.width, rung.settings.height);
+        let mut words = format!("{} samples a pixel instead of {}", rung.settings.spp, own.settings.spp);
+        if pixels != (own.settings.width, own.settings.height) {
+            words = format!(
+                "{} × {} pixels instead of {} × {}",
+                pixels.0, pixels.1, own.settings.width, own.settings.height
+            );
+        }
+        if let Some((error, before)) = rung.error.zip(own.error) {
+            words +=
+                &format!(" (an error of {:.1} % instead of {:.1} %)", error.p50 * 100.0, before.p50 * 100.0);
+        }
+        offers.push(Offered {
+            offer: QualityOffer {
+                settings: rung.settings.clone(),
+                asked_for: rung.asked_for,
+                error: rung.error,
+                finish: finish.map(Timestamp::from_micros),
+                cost: Money(plan.cost),
+                fits: asked.is_kept(finish) && within,
+            },
+            words,
+        });
+    }
+    let pixels = |offer: &QualityOffer| u64::from(offer.settings.width) * u64::from(offer.settings.height);
+    offers.sort_by(|Offered { offer: a, .. }, Offered { offer: b, .. }| {
+        let error = |offer: &QualityOffer| offer.error.map_or(f64::INFINITY, |error| error.p50);
+        pixels(b).cmp(&pixels(a)).then(error(a).total_cmp(&error(b))).then(b.cost.cmp(&a.cost))
+    });
+    Ok(offers)
+}
+
+/// The job as if each of its frames took so many times as much.
+fn scale(job: &mut planner::Job, own: &Quantiles, other: &Quantiles, factor: f64) {
+    let by = other.p50 / own.p50;
+    let scaled = |work: u64| ((work as f64 * by).round() as u64).max(1);
+    for frame in &mut job.frames {
+        frame.work = scaled(frame.work);
+        frame.work_p80 = scaled(frame.work_p80);
+    }
+    job.total = total(&times(other, factor));
+}
+
+/// Jobs that end later because this one is there.
+fn pushed_back(farm: &Farm, job: usize) -> Result<Vec<MovedJob>, AdvanceError> {
+    let own = job as u64;
+    let whole = farm.asked_whole(job, &farm.standing);
+    if whole.jobs.len() < 2 {
+        return Ok(Vec::new());
+    }
+    // Without it the others may close up, so nothing of theirs is held where it is.
+    let mut without = planner::Input { movable: Vec::new(), ..whole };
+    without.jobs.retain(|other| other.id != own);
+    let Some(itself) = farm.input.jobs.get(job) else { return Ok(Vec::new()) };
+    let effect = planner::what_if(&without, &Change::NewJob { job: Box::new(itself.clone()) })?;
+    let later = effect.pushed_back.iter();
+    Ok(later.filter_map(|&(other, by)| farm.moved(other, by, effect.broken.contains(&other))).collect())
+}
+
+/// What one more node, an hour more and a node's death would do.
+fn effects(farm: &Farm, job: usize) -> Result<Vec<PlanEffect>, AdvanceError> {
+    let own = job as u64;
+    let whole = farm.asked_whole(job, &farm.standing);
+    let mut kinds: Vec<&planner::Node> = Vec::new();
+    let mut by_price: Vec<&planner::Node> = whole.nodes.iter().collect();
+    let price = |node: &planner::Node| {
+        i128::from(node.price_per_hour) * 1_000_000_000 / i128::from(node.speed.max(1))
+    };
+    by_price.sort_by_key(|node| (price(node), node.id));
+    for node in by_price {
+        let same =
+            |other: &&planner::Node| (other.speed, other.price_per_hour) == (node.speed, node.price_per_hour);
+        if kinds.len() < KINDS && !kinds.iter().any(same) {
+            kinds.push(node);
+        }
+    }
+    let mut changes: Vec<Change> =
+        kinds.iter().map(|node| Change::MoreNodes { like: node.id, count: 1 }).collect();
+    if farm.jobs[job].job.deadline.is_some() {
+        changes.push(Change::Later { job: own, by: HOUR });
+    }
+    changes.extend(busiest(farm, own).map(|node| Change::NodeGone { node, from: farm.input.now }));
+    let before = planner::plan(&whole)?;
+    let mut found = Vec::new();
+    for change in &changes {
+        let input = planner::changed(&whole, change)?;
+        // More room is no use to those who stay where they are.
+        let more = matches!(change, Change::MoreNodes { .. });
+        let after = planner::plan(&planner::Input {
+            movable: if more { Vec::new() } else { input.movable.clone() },
+            ..input
+        })?;
+        let finish = end(farm, &after, job);
+        let deadline = match change {
+            Change::Later { by, .. } => farm.jobs[job].job.deadline.map(|deadline| deadline.plus_micros(*by)),
+            _ => farm.jobs[job].job.deadline,
+        };
+        let in_time =
+            finish.is_some_and(|finish| deadline.is_none_or(|deadline| finish <= deadline.micros()));
+        let moved: Vec<MovedJob> = before
+            .jobs
+            .iter()
+            .filter(|entry| entry.job != own)
+            .filter_map(|entry| {
+                let new = after.job(entry.job)?;
+                let by = new.verdict.finish()?.saturating_sub(entry.verdict.finish()?);
+                let broken = entry.verdict.is_kept() && !new.verdict.is_kept();
+                (by != 0 || broken).then(|| farm.moved(entry.job, by, broken)).flatten()
+            })
+            .collect();
+        let added = after.cost.saturating_sub(before.cost);
+        found.extend(farm.told(change, added, finish, in_time, &moved, job));
+    }
+    Ok(found)
+}
+
+/// The node that has most of a job's booked time; of equals the one with the least id.
+fn busiest(farm: &Farm, job: u64) -> Option<u64> {
+    let time = |node: u64| {
+        let own = farm.standing.iter().filter(|booking| booking.job == job && booking.node == node);
+        own.fold(0i64, |sum, booking| sum.saturating_add(booking.end - booking.start))
+    };
+    let nodes = farm.input.nodes.iter().map(|node| node.id);
+    nodes.max_by_key(|&node| (time(node), std::cmp::Reverse(node))).filter(|&node| time(node) > 0)
+}
+
+/// The price curve as a picture.
+pub(crate) fn curve_svg(document: &AnswersDoc) -> String {
+    let offers: Vec<planner::Offer> = document
+        .curve
+        .iter()
+        .map(|offer| planner::Offer {
+            deadline: offer.deadline.micros(),
+            finish: offer.finish.micros(),
+            cost: offer.cost.micro_units(),
+            cost_bound: offer.cost_at_least.micro_units(),
+        })
+        .collect();
+    planner::price_curve(&offers)
+}

@@ -1,0 +1,206 @@
+//! What changes would do, from the planner's numbers to names and words.
+
+use forelight_planner as planner;
+use forelight_planner::{Change, Effect};
+use forelight_protocol::{Money, MovedJob, PlanChange, PlanEffect, Timestamp};
+
+use super::AdvanceError;
+use super::farm::{Farm, own_confidence};
+
+/// Frames that wait, on a farm that is small enough to be planned whole for a question.
+const SMALL: usize = 600;
+/// Jobs on such a farm.
+const FEW: usize = 40;
+
+impl From<planner::InputError> for AdvanceError {
+    fn from(error: planner::InputError) -> Self {
+        AdvanceError::Hopeless(format!("no plan could be made: {error}"))
+    }
+}
+
+impl Farm {
+    /// What is asked when the answer may move others: everything, or on a large farm the job around what is booked, which then stays.
+    pub fn asked_whole(&self, job: usize, standing: &[planner::Booking]) -> planner::Input {
+        if standing.len() <= SMALL && self.jobs.len() <= FEW {
+            self.with_standing(standing)
+        } else {
+            self.around(job, standing)
+        }
+    }
+
+    /// The three cheapest ways to keep the job's deadline, or to stay within its budget, if it does not. `standing` is the plan in which it
+    /// does not.
+    pub fn ways_out(
+        &self,
+        job: usize,
+        standing: &[planner::Booking],
+        within_budget: bool,
+    ) -> Result<Vec<PlanEffect>, AdvanceError> {
+        let asked = self.asked_whole(job, standing);
+        let mut found: Vec<PlanEffect> = planner::ways_out(&asked, job as u64)?
+            .iter()
+            .filter_map(|effect| self.effect(effect, job))
+            .collect();
+        if !within_budget {
+            found.extend(self.cheaper(job, standing)?);
+        }
+        found.sort_by_key(|effect| effect.added_cost);
+        found.truncate(3);
+        Ok(found)
+    }
+
+    /// Ways to stay within the budget: a deadline that it pays for, less confidence.
+    fn cheaper(&self, job: usize, standing: &[planner::Booking]) -> Result<Vec<PlanEffect>, AdvanceError> {
+        let around = self.around(job, standing);
+        let own = job as u64;
+        let Some(asked) = around.jobs.first() else { return Ok(Vec::new()) };
+        let Some(budget) = asked.budget else { return Ok(Vec::new()) };
+        let before = planner::plan(&around)?.cost;
+        let mut found = Vec::new();
+        if let Some(deadline) = asked.deadline
+            && let Some(offer) = planner::earliest_for_budget(&around, own, budget)?
+            && offer.deadline > deadline
+        {
+            let change = Change::Later { job: own, by: offer.deadline.saturating_sub(deadline) };
+            found.extend(self.told(
+                &change,
+                offer.cost.saturating_sub(before),
+                Some(offer.finish),
+                true,
+                &[],
+                job,
+            ));
+        }
+        for confidence in [planner::Confidence::P80, planner::Confidence::P50] {
+            if confidence >= asked.confidence {
+                continue;
+            }
+            let change = Change::Confidence { job: own, confidence };
+            let after = planner::plan(&planner::changed(&around, &change)?)?;
+            if let Some(entry) = after.job(own)
+                && entry.within_budget == Some(true)
+                && entry.verdict.is_kept()
+            {
+                let finish = entry.verdict.finish();
+                found.extend(self.told(&change, after.cost.saturating_sub(before), finish, true, &[], job));
+                break;
+            }
+        }
+        Ok(found)
+    }
+
+    /// An effect that the planner worked out. None of changes that this farm does not know.
+    pub fn effect(&self, effect: &Effect, job: usize) -> Option<PlanEffect> {
+        let own = job as u64;
+        let mut moved: Vec<(u64, i64)> = effect.pushed_back.clone();
+        moved.extend(effect.brought_forward.iter().map(|&(job, by)| (job, by.saturating_neg())));
+        let moved: Vec<MovedJob> = moved
+            .into_iter()
+            .filter(|&(other, _)| other != own)
+            .filter_map(|(other, by)| self.moved(other, by, effect.broken.contains(&other)))
+            .collect();
+        let in_time = !effect.broken.contains(&own);
+        self.told(&effect.change, effect.added_cost, None, in_time, &moved, job)
+    }
+
+    /// A job that ends at another time.
+    pub fn moved(&self, job: u64, by: i64, breaks_promise: bool) -> Option<MovedJob> {
+        let asked = self.jobs.get(usize::try_from(job).ok()?)?;
+        Some(MovedJob {
+            job_id: asked.job.id,
+            name: asked.job.name.clone(),
+            later_ms: by / 1000,
+            breaks_promise,
+        })
+    }
+
+    /// A change and its effect on a job, in words as well.
+    pub fn told(
+        &self,
+        change: &Change,
+        added_cost: i64,
+        finish: Option<i64>,
+        in_time: bool,
+        moved: &[MovedJob],
+        job: usize,
+    ) -> Option<PlanEffect> {
+        let (change, mut words) = self.named(change, job)?;
+        words += &format!(": {}", priced(added_cost));
+        for other in moved.iter().filter(|other| other.breaks_promise) {
+            words += &format!("; {} misses its deadline", other.name);
+        }
+        let later = moved.iter().filter(|other| other.later_ms > 0 && !other.breaks_promise).count();
+        if later > 0 {
+            words += &format!("; {later} other jobs end later");
+        }
+        Some(PlanEffect {
+            change,
+            words,
+            added_cost: Money(added_cost),
+            finish: finish.map(Timestamp::from_micros),
+            in_time,
+            moved: moved.to_vec(),
+        })
+    }
+
+    /// A change with our names.
+    fn named(&self, change: &Change, job: usize) -> Option<(PlanChange, String)> {
+        let node = |id: u64| self.nodes.get(usize::try_from(id).ok()?);
+        let other = |id: u64| Some(&self.jobs.get(usize::try_from(id).ok()?)?.job);
+        let whose = |id: u64| -> Option<String> {
+            Some(if id == job as u64 { String::new() } else { format!(" of {}", other(id)?.name) })
+        };
+        Some(match change {
+            Change::MoreNodes { like, count } => {
+                let like = node(*like)?;
+                let words = match count {
+                    1 => format!("one more node like {}", like.name),
+                    count => format!("{count} more nodes like {}", like.name),
+                };
+                (PlanChange::MoreNodes { node_id: like.id, count: *count }, words)
+            }
+            Change::NodeGone { node: gone, .. } => {
+                let gone = node(*gone)?;
+                (PlanChange::NodeGone { node_id: gone.id }, format!("without node {}", gone.name))
+            }
+            Change::Later { job: id, by } => {
+                let words = format!("the deadline{} {} later", whose(*id)?, duration(*by));
+                (PlanChange::Later { job_id: other(*id)?.id, by_ms: by / 1000 }, words)
+            }
+            Change::Confidence { job: id, confidence } => {
+                let per_cent = confidence.probability() * 100.0;
+                let words = format!("at a confidence{} of {per_cent:.0} % only", whose(*id)?);
+                let confidence = own_confidence(*confidence);
+                (PlanChange::Confidence { job_id: other(*id)?.id, confidence }, words)
+            }
+            Change::MakeWay { job: id } => {
+                let other = other(*id)?;
+                (PlanChange::MakeWay { job_id: other.id }, format!("{} gives up its deadline", other.name))
+            }
+            Change::NewJob { job } => {
+                let other = other(job.id)?;
+                (PlanChange::WithoutJob { job_id: other.id }, format!("without {}", other.name))
+            }
+            // A frame is rendered by one node here.
+            Change::Tiles { .. } => return None,
+        })
+    }
+}
+
+/// `+1.20` or `-0.35`, in units of the currency, or `at no extra cost`.
+pub(crate) fn priced(micro_units: i64) -> String {
+    match micro_units {
+        0 => "at no extra cost".to_owned(),
+        _ => format!("{:+.2}", micro_units as f64 / 1e6),
+    }
+}
+
+/// A length of time for people, from microseconds.
+pub(crate) fn duration(micros: i64) -> String {
+    let seconds = micros / 1_000_000;
+    match (seconds / 3600, seconds / 60 % 60, seconds % 60) {
+        (0, 0, seconds) => format!("{seconds} s"),
+        (0, minutes, seconds) => format!("{minutes} min {seconds} s"),
+        (hours, minutes, _) => format!("{hours} h {minutes} min"),
+    }
+}

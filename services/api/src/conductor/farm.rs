@@ -1,0 +1,416 @@
+//! The farm as the planner wants it: nodes with their prices, calendars and speeds, what is under way, what is booked, and the jobs with
+//! what is left of them. Nodes, jobs and projects are numbers there, ours by their place in a list.
+
+use std::collections::BTreeMap;
+
+use forelight_planner::{self as planner, FixedBooking, Interval};
+use forelight_protocol::{Confidence, Job, JobId, Money, Node, NodeId, PlanId, Quantiles, Timestamp};
+use forelight_store::{
+    FarmJob, HALF_LIFE, LOST, Opening, ProjectUse, Projected, Store, StoreError, Wanted, free_time_of,
+    opening, project, silence,
+};
+
+/// Nodes that a plan looks at.
+const MOST_NODES: u32 = 10_000;
+
+/// The planner counts work in whole units, of which a node does so many a second; ours are nanoseconds of a core of speed 1.
+const PER_SECOND: f64 = 1e9;
+
+/// Calendars are told to the planner this far beyond the last deadline: eight weeks, in microseconds.
+const BEYOND: i64 = 56 * 86_400_000_000;
+
+/// Forecast errors are taken to be no smaller than this, a twentieth, when finished frames say otherwise.
+const LEAST_SPREAD: f64 = 0.05;
+
+/// What finished frames teach moves a plan only if it is off by more than this: a tenth.
+const NEWS: f64 = 0.1;
+
+/// What a plan rests on. The newest plan and what happened since are read before everything else: should either change meanwhile, the
+/// store refuses the plan, or has another one made after it.
+#[derive(Clone, Debug)]
+pub(crate) struct Snapshot {
+    pub now: Timestamp,
+    pub parent: Option<PlanId>,
+    pub wanted: Wanted,
+    pub nodes: Vec<Node>,
+    pub jobs: Vec<FarmJob>,
+    pub projects: Vec<ProjectUse>,
+    pub projected: Vec<Projected>,
+}
+
+impl Snapshot {
+    /// The farm at `now`; the service runs since `started`.
+    pub async fn read(store: &Store, now: Timestamp, started: Timestamp) -> Result<Self, StoreError> {
+        let wanted = store.wanted_plan().await?;
+        let parent = store.newest_plan().await?;
+        let nodes = bookable(store.nodes(None, MOST_NODES).await?, now, started);
+        let jobs = store.farm_jobs().await?;
+        let projects = store.projects(now).await?;
+        let projected = project(&store.open_bookings().await?, now);
+        Ok(Self { now, parent, wanted, nodes, jobs, projects, projected })
+    }
+}
+
+/// The nodes that may be booked: those that take tasks and are not lost. Nobody can be heard of while the service is down, so for a while
+/// after its start silence is counted up to when the last of them was heard of.
+pub(crate) fn bookable(nodes: Vec<Node>, now: Timestamp, started: Timestamp) -> Vec<Node> {
+    let last_heard = nodes.iter().map(|node| node.last_seen_at).max().unwrap_or(now);
+    let until = if now.micros_since(started) <= LOST { last_heard.min(now) } else { now };
+    nodes.into_iter().filter(|node| node.takes_tasks() && silence(node, until) <= LOST).collect()
+}
+
+/// The planner's view.
+#[derive(Clone, Debug)]
+pub(crate) struct Farm {
+    /// Without what stands.
+    pub input: planner::Input,
+    /// Where waiting frames are booked as things stand: in the order of their bookings, none before its own, each as long as it now takes.
+    pub standing: Vec<planner::Booking>,
+    pub nodes: Vec<Node>,
+    pub jobs: Vec<Asked>,
+}
+
+/// A job beside what the planner knows of it.
+#[derive(Clone, Debug)]
+pub(crate) struct Asked {
+    pub job: Job,
+    /// What its forecast is multiplied by, and what it was multiplied by in the plan before.
+    pub factor: f64,
+    pub factor_before: f64,
+    /// When the last of its frames that are with a worker should be done.
+    pub under_way: Option<i64>,
+    /// What its frames cost that are done or with a worker, micro-units.
+    pub spent: i64,
+    pub held: bool,
+    /// Some of its frames are done or with a worker.
+    pub has_begun: bool,
+}
+
+impl Asked {
+    /// Whether a plan said that it keeps the job's deadline.
+    pub fn is_promised(&self) -> bool {
+        let on_time = self
+            .job
+            .verdict
+            .as_ref()
+            .is_some_and(|verdict| verdict.verdict == forelight_protocol::Verdict::OnTime);
+        self.job.deadline.is_some() && (self.job.promise.is_some() || on_time)
+    }
+
+    /// The end of the job, if a plan ends what waits of it at `planned`.
+    pub fn finish(&self, planned: Option<i64>) -> Option<i64> {
+        planned.map(|planned| self.under_way.map_or(planned, |end| end.max(planned)))
+    }
+
+    /// Whether that keeps its deadline; without one, whether there is an end.
+    pub fn is_kept(&self, finish: Option<i64>) -> bool {
+        finish.is_some_and(|finish| self.job.deadline.is_none_or(|deadline| finish <= deadline.micros()))
+    }
+}
+
+impl Farm {
+    pub fn new(snapshot: &Snapshot) -> Self {
+        let now = snapshot.now;
+        let index: BTreeMap<NodeId, u64> = snapshot.nodes.iter().map(|node| node.id).zip(0..).collect();
+        let projects: BTreeMap<&str, u64> =
+            snapshot.projects.iter().map(|project| project.name.as_str()).zip(0..).collect();
+        let mut places: BTreeMap<JobId, u64> = BTreeMap::new();
+        let (mut asked, mut jobs) = (Vec::new(), Vec::new());
+        for farm_job in &snapshot.jobs {
+            let Some(forecast) = &farm_job.forecast else { continue };
+            let place = asked.len() as u64;
+            places.insert(farm_job.job.id, place);
+            let factor = learned(farm_job, &forecast.total.cpu_seconds);
+            let one = of_job(farm_job, &snapshot.projected, factor);
+            let project = projects.get(farm_job.job.project.as_str()).copied();
+            jobs.push(planner_job(farm_job, &forecast.total.cpu_seconds, &one, place, project, now));
+            asked.push(one);
+        }
+        let spare = spare_work(snapshot, &jobs);
+        let last = snapshot.jobs.iter().filter_map(|job| job.job.deadline).max().unwrap_or(now).max(now);
+        let horizon = last.plus_micros(BEYOND);
+        let nodes = snapshot.nodes.iter().zip(0..);
+        let input = planner::Input {
+            now: now.micros(),
+            nodes: nodes.map(|(node, id)| planner_node(node, id, now, horizon, spare)).collect(),
+            fixed: under_way(&snapshot.projected, &index, &places),
+            projects: snapshot
+                .projects
+                .iter()
+                .zip(0..)
+                .map(|(project, id)| planner_project(project, id))
+                .collect(),
+            half_life: HALF_LIFE,
+            jobs,
+            ..planner::Input::default()
+        };
+        let standing = standing(&input, &snapshot.projected, &index, &places);
+        Self { input, standing, nodes: snapshot.nodes.clone(), jobs: asked }
+    }
+
+    /// Place of a job.
+    pub fn place(&self, job: JobId) -> Option<usize> {
+        self.jobs.iter().position(|asked| asked.job.id == job)
+    }
+
+    /// Everything, with what is booked as what stands and may move only to keep a deadline.
+    pub fn with_standing(&self, standing: &[planner::Booking]) -> planner::Input {
+        planner::Input { movable: standing.to_vec(), ..self.input.clone() }
+    }
+
+    /// The job alone, around the bookings of all others.
+    pub fn around(&self, job: usize, standing: &[planner::Booking]) -> planner::Input {
+        let own = job as u64;
+        let mut input = planner::Input { movable: Vec::new(), ..self.input.clone() };
+        input.fixed.extend(standing.iter().filter(|booking| booking.job != own).map(|booking| {
+            FixedBooking {
+                node: booking.node,
+                start: booking.start,
+                end: booking.end,
+                job: Some(booking.job),
+                ..FixedBooking::default()
+            }
+        }));
+        input.jobs.retain(|other| other.id == own);
+        input
+    }
+}
+
+/// Beside what the planner knows of a job.
+fn of_job(farm_job: &FarmJob, projected: &[Projected], factor: f64) -> Asked {
+    let under_way =
+        projected.iter().filter(|frame| frame.under_way && frame.booking.job_id == farm_job.job.id);
+    let begun = farm_job.frames.iter().filter(|frame| !frame.waits);
+    let spent = begun.clone().fold(0i64, |sum, frame| sum.saturating_add(frame.booked_cost));
+    Asked {
+        job: farm_job.job.clone(),
+        factor,
+        factor_before: farm_job.factor,
+        under_way: under_way.map(|frame| frame.end.micros()).max(),
+        spent,
+        held: farm_job.held,
+        has_begun: begun.count() > 0,
+    }
+}
+
+/// What a job's forecast is multiplied by after what its finished frames took: normal in the logarithm, the forecast's own idea of how far all
+/// frames may be off together as the prior, the finished frames as the observation. It stays what it was unless that is news.
+fn learned(farm_job: &FarmJob, total: &Quantiles) -> f64 {
+    let (mut forecast, mut actual, mut count) = (0.0, 0.0, 0.0);
+    let mut own = 0.0f64;
+    for frame in &farm_job.frames {
+        if let Some(took) = frame.actual {
+            forecast += frame.p50;
+            actual += took;
+            count += 1.0;
+            own += spread(frame.p50, frame.p80);
+        }
+    }
+    if count == 0.0 || forecast <= 0.0 || actual <= 0.0 {
+        return farm_job.factor;
+    }
+    let prior = spread(total.p50, total.p80).max(LEAST_SPREAD);
+    let noise = (own / count).max(LEAST_SPREAD);
+    let (prior, noise) = (prior * prior, noise * noise / count);
+    let found = ((actual / forecast).ln() * prior / (prior + noise)).exp();
+    if (found / farm_job.factor).ln().abs() > NEWS { found } else { farm_job.factor }
+}
+
+/// Standard deviation of the logarithm, from the median and P80.
+fn spread(p50: f64, p80: f64) -> f64 {
+    if p50 > 0.0 && p80 > p50 { (p80 / p50).ln() / planner::Confidence::P80.z() } else { 0.0 }
+}
+
+fn planner_job(
+    farm_job: &FarmJob,
+    cpu_seconds: &Quantiles,
+    asked: &Asked,
+    id: u64,
+    project: Option<u64>,
+    now: Timestamp,
+) -> planner::Job {
+    let job = &farm_job.job;
+    let factor = asked.factor;
+    planner::Job {
+        id,
+        name: job.name.clone(),
+        project,
+        release: now.micros(),
+        deadline: job.deadline.map(Timestamp::micros),
+        priority: job.priority,
+        weight: job.weight,
+        confidence: confidence(job.confidence),
+        total: total(&times(cpu_seconds, factor)),
+        frames: farm_job
+            .frames
+            .iter()
+            .map(|each| frame(each.number, each.p50 * factor, each.p80 * factor))
+            .collect(),
+        done: farm_job.frames.iter().filter(|each| !each.waits).map(|each| i64::from(each.number)).collect(),
+        budget: job.budget.map(|budget| budget.micro_units().saturating_sub(asked.spent)),
+        ..planner::Job::default()
+    }
+}
+
+fn planner_node(node: &Node, id: u64, now: Timestamp, horizon: Timestamp, spare: u64) -> planner::Node {
+    const SECOND: i64 = 1_000_000;
+    let seconds = |seconds: u32| i64::from(seconds) * SECOND;
+    let awake = matches!(opening(node, now), Opening::Awake(_));
+    let mut found = planner::Node {
+        id,
+        name: node.name.clone(),
+        speed: speed(node),
+        cores: node.cores,
+        price_per_hour: node.price_per_hour.micro_units(),
+        billing_step: seconds(node.terms.billing_step_seconds),
+        minimum_booking: seconds(node.terms.minimum_booking_seconds),
+        setup: seconds(node.terms.setup_seconds),
+        power: if awake { planner::Power::On } else { planner::Power::Standby },
+        available_from: now.micros(),
+        ..planner::Node::default()
+    };
+    // Nothing is handed out that might not be done when the window ends, so it is planned as if it ended that much earlier.
+    let spare = found.duration(spare, 0).unwrap_or(0);
+    found.calendar = free_time_of(node, now, horizon)
+        .into_iter()
+        .map(|open| Interval {
+            start: open.start,
+            end: open.end.map(|end| end.saturating_sub(spare.min((end - open.start) / 4))),
+        })
+        .collect();
+    found
+}
+
+/// By how much a waiting frame's work may exceed what is bought for it, in one case of twenty, at most.
+fn spare_work(snapshot: &Snapshot, jobs: &[planner::Job]) -> u64 {
+    let asked = snapshot.jobs.iter().filter(|job| job.forecast.is_some());
+    let mut most = 0;
+    for (farm_job, job) in asked.zip(jobs) {
+        let bought: BTreeMap<i64, u64> = job.open_work().collect();
+        for frame in &farm_job.frames {
+            if let Some(bought) = bought.get(&i64::from(frame.number)) {
+                most = most.max(units(frame.p95).saturating_sub(*bought));
+            }
+        }
+    }
+    most
+}
+
+/// A project in the planner's words.
+pub(crate) fn planner_project(project: &ProjectUse, id: u64) -> planner::Project {
+    planner::Project {
+        id,
+        name: project.name.clone(),
+        share: project.share,
+        usage: project.used.iter().map(|&(at, time)| planner::Usage { at: at.micros(), time }).collect(),
+    }
+}
+
+/// Frames that are with a worker: facts.
+fn under_way(
+    projected: &[Projected],
+    nodes: &BTreeMap<NodeId, u64>,
+    jobs: &BTreeMap<JobId, u64>,
+) -> Vec<FixedBooking> {
+    projected
+        .iter()
+        .filter(|frame| frame.under_way)
+        .filter_map(|frame| {
+            let node = *nodes.get(&frame.node_id)?;
+            let (start, end) = (frame.start.micros(), frame.end.micros());
+            let job = jobs.get(&frame.booking.job_id).copied();
+            Some(FixedBooking { node, start, end: end.max(start), job, ..FixedBooking::default() })
+        })
+        .collect()
+}
+
+/// Where waiting frames are booked as things stand. Their order on each node stays; each starts no earlier than it is booked and no earlier than
+/// the one before it is done, and lasts as long as its node now takes for what is now bought for it.
+fn standing(
+    input: &planner::Input,
+    projected: &[Projected],
+    nodes: &BTreeMap<NodeId, u64>,
+    jobs: &BTreeMap<JobId, u64>,
+) -> Vec<planner::Booking> {
+    let work: Vec<BTreeMap<i64, u64>> = input.jobs.iter().map(|job| job.open_work().collect()).collect();
+    let mut free_from: BTreeMap<u64, i64> = BTreeMap::new();
+    for fixed in &input.fixed {
+        let free = free_from.entry(fixed.node).or_insert(input.now);
+        *free = (*free).max(fixed.end);
+    }
+    let mut standing = Vec::new();
+    // In the order of their starts.
+    for frame in projected.iter().filter(|frame| !frame.under_way) {
+        let Some((&node, &job)) = nodes.get(&frame.node_id).zip(jobs.get(&frame.booking.job_id)) else {
+            continue;
+        };
+        let number = i64::from(frame.booking.frame);
+        let duration =
+            work[job as usize].get(&number).and_then(|&work| input.nodes[node as usize].duration(work, 0));
+        let Some(duration) = duration else { continue };
+        let free = free_from.entry(node).or_insert(input.now);
+        let start = frame.booking.start.micros().max(*free);
+        let end = start.saturating_add(duration);
+        *free = end;
+        standing.push(planner::Booking { start, node, job, task: planner::Task::Frame(number), end });
+    }
+    standing
+}
+
+/// A confidence in the planner's words.
+pub(crate) fn confidence(confidence: Confidence) -> planner::Confidence {
+    match confidence {
+        Confidence::P50 => planner::Confidence::P50,
+        Confidence::P80 => planner::Confidence::P80,
+        Confidence::P95 => planner::Confidence::P95,
+    }
+}
+
+/// A confidence in the words of the API.
+pub(crate) fn own_confidence(confidence: planner::Confidence) -> Confidence {
+    match confidence {
+        planner::Confidence::P50 => Confidence::P50,
+        planner::Confidence::P80 => Confidence::P80,
+        planner::Confidence::P95 => Confidence::P95,
+    }
+}
+
+/// So many times as much.
+pub(crate) fn times(quantiles: &Quantiles, factor: f64) -> Quantiles {
+    let Quantiles { mean, p50, p80, p95 } = *quantiles;
+    Quantiles { mean: mean * factor, p50: p50 * factor, p80: p80 * factor, p95: p95 * factor }
+}
+
+/// CPU seconds of all frames as the planner's work.
+pub(crate) fn total(cpu_seconds: &Quantiles) -> planner::WorkTotal {
+    let Quantiles { p50, p80, p95, .. } = *cpu_seconds;
+    // At least one unit, so that no booking is empty however little a frame takes.
+    let [p50, p80, p95] = [p50, p80, p95].map(|seconds| units(seconds).max(1));
+    // Rounding must not make a quantile fall below a lower one.
+    planner::WorkTotal { p50, p80: p80.max(p50), p95: p95.max(p80).max(p50) }
+}
+
+/// CPU seconds of a frame, median and P80, as the planner's work.
+pub(crate) fn frame(number: u32, p50: f64, p80: f64) -> planner::Frame {
+    planner::Frame { number: i64::from(number), work: units(p50).max(1), work_p80: units(p80).max(1) }
+}
+
+/// What a node does a second, in the planner's unit of work.
+pub(crate) fn speed(node: &Node) -> u64 {
+    units(seconds_per_second(node)).max(1)
+}
+
+/// Seconds of a core of speed 1 that the node does in a second, with all its cores.
+pub(crate) fn seconds_per_second(node: &Node) -> f64 {
+    node.speed * f64::from(node.cores)
+}
+
+/// Seconds in the planner's unit of work; saturates at the ends of the range, as float to integer does.
+fn units(seconds: f64) -> u64 {
+    (seconds * PER_SECOND).round() as u64
+}
+
+/// Micro-units, and what is spent already.
+pub(crate) fn with_spent(cost: i64, asked: &Asked) -> Money {
+    Money(cost.saturating_add(asked.spent))
+}

@@ -1,0 +1,107 @@
+//! New plans when something happened.
+//!
+//! What calls for one is counted in the database, in the transaction in which it happens (`forelight_store::Wanted`). What nobody writes down, because
+//! it is that nothing happens, is looked for here: a node that is not heard of any more or again, a promise that will not be kept though every frame
+//! takes what it should.
+
+use std::collections::BTreeSet;
+use std::sync::PoisonError;
+
+use forelight_protocol::{NodeId, PlanReason};
+use forelight_store::{NewPlan, Projected, StoreError, project};
+
+use super::farm::{Farm, Snapshot, bookable};
+use super::settle::{Settled, settle};
+use super::{ATTEMPTS, AdvanceError, Conductor, compute};
+
+/// Nodes that are looked at.
+const MOST_NODES: u32 = 10_000;
+
+impl Conductor {
+    /// Plans the farm anew if something happened that the newest plan does not know of. Says whether a plan was made, or found to be good still.
+    pub async fn replan_if_due(&self) -> bool {
+        for _ in 0..ATTEMPTS {
+            match self.store.wanted_plan().await {
+                Ok(wanted) if !wanted.due => return false,
+                Ok(_) => {}
+                Err(error) => {
+                    tracing::warn!(%error, "whether a plan is due could not be read");
+                    return false;
+                }
+            }
+            match self.replan().await {
+                Ok(()) => return true,
+                // Overtaken: look again.
+                Err(AdvanceError::Store(StoreError::Conflict(reason))) => {
+                    tracing::info!(reason, "the plan is made again");
+                }
+                Err(error) => {
+                    tracing::warn!(%error, "the farm could not be planned anew; the next round tries again");
+                    return true;
+                }
+            }
+        }
+        true
+    }
+
+    async fn replan(&self) -> Result<(), AdvanceError> {
+        let now = self.clock.now();
+        let snapshot = Snapshot::read(&self.store, now, self.started).await?;
+        let (parent, wanted) = (snapshot.parent, snapshot.wanted.clone());
+        if snapshot.jobs.is_empty() {
+            return Ok(self.store.plan_still_good(&wanted).await?);
+        }
+        let settled = compute(move || Ok(settle(&Farm::new(&snapshot), None))).await?;
+        let Settled { jobs, outlooks, .. } = self.passed(settled)?;
+        let causes = wanted.causes.join("; ");
+        let rebooked = jobs.len();
+        let new = NewPlan { parent, reason: PlanReason::Events, wanted, jobs, outlooks };
+        if rebooked == 0 {
+            self.store.keep_outlooks(&new, now).await?;
+            tracing::debug!(causes, "the plan is still good");
+        } else {
+            let plan = self.store.replan(&new, now).await?;
+            self.metrics.plans_stored.add(1);
+            tracing::info!(%plan, rebooked, causes, "planned anew");
+        }
+        Ok(())
+    }
+
+    /// Looks for what calls for a new plan without anyone saying so.
+    pub async fn watch(&self) {
+        if let Err(error) = self.try_watch().await {
+            tracing::warn!(%error, "the plan could not be held against the farm; the next round tries again");
+        }
+    }
+
+    async fn try_watch(&self) -> Result<(), StoreError> {
+        let now = self.clock.now();
+        let all = self.store.nodes(None, MOST_NODES).await?;
+        let nodes: BTreeSet<NodeId> =
+            bookable(all.clone(), now, self.started).iter().map(|node| node.id).collect();
+        let before = {
+            let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+            std::mem::replace(&mut *seen, Some(nodes.clone()))
+        };
+        let name = |node: &NodeId| all.iter().find(|other| other.id == *node).map_or("", |node| &node.name);
+        for node in before.iter().flat_map(|before| nodes.difference(before)) {
+            self.store.want_plan(&format!("node {} is there again", name(node))).await?;
+        }
+        let projected = project(&self.store.open_bookings().await?, now);
+        let mut lost: BTreeSet<NodeId> =
+            projected.iter().filter(|frame| !frame.under_way).map(|frame| frame.booking.node_id).collect();
+        lost.retain(|node| !nodes.contains(node));
+        for node in &lost {
+            self.store.want_plan(&format!("node {} is not there", name(node))).await?;
+        }
+        for farm_job in self.store.farm_jobs().await? {
+            let job = farm_job.job;
+            let promised = job.promise.as_ref().is_some_and(|promise| promise.kept);
+            let finish = Projected::finish_of(&projected, job.id);
+            if promised && finish.zip(job.deadline).is_some_and(|(finish, deadline)| finish > deadline) {
+                self.store.want_plan(&format!("job {} falls behind", job.name)).await?;
+            }
+        }
+        Ok(())
+    }
+}

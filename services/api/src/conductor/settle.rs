@@ -1,0 +1,426 @@
+//! A plan for the farm as it stands: moving as little as it can, breaking no promise that can be kept.
+//!
+//! 1. What is booked stays, as far as it is still right; what is new, or has lost its place, is placed around it at the least cost in time; failing
+//!    that, one other job makes way (`planner::mend`).
+//! 2. If a promise breaks all the same, or a new job cannot be in time, everything is planned from the beginning, which moves more, and taken if more
+//!    deadlines are kept.
+//! 3. Jobs without a deadline were promised nothing but their turn. When one comes in of a project that others have turns before, all of these are
+//!    dealt out anew, by what each project had for its share.
+//!
+//! Pure: the same snapshot gives the same plan.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use forelight_planner as planner;
+use forelight_planner::{AtRisk, Booking, Precedence, Reason};
+use forelight_protocol::{
+    JobId, JobVerdict, NodeId, ProjectShare, Promise, Timestamp, Verdict, WaitKind, Waits,
+};
+use forelight_store::{HALF_LIFE, JobOutlook, NewBooking, NewJobPlan};
+
+use super::AdvanceError;
+use super::effects::duration;
+use super::farm::{Asked, Farm, with_spent};
+
+/// Waiting frames beyond which whole plans are made quickly.
+const LARGE: usize = 5_000;
+/// Scenarios in which a plan is tried, fewer if there are so many bookings that it would take long.
+const SCENARIOS: usize = 400;
+const MOST_DRAWS: usize = 1_000_000;
+/// Seed of the scenarios: constant, so that probabilities differ only if the farm does.
+const SEED: u64 = 0x7072_6f6d_6973_65;
+/// A frame on its node has not moved if it starts by no more than this from where it stood, or a quarter of its length: a minute, in
+/// microseconds.
+const STILL: i64 = 60_000_000;
+/// Jobs for which ways out are looked for with one plan.
+const MOST_HELPED: usize = 3;
+
+/// A plan that was verified, and what it means.
+#[derive(Debug)]
+pub(crate) struct Settled {
+    pub plan: planner::Plan,
+    /// The jobs that it books otherwise than they were, or of which it says something else.
+    pub jobs: Vec<NewJobPlan>,
+    pub outlooks: Vec<(JobId, JobOutlook)>,
+}
+
+/// Why a plan is not to be had.
+#[derive(Debug)]
+pub(crate) enum Unsettled {
+    /// The verifier does not pass it.
+    Refused(Vec<planner::Violation>),
+    Failed(AdvanceError),
+}
+
+impl<E: Into<AdvanceError>> From<E> for Unsettled {
+    fn from(error: E) -> Self {
+        Unsettled::Failed(error.into())
+    }
+}
+
+/// Plans. `fresh` is a job that has no booking yet, by its place.
+pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unsettled> {
+    let standing = what_stays(farm, fresh);
+    let (plan, at_risk) = least_moved(farm, &standing, fresh)?;
+    let whole = farm.with_standing(&standing);
+    planner::verify(&whole, &plan).map_err(Unsettled::Refused)?;
+    let probabilities = probabilities(farm, &plan)?;
+    let waits = waits(farm, &plan)?;
+    let verdicts: Vec<JobVerdict> = (0..farm.jobs.len()).map(|job| verdict(farm, &plan, job)).collect();
+    let mut jobs = Vec::new();
+    let mut outlooks = Vec::new();
+    let mut helped = 0;
+    for (job, mut said) in verdicts.into_iter().enumerate() {
+        let asked = &farm.jobs[job];
+        let says_new = asked.job.verdict.as_ref().is_none_or(|before| before.verdict != said.verdict);
+        let is_new = fresh == Some(job) || says_new || asked.factor != asked.factor_before;
+        let promise = promise(farm, &plan, &at_risk, probabilities[job], job)?;
+        outlooks.push((asked.job.id, JobOutlook { waits: waits.get(&job).cloned(), promise }));
+        if !is_new && !has_moved(farm, &plan, job) {
+            continue;
+        }
+        if said.verdict != Verdict::OnTime && helped < MOST_HELPED {
+            helped += 1;
+            let within_budget = said.verdict != Verdict::OverBudget;
+            said.ways_out = farm.ways_out(job, &plan.bookings, within_budget)?;
+        }
+        let bookings =
+            plan.bookings_of(job as u64).map(|booking| own_booking(farm, booking)).collect::<Option<_>>();
+        let bookings = bookings.ok_or_else(|| {
+            AdvanceError::Hopeless("the plan books a node or a frame that there is not".to_owned())
+        })?;
+        jobs.push(NewJobPlan { verdict: said, bookings, factor: asked.factor });
+    }
+    Ok(Settled { plan, jobs, outlooks })
+}
+
+/// The bookings that are not to move without need: all of them, unless a job without a deadline comes in and others would go before it that have
+/// had their turn. Then everyone without a deadline, of its priority or a lower one, takes turns anew.
+fn what_stays(farm: &Farm, fresh: Option<usize>) -> Vec<Booking> {
+    let fresh = fresh.map(|fresh| &farm.input.jobs[fresh]).filter(|fresh| fresh.deadline.is_none());
+    let Some(fresh) = fresh else { return farm.standing.clone() };
+    let takes_turns = |booking: &Booking| {
+        let other = &farm.input.jobs[booking.job as usize];
+        other.deadline.is_none() && other.priority <= fresh.priority
+    };
+    let goes_before = |booking: &Booking| {
+        let other = &farm.input.jobs[booking.job as usize];
+        takes_turns(booking) && (other.project != fresh.project || other.priority < fresh.priority)
+    };
+    if !farm.standing.iter().any(goes_before) {
+        return farm.standing.clone();
+    }
+    farm.standing.iter().filter(|booking| !takes_turns(booking)).copied().collect()
+}
+
+/// The plan that moves least, unless one that moves more keeps more deadlines; and the promises that it cannot keep.
+fn least_moved(
+    farm: &Farm,
+    standing: &[Booking],
+    fresh: Option<usize>,
+) -> Result<(planner::Plan, Vec<AtRisk>), AdvanceError> {
+    let mended = planner::mend(&farm.input, &promises(farm, standing))?;
+    let broken = |plan: &planner::Plan| {
+        let misses = |job: usize| !farm.jobs[job].is_kept(end(farm, plan, job));
+        let promised =
+            (0..farm.jobs.len()).filter(|&job| farm.jobs[job].is_promised() && misses(job)).count();
+        (promised, fresh.is_some_and(misses))
+    };
+    let found = broken(&mended.plan);
+    if found == (0, false) {
+        return Ok((mended.plan, mended.at_risk));
+    }
+    let whole = farm.with_standing(standing);
+    let open: usize = farm.input.jobs.iter().map(|job| job.frames.len() - job.done.len()).sum();
+    let anew = if open > LARGE { planner::plan_quickly(&whole)? } else { planner::plan(&whole)? };
+    if broken(&anew) >= found {
+        return Ok((mended.plan, mended.at_risk));
+    }
+    // What is left to be mended of it is mended, and what cannot be is at risk.
+    let mended = planner::mend(&farm.input, &promises(farm, &anew.bookings))?;
+    Ok((mended.plan, mended.at_risk))
+}
+
+/// What stands, as a plan that keeps what was promised.
+fn promises(farm: &Farm, standing: &[Booking]) -> planner::Plan {
+    let promised = |job: usize| planner::JobPlan {
+        job: job as u64,
+        verdict: if farm.jobs[job].is_promised() {
+            planner::Verdict::Feasible { finish: farm.input.now, slack: 0 }
+        } else {
+            planner::Verdict::Unplaced { frames: Vec::new(), seed: false }
+        },
+        cost: 0,
+        within_budget: None,
+        bound: planner::Bound::default(),
+    };
+    let jobs = (0..farm.jobs.len()).map(promised).collect();
+    planner::Plan { bookings: standing.to_vec(), jobs, ..planner::Plan::default() }
+}
+
+/// When a job ends in a plan, with what is under way.
+pub(crate) fn end(farm: &Farm, plan: &planner::Plan, job: usize) -> Option<i64> {
+    farm.jobs[job].finish(plan.job(job as u64)?.verdict.finish())
+}
+
+fn own_booking(farm: &Farm, booking: &Booking) -> Option<NewBooking> {
+    let node: NodeId = farm.nodes.get(usize::try_from(booking.node).ok()?)?.id;
+    Some(NewBooking {
+        frame: u32::try_from(booking.task.frame()?).ok()?,
+        node,
+        start: Timestamp::from_micros(booking.start),
+        end: Timestamp::from_micros(booking.end),
+    })
+}
+
+/// Whether a job's waiting frames lie elsewhere than they stood.
+fn has_moved(farm: &Farm, plan: &planner::Plan, job: usize) -> bool {
+    let of = |bookings: &[Booking]| -> BTreeMap<planner::Task, Booking> {
+        let own = bookings.iter().filter(|booking| booking.job == job as u64);
+        own.map(|booking| (booking.task, *booking)).collect()
+    };
+    let (before, after) = (of(&farm.standing), of(&plan.bookings));
+    let still = |task: &planner::Task, one: &Booking| after.get(task).is_some_and(|other| stayed(one, other));
+    before.len() != after.len() || !before.iter().all(|(task, booking)| still(task, booking))
+}
+
+/// Whether a task lies where it lay, as far as people care.
+pub(crate) fn stayed(before: &Booking, after: &Booking) -> bool {
+    let by = after.start.saturating_sub(before.start).saturating_abs();
+    after.node == before.node && by <= STILL.max(before.end.saturating_sub(before.start) / 4)
+}
+
+/// The plan's word on a job, in the words of the API.
+fn verdict(farm: &Farm, plan: &planner::Plan, job: usize) -> JobVerdict {
+    let asked = &farm.jobs[job];
+    let entry = plan.job(job as u64);
+    let finish = end(farm, plan, job);
+    let over_budget = entry.is_some_and(|entry| entry.within_budget == Some(false));
+    let mut reasons = Vec::new();
+    let verdict = match (finish, asked.job.deadline) {
+        (None, _) => {
+            reasons.push(unplaced(farm, entry));
+            Verdict::Impossible
+        }
+        (Some(finish), Some(deadline)) if finish > deadline.micros() => {
+            reasons.push(format!("{} after the deadline", duration(finish - deadline.micros())));
+            let bound = entry.and_then(|entry| asked.finish(entry.bound.earliest_finish()));
+            reasons.push(match bound.filter(|&bound| bound > deadline.micros()) {
+                Some(bound) => format!(
+                    "no plan can be in time: with all {} nodes to itself it ends at {} at the earliest",
+                    farm.nodes.len(),
+                    Timestamp::from_micros(bound)
+                ),
+                None => in_the_way(farm, plan, asked, finish),
+            });
+            Verdict::Late
+        }
+        (Some(finish), deadline) => {
+            if let Some(deadline) = deadline {
+                reasons.push(format!("{} before the deadline", duration(deadline.micros() - finish)));
+            }
+            if over_budget { Verdict::OverBudget } else { Verdict::OnTime }
+        }
+    };
+    let cost = with_spent(entry.map_or(0, |entry| entry.cost), asked);
+    if over_budget && let Some(budget) = asked.job.budget {
+        let above = cost.micro_units().saturating_sub(budget.micro_units());
+        reasons.push(format!("{above} micro-units above the budget"));
+    }
+    if asked.factor > 1.0 {
+        reasons
+            .push(format!("its frames take {:.0} % longer than was forecast", (asked.factor - 1.0) * 100.0));
+    } else if asked.factor < 1.0 {
+        reasons.push(format!("its frames take {:.0} % less than was forecast", (1.0 - asked.factor) * 100.0));
+    }
+    JobVerdict {
+        job_id: asked.job.id,
+        verdict,
+        confidence: asked.job.confidence,
+        finish: finish.map(Timestamp::from_micros),
+        cost: finish.map(|_| cost),
+        reasons,
+        ways_out: Vec::new(),
+    }
+}
+
+fn unplaced(farm: &Farm, entry: Option<&planner::JobPlan>) -> String {
+    match entry.map(|entry| &entry.verdict) {
+        _ if farm.nodes.is_empty() => "there is no node that takes work".to_owned(),
+        Some(planner::Verdict::Unplaced { frames, .. }) => {
+            format!("{} frames fit into no free time of any node", frames.len())
+        }
+        _ => "it has no place".to_owned(),
+    }
+}
+
+/// Why a job is late that would not have to be if it were alone.
+fn in_the_way(farm: &Farm, plan: &planner::Plan, late: &Asked, finish: i64) -> String {
+    let before: BTreeSet<u64> = plan
+        .bookings
+        .iter()
+        .filter(|booking| booking.start < finish && farm.jobs[booking.job as usize].job.id != late.job.id)
+        .map(|booking| booking.job)
+        .chain(farm.input.fixed.iter().filter_map(|fixed| fixed.job))
+        .filter(|&job| farm.jobs[job as usize].job.id != late.job.id)
+        .collect();
+    let names: Vec<&str> =
+        before.iter().take(3).map(|&job| farm.jobs[job as usize].job.name.as_str()).collect();
+    match (names.len(), before.len()) {
+        (0, _) => "its frames do not fit into the nodes' time before it".to_owned(),
+        (shown, all) if shown < all => {
+            format!("what is booked already stands in the way: {} and {} more", names.join(", "), all - shown)
+        }
+        _ => format!("what is booked already stands in the way: {}", names.join(", ")),
+    }
+}
+
+/// By job, the share of scenarios in which it is ready by its deadline.
+fn probabilities(farm: &Farm, plan: &planner::Plan) -> Result<Vec<f64>, AdvanceError> {
+    let count = (MOST_DRAWS / plan.bookings.len().max(1)).clamp(50, SCENARIOS) as u32;
+    let simulation = planner::simulate(&farm.input, plan, count, SEED)?;
+    let of_job = |(job, asked): (usize, &Asked)| {
+        let deadline = asked.job.deadline.map(Timestamp::micros);
+        let late_by_fact = asked.under_way.zip(deadline).is_some_and(|(end, deadline)| end > deadline);
+        let risk = simulation.jobs.iter().find(|risk| risk.job == job as u64);
+        if late_by_fact { 0.0 } else { 1.0 - risk.map_or(0.0, |risk| risk.probability(count)) }
+    };
+    Ok(farm.jobs.iter().enumerate().map(of_job).collect())
+}
+
+/// What is left of a job's promise; none if its deadline was never promised and is not kept.
+fn promise(
+    farm: &Farm,
+    plan: &planner::Plan,
+    at_risk: &[AtRisk],
+    probability: f64,
+    job: usize,
+) -> Result<Option<Promise>, AdvanceError> {
+    let asked = &farm.jobs[job];
+    let Some(deadline) = asked.job.deadline else { return Ok(None) };
+    let finish = end(farm, plan, job);
+    let kept = asked.is_kept(finish);
+    if !kept && !asked.is_promised() {
+        return Ok(None);
+    }
+    let before = asked.job.promise.as_ref().filter(|before| before.kept == kept);
+    let rescue = if kept {
+        None
+    } else {
+        let found = at_risk.iter().find(|risk| risk.job == job as u64).and_then(|risk| risk.rescue.clone());
+        // What is with a worker cannot be planned: only time helps.
+        let by_time = || {
+            let by = finish?.saturating_sub(deadline.micros());
+            Some((planner::Change::Later { job: job as u64, by }, 0))
+        };
+        let found =
+            if plan.job(job as u64).is_some_and(|entry| entry.verdict.is_kept()) { by_time() } else { found };
+        match found {
+            Some((change, cost)) => {
+                let after = rescued(farm, plan, &change, job)?;
+                farm.told(&change, cost, after, true, &[], job)
+            }
+            None => None,
+        }
+    };
+    Ok(Some(Promise {
+        kept,
+        probability,
+        finish: finish.map(Timestamp::from_micros),
+        since: before.map_or(Timestamp::from_micros(farm.input.now), |before| before.since),
+        rescue,
+    }))
+}
+
+/// When a job ends with the change that rescues it.
+fn rescued(
+    farm: &Farm,
+    plan: &planner::Plan,
+    change: &planner::Change,
+    job: usize,
+) -> Result<Option<i64>, AdvanceError> {
+    let around = farm.around(job, &plan.bookings);
+    let after = planner::plan(&planner::changed(&around, change)?)?;
+    Ok(end(farm, &after, job))
+}
+
+/// By job, why it has not begun.
+fn waits(farm: &Farm, plan: &planner::Plan) -> Result<BTreeMap<usize, Waits>, AdvanceError> {
+    let mut found = BTreeMap::new();
+    let explained: BTreeMap<u64, Reason> = planner::explain(&farm.input, plan)?
+        .into_iter()
+        .map(|explanation| (explanation.job, explanation.reason))
+        .collect();
+    for (job, asked) in farm.jobs.iter().enumerate() {
+        if asked.has_begun {
+            continue;
+        }
+        let first = plan.bookings_of(job as u64).map(|booking| booking.start).min();
+        let until = first.map(Timestamp::from_micros);
+        let share = share(farm, job);
+        let waits =
+            |kind, because: String, behind| Waits { kind, because, until, behind, share: share.clone() };
+        if asked.held {
+            let because = format!("waits because the budget of project {} is used up", asked.job.project);
+            found.insert(job, waits(WaitKind::Budget, because, Vec::new()));
+        } else if let Some(reason) = explained.get(&(job as u64)) {
+            let (kind, behind) = match reason {
+                Reason::NoNode => (WaitKind::Node, Vec::new()),
+                Reason::Calendar { .. } => (WaitKind::Calendar, Vec::new()),
+                Reason::Limit { .. } => (WaitKind::Limit, Vec::new()),
+                Reason::Behind { jobs } => (WaitKind::Others, jobs.clone()),
+                Reason::Cheaper => (WaitKind::Cheaper, Vec::new()),
+            };
+            let because = match reason {
+                Reason::Behind { jobs } => behind_in_words(farm, job, jobs),
+                reason => reason.to_string(),
+            };
+            let behind =
+                behind.iter().filter_map(|(job, _)| Some(farm.jobs.get(*job as usize)?.job.id)).collect();
+            found.insert(job, waits(kind, because, behind));
+        }
+    }
+    Ok(found)
+}
+
+fn behind_in_words(farm: &Farm, waiting: usize, jobs: &[(u64, Precedence)]) -> String {
+    let mine = share(farm, waiting);
+    let one = |(job, why): &(u64, Precedence)| -> Option<String> {
+        let other = farm.jobs.get(*job as usize)?;
+        let why = match why {
+            Precedence::Fixed => "is being rendered".to_owned(),
+            Precedence::Share { .. } => match (&mine, share(farm, *job as usize)) {
+                (Some(mine), Some(theirs)) => format!(
+                    "belongs to project {}, which had {:.1} node hours for a share of {}, while {} had {:.1} for a share of {}",
+                    theirs.project,
+                    theirs.used_hours,
+                    theirs.share,
+                    mine.project,
+                    mine.used_hours,
+                    mine.share
+                ),
+                _ => why.to_string(),
+            },
+            why => why.to_string(),
+        };
+        Some(format!("{}, which {why}", other.job.name))
+    };
+    let others: Vec<String> = jobs.iter().filter_map(one).collect();
+    format!("waits because its nodes are booked for {}", others.join("; for "))
+}
+
+/// What a job's project had of the farm.
+fn share(farm: &Farm, job: usize) -> Option<ProjectShare> {
+    let project = farm.input.jobs.get(job)?.project?;
+    farm.input.projects.iter().find(|entry| entry.id == project).map(|entry| share_of(entry, farm.input.now))
+}
+
+/// A project's share as it counts at an instant.
+pub(crate) fn share_of(project: &planner::Project, now: i64) -> ProjectShare {
+    let used = planner::decayed_usage(project, now, HALF_LIFE);
+    ProjectShare {
+        project: project.name.clone(),
+        share: project.share.max(1),
+        used_hours: used as f64 / 3.6e9,
+    }
+}

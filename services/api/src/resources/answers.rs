@@ -1,0 +1,167 @@
+//! Answers about a job's plan.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
+use axum::response::{IntoResponse, Response};
+use forelight_protocol::{AnswersDoc, JobId, JobState, Money, ProblemKind, Timestamp};
+use serde::Deserialize;
+use tokio::sync::Semaphore;
+use utoipa::IntoParams;
+
+use crate::conductor::answers::{Question, answers, curve_svg};
+use crate::conductor::farm::{Farm, Snapshot};
+use crate::conductor::{AdvanceError, accuracy, compute};
+use crate::error::{ApiError, ApiResult, Problems};
+use crate::extract::{QueryParameters, Reader, Segment};
+use crate::openapi::FileContent;
+use crate::state::App;
+
+/// Answers are seen from the minute that has begun, so that for a minute they are the same.
+const MINUTE: i64 = 60_000_000;
+/// Answers that are kept.
+const KEPT: usize = 64;
+/// How long a job's answers may take before questions are left out.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// How long a request waits for its turn.
+const TURN: Duration = Duration::from_secs(20);
+/// A million million units: no sum with it overflows.
+const HIGHEST: Money = Money(1_000_000_000_000_000_000);
+
+/// Works answers out, one at a time, and keeps the newest: by the plan and everything else that they rest on.
+pub(crate) struct Desk {
+    turn: Semaphore,
+    kept: Mutex<VecDeque<([u8; 32], Arc<AnswersDoc>)>>,
+}
+
+impl Default for Desk {
+    fn default() -> Self {
+        Self { turn: Semaphore::new(1), kept: Mutex::default() }
+    }
+}
+
+impl Desk {
+    fn find(&self, key: &[u8; 32]) -> Option<Arc<AnswersDoc>> {
+        let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.iter().find(|(other, _)| other == key).map(|(_, document)| document.clone())
+    }
+
+    fn keep(&self, key: [u8; 32], document: Arc<AnswersDoc>) {
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.push_front((key, document));
+        kept.truncate(KEPT);
+    }
+}
+
+/// What is asked about a job.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+pub(crate) struct AnswersQuery {
+    /// By when it should be done; the job's own deadline if absent.
+    #[param(value_type = Option<String>, format = DateTime)]
+    pub deadline: Option<Timestamp>,
+    /// What the rest of it may cost, in micro-units, 0 to 10¹⁸; what is left of the job's own budget if absent.
+    #[param(value_type = Option<i64>, minimum = 0, maximum = 1_000_000_000_000_000_000_i64)]
+    pub budget: Option<i64>,
+}
+
+/// Everything that is known of a job's plan: whether it can be done by then at P50, P80 and P95; the cheapest plan that does; the earliest
+/// finish for a budget; the price against the deadline; which quality would fit; what one more node, an hour more and the death of the
+/// busiest node would do; whom it pushes back; and if it cannot be done, why, and the cheapest ways out. Nothing is kept of the question.
+/// 409 until the job is booked, and once it is over.
+#[utoipa::path(get, path = "/v1/jobs/{id}/answers", tag = "jobs", params(("id" = JobId, Path), AnswersQuery),
+    responses((status = 200, description = "The answers", body = AnswersDoc), Problems))]
+pub(crate) async fn of_job(
+    State(app): State<App>,
+    _: Reader,
+    Segment(job): Segment<JobId>,
+    QueryParameters(query): QueryParameters<AnswersQuery>,
+) -> ApiResult<Json<AnswersDoc>> {
+    Ok(Json((*found(&app, job, &query).await?).clone()))
+}
+
+/// A job's price against its deadline, as a picture: what the cheapest plan costs that was found, and dashed what it costs at least.
+#[utoipa::path(get, path = "/v1/jobs/{id}/price-curve.svg", tag = "jobs", params(("id" = JobId, Path)),
+    responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"), Problems))]
+pub(crate) async fn price_curve(
+    State(app): State<App>,
+    _: Reader,
+    Segment(job): Segment<JobId>,
+) -> ApiResult<Response> {
+    let svg = curve_svg(&*found(&app, job, &AnswersQuery::default()).await?);
+    Ok(([(CONTENT_TYPE, "image/svg+xml"), (CACHE_CONTROL, "private, no-cache")], svg).into_response())
+}
+
+async fn found(app: &App, job: JobId, query: &AnswersQuery) -> ApiResult<Arc<AnswersDoc>> {
+    let budget = query.budget.map(Money);
+    if budget.is_some_and(|budget| !(Money(0)..=HIGHEST).contains(&budget)) {
+        let reason = format!("a budget is 0 to {} micro-units", HIGHEST.0);
+        return Err(ApiError::new(ProblemKind::Invalid, reason).in_parameter("budget"));
+    }
+    let asked = app.store.job(job).await?;
+    if !matches!(asked.state, JobState::Booked | JobState::Rendering) {
+        let reason = format!("the job is {}: there is nothing to be planned of it", asked.state);
+        return Err(ApiError::new(ProblemKind::Conflict, reason));
+    }
+    let now = app.now().micros();
+    let mut snapshot =
+        Snapshot::read(&app.store, Timestamp::from_micros(now - now.rem_euclid(MINUTE)), app.started).await?;
+    // Progress moves the expected ends all the time; to the minute, they are the same for a while.
+    for frame in snapshot.projected.iter_mut().filter(|frame| frame.under_way) {
+        let end = frame.end.micros();
+        frame.end = Timestamp::from_micros(end.saturating_add(MINUTE - 1) / MINUTE * MINUTE);
+    }
+    let plan_id = snapshot.parent;
+    let farm = Farm::new(&snapshot);
+    let Some(place) = farm.place(job) else {
+        return Err(ApiError::new(ProblemKind::Conflict, "the job was over in the meantime"));
+    };
+    let mut hasher = blake3::Hasher::new();
+    let rests_on = (plan_id, &farm.input, &farm.standing, job, query.deadline, budget);
+    hasher.update(&serde_json::to_vec(&rests_on).unwrap_or_default());
+    let key = *hasher.finalize().as_bytes();
+    if let Some(known) = app.answers.find(&key) {
+        return Ok(known);
+    }
+    let busy = || ApiError::new(ProblemKind::Busy, "other answers are being worked out; ask again soon");
+    let turn = tokio::time::timeout(TURN, app.answers.turn.acquire()).await;
+    let _turn = turn.map_err(|_| busy())?.map_err(|_| busy())?;
+    if let Some(known) = app.answers.find(&key) {
+        return Ok(known);
+    }
+    let rungs = rungs(app, job, asked.settings).await?;
+    let question = Question { deadline: query.deadline, budget, rungs, patience: PATIENCE };
+    let document = match compute(move || answers(&farm, place, &question)).await {
+        Ok(document) => Arc::new(AnswersDoc { plan_id, ..document }),
+        Err(AdvanceError::Store(error)) => return Err(error.into()),
+        Err(AdvanceError::Hopeless(reason)) => return Err(ApiError::new(ProblemKind::Conflict, reason)),
+    };
+    if document.left_out.is_empty() {
+        app.answers.keep(key, document.clone());
+    }
+    Ok(document)
+}
+
+/// Other qualities of a job, as far as its profile knows any.
+async fn rungs(
+    app: &App,
+    job: JobId,
+    settings: forelight_protocol::RenderSettings,
+) -> ApiResult<Vec<forelight_protocol::AccuracyRung>> {
+    let preview = app.store.preview_result(job).await?;
+    let profiles = app.store.profile_results(job).await?.filter(|profiles| !profiles.is_empty());
+    let Some((preview, profiles)) = preview.zip(profiles) else { return Ok(Vec::new()) };
+    match accuracy::accuracy(settings, preview, profiles).await {
+        Ok(document) => Ok(document.rungs),
+        Err(AdvanceError::Store(error)) => Err(error.into()),
+        // The profile says nothing of other qualities: then there are none to be offered.
+        Err(AdvanceError::Hopeless(reason)) => {
+            tracing::debug!(%job, reason, "no other qualities");
+            Ok(Vec::new())
+        }
+    }
+}
