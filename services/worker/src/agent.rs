@@ -11,11 +11,13 @@
 //! * **The work fails or panics.** The error is reported with what there was to say, and the service decides whether to try again.
 //! * **The work goes beyond a limit.** It is stopped, and the limit reported as the error.
 //! * **The operator has other plans.** Renewals bring orders: to stand still, to go on, to drop the task.
+//! * **It is time to sleep.** The node's calendar is the service's to know. A renewal, or the answer to a claim, says until when the node
+//!   sleeps: until then this worker asks for nothing, by the clock on the wall, so that a machine may be suspended meanwhile.
 //! * **This process is told to stop.** The work is stopped and the lease given back, so that another node can have the
 //!   task at once instead of after the lease's end.
 
 use crate::backoff::Backoff;
-use crate::client::Client;
+use crate::client::{Claimed, Client};
 use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 use crate::library::Library;
 use crate::limits::gone_beyond;
@@ -23,10 +25,11 @@ use crate::transport::ClientError;
 use bytes::Bytes;
 use forelight_protocol::{
     CACHE_BYTES, ClaimRequest, Lease, LeaseOrder, LogLevel, NodeId, NodeRegistration, ProblemKind,
-    RenewRequest, ResultRequest, TaskError, TaskId, TaskLimits, TaskSpec, without_secrets,
+    RenewRequest, Renewal, ResultRequest, TaskError, TaskId, TaskLimits, TaskSpec, Timestamp,
+    without_secrets,
 };
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
@@ -35,6 +38,9 @@ use uuid::Uuid;
 const CLAIM_WAIT_MS: u32 = 20_000;
 /// Pause after a refusal that is nobody's plan, so that it does not become a flood.
 const AFTER_REFUSAL: Duration = Duration::from_secs(2);
+
+/// How often a sleeping worker looks at the clock.
+const GLANCE: Duration = Duration::from_secs(30);
 
 /// How often what is finished of a frame is sent to the service, so that the next worker goes on from there should this one be lost.
 const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(60);
@@ -48,6 +54,8 @@ pub struct Agent {
     registration: NodeRegistration,
     limits: TaskLimits,
     checkpoints: Duration,
+    /// Until when the service wants this worker to sleep, by this machine's clock.
+    asleep: Mutex<Option<Timestamp>>,
 }
 
 /// Why a worker ended without being told to.
@@ -110,7 +118,8 @@ impl Agent {
             .build()
             .map_err(|error| AgentError::Threads { threads, reason: error.to_string() })?;
         let (pool, limits, checkpoints) = (Arc::new(pool), TaskLimits::default(), CHECKPOINT_INTERVAL);
-        Ok(Self { client, library, executor, pool, registration, limits, checkpoints })
+        let asleep = Mutex::new(None);
+        Ok(Self { client, library, executor, pool, registration, limits, checkpoints, asleep })
     }
 
     /// The same worker with limits of its own for every task; where a job sets its own, the stricter holds.
@@ -128,14 +137,18 @@ impl Agent {
         let Some(mut node) = self.register(&stop).await? else { return Ok(()) };
         let patient = self.client.with_backoff(Backoff::FOREVER);
         while !stop.is_cancelled() {
+            self.sleep(&stop).await;
             let claim = ClaimRequest { node_id: node, wait_ms: CLAIM_WAIT_MS, task_id: None };
             let claimed = tokio::select! {
                 () = stop.cancelled() => break,
                 claimed = patient.claim(&claim, Uuid::now_v7()) => claimed,
             };
             match claimed {
-                Ok(Some(lease)) => self.work(lease, &stop).await,
-                Ok(None) => {}
+                Ok(Claimed::Lease(lease)) => self.work(*lease, &stop).await,
+                Ok(Claimed::Nothing) => {}
+                Ok(Claimed::Asleep(time)) => {
+                    self.go_to_sleep(i64::try_from(time.as_micros()).unwrap_or(i64::MAX))
+                }
                 Err(error) if is_unwanted(&error) => return Err(self.refused(error)),
                 // A service that lost its memory does not know the node any more.
                 Err(error) if error.is(ProblemKind::NotFound) => match self.register(&stop).await? {
@@ -164,11 +177,12 @@ impl Agent {
                 claimed = patient.claim(&claim, Uuid::now_v7()) => claimed,
             };
             match claimed {
-                Ok(Some(lease)) => {
-                    self.work(lease, &stop).await;
+                Ok(Claimed::Lease(lease)) => {
+                    self.work(*lease, &stop).await;
                     return Ok(if stop.is_cancelled() { Errand::Stopped } else { Errand::Ended });
                 }
-                Ok(None) => tracing::info!(%task, "another worker has it"),
+                // Whoever placed the task here has decided that this node does it, whatever its calendar.
+                Ok(Claimed::Nothing | Claimed::Asleep(_)) => tracing::info!(%task, "another worker has it"),
                 Err(error) if error.is(ProblemKind::Conflict) => return Ok(Errand::Needless),
                 Err(error) => return Err(self.refused(error)),
             }
@@ -187,6 +201,38 @@ impl Agent {
         let node = registered.map_err(|error| self.refused(error))?;
         tracing::info!(node = node.name, id = %node.id, speed = node.speed, cores = node.cores, "registered");
         Ok(Some(node.id))
+    }
+
+    /// From now on, and for so many microseconds, this worker is to ask for nothing.
+    fn go_to_sleep(&self, micros: i64) {
+        let until = Timestamp::now().plus_micros(micros.max(0));
+        *self.asleep.lock().unwrap_or_else(PoisonError::into_inner) = Some(until);
+    }
+
+    /// Follows what a renewal says of sleep. Its instants are those of the service's clock, which says when it is by when the lease ends.
+    fn heed(&self, renewed: &Renewal, lease: &Lease) {
+        let ttl = if renewed.order == LeaseOrder::Stop { 0 } else { lease.ttl_ms };
+        let there =
+            renewed.expires_at.plus_micros(-i64::try_from(ttl).unwrap_or(i64::MAX).saturating_mul(1000));
+        match renewed.sleep_until {
+            Some(until) => self.go_to_sleep(until.micros_since(there)),
+            None => *self.asleep.lock().unwrap_or_else(PoisonError::into_inner) = None,
+        }
+    }
+
+    /// Sleeps if it is to. The clock is looked at once in a while: a timer stands still while the machine is suspended.
+    async fn sleep(&self, stop: &CancellationToken) {
+        let until = self.asleep.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let Some(until) = until else { return };
+        tracing::info!(node = self.registration.name, %until, "asleep by its calendar");
+        while !stop.is_cancelled() {
+            let left = until.micros_since(Timestamp::now());
+            if left <= 0 {
+                tracing::info!(node = self.registration.name, "awake");
+                return;
+            }
+            pause(Duration::from_micros(left.unsigned_abs()).min(GLANCE), stop).await;
+        }
     }
 
     fn refused(&self, source: ClientError) -> AgentError {
@@ -320,8 +366,12 @@ impl Agent {
                 log: control.unsent(),
             };
             match once.renew(lease.lease_id, &renewal, interval.max(Duration::from_secs(1))).await {
-                Ok(renewed) if renewed.order == LeaseOrder::Stop => return,
+                Ok(renewed) if renewed.order == LeaseOrder::Stop => {
+                    self.heed(&renewed, lease);
+                    return;
+                }
                 Ok(renewed) => {
+                    self.heed(&renewed, lease);
                     control.sent(&renewal.log);
                     if renewed.order != order {
                         order = renewed.order;

@@ -5,12 +5,14 @@ use crate::server_events::{EventParser, ServerEvent};
 use crate::transport::{ClientError, Payload, Request, Token, Transport};
 use bytes::Bytes;
 use forelight_protocol::{
-    ArtifactHash, ArtifactStored, Budget, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetRequest,
-    Bundle, ClaimRequest, Event, EventId, ForecastDoc, FramePage, FrameRow, Job, JobCheck, JobId, JobRequest,
-    JoinRequest, Lease, LeaseId, Node, NodeChange, NodeId, NodePage, NodeRegistration, PageToken,
-    ProblemKind, ReleaseRequest, RenewRequest, Renewal, ResultAnswer, ResultRequest, TaskId, TaskLog,
+    AnswersDoc, ArtifactHash, ArtifactStored, Budget, BudgetForecast, BudgetForecastRequest, BudgetList,
+    BudgetRequest, Bundle, ClaimRequest, Event, EventId, ForecastDoc, FramePage, FrameRow, Job, JobCheck,
+    JobId, JobPage, JobRequest, JoinRequest, Lease, LeaseId, Money, Node, NodeChange, NodeId, NodePage,
+    NodeRegistration, PageToken, PlanDifference, PlanId, ProblemKind, ProjectList, ProjectRequest,
+    ProjectShare, ReleaseRequest, RenewRequest, Renewal, ResultAnswer, ResultRequest, TaskId, TaskLog,
+    Timestamp,
 };
-use reqwest::header::{HeaderName, HeaderValue};
+use reqwest::header::{HeaderName, HeaderValue, RETRY_AFTER};
 use reqwest::{Method, StatusCode};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -23,6 +25,27 @@ use uuid::Uuid;
 #[derive(Debug, Clone)]
 pub struct Client {
     transport: Transport,
+}
+
+/// What came of asking for a task.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Claimed {
+    /// A task.
+    Lease(Box<Lease>),
+    /// There was none within the time that the request allowed for.
+    Nothing,
+    /// The node sleeps by its calendar: it is not to ask again before so much time has passed.
+    Asleep(Duration),
+}
+
+impl Claimed {
+    /// The lease, if there is one.
+    pub fn lease(self) -> Option<Lease> {
+        match self {
+            Self::Lease(lease) => Some(*lease),
+            Self::Nothing | Self::Asleep(_) => None,
+        }
+    }
 }
 
 /// The pictures that a frame may have.
@@ -98,6 +121,44 @@ impl Client {
     /// Cancels a job.
     pub async fn cancel(&self, id: JobId, key: Uuid) -> Result<Job, ClientError> {
         self.transport.json(&with_key(Request::new(Method::POST, format!("/v1/jobs/{id}/cancel")), key)).await
+    }
+
+    /// What is known of a job's plan, seen with another deadline or budget if one is given.
+    pub async fn answers(
+        &self,
+        id: JobId,
+        deadline: Option<Timestamp>,
+        budget: Option<Money>,
+    ) -> Result<AnswersDoc, ClientError> {
+        let deadline = deadline.map(|deadline| format!("deadline={deadline}"));
+        let budget = budget.map(|budget| format!("budget={}", budget.micro_units()));
+        let query: Vec<String> = deadline.into_iter().chain(budget).collect();
+        let path = format!("/v1/jobs/{id}/answers?{}", query.join("&"));
+        // Others may be asked about first, and a large farm takes a while.
+        self.transport.json(&Request::new(Method::GET, path).timeout(Some(Duration::from_secs(90)))).await
+    }
+
+    /// What a plan changed.
+    pub async fn plan_difference(&self, plan: PlanId) -> Result<PlanDifference, ClientError> {
+        self.transport.json(&Request::new(Method::GET, format!("/v1/plans/{plan}/difference"))).await
+    }
+
+    /// The shares of all projects.
+    pub async fn projects(&self) -> Result<ProjectList, ClientError> {
+        self.transport.json(&Request::new(Method::GET, "/v1/projects")).await
+    }
+
+    /// Sets a project's share.
+    pub async fn set_share(&self, request: &ProjectRequest) -> Result<ProjectShare, ClientError> {
+        self.transport.json(&json(Method::POST, "/v1/projects", request)).await
+    }
+
+    /// The newest jobs of exactly this name.
+    pub async fn jobs_named(&self, name: &str) -> Result<Vec<Job>, ClientError> {
+        let name: String = name.bytes().map(|byte| format!("%{byte:02X}")).collect();
+        let page: JobPage =
+            self.transport.json(&Request::new(Method::GET, format!("/v1/jobs?name={name}"))).await?;
+        Ok(page.items)
     }
 
     /// A job's quote.
@@ -190,14 +251,17 @@ impl Client {
         self.transport.json(&Request::new(Method::GET, format!("/v1/tasks/{task}/log"))).await
     }
 
-    /// Asks for a task; `None` if there was none within the time that the request allows for. If an answer gets lost, asking
-    /// again with the same key gives the same lease, instead of leaving it to run out.
-    pub async fn claim(&self, claim: &ClaimRequest, key: Uuid) -> Result<Option<Lease>, ClientError> {
+    /// Asks for a task. If an answer gets lost, asking again with the same key gives the same lease, instead of leaving it to run out.
+    pub async fn claim(&self, claim: &ClaimRequest, key: Uuid) -> Result<Claimed, ClientError> {
         let patience = Duration::from_millis(u64::from(claim.wait_ms)) + Duration::from_secs(15);
         let request = with_key(json(Method::POST, "/v1/leases", claim).timeout(Some(patience)), key);
         let response = self.transport.send(&request).await?;
         if response.status() == StatusCode::NO_CONTENT {
-            return Ok(None);
+            let after =
+                response.headers().get(RETRY_AFTER).and_then(|value| value.to_str().ok()?.parse().ok());
+            return Ok(
+                after.map_or(Claimed::Nothing, |seconds| Claimed::Asleep(Duration::from_secs(seconds)))
+            );
         }
         let (status, url) = (response.status(), response.url().to_string());
         let broken = |source: reqwest::Error| ClientError::Unreachable {
@@ -206,7 +270,7 @@ impl Client {
         };
         let body = response.bytes().await.map_err(broken)?;
         match serde_json::from_slice(&body) {
-            Ok(lease) => Ok(Some(lease)),
+            Ok(lease) => Ok(Claimed::Lease(lease)),
             Err(error) => Err(ClientError::Unexpected { url, status, excerpt: error.to_string() }),
         }
     }

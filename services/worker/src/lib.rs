@@ -57,7 +57,7 @@ pub use ambient::{Adapter, Ambient, AmbientShot, tracer_settings};
 pub use backoff::Backoff;
 pub use calibrate::{REFERENCE_RATE, calibrate, node_speed};
 pub use capabilities::capabilities;
-pub use client::{Client, EventStream, FramePicture};
+pub use client::{Claimed, Client, EventStream, FramePicture};
 pub use execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 pub use library::Library;
 pub use noise::FrameNoise;

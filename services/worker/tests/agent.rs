@@ -39,6 +39,10 @@ struct Farm {
     refuse_reports: Vec<ProblemKind>,
     /// The service forgot its nodes.
     forgot_nodes: bool,
+    /// Claims without a task are answered that the node sleeps for so many seconds.
+    asleep: Option<u64>,
+    /// Renewals say that the node sleeps for so many microseconds once it is done.
+    bedtime: Option<i64>,
     registrations: u32,
     renewals: Vec<RenewRequest>,
     artifacts: BTreeSet<ArtifactHash>,
@@ -66,6 +70,9 @@ async fn claim(State(farm): State<Shared>, Json(request): Json<ClaimRequest>) ->
         if let Some(lease) = farm.ready.pop() {
             return Json(lease).into_response();
         }
+        if let Some(seconds) = farm.asleep {
+            return (StatusCode::NO_CONTENT, [("retry-after", seconds.to_string())]).into_response();
+        }
     }
     tokio::time::sleep(Duration::from_millis(20)).await;
     StatusCode::NO_CONTENT.into_response()
@@ -84,7 +91,12 @@ async fn renew(State(farm): State<Shared>, Json(renewal): Json<RenewRequest>) ->
     let mut farm = farm.lock().unwrap();
     farm.renewals.push(renewal);
     match farm.order.unwrap_or(Ok(LeaseOrder::Continue)) {
-        Ok(order) => Json(Renewal { expires_at: Timestamp::now(), order, drain: false, sleep_until: None }).into_response(),
+        Ok(order) => {
+            let now = Timestamp::now();
+            let expires_at = now.plus_micros(TTL_MS as i64 * 1000);
+            let sleep_until = farm.bedtime.map(|micros| now.plus_micros(micros));
+            Json(Renewal { expires_at, order, drain: false, sleep_until }).into_response()
+        }
         Err(kind) => problem(kind),
     }
 }
@@ -471,4 +483,28 @@ async fn a_process_for_one_task_waits_for_it_does_it_and_ends_and_ends_at_once_w
     });
     assert_eq!(agent.run_task(task, stop).await.unwrap(), Errand::Stopped);
     assert_eq!(farm.lock().unwrap().reports.len(), 1);
+}
+
+#[tokio::test]
+async fn a_worker_whose_node_sleeps_asks_for_nothing_until_it_wakes_up() {
+    let rig = Rig::new(Farm { asleep: Some(2), ..Farm::default() }, Slow::new(Duration::ZERO)).await;
+    rig.until("it has asked", |farm| farm.wanted.len() == 1).await;
+    tokio::time::sleep(Duration::from_millis(1500)).await;
+    assert_eq!(rig.farm.lock().unwrap().wanted.len(), 1, "it asked in its sleep");
+    rig.farm.lock().unwrap().asleep = None;
+    rig.until("it has woken up", |farm| farm.wanted.len() > 1).await;
+    rig.end().await;
+}
+
+#[tokio::test]
+async fn the_heartbeat_sends_a_worker_to_sleep_after_its_task() {
+    let farm = Farm { ready: vec![lease(1)], bedtime: Some(60_000_000), ..Farm::default() };
+    let rig = Rig::new(farm, Slow::new(Duration::from_millis(400))).await;
+    rig.until("the task is done", |farm| farm.reports.len() == 1).await;
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    assert_eq!(rig.farm.lock().unwrap().wanted.len(), 1, "it asked for more");
+    // Told to stop, it does so at once.
+    let begun = Instant::now();
+    rig.end().await;
+    assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
 }

@@ -11,7 +11,8 @@ use crate::output;
 use crate::quantities::{parse_bytes, parse_money};
 use anyhow::{Context, Result};
 use forelight_protocol::{
-    Capabilities, JoinRequest, Money, NodeCalibration, NodeRegistration, ProblemKind, TaskId, TaskLimits,
+    Capabilities, JoinRequest, Money, NodeCalendar, NodeCalibration, NodeRegistration, ProblemKind, TaskId,
+    TaskLimits,
 };
 use forelight_store::{token_hash, tokens};
 use forelight_worker::{Agent, Ambient, Client, Errand, Library, TaskRunner, capabilities, node_speed};
@@ -25,6 +26,7 @@ use std::time::Duration;
 Examples:
   forelight worker --server http://farm:7878 --token-file rack-7.token --name rack-7
   forelight worker --data farm-data --name this-machine --threads 2 --price 0.80
+  forelight worker --data farm-data --schedule "Mon-Fri 20:00-08:00 Europe/Berlin"
   forelight worker --server http://farm:7878 --join-token-file rack-8.join --token-file rack-8.token --name rack-8
 
 The first time, the machine is calibrated for some seconds (see `forelight calibrate`). Ctrl-C stops taking tasks and gives the one at hand \
@@ -65,6 +67,10 @@ pub struct Args {
     /// File with a one-time token, to join the farm with; the machine's own token is kept in --token-file
     #[arg(long, value_name = "FILE", requires = "token_file")]
     join_token_file: Option<PathBuf>,
+    /// When this machine is awake, such as "Mon-Fri 20:00-08:00, Sat-Sun 00:00-00:00 Europe/Berlin"; it takes no task that might not be done by
+    /// the end of a window, and asks for none outside. What is set by `forelight node --schedule` goes before it [default: always]
+    #[arg(long, value_name = "WINDOWS")]
+    schedule: Option<NodeCalendar>,
     #[command(flatten)]
     connection: ConnectionOptions,
 }
@@ -82,6 +88,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
         price_per_hour: Money(args.price),
         cores,
         capabilities: Capabilities { calibration: Some(calibration), ..capabilities },
+        schedule: args.schedule,
     };
     let client = match &args.join_token_file {
         Some(one_time) => join(one_time, &args.connection, &registration).await?,

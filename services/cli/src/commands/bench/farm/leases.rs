@@ -182,7 +182,7 @@ async fn frame(client: &Client, node: NodeId, took: &mut Vec<f64>) -> Result<()>
         last = Instant::now();
     };
     let claim = ClaimRequest { node_id: node, wait_ms: 0, task_id: None };
-    let lease = client.claim(&claim, Uuid::now_v7()).await.context("claim")?;
+    let lease = client.claim(&claim, Uuid::now_v7()).await.context("claim")?.lease();
     let lease = lease.context("there are no frames left: fewer rounds, please")?;
     lap(took);
     let renewal = RenewRequest { fence: lease.fence, progress: 0.5, ..RenewRequest::default() };
