@@ -53,7 +53,7 @@ impl Store {
             let job_id = JobId(id(row, "id")?);
             let done = progress::of_job(&mut transaction, job_id).await?;
             let frames = sqlx::query(
-                "SELECT f.frame, f.cpu_p50, f.cpu_p80, f.cpu_p95, f.actual_cpu, t.state = 'ready' AS waits, t.held, \
+                "SELECT f.frame, f.cpu_p50, f.cpu_p80, f.cpu_p95, f.actual_cpu, t.state NOT IN ('leased', 'done') AS waits, t.held, \
                  b.end_at - b.start_at AS length, coalesce(n.price_set, n.price_per_hour) AS price \
                  FROM frames f JOIN jobs j ON j.id = f.job_id \
                  JOIN tasks t ON t.job_id = f.job_id AND t.kind = 'render' AND ifnull(t.frame, -1) = f.frame \

@@ -278,7 +278,7 @@ pub(crate) fn decode(row: &SqliteRow, progress: Progress) -> Result<Job, StoreEr
         verdict: json_opt(row, "verdict")?,
         plan_id: id_opt(row, "plan_id")?.map(PlanId),
         // Who has a frame with a worker does not wait, whatever the newest plan knew.
-        waits: outlook.waits.filter(|_| state == JobState::Booked),
+        waits: outlook.waits.filter(|_| !progress.begun && !state.is_final()),
         promise: outlook.promise,
         eta: None,
         live: progress.live,

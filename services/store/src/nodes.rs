@@ -12,7 +12,7 @@ use crate::database::Write;
 use crate::decode::{id, id_opt, json, json_opt, time, to_json, whole};
 use crate::events::{append, event};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
-use crate::schedule::{Opening, opening, silence};
+use crate::schedule::{Opening, opening, silence, with_power};
 use crate::{Store, StoreError, leases, replans};
 
 /// A node that was not heard of for this long while it should have been awake is lost to plans: five minutes, in microseconds. Longer than a
@@ -174,7 +174,7 @@ pub(crate) async fn upsert(
         },
     )
     .await?;
-    Ok(node)
+    Ok(with_power(node, now))
 }
 
 /// Whether plans see the same node in both. A measured speed is never quite the same; less than a tenth is none of their business.

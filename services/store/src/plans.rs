@@ -396,7 +396,7 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
         booked.insert(frame, NewBooking { frame, node, start, end });
     }
     let waits: Vec<i64> = sqlx::query_scalar(
-        "SELECT frame FROM tasks WHERE job_id = ? AND kind = 'render' AND state = 'ready' AND frame IS NOT NULL",
+        "SELECT frame FROM tasks WHERE job_id = ? AND kind = 'render' AND state NOT IN ('leased', 'done') AND frame IS NOT NULL",
     )
     .bind(job_id.0)
     .fetch_all(write.connection())

@@ -16,6 +16,8 @@ pub(crate) struct Progress {
     pub live: Option<LiveForecast>,
     /// Of the irradiance cache that the frames share and wait for, if they do.
     pub seed: Option<SeedProgress>,
+    /// Whether any frame is done or with a worker.
+    pub begun: bool,
 }
 
 /// Weighs every frame by its forecast work, so that a job of 47 cheap frames and a dear one is not at 98 % when the
@@ -23,6 +25,7 @@ pub(crate) struct Progress {
 pub(crate) async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Result<Progress, StoreError> {
     let row = sqlx::query(
         "SELECT coalesce(sum(f.actual IS NOT NULL), 0) AS done, \
+                coalesce(max(f.actual IS NOT NULL OR coalesce(t.state = 'leased', 0)), 0) AS begun, \
                 total(coalesce(f.work_mean, 1.0)) AS weight, \
                 total(coalesce(f.work_mean, 1.0) * CASE WHEN f.actual IS NOT NULL THEN 1.0 WHEN t.state = 'leased' THEN t.progress ELSE 0.0 END) AS reached \
          FROM frames f LEFT JOIN tasks t ON t.job_id = f.job_id AND t.kind = 'render' AND ifnull(t.frame, -1) = f.frame \
@@ -36,5 +39,5 @@ pub(crate) async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Res
     let fraction = if weight > 0.0 { (reached / weight).clamp(0.0, 1.0) } else { 0.0 };
     let live = live::newest(connection, job).await?;
     let seed = seeds::progress(connection, job).await?;
-    Ok(Progress { frames_done: whole(&row, "done")?, fraction, live, seed })
+    Ok(Progress { frames_done: whole(&row, "done")?, fraction, begun: row.try_get("begun")?, live, seed })
 }

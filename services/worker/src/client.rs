@@ -8,9 +8,9 @@ use forelight_protocol::{
     AnswersDoc, ArtifactHash, ArtifactStored, Budget, BudgetForecast, BudgetForecastRequest, BudgetList,
     BudgetRequest, Bundle, ClaimRequest, Event, EventId, ForecastDoc, FramePage, FrameRow, Job, JobCheck,
     JobId, JobPage, JobRequest, JoinRequest, Lease, LeaseId, Money, Node, NodeChange, NodeId, NodePage,
-    NodeRegistration, PageToken, PlanDifference, PlanId, ProblemKind, ProjectList, ProjectRequest,
-    ProjectShare, ReleaseRequest, RenewRequest, Renewal, ResultAnswer, ResultRequest, TaskId, TaskLog,
-    Timestamp,
+    NodeRegistration, PageToken, PlanDifference, PlanId, PlanPage, PlanSummary, ProblemKind, ProjectList,
+    ProjectRequest, ProjectShare, ReleaseRequest, RenewRequest, Renewal, ResultAnswer, ResultRequest, TaskId,
+    TaskLog, Timestamp,
 };
 use reqwest::header::{HeaderName, HeaderValue, RETRY_AFTER};
 use reqwest::{Method, StatusCode};
@@ -136,6 +136,23 @@ impl Client {
         let path = format!("/v1/jobs/{id}/answers?{}", query.join("&"));
         // Others may be asked about first, and a large farm takes a while.
         self.transport.json(&Request::new(Method::GET, path).timeout(Some(Duration::from_secs(90)))).await
+    }
+
+    /// A job's price against its deadline, as SVG.
+    pub async fn price_curve(&self, id: JobId) -> Result<Bytes, ClientError> {
+        let request = Request::new(Method::GET, format!("/v1/jobs/{id}/price-curve.svg"));
+        let response = self.transport.send(&request.timeout(Some(Duration::from_secs(90)))).await?;
+        let url = response.url().to_string();
+        response
+            .bytes()
+            .await
+            .map_err(|source| ClientError::Unreachable { url, source: source.without_url() })
+    }
+
+    /// The newest plans.
+    pub async fn newest_plans(&self) -> Result<Vec<PlanSummary>, ClientError> {
+        let page: PlanPage = self.transport.json(&Request::new(Method::GET, "/v1/plans")).await?;
+        Ok(page.items)
     }
 
     /// What a plan changed.

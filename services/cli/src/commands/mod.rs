@@ -2,6 +2,7 @@
 
 mod accuracy;
 mod allot;
+mod ask;
 mod backup;
 mod bench;
 mod budget;
@@ -14,9 +15,11 @@ mod forecast;
 mod log;
 mod node;
 mod plan;
+mod plans;
 mod preview;
 mod render;
 mod serve;
+mod share;
 mod simulate;
 mod slurm;
 mod submit;
@@ -63,10 +66,13 @@ enum Command {
     Accuracy(accuracy::Args),
     Export(export::Args),
     Plan(plan::Args),
+    Ask(ask::Args),
+    Plans(plans::Args),
+    Share(share::Args),
     Simulate(simulate::Args),
     Budget(Box<budget::Args>),
     Token(token::Args),
-    Node(node::Args),
+    Node(Box<node::Args>),
     Log(log::Args),
     Backup(backup::Args),
     Bench(bench::Args),
@@ -88,7 +94,10 @@ impl Cli {
             Command::Worker(args) => worker::run(args, interrupt).await,
             Command::Submit(args) => submit::run(args, interrupt).await,
             Command::Token(args) => token::run(args).await,
-            Command::Node(args) => node::run(args).await,
+            Command::Node(args) => node::run(*args).await,
+            Command::Ask(args) => ask::run(args).await,
+            Command::Plans(args) => plans::run(args).await,
+            Command::Share(args) => share::run(args).await,
             Command::Log(args) => log::run(args).await,
             Command::Backup(args) => backup::run(args).await,
             Command::Budget(args) => budget::run(*args).await,

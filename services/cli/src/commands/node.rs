@@ -2,13 +2,16 @@
 
 use crate::connection::connect;
 use crate::failure::BadInput;
-use crate::options::ConnectionOptions;
+use crate::options::{ConnectionOptions, duration};
 use crate::output;
-use crate::quantities::clock;
+use crate::quantities::{clock, parse_money};
 use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
-use forelight_protocol::{Node, NodeChange, NodeState, Timestamp};
+use forelight_protocol::{
+    Money, Node, NodeCalendar, NodeChange, NodeState, PowerState, TimeSpan, Timestamp, WindowEnd,
+};
+use std::time::Duration;
 
 /// List nodes and what they do, or give one an order
 #[derive(Debug, clap::Args)]
@@ -17,15 +20,41 @@ Examples:
   forelight node --data farm-data
   forelight node rack-7 drain --data farm-data
   forelight node rack-7 resume --server http://farm:7878
+  forelight node rack-7 --schedule 'Mon-Fri 20:00-08:00, Sat-Sun 00:00-00:00 Europe/Berlin' --data farm-data
+  forelight node cloud-1 --price 2.40 --billing-step 1h --setup 3m --window-end stop --data farm-data
+  forelight node rack-7 --maintenance 2026-03-01T08:00:00Z/2026-03-01T12:00:00Z --data farm-data
 
 A worker hears of an order when it next renews its lease, a few seconds later at most; STATE says whether it has obeyed. A node on \
-which three jobs failed within a day is set aside, and says why; `back` returns it to service.")]
+which three jobs failed within a day is set aside, and says why; `back` returns it to service.
+
+A node that is asleep by its schedule gets nothing to do, and before a window ends nothing that might not be done by then. Whatever is \
+changed, the farm is planned anew, and moves as little as it can.")]
 pub struct Args {
     /// Name of the node [default: all of them]
-    #[arg(requires = "order")]
     name: Option<String>,
     /// What it shall do
     order: Option<Order>,
+    /// When it is awake, such as "Mon-Fri 20:00-08:00 Europe/Berlin", or `always`; `default`: as its worker says
+    #[arg(long, value_name = "WINDOWS", requires = "name")]
+    schedule: Option<String>,
+    /// What an hour of it costs; `default`: as its worker says
+    #[arg(long, value_name = "AMOUNT", requires = "name")]
+    price: Option<String>,
+    /// Rented time is billed in multiples of this, such as 1h
+    #[arg(long, value_name = "DURATION", requires = "name", value_parser = duration)]
+    billing_step: Option<Duration>,
+    /// The least rented time that is billed
+    #[arg(long, value_name = "DURATION", requires = "name", value_parser = duration)]
+    minimum_booking: Option<Duration>,
+    /// How long it takes to wake up before its first frame
+    #[arg(long, value_name = "DURATION", requires = "name", value_parser = duration)]
+    setup: Option<Duration>,
+    /// What becomes of a task that still runs when a window ends
+    #[arg(long, value_name = "WHAT", requires = "name")]
+    window_end: Option<EndOfWindow>,
+    /// When it is closed whatever its schedule says, as START/END or START/ for nobody knows; `none` takes all back
+    #[arg(long, value_name = "START/END", requires = "name", value_parser = maintenance)]
+    maintenance: Vec<Maintenance>,
     /// Print nodes as JSON to standard output
     #[arg(long)]
     json: bool,
@@ -50,6 +79,73 @@ enum Order {
     Back,
 }
 
+/// What becomes of a task at the end of a window.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum EndOfWindow {
+    /// It is finished.
+    Finish,
+    /// It is stopped, and goes to another node.
+    Stop,
+}
+
+/// A stretch of maintenance, or none at all.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Maintenance {
+    None,
+    At(TimeSpan),
+}
+
+fn maintenance(text: &str) -> Result<Maintenance, String> {
+    if text == "none" {
+        return Ok(Maintenance::None);
+    }
+    let (start, end) = text
+        .split_once('/')
+        .ok_or("expected START/END, such as 2026-03-01T08:00:00Z/2026-03-01T12:00:00Z")?;
+    let instant = |text: &str| text.parse::<Timestamp>().map_err(|error| error.to_string());
+    let end = if end.is_empty() { None } else { Some(instant(end)?) };
+    Ok(Maintenance::At(TimeSpan { start: instant(start)?, end }))
+}
+
+/// `default`, or a value.
+fn or_default<T>(text: &str, parse: impl Fn(&str) -> Result<T, String>) -> Result<Option<T>, String> {
+    if text == "default" { Ok(None) } else { parse(text).map(Some) }
+}
+
+impl Args {
+    /// What is to be changed of the node as it is; nothing if nothing was asked for.
+    fn change(&self, node: &Node) -> Result<NodeChange> {
+        let mut change = self.order.map_or_else(NodeChange::default, Order::change);
+        let wrong = |flag: &str, reason: String| BadInput::new(format!("--{flag}: {reason}"));
+        if let Some(text) = &self.schedule {
+            let parse = |text: &str| text.parse::<NodeCalendar>().map_err(|error| error.to_string());
+            change.schedule = Some(or_default(text, parse).map_err(|reason| wrong("schedule", reason))?);
+        }
+        if let Some(text) = &self.price {
+            let price = or_default(text, |text| parse_money(text).map(Money));
+            change.price_per_hour = Some(price.map_err(|reason| wrong("price", reason))?);
+        }
+        let seconds = |time: Duration| u32::try_from(time.as_secs()).unwrap_or(u32::MAX);
+        let mut terms = node.terms.clone();
+        terms.billing_step_seconds = self.billing_step.map_or(terms.billing_step_seconds, seconds);
+        terms.minimum_booking_seconds = self.minimum_booking.map_or(terms.minimum_booking_seconds, seconds);
+        terms.setup_seconds = self.setup.map_or(terms.setup_seconds, seconds);
+        terms.window_end = match self.window_end {
+            None => terms.window_end,
+            Some(EndOfWindow::Finish) => WindowEnd::Finish,
+            Some(EndOfWindow::Stop) => WindowEnd::Stop,
+        };
+        for maintenance in &self.maintenance {
+            match maintenance {
+                Maintenance::None => terms.maintenance.clear(),
+                Maintenance::At(span) => terms.maintenance.push(*span),
+            }
+        }
+        change.terms = (terms != node.terms).then_some(terms);
+        Ok(change)
+    }
+}
+
 impl Order {
     fn change(self) -> NodeChange {
         let mut change = NodeChange::default();
@@ -69,17 +165,22 @@ impl Order {
 pub async fn run(args: Args) -> Result<()> {
     let client = connect(&args.connection)?;
     let nodes = client.nodes().await.context("cannot list the nodes")?;
-    let shown = match (&args.name, args.order) {
-        (Some(name), Some(order)) => {
+    let shown = match &args.name {
+        Some(name) => {
             let node = nodes.iter().find(|node| node.name == *name || node.id.to_string() == *name);
             let Some(node) = node else {
                 return Err(BadInput::new(format!("{name}: there is no such node"))
                     .hint("`forelight node` without a name lists them")
                     .into());
             };
-            vec![client.change_node(node.id, &order.change()).await.with_context(|| format!("node {name}"))?]
+            let change = args.change(node)?;
+            if change == NodeChange::default() {
+                vec![node.clone()]
+            } else {
+                vec![client.change_node(node.id, &change).await.with_context(|| format!("node {name}"))?]
+            }
         }
-        _ => nodes,
+        None => nodes,
     };
     if args.json { output::json(&shown) } else { output::print(&report(&shown, Timestamp::now())) }
 }
@@ -96,6 +197,7 @@ fn report(nodes: &[Node], now: Timestamp) -> String {
         ("memory", Align::Right),
         ("previews on", Align::Left),
         ("heard of", Align::Left),
+        ("power", Align::Left),
     ]);
     for node in nodes {
         let has = &node.capabilities;
@@ -108,6 +210,7 @@ fn report(nodes: &[Node], now: Timestamp) -> String {
                 .map_or("-".into(), |bytes| format!("{:.1} GiB", bytes as f64 / f64::from(1 << 30))),
             has.vulkan_adapter.clone().unwrap_or_else(|| "CPU".into()),
             clock(node.last_seen_at, now),
+            power(node, now),
         ]);
     }
     let mut text = table.render();
@@ -118,15 +221,65 @@ fn report(nodes: &[Node], now: Timestamp) -> String {
     text
 }
 
+/// `awake`, or `asleep until 20:00:00`.
+fn power(node: &Node, now: Timestamp) -> String {
+    let Some(power) = &node.power else { return String::new() };
+    let word = match power.state {
+        PowerState::Awake => "awake",
+        PowerState::Asleep => "asleep",
+    };
+    power.until.map_or_else(|| word.to_owned(), |until| format!("{word} until {}", clock(until, now)))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use forelight_protocol::{Capabilities, Money, NodeId};
+    use forelight_protocol::{Capabilities, NodeId, NodeTerms};
+
+    #[test]
+    fn what_is_not_named_stays_as_it_is() {
+        let args = Args {
+            name: Some("a".into()),
+            order: None,
+            schedule: Some("default".into()),
+            price: None,
+            billing_step: Some(Duration::from_secs(3600)),
+            minimum_booking: None,
+            setup: None,
+            window_end: None,
+            maintenance: vec![maintenance("2026-03-01T08:00:00Z/").unwrap()],
+            json: false,
+            connection: ConnectionOptions {
+                server: String::new(),
+                token_file: None,
+                token: None,
+                data: None,
+            },
+        };
+        let had = NodeTerms { setup_seconds: 5, window_end: WindowEnd::Stop, ..NodeTerms::default() };
+        let change = args.change(&Node { terms: had.clone(), ..node() }).unwrap();
+        let terms = change.terms.unwrap();
+        assert_eq!((change.schedule, change.price_per_hour, change.drain), (Some(None), None, None));
+        assert_eq!(
+            (terms.billing_step_seconds, terms.setup_seconds, terms.window_end),
+            (3600, 5, WindowEnd::Stop)
+        );
+        assert_eq!((terms.maintenance.len(), terms.maintenance[0].end), (1, None));
+        let none = Args { billing_step: None, maintenance: Vec::new(), schedule: None, ..args };
+        assert_eq!(none.change(&Node { terms: had, ..node() }).unwrap(), NodeChange::default());
+    }
 
     #[test]
     fn a_node_that_was_set_aside_says_why() {
+        let text = report(&[node()], Timestamp::from_micros(0));
+        for part in ["rack-7", "set aside", "48.0 GiB", "3 jobs failed on it"] {
+            assert!(text.contains(part), "{text}");
+        }
+    }
+
+    fn node() -> Node {
         let now = Timestamp::from_micros(0);
-        let node = Node {
+        Node {
             id: NodeId::new(),
             name: "rack-7".into(),
             speed: 1.0,
@@ -136,6 +289,10 @@ mod tests {
             time_factor: 1.0,
             cores: 8,
             capabilities: Capabilities { memory_bytes: Some(48 << 30), ..Capabilities::default() },
+            schedule: None,
+            schedule_set: false,
+            terms: NodeTerms::default(),
+            power: None,
             state: NodeState::SetAside,
             drain: false,
             pause: false,
@@ -143,10 +300,6 @@ mod tests {
             task_id: None,
             created_at: now,
             last_seen_at: now,
-        };
-        let text = report(&[node], now);
-        for part in ["rack-7", "set aside", "48.0 GiB", "3 jobs failed on it"] {
-            assert!(text.contains(part), "{text}");
         }
     }
 }

@@ -26,7 +26,7 @@ use std::time::Duration;
 Examples:
   forelight worker --server http://farm:7878 --token-file rack-7.token --name rack-7
   forelight worker --data farm-data --name this-machine --threads 2 --price 0.80
-  forelight worker --data farm-data --schedule "Mon-Fri 20:00-08:00 Europe/Berlin"
+  forelight worker --data farm-data --schedule 'Mon-Fri 20:00-08:00 Europe/Berlin'
   forelight worker --server http://farm:7878 --join-token-file rack-8.join --token-file rack-8.token --name rack-8
 
 The first time, the machine is calibrated for some seconds (see `forelight calibrate`). Ctrl-C stops taking tasks and gives the one at hand \

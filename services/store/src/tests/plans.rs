@@ -154,3 +154,68 @@ fn a_frame_under_way_takes_its_holder_not_its_booked_node_and_always_ends_after_
     assert_eq!(spans(&projected), [(0, 0, 100), (3, 0, 51), (4, 45, 55), (2, 50, 60), (1, 100, 110)]);
     assert_eq!(Projected::finish_of(&projected, JobId(uuid::Uuid::nil())), Some(at(110)));
 }
+
+#[tokio::test]
+async fn what_calls_for_a_plan_is_remembered_until_a_plan_knows_it() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let seen = farm.store.wanted_plan().await.unwrap();
+    assert!(seen.due && seen.causes == ["node a joined"], "{seen:?}");
+    // A worker that starts again is the same node: no news.
+    farm.node("a").await;
+    assert_eq!(farm.store.wanted_plan().await.unwrap(), seen);
+    let farm = farm.restarted().await;
+    assert_eq!(farm.store.wanted_plan().await.unwrap(), seen);
+    // Something happens while a plan is made of what was seen before: it stays due.
+    let drain = forelight_protocol::NodeChange { drain: Some(true), ..Default::default() };
+    farm.store.change_node(node.id, &drain, at(1)).await.unwrap();
+    farm.store.plan_still_good(&seen).await.unwrap();
+    let rest = farm.store.wanted_plan().await.unwrap();
+    assert!(rest.due && rest.causes == ["node a is drained"], "{rest:?}");
+    farm.store.plan_still_good(&rest).await.unwrap();
+    let nothing = farm.store.wanted_plan().await.unwrap();
+    assert!(!nothing.due && nothing.causes.is_empty(), "{nothing:?}");
+    // A burst is one plan.
+    for second in 0..50 {
+        farm.store.want_plan(&format!("cause {second}")).await.unwrap();
+    }
+    let burst = farm.store.wanted_plan().await.unwrap();
+    assert!(burst.due && burst.causes.len() == 21 && burst.causes[20] == "and more", "{burst:?}");
+}
+
+#[tokio::test]
+async fn a_new_plan_books_what_waits_anew_and_leaves_what_is_done_as_it_was() {
+    let farm = Farm::new().await;
+    let (a, b) = (farm.node("a").await, farm.node("b").await);
+    let job = farm.booked_job(request("0-2"), a.id, at(10)).await;
+    let first = farm.store.newest_plan().await.unwrap();
+    let lease = farm.claim(a.id, at(10)).await.unwrap();
+    farm.commit(&lease, at(20)).await;
+    let said = farm.store.job(job).await.unwrap();
+    let move_to_b = |frame: u32| NewBooking { frame, node: b.id, start: at(50), end: at(60) };
+    let plan = NewPlan {
+        parent: first,
+        reason: PlanReason::Events,
+        wanted: farm.store.wanted_plan().await.unwrap(),
+        jobs: vec![NewJobPlan {
+            verdict: verdict(job),
+            bookings: vec![move_to_b(0), move_to_b(1)],
+            factor: 1.5,
+        }],
+        outlooks: Vec::new(),
+    };
+    let second = farm.store.replan(&plan, at(21)).await.unwrap();
+    let kept = farm.store.plan(second).await.unwrap();
+    let booked: Vec<_> = kept.bookings.iter().map(|booking| (booking.frame, booking.node_id)).collect();
+    // Frame 0 is done, frame 1 moves, frame 2 has no place any more.
+    assert_eq!(booked, [(0, a.id), (1, b.id)]);
+    assert_eq!((kept.parent_id, kept.reason), (first, PlanReason::Events));
+    let (before, verdicts) = farm.store.booked_before(second).await.unwrap();
+    assert_eq!((before.len(), verdicts.len()), (3, 1));
+    let job_now = farm.store.job(job).await.unwrap();
+    assert_eq!((job_now.plan_id, said.plan_id), (Some(second), first));
+    // Two plans that were made of the same state: the second is refused.
+    assert!(matches!(farm.store.replan(&plan, at(22)).await, Err(StoreError::Conflict(_))));
+    let next = farm.claim(b.id, at(23)).await.unwrap();
+    assert_eq!(next.spec.frame(), Some(1), "what is booked on the node comes first");
+}

@@ -182,6 +182,9 @@ impl Stages {
                 let why = event.message.as_deref().map(|message| format!(": {message}")).unwrap_or_default();
                 self.bars.note(format!("{kind}{frame} {what}{why}"));
             }
+            (EventKind::JobPromiseAtRisk | EventKind::JobPromiseSafe, _, _) => {
+                event.message.iter().for_each(|message| self.bars.note(message.clone()));
+            }
             _ => {}
         }
     }

@@ -75,6 +75,9 @@ pub struct Args {
     /// Among jobs with the same deadline the greater goes first
     #[arg(long, value_name = "NUMBER", default_value_t = 0, allow_negative_numbers = true, value_parser = clap::value_parser!(i32).range(-1000..=1000))]
     priority: i32,
+    /// Among jobs of equal priority, what it is worth: one of 2 as much as two of 1
+    #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    weight: u32,
     /// Pixels to profile in a profiled frame
     #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
     samples: u32,
@@ -190,6 +193,7 @@ fn request(
         budget: args.budget.map(Money),
         confidence: args.confidence.into(),
         priority: args.priority,
+        weight: args.weight,
         limits: task_limits(args.task_memory, args.task_time),
     })
 }

@@ -1,0 +1,196 @@
+//! `forelight ask`: what a farm's service knows of a job's plan.
+
+use crate::atomic_file::write_bytes;
+use crate::connection::connect;
+use crate::failure::BadInput;
+use crate::options::ConnectionOptions;
+use crate::output;
+use crate::quantities::{Deadline, clock, money, parse_deadline, parse_money};
+use crate::table::{Align, Table};
+use anyhow::{Context, Result};
+use forelight_protocol::{AnswersDoc, Job, JobId, Money, MovedJob, PlanEffect, PriceOffer, Timestamp};
+use forelight_worker::Client;
+use std::path::PathBuf;
+
+/// Ask about a job's plan: will it be ready, what does it cost sooner or later, what would help
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight ask hero-shot --data farm-data
+  forelight ask hero-shot --deadline 2h --budget 12.50 --data farm-data
+  forelight ask 0192f0c1-7a3b-7c55-8f00-0123456789ab --curve price.svg --json
+
+Says whether the job can be done by its deadline (or by another one) at P50, P80 and P95; the earliest finish for a budget; its price against the \
+deadline; which quality would fit; what one more node, an hour more or a node's death would do; whom it pushes back; why it waits; and if it \
+cannot be done, why, and the cheapest ways out. Nothing is changed by asking. Costs are of what is left of the job.")]
+pub struct Args {
+    /// The job: its id, or its name (the newest that is booked)
+    job: String,
+    /// By when it should be done, instead of its own deadline: 2h, 45m, or 2026-03-01T06:00:00Z
+    #[arg(long, value_name = "WHEN", value_parser = parse_deadline)]
+    deadline: Option<Deadline>,
+    /// What the rest of it may cost, instead of its own budget, such as 12.50
+    #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
+    budget: Option<i64>,
+    /// Draw its price against the deadline into this file
+    #[arg(long, value_name = "FILE")]
+    curve: Option<PathBuf>,
+    /// Print the answers as JSON to standard output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    connection: ConnectionOptions,
+}
+
+/// Runs the command.
+pub async fn run(args: Args) -> Result<()> {
+    let client = connect(&args.connection)?;
+    let job = find(&client, &args.job).await?;
+    let deadline = args.deadline.map(|deadline| deadline.instant(jiff::Timestamp::now()));
+    let deadline = deadline.transpose().map_err(|reason| BadInput::new(format!("--deadline: {reason}")))?;
+    let deadline = deadline.map(|instant| Timestamp::from_micros(instant.as_microsecond()));
+    let found = client.answers(job.id, deadline, args.budget.map(Money)).await;
+    let found = found.with_context(|| format!("cannot ask about {}", job.name))?;
+    if let Some(path) = &args.curve {
+        let svg = client.price_curve(job.id).await.context("cannot fetch the price curve")?;
+        write_bytes(path, &svg)?;
+    }
+    if args.json { output::json(&found) } else { output::print(&report(&job, &found, Timestamp::now())) }
+}
+
+/// A job by its id, or the newest of a name that is neither over nor still being forecast; failing that, the newest.
+async fn find(client: &Client, text: &str) -> Result<Job> {
+    if let Ok(id) = text.parse::<JobId>() {
+        return client.job(id).await.with_context(|| format!("cannot read job {id}"));
+    }
+    let named = client.jobs_named(text).await.context("cannot list the jobs")?;
+    let open = named.iter().find(|job| !job.state.is_final() && job.plan_id.is_some());
+    open.or(named.first())
+        .cloned()
+        .ok_or_else(|| BadInput::new(format!("{text}: there is no job of this id or name")).into())
+}
+
+fn report(job: &Job, found: &AnswersDoc, now: Timestamp) -> String {
+    let at = |instant: Timestamp| clock(instant, now);
+    let mut text = match found.deadline {
+        Some(deadline) => format!("{}, to be ready by {}\n", job.name, at(deadline)),
+        None => format!("{}, without a deadline\n", job.name),
+    };
+    if let Some(waits) = &job.waits {
+        text += &format!("{}\n", waits.because);
+    }
+    if let Some(promise) = job.promise.as_ref().filter(|promise| !promise.kept) {
+        let sure = promise.probability * 100.0;
+        text += &format!("its promise is at risk: ready in time with a probability of {sure:.0} %\n");
+        if let Some(rescue) = &promise.rescue {
+            text += &format!("cheapest rescue: {}\n", rescue.words);
+        }
+    }
+    let mut outlook = Table::new(&[
+        ("confidence", Align::Right),
+        ("ready by", Align::Left),
+        ("cost", Align::Right),
+        ("at least", Align::Right),
+        ("", Align::Left),
+    ]);
+    for line in &found.outlook {
+        outlook.row([
+            format!("{:?}", line.confidence),
+            line.finish.map_or("never".into(), at),
+            money(line.cost.micro_units()),
+            money(line.cost_at_least.micro_units()),
+            line.in_time.map_or("", |in_time| if in_time { "in time" } else { "not in time" }).to_owned(),
+        ]);
+    }
+    text += &format!("\n{}", outlook.render());
+    if let Some(offer) = &found.cheapest {
+        text += &format!("\ncheapest plan: {} by {}\n", money(offer.cost.micro_units()), at(offer.finish));
+    }
+    if let Some(answer) = &found.for_budget {
+        let budget = money(answer.budget.micro_units());
+        text += &match &answer.offer {
+            Some(offer) => format!("for {budget}: ready by {} at the earliest\n", at(offer.finish)),
+            None => format!("for {budget}: never; no deadline is cheap enough\n"),
+        };
+    }
+    if !found.why_not.is_empty() {
+        text += "\nIt cannot be done as asked for\n";
+        text.extend(found.why_not.iter().map(|reason| format!("  {reason}\n")));
+    }
+    text += &listed("Ways out, the cheapest first", &found.ways_out, at);
+    text += &curve(&found.curve, at);
+    if !found.qualities.is_empty() {
+        let mut table = Table::new(&[
+            ("samples", Align::Right),
+            ("pixels", Align::Left),
+            ("error", Align::Right),
+            ("ready by", Align::Left),
+            ("cost", Align::Right),
+            ("", Align::Left),
+        ]);
+        for offer in &found.qualities {
+            let settings = &offer.settings;
+            table.row([
+                settings.spp.to_string(),
+                format!("{} × {}", settings.width, settings.height),
+                offer.error.map_or("-".into(), |error| format!("{:.1} %", error.p50 * 100.0)),
+                offer.finish.map_or("never".into(), at),
+                money(offer.cost.micro_units()),
+                match (offer.asked_for, offer.fits) {
+                    (true, true) => "as asked for",
+                    (true, false) => "as asked for, does not fit",
+                    (false, true) => "fits",
+                    (false, false) => "",
+                }
+                .to_owned(),
+            ]);
+        }
+        text += &format!("\nQualities\n{}", table.render());
+    }
+    text += &listed("What if", &found.what_if, at);
+    if !found.pushes_back.is_empty() {
+        text += "\nJobs that end later because of it\n";
+    }
+    for other in &found.pushes_back {
+        text += &format!(
+            "  {}: {}{}\n",
+            other.name,
+            later(other),
+            if other.breaks_promise { ", and misses its deadline" } else { "" }
+        );
+    }
+    if !found.left_out.is_empty() {
+        text += &format!("\nnot asked, for lack of time: {}\n", found.left_out.join(", "));
+    }
+    text
+}
+
+fn later(job: &MovedJob) -> String {
+    crate::quantities::seconds(job.later_ms as f64 / 1e3) + " later"
+}
+
+fn listed(title: &str, effects: &[PlanEffect], at: impl Fn(Timestamp) -> String) -> String {
+    if effects.is_empty() {
+        return String::new();
+    }
+    let mut text = format!("\n{title}\n");
+    for effect in effects {
+        let finish = effect.finish.map(|finish| format!("; ready by {}", at(finish))).unwrap_or_default();
+        let late = if effect.in_time { "" } else { ", too late" };
+        text += &format!("  {}{finish}{late}\n", effect.words);
+    }
+    text
+}
+
+fn curve(offers: &[PriceOffer], at: impl Fn(Timestamp) -> String) -> String {
+    let mut table =
+        Table::new(&[("deadline", Align::Left), ("price", Align::Right), ("at least", Align::Right)]);
+    for offer in offers {
+        table.row([
+            at(offer.deadline),
+            money(offer.cost.micro_units()),
+            money(offer.cost_at_least.micro_units()),
+        ]);
+    }
+    if offers.is_empty() { String::new() } else { format!("\n{}", table.render()) }
+}

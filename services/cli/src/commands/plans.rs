@@ -1,0 +1,72 @@
+//! `forelight plans`: the farm's plans, and what each changed.
+
+use crate::connection::connect;
+use crate::options::ConnectionOptions;
+use crate::output;
+use crate::quantities::clock;
+use crate::table::{Align, Table};
+use anyhow::{Context, Result};
+use forelight_protocol::{PlanId, PlanReason, PlanSummary, Timestamp};
+
+/// List the farm's newest plans, or say what one of them changed
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight plans --data farm-data
+  forelight plans 0192f0c1-7a3b-7c55-8f00-0123456789ab --data farm-data
+  forelight plans 0192f0c1-7a3b-7c55-8f00-0123456789ab --json
+
+A plan never changes. When something happens (a job comes in, a node dies, frames take longer than forecast, a calendar changes), a new one \
+takes its place, and moves as little as it can.")]
+pub struct Args {
+    /// The plan of which to say what it changed [default: list the newest]
+    plan: Option<PlanId>,
+    /// Print it as JSON to standard output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    connection: ConnectionOptions,
+}
+
+/// Runs the command.
+pub async fn run(args: Args) -> Result<()> {
+    let client = connect(&args.connection)?;
+    let Some(plan) = args.plan else {
+        let plans = client.newest_plans().await.context("cannot list the plans")?;
+        return if args.json {
+            output::json(&plans)
+        } else {
+            output::print(&report(&plans, Timestamp::now()))
+        };
+    };
+    let found = client.plan_difference(plan).await.with_context(|| format!("cannot read plan {plan}"))?;
+    if args.json {
+        return output::json(&found);
+    }
+    let words: String = found.words.iter().map(|line| format!("{line}\n")).collect();
+    output::print(&words)
+}
+
+fn report(plans: &[PlanSummary], now: Timestamp) -> String {
+    if plans.is_empty() {
+        return "nothing has been planned yet\n".into();
+    }
+    let mut table = Table::new(&[
+        ("plan", Align::Left),
+        ("made", Align::Left),
+        ("books", Align::Right),
+        ("because", Align::Left),
+    ]);
+    for plan in plans {
+        let mut because = plan.causes.join("; ");
+        if plan.reason == PlanReason::JobForecast {
+            because = if because.is_empty() {
+                "a job came in".to_owned()
+            } else {
+                format!("a job came in; {because}")
+            };
+        }
+        table.row([plan.id.to_string(), clock(plan.created_at, now), plan.bookings.to_string(), because]);
+    }
+    table.render()
+}

@@ -1,0 +1,63 @@
+//! `forelight share`: whose turn it is among jobs without a deadline.
+
+use crate::connection::connect;
+use crate::options::ConnectionOptions;
+use crate::output;
+use crate::table::{Align, Table};
+use anyhow::{Context, Result};
+use forelight_protocol::{ProjectList, ProjectRequest};
+
+/// List projects with their shares of the farm, or set one
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight share --data farm-data
+  forelight share hero-film 3 --data farm-data
+
+Among jobs without a deadline, those go first whose project had least for its share. What it had counts half after a week. A project that was \
+given none has a share of 1.")]
+pub struct Args {
+    /// The project [default: all of them]
+    #[arg(requires = "share")]
+    project: Option<String>,
+    /// Its share, relative to the others'
+    #[arg(value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    share: Option<u32>,
+    /// Print shares as JSON to standard output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    connection: ConnectionOptions,
+}
+
+/// Runs the command.
+pub async fn run(args: Args) -> Result<()> {
+    let client = connect(&args.connection)?;
+    if let (Some(project), Some(share)) = (args.project, args.share) {
+        let request = ProjectRequest { project, share };
+        client.set_share(&request).await.with_context(|| format!("project {}", request.project))?;
+    }
+    let projects = client.projects().await.context("cannot list the projects")?;
+    if args.json { output::json(&projects) } else { output::print(&report(&projects)) }
+}
+
+fn report(projects: &ProjectList) -> String {
+    if projects.items.is_empty() {
+        return "no project has a share, an open job, or used the farm lately\n".into();
+    }
+    let mut table = Table::new(&[
+        ("project", Align::Left),
+        ("share", Align::Right),
+        ("node hours", Align::Right),
+        ("for a share of 1", Align::Right),
+    ]);
+    for project in &projects.items {
+        table.row([
+            project.project.clone(),
+            project.share.to_string(),
+            format!("{:.2}", project.used_hours),
+            format!("{:.2}", project.used_hours / f64::from(project.share.max(1))),
+        ]);
+    }
+    table.render()
+}
