@@ -189,7 +189,7 @@ async fn frames_that_take_much_longer_than_forecast_stretch_what_is_left_of_the_
         let now = farm.until(&job, "there is a new plan", |job| job.plan_id != Some(known)).await;
         plan = farm.plan(&now).await;
     }
-    assert!(plan.causes.iter().any(|cause| cause.contains("take longer")), "{:?}", plan.causes);
+    assert!(plan.causes.iter().any(|cause| cause.contains("longer than was forecast")), "{:?}", plan.causes);
     let (done, waits) = (before.bookings[0].frame, before.bookings[7].frame);
     let stretched = length(&plan, waits) as f64 / length(&before, waits) as f64;
     // Two frames of twice the forecast, which was not that sure of single frames, are no proof of a factor of two.

@@ -35,8 +35,6 @@ pub struct FarmFrame {
     pub p95: f64,
     /// What its booking costs by the time that it takes, micro-units; 0 without one.
     pub booked_cost: i64,
-    /// CPU seconds that it took, once it is done.
-    pub actual: Option<f64>,
     /// Whether it waits for a worker: neither done nor with one.
     pub waits: bool,
 }
@@ -53,7 +51,7 @@ impl Store {
             let job_id = JobId(id(row, "id")?);
             let done = progress::of_job(&mut transaction, job_id).await?;
             let frames = sqlx::query(
-                "SELECT f.frame, f.cpu_p50, f.cpu_p80, f.cpu_p95, f.actual_cpu, t.state NOT IN ('leased', 'done') AS waits, t.held, \
+                "SELECT f.frame, f.cpu_p50, f.cpu_p80, f.cpu_p95, t.state NOT IN ('leased', 'done') AS waits, t.held, \
                  b.end_at - b.start_at AS length, coalesce(n.price_set, n.price_per_hour) AS price \
                  FROM frames f JOIN jobs j ON j.id = f.job_id \
                  JOIN tasks t ON t.job_id = f.job_id AND t.kind = 'render' AND ifnull(t.frame, -1) = f.frame \
@@ -74,7 +72,6 @@ impl Store {
                         p80: row.try_get("cpu_p80")?,
                         p95: row.try_get("cpu_p95")?,
                         booked_cost: booked_cost(row)?,
-                        actual: row.try_get("actual_cpu")?,
                         waits: row.try_get("waits")?,
                     })
                 })

@@ -70,7 +70,7 @@ pub use nodes::LOST;
 pub use plans::{JobOutlook, NewBooking, NewJobPlan, NewPlan};
 pub use projection::{Holder, OpenBooking, Projected, project};
 pub use projects::{HALF_LIFE, ProjectUse};
-pub use replans::Wanted;
+pub use replans::{Wanted, is_news};
 pub use results::{Committed, MeasuredProfile};
 pub use seeds::{NewSeed, NewSeedBooking, PlannedCache};
 pub use schedule::{Opening, free_time_of, opening, silence, with_power};

@@ -8,7 +8,8 @@
 //! the quote) excepted. So what is long ago is known coarsely, what was just now finely, and the room that a job takes is bounded.
 //!
 //! *Events.* Whether the estimate has left what is booked is remembered with it, so that leaving and coming back are each said once, in the same
-//! transaction. When a new plan books the job, what is booked is what was expected when it was made.
+//! transaction. When a new plan books the job, what is booked is what was expected when it was made. An estimate that is news to the plan calls for
+//! a new one.
 
 use forelight_forecast::{Band, Known, LiveFrame, Measure, live};
 use forelight_protocol::{
@@ -22,6 +23,7 @@ use crate::database::Write;
 use crate::decode::{id, id_opt, json, json_opt, time, to_json, whole, word};
 use crate::events::{append, event};
 use crate::projection::{OpenBooking, Projected, project};
+use crate::replans::{self, is_news};
 use crate::{JobForecast, Store, StoreError, plans};
 
 /// With each of the first frames there is a new estimate.
@@ -113,7 +115,7 @@ pub(crate) async fn update(
 ) -> Result<(), StoreError> {
     let kept = read(write.connection(), job).await?;
     let row = sqlx::query(
-        "SELECT state, forecast, verdict, confidence, plan_id, frames_total, \
+        "SELECT name, state, factor, forecast, verdict, confidence, plan_id, frames_total, \
          (SELECT count(*) FROM frames WHERE job_id = ?1 AND actual IS NULL) AS open FROM jobs WHERE id = ?1",
     )
     .bind(job.0)
@@ -184,6 +186,14 @@ pub(crate) async fn update(
         },
     };
     tell(write, job, plan, &live, was_off).await?;
+    if !state.is_final()
+        && (is_news(live.cpu_seconds.factor, row.try_get("factor")?) || (live.finish_is_off && !was_off[1]))
+    {
+        let name: &str = row.try_get("name")?;
+        let word = if live.cpu_seconds.factor < 1.0 { "less" } else { "longer" };
+        let cause = format!("frames of job {name} take {word} than was forecast");
+        replans::want(write, &cause).await?;
+    }
     let baseline = [booked_cpu, booked_rest, booked_share];
     keep(write, job, plan, baseline, &live).await
 }

@@ -371,6 +371,9 @@ async fn keep(
             }
         }
         keep_job(write, plan_id, job).await?;
+        if fresh != Some(job_id) {
+            live::update(write, job_id, Occasion::Booked, now).await?;
+        }
         let told =
             Event { job_id: Some(job_id), plan_id: Some(plan_id), ..event(EventKind::PlanStored, now) };
         let message = (!plan.wanted.causes.is_empty()).then(|| plan.wanted.causes.join("; "));

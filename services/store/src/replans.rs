@@ -13,6 +13,14 @@ use crate::{Store, StoreError};
 /// Causes that are kept in words; of a burst, the rest is one line.
 const MOST_CAUSES: usize = 20;
 
+/// A job's living estimate calls for a new plan once it is off what the plan goes by by more than this: a tenth.
+const NEWS: f64 = 0.1;
+
+/// Whether a factor on a job's forecast is so far from the one that its plan was made with that the plan should know.
+pub fn is_news(found: f64, planned: f64) -> bool {
+    found > 0.0 && planned > 0.0 && (found / planned).ln().abs() > NEWS
+}
+
 /// What a plan would have to take into account.
 #[derive(Clone, PartialEq, Eq, Debug, Default)]
 pub struct Wanted {

@@ -13,7 +13,7 @@ use crate::decode::{corrupt, id, json, to_json};
 use crate::events::{append, job_state};
 use crate::leases::{LeaseRow, LeaseState, end, read, touch};
 use crate::live::{self, Occasion};
-use crate::{Store, StoreError, calibration, jobs, node_learning, nodes, replans, seeds};
+use crate::{Store, StoreError, calibration, jobs, node_learning, nodes, seeds};
 
 /// What became of a result.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -239,7 +239,6 @@ async fn keep_render(
     .bind(i64::from(stats.frame))
     .execute(write.connection())
     .await?;
-    off_its_booking(write, row, stats.frame, now).await?;
     let finished = sqlx::query(
         "UPDATE jobs SET state = 'done', finished_at = ?1 WHERE id = ?2 AND state = 'rendering' \
          AND NOT EXISTS (SELECT 1 FROM frames WHERE job_id = ?2 AND actual IS NULL)",
@@ -253,44 +252,4 @@ async fn keep_render(
         job_state(write, row.job_id, JobState::Done, None, now).await?;
     }
     live::update(write, row.job_id, Occasion::Frame, now).await
-}
-
-/// A frame that was rendered is off its forecast if it took this much more or less than it was booked for: a quarter.
-const OFF: f64 = 0.25;
-
-/// Seconds that say nothing about a forecast, in microseconds: fetching a bundle takes as long.
-const NOISE: f64 = 2e6;
-
-/// Calls for a new plan if a frame took longer or shorter than it was booked for, or was done after its booking's end.
-async fn off_its_booking(
-    write: &mut Write,
-    row: &LeaseRow,
-    frame: u32,
-    now: Timestamp,
-) -> Result<(), StoreError> {
-    let found = sqlx::query(
-        "SELECT b.node_id, b.start_at, b.end_at, l.granted_at, j.name FROM bookings b JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id \
-         JOIN leases l ON l.id = ?1 WHERE b.job_id = ?2 AND b.frame = ?3",
-    )
-    .bind(row.id.0)
-    .bind(row.job_id.0)
-    .bind(i64::from(frame))
-    .fetch_optional(write.connection())
-    .await?;
-    let Some(found) = found else { return Ok(()) };
-    let [start, end, granted]: [i64; 3] =
-        [found.try_get("start_at")?, found.try_get("end_at")?, found.try_get("granted_at")?];
-    let booked = end.saturating_sub(start) as f64;
-    let took = now.micros().saturating_sub(granted).max(0) as f64;
-    // On another node, another length is no news.
-    let same_node = id(&found, "node_id")? == row.node_id.0;
-    let off = same_node && (took - booked).abs() > (booked * OFF).max(NOISE);
-    let late = now.micros().saturating_sub(end) as f64 > (booked * OFF).max(NOISE);
-    if off || late {
-        let name: &str = found.try_get("name")?;
-        let word = if late || took > booked { "longer" } else { "shorter" };
-        let cause = format!("frames of job {name} take {word} than they were booked for");
-        replans::want(write, &cause).await?;
-    }
-    Ok(())
 }

@@ -7,7 +7,7 @@ use forelight_planner::{self as planner, FixedBooking, Interval};
 use forelight_protocol::{Confidence, Job, JobId, Money, Node, NodeId, PlanId, Quantiles, Timestamp};
 use forelight_store::{
     FarmJob, HALF_LIFE, LOST, Opening, ProjectUse, Projected, Store, StoreError, Wanted, free_time_of,
-    opening, project, silence,
+    is_news, opening, project, silence,
 };
 
 /// Nodes that a plan looks at.
@@ -18,12 +18,6 @@ const PER_SECOND: f64 = 1e9;
 
 /// Calendars are told to the planner this far beyond the last deadline: eight weeks, in microseconds.
 const BEYOND: i64 = 56 * 86_400_000_000;
-
-/// Forecast errors are taken to be no smaller than this, a twentieth, when finished frames say otherwise.
-const LEAST_SPREAD: f64 = 0.05;
-
-/// What finished frames teach moves a plan only if it is off by more than this: a tenth.
-const NEWS: f64 = 0.1;
 
 /// What a plan rests on. The newest plan and what happened since are read before everything else: should either change meanwhile, the
 /// store refuses the plan, or has another one made after it.
@@ -120,7 +114,7 @@ impl Farm {
             let Some(forecast) = &farm_job.forecast else { continue };
             let place = asked.len() as u64;
             places.insert(farm_job.job.id, place);
-            let factor = learned(farm_job, &forecast.total.cpu_seconds);
+            let factor = learned(farm_job);
             let one = of_job(farm_job, &snapshot.projected, factor);
             let project = projects.get(farm_job.job.project.as_str()).copied();
             jobs.push(planner_job(farm_job, &forecast.total.cpu_seconds, &one, place, project, now));
@@ -193,32 +187,10 @@ fn of_job(farm_job: &FarmJob, projected: &[Projected], factor: f64) -> Asked {
     }
 }
 
-/// What a job's forecast is multiplied by after what its finished frames took: normal in the logarithm, the forecast's own idea of how far all
-/// frames may be off together as the prior, the finished frames as the observation. It stays what it was unless that is news.
-fn learned(farm_job: &FarmJob, total: &Quantiles) -> f64 {
-    let (mut forecast, mut actual, mut count) = (0.0, 0.0, 0.0);
-    let mut own = 0.0f64;
-    for frame in &farm_job.frames {
-        if let Some(took) = frame.actual {
-            forecast += frame.p50;
-            actual += took;
-            count += 1.0;
-            own += spread(frame.p50, frame.p80);
-        }
-    }
-    if count == 0.0 || forecast <= 0.0 || actual <= 0.0 {
-        return farm_job.factor;
-    }
-    let prior = spread(total.p50, total.p80).max(LEAST_SPREAD);
-    let noise = (own / count).max(LEAST_SPREAD);
-    let (prior, noise) = (prior * prior, noise * noise / count);
-    let found = ((actual / forecast).ln() * prior / (prior + noise)).exp();
-    if (found / farm_job.factor).ln().abs() > NEWS { found } else { farm_job.factor }
-}
-
-/// Standard deviation of the logarithm, from the median and P80.
-fn spread(p50: f64, p80: f64) -> f64 {
-    if p50 > 0.0 && p80 > p50 { (p80 / p50).ln() / planner::Confidence::P80.z() } else { 0.0 }
+/// What a job's forecast is multiplied by: what its living estimate says of the rest, if that is news, and otherwise what it was.
+fn learned(farm_job: &FarmJob) -> f64 {
+    let found = farm_job.job.live.as_ref().map_or(1.0, |live| live.cpu_seconds.factor);
+    if is_news(found, farm_job.factor) { found } else { farm_job.factor }
 }
 
 fn planner_job(
