@@ -3,7 +3,7 @@
 use forelight_planner::reference::{Size, cheapest_by_trying_everything, studio, tiny};
 use forelight_planner::{
     Confidence, Event, FixedBooking, Frame, Input, Interval, Job, Node, Verdict, WorkTotal, curve, explain,
-    plan, replan, simulate, verify,
+    mend, plan, replan, simulate, verify,
 };
 use proptest::prelude::*;
 
@@ -272,6 +272,35 @@ proptest! {
             // What is late may come earlier in the time that has become free.
             let was_right = |job| old.job(job).is_some_and(|before| before.verdict.is_kept());
             prop_assert!(new.difference.moved.iter().all(|(was, _)| !was_right(was.job)), "what is right stays");
+        }
+    }
+
+    #[test]
+    fn a_plan_that_is_mended_though_nothing_happened_stays_as_it_is(input in studio_input()) {
+        let first = plan(&input).expect("a plan");
+        prop_assume!(first.jobs.iter().all(|entry| entry.verdict.is_kept()));
+        let mended = mend(&input, &first).expect("a plan");
+        prop_assert_eq!(&mended.plan.bookings, &first.bookings);
+        prop_assert!(mended.at_risk.is_empty() && mended.difference.moved.is_empty());
+    }
+
+    #[test]
+    fn mending_breaks_no_promise_in_silence(input in studio_input(), slower in 0usize..8, by in 2u64..4) {
+        let first = plan(&input).expect("a plan");
+        prop_assume!(!input.jobs.is_empty());
+        // One job turns out to take so many times as long.
+        let mut now = input.clone();
+        let slow = slower % now.jobs.len();
+        let job = &mut now.jobs[slow];
+        job.frames.iter_mut().for_each(|frame| frame.work = frame.work.saturating_mul(by));
+        let total = &mut job.total;
+        [&mut total.p50, &mut total.p80, &mut total.p95].into_iter().for_each(|part| *part = part.saturating_mul(by));
+        let mended = mend(&now, &first).expect("a plan");
+        prop_assert_eq!(verify(&now, &mended.plan), Ok(()));
+        for entry in &mended.plan.jobs {
+            let kept = first.job(entry.job).is_some_and(|before| before.verdict.is_kept());
+            let told = mended.at_risk.iter().any(|risk| risk.job == entry.job);
+            prop_assert!(!kept || entry.verdict.is_kept() || told, "job {} is broken in silence", entry.job);
         }
     }
 

@@ -116,14 +116,16 @@ async fn found(app: &App, job: JobId, query: &AnswersQuery) -> ApiResult<Arc<Ans
         frame.end = Timestamp::from_micros(end.saturating_add(MINUTE - 1) / MINUTE * MINUTE);
     }
     let plan_id = snapshot.parent;
-    let farm = Farm::new(&snapshot);
-    let Some(place) = farm.place(job) else {
+    let deadline = query.deadline;
+    let prepared = compute(move || {
+        let farm = Farm::new(&snapshot);
+        let rests_on = (plan_id, &farm.input, &farm.standing, job, deadline, budget);
+        let key = *blake3::hash(&serde_json::to_vec(&rests_on).unwrap_or_default()).as_bytes();
+        Ok(farm.place(job).map(|place| (farm, place, key)))
+    });
+    let Some((farm, place, key)) = prepared.await.map_err(refused)? else {
         return Err(ApiError::new(ProblemKind::Conflict, "the job was over in the meantime"));
     };
-    let mut hasher = blake3::Hasher::new();
-    let rests_on = (plan_id, &farm.input, &farm.standing, job, query.deadline, budget);
-    hasher.update(&serde_json::to_vec(&rests_on).unwrap_or_default());
-    let key = *hasher.finalize().as_bytes();
     if let Some(known) = app.answers.find(&key) {
         return Ok(known);
     }
@@ -135,15 +137,19 @@ async fn found(app: &App, job: JobId, query: &AnswersQuery) -> ApiResult<Arc<Ans
     }
     let rungs = rungs(app, job, asked.settings).await?;
     let question = Question { deadline: query.deadline, budget, rungs, patience: PATIENCE };
-    let document = match compute(move || answers(&farm, place, &question)).await {
-        Ok(document) => Arc::new(AnswersDoc { plan_id, ..document }),
-        Err(AdvanceError::Store(error)) => return Err(error.into()),
-        Err(AdvanceError::Hopeless(reason)) => return Err(ApiError::new(ProblemKind::Conflict, reason)),
-    };
+    let document = compute(move || answers(&farm, place, &question)).await.map_err(refused)?;
+    let document = Arc::new(AnswersDoc { plan_id, ..document });
     if document.left_out.is_empty() {
         app.answers.keep(key, document.clone());
     }
     Ok(document)
+}
+
+fn refused(error: AdvanceError) -> ApiError {
+    match error {
+        AdvanceError::Store(error) => error.into(),
+        AdvanceError::Hopeless(reason) => ApiError::new(ProblemKind::Conflict, reason),
+    }
 }
 
 /// Other qualities of a job, as far as its profile knows any.
