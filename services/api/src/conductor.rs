@@ -25,11 +25,11 @@ mod choose;
 pub(crate) mod effects;
 mod estimate;
 pub(crate) mod explain;
-mod sharing;
-mod within;
 pub(crate) mod farm;
 mod replan;
 pub(crate) mod settle;
+mod sharing;
+mod within;
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
@@ -150,8 +150,14 @@ impl Conductor {
             let corrections = experience.corrections();
             match limit {
                 None => {
-                    let quote =
-                        sharing::quote(asked, &settings, &preview, &profiles, &planned, corrections.as_ref())?;
+                    let quote = sharing::quote(
+                        asked,
+                        &settings,
+                        &preview,
+                        &profiles,
+                        &planned,
+                        corrections.as_ref(),
+                    )?;
                     // Nothing is known of other qualities without profiles, and of one that a cache was chosen for.
                     let rungs = if profiles.is_empty() || quote.seed.is_some() {
                         Vec::new()

@@ -16,8 +16,8 @@ mod artifact;
 mod budget;
 mod bundle;
 mod cache;
-mod calibration;
 mod calendar;
+mod calibration;
 mod dashboard;
 mod event;
 mod explanation;
@@ -59,11 +59,11 @@ pub use cache::{
     CACHE_BYTES, CACHE_ROUNDS, CacheFillResult, CacheFillSpec, CacheFrame, CacheMergeResult, CacheMergeSpec,
     CachePlanResult, CachePlanSpec, CachePrice, CacheQuote, CacheSharing, SeedForecast, SeedProgress,
 };
-pub use calibration::{ByClass, KernelTime, NodeCalibration};
 pub use calendar::{
     ClockTime, Day, MOST_WINDOWS, MalformedCalendar, NodeCalendar, NodePower, NodeWindow, PowerState,
     TimeSpan, WindowEnd,
 };
+pub use calibration::{ByClass, KernelTime, NodeCalibration};
 pub use dashboard::{Dashboard, DashboardCounts, DashboardJob, DashboardNode, NodeActivity, TaskCounts};
 pub use event::{Event, EventKind};
 pub use explanation::{Amounts, Explanation, Halving, ObjectShare, PartShare, RayShare, ShownWork};

@@ -4,8 +4,8 @@ use serde::{Deserialize, Deserializer, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    ArtifactHash, ByClass, Money, NodeCalendar, NodeCalibration, NodeId, NodePower, PageToken, TaskId, TimeSpan,
-    Timestamp, WindowEnd,
+    ArtifactHash, ByClass, Money, NodeCalendar, NodeCalibration, NodeId, NodePower, PageToken, TaskId,
+    TimeSpan, Timestamp, WindowEnd,
 };
 
 /// A node announces itself. A node of the same name is updated, and keeps its id; its speed and price too, if they were set

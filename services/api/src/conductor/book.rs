@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use forelight_planner as planner;
 use forelight_protocol::{
-    AccuracyRung, Job, Money, MoneyQuantiles, Node, NodeSeconds, PlanEffect, PlanReason, Quantiles, Timestamp,
-    Verdict,
+    AccuracyRung, Job, Money, MoneyQuantiles, Node, NodeSeconds, PlanEffect, PlanReason, Quantiles,
+    Timestamp, Verdict,
 };
 use forelight_store::{FarmFrame, FarmJob, JobForecast, NewPlan, NewSeed, NewSeedBooking, QuoteBasis};
 

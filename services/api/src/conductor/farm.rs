@@ -4,20 +4,25 @@
 use std::collections::BTreeMap;
 
 use forelight_planner::{self as planner, FixedBooking, Interval};
-use forelight_protocol::{Confidence, Job, JobId, Money, Node, NodeId, PlanId, Quantiles, Timestamp};
+use forelight_protocol::{
+    CacheQuote, Confidence, Job, JobId, Money, Node, NodeId, PlanId, Quantiles, SeedBooking, Timestamp,
+};
 use forelight_store::{
-    FarmJob, HALF_LIFE, LOST, Opening, ProjectUse, Projected, Store, StoreError, Wanted, free_time_of,
-    is_news, opening, project, silence,
+    FarmJob, HALF_LIFE, JobForecast, LOST, Opening, ProjectUse, Projected, Store, StoreError, Wanted,
+    free_time_of, is_news, opening, project, silence,
 };
 
 /// Nodes that a plan looks at.
-const MOST_NODES: u32 = 10_000;
+pub(super) const MOST_NODES: u32 = 10_000;
 
 /// The planner counts work in whole units, of which a node does so many a second; ours are nanoseconds of a core of speed 1.
 const PER_SECOND: f64 = 1e9;
 
 /// Calendars are told to the planner this far beyond the last deadline: eight weeks, in microseconds.
 const BEYOND: i64 = 56 * 86_400_000_000;
+
+/// How long a part of an irradiance cache that should be filled already is still given: a second, in microseconds.
+const OVERDUE: i64 = 1_000_000;
 
 /// What a plan rests on. The newest plan and what happened since are read before everything else: should either change meanwhile, the
 /// store refuses the plan, or has another one made after it.
@@ -30,6 +35,8 @@ pub(crate) struct Snapshot {
     pub jobs: Vec<FarmJob>,
     pub projects: Vec<ProjectUse>,
     pub projected: Vec<Projected>,
+    /// Parts of shared caches that are not filled yet.
+    pub seeds: Vec<SeedBooking>,
 }
 
 impl Snapshot {
@@ -41,7 +48,8 @@ impl Snapshot {
         let jobs = store.farm_jobs().await?;
         let projects = store.projects(now).await?;
         let projected = project(&store.open_bookings().await?, now);
-        Ok(Self { now, parent, wanted, nodes, jobs, projects, projected })
+        let seeds = store.open_seed_bookings().await?;
+        Ok(Self { now, parent, wanted, nodes, jobs, projects, projected, seeds })
     }
 }
 
@@ -117,7 +125,8 @@ impl Farm {
             let factor = learned(farm_job);
             let one = of_job(farm_job, &snapshot.projected, factor);
             let project = projects.get(farm_job.job.project.as_str()).copied();
-            jobs.push(planner_job(farm_job, &forecast.total.cpu_seconds, &one, place, project, now));
+            let release = seeded(snapshot, farm_job.job.id);
+            jobs.push(planner_job(farm_job, forecast, &one, place, project, release));
             asked.push(one);
         }
         let spare = spare_work(snapshot, &jobs);
@@ -126,8 +135,13 @@ impl Farm {
         let nodes = snapshot.nodes.iter().zip(0..);
         let input = planner::Input {
             now: now.micros(),
-            nodes: nodes.map(|(node, id)| planner_node(node, id, now, horizon, spare)).collect(),
-            fixed: under_way(&snapshot.projected, &index, &places),
+            nodes: nodes
+                .map(|(node, id)| planner::Node {
+                    speeds: own_speeds(node, &snapshot.jobs),
+                    ..planner_node(node, id, now, horizon, spare)
+                })
+                .collect(),
+            fixed: under_way(snapshot, &index, &places),
             projects: snapshot
                 .projects
                 .iter()
@@ -195,24 +209,28 @@ fn learned(farm_job: &FarmJob) -> f64 {
 
 fn planner_job(
     farm_job: &FarmJob,
-    cpu_seconds: &Quantiles,
+    forecast: &JobForecast,
     asked: &Asked,
     id: u64,
     project: Option<u64>,
-    now: Timestamp,
+    release: Timestamp,
 ) -> planner::Job {
     let job = &farm_job.job;
     let factor = asked.factor;
+    // What a job that is booked shares is booked too, and stands; of one that is not, it is planned with the frames.
+    let is_new = job.plan_id.is_none();
     planner::Job {
         id,
+        class: class(id),
+        seed: forecast.cache.as_ref().filter(|_| is_new).and_then(|cache| seed(cache, id)),
         name: job.name.clone(),
         project,
-        release: now.micros(),
+        release: release.micros(),
         deadline: job.deadline.map(Timestamp::micros),
         priority: job.priority,
         weight: job.weight,
         confidence: confidence(job.confidence),
-        total: total(&times(cpu_seconds, factor)),
+        total: total(&times(&forecast.total.cpu_seconds, factor)),
         frames: farm_job
             .frames
             .iter()
@@ -278,13 +296,53 @@ pub(crate) fn planner_project(project: &ProjectUse, id: u64) -> planner::Project
     }
 }
 
-/// Frames that are with a worker: facts.
+/// The planner's class of work like a job's.
+fn class(job: u64) -> u32 {
+    // Zero is that of nodes as such.
+    u32::try_from(job).map_or(u32::MAX, |job| job.saturating_add(1))
+}
+
+/// What a node does a second of work like each job's, where it is calibrated for its classes.
+fn own_speeds(node: &Node, jobs: &[FarmJob]) -> BTreeMap<u32, u64> {
+    let known = jobs.iter().filter_map(|job| job.forecast.as_ref());
+    let speed = |(forecast, id): (&JobForecast, u64)| {
+        let speed = node.corrected_speed(forecast.work_by_class.as_ref())?;
+        Some((class(id), units(speed * f64::from(node.cores)).max(1)))
+    };
+    known.zip(0..).filter_map(speed).collect()
+}
+
+/// The irradiance cache that the frames share and wait for, as the planner's work.
+fn seed(cache: &CacheQuote, job: u64) -> Option<planner::Seed> {
+    let seed = cache.seed.as_ref()?;
+    Some(planner::Seed { class: class(job), work: units(seed.cpu_seconds.p50).max(1), parts: seed.parts })
+}
+
+/// When a part of a shared cache should be filled: one that should be by now is about to be.
+fn filled(part: &SeedBooking, now: Timestamp) -> Timestamp {
+    part.end.max(now.plus_micros(OVERDUE))
+}
+
+/// The first instant at which a job's frames can start: when the cache that they share should be filled.
+fn seeded(snapshot: &Snapshot, job: JobId) -> Timestamp {
+    let parts = snapshot.seeds.iter().filter(|part| part.job_id == job);
+    parts.map(|part| filled(part, snapshot.now)).max().unwrap_or(snapshot.now)
+}
+
+/// What is not planned again: frames that are with a worker, and parts of shared caches.
 fn under_way(
-    projected: &[Projected],
+    snapshot: &Snapshot,
     nodes: &BTreeMap<NodeId, u64>,
     jobs: &BTreeMap<JobId, u64>,
 ) -> Vec<FixedBooking> {
-    projected
+    let parts = snapshot.seeds.iter().filter_map(|part| {
+        let node = *nodes.get(&part.node_id)?;
+        let (start, end) = (part.start.micros(), filled(part, snapshot.now).micros());
+        let job = jobs.get(&part.job_id).copied();
+        Some(FixedBooking { node, start, end: end.max(start), job, ..FixedBooking::default() })
+    });
+    snapshot
+        .projected
         .iter()
         .filter(|frame| frame.under_way)
         .filter_map(|frame| {
@@ -293,6 +351,7 @@ fn under_way(
             let job = jobs.get(&frame.booking.job_id).copied();
             Some(FixedBooking { node, start, end: end.max(start), job, ..FixedBooking::default() })
         })
+        .chain(parts)
         .collect()
 }
 
@@ -317,8 +376,9 @@ fn standing(
             continue;
         };
         let number = i64::from(frame.booking.frame);
-        let duration =
-            work[job as usize].get(&number).and_then(|&work| input.nodes[node as usize].duration(work, 0));
+        let duration = work[job as usize]
+            .get(&number)
+            .and_then(|&work| input.nodes[node as usize].duration(work, class(job)));
         let Some(duration) = duration else { continue };
         let free = free_from.entry(node).or_insert(input.now);
         let start = frame.booking.start.micros().max(*free);

@@ -10,12 +10,9 @@ use std::sync::PoisonError;
 use forelight_protocol::{NodeId, PlanReason};
 use forelight_store::{NewPlan, Projected, StoreError, project};
 
-use super::farm::{Farm, Snapshot, bookable};
+use super::farm::{Farm, MOST_NODES, Snapshot, bookable};
 use super::settle::{Settled, settle};
 use super::{ATTEMPTS, AdvanceError, Conductor, compute};
-
-/// Nodes that are looked at.
-const MOST_NODES: u32 = 10_000;
 
 impl Conductor {
     /// Plans the farm anew if something happened that the newest plan does not know of. Says whether a plan was made, or found to be good still.
@@ -55,7 +52,7 @@ impl Conductor {
         let Settled { jobs, outlooks, .. } = self.passed(settled)?;
         let causes = wanted.causes.join("; ");
         let rebooked = jobs.len();
-        let new = NewPlan { parent, reason: PlanReason::Events, wanted, jobs, outlooks };
+        let new = NewPlan { parent, reason: PlanReason::Events, wanted, jobs, outlooks, seed: None };
         if rebooked == 0 {
             self.store.keep_outlooks(&new, now).await?;
             tracing::debug!(causes, "the plan is still good");

@@ -84,8 +84,8 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
             let within_budget = said.verdict != Verdict::OverBudget;
             said.ways_out = farm.ways_out(job, &plan.bookings, within_budget)?;
         }
-        let bookings =
-            plan.bookings_of(job as u64).map(|booking| own_booking(farm, booking)).collect::<Option<_>>();
+        let of_frames = plan.bookings_of(job as u64).filter(|booking| !booking.task.is_seed());
+        let bookings = of_frames.map(|booking| own_booking(farm, booking)).collect::<Option<_>>();
         let bookings = bookings.ok_or_else(|| {
             AdvanceError::Hopeless("the plan books a node or a frame that there is not".to_owned())
         })?;

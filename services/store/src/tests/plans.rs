@@ -203,6 +203,7 @@ async fn a_new_plan_books_what_waits_anew_and_leaves_what_is_done_as_it_was() {
             factor: 1.5,
         }],
         outlooks: Vec::new(),
+        seed: None,
     };
     let second = farm.store.replan(&plan, at(21)).await.unwrap();
     let kept = farm.store.plan(second).await.unwrap();
