@@ -2,7 +2,7 @@
 
 mod support;
 
-use forelight_protocol::{ForecastDoc, Job, JobState, TaskSpec};
+use forelight_protocol::{AccuracyDoc, ForecastDoc, Job, JobState, TaskSpec};
 use reqwest::StatusCode;
 use serde_json::{Value, json};
 use support::{Answer, Farm};
@@ -37,6 +37,11 @@ async fn the_most_samples_that_fit_are_chosen_said_and_rendered() {
     assert!(spp >= 4 * plain.settings.spp && spp <= 6 * plain.settings.spp, "{spp}");
     assert!(quoted.total.cpu_seconds.p95 <= given, "{:?} in {given}", quoted.total.cpu_seconds);
     assert!(quoted.total.cpu_seconds.p95 > 0.9 * given, "{:?} in {given}", quoted.total.cpu_seconds);
+    // What is worked out from the profile later speaks of the images that are rendered.
+    let path = format!("/v1/jobs/{}/accuracy", job.id);
+    let ladders: AccuracyDoc = farm.viewer.get(&path).await.json_as(StatusCode::OK).await;
+    let own = ladders.rungs.iter().find(|rung| rung.asked_for).unwrap();
+    assert!((own.cpu_seconds.mean / quoted.total.cpu_seconds.mean - 1.0).abs() < 1e-9, "{own:?}");
     let lease = farm.claim_waiting(&node, 5000).await.unwrap();
     let TaskSpec::Render(spec) = &lease.spec else { panic!("{:?}", lease.spec) };
     assert_eq!((spec.settings.spp, spec.profile), (spp, None), "profiled pixels have other samples");

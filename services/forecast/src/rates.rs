@@ -58,12 +58,11 @@ pub fn class_rates<const CLASSES: usize>(kernels: &[Timed<CLASSES>]) -> Option<[
 /// Solves a symmetric positive definite system by elimination, which needs no pivots for these (Golub and Van Loan, section 4.2).
 fn solved<const N: usize>(mut matrix: [[f64; N]; N], mut right: [f64; N]) -> [f64; N] {
     for k in 0..N {
-        for i in k + 1..N {
-            let factor = matrix[i][k] / matrix[k][k];
-            for j in k..N {
-                matrix[i][j] -= factor * matrix[k][j];
-            }
-            right[i] -= factor * right[k];
+        let (pivot, known) = (matrix[k], right[k]);
+        for (row, right) in matrix.iter_mut().zip(&mut right).skip(k + 1) {
+            let factor = row[k] / pivot[k];
+            row.iter_mut().zip(pivot).for_each(|(entry, above)| *entry -= factor * above);
+            *right -= factor * known;
         }
     }
     for i in (0..N).rev() {

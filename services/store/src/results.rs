@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    ArtifactHash, EventKind, JobId, JobState, LeaseId, NodeId, PreviewResult, ProfileResult, RenderResult,
-    TaskId, TaskKind, TaskResult, Timestamp,
+    ArtifactHash, EventKind, JobId, JobState, LeaseId, NodeId, PreviewResult, ProfileResult, ProfileSpec,
+    RenderResult, TaskId, TaskKind, TaskResult, TaskSpec, Timestamp,
 };
 use sqlx::Row as _;
 
@@ -37,6 +37,8 @@ pub struct MeasuredProfile {
     pub result: ProfileResult,
     /// Speed of the node: a CPU second there is this many on a node of speed 1.
     pub node_speed: f64,
+    /// Camera samples that its pixels were profiled with; the job may be rendered with others.
+    pub spp: u32,
 }
 
 impl Store {
@@ -144,7 +146,7 @@ impl Store {
     /// The job's profiles by frame, if all that were asked for are there; `None` while one is missing.
     pub async fn profile_results(&self, job: JobId) -> Result<Option<Vec<MeasuredProfile>>, StoreError> {
         let rows = sqlx::query(
-            "SELECT r.body, l.node_id, l.node_speed FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id \
+            "SELECT t.spec, r.body, l.node_id, l.node_speed FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id \
              WHERE t.job_id = ? AND t.kind = 'profile' ORDER BY t.frame",
         )
         .bind(job.0)
@@ -158,7 +160,10 @@ impl Store {
                     let node = self.node(NodeId(id(row, "node_id")?)).await?;
                     let by_class = node.corrected_speed(result.work_by_class.as_ref());
                     let node_speed = by_class.map_or_else(|| row.try_get("node_speed"), Ok)?;
-                    profiles.push(MeasuredProfile { result, node_speed });
+                    let TaskSpec::Profile(ProfileSpec { settings, .. }) = json(row, "spec")? else {
+                        return Err(corrupt("spec", "a profile task is asked for something else".to_owned()));
+                    };
+                    profiles.push(MeasuredProfile { result, node_speed, spp: settings.spp });
                 }
                 Some(other) => {
                     return Err(corrupt("body", format!("a {} result of a profile task", other.kind())));

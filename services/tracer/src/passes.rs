@@ -13,6 +13,9 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+/// Samples of a pixel after which it is asked whether to stop: a few milliseconds.
+const RUN: u32 = 32;
+
 /// A pixel that can be given more samples.
 #[derive(Debug, Clone)]
 pub(crate) struct Underway {
@@ -80,7 +83,7 @@ impl Passes {
     }
 
     /// Brings every pixel to the number of samples that `wanted` has for it, on the current thread pool, and says what that took. Pixels that have as many keep theirs.
-    /// Before each pixel `stop` is asked whether to leave it, and all others, as they are. `progress` is told the pixels done.
+    /// Before each pixel, and now and then within it, `stop` is asked whether to leave it, and all others, as they are. `progress` is told the pixels done.
     ///
     /// # Errors
     /// If the numbers are not those of this image's pixels.
@@ -107,7 +110,13 @@ impl Passes {
                         break;
                     }
                     let nanos = pixel.pixel.cpu_nanos;
-                    tracer.kernel.go_on(tracer, index, pixel, samples, &mut |_| ());
+                    while pixel.samples < samples {
+                        let next = samples.min(pixel.samples + RUN);
+                        tracer.kernel.go_on(tracer, index, pixel, next, &mut |_| ());
+                        if next < samples && stop() {
+                            break;
+                        }
+                    }
                     traced.push((nanos, &mut pixel.pixel.cpu_nanos));
                 }
                 traced

@@ -54,6 +54,16 @@ pub enum AllotError {
         /// Seconds that the least image takes, of the same clock.
         least: f64,
     },
+    /// Not even the irradiance cache is filled by then.
+    #[error(
+        "{given:.3} s are too few: until the frame's irradiance cache is filled alone about {filled:.3} s pass"
+    )]
+    TooLittleForCache {
+        /// Seconds given.
+        given: f64,
+        /// When it is filled, in seconds of the same clock.
+        filled: f64,
+    },
     /// The frame cannot be profiled.
     #[error(transparent)]
     Shot(#[from] ShotError),

@@ -100,8 +100,8 @@ pub(crate) fn fits_the_cache(
         f64::from(count) * seconds(nanos) / number.max(1) as f64
     };
     let fill: f64 = ready.cache_records().into_iter().enumerate().map(of_level).sum();
-    let least = budget.clock.elapsed() + budget.clock.of_cpu(fill);
-    if least > budget.seconds { Err(budget.too_little(least)) } else { Ok(()) }
+    let (given, filled) = (budget.seconds, budget.clock.elapsed() + budget.clock.of_cpu(fill));
+    if fill > 0.0 && filled > given { Err(AllotError::TooLittleForCache { given, filled }) } else { Ok(()) }
 }
 
 /// Renders a frame whose cache is filled in what is left of the time. `None` if `cancel` was set.

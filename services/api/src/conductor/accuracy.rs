@@ -165,8 +165,19 @@ fn enlarged(preview: &PreviewResult, factor: f64) -> PreviewResult {
     preview
 }
 
+/// The profiles as if their pixels had had so many camera samples.
+pub(crate) fn with_samples(profiles: &[MeasuredProfile], spp: u32) -> Vec<MeasuredProfile> {
+    let one = |profile: &MeasuredProfile| {
+        let factor = f64::from(spp) / f64::from(profile.spp.max(1));
+        scaled(std::slice::from_ref(profile), factor)
+            .into_iter()
+            .map(|scaled| MeasuredProfile { spp, ..scaled })
+    };
+    profiles.iter().flat_map(one).collect()
+}
+
 /// Profiles in which every pixel took so many times as much.
-pub(super) fn scaled(profiles: &[MeasuredProfile], factor: f64) -> Vec<MeasuredProfile> {
+fn scaled(profiles: &[MeasuredProfile], factor: f64) -> Vec<MeasuredProfile> {
     let times = |sample: &mut ProfileSample| {
         let cost = Cost { work: sample.work, cpu_nanos: sample.cpu_nanos, rays: sample.rays }.times(factor);
         (sample.work, sample.cpu_nanos, sample.rays) = (cost.work, cost.cpu_nanos, cost.rays);

@@ -96,6 +96,7 @@ fn an_offline_quote_and_the_estimate_of_the_service_agree_to_the_last_bit_and_ex
             .map(|profiled| MeasuredProfile {
                 result: profile_result(info, &settings, profiled, artifacts),
                 node_speed: 1.0,
+                spp: settings.spp,
             })
             .collect();
         let estimated = forecast(&preview, &profiles).unwrap();

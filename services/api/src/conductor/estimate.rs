@@ -86,7 +86,7 @@ pub(super) fn estimated(
     };
     let mut gathered_by: Vec<(usize, Vec<u32>)> = Vec::new();
     let mut observations: Vec<(usize, Vec<Observation>, Cost)> = Vec::with_capacity(profiles.len());
-    for MeasuredProfile { result, node_speed } in profiles {
+    for MeasuredProfile { result, node_speed, .. } in profiles {
         let at = preview.frames.iter().position(|frame| frame.frame == result.frame).ok_or_else(|| {
             AdvanceError::Hopeless(format!("frame {} was profiled, but not previewed", result.frame))
         })?;
@@ -336,7 +336,7 @@ mod tests {
             spent: Spent { work: 50, cpu_nanos: 0 },
             artifacts,
         };
-        MeasuredProfile { result, node_speed: 2.0 }
+        MeasuredProfile { result, node_speed: 2.0, spp: 4 }
     }
 
     #[test]

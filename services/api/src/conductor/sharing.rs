@@ -202,7 +202,7 @@ fn seed(
         RecordStrata::add(&mut strata, &mut frames, &[records], preview.record_prior_cost.unwrap_or(1.0));
     let observations: Vec<Observation> = profiles
         .iter()
-        .flat_map(|MeasuredProfile { result, node_speed }| {
+        .flat_map(|MeasuredProfile { result, node_speed, .. }| {
             result.shared_cache_samples.iter().filter(|sample| (sample.level as usize) < records.len()).map(
                 |sample| {
                     let cpu_nanos = at_speed_one(sample.cpu_nanos, *node_speed);

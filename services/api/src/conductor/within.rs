@@ -9,7 +9,7 @@ use forelight_protocol::{Confidence, Job, Per, PreviewResult, Within};
 use forelight_store::MeasuredProfile;
 
 use super::AdvanceError;
-use super::accuracy::scaled;
+use super::accuracy::with_samples;
 use super::estimate::{self, Forecast};
 
 /// Most camera samples that are chosen: what the settings allow.
@@ -21,8 +21,6 @@ pub(super) struct Limit {
     seconds: f64,
     per: Per,
     confidence: Confidence,
-    /// Camera samples of the profiles.
-    profiled: u32,
     /// Micro-units a second, where the limit is money.
     price: Option<f64>,
 }
@@ -30,13 +28,7 @@ pub(super) struct Limit {
 impl Limit {
     /// Of a job, where a second of a core of speed 1 costs so much; that is not known without nodes.
     pub(super) fn new(within: &Within, job: &Job, price: Option<f64>) -> Result<Self, AdvanceError> {
-        let limit = |seconds, price| Self {
-            seconds,
-            per: within.per,
-            confidence: job.confidence,
-            profiled: job.settings.spp,
-            price,
-        };
+        let limit = |seconds, price| Self { seconds, per: within.per, confidence: job.confidence, price };
         match (within.cpu_micros, within.money) {
             (Some(micros), _) => Ok(limit(micros as f64 * 1e-6, None)),
             (None, Some(money)) => match price {
@@ -60,7 +52,7 @@ impl Limit {
         corrections: Option<&Corrections>,
     ) -> Result<Forecast, AdvanceError> {
         let with = |spp: u32| -> Result<Forecast, AdvanceError> {
-            let profiles = scaled(profiles, f64::from(spp) / f64::from(self.profiled));
+            let profiles = with_samples(profiles, spp);
             let mut forecast = estimate::calibrated(preview, &profiles, None, corrections)?;
             forecast.job.chosen_spp = Some(spp);
             Ok(forecast)

@@ -14,7 +14,7 @@ use forelight_store::{MeasuredProfile, PlannedCache};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use crate::conductor::accuracy::accuracy;
+use crate::conductor::accuracy::{accuracy, with_samples};
 use crate::conductor::explain::explanation;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment};
@@ -99,6 +99,8 @@ pub(crate) async fn explanation_of_job(
 async fn profile(app: &App, job: &Job) -> ApiResult<(PreviewResult, Vec<MeasuredProfile>)> {
     let preview = app.store.preview_result(job.id).await?;
     let profiles = app.store.profile_results(job.id).await?.filter(|profiles| !profiles.is_empty());
+    // A job that was given a time is rendered with other samples than it was profiled with.
+    let profiles = profiles.map(|profiles| with_samples(&profiles, job.settings.spp));
     preview.zip(profiles).ok_or_else(|| {
         let reason = format!("the job is {} and not profiled, so nothing is known of its pixels", job.state);
         ApiError::new(ProblemKind::Conflict, reason)

@@ -196,7 +196,7 @@ impl AccuracyObserver for Stopping<'_> {
 /// A time too short is the user's to mend.
 pub fn failure(error: AllotError) -> anyhow::Error {
     match error {
-        AllotError::TooLittle { .. } => {
+        AllotError::TooLittle { .. } | AllotError::TooLittleForCache { .. } => {
             BadInput::new(format!("--within: {error}; give it more, or ask for a smaller image")).into()
         }
         AllotError::Shot(ShotError::Render(error)) => error.into(),

@@ -58,7 +58,7 @@ impl Case {
             let mut result = profile_result(info, &settings, profiled, artifacts);
             let beside = profile_shared(&shot, profiled, &settings, &options, plan.cache.clone()).unwrap();
             (result.shared_samples, result.shared_cache_samples) = (beside.pixels, beside.records);
-            MeasuredProfile { result, node_speed: 1.0 }
+            MeasuredProfile { result, node_speed: 1.0, spp: 4 }
         };
         let profiles = quoted.profiled.iter().map(measured).collect();
         let planned = PlannedCache::There {
