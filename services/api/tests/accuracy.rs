@@ -98,6 +98,7 @@ async fn a_job_with_a_cache_has_its_times_and_no_errors_and_says_why() {
     let mut request = farm.job_request("0-1");
     request["profile_frames"] = json!(1);
     request["settings"] = json!({"cache": "on", "ambient_bounces": 1, "spp": 4});
+    request["cache"] = json!("private");
     let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
     let preview = farm.next_task(&node).await;
     let TaskResult::Preview(mut previewed) = farm.made_up_result(&preview).await else { panic!() };
