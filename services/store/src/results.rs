@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use forelight_protocol::{
     ArtifactHash, EventKind, JobId, JobState, LeaseId, NodeId, PreviewResult, ProfileResult, RenderResult,
-    TaskId, TaskKind, TaskResult, Timestamp,
+    TaskId, TaskKind, TaskResult, TaskSpec, Timestamp,
 };
 use sqlx::Row as _;
 
@@ -166,6 +166,21 @@ impl Store {
             }
         }
         Ok(Some(profiles))
+    }
+
+    /// Camera samples of the job's profiles; they are those of its settings, unless these were chosen afterwards. `None` if none was asked for.
+    pub async fn profiled_samples(&self, job: JobId) -> Result<Option<u32>, StoreError> {
+        let row = sqlx::query(
+            "SELECT spec FROM tasks WHERE job_id = ? AND kind = 'profile' ORDER BY frame LIMIT 1",
+        )
+        .bind(job.0)
+        .fetch_optional(self.readers())
+        .await?;
+        match row.as_ref().map(|row| json(row, "spec")).transpose()? {
+            None => Ok(None),
+            Some(TaskSpec::Profile(spec)) => Ok(Some(spec.settings.spp)),
+            Some(other) => Err(corrupt("spec", format!("a profile task with a {} spec", other.kind()))),
+        }
     }
 
     /// The finished pixels of the job's profiled frames, by frame.
