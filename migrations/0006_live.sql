@@ -10,6 +10,7 @@ ALTER TABLE tasks ADD COLUMN pixels_cpu REAL;
 
 -- The newest estimate of each booked job, and what it is held against: what plan `plan_id` was made for. That was to take `booked_cpu`
 -- in all, `booked_rest` of it for what was left then, which was the part `booked_share` of what was quoted.
+-- `frames_since` were finished since it was made.
 CREATE TABLE live_forecasts (
     job_id        BLOB PRIMARY KEY REFERENCES jobs (id),
     plan_id       BLOB NOT NULL REFERENCES plans (id),
@@ -17,6 +18,7 @@ CREATE TABLE live_forecasts (
     booked_rest   REAL NOT NULL,
     booked_share  REAL NOT NULL,
     frames_done   INTEGER NOT NULL CHECK (frames_done >= 0),
+    frames_since  INTEGER NOT NULL DEFAULT 0 CHECK (frames_since >= 0),
     cost_is_off   INTEGER NOT NULL CHECK (cost_is_off IN (0, 1)),
     finish_is_off INTEGER NOT NULL CHECK (finish_is_off IN (0, 1)),
     body          TEXT NOT NULL CHECK (json_valid(body)),

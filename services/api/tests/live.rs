@@ -106,6 +106,24 @@ async fn a_quote_explains_itself_as_a_whole_and_frame_by_frame() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_quote_whose_samples_were_chosen_for_a_time_is_explained_at_those() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let mut request = farm.job_request("0-3");
+    request["within"] = json!({"cpu_micros": 2_000_000_000i64});
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    let booked = farm.until_booked(&node, &job).await;
+    assert_ne!(booked.settings.spp, job.settings.spp);
+    let path = format!("/v1/jobs/{}", job.id);
+    let quote: ForecastDoc = farm.viewer.get(&format!("{path}/forecast")).await.json_as(StatusCode::OK).await;
+    let whole: Explanation =
+        farm.viewer.get(&format!("{path}/explanation")).await.json_as(StatusCode::OK).await;
+    assert!((whole.work / quote.total.work.mean - 1.0).abs() < 1e-12, "{} {:?}", whole.work, quote.total);
+    let spp = f64::from(booked.settings.spp);
+    assert!(whole.halving.iter().any(|way| way.setting == "spp" && way.from == spp), "{whole:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn finished_pixels_are_reported_with_renewals_and_more_than_there_are_is_refused() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;

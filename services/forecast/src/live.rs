@@ -134,13 +134,26 @@ pub struct Live {
     pub factor: f64,
 }
 
-/// When each frame is on the shot's own clock, which runs faster where the picture changes faster: from zero, strictly increasing.
+/// When each frame is on the shot's own clock, which runs faster where the picture changes faster: from zero, strictly increasing. A light that goes on
+/// or off is a cut: what the quote got wrong with it says little of frames without it.
 ///
 /// # Errors
 /// If frames are out of order, or counts and strata do not fit together.
 pub fn shot_times(strata: &[Stratum], frames: &[FramePopulation]) -> Result<Vec<f64>, ForecastError> {
     check_frames(strata, frames)?;
-    Ok(ShotClock::new(strata, frames).times().to_vec())
+    let clock = ShotClock::new(strata, frames);
+    let frames_apart = |early: i64, late: i64| late.abs_diff(early) as f64;
+    let length = match frames {
+        [first, .., last] => frames_apart(first.number, last.number),
+        _ => 0.0,
+    };
+    let mut cuts = 0.0;
+    let mut times = clock.times().to_vec();
+    for (time, pair) in times.iter_mut().skip(1).zip(frames.windows(2)) {
+        cuts += if pair[0].lights == pair[1].lights { 0.0 } else { length };
+        *time += cuts;
+    }
+    Ok(times)
 }
 
 /// The estimate of a job that was quoted at `total`, of these frames in their order.

@@ -3,7 +3,7 @@
 mod common;
 
 use common::Stream;
-use forelight_forecast::{Band, Known, Live, LiveFrame, Measure, live};
+use forelight_forecast::{Band, FramePopulation, Known, Live, LiveFrame, Measure, Stratum, live, shot_times};
 
 /// Quantiles of a lognormal number, as a quote gives them.
 fn lognormal(median: f64, deviation: f64) -> Band {
@@ -278,6 +278,16 @@ fn two_sides_of_a_cut_say_little_of_each_other() {
         job.live().factor
     };
     assert!(estimate(0.0) > estimate(400.0) + 0.03, "{} {}", estimate(0.0), estimate(400.0));
+}
+
+#[test]
+fn the_clock_of_the_estimate_has_a_cut_where_lights_change() {
+    let strata = [Stratum { object: 0, material: 0, prior_cost: 1.0, apart: false }];
+    let frame = |number, lights| FramePopulation { number, counts: vec![64], lights };
+    let frames = [frame(0, 0), frame(1, 0), frame(2, 1), frame(5, 1)];
+    assert_eq!(shot_times(&strata, &frames).unwrap(), [0.0, 1.0, 7.0, 10.0]);
+    assert_eq!(shot_times(&strata, &[]).unwrap(), Vec::<f64>::new());
+    assert!(shot_times(&strata, &[frame(3, 0), frame(3, 0)]).is_err());
 }
 
 #[test]

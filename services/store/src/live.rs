@@ -100,6 +100,8 @@ struct Kept {
     booked_rest: f64,
     booked_share: f64,
     frames_done: u32,
+    /// Finished after those.
+    frames_since: u32,
     cost_is_off: bool,
     finish_is_off: bool,
     updated_at: Timestamp,
@@ -115,16 +117,18 @@ pub(crate) async fn update(
 ) -> Result<(), StoreError> {
     let kept = read(write.connection(), job).await?;
     let row = sqlx::query(
-        "SELECT name, state, factor, forecast, verdict, confidence, plan_id, frames_total, \
-         (SELECT count(*) FROM frames WHERE job_id = ?1 AND actual IS NULL) AS open FROM jobs WHERE id = ?1",
+        "SELECT name, state, factor, forecast, verdict, confidence, plan_id, frames_total FROM jobs WHERE id = ?",
     )
     .bind(job.0)
     .fetch_one(write.connection())
     .await?;
-    let (total, open): (u32, u32) = (whole(&row, "frames_total")?, whole(&row, "open")?);
-    let done = total.saturating_sub(open);
-    if !kept.as_ref().is_none_or(|kept| kept.is_due(occasion, done, total, now)) {
-        return Ok(());
+    if let Some(kept) = &kept
+        && !kept.is_due(occasion, whole(&row, "frames_total")?, now)
+    {
+        return match occasion {
+            Occasion::Frame => count_frame(write, job).await,
+            Occasion::Booked | Occasion::Pixels => Ok(()),
+        };
     }
     let (Some(quote), Some(plan)) =
         (json_opt::<JobForecast>(&row, "forecast")?, id_opt(&row, "plan_id")?.map(PlanId))
@@ -160,7 +164,7 @@ pub(crate) async fn update(
     };
     let state: JobState = word(&row, "state")?;
     let bookings = plans::open_of(write.connection(), job).await?;
-    let finish = if open == 0 || state.is_final() {
+    let finish = if frames.all_done || state.is_final() {
         Some(now)
     } else {
         Projected::finish_of(&project(&stretched(&bookings, stretch), now), job)
@@ -171,7 +175,7 @@ pub(crate) async fn update(
     let expected = cpu.whole.at(confidence);
     let live = LiveForecast {
         at: now,
-        frames_done: done,
+        frames_done: frames.done,
         work,
         cpu_seconds: cpu,
         cost: in_money(&cpu, quote.cost),
@@ -199,15 +203,26 @@ pub(crate) async fn update(
 }
 
 impl Kept {
-    fn is_due(&self, occasion: Occasion, done: u32, total: u32, now: Timestamp) -> bool {
+    fn is_due(&self, occasion: Occasion, total: u32, now: Timestamp) -> bool {
         match occasion {
             Occasion::Booked => true,
             Occasion::Frame => {
-                done <= FIRST || done >= total || done >= self.frames_done + (total / PARTS).max(1)
+                let since = self.frames_since + 1;
+                let done = self.frames_done + since;
+                done <= FIRST || done >= total || since >= (total / PARTS).max(1)
             }
             Occasion::Pixels => now.micros_since(self.updated_at) >= BETWEEN_PIXELS,
         }
     }
+}
+
+/// A frame was finished that is left for the next estimate.
+async fn count_frame(write: &mut Write, job: JobId) -> Result<(), StoreError> {
+    sqlx::query("UPDATE live_forecasts SET frames_since = frames_since + 1 WHERE job_id = ?")
+        .bind(job.0)
+        .execute(write.connection())
+        .await?;
+    Ok(())
 }
 
 async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Option<Kept>, StoreError> {
@@ -222,6 +237,7 @@ async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Option<Ke
         booked_rest: row.try_get("booked_rest")?,
         booked_share: row.try_get("booked_share")?,
         frames_done: whole(&row, "frames_done")?,
+        frames_since: whole(&row, "frames_since")?,
         cost_is_off: row.try_get("cost_is_off")?,
         finish_is_off: row.try_get("finish_is_off")?,
         updated_at: time(&row, "updated_at")?,
@@ -233,6 +249,9 @@ async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Option<Ke
 struct Frames {
     work: Vec<LiveFrame>,
     cpu: Vec<LiveFrame>,
+    /// How many of them are finished.
+    done: u32,
+    all_done: bool,
     /// The part of the quoted CPU time whose frames, or pixels, are not finished.
     share_left: f64,
 }
@@ -251,6 +270,8 @@ impl Frames {
         let mut frames = Self {
             work: Vec::with_capacity(rows.len()),
             cpu: Vec::with_capacity(rows.len()),
+            done: 0,
+            all_done: false,
             share_left: 0.0,
         };
         let (mut all, mut left) = (0.0, 0.0);
@@ -272,6 +293,7 @@ impl Frames {
             frames.work.push(LiveFrame { time, quote, known: work });
             let quote = band(row, ["cpu_mean", "cpu_p50", "cpu_p80", "cpu_p95"])?;
             frames.cpu.push(LiveFrame { time, quote, known: cpu });
+            frames.done += u32::from(matches!(cpu, Known::All(_)));
             all += quote.mean;
             left += quote.mean
                 * match cpu {
@@ -280,6 +302,7 @@ impl Frames {
                     Known::All(_) => 0.0,
                 };
         }
+        frames.all_done = frames.done as usize == rows.len();
         frames.share_left = if all > 0.0 { left / all } else { 0.0 };
         Ok(frames)
     }
@@ -426,7 +449,7 @@ async fn keep(
         "INSERT INTO live_forecasts (job_id, plan_id, booked_cpu, booked_rest, booked_share, frames_done, cost_is_off, finish_is_off, body, updated_at) \
          VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (job_id) DO UPDATE SET plan_id = excluded.plan_id, \
          booked_cpu = excluded.booked_cpu, booked_rest = excluded.booked_rest, booked_share = excluded.booked_share, \
-         frames_done = excluded.frames_done, cost_is_off = excluded.cost_is_off, finish_is_off = excluded.finish_is_off, \
+         frames_done = excluded.frames_done, frames_since = 0, cost_is_off = excluded.cost_is_off, finish_is_off = excluded.finish_is_off, \
          body = excluded.body, updated_at = excluded.updated_at",
     )
     .bind(job.0)

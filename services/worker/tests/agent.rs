@@ -7,10 +7,10 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{patch, post, put};
 use axum::{Json, Router};
 use forelight_protocol::{
-    ArtifactHash, BundleSource, ClaimRequest, JobId, Lease, LeaseId, LeaseOrder, LogLevel, NodeRegistration,
-    PreviewBackend, PreviewResult, PreviewSpec, Problem, ProblemKind, RenderSettingsRequest, RenewRequest,
-    Renewal, ResultRequest, SceneDigest, Spent, TaskId, TaskLimit, TaskLimits, TaskResult, TaskSpec,
-    Timestamp,
+    ArtifactHash, BundleSource, ClaimRequest, FinishedPixels, JobId, Lease, LeaseId, LeaseOrder, LogLevel,
+    NodeRegistration, PreviewBackend, PreviewResult, PreviewSpec, Problem, ProblemKind,
+    RenderSettingsRequest, RenewRequest, Renewal, ResultRequest, SceneDigest, Spent, TaskId, TaskLimit,
+    TaskLimits, TaskResult, TaskSpec, Timestamp,
 };
 use forelight_worker::{
     Agent, Assignment, Client, Control, Errand, Execute, ExecuteError, Library, OpenRenderer, Outcome,
@@ -177,6 +177,9 @@ impl Execute for Slow {
     fn execute(&self, _: &Assignment, control: &Control) -> Result<Outcome, ExecuteError> {
         self.runs.fetch_add(1, Ordering::SeqCst);
         assert!(!self.panics, "a bug in the renderer");
+        let pixels = FinishedPixels { done: 3, all: 16, work: 300, cpu_nanos: 3000 };
+        control.finished_pixels(pixels);
+        control.finished_pixels(pixels);
         let start = Instant::now();
         while start.elapsed() < self.time {
             if control.is_cancelled() {
@@ -393,6 +396,8 @@ async fn a_paused_worker_stands_still_says_so_and_goes_on() {
     rig.until("it stands still", |farm| farm.renewals.last().is_some_and(|renewal| renewal.paused)).await;
     tokio::time::sleep(Duration::from_millis(3 * TTL_MS)).await;
     assert!(rig.farm.lock().unwrap().reports.is_empty(), "it went on");
+    let told = rig.farm.lock().unwrap().renewals.last().and_then(|renewal| renewal.pixels);
+    assert_eq!(told, Some(FinishedPixels { done: 6, all: 16, work: 600, cpu_nanos: 6000 }));
     rig.farm.lock().unwrap().order = None;
     rig.until("the result came", |farm| !farm.reports.is_empty()).await;
     let said: Vec<String> = {

@@ -257,6 +257,11 @@ fn a_frame_that_was_broken_off_goes_on_from_its_finished_tiles_to_the_same_bits(
     assert_eq!((before.stats.work, before.stats.rays), (after.stats.work, after.stats.rays));
     assert!(after.stats.reused_pixels > before.stats.reused_pixels, "nothing was gone on from");
     assert!(control.unsent().iter().any(|line| line.text.starts_with("goes on from")));
+    // What is told of the frame's finished pixels while it is rendered ends as all of them, whoever traced them.
+    let told = control.pixels().unwrap();
+    assert_eq!((told.done, told.all), (32 * 24, 32 * 24));
+    assert!(told.work <= after.stats.work && told.work * 10 > after.stats.work * 9, "{told:?}");
+    assert!(told.cpu_nanos > 0);
     // Tiles of another frame, and damaged ones, are no reason to fail.
     let mut damaged = tiles.to_vec();
     damaged[100] ^= 1;
