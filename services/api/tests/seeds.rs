@@ -77,6 +77,7 @@ impl Worker {
             price_per_hour: forelight_protocol::Money(3_600_000_000),
             cores: 1,
             capabilities: Default::default(),
+            schedule: None,
         };
         let agent = Agent::new(client, library, executor.clone(), registration).unwrap();
         let stop = CancellationToken::new();

@@ -173,21 +173,6 @@ impl Store {
         Ok(Some(profiles))
     }
 
-    /// Camera samples of the job's profiles; they are those of its settings, unless these were chosen afterwards. `None` if none was asked for.
-    pub async fn profiled_samples(&self, job: JobId) -> Result<Option<u32>, StoreError> {
-        let row = sqlx::query(
-            "SELECT spec FROM tasks WHERE job_id = ? AND kind = 'profile' ORDER BY frame LIMIT 1",
-        )
-        .bind(job.0)
-        .fetch_optional(self.readers())
-        .await?;
-        match row.as_ref().map(|row| json(row, "spec")).transpose()? {
-            None => Ok(None),
-            Some(TaskSpec::Profile(spec)) => Ok(Some(spec.settings.spp)),
-            Some(other) => Err(corrupt("spec", format!("a profile task with a {} spec", other.kind()))),
-        }
-    }
-
     /// The finished pixels of the job's profiled frames, by frame.
     pub(crate) async fn profile_artifacts(
         connection: &mut sqlx::SqliteConnection,

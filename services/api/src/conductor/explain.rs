@@ -5,28 +5,20 @@ use forelight_forecast::StratumSum;
 use forelight_protocol::{Amounts, Explanation, PreviewResult, RenderSettings, ShownWork};
 use forelight_store::{MeasuredProfile, PlannedCache};
 
-use super::accuracy::scaled;
 use super::estimate::{Estimated, estimated};
 use super::sharing::SharedWay;
 use super::{AdvanceError, compute};
 
-/// Of a job with these settings that was profiled with so many camera samples, or of one of its frames. `shared` is the irradiance cache that its
+/// Of a job with these settings, or of one of its frames. `shared` is the irradiance cache that its
 /// frames share, if they do; what that takes is no frame's, and a line of its own in the quote.
 pub(crate) async fn explanation(
     settings: RenderSettings,
-    samples: u32,
     preview: PreviewResult,
     profiles: Vec<MeasuredProfile>,
     shared: PlannedCache,
     frame: Option<u32>,
 ) -> Result<Explanation, AdvanceError> {
     compute(move || {
-        // Samples that were chosen for a time or for money came after the profile.
-        let profiles = if samples == settings.spp {
-            profiles
-        } else {
-            scaled(&profiles, f64::from(settings.spp) / f64::from(samples.max(1)))
-        };
         let way = match &shared {
             PlannedCache::There { plan, node_speed } => Some(SharedWay { plan, node_speed: *node_speed }),
             PlannedCache::NotAsked | PlannedCache::Pending => None,

@@ -87,8 +87,7 @@ pub(crate) async fn explanation_of_job(
     let quote = app.store.forecast(id).await?;
     let shares = quote.and_then(|quote| quote.cache).is_some_and(|cache| cache.shared);
     let shared = if shares { app.store.planned_cache(id).await? } else { PlannedCache::NotAsked };
-    let samples = app.store.profiled_samples(id).await?.unwrap_or(job.settings.spp);
-    match explanation(job.settings, samples, preview, profiles, shared, frame).await {
+    match explanation(job.settings, preview, profiles, shared, frame).await {
         Ok(document) => Ok(Json(document)),
         Err(reason) => {
             Err(ApiError::new(ProblemKind::Conflict, format!("the profile says nothing: {reason}")))
