@@ -177,7 +177,7 @@ pub(crate) fn with_samples(profiles: &[MeasuredProfile], spp: u32) -> Vec<Measur
 }
 
 /// Profiles in which every pixel took so many times as much.
-pub(super) fn scaled(profiles: &[MeasuredProfile], factor: f64) -> Vec<MeasuredProfile> {
+fn scaled(profiles: &[MeasuredProfile], factor: f64) -> Vec<MeasuredProfile> {
     let times = |sample: &mut ProfileSample| {
         let cost = Cost { work: sample.work, cpu_nanos: sample.cpu_nanos, rays: sample.rays }.times(factor);
         (sample.work, sample.cpu_nanos, sample.rays) = (cost.work, cost.cpu_nanos, cost.rays);
