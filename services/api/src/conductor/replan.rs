@@ -78,7 +78,7 @@ impl Conductor {
             bookable(all.clone(), now, self.started).iter().map(|node| node.id).collect();
         let before = {
             let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
-            std::mem::replace(&mut *seen, Some(nodes.clone()))
+            seen.replace(nodes.clone())
         };
         let name = |node: &NodeId| all.iter().find(|other| other.id == *node).map_or("", |node| &node.name);
         for node in before.iter().flat_map(|before| nodes.difference(before)) {

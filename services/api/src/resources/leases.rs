@@ -42,7 +42,7 @@ pub(crate) async fn claim(
     let key = key.of(&worker.0, &hash);
     let _guard = app.in_flight.enter(key.as_ref())?;
     match claim::wait_for_task(&app, &request, key.as_ref()).await? {
-        Claimed::Lease(lease) => Ok(created(StatusCode::OK, lease)),
+        Claimed::Lease(lease) => Ok(created(StatusCode::OK, *lease)),
         Claimed::Nothing => Ok(StatusCode::NO_CONTENT.into_response()),
         Claimed::Asleep(until) => {
             let seconds = until.micros_since(app.now()).max(0).unsigned_abs().div_ceil(1_000_000);

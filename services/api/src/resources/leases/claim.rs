@@ -14,7 +14,7 @@ const RETRY_MARGIN: Duration = Duration::from_millis(5);
 
 /// What came of a claim.
 pub(super) enum Claimed {
-    Lease(Answered<Lease>),
+    Lease(Box<Answered<Lease>>),
     /// There is nothing to do.
     Nothing,
     /// The node sleeps until then: nobody has to ask before.
@@ -45,7 +45,7 @@ pub(super) async fn wait_for_task(
         };
         if let Some(lease) = claimed {
             app.metrics.leases_granted.add(u64::from(matches!(lease, Answered::Fresh(_))));
-            return Ok(Claimed::Lease(lease));
+            return Ok(Claimed::Lease(Box::new(lease)));
         }
         if request.task_id.is_none()
             && let Some(until) = app.store.sleeps_until(request.node_id, app.now()).await?
