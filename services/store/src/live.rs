@@ -178,7 +178,7 @@ pub(crate) async fn update(
         frames_done: frames.done,
         work,
         cpu_seconds: cpu,
-        cost: in_money(&cpu, quote.cost),
+        cost: in_money(&cpu, &quote),
         finish,
         booked,
         cost_is_off: is_off(was_off[0], expected, booked_cpu, MARGIN * booked_cpu),
@@ -328,13 +328,24 @@ fn figure(quote: &Quantiles, frames: &[LiveFrame], measure: Measure) -> LiveFigu
     }
 }
 
-/// The whole job at the price that the quote had for a second of CPU time.
-fn in_money(cpu: &LiveFigure, quoted: Option<MoneyQuantiles>) -> Option<MoneyQuantiles> {
-    let quoted = quoted.filter(|_| cpu.quote.mean > 0.0)?;
-    let price = quoted.mean.micro_units() as f64 / cpu.quote.mean;
-    let money = |seconds: f64| Money((seconds * price).round() as i64);
+/// The whole job at the price that the quote had for a second of CPU time. A cache that is made before the frames costs what was quoted for it: their
+/// estimate says nothing of it.
+fn in_money(cpu: &LiveFigure, quote: &JobForecast) -> Option<MoneyQuantiles> {
+    let quoted = quote.cost.filter(|_| cpu.quote.mean > 0.0)?;
+    let seed = quote.cache.as_ref().and_then(|cache| cache.seed.as_ref()).and_then(|seed| seed.cost);
+    let seed = seed.unwrap_or_default();
+    let of_frames = quoted.mean.micro_units().saturating_sub(seed.mean.micro_units());
+    let price = of_frames as f64 / cpu.quote.mean;
+    let money = |seconds: f64, seed: Money| {
+        Money(seed.micro_units().saturating_add((seconds * price).round() as i64))
+    };
     let Quantiles { mean, p50, p80, p95 } = cpu.whole;
-    Some(MoneyQuantiles { mean: money(mean), p50: money(p50), p80: money(p80), p95: money(p95) })
+    Some(MoneyQuantiles {
+        mean: money(mean, seed.mean),
+        p50: money(p50, seed.p50),
+        p80: money(p80, seed.p80),
+        p95: money(p95, seed.p95),
+    })
 }
 
 /// The bookings, as long as is now expected.
