@@ -8,6 +8,7 @@ use forelight_protocol::{
 };
 use reqwest::StatusCode;
 use serde_json::json;
+use std::collections::BTreeSet;
 use support::{Answer, Farm};
 
 /// Renders the next frame so many times as dear as the profile had it.
@@ -55,7 +56,9 @@ async fn a_dearer_job_is_seen_as_such_told_of_and_drawn_and_its_quote_stays() {
     }
     let history = history(&farm, &job).await;
     let last = history.points.last().unwrap();
-    assert_eq!((history.points.len(), last.frames_done, history.frames_total), (11, 10, 10));
+    // A new plan, for the job takes longer than was booked, may be a point as well.
+    let frames: BTreeSet<u32> = history.points.iter().map(|point| point.frames_done).collect();
+    assert_eq!((frames.len(), last.frames_done, history.frames_total), (11, 10, 10));
     let truth: f64 = (0..10).map(|frame| (f64::from(48 * (1000 + 10 * frame) + 165) * 1.5).floor()).sum();
     assert_eq!((last.work.p50, last.work.p95, last.work_spent), (truth, truth, truth));
     assert_eq!(history.now, farm.job(&job).await.live.unwrap());
