@@ -122,9 +122,9 @@ async fn the_second_job_is_booked_around_the_first() {
         .await;
     assert!(plan.parent_id.is_some());
     let page: BookingPage = farm.viewer.get("/v1/bookings").await.json_as(StatusCode::OK).await;
-    for job in [first.id, second.id] {
-        assert_eq!(page.items.iter().filter(|booking| booking.job_id == job).count(), 5);
-    }
+    // Frames of the first may have been rendered while the second was quoted.
+    let of = |job| page.items.iter().filter(|booking| booking.job_id == job).count();
+    assert!((1..=5).contains(&of(first.id)) && of(second.id) == 5, "{:?}", page.items);
     // By start, and all on the one node.
     for pair in page.items.windows(2) {
         assert!(pair[1].start >= pair[0].end, "{:?} lies on {:?}", pair[1], pair[0]);

@@ -68,6 +68,8 @@ pub(crate) struct Farm {
     pub input: planner::Input,
     /// Where waiting frames are booked as things stand: in the order of their bookings, none before its own, each as long as it now takes.
     pub standing: Vec<planner::Booking>,
+    /// The same as the plans so far have them.
+    pub booked: Vec<planner::Booking>,
     pub nodes: Vec<Node>,
     pub jobs: Vec<Asked>,
 }
@@ -153,7 +155,8 @@ impl Farm {
             ..planner::Input::default()
         };
         let standing = standing(&input, &snapshot.projected, &index, &places);
-        Self { input, standing, nodes: snapshot.nodes.clone(), jobs: asked }
+        let booked = booked(&snapshot.projected, &index, &places);
+        Self { input, standing, booked, nodes: snapshot.nodes.clone(), jobs: asked }
     }
 
     /// Place of a job.
@@ -387,6 +390,23 @@ fn standing(
         standing.push(planner::Booking { start, node, job, task: planner::Task::Frame(number), end });
     }
     standing
+}
+
+/// The bookings of waiting frames as they are kept.
+fn booked(
+    projected: &[Projected],
+    nodes: &BTreeMap<NodeId, u64>,
+    jobs: &BTreeMap<JobId, u64>,
+) -> Vec<planner::Booking> {
+    let waiting = projected.iter().filter(|frame| !frame.under_way);
+    waiting
+        .filter_map(|frame| {
+            let (&node, &job) = nodes.get(&frame.node_id).zip(jobs.get(&frame.booking.job_id))?;
+            let task = planner::Task::Frame(i64::from(frame.booking.frame));
+            let (start, end) = (frame.booking.start.micros(), frame.booking.end.micros());
+            Some(planner::Booking { start, node, job, task, end })
+        })
+        .collect()
 }
 
 /// A confidence in the planner's words.

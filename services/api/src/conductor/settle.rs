@@ -67,16 +67,22 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
     let probabilities = probabilities(farm, &plan)?;
     let waits = waits(farm, &plan)?;
     let verdicts: Vec<JobVerdict> = (0..farm.jobs.len()).map(|job| verdict(farm, &plan, job)).collect();
+    let says_new = |(job, said): (usize, &JobVerdict)| {
+        let asked = &farm.jobs[job];
+        let says_new = asked.job.verdict.as_ref().is_none_or(|before| before.verdict != said.verdict);
+        let is_new = fresh == Some(job) || says_new || asked.factor != asked.factor_before;
+        is_new || has_moved(farm, &plan, job)
+    };
+    let news: Vec<bool> = verdicts.iter().enumerate().map(says_new).collect();
+    let booked_anew = make_way(&farm.booked, &plan.bookings, news);
     let mut jobs = Vec::new();
     let mut outlooks = Vec::new();
     let mut helped = 0;
     for (job, mut said) in verdicts.into_iter().enumerate() {
         let asked = &farm.jobs[job];
-        let says_new = asked.job.verdict.as_ref().is_none_or(|before| before.verdict != said.verdict);
-        let is_new = fresh == Some(job) || says_new || asked.factor != asked.factor_before;
         let promise = promise(farm, &plan, &at_risk, probabilities[job], job)?;
         outlooks.push((asked.job.id, JobOutlook { waits: waits.get(&job).cloned(), promise }));
-        if !is_new && !has_moved(farm, &plan, job) {
+        if !booked_anew[job] {
             continue;
         }
         if said.verdict != Verdict::OnTime && helped < MOST_HELPED {
@@ -171,6 +177,31 @@ fn own_booking(farm: &Farm, booking: &Booking) -> Option<NewBooking> {
         start: Timestamp::from_micros(booking.start),
         end: Timestamp::from_micros(booking.end),
     })
+}
+
+/// The jobs that are booked anew: those of which there is news, and those that lie, as they are booked, where such a job is booked now.
+/// These have hardly moved (see [`stayed`]), but no two bookings of a node may lie on each other.
+fn make_way(booked: &[Booking], planned: &[Booking], mut anew: Vec<bool>) -> Vec<bool> {
+    loop {
+        let mut taken: BTreeMap<(u64, i64), i64> = BTreeMap::new();
+        for booking in planned.iter().filter(|booking| anew[booking.job as usize]) {
+            taken.insert((booking.node, booking.start), booking.end);
+        }
+        // Bookings of one plan do not lie on each other, so the last that starts before another's end is the one that may reach into it.
+        let lies_on_one = |one: &Booking| {
+            let before = taken.range((one.node, i64::MIN)..(one.node, one.end)).next_back();
+            before.is_some_and(|(_, &end)| end > one.start)
+        };
+        let in_the_way: BTreeSet<usize> = booked
+            .iter()
+            .filter(|one| !anew[one.job as usize] && lies_on_one(one))
+            .map(|one| one.job as usize)
+            .collect();
+        if in_the_way.is_empty() {
+            return anew;
+        }
+        in_the_way.into_iter().for_each(|job| anew[job] = true);
+    }
 }
 
 /// Whether a job's waiting frames lie elsewhere than they stood.
@@ -422,5 +453,30 @@ pub(crate) fn share_of(project: &planner::Project, now: i64) -> ProjectShare {
         project: project.name.clone(),
         share: project.share.max(1),
         used_hours: used as f64 / 3.6e9,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use forelight_planner::Task;
+
+    /// Bookings of (job, node, start, end).
+    fn bookings<const N: usize>(all: [(u64, u64, i64, i64); N]) -> Vec<Booking> {
+        let one =
+            |(frame, (job, node, start, end))| Booking { start, node, job, task: Task::Frame(frame), end };
+        (0..).zip(all).map(one).collect()
+    }
+
+    #[test]
+    fn who_lies_where_another_is_booked_now_is_booked_anew_and_so_on() {
+        // Job 3 is new at 0; job 0 makes way for it, job 1 for that; job 2 has a node of its own.
+        let booked = bookings([(0, 0, 0, 10), (1, 0, 10, 20), (2, 1, 0, 20)]);
+        let planned = bookings([(3, 0, 0, 10), (0, 0, 10, 20), (1, 0, 20, 30), (2, 1, 0, 20)]);
+        let anew = make_way(&booked, &planned, vec![false, false, false, true]);
+        assert_eq!(anew, [true, true, false, true]);
+        // Where there is room, nobody has to.
+        let planned = bookings([(3, 0, 20, 30), (0, 0, 1, 11), (1, 0, 11, 20), (2, 1, 0, 20)]);
+        assert_eq!(make_way(&booked, &planned, vec![false, false, false, true]), [false, false, false, true]);
     }
 }
