@@ -241,13 +241,30 @@ mod tests {
     use super::*;
     use crate::options::parsed;
 
+    /// Beside the flags that they exclude.
+    #[derive(clap::Args)]
+    struct Render {
+        #[command(flatten)]
+        allot: AllotArgs,
+        #[arg(long)]
+        spp: Option<u32>,
+        #[arg(long)]
+        profile: Option<String>,
+    }
+
+    fn flags<const N: usize>(flags: [&str; N]) -> AllotArgs {
+        let Render { allot, spp, profile } = parsed(["render"].into_iter().chain(flags));
+        assert_eq!((spp, profile), (None, None));
+        allot
+    }
+
     #[test]
     fn a_time_is_seconds_or_a_duration_and_money_buys_hours() {
         assert_eq!([time("2.5"), time("90s"), time("1h30m")], [Ok(2.5), Ok(90.0), Ok(5400.0)]);
         assert!(time("0").is_err() && time("-3").is_err() && time("soon").is_err());
-        let args: AllotArgs = parsed(["x", "--within-money", "0.25", "--price", "1.80"]);
+        let args = flags(["--within-money", "0.25", "--price", "1.80"]);
         assert_eq!(args.wish(Instant::now()).affordable(250_000).unwrap(), 500.0);
-        let free: AllotArgs = parsed(["x", "--within-money", "0.25", "--price", "0"]);
+        let free = flags(["--within-money", "0.25", "--price", "0"]);
         assert!(free.wish(Instant::now()).options(&|_, _| ()).is_err());
     }
 
@@ -257,9 +274,9 @@ mod tests {
         let path = folder.path().join("samples.png");
         let text = path.to_str().unwrap();
         let counts = SampleCounts::new((1..=12).map(|i| i * 5000).collect()).unwrap();
-        let args: AllotArgs = parsed(["x", "--error", "2", "--samples-map", text]);
+        let args = flags(["--error", "2", "--samples-map", text]);
         args.write_samples(&counts, (4, 3)).unwrap();
-        let args: AllotArgs = parsed(["x", "--samples-from", text]);
+        let args = flags(["--samples-from", text]);
         assert_eq!(args.given_samples((4, 3)).unwrap(), Some(counts));
         let error = format!("{:#}", args.given_samples((3, 4)).unwrap_err());
         assert!(error.contains("4 x 3") && error.contains("--samples-from"), "{error}");
