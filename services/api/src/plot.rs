@@ -8,6 +8,7 @@ use forelight_forecast::share_interval;
 use forelight_protocol::{Coverage, QuantileHits, TrackRecord};
 use forelight_store::FinishedJob;
 use plotters::coord::Shift;
+use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
 /// Width and height, pixels.
@@ -24,21 +25,38 @@ const LEAST_RANGE: f64 = 0.1;
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 
-/// The reliability diagram of all finished frames and jobs, and beside it the errors of `jobs`, the oldest first.
-pub(crate) fn track_record(record: &TrackRecord, jobs: &[FinishedJob]) -> Result<String, String> {
+/// A white picture with what is drawn on it.
+fn svg(draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<String, String> {
     let mut text = String::new();
     {
-        let root = SVGBackend::with_string(&mut text, SIZE).into_drawing_area();
+        let area = SVGBackend::with_string(&mut text, SIZE).into_drawing_area();
         let draw = || -> Drawn {
-            root.fill(&WHITE)?;
-            let (left, right) = root.split_horizontally(SIZE.1 as i32);
-            reliability(&left, record)?;
-            errors(&right, jobs)?;
-            Ok(root.present()?)
+            area.fill(&WHITE)?;
+            draw(&area)?;
+            Ok(area.present()?)
         };
         draw().map_err(|error| error.to_string())?;
     }
     Ok(text)
+}
+
+/// The reliability diagram of all finished frames and jobs, and beside it the errors of `jobs`, the oldest first.
+pub(crate) fn track_record(record: &TrackRecord, jobs: &[FinishedJob]) -> Result<String, String> {
+    svg(|area| {
+        let (left, right) = area.split_horizontally(SIZE.1 as i32);
+        reliability(&left, record)?;
+        errors(&right, jobs)
+    })
+}
+
+/// A diagram with two axes of numbers.
+type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+
+/// Draws the names of the series.
+fn legend<'a, 'b: 'a>(chart: &mut Chart<'a, 'b>, position: SeriesLabelPosition) -> Drawn {
+    let mut labels = chart.configure_series_labels();
+    labels.position(position).background_style(WHITE.mix(0.85)).border_style(GREY);
+    Ok(labels.label_font(("sans-serif", 12)).draw()?)
 }
 
 /// Hits of all kinds together.
@@ -117,13 +135,7 @@ fn reliability(area: &Area<'_>, record: &TrackRecord) -> Drawn {
         }
     }
     if record.kinds.iter().any(|kind| kind.frames.count > 0) {
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::LowerRight)
-            .background_style(WHITE.mix(0.85))
-            .border_style(GREY)
-            .label_font(("sans-serif", 12))
-            .draw()?;
+        legend(&mut chart, SeriesLabelPosition::LowerRight)?;
     }
     Ok(())
 }
@@ -178,13 +190,7 @@ fn errors(area: &Area<'_>, jobs: &[FinishedJob]) -> Drawn {
         }
     }
     if !jobs.is_empty() {
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
-            .background_style(WHITE.mix(0.85))
-            .border_style(GREY)
-            .label_font(("sans-serif", 12))
-            .draw()?;
+        legend(&mut chart, SeriesLabelPosition::UpperRight)?;
     }
     Ok(())
 }

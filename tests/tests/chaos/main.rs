@@ -215,10 +215,8 @@ fn assert_told_once(events: &[Event]) {
         way.iter().collect::<Vec<_>>()
     );
     let once = |kind: EventKind| events.iter().filter(|event| event.kind == kind).count();
-    assert_eq!(
-        (once(EventKind::JobCreated), once(EventKind::ForecastReady), once(EventKind::PlanStored)),
-        (1, 1, 1)
-    );
+    assert_eq!((once(EventKind::JobCreated), once(EventKind::ForecastReady)), (1, 1));
+    assert!(once(EventKind::PlanStored) >= 1, "booked, and planned anew when workers were lost");
     let done = || events.iter().filter(|event| event.kind == EventKind::TaskDone);
     let tasks: BTreeSet<_> = done().map(|event| event.task_id).collect();
     assert_eq!(tasks.len(), done().count(), "a task was told done twice");

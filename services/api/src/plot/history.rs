@@ -3,38 +3,26 @@
 use forelight_protocol::{ForecastHistory, HistoryPoint, JobState, Timestamp};
 use plotters::prelude::*;
 
-use super::{Area, CALIBRATED, Drawn, FORMULAS, GREY, SIZE};
+use super::{Area, CALIBRATED, Chart, Drawn, FORMULAS, GREY, SIZE, legend, svg};
 
 /// Left, what the job was expected to take as its frames were finished, with what was booked and what it was in the end. Right, when it was
 /// expected to end.
 pub(crate) fn forecast_history(history: &ForecastHistory) -> Result<String, String> {
-    let mut text = String::new();
-    {
-        let root = SVGBackend::with_string(&mut text, SIZE).into_drawing_area();
-        let draw = || -> Drawn {
-            root.fill(&WHITE)?;
-            let (left, right) = root.split_horizontally(SIZE.0 as i32 * 55 / 100);
-            cost(&left, history)?;
-            finish(&right, history)?;
-            Ok(root.present()?)
-        };
-        draw().map_err(|error| error.to_string())?;
-    }
-    Ok(text)
+    svg(|area| {
+        let (left, right) = area.split_horizontally(SIZE.0 as i32 * 55 / 100);
+        cost(&left, history)?;
+        finish(&right, history)
+    })
 }
 
 /// A line at one height, with its name.
-fn level<DB: DrawingBackend>(
-    chart: &mut ChartContext<
-        '_,
-        DB,
-        Cartesian2d<plotters::coord::types::RangedCoordf64, plotters::coord::types::RangedCoordf64>,
-    >,
+fn level(
+    chart: &mut Chart<'_, '_>,
     (from, to): (f64, f64),
     height: f64,
     style: ShapeStyle,
     name: String,
-) -> Result<(), DrawingAreaErrorKind<DB::ErrorType>> {
+) -> Drawn {
     chart
         .draw_series([PathElement::new([(from, height), (to, height)], style)])?
         .label(name)
@@ -94,13 +82,7 @@ fn cost(area: &Area<'_>, history: &ForecastHistory) -> Drawn {
         let truth = now.cpu_seconds.whole.p50;
         level(&mut chart, (0.0, frames), truth, BLACK.stroke_width(2), "the truth".to_owned())?;
     }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::LowerRight)
-        .background_style(WHITE.mix(0.85))
-        .border_style(GREY)
-        .label_font(("sans-serif", 12))
-        .draw()?;
+    legend(&mut chart, SeriesLabelPosition::LowerRight)?;
     Ok(())
 }
 
@@ -143,12 +125,6 @@ fn finish(area: &Area<'_>, history: &ForecastHistory) -> Drawn {
         .draw_series(LineSeries::new(ends, style))?
         .label(format!("expected, at {confidence}"))
         .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], style));
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::LowerRight)
-        .background_style(WHITE.mix(0.85))
-        .border_style(GREY)
-        .label_font(("sans-serif", 12))
-        .draw()?;
+    legend(&mut chart, SeriesLabelPosition::LowerRight)?;
     Ok(())
 }

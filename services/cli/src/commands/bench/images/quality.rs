@@ -120,8 +120,12 @@ pub fn ladder() -> Vec<Quality> {
     let cached = cached.iter().map(|(spp, accuracy, rays)| {
         format!("--spp {spp} --cache on --cache-accuracy {accuracy} --cache-rays {rays}")
     });
+    let allotted = [("8", "0.3", 192), ("4", "0.3", 192), ("2", "0.2", 768), ("1", "0.2", 768)];
+    let allotted = allotted.iter().map(|(error, accuracy, rays)| {
+        format!("--error {error} --cache on --cache-accuracy {accuracy} --cache-rays {rays}")
+    });
     // The lines are constant, and a test reads them all.
-    gathered.chain(cached).filter_map(|line| line.parse().ok()).collect()
+    gathered.chain(cached).chain(allotted).filter_map(|line| line.parse().ok()).collect()
 }
 
 #[cfg(test)]
@@ -174,8 +178,8 @@ mod tests {
     #[test]
     fn every_rung_of_the_default_ladder_is_valid_and_there_are_both_kinds() {
         let rungs = ladder();
-        assert_eq!(rungs.len(), 19);
+        assert_eq!(rungs.len(), 23);
         assert!(rungs.iter().all(|rung| rung.settings(&base()).is_ok()));
-        assert_eq!(rungs.iter().filter(|rung| rung.is_cached()).count(), 11);
+        assert_eq!(rungs.iter().filter(|rung| rung.is_cached()).count(), 15);
     }
 }
