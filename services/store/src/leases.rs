@@ -93,6 +93,8 @@ pub(crate) struct LeaseRow {
     /// What the operator wants of the node.
     pub pause: bool,
     pub drain: bool,
+    /// Whether there is anything by which the node might sleep.
+    pub has_calendar: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug, serde::Deserialize)]
@@ -106,11 +108,19 @@ pub(crate) enum LeaseState {
     Revoked,
 }
 
+macro_rules! has_calendar {
+    () => {
+        "(coalesce(n.schedule_set, n.schedule) IS NOT NULL OR n.terms <> '{}') AS has_calendar"
+    };
+}
+
 macro_rules! select_leases {
     ($rest:literal) => {
         concat!(
             "SELECT l.id, l.state, l.fence, l.node_id, l.node_speed, l.task_id, t.job_id, t.kind, t.frame, t.failures, \
-             t.expiries, t.progress, n.pause, n.drain FROM leases l JOIN tasks t ON t.id = l.task_id \
+             t.expiries, t.progress, n.pause, n.drain, ",
+            has_calendar!(),
+            " FROM leases l JOIN tasks t ON t.id = l.task_id \
              JOIN nodes n ON n.id = l.node_id ",
             $rest
         )
@@ -246,7 +256,10 @@ impl Store {
     /// Until when the node sleeps; `None` if it is awake.
     pub async fn sleeps_until(&self, node: NodeId, now: Timestamp) -> Result<Option<Timestamp>, StoreError> {
         let mut connection = self.readers().acquire().await?;
-        sleep_of(&mut connection, node, now).await
+        let has_calendar = concat!("SELECT ", has_calendar!(), " FROM nodes n WHERE n.id = ?");
+        let has_calendar: Option<bool> =
+            sqlx::query_scalar(has_calendar).bind(node.0).fetch_optional(&mut *connection).await?;
+        sleep_of(&mut connection, node, has_calendar.unwrap_or(false), now).await
     }
 
     /// A node that waits for work is alive.
@@ -268,7 +281,7 @@ impl Store {
         let mut write = self.write().await?;
         let row = read(write.connection(), lease).await?;
         if row.fence == fence && row.state == LeaseState::Revoked {
-            let sleep_until = sleep_of(write.connection(), row.node_id, now).await?;
+            let sleep_until = sleep_of(write.connection(), row.node_id, row.has_calendar, now).await?;
             return Ok(Renewal { expires_at: now, order: LeaseOrder::Stop, drain: row.drain, sleep_until });
         }
         if row.fence != fence || row.state != LeaseState::Active {
@@ -306,7 +319,7 @@ impl Store {
             live::update(&mut write, row.job_id, Occasion::Pixels, now).await?;
         }
         logs::keep(&mut write, &row, log).await?;
-        let sleep_until = sleep_of(write.connection(), row.node_id, now).await?;
+        let sleep_until = sleep_of(write.connection(), row.node_id, row.has_calendar, now).await?;
         self.commit(write).await?;
         let order = if row.pause { LeaseOrder::Pause } else { LeaseOrder::Continue };
         Ok(Renewal { expires_at, order, drain: row.drain, sleep_until })
@@ -428,17 +441,13 @@ impl LeaseRow {
 /// A node of which nobody knows when it wakes up asks again after a day.
 const ASLEEP_FOR_LONG: i64 = 24 * 3_600_000_000;
 
+/// Until when a node sleeps. One without a calendar, as most are, is not read for it: every heartbeat asks.
 async fn sleep_of(
     connection: &mut SqliteConnection,
     node: NodeId,
+    has_calendar: bool,
     now: Timestamp,
 ) -> Result<Option<Timestamp>, StoreError> {
-    let has_calendar: bool = sqlx::query_scalar(
-        "SELECT EXISTS (SELECT 1 FROM nodes WHERE id = ? AND (coalesce(schedule_set, schedule) IS NOT NULL OR terms <> '{}'))",
-    )
-    .bind(node.0)
-    .fetch_one(&mut *connection)
-    .await?;
     if !has_calendar {
         return Ok(None);
     }
@@ -652,5 +661,6 @@ fn decode(row: &SqliteRow) -> Result<LeaseRow, StoreError> {
         progress: row.try_get("progress")?,
         pause: row.try_get("pause")?,
         drain: row.try_get("drain")?,
+        has_calendar: row.try_get("has_calendar")?,
     })
 }
