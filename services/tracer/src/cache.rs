@@ -161,6 +161,11 @@ impl Cache {
         self.levels.get(level).is_none_or(|level| level.records.iter().all(|record| record.get().is_some()))
     }
 
+    /// Whether all records of all levels are filled.
+    pub fn is_complete(&self) -> bool {
+        (0..self.levels.len()).all(|level| self.is_full(level))
+    }
+
     /// The planned records of a level.
     pub fn planned(&self, level: usize) -> &[Planned] {
         &self.levels[level].planned

@@ -1,7 +1,7 @@
 //! Our renderer: `scene`, `preview` and the `ambient` integrator of `tracer`.
 
 use crate::classes::by_class;
-use crate::render::spent;
+use crate::render::{counts, spent};
 use crate::renderer::{
     CacheUse, Counted, Finished, FrameRenderer, OpenRenderer, Previewed, Progress, RenderError, Renderer,
     ShotInfo, Step, StratumInfo,
@@ -267,8 +267,7 @@ fn records(tracer: &Tracer) -> Vec<u32> {
     let settings = tracer.settings();
     let levels = if settings.cache.is_some() { settings.ambient_bounces as usize } else { 0 };
     let planned = tracer.cache().map_or_else(|| vec![0; levels], Cache::records);
-    // There are fewer than the plan's rays, of which a frame cannot have 2³².
-    planned.into_iter().map(|count| u32::try_from(count).unwrap_or(u32::MAX)).collect()
+    counts(planned)
 }
 
 impl Renderer for AmbientShot {
@@ -442,7 +441,7 @@ impl FrameRenderer for AmbientFrame<'_> {
     }
 
     fn has_final_colours(&self) -> bool {
-        self.tracer.cache().is_none_or(|cache| (0..cache.records().len()).all(|level| cache.is_full(level)))
+        self.tracer.cache().is_none_or(Cache::is_complete)
     }
 
     fn allot(&self, samples: SampleCounts) -> Result<(), RenderError> {

@@ -1,6 +1,7 @@
 //! The tasks that make the irradiance cache which the frames of a job share: plan, fill a part, put parts together.
 
 use crate::execute::{Assignment, Control, ExecuteError, Outcome};
+use crate::render::counts;
 use crate::renderer::{RenderError, Renderer};
 use crate::shot_cache::{Filled, fill_part, plan_shared};
 use crate::tasks::Files;
@@ -27,7 +28,7 @@ pub(crate) fn plan(
     };
     let bytes = planned.cache.to_bytes();
     let size = bytes.len() as u64;
-    let records: Vec<u32> = planned.cache.records().into_iter().map(saturated).collect();
+    let records: Vec<u32> = counts(planned.cache.records());
     control.log(
         LogLevel::Info,
         format!("planned {} records for {} frames: {size} bytes", sum(&records), spec.frames.len()),
@@ -65,7 +66,7 @@ pub(crate) fn fill(
         LogLevel::Info,
         format!("part {} of {}: {filled} records, {} operations", spec.part + 1, spec.parts, spent.work),
     );
-    let (full, bytes) = (is_full(&cache), cache.to_bytes());
+    let (full, bytes) = (cache.is_complete(), cache.to_bytes());
     let mut files = Files::default();
     let size = bytes.len() as u64;
     let result = CacheFillResult { cache: files.add(bytes), bytes: size, filled, full, spent };
@@ -92,7 +93,7 @@ pub(crate) fn merge(
         control.set_progress(f64::from(done) / spec.parts.len() as f64);
     }
     let whole = whole.ok_or_else(|| ExecuteError::Permanent("there are no parts to put together".into()))?;
-    let (full, bytes) = (is_full(&whole), whole.to_bytes());
+    let (full, bytes) = (whole.is_complete(), whole.to_bytes());
     let size = bytes.len() as u64;
     control.log(LogLevel::Info, format!("{} parts put together: {size} bytes", spec.parts.len()));
     let mut files = Files::default();
@@ -129,14 +130,6 @@ fn unusable(error: CacheError) -> ExecuteError {
     }
 }
 
-fn is_full(cache: &Cache) -> bool {
-    (0..cache.records().len()).all(|level| cache.is_full(level))
-}
-
 fn sum(records: &[u32]) -> u64 {
     records.iter().copied().map(u64::from).sum()
-}
-
-fn saturated(count: u64) -> u32 {
-    u32::try_from(count).unwrap_or(u32::MAX)
 }

@@ -142,6 +142,12 @@ pub(crate) fn own_records(all: &[u64], shared: &Shared) -> Vec<u64> {
     all.iter().zip(kept).map(|(&all, kept)| all.saturating_sub(kept)).collect()
 }
 
+/// Numbers of records in the words of the wire.
+pub(crate) fn counts(records: Vec<u64>) -> Vec<u32> {
+    // There are fewer than the plan's rays, of which a frame cannot have 2³².
+    records.into_iter().map(|count| u32::try_from(count).unwrap_or(u32::MAX)).collect()
+}
+
 /// A cost of the tracer's in the words of the wire.
 pub fn spent(cost: Cost) -> Spent {
     Spent { work: cost.work, cpu_nanos: cost.cpu_nanos }

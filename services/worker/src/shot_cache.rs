@@ -7,7 +7,7 @@
 
 use crate::ambient::{AmbientShot, tracer_settings};
 use crate::quote::QuoteOptions;
-use crate::render::{own_records, spent};
+use crate::render::{counts, own_records, spent};
 use crate::renderer::{RenderError, Renderer};
 use crate::shot::{ProfiledFrame, cost_of, records_to_sample};
 use forelight_forecast::accuracy::PixelNoise;
@@ -57,8 +57,7 @@ pub fn plan_shared(
         plan.spent = plan.spent.plus(ready.spent_on_setup()).plus(fixed.plan);
         plan.frames.push(CacheFrame {
             frame,
-            // No more than all of them, which fit.
-            own: own.into_iter().map(|count| u32::try_from(count).unwrap_or(u32::MAX)).collect(),
+            own: counts(own),
             records,
             dropped: shared.dropped.iter().sum(),
             plan: fixed.plan,
