@@ -167,12 +167,14 @@ proptest! {
 
     #[test]
     fn a_later_deadline_never_makes_it_worse(nodes in 1u64..5, works in works(), deadline in 0i64..9000, more in 0i64..9000) {
-        let lateness = |deadline| match plan(&identical(nodes, &works, Some(deadline))).expect("a plan").jobs[0].verdict {
-            Verdict::Feasible { slack, .. } => -slack,
+        // By how much a job is late, not by how much it is early: a small farm that list scheduling leaves late is searched for a
+        // plan that is in time, and that one may end later than the list's does under a deadline that the list keeps.
+        let tardiness = |deadline| match plan(&identical(nodes, &works, Some(deadline))).expect("a plan").jobs[0].verdict {
+            Verdict::Feasible { .. } => 0,
             Verdict::Late { by, .. } => by,
             _ => panic!("there is a deadline and room"),
         };
-        prop_assert_eq!(lateness(deadline + more), lateness(deadline) - more);
+        prop_assert!(tardiness(deadline + more) <= (tardiness(deadline) - more).max(0));
     }
 
     #[test]
