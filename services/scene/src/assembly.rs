@@ -5,7 +5,7 @@ use crate::camera_source::NodeCamera;
 use crate::error::SceneError;
 use crate::images::TextureLibrary;
 use crate::shot::Shot;
-use crate::{Color, Material, Surface};
+use crate::{Color, MOST_NESTED, Material, Surface};
 use glam::Vec3;
 
 /// A light on a node of a glTF file.
@@ -63,6 +63,17 @@ impl<'a> Assembly<'a> {
     pub(crate) fn add_material(&mut self, material: Material) -> u32 {
         self.materials.push(material);
         self.materials.len() as u32 - 1
+    }
+
+    /// Holds the number of materials with a priority so far against the limit.
+    pub(crate) fn check_priorities(&self, file: &str) -> Result<(), SceneError> {
+        let nested = self.materials.iter().filter(|material| material.surface.priority().is_some());
+        let (found, limit) = (nested.count() as u64, MOST_NESTED as u64);
+        if found > limit {
+            let what = "materials with a priority";
+            return Err(SceneError::Limit { file: file.to_owned(), what, found, limit });
+        }
+        Ok(())
     }
 
     /// Holds the scene's size so far, with `more` triangles and vertices, against the limits.

@@ -29,6 +29,6 @@ pub use camera::Camera;
 pub use error::{Place, SceneError};
 pub use frame::{Environment, Frame, Geometry, PointLight, Strata, Sun};
 pub use limits::Limits;
-pub use material::{AlphaMask, Color, Material, MaterialClass, Surface};
+pub use material::{AlphaMask, Color, MOST_NESTED, Material, MaterialClass, Surface};
 pub use scene::Scene;
 pub use texture::{Texels, Texture, TextureId};

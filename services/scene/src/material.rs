@@ -2,6 +2,7 @@
 
 use crate::TextureId;
 use glam::Vec3;
+use std::num::NonZeroU8;
 
 /// A colour that a texture may vary over the surface: `factor` × texture (texture absent: `factor`).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -52,14 +53,30 @@ pub enum Surface {
     },
     /// Boundary of a solid dielectric; the outside is where the geometric normal points.
     Glass {
-        /// Index of refraction of the inside relative to the outside.
+        /// Index of refraction of the inside: relative to the outside, whatever that is; with a priority, relative to empty space.
         ior: f32,
         /// Share of light that passes the interface, per channel.
         transmittance: Color,
         /// GGX alpha; 0 is smooth.
         alpha: f32,
+        /// Where solids with a priority overlap or touch, the one of highest priority fills the place, and the faces of the others inside
+        /// it are not there.
+        priority: Option<NonZeroU8>,
     },
 }
+
+impl Surface {
+    /// The priority among solid dielectrics, if it is one and has one.
+    pub fn priority(&self) -> Option<NonZeroU8> {
+        match self {
+            Self::Glass { priority, .. } => *priority,
+            _ => None,
+        }
+    }
+}
+
+/// How many materials of a scene may have a priority.
+pub const MOST_NESTED: usize = 32;
 
 /// Cut-out by a texture's alpha channel.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -9,6 +9,7 @@ use crate::{Color, Material, Surface};
 use glam::Vec3;
 use std::collections::BTreeMap;
 use std::fmt::Write;
+use std::num::NonZeroU8;
 
 /// Index of refraction where `Ni` is absent.
 const DEFAULT_IOR: f32 = 1.5;
@@ -55,6 +56,10 @@ fn value(key: &str, rest: &str) -> Result<Option<String>, String> {
         "Ke" => colour(key, rest, 1e12)?,
         "Ni" => number(key, rest, 0.1, 10.0)?.to_string(),
         "Pr" | "d" => number(key, rest, 0.0, 1.0)?.to_string(),
+        "priority" => match rest.parse::<NonZeroU8>() {
+            Ok(priority) => priority.to_string(),
+            Err(_) => return Err(format!("`priority {rest}` is no whole number from 1 to 255")),
+        },
         "illum" => match rest.parse::<u8>() {
             Ok(model) if MODELS.contains(&model) => model.to_string(),
             _ => return Err(format!("`illum {rest}` is not one of 0, 1, 2, 3, 4, 7")),
@@ -119,7 +124,10 @@ pub(crate) fn material(
             None => return Err(fail("`illum 3` needs `Ks`, the reflectance of the metal".into())),
         },
         (4, _) => Surface::ThinGlass { ior, transmittance },
-        (7, _) => Surface::Glass { ior, transmittance, alpha },
+        (7, _) => {
+            let priority = unlisted(source, "priority").and_then(|text| text.parse().ok());
+            Surface::Glass { ior, transmittance, alpha, priority }
+        }
         _ => Surface::Lambert { albedo },
     };
     let mut material = plain_material(&source.name, surface);

@@ -62,6 +62,7 @@ pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneE
     for (file, source) in &sources {
         let material = crate::mtl::material(assembly, file, source)?;
         assembly.add_material(material);
+        assembly.check_priorities(file)?;
     }
     place(assembly, path, models, first_material)
 }

@@ -16,10 +16,11 @@ use std::ops::BitOr;
 pub struct Effects(u32);
 
 /// Effects by their bit and name.
-const NAMES: [(u32, &str); 18] = [
+const NAMES: [(u32, &str); 19] = [
     (Effects::GLOSSY, "glossy"),
     (Effects::MIRROR, "mirror"),
     (Effects::REFRACTION, "refraction"),
+    (Effects::NESTED_MEDIA, "nested media"),
     (Effects::THIN_GLASS, "thin glass"),
     (Effects::OPACITY, "opacity"),
     (Effects::CUT_OUTS, "cut-outs"),
@@ -74,6 +75,8 @@ impl Effects {
     pub const DEPTH_OF_FIELD: u32 = 1 << 16;
     /// Points look at some of the lights with a position, chosen by a light tree, instead of all.
     pub const LIGHT_CHOICE: u32 = 1 << 17;
+    /// Solid glass with a priority: what light is inside of is kept along its way.
+    pub const NESTED_MEDIA: u32 = 1 << 18;
 
     /// Everything that a picture may hold. What is not a matter of the picture but of how it is found (integrator, bounces, choice
     /// of lights) stays as it is.
@@ -129,7 +132,10 @@ impl CalledFor<'_> {
                     add(Effects::MIRROR, !rough(alpha));
                 }
                 Surface::ThinGlass { .. } => add(Effects::THIN_GLASS | Effects::TRANSPARENT_SHADOWS, true),
-                Surface::Glass { .. } => add(Effects::REFRACTION, true),
+                Surface::Glass { priority, .. } => {
+                    add(Effects::REFRACTION, true);
+                    add(Effects::NESTED_MEDIA, priority.is_some());
+                }
             }
             add(Effects::OPACITY | Effects::TRANSPARENT_SHADOWS, material.opacity < 1.0);
             add(Effects::CUT_OUTS, material.mask.is_some());

@@ -6,21 +6,25 @@
 //! | `cached` | indirect light from the irradiance cache, and the rays of planning and filling it |
 //! | `direct` | light straight from the lights |
 //! | `path` | unbiased path tracing |
+//! | `interface` | the two sides of a solid dielectric's face |
 //! | `occlusion` | what lies between a point and a light |
 
 mod ambient;
 mod cached;
 mod direct;
+mod interface;
 mod occlusion;
 mod path;
 
 pub use ambient::Segment;
+pub use interface::Interface;
 
 use crate::cache::Site;
 use crate::cost::{Category, Counters};
 use crate::geometry::{self, Basis};
 use crate::kernel::{Kernel, has};
 use crate::lights::Receiver;
+use crate::media::Media;
 use crate::random::{Drawn, Purpose, Sampler};
 use crate::tracer::Tracer;
 use forelight_bvh::{Hit, Ray, offset_origin, size_of};
@@ -58,6 +62,8 @@ pub struct Pixels<'a, const K: u32> {
     tracer: &'a Tracer,
     kernel: &'a Kernel<K>,
     sampler: Sampler,
+    /// What the place is inside of that is seen from.
+    media: Media,
     pub counters: Counters,
     /// Stratum that the first camera ray met.
     pub stratum: Option<u32>,
@@ -67,7 +73,15 @@ pub struct Pixels<'a, const K: u32> {
 
 impl<'a, const K: u32> Pixels<'a, K> {
     pub fn new(tracer: &'a Tracer, kernel: &'a Kernel<K>, sampler: Sampler) -> Self {
-        Self { tracer, kernel, sampler, counters: Counters::default(), stratum: None, sites: Vec::new() }
+        Self {
+            tracer,
+            kernel,
+            sampler,
+            media: Media::default(),
+            counters: Counters::default(),
+            stratum: None,
+            sites: Vec::new(),
+        }
     }
 
     /// Key of its random numbers.
@@ -84,6 +98,7 @@ impl<'a, const K: u32> Pixels<'a, K> {
     pub fn sample(&mut self, x: u32, y: u32) -> Vec3 {
         let ray = (self.kernel.camera)(self, x, y);
         self.counters.ray(Category::Primary);
+        self.media = self.tracer.camera_media;
         (self.kernel.integrate)(self, ray)
     }
 

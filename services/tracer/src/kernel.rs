@@ -10,7 +10,7 @@ use crate::Integrator;
 use crate::cache::{Irradiance, Keyed, PLAN_RAYS, Planned, Site, Strata};
 use crate::cost::Counters;
 use crate::effects::Effects;
-use crate::integrator::{Pixels, Point, Segment};
+use crate::integrator::{Interface, Pixels, Point, Segment};
 use crate::lights::Looks;
 use crate::passes::Underway;
 use crate::random::{Sampler, hash};
@@ -40,6 +40,9 @@ pub type Light<const K: u32> = fn(&mut Pixels<'_, K>, &Point, &Response, u32) ->
 /// Indirect diffuse light at a point, without the lights that are sampled.
 pub type Ambient<const K: u32> = fn(&mut Pixels<'_, K>, &Segment, &Point, &Response) -> Vec3;
 
+/// What a ray meets at the face of a solid dielectric.
+pub type AtInterface<const K: u32> = fn(&mut Pixels<'_, K>, &Ray, &Hit, &Point) -> Interface;
+
 /// The functions of a frame's kernel.
 #[derive(Clone)]
 pub struct Kernel<const K: u32> {
@@ -53,6 +56,8 @@ pub struct Kernel<const K: u32> {
     pub sky: Option<Light<K>>,
     /// Indirect light.
     pub ambient: Option<Ambient<K>>,
+    /// Solid dielectrics, alone or among others.
+    pub interface: AtInterface<K>,
     /// Radiance along a camera ray.
     pub integrate: fn(&mut Pixels<'_, K>, Ray) -> Vec3,
     /// The same without light, for finding out where the cache will be read.
@@ -164,6 +169,10 @@ impl<const K: u32> Kernel<K> {
             gathered_lights: lights(effects, 1, looks),
             sky,
             ambient,
+            interface: match effects.has(Effects::NESTED_MEDIA) {
+                true => |pixels, ray, hit, p| pixels.nested_interface(ray, hit, p),
+                false => |pixels, ray, hit, p| pixels.plain_interface(ray, hit, p),
+            },
             integrate: match integrator {
                 Integrator::Ambient => |pixels, ray| pixels.ambient(ray),
                 Integrator::Path => |pixels, ray| pixels.path(ray),

@@ -35,6 +35,7 @@ mod image;
 mod integrator;
 mod kernel;
 mod lights;
+mod media;
 pub mod microfacet;
 mod passes;
 mod profile;

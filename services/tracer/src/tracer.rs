@@ -9,6 +9,7 @@ use crate::fresnel;
 use crate::image::Image;
 use crate::kernel::{Trace, kernel};
 use crate::lights::{Lights, Looks, Luminaires};
+use crate::media::{Media, Ranks};
 use crate::profile::Profile;
 use crate::reach::{LeftOut, Reach, reachable};
 use crate::tree::Tree;
@@ -69,6 +70,10 @@ pub struct Tracer {
     pub(crate) sky: Sky,
     /// Internal diffuse reflectance of each coated material.
     pub(crate) internal: Vec<f32>,
+    /// Solid dielectrics that may overlap.
+    pub(crate) ranks: Ranks,
+    /// Those that the camera is inside of.
+    pub(crate) camera_media: Media,
     /// Planned or taken over when it is first needed; never set if the settings ask for none.
     cache: OnceLock<Cache>,
     /// From which to plan.
@@ -147,8 +152,10 @@ impl Tracer {
         let effects = called_for.effects();
         let chosen = settings.integrator == Integrator::Path || effects.has(Effects::LIGHT_CHOICE);
         let lights = if chosen { Lights::new(&frame, &materials, &sky, &reach) } else { Lights::default() };
-        Self {
+        let mut tracer = Self {
             internal: internal.collect(),
+            ranks: Ranks::new(&materials),
+            camera_media: Media::default(),
             cache: OnceLock::new(),
             given: Mutex::default(),
             reach,
@@ -169,7 +176,11 @@ impl Tracer {
             gather_work: Tally::default(),
             samples: OnceLock::new(),
             content: OnceLock::new(),
+        };
+        if !tracer.ranks.is_empty() {
+            tracer.camera_media = tracer.media_at(tracer.frame.camera.origin);
         }
+        tracer
     }
 
     /// Gives every pixel a number of camera samples of its own, in place of [`Settings::spp`]; once. A pixel's first samples are the same

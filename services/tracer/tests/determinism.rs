@@ -14,7 +14,7 @@ use support::{Builder, lambert, material};
 fn frame() -> Frame {
     let color = Color::plain(Vec3::new(0.9, 0.8, 0.7));
     let plastic = Surface::Plastic { albedo: color, ior: 1.5, alpha: 0.1 };
-    let glass = Surface::Glass { ior: 1.5, transmittance: color, alpha: 0.0 };
+    let glass = Surface::Glass { ior: 1.5, transmittance: color, alpha: 0.0, priority: None };
     let pane = Surface::ThinGlass { ior: 1.5, transmittance: color };
     Builder::default()
         .quad(

@@ -52,7 +52,8 @@ fn a_perfect_mirror_in_a_furnace_disappears() {
 
 #[test]
 fn clear_glass_in_a_furnace_disappears() {
-    let glass = Surface::Glass { ior: 1.5, transmittance: Color::plain(Vec3::ONE), alpha: 0.0 };
+    let glass =
+        Surface::Glass { ior: 1.5, transmittance: Color::plain(Vec3::ONE), alpha: 0.0, priority: None };
     let value = furnace(glass, 64);
     assert!((value - 1.0).abs() < 5e-3, "{value}");
 }

@@ -169,7 +169,8 @@ fn light_through_panes_and_veils_is_counted_once() {
 #[test]
 fn rough_metal_and_rough_glass_show_a_light_as_by_the_other_integrator() {
     let metal = Surface::Metal { f0: Color::plain(Vec3::new(0.9, 0.7, 0.5)), alpha: 0.2 };
-    let glass = Surface::Glass { ior: 1.5, transmittance: Color::plain(Vec3::ONE), alpha: 0.3 };
+    let glass =
+        Surface::Glass { ior: 1.5, transmittance: Color::plain(Vec3::ONE), alpha: 0.3, priority: None };
     for surface in [metal, glass] {
         let up = 1.5 * Vec3::Y;
         let frame = Builder::default()
@@ -237,7 +238,7 @@ fn furnace(surface: Surface, round: bool, bounces: u32, max_depth: u32) -> f64 {
 #[test]
 fn white_bodies_in_a_furnace_disappear() {
     let white = Color::plain(Vec3::ONE);
-    let clear = |alpha| Surface::Glass { ior: 1.5, transmittance: white, alpha };
+    let clear = |alpha| Surface::Glass { ior: 1.5, transmittance: white, alpha, priority: None };
     let cases = [
         ("lambert", lambert(1.0), true, 0, 1e-4),
         ("mirror", Surface::Metal { f0: white, alpha: 0.0 }, false, 0, 1e-4),
@@ -392,7 +393,11 @@ fn everything() -> Frame {
         .sphere(
             Vec3::new(0.35, 0.0, 0.2),
             0.3,
-            material("glass", Surface::Glass { ior: 1.5, transmittance: color, alpha: 0.0 }, 0.0),
+            material(
+                "glass",
+                Surface::Glass { ior: 1.5, transmittance: color, alpha: 0.0, priority: None },
+                0.0,
+            ),
         )
         .quad(
             Vec3::new(-0.2, -1.0, 0.8),

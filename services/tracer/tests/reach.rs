@@ -132,7 +132,7 @@ fn a_room_is_open_if_one_triangle_lets_light_pass() {
     cut_out.mask = Some(AlphaMask { texture, cutoff: 0.5 });
     let mut veil = material("veil", lambert(0.5), 0.0);
     veil.opacity = 0.9;
-    let glass = Surface::Glass { ior: 1.5, transmittance: grey, alpha: 0.3 };
+    let glass = Surface::Glass { ior: 1.5, transmittance: grey, alpha: 0.3, priority: None };
     let pane = Surface::ThinGlass { ior: 1.5, transmittance: grey };
     for window in [cut_out, veil, material("glass", glass, 0.0), material("pane", pane, 0.0)] {
         let mut frame = from_inside();
@@ -160,7 +160,8 @@ fn a_mirror_on_the_wall_does_not_open_a_room() {
 
 #[test]
 fn what_stands_in_a_room_undoes_its_proof_only_where_rays_may_slip_past_the_floor() {
-    let clear = Surface::Glass { ior: 1.5, transmittance: Color::plain(Vec3::ONE), alpha: 0.0 };
+    let clear =
+        Surface::Glass { ior: 1.5, transmittance: Color::plain(Vec3::ONE), alpha: 0.0, priority: None };
     let camera = Vec3::new(0.3, 1.6, 1.5);
     let glass = |base: f32| {
         let glass = material("glass", clear, 0.0);

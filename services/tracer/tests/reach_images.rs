@@ -36,7 +36,8 @@ fn bits(image: &Image) -> Vec<([u32; 3], u32)> {
     image.pixels.iter().map(|p| (p.color.map(f32::to_bits), p.stratum)).collect()
 }
 
-const CLEAR: Surface = Surface::Glass { ior: 1.5, transmittance: Color::plain(Vec3::ONE), alpha: 0.0 };
+const CLEAR: Surface =
+    Surface::Glass { ior: 1.5, transmittance: Color::plain(Vec3::ONE), alpha: 0.0, priority: None };
 
 /// A closed room with a table, a mirror, a glass ball that hovers, a lamp that hangs and a point light; beyond its walls another room
 /// with lamps and a pane, a sun, a sky, a street lamp.

@@ -392,7 +392,7 @@ fn lit(factor: f32) -> World {
             DVec3::new(-0.2, 0.3, 0.7),
             0.3,
             4,
-            material(Surface::Glass { ior: 1.5, transmittance: grey(0.9), alpha: 0.0 }, 0.0),
+            material(Surface::Glass { ior: 1.5, transmittance: grey(0.9), alpha: 0.0, priority: None }, 0.0),
         )
         .ceiling(DVec3::new(0.0, 2.5, 0.0), 0.5, material(lambert(0.0), 4.0 * factor));
     world.points.push((DVec3::new(1.5, 1.5, 1.0), 2.0 * factor));

@@ -29,6 +29,7 @@ mod lights;
 mod materials;
 mod media;
 mod meshes;
+mod nested;
 mod planning;
 mod scattering;
 mod shared_cache;

@@ -195,7 +195,7 @@ fn a_clear_slab_vanishes_in_a_furnace_after_64_hits_without_cut_off() {
     let (low, high) = (DVec3::new(-8.0, -0.5, -8.0), DVec3::new(8.0, 0.0, 8.0));
     let mut worst = 0.0f64;
     for ior in [1.1f32, 1.5, 2.4] {
-        let glass = Surface::Glass { ior, transmittance: grey(1.0), alpha: 0.0 };
+        let glass = Surface::Glass { ior, transmittance: grey(1.0), alpha: 0.0, priority: None };
         let world = World::under(1.0).cuboid(low, high, false, material(glass, 0.0));
         for angle in ANGLES {
             let (value, error) = seen(&world, angle, &settings(8, 256));
@@ -217,7 +217,7 @@ fn rough_glass_in_a_furnace_never_passes_on_more_than_arrives() {
     let (low, high) = (DVec3::new(-8.0, -0.5, -8.0), DVec3::new(8.0, 0.0, 8.0));
     let (mut most, mut least) = (0.0f64, 1.0f64);
     for alpha in [0.05f32, 0.2, 0.5] {
-        let glass = Surface::Glass { ior: 1.5, transmittance: grey(1.0), alpha };
+        let glass = Surface::Glass { ior: 1.5, transmittance: grey(1.0), alpha, priority: None };
         let world = World::under(1.0).cuboid(low, high, false, material(glass, 0.0));
         for angle in &ANGLES[..7] {
             let (value, error) = seen(&world, *angle, &settings(8, 256));
@@ -363,7 +363,12 @@ fn rough_glass_follows_the_density_of_visible_facets_times_fresnel() {
         for angle in [0.0, 50.0, 80.0] {
             let (ggx, wi) = (Ggx(f64::from(alpha as f32)), towards(angle));
             let eta = f64::from(ior as f32);
-            let glass = Surface::Glass { ior: ior as f32, transmittance: grey(1.0), alpha: alpha as f32 };
+            let glass = Surface::Glass {
+                ior: ior as f32,
+                transmittance: grey(1.0),
+                alpha: alpha as f32,
+                priority: None,
+            };
             let rays = scattered(glass, angle);
             let n = rays.len() as f64;
             let cells = CELLS * CELLS;
@@ -408,7 +413,10 @@ fn reflectance(cos: f64, ior: f64) -> f64 {
     let sin = ((1.0 - cos) * (1.0 + cos)).max(0.0).sqrt();
     let eye = DVec3::new(sin, cos, 0.0);
     let (glass, black) = (if ior < 1.0 { 1.0 / ior } else { ior }, material(lambert(0.0), 0.0));
-    let glass = material(Surface::Glass { ior: glass as f32, transmittance: grey(1.0), alpha: 0.0 }, 0.0);
+    let glass = material(
+        Surface::Glass { ior: glass as f32, transmittance: grey(1.0), alpha: 0.0, priority: None },
+        0.0,
+    );
     let world = World::under(1.0).floor(DVec3::new(0.0, -1.0, 0.0), 1e5, black);
     let world =
         if ior < 1.0 { world.ceiling(DVec3::ZERO, 8.0, glass) } else { world.floor(DVec3::ZERO, 8.0, glass) };
@@ -449,7 +457,8 @@ fn at_brewsters_angle_only_one_polarisation_is_left() {
 #[test]
 fn at_the_edge_of_total_reflection_nothing_but_a_share_is_reflected() {
     // The viewer's cosine goes by single ulps over the critical one, from 2000 below to 2000 above.
-    let glass = material(Surface::Glass { ior: 1.5, transmittance: grey(1.0), alpha: 0.0 }, 0.0);
+    let glass =
+        material(Surface::Glass { ior: 1.5, transmittance: grey(1.0), alpha: 0.0, priority: None }, 0.0);
     let world = World::under(1.0)
         .floor(DVec3::new(0.0, -1.0, 0.0), 1e5, material(lambert(0.0), 0.0))
         .ceiling(DVec3::ZERO, 8.0, glass);

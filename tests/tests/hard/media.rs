@@ -1,5 +1,5 @@
-//! Dielectrics in dielectrics. The format gives every interface one index, that of its inside relative to its outside, and knows no
-//! priorities: a medium in a medium is an interface with the relative index, and where two media touch there is one interface.
+//! Dielectrics in dielectrics without priorities: every interface has one index, that of its inside relative to its outside. A medium in a
+//! medium is an interface with the relative index, and where two media touch there is one interface (with priorities: see `nested`).
 
 use forelight_scene::Surface;
 use forelight_tests::case::case;
@@ -9,7 +9,7 @@ use forelight_tracer::Settings;
 use glam::DVec3;
 
 fn glass(ior: f32) -> forelight_scene::Material {
-    material(Surface::Glass { ior, transmittance: grey(1.0), alpha: 0.0 }, 0.0)
+    material(Surface::Glass { ior, transmittance: grey(1.0), alpha: 0.0, priority: None }, 0.0)
 }
 
 fn settings(spp: u32) -> Settings {

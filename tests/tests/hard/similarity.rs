@@ -24,7 +24,7 @@ fn settings() -> Settings {
 fn room() -> World {
     let plastic = Surface::Plastic { albedo: grey(0.5), ior: 1.5, alpha: 0.2 };
     let metal = Surface::Metal { f0: grey(0.7), alpha: 0.1 };
-    let glass = Surface::Glass { ior: 1.5, transmittance: grey(0.95), alpha: 0.0 };
+    let glass = Surface::Glass { ior: 1.5, transmittance: grey(0.95), alpha: 0.0, priority: None };
     let pane = Surface::ThinGlass { ior: 1.5, transmittance: grey(0.9) };
     let wall = |albedo| material(lambert(albedo), 0.0);
     let mut world = World::under(0.3)

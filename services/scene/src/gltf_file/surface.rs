@@ -9,7 +9,7 @@
 //! | otherwise | plastic with the index of refraction |
 //!
 //! GGX alpha is roughness². `MASK` cuts out by the texture's alpha; `BLEND` is constant opacity, the base colour's alpha, and a
-//! cut-out at one half by the texture's. Textures other than base colour and emission are ignored with a warning.
+//! cut-out at one half by the texture's. An extra named `priority` is a solid's rank among those that it overlaps. Textures other than base colour and emission are ignored with a warning.
 
 use super::Reader;
 use super::document::{resource, resource_path};
@@ -19,6 +19,7 @@ use crate::{AlphaMask, Color, Material, Surface, TextureId};
 use glam::Vec3;
 use gltf::material::AlphaMode;
 use gltf::texture::WrappingMode;
+use std::num::NonZeroU8;
 
 /// Index of refraction where a material says none.
 const DEFAULT_IOR: f32 = 1.5;
@@ -38,6 +39,7 @@ impl Reader<'_, '_> {
             }
         };
         let index = self.assembly.add_material(material);
+        self.assembly.check_priorities(&self.opened.file)?;
         self.materials.insert(source.index(), index);
         Ok(index)
     }
@@ -102,7 +104,7 @@ impl Reader<'_, '_> {
                     if volume.attenuation_distance().is_finite() {
                         self.ignore("the attenuation of volumes");
                     }
-                    Surface::Glass { ior, transmittance, alpha }
+                    Surface::Glass { ior, transmittance, alpha, priority: self.priority(source, at)? }
                 }
                 _ => Surface::ThinGlass { ior, transmittance },
             }
@@ -113,6 +115,25 @@ impl Reader<'_, '_> {
         } else {
             Surface::Plastic { albedo: base, ior, alpha }
         })
+    }
+
+    /// `priority` among the extras (Blender writes custom properties there); glTF itself has no word for which of two solids that overlap
+    /// fills the place.
+    fn priority(&self, source: &gltf::Material<'_>, at: &str) -> Result<Option<NonZeroU8>, SceneError> {
+        let extras = source.extras().as_ref().and_then(|raw| {
+            serde_json::from_str::<serde_json::Map<String, serde_json::Value>>(raw.get()).ok()
+        });
+        let Some(priority) = extras.as_ref().and_then(|extras| extras.get("priority")) else {
+            return Ok(None);
+        };
+        let number = priority.as_u64().and_then(|n| u8::try_from(n).ok()).and_then(NonZeroU8::new);
+        match number {
+            Some(number) => Ok(Some(number)),
+            None => {
+                let at = format!("{at}/extras/priority");
+                self.opened.fail(&at, format!("{priority} is no whole number from 1 to 255"))
+            }
+        }
     }
 
     /// Emissive factor × strength, radiance.

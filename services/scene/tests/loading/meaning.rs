@@ -4,6 +4,7 @@ use crate::made::{Files, OBJ, encoded, load_zip, png, zip};
 use forelight_scene::{Bundle, Environment, Frame, Limits, Material, MaterialClass, Scene, Surface, Texels};
 use glam::{Quat, Vec2, Vec3};
 use serde_json::json;
+use std::num::NonZeroU8;
 use std::sync::Arc;
 
 fn frame(files: &Files) -> Frame {
@@ -42,10 +43,29 @@ fn every_row_of_the_material_table_has_its_surface() {
         panic!()
     };
     assert_eq!((ior, transmittance.factor), (1.6, Vec3::new(0.9, 1.0, 0.9)));
-    let Surface::Glass { ior, transmittance, alpha } = material("illum 7\nPr 0.5\n").surface else {
+    let Surface::Glass { ior, transmittance, alpha, priority: None } = material("illum 7\nPr 0.5\n").surface
+    else {
         panic!()
     };
     assert_eq!((ior, transmittance.factor, alpha), (1.5, Vec3::ONE, 0.25));
+    assert_eq!(material("illum 7\npriority 3\n").surface.priority(), NonZeroU8::new(3));
+    assert_eq!(material("illum 4\npriority 3\n").surface.priority(), None, "a pane has no inside");
+}
+
+#[test]
+fn a_priority_is_a_whole_number_and_few_materials_have_one() {
+    for wrong in ["0", "256", "-1", "1.5", "high", ""] {
+        let files = Files::good().with("scene.mtl", format!("newmtl white\nillum 7\npriority {wrong}\n"));
+        let error = files.load().unwrap_err().to_string();
+        assert!(error.contains("scene.mtl: line 3: `priority") && error.contains("1 to 255"), "{error}");
+    }
+    let many = |count: u32| {
+        let glass = |n| format!("newmtl glass{n}\nillum 7\npriority 1\n");
+        Files::good().with("scene.mtl", (0..count).map(glass).collect::<String>() + "newmtl white\n").load()
+    };
+    assert!(many(32).is_ok());
+    let error = many(33).unwrap_err().to_string();
+    assert!(error.contains("33") && error.contains("materials with a priority"), "{error}");
 }
 
 #[test]

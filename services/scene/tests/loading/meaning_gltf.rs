@@ -131,6 +131,24 @@ fn every_row_of_the_material_table_has_its_surface() {
 }
 
 #[test]
+fn a_solid_may_have_a_priority_among_its_extras() {
+    let solid = |extras: serde_json::Value| {
+        json!({"extensions": {"KHR_materials_transmission": {"transmissionFactor": 1}, "KHR_materials_volume": {"thicknessFactor": 0.1}},
+            "extras": extras})
+    };
+    let priority = |extras| material(solid(extras)).surface.priority().map_or(0, |priority| priority.get());
+    assert_eq!(priority(json!({"priority": 7, "author": "somebody"})), 7);
+    for without in [json!({}), json!({"author": 1}), json!("priority"), json!([1])] {
+        assert_eq!(priority(without), 0);
+    }
+    for wrong in [json!(0), json!(-1), json!(256), json!(1.5), json!("1"), json!(null)] {
+        let files = triangle_with("/materials", json!([solid(json!({"priority": wrong}))]));
+        let error = files.error();
+        assert!(error.contains("/materials/0/extras/priority") && error.contains("1 to 255"), "{error}");
+    }
+}
+
+#[test]
 fn emission_has_a_strength_and_may_have_two_sides() {
     let lamp = material(json!({"emissiveFactor": [1, 0.5, 0], "doubleSided": true,
         "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 10}}}));

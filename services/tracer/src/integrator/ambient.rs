@@ -8,7 +8,7 @@
 //! diffuse surface do not see the lights that it sampled; glossy lobes share the lights with light sampling by multiple
 //! importance sampling (Veach 1997, balance heuristic), and so do diffuse surfaces the lights that are near.
 
-use super::{Pixels, Point, cap_height, leaving};
+use super::{Interface, Pixels, Point, cap_height, leaving};
 use crate::Settings;
 use crate::cost::Category;
 use crate::environment::Sky;
@@ -93,11 +93,11 @@ impl<const K: u32> Pixels<'_, K> {
         }
         self.counters.shadings += 1;
         let emitted = if material.is_emissive() { self.emission(&s, &p, hit.primitive) } else { Vec3::ZERO };
-        emitted + self.scattered(&s, &p)
+        emitted + self.scattered(&s, &p, &hit)
     }
 
     /// Light that the surface scatters towards the viewer. A kernel has no arm for materials that its frame does not have.
-    fn scattered(&mut self, s: &Segment, p: &Point) -> Vec3 {
+    fn scattered(&mut self, s: &Segment, p: &Point, hit: &Hit) -> Vec3 {
         match self.tracer.materials[p.material].surface {
             Surface::Lambert { albedo } => {
                 let diffuse = self.color(&albedo, p.uv);
@@ -118,8 +118,13 @@ impl<const K: u32> Pixels<'_, K> {
             Surface::ThinGlass { ior, transmittance } if K & has::SPECULAR != 0 => {
                 self.pane(s, p, ior, &transmittance)
             }
-            Surface::Glass { ior, transmittance, alpha } if K & has::SPECULAR != 0 => {
-                self.glass(s, p, ior, &transmittance, alpha)
+            Surface::Glass { .. } if K & has::SPECULAR != 0 => {
+                let outer = self.media;
+                let interface = (self.kernel.interface)(self, &s.ray, hit, p);
+                self.media = interface.before;
+                let radiance = self.glass(s, p, &interface);
+                self.media = outer;
+                radiance
             }
             surface => unreachable!("a kernel without code for {surface:?}"),
         }
@@ -234,8 +239,13 @@ impl<const K: u32> Pixels<'_, K> {
         self.split(s, p, reflectance, through, forward)
     }
 
-    fn glass(&mut self, s: &Segment, p: &Point, ior: f32, transmittance: &Color, alpha: f32) -> Vec3 {
-        let eta = if p.geometric.dot(p.viewer) > 0.0 { ior } else { 1.0 / ior };
+    fn glass(&mut self, s: &Segment, p: &Point, between: &Interface) -> Vec3 {
+        let &Interface { eta, transmittance, alpha, before, beyond } = between;
+        let Some(eta) = eta else {
+            self.counters.ray(Category::Transparent);
+            self.media = beyond;
+            return self.radiance(self.straight(s, p));
+        };
         let normal = if alpha < ggx::SMOOTH {
             p.basis.normal
         } else {
@@ -244,11 +254,14 @@ impl<const K: u32> Pixels<'_, K> {
         let cos_i = p.viewer.dot(normal);
         let interface = fresnel::dielectric(cos_i, eta);
         // Radiance is compressed into the smaller cone of the denser medium: 1/η² on the way in, η² on the way out.
-        let through = (1.0 - interface.reflectance) * self.color(transmittance, p.uv) / (eta * eta);
+        let through = (1.0 - interface.reflectance) * transmittance / (eta * eta);
         if alpha < ggx::SMOOTH {
             let direction = ggx::refract(p.viewer, normal, eta, interface.cos_t);
             let forward = |this: &mut Self, share| {
-                this.follow(s, p, direction, share, Category::Refracted, Arrival::Everything)
+                this.media = beyond;
+                let radiance = this.follow(s, p, direction, share, Category::Refracted, Arrival::Everything);
+                this.media = before;
+                radiance
             };
             return self.split(s, p, interface.reflectance, through, forward);
         }
@@ -268,6 +281,7 @@ impl<const K: u32> Pixels<'_, K> {
         let (share, category) = if reflects {
             (Vec3::splat(masking), Category::Specular)
         } else {
+            self.media = beyond;
             (masking * through / (1.0 - interface.reflectance), Category::Refracted)
         };
         self.follow(s, p, direction, share, category, Arrival::Everything)

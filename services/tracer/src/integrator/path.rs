@@ -11,7 +11,7 @@
 //! which leaves the mean as it is.
 
 use super::direct::{LAST_BIT, falloff, fine};
-use super::{Pixels, Point, cap_height, leaving};
+use super::{Interface, Pixels, Point, cap_height, leaving};
 use crate::bsdf::{Bsdf, Coat, Lobe, Scattering};
 use crate::cost::Category;
 use crate::environment::Sky;
@@ -98,7 +98,22 @@ impl<const K: u32> Pixels<'_, K> {
             if material.is_emissive() {
                 total += throughput * self.emitted(&origin, &p, hit.primitive);
             }
-            let bsdf = self.bsdf(&p);
+            let (bsdf, beyond) = match material.surface {
+                Surface::Glass { .. } if K & has::SPECULAR != 0 => {
+                    let Interface { eta, transmittance, alpha, before, beyond } =
+                        (self.kernel.interface)(self, &ray, &hit, &p);
+                    let Some(eta) = eta else {
+                        // Shadow rays do not pass here, so what is met now is met by no other way.
+                        (origin, self.media) = (Origin::Only, beyond);
+                        self.counters.ray(Category::Transparent);
+                        ray = leaving(&p, ray.direction);
+                        continue;
+                    };
+                    self.media = before;
+                    (Bsdf::glass(eta, transmittance, alpha), beyond)
+                }
+                surface => (self.bsdf(&p, surface), self.media),
+            };
             let exhausted = bsdf.spreads() && spreads > settings.ambient_bounces;
             let chosen = if exhausted {
                 bsdf.mirror(p.wi)
@@ -125,6 +140,7 @@ impl<const K: u32> Pixels<'_, K> {
             throughput *= scattering.weight;
             if let (Bsdf::Glass { eta, .. }, Lobe::Refraction) = (bsdf, scattering.lobe) {
                 compression *= eta * eta;
+                self.media = beyond;
             }
             if vertex >= ROULETTE {
                 let most = if vertex < LONG { 1.0 } else { SURVIVAL };
@@ -146,10 +162,10 @@ impl<const K: u32> Pixels<'_, K> {
         total
     }
 
-    /// What the surface does with light. A kernel has no arm for materials that its frame does not have.
+    /// What any surface but that of a solid dielectric does with light. A kernel has no arm for materials that its frame does not have.
     #[inline]
-    fn bsdf(&mut self, p: &Point) -> Bsdf {
-        match self.tracer.materials[p.material].surface {
+    fn bsdf(&mut self, p: &Point, surface: Surface) -> Bsdf {
+        match surface {
             Surface::Lambert { albedo } => Bsdf::lambert(self.color(&albedo, p.uv)),
             Surface::Plastic { albedo, ior, alpha } if K & (has::GLOSSY | has::SPECULAR) != 0 => {
                 let coat = Coat { ior, internal: self.tracer.internal[p.material] };
@@ -160,10 +176,6 @@ impl<const K: u32> Pixels<'_, K> {
             }
             Surface::ThinGlass { ior, transmittance } if K & has::SPECULAR != 0 => {
                 Bsdf::pane(ior, self.color(&transmittance, p.uv))
-            }
-            Surface::Glass { ior, transmittance, alpha } if K & has::SPECULAR != 0 => {
-                let eta = if p.geometric.dot(p.viewer) > 0.0 { ior } else { 1.0 / ior };
-                Bsdf::glass(eta, self.color(&transmittance, p.uv), alpha)
             }
             surface => unreachable!("a kernel without code for {surface:?}"),
         }

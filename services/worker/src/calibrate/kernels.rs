@@ -148,7 +148,7 @@ fn room() -> Frame {
         scene.object("mirror", Surface::Metal { f0: Color::plain(Vec3::splat(0.9)), alpha: 0.0 }, 0.0),
         scene.object(
             "glass",
-            Surface::Glass { ior: 1.5, transmittance: Color::plain(Vec3::ONE), alpha: 0.0 },
+            Surface::Glass { ior: 1.5, transmittance: Color::plain(Vec3::ONE), alpha: 0.0, priority: None },
             0.0,
         ),
     ];
