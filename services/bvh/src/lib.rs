@@ -6,7 +6,7 @@
 //!
 //! What holds, whatever the processor, the thread or the shape of the tree:
 //! * a closed mesh has no cracks: shared edges are decided by sign alone, in f64 where f32 says zero
-//!   (Woop, Benthin, Wald 2013);
+//!   (Woop, Benthin, Wald 2013), and a ray through an edge or a corner meets one of the triangles that share it;
 //! * of several triangles at exactly the same distance the one of the lowest index wins;
 //! * the portable and the AVX2 kernel return the same bits, and count the same.
 

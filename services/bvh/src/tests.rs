@@ -49,6 +49,17 @@ fn answer(bvh: &Bvh, ray: &Ray) -> (Option<Hit>, bool) {
     (one.0, one.1)
 }
 
+/// How many triangles the ray meets.
+fn faces_met(positions: &[Vec3], triangles: &[[u32; 3]], ray: &Ray) -> usize {
+    let shear = Shear::new(ray);
+    let meets = |triangle: &&[u32; 3]| {
+        let corners = triangle.map(|v| positions[v as usize].to_array().map(Vec4::splat));
+        let group = Group { corners, primitives: [0; GROUP] };
+        shear.group(&group, f32::MAX).mask & 1 == 1
+    };
+    triangles.iter().filter(meets).count()
+}
+
 /// The closest hit, from testing every triangle.
 fn brute_force(positions: &[Vec3], triangles: &[[u32; 3]], ray: &Ray) -> Option<Hit> {
     let shear = Shear::new(ray);
@@ -180,7 +191,7 @@ fn of_triangles_at_the_same_distance_the_lowest_index_wins_wherever_it_lies_in_t
         triangles.push([base, base + 1, base + 2]);
     }
     let bvh = Bvh::build(&positions, &triangles);
-    for i in 0..200 {
+    for i in 1..200 {
         let (x, y) = (0.02 * i as f32, 4.0 - 0.019 * i as f32);
         let ray = Ray::new(Vec3::new(x, y, -1.0), Vec3::Z);
         assert_eq!(answer(&bvh, &ray).0, brute_force(&positions, &triangles, &ray));
@@ -288,6 +299,7 @@ proptest! {
             let ray = Ray::new(origin, target - origin);
             let (hit, met) = answer(&bvh, &ray);
             prop_assert!(hit.is_some() && met, "{:?}", ray);
+            prop_assert_eq!(faces_met(&positions, &triangles, &ray), 1, "{:?}", ray);
         }
     }
 
@@ -316,6 +328,7 @@ proptest! {
             let ray = Ray::new(origin, direction);
             let (hit, met) = answer(&bvh, &ray);
             prop_assert!(hit.is_some() && met, "{:?}", ray);
+            prop_assert_eq!(faces_met(&positions, &triangles, &ray), 1, "{:?}", ray);
         }
     }
 }

@@ -68,11 +68,16 @@ impl Shear {
         let mut v = ax * cy - ay * cx;
         let mut w = bx * ay - by * ax;
         let zero = u.cmpeq(Vec4::ZERO) | v.cmpeq(Vec4::ZERO) | w.cmpeq(Vec4::ZERO);
+        let mut sides = [u, v, w];
         if zero.any() {
             [u, v, w] = exact(zero, [ax, ay], [bx, by], [cx, cy], [u, v, w]);
+            sides = decided([u, v, w], [ax, ay], [bx, by], [cx, cy]);
         }
-        let negative = u.cmplt(Vec4::ZERO) | v.cmplt(Vec4::ZERO) | w.cmplt(Vec4::ZERO);
-        let positive = u.cmpgt(Vec4::ZERO) | v.cmpgt(Vec4::ZERO) | w.cmpgt(Vec4::ZERO);
+        let any = |holds: fn(Vec4, Vec4) -> BVec4A| {
+            let [u, v, w] = sides.map(|side| holds(side, Vec4::ZERO));
+            u | v | w
+        };
+        let (negative, positive) = (any(Vec4::cmplt), any(Vec4::cmpgt));
         let determinant = u + v + w;
         let inside: BVec4A = !(negative & positive) & determinant.cmpne(Vec4::ZERO);
         if !inside.any() {
@@ -89,6 +94,21 @@ impl Shear {
             mask: hit.bitmask(),
         }
     }
+}
+
+/// On which side of each edge the ray passes, by sign; through an edge or a corner it passes as a ray would that is moved by (ε, ε²), with
+/// ε as small as you like (Edelsbrunner and Mücke 1990, "Simulation of Simplicity"). So of two triangles that continue each other
+/// exactly one is met at their common edge, and of a fan about a corner exactly one.
+#[cold]
+#[inline(never)]
+fn decided(sides: [Vec4; 3], [ax, ay]: [Vec4; 2], [bx, by]: [Vec4; 2], [cx, cy]: [Vec4; 2]) -> [Vec4; 3] {
+    // The derivatives of the products with respect to the two shifts.
+    let shifted = [(cy - by, bx - cx), (ay - cy, cx - ax), (by - ay, ax - bx)];
+    let zero = |value: Vec4| value.cmpeq(Vec4::ZERO);
+    std::array::from_fn(|i| {
+        let (first, second) = shifted[i];
+        Vec4::select(zero(sides[i]), Vec4::select(zero(first), second, first), sides[i])
+    })
 }
 
 /// The scaled barycentrics u, v and w, those of the lanes in `zero` anew in f64. Products of two f32 are exact there, so that

@@ -47,10 +47,37 @@ pub struct Point {
     uv: Vec2,
     material: usize,
     stratum: u32,
+    primitive: u32,
+    /// Along the ray, from its origin.
     distance: f32,
 }
 
+/// Up to where a ray has passed straight through what it met. It goes on as the same ray, not as a new one from a little further on: so it
+/// meets every face once, in the order of distance and triangle, however close the next one lies.
+#[derive(Debug, Clone, Copy)]
+pub struct Passed {
+    t: f32,
+    primitive: u32,
+}
+
+impl Passed {
+    fn is_before(self, hit: &Hit) -> bool {
+        hit.t > self.t || hit.t == self.t && hit.primitive > self.primitive
+    }
+}
+
+impl From<&Hit> for Passed {
+    fn from(hit: &Hit) -> Self {
+        Self { t: hit.t, primitive: hit.primitive }
+    }
+}
+
 impl Point {
+    /// The point, passed.
+    fn passed(&self) -> Passed {
+        Passed { t: self.distance, primitive: self.primitive }
+    }
+
     /// The place as light selection sees it, for a surface that reflects.
     fn receiver(&self) -> Receiver {
         Receiver { position: self.position, normal: Some(self.basis.normal) }
@@ -125,13 +152,27 @@ impl<'a, const K: u32> Pixels<'a, K> {
         Ray::new(origin, (focus - origin).normalize())
     }
 
-    fn closest(&mut self, ray: &Ray) -> Option<Hit> {
+    /// What a ray meets first, beyond what it has passed straight.
+    fn closest(&mut self, ray: &Ray, passed: Option<Passed>) -> Option<Hit> {
         let steps = &mut self.counters.traversal;
+        let ray = match passed {
+            Some(passed) if K & (has::PASSING | has::SPECULAR) != 0 => {
+                let rest = Ray { t_min: passed.t.next_down(), ..*ray };
+                if K & has::CUT_OUTS == 0 {
+                    return self.tracer.bvh.closest(&rest, |hit| passed.is_before(hit), steps);
+                }
+                rest
+            }
+            _ => *ray,
+        };
         if K & has::CUT_OUTS == 0 {
-            return self.tracer.bvh.closest(ray, |_| true, steps);
+            return self.tracer.bvh.closest(&ray, |_| true, steps);
         }
         let texels = Cell::new(0);
-        let hit = self.tracer.bvh.closest(ray, |hit| self.tracer.present(hit, &texels), steps);
+        let met = |hit: &Hit| {
+            passed.is_none_or(|passed| passed.is_before(hit)) && self.tracer.present(hit, &texels)
+        };
+        let hit = self.tracer.bvh.closest(&ray, met, steps);
         self.counters.texels += texels.get();
         hit
     }
@@ -163,6 +204,7 @@ impl<'a, const K: u32> Pixels<'a, K> {
             uv: geometry.uv(hit.primitive, hit.u, hit.v),
             material: geometry.strata.pairs[stratum as usize].1 as usize,
             stratum,
+            primitive: hit.primitive,
             distance: hit.t,
         }
     }

@@ -8,7 +8,7 @@
 //! diffuse surface do not see the lights that it sampled; glossy lobes share the lights with light sampling by multiple
 //! importance sampling (Veach 1997, balance heuristic), and so do diffuse surfaces the lights that are near.
 
-use super::{Interface, Pixels, Point, cap_height, leaving};
+use super::{Interface, Passed, Pixels, Point, cap_height, leaving};
 use crate::Settings;
 use crate::cost::Category;
 use crate::environment::Sky;
@@ -41,15 +41,16 @@ pub enum Arrival {
     Nothing,
     /// The environment alone: the surface that it left has sampled the others, or leaves them out.
     Sky,
-    /// Area lights with the weight that light sampling leaves; `density` per steradian at the glossy surface, `receiver`,
-    /// `travelled` metres since (straight through panes).
-    Shared { receiver: Receiver, density: f32, travelled: f32 },
+    /// Area lights with the weight that light sampling leaves; `density` per steradian at the glossy surface, `receiver`.
+    Shared { receiver: Receiver, density: f32 },
 }
 
 /// A ray with what its origin knows.
 #[derive(Debug, Clone, Copy)]
 pub struct Segment {
     pub(super) ray: Ray,
+    /// What of it was passed straight.
+    pub(super) passed: Option<Passed>,
     pub(super) arrival: Arrival,
     /// Diffuse bounces so far.
     pub(super) level: u32,
@@ -61,16 +62,29 @@ pub struct Segment {
     pub(super) weight: f32,
 }
 
+impl Segment {
+    /// The same ray beyond what it has passed straight.
+    fn beyond(&self, passed: Passed) -> Self {
+        Self { passed: Some(passed), vertex: self.vertex + 1, ..*self }
+    }
+
+    /// What goes on from a point in another direction.
+    fn turned(&self, p: &Point, direction: Vec3, arrival: Arrival) -> Self {
+        let (depth, vertex) = (self.depth + 1, self.vertex + 1);
+        Self { ray: leaving(p, direction), passed: None, arrival, depth, vertex, ..*self }
+    }
+}
+
 impl<const K: u32> Pixels<'_, K> {
     /// Radiance along a camera ray.
     pub fn ambient(&mut self, ray: Ray) -> Vec3 {
         let arrival = Arrival::Everything;
-        self.radiance(Segment { ray, arrival, level: 0, depth: 0, vertex: 0, weight: 1.0 })
+        self.radiance(Segment { ray, passed: None, arrival, level: 0, depth: 0, vertex: 0, weight: 1.0 })
     }
 
     /// Radiance that arrives along a segment.
     pub(super) fn radiance(&mut self, s: Segment) -> Vec3 {
-        let hit = self.closest(&s.ray);
+        let hit = self.closest(&s.ray, s.passed);
         self.arriving(s, hit)
     }
 
@@ -89,10 +103,10 @@ impl<const K: u32> Pixels<'_, K> {
             && self.sampler.next(Purpose::Opacity, s.vertex).x >= material.opacity
         {
             self.counters.ray(Category::Transparent);
-            return self.radiance(self.straight(&s, &p));
+            return self.radiance(s.beyond(p.passed()));
         }
         self.counters.shadings += 1;
-        let emitted = if material.is_emissive() { self.emission(&s, &p, hit.primitive) } else { Vec3::ZERO };
+        let emitted = if material.is_emissive() { self.emission(&s, &p) } else { Vec3::ZERO };
         emitted + self.scattered(&s, &p, &hit)
     }
 
@@ -152,7 +166,7 @@ impl<const K: u32> Pixels<'_, K> {
     }
 
     /// Light that the surface sends towards the viewer by itself.
-    fn emission(&mut self, s: &Segment, p: &Point, triangle: u32) -> Vec3 {
+    fn emission(&mut self, s: &Segment, p: &Point) -> Vec3 {
         let material = &self.tracer.materials[p.material];
         let cos = p.geometric.dot(p.viewer);
         let cos = if material.emits_both_sides { cos.abs() } else { cos };
@@ -163,9 +177,9 @@ impl<const K: u32> Pixels<'_, K> {
             Arrival::Nothing | Arrival::Sky => return Vec3::ZERO,
             Arrival::Everything if s.level > 0 => return Vec3::ZERO,
             Arrival::Everything => 1.0,
-            Arrival::Shared { receiver, density, travelled } => {
-                let distance = travelled + p.distance;
-                let by_light = self.density_of_lights(&receiver, s.level, triangle, distance * distance, cos);
+            Arrival::Shared { receiver, density } => {
+                let distance2 = p.distance * p.distance;
+                let by_light = self.density_of_lights(&receiver, s.level, p.primitive, distance2, cos);
                 by_light.map_or(1.0, |by_light| density / (density + by_light))
             }
         };
@@ -206,9 +220,10 @@ impl<const K: u32> Pixels<'_, K> {
             && let Some((wo, share, density)) =
                 glossy.sample(p.wi, self.sampler.next(Purpose::Glossy, s.vertex))
         {
-            let shared = Arrival::Shared { receiver: p.receiver(), density, travelled: 0.0 };
+            let shared = Arrival::Shared { receiver: p.receiver(), density };
             let arrival = if caustic { Arrival::Sky } else { shared };
-            total += self.follow(s, p, p.basis.to_world(wo), share, Category::Specular, arrival);
+            let turned = s.turned(p, p.basis.to_world(wo), arrival);
+            total += self.follow(turned, share, Category::Specular);
         }
         total
     }
@@ -226,25 +241,23 @@ impl<const K: u32> Pixels<'_, K> {
 
     fn mirror(&mut self, s: &Segment, p: &Point, share: Vec3) -> Vec3 {
         let direction = ggx::reflect(p.viewer, p.basis.normal);
-        self.follow(s, p, direction, share, Category::Reflected, Arrival::Everything)
+        self.follow(s.turned(p, direction, Arrival::Everything), share, Category::Reflected)
     }
 
     fn pane(&mut self, s: &Segment, p: &Point, ior: f32, transmittance: &Color) -> Vec3 {
         let reflectance = fresnel::pane(p.wi.z, ior);
         let through = (1.0 - reflectance) * self.color(transmittance, p.uv);
-        let straight = self.straight(s, p).arrival;
-        let forward = |this: &mut Self, share| {
-            this.follow(s, p, s.ray.direction, share, Category::Transparent, straight)
-        };
+        let straight = Segment { depth: s.depth + 1, ..s.beyond(p.passed()) };
+        let forward = |this: &mut Self, share| this.follow(straight, share, Category::Transparent);
         self.split(s, p, reflectance, through, forward)
     }
 
     fn glass(&mut self, s: &Segment, p: &Point, between: &Interface) -> Vec3 {
-        let &Interface { eta, transmittance, alpha, before, beyond } = between;
+        let &Interface { eta, transmittance, alpha, before, beyond, passed } = between;
         let Some(eta) = eta else {
             self.counters.ray(Category::Transparent);
             self.media = beyond;
-            return self.radiance(self.straight(s, p));
+            return self.radiance(s.beyond(passed));
         };
         let normal = if alpha < ggx::SMOOTH {
             p.basis.normal
@@ -259,7 +272,8 @@ impl<const K: u32> Pixels<'_, K> {
             let direction = ggx::refract(p.viewer, normal, eta, interface.cos_t);
             let forward = |this: &mut Self, share| {
                 this.media = beyond;
-                let radiance = this.follow(s, p, direction, share, Category::Refracted, Arrival::Everything);
+                let refracted = s.turned(p, direction, Arrival::Everything);
+                let radiance = this.follow(refracted, share, Category::Refracted);
                 this.media = before;
                 radiance
             };
@@ -284,7 +298,7 @@ impl<const K: u32> Pixels<'_, K> {
             self.media = beyond;
             (masking * through / (1.0 - interface.reflectance), Category::Refracted)
         };
-        self.follow(s, p, direction, share, category, Arrival::Everything)
+        self.follow(s.turned(p, direction, Arrival::Everything), share, category)
     }
 
     /// Reflection and transmission of a smooth interface: both on the camera's first hit, else one of them by chance.
@@ -307,49 +321,20 @@ impl<const K: u32> Pixels<'_, K> {
         }
     }
 
-    /// `share` × the radiance from `direction`, with roulette for branches that hardly matter.
-    fn follow(
-        &mut self,
-        s: &Segment,
-        p: &Point,
-        direction: Vec3,
-        share: Vec3,
-        category: Category,
-        arrival: Arrival,
-    ) -> Vec3 {
+    /// `share` × the radiance of the segment that goes on, with roulette for branches that hardly matter.
+    fn follow(&mut self, next: Segment, share: Vec3, category: Category) -> Vec3 {
         let largest = share.max_element();
-        if largest <= 0.0 || s.depth >= self.tracer.settings.max_depth {
+        if largest <= 0.0 || next.depth > self.tracer.settings.max_depth {
             return Vec3::ZERO;
         }
-        let importance = if s.level == 0 { s.weight * largest / FAINT } else { 2.0 * largest };
+        let importance = if next.level == 0 { next.weight * largest / FAINT } else { 2.0 * largest };
         let survival = importance.min(1.0);
-        if survival < 1.0 && self.sampler.next(Purpose::Roulette, s.vertex).x >= survival {
+        if survival < 1.0 && self.sampler.next(Purpose::Roulette, next.vertex - 1).x >= survival {
             return Vec3::ZERO;
         }
         self.counters.ray(category);
         let share = share / survival;
-        let ray = leaving(p, direction);
-        let weight = s.weight * share.max_element();
-        share
-            * self.radiance(Segment {
-                ray,
-                arrival,
-                level: s.level,
-                depth: s.depth + 1,
-                vertex: s.vertex + 1,
-                weight,
-            })
-    }
-
-    /// The segment beyond a surface that lets light pass straight.
-    fn straight(&self, s: &Segment, p: &Point) -> Segment {
-        let arrival = match s.arrival {
-            Arrival::Shared { receiver, density, travelled } => {
-                Arrival::Shared { receiver, density, travelled: travelled + p.distance }
-            }
-            other => other,
-        };
-        Segment { ray: leaving(p, s.ray.direction), arrival, vertex: s.vertex + 1, ..*s }
+        share * self.radiance(Segment { weight: next.weight * share.max_element(), ..next })
     }
 
     /// Whether gathered rays bring the sky's light: a sky without features is found by them as well as by rays of its own.
@@ -394,6 +379,7 @@ impl<const K: u32> Pixels<'_, K> {
             sum += share
                 * self.radiance(Segment {
                     ray: leaving(p, p.basis.to_world(wo)),
+                    passed: None,
                     arrival,
                     level: s.level + 1,
                     depth: 0,

@@ -37,7 +37,7 @@ impl<const K: u32> Pixels<'_, K> {
     /// What a ray from a site meets.
     pub fn plan_ray(&mut self, site: &Site, direction: Vec3) -> Option<Hit> {
         self.counters.ray(Category::Ambient);
-        self.closest(&ray_from(site, direction))
+        self.closest(&ray_from(site, direction), None)
     }
 
     /// Follows the plan's rays of a record to where they read `level` of the cache, the one after its own.
@@ -51,7 +51,7 @@ impl<const K: u32> Pixels<'_, K> {
 
     fn gathered_segment(&self, level: u32, site: &Site, direction: Vec3) -> Segment {
         let ray = ray_from(site, direction);
-        Segment { ray, arrival: self.gathered(), level, depth: 0, vertex: 1, weight: 1.0 }
+        Segment { ray, passed: None, arrival: self.gathered(), level, depth: 0, vertex: 1, weight: 1.0 }
     }
 
     /// What the hemisphere above a record of `level` sends. The plan's rays are not traced again.
@@ -65,7 +65,7 @@ impl<const K: u32> Pixels<'_, K> {
                     Some(ray) => planned.hits[ray],
                     None => {
                         self.counters.ray(Category::Ambient);
-                        self.closest(&segment.ray)
+                        self.closest(&segment.ray, None)
                     }
                 };
                 let distance = hit.as_ref().map_or(f32::INFINITY, |hit| hit.t);

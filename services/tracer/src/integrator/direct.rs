@@ -1,6 +1,6 @@
 //! Direct light: every light sampled from a surface, and what lies between.
 
-use super::{Pixels, Point, cap_height, leaving};
+use super::{Passed, Pixels, Point, cap_height, leaving};
 use crate::cost::Category;
 use crate::environment::Sky;
 use crate::geometry::{self, Basis};
@@ -190,11 +190,12 @@ impl<const K: u32> Pixels<'_, K> {
         let tracer = self.tracer;
         let geometry = &tracer.frame.geometry;
         let density = wo.z * std::f32::consts::FRAC_1_PI;
-        let mut ray = leaving(p, p.basis.to_world(wo));
+        let ray = leaving(p, p.basis.to_world(wo));
+        let mut met = None;
         let mut passed = response.diffuse(p.wi, wo);
         let mut sum = Vec3::ZERO;
         for _ in 0..tracer.settings.max_depth {
-            let Some(hit) = self.closest(&ray) else { break };
+            let Some(hit) = self.closest(&ray, met) else { break };
             let material = &tracer.materials[geometry.material(hit.primitive) as usize];
             if material.is_emissive() {
                 let cos = -geometry.geometric_normal(hit.primitive).dot(ray.direction);
@@ -210,7 +211,7 @@ impl<const K: u32> Pixels<'_, K> {
             }
             let Some(share) = self.pass(&hit, ray.direction) else { break };
             passed *= share;
-            ray.origin = self.beyond(&hit, ray.direction);
+            met = Some(Passed::from(&hit));
         }
         sum
     }

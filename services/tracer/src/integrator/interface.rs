@@ -1,6 +1,6 @@
 //! The interface of a solid dielectric: what lies on its two sides.
 
-use super::{Pixels, Point, off_surface};
+use super::{Passed, Pixels, Point, off_surface};
 use crate::media::Media;
 use crate::tracer::Tracer;
 use forelight_bvh::{Hit, Ray, Traversal};
@@ -36,6 +36,8 @@ pub struct Interface {
     pub before: Media,
     /// What the other side is inside of.
     pub beyond: Media,
+    /// How far a ray has come to which nothing happens.
+    pub passed: Passed,
 }
 
 impl<const K: u32> Pixels<'_, K> {
@@ -47,7 +49,8 @@ impl<const K: u32> Pixels<'_, K> {
         };
         let eta = if p.geometric.dot(p.viewer) > 0.0 { ior } else { 1.0 / ior };
         let transmittance = self.color(&transmittance, p.uv);
-        Interface { eta: Some(eta), transmittance, alpha, before: self.media, beyond: self.media }
+        let (media, passed) = (self.media, p.passed());
+        Interface { eta: Some(eta), transmittance, alpha, before: media, beyond: media, passed }
     }
 
     /// An interface among solids that overlap or touch. Faces in the same place are crossed together: the ray that goes on starts beyond
@@ -58,7 +61,8 @@ impl<const K: u32> Pixels<'_, K> {
         if ranks.of(p.material).is_none() {
             return self.plain_interface(ray, hit, p);
         }
-        let [entered, left] = self.faces_at(ray, hit, p);
+        let ([entered, left], t) = self.faces_at(ray, hit, p);
+        let passed = Passed { t, primitive: u32::MAX };
         // Who leaves a solid was inside it, whether or not the ray began there.
         let mut before = self.media;
         each(left).filter(|&rank| !self.media.holds(rank)).for_each(|rank| before.enter(rank));
@@ -67,7 +71,7 @@ impl<const K: u32> Pixels<'_, K> {
         each(entered).for_each(|rank| beyond.enter(rank));
         let (near, far) = (before.top(), beyond.top());
         let Some(face) = near.max(far).filter(|_| near != far) else {
-            return Interface { eta: None, transmittance: Vec3::ONE, alpha: 0.0, before, beyond };
+            return Interface { eta: None, transmittance: Vec3::ONE, alpha: 0.0, before, beyond, passed };
         };
         let Surface::Glass { transmittance, alpha, .. } = tracer.materials[ranks.material(face)].surface
         else {
@@ -75,12 +79,12 @@ impl<const K: u32> Pixels<'_, K> {
         };
         let eta = ranks.ior(far) / ranks.ior(near);
         let transmittance = self.color(&transmittance, p.uv);
-        Interface { eta: Some(eta), transmittance, alpha, before, beyond }
+        Interface { eta: Some(eta), transmittance, alpha, before, beyond, passed }
     }
 
     /// Ranks, as bits, of the solids that a ray enters and of those that it leaves at a hit: by all faces between the hit and where a
-    /// ray that goes on starts. Where faces of one solid share an edge that is hit, they count once.
-    fn faces_at(&mut self, ray: &Ray, hit: &Hit, p: &Point) -> [u32; 2] {
+    /// ray that goes on starts; and how far along the ray that is. Where faces of one solid share an edge that is hit, they count once.
+    fn faces_at(&mut self, ray: &Ray, hit: &Hit, p: &Point) -> ([u32; 2], f32) {
         let step = (off_surface(p.position, p.geometric, p.size, ray.direction) - p.position).length();
         let cos = p.geometric.dot(ray.direction).abs();
         let piece = Ray { t_max: hit.t + step / cos.max(GRAZING), ..*ray };
@@ -98,7 +102,7 @@ impl<const K: u32> Pixels<'_, K> {
         };
         self.tracer.bvh.any(&piece, note, &mut self.counters.traversal);
         self.counters.texels += texels.get();
-        met.get()
+        (met.get(), piece.t_max)
     }
 }
 

@@ -1,10 +1,10 @@
 //! What lies between a point and a light: nothing, something that stops the light, or panes and cut-outs that colour it.
 
-use super::{Pixels, Point, leaving, off_surface};
+use super::{Passed, Pixels, Point, leaving};
 use crate::cost::Category;
 use crate::fresnel;
 use crate::kernel::has;
-use forelight_bvh::{Hit, Ray, size_of};
+use forelight_bvh::{Hit, Ray};
 use forelight_scene::Surface;
 use glam::Vec3;
 use std::cell::Cell;
@@ -45,21 +45,17 @@ impl<const K: u32> Pixels<'_, K> {
     }
 
     /// Product of what the panes and cut-outs along an unblocked shadow ray let through.
-    fn transmission(&mut self, mut ray: Ray) -> Vec3 {
+    fn transmission(&mut self, ray: Ray) -> Vec3 {
         let tracer = self.tracer;
-        let mut passed = Vec3::ONE;
+        let direction = ray.direction.normalize();
+        let (mut share, mut passed) = (Vec3::ONE, None);
         for _ in 0..tracer.settings.max_depth {
-            let Some(hit) = self.closest(&ray) else { return passed };
-            let direction = ray.direction.normalize();
+            let Some(hit) = self.closest(&ray, passed) else { return share };
             match self.pass(&hit, direction) {
-                Some(share) => passed *= share,
+                Some(part) => share *= part,
                 None => return Vec3::ZERO,
             }
-            let next = self.beyond(&hit, direction);
-            if ray.t_max.is_finite() {
-                ray.direction = ray.origin + ray.direction - next;
-            }
-            ray.origin = next;
+            passed = Some(Passed::from(&hit));
         }
         Vec3::ZERO
     }
@@ -81,13 +77,5 @@ impl<const K: u32> Pixels<'_, K> {
         };
         self.counters.ray(Category::Transparent);
         Some(share)
-    }
-
-    /// The origin of the ray that goes on behind a surface.
-    pub(super) fn beyond(&self, hit: &Hit, direction: Vec3) -> Vec3 {
-        let geometry = &self.tracer.frame.geometry;
-        let normal = geometry.geometric_normal(hit.primitive);
-        let corners = geometry.corners(hit.primitive);
-        off_surface(hit.position(corners), normal, size_of(corners), direction)
     }
 }

@@ -38,21 +38,8 @@ const SURVIVAL: f32 = 0.95;
 enum Origin {
     /// By the camera, a mirror or smooth glass: no other way finds the lights that are met.
     Only,
-    /// By a BSDF, with this density per steradian, at a place from which a light was sampled as well; so many metres since, straight
-    /// through panes.
-    Spread { receiver: Receiver, density: f32, travelled: f32 },
-}
-
-impl Origin {
-    /// The origin seen from beyond a surface at this distance that the path passed straight.
-    fn beyond(self, distance: f32) -> Self {
-        match self {
-            Self::Only => Self::Only,
-            Self::Spread { receiver, density, travelled } => {
-                Self::Spread { receiver, density, travelled: travelled + distance }
-            }
-        }
-    }
+    /// By a BSDF, with this density per steradian, at a place from which a light was sampled as well.
+    Spread { receiver: Receiver, density: f32 },
 }
 
 /// Light that a shadow ray may bring.
@@ -75,8 +62,9 @@ impl<const K: u32> Pixels<'_, K> {
         // How much denser radiance is here than in the camera's medium: no reason to end a path.
         let mut compression = 1.0;
         let (mut spreads, mut depth) = (0, 0);
+        let mut passed = None;
         for vertex in 0u32.. {
-            let Some(hit) = self.closest(&ray) else {
+            let Some(hit) = self.closest(&ray, passed) else {
                 total += throughput * self.surroundings(&origin, ray.direction);
                 break;
             };
@@ -90,23 +78,22 @@ impl<const K: u32> Pixels<'_, K> {
                 && self.sampler.next(Purpose::Opacity, vertex).x >= material.opacity
             {
                 self.counters.ray(Category::Transparent);
-                origin = origin.beyond(p.distance);
-                ray = leaving(&p, ray.direction);
+                passed = Some(p.passed());
                 continue;
             }
             self.counters.shadings += 1;
             if material.is_emissive() {
-                total += throughput * self.emitted(&origin, &p, hit.primitive);
+                total += throughput * self.emitted(&origin, &p);
             }
             let (bsdf, beyond) = match material.surface {
                 Surface::Glass { .. } if K & has::SPECULAR != 0 => {
-                    let Interface { eta, transmittance, alpha, before, beyond } =
+                    let Interface { eta, transmittance, alpha, before, beyond, passed: through } =
                         (self.kernel.interface)(self, &ray, &hit, &p);
                     let Some(eta) = eta else {
                         // Shadow rays do not pass here, so what is met now is met by no other way.
                         (origin, self.media) = (Origin::Only, beyond);
                         self.counters.ray(Category::Transparent);
-                        ray = leaving(&p, ray.direction);
+                        passed = Some(through);
                         continue;
                     };
                     self.media = before;
@@ -127,11 +114,11 @@ impl<const K: u32> Pixels<'_, K> {
             origin = match (scattering.density, scattering.lobe) {
                 (Some(density), _) => {
                     (spreads, depth) = (spreads + 1, 0);
-                    Origin::Spread { receiver: receiver(&p, &bsdf), density, travelled: 0.0 }
+                    Origin::Spread { receiver: receiver(&p, &bsdf), density }
                 }
                 (None, lobe) => {
                     depth += 1;
-                    if lobe == Lobe::Straight { origin.beyond(p.distance) } else { Origin::Only }
+                    if lobe == Lobe::Straight { origin } else { Origin::Only }
                 }
             };
             if depth > settings.max_depth {
@@ -153,11 +140,12 @@ impl<const K: u32> Pixels<'_, K> {
                 }
             }
             self.counters.ray(category(scattering.lobe));
-            let direction = match scattering.lobe {
-                Lobe::Straight => ray.direction,
-                _ => p.basis.to_world(scattering.direction).normalize(),
-            };
-            ray = leaving(&p, direction);
+            if scattering.lobe == Lobe::Straight {
+                passed = Some(p.passed());
+            } else {
+                ray = leaving(&p, p.basis.to_world(scattering.direction).normalize());
+                passed = None;
+            }
         }
         total
     }
@@ -191,7 +179,7 @@ impl<const K: u32> Pixels<'_, K> {
     }
 
     /// Light that the surface itself sends towards the viewer, as far as light sampling leaves it to the path's direction.
-    fn emitted(&mut self, origin: &Origin, p: &Point, primitive: u32) -> Vec3 {
+    fn emitted(&mut self, origin: &Origin, p: &Point) -> Vec3 {
         let tracer = self.tracer;
         let material = &tracer.materials[p.material];
         let cos = p.geometric.dot(p.viewer);
@@ -201,13 +189,13 @@ impl<const K: u32> Pixels<'_, K> {
         }
         let weight = match origin {
             Origin::Only => 1.0,
-            Origin::Spread { receiver, density, travelled } => {
+            Origin::Spread { receiver, density } => {
                 let lights = &tracer.lights;
-                lights.emitters.of_triangle(primitive).map_or(1.0, |emitter| {
+                lights.emitters.of_triangle(p.primitive).map_or(1.0, |emitter| {
                     let visited = &mut self.counters.traversal.nodes;
                     let probability = lights.of_patch(receiver, emitter, visited);
-                    let distance = travelled + p.distance;
-                    let by_light = lights.emitters.density(emitter, probability, distance * distance, cos);
+                    let distance2 = p.distance * p.distance;
+                    let by_light = lights.emitters.density(emitter, probability, distance2, cos);
                     power(*density, by_light)
                 })
             }
@@ -221,7 +209,7 @@ impl<const K: u32> Pixels<'_, K> {
         let tracer = self.tracer;
         let weight = |by_light: &dyn Fn(&Receiver) -> f32| match origin {
             Origin::Only => 1.0,
-            Origin::Spread { receiver, density, .. } => power(*density, by_light(receiver)),
+            Origin::Spread { receiver, density } => power(*density, by_light(receiver)),
         };
         let sky = match &tracer.sky {
             Sky::Black => Vec3::ZERO,
