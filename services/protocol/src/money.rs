@@ -1,5 +1,7 @@
 //! Money.
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -27,9 +29,53 @@ impl Money {
     }
 }
 
+impl fmt::Display for Money {
+    /// For people: to the cent; below 1 with as many more decimals, up to all six, as four significant digits take.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        const WHOLE: u64 = 1_000_000;
+        let amount = self.0.unsigned_abs();
+        // Decimals of four significant digits: 0.1234 has four, 0.01234 five.
+        let decimals = match amount {
+            0 | WHOLE.. => 2,
+            100_000.. => 4,
+            10_000.. => 5,
+            _ => 6,
+        };
+        let step = 10u64.pow(6 - decimals);
+        let rounded = (amount.saturating_add(step / 2)) / step * step;
+        let digits = format!("{:06}", rounded % WHOLE);
+        let shown = digits[..decimals as usize].trim_end_matches('0');
+        let sign = if self.0 < 0 && rounded > 0 { "-" } else { "" };
+        // No fewer than cents.
+        f.pad(&format!("{sign}{}.{shown:0<2}", rounded / WHOLE))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn amounts_are_shown_to_the_cent_and_small_ones_with_four_significant_digits() {
+        for (micro_units, shown) in [
+            (12_500_000, "12.50"),
+            (1_234_567, "1.23"),
+            (-1_235_000, "-1.24"),
+            (1_000_000, "1.00"),
+            (999_999, "1.00"),
+            (123_456, "0.1235"),
+            (12_345, "0.01235"),
+            (-4_999, "-0.004999"),
+            (120_000, "0.12"),
+            (500_000, "0.50"),
+            (1, "0.000001"),
+            (0, "0.00"),
+            (i64::MIN, "-9223372036854.78"),
+        ] {
+            assert_eq!(Money(micro_units).to_string(), shown, "{micro_units}");
+        }
+        assert_eq!(format!("{:>8}", Money(10_000)), "    0.01");
+    }
 
     #[test]
     fn half_an_hour_costs_half_the_hourly_rate_and_a_moment_costs_one() {

@@ -271,6 +271,10 @@ pub struct Node {
     /// Why it was set aside; absent if it was not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub set_aside: Option<String>,
+    /// Why it got none of the frames that there are when it last asked, such as that it is dearer than the nodes where they are booked; absent
+    /// if there was nothing to pass over.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub idle_reason: Option<String>,
     /// The task that it holds, if any.
     pub task_id: Option<TaskId>,
     /// When it was first registered.

@@ -4,8 +4,10 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration;
 
+use forelight_protocol::Timestamp;
 use sqlx::sqlite::{
     SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions,
     SqliteSynchronous,
@@ -39,6 +41,8 @@ struct Inner {
     writer: Writer,
     readers: SqlitePool,
     artifacts: Artifacts,
+    /// Since when the service is there for its nodes; microseconds.
+    up_since: AtomicI64,
     /// Folder of the checkpoints.
     checkpoints: PathBuf,
     /// Held while the store is open. The system lets go of it when the process dies, however it dies.
@@ -106,6 +110,7 @@ impl Store {
             writers: writer,
             readers,
             artifacts,
+            up_since: AtomicI64::new(i64::MIN),
             checkpoints: data.join(crate::checkpoints::FOLDER),
             _lock: lock,
         };
@@ -115,6 +120,15 @@ impl Store {
     /// The files named by their hash.
     pub fn artifacts(&self) -> &Artifacts {
         &self.inner.artifacts
+    }
+
+    /// Since when the service is there for its nodes; nobody was heard of before.
+    pub(crate) fn up_since(&self) -> Timestamp {
+        Timestamp::from_micros(self.inner.up_since.load(Ordering::Relaxed))
+    }
+
+    pub(crate) fn set_up_since(&self, now: Timestamp) {
+        self.inner.up_since.store(now.micros(), Ordering::Relaxed);
     }
 
     pub(crate) fn checkpoints(&self) -> &Path {

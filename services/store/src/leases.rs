@@ -1,4 +1,4 @@
-//! Leases: who works on what, and for how long.
+//! Leases: who works on what, and for how long. Who is given what is in `claims`.
 //!
 //! The state machine of a task and of its leases:
 //!
@@ -30,17 +30,17 @@
 use std::time::Duration;
 
 use forelight_protocol::{
-    Event, EventKind, FinishedPixels, JobId, JobState, Lease, LeaseId, LeaseOrder, Node, NodeId,
-    RenewRequest, Renewal, TaskId, TaskKind, TaskSpec, Timestamp,
+    Event, EventKind, FinishedPixels, JobId, LeaseId, LeaseOrder, NodeId, RenewRequest, Renewal, TaskId,
+    TaskKind, TaskSpec, Timestamp,
 };
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::database::Write;
 use crate::decode::{id, json, whole, whole_opt, word};
-use crate::events::{append, event, forget_old_progress, job_state};
-use crate::failures::{HEAD_START, LONGEST_WAIT};
-use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, forget_old, record};
+use crate::events::{append, event, forget_old_progress};
+use crate::failures::LONGEST_WAIT;
+use crate::idempotency::forget_old;
 use crate::live::{self, Occasion};
 use crate::logs::forget_old_logs;
 use crate::schedule::{Opening, opening};
@@ -108,11 +108,13 @@ pub(crate) enum LeaseState {
     Revoked,
 }
 
+/// Whether there is anything by which a node, `n`, might sleep.
 macro_rules! has_calendar {
     () => {
         "(coalesce(n.schedule_set, n.schedule) IS NOT NULL OR n.terms <> '{}') AS has_calendar"
     };
 }
+pub(crate) use has_calendar;
 
 macro_rules! select_leases {
     ($rest:literal) => {
@@ -128,147 +130,6 @@ macro_rules! select_leases {
 }
 
 impl Store {
-    /// Hands the node its next task, if there is one and the node is not draining. Sweeps first, so that a task whose
-    /// worker is gone can be handed out at once. The node counts as heard of.
-    pub async fn claim(
-        &self,
-        node: NodeId,
-        ttl: Duration,
-        key: Option<&IdempotencyKey>,
-        now: Timestamp,
-    ) -> Result<Option<Answered<Lease>>, StoreError> {
-        self.hand_out(node, None, ttl, key, now).await
-    }
-
-    /// Hands the node exactly this task, whatever was planned for the node: nothing while another holds it, a
-    /// [`StoreError::Conflict`] once it is over.
-    pub async fn claim_task(
-        &self,
-        node: NodeId,
-        task: TaskId,
-        ttl: Duration,
-        key: Option<&IdempotencyKey>,
-        now: Timestamp,
-    ) -> Result<Option<Answered<Lease>>, StoreError> {
-        self.hand_out(node, Some(task), ttl, key, now).await
-    }
-
-    async fn hand_out(
-        &self,
-        node: NodeId,
-        wanted: Option<TaskId>,
-        ttl: Duration,
-        key: Option<&IdempotencyKey>,
-        now: Timestamp,
-    ) -> Result<Option<Answered<Lease>>, StoreError> {
-        let mut write = self.write().await?;
-        if let Some(answer) = earlier_answer(&mut write, key).await? {
-            return Ok(Some(Answered::Repeated(answer)));
-        }
-        touch(&mut write, node, now).await?;
-        sweep(&mut write, now).await?;
-        let node = nodes::read(write.connection(), node).await?;
-        let task = match wanted {
-            Some(task) => this_task(write.connection(), task, now).await?,
-            None if node.takes_tasks() => match opening(&node, now) {
-                Opening::Awake(until) => next_task(write.connection(), &node, until, now).await?,
-                Opening::Asleep(_) => None,
-            },
-            None => None,
-        };
-        let Some(task) = task else {
-            self.commit(write).await?;
-            return Ok(None);
-        };
-        let task_id = TaskId(id(&task, "id")?);
-        let job_id = JobId(id(&task, "job_id")?);
-        let spec: TaskSpec = json(&task, "spec")?;
-        let fence: i64 = sqlx::query_scalar(
-            "UPDATE tasks SET state = 'leased', fence = fence + 1, progress = 0, pixels_share = NULL, node_id = ?, started_at = ? \
-             WHERE id = ? AND state = 'ready' RETURNING fence",
-        )
-        .bind(node.id.0)
-        .bind(now.micros())
-        .bind(task_id.0)
-        .fetch_one(write.connection())
-        .await?;
-        let ttl_micros = i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX);
-        let lease = Lease {
-            lease_id: LeaseId::new(),
-            task_id,
-            job_id,
-            fence: fence.unsigned_abs(),
-            expires_at: now.plus_micros(ttl_micros),
-            ttl_ms: u64::try_from(ttl.as_millis()).unwrap_or(u64::MAX),
-            spec,
-            limits: json(&task, "limits")?,
-        };
-        sqlx::query(
-            "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at) \
-             VALUES (?, ?, ?, ?, ?, 'active', ?, ?)",
-        )
-        .bind(lease.lease_id.0)
-        .bind(task_id.0)
-        .bind(node.id.0)
-        .bind(fence)
-        .bind(node.speed)
-        .bind(now.micros())
-        .bind(lease.expires_at.micros())
-        .execute(write.connection())
-        .await?;
-        if lease.spec.kind().is_booked() {
-            let first = sqlx::query("UPDATE jobs SET state = 'rendering' WHERE id = ? AND state = 'booked'")
-                .bind(job_id.0)
-                .execute(write.connection())
-                .await?;
-            if first.rows_affected() == 1 {
-                job_state(&mut write, job_id, JobState::Rendering, None, now).await?;
-            }
-        }
-        append(
-            &mut write,
-            Event {
-                job_id: Some(job_id),
-                task_id: Some(task_id),
-                task_kind: Some(lease.spec.kind()),
-                frame: lease.spec.frame(),
-                node_id: Some(node.id),
-                ..event(EventKind::TaskLeased, now)
-            },
-        )
-        .await?;
-        record(&mut write, key, 200, &lease, now).await?;
-        self.commit(write).await?;
-        Ok(Some(Answered::Fresh(lease)))
-    }
-
-    /// Whether a claim could find something: asked by those who wait, so that they need not take the write lock.
-    pub async fn may_have_work(&self, now: Timestamp) -> Result<bool, StoreError> {
-        Ok(sqlx::query_scalar(
-            "SELECT EXISTS (SELECT 1 FROM tasks WHERE state = 'ready' AND held = 0 AND not_before <= ?1) \
-             OR EXISTS (SELECT 1 FROM leases WHERE state = 'active' AND expires_at <= ?1)",
-        )
-        .bind(now.micros())
-        .fetch_one(self.readers())
-        .await?)
-    }
-
-    /// Until when the node sleeps; `None` if it is awake.
-    pub async fn sleeps_until(&self, node: NodeId, now: Timestamp) -> Result<Option<Timestamp>, StoreError> {
-        let mut connection = self.readers().acquire().await?;
-        let has_calendar = concat!("SELECT ", has_calendar!(), " FROM nodes n WHERE n.id = ?");
-        let has_calendar: Option<bool> =
-            sqlx::query_scalar(has_calendar).bind(node.0).fetch_optional(&mut *connection).await?;
-        sleep_of(&mut connection, node, has_calendar.unwrap_or(false), now).await
-    }
-
-    /// A node that waits for work is alive.
-    pub async fn touch_node(&self, node: NodeId, now: Timestamp) -> Result<(), StoreError> {
-        let mut write = self.write().await?;
-        touch(&mut write, node, now).await?;
-        self.commit(write).await
-    }
-
     /// A worker is still at it: its lease ends `ttl` from now. What it says is kept, and it is told what its operator wants.
     pub async fn renew(
         &self,
@@ -378,6 +239,7 @@ impl Store {
     /// back in the meantime; tasks that wait after a failure wait no longer than they would at most.
     pub async fn extend_leases_after_start(&self, ttl: Duration, now: Timestamp) -> Result<u64, StoreError> {
         let until = now.plus_micros(i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX));
+        self.set_up_since(now);
         let mut write = self.write().await?;
         let extended = sqlx::query("UPDATE leases SET expires_at = ? WHERE state = 'active'")
             .bind(until.micros())
@@ -442,7 +304,7 @@ impl LeaseRow {
 const ASLEEP_FOR_LONG: i64 = 24 * 3_600_000_000;
 
 /// Until when a node sleeps. One without a calendar, as most are, is not read for it: every heartbeat asks.
-async fn sleep_of(
+pub(crate) async fn sleep_of(
     connection: &mut SqliteConnection,
     node: NodeId,
     has_calendar: bool,
@@ -456,97 +318,6 @@ async fn sleep_of(
         Opening::Asleep(until) => Some(until.unwrap_or(now.plus_micros(ASLEEP_FOR_LONG))),
     })
 }
-
-/// The task that the node should do next.
-///
-/// 1. Previews and profiles of any job, and plans and merges of irradiance caches: they are short, and every quote, and with it every
-///    booking, waits for them. By priority, then deadline, then age of the job.
-/// 2. The node's own bookings, earliest planned start first: frames, and parts of irradiance caches.
-/// 3. Any of these, by the job's deadline, then priority, then age of the job, then frame: a node never
-///    stands idle because a frame is booked on another that has not come to it yet.
-///
-/// Each of the three is one step into an index made for it, which is named because SQLite, left alone, prefers the index of
-/// all ready tasks and sorts them.
-///
-/// A task that failed is passed over while it waits, and for a while longer on the nodes that it failed on. Such tasks are few, so
-/// the steps over them are.
-///
-/// Before the node's window ends (`until`), frames are passed over that would not be done by then in one case of twenty.
-async fn next_task(
-    connection: &mut SqliteConnection,
-    node: &Node,
-    until: Option<Timestamp>,
-    now: Timestamp,
-) -> Result<Option<SqliteRow>, StoreError> {
-    // CPU seconds of a node of speed 1 that this one has until then.
-    let at_most =
-        until.map(|until| until.micros_since(now).max(0) as f64 * 1e-6 * node.speed * f64::from(node.cores));
-    for query in [NEXT_QUOTE, NEXT_BOOKED, NEXT_ANY] {
-        let found = sqlx::query(query)
-            .bind(node.id.0)
-            .bind(now.micros())
-            .bind(now.plus_micros(-HEAD_START).micros())
-            .bind(at_most)
-            .fetch_optional(&mut *connection)
-            .await?;
-        if found.is_some() {
-            return Ok(found);
-        }
-    }
-    Ok(None)
-}
-
-/// A task by its id, if it is ready; nothing while it is leased, or waits after a failure.
-async fn this_task(
-    connection: &mut SqliteConnection,
-    task: TaskId,
-    now: Timestamp,
-) -> Result<Option<SqliteRow>, StoreError> {
-    let row = sqlx::query("SELECT id, job_id, spec, limits, not_before, CASE WHEN state = 'ready' AND held THEN 'held back by a budget' ELSE state END AS state FROM tasks WHERE id = ?")
-        .bind(task.0)
-        .fetch_optional(connection)
-        .await?
-        .ok_or(StoreError::NotFound("task"))?;
-    match row.try_get("state")? {
-        "ready" => Ok((row.try_get::<i64, _>("not_before")? <= now.micros()).then_some(row)),
-        "leased" | "waiting" => Ok(None),
-        over => Err(StoreError::Conflict(format!("the task is {over}"))),
-    }
-}
-
-macro_rules! next_task {
-    ($index:literal, $which:literal, $order:literal) => {
-        concat!(
-            "SELECT id, job_id, spec, limits FROM tasks INDEXED BY ",
-            $index,
-            " WHERE state = 'ready' AND ",
-            $which,
-            " AND held = 0 AND not_before <= ?2 AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS (SELECT 1 FROM leases f \
-              WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1)) \
-              AND (?4 IS NULL OR ?4 >= ifnull((SELECT cpu_p95 FROM frames WHERE job_id = tasks.job_id AND frame = tasks.frame), 0)) ORDER BY ",
-            $order,
-            " LIMIT 1"
-        )
-    };
-}
-
-pub(crate) const NEXT_QUOTE: &str = next_task!(
-    "tasks_ready_quotes",
-    "kind NOT IN ('cache_fill', 'render')",
-    "priority DESC, due_at, job_id, frame"
-);
-
-pub(crate) const NEXT_BOOKED: &str = next_task!(
-    "tasks_ready_booked",
-    "kind IN ('cache_fill', 'render') AND booked_node = ?1",
-    "booked_at, job_id, frame, part"
-);
-
-pub(crate) const NEXT_ANY: &str = next_task!(
-    "tasks_ready_any",
-    "kind IN ('cache_fill', 'render')",
-    "due_at, priority DESC, job_id, frame, part"
-);
 
 /// Takes back the tasks whose leases have run out.
 pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept, StoreError> {

@@ -19,6 +19,9 @@ use crate::{Store, StoreError, leases, replans};
 /// worker takes to be started again, and much shorter than a night.
 pub const LOST: i64 = 300_000_000;
 
+/// A measured speed is never quite the same: less than a tenth is nobody's business.
+pub(crate) const SAME_SPEED: f64 = 0.1;
+
 macro_rules! select_nodes {
     ($rest:literal) => {
         concat!(
@@ -177,10 +180,10 @@ pub(crate) async fn upsert(
     Ok(with_power(node, now))
 }
 
-/// Whether plans see the same node in both. A measured speed is never quite the same; less than a tenth is none of their business.
+/// Whether plans see the same node in both.
 fn same_machine(one: &Node, other: &Node) -> bool {
     let terms = |node: &Node| (node.price_per_hour, node.cores, node.schedule.clone());
-    terms(one) == terms(other) && (one.speed / other.speed - 1.0).abs() < 0.1
+    terms(one) == terms(other) && (one.speed / other.speed - 1.0).abs() < SAME_SPEED
 }
 
 /// Takes the tasks away that a node has: they are ready for another, and the node's next renewal brings the order to stop.
@@ -231,6 +234,30 @@ pub(crate) async fn stop_after_windows(write: &mut Write, now: Timestamp) -> Res
     Ok(stopped)
 }
 
+/// The nodes that have frames booked that wait, and get no tasks, or were not heard of for too long since the service is up.
+pub(crate) async fn gone(
+    connection: &mut SqliteConnection,
+    up_since: Timestamp,
+    now: Timestamp,
+) -> Result<Vec<NodeId>, StoreError> {
+    let rows = sqlx::query(select_nodes!(
+        "WHERE (n.drain OR n.pause OR n.set_aside IS NOT NULL OR n.last_seen_at < ?) AND EXISTS (SELECT 1 FROM tasks t INDEXED BY tasks_ready_booked \
+         WHERE t.state = 'ready' AND t.kind IN ('cache_fill', 'render') AND t.booked_node = n.id) ORDER BY n.id"
+    ))
+    .bind(now.plus_micros(-LOST).micros())
+    .fetch_all(connection)
+    .await?;
+    let mut gone = Vec::new();
+    for row in &rows {
+        let node = decode(row)?;
+        let heard = Node { last_seen_at: node.last_seen_at.max(up_since), ..node };
+        if !heard.takes_tasks() || silence(&heard, now) > LOST {
+            gone.push(heard.id);
+        }
+    }
+    Ok(gone)
+}
+
 pub(crate) async fn list(
     connection: &mut SqliteConnection,
     after: Option<NodeId>,
@@ -279,6 +306,7 @@ fn decode(row: &SqliteRow) -> Result<Node, StoreError> {
         drain,
         pause,
         set_aside,
+        idle_reason: row.try_get("idle_reason")?,
         task_id,
         created_at: time(row, "created_at")?,
         last_seen_at: time(row, "last_seen_at")?,

@@ -12,12 +12,15 @@ use sqlx::{Row as _, SqliteConnection};
 
 use crate::database::Write;
 use crate::decode::{corrupt, id, id_opt, json, time, time_opt, to_json, whole, word};
+use crate::elsewhere::{Rates, Slot};
 use crate::events::{append, event, job_state};
 use crate::live::{self, Occasion};
 use crate::projection::{Holder, OpenBooking};
 use crate::replans::{self, Wanted};
 use crate::tasks::Common;
-use crate::{JobForecast, NewSeed, QuoteBasis, Store, StoreError, calibration, forecasts, jobs, seeds};
+use crate::{
+    JobForecast, NewSeed, QuoteBasis, Store, StoreError, calibration, forecasts, jobs, nodes, seeds,
+};
 
 /// A plan to be kept.
 #[derive(Clone, PartialEq, Debug)]
@@ -112,8 +115,9 @@ impl Store {
         if let Some(basis) = basis {
             calibration::keep(&mut write, job, forecast, frames, basis).await?;
         }
-        sqlx::query("UPDATE jobs SET forecast = ? WHERE id = ?")
+        sqlx::query("UPDATE jobs SET forecast = ?, work_by_class = ? WHERE id = ?")
             .bind(to_json(forecast)?)
+            .bind(forecast.work_by_class.as_ref().map(to_json).transpose()?)
             .bind(job.0)
             .execute(write.connection())
             .await?;
@@ -406,15 +410,30 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
     .await?;
     let planned: BTreeMap<u32, &NewBooking> =
         job.bookings.iter().map(|booking| (booking.frame, booking)).collect();
+    let slots = Rates::read(write.connection(), job_id).await?;
+    let mut rates: BTreeMap<NodeId, Option<i64>> = BTreeMap::new();
     for frame in waits {
         let frame = u32::try_from(frame).map_err(|_| corrupt("frame", frame))?;
         match planned.get(&frame) {
             Some(&booking) => booked.insert(frame, booking.clone()),
             None => booked.remove(&frame),
         };
-        sqlx::query("UPDATE tasks SET booked_node = ?, booked_at = ? WHERE job_id = ? AND kind = 'render' AND frame = ?")
-            .bind(planned.get(&frame).map(|booking| booking.node.0))
-            .bind(planned.get(&frame).map(|booking| booking.start.micros()))
+        let mut slot = None;
+        if let Some(&&NewBooking { node, start, .. }) = planned.get(&frame) {
+            let rate = match rates.get(&node) {
+                Some(&rate) => rate,
+                None => {
+                    let rate = slots.on(&nodes::read(write.connection(), node).await?);
+                    rates.insert(node, rate);
+                    rate
+                }
+            };
+            slot = Some(Slot { node, start, rate });
+        }
+        sqlx::query("UPDATE tasks SET booked_node = ?, booked_at = ?, booked_rate = ? WHERE job_id = ? AND kind = 'render' AND frame = ?")
+            .bind(slot.map(|slot| slot.node.0))
+            .bind(slot.map(|slot| slot.start.micros()))
+            .bind(slot.and_then(|slot| slot.rate))
             .bind(job_id.0)
             .bind(i64::from(frame))
             .execute(write.connection())

@@ -21,10 +21,11 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::database::Write;
-use crate::decode::{corrupt, id, id_opt, json, json_opt, time, time_opt, whole};
+use crate::decode::{corrupt, id, id_opt, json, json_opt, time, time_opt, whole, whole_opt};
+use crate::elsewhere::{Rates, Slot};
 use crate::leases::{LeaseRow, fail_for_good};
 use crate::tasks::Common;
-use crate::{Store, StoreError};
+use crate::{Store, StoreError, nodes};
 
 /// A cache that a job's frames share, to be made before them.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -146,9 +147,15 @@ pub(crate) async fn keep_bookings(
 
 /// Makes the tasks of the first round.
 pub(crate) async fn begin(write: &mut Write, common: &Common, seed: &NewSeed) -> Result<(), StoreError> {
+    let rates = Rates::read(write.connection(), common.job).await?;
     for part in 0..seed.parts {
-        let booked = seed.bookings.iter().find(|booking| booking.part == part);
-        let booked = booked.map(|booking| (booking.node, booking.start));
+        let booked = match seed.bookings.iter().find(|booking| booking.part == part) {
+            Some(&NewSeedBooking { node, start, .. }) => {
+                let rate = rates.on(&nodes::read(write.connection(), node).await?);
+                Some(Slot { node, start, rate })
+            }
+            None => None,
+        };
         common.cache_fill(write, seed.cache, 0, (part, seed.parts), booked).await?;
     }
     Ok(())
@@ -251,7 +258,7 @@ async fn go_on(
     }
     let common = Common::read(write.connection(), row.job_id).await?;
     let before = sqlx::query(
-        "SELECT part, booked_node, booked_at FROM tasks WHERE job_id = ? AND kind = 'cache_fill' AND round = ? ORDER BY part",
+        "SELECT part, booked_node, booked_at, booked_rate FROM tasks WHERE job_id = ? AND kind = 'cache_fill' AND round = ? ORDER BY part",
     )
     .bind(row.job_id.0)
     .bind(i64::from(round))
@@ -259,7 +266,9 @@ async fn go_on(
     .await?;
     for row in &before {
         // Each round is done where the one before was.
+        let rate = whole_opt(row, "booked_rate")?;
         let booked = id_opt(row, "booked_node")?.map(NodeId).zip(time_opt(row, "booked_at")?);
+        let booked = booked.map(|(node, start)| Slot { node, start, rate });
         common.cache_fill(write, cache, round + 1, (whole(row, "part")?, parts), booked).await?;
     }
     Ok(())

@@ -1,7 +1,7 @@
 //! A job's tasks: making them, and taking them all back.
 
 use forelight_protocol::{
-    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, JobId, NodeId, PreviewSpec,
+    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, JobId, PreviewSpec,
     ProfileSpec, RenderSettings, RenderSpec, SceneDigest, TaskId, TaskLimits, TaskSpec, Timestamp,
 };
 
@@ -10,6 +10,7 @@ use sqlx::sqlite::SqliteRow;
 
 use crate::database::Write;
 use crate::decode::{json, time_opt, to_json, whole};
+use crate::elsewhere::Slot;
 use crate::{StoreError, jobs};
 
 /// To be handed out.
@@ -100,7 +101,7 @@ impl Common {
         cache: ArtifactHash,
         round: u32,
         (part, parts): (u32, u32),
-        booked: Option<(NodeId, Timestamp)>,
+        booked: Option<Slot>,
     ) -> Result<(), StoreError> {
         let spec = CacheFillSpec {
             job_id: self.job,
@@ -137,7 +138,7 @@ impl Common {
         write: &mut Write,
         frame: u32,
         waits: bool,
-        booked: Option<(NodeId, Timestamp)>,
+        booked: Option<Slot>,
         profile: Option<ArtifactHash>,
     ) -> Result<(), StoreError> {
         let spec = RenderSpec {
@@ -157,11 +158,11 @@ impl Common {
         write: &mut Write,
         spec: TaskSpec,
         state: &'static str,
-        booked: Option<(NodeId, Timestamp)>,
+        booked: Option<Slot>,
     ) -> Result<(), StoreError> {
         sqlx::query(
-            "INSERT INTO tasks (id, job_id, kind, frame, round, part, state, spec, due_at, priority, booked_node, booked_at, limits) \
-             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
+            "INSERT INTO tasks (id, job_id, kind, frame, round, part, state, spec, due_at, priority, booked_node, booked_at, booked_rate, limits) \
+             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
         )
         .bind(TaskId::new().0)
         .bind(self.job.0)
@@ -173,8 +174,9 @@ impl Common {
         .bind(to_json(&spec)?)
         .bind(self.deadline.map_or(i64::MAX, Timestamp::micros))
         .bind(i64::from(self.priority))
-        .bind(booked.map(|(node, _)| node.0))
-        .bind(booked.map(|(_, start)| start.micros()))
+        .bind(booked.map(|slot| slot.node.0))
+        .bind(booked.map(|slot| slot.start.micros()))
+        .bind(booked.and_then(|slot| slot.rate))
         .bind(to_json(&self.limits)?)
         .execute(write.connection())
         .await?;

@@ -17,6 +17,7 @@ use crate::{Answered, JobForecast, NewBooking, NewJob, NewJobPlan, NewPlan, Stor
 mod artifacts;
 mod calibration;
 mod claims;
+mod elsewhere;
 mod failures;
 mod fencing;
 mod jobs;

@@ -297,6 +297,7 @@ mod tests {
             drain: false,
             pause: false,
             set_aside: Some("3 jobs failed on it".into()),
+            idle_reason: None,
             task_id: None,
             created_at: now,
             last_seen_at: now,

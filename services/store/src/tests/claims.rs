@@ -170,19 +170,24 @@ async fn a_render_is_given_its_own_frames_profile_and_no_other() {
     }
 }
 
+/// What SQLite does for a query, step by step.
+pub(super) async fn steps_of(farm: &Farm, query: &str) -> Vec<String> {
+    let plan: Vec<(i64, i64, i64, String)> =
+        sqlx::query_as(sqlx::AssertSqlSafe(format!("EXPLAIN QUERY PLAN {query}")))
+            .fetch_all(farm.store.readers())
+            .await
+            .unwrap();
+    plan.into_iter().map(|step| step.3).collect()
+}
+
 #[tokio::test]
 async fn a_claim_finds_its_task_by_index_alone_however_many_there_are() {
     let farm = Farm::new().await;
-    for query in [crate::leases::NEXT_QUOTE, crate::leases::NEXT_BOOKED, crate::leases::NEXT_ANY] {
-        let plan: Vec<(i64, i64, i64, String)> =
-            sqlx::query_as(sqlx::AssertSqlSafe(format!("EXPLAIN QUERY PLAN {query}")))
-                .fetch_all(farm.store.readers())
-                .await
-                .unwrap();
-        let steps: Vec<&str> = plan.iter().map(|step| step.3.as_str()).collect();
+    for query in [crate::claims::NEXT_QUOTE, crate::claims::NEXT_BOOKED, crate::claims::NEXT_ANY] {
+        let steps = steps_of(&farm, query).await;
         // The other steps look at a task's failures, by index too, if it has any.
         assert!(steps[0].contains("USING INDEX tasks_ready"), "{query}: {steps:?}");
-        let slow = |step: &&str| step.starts_with("SCAN f") || step.contains("TEMP B-TREE");
+        let slow = |step: &String| step.starts_with("SCAN f") || step.contains("TEMP B-TREE");
         assert!(!steps.iter().any(slow), "{query}: {steps:?}");
     }
 }

@@ -40,8 +40,8 @@ async fn a_task_that_failed_waits_and_then_goes_to_another_node_first() {
     assert_eq!(farm.claim(b.id, at(0)).await, None, "at once");
     let due = farm.store.next_retry(at(0)).await.unwrap().unwrap();
     assert!((at(0)..=at(1)).contains(&due), "{due}");
-    assert!(!farm.store.may_have_work(at(0)).await.unwrap());
-    assert!(farm.store.may_have_work(at(1)).await.unwrap());
+    assert!(!farm.store.may_have_work(b.id, None, at(0)).await.unwrap());
+    assert!(farm.store.may_have_work(b.id, None, at(1)).await.unwrap());
     assert_eq!(farm.claim(a.id, at(2)).await, None, "on the node that it failed on");
     assert_eq!(farm.store.next_retry(at(2)).await.unwrap(), Some(due.plus_micros(10 * SECOND)));
     let retried = farm.claim(b.id, at(2)).await.unwrap();

@@ -68,7 +68,7 @@ pub(super) async fn wait_for_task(
             if Instant::now() >= until && !announced {
                 return Ok(Claimed::Nothing);
             }
-            if !announced || app.store.may_have_work(app.now()).await? {
+            if !announced || app.store.may_have_work(request.node_id, request.task_id, app.now()).await? {
                 break;
             }
         }

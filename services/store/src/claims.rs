@@ -1,0 +1,328 @@
+//! Claims: which task a node is given next.
+
+use std::time::Duration;
+
+use forelight_protocol::{
+    Event, EventKind, JobId, JobState, Lease, LeaseId, Node, NodeId, TaskId, TaskSpec, Timestamp,
+};
+use sqlx::sqlite::SqliteRow;
+use sqlx::{Row as _, SqliteConnection};
+
+use crate::decode::{id, json, whole_opt};
+use crate::elsewhere;
+use crate::events::{append, event, job_state};
+use crate::failures::HEAD_START;
+use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
+use crate::leases::{has_calendar, sleep_of, sweep, touch};
+use crate::schedule::{Opening, opening};
+use crate::{Store, StoreError, nodes};
+
+impl Store {
+    /// Hands the node its next task, if there is one and the node is not draining. Sweeps first, so that a task whose
+    /// worker is gone can be handed out at once. The node counts as heard of.
+    pub async fn claim(
+        &self,
+        node: NodeId,
+        ttl: Duration,
+        key: Option<&IdempotencyKey>,
+        now: Timestamp,
+    ) -> Result<Option<Answered<Lease>>, StoreError> {
+        self.hand_out(node, None, ttl, key, now).await
+    }
+
+    /// Hands the node exactly this task, whatever was planned for the node: nothing while another holds it, a
+    /// [`StoreError::Conflict`] once it is over.
+    pub async fn claim_task(
+        &self,
+        node: NodeId,
+        task: TaskId,
+        ttl: Duration,
+        key: Option<&IdempotencyKey>,
+        now: Timestamp,
+    ) -> Result<Option<Answered<Lease>>, StoreError> {
+        self.hand_out(node, Some(task), ttl, key, now).await
+    }
+
+    async fn hand_out(
+        &self,
+        node: NodeId,
+        wanted: Option<TaskId>,
+        ttl: Duration,
+        key: Option<&IdempotencyKey>,
+        now: Timestamp,
+    ) -> Result<Option<Answered<Lease>>, StoreError> {
+        let mut write = self.write().await?;
+        if let Some(answer) = earlier_answer(&mut write, key).await? {
+            return Ok(Some(Answered::Repeated(answer)));
+        }
+        touch(&mut write, node, now).await?;
+        sweep(&mut write, now).await?;
+        let node = nodes::read(write.connection(), node).await?;
+        let offered = match wanted {
+            Some(task) => this_task(write.connection(), task, now).await?.into(),
+            None => offer(write.connection(), &node, self.up_since(), now).await?,
+        };
+        if offered.idle_reason != node.idle_reason {
+            sqlx::query("UPDATE nodes SET idle_reason = ? WHERE id = ?")
+                .bind(&offered.idle_reason)
+                .bind(node.id.0)
+                .execute(write.connection())
+                .await?;
+        }
+        let Some(task) = offered.task else {
+            self.commit(write).await?;
+            return Ok(None);
+        };
+        let task_id = TaskId(id(&task, "id")?);
+        let job_id = JobId(id(&task, "job_id")?);
+        let spec: TaskSpec = json(&task, "spec")?;
+        let fence: i64 = sqlx::query_scalar(
+            "UPDATE tasks SET state = 'leased', fence = fence + 1, progress = 0, pixels_share = NULL, node_id = ?, started_at = ? \
+             WHERE id = ? AND state = 'ready' RETURNING fence",
+        )
+        .bind(node.id.0)
+        .bind(now.micros())
+        .bind(task_id.0)
+        .fetch_one(write.connection())
+        .await?;
+        let ttl_micros = i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX);
+        let lease = Lease {
+            lease_id: LeaseId::new(),
+            task_id,
+            job_id,
+            fence: fence.unsigned_abs(),
+            expires_at: now.plus_micros(ttl_micros),
+            ttl_ms: u64::try_from(ttl.as_millis()).unwrap_or(u64::MAX),
+            spec,
+            limits: json(&task, "limits")?,
+        };
+        sqlx::query(
+            "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at) \
+             VALUES (?, ?, ?, ?, ?, 'active', ?, ?)",
+        )
+        .bind(lease.lease_id.0)
+        .bind(task_id.0)
+        .bind(node.id.0)
+        .bind(fence)
+        .bind(node.speed)
+        .bind(now.micros())
+        .bind(lease.expires_at.micros())
+        .execute(write.connection())
+        .await?;
+        if lease.spec.kind().is_booked() {
+            let first = sqlx::query("UPDATE jobs SET state = 'rendering' WHERE id = ? AND state = 'booked'")
+                .bind(job_id.0)
+                .execute(write.connection())
+                .await?;
+            if first.rows_affected() == 1 {
+                job_state(&mut write, job_id, JobState::Rendering, None, now).await?;
+            }
+        }
+        append(
+            &mut write,
+            Event {
+                job_id: Some(job_id),
+                task_id: Some(task_id),
+                task_kind: Some(lease.spec.kind()),
+                frame: lease.spec.frame(),
+                node_id: Some(node.id),
+                ..event(EventKind::TaskLeased, now)
+            },
+        )
+        .await?;
+        record(&mut write, key, 200, &lease, now).await?;
+        self.commit(write).await?;
+        Ok(Some(Answered::Fresh(lease)))
+    }
+
+    /// Whether a claim could find something for the node, or exactly this task: asked by those who wait, so that they need not take the write lock.
+    pub async fn may_have_work(
+        &self,
+        node: NodeId,
+        wanted: Option<TaskId>,
+        now: Timestamp,
+    ) -> Result<bool, StoreError> {
+        let mut connection = self.readers().acquire().await?;
+        let some_ran_out = "SELECT EXISTS (SELECT 1 FROM leases WHERE state = 'active' AND expires_at <= ?)";
+        if sqlx::query_scalar(some_ran_out).bind(now.micros()).fetch_one(&mut *connection).await? {
+            return Ok(true);
+        }
+        match wanted {
+            Some(task) => match this_task(&mut connection, task, now).await {
+                Ok(task) => Ok(task.is_some()),
+                // There is an answer, though no task.
+                Err(StoreError::Conflict(_)) => Ok(true),
+                Err(error) => Err(error),
+            },
+            None => {
+                let node = nodes::read(&mut connection, node).await?;
+                Ok(offer(&mut connection, &node, self.up_since(), now).await?.task.is_some())
+            }
+        }
+    }
+
+    /// Until when the node sleeps; `None` if it is awake.
+    pub async fn sleeps_until(&self, node: NodeId, now: Timestamp) -> Result<Option<Timestamp>, StoreError> {
+        let mut connection = self.readers().acquire().await?;
+        let has_calendar = concat!("SELECT ", has_calendar!(), " FROM nodes n WHERE n.id = ?");
+        let has_calendar: Option<bool> =
+            sqlx::query_scalar(has_calendar).bind(node.0).fetch_optional(&mut *connection).await?;
+        sleep_of(&mut connection, node, has_calendar.unwrap_or(false), now).await
+    }
+
+    /// A node that waits for work is alive.
+    pub async fn touch_node(&self, node: NodeId, now: Timestamp) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        touch(&mut write, node, now).await?;
+        self.commit(write).await
+    }
+}
+
+/// What a node is given, or why it is given nothing though there is something.
+#[derive(Default)]
+pub(crate) struct Offer {
+    pub task: Option<SqliteRow>,
+    /// For people; nothing if there is a task, or none for anybody.
+    pub idle_reason: Option<String>,
+}
+
+impl From<Option<SqliteRow>> for Offer {
+    fn from(task: Option<SqliteRow>) -> Self {
+        Self { task, idle_reason: None }
+    }
+}
+
+/// Who asks, and when: what the steps of a claim have in common.
+pub(crate) struct Asking<'a> {
+    pub node: &'a Node,
+    pub now: Timestamp,
+    /// Since when nodes can be heard of: the service was not there before.
+    pub up_since: Timestamp,
+    /// CPU seconds of a node of speed 1 that this one has until its window ends.
+    at_most: Option<f64>,
+}
+
+impl Asking<'_> {
+    /// The first task of a query that takes these four: the node, now, since when a node that failed may have the task again, and what fits
+    /// into the node's window; and whatever `more` binds.
+    pub(crate) async fn first(
+        &self,
+        connection: &mut SqliteConnection,
+        query: &'static str,
+        more: impl FnOnce(Query) -> Query,
+    ) -> Result<Option<SqliteRow>, StoreError> {
+        let common = sqlx::query(query)
+            .bind(self.node.id.0)
+            .bind(self.now.micros())
+            .bind(self.now.plus_micros(-HEAD_START).micros())
+            .bind(self.at_most);
+        Ok(more(common).fetch_optional(connection).await?)
+    }
+}
+
+/// A query under way.
+pub(crate) type Query = sqlx::query::Query<'static, sqlx::Sqlite, sqlx::sqlite::SqliteArguments>;
+
+/// The task that the node should do next, if it may be given any.
+///
+/// 1. Previews and profiles of any job, and plans and merges of irradiance caches: they are short, and every quote, and with it every
+///    booking, waits for them. By priority, then deadline, then age of the job.
+/// 2. The node's own bookings, earliest planned start first: frames, and parts of irradiance caches.
+/// 3. Any of these, by the job's deadline, then priority, then age of the job, then frame, as far as that is not against what the plan
+///    wanted: see `elsewhere`.
+///
+/// Each of the three is one step into an index made for it, which is named because SQLite, left alone, prefers the index of
+/// all ready tasks and sorts them. Only if the first of the third kind is not for everybody, the booked jobs are looked at one by one.
+///
+/// A task that failed is passed over while it waits, and for a while longer on the nodes that it failed on. Such tasks are few, so
+/// the steps over them are.
+///
+/// Before the node's window ends, frames are passed over that would not be done by then in one case of twenty.
+async fn offer(
+    connection: &mut SqliteConnection,
+    node: &Node,
+    up_since: Timestamp,
+    now: Timestamp,
+) -> Result<Offer, StoreError> {
+    let until = match opening(node, now) {
+        Opening::Awake(until) if node.takes_tasks() => until,
+        Opening::Awake(_) | Opening::Asleep(_) => return Ok(Offer::default()),
+    };
+    let at_most =
+        until.map(|until| until.micros_since(now).max(0) as f64 * 1e-6 * node.speed * f64::from(node.cores));
+    let asking = Asking { node, now, up_since, at_most };
+    let mut found = asking.first(connection, NEXT_QUOTE, |query| query).await?;
+    if found.is_none() {
+        found = asking.first(connection, NEXT_BOOKED, |query| query.bind(node.id.0)).await?;
+    }
+    if found.is_some() {
+        return Ok(found.into());
+    }
+    let Some(first) = asking.first(connection, NEXT_ANY, |query| query).await? else {
+        return Ok(Offer::default());
+    };
+    if whole_opt::<i64>(&first, "booked_rate")?.is_none() {
+        return Ok(Some(first).into());
+    }
+    elsewhere::offer(connection, &asking).await
+}
+
+/// A task by its id, if it is ready; nothing while it is leased, or waits after a failure.
+async fn this_task(
+    connection: &mut SqliteConnection,
+    task: TaskId,
+    now: Timestamp,
+) -> Result<Option<SqliteRow>, StoreError> {
+    let row = sqlx::query("SELECT id, job_id, spec, limits, not_before, CASE WHEN state = 'ready' AND held THEN 'held back by a budget' ELSE state END AS state FROM tasks WHERE id = ?")
+        .bind(task.0)
+        .fetch_optional(connection)
+        .await?
+        .ok_or(StoreError::NotFound("task"))?;
+    match row.try_get("state")? {
+        "ready" => Ok((row.try_get::<i64, _>("not_before")? <= now.micros()).then_some(row)),
+        "leased" | "waiting" => Ok(None),
+        over => Err(StoreError::Conflict(format!("the task is {over}"))),
+    }
+}
+
+/// The first task by an index of which these hold and which the node, `?1`, may have now.
+macro_rules! next_task {
+    ($index:literal, $which:literal, $order:literal) => {
+        $crate::claims::next_task!("id, job_id, spec, limits, booked_rate", $index, $which, $order)
+    };
+    ($columns:literal, $index:literal, $which:literal, $order:literal) => {
+        concat!(
+            "SELECT ",
+            $columns,
+            " FROM tasks INDEXED BY ",
+            $index,
+            " WHERE state = 'ready' AND ",
+            $which,
+            " AND held = 0 AND not_before <= ?2 AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS (SELECT 1 FROM leases f \
+              WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1)) \
+              AND (?4 IS NULL OR ?4 >= ifnull((SELECT cpu_p95 FROM frames WHERE job_id = tasks.job_id AND frame = tasks.frame), 0)) ORDER BY ",
+            $order,
+            " LIMIT 1"
+        )
+    };
+}
+pub(crate) use next_task;
+
+pub(crate) const NEXT_QUOTE: &str = next_task!(
+    "tasks_ready_quotes",
+    "kind NOT IN ('cache_fill', 'render')",
+    "priority DESC, due_at, job_id, frame"
+);
+
+/// What is booked on the node `?5`.
+pub(crate) const NEXT_BOOKED: &str = next_task!(
+    "tasks_ready_booked",
+    "kind IN ('cache_fill', 'render') AND booked_node = ?5",
+    "booked_at, job_id, frame, part"
+);
+
+pub(crate) const NEXT_ANY: &str = next_task!(
+    "tasks_ready_any",
+    "kind IN ('cache_fill', 'render')",
+    "due_at, priority DESC, job_id, frame, part"
+);
