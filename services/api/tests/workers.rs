@@ -198,3 +198,33 @@ async fn a_clock_that_is_set_by_hours_costs_no_lease_and_holds_none() {
     clock.advance_micros(400_000);
     assert_eq!(farm.next_task(&b).await.task_id, lease.task_id);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_dear_node_leaves_booked_frames_to_the_cheap_one_says_why_and_helps_when_there_is_no_deadline() {
+    let farm = Farm::new().await;
+    let register = async |name: &str, price: i64| -> Node {
+        let node = json!({"name": name, "speed": 2.0, "price_per_hour": price, "cores": 2});
+        farm.worker.post("/v1/nodes", &node).await.json_as(StatusCode::CREATED).await
+    };
+    let cheap = register("cheap", 3_600_000).await;
+    let dear = register("dear", 36_000_000).await;
+    let mut request = farm.job_request("0-3");
+    request["deadline"] = json!(Timestamp::now().plus_micros(3_600_000_000));
+    let job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    let job = farm.until_booked(&cheap, &job).await;
+    assert_eq!(farm.claim_waiting(&dear, 300).await, None);
+    let seen = async |node: &Node| -> Node {
+        farm.viewer.get(&format!("/v1/nodes/{}", node.id)).await.json_as(StatusCode::OK).await
+    };
+    let reason = seen(&dear).await.idle_reason.expect("frames wait");
+    let said =
+        "cheaper to wait for cheap: an hour of a core of speed 1 of job a job costs 0.90 there and 9.00 here";
+    assert_eq!(reason, said);
+    assert_eq!(farm.claim(&cheap).await.map(|lease| lease.job_id), Some(job.id));
+    assert_eq!(seen(&cheap).await.idle_reason, None);
+    // Nothing was weighed against the money of this one.
+    let free = farm.submit("0-1").await;
+    let free = farm.until_booked(&cheap, &free).await;
+    assert_eq!(farm.claim(&dear).await.map(|lease| lease.job_id), Some(free.id));
+    assert_eq!(seen(&dear).await.idle_reason, None);
+}

@@ -236,6 +236,9 @@ pub struct Job {
     pub promise: Option<Promise>,
     /// When the last frame is expected; absent until booked, and once final.
     pub eta: Option<Timestamp>,
+    /// What the time of its nodes has cost so far, quotes and lost work included; absent in lists, and while it has cost nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spent: Option<Money>,
     /// What it will have cost, as far as its frames are finished, beside the quote; absent until booked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub live: Option<LiveForecast>,

@@ -34,6 +34,8 @@ mod node;
 mod page;
 mod plan;
 mod problem;
+mod profile;
+mod result;
 mod role;
 mod settings;
 mod stats;
@@ -97,14 +99,18 @@ pub use plan::{
     PlanSummary, SeedBooking, Verdict, VerdictChange,
 };
 pub use problem::{Problem, ProblemKind};
+pub use profile::{
+    CacheSample, FixedCosts, NoiseCell, NoiseSample, ProfileArtifacts, ProfileResult, ProfileSample,
+    SharedSample,
+};
+pub use result::{
+    FrameStrata, PreviewBackend, PreviewResult, RenderArtifacts, RenderResult, Spent, Stratum, StratumName,
+    TaskResult,
+};
 pub use role::{Role, UnknownRole};
 pub use settings::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest};
 pub use stats::{AllottedStats, BudgetClock, CacheStats, LeftOut, Rays, RenderStats, WithinStats};
-pub use task::{
-    CacheSample, FixedCosts, FrameStrata, NoiseCell, NoiseSample, PreviewBackend, PreviewResult, PreviewSpec,
-    ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts, RenderResult, RenderSpec,
-    SharedSample, Spent, Stratum, StratumName, TaskKind, TaskResult, TaskSpec,
-};
+pub use task::{PreviewSpec, ProfileSpec, RenderSpec, TaskKind, TaskSpec};
 pub use time::{MalformedTime, Timestamp};
 pub use track_record::{
     CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Coverage, QuantileHits, TrackRecord,

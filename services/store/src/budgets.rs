@@ -112,6 +112,22 @@ impl Store {
         rows.iter().map(line).collect()
     }
 
+    /// What a job's leases have cost so far, those that end at `now` and those that go on.
+    pub async fn spent_on(&self, job: JobId, now: Timestamp) -> Result<Money, StoreError> {
+        let rows = sqlx::query(
+            "SELECT d.* FROM tasks t JOIN leases l ON l.task_id = t.id JOIN ledger d ON d.lease_id = l.id WHERE t.job_id = ?",
+        )
+        .bind(job.0)
+        .fetch_all(self.readers())
+        .await?;
+        let mut spent = Money(0);
+        for row in &rows {
+            let line = line(row)?;
+            spent.0 = spent.0.saturating_add(line.cost_within(line.from, now).0);
+        }
+        Ok(spent)
+    }
+
     /// The jobs that are neither done, failed nor cancelled, oldest first.
     pub async fn open_jobs(&self) -> Result<Vec<OpenJob>, StoreError> {
         let mut transaction = self.read().await?;

@@ -9,9 +9,9 @@ use forelight_protocol::{
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::decode::{id, json_opt, time, whole, whole_opt, word};
-use crate::projection::{Projected, project};
+use crate::projection::{Projection, project};
 use crate::schedule::with_power;
-use crate::{JobForecast, Store, StoreError, events, jobs, nodes, plans, progress, track_record};
+use crate::{JobForecast, Store, StoreError, events, jobs, nodes, plans, progress, seeds, track_record};
 
 /// How much of everything the dashboard shows.
 const JOBS: u32 = 200;
@@ -27,7 +27,7 @@ impl Store {
         let mut transaction = self.read().await?;
         let connection = &mut *transaction;
         let open = plans::open(connection).await?;
-        let projected = project(&open, now);
+        let projected = project(&open, &seeds::open(connection).await?, now);
         let record = track_record::totals(connection).await?;
         let rows = sqlx::query("SELECT id, body FROM events ORDER BY id DESC LIMIT ?")
             .bind(EVENTS)
@@ -101,7 +101,7 @@ async fn counts(
 
 async fn dashboard_jobs(
     connection: &mut SqliteConnection,
-    projected: &[Projected],
+    projected: &Projection,
 ) -> Result<Vec<DashboardJob>, StoreError> {
     let rows =
         sqlx::query("SELECT * FROM jobs ORDER BY state IN ('done', 'failed', 'cancelled'), id DESC LIMIT ?")
@@ -124,7 +124,7 @@ async fn dashboard_jobs(
             seed: job.seed,
             deadline: job.deadline,
             verdict: job.verdict.as_ref().map(|verdict| verdict.verdict),
-            eta: Projected::finish_of(projected, job.id),
+            eta: projected.finish_of(job.id),
             waits: job.waits,
             promise: job.promise,
             booked_cost: job.verdict.and_then(|verdict| verdict.cost),

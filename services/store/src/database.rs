@@ -26,7 +26,7 @@ const LOCK_WAIT: Duration = Duration::from_secs(5);
 const READERS: u32 = 4;
 
 /// Name of the database in the data folder.
-pub(crate) const DATABASE: &str = "forelight.sqlite";
+pub const DATABASE: &str = "forelight.sqlite";
 
 static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations");
 

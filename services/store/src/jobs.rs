@@ -281,6 +281,7 @@ pub(crate) fn decode(row: &SqliteRow, progress: Progress) -> Result<Job, StoreEr
         waits: outlook.waits.filter(|_| !progress.begun && !state.is_final()),
         promise: outlook.promise,
         eta: None,
+        spent: None,
         live: progress.live,
         error: row.try_get("error")?,
         created_at: time(row, "created_at")?,

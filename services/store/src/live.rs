@@ -22,9 +22,9 @@ use sqlx::{Row as _, SqliteConnection};
 use crate::database::Write;
 use crate::decode::{id, id_opt, json, json_opt, time, to_json, whole, word};
 use crate::events::{append, event};
-use crate::projection::{OpenBooking, Projected, project};
+use crate::projection::{OpenBooking, project};
 use crate::replans::{self, is_news};
-use crate::{JobForecast, Store, StoreError, plans};
+use crate::{JobForecast, Store, StoreError, plans, seeds};
 
 /// With each of the first frames there is a new estimate.
 const FIRST: u32 = 16;
@@ -167,7 +167,8 @@ pub(crate) async fn update(
     let finish = if frames.all_done || state.is_final() {
         Some(now)
     } else {
-        Projected::finish_of(&project(&stretched(&bookings, stretch), now), job)
+        let seeds = seeds::open_of(write.connection(), job).await?;
+        project(&stretched(&bookings, stretch), &seeds, now).finish_of(job)
     };
     let same_plan = kept.as_ref().filter(|kept| kept.plan == plan);
     let was_off = same_plan.map_or([false; 2], |kept| [kept.cost_is_off, kept.finish_is_off]);

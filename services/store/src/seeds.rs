@@ -24,6 +24,7 @@ use crate::database::Write;
 use crate::decode::{corrupt, id, id_opt, json, json_opt, time, time_opt, whole, whole_opt};
 use crate::elsewhere::{Rates, Slot};
 use crate::leases::{LeaseRow, fail_for_good};
+use crate::projection::{Holder, OpenSeed};
 use crate::tasks::Common;
 use crate::{Store, StoreError, nodes};
 
@@ -87,17 +88,60 @@ impl Store {
         }
     }
 
-    /// The bookings of parts that are not filled yet, by start.
-    pub async fn open_seed_bookings(&self) -> Result<Vec<SeedBooking>, StoreError> {
-        let rows = sqlx::query(
-            "SELECT b.* FROM jobs j JOIN seed_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
-             WHERE j.state IN ('booked', 'rendering') AND EXISTS (SELECT 1 FROM tasks t WHERE t.job_id = j.id AND t.kind = 'cache_fill' \
-             AND t.part = b.part AND t.state IN ('ready', 'leased')) ORDER BY b.start_at, b.job_id, b.part",
-        )
-        .fetch_all(self.readers())
-        .await?;
-        rows.iter().map(decode_booking).collect()
+    /// The booked parts that are not filled yet, by start.
+    pub async fn open_seeds(&self) -> Result<Vec<OpenSeed>, StoreError> {
+        let mut connection = self.readers().acquire().await?;
+        open(&mut connection).await
     }
+}
+
+macro_rules! select_open {
+    ($rest:literal) => {
+        concat!(
+            "SELECT b.*, t.state, t.node_id AS holder, t.started_at, t.progress, t.round, \
+             (SELECT count(*) FROM seed_bookings o WHERE o.plan_id = b.plan_id AND o.job_id = b.job_id) AS parts, \
+             (SELECT count(*) FROM json_each(j.forecast, '$.cache.seed.records') WHERE value > 0) AS levels \
+             FROM jobs j JOIN seed_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
+             JOIN tasks t ON t.job_id = j.id AND t.kind = 'cache_fill' AND t.part = b.part AND t.state IN ('ready', 'leased') \
+             WHERE j.state IN ('booked', 'rendering') ",
+            $rest,
+            " ORDER BY b.start_at, b.job_id, b.part"
+        )
+    };
+}
+
+pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenSeed>, StoreError> {
+    let rows = sqlx::query(select_open!("")).fetch_all(connection).await?;
+    rows.iter().map(decode_open).collect()
+}
+
+/// Those of one job.
+pub(crate) async fn open_of(
+    connection: &mut SqliteConnection,
+    job: JobId,
+) -> Result<Vec<OpenSeed>, StoreError> {
+    let rows = sqlx::query(select_open!("AND j.id = ?")).bind(job.0).fetch_all(connection).await?;
+    rows.iter().map(decode_open).collect()
+}
+
+fn decode_open(row: &SqliteRow) -> Result<OpenSeed, StoreError> {
+    let rounds = f64::from(rounds(whole(row, "parts")?, whole(row, "levels")?));
+    let before: u32 = whole(row, "round")?;
+    let done = (f64::from(before) / rounds).min(1.0);
+    let leased = row.try_get::<&str, _>("state")? == "leased";
+    let holder = match (leased, id_opt(row, "holder")?, time_opt(row, "started_at")?) {
+        (true, Some(node), Some(started)) => {
+            let progress = (done + row.try_get::<f64, _>("progress")? / rounds).min(1.0);
+            Some(Holder { node_id: NodeId(node), started, progress })
+        }
+        _ => None,
+    };
+    Ok(OpenSeed { booking: decode_booking(row)?, done, holder })
+}
+
+/// In how many rounds a cache is filled: one task fills all levels; several fill one after the other, and those that have no records are full.
+fn rounds(parts: u32, levels: u32) -> u32 {
+    if parts > 1 { levels.max(1) } else { 1 }
 }
 
 /// The bookings of a plan, by start.
@@ -306,10 +350,9 @@ pub(crate) async fn progress(
     .bind(job.0)
     .fetch_one(connection)
     .await?;
-    // One task fills all levels; several fill one after the other, and those that have no records are full.
     let levels = seed.records.iter().filter(|&&records| records > 0).count();
-    let rounds = if seed.parts > 1 { u32::try_from(levels).unwrap_or(u32::MAX) } else { 1 };
-    let parts = seed.parts.saturating_mul(rounds).max(1);
+    let levels = u32::try_from(levels).unwrap_or(u32::MAX);
+    let parts = seed.parts.saturating_mul(rounds(seed.parts, levels)).max(1);
     let reached: f64 = row.try_get("reached")?;
     Ok(Some(SeedProgress {
         parts,

@@ -172,9 +172,17 @@ impl Client {
 
     /// The newest jobs of exactly this name.
     pub async fn jobs_named(&self, name: &str) -> Result<Vec<Job>, ClientError> {
-        let name: String = name.bytes().map(|byte| format!("%{byte:02X}")).collect();
-        let page: JobPage =
-            self.transport.json(&Request::new(Method::GET, format!("/v1/jobs?name={name}"))).await?;
+        self.newest_jobs(&[("name", name)], 50).await
+    }
+
+    /// The newest jobs to which these filters apply (`state`, `project`, `name`), at most so many, up to 200.
+    pub async fn newest_jobs(&self, filters: &[(&str, &str)], most: u32) -> Result<Vec<Job>, ClientError> {
+        let mut path = format!("/v1/jobs?page_size={most}");
+        for (name, value) in filters {
+            let value: String = value.bytes().map(|byte| format!("%{byte:02X}")).collect();
+            path += &format!("&{name}={value}");
+        }
+        let page: JobPage = self.transport.json(&Request::new(Method::GET, path)).await?;
         Ok(page.items)
     }
 

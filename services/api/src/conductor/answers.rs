@@ -237,7 +237,7 @@ fn why_not(
 }
 
 fn amount(micro_units: i64) -> String {
-    format!("{:.2}", micro_units as f64 / 1e6)
+    Money(micro_units).to_string()
 }
 
 /// A quality, and what the job is without it.

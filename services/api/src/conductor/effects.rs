@@ -191,7 +191,8 @@ impl Farm {
 pub(crate) fn priced(micro_units: i64) -> String {
     match micro_units {
         0 => "at no extra cost".to_owned(),
-        _ => format!("{:+.2}", micro_units as f64 / 1e6),
+        1.. => format!("+{}", Money(micro_units)),
+        _ => Money(micro_units).to_string(),
     }
 }
 

@@ -5,11 +5,11 @@ use std::collections::BTreeMap;
 
 use forelight_planner::{self as planner, FixedBooking, Interval};
 use forelight_protocol::{
-    CacheQuote, Confidence, Job, JobId, Money, Node, NodeId, PlanId, Quantiles, SeedBooking, Timestamp,
+    CacheQuote, Confidence, Job, JobId, Money, Node, NodeId, PlanId, Quantiles, Timestamp,
 };
 use forelight_store::{
-    FarmJob, HALF_LIFE, JobForecast, LOST, Opening, ProjectUse, Projected, Store, StoreError, Wanted,
-    free_time_of, is_news, opening, project, silence,
+    FarmJob, HALF_LIFE, JobForecast, LOST, Opening, ProjectUse, Projected, Projection, Store, StoreError,
+    Wanted, free_time_of, is_news, opening, project, silence,
 };
 
 /// Nodes that a plan looks at.
@@ -21,9 +21,6 @@ const PER_SECOND: f64 = 1e9;
 /// Calendars are told to the planner this far beyond the last deadline: eight weeks, in microseconds.
 const BEYOND: i64 = 56 * 86_400_000_000;
 
-/// How long a part of an irradiance cache that should be filled already is still given: a second, in microseconds.
-const OVERDUE: i64 = 1_000_000;
-
 /// What a plan rests on. The newest plan and what happened since are read before everything else: should either change meanwhile, the
 /// store refuses the plan, or has another one made after it.
 #[derive(Clone, Debug)]
@@ -34,22 +31,27 @@ pub(crate) struct Snapshot {
     pub nodes: Vec<Node>,
     pub jobs: Vec<FarmJob>,
     pub projects: Vec<ProjectUse>,
-    pub projected: Vec<Projected>,
-    /// Parts of shared caches that are not filled yet.
-    pub seeds: Vec<SeedBooking>,
+    /// What is expected of what is booked, and is not done.
+    pub projected: Projection,
 }
 
 impl Snapshot {
     /// The farm at `now`; the service runs since `started`.
     pub async fn read(store: &Store, now: Timestamp, started: Timestamp) -> Result<Self, StoreError> {
+        let snapshot = Self::with_all_nodes(store, now).await?;
+        let nodes = bookable(snapshot.nodes, now, started);
+        Ok(Self { nodes, ..snapshot })
+    }
+
+    /// The same with the nodes that may not be booked.
+    pub async fn with_all_nodes(store: &Store, now: Timestamp) -> Result<Self, StoreError> {
         let wanted = store.wanted_plan().await?;
         let parent = store.newest_plan().await?;
-        let nodes = bookable(store.nodes(None, MOST_NODES).await?, now, started);
+        let nodes = store.nodes(None, MOST_NODES).await?;
         let jobs = store.farm_jobs().await?;
         let projects = store.projects(now).await?;
-        let projected = project(&store.open_bookings().await?, now);
-        let seeds = store.open_seed_bookings().await?;
-        Ok(Self { now, parent, wanted, nodes, jobs, projects, projected, seeds })
+        let projected = project(&store.open_bookings().await?, &store.open_seeds().await?, now);
+        Ok(Self { now, parent, wanted, nodes, jobs, projects, projected })
     }
 }
 
@@ -125,9 +127,9 @@ impl Farm {
             let place = asked.len() as u64;
             places.insert(farm_job.job.id, place);
             let factor = learned(farm_job);
-            let one = of_job(farm_job, &snapshot.projected, factor);
+            let one = of_job(farm_job, &snapshot.projected.frames, factor);
             let project = projects.get(farm_job.job.project.as_str()).copied();
-            let release = seeded(snapshot, farm_job.job.id);
+            let release = snapshot.projected.full(farm_job.job.id).unwrap_or(now);
             jobs.push(planner_job(farm_job, forecast, &one, place, project, release));
             asked.push(one);
         }
@@ -154,8 +156,8 @@ impl Farm {
             jobs,
             ..planner::Input::default()
         };
-        let standing = standing(&input, &snapshot.projected, &index, &places);
-        let booked = booked(&snapshot.projected, &index, &places);
+        let standing = standing(&input, &snapshot.projected.frames, &index, &places);
+        let booked = booked(&snapshot.projected.frames, &index, &places);
         Self { input, standing, booked, nodes: snapshot.nodes.clone(), jobs: asked }
     }
 
@@ -321,31 +323,21 @@ fn seed(cache: &CacheQuote, job: u64) -> Option<planner::Seed> {
     Some(planner::Seed { class: class(job), work: units(seed.cpu_seconds.p50).max(1), parts: seed.parts })
 }
 
-/// When a part of a shared cache should be filled: one that should be by now is about to be.
-fn filled(part: &SeedBooking, now: Timestamp) -> Timestamp {
-    part.end.max(now.plus_micros(OVERDUE))
-}
-
-/// The first instant at which a job's frames can start: when the cache that they share should be filled.
-fn seeded(snapshot: &Snapshot, job: JobId) -> Timestamp {
-    let parts = snapshot.seeds.iter().filter(|part| part.job_id == job);
-    parts.map(|part| filled(part, snapshot.now)).max().unwrap_or(snapshot.now)
-}
-
 /// What is not planned again: frames that are with a worker, and parts of shared caches.
 fn under_way(
     snapshot: &Snapshot,
     nodes: &BTreeMap<NodeId, u64>,
     jobs: &BTreeMap<JobId, u64>,
 ) -> Vec<FixedBooking> {
-    let parts = snapshot.seeds.iter().filter_map(|part| {
+    let parts = snapshot.projected.seeds.iter().filter_map(|part| {
         let node = *nodes.get(&part.node_id)?;
-        let (start, end) = (part.start.micros(), filled(part, snapshot.now).micros());
-        let job = jobs.get(&part.job_id).copied();
+        let (start, end) = (part.start.micros(), part.end.micros());
+        let job = jobs.get(&part.booking.job_id).copied();
         Some(FixedBooking { node, start, end: end.max(start), job, ..FixedBooking::default() })
     });
     snapshot
         .projected
+        .frames
         .iter()
         .filter(|frame| frame.under_way)
         .filter_map(|frame| {
@@ -384,7 +376,7 @@ fn standing(
             .and_then(|&work| input.nodes[node as usize].duration(work, class(job)));
         let Some(duration) = duration else { continue };
         let free = free_from.entry(node).or_insert(input.now);
-        let start = frame.booking.start.micros().max(*free);
+        let start = frame.booking.start.micros().max(*free).max(input.jobs[job as usize].release);
         let end = start.saturating_add(duration);
         *free = end;
         standing.push(planner::Booking { start, node, job, task: planner::Task::Frame(number), end });

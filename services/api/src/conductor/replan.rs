@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use std::sync::PoisonError;
 
 use forelight_protocol::{NodeId, PlanReason};
-use forelight_store::{NewPlan, Projected, StoreError, project};
+use forelight_store::{NewPlan, StoreError, project};
 
 use super::farm::{Farm, MOST_NODES, Snapshot, bookable};
 use super::settle::{Settled, settle};
@@ -84,9 +84,13 @@ impl Conductor {
         for node in before.iter().flat_map(|before| nodes.difference(before)) {
             self.store.want_plan(&format!("node {} is there again", name(node))).await?;
         }
-        let projected = project(&self.store.open_bookings().await?, now);
-        let mut lost: BTreeSet<NodeId> =
-            projected.iter().filter(|frame| !frame.under_way).map(|frame| frame.booking.node_id).collect();
+        let projected = project(&self.store.open_bookings().await?, &self.store.open_seeds().await?, now);
+        let mut lost: BTreeSet<NodeId> = projected
+            .frames
+            .iter()
+            .filter(|frame| !frame.under_way)
+            .map(|frame| frame.booking.node_id)
+            .collect();
         lost.retain(|node| !nodes.contains(node));
         for node in &lost {
             self.store.want_plan(&format!("node {} is not there", name(node))).await?;
@@ -94,7 +98,7 @@ impl Conductor {
         for farm_job in self.store.farm_jobs().await? {
             let job = farm_job.job;
             let promised = job.promise.as_ref().is_some_and(|promise| promise.kept);
-            let finish = Projected::finish_of(&projected, job.id);
+            let finish = projected.finish_of(job.id);
             if promised && finish.zip(job.deadline).is_some_and(|(finish, deadline)| finish > deadline) {
                 self.store.want_plan(&format!("job {} falls behind", job.name)).await?;
             }

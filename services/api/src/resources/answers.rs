@@ -111,7 +111,7 @@ async fn found(app: &App, job: JobId, query: &AnswersQuery) -> ApiResult<Arc<Ans
     let mut snapshot =
         Snapshot::read(&app.store, Timestamp::from_micros(now - now.rem_euclid(MINUTE)), app.started).await?;
     // Progress moves the expected ends all the time; to the minute, they are the same for a while.
-    for frame in snapshot.projected.iter_mut().filter(|frame| frame.under_way) {
+    for frame in snapshot.projected.frames.iter_mut().filter(|frame| frame.under_way) {
         let end = frame.end.micros();
         frame.end = Timestamp::from_micros(end.saturating_add(MINUTE - 1) / MINUTE * MINUTE);
     }

@@ -7,7 +7,7 @@ use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::Response;
 use forelight_protocol::{Job, JobCheck, JobId, JobPage, JobRequest, JobState};
-use forelight_store::{JobFilter, Projected, project};
+use forelight_store::{JobFilter, project};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
@@ -96,6 +96,7 @@ pub(crate) async fn get(
 ) -> ApiResult<Json<Job>> {
     let mut job = app.store.job(job).await?;
     expect(&app, std::slice::from_mut(&mut job)).await?;
+    job.spent = Some(app.store.spent_on(job.id, app.now()).await?).filter(|spent| spent.0 > 0);
     Ok(Json(job))
 }
 
@@ -115,9 +116,10 @@ async fn expect(app: &App, jobs: &mut [Job]) -> ApiResult<()> {
     if jobs.iter().all(|job| job.state.is_final() || job.plan_id.is_none()) {
         return Ok(());
     }
-    let projected = project(&app.store.open_bookings().await?, app.now());
+    let (bookings, seeds) = (app.store.open_bookings().await?, app.store.open_seeds().await?);
+    let projected = project(&bookings, &seeds, app.now());
     for job in jobs {
-        job.eta = Projected::finish_of(&projected, job.id);
+        job.eta = projected.finish_of(job.id);
     }
     Ok(())
 }

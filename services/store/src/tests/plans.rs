@@ -1,7 +1,9 @@
 //! Plans, bookings, projections.
 
 use super::*;
-use crate::{Holder, OpenBooking, Projected, StoreError, project};
+use forelight_protocol::SeedBooking;
+
+use crate::{Holder, OpenBooking, OpenSeed, Projected, StoreError, project};
 use forelight_protocol::{Booking, BookingId, JobState, PlanId};
 
 #[tokio::test]
@@ -135,7 +137,10 @@ fn late_bookings_are_pushed_back_one_behind_the_other_and_punctual_ones_stay() {
         [booking(0, 1, 0, 10), booking(1, 1, 10, 20), booking(2, 1, 100, 110), booking(3, 2, 0, 5)]
             .map(|booking| OpenBooking { booking, holder: None })
             .into();
-    assert_eq!(spans(&project(&open, at(15))), [(0, 15, 25), (3, 15, 20), (1, 25, 35), (2, 100, 110)]);
+    assert_eq!(
+        spans(&project(&open, &[], at(15)).frames),
+        [(0, 15, 25), (3, 15, 20), (1, 25, 35), (2, 100, 110)]
+    );
 }
 
 #[test]
@@ -150,9 +155,47 @@ fn a_frame_under_way_takes_its_holder_not_its_booked_node_and_always_ends_after_
         OpenBooking { booking: booking(3, 3, 0, 10), holder: holder(3, 0, 1.0) },
         OpenBooking { booking: booking(4, 4, 30, 40), holder: holder(4, 45, 0.0) },
     ];
-    let projected = project(&open, at(50));
-    assert_eq!(spans(&projected), [(0, 0, 100), (3, 0, 51), (4, 45, 55), (2, 50, 60), (1, 100, 110)]);
-    assert_eq!(Projected::finish_of(&projected, JobId(uuid::Uuid::nil())), Some(at(110)));
+    let projected = project(&open, &[], at(50));
+    assert_eq!(spans(&projected.frames), [(0, 0, 100), (3, 0, 51), (4, 45, 55), (2, 50, 60), (1, 100, 110)]);
+    assert_eq!(projected.finish_of(JobId(uuid::Uuid::nil())), Some(at(110)));
+}
+
+#[test]
+fn frames_wait_for_the_parts_of_their_cache_wherever_these_are() {
+    let node = |node: u128| NodeId(uuid::Uuid::from_u128(node));
+    let part = |part, number: u128, start, end| SeedBooking {
+        job_id: JobId(uuid::Uuid::nil()),
+        part,
+        node_id: node(number),
+        start: at(start),
+        end: at(end),
+    };
+    let open =
+        [booking(0, 1, 20, 30), booking(1, 2, 20, 25)].map(|booking| OpenBooking { booking, holder: None });
+    // Node 3 has half of its part, and says that it is at the half of the other half; the one on node 2 is done with one of two rounds.
+    let held = Holder { node_id: node(3), started: at(10), progress: 0.75 };
+    let seeds = [
+        OpenSeed { booking: part(0, 3, 0, 40), done: 0.5, holder: Some(held) },
+        OpenSeed { booking: part(1, 2, 0, 20), done: 0.5, holder: None },
+    ];
+    let projection = project(&open, &seeds, at(20));
+    let parts: Vec<_> = projection
+        .seeds
+        .iter()
+        .map(|part| {
+            (
+                part.booking.part,
+                part.start.micros_since(at(0)) / SECOND,
+                part.end.micros_since(at(0)) / SECOND,
+            )
+        })
+        .collect();
+    assert_eq!(parts, [(0, 10, 30), (1, 20, 30)]);
+    assert_eq!(spans(&projection.frames), [(0, 30, 40), (1, 30, 35)]);
+    assert_eq!(projection.full(JobId(uuid::Uuid::nil())), Some(at(30)));
+    // With nothing left but a part, the job ends no sooner than that.
+    let rest = project(&[], &seeds[..1], at(20));
+    assert_eq!(rest.finish_of(JobId(uuid::Uuid::nil())), Some(at(30)));
 }
 
 #[tokio::test]

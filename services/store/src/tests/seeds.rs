@@ -80,7 +80,7 @@ async fn frames_wait_until_every_level_of_the_cache_is_filled_and_put_together()
         3,
         "frames that wait are booked all the same"
     );
-    assert_eq!(farm.store.open_seed_bookings().await.unwrap().len(), 3);
+    assert_eq!(farm.store.open_seeds().await.unwrap().len(), 3);
 
     let (fill, merge) = (TaskKind::CacheFill, TaskKind::CacheMerge);
     let mut seen = Vec::new();
@@ -115,7 +115,7 @@ async fn frames_wait_until_every_level_of_the_cache_is_filled_and_put_together()
     assert_ne!(seen[0], seen[3]);
     assert!(states().await.all(|state| state == FrameState::Ready));
     assert!(farm.store.job(job).await.unwrap().seed.unwrap().ready);
-    assert!(farm.store.open_seed_bookings().await.unwrap().is_empty());
+    assert!(farm.store.open_seeds().await.unwrap().is_empty());
     let cache = farm.artifact("a cache").await;
     for _ in 0..3 {
         let lease = farm.claim(node, at(20)).await.unwrap();
