@@ -91,11 +91,9 @@ pub fn parse_money(text: &str) -> Result<i64, String> {
         .ok_or_else(|| "the amount is too large".to_string())
 }
 
-/// `12.50`: micro-units with two decimals, rounded half away from zero.
+/// `12.50`, `0.001234`: micro-units as the farm shows money everywhere.
 pub fn money(micro_units: i64) -> String {
-    let cents = (micro_units.unsigned_abs() + 5_000) / 10_000;
-    let sign = if micro_units < 0 && cents > 0 { "-" } else { "" };
-    format!("{sign}{}.{:02}", cents / 100, cents % 100)
+    forelight_protocol::Money(micro_units).to_string()
 }
 
 /// `0.42 s`, `12.3 s`, `3m 07s`, `2h 05m`.
@@ -198,11 +196,9 @@ mod tests {
     }
 
     #[test]
-    fn money_is_shown_to_the_cent() {
+    fn money_is_shown_to_the_cent_and_never_as_nothing_if_it_is_something() {
         assert_eq!(money(12_500_000), "12.50");
-        assert_eq!(money(4_999), "0.00");
-        assert_eq!(money(5_000), "0.01");
-        assert_eq!(money(-1_234_567), "-1.23");
+        assert_eq!(money(4_999), "0.004999");
     }
 
     #[test]

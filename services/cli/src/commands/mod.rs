@@ -12,6 +12,7 @@ mod explain;
 mod export;
 mod farm;
 mod forecast;
+mod jobs;
 mod log;
 mod node;
 mod plan;
@@ -22,6 +23,7 @@ mod serve;
 mod share;
 mod simulate;
 mod slurm;
+mod status;
 mod submit;
 mod token;
 mod worker;
@@ -58,6 +60,8 @@ enum Command {
     Serve(serve::Args),
     Worker(worker::Args),
     Submit(submit::Args),
+    Status(status::Args),
+    Jobs(jobs::Args),
     Render(render::Args),
     Preview(preview::Args),
     Cache(cache::Args),
@@ -72,6 +76,7 @@ enum Command {
     Simulate(simulate::Args),
     Budget(Box<budget::Args>),
     Token(token::Args),
+    #[command(visible_alias = "nodes")]
     Node(Box<node::Args>),
     Log(log::Args),
     Backup(backup::Args),
@@ -93,6 +98,8 @@ impl Cli {
             Command::Serve(args) => serve::run(args, interrupt).await,
             Command::Worker(args) => worker::run(args, interrupt).await,
             Command::Submit(args) => submit::run(args, interrupt).await,
+            Command::Status(args) => status::run(args, interrupt).await,
+            Command::Jobs(args) => jobs::run(args).await,
             Command::Token(args) => token::run(args).await,
             Command::Node(args) => node::run(*args).await,
             Command::Ask(args) => ask::run(args).await,
@@ -184,6 +191,9 @@ mod tests {
             ("forelight worker --join-token-file j", "--token-file"),
             ("forelight worker --task-memory little", "--task-memory"),
             ("forelight backup --data d", "--to"),
+            ("forelight status kitchen --interval 0s", "--interval"),
+            ("forelight jobs --state sleeping", "--state"),
+            ("forelight jobs --most 0", "--most"),
             ("forelight simulate --nodes 3", "--nodes"),
             ("forelight simulate --confidence 90", "--confidence"),
             ("forelight simulate --pool 0", "--pool"),

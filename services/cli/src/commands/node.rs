@@ -218,6 +218,11 @@ fn report(nodes: &[Node], now: Timestamp) -> String {
         let reason = node.set_aside.as_deref().unwrap_or_default();
         text += &format!("{} is set aside: {reason}\n", node.name);
     }
+    for node in nodes {
+        if let Some(reason) = &node.idle_reason {
+            text += &format!("{} is idle: {reason}\n", node.name);
+        }
+    }
     text
 }
 

@@ -1,0 +1,90 @@
+//! `forelight jobs`: the farm's jobs, newest first.
+
+use super::status::bar;
+use crate::connection::connect;
+use crate::failure::BadInput;
+use crate::options::ConnectionOptions;
+use crate::output;
+use crate::quantities::clock;
+use crate::table::{Align, Table};
+use anyhow::{Context, Result};
+use forelight_protocol::{Job, JobState, Timestamp};
+
+/// List jobs: how far each is, and when it will be ready
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight jobs --data farm-data
+  forelight jobs --state rendering --project film --data farm-data
+  forelight jobs --most 200 --json --server http://farm:7878
+
+`forelight status JOB` has more of one of them. A job that is late, or whose promise is at risk, is marked with `!`.")]
+pub struct Args {
+    /// Only jobs in this state: previewing, profiling, booked, rendering, done, failed or cancelled
+    #[arg(long, value_name = "STATE", value_parser = state)]
+    state: Option<JobState>,
+    /// Only jobs of this project
+    #[arg(long, value_name = "NAME")]
+    project: Option<String>,
+    /// At most so many, the newest
+    #[arg(long, value_name = "COUNT", default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=200))]
+    most: u32,
+    /// Print the jobs as JSON to standard output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    connection: ConnectionOptions,
+}
+
+fn state(text: &str) -> Result<JobState, String> {
+    JobState::from_name(text)
+        .ok_or_else(|| format!("expected one of {}", JobState::ALL.map(JobState::name).join(", ")))
+}
+
+/// Runs the command.
+pub async fn run(args: Args) -> Result<()> {
+    if args.project.as_deref() == Some("") {
+        return Err(BadInput::new("--project: a name has 1 character or more").into());
+    }
+    let client = connect(&args.connection)?;
+    let state = args.state.map(|state| ("state", state.name()));
+    let project = args.project.as_deref().map(|project| ("project", project));
+    let filters: Vec<_> = state.into_iter().chain(project).collect();
+    let jobs = client.newest_jobs(&filters, args.most).await.context("cannot list the jobs")?;
+    if args.json { output::json(&jobs) } else { output::print(&report(&jobs, Timestamp::now())) }
+}
+
+fn report(jobs: &[Job], now: Timestamp) -> String {
+    if jobs.is_empty() {
+        return "there are no such jobs\n".into();
+    }
+    let mut table = Table::new(&[
+        ("job", Align::Left),
+        ("project", Align::Left),
+        ("state", Align::Left),
+        ("progress", Align::Left),
+        ("frames", Align::Right),
+        ("ready", Align::Right),
+        ("deadline", Align::Right),
+        ("", Align::Left),
+        ("id", Align::Left),
+    ]);
+    let time = |at: Option<Timestamp>| at.map_or("-".into(), |at| clock(at, now));
+    for job in jobs {
+        let ready = if job.state == JobState::Done { job.finished_at } else { job.eta };
+        let late = ready.zip(job.deadline).is_some_and(|(ready, deadline)| ready > deadline);
+        let at_risk = job.promise.as_ref().is_some_and(|promise| !promise.kept && !job.state.is_final());
+        table.row([
+            job.name.clone(),
+            job.project.clone(),
+            job.state.to_string(),
+            bar(job.progress, 12),
+            format!("{}/{}", job.frames_done, job.frames_total),
+            time(ready),
+            time(job.deadline),
+            if late || at_risk { "!".into() } else { String::new() },
+            job.id.to_string(),
+        ]);
+    }
+    table.render()
+}

@@ -1,0 +1,327 @@
+//! `forelight status`: how a job stands.
+
+use crate::connection::connect;
+use crate::failure::{BadInput, Interrupted};
+use crate::interrupt::Interrupt;
+use crate::options::{ConnectionOptions, duration};
+use crate::output;
+use crate::quantities::{clock, seconds};
+use anyhow::{Context, Result, bail};
+use forelight_protocol::{Job, JobId, JobState, Timestamp, Verdict};
+use forelight_worker::Client;
+use std::io::IsTerminal;
+use std::time::Duration;
+
+/// Show how a job stands: progress, forecast against booking, when it will be ready, why it waits, what it cost so far
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight status 0192f0c1-7a3b-7c55-8f00-0123456789ab --data farm-data
+  forelight status kitchen --watch --data farm-data
+  forelight status kitchen --json --server http://farm:7878
+  forelight status kitchen --watch --json --data farm-data > kitchen.jsonl
+
+With --watch the picture is kept up to date until the job is over; the exit code is then 0 only if all frames were delivered. With --json as well, \
+each change is a line of its own.
+
+`forecast` is what was quoted, and what is expected now that some frames are done; `booked` is what the plan set aside for it. `cost` is what the time of \
+its nodes has cost so far, what was lost and the quote itself included.")]
+pub struct Args {
+    /// Its id, or its name: of several jobs of the same name the newest
+    job: String,
+    /// Keep the picture up to date until the job is over
+    #[arg(short, long)]
+    watch: bool,
+    /// Time between two looks, with --watch
+    #[arg(long, value_name = "DURATION", default_value = "1s", value_parser = duration)]
+    interval: Duration,
+    /// Print the job as JSON to standard output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    connection: ConnectionOptions,
+}
+
+/// Runs the command.
+pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
+    let client = connect(&args.connection)?;
+    let job = find(&client, &args.job).await?;
+    if !args.watch {
+        return if args.json { output::json(&job) } else { output::print(&report(&job, Timestamp::now())) };
+    }
+    let last = watch(&args, &client, job, &interrupt).await?;
+    match last.state {
+        JobState::Done => Ok(()),
+        state => {
+            bail!("the job is {state}{}", last.error.map_or(String::new(), |error| format!(": {error}")))
+        }
+    }
+}
+
+/// The job of this id, or the newest of this name.
+async fn find(client: &Client, wanted: &str) -> Result<Job> {
+    let id = match wanted.parse::<JobId>() {
+        Ok(id) => id,
+        Err(_) => {
+            let named = client.jobs_named(wanted).await.context("cannot list the jobs")?;
+            let Some(newest) = named.first() else {
+                return Err(BadInput::new(format!("{wanted}: there is no job of this id or name"))
+                    .hint("`forelight jobs` lists them")
+                    .into());
+            };
+            newest.id
+        }
+    };
+    client.job(id).await.with_context(|| format!("cannot read job {wanted}"))
+}
+
+/// Shows the job whenever it changes, until it is over.
+async fn watch(args: &Args, client: &Client, mut job: Job, interrupt: &Interrupt) -> Result<Job> {
+    let stopped = interrupt.token();
+    let in_place = !args.json && std::io::stdout().is_terminal();
+    let mut shown = String::new();
+    loop {
+        let text = if args.json {
+            format!("{}\n", serde_json::to_string(&job).context("cannot write JSON")?)
+        } else {
+            report(&job, Timestamp::now())
+        };
+        if text != shown {
+            // Up over what was shown before, and away with it.
+            let up = if in_place && !shown.is_empty() {
+                format!("\x1b[{}A\x1b[J", shown.lines().count())
+            } else {
+                String::new()
+            };
+            output::print(&(up + &text))?;
+            shown = text;
+        }
+        if job.state.is_final() {
+            return Ok(job);
+        }
+        tokio::select! {
+            () = tokio::time::sleep(args.interval) => {}
+            () = stopped.cancelled() => {
+                return Err(anyhow::Error::from(Interrupted).context(format!("job {} goes on", job.id)));
+            }
+        }
+        job = client.job(job.id).await.with_context(|| format!("cannot read job {}", job.id))?;
+    }
+}
+
+/// Cells of the progress bar.
+const CELLS: usize = 40;
+
+/// A share, 0 to 1, as a bar and per cent.
+pub fn bar(share: f64, cells: usize) -> String {
+    let share = share.clamp(0.0, 1.0);
+    // Full only when it is.
+    let full = (share * cells as f64).floor() as usize;
+    format!("[{}{}] {:3.0} %", "#".repeat(full), ".".repeat(cells - full), (share * 100.0).floor())
+}
+
+/// All of it, for people.
+fn report(job: &Job, now: Timestamp) -> String {
+    let mut text = format!("{}  {}\n", bar(job.progress, CELLS), job.name);
+    let mut line = |name: &str, what: String| text += &format!("{name:<10} {what}\n");
+    line("job", format!("{} of project {}", job.id, job.project));
+    line("state", format!("{}: {} of {} frames done", job.state, job.frames_done, job.frames_total));
+    if let Some(seed) = job.seed.as_ref().filter(|seed| !seed.ready && !job.state.is_final()) {
+        let filled = format!("{} of {} parts filled", seed.parts_done, seed.parts);
+        line("cache", format!("{}  {filled}; the frames wait for it", bar(seed.progress, CELLS / 2)));
+    }
+    if let Some(waits) = &job.waits {
+        let until = waits.until.map_or(String::new(), |at| format!("; it begins at {}", clock(at, now)));
+        line("waits", format!("{}{until}", waits.because.trim_start_matches("waits ")));
+    }
+    if let Some(live) = &job.live {
+        let cpu = &live.cpu_seconds;
+        let (quote, whole) = (&cpu.quote, &cpu.whole);
+        line(
+            "forecast",
+            format!("{} of CPU time (P50), {} (P80) were quoted", seconds(quote.p50), seconds(quote.p80)),
+        );
+        if live.frames_done > 0 {
+            let so_far =
+                format!("{} (P50), {} (P80) are expected now", seconds(whole.p50), seconds(whole.p80));
+            line("", format!("{so_far}; {} are done", seconds(cpu.spent)));
+        }
+        let booked = &live.booked;
+        let off = |is_off: bool| if is_off { ": exceeded" } else { "" };
+        let confidence = booked.confidence.name().to_uppercase();
+        let mut what = format!("{} at {confidence}{}", seconds(booked.cpu_seconds), off(live.cost_is_off));
+        if let Some(finish) = booked.finish {
+            what += &format!(", ready by {}{}", clock(finish, now), off(live.finish_is_off));
+        }
+        line("booked", what);
+    }
+    line("ready", ready(job, now));
+    if let Some(promise) = job.promise.as_ref().filter(|_| !job.state.is_final()) {
+        let word = if promise.kept { "kept" } else { "at risk" };
+        let rescue = promise.rescue.as_ref().map_or(String::new(), |rescue| format!("; {}", rescue.words));
+        line(
+            "promise",
+            format!("{word}, with a probability of {:.0} %{rescue}", promise.probability * 100.0),
+        );
+    } else if let Some(verdict) = job.verdict.as_ref().filter(|said| said.verdict != Verdict::OnTime) {
+        verdict.reasons.iter().for_each(|reason| line("", reason.clone()));
+    }
+    line("cost", cost(job));
+    if let Some(error) = &job.error {
+        line("error", error.clone());
+    }
+    text
+}
+
+/// When it was or will be ready, and what that means for its deadline.
+fn ready(job: &Job, now: Timestamp) -> String {
+    let (at, said) = match (job.state, job.finished_at, job.eta) {
+        (JobState::Done, Some(at), _) => (at, format!("since {}", clock(at, now))),
+        (state, _, _) if state.is_final() => return format!("never: it is {state}"),
+        (_, _, Some(at)) => (at, format!("at {} as things stand", clock(at, now))),
+        (_, _, None) if job.plan_id.is_none() => {
+            let deadline = job.deadline.map_or(String::new(), |at| format!("; wanted by {}", clock(at, now)));
+            return format!("not known before it is booked{deadline}");
+        }
+        (_, _, None) => return "never as things stand: nothing of it is booked".to_owned(),
+    };
+    let against = job.deadline.map_or(String::new(), |deadline| {
+        let late = at.micros_since(deadline);
+        let word = if late > 0 { "after" } else { "before" };
+        let by = seconds(late.unsigned_abs() as f64 * 1e-6);
+        format!(", {by} {word} the deadline at {}", clock(deadline, now))
+    });
+    said + &against
+}
+
+/// What it cost so far and will have cost, beside its budget.
+fn cost(job: &Job) -> String {
+    let mut parts: Vec<String> = job.spent.iter().map(|spent| format!("{spent} so far")).collect();
+    if let Some(whole) = job.live.as_ref().and_then(|live| live.cost).filter(|_| !job.state.is_final()) {
+        parts.push(format!("{} (P50), {} (P80) expected for all frames", whole.p50, whole.p80));
+    }
+    parts.extend(job.live.iter().filter_map(|live| live.booked.cost).map(|cost| format!("{cost} booked")));
+    parts.extend(job.budget.map(|budget| format!("its budget is {budget}")));
+    parts.join("; ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use forelight_protocol::{
+        Booked, Confidence, LiveFigure, LiveForecast, Money, MoneyQuantiles, PlanId, Promise, Quantiles,
+        RenderSettingsRequest, SceneDigest, SceneSummary,
+    };
+    use serde_json::json;
+
+    fn at(seconds: i64) -> Timestamp {
+        let evening: Timestamp = "2026-03-01T18:00:00Z".parse().expect("an instant");
+        evening.plus_micros(seconds * 1_000_000)
+    }
+
+    fn job() -> Job {
+        let scene = SceneSummary {
+            name: "a".into(),
+            digest: SceneDigest([0; 32]),
+            frames: 10,
+            width: 8,
+            height: 8,
+            objects: 1,
+            materials: 1,
+            triangles: 2,
+        };
+        serde_json::from_value(json!({
+            "id": "0192f0c1-7a3b-7c55-8f00-0123456789ab", "name": "kitchen", "project": "film", "state": "profiling",
+            "bundle": {"path": "/a"}, "scene": scene, "frames": "0-9", "settings": RenderSettingsRequest::default().complete((8, 8)),
+            "samples": 16, "profile_frames": 1, "deadline": at(3600), "budget": 500_000, "confidence": "p80", "priority": 0,
+            "frames_total": 10, "frames_done": 0, "progress": 0.0, "verdict": null, "plan_id": null, "eta": null, "error": null,
+            "created_at": at(0), "finished_at": null,
+        }))
+        .expect("a job")
+    }
+
+    fn quantiles(p50: f64) -> Quantiles {
+        Quantiles { mean: p50, p50, p80: p50 * 2.0, p95: p50 * 3.0 }
+    }
+
+    #[test]
+    fn a_bar_is_full_only_when_all_is_done() {
+        assert_eq!(bar(0.0, 4), "[....]   0 %");
+        assert_eq!(bar(0.999, 4), "[###.]  99 %");
+        assert_eq!(bar(1.0, 4), "[####] 100 %");
+        assert_eq!(bar(f64::MAX, 4), "[####] 100 %");
+    }
+
+    #[test]
+    fn a_job_that_is_not_booked_says_what_it_waits_for_and_nothing_that_is_not_known() {
+        let text = report(&job(), at(0));
+        assert!(text.contains("not known before it is booked; wanted by"), "{text}");
+        assert!(text.contains("its budget is 0.50"), "{text}");
+        assert!(!text.contains("forecast") && !text.contains("promise"), "{text}");
+    }
+
+    #[test]
+    fn a_job_under_way_shows_forecast_against_booking_what_is_left_of_its_promise_and_sums_below_a_cent() {
+        let cpu_seconds = LiveFigure {
+            quote: quantiles(100.0),
+            spent: 60.0,
+            remaining: quantiles(60.0),
+            whole: quantiles(120.0),
+            factor: 1.2,
+        };
+        let money = |units: i64| MoneyQuantiles {
+            mean: Money(units),
+            p50: Money(units),
+            p80: Money(units),
+            p95: Money(units),
+        };
+        let live = LiveForecast {
+            at: at(0),
+            frames_done: 5,
+            work: LiveFigure::default(),
+            cpu_seconds,
+            cost: Some(money(4_321)),
+            finish: Some(at(1800)),
+            booked: Booked {
+                confidence: Confidence::P80,
+                cpu_seconds: 200.0,
+                cost: Some(Money(3_000)),
+                finish: Some(at(1700)),
+            },
+            cost_is_off: true,
+            finish_is_off: false,
+        };
+        let promise =
+            Promise { kept: true, probability: 0.93, finish: Some(at(1800)), since: at(0), rescue: None };
+        let under_way = Job {
+            state: JobState::Rendering,
+            plan_id: Some(PlanId::new()),
+            progress: 0.5,
+            frames_done: 5,
+            eta: Some(at(1800)),
+            live: Some(live),
+            promise: Some(promise),
+            spent: Some(Money(1_234)),
+            ..job()
+        };
+        let text = report(&under_way, at(0));
+        for said in [
+            "[####################....................]  50 %  kitchen",
+            "rendering: 5 of 10 frames done",
+            "1m 40s of CPU time (P50), 3m 20s (P80) were quoted",
+            "2m 00s (P50), 4m 00s (P80) are expected now; 60.0 s are done",
+            "3m 20s at P80: exceeded, ready by",
+            "30m 00s before the deadline",
+            "kept, with a probability of 93 %",
+            "0.001234 so far; 0.004321 (P50), 0.004321 (P80) expected for all frames; 0.003 booked; its budget is 0.50",
+        ] {
+            assert!(text.contains(said), "{said}: {text}");
+        }
+        let late = Job { eta: Some(at(3660)), ..under_way.clone() };
+        assert!(report(&late, at(0)).contains("60.0 s after the deadline"));
+        let done = Job { state: JobState::Done, finished_at: Some(at(1000)), progress: 1.0, ..under_way };
+        let text = report(&done, at(0));
+        assert!(text.contains("since ") && text.contains("43m 20s before the deadline"), "{text}");
+        assert!(!text.contains("promise") && !text.contains("expected for all"), "{text}");
+    }
+}
