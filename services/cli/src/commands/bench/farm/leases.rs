@@ -2,22 +2,24 @@
 //! service.
 //!
 //! Both sides do the same: a frame is claimed, its lease renewed once with progress, its result committed; every call is a
-//! transaction that is flushed to disk before it is answered. *Bare* is one thread that calls the store alone, on a database of its
-//! own: no HTTP, no tokens, no JSON on the wire, nobody to wait for. *HTTP* is the service in a process of its own, and in this process
+//! transaction that is flushed to disk before it is answered. *Bare* is SQL written by hand on a database file of its own (`bare`), with as many threads as do
+//! best: no HTTP, no tokens, no JSON on the wire, no store. *HTTP* is the service in a process of its own, and in this process
 //! as many workers at a time as asked for, with the client that real workers have. The two take turns, so that what else the
 //! machine does meets both; medians of the rounds are compared.
 
+use super::bare::Bare;
 use super::{ServiceProcess, fill, prepare, quantile, register, registration, rendered};
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::output::{self, Bars};
 use crate::table::{Align, Table};
 use anyhow::{Context, Result, anyhow, bail};
-use forelight_protocol::{ClaimRequest, NodeId, RenewRequest, ResultRequest, TaskSpec, Timestamp};
-use forelight_store::{Answered, IdempotencyKey, Store};
+use forelight_protocol::{ClaimRequest, NodeId, RenewRequest, ResultRequest, TaskSpec};
+use forelight_store::{DATABASE, Store};
 use forelight_worker::{Client, Token};
 use serde::Serialize;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::task::JoinSet;
 use uuid::Uuid;
@@ -29,8 +31,8 @@ Examples:
   forelight bench leases
   forelight bench leases --workers 32 --rounds 9 --seconds 3 --json
 
-A call is a claim, a renewal or a completion; each is on disk before it is answered. Bare is the same transactions, one after the \
-other, without service and HTTP.")]
+A call is a claim, a renewal or a completion; each is on disk before it is answered. Bare is the same \
+transactions as SQL written by hand, without service and HTTP, by as many threads as do best.")]
 pub struct Args {
     /// Workers that call at the same time
     #[arg(long, value_name = "COUNT", default_value_t = 16, value_parser = clap::value_parser!(u16).range(1..=1000))]
@@ -53,6 +55,8 @@ pub struct Args {
 #[derive(Debug, Serialize)]
 struct Document {
     workers: u16,
+    /// Threads that do best without the service.
+    bare_threads: u32,
     /// Calls a second, by round.
     bare: Vec<f64>,
     http: Vec<f64>,
@@ -69,13 +73,18 @@ struct Document {
 const FRAMES_A_SECOND: u32 = 4000;
 
 /// How long leases last.
-const TTL: Duration = Duration::from_secs(30);
+pub const TTL: Duration = Duration::from_secs(30);
 
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let document = runtime.block_on(measure(args, interrupt))?;
     if args.json { output::json(&document) } else { output::print(&report(&document)) }
+}
+
+/// Something that takes its thread for a while.
+async fn blocking<T: Send + 'static>(work: impl FnOnce() -> Result<T> + Send + 'static) -> Result<T> {
+    tokio::task::spawn_blocking(work).await.map_err(|error| anyhow!(error))?
 }
 
 async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
@@ -85,12 +94,15 @@ async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
         None => tempfile::tempdir()?,
     };
     let bars = Bars::new(args.json);
-    let frames = FRAMES_A_SECOND.saturating_mul(u32::from(args.rounds) * u32::from(args.seconds)).min(60_000);
+    let frames =
+        FRAMES_A_SECOND.saturating_mul(u32::from(args.rounds + 3) * u32::from(args.seconds)).min(80_000);
     let spinner = bars.spinner(format!("two farms of {frames} frames each"));
     let bare_data = folder.path().join("bare");
     let store = Store::open(&bare_data).await?;
     fill(&store, frames).await?;
-    let bare_node = register(&store, "bare").await?.id;
+    let node = register(&store, "bare").await?.id;
+    store.close().await;
+    let mut bare_side = Bare::new(&bare_data.join(DATABASE), node)?;
     let data = folder.path().join("http");
     prepare(&data, frames).await?;
     let service = ServiceProcess::start(&data)?;
@@ -103,17 +115,23 @@ async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
     }
     let (mut bare, mut http, mut latencies) = (Vec::new(), Vec::new(), Vec::new());
     let time = Duration::from_secs(u64::from(args.seconds));
+    bare_side = blocking(move || {
+        bare_side.try_threads(time)?;
+        Ok(bare_side)
+    })
+    .await?;
+    let bare_side = Arc::new(bare_side);
     let bar = bars.bar("rounds", u64::from(args.rounds));
     for _ in 0..args.rounds {
         if interrupt.is_set() {
             return Err(Interrupted.into());
         }
-        bare.push(bare_round(&store, bare_node, time).await?);
+        let side = bare_side.clone();
+        bare.push(blocking(move || side.best_round(time)).await?);
         http.push(http_round(&workers, time, &mut latencies).await?);
         bar.inc(1);
     }
     bar.finish_and_clear();
-    store.close().await;
     let median = |rates: &[f64]| {
         let mut sorted = rates.to_vec();
         sorted.sort_by(f64::total_cmp);
@@ -123,6 +141,7 @@ async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
     let (bare_median, http_median) = (median(&bare), median(&http));
     Ok(Document {
         workers: args.workers,
+        bare_threads: bare_side.threads,
         bare,
         http,
         bare_median,
@@ -131,26 +150,6 @@ async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
         latency_p50_ms: 1e3 * quantile(&latencies, 0.5),
         latency_p99_ms: 1e3 * quantile(&latencies, 0.99),
     })
-}
-
-/// Calls a second of the store alone.
-async fn bare_round(store: &Store, node: NodeId, time: Duration) -> Result<f64> {
-    let start = Instant::now();
-    let mut calls = 0u32;
-    while start.elapsed() < time {
-        let key =
-            IdempotencyKey { principal: [0; 32], key: Uuid::now_v7().to_string(), request_hash: [0; 32] };
-        let claimed = store.claim(node, TTL, Some(&key), Timestamp::now()).await?;
-        let Some(Answered::Fresh(lease)) = claimed else {
-            bail!("there are no frames left: fewer rounds, please")
-        };
-        let renewal = RenewRequest { fence: lease.fence, progress: 0.5, ..RenewRequest::default() };
-        store.renew(lease.lease_id, &renewal, TTL, Timestamp::now()).await?;
-        let result = result_of(&lease.spec)?;
-        store.commit_result(lease.lease_id, lease.fence, &result, Timestamp::now()).await?;
-        calls += 3;
-    }
-    Ok(f64::from(calls) / start.elapsed().as_secs_f64())
 }
 
 /// Calls a second of the service, all workers together; adds the seconds that each call took.
@@ -221,9 +220,10 @@ fn report(document: &Document) -> String {
         share(document.ratio),
     ]);
     format!(
-        "{}{} workers; a call over HTTP took {:.1} ms (median), {:.1} ms (p99)\n",
+        "{}{} workers, {} threads without the service; a call over HTTP took {:.1} ms (median), {:.1} ms (p99)\n",
         table.render(),
         document.workers,
+        document.bare_threads,
         document.latency_p50_ms,
         document.latency_p99_ms
     )

@@ -1,5 +1,6 @@
 //! What `bench leases` and `bench workers` share: a service of this program in a process of its own, with a farm's worth of work in it.
 
+mod bare;
 pub mod leases;
 pub mod workers;
 
