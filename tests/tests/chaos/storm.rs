@@ -1,6 +1,6 @@
 //! Everything at once: workers and service are killed at random moments, the network between them loses, doubles and delays messages, the
 //! service's clock is set forward and back by hours, its disk is full for moments; all the while small frames are rendered, job after
-//! job. In the end every frame is there once, with the bits of an undisturbed render, and the books balance.
+//! job, those of every second job with an irradiance cache that workers plan, fill in parts and put together before. In the end every frame is there once, with the bits of an undisturbed render, and the books balance.
 //!
 //! The story follows from a seed (when exactly things happen depends on the machine, too). Twelve kills by default; two
 //! hundred, as it is meant:
@@ -40,40 +40,65 @@ fn number(variable: &str, default: u64) -> u64 {
     std::env::var(variable).ok().map_or(default, |text| text.parse().expect("a number"))
 }
 
-/// What `forelight render` makes of the frames.
-fn undisturbed() -> BTreeMap<u32, (Channels, RenderStats)> {
+/// Whether the frames of the job of this number share an irradiance cache: every second job, beginning with the first.
+fn is_cached(number: usize) -> bool {
+    number % 2 == 0
+}
+
+/// Camera samples and what else sets the two kinds of jobs apart, as flags.
+fn quality(cached: bool) -> Vec<String> {
+    let mut flags = vec!["--width".into(), WIDTH.to_string(), "--height".into(), HEIGHT.to_string()];
+    if cached {
+        // Two bounces: two levels are filled and put together, one after the other.
+        let cache = ["--spp", "2", "--cache", "on", "--cache-rays", "48", "--ambient-bounces", "2"];
+        flags.extend(cache.map(str::to_owned));
+    } else {
+        flags.extend(["--spp".to_owned(), SAMPLES_PER_PIXEL.to_string()]);
+    }
+    flags
+}
+
+/// What the program makes of the frames without a farm: with one file for the cache that they share, if they share one.
+fn undisturbed(cached: bool) -> BTreeMap<u32, (Channels, RenderStats)> {
     let folder = tempfile::tempdir().unwrap();
-    let scene = shipped(SCENE).display().to_string();
+    let file = |name: &str| folder.path().join(name).display().to_string();
+    let run = |words: &[&str], flags: &[String]| {
+        let scene = shipped(SCENE).display().to_string();
+        let mut arguments: Vec<String> = words.iter().map(|&word| word.to_owned()).collect();
+        arguments.extend([scene, "--preview".to_owned(), "cpu".to_owned()]);
+        arguments.extend(quality(cached));
+        arguments.extend_from_slice(flags);
+        run_well(&arguments)
+    };
+    let flags = |flags: &[&str]| flags.iter().map(|&flag| flag.to_owned()).collect::<Vec<_>>();
+    if cached {
+        let frames = format!("0-{}", FRAMES - 1);
+        run(&["cache", "plan"], &flags(&["--frames", &frames, "--out", &file("plan")]));
+        run(&["cache", "fill"], &flags(&["--cache-file", &file("plan"), "--out", &file("full")]));
+    }
     let render = |frame: u32| {
-        let out = folder.path().join(format!("{frame}.exr"));
-        let arguments = [
-            "render",
-            &scene,
-            "--width",
-            &WIDTH.to_string(),
-            "--height",
-            &HEIGHT.to_string(),
-            "--spp",
-            &SAMPLES_PER_PIXEL.to_string(),
-            "--preview",
-            "cpu",
-            "--frame",
-            &frame.to_string(),
-            "--out",
-            out.to_str().unwrap(),
-            "--json",
-        ];
-        let stats: RenderStats = serde_json::from_str(&run_well(&arguments)).unwrap();
+        let out = file(&format!("{frame}.exr"));
+        let mut own = flags(&["--frame", &frame.to_string(), "--out", &out, "--json"]);
+        if cached {
+            own.extend(flags(&["--cache-file", &file("full")]));
+        }
+        let stats: RenderStats = serde_json::from_str(&run(&["render"], &own)).unwrap();
         (frame, (Channels::of(&std::fs::read(out).unwrap()), stats))
     };
     (0..FRAMES).map(render).collect()
 }
 
 async fn submit(http: &Http, bundle: &Bundle, number: usize) -> Job {
-    let request = json!({
+    let mut request = json!({
         "name": format!("storm {number}"), "bundle": {"id": bundle.id}, "frames": format!("0-{}", FRAMES - 1),
         "settings": {"width": WIDTH, "height": HEIGHT, "spp": SAMPLES_PER_PIXEL}, "samples": 32, "profile_frames": 2,
     });
+    if is_cached(number) {
+        request["cache"] = json!("shared");
+        request["settings"] = json!({
+            "width": WIDTH, "height": HEIGHT, "spp": 2, "cache": "on", "cache_rays": 48, "ambient_bounces": 2,
+        });
+    }
     // The disk is not full when this is asked, but a service that has just been started may be busy.
     let key = format!("storm-{number}");
     eventually("a job to be taken", PATIENCE, async || {
@@ -197,7 +222,7 @@ impl Storm {
 async fn a_storm_of_kills_lost_messages_full_disks_and_clocks_that_are_set_loses_no_frame_and_changes_no_bit()
 {
     let wanted = number("FORELIGHT_STORM_KILLS", 12);
-    let reference = undisturbed();
+    let references = [false, true].map(undisturbed);
     let mut storm = Storm::new(number("FORELIGHT_STORM_SEED", 1)).await;
     let http = storm.service.http(Role::Operator);
     let bundle: Bundle = http.upload(zipped(&shipped(SCENE)), None).await.parsed(StatusCode::CREATED).await;
@@ -217,7 +242,11 @@ async fn a_storm_of_kills_lost_messages_full_disks_and_clocks_that_are_set_loses
     }
     // The storm is over. What is left is done, and nothing is held for ever.
     storm.proxy.calm();
-    for job in &jobs {
+    if jobs.len() == 1 {
+        jobs.push(submit(&http, &bundle, 1).await);
+    }
+    for (number, job) in jobs.iter().enumerate() {
+        let reference = &references[usize::from(is_cached(number))];
         let done = eventually("the end of a job", PATIENCE, async || {
             let job = job_of(&http, job).await;
             job.state.is_final().then_some(job)
@@ -225,6 +254,7 @@ async fn a_storm_of_kills_lost_messages_full_disks_and_clocks_that_are_set_loses
         .await;
         assert_eq!(done.state, JobState::Done, "{:?}", done.error);
         assert_eq!((done.frames_done, done.progress), (FRAMES, 1.0));
+        assert_eq!(done.seed.is_some_and(|seed| seed.ready), is_cached(number), "{}", done.name);
         for row in frames_of(&http, job).await {
             let (image, stats) = &reference[&row.frame];
             assert_eq!(row.state, FrameState::Done, "frame {}", row.frame);
