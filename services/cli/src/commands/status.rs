@@ -87,13 +87,9 @@ async fn watch(args: &Args, client: &Client, mut job: Job, interrupt: &Interrupt
             report(&job, Timestamp::now())
         };
         if text != shown {
-            // Up over what was shown before, and away with it.
-            let up = if in_place && !shown.is_empty() {
-                format!("\x1b[{}A\x1b[J", shown.lines().count())
-            } else {
-                String::new()
-            };
-            output::print(&(up + &text))?;
+            // A clean screen, however the lines before were wrapped.
+            let clear = if in_place { "\x1b[H\x1b[2J" } else { "" };
+            output::print(&format!("{clear}{text}"))?;
             shown = text;
         }
         if job.state.is_final() {
