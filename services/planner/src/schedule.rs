@@ -293,6 +293,7 @@ pub(crate) fn as_early_as_possible(state: &mut State, job: usize) {
     split_the_last(state, job);
 }
 
+/// Places a frame where it ends first, in tiles if it fits nowhere as a whole. Returns the nodes' time that it takes.
 fn place_early(state: &mut State, job: usize, number: i64, frame_work: u64) -> Option<i64> {
     let work = &state.problem.jobs[job];
     if work.is_hopeless {
@@ -308,9 +309,16 @@ fn place_early(state: &mut State, job: usize, number: i64, frame_work: u64) -> O
         prefer: Prefer::Early,
         except: None,
     };
-    let (node, fit) = state.find(work, &search)?;
-    state.book(job, Placed { node, start: fit.start, end: fit.end, task: Task::Frame(number) });
-    Some(fit.end - fit.start)
+    if let Some((node, fit)) = state.find(work, &search) {
+        state.book(job, Placed { node, start: fit.start, end: fit.end, task: Task::Frame(number) });
+        return Some(fit.end - fit.start);
+    }
+    // No window is long enough for all of it.
+    let before = state.placed[job].len();
+    place_tiles(state, job, number, frame_work, i64::MAX).then(|| {
+        let tiles = state.placed[job].iter().skip(before);
+        tiles.fold(0i64, |sum, tile| sum.saturating_add(tile.end - tile.start))
+    })
 }
 
 /// Splits whole frames at the end of a job into tiles, one after the other, as long as the job ends earlier for it.

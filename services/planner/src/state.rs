@@ -230,6 +230,11 @@ impl<'p, 'a> State<'p, 'a> {
         !self.missing_seed(job).is_empty()
     }
 
+    /// How many frames have no place, the seed's tasks included.
+    pub fn missing_tasks(&self, job: usize) -> usize {
+        self.missing(job).len() + self.missing_seed(job).len()
+    }
+
     /// Whether all is placed, and by the deadline if there is one.
     pub fn is_kept(&self, job: usize) -> bool {
         let deadline = self.problem.jobs[job].job.deadline;
