@@ -382,8 +382,7 @@ fn rescue(input: &Input, new: &Plan, job: u64) -> Result<Option<(Change, i64)>, 
         if !place_in_time(&mut state, index) {
             continue;
         }
-        let cost = state.lanes.iter().zip(&problem.nodes).flat_map(|(lane, node)| lane.rentals(node));
-        let added = cost.fold(0i64, |sum, rental| sum.saturating_add(rental.cost)).saturating_sub(new.cost);
+        let added = state.cost().saturating_sub(new.cost);
         // A later deadline is no rescue while there is one that keeps this one.
         let keeps = !matches!(change, Change::Later { .. });
         let better = match &best {
