@@ -10,13 +10,13 @@
 //! a bound.
 
 use crate::calendar::Window;
-use crate::model::{Infeasible, Prices, Proof, Reserved, in_millionths};
+use crate::model::{Infeasible, Prices, Proof, Reserved, in_millionths, price_of};
 use crate::problem::{Problem, Work};
 use crate::proof::{Counted, value};
 use crate::simplex::{Column, Programme, Solution};
 
-/// About as many variables as are solved in a third of a second.
-pub(crate) const MOST_VARIABLES: usize = 60_000;
+/// About as many variables as are solved in half a second.
+pub(crate) const MOST_VARIABLES: usize = 90_000;
 /// And as many slots as are worth the while.
 const MOST_SLOTS: usize = 96;
 const MICROSECONDS_PER_HOUR: f64 = 3.6e9;
@@ -24,8 +24,8 @@ const MICROSECONDS_PER_HOUR: f64 = 3.6e9;
 /// What the programme says.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Admission {
-    /// By job: time of each class that it gets, by class.
-    pub allotments: Vec<Vec<(usize, i64)>>,
+    /// By job: time that it gets.
+    pub allotments: Vec<Vec<Allotted>>,
     /// By job: whether its deadline can be met together with those of the other admitted jobs, as far as a fluid
     /// tells. True without a deadline.
     pub admitted: Vec<bool>,
@@ -35,11 +35,53 @@ pub(crate) struct Admission {
     pub infeasible: Option<Infeasible>,
 }
 
+/// Time of a class that a job gets in a slot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Allotted {
+    pub class: usize,
+    /// The slot.
+    pub start: i64,
+    pub end: i64,
+    /// Microseconds of the class's nodes that are not used up.
+    pub left: i64,
+}
+
 impl Admission {
     /// Everyone is admitted, and nothing is known.
     pub fn none(problem: &Problem) -> Self {
         let jobs = problem.jobs.len();
         Admission { allotments: vec![Vec::new(); jobs], admitted: vec![true; jobs], ..Admission::default() }
+    }
+
+    /// What others would pay for this time of a class, on top of what it costs.
+    pub fn worth(&self, class: usize, start: i64, end: i64) -> i64 {
+        let Some(prices) = self.proof.nodes.get(class) else { return 0 };
+        let slots = &self.proof.slots;
+        let first = slots.partition_point(|&slot| slot <= start).saturating_sub(1);
+        let mut worth = 0i64;
+        for (edges, &price) in slots.windows(2).zip(&prices.per_hour).skip(first) {
+            if edges[0] >= end {
+                break;
+            }
+            let time = end.min(edges[1]).saturating_sub(start.max(edges[0]));
+            if price > 0 && time > 0 {
+                worth = worth.saturating_add(price_of(price, time));
+            }
+        }
+        worth
+    }
+
+    /// The next instant after this one at which this time of the class is worth less.
+    pub fn cheaper_from(&self, class: usize, instant: i64) -> Option<i64> {
+        let prices = &self.proof.nodes.get(class)?.per_hour;
+        let slots = &self.proof.slots;
+        let slot = slots.partition_point(|&start| start <= instant).checked_sub(1)?;
+        let price = *prices.get(slot)?;
+        if price == 0 {
+            return None;
+        }
+        let next = (slot + 1..prices.len()).find(|&later| prices[later] < price).unwrap_or(prices.len());
+        slots.get(next).copied()
     }
 
     /// Whether an hour of this class at this instant is worth more than it costs: others would pay for it.
@@ -151,8 +193,8 @@ struct Model<'s, 'a> {
     rows: Vec<Vec<Option<u32>>>,
     /// Row of each limit in each slot.
     limit_rows: Vec<Vec<u32>>,
-    /// Job, class and column.
-    given: Vec<(usize, usize, usize)>,
+    /// Job, class, slot and column.
+    given: Vec<(usize, usize, usize, usize)>,
     /// Micro-units per hour in one unit of the programme's cost.
     unit: f64,
 }
@@ -250,7 +292,7 @@ impl<'s, 'a> Model<'s, 'a> {
                         entries.push((self.limit_rows[limit][slot], held.count as f64));
                     }
                 }
-                self.given.push((job, class, self.programme.columns.len()));
+                self.given.push((job, class, slot, self.programme.columns.len()));
                 self.programme.columns.push(Column { cost, entries });
             }
         }
@@ -269,15 +311,13 @@ impl<'s, 'a> Model<'s, 'a> {
         jobs
     }
 
-    fn allotments(&self, solution: &Solution) -> Vec<Vec<(usize, i64)>> {
-        let mut all: Vec<Vec<(usize, i64)>> = vec![Vec::new(); self.setting.problem.jobs.len()];
-        for &(job, class, column) in &self.given {
-            let time = (solution.x[column] * MICROSECONDS_PER_HOUR).round() as i64;
-            if time > 0 {
-                match all[job].iter_mut().find(|(other, _)| *other == class) {
-                    Some((_, sum)) => *sum = sum.saturating_add(time),
-                    None => all[job].push((class, time)),
-                }
+    fn allotments(&self, solution: &Solution) -> Vec<Vec<Allotted>> {
+        let slots = self.setting.slots;
+        let mut all: Vec<Vec<Allotted>> = vec![Vec::new(); self.setting.problem.jobs.len()];
+        for &(job, class, slot, column) in &self.given {
+            let left = (solution.x[column] * MICROSECONDS_PER_HOUR).round() as i64;
+            if left > 0 {
+                all[job].push(Allotted { class, start: slots[slot], end: slots[slot + 1], left });
             }
         }
         all

@@ -5,7 +5,7 @@
 //! leaves every later frame at least as much time, so a set that can be done in time is found to be. Then the sets are dealt
 //! out to the nodes, each set at what its rentals cost. Where nodes are billed plainly that is the optimum.
 
-use crate::lane::{Lane, Prefer, Wanted};
+use crate::lane::{Lane, Prefer, Unwanted, Wanted};
 use crate::model::Task;
 use crate::problem::Problem;
 use crate::state::{Placed, State};
@@ -75,7 +75,7 @@ impl Table {
                     duration,
                     uses: &[],
                 };
-                let Some(fit) = empty.fit(place, &wanted, &state.ledger, Prefer::Early, |_| false) else {
+                let Some(fit) = empty.fit(place, &wanted, &state.ledger, Prefer::Early, &Unwanted) else {
                     continue;
                 };
                 if table.best[set].is_none_or(|(_, _, end)| fit.end < end) {

@@ -2,24 +2,32 @@
 
 use std::cmp::Reverse;
 
+use crate::exchange::exchange;
 use crate::lane::Prefer;
 use crate::model::Task;
 use crate::state::{Placed, Search, State};
 
-/// Rounds over all frames; the second finds what the first made room for.
-const ROUNDS: usize = 2;
+/// A round that saves less than one part in so many is the last.
+const LEAST_GAIN: i64 = 2000;
 
-/// Moves frames of jobs with a deadline to where they save money and are still in time. Jobs without a deadline were
-/// promised to be early, not cheap.
-pub(crate) fn cheapen(state: &mut State) {
-    for _ in 0..ROUNDS {
-        if !cheapen_once(state) {
+/// Makes a plan cheaper, in so many rounds at most: gaps are closed up, so that what is left is in longer pieces; single frames move to where they
+/// save money; then frames change places. Each makes room for the next. Jobs without a deadline were promised to be early, not
+/// cheap: their frames move to earlier times on their nodes, and nowhere else.
+pub(crate) fn improve(state: &mut State, rounds: usize) {
+    cheapen(state);
+    for _ in 0..rounds {
+        let before = state.cost();
+        close_ranks(state);
+        cheapen(state);
+        exchange(state);
+        if before.saturating_sub(state.cost()) < before / LEAST_GAIN {
             break;
         }
     }
 }
 
-fn cheapen_once(state: &mut State) -> bool {
+/// Moves single frames of jobs with a deadline to where they save money and are still in time.
+fn cheapen(state: &mut State) {
     let problem = state.problem;
     // What each frame could save at most, the most promising first.
     let mut candidates: Vec<(Reverse<i64>, usize, Placed)> = Vec::new();
@@ -48,18 +56,16 @@ fn cheapen_once(state: &mut State) -> bool {
     }
     candidates
         .sort_unstable_by_key(|&(gain, job, placed)| (gain, job, placed.start, placed.node, placed.task));
-    let mut moved = false;
     for (_, job, placed) in candidates {
-        moved |= cheapen_frame(state, job, placed);
+        cheapen_frame(state, job, placed);
     }
-    moved
 }
 
-fn cheapen_frame(state: &mut State, job: usize, placed: Placed) -> bool {
+fn cheapen_frame(state: &mut State, job: usize, placed: Placed) {
     let problem = state.problem;
     let work = &problem.jobs[job];
     let Some(frame) = work.frames.iter().find(|frame| Some(frame.number) == placed.task.frame()) else {
-        return false;
+        return;
     };
     let node = problem.nodes[placed.node];
     let saved = state.lanes[placed.node].saved_without(node, placed.start, placed.end);
@@ -74,7 +80,7 @@ fn cheapen_frame(state: &mut State, job: usize, placed: Placed) -> bool {
             price.is_some_and(|price| price < saved || !node.is_plainly_billed())
         })
         .collect();
-    let Some(release) = state.earliest(job, placed.task) else { return false };
+    let Some(release) = state.earliest(job, placed.task) else { return };
     let search = Search {
         class_of_work: work.job.class,
         work: frame.work,
@@ -82,14 +88,79 @@ fn cheapen_frame(state: &mut State, job: usize, placed: Placed) -> bool {
         latest_end: work.job.deadline.unwrap_or(i64::MAX),
         classes: &cheaper,
         prefer: Prefer::Cheap,
+        below: saved,
         except: Some(placed.node),
+        for_others: false,
     };
-    match state.find(work, &search) {
-        Some((node, fit)) if fit.added_cost < saved => {
-            state.unbook(job, placed);
-            state.book(job, Placed { node, start: fit.start, end: fit.end, task: placed.task });
-            true
+    if let Some((node, fit)) = state.find(work, &search)
+        && fit.added_cost < saved
+    {
+        state.unbook(job, placed);
+        state.book(job, Placed { node, start: fit.start, end: fit.end, task: placed.task });
+    }
+}
+
+/// Moves frames on plainly billed nodes to earlier times that are free just before them, so that what is left is in fewer, longer pieces.
+fn close_ranks(state: &mut State) {
+    let problem = state.problem;
+    let mut by_node: Vec<Vec<(i64, usize, Placed)>> = vec![Vec::new(); problem.nodes.len()];
+    for job in 0..problem.jobs.len() {
+        for &placed in state.placed[job].iter().skip(state.kept[job]) {
+            if matches!(placed.task, Task::Frame(_)) && problem.nodes[placed.node].is_plainly_billed() {
+                by_node[placed.node].push((placed.start, job, placed));
+            }
         }
-        _ => false,
+    }
+    for pieces in &mut by_node {
+        pieces.sort_unstable_by_key(|&(start, job, placed)| (start, job, placed.task));
+        for &(start, job, placed) in pieces.iter() {
+            let Some(earliest) = state.earliest(job, placed.task) else { continue };
+            let (from, _) = state.lanes[placed.node].room_without(start, placed.end);
+            let by = start - from.max(earliest);
+            if by <= 0 {
+                continue;
+            }
+            let moved = Placed { start: start - by, end: placed.end - by, ..placed };
+            state.unbook(job, placed);
+            let fits = state.ledger.is_free(&problem.jobs[job].job.uses, moved.start, moved.end).is_ok();
+            state.book(job, if fits { moved } else { placed });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::close_ranks;
+    use crate::admission::Admission;
+    use crate::model::{Confidence, Frame, Input, Interval, Job, Node, Task, WorkTotal};
+    use crate::problem::Problem;
+    use crate::state::{Placed, State};
+
+    #[test]
+    fn gaps_are_closed_up_but_for_what_is_kept_and_what_is_not_released() {
+        let node =
+            Node { id: 1, speed: 1, calendar: vec![Interval { start: 0, end: None }], ..Node::default() };
+        let job = |id: u64, release: i64| Job {
+            id,
+            release: release * 1_000_000,
+            deadline: Some(100_000_000),
+            confidence: Confidence::P50,
+            total: WorkTotal { p50: 10, p80: 10, p95: 10 },
+            frames: vec![Frame { number: 0, work: 10, work_p80: 0 }],
+            ..Job::default()
+        };
+        let input =
+            Input { nodes: vec![node], jobs: vec![job(0, 0), job(1, 0), job(2, 45)], ..Input::default() };
+        let problem = Problem::new(&input);
+        let admission = Admission::none(&problem);
+        let mut state = State::new(&problem, &admission);
+        for (job, start) in [(0, 5), (1, 30), (2, 60)] {
+            let (start, end) = (start * 1_000_000, (start + 10) * 1_000_000);
+            state.book(job, Placed { node: 0, start, end, task: Task::Frame(0) });
+        }
+        state.kept[0] = 1;
+        close_ranks(&mut state);
+        let starts: Vec<i64> = state.placed.iter().map(|placed| placed[0].start / 1_000_000).collect();
+        assert_eq!(starts, [5, 15, 45]);
     }
 }

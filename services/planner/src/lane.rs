@@ -60,6 +60,35 @@ pub(crate) struct Fit {
     pub added_cost: i64,
     /// What is left of the gap behind it, where that matters.
     pub left: i64,
+    /// What others would pay for this time, where that is looked at.
+    pub worth: i64,
+}
+
+/// What time is worth to others.
+pub(crate) trait Market {
+    /// Micro-units that others would pay for this time on top of its price.
+    fn worth(&self, start: i64, end: i64) -> i64;
+    /// The next instant at which time is worth less.
+    fn cheaper_from(&self, instant: i64) -> Option<i64>;
+    /// Whether others would pay for time at this instant.
+    fn is_scarce(&self, instant: i64) -> bool;
+}
+
+/// Nobody else wants it.
+pub(crate) struct Unwanted;
+
+impl Market for Unwanted {
+    fn worth(&self, _: i64, _: i64) -> i64 {
+        0
+    }
+
+    fn cheaper_from(&self, _: i64) -> Option<i64> {
+        None
+    }
+
+    fn is_scarce(&self, _: i64) -> bool {
+        false
+    }
 }
 
 impl Fit {
@@ -67,7 +96,7 @@ impl Fit {
     pub fn rank(&self, prefer: Prefer) -> (i64, i64, i64) {
         match prefer {
             Prefer::Early => (self.end, self.added_cost, 0),
-            Prefer::Cheap => (self.added_cost, self.left, self.end),
+            Prefer::Cheap => (self.added_cost.saturating_add(self.worth), self.left, self.end),
         }
     }
 }
@@ -96,6 +125,11 @@ impl Lane {
         duration > self.longest_gap
     }
 
+    /// Whether nothing is booked.
+    pub fn is_empty(&self) -> bool {
+        self.used == 0
+    }
+
     /// What a booking of this length adds at least, wherever it is.
     pub fn least_added_cost(&self, node: &Node, duration: i64) -> i64 {
         if self.is_plain {
@@ -106,15 +140,15 @@ impl Lane {
 
     /// The best place for a booking.
     ///
-    /// `is_scarce` says whether time at an instant is: then a cheap place is one that leaves least of its gap
-    /// unused (best fit); otherwise it is the first.
+    /// A cheap place is one that costs least, what the market would pay for it included; of those in scarce time the one
+    /// that leaves least of its gap unused (best fit), otherwise the first.
     pub fn fit(
         &self,
         node: &Node,
         wanted: &Wanted,
         ledger: &Ledger,
         prefer: Prefer,
-        is_scarce: impl Fn(i64) -> bool,
+        market: &impl Market,
     ) -> Option<Fit> {
         let mut best: Option<Fit> = None;
         let mut tried = 0;
@@ -125,21 +159,37 @@ impl Lane {
             let Some((start, end)) = within(gap, wanted, ledger) else { continue };
             if self.is_plain {
                 let added_cost = price_of(node.price_per_hour, wanted.duration);
-                if prefer == Prefer::Early || !is_scarce(start) {
+                if prefer == Prefer::Early || !market.is_scarce(start) {
                     // Time that is not scarce is as good as a perfect fit.
-                    let first = Fit { start, end, added_cost, left: 0 };
-                    return best.filter(|best| best.left == 0).or(Some(first));
+                    let worth = if prefer == Prefer::Early { 0 } else { market.worth(start, end) };
+                    let first = Fit { start, end, added_cost, left: 0, worth };
+                    if worth == 0 {
+                        return best.filter(|best| best.left == 0 && best.worth == 0).or(Some(first));
+                    }
                 }
-                let fit = Fit { start, end, added_cost, left: gap.1.saturating_sub(end) };
-                if best.is_none_or(|best| fit.left < best.left) {
-                    best = Some(fit);
+                let (mut start, mut end) = (start, end);
+                loop {
+                    let left = if market.is_scarce(start) { gap.1.saturating_sub(end) } else { 0 };
+                    let fit = Fit { start, end, added_cost, left, worth: market.worth(start, end) };
+                    if best.is_none_or(|best| fit.rank(prefer) < best.rank(prefer)) {
+                        best = Some(fit);
+                    }
+                    if fit.worth == 0 {
+                        break;
+                    }
+                    let Some(later) = market.cheaper_from(start) else { break };
+                    let Some(next) = within(gap, &Wanted { release: later, ..*wanted }, ledger) else {
+                        break;
+                    };
+                    (start, end) = next;
                 }
                 continue;
             }
             let stretch = &self.stretches[self.stretch_at(start)];
             let mut consider = |start: i64, end: i64| {
                 let added_cost = stretch.cost_with(node, start, end).saturating_sub(stretch.cost);
-                let fit = Fit { start, end, added_cost, left: 0 };
+                let worth = if prefer == Prefer::Early { 0 } else { market.worth(start, end) };
+                let fit = Fit { start, end, added_cost, left: 0, worth };
                 if best.is_none_or(|best| fit.rank(prefer) < best.rank(prefer)) {
                     best = Some(fit);
                 }
@@ -158,7 +208,7 @@ impl Lane {
                 consider(late_start, gap.1);
             }
             tried += 1;
-            if tried == GAPS_TRIED || best.is_some_and(|best| best.added_cost == 0) {
+            if tried == GAPS_TRIED || best.is_some_and(|best| best.added_cost == 0 && best.worth == 0) {
                 break;
             }
         }
@@ -168,6 +218,16 @@ impl Lane {
     /// Whether exactly this time is free.
     pub fn is_free(&self, start: i64, end: i64) -> bool {
         self.free.gaps().get(self.free.first_after(start)).is_some_and(|gap| gap.0 <= start && end <= gap.1)
+    }
+
+    /// The unbroken time that there would be without this booking: what is free before it, its own, and what is free behind it.
+    pub fn room_without(&self, start: i64, end: i64) -> (i64, i64) {
+        let gaps = self.free.gaps();
+        let behind = self.free.first_after(start);
+        let until = gaps.get(behind).filter(|gap| gap.0 == end).map_or(end, |gap| gap.1);
+        let before = behind.checked_sub(1).and_then(|before| gaps.get(before));
+        let from = before.filter(|gap| gap.1 == start).map_or(start, |gap| gap.0);
+        (from, until)
     }
 
     /// Books free time.
@@ -250,8 +310,29 @@ impl Lane {
 }
 
 impl Stretch {
+    /// What the rentals cost with one more booking. Only those around it are worked out anew: where so long a gap lies between two runs that
+    /// nobody would pay for it, one side does not matter to the other.
     fn cost_with(&self, node: &Node, start: i64, end: i64) -> i64 {
-        total(&rentals(node, self.window, &joined(&self.runs, start, end)))
+        let runs = &self.runs;
+        let at = runs.partition_point(|run| run.1 < start);
+        let (mut first, mut beyond) = (at, at);
+        // The run that ends just when the booking starts becomes one with it.
+        let mut from = runs.get(at).map_or(start, |run| run.0.min(start));
+        while let Some(run) = first.checked_sub(1).map(|before| runs[before])
+            && (self.window.warm || !never_pays(node, from.saturating_sub(run.1)))
+        {
+            (first, from) = (first - 1, run.0);
+        }
+        let mut until = end;
+        while let Some(run) = runs.get(beyond).filter(|run| !never_pays(node, run.0.saturating_sub(until))) {
+            (beyond, until) = (beyond + 1, until.max(run.1));
+        }
+        let before = first.checked_sub(1).map(|before| runs[before].1);
+        let window = before.map_or(self.window, |start| Window { start, end: self.window.end, warm: false });
+        let near = &runs[first..beyond];
+        let was = total(&rentals(node, window, near));
+        let is = total(&rentals(node, window, &joined(near, start, end)));
+        self.cost.saturating_sub(was).saturating_add(is)
     }
 
     fn joined_busy(&self) -> Vec<(i64, i64)> {
@@ -264,6 +345,14 @@ impl Stretch {
         }
         runs
     }
+}
+
+/// Whether two rentals are never dearer than one over a gap of this length: it costs more than both can lose to steps, minima and a
+/// set-up, and to the rounding of their prices.
+fn never_pays(node: &Node, gap: i64) -> bool {
+    let lost =
+        node.billing_step.saturating_add(node.minimum_booking).saturating_mul(2).saturating_add(node.setup);
+    gap > lost && price_of(node.price_per_hour, gap - lost) > node.setup_cost.saturating_add(2)
 }
 
 /// The earliest time in the gap that will do.
@@ -306,7 +395,7 @@ fn total(rentals: &[Rental]) -> i64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Fit, Lane, Prefer, Wanted};
+    use super::{Fit, Lane, Prefer, Unwanted, Wanted};
     use crate::calendar::Window;
     use crate::limits::Ledger;
     use crate::model::Node;
@@ -328,7 +417,7 @@ mod tests {
         let node = Node { id: 1, ..Node::default() };
         let lane = lane(&node, &[(0, 10), (20, 40)]);
         let at = |release, duration| {
-            lane.fit(&node, &wanted(release, duration), &Ledger::default(), Prefer::Early, |_| false)
+            lane.fit(&node, &wanted(release, duration), &Ledger::default(), Prefer::Early, &Unwanted)
                 .map(|fit| fit.start)
         };
         assert_eq!(at(0, 10), Some(0));
@@ -343,8 +432,8 @@ mod tests {
         let node = Node { price_per_hour: 1000, billing_step: HOUR, ..Node::default() };
         let mut lane = lane(&node, &[(0, 100 * HOUR)]);
         lane.book(&node, 0, HOUR / 2);
-        let half = lane.fit(&node, &wanted(0, HOUR / 2), &Ledger::default(), Prefer::Cheap, |_| false);
-        assert_eq!(half, Some(Fit { start: HOUR / 2, end: HOUR, added_cost: 0, left: 0 }));
+        let half = lane.fit(&node, &wanted(0, HOUR / 2), &Ledger::default(), Prefer::Cheap, &Unwanted);
+        assert_eq!(half, Some(Fit { start: HOUR / 2, end: HOUR, added_cost: 0, left: 0, worth: 0 }));
         assert_eq!(lane.least_added_cost(&node, HOUR / 2), 0);
         assert_eq!(lane.least_added_cost(&node, HOUR), 500);
         lane.book(&node, HOUR / 2, HOUR);
@@ -355,10 +444,39 @@ mod tests {
     }
 
     #[test]
+    fn what_a_booking_adds_is_what_all_rentals_cost_more_with_it() {
+        use crate::chance::between;
+        for seed in 0..300 {
+            let draw = |n: u64, low, high| between(seed, &[n], low, high);
+            let node = Node {
+                price_per_hour: draw(0, 0, 3) * 1000,
+                billing_step: draw(1, 1, 3) * HOUR / 4,
+                minimum_booking: draw(2, 0, 2) * HOUR / 3,
+                setup: draw(3, 0, 2) * HOUR / 4,
+                setup_cost: draw(4, 0, 2) * 200,
+                ..Node::default()
+            };
+            let window = Window { start: 0, end: 200 * HOUR, warm: draw(5, 0, 1) == 1 };
+            let mut lane = Lane::new(&node, &[window]);
+            for n in 0..12 {
+                let start = HOUR + draw(10 + n, 0, 60) * HOUR / 4;
+                let end = start + draw(40 + n, 1, 12) * HOUR / 4;
+                if lane.is_free(start, end) {
+                    let expected = lane.stretches[0].cost_with(&node, start, end);
+                    lane.book(&node, start, end);
+                    let runs = lane.stretches[0].joined_busy();
+                    let all = super::total(&crate::rental::rentals(&node, window, &runs));
+                    assert_eq!(expected, all, "seed {seed}, booking {n}");
+                }
+            }
+        }
+    }
+
+    #[test]
     fn nothing_starts_before_the_set_up_is_done() {
         let node = Node { setup: 5, ..Node::default() };
         let lane = lane(&node, &[(0, 8), (10, 30)]);
-        let fit = lane.fit(&node, &wanted(0, 4), &Ledger::default(), Prefer::Early, |_| false);
+        let fit = lane.fit(&node, &wanted(0, 4), &Ledger::default(), Prefer::Early, &Unwanted);
         assert_eq!(fit.map(|fit| fit.start), Some(15));
     }
 }

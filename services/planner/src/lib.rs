@@ -42,6 +42,7 @@ mod description;
 mod difference;
 mod drawing;
 mod exact;
+mod exchange;
 mod explain;
 mod fairness;
 mod improve;

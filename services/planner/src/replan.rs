@@ -209,9 +209,16 @@ fn repair(state: &mut State) {
         (job.deadline, std::cmp::Reverse(job.priority), job.id)
     });
     for job in promised {
-        move_what_is_late(state, job);
-        if !(place_in_time(state, job) || make_way(state, job)) {
-            as_early_as_possible(state, job);
+        let before = (state.missing_tasks(job), state.finish(job));
+        let late = move_what_is_late(state, job);
+        if place_in_time(state, job) || make_way(state, job) {
+            continue;
+        }
+        as_early_as_possible(state, job);
+        if (state.missing_tasks(job), state.finish(job)) >= before {
+            // It helped nobody: what was late stays where it was.
+            state.unbook_after(job, state.kept[job]);
+            late.into_iter().for_each(|placed| state.book(job, placed));
         }
     }
     let priority = |job: usize| problem.jobs[job].job.priority;
@@ -225,9 +232,9 @@ fn is_open(state: &State, job: usize) -> bool {
     !state.is_kept(job)
 }
 
-/// Frees what a job has after its deadline, so that it can be placed anew.
-fn move_what_is_late(state: &mut State, job: usize) {
-    let Some(deadline) = state.problem.jobs[job].job.deadline else { return };
+/// Frees what a job has after its deadline, so that it can be placed anew; returns that.
+fn move_what_is_late(state: &mut State, job: usize) -> Vec<Placed> {
+    let Some(deadline) = state.problem.jobs[job].job.deadline else { return Vec::new() };
     let late: Vec<Placed> =
         state.placed[job].iter().filter(|placed| placed.end > deadline).copied().collect();
     let frames: Vec<Option<i64>> = late.iter().map(|placed| placed.task.frame()).collect();
@@ -238,10 +245,11 @@ fn move_what_is_late(state: &mut State, job: usize) {
         .filter(|placed| seed_moves || frames.contains(&placed.task.frame()))
         .copied()
         .collect();
-    for placed in moving {
+    for &placed in &moving {
         state.unbook(job, placed);
     }
     state.kept[job] = state.placed[job].len();
+    moving
 }
 
 fn place_in_time(state: &mut State, job: usize) -> bool {
@@ -255,8 +263,8 @@ fn place_in_time(state: &mut State, job: usize) -> bool {
     false
 }
 
-/// Lets other jobs make way, one at a time: each is lifted out, this one placed, the other put back; if both are then in time,
-/// or the other has no deadline, or this one has a greater priority, it stays so.
+/// Lets other jobs make way, one at a time: each is lifted out, this one placed, the other put back; if both are then in time
+/// (or placed, where the other has no deadline), or this one has a greater priority, it stays so.
 fn make_way(state: &mut State, job: usize) -> bool {
     let problem = state.problem;
     let work = &problem.jobs[job];
@@ -311,8 +319,10 @@ fn make_way(state: &mut State, job: usize) -> bool {
         }
         if !has_deadline || outranks {
             as_early_as_possible(&mut trial, other);
-            *state = trial;
-            return true;
+            if outranks || trial.is_kept(other) {
+                *state = trial;
+                return true;
+            }
         }
     }
     false
@@ -372,8 +382,7 @@ fn rescue(input: &Input, new: &Plan, job: u64) -> Result<Option<(Change, i64)>, 
         if !place_in_time(&mut state, index) {
             continue;
         }
-        let cost = state.lanes.iter().zip(&problem.nodes).flat_map(|(lane, node)| lane.rentals(node));
-        let added = cost.fold(0i64, |sum, rental| sum.saturating_add(rental.cost)).saturating_sub(new.cost);
+        let added = state.cost().saturating_sub(new.cost);
         // A later deadline is no rescue while there is one that keeps this one.
         let keeps = !matches!(change, Change::Later { .. });
         let better = match &best {

@@ -2,12 +2,12 @@
 
 use std::cmp::Reverse;
 
-use crate::admission::{Admission, MOST_VARIABLES, admit};
+use crate::admission::{Admission, Allotted, MOST_VARIABLES, admit};
 use crate::bound::{bound, bound_of_all};
 use crate::exact;
 use crate::fairness::Turns;
-use crate::improve::cheapen;
-use crate::lane::Prefer;
+use crate::improve::improve;
+use crate::lane::{Fit, Prefer};
 use crate::model::{Booking, Bound, Input, InputError, Plan, Task};
 use crate::outcome;
 use crate::problem::{Problem, Work};
@@ -17,6 +17,10 @@ use crate::state::{Placed, Search, State};
 const MOST_PLACEMENTS: usize = 40_000;
 /// And how often at most.
 const MOST_ROUNDS: usize = 60;
+/// Tasks of a problem that is small enough to be planned twice.
+const SMALL: usize = 500;
+/// Rounds in which a plan is made cheaper, at most.
+const MOST_IMPROVEMENTS: usize = 8;
 
 /// Makes a plan.
 ///
@@ -26,7 +30,7 @@ const MOST_ROUNDS: usize = 60;
 /// # Errors
 /// If the input has no meaning; see [`InputError`]. What cannot be met is no error but a verdict.
 pub fn plan(input: &Input) -> Result<Plan, InputError> {
-    plan_with(input, MOST_ROUNDS, MOST_VARIABLES)
+    plan_with(input, MOST_ROUNDS, MOST_VARIABLES, MOST_IMPROVEMENTS)
 }
 
 /// Makes a plan in a fraction of the time: with a coarser programme, and hardly any second tries. For plans that are made again soon;
@@ -35,15 +39,20 @@ pub fn plan(input: &Input) -> Result<Plan, InputError> {
 /// # Errors
 /// As [`plan`].
 pub fn plan_quickly(input: &Input) -> Result<Plan, InputError> {
-    plan_with(input, 1, MOST_VARIABLES / 6)
+    plan_with(input, 1, MOST_VARIABLES / 9, 0)
 }
 
-fn plan_with(input: &Input, most_rounds: usize, most_variables: usize) -> Result<Plan, InputError> {
+fn plan_with(
+    input: &Input,
+    most_rounds: usize,
+    most_variables: usize,
+    improvements: usize,
+) -> Result<Plan, InputError> {
     input.check()?;
     let problem = Problem::new(input);
     let admission = admit(&problem, most_variables);
     let bounds: Vec<Bound> = problem.jobs.iter().map(|work| bound(&problem, work)).collect();
-    let state = schedule(&problem, &admission, &input.movable, most_rounds);
+    let state = schedule(&problem, &admission, &input.movable, most_rounds, improvements);
     Ok(outcome::plan(&state, &admission, bounds.clone(), bound_of_all(&problem, &bounds), None))
 }
 
@@ -53,6 +62,7 @@ pub(crate) fn schedule<'p, 'a>(
     admission: &'p Admission,
     movable: &[Booking],
     most_rounds: usize,
+    improvements: usize,
 ) -> State<'p, 'a> {
     let mut start = State::new(problem, admission);
     start.keep(movable);
@@ -83,11 +93,21 @@ pub(crate) fn schedule<'p, 'a>(
         broken.into_iter().for_each(|job| ahead[job] += 1);
     }
     let mut state = best.map_or_else(|| start.clone(), |(_, state)| state);
-    cheapen(&mut state);
-    if let Some(found) = exact::search(problem, &start)
-        && Score::of(&found) < Score::of(&state)
-    {
-        state = found;
+    improve(&mut state, improvements);
+    if count <= SMALL {
+        // A fluid's prices and slots mean little to a few frames: they may also be placed without a thought for others.
+        let mut selfish = State { for_others: false, ..start.clone() };
+        run(&mut selfish, admission, &vec![0; problem.jobs.len()], false);
+        improve(&mut selfish, improvements);
+        if Score::of(&selfish) < Score::of(&state) {
+            state = selfish;
+        }
+    }
+    if let Some(mut found) = exact::search(problem, &start) {
+        improve(&mut found, improvements);
+        if Score::of(&found) < Score::of(&state) {
+            state = found;
+        }
     }
     state
 }
@@ -120,9 +140,7 @@ impl Score {
                 score.broken[rank] += u64::from(work.job.worth());
             }
         }
-        score.cost = state.lanes.iter().zip(&problem.nodes).fold(0i64, |sum, (lane, node)| {
-            lane.rentals(node).iter().fold(sum, |sum, rental| sum.saturating_add(rental.cost))
-        });
+        score.cost = state.cost();
         score
     }
 }
@@ -142,6 +160,9 @@ fn run(state: &mut State, admission: &Admission, ahead: &[u32], early: bool) {
     });
     for job in promised {
         let mut allotment = admission.allotments[job].clone();
+        if !state.for_others {
+            allotment.iter_mut().for_each(|piece| (piece.start, piece.end) = (i64::MIN, i64::MAX));
+        }
         by_deadline(state, job, &mut allotment, early);
     }
     // The rest in groups of equal priority: first those that will be late, then those without a deadline, in
@@ -162,7 +183,7 @@ fn run(state: &mut State, admission: &Admission, ahead: &[u32], early: bool) {
 
 /// Places a job by its deadline: as cheaply as its allotment allows; else as cheaply as possible; else as early as
 /// possible. If all fail, what ends first stays.
-fn by_deadline(state: &mut State, job: usize, allotment: &mut Vec<(usize, i64)>, early: bool) {
+fn by_deadline(state: &mut State, job: usize, allotment: &mut [Allotted], early: bool) {
     let before = state.placed[job].len();
     let attempts: &[(Prefer, bool)] = if early {
         &[(Prefer::Early, false)]
@@ -183,7 +204,7 @@ pub(crate) fn place_all(
     state: &mut State,
     job: usize,
     prefer: Prefer,
-    mut allotment: Option<&mut Vec<(usize, i64)>>,
+    mut allotment: Option<&mut [Allotted]>,
 ) -> bool {
     let problem = state.problem;
     let work = &problem.jobs[job];
@@ -201,21 +222,13 @@ pub(crate) fn place_all(
             latest_end,
             classes: &work.classes,
             prefer,
+            below: i64::MAX,
             except: None,
+            for_others: state.for_others,
         };
-        let mut found = None;
-        if let Some(allotment) = &mut allotment {
-            let within: Vec<usize> =
-                allotment.iter().filter(|(_, left)| *left > 0).map(|&(class, _)| class).collect();
-            found = state.find(work, &Search { classes: &within, ..search });
-            if let Some((node, fit)) = found
-                && let Some((_, left)) =
-                    allotment.iter_mut().find(|(class, _)| *class == problem.class_of[node])
-            {
-                *left = left.saturating_sub(fit.end - fit.start);
-            }
-        }
-        let found = found.or_else(|| state.find(work, &search));
+        let allotted =
+            allotment.as_deref_mut().and_then(|allotment| find_allotted(state, work, &search, allotment));
+        let found = allotted.or_else(|| state.find(work, &search));
         match found {
             Some((node, fit)) => {
                 let (start, end) = (fit.start, fit.end);
@@ -228,11 +241,40 @@ pub(crate) fn place_all(
     true
 }
 
+/// The best place within what a job was allotted, whose length is then used up. At least half of a frame must lie in the slot.
+fn find_allotted(
+    state: &State,
+    work: &Work,
+    search: &Search,
+    allotment: &mut [Allotted],
+) -> Option<(usize, Fit)> {
+    let mut best: Option<(usize, usize, Fit)> = None;
+    for (index, piece) in allotment.iter().enumerate().filter(|(_, piece)| piece.left > 0) {
+        let node = state.problem.representative(piece.class);
+        let half = node.duration(search.work, search.class_of_work)? / 2;
+        let within = Search {
+            classes: &[piece.class],
+            release: search.release.max(piece.start.saturating_sub(half)),
+            latest_end: search.latest_end.min(piece.end.saturating_add(half)),
+            ..*search
+        };
+        if let Some((node, fit)) = state.find(work, &within)
+            && best.is_none_or(|(_, _, least)| fit.rank(search.prefer) < least.rank(search.prefer))
+        {
+            best = Some((index, node, fit));
+        }
+    }
+    let (index, node, fit) = best?;
+    allotment[index].left = allotment[index].left.saturating_sub(fit.end - fit.start);
+    Some((node, fit))
+}
+
 /// Places the seed, if there is one to place: all frames wait for it, so it is only cheap within twice the shortest wait.
 fn place_seed(state: &mut State, job: usize, latest_end: i64) -> bool {
     let work = &state.problem.jobs[job];
     let Some((seed, amount)) = work.job.seed.zip(work.seed_part()) else { return true };
     let release = work.release(state.problem.input.now);
+    let for_others = state.for_others;
     let search = |latest_end, prefer| Search {
         class_of_work: seed.class,
         work: amount,
@@ -240,7 +282,9 @@ fn place_seed(state: &mut State, job: usize, latest_end: i64) -> bool {
         latest_end,
         classes: &work.seed_classes,
         prefer,
+        below: i64::MAX,
         except: None,
+        for_others,
     };
     for task in state.missing_seed(job) {
         let Some((node, first)) = state.find(work, &search(latest_end, Prefer::Early)) else { return false };
@@ -265,7 +309,9 @@ fn place_tiles(state: &mut State, job: usize, number: i64, frame_work: u64, late
                 latest_end,
                 classes: &work.classes,
                 prefer: Prefer::Early,
+                below: i64::MAX,
                 except: None,
+                for_others: state.for_others,
             };
             let Some((node, fit)) = state.find(work, &search) else { return false };
             let task = Task::Tile { frame: number, part, parts };
@@ -293,6 +339,7 @@ pub(crate) fn as_early_as_possible(state: &mut State, job: usize) {
     split_the_last(state, job);
 }
 
+/// Places a frame where it ends first, in tiles if it fits nowhere as a whole. Returns the nodes' time that it takes.
 fn place_early(state: &mut State, job: usize, number: i64, frame_work: u64) -> Option<i64> {
     let work = &state.problem.jobs[job];
     if work.is_hopeless {
@@ -306,11 +353,20 @@ fn place_early(state: &mut State, job: usize, number: i64, frame_work: u64) -> O
         latest_end: i64::MAX,
         classes: &work.classes,
         prefer: Prefer::Early,
+        below: i64::MAX,
         except: None,
+        for_others: state.for_others,
     };
-    let (node, fit) = state.find(work, &search)?;
-    state.book(job, Placed { node, start: fit.start, end: fit.end, task: Task::Frame(number) });
-    Some(fit.end - fit.start)
+    if let Some((node, fit)) = state.find(work, &search) {
+        state.book(job, Placed { node, start: fit.start, end: fit.end, task: Task::Frame(number) });
+        return Some(fit.end - fit.start);
+    }
+    // No window is long enough for all of it.
+    let before = state.placed[job].len();
+    place_tiles(state, job, number, frame_work, i64::MAX).then(|| {
+        let tiles = state.placed[job].iter().skip(before);
+        tiles.fold(0i64, |sum, tile| sum.saturating_add(tile.end - tile.start))
+    })
 }
 
 /// Splits whole frames at the end of a job into tiles, one after the other, as long as the job ends earlier for it.
@@ -431,7 +487,9 @@ fn place_cheaply_by(state: &mut State, job: usize, by: i64) -> bool {
             latest_end: by,
             classes: &work.classes,
             prefer: Prefer::Cheap,
+            below: i64::MAX,
             except: None,
+            for_others: state.for_others,
         };
         let Some((node, fit)) = state.find(work, &search) else { return false };
         state.book(job, Placed { node, start: fit.start, end: fit.end, task: Task::Frame(frame.number) });

@@ -1,7 +1,7 @@
 //! A plan in the making: every node's lane, the limits, and where each task lies.
 
 use crate::admission::Admission;
-use crate::lane::{Fit, Lane, Prefer, Wanted};
+use crate::lane::{Fit, Lane, Market, Prefer, Wanted};
 use crate::limits::Ledger;
 use crate::model::{Booking, Seed, Task};
 use crate::problem::{Problem, Work};
@@ -29,8 +29,33 @@ pub(crate) struct Search<'s> {
     /// Classes of nodes to look at.
     pub classes: &'s [usize],
     pub prefer: Prefer,
+    /// Places that cost this or more are of no use.
+    pub below: i64,
     /// A node to leave out.
     pub except: Option<usize>,
+    /// Whether a place costs what others would pay for it as well.
+    pub for_others: bool,
+}
+
+/// What others would pay for a class's time, as the programme says.
+struct Priced<'s> {
+    admission: &'s Admission,
+    class: usize,
+    for_others: bool,
+}
+
+impl Market for Priced<'_> {
+    fn worth(&self, start: i64, end: i64) -> i64 {
+        if self.for_others { self.admission.worth(self.class, start, end) } else { 0 }
+    }
+
+    fn cheaper_from(&self, instant: i64) -> Option<i64> {
+        self.admission.cheaper_from(self.class, instant).filter(|_| self.for_others)
+    }
+
+    fn is_scarce(&self, instant: i64) -> bool {
+        self.admission.is_scarce(self.class, instant)
+    }
 }
 
 /// A plan in the making.
@@ -39,6 +64,8 @@ pub(crate) struct State<'p, 'a> {
     pub problem: &'p Problem<'a>,
     /// Says where time is scarce.
     pub admission: &'p Admission,
+    /// Whether list scheduling minds what others would pay for a place, and in which slots the programme has a job.
+    pub for_others: bool,
     pub lanes: Vec<Lane>,
     pub ledger: Ledger,
     /// By job, in the order in which they were placed.
@@ -54,6 +81,7 @@ impl<'p, 'a> State<'p, 'a> {
         State {
             problem,
             admission,
+            for_others: true,
             lanes: lanes.collect(),
             ledger: Ledger::new(problem.input),
             placed: vec![Vec::new(); problem.jobs.len()],
@@ -158,15 +186,26 @@ impl<'p, 'a> State<'p, 'a> {
                 duration,
                 uses: &work.job.uses,
             };
-            let is_scarce = |instant| self.admission.is_scarce(class, instant);
+            let market = Priced { admission: self.admission, class, for_others: search.for_others };
+            // Of nodes that are the same and empty, the first will do.
+            let mut empty: Option<usize> = None;
             for &index in &problem.classes[class] {
                 let (node, lane) = (problem.nodes[index], &self.lanes[index]);
-                let hopeless = search.prefer == Prefer::Cheap
-                    && best.is_some_and(|(rank, ..)| lane.least_added_cost(node, duration) > rank.0);
+                if lane.is_empty() {
+                    if empty.is_some_and(|first| problem.windows[first] == problem.windows[index]) {
+                        continue;
+                    }
+                    if search.except != Some(index) {
+                        empty = empty.or(Some(index));
+                    }
+                }
+                let least = lane.least_added_cost(node, duration);
+                let hopeless = least >= search.below
+                    || search.prefer == Prefer::Cheap && best.is_some_and(|(rank, ..)| least > rank.0);
                 if hopeless || lane.is_too_full(duration) || search.except == Some(index) {
                     continue;
                 }
-                let Some(fit) = lane.fit(node, &wanted, &self.ledger, search.prefer, is_scarce) else {
+                let Some(fit) = lane.fit(node, &wanted, &self.ledger, search.prefer, &market) else {
                     continue;
                 };
                 let rank = fit.rank(search.prefer);
@@ -203,6 +242,12 @@ impl<'p, 'a> State<'p, 'a> {
         }
     }
 
+    /// What all rentals cost.
+    pub fn cost(&self) -> i64 {
+        let rentals = self.lanes.iter().zip(&self.problem.nodes).flat_map(|(lane, node)| lane.rentals(node));
+        rentals.fold(0i64, |sum, rental| sum.saturating_add(rental.cost))
+    }
+
     /// End of what is placed of a job.
     pub fn finish(&self, job: usize) -> i64 {
         let release = self.problem.jobs[job].release(self.problem.input.now);
@@ -228,6 +273,11 @@ impl<'p, 'a> State<'p, 'a> {
     /// Whether the seed, or a part of it, has no place although there is one.
     pub fn misses_seed(&self, job: usize) -> bool {
         !self.missing_seed(job).is_empty()
+    }
+
+    /// How many frames have no place, the seed's tasks included.
+    pub fn missing_tasks(&self, job: usize) -> usize {
+        self.missing(job).len() + self.missing_seed(job).len()
     }
 
     /// Whether all is placed, and by the deadline if there is one.

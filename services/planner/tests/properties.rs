@@ -6,6 +6,7 @@ use forelight_planner::{
     mend, plan, replan, simulate, verify,
 };
 use proptest::prelude::*;
+use std::collections::BTreeSet;
 
 fn interval() -> impl Strategy<Value = Interval> {
     (-50i64..400, prop::option::weighted(0.8, 0i64..200))
@@ -229,6 +230,14 @@ fn studio_input() -> impl Strategy<Value = Input> {
     )
 }
 
+/// Frames without a place, and then the end.
+fn how_bad(verdict: &Verdict) -> (usize, Option<i64>) {
+    match verdict {
+        Verdict::Unplaced { frames, .. } => (frames.len(), None),
+        placed => (0, placed.finish()),
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(128))]
 
@@ -271,9 +280,17 @@ proptest! {
             prop_assert!(!kept || entry.verdict.is_kept() || told, "job {} is broken in silence", entry.job);
         }
         if kind == 2 {
-            // What is late may come earlier in the time that has become free.
+            // What is late may come earlier in the time that has become free, and a job that is right may make way for one that was
+            // late and is in time with its help: one for each such job, and without harm to itself.
             let was_right = |job| old.job(job).is_some_and(|before| before.verdict.is_kept());
-            prop_assert!(new.difference.moved.iter().all(|(was, _)| !was_right(was.job)), "what is right stays");
+            let moved: BTreeSet<u64> = new.difference.moved.iter().map(|(was, _)| was.job).filter(|&job| was_right(job)).collect();
+            let helped = new.plan.jobs.iter().filter(|entry| entry.verdict.is_kept() && !was_right(entry.job)).count();
+            prop_assert!(moved.len() <= helped, "{:?} moved, but only {} are in time for it", moved, helped);
+            prop_assert!(new.at_risk.is_empty(), "more room breaks no promise: {:?}", new.at_risk);
+            for entry in new.plan.jobs.iter().filter(|entry| !entry.verdict.is_kept()) {
+                let before = old.job(entry.job).map(|before| how_bad(&before.verdict));
+                prop_assert!(Some(how_bad(&entry.verdict)) <= before, "job {} is worse off: {:?}", entry.job, entry.verdict);
+            }
         }
     }
 

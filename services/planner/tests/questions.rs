@@ -194,6 +194,34 @@ fn a_job_without_a_deadline_makes_way_for_one_that_would_be_late() {
 }
 
 #[test]
+fn when_a_job_is_withdrawn_another_makes_way_for_one_that_was_late() {
+    let small = Node { cores: 2, memory: 1, ..node(1, 1, 1_000_000) };
+    let large = Node { cores: 1, memory: 2, ..node(2, 1, 2_000_000) };
+    // The first goes anywhere, the second only to the small node, the third only to the large one.
+    let anywhere = Job { weight: 3, ..job(1, Some(2), &[2]) };
+    let on_small = Job { cores: 2, ..job(2, Some(3), &[2]) };
+    let on_large = Job { memory: 2, weight: 3, ..job(3, Some(2), &[2]) };
+    let farm = input(vec![small, large], vec![anywhere, on_small, on_large]);
+    let old = sound(&farm);
+    assert!(matches!(old.jobs[1].verdict, Verdict::Late { by: HOUR, .. }), "{:?}", old.jobs);
+    let new = replan(&farm, &old, &Event::JobRemoved { job: 3 }).expect("a plan");
+    assert_eq!(verify(&new.input, &new.plan), Ok(()));
+    assert!(new.plan.jobs.iter().all(|entry| entry.verdict.is_kept()) && new.at_risk.is_empty());
+    let moved: Vec<(u64, u64)> = new.difference.moved.iter().map(|(_, now)| (now.job, now.node)).collect();
+    assert_eq!(moved, [(1, 2), (2, 1)], "the first makes way, and keeps its own deadline");
+}
+
+#[test]
+fn a_frame_that_no_window_is_long_enough_for_is_split_though_it_has_no_deadline() {
+    let short = |id| Node { calendar: vec![Interval { start: 0, end: Some(2 * HOUR) }], ..node(id, 1, 0) };
+    let found = sound(&input(vec![short(1), short(2)], vec![Job { tiles: 4, ..job(1, None, &[3]) }]));
+    assert_eq!(found.jobs[0].verdict, Verdict::NoDeadline { finish: HOUR + HOUR / 2 });
+    let late = Job { tiles: 4, deadline: Some(HOUR), ..job(1, None, &[3]) };
+    let found = sound(&input(vec![short(1), short(2)], vec![late]));
+    assert!(matches!(found.jobs[0].verdict, Verdict::Late { by, .. } if by == HOUR / 2), "{:?}", found.jobs);
+}
+
+#[test]
 fn projects_take_turns_by_what_they_had_for_their_share() {
     let project = |id, share, hours: i64| Project {
         id,

@@ -1,0 +1,341 @@
+//! Exchanges: a frame that lies dearly takes the place of one that can go elsewhere for less.
+//!
+//! List scheduling goes by deadlines. So a job that could have gone to many nodes may sit on the few that a later one needs, and the later
+//! one has to rent. No single frame can be moved for less then; two together can. An exchange lifts a cheap frame out, puts a dear one into
+//! its place, and places the lifted one anew, which may push out a third (an ejection chain, Glover 1996). It stays if the whole is
+//! cheaper and everyone is in time.
+
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+
+use crate::lane::{Prefer, Unwanted, Wanted};
+use crate::model::{Task, price_of};
+use crate::problem::Work;
+use crate::state::{Placed, Search, State};
+
+/// Searches for another place, at most: that is what exchanges take their time for.
+const MOST_TRIALS: usize = 2000;
+/// Places that are tried for one frame.
+const MOST_PLACES: usize = 4;
+/// How many frames a chain may push out.
+const LONGEST_CHAIN: usize = 1;
+
+/// Lets frames of jobs with a deadline change places where that saves money, those first that could save most.
+pub(crate) fn exchange(state: &mut State) {
+    let mut board = Board::new(state);
+    board.learn(state);
+    for (_, piece) in dear(state, &board) {
+        if board.trials == 0 {
+            return;
+        }
+        // What was moved meanwhile lies elsewhere now.
+        if board.at(piece.placed.node, piece.placed.start) == Some(piece) {
+            improve(state, &mut board, piece);
+        }
+    }
+}
+
+/// A frame and its place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Piece {
+    job: usize,
+    work: u64,
+    placed: Placed,
+}
+
+/// What may be moved, by node and start.
+struct Board {
+    by_node: Vec<BTreeMap<i64, Piece>>,
+    /// By job: what a billion units of its work would cost in the best place that is free; none if there is none.
+    elsewhere: Vec<Option<i128>>,
+    trials: usize,
+}
+
+const BILLION: i128 = 1_000_000_000;
+
+impl Board {
+    fn new(state: &State) -> Self {
+        let problem = state.problem;
+        let mut board = Board {
+            by_node: vec![BTreeMap::new(); problem.nodes.len()],
+            elsewhere: vec![None; problem.jobs.len()],
+            trials: MOST_TRIALS,
+        };
+        for (job, work) in problem.jobs.iter().enumerate() {
+            if work.job.deadline.is_none_or(|deadline| state.finish(job) > deadline) {
+                continue;
+            }
+            let works: BTreeMap<i64, u64> =
+                work.frames.iter().map(|frame| (frame.number, frame.work)).collect();
+            for &placed in state.placed[job].iter().skip(state.kept[job]) {
+                if let Task::Frame(number) = placed.task
+                    && let Some(&work) = works.get(&number)
+                {
+                    board.put(Piece { job, work, placed });
+                }
+            }
+        }
+        board
+    }
+
+    fn put(&mut self, piece: Piece) {
+        self.by_node[piece.placed.node].insert(piece.placed.start, piece);
+    }
+
+    fn take(&mut self, piece: Piece) {
+        self.by_node[piece.placed.node].remove(&piece.placed.start);
+    }
+
+    fn at(&self, node: usize, start: i64) -> Option<Piece> {
+        self.by_node[node].get(&start).copied()
+    }
+
+    /// Looks for each job where a frame of middling length would go now.
+    fn learn(&mut self, state: &State) {
+        for (job, work) in state.problem.jobs.iter().enumerate() {
+            let Some(frame) = work.frames.get(work.frames.len() / 2) else { continue };
+            let plain = plain_below(state, job, frame.work, i64::MAX);
+            let found = search(state, job, frame.number, frame.work, &plain)
+                .and_then(|search| state.find(work, &search));
+            self.elsewhere[job] =
+                found.map(|(_, fit)| i128::from(fit.added_cost) * BILLION / i128::from(frame.work.max(1)));
+        }
+    }
+}
+
+/// The classes of plainly billed nodes that could render so much of a job's work for less than this.
+fn plain_below(state: &State, job: usize, work: u64, below: i64) -> Vec<usize> {
+    let problem = state.problem;
+    let asked = &problem.jobs[job];
+    let is_cheap = |&class: &usize| {
+        let node = problem.representative(class);
+        let price = node.duration(work, asked.job.class).map(|time| price_of(node.price_per_hour, time));
+        node.is_plainly_billed() && price.is_some_and(|price| price < below)
+    };
+    asked.classes.iter().copied().filter(is_cheap).collect()
+}
+
+/// How a place is looked for for a frame.
+fn search<'s>(state: &State, job: usize, number: i64, work: u64, classes: &'s [usize]) -> Option<Search<'s>> {
+    let asked: &Work = &state.problem.jobs[job];
+    Some(Search {
+        class_of_work: asked.job.class,
+        work,
+        release: state.earliest(job, Task::Frame(number))?,
+        latest_end: asked.job.deadline?,
+        classes,
+        prefer: Prefer::Cheap,
+        below: i64::MAX,
+        except: None,
+        for_others: false,
+    })
+}
+
+/// The frames that could save something, those that could save most first.
+fn dear(state: &State, board: &Board) -> Vec<(Reverse<i64>, Piece)> {
+    let problem = state.problem;
+    let mut found = Vec::new();
+    for &piece in board.by_node.iter().flat_map(BTreeMap::values) {
+        let work = &problem.jobs[piece.job];
+        let price = |&class: &usize| {
+            let node = problem.representative(class);
+            Some(node.price(node.duration(piece.work, work.job.class)?, false))
+        };
+        let cheapest = work.classes.iter().filter_map(price).min().unwrap_or(0);
+        let saved = saved(state, piece.placed).saturating_sub(cheapest);
+        if saved > 0 {
+            found.push((Reverse(saved), piece));
+        }
+    }
+    found.sort_by_key(|(saved, piece)| (*saved, piece.job, piece.placed.start, piece.placed.node));
+    found
+}
+
+fn saved(state: &State, placed: Placed) -> i64 {
+    state.lanes[placed.node].saved_without(state.problem.nodes[placed.node], placed.start, placed.end)
+}
+
+/// Moves a frame to where it costs less, if there is such a place.
+fn improve(state: &mut State, board: &mut Board, piece: Piece) {
+    let before = saved(state, piece.placed);
+    lift(state, board, piece);
+    if settle(state, board, piece, before, LONGEST_CHAIN).is_none() {
+        set(state, board, piece);
+    }
+}
+
+fn lift(state: &mut State, board: &mut Board, piece: Piece) {
+    board.take(piece);
+    state.unbook(piece.job, piece.placed);
+}
+
+fn set(state: &mut State, board: &mut Board, piece: Piece) {
+    state.book(piece.job, piece.placed);
+    board.put(piece);
+}
+
+/// Places a lifted frame at less than this cost, all frames that it pushes out included. Returns what that costs; if there is no such place,
+/// everything is as it was.
+fn settle(state: &mut State, board: &mut Board, piece: Piece, below: i64, chain: usize) -> Option<i64> {
+    let number = piece.placed.task.frame()?;
+    let work = &state.problem.jobs[piece.job];
+    let classes = plain_below(state, piece.job, piece.work, below);
+    let search = search(state, piece.job, number, piece.work, &classes)?;
+    board.trials = board.trials.saturating_sub(1);
+    let free = state.find(work, &search).filter(|(_, fit)| fit.added_cost < below);
+    let limit = free.map_or(below, |(_, fit)| fit.added_cost);
+    if chain > 0 {
+        for other in in_the_way(state, board, piece, &search, limit) {
+            if board.trials == 0 {
+                break;
+            }
+            if let Some(cost) = push_out(state, board, piece, other, limit, chain) {
+                return Some(cost);
+            }
+        }
+    }
+    let (node, fit) = free?;
+    let placed = Placed { node, start: fit.start, end: fit.end, task: piece.placed.task };
+    set(state, board, Piece { placed, ..piece });
+    Some(fit.added_cost)
+}
+
+/// Frames in whose place this one would fit at so much less than `below` that the rest might pay for another place for them; the best first.
+fn in_the_way(state: &State, board: &Board, piece: Piece, search: &Search, below: i64) -> Vec<Piece> {
+    let problem = state.problem;
+    let mut best: Vec<(Reverse<i128>, usize, i64)> = Vec::new();
+    for &class in search.classes {
+        let of_class = problem.representative(class);
+        let Some(duration) = of_class.duration(piece.work, search.class_of_work) else { continue };
+        let left = i128::from(below) - i128::from(price_of(of_class.price_per_hour, duration));
+        if left <= 0 {
+            continue;
+        }
+        for &node in &problem.classes[class] {
+            let lane = &state.lanes[node];
+            for other in board.by_node[node].values() {
+                let Placed { start, end, .. } = other.placed;
+                if start >= search.latest_end {
+                    break;
+                }
+                let Some(elsewhere) = board.elsewhere[other.job].filter(|_| end > search.release) else {
+                    continue;
+                };
+                let is = i128::from(price_of(of_class.price_per_hour, end - start));
+                let gain = left + is - elsewhere * i128::from(other.work) / BILLION;
+                if gain <= 0 || other.job == piece.job {
+                    continue;
+                }
+                let worse =
+                    best.len() == MOST_PLACES && best.last().is_some_and(|last| Reverse(gain) >= last.0);
+                if worse {
+                    continue;
+                }
+                let (from, until) = lane.room_without(start, end);
+                if until.min(search.latest_end).saturating_sub(from.max(search.release)) < duration {
+                    continue;
+                }
+                let at = best.partition_point(|entry| *entry < (Reverse(gain), node, start));
+                best.insert(at, (Reverse(gain), node, start));
+                best.truncate(MOST_PLACES);
+            }
+        }
+    }
+    best.into_iter().filter_map(|(_, node, start)| board.at(node, start)).collect()
+}
+
+/// Puts a lifted frame into the place of another, and that one elsewhere, all for less than this; or leaves all as it was.
+fn push_out(
+    state: &mut State,
+    board: &mut Board,
+    piece: Piece,
+    other: Piece,
+    below: i64,
+    chain: usize,
+) -> Option<i64> {
+    let problem = state.problem;
+    let node = other.placed.node;
+    let place = problem.nodes[node];
+    let number = piece.placed.task.frame()?;
+    let (from, until) = state.lanes[node].room_without(other.placed.start, other.placed.end);
+    let wanted = {
+        let search = search(state, piece.job, number, piece.work, &[])?;
+        Wanted {
+            release: search.release.max(from),
+            latest_end: search.latest_end.min(until),
+            duration: place.duration(piece.work, search.class_of_work)?,
+            uses: &problem.jobs[piece.job].job.uses,
+        }
+    };
+    let back = saved(state, other.placed);
+    lift(state, board, other);
+    if let Some(fit) = state.lanes[node].fit(place, &wanted, &state.ledger, Prefer::Early, &Unwanted) {
+        let placed = Placed { node, start: fit.start, end: fit.end, task: piece.placed.task };
+        let own = fit.added_cost.saturating_sub(back);
+        set(state, board, Piece { placed, ..piece });
+        if let Some(rest) = settle(state, board, other, below.saturating_sub(own), chain - 1) {
+            return Some(own.saturating_add(rest));
+        }
+        lift(state, board, Piece { placed, ..piece });
+    }
+    set(state, board, other);
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::exchange;
+    use crate::admission::Admission;
+    use crate::model::{Confidence, Frame, Input, Interval, Job, Node, Task, WorkTotal};
+    use crate::problem::Problem;
+    use crate::state::{Placed, State};
+
+    const HOUR: i64 = 3_600_000_000;
+
+    /// Where a small job on the cheap node and a large one on the dear node lie after exchanges, with another node at this price for
+    /// the small one.
+    fn nodes_after(price: i64, deadline: i64) -> Vec<u64> {
+        let node = |id: u64, memory: u64, price: i64| Node {
+            id,
+            memory,
+            speed: 1,
+            price_per_hour: price,
+            calendar: vec![Interval { start: 0, end: Some(2 * HOUR) }],
+            ..Node::default()
+        };
+        let job = |id: u64, memory: u64, deadline: i64| Job {
+            id,
+            memory,
+            deadline: Some(deadline),
+            confidence: Confidence::P50,
+            total: WorkTotal { p50: 7200, p80: 7200, p95: 7200 },
+            frames: vec![Frame { number: 0, work: 7200, work_p80: 0 }],
+            ..Job::default()
+        };
+        let input = Input {
+            nodes: vec![node(1, 2, 1000), node(2, 1, price), node(3, 2, 9000)],
+            jobs: vec![job(0, 1, 2 * HOUR), job(1, 2, deadline)],
+            ..Input::default()
+        };
+        let problem = Problem::new(&input);
+        let admission = Admission::none(&problem);
+        let mut state = State::new(&problem, &admission);
+        for (job, node) in [(0, 0), (1, 2)] {
+            state.book(job, Placed { node, start: 0, end: 2 * HOUR, task: Task::Frame(0) });
+        }
+        exchange(&mut state);
+        state.placed.iter().map(|placed| problem.nodes[placed[0].node].id).collect()
+    }
+
+    #[test]
+    fn the_large_job_gets_the_cheap_node_if_the_small_one_can_go_elsewhere_for_less() {
+        assert_eq!(nodes_after(5000, 2 * HOUR), [2, 1]);
+        assert_eq!(nodes_after(8999, 2 * HOUR), [2, 1]);
+    }
+
+    #[test]
+    fn nothing_changes_places_where_that_saves_nothing_or_a_job_is_late() {
+        assert_eq!(nodes_after(9000, 2 * HOUR), [1, 3]);
+        assert_eq!(nodes_after(5000, HOUR), [1, 3]);
+    }
+}
