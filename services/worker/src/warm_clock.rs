@@ -7,18 +7,21 @@
 //!
 //! So around a few of the profiled pixels the block of neighbours is traced too, in one run. The first of them fetch what is needed; the
 //! rest show how long a unit of work takes once it is there. These blocks are drawn with a probability in proportion to the work that
-//! their profiled pixel stands for, so that the mean of their rates is an estimate of the frame's time over the frame's work. All
-//! profiled times are then scaled by one factor,
+//! their profiled pixel stands for, so that the mean of their rates is an estimate of the frame's time over the frame's work, and so is that of
+//! their profiled pixels, as scattered. All profiled times are scaled by the one over the other,
 //!
 //! ```text
-//! ρ = mean of the middle half of the blocks' (time / work)  /  ( Σ w_i time_i / Σ w_i work_i ) ,     w_i = pixels that pixel i stands for
+//! ρ = Σ_b (time / work of block b)  /  Σ_b (time / work of its profiled pixel) ,     b of the middle half by the ratio of the two
 //! ```
+//!
+//! which is a ratio estimate (Cochran, *Sampling Techniques*, chapter 6): a unit of work takes twice as long in some parts of a frame as in others, in both sums
+//! alike, so that it matters little which parts the few blocks are in.
 //!
 //! The neighbours are finished pixels, which the render takes over like any other; the forecast of work does not look at them.
 
 use crate::renderer::FrameRenderer;
-use forelight_forecast::Observation;
 use forelight_forecast::accuracy::PixelNoise;
+use forelight_forecast::{Cost, Observation};
 use forelight_tracer::Pixel;
 use std::collections::BTreeSet;
 
@@ -54,19 +57,20 @@ pub fn measure(
         f64::from(counts[stratum]) / f64::from(samples[stratum])
     };
     let work: Vec<f64> = observations.iter().map(|o| stands_for(o) * o.cost.work as f64).collect();
-    let time: f64 = observations.iter().map(|o| stands_for(o) * o.cost.cpu_nanos as f64).sum();
     let mut taken: BTreeSet<u32> = profiled.iter().map(|(pixel, _)| *pixel).collect();
     let mut runs = Vec::new();
+    let mut scattered = Vec::new();
     for site in proportional_sites(&work, sites(observations.len())) {
         let run = free_neighbours(profiled[site].0, camera.width, camera.height, &taken);
         taken.extend(&run);
         runs.push(run);
+        let Cost { work, cpu_nanos, .. } = observations[site].cost;
+        scattered.push(cpu_nanos as f64 / work as f64);
     }
     let traced = ready.trace_runs(&runs);
-    let warm = middle_mean(traced.iter().filter_map(|run| warm_rate(run)).collect());
-    let scattered = time / work.iter().sum::<f64>();
-    // Nothing may have been measured: no blocks, or a clock that did not move.
-    let factor = if warm > 0.0 && scattered > 0.0 { warm / scattered } else { 1.0 };
+    let rates =
+        scattered.into_iter().zip(&traced).filter_map(|(scattered, run)| Some((scattered, warm_rate(run)?)));
+    let factor = ratio(rates.collect()).unwrap_or(1.0);
     let pixels = runs.into_iter().flatten().zip(traced.into_iter().flatten()).collect();
     Warmth { factor, pixels }
 }
@@ -76,13 +80,15 @@ fn sites(picks: usize) -> usize {
     (picks / PICKS_PER_SITE).min(picks.isqrt())
 }
 
-/// Mean of the middle half of the values, NaN of none: a block in which the thread lost its processor, and its caches, is not what
-/// a block takes.
-fn middle_mean(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let quarter = values.len() / 4;
-    let middle = &values[quarter..values.len() - quarter];
-    middle.iter().sum::<f64>() / middle.len() as f64
+/// Sum of the second numbers over sum of the first, of the pairs in the middle half by their ratio: a block, or a pixel, in which the thread lost its processor, and
+/// its caches, is not what it takes. `None` if nothing was measured: no blocks, or a clock that did not move.
+fn ratio(mut pairs: Vec<(f64, f64)>) -> Option<f64> {
+    pairs.retain(|&(scattered, warm)| scattered > 0.0 && scattered.is_finite() && warm > 0.0);
+    pairs.sort_by(|a, b| (a.1 / a.0).total_cmp(&(b.1 / b.0)));
+    let quarter = pairs.len() / 4;
+    let middle = &pairs[quarter..pairs.len() - quarter];
+    let sum = |of: fn(&(f64, f64)) -> f64| middle.iter().map(of).sum::<f64>();
+    (!middle.is_empty()).then(|| sum(|pair| pair.1) / sum(|pair| pair.0))
 }
 
 /// Nanoseconds per unit of work of the later pixels of a run.
@@ -122,9 +128,20 @@ mod tests {
 
     #[test]
     fn one_disturbed_block_does_not_count() {
-        assert_eq!(middle_mean(vec![1.0, 1.2, 0.8, 90.0]), 1.1);
-        assert_eq!(middle_mean(vec![3.0]), 3.0);
-        assert!(middle_mean(Vec::new()).is_nan());
+        assert_eq!(ratio(vec![(1.0, 1.0), (1.0, 1.25), (1.0, 0.75), (1.0, 90.0)]), Some(1.125));
+        assert_eq!(ratio(vec![(2.0, 3.0)]), Some(1.5));
+        assert_eq!(ratio(Vec::new()), None);
+        assert_eq!(ratio(vec![(0.0, 1.0), (f64::NAN, 1.0), (1.0, 0.0)]), None);
+    }
+
+    #[test]
+    fn it_does_not_matter_whether_the_blocks_are_where_work_takes_longer() {
+        // Warm pixels take two thirds of the time of scattered ones, everywhere.
+        let blocks = |rates: &[f64]| rates.iter().map(|&rate| (1.5 * rate, rate)).collect::<Vec<_>>();
+        for rates in [[1.0, 1.0, 1.0, 1.1], [3.0, 2.9, 3.1, 3.0], [1.0, 3.0, 1.0, 3.0]] {
+            let found = ratio(blocks(&rates)).unwrap();
+            assert!((found - 2.0 / 3.0).abs() < 1e-12, "{found}");
+        }
     }
 
     #[test]
