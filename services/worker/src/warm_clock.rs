@@ -7,22 +7,18 @@
 //!
 //! So around a few of the profiled pixels the block of neighbours is traced too, in one run. The first of them fetch what is needed; the
 //! rest show how long a unit of work takes once it is there. These blocks are drawn with a probability in proportion to the work that
-//! their profiled pixel stands for, so that the mean of their rates (time / work), ȳ, is an estimate of the frame's time over the frame's work, and the mean of
-//! the rates of their profiled pixels, x̄, one of the same as scattered. The latter is known of all profiled pixels, X, and corrects the former, for in some
-//! parts of a frame a unit of work takes twice as long as in others, and there are few blocks. All profiled times are then scaled by one factor,
+//! their profiled pixel stands for, so that the mean of their rates is an estimate of the frame's time over the frame's work. All
+//! profiled times are then scaled by one factor,
 //!
 //! ```text
-//! ρ = ( ȳ + β (X − x̄) ) / X ,     X = Σ w_i time_i / Σ w_i work_i ,     w_i = pixels that pixel i stands for
+//! ρ = mean of the middle half of the blocks' (time / work)  /  ( Σ w_i time_i / Σ w_i work_i ) ,     w_i = pixels that pixel i stands for
 //! ```
-//!
-//! a regression estimate (Cochran, *Sampling Techniques*, chapter 7), with the slope β of the blocks' rates over those of their pixels, and the mean over the middle
-//! half of the blocks by what the slope leaves.
 //!
 //! The neighbours are finished pixels, which the render takes over like any other; the forecast of work does not look at them.
 
 use crate::renderer::FrameRenderer;
+use forelight_forecast::Observation;
 use forelight_forecast::accuracy::PixelNoise;
-use forelight_forecast::{Cost, Observation};
 use forelight_tracer::Pixel;
 use std::collections::BTreeSet;
 
@@ -58,21 +54,19 @@ pub fn measure(
         f64::from(counts[stratum]) / f64::from(samples[stratum])
     };
     let work: Vec<f64> = observations.iter().map(|o| stands_for(o) * o.cost.work as f64).collect();
-    let mut taken: BTreeSet<u32> = profiled.iter().map(|(pixel, _)| *pixel).collect();
     let time: f64 = observations.iter().map(|o| stands_for(o) * o.cost.cpu_nanos as f64).sum();
+    let mut taken: BTreeSet<u32> = profiled.iter().map(|(pixel, _)| *pixel).collect();
     let mut runs = Vec::new();
-    let mut scattered = Vec::new();
     for site in proportional_sites(&work, sites(observations.len())) {
         let run = free_neighbours(profiled[site].0, camera.width, camera.height, &taken);
         taken.extend(&run);
         runs.push(run);
-        let Cost { work, cpu_nanos, .. } = observations[site].cost;
-        scattered.push(cpu_nanos as f64 / work as f64);
     }
     let traced = ready.trace_runs(&runs);
-    let rates = scattered.into_iter().zip(&traced);
-    let rates = rates.filter_map(|(scattered, run)| Some(Rates { scattered, warm: warm_rate(run)? }));
-    let factor = factor(&rates.collect::<Vec<_>>(), time / work.iter().sum::<f64>()).unwrap_or(1.0);
+    let warm = middle_mean(traced.iter().filter_map(|run| warm_rate(run)).collect());
+    let scattered = time / work.iter().sum::<f64>();
+    // Nothing may have been measured: no blocks, or a clock that did not move.
+    let factor = if warm > 0.0 && scattered > 0.0 { warm / scattered } else { 1.0 };
     let pixels = runs.into_iter().flatten().zip(traced.into_iter().flatten()).collect();
     Warmth { factor, pixels }
 }
@@ -80,31 +74,6 @@ pub fn measure(
 /// Blocks for so many profiled pixels.
 fn sites(picks: usize) -> usize {
     (picks / PICKS_PER_SITE).min(picks.isqrt())
-}
-
-/// Nanoseconds per unit of work of a profiled pixel, and of the block around it.
-#[derive(Debug, Clone, Copy)]
-struct Rates {
-    scattered: f64,
-    warm: f64,
-}
-
-/// Factor from the scattered pixels' rate, `all`, to that of a render. `None` if nothing was measured: no blocks, or a clock that did not move.
-fn factor(blocks: &[Rates], all: f64) -> Option<f64> {
-    let usable = |rate: f64| rate.is_finite() && rate > 0.0;
-    let blocks: Vec<Rates> =
-        blocks.iter().copied().filter(|block| usable(block.scattered) && usable(block.warm)).collect();
-    if blocks.is_empty() || !usable(all) {
-        return None;
-    }
-    let mean = |of: &dyn Fn(&Rates) -> f64| blocks.iter().map(of).sum::<f64>() / blocks.len() as f64;
-    let (x, y) = (mean(&|block| block.scattered), mean(&|block| block.warm));
-    let variance = mean(&|block| (block.scattered - x).powi(2));
-    let covariance = mean(&|block| (block.scattered - x) * (block.warm - y));
-    // Pixels' rates may say nothing of their blocks', but not the opposite of them, nor more than that both are in proportion.
-    let slope = if variance > 0.0 { (covariance / variance).clamp(0.0, y / x) } else { 0.0 };
-    let corrected = blocks.iter().map(|block| block.warm + slope * (all - block.scattered));
-    Some(middle_mean(corrected.collect()) / all).filter(|&factor| usable(factor))
 }
 
 /// Mean of the middle half of the values, NaN of none: a block in which the thread lost its processor, and its caches, is not what
@@ -155,25 +124,7 @@ mod tests {
     fn one_disturbed_block_does_not_count() {
         assert_eq!(middle_mean(vec![1.0, 1.2, 0.8, 90.0]), 1.1);
         assert_eq!(middle_mean(vec![3.0]), 3.0);
-        let even = [0.5, 0.6, 0.4, 45.0].map(|warm| Rates { scattered: 1.0, warm });
-        assert_eq!(factor(&even, 1.0), Some(0.55));
-        assert_eq!(factor(&[], 1.0), None);
-        assert_eq!(factor(&even, f64::NAN), None);
-        let stopped =
-            [(0.0, 1.0), (f64::NAN, 1.0), (1.0, 0.0)].map(|(scattered, warm)| Rates { scattered, warm });
-        assert_eq!(factor(&stopped, 1.0), None);
-    }
-
-    #[test]
-    fn it_matters_little_whether_the_blocks_are_where_work_takes_longer() {
-        // Warm pixels take two thirds of the time of scattered ones, wherever they are; of all, these take 2 ns for a unit.
-        for rates in [[1.0, 1.1, 1.0, 1.2], [3.0, 2.9, 3.1, 3.0], [1.0, 3.0, 1.0, 2.0]] {
-            let found = factor(&rates.map(|rate| Rates { scattered: 1.5 * rate, warm: rate }), 2.0).unwrap();
-            assert!((found - 2.0 / 3.0).abs() < 1e-12, "{found}");
-        }
-        // Pixels that say nothing of their blocks correct nothing.
-        let noise = [(1.0, 1.0), (3.0, 1.0), (2.0, 1.0)].map(|(scattered, warm)| Rates { scattered, warm });
-        assert_eq!(factor(&noise, 4.0), Some(0.25));
+        assert!(middle_mean(Vec::new()).is_nan());
     }
 
     #[test]
