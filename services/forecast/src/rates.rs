@@ -1,13 +1,16 @@
 //! Seconds per unit of work, by class of work: from kernels on a machine, and corrected by what frames took there.
 //!
-//! A kernel does work of several classes, W_kc, in t_k seconds. The rates r_c that explain all kernels best, each by its share, are
+//! A kernel does work of several classes, W_kc, in t_k seconds. On a reference machine a unit of each class takes p_c: that is known from whole frames,
+//! of which a kernel is none, so W_kc is counted such that Σ_c W_kc p_c is what the kernel takes there. The rates here, r_c = m p_c x_c, are the
+//! reference's times one factor for all classes and one for each,
 //!
 //! ```text
-//! min Σ_k ( Σ_c W_kc r_c / t_k − 1 )²  +  λ Σ_c ( r_c / r̄ − 1 )² ,      r̄ = mean of t_k / Σ_c W_kc
+//! min Σ_k ( Σ_c W_kc m p_c x_c / t_k − 1 )²  +  λ Σ_c ( x_c − 1 )² ,      m = mean of t_k / Σ_c W_kc p_c
 //! ```
 //!
-//! (ridge regression towards one rate for all classes; Hoerl and Kennard 1970). With a small λ a class in which the kernels say much is
-//! hardly held back, and one in which they say nothing has the mean rate.
+//! (ridge regression towards the reference's proportions; Hoerl and Kennard 1970): that machines differ by one factor is what is believed until kernels say otherwise.
+//! A class in which the kernels say much is hardly held back, and of one in which they say nothing the rate is m p_c. What is off
+//! in how the classes were told apart is off alike on two machines, and cancels when a time is carried from one to the other.
 //!
 //! What frames take on a machine corrects that. Let m_j be the mean over a job's frames of the logarithm of what they took over what they were
 //! forecast to take there, by kernels that know nothing of the scene. Jobs differ in m_j about as much as machines do beyond what
@@ -16,10 +19,10 @@
 
 use crate::moments::sum;
 
-/// λ.
-const RIDGE: f64 = 0.03;
+/// λ: as if it had been seen once, to within three times the error of a kernel, that the class is in proportion.
+const RIDGE: f64 = 0.1;
 
-/// Rates stay within this factor of the mean rate.
+/// Proportions stay within this factor of the reference's.
 const WIDEST: f64 = 20.0;
 
 /// The logarithm of a frame's ratio counts as no more than this: a factor of two.
@@ -31,16 +34,26 @@ const MILLIONTHS: f64 = 1e6;
 /// Work of a kernel by class, and the seconds that it took.
 pub type Timed<const CLASSES: usize> = ([f64; CLASSES], f64);
 
-/// Seconds for a unit of work of each class; `None` without kernels that did any work in any time.
-pub fn class_rates<const CLASSES: usize>(kernels: &[Timed<CLASSES>]) -> Option<[f64; CLASSES]> {
-    let known: Vec<&Timed<CLASSES>> =
-        kernels.iter().filter(|(work, seconds)| *seconds > 0.0 && sum(work.iter().copied()) > 0.0).collect();
-    let rates = known.iter().map(|(work, seconds)| seconds / sum(work.iter().copied()));
-    let mean = sum(rates) / known.len() as f64;
+/// Seconds for a unit of work of each class, from kernels and what such units take on the reference machine, all of them more than nothing; `None`
+/// without kernels that did any work in any time.
+pub fn class_rates<const CLASSES: usize>(
+    kernels: &[Timed<CLASSES>],
+    reference: &[f64; CLASSES],
+) -> Option<[f64; CLASSES]> {
+    let there = |work: &[f64; CLASSES]| -> [f64; CLASSES] {
+        std::array::from_fn(|class| work[class] * reference[class])
+    };
+    let known: Vec<Timed<CLASSES>> = kernels
+        .iter()
+        .map(|(work, seconds)| (there(work), *seconds))
+        .filter(|(work, seconds)| *seconds > 0.0 && sum(work.iter().copied()) > 0.0)
+        .collect();
+    let factors = known.iter().map(|(work, seconds)| seconds / sum(work.iter().copied()));
+    let mean = sum(factors) / known.len() as f64;
     if known.is_empty() {
         return None;
     }
-    // In units of the mean rate: M x = b with M = Σ u uᵀ + λ, b = Σ u + λ, u_c = W_c r̄ / t.
+    // M x = b with M = Σ u uᵀ + λ, b = Σ u + λ, u_c = W_c p_c m / t.
     let rows: Vec<[f64; CLASSES]> =
         known.iter().map(|(work, seconds)| work.map(|work| work * mean / seconds)).collect();
     let mut matrix = [[0.0; CLASSES]; CLASSES];
@@ -52,7 +65,10 @@ pub fn class_rates<const CLASSES: usize>(kernels: &[Timed<CLASSES>]) -> Option<[
             matrix[i][j] = sum(rows.iter().map(|row| row[i] * row[j])) + ridge;
         }
     }
-    Some(solved(matrix, right).map(|x| mean * x.clamp(1.0 / WIDEST, WIDEST)))
+    let proportions = solved(matrix, right);
+    Some(std::array::from_fn(|class| {
+        mean * reference[class] * proportions[class].clamp(1.0 / WIDEST, WIDEST)
+    }))
 }
 
 /// Solves a symmetric positive definite system by elimination, which needs no pivots for these (Golub and Van Loan, section 4.2).
@@ -96,21 +112,28 @@ mod tests {
             [[8.0e6, 1.0e6, 0.0], [1.0e6, 9.0e6, 1.0e6], [2.0e6, 0.0, 7.0e6], [3.0e6, 3.0e6, 3.0e6]];
         let timed: Vec<_> =
             kernels.iter().map(|work| (*work, sum(work.iter().zip(truth).map(|(w, r)| w * r)))).collect();
-        let found = class_rates(&timed).unwrap();
-        for (found, truth) in found.iter().zip(truth) {
-            assert!((found / truth - 1.0).abs() < 0.05, "{found} {truth}");
-        }
+        let off = |reference: [f64; 3]| {
+            let found = class_rates(&timed, &reference).unwrap();
+            found.iter().zip(truth).map(|(found, truth)| (found / truth - 1.0).abs()).fold(0.0, f64::max)
+        };
+        assert!(
+            off(truth.map(|rate| 3.0 * rate)) < 1e-12,
+            "one factor for all classes is found to the last digit"
+        );
+        assert!(off([0.9e-9, 2.2e-9, 0.5e-9]) < 0.08, "{}", off([0.9e-9, 2.2e-9, 0.5e-9]));
+        assert!(off([1.0e-9; 3]) < 0.3, "{}", off([1.0e-9; 3]));
     }
 
     #[test]
-    fn a_class_that_no_kernel_does_has_the_mean_rate_and_nothing_says_nothing() {
-        let found = class_rates(&[([4.0e6, 0.0], 8.0e-3)]).unwrap();
+    fn a_class_that_no_kernel_does_is_in_proportion_and_nothing_says_nothing() {
+        let found = class_rates(&[([4.0e6, 0.0], 8.0e-3)], &[1.0e-9, 3.0e-9]).unwrap();
         assert!(
-            (found[0] / 2.0e-9 - 1.0).abs() < 0.01 && (found[1] / 2.0e-9 - 1.0).abs() < 0.01,
+            (found[0] / 2.0e-9 - 1.0).abs() < 0.01 && (found[1] / 6.0e-9 - 1.0).abs() < 0.01,
             "{found:?}"
         );
-        assert_eq!(class_rates::<2>(&[]), None);
-        assert_eq!(class_rates(&[([0.0, 0.0], 1.0), ([1.0, 0.0], 0.0)]), None);
+        let reference = [1.0e-9; 2];
+        assert_eq!(class_rates(&[], &reference), None);
+        assert_eq!(class_rates(&[([0.0, 0.0], 1.0), ([1.0, 0.0], 0.0)], &reference), None);
     }
 
     #[test]

@@ -42,6 +42,7 @@ impl Job {
             .enumerate()
             .map(|(t, &median)| LiveFrame {
                 time: t as f64,
+                lights: 0,
                 quote: lognormal(median, of_frame),
                 known: Known::Nothing,
             })
@@ -115,7 +116,9 @@ fn from_the_quote_to_the_first_frame_is_no_leap() {
         (first.whole.p80, job.total.p80),
         (first.whole.p95, job.total.p95),
     ] {
-        assert!((now / quoted - 1.0).abs() < 0.12, "{now} for {quoted}");
+        // That a frame is as quoted takes variance away, and more from a model that knows of an error in common than from one that allows for more
+        // of it: no quantile moves by more than a standard deviation of the job, about 0.14.
+        assert!((now / quoted - 1.0).abs() < 0.14, "{now} for {quoted}");
     }
     assert!(width(&first.whole) < width(&job.total));
 }
@@ -146,11 +149,19 @@ fn a_job_thirty_percent_dearer_than_its_quote_is_seen_as_such_after_a_few_frames
         in_order.finish(frame);
     });
     let live = job.live();
-    assert!(off(&job).abs() < 0.05 && (live.factor - 1.3).abs() < 0.07, "{} {live:?}", off(&job));
+    // Of n = 6 equal residuals the posterior mean keeps n c / (n c + s + e) at least, with c, s, e the variances of AS_QUOTED; what is lost of
+    // ln 1.3 is 3.4 %, and the frames' own noise of 3 % makes 3 · 0.03 / √6 = 3.7 % at three sigmas. Of the whole an eighth is known.
+    let lost = 0.034 + 0.037;
+    assert!(off(&job).abs() < 7.0 / 8.0 * lost, "{} {live:?}", off(&job));
+    assert!((live.factor / 1.3 - 1.0).abs() < lost, "{live:?}");
     assert!(live.whole.p50 > job.total.p80, "the quote's P80 is out of reach");
-    // Frames beside each other may share what will pass, so that less is made of them.
+    // Frames beside each other may share what will pass, so that less is made of them: of what they say, c / (c + s) is common, 69 %.
     let live = in_order.live();
-    assert!(off(&in_order).abs() < 0.1 && live.whole.p95 > job.whole(), "{} {live:?}", off(&in_order));
+    assert!(
+        off(&in_order).abs() < 7.0 / 8.0 * (0.31 * 0.262 + 0.037) && live.whole.p95 > job.whole(),
+        "{} {live:?}",
+        off(&in_order)
+    );
 }
 
 #[test]
@@ -181,11 +192,16 @@ fn it_does_not_matter_in_which_order_frames_arrived() {
 }
 
 /// How often truths stayed at or below P50, P80 and P95 of the whole, over seeded jobs with these frames finished.
-fn hits(jobs: u64, quoted: Truth, change: impl Fn(&mut Job), finished: &[usize]) -> [f64; 3] {
+fn hits(
+    jobs: u64,
+    [quoted, truth]: [Truth; 2],
+    change: impl Fn(&mut Job, u64),
+    finished: &[usize],
+) -> [f64; 3] {
     let mut hits = [0.0; 3];
     for seed in 1000..1000 + jobs {
-        let mut job = Job::new(seed, 48, quoted, AS_QUOTED);
-        change(&mut job);
+        let mut job = Job::new(seed, 48, quoted, truth);
+        change(&mut job, seed);
         finished.iter().for_each(|&frame| job.finish(frame));
         let Band { p50, p80, p95, .. } = job.live().whole;
         for (hit, quantile) in hits.iter_mut().zip([p50, p80, p95]) {
@@ -195,10 +211,42 @@ fn hits(jobs: u64, quoted: Truth, change: impl Fn(&mut Job), finished: &[usize])
     hits
 }
 
-/// Two standard deviations of a share of 500 jobs are 0.036 at P80; what drifts is not exactly what is assumed.
-fn about(hits: [f64; 3], what: &str) {
-    for (hit, (low, high)) in hits.iter().zip([(0.40, 0.62), (0.72, 0.92), (0.90, 1.0)]) {
-        assert!((low..=high).contains(hit), "{what}: {hits:?}");
+/// Four standard deviations of the share of so many jobs in which something of this probability happens: of the twenty or so such bounds here
+/// none is left by chance.
+fn by_chance(probability: f64, jobs: u64) -> f64 {
+    4.0 * (probability * (1.0 - probability) / jobs as f64).sqrt()
+}
+
+/// Distribution of Student's t, by Simpson's rule on its density from zero.
+fn student(t: f64, freedom: f64) -> f64 {
+    let density = |x: f64| (1.0 + x * x / freedom).powf(-0.5 * (freedom + 1.0));
+    let integral = |end: f64| {
+        let steps = 4000;
+        let h = end / f64::from(steps);
+        let weight = |i: i32| if i == 0 || i == steps { 1.0 } else { 2.0 + 2.0 * f64::from(i % 2) };
+        (0..=steps).map(|i| weight(i) * density(h * f64::from(i))).sum::<f64>() * h / 3.0
+    };
+    0.5 + 0.5 * integral(t) / integral(400.0)
+}
+
+/// Standard normal quantiles at 0.50, 0.80 and 0.95.
+const NORMAL: [f64; 3] = [0.0, 0.8416, 1.6449];
+
+/// What P50, P80 and P95 are in fact of a job whose intervals are `stretch` times as long as they should be, if their scale is learnt from so many frames, and from
+/// the quote, which counts for four.
+fn kept(stretch: f64, seen: usize) -> [f64; 3] {
+    let freedom = 4.0 + seen as f64;
+    NORMAL
+        .map(|normal| student(stretch * normal * (1.0 + (normal * normal + 1.0) / (4.0 * freedom)), freedom))
+}
+
+/// Whether the hits of 500 jobs are what intervals of the right length keep, to within three sigmas. They may be half as long again: what allows
+/// for more than the quote knows of does not know that in these jobs there is none.
+fn about(hits: [f64; 3], seen: usize, what: &str) {
+    let (least, most) = (kept(1.0, seen), kept(1.5, 1_000_000));
+    for ((hit, least), most) in hits.iter().zip(least).zip(most) {
+        let (low, high) = (least - by_chance(least, 500), most + by_chance(most, 500));
+        assert!((low..=high).contains(hit), "{what}: {hits:?}, {low} to {high}");
     }
 }
 
@@ -215,38 +263,96 @@ fn quantiles_hold_what_they_promise_where_the_quote_knows_itself() {
         (&half[..], "the first half"),
         (&most[..], "all but six"),
     ] {
-        let found = hits(500, AS_QUOTED, |_| {}, finished);
+        let found = hits(500, [AS_QUOTED; 2], |_, _| {}, finished);
         println!("{what}: {found:?}");
-        about(found, what);
+        about(found, finished.len(), what);
     }
 }
 
 #[test]
 fn a_quote_that_is_far_too_sure_of_itself_is_found_out() {
-    // It gives itself a third of the spread that there is: P95 holds in two jobs of three before anything is seen.
+    // It gives itself a third of the spread that there is: P95 is then at 1.645 / 3 standard deviations before anything is seen.
     let third = Truth { common: 0.04, smooth: 0.027, own: 0.027 };
-    let none = hits(500, third, |_| {}, &[]);
-    assert!(none[2] < 0.8, "{none:?}");
+    let none = hits(500, [third, AS_QUOTED], |_, _| {}, &[]);
+    let before = 0.708;
+    assert!((none[2] - before).abs() < by_chance(before, 500), "{none:?}");
     println!("before {none:?}");
     let quarter: Vec<usize> = (0..48).step_by(4).collect();
-    let seen = hits(500, third, |_| {}, &quarter);
-    assert!(seen[2] > 0.87 && seen[1] > 0.7, "{seen:?}");
+    let seen = hits(500, [third, AS_QUOTED], |_, _| {}, &quarter);
+    // Twelve frames are each nine times as surprising as they should be: the variance is found to be (4 + 9 · 12) / (4 + 12) = 7 times the quote's.
+    let [_, at_80, at_95] = kept((7.0f64 / 9.0).sqrt(), 12);
+    assert!(seen[1] > at_80 - by_chance(at_80, 500), "{seen:?}");
+    assert!(seen[2] > at_95 - by_chance(at_95, 500), "{seen:?}");
+}
+
+/// A light goes on half-way, and the quote is off by another factor on each side of it. What the whole is off by is as uncertain as it was: half of the
+/// variance of what frames have in common is that of the sides, each of which is half of the job.
+fn switched_on(job: &mut Job, seed: u64) {
+    let mut stream = Stream::new(seed ^ 0x5eed);
+    let sides = [0, 1].map(|_| AS_QUOTED.common * stream.normal());
+    for (t, frame) in job.frames.iter_mut().enumerate() {
+        frame.lights = (t / 24) as u32;
+        frame.time += 48.0 * (t / 24) as f64;
+        job.truth[t] *= sides[t / 24].exp();
+    }
 }
 
 #[test]
-fn a_light_that_goes_on_half_way_is_learnt_once_it_is_seen_and_frames_here_and_there_see_it_soon() {
-    let switched_on = |job: &mut Job| job.truth[24..].iter_mut().for_each(|cost| *cost *= 1.4);
-    let quarter: Vec<usize> = (0..48).step_by(4).collect();
-    let scattered = hits(300, AS_QUOTED, switched_on, &quarter);
-    println!("scattered {scattered:?}");
-    assert!(scattered[2] > 0.88 && scattered[1] > 0.65, "{scattered:?}");
-    // In order: nothing tells of it before the half, and no estimate that is honest about the quote covers all of it.
+fn a_light_that_is_yet_to_go_on_is_allowed_for_and_frames_here_and_there_see_it_soon() {
+    let scattered: Vec<usize> = (0..48).step_by(4).collect();
     let before: Vec<usize> = (0..24).collect();
-    let unseen = hits(300, AS_QUOTED, switched_on, &before);
     let after: Vec<usize> = (0..32).collect();
-    let seen = hits(300, AS_QUOTED, switched_on, &after);
-    println!("before {unseen:?}, after {seen:?}");
-    assert!(unseen[2] < 0.1 && seen[2] > 0.75, "before {unseen:?}, after {seen:?}");
+    let shared = Truth { common: 0.5f64.sqrt() * AS_QUOTED.common, ..AS_QUOTED };
+    for (finished, what) in [(scattered, "here and there"), (before, "before it"), (after, "after it")] {
+        let found = hits(300, [AS_QUOTED, shared], switched_on, &finished);
+        println!("{what}: {found:?}");
+        let [_, at_80, at_95] = kept(1.0, finished.len());
+        assert!(found[1] > at_80 - by_chance(at_80, 300), "{what}: {found:?}");
+        assert!(found[2] > at_95 - by_chance(at_95, 300), "{what}: {found:?}");
+    }
+}
+
+#[test]
+fn frames_in_a_light_that_was_not_seen_yet_are_thought_less_like_those_that_were_and_less_sure() {
+    let estimate = |lights: u32| {
+        let mut job = Job::new(14, 40, AS_QUOTED, Truth { common: 0.0, smooth: 0.0, own: 0.01 });
+        for t in 0..40 {
+            // Far apart, so that nothing but the lights tells the halves apart.
+            job.frames[t].time += if t < 20 { 0.0 } else { 4000.0 };
+            job.frames[t].lights = if t < 20 { 0 } else { lights };
+            job.truth[t] *= 1.4;
+        }
+        (0..20).for_each(|frame| job.finish(frame));
+        job.live()
+    };
+    let (same, other) = (estimate(0), estimate(1));
+    assert!(other.factor > 1.02 && other.factor < same.factor - 0.05, "{other:?} {same:?}");
+    let spread = |live: &Live| (live.remaining.p95 / live.remaining.p50).ln();
+    assert!(spread(&other) > 1.2 * spread(&same), "{other:?} {same:?}");
+    // It makes no difference what a set of lights is called, nor that there are more of them than are told apart.
+    assert_eq!(estimate(7), other);
+}
+
+#[test]
+fn a_light_that_comes_back_is_known() {
+    let mut job = Job::new(15, 48, AS_QUOTED, Truth { common: 0.0, smooth: 0.0, own: 0.01 });
+    for t in 0..48 {
+        job.frames[t].time += 4000.0 * (t / 12) as f64;
+        // Twelve frames of each in turn; the quote is wrong in one of them alone.
+        job.frames[t].lights = (t / 12 % 2) as u32;
+        job.truth[t] *= if t / 12 % 2 == 1 { 1.4 } else { 1.0 };
+    }
+    (0..24).for_each(|frame| job.finish(frame));
+    let forgetful = {
+        let frames = job.frames.iter().map(|frame| LiveFrame { lights: 0, ..*frame }).collect();
+        Job { frames, truth: job.truth.clone(), total: job.total }.live()
+    };
+    let left: f64 = job.truth[24..].iter().sum();
+    let off = |live: &Live| (live.remaining.p50 / left - 1.0).abs();
+    assert!(off(&job.live()) <= off(&forgetful) + 1e-9, "{} {}", off(&job.live()), off(&forgetful));
+    // A third set, which takes up where the second was, is not taken for it.
+    (36..48).for_each(|t| job.frames[t].lights = 2);
+    assert!(job.live().factor < 1.4f64.sqrt());
 }
 
 #[test]
@@ -306,7 +412,7 @@ fn frames_that_cost_nothing_and_numbers_that_are_none_do_no_harm() {
                     1.0 => Known::Part { share: number(), cost: number() },
                     _ => Known::All(number()),
                 };
-                LiveFrame { time: f64::from(t), quote, known }
+                LiveFrame { time: f64::from(t), lights: t % 3, quote, known }
             })
             .collect();
         let total = lognormal(100.0, 0.2);
@@ -324,7 +430,7 @@ fn frames_that_cost_nothing_and_numbers_that_are_none_do_no_harm() {
     }
     let empty = live(&nothing, &[], Measure::Work);
     assert_eq!((empty.whole, empty.spent), (nothing, 0.0));
-    let free = [LiveFrame { time: 0.0, quote: nothing, known: Known::All(0.0) }; 3];
+    let free = [LiveFrame { time: 0.0, lights: 0, quote: nothing, known: Known::All(0.0) }; 3];
     assert_eq!(live(&nothing, &free, Measure::Work).whole, nothing);
 }
 

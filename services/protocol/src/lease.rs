@@ -113,7 +113,8 @@ pub struct RenewRequest {
     pub log: Vec<LogLine>,
 }
 
-/// How many pixels of a frame are finished, and what they took.
+/// How many pixels of a frame are finished, and what they took. With an irradiance cache, from when that is there: the part of the frame that cache and finished pixels
+/// are, as so many pixels, and what both took.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FinishedPixels {

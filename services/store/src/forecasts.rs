@@ -44,6 +44,9 @@ pub struct JobForecast {
     pub cache: Option<CacheQuote>,
     /// The total in money, with the shared irradiance cache if there is one.
     pub cost: Option<MoneyQuantiles>,
+    /// Which lights shine in each frame, in their order, as a number that frames with the same ones share; empty if those of all do.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lights: Vec<u32>,
     /// When each frame is on the shot's own clock, in their order. Kept with the frames, and so empty when it is read back.
     #[serde(skip)]
     pub clock: Vec<f64>,

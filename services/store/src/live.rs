@@ -137,7 +137,7 @@ pub(crate) async fn update(
     };
     let confidence: Confidence = word(&row, "confidence")?;
     let verdict: Option<JobVerdict> = json_opt(&row, "verdict")?;
-    let frames = Frames::read(write.connection(), job).await?;
+    let frames = Frames::read(write.connection(), job, &quote.lights).await?;
     let work = figure(&quote.total.work, &frames.work, Measure::Work);
     let cpu = figure(&quote.total.cpu_seconds, &frames.cpu, Measure::CpuTime);
 
@@ -258,7 +258,7 @@ struct Frames {
 }
 
 impl Frames {
-    async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Self, StoreError> {
+    async fn read(connection: &mut SqliteConnection, job: JobId, lights: &[u32]) -> Result<Self, StoreError> {
         let rows = sqlx::query(
             "SELECT f.*, t.pixels_share, t.pixels_work, t.pixels_cpu FROM frames f \
              LEFT JOIN tasks t ON t.job_id = f.job_id AND t.kind = 'render' AND ifnull(t.frame, -1) = f.frame AND t.state = 'leased' \
@@ -276,7 +276,8 @@ impl Frames {
             share_left: 0.0,
         };
         let (mut all, mut left) = (0.0, 0.0);
-        for row in &rows {
+        for (place, row) in rows.iter().enumerate() {
+            let lights = lights.get(place).copied().unwrap_or_default();
             let number: i64 = row.try_get("frame")?;
             let time = row.try_get::<Option<f64>, _>("clock")?.unwrap_or((number - first) as f64);
             let share: Option<f64> = row.try_get("pixels_share")?;
@@ -291,9 +292,9 @@ impl Frames {
             let work = known("actual_work", "pixels_work")?;
             let cpu = known("actual_cpu", "pixels_cpu")?;
             let quote = band(row, ["work_mean", "work_p50", "work_p80", "work_p95"])?;
-            frames.work.push(LiveFrame { time, quote, known: work });
+            frames.work.push(LiveFrame { time, lights, quote, known: work });
             let quote = band(row, ["cpu_mean", "cpu_p50", "cpu_p80", "cpu_p95"])?;
-            frames.cpu.push(LiveFrame { time, quote, known: cpu });
+            frames.cpu.push(LiveFrame { time, lights, quote, known: cpu });
             frames.done += u32::from(matches!(cpu, Known::All(_)));
             all += quote.mean;
             left += quote.mean

@@ -329,6 +329,7 @@ fn job_forecast() -> JobForecast {
         cpu_seconds_on: Vec::new(),
         cache: None,
         cost: None,
+        lights: Vec::new(),
         clock: Vec::new(),
     }
 }

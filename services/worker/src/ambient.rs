@@ -440,6 +440,11 @@ impl FrameRenderer for AmbientFrame<'_> {
         self.tracer.fill(&|done, all| progress(Progress { step: Step::Filling, done, all }), cancel)
     }
 
+    fn spent_on_cache(&self) -> Spent {
+        let of = |totals: CacheTotals| spent(totals.plan).plus(spent(totals.fill));
+        self.tracer.cache().map_or_else(Spent::default, |cache| of(cache.totals()))
+    }
+
     fn has_final_colours(&self) -> bool {
         self.tracer.cache().is_none_or(Cache::is_complete)
     }

@@ -1,7 +1,7 @@
 //! Work by class: what a frame's operations are, for seconds on other machines.
 
 use crate::renderer::FrameRenderer;
-use forelight_protocol::ByClass;
+use forelight_protocol::{ByClass, FixedCosts};
 use forelight_tracer::WorkByClass;
 
 /// Triangles of which tree and corners still fit into the caches of a core, and of which next to nothing does. In between, the share
@@ -13,16 +13,18 @@ const UNCACHED: f64 = 524_288.0;
 pub fn by_class([rays, traversal, shading, texture, records]: WorkByClass, triangles: usize) -> ByClass {
     let share = ((triangles as f64 / CACHED).ln() / (UNCACHED / CACHED).ln()).clamp(0.0, 1.0);
     let memory = (traversal as f64 * share).round() as u64;
-    ByClass { rays, traversal: traversal - memory, memory, shading, texture, records }
+    ByClass { rays, traversal: traversal - memory, memory, shading, texture, records, build: 0 }
 }
 
-/// Work of a frame of which so much is that of pixels, of gathering records, and of planning these: of the classes of what was traced of it so
-/// far. `None` if nothing was.
-pub fn of_frame(ready: &dyn FrameRenderer, pixels: f64, gathers: f64, plan: u64) -> Option<ByClass> {
+/// Work of a frame of which so much is that of pixels and of gathering records: of the classes of what was traced of it so far, with planning these
+/// and with its tree, where it has one of its own. `None` if there is none.
+pub fn of_frame(ready: &dyn FrameRenderer, pixels: f64, gathers: f64) -> Option<ByClass> {
     let (of_pixels, of_gathers) = ready.work_by_class();
+    let FixedCosts { build, plan, .. } = ready.fixed();
     // A plan is rays and the way through the tree.
-    let plan = by_class([0, plan, 0, 0, 0], ready.frame().geometry.triangles.len());
-    let all = scaled(of_pixels, pixels).plus(scaled(of_gathers, gathers)).plus(plan);
+    let plan = by_class([0, plan.work, 0, 0, 0], ready.frame().geometry.triangles.len());
+    let build = ByClass { build: build.work, ..ByClass::default() };
+    let all = scaled(of_pixels, pixels).plus(scaled(of_gathers, gathers)).plus(plan).plus(build);
     (all.total() > 0).then_some(all)
 }
 

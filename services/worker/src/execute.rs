@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use forelight_protocol::{
-    FinishedPixels, LOG_LINES, LogLevel, LogLine, TaskLimit, TaskResult, TaskSpec, Timestamp,
+    FinishedPixels, LOG_LINES, LogLevel, LogLine, Spent, TaskLimit, TaskResult, TaskSpec, Timestamp,
 };
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -64,6 +64,7 @@ pub struct Control {
     checkpoint_interval: Duration,
     checkpoint: Mutex<Option<Bytes>>,
     pixels: Mutex<Option<FinishedPixels>>,
+    before_pixels: Mutex<Spent>,
 }
 
 /// The lines of one attempt at a task.
@@ -111,9 +112,31 @@ impl Control {
         });
     }
 
+    /// What the frame took before any of its pixels was begun: its irradiance cache.
+    pub fn spent_before_pixels(&self, spent: Spent) {
+        *lock(&self.before_pixels) = spent;
+    }
+
     /// What is finished of the frame; none of other tasks.
+    ///
+    /// What a frame took before its pixels, F, is finished as a whole, and what its pixels will take, P in all, is known from those that are finished: together they
+    /// are as large a part of the frame as so many pixels, (F + P done / all) / (F + P) of all.
     pub fn pixels(&self) -> Option<FinishedPixels> {
-        *lock(&self.pixels)
+        let finished = (*lock(&self.pixels))?;
+        let before = *lock(&self.before_pixels);
+        let FinishedPixels { done, all, work, cpu_nanos } = finished;
+        if before.work == 0 || done == 0 {
+            return Some(finished);
+        }
+        let so_far = (before.work + work) as f64;
+        let whole = before.work as f64 + work as f64 * all as f64 / done as f64;
+        let share = (so_far / whole).min(1.0);
+        Some(FinishedPixels {
+            done: ((share * all as f64).round() as u64).clamp(done, all),
+            all,
+            work: before.work + work,
+            cpu_nanos: before.cpu_nanos + cpu_nanos,
+        })
     }
 
     /// Says how far the work is, 0 to 1. Does not return while the work is to stand still, so that whoever works calls it often, on every
@@ -233,6 +256,21 @@ mod tests {
             working.join().unwrap();
             assert!(!control.stands_still());
         }
+    }
+
+    #[test]
+    fn a_frame_whose_cache_is_filled_is_as_far_as_its_pixels_say_that_the_cache_is_of_it() {
+        let control = Control::default();
+        assert_eq!(control.pixels(), None);
+        control.spent_before_pixels(Spent { work: 300, cpu_nanos: 600 });
+        let finished = |done, work| FinishedPixels { done, all: 100, work, cpu_nanos: 2 * work };
+        control.finished_pixels(finished(0, 0));
+        assert_eq!(control.pixels(), Some(finished(0, 0)), "nothing is known of its pixels");
+        control.finished_pixels(finished(10, 10));
+        // All pixels will take 100, and the frame 400: 310 of that are there.
+        assert_eq!(control.pixels(), Some(finished(78, 310)));
+        control.finished_pixels(finished(90, 100));
+        assert_eq!(control.pixels(), Some(finished(100, 410)));
     }
 
     #[test]

@@ -55,7 +55,7 @@ pub use agent::{Agent, AgentError, Errand};
 pub use allot::{Aim, AllotError, AllotOptions, Allotted, render_allotted, render_as_allotted};
 pub use ambient::{Adapter, Ambient, AmbientShot, tracer_settings};
 pub use backoff::Backoff;
-pub use calibrate::{REFERENCE_RATE, calibrate, node_speed};
+pub use calibrate::{CALIBRATION_VERSION, REFERENCE_RATE, ROUNDS, calibrate, node_speed};
 pub use capabilities::capabilities;
 pub use client::{Claimed, Client, EventStream, FramePicture};
 pub use execute::{Assignment, Control, Execute, ExecuteError, Outcome};

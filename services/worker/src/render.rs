@@ -107,12 +107,7 @@ fn stats(
         cache_records: ready.cache_records().into_iter().map(u64::from).collect(),
         cache: finished.cache.as_ref().map(|cache| cache_stats(cache, &finished.image)),
         work: cost.work,
-        work_by_class: of_frame(
-            ready,
-            all.work as f64,
-            fill.work as f64,
-            gathered.map_or(0, |cache| cache.plan.work),
-        ),
+        work_by_class: of_frame(ready, all.work as f64, fill.work as f64),
         cpu_seconds: seconds(cost.cpu_nanos),
         wall_seconds,
         peak_rss_bytes: peak_rss_bytes(),

@@ -245,6 +245,9 @@ pub trait FrameRenderer: Send + Sync {
     /// Plans and fills the irradiance cache, if there is one, on the current thread pool. `false` if `cancel` was set.
     fn fill(&self, progress: &(dyn Fn(Progress) + Sync), cancel: &AtomicBool) -> bool;
 
+    /// What planning the irradiance cache, and gathering as much of it as is gathered, takes; nothing without one.
+    fn spent_on_cache(&self) -> Spent;
+
     /// Whether pixels that are traced have the image's colours: without an irradiance cache, or once it is filled.
     fn has_final_colours(&self) -> bool;
 

@@ -280,7 +280,6 @@ pub(crate) fn profile_ready(
             ready,
             work_of_pixels(design.counts(), &observations),
             work_of_records(&ready.cache_records(), &records),
-            ready.fixed().plan.work,
         ),
         observations,
         expansion: design.expansion().clone(),

@@ -23,7 +23,7 @@ use forelight_protocol::{
 };
 use forelight_tracer::{Pixel, Profile};
 use std::collections::BTreeSet;
-use std::sync::Arc;
+use std::sync::{Arc, Once};
 use std::time::Instant;
 
 /// Does tasks with the bundles of a library.
@@ -219,20 +219,22 @@ fn render(
     // With an irradiance cache the pixels are the lesser part, and worth little without it.
     let start_of_checkpoints = (!cached).then(|| reuse.clone().unwrap_or_else(|| ready.profile(&[])));
     let checkpoints = Checkpoints::new(control, start_of_checkpoints, spec.settings.pixels());
-    // With an irradiance cache most of the cost is in filling it, of which pixels say nothing.
     let count = |pixels: &[(u32, Pixel)]| {
-        if !cached {
-            let sum = |of: fn(&Pixel) -> u64| pixels.iter().map(|(_, pixel)| of(pixel)).sum();
-            control.finished_pixels(FinishedPixels {
-                done: pixels.len() as u64,
-                all: spec.settings.pixels(),
-                work: sum(|pixel| pixel.work),
-                cpu_nanos: sum(|pixel| pixel.cpu_nanos),
-            });
-        }
+        let sum = |of: fn(&Pixel) -> u64| pixels.iter().map(|(_, pixel)| of(pixel)).sum();
+        control.finished_pixels(FinishedPixels {
+            done: pixels.len() as u64,
+            all: spec.settings.pixels(),
+            work: sum(|pixel| pixel.work),
+            cpu_nanos: sum(|pixel| pixel.cpu_nanos),
+        });
     };
-    count(reuse.as_ref().map_or(&[], |profile| &profile.pixels));
+    if !cached {
+        count(reuse.as_ref().map_or(&[], |profile| &profile.pixels));
+    }
+    let begun = Once::new();
     let finished = |pixels: &[_]| {
+        // Pixels are begun once the irradiance cache is there. Before, nothing is known of them, nor how much the cache is in comparison.
+        begun.call_once(|| control.spent_before_pixels(ready.spent_on_cache()));
         count(pixels);
         checkpoints.finished(pixels);
     };

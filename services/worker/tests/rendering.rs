@@ -275,6 +275,21 @@ fn a_frame_that_was_broken_off_goes_on_from_its_finished_tiles_to_the_same_bits(
 }
 
 #[test]
+fn a_frame_with_an_irradiance_cache_tells_of_its_finished_pixels_with_what_the_cache_took() {
+    let mut rig = Rig::new();
+    rig.settings.cache = CacheMode::On;
+    rig.settings.cache_rays = 48;
+    let control = Control::default();
+    let rendered = rig.run_from(rig.render_spec(1), None, None, &control).unwrap();
+    let TaskResult::Render(rendered) = rendered.result else { panic!() };
+    let told = control.pixels().expect("it tells of finished pixels");
+    assert_eq!((told.done, told.all), (32 * 24, 32 * 24));
+    let cache = rendered.stats.cache.expect("it has a cache");
+    assert!(told.work > cache.plan_work + cache.fill_work && cache.fill_work > 0, "{told:?} {cache:?}");
+    assert!(told.work <= rendered.stats.work && told.work * 10 > rendered.stats.work * 9, "{told:?}");
+}
+
+#[test]
 fn a_frames_time_holds_that_of_writing_its_files_and_the_profile_measures_it() {
     let rig = Rig::new();
     let profiled = rig.run(rig.profile_spec(1), None).unwrap();

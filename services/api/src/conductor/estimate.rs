@@ -59,6 +59,12 @@ pub(super) struct Estimated {
     pub populations: Populations,
 }
 
+/// Which lights shine in each frame; nothing if it is the same ones in all.
+fn lights_of(Populations { frames, .. }: &Populations) -> Vec<u32> {
+    let lights: Vec<u32> = frames.iter().map(|frame| frame.lights).collect();
+    if lights.windows(2).all(|pair| pair[0] == pair[1]) { Vec::new() } else { lights }
+}
+
 /// The records of each frame's irradiance cache: those that it reads, and those of them that it gathers itself.
 fn records_of<'a>(preview: &'a PreviewResult, shared: Option<&SharedWay<'a>>) -> Vec<(&'a [u32], &'a [u32])> {
     match shared {
@@ -220,6 +226,7 @@ pub(super) fn calibrated(
         cpu_seconds_on: Vec::new(),
         cache: None,
         cost: None,
+        lights: lights_of(&populations),
         clock,
     };
     Ok(Forecast { job, frames, spreads, seed: None })

@@ -9,7 +9,7 @@ use crate::table::{Align, Table};
 use anyhow::Result;
 use forelight_protocol::{ByClass, NodeCalibration};
 use forelight_tracer::tracer_version;
-use forelight_worker::{calibrate, node_speed};
+use forelight_worker::{CALIBRATION_VERSION, ROUNDS, calibrate, node_speed};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -21,12 +21,16 @@ Examples:
   forelight calibrate --out rack-7.json
   forelight forecast kitchen/ --for-node rack-7.json
 
-A fixed set of small scenes is traced, the same on every machine, in a few seconds. What a unit of work takes differs between machines, and \
-between classes of work on one of them: a processor with small caches is slow in large scenes, and there alone. With the \
+A fixed set of small scenes is traced, the same on every machine, and the shortest time of each counts: what else the machine does \
+can only make it longer. What a unit of work takes differs between machines, and between classes of work on one of them: a processor \
+with small caches is slow in large scenes, and there alone; building the tree of what moves is no tracing. With the \
 calibrations of two machines a quote that was made on one says what it takes on the other. Workers of a farm calibrate themselves when \
 they first start, keep that beside their bundles (calibration-HOST.json; without the file they measure again), and finished frames \
 correct it.")]
 pub struct Args {
+    /// How often each scene is traced; more of it on a machine that does other things as well
+    #[arg(long, value_name = "TIMES", default_value_t = 40, value_parser = clap::value_parser!(u16).range(1..=10_000))]
+    rounds: u16,
     /// Write the calibration as JSON
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -37,17 +41,17 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let calibration = measured(&Bars::new(args.json));
+    let calibration = measured(usize::from(args.rounds), &Bars::new(args.json));
     if let Some(path) = &args.out {
         write_bytes(path, (output::pretty(&calibration)? + "\n").as_bytes())?;
     }
     if args.json { output::json(&calibration) } else { output::print(&report(&calibration)) }
 }
 
-/// This machine's calibration, measured now.
-pub fn measured(bars: &Bars) -> NodeCalibration {
+/// This machine's calibration, measured now in so many rounds.
+pub fn measured(rounds: usize, bars: &Bars) -> NodeCalibration {
     let bar = bars.bar("calibrating", 0);
-    let calibration = calibrate(&|done, all| {
+    let calibration = calibrate(rounds, &|done, all| {
         bar.set_length(all as u64);
         bar.set_position(done as u64);
     });
@@ -60,6 +64,7 @@ pub fn measured(bars: &Bars) -> NodeCalibration {
 struct Kept {
     processor: Option<String>,
     tracer: u32,
+    version: u32,
     calibration: NodeCalibration,
 }
 
@@ -70,15 +75,21 @@ pub fn kept(folder: &Path, processor: Option<&str>) -> NodeCalibration {
     let host: String = host.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').collect();
     let path = folder.join(format!("calibration-{host}.json"));
     match json_file::read::<Kept>(&path) {
-        Ok(Kept { processor: of, tracer, calibration })
-            if of.as_deref() == processor && tracer == tracer_version() && calibration.check().is_ok() =>
+        Ok(Kept { processor: of, tracer, version, calibration })
+            if of.as_deref() == processor
+                && (tracer, version) == (tracer_version(), CALIBRATION_VERSION)
+                && calibration.check().is_ok() =>
         {
             calibration
         }
         _ => {
-            let calibration = calibrate(&|_, _| ());
-            let processor = processor.map(str::to_owned);
-            let kept = Kept { processor, tracer: tracer_version(), calibration: calibration.clone() };
+            let calibration = calibrate(ROUNDS, &|_, _| ());
+            let kept = Kept {
+                processor: processor.map(str::to_owned),
+                tracer: tracer_version(),
+                version: CALIBRATION_VERSION,
+                calibration: calibration.clone(),
+            };
             // Without the file the next start measures again.
             if let Err(error) = output::pretty(&kept).and_then(|text| write_bytes(&path, text.as_bytes())) {
                 tracing::warn!(%error, "this machine's calibration could not be kept");
@@ -110,7 +121,6 @@ fn report(calibration: &NodeCalibration) -> String {
         ("operations", Align::Right),
         ("time", Align::Right),
         ("ns an operation", Align::Right),
-        ("explained", Align::Right),
     ]);
     for kernel in &calibration.kernels {
         let (work, nanos) = (kernel.work.total() as f64, kernel.cpu_nanos as f64);
@@ -119,7 +129,6 @@ fn report(calibration: &NodeCalibration) -> String {
             count(work),
             format!("{:.1} ms", nanos * 1e-6),
             format!("{:.2}", nanos / work.max(1.0)),
-            format!("{:.0} %", 100.0 * calibration.seconds(&kernel.work) / (nanos * 1e-9).max(1e-9)),
         ]);
     }
     text += &table.render();
@@ -143,7 +152,10 @@ mod tests {
     fn a_calibration_reads_back_and_one_that_is_out_of_range_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("rack-7.json");
-        let written = NodeCalibration { picos_per_work: ByClass::from_array([900; 6]), kernels: Vec::new() };
+        let written = NodeCalibration {
+            picos_per_work: ByClass::from_array([900; ByClass::CLASSES]),
+            kernels: Vec::new(),
+        };
         std::fs::write(&path, serde_json::to_string(&written).unwrap()).unwrap();
         assert_eq!(read(&path).unwrap(), ("rack-7".to_owned(), written));
         std::fs::write(

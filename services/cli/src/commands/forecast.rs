@@ -17,7 +17,7 @@ use forelight_protocol::{
     CalibratedQuantiles, CalibrationDoc, Explanation, ForecastDoc, FrameSet, LeftOut, NodeCalibration,
     NodeSeconds, Quantiles, RenderSettings,
 };
-use forelight_worker::{Observer, Quote, QuoteOptions, Renderer, ShotError, quote};
+use forelight_worker::{Observer, Quote, QuoteOptions, ROUNDS, Renderer, ShotError, quote};
 use indicatif::ProgressBar;
 use std::path::{Path, PathBuf};
 
@@ -106,7 +106,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let watcher = Watcher::new(&bars, frames.len(), interrupt);
     let mut quoted = watcher.quote(&local, &args.bundle, &frames, &settings, &options)?;
     if let Some((name, other)) = other {
-        quoted.document.cpu_seconds_on.extend(on_another(&quoted.document, name, &other, &bars));
+        let here = calibrate::measured(ROUNDS, &bars);
+        quoted.document.cpu_seconds_on.extend(on_another(&quoted.document, name, &here, &other));
     }
     if let Some(folder) = &args.save_profile {
         save_profiles(&quoted, folder)?;
@@ -127,15 +128,15 @@ struct Explained<'a> {
     explanation: Option<&'a Explanation>,
 }
 
-/// What the quote, which was made here, comes to on a machine of another calibration.
-fn on_another(
+/// What a quote that was made on a machine of the one calibration comes to on a machine of the other.
+pub fn on_another(
     quote: &ForecastDoc,
     name: String,
-    other: &NodeCalibration,
-    bars: &Bars,
+    here: &NodeCalibration,
+    there: &NodeCalibration,
 ) -> Option<NodeSeconds> {
     let work = quote.work_by_class?;
-    let (here, there) = (calibrate::measured(bars).speed(&work)?, other.speed(&work)?);
+    let (here, there) = (here.speed(&work)?, there.speed(&work)?);
     let Quantiles { mean, p50, p80, p95 } = quote.total.cpu_seconds;
     let at_one = Quantiles { mean: mean * here, p50: p50 * here, p80: p80 * here, p95: p95 * here };
     Some(NodeSeconds::new(name, there, &at_one))

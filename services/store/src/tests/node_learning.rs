@@ -5,7 +5,10 @@ use forelight_protocol::{ByClass, NodeCalibration};
 
 /// A node that takes a nanosecond for every operation: speed 1 for any work.
 fn calibrated(name: &str) -> NodeRegistration {
-    let calibration = NodeCalibration { picos_per_work: ByClass::from_array([1000; 6]), kernels: Vec::new() };
+    let calibration = NodeCalibration {
+        picos_per_work: ByClass::from_array([1000; ByClass::CLASSES]),
+        kernels: Vec::new(),
+    };
     let capabilities = Capabilities { calibration: Some(calibration), ..Capabilities::default() };
     NodeRegistration { capabilities, ..registration(name) }
 }
@@ -50,7 +53,7 @@ async fn frames_teach_about_nodes_that_did_not_profile_them_in_whatever_order_th
         // One job is believed half.
         let mean = (1.2f64 * 1.3 * 1.4).cbrt();
         assert!((learned.time_factor - mean.sqrt()).abs() < 1e-5, "{}", learned.time_factor);
-        let speed = learned.corrected_speed(Some(&ByClass::from_array([1; 6]))).unwrap();
+        let speed = learned.corrected_speed(Some(&ByClass::from_array([1; ByClass::CLASSES]))).unwrap();
         assert!((speed * learned.time_factor - 1.0).abs() < 1e-12);
         assert_eq!(farm.store.node(first.id).await.unwrap().time_factor, 1.0);
         factors.push(learned.time_factor);
@@ -74,7 +77,7 @@ async fn a_speed_that_was_set_by_hand_holds_and_nothing_is_learnt() {
     let (farm, first, second) = farm().await;
     let change = forelight_protocol::NodeChange { speed: Some(Some(3.0)), ..Default::default() };
     let set = farm.store.change_node(second.id, &change, at(0)).await.unwrap();
-    assert_eq!(set.corrected_speed(Some(&ByClass::from_array([1; 6]))), None);
+    assert_eq!(set.corrected_speed(Some(&ByClass::from_array([1; ByClass::CLASSES]))), None);
     farm.quoted_job(request("0"), first.id, at(0), &forecast(), None).await;
     render(&farm, &second, &[1.5]).await;
     assert_eq!(farm.store.node(second.id).await.unwrap().time_factor, 1.0);

@@ -10,12 +10,15 @@
 //! | `surfaces` | a floor without any light: the surface that each ray from the camera meets |
 //! | `texture` | sheets that an image cuts out: one is looked up for each that a ray passes |
 //! | `records` | the room again, read from an irradiance cache |
+//! | `build` | the tree of hills of fifty thousand triangles |
 
+use crate::classes::by_class;
+use forelight_protocol::ByClass;
 use forelight_scene::{
     AlphaMask, Camera, Color, Environment, Frame, Geometry, Material, Strata, Surface, Texels, Texture,
     TextureId,
 };
-use forelight_tracer::{CacheSettings, Settings, Tracer};
+use forelight_tracer::{CacheSettings, Cost, Settings, Totals, Tracer};
 use glam::{Vec2, Vec3};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -29,19 +32,48 @@ const SIZE: u32 = 48;
 /// Boxes along an edge of the room: 6916 triangles in all, which caches hold.
 const BOXES: u32 = 24;
 
-/// Squares along an edge of the low and the high hills: twice its square of triangles.
+/// Squares along an edge of the low and the high hills, and of those of which the tree is built: twice its square of triangles.
 const LOW: u32 = 64;
 const HIGH: u32 = 512;
+const BUILT: u32 = 160;
 
 /// Sheets of the kernel of textures, and the edge of their image in texels: 16 MiB.
 const SHEETS: u32 = 24;
 const TEXELS: u32 = 2048;
 
-/// Pixels to trace.
+/// Something to do and to time.
 pub struct Kernel {
     pub name: &'static str,
-    pub tracer: Tracer,
-    pub pixels: Vec<u32>,
+    /// What it takes on the reference core over what the classes' rates there, which are those of whole frames, make of its work: each kernel is more, or less,
+    /// coherent than a frame.
+    pub beyond: f64,
+    does: Does,
+}
+
+enum Does {
+    /// Traces these pixels.
+    Trace(Box<Tracer>, Vec<u32>),
+    /// Builds this frame's tree.
+    Build(Box<Frame>, Settings),
+}
+
+impl Kernel {
+    /// What it did, and how many nanoseconds that took this time.
+    pub fn run(&self) -> (ByClass, u64) {
+        match &self.does {
+            Does::Trace(tracer, pixels) => {
+                let (before, _) = tracer.work_by_class();
+                let nanos = Totals::of(tracer.profile(pixels).iter()).cpu_nanos;
+                let (after, _) = tracer.work_by_class();
+                let triangles = tracer.frame().geometry.triangles.len();
+                (by_class(std::array::from_fn(|class| after[class] - before[class]), triangles), nanos)
+            }
+            Does::Build(frame, settings) => {
+                let Cost { work, cpu_nanos } = Tracer::new(frame, settings).build_cost();
+                (ByClass { build: work, ..ByClass::default() }, cpu_nanos)
+            }
+        }
+    }
 }
 
 /// All kernels, ready.
@@ -50,22 +82,24 @@ pub fn all() -> Vec<Kernel> {
     let with =
         |spp, ambient_bounces| Settings { spp, ambient_bounces, ambient_divisions: 16, ..settings.clone() };
     let cached = Settings { cache: Some(CacheSettings { accuracy: 300, rays: 48 }), ..with(8, 1) };
-    let kernel = |name, frame: &Frame, settings: &Settings, every: usize| {
+    let kernel = |name, beyond, frame: &Frame, settings: &Settings, every: usize| {
         let tracer = Tracer::new(frame, settings);
         // Only the kernel of records has any to fill.
         tracer.fill(&|_, _| (), &AtomicBool::new(false));
-        Kernel { name, tracer, pixels: (0..SIZE * SIZE).step_by(every).collect() }
+        let pixels = (0..SIZE * SIZE).step_by(every).collect();
+        Kernel { name, beyond, does: Does::Trace(Box::new(tracer), pixels) }
     };
     let room = room();
     vec![
-        kernel("coherent", &room, &with(4, 0), 1),
-        kernel(REFERENCE, &room, &with(1, 1), 1),
-        kernel("traversal", &hills(LOW), &with(1, 1), 1),
-        kernel("memory", &hills(HIGH), &with(1, 1), 2),
-        kernel("lights", &lit_floor(), &with(8, 0), 1),
-        kernel("surfaces", &dark_floor(), &with(16, 0), 1),
-        kernel("texture", &sheets(), &with(1, 0), 1),
-        kernel("records", &room, &cached, 1),
+        kernel("coherent", 0.91, &room, &with(4, 0), 1),
+        kernel(REFERENCE, 0.935, &room, &with(1, 1), 1),
+        kernel("traversal", 0.845, &hills(LOW), &with(1, 1), 1),
+        kernel("memory", 0.97, &hills(HIGH), &with(1, 1), 2),
+        kernel("lights", 1.0, &lit_floor(), &with(8, 0), 1),
+        kernel("surfaces", 0.63, &dark_floor(), &with(16, 0), 1),
+        kernel("texture", 1.1, &sheets(), &with(1, 0), 1),
+        kernel("records", 0.757, &room, &cached, 1),
+        Kernel { name: "build", beyond: 0.54, does: Does::Build(Box::new(hills(BUILT)), settings.clone()) },
     ]
 }
 

@@ -2,7 +2,7 @@
 //! forecast is made from scratch, as `forelight forecast` makes it, with pixels that are traced for it; `bench paper` compares many
 //! more forecasts on costs that are traced once.
 
-use super::{PAPER_SIZE, mean_absolute, relative_error};
+use super::{PAPER_SIZE, bounces_to_try, mean_absolute, relative_error};
 use crate::atomic_file::write_bytes;
 use crate::commands::forecast::Watcher;
 use crate::failure::Interrupted;
@@ -33,8 +33,8 @@ pub struct Args {
     /// Frame number
     #[arg(long, value_name = "N", default_value_t = 0)]
     frame: u32,
-    /// Ambient bounces to try
-    #[arg(long, value_name = "LIST", default_value = "0,1", value_delimiter = ',')]
+    /// Ambient bounces to try [default: 0,1, or what --ambient-bounces says]
+    #[arg(long, value_name = "LIST", value_delimiter = ',', conflicts_with = "ambient_bounces")]
     bounces: Vec<u32>,
     /// Seeds to try
     #[arg(long, value_name = "COUNT", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
@@ -120,7 +120,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let mut cases = Vec::new();
     for bundle in &args.bundles {
         let local = Local::open(bundle, &args.machine, &bars)?;
-        for &bounces in &args.bounces {
+        for bounces in bounces_to_try(&args.bounces, &args.quality) {
             let case = measure(args, &local, bounces, &bars, interrupt);
             cases.push(case.with_context(|| format!("bundle {}", bundle.display()))?);
         }

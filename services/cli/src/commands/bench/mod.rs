@@ -8,9 +8,11 @@ mod images;
 mod paper;
 mod plan;
 mod rays;
+mod seconds;
 mod shots;
 
 use crate::interrupt::Interrupt;
+use crate::options::QualityOptions;
 use anyhow::Result;
 use clap::Subcommand;
 
@@ -27,6 +29,7 @@ Examples:
   forelight bench leases
   forelight bench workers --workers 5000
   forelight bench plan
+  forelight bench seconds kitchen/ --other ./forelight-of-rack-7
   forelight bench shots kitchen/ corridor/ --svg plots/")]
 pub struct Args {
     #[command(subcommand)]
@@ -44,6 +47,7 @@ enum Bench {
     Plan(plan::Args),
     Images(images::Args),
     Rays(rays::Args),
+    Seconds(seconds::Args),
     Shots(shots::Args),
 }
 
@@ -59,12 +63,22 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         Bench::Plan(args) => plan::run(args),
         Bench::Images(args) => images::run(args, interrupt),
         Bench::Rays(args) => rays::run(args, interrupt),
+        Bench::Seconds(args) => seconds::run(args, interrupt),
         Bench::Shots(args) => shots::run(args, interrupt),
     }
 }
 
 /// Width and height of the image of the paper's experiment, pixels.
 const PAPER_SIZE: u32 = 256;
+
+/// The ambient levels that are tried: those that were listed, the one that the quality has, or direct light and one bounce.
+fn bounces_to_try(listed: &[u32], quality: &QualityOptions) -> Vec<u32> {
+    match (listed, quality.ambient_bounces) {
+        ([], Some(bounces)) => vec![bounces],
+        ([], None) => vec![0, 1],
+        _ => listed.to_vec(),
+    }
+}
 
 /// forecast / actual − 1; 0 if both are 0.
 fn relative_error(forecast: f64, actual: f64) -> f64 {
@@ -86,11 +100,20 @@ fn slug(place: usize, name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::options::parsed;
 
     #[test]
     fn names_of_files_are_plain_and_never_the_same() {
         assert_eq!(slug(0, "A kitchen/../x"), "1-a-kitchen----x");
         assert_ne!(slug(0, "same"), slug(1, "same"));
+    }
+
+    #[test]
+    fn the_levels_that_are_listed_are_tried_or_the_one_that_the_quality_has() {
+        let quality = |flags: &[&str]| parsed::<QualityOptions>([&["bench"], flags].concat());
+        assert_eq!(bounces_to_try(&[], &quality(&["--ambient-bounces", "2"])), [2]);
+        assert_eq!(bounces_to_try(&[], &quality(&[])), [0, 1]);
+        assert_eq!(bounces_to_try(&[1, 3], &quality(&[])), [1, 3]);
     }
 
     #[test]

@@ -257,6 +257,7 @@ fn forecast() -> JobForecast {
         cpu_seconds_on: Vec::new(),
         cache: None,
         cost: None,
+        lights: Vec::new(),
         clock: Vec::new(),
     }
 }

@@ -1,0 +1,340 @@
+//! `forelight bench seconds`: how well a quote that was made here says what frames take on another machine.
+//!
+//! The other machine is a program: another build of this one, or a script that runs it elsewhere (`ssh rack-7 forelight "$@"`, with the same paths on
+//! both). It is calibrated, once, as a user would; the quote is made here and carried over, as `forelight forecast --for-node` does. What is true is what
+//! both programs say that the frames took, rendered in turns, the median of the rounds.
+
+use super::{bounces_to_try, mean_absolute, relative_error};
+use crate::atomic_file::write_bytes;
+use crate::commands::forecast::{Watcher, on_another};
+use crate::failure::{BadInput, Interrupted};
+use crate::interrupt::Interrupt;
+use crate::json_file;
+use crate::local::Local;
+use crate::options::{MachineOptions, QualityOptions};
+use crate::output::{self, Bars};
+use crate::quantities::{percent, seconds};
+use crate::table::{Align, Table};
+use anyhow::{Context, Result};
+use forelight_protocol::{
+    CacheMode, FrameSet, Integrator, MaterialMode, NodeCalibration, RenderSettings, RenderStats,
+};
+use forelight_worker::{QuoteOptions, Renderer};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// Carry quotes to another machine, and hold them against what frames take there
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight bench seconds kitchen/ corridor/ --other ./forelight-of-rack-7 --width 128
+  forelight bench seconds kitchen/ --other ./on-rack-7.sh --bounces 1 --cache on --frames 0,24
+
+The other program is run with the same arguments as this one: a script that starts it on another machine will do, if bundles and the folder for \
+temporary files have the same paths there. Without --other it is this program itself, which shows how sure the measurement is.")]
+pub struct Args {
+    /// Scene bundles: folders or zip files
+    #[arg(required = true)]
+    bundles: Vec<PathBuf>,
+    /// The program that renders elsewhere [default: this one]
+    #[arg(long, value_name = "PROGRAM")]
+    other: Option<PathBuf>,
+    /// Frames to quote and to render
+    #[arg(long, value_name = "LIST", default_value = "0")]
+    frames: FrameSet,
+    /// Ambient bounces to try [default: 0,1, or what --ambient-bounces says]
+    #[arg(long, value_name = "LIST", value_delimiter = ',', conflicts_with = "ambient_bounces")]
+    bounces: Vec<u32>,
+    /// Pixels to profile in a frame
+    #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    samples: u32,
+    /// How often each program renders each frame
+    #[arg(long, value_name = "TIMES", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    rounds: u16,
+    /// Also write the measurements to this file as JSON
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Print the measurements as JSON to standard output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    quality: QualityOptions,
+    #[command(flatten)]
+    machine: MachineOptions,
+}
+
+/// One bundle at one ambient level; all in CPU seconds of all frames.
+#[derive(Debug, Serialize)]
+struct Case {
+    bundle: String,
+    ambient_bounces: u32,
+    /// What the frames took, round by round.
+    took: Pair<Vec<f64>>,
+    /// What was quoted.
+    quoted: Pair<f64>,
+    /// Quoted over the median of what they took, less one.
+    error: Pair<f64>,
+    /// What there is quoted to take over what here is, against the same of what they took: what of the error comes with going from one to the other.
+    carried: f64,
+}
+
+/// Here, where the quote is made, and there, where nothing was profiled.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+struct Pair<T> {
+    here: T,
+    there: T,
+}
+
+/// Runs the command.
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    let bars = Bars::new(args.json);
+    let own = std::env::current_exe().context("cannot tell where this program is")?;
+    let other = args.other.as_deref().unwrap_or(&own);
+    let spinner = bars.spinner("calibrating");
+    let calibrations = Pair { here: calibration(&own)?, there: calibration(other)? };
+    spinner.finish_and_clear();
+    let mut cases = Vec::new();
+    for bundle in &args.bundles {
+        // Threads that share caches slow each other, by how much depends on the machine.
+        let machine = MachineOptions { threads: args.machine.threads.or(Some(1)), ..args.machine.clone() };
+        let local = Local::open(bundle, &machine, &bars)?;
+        for bounces in bounces_to_try(&args.bounces, &args.quality) {
+            let quality = QualityOptions { ambient_bounces: Some(bounces), ..args.quality.clone() };
+            let settings = local.settings(&quality)?;
+            let trial = Trial { bundle, settings: &settings, threads: local.pool.current_num_threads() };
+            let case =
+                trial.measure(args, &local, Pair { here: &own, there: other }, &calibrations, interrupt);
+            cases.push(case.with_context(|| format!("bundle {}", bundle.display()))?);
+        }
+    }
+    if let Some(path) = &args.out {
+        write_bytes(path, (output::pretty(&cases)? + "\n").as_bytes())?;
+    }
+    if args.json { output::json(&cases) } else { output::print(&report(&cases)) }
+}
+
+/// What a program says of the machine that it runs on.
+fn calibration(program: &Path) -> Result<NodeCalibration> {
+    let answer = answer(Command::new(program).args(["calibrate", "--json"]))?;
+    let calibration: NodeCalibration = serde_json::from_slice(&answer)
+        .map_err(|error| BadInput::new(format!("{}: calibrate --json: {error}", program.display())))?;
+    calibration.check().map_err(|(field, reason)| {
+        BadInput::new(format!("{}: calibrate --json: {field} {reason}", program.display()))
+    })?;
+    Ok(calibration)
+}
+
+/// What a program writes to its standard output.
+fn answer(command: &mut Command) -> Result<Vec<u8>> {
+    let program = command.get_program().to_string_lossy().into_owned();
+    let done = command
+        .stdin(Stdio::null())
+        .output()
+        .map_err(|error| BadInput::new(format!("--other: {program} cannot be started: {error}")))?;
+    if !done.status.success() {
+        let said = String::from_utf8_lossy(&done.stderr);
+        let last = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("it said nothing");
+        return Err(BadInput::new(format!("{program} failed: {last}")).into());
+    }
+    Ok(done.stdout)
+}
+
+/// What is quoted and rendered.
+struct Trial<'a> {
+    bundle: &'a Path,
+    settings: &'a RenderSettings,
+    threads: usize,
+}
+
+impl Trial<'_> {
+    fn measure(
+        &self,
+        args: &Args,
+        local: &Local,
+        programs: Pair<&Path>,
+        calibrations: &Pair<NodeCalibration>,
+        interrupt: &Interrupt,
+    ) -> Result<Case> {
+        let bars = Bars::new(args.json);
+        let frames = local.frames(Some(&args.frames))?;
+        let options = QuoteOptions { samples: args.samples, ..QuoteOptions::default() };
+        let watcher = Watcher::new(&bars, frames.len(), interrupt);
+        let quote = watcher.quote(local, self.bundle, &frames, self.settings, &options)?.document;
+        let there = on_another(&quote, "there".to_owned(), &calibrations.here, &calibrations.there);
+        let there = there.context("the quote does not say of which classes its work is")?;
+        let quoted = Pair { here: quote.total.cpu_seconds.mean, there: there.cpu_seconds.mean };
+        let folder = tempfile::tempdir().context("cannot make a folder for what frames took")?;
+        let stats = folder.path().join("stats.json");
+        let bar = bars.bar("rendering", u64::from(args.rounds) * 2 * frames.len() as u64);
+        let mut took = Pair::<Vec<f64>>::default();
+        for _ in 0..args.rounds {
+            let mut sums = Pair::<f64>::default();
+            for &frame in &frames {
+                for (program, sum) in [(programs.here, &mut sums.here), (programs.there, &mut sums.there)] {
+                    if interrupt.is_set() {
+                        return Err(Interrupted.into());
+                    }
+                    answer(self.render(program, frame).arg("--stats").arg(&stats))?;
+                    *sum += json_file::read::<RenderStats>(&stats)?.cpu_seconds;
+                    bar.inc(1);
+                }
+            }
+            took.here.push(sums.here);
+            took.there.push(sums.there);
+        }
+        bar.finish_and_clear();
+        let truth = Pair { here: median(&took.here), there: median(&took.there) };
+        Ok(Case {
+            bundle: local.shot.info().summary.name.clone(),
+            ambient_bounces: self.settings.ambient_bounces,
+            error: Pair {
+                here: relative_error(quoted.here, truth.here),
+                there: relative_error(quoted.there, truth.there),
+            },
+            carried: relative_error(quoted.there * truth.here, truth.there * quoted.here),
+            quoted,
+            took,
+        })
+    }
+
+    /// The command that renders a frame just as it was quoted.
+    fn render(&self, program: &Path, frame: u32) -> Command {
+        let RenderSettings {
+            width,
+            height,
+            spp,
+            integrator,
+            ambient_bounces,
+            ambient_divisions,
+            max_depth,
+            cache,
+            cache_accuracy,
+            cache_rays,
+            materials,
+            seed,
+        } = *self.settings;
+        let mut command = Command::new(program);
+        command.arg("render").arg(self.bundle).args(["--frame", &frame.to_string()]);
+        let mut flag = |name: &str, value: &dyn ToString| {
+            command.args([name, &value.to_string()]);
+        };
+        flag("--width", &width);
+        flag("--height", &height);
+        flag("--spp", &spp);
+        let integrator = match integrator {
+            Integrator::Ambient => "ambient",
+            Integrator::Path => "path",
+        };
+        flag("--integrator", &integrator);
+        flag("--ambient-bounces", &ambient_bounces);
+        flag("--ambient-divisions", &ambient_divisions);
+        flag("--max-depth", &max_depth);
+        if cache == CacheMode::On {
+            flag("--cache", &"on");
+            flag("--cache-accuracy", &(f64::from(cache_accuracy) / 1000.0));
+            flag("--cache-rays", &cache_rays);
+        }
+        let materials = match materials {
+            MaterialMode::Full => "full",
+            MaterialMode::Lambert => "lambert",
+        };
+        flag("--materials", &materials);
+        flag("--seed", &seed);
+        flag("--threads", &self.threads);
+        command
+    }
+}
+
+/// The middle value; of an even number, the mean of the two.
+fn median(values: &[f64]) -> f64 {
+    let mut values = values.to_vec();
+    values.sort_by(f64::total_cmp);
+    let half = values.len() / 2;
+    match values.len() {
+        0 => 0.0,
+        even if even % 2 == 0 => 0.5 * (values[half - 1] + values[half]),
+        _ => values[half],
+    }
+}
+
+/// Half of the range that the rounds have, as a share of their median.
+fn noise(values: &[f64]) -> f64 {
+    let (low, high) = values.iter().fold((f64::MAX, 0.0f64), |(low, high), &v| (low.min(v), high.max(v)));
+    0.5 * (high - low) / median(values).max(f64::MIN_POSITIVE)
+}
+
+fn report(cases: &[Case]) -> String {
+    let mut table = Table::new(&[
+        ("bundle", Align::Left),
+        ("bounces", Align::Right),
+        ("here: quoted", Align::Right),
+        ("took", Align::Right),
+        ("error", Align::Right),
+        ("there: quoted", Align::Right),
+        ("took", Align::Right),
+        ("error", Align::Right),
+        ("carried over", Align::Right),
+        ("rounds differ by", Align::Right),
+    ]);
+    for Case { bundle, ambient_bounces, took, quoted, error, carried } in cases {
+        table.row([
+            bundle.clone(),
+            ambient_bounces.to_string(),
+            seconds(quoted.here),
+            seconds(median(&took.here)),
+            percent(error.here),
+            seconds(quoted.there),
+            seconds(median(&took.there)),
+            percent(error.there),
+            percent(*carried),
+            format!("±{:.0} %", 100.0 * noise(&took.here).max(noise(&took.there))),
+        ]);
+    }
+    let mean = |error: fn(&Case) -> f64| 100.0 * mean_absolute(cases.iter().map(error));
+    table.render()
+        + &format!(
+            "\nmean absolute error: {:.1} % here, {:.1} % there, of which carrying it over makes {:.1} %\n",
+            mean(|case| case.error.here),
+            mean(|case| case.error.there),
+            mean(|case| case.carried),
+        )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::options::parsed;
+
+    #[test]
+    fn medians_and_ranges_are_those_of_the_values() {
+        assert_eq!(median(&[3.0, 1.0, 2.0]), 2.0);
+        assert_eq!(median(&[4.0, 1.0, 2.0, 3.0]), 2.5);
+        assert_eq!(median(&[]), 0.0);
+        assert_eq!(noise(&[2.0, 1.0, 3.0]), 0.5);
+    }
+
+    #[test]
+    fn frames_are_rendered_as_they_were_quoted() {
+        let settings: RenderSettings = serde_json::from_str(
+            r#"{"width": 31, "height": 17, "spp": 3, "integrator": "ambient", "ambient_bounces": 2, "ambient_divisions": 9,
+                "max_depth": 5, "cache": "on", "cache_accuracy": 150, "cache_rays": 192, "materials": "lambert", "seed": 7}"#,
+        )
+        .unwrap();
+        let trial = Trial { bundle: Path::new("b"), settings: &settings, threads: 1 };
+        let command = trial.render(Path::new("forelight"), 4);
+        let typed: Vec<&str> = command.get_args().map(|arg| arg.to_str().unwrap()).collect();
+        assert_eq!(&typed[..4], ["render", "b", "--frame", "4"]);
+        // What render makes of these is what was quoted.
+        let read = parsed::<QualityOptions>([&["render"], &typed[4..typed.len() - 2]].concat());
+        assert_eq!(crate::local::settings_request(&read, (4, 4)).complete((4, 4)), settings);
+    }
+
+    #[test]
+    fn a_program_that_fails_is_named_with_what_it_said() {
+        let said = answer(Command::new("sh").args(["-c", "echo first >&2; echo no such flag >&2; exit 2"]));
+        assert_eq!(said.unwrap_err().to_string(), "sh failed: no such flag");
+        let none = answer(&mut Command::new("/nowhere/forelight")).unwrap_err().to_string();
+        assert!(none.contains("/nowhere/forelight cannot be started"), "{none}");
+    }
+}
