@@ -42,7 +42,7 @@ fn number(variable: &str, default: u64) -> u64 {
 
 /// Whether the frames of the job of this number share an irradiance cache: every second job, beginning with the first.
 fn is_cached(number: usize) -> bool {
-    number % 2 == 0
+    number.is_multiple_of(2)
 }
 
 /// Camera samples and what else sets the two kinds of jobs apart, as flags.

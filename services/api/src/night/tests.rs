@@ -37,7 +37,7 @@ fn node(
     memory_picos: u64,
     schedule: serde_json::Value,
 ) -> forelight_protocol::Node {
-    let picos = ByClass { memory: memory_picos, ..ByClass::from_array([1000; 6]) };
+    let picos = ByClass { memory: memory_picos, ..ByClass::from_array([1000; ByClass::CLASSES]) };
     let mut node = json!({
         "id": node_id(number), "name": format!("node-{number}"), "speed": 1.0, "speed_set": false, "price_per_hour": price,
         "price_set": false, "cores": 1, "capabilities": {"calibration": {"picos_per_work": picos}}, "drain": false,
@@ -79,6 +79,7 @@ fn forecast(frames: usize) -> JobForecast {
         ForecastTotals { cpu_seconds: Quantiles::known(FRAME * frames as f64), ..ForecastTotals::default() };
     JobForecast {
         total,
+        lights: Vec::new(),
         profiled: Profiled::default(),
         spent: SpentOnForecast::default(),
         calibrated: false,

@@ -83,7 +83,7 @@ async fn what_a_node_costs_is_what_it_costs_for_the_jobs_class_of_work() {
     let farm = Farm::new().await;
     let booked = farm.register(&priced("booked", 1)).await;
     // 2 units an hour: dearer by its speed as such, but ten times as fast at going through trees.
-    let picos_per_work = ByClass { traversal: 100, ..ByClass::from_array([1000; 6]) };
+    let picos_per_work = ByClass { traversal: 100, ..ByClass::from_array([1000; ByClass::CLASSES]) };
     let calibration = NodeCalibration { picos_per_work, kernels: Vec::new() };
     let capabilities = Capabilities { calibration: Some(calibration), ..Capabilities::default() };
     let swift = NodeRegistration { speed: 1.0, capabilities, ..priced("swift", 2) };

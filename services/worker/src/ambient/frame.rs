@@ -1,0 +1,212 @@
+//! One frame, ready to be traced.
+
+use super::shot::{AmbientShot, records};
+use super::{backend, lock, preview_spent};
+use crate::classes::by_class;
+use crate::render::spent;
+use crate::renderer::{CacheUse, Finished, FrameRenderer, Previewed, Progress, RenderError, Step};
+use forelight_forecast::accuracy::{PixelNoise, PixelSamples};
+use forelight_protocol::{ByClass, FixedCosts, LeftOut, Spent};
+use forelight_scene::Frame;
+use forelight_tracer::{
+    Cache, CacheTotals, Effects, Passes, Pixel, PixelsFinished, Profile, RecordCost, SampleCounts, Shared,
+    Totals, Tracer,
+};
+use rayon::prelude::*;
+use std::sync::Mutex;
+use std::sync::atomic::AtomicBool;
+
+/// One frame, ready.
+pub(super) struct AmbientFrame<'a> {
+    pub(super) shot: &'a AmbientShot,
+    pub(super) tracer: Tracer,
+    /// What became of the shot's cache, if it was given one.
+    pub(super) shared: Mutex<Shared>,
+    /// Without the plan of its irradiance cache.
+    pub(super) fixed: FixedCosts,
+    pub(super) built_now: Spent,
+}
+
+impl AmbientFrame<'_> {
+    /// What the irradiance cache came to, if there is one.
+    fn cache_use(&self, taken_over: CacheTotals) -> Option<CacheUse> {
+        let shared = || lock(&self.shared).clone();
+        self.tracer.cache().map(|cache| CacheUse { all: cache.totals(), taken_over, shared: shared() })
+    }
+
+    /// Finished pixels on the current thread, with what their camera samples say.
+    fn traced(&self, pixels: &[u32]) -> Vec<(Pixel, PixelNoise)> {
+        let mut samples = vec![PixelSamples::default(); pixels.len()];
+        let traced = self.tracer.profile_samples(pixels, &mut |place, sample| samples[place].push(sample));
+        traced.into_iter().zip(samples.iter().map(PixelSamples::noise)).collect()
+    }
+}
+
+/// Pixels that are traced in one go, so that a thread's clock is read seldom and every thread has work.
+const BATCH: usize = 16;
+
+impl FrameRenderer for AmbientFrame<'_> {
+    fn frame(&self) -> &Frame {
+        self.tracer.frame()
+    }
+
+    fn preview(&self) -> Result<Previewed, RenderError> {
+        let frame = self.tracer.frame();
+        Ok(self.shot.previewer.with(|previewer| {
+            let preview = previewer.preview(frame)?;
+            Ok(Previewed { preview, backend: backend(previewer), spent: preview_spent(previewer, frame, 0) })
+        })?)
+    }
+
+    fn fixed(&self) -> FixedCosts {
+        self.tracer.plan();
+        match self.tracer.cache() {
+            None => self.fixed,
+            Some(cache) => {
+                let CacheTotals { plan, plan_rays, .. } = cache.totals();
+                FixedCosts { plan: spent(plan), plan_rays, ..self.fixed }
+            }
+        }
+    }
+
+    fn cache_records(&self) -> Vec<u32> {
+        self.tracer.plan();
+        records(&self.tracer)
+    }
+
+    fn spent_on_setup(&self) -> Spent {
+        self.fixed.load.plus(self.built_now)
+    }
+
+    fn effects(&self) -> Vec<String> {
+        let mut effects: Vec<String> = self.tracer.effects().names().map(str::to_owned).collect();
+        effects.sort();
+        effects
+    }
+
+    fn left_out(&self) -> Vec<LeftOut> {
+        let all = self.tracer.left_out();
+        let shown = if all.len() > LeftOut::MOST { LeftOut::MOST - 1 } else { all.len() };
+        let entry = |what: String, reason: String| LeftOut { what, reason };
+        let first = all[..shown].iter().map(|left| entry(left.what.to_string(), left.reason.to_string()));
+        let others = all.len() - shown;
+        let rest = (others > 0).then(|| entry(format!("{others} others"), "as those before them".into()));
+        first.chain(rest).collect()
+    }
+
+    fn work_by_class(&self) -> (ByClass, ByClass) {
+        let triangles = self.tracer.frame().geometry.triangles.len();
+        let (pixels, gathers) = self.tracer.work_by_class();
+        (by_class(pixels, triangles), by_class(gathers, triangles))
+    }
+
+    fn trace(&self, pixels: &[u32]) -> Vec<(Pixel, PixelNoise)> {
+        self.tracer.plan();
+        pixels.par_chunks(BATCH).flat_map_iter(|batch| self.traced(batch)).collect()
+    }
+
+    fn fill_for(&self, pixels: &[u32]) -> Spent {
+        spent(self.tracer.fill_for(pixels))
+    }
+
+    fn fill(&self, progress: &(dyn Fn(Progress) + Sync), cancel: &AtomicBool) -> bool {
+        if !self.tracer.effects().has(Effects::CACHE) {
+            return true;
+        }
+        progress(Progress { step: Step::Planning, done: 0, all: 1 });
+        self.tracer.plan();
+        self.tracer.fill(&|done, all| progress(Progress { step: Step::Filling, done, all }), cancel)
+    }
+
+    fn spent_on_cache(&self) -> Spent {
+        let of = |totals: CacheTotals| spent(totals.plan).plus(spent(totals.fill));
+        self.tracer.cache().map_or_else(Spent::default, |cache| of(cache.totals()))
+    }
+
+    fn has_final_colours(&self) -> bool {
+        self.tracer.cache().is_none_or(Cache::is_complete)
+    }
+
+    fn allot(&self, samples: SampleCounts) -> Result<(), RenderError> {
+        Ok(self.tracer.allot(samples)?)
+    }
+
+    fn begin(&self) -> Passes {
+        Passes::new(&self.tracer)
+    }
+
+    fn go_on(
+        &self,
+        passes: &mut Passes,
+        wanted: &SampleCounts,
+        stop: &(dyn Fn() -> bool + Sync),
+        progress: &(dyn Fn() + Sync),
+    ) -> Result<Totals, RenderError> {
+        Ok(passes.go_on(&self.tracer, wanted, stop, &|_| progress())?)
+    }
+
+    fn finished(&self, passes: &Passes) -> Finished {
+        Finished { image: passes.image(), cache: self.cache_use(CacheTotals::default()) }
+    }
+
+    fn trace_runs(&self, runs: &[Vec<u32>]) -> Vec<Vec<(Pixel, PixelNoise)>> {
+        self.tracer.plan();
+        runs.par_iter().map(|run| self.traced(run)).collect()
+    }
+
+    fn sample_records(&self, each: usize, seed: u64) -> Vec<RecordCost> {
+        self.tracer.sample_records(each, seed)
+    }
+
+    fn profile(&self, pixels: &[(u32, Pixel)]) -> Profile {
+        let cache = self.tracer.cache().map(|cache| cache.to_bytes());
+        // The colours of pixels that read a cache before it is filled are not the image's.
+        let pixels = if cache.is_none() { pixels.to_vec() } else { Vec::new() };
+        Profile { frame: self.tracer.frame().number, fingerprint: self.tracer.fingerprint(), pixels, cache }
+    }
+
+    fn share(&self, mut cache: Cache) -> Result<Shared, RenderError> {
+        let given = |cache: Cache| self.tracer.take_cache(cache.as_given());
+        let shared = if cache.suits(&self.tracer) {
+            let kept = cache.records();
+            given(cache)?;
+            Shared { dropped: vec![0; kept.len()], kept }
+        } else {
+            let settings = self.tracer.settings();
+            let from = self.shot.tracer(&self.shot.frame_of(cache.frame(), settings)?, settings).tracer;
+            cache.settle(&from)?;
+            let (carried, shared) = cache.carried(&from, &self.tracer);
+            given(carried)?;
+            shared
+        };
+        *lock(&self.shared) = shared.clone();
+        Ok(shared)
+    }
+
+    fn render(
+        &self,
+        reuse: Option<&Profile>,
+        progress: &(dyn Fn(Progress) + Sync),
+        finished: &PixelsFinished<'_>,
+        cancel: &AtomicBool,
+    ) -> Result<Option<Finished>, RenderError> {
+        let pixels = self.tracer.frame().camera.pixels();
+        let mut taken_over = CacheTotals::default();
+        if let Some(profile) = reuse {
+            if profile.fingerprint != self.tracer.fingerprint() || !profile.fits(pixels) {
+                return Err(RenderError::ForeignProfile { frame: profile.frame });
+            }
+            if let Some(bytes) = &profile.cache {
+                let cache = Cache::from_bytes(bytes)?;
+                taken_over = cache.totals();
+                self.tracer.take_cache(cache)?;
+            }
+        }
+        if !self.fill(progress, cancel) {
+            return Ok(None);
+        }
+        let traced = |done| progress(Progress { step: Step::Tracing, done, all: pixels as u64 });
+        let image = self.tracer.render_watched(reuse, &traced, finished, cancel);
+        Ok(image.map(|image| Finished { image, cache: self.cache_use(taken_over) }))
+    }
+}
