@@ -1,13 +1,18 @@
 //! What happens: events in the order of time, and the rules that no policy can break.
 
-use std::cmp::Reverse;
-use std::collections::{BTreeSet, BinaryHeap};
+mod events;
+mod rentals;
+mod tiles;
 
-use forelight_planner::{Job, Node, Task};
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+
+use forelight_planner::{Job, Node};
 
 use crate::policy::Policy;
-use crate::record::{Attempt, JobRecord, Outcome, Record, Rented};
-use crate::world::World;
+use crate::record::{Attempt, JobRecord, Outcome, Record};
+use crate::world::{TrueTask, World};
+use tiles::Tiles;
 
 /// Something that happens at an instant. Of what happens at the same instant, what is listed first comes first: a frame that ends when its
 /// node's window closes is done.
@@ -44,6 +49,9 @@ pub enum Refusal {
     /// A licence or the like is missing.
     #[error("a limit is reached")]
     Limit,
+    /// It is no frame, or its job does not allow as many tiles.
+    #[error("the frame cannot be split like this")]
+    NotSplit,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,6 +59,8 @@ pub(crate) enum TaskState {
     Waiting,
     /// Leased under this token; the worker may be dead already.
     Held(usize),
+    /// Its tiles are tasks of their own.
+    Split,
     Done,
 }
 
@@ -77,9 +87,15 @@ struct NodeState {
 pub(crate) struct JobState {
     pub arrived: bool,
     pub withdrawn: bool,
+    /// Its tasks, the seed's first, then frames, then tiles of frames that were split.
+    pub truth: Vec<TrueTask>,
     pub tasks: Vec<TaskState>,
+    /// By place of a frame that was split.
+    pub tiles: BTreeMap<usize, Tiles>,
+    /// By place of a tile: the place of its frame.
+    pub whole_of: BTreeMap<usize, usize>,
     pub left: usize,
-    /// Tasks that wait, by their place.
+    /// Tasks that are not done are `left`; those that wait, by their place.
     pub waiting: BTreeSet<usize>,
     /// True work of its frames that are done, with their place: known to everyone.
     pub measured: Vec<usize>,
@@ -116,7 +132,7 @@ pub struct Farm<'w> {
 /// Lets a policy run a world until every job is done or withdrawn, or the world ends. `progress` is told how many of
 /// how many jobs are over.
 pub fn run(world: &World, policy: &mut dyn Policy, mut progress: impl FnMut(u64, u64)) -> Record {
-    let mut farm = Farm::new(world);
+    let mut farm = Farm::new(world, policy);
     let all = farm.jobs.len();
     let mut told = 0;
     let mut woken = None;
@@ -156,7 +172,7 @@ pub fn run(world: &World, policy: &mut dyn Policy, mut progress: impl FnMut(u64,
 }
 
 impl<'w> Farm<'w> {
-    fn new(world: &'w World) -> Self {
+    fn new(world: &'w World, policy: &dyn Policy) -> Self {
         let input = &world.input;
         let mut by_price: Vec<usize> = (0..input.nodes.len()).collect();
         by_price.sort_by_key(|&node| (price_of_work(&input.nodes[node]), node));
@@ -177,12 +193,16 @@ impl<'w> Farm<'w> {
                 events.push(Reverse((at, Event::Withdraw { job: index })));
             }
         }
-        let jobs = world.tasks.iter().map(|tasks| JobState {
+        let truths = (0..input.jobs.len()).map(|job| world.truth(job, policy.shares_cache(world, job)));
+        let jobs = truths.map(|truth| JobState {
             arrived: false,
             withdrawn: false,
-            tasks: vec![TaskState::Waiting; tasks.len()],
-            left: tasks.len(),
-            waiting: (0..tasks.len()).collect(),
+            tasks: vec![TaskState::Waiting; truth.len()],
+            left: truth.len(),
+            waiting: (0..truth.len()).collect(),
+            truth,
+            tiles: BTreeMap::new(),
+            whole_of: BTreeMap::new(),
             measured: Vec::new(),
             measured_work: 0,
             running: 0,
@@ -279,8 +299,13 @@ impl<'w> Farm<'w> {
 
     /// Whether the seed is done, or there is none.
     pub(crate) fn has_seed(&self, job: usize) -> bool {
-        self.world.tasks[job].first().is_none_or(|first| first.task != Task::Seed)
-            || self.jobs[job].tasks[0] == TaskState::Done
+        let entry = &self.jobs[job];
+        entry
+            .truth
+            .iter()
+            .zip(&entry.tasks)
+            .take_while(|(truth, _)| truth.task.is_seed())
+            .all(|(_, &state)| state == TaskState::Done)
     }
 
     /// What a lease is for.
@@ -296,7 +321,7 @@ impl<'w> Farm<'w> {
         self.can_start(node, job, task)?;
         let (world, now) = (self.world, self.now);
         let machine = &world.input.nodes[node];
-        let truth = &world.tasks[job][task];
+        let truth = self.jobs[job].truth[task];
         let length = machine.duration(truth.work, truth.class).unwrap_or(i64::MAX);
         let state = &mut self.nodes[node];
         let needs_setup = machine.setup > 0 || machine.setup_cost > 0;
@@ -342,8 +367,8 @@ impl<'w> Farm<'w> {
         if !entry.arrived || entry.withdrawn || entry.tasks.get(task) != Some(&TaskState::Waiting) {
             return Err(Refusal::NotWaiting);
         }
-        let truth = &self.world.tasks[job][task];
-        if truth.task != Task::Seed && !self.has_seed(job) {
+        let truth = &entry.truth[task];
+        if !truth.task.is_seed() && !self.has_seed(job) {
             return Err(Refusal::NoSeed);
         }
         if !machine.fits(asked) || machine.speed_of(truth.class) == 0 {
@@ -370,208 +395,6 @@ impl<'w> Farm<'w> {
                     if takes { count.saturating_add(held.count) } else { count.saturating_sub(held.count) };
             }
         }
-    }
-
-    /// Applies an event; a job that came in is returned.
-    fn happens(&mut self, event: Event) -> Option<usize> {
-        match event {
-            Event::Finish { node, attempt } => self.finished(node, attempt),
-            Event::Fail { node, count } => {
-                self.record.failures += 1;
-                let back = self.now.saturating_add(self.world.repair(node, count));
-                self.events.push(Reverse((back, Event::Repair { node, count })));
-                self.nodes[node].up = false;
-                self.idle.remove(&(self.nodes[node].rank, node));
-                if let Some(attempt) = self.nodes[node].running {
-                    self.ends(node, attempt, Outcome::Lost);
-                    let expiry = self.now.saturating_add(self.world.lease());
-                    self.events.push(Reverse((expiry, Event::Expire { attempt })));
-                }
-                self.close_rental(node);
-            }
-            Event::Expire { attempt } => self.give_back(attempt),
-            Event::Close { node } => {
-                self.nodes[node].until = None;
-                self.idle.remove(&(self.nodes[node].rank, node));
-                if let Some(attempt) = self.nodes[node].running {
-                    self.ends(node, attempt, Outcome::Evicted);
-                    self.give_back(attempt);
-                }
-                self.close_rental(node);
-            }
-            Event::Repair { node, count } => {
-                self.nodes[node].up = true;
-                self.idle_again(node);
-                if let Some(after) = self.world.until_failure(node, count + 1) {
-                    let at = self.now.saturating_add(after);
-                    self.events.push(Reverse((at, Event::Fail { node, count: count + 1 })));
-                }
-            }
-            Event::Open { node, window } => {
-                let windows = &self.world.windows[node];
-                let end = windows[window].end;
-                self.nodes[node].until = Some(end.unwrap_or(i64::MAX));
-                if let Some(end) = end {
-                    self.events.push(Reverse((end, Event::Close { node })));
-                }
-                if let Some(next) = windows.get(window + 1) {
-                    self.events.push(Reverse((next.start, Event::Open { node, window: window + 1 })));
-                }
-                self.idle_again(node);
-            }
-            Event::Paid { node } => self.stop_paying(node),
-            Event::Withdraw { job } => self.withdrawn(job),
-            Event::Arrive { job } => {
-                let entry = &mut self.jobs[job];
-                if !entry.withdrawn {
-                    entry.arrived = true;
-                    if entry.left == 0 {
-                        self.over += 1;
-                        self.record.jobs[job].finish = Some(self.now);
-                    } else {
-                        self.open.insert(job);
-                        return Some(job);
-                    }
-                }
-            }
-            Event::Wake => {}
-        }
-        None
-    }
-
-    fn finished(&mut self, node: usize, attempt: usize) {
-        // Otherwise the worker was lost, evicted or told to stop before.
-        if self.nodes[node].running != Some(attempt) {
-            return;
-        }
-        self.ends(node, attempt, Outcome::Done);
-        self.let_go(attempt);
-        let (job, task) = self.places[attempt];
-        let truth = &self.world.tasks[job][task];
-        let entry = &mut self.jobs[job];
-        entry.tasks[task] = TaskState::Done;
-        entry.left -= 1;
-        if truth.task != Task::Seed {
-            entry.measured.push(task);
-            entry.measured_work += u128::from(truth.work);
-        }
-        if entry.left == 0 {
-            self.over += 1;
-            self.open.remove(&job);
-            self.record.jobs[job].finish = Some(self.now);
-            self.record.end = self.now;
-        }
-        self.idle_again(node);
-    }
-
-    fn withdrawn(&mut self, job: usize) {
-        if self.jobs[job].withdrawn || (self.jobs[job].arrived && self.jobs[job].left == 0) {
-            return;
-        }
-        self.over += 1;
-        self.jobs[job].withdrawn = true;
-        self.record.jobs[job].withdrawn = Some(self.now);
-        self.record.end = self.now;
-        self.open.remove(&job);
-        let running: Vec<(usize, usize)> = (0..self.nodes.len())
-            .filter_map(|node| Some((node, self.nodes[node].running?)))
-            .filter(|&(_, attempt)| self.places[attempt].0 == job)
-            .collect();
-        for (node, attempt) in running {
-            self.ends(node, attempt, Outcome::Withdrawn);
-            self.idle_again(node);
-        }
-        // Leases of dead workers end with the job, too.
-        for task in 0..self.jobs[job].tasks.len() {
-            if let TaskState::Held(attempt) = self.jobs[job].tasks[task] {
-                self.let_go(attempt);
-            }
-        }
-        self.jobs[job].waiting.clear();
-    }
-
-    /// The attempt is over, and the node works on nothing.
-    fn ends(&mut self, node: usize, attempt: usize, outcome: Outcome) {
-        let entry = &mut self.record.attempts[attempt];
-        // It may have ended during its set-up.
-        entry.start = entry.start.min(self.now);
-        entry.end = self.now;
-        entry.outcome = outcome;
-        self.nodes[node].running = None;
-        self.nodes[node].worked_until = self.now;
-        self.freed.push(node);
-    }
-
-    /// The lease is over, and what came with it.
-    fn let_go(&mut self, attempt: usize) {
-        let (job, task) = self.places[attempt];
-        let speed = self.speed_of(attempt, task);
-        let entry = &mut self.jobs[job];
-        entry.running -= 1;
-        entry.running_speed = entry.running_speed.saturating_sub(speed);
-        self.hold(job, false);
-    }
-
-    fn speed_of(&self, attempt: usize, task: usize) -> u64 {
-        let (job, id) = (self.places[attempt].0, self.record.attempts[attempt].node);
-        let nodes = &self.world.input.nodes;
-        let node = nodes.binary_search_by_key(&id, |node| node.id).ok();
-        node.map_or(0, |node| nodes[node].speed_of(self.world.tasks[job][task].class))
-    }
-
-    fn give_back(&mut self, attempt: usize) {
-        let (job, task) = self.places[attempt];
-        if self.jobs[job].withdrawn || self.jobs[job].tasks[task] != TaskState::Held(attempt) {
-            return;
-        }
-        self.let_go(attempt);
-        self.jobs[job].tasks[task] = TaskState::Waiting;
-        self.jobs[job].waiting.insert(task);
-        self.given_back.push(job);
-    }
-
-    fn idle_again(&mut self, node: usize) {
-        let state = &self.nodes[node];
-        if state.up && state.until.is_some() && state.running.is_none() {
-            self.idle.insert((state.rank, node));
-        }
-    }
-
-    /// Nodes that got nothing new are paid to the end of the time that is billed anyway.
-    fn settle(&mut self) {
-        for node in std::mem::take(&mut self.freed) {
-            if self.nodes[node].running.is_some() {
-                continue;
-            }
-            if let Some(until) = self.paid_until(node) {
-                if until <= self.now {
-                    self.close_rental(node);
-                } else {
-                    self.events.push(Reverse((until, Event::Paid { node })));
-                }
-            }
-        }
-    }
-
-    fn paid_until(&self, node: usize) -> Option<i64> {
-        let rental = self.nodes[node].rental?;
-        let worked = self.nodes[node].worked_until.saturating_sub(rental.start);
-        Some(rental.start.saturating_add(self.node(node).billed(worked)))
-    }
-
-    fn stop_paying(&mut self, node: usize) {
-        let is_over = self.paid_until(node).is_some_and(|until| until <= self.now);
-        if is_over && self.nodes[node].running.is_none() {
-            self.close_rental(node);
-        }
-    }
-
-    fn close_rental(&mut self, node: usize) {
-        let Some(OpenRental { start, setup }) = self.nodes[node].rental.take() else { return };
-        let machine = self.node(node);
-        let end = self.nodes[node].worked_until.max(start);
-        let cost = machine.price(end.saturating_sub(start), setup);
-        self.record.rentals.push(Rented { node: machine.id, start, end, setup, cost });
     }
 
     /// Whoever still works stops.

@@ -19,6 +19,13 @@ pub trait Policy {
     /// happens before.
     fn act(&mut self, farm: &mut Farm) -> Option<i64>;
 
+    /// Whether the frames of a job, by its place, share a cache that is filled before them. Otherwise each fills one of its own, as they do where
+    /// nobody knows beforehand what it holds. What is no cache always comes first.
+    fn shares_cache(&self, world: &World, job: usize) -> bool {
+        let _ = job;
+        world.chances.own_cache == 0.0
+    }
+
     /// How many plans it made.
     fn plans(&self) -> u64 {
         0

@@ -28,6 +28,9 @@ pub struct Scenario {
     pub frame_minutes: u64,
     /// What every job asks for; none: a third each of P50, P80 and P95.
     pub confidence: Option<Confidence>,
+    /// Into how many tiles half of the jobs let their frames be split, and in how many parts what comes before the frames may be done. 1:
+    /// everything in one piece.
+    pub parts: u32,
 }
 
 impl Scenario {
@@ -39,6 +42,17 @@ impl Scenario {
         days: 30,
         frame_minutes: 180,
         confidence: Some(Confidence::P95),
+        parts: 1,
+    };
+    /// Three weeks of a small studio with frames of six hours, of which all but a few jobs would be late if they could not be split.
+    pub const SHOTS: Scenario = Scenario {
+        nodes: 100,
+        jobs: 150,
+        frames: 3000,
+        days: 21,
+        frame_minutes: 360,
+        confidence: Some(Confidence::P80),
+        parts: 8,
     };
     /// A small studio that is asked for a little more than a thousand promises at this confidence.
     pub const fn promises(confidence: Confidence) -> Scenario {
@@ -49,6 +63,7 @@ impl Scenario {
             days: 60,
             frame_minutes: 120,
             confidence: Some(confidence),
+            parts: 1,
         }
     }
 
@@ -84,13 +99,15 @@ pub fn studio(scenario: Scenario, seed: u64) -> Input {
         let release = between(seed, &[101, job.id], 0, end) / MINUTE * MINUTE;
         job.release = release;
         job.deadline = Some(release + between(seed, &[102, job.id], 16 * HOUR, 72 * HOUR) / MINUTE * MINUTE);
-        job.tiles = 1;
+        job.tiles = if job.tiles > 1 { scenario.parts.max(1) } else { 1 };
+        job.tile_overhead = scaled(job.tile_overhead);
         for frame in &mut job.frames {
             (frame.work, frame.work_p80) = (scaled(frame.work), scaled(frame.work_p80));
         }
         let total = &mut job.total;
         (total.p50, total.p80, total.p95) = (scaled(total.p50), scaled(total.p80), scaled(total.p95));
-        job.seed = job.seed.map(|seed| Seed { work: scaled(seed.work), ..seed });
+        job.seed =
+            job.seed.map(|seed| Seed { work: scaled(seed.work), parts: scenario.parts.max(1), ..seed });
         job.project = Some(1 + bits(seed, &[103, job.id]) % PROJECTS);
         job.priority = (bits(seed, &[104, job.id]) % 3) as i32;
         if let Some(confidence) = scenario.confidence {

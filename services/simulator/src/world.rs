@@ -29,6 +29,9 @@ pub struct Chances {
     pub hours_of_repair: f64,
     /// Seconds after a worker's last word until its lease expires and its frame goes back.
     pub lease_seconds: f64,
+    /// Work of a frame's own irradiance cache, as a share of the one that all frames of its job could have together and that comes before them.
+    /// 0: what comes before the frames is no cache, and nobody can do without it.
+    pub own_cache: f64,
     /// Share of the jobs that are withdrawn at some time before their deadline.
     pub withdrawn: f64,
 }
@@ -42,6 +45,7 @@ impl Default for Chances {
             hours_between_failures: 30.0 * 24.0,
             hours_of_repair: 4.0,
             lease_seconds: 60.0,
+            own_cache: 0.0,
             withdrawn: 0.01,
         }
     }
@@ -55,7 +59,7 @@ pub struct World {
     pub(crate) chances: Chances,
     /// When each node may be used.
     pub(crate) windows: Vec<Vec<Interval>>,
-    /// By job: its tasks, the seed first if there is one, then frames in the order in which they are given.
+    /// By job: its tasks, those of the seed first if there is one, then frames in the order in which they are given.
     pub(crate) tasks: Vec<Vec<TrueTask>>,
     /// By job: when it is withdrawn.
     pub(crate) withdrawn: Vec<Option<i64>>,
@@ -78,8 +82,7 @@ pub(crate) struct TrueTask {
 const PATIENCE: i64 = 60 * 24 * 3_600_000_000;
 
 impl World {
-    /// Draws the truth. The order of nodes and jobs in the input does not matter. Frames are rendered whole: into how many tiles they
-    /// may be split is ignored. Movable bookings are, too.
+    /// Draws the truth. The order of nodes and jobs in the input does not matter. Movable bookings are ignored.
     ///
     /// # Errors
     /// If the input has no meaning.
@@ -89,7 +92,6 @@ impl World {
         input.nodes.sort_by_key(|node| node.id);
         input.jobs.sort_by_key(|job| job.id);
         for job in &mut input.jobs {
-            job.tiles = 1;
             job.release = job.release.max(input.now);
         }
         let seed = chances.seed;
@@ -106,12 +108,11 @@ impl World {
             };
             let done: std::collections::BTreeSet<i64> = job.done.iter().copied().collect();
             let mut of_job: Vec<TrueTask> = Vec::with_capacity(job.frames.len() + 1);
-            of_job.extend(job.seed.map(|seed| TrueTask {
-                task: Task::Seed,
-                median: seed.work,
-                work: drawn(seed.work, 1.0),
-                class: seed.class,
-            }));
+            if let Some(seed) = job.seed {
+                let median = seed.work.div_ceil(u64::from(seed.parts.max(1)));
+                let work = drawn(median, 1.0);
+                of_job.extend(seed.tasks().map(|task| TrueTask { task, median, work, class: seed.class }));
+            }
             for frame in job.frames.iter().filter(|frame| !done.contains(&frame.number)) {
                 let spread = job.own_spread(frame) * chances.spread;
                 let z = normal(seed, &[OWN, job.id, frame.number as u64]);
@@ -139,6 +140,26 @@ impl World {
         &self.input
     }
 
+    /// A job's tasks: with what comes before the frames, or with frames that do without it because each fills a cache of its own.
+    pub(crate) fn truth(&self, job: usize, shared: bool) -> Vec<TrueTask> {
+        let tasks = self.tasks[job].iter().copied();
+        if shared {
+            return tasks.collect();
+        }
+        let (seeds, frames): (Vec<TrueTask>, Vec<TrueTask>) = tasks.partition(|task| task.task.is_seed());
+        let own = |of: fn(&TrueTask) -> u64| {
+            let all = seeds.iter().fold(0u64, |sum, part| sum.saturating_add(of(part)));
+            (all as f64 * self.chances.own_cache).round() as u64
+        };
+        let (median, work) = (own(|task| task.median), own(|task| task.work));
+        let with_own = |task: TrueTask| TrueTask {
+            median: task.median.saturating_add(median),
+            work: task.work.saturating_add(work),
+            ..task
+        };
+        frames.into_iter().map(with_own).collect()
+    }
+
     /// Micro-units that no policy can cost less than if it keeps all deadlines that can be kept, even if it knew the true work, all jobs
     /// from the start, and no node failed. Jobs that are withdrawn do not count.
     ///
@@ -151,16 +172,25 @@ impl World {
             let (tasks, withdrawn) = (&self.tasks[index], self.withdrawn[index]);
             index += 1;
             let mut frames = Vec::with_capacity(tasks.len());
+            let mut before = 0u64;
             for task in tasks {
                 match task.task.frame() {
-                    None => {
-                        job.seed = job.seed.map(|seed| forelight_planner::Seed { work: task.work, ..seed })
-                    }
+                    None => before = before.saturating_add(task.work),
                     Some(number) => {
                         frames.push(forelight_planner::Frame { number, work: task.work, work_p80: 0 });
                     }
                 }
             }
+            if self.chances.own_cache > 0.0 {
+                // Whoever does without the shared cache has at least this much more to do on the same nodes, if they are the same.
+                let all = (before as f64 * self.chances.own_cache).round() as u64;
+                let same = job.seed.is_some_and(|seed| seed.class == job.class);
+                let least = before.min(all.saturating_mul(frames.len() as u64));
+                before = if same { least } else { 0 };
+            }
+            job.seed = job.seed.map(|seed| forelight_planner::Seed { work: before, ..seed });
+            // Tiles only add work.
+            job.tiles = 1;
             let total = frames.iter().fold(0u64, |sum, frame| sum.saturating_add(frame.work));
             job.total = forelight_planner::WorkTotal { p50: total, p80: total, p95: total };
             job.frames = frames;

@@ -2,9 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use forelight_planner::{Confidence, Interval, Limit, LimitUse, Seed, Task};
+use forelight_planner::{
+    Confidence, Frame, Input, Interval, Job, Limit, LimitUse, Node, Seed, Task, WorkTotal,
+};
 use forelight_simulator::{
-    Attempt, Chances, Outcome, PolicyKind, Record, Scenario, World, report, run, studio,
+    Attempt, Chances, Farm, Outcome, Policy, PolicyKind, Record, Refusal, Scenario, World, report, run,
+    studio,
 };
 use proptest::prelude::*;
 
@@ -16,8 +19,8 @@ fn simulated(world: &World, kind: PolicyKind, pool: u32) -> (Record, u64) {
     (record, policy.plans())
 }
 
-/// The rules of the house, from the record alone.
-fn check(world: &World, record: &Record) {
+/// The rules of the house, from the record alone. `may_leave`: a cache may be left to the frames.
+fn check(world: &World, record: &Record, may_leave: bool) {
     let input = world.input();
     let mut by_node: BTreeMap<u64, Vec<&Attempt>> = BTreeMap::new();
     let mut done: BTreeMap<(u64, Task), u32> = BTreeMap::new();
@@ -30,12 +33,30 @@ fn check(world: &World, record: &Record) {
     for (job, entry) in input.jobs.iter().zip(&record.jobs) {
         assert!(entry.finish.is_none() || entry.withdrawn.is_none(), "job {} ended twice", job.id);
         assert!(entry.finish.is_some() || entry.withdrawn.is_some(), "job {} is left over", job.id);
-        let tasks = job.frames.iter().map(|frame| Task::Frame(frame.number));
-        for task in tasks.chain(job.seed.map(|_| Task::Seed)) {
-            let times = done.get(&(job.id, task)).copied().unwrap_or(0);
-            assert!(times <= 1, "job {}, {task} was done {times} times", job.id);
-            assert!(times == 1 || entry.withdrawn.is_some(), "job {}, {task} was never done", job.id);
+        let times = |task: Task| done.get(&(job.id, task)).copied().unwrap_or(0);
+        for frame in &job.frames {
+            let whole = times(Task::Frame(frame.number));
+            let tiles: Vec<(u32, u32)> = done
+                .range((job.id, Task::Tile { frame: i64::MIN, part: 0, parts: 0 })..)
+                .take_while(|((id, _), _)| *id == job.id)
+                .filter_map(|(&(_, task), &times)| match task {
+                    Task::Tile { frame: of, parts, .. } if of == frame.number => Some((parts, times)),
+                    _ => None,
+                })
+                .collect();
+            let once =
+                tiles.iter().all(|&(parts, times)| times == 1 && parts == tiles[0].0 && parts <= job.tiles);
+            assert!(once, "job {}, frame {}: tiles {tiles:?}", job.id, frame.number);
+            let all = tiles.first().is_some_and(|&(parts, _)| tiles.len() == parts as usize);
+            assert!(whole == 0 || (whole == 1 && tiles.is_empty()), "job {}, frame {}", job.id, frame.number);
+            assert!(whole == 1 || all || entry.withdrawn.is_some(), "job {}, frame {}", job.id, frame.number);
         }
+        // What comes before the frames is done once, all of it; only a cache may be left to the frames.
+        let seeds: Vec<u32> = job.seed.iter().flat_map(|seed| seed.tasks()).map(times).collect();
+        let shares = seeds.iter().all(|&times| times == 1);
+        let leaves = may_leave && record.attempts.iter().all(|a| a.job != job.id || !a.task.is_seed());
+        assert!(shares || leaves || entry.withdrawn.is_some(), "job {}: seeds {seeds:?}", job.id);
+        assert!(seeds.iter().all(|&times| times <= 1));
         let of_job = || record.attempts.iter().filter(|attempt| attempt.job == job.id);
         let over = entry.withdrawn.or(entry.finish).unwrap_or(i64::MAX);
         for attempt in of_job() {
@@ -44,9 +65,9 @@ fn check(world: &World, record: &Record) {
         let last =
             of_job().filter(|attempt| attempt.outcome == Outcome::Done).map(|attempt| attempt.end).max();
         assert!(entry.finish.is_none() || entry.finish == last.or(Some(job.release)));
-        let seeded = of_job().find(|a| a.task == Task::Seed && a.outcome == Outcome::Done).map(|a| a.end);
-        if job.seed.is_some() {
-            for frame in of_job().filter(|attempt| attempt.task != Task::Seed) {
+        let seeded = of_job().filter(|a| a.task.is_seed() && a.outcome == Outcome::Done).map(|a| a.end).max();
+        if job.seed.is_some() && !leaves {
+            for frame in of_job().filter(|attempt| !attempt.task.is_seed()) {
                 assert!(seeded.is_some_and(|seeded| seeded <= frame.start), "{frame:?} came before its seed");
             }
         }
@@ -98,13 +119,13 @@ fn check(world: &World, record: &Record) {
 }
 
 fn small(nodes: u64, jobs: u64, frames: u64, seed: u64, chances: Chances) -> World {
-    let scenario = Scenario { nodes, jobs, frames, days: 3, frame_minutes: 120, confidence: None };
+    let scenario = Scenario { nodes, jobs, frames, days: 3, frame_minutes: 120, confidence: None, parts: 4 };
     let mut input = studio(scenario, seed);
     // Something for every rule to refuse.
     input.limits = vec![Limit { id: 0, name: "licence".into(), count: 2 }];
     for job in input.jobs.iter_mut().filter(|job| job.id % 3 == 0) {
         job.uses = vec![LimitUse { limit: 0, count: 1 }];
-        job.seed = Some(Seed { class: job.class, work: 1_000_000_000_000, parts: 1 });
+        job.seed = Some(Seed { class: job.class, work: 1_000_000_000_000, parts: 1 + (job.id % 4) as u32 });
     }
     // Ten nodes need not have a graphics processor, nor all that memory.
     for job in &mut input.jobs {
@@ -132,12 +153,18 @@ proptest! {
         spread in 0.0f64..3.0,
         hours_between_failures in prop::sample::select(vec![0.0, 15.0, 100.0]),
         withdrawn in 0.0f64..0.4,
+        own_cache in prop::sample::select(vec![0.0, 0.05, 0.6]),
         pool in 40u32..=100,
     ) {
-        let chances = Chances { bias, spread, hours_between_failures, withdrawn, ..Chances::default() };
+        let chances = Chances { bias, spread, hours_between_failures, withdrawn, own_cache, ..Chances::default() };
         let world = small(nodes, jobs, jobs * per_job, seed, chances);
         let (record, plans) = simulated(&world, kind, pool);
-        check(&world, &record);
+        check(&world, &record, own_cache > 0.0);
+        // Today's farm managers split nothing, and know no cache before its frames.
+        let is_ours = kind == PolicyKind::Planned;
+        let is_tile = |attempt: &Attempt| matches!(attempt.task, Task::Tile { .. });
+        prop_assert!(is_ours || !record.attempts.iter().any(is_tile));
+        prop_assert!(is_ours || own_cache == 0.0 || !record.attempts.iter().any(|a| a.task.is_seed()));
         let bound = world.least_cost().unwrap();
         let report = report(&world, kind, pool, plans, bound, &record);
         prop_assert_eq!(report.cost, record.rentals.iter().map(|rental| rental.cost).sum::<i64>());
@@ -186,10 +213,134 @@ fn forecasts_that_are_too_low_are_seen_through() {
         days: 20,
         frame_minutes: 120,
         confidence: Some(Confidence::P80),
+        parts: 1,
     };
     let world = scenario.world(Chances { bias: 1.3, seed: 2, ..Chances::default() }).unwrap();
     let (record, plans) = simulated(&world, PolicyKind::Planned, 100);
     let report = report(&world, PolicyKind::Planned, 100, plans, 1, &record);
     assert!(report.kept() > 0.8, "{} of {} promises kept", report.promises_kept, report.promised);
     assert!(report.promised * 10 > report.jobs * 7, "only {} of {} promised", report.promised, report.jobs);
+}
+
+/// So many nodes at speed 1, and one job of so many frames of eight hours that may be split into four, wanted in so many hours; all true work is what is forecast.
+fn eight_hours(nodes: u64, frames: i64, deadline: i64, seed: Option<Seed>, chances: Chances) -> World {
+    let node = |id| Node {
+        id,
+        speed: 1,
+        price_per_hour: 1_000_000,
+        calendar: vec![Interval { start: 0, end: None }],
+        ..Node::default()
+    };
+    let work = 8 * 3600 * frames as u64;
+    let job = Job {
+        id: 7,
+        deadline: Some(deadline * HOUR),
+        confidence: Confidence::P80,
+        total: WorkTotal { p50: work, p80: work, p95: work },
+        frames: (0..frames).map(|number| Frame { number, work: 8 * 3600, work_p80: 8 * 3600 }).collect(),
+        seed,
+        tiles: 4,
+        tile_overhead: 360,
+        ..Job::default()
+    };
+    let input = Input { nodes: (0..nodes).map(node).collect(), jobs: vec![job], ..Input::default() };
+    World::new(input, Chances { withdrawn: 0.0, ..chances }).unwrap()
+}
+
+const QUIET: Chances = Chances {
+    seed: 1,
+    bias: 1.0,
+    spread: 0.0,
+    hours_between_failures: 0.0,
+    hours_of_repair: 4.0,
+    lease_seconds: 60.0,
+    own_cache: 0.0,
+    withdrawn: 0.0,
+};
+
+#[test]
+fn a_frame_that_is_too_long_for_its_deadline_is_split_by_plans_and_by_nobody_else() {
+    let world = eight_hours(4, 1, 5, None, QUIET);
+    let (record, _) = simulated(&world, PolicyKind::Planned, 100);
+    check(&world, &record, false);
+    assert!(record.jobs[0].promised);
+    // Half of eight hours, and a tenth of an hour on top.
+    assert_eq!(record.attempts.len(), 2);
+    assert!(record.attempts.iter().all(|tile| tile.end - tile.start == 4 * HOUR + HOUR / 10), "{record:?}");
+    assert_eq!(record.jobs[0].finish, Some(4 * HOUR + HOUR / 10));
+    let (today, _) = simulated(&world, PolicyKind::Deadline, 100);
+    assert_eq!(today.jobs[0].finish, Some(8 * HOUR));
+}
+
+#[test]
+fn a_node_that_dies_takes_its_tile_with_it_and_the_others_stay_done() {
+    let mut seen = 0;
+    for seed in 0..60 {
+        let chances = Chances { seed, hours_between_failures: 8.0, hours_of_repair: 1.0, ..QUIET };
+        let world = eight_hours(3, 1, 5, None, chances);
+        let (record, _) = simulated(&world, PolicyKind::Planned, 100);
+        check(&world, &record, false);
+        let of = |outcome| record.attempts.iter().filter(move |attempt| attempt.outcome == outcome);
+        let tiles = |attempt: &Attempt| matches!(attempt.task, Task::Tile { .. });
+        let Some(lost) = of(Outcome::Lost).find(|attempt| tiles(attempt)) else { continue };
+        // What was done before the node died was not done again: `check` counts. The lost tile was, under a new lease.
+        let again = of(Outcome::Done).find(|attempt| attempt.task == lost.task);
+        assert!(again.is_some_and(|again| again.start >= lost.end + 60_000_000), "seed {seed}: {record:?}");
+        seen += 1;
+    }
+    assert!(seen > 5, "only {seen} tiles were lost");
+}
+
+#[test]
+fn a_shared_cache_is_filled_in_parts_at_once_and_whoever_knows_none_fills_one_for_each_frame() {
+    let seed = Seed { class: 0, work: 6 * 3600, parts: 3 };
+    let world = eight_hours(3, 3, 40, Some(seed), Chances { own_cache: 0.5, ..QUIET });
+    let (ours, _) = simulated(&world, PolicyKind::Planned, 100);
+    check(&world, &ours, true);
+    let parts: Vec<&Attempt> = ours.attempts.iter().filter(|attempt| attempt.task.is_seed()).collect();
+    assert!(
+        parts.len() == 3 && parts.iter().all(|part| (part.start, part.end) == (0, 2 * HOUR)),
+        "{parts:?}"
+    );
+    assert_eq!(ours.jobs[0].finish, Some(10 * HOUR));
+    let (today, _) = simulated(&world, PolicyKind::Fifo, 100);
+    check(&world, &today, true);
+    assert!(today.attempts.iter().all(|frame| frame.end - frame.start == 11 * HOUR), "{today:?}");
+    // A frame alone has no use for a cache that is shared: its own takes half as much.
+    let alone = eight_hours(1, 1, 40, Some(Seed { parts: 1, ..seed }), Chances { own_cache: 0.5, ..QUIET });
+    let (alone, _) = simulated(&alone, PolicyKind::Planned, 100);
+    assert_eq!(alone.jobs[0].finish, Some(11 * HOUR));
+}
+
+/// Tries what must not be, and then starts everything whole.
+struct Forbidden(Vec<Refusal>);
+
+impl Policy for Forbidden {
+    fn arrived(&mut self, farm: &mut Farm, job: usize) -> bool {
+        let mut refused = |tried: Result<(), Refusal>| self.0.extend(tried.err());
+        refused(farm.start_tile(0, job, 0, 0, 5));
+        refused(farm.start_tile(0, job, 0, 2, 2));
+        refused(farm.start_tile(0, job, 0, 0, 1));
+        refused(farm.start_tile(0, job, 9, 0, 2));
+        assert_eq!(farm.start_tile(0, job, 0, 1, 2), Ok(()));
+        refused(farm.start_tile(1, job, 0, 1, 2));
+        refused(farm.start_tile(1, job, 0, 0, 3));
+        refused(farm.start(1, job, 0));
+        assert_eq!(farm.start_tile(1, job, 0, 0, 2), Ok(()));
+        false
+    }
+
+    fn act(&mut self, _: &mut Farm) -> Option<i64> {
+        None
+    }
+}
+
+#[test]
+fn a_frame_is_split_once_and_only_as_its_job_allows() {
+    let world = eight_hours(2, 1, 5, None, QUIET);
+    let mut policy = Forbidden(Vec::new());
+    let record = run(&world, &mut policy, |_, _| {});
+    check(&world, &record, false);
+    let (split, waiting) = (Refusal::NotSplit, Refusal::NotWaiting);
+    assert_eq!(policy.0, [split, split, split, split, waiting, waiting, waiting]);
 }

@@ -40,10 +40,8 @@ pub struct Planned {
     every: i64,
     /// When the next one is due.
     next: i64,
-    /// By node: job, task and booked time of what it does next.
-    queues: Vec<VecDeque<(usize, usize, i64)>>,
-    /// By job: place of its frames by number.
-    places: Vec<BTreeMap<i64, usize>>,
+    /// By node: what it does next.
+    queues: Vec<VecDeque<Queued>>,
     promised: Vec<bool>,
     /// By job: what the plan aims at once the deadline cannot be kept any more.
     targets: Vec<Option<i64>>,
@@ -51,6 +49,35 @@ pub struct Planned {
     kept: BTreeSet<usize>,
     learned: Learned,
     plans: u64,
+}
+
+/// What a node is to do.
+#[derive(Clone, Copy, Debug)]
+struct Queued {
+    job: usize,
+    /// Place of the task; of the frame, if this is a tile that the plan makes of it.
+    task: usize,
+    /// Which tile of how many.
+    tile: Option<(u32, u32)>,
+    /// Booked time.
+    length: i64,
+}
+
+impl Queued {
+    /// Place of the task if it is there, or will be when it starts, and waits.
+    fn waits(&self, farm: &Farm) -> bool {
+        let entry = &farm.jobs[self.job];
+        let tile = self.tile.and_then(|(part, parts)| farm.tile(self.job, self.task, part, parts));
+        !entry.withdrawn && entry.tasks[tile.unwrap_or(self.task)] == TaskState::Waiting
+    }
+
+    fn start(&self, farm: &mut Farm, node: usize) -> bool {
+        let started = match self.tile {
+            None => farm.start(node, self.job, self.task),
+            Some((part, parts)) => farm.start_tile(node, self.job, self.task, part, parts),
+        };
+        started.is_ok()
+    }
 }
 
 /// What finished jobs say about forecasts.
@@ -80,15 +107,10 @@ impl Learned {
 impl Planned {
     /// A policy that plans at least this often, in microseconds.
     pub fn new(world: &World, every: i64) -> Self {
-        let places = world.tasks.iter().map(|tasks| {
-            let frames = tasks.iter().enumerate();
-            frames.filter_map(|(place, task)| Some((task.task.frame()?, place))).collect()
-        });
         Planned {
             every: every.max(1),
             next: world.input.now,
             queues: vec![VecDeque::new(); world.input.nodes.len()],
-            places: places.collect(),
             promised: vec![false; world.input.jobs.len()],
             targets: vec![None; world.input.jobs.len()],
             kept: BTreeSet::new(),
@@ -124,7 +146,7 @@ impl Planned {
         let own = asked.frames.first().map_or(0.0, |frame| asked.own_spread(frame)) * widening;
         let mut sum = 0.0;
         for &task in &farm.jobs[job].measured {
-            let truth = &farm.world.tasks[job][task];
+            let truth = &farm.jobs[job].truth[task];
             // Own factors have a mean of one.
             sum += libm::log(truth.work as f64 / truth.median.max(1) as f64) + own * own / 2.0;
         }
@@ -155,7 +177,7 @@ impl Planned {
                 continue;
             }
             let median: u128 =
-                entry.measured.iter().map(|&t| u128::from(farm.world.tasks[job][t].median)).sum();
+                entry.measured.iter().map(|&t| u128::from(farm.jobs[job].truth[t].median)).sum();
             let log = libm::log(entry.measured_work as f64 / median.max(1) as f64);
             let z = forelight_planner::Confidence::P80.z();
             self.learned.seen.push((log, libm::log(farm.job(job).common_factor(z)) / z));
@@ -227,7 +249,7 @@ impl Planned {
         for (&job, factor) in factors {
             let more = self.overrun(farm, job) - 1.0;
             for &task in &farm.jobs[job].waiting {
-                spare += farm.world.tasks[job][task].median as f64 * factor * more;
+                spare += farm.jobs[job].truth[task].median as f64 * factor * more;
                 count += 1.0;
             }
         }
@@ -244,28 +266,39 @@ impl Planned {
     /// What is left of a job, at its confidence; none if everything runs.
     fn rest_of(&self, farm: &Farm, job: usize, factor: f64) -> Option<Job> {
         let asked = farm.job(job);
-        let tasks = &farm.world.tasks[job];
+        let tasks = &farm.jobs[job].truth;
         let bought = |median: u64| (median as f64 * factor).ceil().max(1.0) as u64;
         let mut frames = Vec::new();
-        let mut seed = None;
+        let mut seed: Option<Seed> = None;
         let mut release = asked.release.max(farm.now());
+        // A task's place is its number for the planner. Tiles that wait are not split again, nor are other frames meanwhile.
+        let mut tiles = asked.tiles;
         for &place in &farm.jobs[job].waiting {
             let task = &tasks[place];
-            match task.task.frame() {
-                None => seed = Some(Seed { class: task.class, work: bought(task.median), ..Seed::default() }),
-                Some(number) => frames.push(Frame { number, work: bought(task.median), work_p80: 0 }),
+            if task.task.is_seed() {
+                let (work, parts) = seed.map_or((0, 0), |seed| (seed.work, seed.parts));
+                let work = bought(task.median).saturating_add(work);
+                seed = Some(Seed { class: task.class, work, parts: parts + 1 });
+                continue;
             }
+            if matches!(task.task, Task::Tile { .. }) {
+                tiles = 1;
+            }
+            frames.push(Frame { number: place as i64, work: bought(task.median), work_p80: 0 });
         }
         if frames.is_empty() && seed.is_none() {
             return None;
         }
-        if !farm.has_seed(job)
-            && let TaskState::Held(attempt) = farm.jobs[job].tasks[0]
-        {
-            let held = farm.attempt(attempt);
-            let node = farm.world.input.nodes.binary_search_by_key(&held.node, |node| node.id).ok();
-            let end = node.map(|node| self.expected_end(farm, node, job, 0, held.start));
-            release = release.max(end.unwrap_or(release));
+        if seed.is_none() {
+            // Frames wait for the parts of the seed that are under way.
+            let states = tasks.iter().zip(&farm.jobs[job].tasks).enumerate();
+            for (place, (_, state)) in states.take_while(|(_, (task, _))| task.task.is_seed()) {
+                let TaskState::Held(attempt) = *state else { continue };
+                let held = farm.attempt(attempt);
+                let node = farm.world.input.nodes.binary_search_by_key(&held.node, |node| node.id).ok();
+                let end = node.map(|node| self.expected_end(farm, node, job, place, held.start));
+                release = release.max(end.unwrap_or(release));
+            }
         }
         let total = frames.iter().fold(0u64, |sum, frame| sum.saturating_add(frame.work));
         let longest = frames.iter().map(|frame| frame.work).max().unwrap_or(0);
@@ -279,6 +312,7 @@ impl Planned {
             total: WorkTotal { p50: total, p80: total, p95: total },
             seed,
             frames,
+            tiles,
             done: Vec::new(),
             ..asked.clone()
         })
@@ -286,7 +320,7 @@ impl Planned {
 
     /// When a running task should be done.
     fn expected_end(&self, farm: &Farm, node: usize, job: usize, task: usize, start: i64) -> i64 {
-        let truth = &farm.world.tasks[job][task];
+        let truth = &farm.jobs[job].truth[task];
         let work = (truth.median as f64 * self.factor(farm, job, false)).ceil() as u64;
         let expected = farm.node(node).duration(work, truth.class).unwrap_or(i64::MAX);
         let elapsed = farm.now().saturating_sub(start).max(0);
@@ -321,14 +355,17 @@ impl Planned {
                 continue;
             };
             let Some(job) = farm.place_of(booking.job) else { continue };
-            let task = match booking.task {
-                Task::Seed | Task::SeedPart { .. } => Some(0),
-                Task::Frame(number) | Task::Tile { frame: number, .. } => {
-                    self.places[job].get(&number).copied()
-                }
+            // Parts of the seed are those that wait, in their order.
+            let part_of_seed = |part: u32| farm.jobs[job].waiting.iter().nth(part as usize).copied();
+            let (task, tile) = match booking.task {
+                Task::Seed => (part_of_seed(0), None),
+                Task::SeedPart { part, .. } => (part_of_seed(part), None),
+                Task::Frame(place) => (usize::try_from(place).ok(), None),
+                Task::Tile { frame, part, parts } => (usize::try_from(frame).ok(), Some((part, parts))),
             };
             if let Some(task) = task {
-                self.queues[node].push_back((job, task, booking.end.saturating_sub(booking.start)));
+                let length = booking.end.saturating_sub(booking.start);
+                self.queues[node].push_back(Queued { job, task, tile, length });
             }
         }
         self.aim(farm, made);
@@ -362,17 +399,17 @@ impl Planned {
         let Some(until) = farm.open_until(node) else { return };
         let setup = if farm.is_warm(node) { 0 } else { farm.node(node).setup };
         let mut place = 0;
-        while let Some(&(job, task, length)) = self.queues[node].get(place) {
-            if farm.jobs[job].withdrawn || farm.jobs[job].tasks[task] != TaskState::Waiting {
+        while let Some(&next) = self.queues[node].get(place) {
+            if !next.waits(farm) {
                 self.queues[node].remove(place);
                 continue;
             }
-            let length = (length as f64 * self.overrun(farm, job)) as i64;
+            let length = (next.length as f64 * self.overrun(farm, next.job)) as i64;
             if farm.now().saturating_add(setup).saturating_add(length) > until {
                 // What was booked after it is meant for a later window.
                 return;
             }
-            if farm.start(node, job, task).is_ok() {
+            if next.start(farm, node) {
                 self.queues[node].remove(place);
                 return;
             }
@@ -423,6 +460,12 @@ impl Policy for Planned {
             self.start_next(farm, node);
         }
         farm.open().next().map(|_| self.next)
+    }
+
+    fn shares_cache(&self, world: &World, job: usize) -> bool {
+        // The cheaper way, as the service has it: one for all, or one for each.
+        let share = world.chances.own_cache;
+        share == 0.0 || share * world.input.jobs[job].frames.len() as f64 >= 1.0
     }
 
     fn plans(&self) -> u64 {

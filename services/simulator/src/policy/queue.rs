@@ -79,7 +79,7 @@ impl Queue {
     fn start_one(&self, farm: &mut Farm, job: usize) -> bool {
         let Some(task) = self.next_task(farm, job) else { return false };
         let expected = farm.mean_work(job);
-        let class = farm.world.tasks[job][task].class;
+        let class = farm.jobs[job].truth[task].class;
         let mut found = None;
         for node in farm.idle() {
             if farm.rank(node) >= self.pool && !self.needs_all[job] {
@@ -108,7 +108,7 @@ impl Queue {
         if self.rule != QueueRule::ThreeFrames || !farm.has_seed(job) {
             return Some(first);
         }
-        let tasks = &farm.world.tasks[job];
+        let tasks = &entry.truth;
         let frames = tasks.iter().position(|task| task.task.frame().is_some())?;
         let last = tasks.len() - 1;
         let samples = [frames, frames + (last - frames) / 2, last];
