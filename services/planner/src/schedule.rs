@@ -103,7 +103,7 @@ pub(crate) fn schedule<'p, 'a>(
             state = selfish;
         }
     }
-    if let Some(mut found) = exact::search(problem, &start) {
+    if let Some(mut found) = exact::search(problem, &start, &state) {
         improve(&mut found, improvements);
         if Score::of(&found) < Score::of(&state) {
             state = found;

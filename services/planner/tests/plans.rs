@@ -212,3 +212,15 @@ fn input_without_a_meaning_is_named() {
         assert_eq!(verify(&bad, &Plan::default()), Err(vec![Violation::Input(expected)]));
     }
 }
+
+#[test]
+fn a_small_farm_that_is_late_whatever_it_does_is_late_by_no_more_than_it_has_to_be() {
+    // Longest first would put 3 + 2 + 2 on one of the nodes.
+    let nodes = || vec![node(1, 1_000_000), node(2, 1_000_000)];
+    let found = sound(&input(nodes(), vec![job(1, Some(5), &[3, 3, 2, 2, 2])]));
+    assert_eq!(found.jobs[0].verdict, Verdict::Late { finish: 6, by: 1, unavoidable: true });
+    // Whoever can be in time stays so, however late that makes another.
+    let found = sound(&input(nodes(), vec![job(1, Some(2), &[2, 2]), job(2, Some(3), &[3, 3, 2, 2, 2])]));
+    assert_eq!(found.jobs[0].verdict, Verdict::Feasible { finish: 2, slack: 0 });
+    assert!(matches!(found.jobs[1].verdict, Verdict::Late { finish: 8, by: 5, .. }), "{:?}", found.jobs);
+}

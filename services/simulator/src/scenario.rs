@@ -44,13 +44,13 @@ impl Scenario {
         confidence: Some(Confidence::P95),
         parts: 1,
     };
-    /// Three weeks of a small studio with frames of six hours, of which all but a few jobs would be late if they could not be split.
+    /// Three weeks of a small studio with frames of fifteen hours, longer than a night on most nodes.
     pub const SHOTS: Scenario = Scenario {
-        nodes: 100,
+        nodes: 60,
         jobs: 150,
-        frames: 3000,
+        frames: 1000,
         days: 21,
-        frame_minutes: 360,
+        frame_minutes: 900,
         confidence: Some(Confidence::P80),
         parts: 8,
     };

@@ -8,6 +8,8 @@
 //! * A new plan is made when a job comes in, when a lost frame has to go elsewhere, and otherwise every so often. In between, nodes
 //!   follow the order of their bookings, each as soon as it can.
 
+mod learned;
+
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use forelight_planner::{
@@ -18,6 +20,7 @@ use forelight_planner::{
 use super::Policy;
 use crate::farm::{Farm, TaskState};
 use crate::world::World;
+use learned::Learned;
 
 const HOUR: i64 = 3_600_000_000;
 /// Calendars are told to the planner this far beyond the last deadline.
@@ -30,9 +33,6 @@ const OVERDUE: f64 = 1.25;
 const PATIENCE: i64 = 8;
 /// A job that has no place aims at this much after its deadline.
 const SOON: i64 = 12 * HOUR;
-/// So many jobs' worth of trust are in the forecasts before any job was seen.
-const TRUST: f64 = 8.0;
-
 /// This project's policy.
 #[derive(Clone, Debug)]
 pub struct Planned {
@@ -77,30 +77,6 @@ impl Queued {
             Some((part, parts)) => farm.start_tile(node, self.job, self.task, part, parts),
         };
         started.is_ok()
-    }
-}
-
-/// What finished jobs say about forecasts.
-#[derive(Clone, Debug, Default)]
-struct Learned {
-    counted: BTreeSet<usize>,
-    /// Logarithm of true over forecast median, and the forecast's standard deviation of it.
-    seen: Vec<(f64, f64)>,
-}
-
-impl Learned {
-    /// By how much forecasts are off, as a logarithm: the mean, drawn towards nothing while few jobs were seen.
-    fn shift(&self) -> f64 {
-        self.seen.iter().map(|(log, _)| log).sum::<f64>() / (self.seen.len() as f64 + TRUST)
-    }
-
-    /// How many times wider errors are than forecast; at least one.
-    fn widening(&self) -> f64 {
-        let shift = self.shift();
-        let squares = |&(log, spread): &(f64, f64)| ((log - shift) / spread) * ((log - shift) / spread);
-        let known = self.seen.iter().filter(|(_, spread)| *spread > 0.0);
-        let (sum, count) = known.fold((0.0, 0.0), |(sum, count), seen| (sum + squares(seen), count + 1.0));
-        libm::sqrt((sum + TRUST) / (count + TRUST)).max(1.0)
     }
 }
 
