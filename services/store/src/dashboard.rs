@@ -11,7 +11,7 @@ use sqlx::{Row as _, SqliteConnection};
 use crate::decode::{id, json_opt, time, whole, whole_opt, word};
 use crate::projection::{Projection, project};
 use crate::schedule::with_power;
-use crate::{JobForecast, Store, StoreError, events, jobs, nodes, plans, progress, seeds, track_record};
+use crate::{JobForecast, Store, StoreError, bookings, events, jobs, nodes, progress, seeds, track_record};
 
 /// How much of everything the dashboard shows.
 const JOBS: u32 = 200;
@@ -26,7 +26,7 @@ impl Store {
         let silent_since = now.plus_micros(-3 * i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX / 3));
         let mut transaction = self.read().await?;
         let connection = &mut *transaction;
-        let open = plans::open(connection).await?;
+        let open = bookings::open(connection).await?;
         let projected = project(&open, &seeds::open(connection).await?, now);
         let record = track_record::totals(connection).await?;
         let rows = sqlx::query("SELECT id, body FROM events ORDER BY id DESC LIMIT ?")

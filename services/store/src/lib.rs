@@ -17,6 +17,7 @@
 
 mod artifacts;
 mod backup;
+mod bookings;
 mod budgets;
 mod bundles;
 mod calibration;

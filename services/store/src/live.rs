@@ -24,7 +24,7 @@ use crate::decode::{id, id_opt, json, json_opt, time, to_json, whole, word};
 use crate::events::{append, event};
 use crate::projection::{OpenBooking, project};
 use crate::replans::{self, is_news};
-use crate::{JobForecast, Store, StoreError, plans, seeds};
+use crate::{JobForecast, Store, StoreError, bookings, seeds};
 
 /// With each of the first frames there is a new estimate.
 const FIRST: u32 = 16;
@@ -163,7 +163,7 @@ pub(crate) async fn update(
         if rest > 0.0 { cpu.remaining.at(confidence) / rest } else { 1.0 }
     };
     let state: JobState = word(&row, "state")?;
-    let bookings = plans::open_of(write.connection(), job).await?;
+    let bookings = bookings::open_of(write.connection(), job).await?;
     let finish = if frames.all_done || state.is_final() {
         Some(now)
     } else {

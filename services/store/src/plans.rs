@@ -7,15 +7,14 @@ use forelight_protocol::{
     PlanId, PlanReason, PlanSummary, Promise, Timestamp, Waits,
 };
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
+use crate::bookings::decode_booking;
 use crate::database::Write;
-use crate::decode::{corrupt, id, id_opt, json, time, time_opt, to_json, whole, word};
+use crate::decode::{corrupt, id, id_opt, json, time, to_json, whole, word};
 use crate::elsewhere::{Rates, Slot};
 use crate::events::{append, event, job_state};
 use crate::live::{self, Occasion};
-use crate::projection::{Holder, OpenBooking};
 use crate::replans::{self, Wanted};
 use crate::tasks::Common;
 use crate::{
@@ -72,18 +71,6 @@ pub struct NewBooking {
     pub start: Timestamp,
     /// Until when (exclusive).
     pub end: Timestamp,
-}
-
-macro_rules! select_open {
-    ($rest:literal) => {
-        concat!(
-            "SELECT b.*, t.state, t.node_id AS holder, t.started_at, t.progress FROM jobs j \
-             JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
-             JOIN tasks t ON t.job_id = b.job_id AND t.kind = 'render' AND ifnull(t.frame, -1) = b.frame \
-             WHERE j.state IN ('booked', 'rendering') AND t.state IN ('waiting', 'ready', 'leased') ",
-            $rest
-        )
-    };
 }
 
 impl Store {
@@ -269,29 +256,6 @@ impl Store {
             seeds,
         })
     }
-
-    /// The bookings of frames that are not rendered yet, by start.
-    pub async fn open_bookings(&self) -> Result<Vec<OpenBooking>, StoreError> {
-        let mut connection = self.readers().acquire().await?;
-        open(&mut connection).await
-    }
-
-    /// The open bookings that start after `after` (or with it, and have a greater id), by start, at most `limit`.
-    pub async fn open_bookings_page(
-        &self,
-        after: Option<(Timestamp, BookingId)>,
-        limit: u32,
-    ) -> Result<Vec<Booking>, StoreError> {
-        let (start, id) = after.map_or((i64::MIN, uuid::Uuid::nil()), |(start, id)| (start.micros(), id.0));
-        let rows =
-            sqlx::query(select_open!("AND (b.start_at, b.id) > (?, ?) ORDER BY b.start_at, b.id LIMIT ?"))
-                .bind(start)
-                .bind(id)
-                .bind(limit)
-                .fetch_all(self.readers())
-                .await?;
-        rows.iter().map(decode_booking).collect()
-    }
 }
 
 async fn newest(connection: &mut SqliteConnection) -> Result<Option<PlanId>, StoreError> {
@@ -300,46 +264,6 @@ async fn newest(connection: &mut SqliteConnection) -> Result<Option<PlanId>, Sto
         .fetch_optional(connection)
         .await?;
     Ok(id.map(PlanId))
-}
-
-pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenBooking>, StoreError> {
-    let rows = sqlx::query(select_open!("ORDER BY b.start_at, b.id")).fetch_all(connection).await?;
-    rows.iter().map(decode_open).collect()
-}
-
-/// The bookings of a job's frames that are not rendered yet, by start.
-pub(crate) async fn open_of(
-    connection: &mut SqliteConnection,
-    job: JobId,
-) -> Result<Vec<OpenBooking>, StoreError> {
-    let rows = sqlx::query(select_open!("AND j.id = ? ORDER BY b.start_at, b.id"))
-        .bind(job.0)
-        .fetch_all(connection)
-        .await?;
-    rows.iter().map(decode_open).collect()
-}
-
-fn decode_open(row: &SqliteRow) -> Result<OpenBooking, StoreError> {
-    let leased = row.try_get::<&str, _>("state")? == "leased";
-    let holder = match (leased, id_opt(row, "holder")?, time_opt(row, "started_at")?) {
-        (true, Some(node), Some(started)) => {
-            Some(Holder { node_id: NodeId(node), started, progress: row.try_get("progress")? })
-        }
-        _ => None,
-    };
-    Ok(OpenBooking { booking: decode_booking(row)?, holder })
-}
-
-fn decode_booking(row: &SqliteRow) -> Result<Booking, StoreError> {
-    Ok(Booking {
-        id: BookingId(id(row, "id")?),
-        plan_id: PlanId(id(row, "plan_id")?),
-        job_id: JobId(id(row, "job_id")?),
-        frame: whole(row, "frame")?,
-        node_id: NodeId(id(row, "node_id")?),
-        start: time(row, "start_at")?,
-        end: time(row, "end_at")?,
-    })
 }
 
 /// Keeps a plan inside a write: its bookings become those of its jobs, and their tasks know where they are booked. `fresh` is a job

@@ -137,7 +137,9 @@ fn report(job: &Job, now: Timestamp) -> String {
             "forecast",
             format!("{} of CPU time (P50), {} (P80) were quoted", seconds(quote.p50), seconds(quote.p80)),
         );
-        if live.frames_done > 0 {
+        if job.state == JobState::Done {
+            line("", format!("{} it took", seconds(cpu.spent)));
+        } else if live.frames_done > 0 {
             let so_far =
                 format!("{} (P50), {} (P80) are expected now", seconds(whole.p50), seconds(whole.p80));
             line("", format!("{so_far}; {} are done", seconds(cpu.spent)));
