@@ -280,6 +280,7 @@ fn a_quote_that_is_far_too_sure_of_itself_is_found_out() {
     let quarter: Vec<usize> = (0..48).step_by(4).collect();
     let seen = hits(500, [third, AS_QUOTED], |_, _| {}, &quarter);
     // Twelve frames are each nine times as surprising as they should be: the variance is found to be (4 + 9 · 12) / (4 + 12) = 7 times the quote's.
+    println!("a quarter {seen:?}");
     let [_, at_80, at_95] = kept((7.0f64 / 9.0).sqrt(), 12);
     assert!(seen[1] > at_80 - by_chance(at_80, 500), "{seen:?}");
     assert!(seen[2] > at_95 - by_chance(at_95, 500), "{seen:?}");

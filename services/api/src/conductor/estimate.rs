@@ -366,6 +366,18 @@ mod tests {
     }
 
     #[test]
+    fn which_lights_shine_is_kept_where_they_change() {
+        let mut preview = preview(&[(0, &[200, 40], 16), (3, &[100, 140], 16)]);
+        let lights = |preview: &PreviewResult| {
+            let profile = profile(0, vec![stratum(1), stratum(0)], &[8, 16, 4]);
+            forecast(preview, &[profile]).unwrap().job.lights
+        };
+        assert_eq!(lights(&preview), Vec::<u32>::new());
+        preview.frames[1].lights = 3;
+        assert_eq!(lights(&preview), [0, 3]);
+    }
+
+    #[test]
     fn records_are_counted_by_the_preview_and_priced_by_those_that_were_gathered() {
         let mut preview = preview(&[(0, &[200, 40], 16), (3, &[100, 140], 16)]);
         preview.record_prior_cost = Some(48.0);

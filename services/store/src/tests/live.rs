@@ -91,6 +91,24 @@ async fn the_estimate_begins_as_the_quote_and_is_the_truth_with_the_last_frame()
 }
 
 #[tokio::test]
+async fn frames_in_a_light_that_is_yet_to_go_on_are_thought_less_like_those_that_are_finished() {
+    let mut remaining = Vec::new();
+    for lights in [Vec::new(), vec![0, 0, 0, 0, 1, 1, 1, 1]] {
+        let farm = Farm::new().await;
+        let node = farm.node("a").await;
+        let forecast = JobForecast { lights, ..quoted(8) };
+        let job = farm.quoted_job(request("0-7"), node.id, at(10), &forecast, None).await;
+        for frame in 0..4 {
+            render(&farm, &node, 1350, 6.0, at(11 + frame)).await;
+        }
+        remaining.push(live(&farm, job).await.work.remaining);
+    }
+    let [same, other] = remaining[..] else { panic!("{remaining:?}") };
+    assert!(same.p50 > 4.0 * 900.0 && other.p50 < 0.97 * same.p50, "{same:?} {other:?}");
+    assert!(other.p95 / other.p50 > same.p95 / same.p50, "{same:?} {other:?}");
+}
+
+#[tokio::test]
 async fn leaving_the_booking_and_coming_back_are_said_once_each_with_numbers() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;
