@@ -2,7 +2,7 @@
 
 use crate::http::Http;
 use crate::waiting::eventually;
-use forelight_protocol::{Role, Timestamp};
+use forelight_protocol::{ByClass, NodeCalibration, Role, Timestamp};
 use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::os::unix::process::ExitStatusExt as _;
@@ -266,7 +266,14 @@ impl Service {
     /// The same by way of another address, and with checkpoints at this interval.
     pub fn worker_at(&self, address: &str, name: &str, process: &str, checkpoints: &str) -> Process {
         let (token, bundles) = (self.token_file(Role::Worker), self.folder().join("bundles"));
-        let arguments: [&OsStr; 16] = [
+        let calibration = self.folder().join("calibration.json");
+        if !calibration.exists() {
+            // Measuring takes longer than many a worker here lives.
+            let picos_per_work = ByClass::from_array([1000; ByClass::CLASSES]);
+            let made = NodeCalibration { picos_per_work, kernels: Vec::new() };
+            fs::write(&calibration, serde_json::to_vec(&made).unwrap()).unwrap();
+        }
+        let arguments: [&OsStr; 18] = [
             "worker".as_ref(),
             "--server".as_ref(),
             address.as_ref(),
@@ -282,6 +289,8 @@ impl Service {
             bundles.as_ref(),
             "--checkpoints".as_ref(),
             checkpoints.as_ref(),
+            "--calibration".as_ref(),
+            calibration.as_ref(),
             "-v".as_ref(),
         ];
         Process::start(self.folder(), process, &arguments)

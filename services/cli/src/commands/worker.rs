@@ -28,6 +28,7 @@ Examples:
   forelight worker --data farm-data --name this-machine --threads 2 --price 0.80
   forelight worker --data farm-data --schedule 'Mon-Fri 20:00-08:00 Europe/Berlin'
   forelight worker --server http://farm:7878 --join-token-file rack-8.join --token-file rack-8.token --name rack-8
+  forelight worker --server http://farm:7878 --token-file rack-9.token --name rack-9 --calibration rack-7.json
 
 The first time, the machine is calibrated for some seconds (see `forelight calibrate`). Ctrl-C stops taking tasks and gives the one at hand \
 back. A restart of the service is survived: results are offered until they are taken.
@@ -67,6 +68,10 @@ pub struct Args {
     /// File with a one-time token, to join the farm with; the machine's own token is kept in --token-file
     #[arg(long, value_name = "FILE", requires = "token_file")]
     join_token_file: Option<PathBuf>,
+    /// How fast a core of this machine is, as `forelight calibrate --out` says of one like it [default: measured at the first start, and
+    /// kept with the bundles]
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
     /// When this machine is awake, such as "Mon-Fri 20:00-08:00, Sat-Sun 00:00-00:00 Europe/Berlin"; it takes no task that might not be done by
     /// the end of a window, and asks for none outside. What is set by `forelight node --schedule` goes before it [default: always]
     #[arg(long, value_name = "WINDOWS")]
@@ -80,7 +85,10 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let name = args.name.map_or_else(host_name, Ok)?;
     let folder = args.bundles.unwrap_or_else(|| std::env::temp_dir().join("forelight-bundles"));
     let (library, capabilities) = library(&folder, args.preview)?;
-    let calibration = measured(folder, capabilities.processor.clone()).await?;
+    let calibration = match &args.calibration {
+        Some(file) => calibrate::read(file)?.1,
+        None => measured(folder, capabilities.processor.clone()).await?,
+    };
     let cores = args.threads.map_or_else(cores, u32::from);
     let registration = NodeRegistration {
         name: name.clone(),
