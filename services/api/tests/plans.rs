@@ -205,7 +205,7 @@ async fn a_job_is_answered_by_when_for_how_much_and_what_would_change_it() {
     let farm = Farm::new().await;
     let node = farm.node("dear").await;
     let cheap = json!({"name": "cheap", "speed": 1.0, "price_per_hour": 360_000, "cores": 1});
-    farm.worker.post("/v1/nodes", &cheap).await.json_as::<Node>(StatusCode::CREATED).await;
+    let cheap: Node = farm.worker.post("/v1/nodes", &cheap).await.json_as(StatusCode::CREATED).await;
     let job = farm.asked(|request| request["deadline"] = json!(in_hours(2)), "0-9").await;
     let path = format!("/v1/jobs/{}/answers", job.id);
     farm.viewer.get(&path).await.problem(ProblemKind::Conflict).await;
@@ -255,7 +255,7 @@ async fn a_job_is_answered_by_when_for_how_much_and_what_would_change_it() {
         let refused = farm.viewer.get(&format!("{path}{query}")).await;
         assert!(refused.status().is_client_error(), "{query}: {}", refused.status());
     }
-    farm.work_off(&node, &job).await;
+    farm.work_off(&cheap, &job).await;
     farm.viewer.get(&path).await.problem(ProblemKind::Conflict).await;
 }
 

@@ -246,6 +246,7 @@ mod tests {
         fill(&store, 3).await.unwrap();
         let node = register(&store, "bare").await.unwrap().id;
         store.close().await;
+        drop(store);
         let path = folder.path().join(forelight_store::DATABASE);
         let bare = Bare::new(&path, node).unwrap();
         let mut connection = Connection::open(&path).unwrap();
@@ -257,8 +258,17 @@ mod tests {
         let none_left = bare.claim(&mut connection).err().unwrap();
         assert!(none_left.to_string().contains("no frames left"), "{none_left}");
         drop(connection);
-        let store = Store::open(folder.path()).await.unwrap();
-        let jobs = store.jobs(&forelight_store::JobFilter::default(), None, 10).await.unwrap();
+        // The lock of the folder goes with the last clone of the store, of which one may still end in the background.
+        let opened = async || Store::open(folder.path()).await.ok();
+        let mut store = opened().await;
+        for _ in 0..200 {
+            if store.is_some() {
+                break;
+            }
+            tokio::time::sleep(std::time::Duration::from_millis(10)).await;
+            store = opened().await;
+        }
+        let jobs = store.unwrap().jobs(&forelight_store::JobFilter::default(), None, 10).await.unwrap();
         assert_eq!((jobs[0].state, jobs[0].frames_done), (JobState::Done, 3));
     }
 }
