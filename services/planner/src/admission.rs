@@ -10,7 +10,7 @@
 //! a bound.
 
 use crate::calendar::Window;
-use crate::model::{Infeasible, Prices, Proof, Reserved, in_millionths, price_of};
+use crate::model::{Infeasible, Prices, Proof, Reserved, in_millionths};
 use crate::problem::{Problem, Work};
 use crate::proof::{Counted, value};
 use crate::simplex::{Column, Programme, Solution};
@@ -20,6 +20,10 @@ pub(crate) const MOST_VARIABLES: usize = 90_000;
 /// And as many slots as are worth the while.
 const MOST_SLOTS: usize = 96;
 const MICROSECONDS_PER_HOUR: f64 = 3.6e9;
+/// Parts of the dearest node's price in which time is priced for others.
+const PARTS: i64 = 1 << 20;
+/// How finely that is added up: without any rounding.
+pub(crate) const IN_A_MICRO_UNIT: i128 = PARTS as i128 * 3_600_000_000;
 
 /// What the programme says.
 #[derive(Clone, Debug, Default)]
@@ -31,6 +35,11 @@ pub(crate) struct Admission {
     pub admitted: Vec<bool>,
     /// Prices that prove the cost bound for the admitted jobs.
     pub proof: Proof,
+    /// The prices of nodes' time in the same order, in parts of the dearest node's price. Unlike those in micro-units they are the same
+    /// whatever the unit of money: places that are equally good must not be told apart by rounding.
+    worths: Vec<Vec<i64>>,
+    /// Micro-units per hour of the dearest node.
+    dearest: i64,
     /// Proof that not all can be admitted.
     pub infeasible: Option<Infeasible>,
 }
@@ -53,42 +62,47 @@ impl Admission {
         Admission { allotments: vec![Vec::new(); jobs], admitted: vec![true; jobs], ..Admission::default() }
     }
 
-    /// What others would pay for this time of a class, on top of what it costs.
-    pub fn worth(&self, class: usize, start: i64, end: i64) -> i64 {
-        let Some(prices) = self.proof.nodes.get(class) else { return 0 };
+    /// The same with a proof from elsewhere.
+    pub fn with_proof(self, proof: Proof) -> Self {
+        Admission { proof, ..self }
+    }
+
+    /// What others would pay for this time of a class, on top of what it costs, in units of which [`IN_A_MICRO_UNIT`] are a micro-unit.
+    pub fn worth(&self, class: usize, start: i64, end: i64) -> i128 {
+        let Some(worths) = self.worths.get(class) else { return 0 };
         let slots = &self.proof.slots;
         let first = slots.partition_point(|&slot| slot <= start).saturating_sub(1);
-        let mut worth = 0i64;
-        for (edges, &price) in slots.windows(2).zip(&prices.per_hour).skip(first) {
+        let mut worth = 0i128;
+        for (edges, &part) in slots.windows(2).zip(worths).skip(first) {
             if edges[0] >= end {
                 break;
             }
             let time = end.min(edges[1]).saturating_sub(start.max(edges[0]));
-            if price > 0 && time > 0 {
-                worth = worth.saturating_add(price_of(price, time));
+            if time > 0 {
+                worth = worth.saturating_add(i128::from(part) * i128::from(time));
             }
         }
-        worth
+        worth.saturating_mul(i128::from(self.dearest))
     }
 
     /// The next instant after this one at which this time of the class is worth less.
     pub fn cheaper_from(&self, class: usize, instant: i64) -> Option<i64> {
-        let prices = &self.proof.nodes.get(class)?.per_hour;
+        let worths = self.worths.get(class)?;
         let slots = &self.proof.slots;
         let slot = slots.partition_point(|&start| start <= instant).checked_sub(1)?;
-        let price = *prices.get(slot)?;
-        if price == 0 {
+        let worth = *worths.get(slot)?;
+        if worth == 0 {
             return None;
         }
-        let next = (slot + 1..prices.len()).find(|&later| prices[later] < price).unwrap_or(prices.len());
+        let next = (slot + 1..worths.len()).find(|&later| worths[later] < worth).unwrap_or(worths.len());
         slots.get(next).copied()
     }
 
     /// Whether an hour of this class at this instant is worth more than it costs: others would pay for it.
     pub fn is_scarce(&self, class: usize, instant: i64) -> bool {
         let slot = self.proof.slots.partition_point(|&start| start <= instant).checked_sub(1);
-        let prices = self.proof.nodes.get(class);
-        slot.zip(prices).and_then(|(slot, prices)| prices.per_hour.get(slot)).is_some_and(|&price| price > 0)
+        let worths = self.worths.get(class);
+        slot.zip(worths).and_then(|(slot, worths)| worths.get(slot)).is_some_and(|&worth| worth > 0)
     }
 }
 
@@ -102,19 +116,14 @@ pub(crate) fn admit(problem: &Problem, most_variables: usize) -> Admission {
     let solution = first.solve();
     let unserved = first.unserved(&solution);
     if unserved.is_empty() {
-        return Admission {
-            allotments: first.allotments(&solution),
-            proof: first.proof(&solution),
-            admitted,
-            infeasible: None,
-        };
+        return first.admission(&solution, admitted, None);
     }
     // Not all fit. Prices of time alone say why; then the others are planned for without those.
     let infeasible = Model::new(&setting, &admitted, false).infeasible();
     unserved.into_iter().for_each(|job| admitted[job] = false);
     let rest = Model::new(&setting, &admitted, true);
     let solution = rest.solve();
-    Admission { allotments: rest.allotments(&solution), proof: rest.proof(&solution), admitted, infeasible }
+    rest.admission(&solution, admitted, infeasible)
 }
 
 /// The instants between which slots lie.
@@ -177,6 +186,11 @@ fn capacity(problem: &Problem, slots: &[i64]) -> Vec<Vec<u128>> {
         .collect()
 }
 
+/// Micro-units per hour of the dearest node, at least one.
+fn dearest(problem: &Problem) -> i64 {
+    problem.nodes.iter().map(|node| node.price_per_hour).max().unwrap_or(0).max(1)
+}
+
 struct Setting<'s, 'a> {
     problem: &'s Problem<'a>,
     slots: &'s [i64],
@@ -204,7 +218,6 @@ impl<'s, 'a> Model<'s, 'a> {
     fn new(setting: &'s Setting<'s, 'a>, admitted: &[bool], priced: bool) -> Self {
         let problem = setting.problem;
         let slots = setting.slots.len().saturating_sub(1);
-        let dearest = problem.nodes.iter().map(|node| node.price_per_hour).max().unwrap_or(0);
         let mut model = Model {
             setting,
             programme: Programme::default(),
@@ -212,7 +225,7 @@ impl<'s, 'a> Model<'s, 'a> {
             rows: vec![vec![None; slots]; problem.classes.len()],
             limit_rows: Vec::new(),
             given: Vec::new(),
-            unit: if priced { (dearest as f64).max(1.0) } else { 1e6 },
+            unit: if priced { dearest(problem) as f64 } else { 1e6 },
         };
         for limit in &problem.input.limits {
             let row = |model: &mut Model, slot: usize| {
@@ -321,6 +334,24 @@ impl<'s, 'a> Model<'s, 'a> {
             }
         }
         all
+    }
+
+    fn admission(
+        &self,
+        solution: &Solution,
+        admitted: Vec<bool>,
+        infeasible: Option<Infeasible>,
+    ) -> Admission {
+        let part = |row: u32| (-solution.prices[row as usize] * PARTS as f64).clamp(0.0, 1e12).round() as i64;
+        let worths = |rows: &Vec<Option<u32>>| rows.iter().map(|row| row.map_or(0, part)).collect();
+        Admission {
+            allotments: self.allotments(solution),
+            proof: self.proof(solution),
+            worths: self.rows.iter().map(worths).collect(),
+            dearest: dearest(self.setting.problem),
+            admitted,
+            infeasible,
+        }
     }
 
     /// The prices in micro-units per hour. A row's price is what the minimum rises by with more of it: for free time, minus

@@ -46,12 +46,10 @@ struct Piece {
 /// What may be moved, by node and start.
 struct Board {
     by_node: Vec<BTreeMap<i64, Piece>>,
-    /// By job: what a billion units of its work would cost in the best place that is free; none if there is none.
-    elsewhere: Vec<Option<i128>>,
+    /// By job: what so much of its work would cost in the best place that is free; none if there is none.
+    elsewhere: Vec<Option<(i64, u64)>>,
     trials: usize,
 }
-
-const BILLION: i128 = 1_000_000_000;
 
 impl Board {
     fn new(state: &State) -> Self {
@@ -97,8 +95,7 @@ impl Board {
             let plain = plain_below(state, job, frame.work, i64::MAX);
             let found = search(state, job, frame.number, frame.work, &plain)
                 .and_then(|search| state.find(work, &search));
-            self.elsewhere[job] =
-                found.map(|(_, fit)| i128::from(fit.added_cost) * BILLION / i128::from(frame.work.max(1)));
+            self.elsewhere[job] = found.map(|(_, fit)| (fit.added_cost, frame.work.max(1)));
         }
     }
 }
@@ -218,11 +215,12 @@ fn in_the_way(state: &State, board: &Board, piece: Piece, search: &Search, below
                 if start >= search.latest_end {
                     break;
                 }
-                let Some(elsewhere) = board.elsewhere[other.job].filter(|_| end > search.release) else {
+                let Some((cost, work)) = board.elsewhere[other.job].filter(|_| end > search.release) else {
                     continue;
                 };
                 let is = i128::from(price_of(of_class.price_per_hour, end - start));
-                let gain = left + is - elsewhere * i128::from(other.work) / BILLION;
+                let elsewhere = i128::from(cost).saturating_mul(i128::from(other.work)) / i128::from(work);
+                let gain = left + is - elsewhere;
                 if gain <= 0 || other.job == piece.job {
                     continue;
                 }

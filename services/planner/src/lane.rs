@@ -1,5 +1,6 @@
 //! One node's time while a plan is made: what is free, what is booked, what it costs.
 
+use crate::admission::IN_A_MICRO_UNIT;
 use crate::calendar::{FreeTime, Window};
 use crate::limits::Ledger;
 use crate::model::{LimitUse, Node, Rental, price_of};
@@ -60,14 +61,14 @@ pub(crate) struct Fit {
     pub added_cost: i64,
     /// What is left of the gap behind it, where that matters.
     pub left: i64,
-    /// What others would pay for this time, where that is looked at.
-    pub worth: i64,
+    /// What others would pay for this time, where that is looked at, as [`Market::worth`].
+    pub worth: i128,
 }
 
 /// What time is worth to others.
 pub(crate) trait Market {
-    /// Micro-units that others would pay for this time on top of its price.
-    fn worth(&self, start: i64, end: i64) -> i64;
+    /// What others would pay for this time on top of its price, in units of which [`IN_A_MICRO_UNIT`] are a micro-unit.
+    fn worth(&self, start: i64, end: i64) -> i128;
     /// The next instant at which time is worth less.
     fn cheaper_from(&self, instant: i64) -> Option<i64>;
     /// Whether others would pay for time at this instant.
@@ -78,7 +79,7 @@ pub(crate) trait Market {
 pub(crate) struct Unwanted;
 
 impl Market for Unwanted {
-    fn worth(&self, _: i64, _: i64) -> i64 {
+    fn worth(&self, _: i64, _: i64) -> i128 {
         0
     }
 
@@ -93,10 +94,13 @@ impl Market for Unwanted {
 
 impl Fit {
     /// What decides between places: less is better.
-    pub fn rank(&self, prefer: Prefer) -> (i64, i64, i64) {
+    pub fn rank(&self, prefer: Prefer) -> (i128, i64, i64) {
         match prefer {
-            Prefer::Early => (self.end, self.added_cost, 0),
-            Prefer::Cheap => (self.added_cost.saturating_add(self.worth), self.left, self.end),
+            Prefer::Early => (i128::from(self.end), self.added_cost, 0),
+            Prefer::Cheap => {
+                let cost = i128::from(self.added_cost) * IN_A_MICRO_UNIT;
+                (cost.saturating_add(self.worth), self.left, self.end)
+            }
         }
     }
 }

@@ -131,7 +131,7 @@ fn mended(input: Input, old: &Plan, still: &[Booking]) -> Result<Replanned, Inpu
     let together = bound_of_all(&problem, &bounds);
     let parent: PlanId = old.id();
     // The old plan's prices still prove something, only perhaps less.
-    let inherited = Admission { proof: old.proof.clone(), ..Admission::none(&problem) };
+    let inherited = Admission::none(&problem).with_proof(old.proof.clone());
     let plan = outcome::plan(&state, &inherited, bounds, together, Some(parent));
     let at_risk = at_risk(&input, old, &plan)?;
     let difference = difference(old, &plan);

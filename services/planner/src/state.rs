@@ -1,6 +1,6 @@
 //! A plan in the making: every node's lane, the limits, and where each task lies.
 
-use crate::admission::Admission;
+use crate::admission::{Admission, IN_A_MICRO_UNIT};
 use crate::lane::{Fit, Lane, Market, Prefer, Wanted};
 use crate::limits::Ledger;
 use crate::model::{Booking, Seed, Task};
@@ -17,7 +17,7 @@ pub(crate) struct Placed {
 }
 
 /// Rank, id and index of the node, and the place on it.
-type Candidate = ((i64, i64, i64), u64, usize, Fit);
+type Candidate = ((i128, i64, i64), u64, usize, Fit);
 
 /// What a place is looked for with.
 #[derive(Clone, Copy, Debug)]
@@ -45,7 +45,7 @@ struct Priced<'s> {
 }
 
 impl Market for Priced<'_> {
-    fn worth(&self, start: i64, end: i64) -> i64 {
+    fn worth(&self, start: i64, end: i64) -> i128 {
         if self.for_others { self.admission.worth(self.class, start, end) } else { 0 }
     }
 
@@ -201,7 +201,8 @@ impl<'p, 'a> State<'p, 'a> {
                 }
                 let least = lane.least_added_cost(node, duration);
                 let hopeless = least >= search.below
-                    || search.prefer == Prefer::Cheap && best.is_some_and(|(rank, ..)| least > rank.0);
+                    || search.prefer == Prefer::Cheap
+                        && best.is_some_and(|(rank, ..)| i128::from(least) * IN_A_MICRO_UNIT > rank.0);
                 if hopeless || lane.is_too_full(duration) || search.except == Some(index) {
                     continue;
                 }
