@@ -73,11 +73,9 @@ impl Shear {
             [u, v, w] = exact(zero, [ax, ay], [bx, by], [cx, cy], [u, v, w]);
             sides = decided([u, v, w], [ax, ay], [bx, by], [cx, cy]);
         }
-        let any = |holds: fn(Vec4, Vec4) -> BVec4A| {
-            let [u, v, w] = sides.map(|side| holds(side, Vec4::ZERO));
-            u | v | w
-        };
-        let (negative, positive) = (any(Vec4::cmplt), any(Vec4::cmpgt));
+        let [a, b, c] = sides;
+        let negative = a.cmplt(Vec4::ZERO) | b.cmplt(Vec4::ZERO) | c.cmplt(Vec4::ZERO);
+        let positive = a.cmpgt(Vec4::ZERO) | b.cmpgt(Vec4::ZERO) | c.cmpgt(Vec4::ZERO);
         let determinant = u + v + w;
         let inside: BVec4A = !(negative & positive) & determinant.cmpne(Vec4::ZERO);
         if !inside.any() {

@@ -65,10 +65,14 @@ impl<'a> Assembly<'a> {
         self.materials.len() as u32 - 1
     }
 
-    /// Holds the number of materials with a priority so far against the limit.
+    /// Holds the number of materials with a priority, if the last one has any, against the limit.
     pub(crate) fn check_priorities(&self, file: &str) -> Result<(), SceneError> {
-        let nested = self.materials.iter().filter(|material| material.surface.priority().is_some());
-        let (found, limit) = (nested.count() as u64, MOST_NESTED as u64);
+        let is_nested = |material: &&Material| material.surface.priority().is_some();
+        // Counted only then: a file may hold very many materials.
+        if self.materials.last().filter(is_nested).is_none() {
+            return Ok(());
+        }
+        let (found, limit) = (self.materials.iter().filter(is_nested).count() as u64, MOST_NESTED as u64);
         if found > limit {
             let what = "materials with a priority";
             return Err(SceneError::Limit { file: file.to_owned(), what, found, limit });

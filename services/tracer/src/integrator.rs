@@ -154,25 +154,25 @@ impl<'a, const K: u32> Pixels<'a, K> {
 
     /// What a ray meets first, beyond what it has passed straight.
     fn closest(&mut self, ray: &Ray, passed: Option<Passed>) -> Option<Hit> {
-        let steps = &mut self.counters.traversal;
-        let ray = match passed {
+        match passed {
             Some(passed) if K & (has::PASSING | has::SPECULAR) != 0 => {
                 let rest = Ray { t_min: passed.t.next_down(), ..*ray };
-                if K & has::CUT_OUTS == 0 {
-                    return self.tracer.bvh.closest(&rest, |hit| passed.is_before(hit), steps);
-                }
-                rest
+                self.first(&rest, |hit| passed.is_before(hit))
             }
-            _ => *ray,
-        };
+            _ => self.first(ray, |_| true),
+        }
+    }
+
+    /// The closest hit of those that count and are not cut out.
+    #[inline(always)]
+    fn first(&mut self, ray: &Ray, counts: impl Fn(&Hit) -> bool) -> Option<Hit> {
+        let steps = &mut self.counters.traversal;
         if K & has::CUT_OUTS == 0 {
-            return self.tracer.bvh.closest(&ray, |_| true, steps);
+            return self.tracer.bvh.closest(ray, counts, steps);
         }
         let texels = Cell::new(0);
-        let met = |hit: &Hit| {
-            passed.is_none_or(|passed| passed.is_before(hit)) && self.tracer.present(hit, &texels)
-        };
-        let hit = self.tracer.bvh.closest(&ray, met, steps);
+        let met = |hit: &Hit| counts(hit) && self.tracer.present(hit, &texels);
+        let hit = self.tracer.bvh.closest(ray, met, steps);
         self.counters.texels += texels.get();
         hit
     }

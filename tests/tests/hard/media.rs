@@ -8,7 +8,7 @@ use forelight_tests::world::{View, World, grey, material, render, unsound, value
 use forelight_tracer::Settings;
 use glam::DVec3;
 
-fn glass(ior: f32) -> forelight_scene::Material {
+pub fn glass(ior: f32) -> forelight_scene::Material {
     material(Surface::Glass { ior, transmittance: grey(1.0), alpha: 0.0, priority: None }, 0.0)
 }
 
@@ -24,7 +24,7 @@ fn seen(world: &World, view: View) -> (f64, f64, u64) {
     (moments.sample().mean, moments.sample().variance.sqrt(), unsound(&image))
 }
 
-fn from(x: f64, y: f64, z: f64) -> View {
+pub fn from(x: f64, y: f64, z: f64) -> View {
     View::new(DVec3::new(x, y, z), DVec3::ZERO, 0.3)
 }
 

@@ -1,5 +1,6 @@
 //! Solid dielectrics with priorities: overlap, faces in the same place, a camera inside, equal priorities.
 
+use crate::media::{from, glass};
 use forelight_scene::{Material, Surface};
 use forelight_tests::case::case;
 use forelight_tests::random::Random;
@@ -48,10 +49,6 @@ fn off(world: &World, view: View, truth: f64) -> (f64, u64, u64) {
     (worst, wrong, pixels)
 }
 
-fn from(x: f64, y: f64, z: f64) -> View {
-    View::new(DVec3::new(x, y, z), DVec3::ZERO, 0.3)
-}
-
 #[test]
 fn media_that_overlap_or_touch_vanish_in_a_furnace() {
     // Water on glass that reaches into it, lies on it, or has a gap that a ray's start steps over; ice in both.
@@ -81,9 +78,7 @@ fn faces_in_the_same_place_are_one_interface() {
     // interface with the relative index, once.
     let lamp = |world: World| world.floor(DVec3::new(0.0, -1.0, 0.0), 0.5, material(lambert(0.0), 1.0));
     let twice = slab(slab(lamp(World::under(0.0)), -0.5, 0.0, medium(1.5, 2)), 0.0, 0.5, medium(1.33, 1));
-    let plain =
-        |ior| material(Surface::Glass { ior, transmittance: grey(1.0), alpha: 0.0, priority: None }, 0.0);
-    let face = |world: World, y: f64, ior: f32| world.floor(DVec3::new(0.0, y, 0.0), 50.0, plain(ior));
+    let face = |world: World, y: f64, ior: f32| world.floor(DVec3::new(0.0, y, 0.0), 50.0, glass(ior));
     let once = face(face(face(lamp(World::under(0.0)), 0.5, 1.33), 0.0, 1.5 / 1.33), -0.5, 1.0 / 1.5);
     let mut worst = 0.0f64;
     for eye in [from(0.0, 3.0, 0.1), from(1.5, 3.0, 1.0), from(3.0, 2.0, 0.0)] {

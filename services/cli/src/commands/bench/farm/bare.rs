@@ -237,7 +237,7 @@ mod tests {
     use super::super::{fill, register};
     use super::*;
     use forelight_protocol::JobState;
-    use forelight_store::Store;
+    use forelight_store::{Store, StoreError};
 
     #[tokio::test(flavor = "multi_thread")]
     async fn what_is_written_by_hand_is_what_the_farm_reads_as_frames_that_are_done() {
@@ -259,14 +259,13 @@ mod tests {
         assert!(none_left.to_string().contains("no frames left"), "{none_left}");
         drop(connection);
         // The lock of the folder goes with the last clone of the store, of which one may still end in the background.
-        let opened = async || Store::open(folder.path()).await.ok();
-        let mut store = opened().await;
+        let mut store = Store::open(folder.path()).await;
         for _ in 0..200 {
-            if store.is_some() {
+            if !matches!(store, Err(StoreError::InUse(_))) {
                 break;
             }
-            tokio::time::sleep(std::time::Duration::from_millis(10)).await;
-            store = opened().await;
+            tokio::time::sleep(Duration::from_millis(10)).await;
+            store = Store::open(folder.path()).await;
         }
         let jobs = store.unwrap().jobs(&forelight_store::JobFilter::default(), None, 10).await.unwrap();
         assert_eq!((jobs[0].state, jobs[0].frames_done), (JobState::Done, 3));
