@@ -13,12 +13,15 @@ macro_rules! select_open {
         concat!(
             "SELECT b.*, t.state, t.node_id AS holder, t.started_at, t.progress FROM jobs j \
              JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
-             JOIN tasks t ON t.job_id = b.job_id AND t.kind = 'render' AND ifnull(t.frame, -1) = b.frame \
+             JOIN tasks t INDEXED BY tasks_of_frames ON t.job_id = b.job_id AND t.kind = 'render' AND t.frame = b.frame \
              WHERE j.state IN ('booked', 'rendering') AND t.state IN ('waiting', 'ready', 'leased') ",
             $rest
         )
     };
 }
+
+/// The open bookings of one job.
+pub(crate) const OPEN_OF: &str = select_open!("AND j.id = ? ORDER BY b.start_at, b.id");
 
 impl Store {
     /// The bookings of frames that are not rendered yet, by start.
@@ -55,10 +58,7 @@ pub(crate) async fn open_of(
     connection: &mut SqliteConnection,
     job: JobId,
 ) -> Result<Vec<OpenBooking>, StoreError> {
-    let rows = sqlx::query(select_open!("AND j.id = ? ORDER BY b.start_at, b.id"))
-        .bind(job.0)
-        .fetch_all(connection)
-        .await?;
+    let rows = sqlx::query(OPEN_OF).bind(job.0).fetch_all(connection).await?;
     rows.iter().map(decode_open).collect()
 }
 

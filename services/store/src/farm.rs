@@ -39,6 +39,14 @@ pub struct FarmFrame {
     pub waits: bool,
 }
 
+/// A job's frames that have a forecast, with what is booked for them.
+pub(crate) const FRAMES: &str = "SELECT f.frame, f.cpu_p50, f.cpu_p80, f.cpu_p95, t.state NOT IN ('leased', 'done') AS waits, t.held, \
+    b.end_at - b.start_at AS length, coalesce(n.price_set, n.price_per_hour) AS price \
+    FROM frames f JOIN jobs j ON j.id = f.job_id \
+    JOIN tasks t INDEXED BY tasks_of_frames ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame \
+    LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = f.job_id AND b.frame = f.frame LEFT JOIN nodes n ON n.id = b.node_id \
+    WHERE f.job_id = ? AND f.cpu_p50 IS NOT NULL ORDER BY f.frame";
+
 impl Store {
     /// The jobs that are booked or being rendered, oldest first.
     pub async fn farm_jobs(&self) -> Result<Vec<FarmJob>, StoreError> {
@@ -50,17 +58,7 @@ impl Store {
         for row in &rows {
             let job_id = JobId(id(row, "id")?);
             let done = progress::of_job(&mut transaction, job_id).await?;
-            let frames = sqlx::query(
-                "SELECT f.frame, f.cpu_p50, f.cpu_p80, f.cpu_p95, t.state NOT IN ('leased', 'done') AS waits, t.held, \
-                 b.end_at - b.start_at AS length, coalesce(n.price_set, n.price_per_hour) AS price \
-                 FROM frames f JOIN jobs j ON j.id = f.job_id \
-                 JOIN tasks t ON t.job_id = f.job_id AND t.kind = 'render' AND ifnull(t.frame, -1) = f.frame \
-                 LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = f.job_id AND b.frame = f.frame LEFT JOIN nodes n ON n.id = b.node_id \
-                 WHERE f.job_id = ? AND f.cpu_p50 IS NOT NULL ORDER BY f.frame",
-            )
-            .bind(job_id.0)
-            .fetch_all(&mut *transaction)
-            .await?;
+            let frames = sqlx::query(FRAMES).bind(job_id.0).fetch_all(&mut *transaction).await?;
             let mut held = false;
             let frames = frames
                 .iter()

@@ -17,13 +17,16 @@ macro_rules! select_frames {
              t.state, t.node_id, t.fence, t.progress, t.started_at, t.error, \
              b.node_id AS booked_node, b.start_at, b.end_at, n.name AS booked_name \
              FROM frames f JOIN jobs j ON j.id = f.job_id \
-             LEFT JOIN tasks t ON t.job_id = f.job_id AND t.kind = 'render' AND ifnull(t.frame, -1) = f.frame \
+             LEFT JOIN tasks t INDEXED BY tasks_of_frames ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame \
              LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = f.job_id AND b.frame = f.frame \
              LEFT JOIN nodes n ON n.id = b.node_id ",
             $rest
         )
     };
 }
+
+/// A job's frames after one of them.
+pub(crate) const PAGE: &str = select_frames!("WHERE f.job_id = ? AND f.frame > ? ORDER BY f.frame LIMIT ?");
 
 impl Store {
     /// The job's frames after `after`, ascending, at most `limit`.
@@ -35,7 +38,7 @@ impl Store {
     ) -> Result<Vec<FrameRow>, StoreError> {
         let mut transaction = self.read().await?;
         let final_job = jobs::state(&mut transaction, job).await?.is_final();
-        let rows = sqlx::query(select_frames!("WHERE f.job_id = ? AND f.frame > ? ORDER BY f.frame LIMIT ?"))
+        let rows = sqlx::query(PAGE)
             .bind(job.0)
             .bind(after.map_or(-1, i64::from))
             .bind(limit)

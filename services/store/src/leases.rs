@@ -177,7 +177,7 @@ impl Store {
                 .bind(row.task_id.0)
                 .execute(write.connection())
                 .await?;
-            live::update(&mut write, row.job_id, Occasion::Pixels, now).await?;
+            live::update(&mut write, row.job_id, Occasion::Meanwhile, now).await?;
         }
         logs::keep(&mut write, &row, log).await?;
         let sleep_until = sleep_of(write.connection(), row.node_id, row.has_calendar, now).await?;
@@ -221,11 +221,13 @@ impl Store {
         })
     }
 
-    /// Takes back the tasks whose leases have run out, and forgets what is kept for a limited time only.
+    /// Takes back the tasks whose leases have run out, makes estimates again that do not know of all frames, and forgets what is kept for a
+    /// limited time only.
     pub async fn sweep(&self, now: Timestamp) -> Result<Swept, StoreError> {
         let mut write = self.write().await?;
         let swept = sweep(&mut write, now).await?;
         nodes::stop_after_windows(&mut write, now).await?;
+        live::catch_up(&mut write, now).await?;
         forget_old(&mut write, now).await?;
         forget_old_progress(&mut write, now).await?;
         forget_old_logs(&mut write, now).await?;

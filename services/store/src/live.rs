@@ -1,8 +1,9 @@
 //! The living estimate of a job: made again as its frames are finished, in the transaction that keeps what they took.
 //!
 //! *How often.* An estimate reads all frames of the job, so it takes time in proportion to their number. It is made with each of the first
-//! [`FIRST`] frames, then with every 256th part of the job, and with the last: a job of n frames reads at most about 270 n rows for it in all its life, 5,000
-//! frames a few milliseconds each 20th. Finished pixels of frames under way move it as well, at most each [`BETWEEN_PIXELS`].
+//! [`FIRST`] frames, then with every 256th part of the job but not twice within [`BETWEEN_FRAMES`], and with the last: a job of n frames reads at most about
+//! 270 n rows for it in all its life, 5,000 frames a few milliseconds each 20th, and frames that come in thousands a second wait for no estimates. Finished
+//! pixels of frames under way move it as well, at most each [`BETWEEN_PIXELS`]; frames that came since the last estimate are taken by the sweep after as long.
 //!
 //! *History.* Each estimate is kept beside those before it, at most [`MOST_POINTS`]; once there are as many, every second one goes, the first (which is
 //! the quote) excepted. So what is long ago is known coarsely, what was just now finely, and the room that a job takes is bounded.
@@ -32,7 +33,10 @@ const FIRST: u32 = 16;
 /// Afterwards with each part of the job, if that is more than a frame.
 const PARTS: u32 = 256;
 
-/// Time between two estimates that rest on nothing but more finished pixels: ten seconds, in microseconds.
+/// Time between two estimates, the first ones and the last excepted: a second, in microseconds.
+const BETWEEN_FRAMES: i64 = 1_000_000;
+
+/// Time between two estimates that rest on nothing but more finished pixels, or on fewer frames than a part: ten seconds, in microseconds.
 const BETWEEN_PIXELS: i64 = 10_000_000;
 
 /// Estimates of a job that are kept at most.
@@ -51,8 +55,8 @@ pub(crate) enum Occasion {
     Booked,
     /// A frame was finished.
     Frame,
-    /// Some pixels of a frame were.
-    Pixels,
+    /// Some pixels of a frame were, or there are frames that were left for the next estimate.
+    Meanwhile,
 }
 
 impl Store {
@@ -127,7 +131,7 @@ pub(crate) async fn update(
     {
         return match occasion {
             Occasion::Frame => count_frame(write, job).await,
-            Occasion::Booked | Occasion::Pixels => Ok(()),
+            Occasion::Booked | Occasion::Meanwhile => Ok(()),
         };
     }
     let (Some(quote), Some(plan)) =
@@ -205,16 +209,32 @@ pub(crate) async fn update(
 
 impl Kept {
     fn is_due(&self, occasion: Occasion, total: u32, now: Timestamp) -> bool {
+        let age = now.micros_since(self.updated_at);
         match occasion {
             Occasion::Booked => true,
             Occasion::Frame => {
                 let since = self.frames_since + 1;
                 let done = self.frames_done + since;
-                done <= FIRST || done >= total || since >= (total / PARTS).max(1)
+                let is_part = since >= (total / PARTS).max(1) && age >= BETWEEN_FRAMES;
+                done <= FIRST || done >= total || is_part
             }
-            Occasion::Pixels => now.micros_since(self.updated_at) >= BETWEEN_PIXELS,
+            Occasion::Meanwhile => age >= BETWEEN_PIXELS,
         }
     }
+}
+
+/// Makes the estimates again that have not known of a finished frame for a while.
+pub(crate) async fn catch_up(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
+    let behind: Vec<uuid::Uuid> = sqlx::query_scalar(
+        "SELECT job_id FROM live_forecasts INDEXED BY live_forecasts_behind WHERE frames_since > 0 AND updated_at <= ? ORDER BY updated_at, job_id",
+    )
+    .bind(now.plus_micros(-BETWEEN_PIXELS).micros())
+    .fetch_all(write.connection())
+    .await?;
+    for job in behind {
+        update(write, JobId(job), Occasion::Meanwhile, now).await?;
+    }
+    Ok(())
 }
 
 /// A frame was finished that is left for the next estimate.
@@ -257,16 +277,15 @@ struct Frames {
     share_left: f64,
 }
 
+/// A job's frames, and the finished pixels of those under way.
+pub(crate) const FRAMES: &str = "SELECT f.frame, f.clock, f.work_mean, f.work_p50, f.work_p80, f.work_p95, f.cpu_mean, f.cpu_p50, f.cpu_p80, f.cpu_p95, \
+    f.actual_work, f.actual_cpu, t.pixels_share, t.pixels_work, t.pixels_cpu FROM frames f \
+    LEFT JOIN tasks t INDEXED BY tasks_of_frames ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame AND t.state = 'leased' \
+    WHERE f.job_id = ? ORDER BY f.frame";
+
 impl Frames {
     async fn read(connection: &mut SqliteConnection, job: JobId, lights: &[u32]) -> Result<Self, StoreError> {
-        let rows = sqlx::query(
-            "SELECT f.*, t.pixels_share, t.pixels_work, t.pixels_cpu FROM frames f \
-             LEFT JOIN tasks t ON t.job_id = f.job_id AND t.kind = 'render' AND ifnull(t.frame, -1) = f.frame AND t.state = 'leased' \
-             WHERE f.job_id = ? ORDER BY f.frame",
-        )
-        .bind(job.0)
-        .fetch_all(connection)
-        .await?;
+        let rows = sqlx::query(FRAMES).bind(job.0).fetch_all(connection).await?;
         let first: i64 = rows.first().map(|row| row.try_get("frame")).transpose()?.unwrap_or(0);
         let mut frames = Self {
             work: Vec::with_capacity(rows.len()),

@@ -193,6 +193,23 @@ async fn a_claim_finds_its_task_by_index_alone_however_many_there_are() {
 }
 
 #[tokio::test]
+async fn frames_find_their_tasks_one_by_one_however_many_the_job_has() {
+    let farm = Farm::new().await;
+    for query in [
+        crate::bookings::OPEN_OF,
+        crate::farm::FRAMES,
+        crate::frames::PAGE,
+        crate::live::FRAMES,
+        crate::progress::FRAMES,
+    ] {
+        let steps = steps_of(&farm, query).await;
+        let task = steps.iter().find(|step| step.starts_with("SEARCH t "));
+        assert!(task.is_some_and(|step| step.contains("(job_id=? AND frame=?)")), "{query}: {steps:?}");
+        assert!(!steps.iter().any(|step| step.starts_with("SCAN")), "{query}: {steps:?}");
+    }
+}
+
+#[tokio::test]
 async fn a_task_that_is_asked_for_by_its_id_is_handed_to_whoever_asks_one_at_a_time_and_refused_once_it_is_over()
  {
     let farm = Farm::new().await;

@@ -91,6 +91,30 @@ async fn the_estimate_begins_as_the_quote_and_is_the_truth_with_the_last_frame()
 }
 
 #[tokio::test]
+async fn frames_that_come_in_a_burst_are_estimated_once_a_second_and_the_sweep_takes_the_rest() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let job = booked(&farm, node.id, 40).await;
+    for _ in 0..30 {
+        render(&farm, &node, 900, 4.0, at(11)).await;
+    }
+    assert_eq!(live(&farm, job).await.frames_done, 16, "each of the first ones, and no other in this second");
+    render(&farm, &node, 900, 4.0, at(12)).await;
+    assert_eq!(live(&farm, job).await.frames_done, 31);
+    for _ in 0..3 {
+        render(&farm, &node, 900, 4.0, at(12)).await;
+    }
+    for (now, known) in [(21, 31), (22, 34)] {
+        farm.store.sweep(at(now)).await.unwrap();
+        assert_eq!(live(&farm, job).await.frames_done, known);
+    }
+    for _ in 0..6 {
+        render(&farm, &node, 900, 4.0, at(22)).await;
+    }
+    assert_eq!(live(&farm, job).await.frames_done, 40, "the last one is waited for by nobody");
+}
+
+#[tokio::test]
 async fn frames_in_a_light_that_is_yet_to_go_on_are_thought_less_like_those_that_are_finished() {
     let mut remaining = Vec::new();
     for lights in [Vec::new(), vec![0, 0, 0, 0, 1, 1, 1, 1]] {
@@ -252,8 +276,8 @@ async fn a_long_job_is_estimated_again_with_its_first_frames_then_now_and_then_a
     let farm = Farm::new().await;
     let node = farm.node("a").await;
     let job = booked(&farm, node.id, 1100).await;
-    for _ in 0..30 {
-        render(&farm, &node, 900, 4.0, at(11)).await;
+    for second in 0..30 {
+        render(&farm, &node, 900, 4.0, at(11 + second)).await;
     }
     let done: Vec<u32> = history(&farm, job).await.points.iter().map(|point| point.frames_done).collect();
     assert_eq!(done, [&(0..=16).collect::<Vec<_>>()[..], &[20, 24, 28]].concat());

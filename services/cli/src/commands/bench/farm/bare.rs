@@ -234,7 +234,7 @@ impl<'c> Write<'c> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{fill, register};
+    use super::super::fill;
     use super::*;
     use forelight_protocol::JobState;
     use forelight_store::{Store, StoreError};
@@ -243,8 +243,7 @@ mod tests {
     async fn what_is_written_by_hand_is_what_the_farm_reads_as_frames_that_are_done() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).await.unwrap();
-        fill(&store, 3).await.unwrap();
-        let node = register(&store, "bare").await.unwrap().id;
+        let node = fill(&store, 3, 1).await.unwrap()[0].id;
         store.close().await;
         drop(store);
         let path = folder.path().join(forelight_store::DATABASE);

@@ -8,17 +8,17 @@
 //! machine does meets both; medians of the rounds are compared.
 
 use super::bare::Bare;
-use super::{ServiceProcess, fill, prepare, quantile, register, registration, rendered};
+use super::{ServiceProcess, fill, name_of, quantile, registration, rendered};
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::output::{self, Bars};
 use crate::table::{Align, Table};
 use anyhow::{Context, Result, anyhow, bail};
-use forelight_protocol::{ClaimRequest, NodeId, RenewRequest, ResultRequest, TaskSpec};
+use forelight_protocol::{ClaimRequest, Node, NodeId, RenewRequest, ResultRequest, TaskSpec};
 use forelight_store::{DATABASE, Store};
 use forelight_worker::{Client, Token};
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::task::JoinSet;
@@ -82,6 +82,14 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     if args.json { output::json(&document) } else { output::print(&report(&document)) }
 }
 
+/// A new farm in this folder.
+async fn prepare(data: &Path, frames: u32, workers: u16) -> Result<Vec<Node>> {
+    let store = Store::open(data).await?;
+    let nodes = fill(&store, frames, u32::from(workers)).await?;
+    store.close().await;
+    Ok(nodes)
+}
+
 /// Something that takes its thread for a while.
 async fn blocking<T: Send + 'static>(work: impl FnOnce() -> Result<T> + Send + 'static) -> Result<T> {
     tokio::task::spawn_blocking(work).await.map_err(|error| anyhow!(error))?
@@ -98,19 +106,17 @@ async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
         FRAMES_A_SECOND.saturating_mul(u32::from(args.rounds + 3) * u32::from(args.seconds)).min(80_000);
     let spinner = bars.spinner(format!("two farms of {frames} frames each"));
     let bare_data = folder.path().join("bare");
-    let store = Store::open(&bare_data).await?;
-    fill(&store, frames).await?;
-    let node = register(&store, "bare").await?.id;
-    store.close().await;
+    let nodes = prepare(&bare_data, frames, args.workers).await?;
+    let node = nodes.first().context("there are no workers")?.id;
     let mut bare_side = Bare::new(&bare_data.join(DATABASE), node)?;
     let data = folder.path().join("http");
-    prepare(&data, frames).await?;
+    prepare(&data, frames, args.workers).await?;
     let service = ServiceProcess::start(&data)?;
     spinner.finish_and_clear();
     let mut workers = Vec::new();
-    for number in 0..args.workers {
+    for number in 0..u32::from(args.workers) {
         let client = Client::new(&service.address, Some(Token::new(&service.token)))?;
-        let node = client.register(&registration(&format!("node-{number}")), Uuid::now_v7()).await?;
+        let node = client.register(&registration(&name_of(number)), Uuid::now_v7()).await?;
         workers.push((client, node.id));
     }
     let (mut bare, mut http, mut latencies) = (Vec::new(), Vec::new(), Vec::new());

@@ -97,19 +97,23 @@ impl Drop for ServiceProcess {
     }
 }
 
-/// A new farm in this folder, with so many frames ready to be rendered, all booked on nobody who asks.
-pub async fn prepare(data: &Path, frames: u32) -> Result<()> {
-    let store = Store::open(data).await?;
-    fill(&store, frames).await?;
-    store.close().await;
-    Ok(())
+/// The name of a simulated worker's node.
+pub fn name_of(worker: u32) -> String {
+    format!("node-{worker}")
 }
 
-/// Puts jobs of so many frames in all into a farm, ready to be rendered.
-pub async fn fill(store: &Store, frames: u32) -> Result<()> {
+/// Puts jobs of so many frames in all into a farm, ready to be rendered, all booked on nobody who asks; and the nodes of so many workers, before them: a
+/// node that joins later calls for a new plan of all frames, and that is not what is measured.
+pub async fn fill(store: &Store, frames: u32, workers: u32) -> Result<Vec<Node>> {
     /// Frames of a job.
     const FRAMES: u32 = 1000;
+    /// What a frame takes, in microseconds: as `frame_forecasts` and `rendered` say.
+    const SECOND: i64 = 1_000_000;
     let now = Timestamp::now();
+    let mut nodes = Vec::new();
+    for worker in 0..workers {
+        nodes.push(register(store, &name_of(worker)).await?);
+    }
     let node = register(store, "planner").await?;
     let stream = futures::stream::iter([Ok::<_, std::io::Error>(Bytes::from_static(IMAGE))]);
     store.artifacts().put(image(), stream, 1 << 10, now).await?;
@@ -126,14 +130,19 @@ pub async fn fill(store: &Store, frames: u32) -> Result<()> {
         store.commit_result(preview.lease_id, preview.fence, &previewed(&preview.spec)?, now).await?;
         // No frame is profiled: the forecast is made up, and the plan puts all on one node.
         store.start_profiling(job.id, &[], false, now).await?;
-        let end = now.plus_micros(1_000_000);
-        let bookings =
-            job.frames.iter().map(|frame| NewBooking { frame, node: node.id, start: now, end }).collect();
+        // One after the other from an hour on, each for as long as it is forecast to take: whatever comes is in time, and no news to the plan.
+        let bookings: Vec<_> = (job.frames.iter().zip(i64::from(frames - left - count)..))
+            .map(|(frame, place)| {
+                let start = now.plus_micros((3600 + place) * SECOND);
+                NewBooking { frame, node: node.id, start, end: start.plus_micros(SECOND) }
+            })
+            .collect();
+        let finish = bookings.last().map(|booking| booking.end);
         let verdict = JobVerdict {
             job_id: job.id,
             verdict: Verdict::OnTime,
             confidence: Confidence::P80,
-            finish: Some(end),
+            finish,
             cost: Some(Money(0)),
             reasons: Vec::new(),
             ways_out: Vec::new(),
@@ -148,11 +157,11 @@ pub async fn fill(store: &Store, frames: u32) -> Result<()> {
         };
         store.book(job.id, &forecast(), &frame_forecasts(&job), None, &plan, now).await?;
     }
-    Ok(())
+    Ok(nodes)
 }
 
 /// A node of this name.
-pub async fn register(store: &Store, name: &str) -> Result<Node> {
+async fn register(store: &Store, name: &str) -> Result<Node> {
     match store.register_node(&registration(name), None, Timestamp::now()).await? {
         Answered::Fresh(node) => Ok(node),
         Answered::Repeated(_) => Err(anyhow!("a request without a key was answered before")),

@@ -4,7 +4,7 @@
 //! asked for, with progress: the heartbeat that brings orders back. They begin at even distances over the interval. The
 //! service is a process of its own; workers and service share the machine.
 
-use super::{ServiceProcess, fill, quantile, register};
+use super::{ServiceProcess, fill, quantile};
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::options::duration;
@@ -139,10 +139,9 @@ async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
 async fn lease(data: &std::path::Path, workers: u32, bars: &Bars) -> Result<Vec<Lease>> {
     let bar = bars.bar("leases", u64::from(workers));
     let store = Store::open(data).await?;
-    fill(&store, workers).await?;
+    let nodes = fill(&store, workers, workers).await?;
     let mut leases = Vec::new();
-    for number in 0..workers {
-        let node = register(&store, &format!("node-{number}")).await?;
+    for node in nodes {
         // Long enough for the slowest machine to be ready; the service gives each another term when it starts.
         let claimed = store.claim(node.id, Duration::from_secs(3600), None, Timestamp::now()).await?;
         let Some(Answered::Fresh(lease)) = claimed else { bail!("a frame was not handed out") };
