@@ -67,10 +67,10 @@ impl Store {
         .bind(&request.zone)
         .bind(to_json(&request.thresholds)?)
         .bind(now.micros())
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
         enforce(&mut write, now).await?;
-        let found = budgets(write.connection(), now)
+        let found = budgets(write.connection().await?, now)
             .await?
             .into_iter()
             .find(|budget| budget.project == request.project && budget.period == request.period);
@@ -183,7 +183,7 @@ impl Store {
         .bind(night.forecast.made_at.micros())
         .bind(to_json(&night.forecast)?)
         .bind(middle.micros())
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
         self.commit(write).await
     }
@@ -353,14 +353,14 @@ async fn due(
 }
 
 async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
-    let due = due(write.connection(), now).await?;
+    let due = due(write.connection().await?, now).await?;
     for (budget, action) in &due {
         sqlx::query("UPDATE budgets SET action = ?, period_at = ? WHERE project = ? AND period = ?")
             .bind(action.map(BudgetAction::name))
             .bind(action.map(|_| budget.from.micros()))
             .bind(&budget.project)
             .bind(budget.period.name())
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
         let message = match action {
             Some(action) => format!(
@@ -378,18 +378,18 @@ async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
             ),
             None => format!("{}: the budget's new {} begins", budget.project, budget.period.name()),
         };
-        append(write, Event { message: Some(message), ..event(EventKind::Budget, now) }).await?;
+        append(write, Event { message: Some(message), ..event(EventKind::Budget, now) })?;
     }
     // Of all budgets of a project, the strongest action counts. A budget that was just set again has none, and may have had one.
     let mut in_force: BTreeMap<String, Option<BudgetAction>> = BTreeMap::new();
-    for kept in kept(write.connection()).await? {
+    for kept in kept(write.connection().await?).await? {
         let action = in_force.entry(kept.request.project).or_default();
         *action = (*action).max(kept.action);
     }
     let held: Vec<String> = sqlx::query_scalar(
         "SELECT DISTINCT j.project FROM tasks t JOIN jobs j ON j.id = t.job_id WHERE t.held = 1",
     )
-    .fetch_all(write.connection())
+    .fetch_all(write.connection().await?)
     .await?;
     let held: BTreeSet<String> = held.into_iter().collect();
     for (project, action) in in_force {
@@ -416,7 +416,7 @@ async fn hold(write: &mut Write, project: &str) -> Result<(), StoreError> {
         "UPDATE tasks SET held = 1 WHERE held = 0 AND state IN ('waiting', 'ready', 'leased') AND job_id IN (SELECT id FROM jobs WHERE project = ?)",
     )
     .bind(project)
-    .execute(write.connection())
+    .execute(write.connection().await?)
     .await?;
     Ok(())
 }
@@ -427,7 +427,7 @@ async fn let_go(write: &mut Write, project: &str) -> Result<(), StoreError> {
         "UPDATE tasks SET held = 0 WHERE held = 1 AND job_id IN (SELECT id FROM jobs WHERE project = ?)",
     )
     .bind(project)
-    .execute(write.connection())
+    .execute(write.connection().await?)
     .await?;
     Ok(())
 }
@@ -443,11 +443,11 @@ async fn stop(write: &mut Write, project: &str, now: Timestamp) -> Result<(), St
     sqlx::query(sqlx::AssertSqlSafe(leases))
         .bind(now.micros())
         .bind(project)
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     let tasks =
         format!("UPDATE tasks SET state = 'ready', progress = 0, node_id = NULL WHERE id IN ({running})");
-    sqlx::query(sqlx::AssertSqlSafe(tasks)).bind(project).execute(write.connection()).await?;
+    sqlx::query(sqlx::AssertSqlSafe(tasks)).bind(project).execute(write.connection().await?).await?;
     Ok(())
 }
 

@@ -36,11 +36,11 @@ impl Store {
             .bind(&new.hash.0[..])
             .bind(to_json(&new.scene)?)
             .bind(now.micros())
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
-        let row = sqlx::query(SELECT).bind(bundle_id.0).fetch_one(write.connection()).await?;
+        let row = sqlx::query(SELECT).bind(bundle_id.0).fetch_one(write.connection().await?).await?;
         let bundle = decode(&row)?;
-        record(&mut write, key, 201, &bundle, now).await?;
+        record(&mut write, key, 201, &bundle, now)?;
         self.commit(write).await?;
         Ok(Answered::Fresh(bundle))
     }

@@ -113,13 +113,13 @@ pub(crate) async fn keep(
         .bind(job.0)
         .bind(&basis.kind.renderer)
         .bind(&basis.kind.feature_class)
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     let total = (ALL_FRAMES, forecast.total.work, forecast.total.cpu_seconds, basis.total);
     let each = frames.iter().zip(&basis.frames);
     let each = each.map(|(frame, &spreads)| (i64::from(frame.frame), frame.work, frame.cpu_seconds, spreads));
     for (frame, work, cpu, spreads) in std::iter::once(total).chain(each) {
-        keep_one(write.connection(), job, frame, (work, cpu), spreads).await?;
+        keep_one(write.connection().await?, job, frame, (work, cpu), spreads).await?;
     }
     Ok(())
 }
@@ -155,7 +155,7 @@ pub(crate) async fn learn(write: &mut Write, job: JobId, now: Timestamp) -> Resu
          FROM quote_spreads s WHERE s.job_id = ?1 AND s.frame = -1 ORDER BY 1",
     )
     .bind(job.0)
-    .fetch_all(write.connection())
+    .fetch_all(write.connection().await?)
     .await?;
     // The first row is that of all frames.
     let stride = rows.len().div_ceil(MOST_FRAMES).max(1);
@@ -174,13 +174,13 @@ pub(crate) async fn learn(write: &mut Write, job: JobId, now: Timestamp) -> Resu
         .bind(off("cpu_mean", "cpu_spread", "actual_cpu")?)
         .bind(job.0)
         .bind(frame)
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     }
     sqlx::query("UPDATE quotes SET learnt_at = ? WHERE job_id = ?")
         .bind(now.micros())
         .bind(job.0)
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     Ok(())
 }

@@ -8,7 +8,7 @@ use forelight_protocol::{
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
-use crate::decode::{id, json, whole_opt};
+use crate::decode::{id, json, whole, word};
 use crate::elsewhere;
 use crate::events::{append, event, job_state};
 use crate::failures::HEAD_START;
@@ -55,19 +55,18 @@ impl Store {
         if let Some(answer) = earlier_answer(&mut write, key).await? {
             return Ok(Some(Answered::Repeated(answer)));
         }
-        touch(&mut write, node, now).await?;
+        touch(&mut write, node, now);
         sweep(&mut write, now).await?;
-        let node = nodes::read(write.connection(), node).await?;
+        let node = nodes::read(write.connection().await?, node).await?;
         let offered = match wanted {
-            Some(task) => this_task(write.connection(), task, now).await?.into(),
-            None => offer(write.connection(), &node, self.up_since(), now).await?,
+            Some(task) => this_task(write.connection().await?, task, now).await?.into(),
+            None => offer(write.connection().await?, &node, self.up_since(), now).await?,
         };
         if offered.idle_reason != node.idle_reason {
-            sqlx::query("UPDATE nodes SET idle_reason = ? WHERE id = ?")
-                .bind(&offered.idle_reason)
-                .bind(node.id.0)
-                .execute(write.connection())
-                .await?;
+            write
+                .later("UPDATE nodes SET idle_reason = ? WHERE id = ?")
+                .bind(offered.idle_reason)
+                .bind(node.id.0);
         }
         let Some(task) = offered.task else {
             self.commit(write).await?;
@@ -76,15 +75,13 @@ impl Store {
         let task_id = TaskId(id(&task, "id")?);
         let job_id = JobId(id(&task, "job_id")?);
         let spec: TaskSpec = json(&task, "spec")?;
-        let fence: i64 = sqlx::query_scalar(
-            "UPDATE tasks SET state = 'leased', fence = fence + 1, progress = 0, pixels_share = NULL, node_id = ?, started_at = ? \
-             WHERE id = ? AND state = 'ready' RETURNING fence",
-        )
-        .bind(node.id.0)
-        .bind(now.micros())
-        .bind(task_id.0)
-        .fetch_one(write.connection())
-        .await?;
+        let fence = whole::<i64>(&task, "fence")? + 1;
+        write
+            .later("UPDATE tasks SET state = 'leased', fence = ?, progress = 0, pixels_share = NULL, node_id = ?, started_at = ? WHERE id = ?")
+            .bind(fence)
+            .bind(node.id.0)
+            .bind(now.micros())
+            .bind(task_id.0);
         let ttl_micros = i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX);
         let lease = Lease {
             lease_id: LeaseId::new(),
@@ -96,27 +93,21 @@ impl Store {
             spec,
             limits: json(&task, "limits")?,
         };
-        sqlx::query(
-            "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at) \
-             VALUES (?, ?, ?, ?, ?, 'active', ?, ?)",
-        )
-        .bind(lease.lease_id.0)
-        .bind(task_id.0)
-        .bind(node.id.0)
-        .bind(fence)
-        .bind(node.speed)
-        .bind(now.micros())
-        .bind(lease.expires_at.micros())
-        .execute(write.connection())
-        .await?;
-        if lease.spec.kind().is_booked() {
-            let first = sqlx::query("UPDATE jobs SET state = 'rendering' WHERE id = ? AND state = 'booked'")
-                .bind(job_id.0)
-                .execute(write.connection())
-                .await?;
-            if first.rows_affected() == 1 {
-                job_state(&mut write, job_id, JobState::Rendering, None, now).await?;
-            }
+        write
+            .later(
+                "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at) \
+                 VALUES (?, ?, ?, ?, ?, 'active', ?, ?)",
+            )
+            .bind(lease.lease_id.0)
+            .bind(task_id.0)
+            .bind(node.id.0)
+            .bind(fence)
+            .bind(node.speed)
+            .bind(now.micros())
+            .bind(lease.expires_at.micros());
+        if lease.spec.kind().is_booked() && word::<JobState>(&task, "job_state")? == JobState::Booked {
+            write.later("UPDATE jobs SET state = 'rendering' WHERE id = ?").bind(job_id.0);
+            job_state(&mut write, job_id, JobState::Rendering, None, now)?;
         }
         append(
             &mut write,
@@ -128,9 +119,8 @@ impl Store {
                 node_id: Some(node.id),
                 ..event(EventKind::TaskLeased, now)
             },
-        )
-        .await?;
-        record(&mut write, key, 200, &lease, now).await?;
+        )?;
+        record(&mut write, key, 200, &lease, now)?;
         self.commit(write).await?;
         Ok(Some(Answered::Fresh(lease)))
     }
@@ -173,7 +163,8 @@ impl Store {
     /// A node that waits for work is alive.
     pub async fn touch_node(&self, node: NodeId, now: Timestamp) -> Result<(), StoreError> {
         let mut write = self.write().await?;
-        touch(&mut write, node, now).await?;
+        let node = nodes::read(write.connection().await?, node).await?;
+        touch(&mut write, node.id, now);
         self.commit(write).await
     }
 }
@@ -232,7 +223,8 @@ pub(crate) type Query = sqlx::query::Query<'static, sqlx::Sqlite, sqlx::sqlite::
 ///    wanted: see `elsewhere`.
 ///
 /// Each of the three is one step into an index made for it, which is named because SQLite, left alone, prefers the index of
-/// all ready tasks and sorts them. Only if the first of the third kind is not for everybody, the booked jobs are looked at one by one.
+/// all ready tasks and sorts them; later ones are taken only if those before found nothing. Only if the first of the third kind is not for everybody, the
+/// booked jobs are looked at one by one.
 ///
 /// A task that failed is passed over while it waits, and for a while longer on the nodes that it failed on. Such tasks are few, so
 /// the steps over them are.
@@ -251,20 +243,13 @@ async fn offer(
     let at_most =
         until.map(|until| until.micros_since(now).max(0) as f64 * 1e-6 * node.speed * f64::from(node.cores));
     let asking = Asking { node, now, up_since, at_most };
-    let mut found = asking.first(connection, NEXT_QUOTE, |query| query).await?;
-    if found.is_none() {
-        found = asking.first(connection, NEXT_BOOKED, |query| query.bind(node.id.0)).await?;
-    }
-    if found.is_some() {
-        return Ok(found.into());
-    }
-    let Some(first) = asking.first(connection, NEXT_ANY, |query| query).await? else {
+    let Some(first) = asking.first(connection, NEXT, |query| query).await? else {
         return Ok(Offer::default());
     };
-    if whole_opt::<i64>(&first, "booked_rate")?.is_none() {
-        return Ok(Some(first).into());
+    if first.try_get("is_booked_elsewhere")? {
+        return elsewhere::offer(connection, &asking).await;
     }
-    elsewhere::offer(connection, &asking).await
+    Ok(Some(first).into())
 }
 
 /// A task by its id, if it is ready; nothing while it is leased, or waits after a failure.
@@ -273,11 +258,15 @@ async fn this_task(
     task: TaskId,
     now: Timestamp,
 ) -> Result<Option<SqliteRow>, StoreError> {
-    let row = sqlx::query("SELECT id, job_id, spec, limits, not_before, CASE WHEN state = 'ready' AND held THEN 'held back by a budget' ELSE state END AS state FROM tasks WHERE id = ?")
-        .bind(task.0)
-        .fetch_optional(connection)
-        .await?
-        .ok_or(StoreError::NotFound("task"))?;
+    let row = sqlx::query(concat!(
+        "SELECT ",
+        task_columns!(),
+        ", not_before, CASE WHEN state = 'ready' AND held THEN 'held back by a budget' ELSE state END AS state FROM tasks WHERE id = ?"
+    ))
+    .bind(task.0)
+    .fetch_optional(connection)
+    .await?
+    .ok_or(StoreError::NotFound("task"))?;
     match row.try_get("state")? {
         "ready" => Ok((row.try_get::<i64, _>("not_before")? <= now.micros()).then_some(row)),
         "leased" | "waiting" => Ok(None),
@@ -288,9 +277,9 @@ async fn this_task(
 /// The first task by an index of which these hold and which the node, `?1`, may have now.
 macro_rules! next_task {
     ($index:literal, $which:literal, $order:literal) => {
-        $crate::claims::next_task!("id, job_id, spec, limits, booked_rate", $index, $which, $order)
+        $crate::claims::next_task!("id", $index, $which, $order)
     };
-    ($columns:literal, $index:literal, $which:literal, $order:literal) => {
+    ($columns:expr, $index:literal, $which:literal, $order:literal) => {
         concat!(
             "SELECT ",
             $columns,
@@ -308,21 +297,43 @@ macro_rules! next_task {
 }
 pub(crate) use next_task;
 
-pub(crate) const NEXT_QUOTE: &str = next_task!(
-    "tasks_ready_quotes",
-    "kind NOT IN ('cache_fill', 'render')",
-    "priority DESC, due_at, job_id, frame"
+/// What an offer needs of a task.
+macro_rules! task_columns {
+    () => {
+        "id, job_id, spec, limits, fence, (SELECT j.state FROM jobs j WHERE j.id = tasks.job_id) AS job_state"
+    };
+}
+pub(crate) use task_columns;
+
+/// What the node is given if nothing is against it; and whether there may be.
+pub(crate) const NEXT: &str = concat!(
+    "SELECT ",
+    task_columns!(),
+    ", kind IN ('cache_fill', 'render') AND booked_rate IS NOT NULL AND booked_node IS NOT ?1 AS is_booked_elsewhere FROM tasks WHERE id = coalesce((",
+    next_task!(
+        "tasks_ready_quotes",
+        "kind NOT IN ('cache_fill', 'render')",
+        "priority DESC, due_at, job_id, frame"
+    ),
+    "), (",
+    next_task!(
+        "tasks_ready_booked",
+        "kind IN ('cache_fill', 'render') AND booked_node = ?1",
+        "booked_at, job_id, frame, part"
+    ),
+    "), (",
+    next_task!(
+        "tasks_ready_any",
+        "kind IN ('cache_fill', 'render')",
+        "due_at, priority DESC, job_id, frame, part"
+    ),
+    "))"
 );
 
 /// What is booked on the node `?5`.
 pub(crate) const NEXT_BOOKED: &str = next_task!(
+    task_columns!(),
     "tasks_ready_booked",
     "kind IN ('cache_fill', 'render') AND booked_node = ?5",
     "booked_at, job_id, frame, part"
-);
-
-pub(crate) const NEXT_ANY: &str = next_task!(
-    "tasks_ready_any",
-    "kind IN ('cache_fill', 'render')",
-    "due_at, priority DESC, job_id, frame, part"
 );

@@ -184,12 +184,13 @@ impl Store {
     /// Remembers where artefacts rest: a farm that was started with them elsewhere would have rows of files that are not there.
     async fn settle_artifact_place(&self, place: &ArtifactPlace, moved: bool) -> Result<(), StoreError> {
         let mut write = self.write().await?;
-        let known: Option<String> =
-            sqlx::query_scalar("SELECT place FROM artifact_place").fetch_optional(write.connection()).await?;
+        let known: Option<String> = sqlx::query_scalar("SELECT place FROM artifact_place")
+            .fetch_optional(write.connection().await?)
+            .await?;
         // Before there was a choice they rested in the data folder.
         let known = known.unwrap_or_else(|| ArtifactPlace::DataFolder.to_string());
         let any: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM artifacts)")
-            .fetch_one(write.connection())
+            .fetch_one(write.connection().await?)
             .await?;
         if any && !moved && known != place.to_string() {
             return Err(StoreError::ArtifactPlace(format!(
@@ -198,7 +199,7 @@ impl Store {
         }
         sqlx::query("INSERT INTO artifact_place (one, place) VALUES (1, ?) ON CONFLICT DO UPDATE SET place = excluded.place")
             .bind(place.to_string())
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
         self.commit(write).await
     }

@@ -17,7 +17,7 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::StoreError;
-use crate::claims::{Asking, NEXT_BOOKED, Offer, Query, next_task};
+use crate::claims::{Asking, NEXT_BOOKED, Offer, Query, next_task, task_columns};
 use crate::decode::{id, json, json_opt, time_opt, whole};
 use crate::nodes::{SAME_SPEED, gone};
 use crate::plans::JobOutlook;
@@ -194,6 +194,7 @@ impl Rates {
 
 /// A job's first task: of any node, with its due time, priority and id as `?5` to `?7`.
 pub(crate) const NEXT_OF_JOB: &str = next_task!(
+    task_columns!(),
     "tasks_ready_any",
     "kind IN ('cache_fill', 'render') AND due_at = ?5 AND priority = ?6 AND job_id = ?7",
     "frame, part"
@@ -201,23 +202,22 @@ pub(crate) const NEXT_OF_JOB: &str = next_task!(
 
 /// Of the job `?5`: what is booked dearest, if for `?6` or more; what should have begun by `?7`; what is booked nowhere.
 pub(crate) const NEXT_NO_DEARER: &str = concat!(
-    "SELECT id, job_id, spec, limits, booked_rate FROM tasks WHERE id = coalesce((",
+    "SELECT ",
+    task_columns!(),
+    " FROM tasks WHERE id = coalesce((",
     next_task!(
-        "id",
         "tasks_ready_rates",
         "booked_rate IS NOT NULL AND job_id = ?5 AND booked_rate >= ?6",
         "booked_rate DESC, frame, part"
     ),
     "), (",
     next_task!(
-        "id",
         "tasks_ready_starts",
         "booked_rate IS NOT NULL AND job_id = ?5 AND booked_at <= ?7",
         "booked_at, frame, part"
     ),
     "), (",
     next_task!(
-        "id",
         "tasks_ready_booked",
         "kind IN ('cache_fill', 'render') AND booked_node IS NULL AND booked_at IS NULL AND job_id = ?5",
         "frame, part"

@@ -32,20 +32,20 @@ pub(crate) fn event(kind: EventKind, now: Timestamp) -> Event {
 }
 
 /// Appends an event; its id is given by the database.
-pub(crate) async fn append(write: &mut Write, event: Event) -> Result<(), StoreError> {
-    sqlx::query("INSERT INTO events (at, kind, job_id, body) VALUES (?, ?, ?, ?)")
+pub(crate) fn append(write: &mut Write, event: Event) -> Result<(), StoreError> {
+    let body = to_json(&event)?;
+    write
+        .later("INSERT INTO events (at, kind, job_id, body) VALUES (?, ?, ?, ?)")
         .bind(event.at.micros())
         .bind(event.kind.name())
         .bind(event.job_id.map(|job| job.0))
-        .bind(to_json(&event)?)
-        .execute(write.connection())
-        .await?;
+        .bind(body);
     write.wrote_events = true;
     Ok(())
 }
 
 /// Appends the event that a job went into a state.
-pub(crate) async fn job_state(
+pub(crate) fn job_state(
     write: &mut Write,
     job: JobId,
     state: JobState,
@@ -56,13 +56,12 @@ pub(crate) async fn job_state(
         write,
         Event { job_id: Some(job), job_state: Some(state), message, ..event(EventKind::JobState, now) },
     )
-    .await
 }
 
 pub(crate) async fn forget_old_progress(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
     sqlx::query("DELETE FROM events WHERE kind = 'task_progress' AND at < ?")
         .bind(now.plus_micros(-PROGRESS_KEPT).micros())
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     Ok(())
 }

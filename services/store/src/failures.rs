@@ -57,34 +57,33 @@ impl Store {
         now: Timestamp,
     ) -> Result<(bool, JobState), StoreError> {
         let mut write = self.write().await?;
-        let row = read(write.connection(), lease).await?;
+        let row = read(write.connection().await?, lease).await?;
         if row.fence == fence && row.state == LeaseState::Failed {
-            return Ok((true, jobs::state(write.connection(), row.job_id).await?));
+            return Ok((true, jobs::state(write.connection().await?, row.job_id).await?));
         }
         if row.fence != fence || row.state != LeaseState::Active {
             return self.refuse(write, &row, now).await;
         }
-        end(&mut write, &row, "failed", now).await?;
-        touch(&mut write, row.node_id, now).await?;
+        end(&mut write, &row, "failed", now);
+        touch(&mut write, row.node_id, now);
         // What anyone would have met says nothing about the node; neither does a limit that the job set.
         let blameless = error.permanent || error.limit.is_some();
         if blameless {
             sqlx::query("UPDATE leases SET blameless = 1 WHERE id = ?")
                 .bind(lease.0)
-                .execute(write.connection())
+                .execute(write.connection().await?)
                 .await?;
         }
         append(
             &mut write,
             Event { message: Some(error.message.clone()), ..row.event(EventKind::TaskFailed, now) },
-        )
-        .await?;
+        )?;
         let failures = row.failures + 1;
         sqlx::query("UPDATE tasks SET failures = ?, not_before = ? WHERE id = ?")
             .bind(failures)
             .bind(now.plus_micros(wait(row.task_id, failures)).micros())
             .bind(row.task_id.0)
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
         let failed_on = nodes_that_failed(&mut write, row.task_id).await?;
         if error.permanent {
@@ -98,12 +97,12 @@ impl Store {
                 format!("{} (it failed {times}; the log of task {} says more)", error.message, row.task_id);
             fail_for_good(&mut write, &row, &error, now).await?;
         } else {
-            back_to_ready(&mut write, &row, Some(&error.message)).await?;
+            back_to_ready(&mut write, &row, Some(&error.message));
         }
         if !blameless {
             set_aside_if_at_fault(&mut write, row.node_id, &error.message, now).await?;
         }
-        let state = jobs::state(write.connection(), row.job_id).await?;
+        let state = jobs::state(write.connection().await?, row.job_id).await?;
         self.commit(write).await?;
         Ok((false, state))
     }
@@ -129,7 +128,7 @@ async fn nodes_that_failed(write: &mut Write, task: TaskId) -> Result<Vec<String
          WHERE l.task_id = ? AND l.state = 'failed' ORDER BY n.name",
     )
     .bind(task.0)
-    .fetch_all(write.connection())
+    .fetch_all(write.connection().await?)
     .await?)
 }
 
@@ -147,7 +146,7 @@ async fn set_aside_if_at_fault(
     )
     .bind(node.0)
     .bind(now.plus_micros(-HELD_AGAINST).micros())
-    .fetch_one(write.connection())
+    .fetch_one(write.connection().await?)
     .await?;
     if jobs < i64::from(FAILED_JOBS) {
         return Ok(());
@@ -156,10 +155,10 @@ async fn set_aside_if_at_fault(
     let set = sqlx::query("UPDATE nodes SET set_aside = ? WHERE id = ? AND set_aside IS NULL")
         .bind(&reason)
         .bind(node.0)
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     if set.rows_affected() == 1 {
-        let name = nodes::read(write.connection(), node).await?.name;
+        let name = nodes::read(write.connection().await?, node).await?.name;
         replans::want(write, &format!("node {name} is set aside")).await?;
         append(
             write,
@@ -168,8 +167,7 @@ async fn set_aside_if_at_fault(
                 message: Some(format!("{name}: {reason}")),
                 ..event(EventKind::NodeSetAside, now)
             },
-        )
-        .await?;
+        )?;
     }
     Ok(())
 }

@@ -65,10 +65,10 @@ impl Store {
         let mut write = self.write().await?;
         let row = sqlx::query("SELECT * FROM jobs WHERE id = ?")
             .bind(job.0)
-            .fetch_optional(write.connection())
+            .fetch_optional(write.connection().await?)
             .await?;
         let row = row.ok_or(StoreError::NotFound("job"))?;
-        if jobs::state(write.connection(), job).await? != JobState::Previewing {
+        if jobs::state(write.connection().await?, job).await? != JobState::Previewing {
             return Ok(());
         }
         let common = Common::of(job, &row)?;
@@ -82,9 +82,9 @@ impl Store {
         }
         sqlx::query("UPDATE jobs SET state = 'profiling' WHERE id = ?")
             .bind(job.0)
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
-        job_state(&mut write, job, JobState::Profiling, None, now).await?;
+        job_state(&mut write, job, JobState::Profiling, None, now)?;
         self.commit(write).await
     }
 
@@ -145,7 +145,7 @@ pub(crate) async fn keep_frames(
         .bind(clock.get(place))
         .bind(job.0)
         .bind(i64::from(forecast.frame))
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     }
     Ok(())

@@ -77,13 +77,13 @@ pub(crate) async fn earlier_answer(
     key: Option<&IdempotencyKey>,
 ) -> Result<Option<RecordedAnswer>, StoreError> {
     match key {
-        Some(key) => lookup(write.connection(), key).await,
+        Some(key) => lookup(write.connection().await?, key).await,
         None => Ok(None),
     }
 }
 
 /// Records the answer inside the write that creates; nothing without a key.
-pub(crate) async fn record(
+pub(crate) fn record(
     write: &mut Write,
     key: Option<&IdempotencyKey>,
     status: u16,
@@ -91,17 +91,15 @@ pub(crate) async fn record(
     now: Timestamp,
 ) -> Result<(), StoreError> {
     let Some(key) = key else { return Ok(()) };
-    sqlx::query(
-        "INSERT INTO idempotency (principal, key, request_hash, status, body, created_at) VALUES (?, ?, ?, ?, ?, ?)",
-    )
-    .bind(&key.principal[..])
-    .bind(&key.key)
-    .bind(&key.request_hash[..])
-    .bind(i64::from(status))
-    .bind(to_json(body)?)
-    .bind(now.micros())
-    .execute(write.connection())
-    .await?;
+    let body = to_json(body)?;
+    write
+        .later("INSERT INTO idempotency (principal, key, request_hash, status, body, created_at) VALUES (?, ?, ?, ?, ?, ?)")
+        .bind(&key.principal[..])
+        .bind(&key.key)
+        .bind(&key.request_hash[..])
+        .bind(i64::from(status))
+        .bind(body)
+        .bind(now.micros());
     Ok(())
 }
 
@@ -109,7 +107,7 @@ pub(crate) async fn record(
 pub(crate) async fn forget_old(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
     sqlx::query("DELETE FROM idempotency WHERE created_at < ?")
         .bind(now.plus_micros(-REMEMBERED).micros())
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     Ok(())
 }

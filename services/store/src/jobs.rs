@@ -79,13 +79,13 @@ impl Store {
         .bind(request.within.as_ref().map(to_json).transpose()?)
         .bind(request.cache.name())
         .bind(i64::from(request.weight))
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
         for frame in request.frames.iter() {
             sqlx::query("INSERT INTO frames (job_id, frame) VALUES (?, ?)")
                 .bind(job_id.0)
                 .bind(i64::from(frame))
-                .execute(write.connection())
+                .execute(write.connection().await?)
                 .await?;
         }
         let common = Common {
@@ -106,10 +106,9 @@ impl Store {
                 message: Some(request.name.clone()),
                 ..event(EventKind::JobCreated, now)
             },
-        )
-        .await?;
-        let job = read(write.connection(), job_id).await?;
-        record(&mut write, key, 201, &job, now).await?;
+        )?;
+        let job = read(write.connection().await?, job_id).await?;
+        record(&mut write, key, 201, &job, now)?;
         self.commit(write).await?;
         Ok(Answered::Fresh(job))
     }
@@ -151,7 +150,7 @@ impl Store {
     /// a job that is done or failed stays so, and that is a conflict.
     pub async fn cancel_job(&self, job: JobId, now: Timestamp) -> Result<Job, StoreError> {
         let mut write = self.write().await?;
-        let current = read(write.connection(), job).await?;
+        let current = read(write.connection().await?, job).await?;
         match current.state {
             JobState::Cancelled => return Ok(current),
             JobState::Done | JobState::Failed => {
@@ -166,13 +165,13 @@ impl Store {
         sqlx::query("UPDATE jobs SET state = 'cancelled', finished_at = ? WHERE id = ?")
             .bind(now.micros())
             .bind(job.0)
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
-        job_state(&mut write, job, JobState::Cancelled, None, now).await?;
+        job_state(&mut write, job, JobState::Cancelled, None, now)?;
         if current.plan_id.is_some() {
             replans::want(&mut write, &format!("job {} was cancelled", current.name)).await?;
         }
-        let cancelled = read(write.connection(), job).await?;
+        let cancelled = read(write.connection().await?, job).await?;
         self.commit(write).await?;
         Ok(cancelled)
     }
@@ -207,17 +206,17 @@ pub(crate) async fn fail(
     .bind(error)
     .bind(now.micros())
     .bind(job.0)
-    .execute(write.connection())
+    .execute(write.connection().await?)
     .await?;
     if failed.rows_affected() == 0 {
         return Ok(());
     }
     withdraw(write, job, now).await?;
-    let failed = read(write.connection(), job).await?;
+    let failed = read(write.connection().await?, job).await?;
     if failed.plan_id.is_some() {
         replans::want(write, &format!("job {} failed", failed.name)).await?;
     }
-    job_state(write, job, JobState::Failed, Some(error.to_owned()), now).await
+    job_state(write, job, JobState::Failed, Some(error.to_owned()), now)
 }
 
 /// A job's state, by one look-up.

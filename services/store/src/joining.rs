@@ -24,14 +24,14 @@ impl Store {
         // Long expired ones are of no use to anyone, unless they say which node came by them.
         sqlx::query("DELETE FROM join_tokens WHERE expires_at < ? AND used_at IS NULL")
             .bind(now.micros())
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
         sqlx::query("INSERT INTO join_tokens (hash, name, created_at, expires_at) VALUES (?, ?, ?, ?)")
             .bind(&tokens::hash(&token)[..])
             .bind(name)
             .bind(now.micros())
             .bind(expires_at.micros())
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
         self.commit(write).await?;
         Ok(JoinToken { token, expires_at })
@@ -44,12 +44,12 @@ impl Store {
         let row =
             sqlx::query("SELECT expires_at, used_at, used_for, node_id FROM join_tokens WHERE hash = ?")
                 .bind(&burnt[..])
-                .fetch_optional(write.connection())
+                .fetch_optional(write.connection().await?)
                 .await?
                 .ok_or_else(|| StoreError::JoinRefused("this one-time token is not known here".to_owned()))?;
         if let (Some(node), Some(chosen)) = (id_opt(&row, "node_id")?, hash_opt(&row, "used_for")?) {
             if chosen == request.token_hash {
-                return nodes::read(write.connection(), NodeId(node)).await;
+                return nodes::read(write.connection().await?, NodeId(node)).await;
             }
             return Err(StoreError::Conflict(format!(
                 "this one-time token was used at {} by another machine; ask an operator for a new one, and if nobody knows that machine, \
@@ -69,12 +69,12 @@ impl Store {
             .bind(&request.token_hash.0[..])
             .bind(node.id.0)
             .bind(&burnt[..])
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
         // A machine that takes another's place takes its token away.
         sqlx::query("DELETE FROM tokens WHERE node_id = ?")
             .bind(node.id.0)
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
         let inserted = sqlx::query(
             "INSERT INTO tokens (hash, name, role, created_at, node_id) VALUES (?, ?, 'worker', ?, ?) ON CONFLICT DO NOTHING",
@@ -83,7 +83,7 @@ impl Store {
         .bind(&node.name)
         .bind(now.micros())
         .bind(node.id.0)
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
         if inserted.rows_affected() == 0 {
             return Err(StoreError::Conflict("the hash is that of a token which is in use".to_owned()));

@@ -30,8 +30,8 @@
 use std::time::Duration;
 
 use forelight_protocol::{
-    Event, EventKind, FinishedPixels, JobId, LeaseId, LeaseOrder, NodeId, RenewRequest, Renewal, TaskId,
-    TaskKind, TaskSpec, Timestamp,
+    Event, EventKind, FinishedPixels, JobId, JobState, LeaseId, LeaseOrder, NodeId, RenewRequest, Renewal,
+    TaskId, TaskKind, TaskSpec, Timestamp,
 };
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
@@ -90,6 +90,7 @@ pub(crate) struct LeaseRow {
     pub failures: u32,
     pub expiries: u32,
     pub progress: f64,
+    pub job_state: JobState,
     /// What the operator wants of the node.
     pub pause: bool,
     pub drain: bool,
@@ -120,7 +121,7 @@ macro_rules! select_leases {
     ($rest:literal) => {
         concat!(
             "SELECT l.id, l.state, l.fence, l.node_id, l.node_speed, l.task_id, t.job_id, t.kind, t.frame, t.failures, \
-             t.expiries, t.progress, n.pause, n.drain, ",
+             t.expiries, t.progress, (SELECT j.state FROM jobs j WHERE j.id = t.job_id) AS job_state, n.pause, n.drain, ",
             has_calendar!(),
             " FROM leases l JOIN tasks t ON t.id = l.task_id \
              JOIN nodes n ON n.id = l.node_id ",
@@ -140,47 +141,38 @@ impl Store {
     ) -> Result<Renewal, StoreError> {
         let &RenewRequest { fence, progress, pixels, paused, ref log } = renewal;
         let mut write = self.write().await?;
-        let row = read(write.connection(), lease).await?;
+        let row = read(write.connection().await?, lease).await?;
+        let sleep_until = sleep_of(write.connection().await?, row.node_id, row.has_calendar, now).await?;
         if row.fence == fence && row.state == LeaseState::Revoked {
-            let sleep_until = sleep_of(write.connection(), row.node_id, row.has_calendar, now).await?;
             return Ok(Renewal { expires_at: now, order: LeaseOrder::Stop, drain: row.drain, sleep_until });
         }
         if row.fence != fence || row.state != LeaseState::Active {
             return self.refuse(write, &row, now).await;
         }
         let expires_at = now.plus_micros(i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX));
-        sqlx::query("UPDATE leases SET expires_at = ? WHERE id = ?")
-            .bind(expires_at.micros())
-            .bind(lease.0)
-            .execute(write.connection())
-            .await?;
-        sqlx::query("UPDATE nodes SET last_seen_at = max(last_seen_at, ?), paused = ? WHERE id = ?")
+        write.later("UPDATE leases SET expires_at = ? WHERE id = ?").bind(expires_at.micros()).bind(lease.0);
+        write
+            .later("UPDATE nodes SET last_seen_at = max(last_seen_at, ?), paused = ? WHERE id = ?")
             .bind(now.micros())
             .bind(paused)
-            .bind(row.node_id.0)
-            .execute(write.connection())
-            .await?;
+            .bind(row.node_id.0);
         if progress >= row.progress + PROGRESS_STEP || (progress == 1.0 && row.progress < 1.0) {
-            sqlx::query("UPDATE tasks SET progress = ? WHERE id = ?")
-                .bind(progress)
-                .bind(row.task_id.0)
-                .execute(write.connection())
-                .await?;
-            append(&mut write, Event { progress: Some(progress), ..row.event(EventKind::TaskProgress, now) })
-                .await?;
+            write.later("UPDATE tasks SET progress = ? WHERE id = ?").bind(progress).bind(row.task_id.0);
+            append(
+                &mut write,
+                Event { progress: Some(progress), ..row.event(EventKind::TaskProgress, now) },
+            )?;
         }
         if let Some(FinishedPixels { done, all, work, cpu_nanos }) = pixels.filter(|pixels| pixels.all > 0) {
-            sqlx::query("UPDATE tasks SET pixels_share = ?, pixels_work = ?, pixels_cpu = ? WHERE id = ?")
+            write
+                .later("UPDATE tasks SET pixels_share = ?, pixels_work = ?, pixels_cpu = ? WHERE id = ?")
                 .bind((done as f64 / all as f64).min(1.0))
                 .bind(work as f64)
                 .bind(cpu_nanos as f64 * 1e-9 * row.node_speed)
-                .bind(row.task_id.0)
-                .execute(write.connection())
-                .await?;
+                .bind(row.task_id.0);
             live::update(&mut write, row.job_id, Occasion::Meanwhile, now).await?;
         }
         logs::keep(&mut write, &row, log).await?;
-        let sleep_until = sleep_of(write.connection(), row.node_id, row.has_calendar, now).await?;
         self.commit(write).await?;
         let order = if row.pause { LeaseOrder::Pause } else { LeaseOrder::Continue };
         Ok(Renewal { expires_at, order, drain: row.drain, sleep_until })
@@ -190,16 +182,16 @@ impl Store {
     /// or revoked before is a lease given back: nothing to do.
     pub async fn release(&self, lease: LeaseId, fence: u64, now: Timestamp) -> Result<(), StoreError> {
         let mut write = self.write().await?;
-        let row = read(write.connection(), lease).await?;
+        let row = read(write.connection().await?, lease).await?;
         if row.fence == fence && matches!(row.state, LeaseState::Released | LeaseState::Revoked) {
             return Ok(());
         }
         if row.fence != fence || row.state != LeaseState::Active {
             return self.refuse(write, &row, now).await;
         }
-        end(&mut write, &row, "released", now).await?;
-        back_to_ready(&mut write, &row, None).await?;
-        append(&mut write, row.event(EventKind::LeaseReleased, now)).await?;
+        end(&mut write, &row, "released", now);
+        back_to_ready(&mut write, &row, None);
+        append(&mut write, row.event(EventKind::LeaseReleased, now))?;
         self.commit(write).await
     }
 
@@ -245,11 +237,11 @@ impl Store {
         let mut write = self.write().await?;
         let extended = sqlx::query("UPDATE leases SET expires_at = ? WHERE state = 'active'")
             .bind(until.micros())
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
         sqlx::query("UPDATE tasks SET not_before = ?1 WHERE state = 'ready' AND not_before > ?1")
             .bind(now.plus_micros(LONGEST_WAIT).micros())
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
         self.commit(write).await?;
         Ok(extended.rows_affected())
@@ -260,18 +252,18 @@ impl Store {
         let mut write = self.write().await?;
         sqlx::query("UPDATE leases SET expires_at = expires_at + ? WHERE state = 'active'")
             .bind(micros)
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
         sqlx::query(
             "UPDATE tasks SET not_before = max(1, not_before + ?) WHERE state = 'ready' AND not_before > 0",
         )
         .bind(micros)
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
         // A node that was heard of in what is now the future would look alive for as long.
         sqlx::query("UPDATE nodes SET last_seen_at = last_seen_at + ?1 WHERE ?1 < 0")
             .bind(micros)
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
         self.commit(write).await
     }
@@ -283,7 +275,7 @@ impl Store {
         row: &LeaseRow,
         now: Timestamp,
     ) -> Result<T, StoreError> {
-        append(&mut write, row.event(EventKind::LeaseLost, now)).await?;
+        append(&mut write, row.event(EventKind::LeaseLost, now))?;
         self.commit(write).await?;
         Err(StoreError::LeaseLost)
     }
@@ -327,49 +319,41 @@ pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept, St
         "WHERE l.state = 'active' AND l.expires_at <= ? ORDER BY l.expires_at, l.id"
     ))
     .bind(now.micros())
-    .fetch_all(write.connection())
+    .fetch_all(write.connection().await?)
     .await?;
     let mut swept = Swept::default();
     for row in rows {
         let row = decode(&row)?;
         // An earlier row of this sweep may have failed the job, and with it revoked this lease.
-        if read(write.connection(), row.id).await?.state != LeaseState::Active {
+        if read(write.connection().await?, row.id).await?.state != LeaseState::Active {
             continue;
         }
-        end(write, &row, "expired", now).await?;
-        append(write, row.event(EventKind::LeaseExpired, now)).await?;
+        end(write, &row, "expired", now);
+        append(write, row.event(EventKind::LeaseExpired, now))?;
         swept.expired += 1;
         let expiries = row.expiries + 1;
         sqlx::query("UPDATE tasks SET expiries = ? WHERE id = ?")
             .bind(expiries)
             .bind(row.task_id.0)
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
         if expiries >= MAX_EXPIRIES {
             let error = format!("{expiries} workers were lost on this task");
             fail_for_good(write, &row, &error, now).await?;
             swept.jobs_failed += 1;
         } else {
-            back_to_ready(write, &row, None).await?;
+            back_to_ready(write, &row, None);
         }
     }
     Ok(swept)
 }
 
-pub(crate) async fn back_to_ready(
-    write: &mut Write,
-    row: &LeaseRow,
-    error: Option<&str>,
-) -> Result<(), StoreError> {
-    sqlx::query(
-        "UPDATE tasks SET state = 'ready', progress = 0, node_id = NULL, error = coalesce(?, error) WHERE id = ? AND state = 'leased'",
-    )
-    .bind(error)
-    .bind(row.task_id.0)
-    .execute(write.connection())
-    .await?;
+pub(crate) fn back_to_ready(write: &mut Write, row: &LeaseRow, error: Option<&str>) {
+    write
+        .later("UPDATE tasks SET state = 'ready', progress = 0, node_id = NULL, error = coalesce(?, error) WHERE id = ? AND state = 'leased'")
+        .bind(error.map(str::to_owned))
+        .bind(row.task_id.0);
     write.made_work = true;
-    Ok(())
 }
 
 pub(crate) async fn fail_for_good(
@@ -382,35 +366,27 @@ pub(crate) async fn fail_for_good(
         .bind(error)
         .bind(now.micros())
         .bind(row.task_id.0)
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     let of_frame = row.frame.map_or(String::new(), |frame| format!(" of frame {frame}"));
     jobs::fail(write, row.job_id, &format!("{}{of_frame}: {error}", row.kind), now).await
 }
 
 /// Ends an active lease.
-pub(crate) async fn end(
-    write: &mut Write,
-    row: &LeaseRow,
-    state: &str,
-    now: Timestamp,
-) -> Result<(), StoreError> {
-    sqlx::query("UPDATE leases SET state = ?, ended_at = ? WHERE id = ? AND state = 'active'")
+pub(crate) fn end(write: &mut Write, row: &LeaseRow, state: &'static str, now: Timestamp) {
+    write
+        .later("UPDATE leases SET state = ?, ended_at = ? WHERE id = ? AND state = 'active'")
         .bind(state)
         .bind(now.micros())
-        .bind(row.id.0)
-        .execute(write.connection())
-        .await?;
-    Ok(())
+        .bind(row.id.0);
 }
 
-pub(crate) async fn touch(write: &mut Write, node: NodeId, now: Timestamp) -> Result<(), StoreError> {
-    let touched = sqlx::query("UPDATE nodes SET last_seen_at = max(last_seen_at, ?) WHERE id = ?")
+/// Says that a node, if it is there, was heard of.
+pub(crate) fn touch(write: &mut Write, node: NodeId, now: Timestamp) {
+    write
+        .later("UPDATE nodes SET last_seen_at = max(last_seen_at, ?) WHERE id = ?")
         .bind(now.micros())
-        .bind(node.0)
-        .execute(write.connection())
-        .await?;
-    if touched.rows_affected() == 0 { Err(StoreError::NotFound("node")) } else { Ok(()) }
+        .bind(node.0);
 }
 
 pub(crate) async fn read(connection: &mut SqliteConnection, lease: LeaseId) -> Result<LeaseRow, StoreError> {
@@ -432,6 +408,7 @@ fn decode(row: &SqliteRow) -> Result<LeaseRow, StoreError> {
         failures: whole(row, "failures")?,
         expiries: whole(row, "expiries")?,
         progress: row.try_get("progress")?,
+        job_state: word(row, "job_state")?,
         pause: row.try_get("pause")?,
         drain: row.try_get("drain")?,
         has_calendar: row.try_get("has_calendar")?,

@@ -99,6 +99,7 @@ pub(crate) async fn newest(
 
 /// What is kept beside an estimate.
 struct Kept {
+    frames_total: u32,
     plan: PlanId,
     booked_cpu: f64,
     booked_rest: f64,
@@ -119,21 +120,21 @@ pub(crate) async fn update(
     occasion: Occasion,
     now: Timestamp,
 ) -> Result<(), StoreError> {
-    let kept = read(write.connection(), job).await?;
+    let kept = read(write.connection().await?, job).await?;
+    if let Some(kept) = &kept
+        && !kept.is_due(occasion, now)
+    {
+        if occasion == Occasion::Frame {
+            count_frame(write, job);
+        }
+        return Ok(());
+    }
     let row = sqlx::query(
-        "SELECT name, state, factor, forecast, verdict, confidence, plan_id, frames_total FROM jobs WHERE id = ?",
+        "SELECT name, state, factor, forecast, verdict, confidence, plan_id FROM jobs WHERE id = ?",
     )
     .bind(job.0)
-    .fetch_one(write.connection())
+    .fetch_one(write.connection().await?)
     .await?;
-    if let Some(kept) = &kept
-        && !kept.is_due(occasion, whole(&row, "frames_total")?, now)
-    {
-        return match occasion {
-            Occasion::Frame => count_frame(write, job).await,
-            Occasion::Booked | Occasion::Meanwhile => Ok(()),
-        };
-    }
     let (Some(quote), Some(plan)) =
         (json_opt::<JobForecast>(&row, "forecast")?, id_opt(&row, "plan_id")?.map(PlanId))
     else {
@@ -141,7 +142,7 @@ pub(crate) async fn update(
     };
     let confidence: Confidence = word(&row, "confidence")?;
     let verdict: Option<JobVerdict> = json_opt(&row, "verdict")?;
-    let frames = Frames::read(write.connection(), job, &quote.lights).await?;
+    let frames = Frames::read(write.connection().await?, job, &quote.lights).await?;
     let work = figure(&quote.total.work, &frames.work, Measure::Work);
     let cpu = figure(&quote.total.cpu_seconds, &frames.cpu, Measure::CpuTime);
 
@@ -167,16 +168,16 @@ pub(crate) async fn update(
         if rest > 0.0 { cpu.remaining.at(confidence) / rest } else { 1.0 }
     };
     let state: JobState = word(&row, "state")?;
-    let bookings = bookings::open_of(write.connection(), job).await?;
+    let bookings = bookings::open_of(write.connection().await?, job).await?;
     let finish = if frames.all_done || state.is_final() {
         Some(now)
     } else {
-        let seeds = seeds::open_of(write.connection(), job).await?;
+        let seeds = seeds::open_of(write.connection().await?, job).await?;
         project(&stretched(&bookings, stretch), &seeds, now).finish_of(job)
     };
     let same_plan = kept.as_ref().filter(|kept| kept.plan == plan);
     let was_off = same_plan.map_or([false; 2], |kept| [kept.cost_is_off, kept.finish_is_off]);
-    let delay = delay_that_counts(write.connection(), plan, job, booked.finish).await?;
+    let delay = delay_that_counts(write.connection().await?, plan, job, booked.finish).await?;
     let expected = cpu.whole.at(confidence);
     let live = LiveForecast {
         at: now,
@@ -208,13 +209,14 @@ pub(crate) async fn update(
 }
 
 impl Kept {
-    fn is_due(&self, occasion: Occasion, total: u32, now: Timestamp) -> bool {
+    fn is_due(&self, occasion: Occasion, now: Timestamp) -> bool {
         let age = now.micros_since(self.updated_at);
         match occasion {
             Occasion::Booked => true,
             Occasion::Frame => {
                 let since = self.frames_since + 1;
                 let done = self.frames_done + since;
+                let total = self.frames_total;
                 let is_part = since >= (total / PARTS).max(1) && age >= BETWEEN_FRAMES;
                 done <= FIRST || done >= total || is_part
             }
@@ -229,7 +231,7 @@ pub(crate) async fn catch_up(write: &mut Write, now: Timestamp) -> Result<(), St
         "SELECT job_id FROM live_forecasts INDEXED BY live_forecasts_behind WHERE frames_since > 0 AND updated_at <= ? ORDER BY updated_at, job_id",
     )
     .bind(now.plus_micros(-BETWEEN_PIXELS).micros())
-    .fetch_all(write.connection())
+    .fetch_all(write.connection().await?)
     .await?;
     for job in behind {
         update(write, JobId(job), Occasion::Meanwhile, now).await?;
@@ -238,21 +240,20 @@ pub(crate) async fn catch_up(write: &mut Write, now: Timestamp) -> Result<(), St
 }
 
 /// A frame was finished that is left for the next estimate.
-async fn count_frame(write: &mut Write, job: JobId) -> Result<(), StoreError> {
-    sqlx::query("UPDATE live_forecasts SET frames_since = frames_since + 1 WHERE job_id = ?")
-        .bind(job.0)
-        .execute(write.connection())
-        .await?;
-    Ok(())
+fn count_frame(write: &mut Write, job: JobId) {
+    write.later("UPDATE live_forecasts SET frames_since = frames_since + 1 WHERE job_id = ?").bind(job.0);
 }
 
 async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Option<Kept>, StoreError> {
-    let row = sqlx::query("SELECT * FROM live_forecasts WHERE job_id = ?")
-        .bind(job.0)
-        .fetch_optional(connection)
-        .await?;
+    let row = sqlx::query(
+        "SELECT l.*, j.frames_total FROM live_forecasts l JOIN jobs j ON j.id = l.job_id WHERE l.job_id = ?",
+    )
+    .bind(job.0)
+    .fetch_optional(connection)
+    .await?;
     let Some(row) = row else { return Ok(None) };
     Ok(Some(Kept {
+        frames_total: whole(&row, "frames_total")?,
         plan: PlanId(id(&row, "plan_id")?),
         booked_cpu: row.try_get("booked_cpu")?,
         booked_rest: row.try_get("booked_rest")?,
@@ -464,8 +465,7 @@ async fn tell(
                 message: Some(message),
                 ..event(kind, live.at)
             },
-        )
-        .await?;
+        )?;
     }
     Ok(())
 }
@@ -494,11 +494,11 @@ async fn keep(
     .bind(live.finish_is_off)
     .bind(to_json(live)?)
     .bind(live.at.micros())
-    .execute(write.connection())
+    .execute(write.connection().await?)
     .await?;
     let points: i64 = sqlx::query_scalar("SELECT count(*) FROM forecast_history WHERE job_id = ?")
         .bind(job.0)
-        .fetch_one(write.connection())
+        .fetch_one(write.connection().await?)
         .await?;
     if points >= MOST_POINTS {
         sqlx::query(
@@ -506,7 +506,7 @@ async fn keep(
              (SELECT point, row_number() OVER (ORDER BY point) AS place FROM forecast_history WHERE job_id = ?1) WHERE place % 2 = 0)",
         )
         .bind(job.0)
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     }
     sqlx::query(
@@ -515,7 +515,7 @@ async fn keep(
     )
     .bind(job.0)
     .bind(to_json(&HistoryPoint::of(live))?)
-    .execute(write.connection())
+    .execute(write.connection().await?)
     .await?;
     Ok(())
 }

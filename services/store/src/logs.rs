@@ -19,7 +19,7 @@ impl Store {
             return Ok(());
         }
         let mut write = self.write().await?;
-        let row = read(write.connection(), lease).await?;
+        let row = read(write.connection().await?, lease).await?;
         if row.fence == fence && row.state == LeaseState::Active {
             keep(&mut write, &row, lines).await?;
             self.commit(write).await?;
@@ -69,7 +69,7 @@ pub(crate) async fn keep(write: &mut Write, row: &LeaseRow, lines: &[LogLine]) -
         .bind(line.at.micros())
         .bind(line.level.name())
         .bind(line.text)
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     }
     Ok(())
@@ -78,7 +78,7 @@ pub(crate) async fn keep(write: &mut Write, row: &LeaseRow, lines: &[LogLine]) -
 pub(crate) async fn forget_old_logs(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
     sqlx::query("DELETE FROM task_logs WHERE at < ?")
         .bind(now.plus_micros(-KEPT).micros())
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     Ok(())
 }

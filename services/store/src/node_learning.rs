@@ -30,7 +30,7 @@ pub(crate) async fn learn(
     )
     .bind(row.job_id.0)
     .bind(row.node_id.0)
-    .fetch_one(write.connection())
+    .fetch_one(write.connection().await?)
     .await?;
     let forecast: Option<JobForecast> = json_opt(&job, "forecast")?;
     let (Some(forecast), false) = (forecast, job.try_get("profiled_here")?) else { return Ok(()) };
@@ -45,7 +45,7 @@ pub(crate) async fn learn(
     .bind(row.node_id.0)
     .bind(row.job_id.0)
     .bind(log)
-    .fetch_one(write.connection())
+    .fetch_one(write.connection().await?)
     .await?;
     let before = if frames == 1 { 0 } else { (sum - log) / (frames - 1) };
     sqlx::query(
@@ -54,7 +54,7 @@ pub(crate) async fn learn(
     .bind(sum / frames - before)
     .bind(i64::from(frames == 1))
     .bind(row.node_id.0)
-    .execute(write.connection())
+    .execute(write.connection().await?)
     .await?;
     Ok(())
 }

@@ -46,7 +46,7 @@ impl Store {
             return Ok(Answered::Repeated(answer));
         }
         let node = upsert(&mut write, registration, now).await?;
-        record(&mut write, key, 201, &node, now).await?;
+        record(&mut write, key, 201, &node, now)?;
         self.commit(write).await?;
         Ok(Answered::Fresh(node))
     }
@@ -79,12 +79,12 @@ impl Store {
         .bind(change.schedule.is_some())
         .bind(change.schedule.as_ref().and_then(Option::as_ref).map(to_json).transpose()?)
         .bind(change.terms.as_ref().map(to_json).transpose()?)
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
         if change.cancel_task == Some(true) {
             take_tasks_away(&mut write, node, now).await?;
         }
-        let changed = read(write.connection(), node).await?;
+        let changed = read(write.connection().await?, node).await?;
         append(
             &mut write,
             Event {
@@ -92,8 +92,7 @@ impl Store {
                 message: Some(changed.name.clone()),
                 ..event(EventKind::NodeChanged, now)
             },
-        )
-        .await?;
+        )?;
         // Whoever waits on behalf of a node that may be given tasks again should look again.
         write.made_work |= [change.drain, change.pause, change.set_aside].contains(&Some(false))
             || change.schedule.is_some()
@@ -143,7 +142,7 @@ pub(crate) async fn upsert(
     registration: &NodeRegistration,
     now: Timestamp,
 ) -> Result<Node, StoreError> {
-    let before = by_name(write.connection(), &registration.name).await?;
+    let before = by_name(write.connection().await?, &registration.name).await?;
     let node_id: uuid::Uuid = sqlx::query_scalar(
         "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at, capabilities, schedule) \
          VALUES (?, ?, ?, ?, ?, ?6, ?6, ?7, ?8) ON CONFLICT (name) DO UPDATE SET speed = excluded.speed, \
@@ -158,9 +157,9 @@ pub(crate) async fn upsert(
     .bind(now.micros())
     .bind(to_json(&registration.capabilities)?)
     .bind(registration.schedule.as_ref().map(to_json).transpose()?)
-    .fetch_one(write.connection())
+    .fetch_one(write.connection().await?)
     .await?;
-    let node = read(write.connection(), NodeId(node_id)).await?;
+    let node = read(write.connection().await?, NodeId(node_id)).await?;
     match before {
         None => replans::want(write, &format!("node {} joined", node.name)).await?,
         Some(before) if !same_machine(&before, &node) || silence(&before, now) > LOST => {
@@ -175,8 +174,7 @@ pub(crate) async fn upsert(
             message: Some(node.name.clone()),
             ..event(EventKind::NodeRegistered, now)
         },
-    )
-    .await?;
+    )?;
     Ok(with_power(node, now))
 }
 
@@ -195,13 +193,13 @@ pub(crate) async fn take_tasks_away(
     let held: Vec<uuid::Uuid> =
         sqlx::query_scalar("SELECT id FROM leases WHERE node_id = ? AND state = 'active' ORDER BY id")
             .bind(node.0)
-            .fetch_all(write.connection())
+            .fetch_all(write.connection().await?)
             .await?;
     for lease in held {
-        let row = leases::read(write.connection(), LeaseId(lease)).await?;
-        leases::end(write, &row, "revoked", now).await?;
-        leases::back_to_ready(write, &row, None).await?;
-        append(write, row.event(EventKind::LeaseReleased, now)).await?;
+        let row = leases::read(write.connection().await?, LeaseId(lease)).await?;
+        leases::end(write, &row, "revoked", now);
+        leases::back_to_ready(write, &row, None);
+        append(write, row.event(EventKind::LeaseReleased, now))?;
     }
     Ok(())
 }
@@ -221,7 +219,7 @@ pub(crate) async fn stop_after_windows(write: &mut Write, now: Timestamp) -> Res
     let rows = sqlx::query(select_nodes!(
         "WHERE n.terms ->> 'window_end' = 'stop' AND EXISTS (SELECT 1 FROM leases l WHERE l.node_id = n.id AND l.state = 'active') ORDER BY n.id"
     ))
-    .fetch_all(write.connection())
+    .fetch_all(write.connection().await?)
     .await?;
     let mut stopped = 0;
     for row in &rows {

@@ -91,7 +91,7 @@ impl Store {
         let mut write = self.write().await?;
         let row = sqlx::query("SELECT * FROM jobs WHERE id = ?")
             .bind(job.0)
-            .fetch_optional(write.connection())
+            .fetch_optional(write.connection().await?)
             .await?;
         let row = row.ok_or(StoreError::NotFound("job"))?;
         let state: JobState = word(&row, "state")?;
@@ -106,17 +106,17 @@ impl Store {
             .bind(to_json(forecast)?)
             .bind(forecast.work_by_class.as_ref().map(to_json).transpose()?)
             .bind(job.0)
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
         let mut common = Common::of(job, &row)?;
         let mut profiles: BTreeMap<_, _> =
-            Self::profile_artifacts(write.connection(), job).await?.into_iter().collect();
+            Self::profile_artifacts(write.connection().await?, job).await?.into_iter().collect();
         if let Some(spp) = forecast.chosen_spp.filter(|&spp| spp != common.settings.spp) {
             common.settings.spp = spp;
             sqlx::query("UPDATE jobs SET settings = ? WHERE id = ?")
                 .bind(to_json(&common.settings)?)
                 .bind(job.0)
-                .execute(write.connection())
+                .execute(write.connection().await?)
                 .await?;
             // They belong to images of other samples.
             profiles.clear();
@@ -128,7 +128,7 @@ impl Store {
             let profile = profiles.get(&frame).copied().filter(|_| plan.seed.is_none());
             common.render(&mut write, frame, plan.seed.is_some(), None, profile).await?;
         }
-        append(&mut write, Event { job_id: Some(job), ..event(EventKind::ForecastReady, now) }).await?;
+        append(&mut write, Event { job_id: Some(job), ..event(EventKind::ForecastReady, now) })?;
         let plan_id = keep(&mut write, plan, Some(job), now).await?;
         if let Some(seed) = &plan.seed {
             seeds::keep_bookings(&mut write, plan_id.0, job, &seed.bookings).await?;
@@ -137,13 +137,13 @@ impl Store {
         let booked = sqlx::query("UPDATE jobs SET state = 'booked' WHERE id = ? AND plan_id = ?")
             .bind(job.0)
             .bind(plan_id.0)
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
         if booked.rows_affected() != 1 {
             return Err(StoreError::Conflict("the plan does not book the job".to_owned()));
         }
         live::update(&mut write, job, Occasion::Booked, now).await?;
-        job_state(&mut write, job, JobState::Booked, None, now).await?;
+        job_state(&mut write, job, JobState::Booked, None, now)?;
         self.commit(write).await?;
         Ok(plan_id)
     }
@@ -160,7 +160,7 @@ impl Store {
     /// Nothing has to be booked anew after what happened; only what is said of waiting and of promises changes.
     pub async fn keep_outlooks(&self, plan: &NewPlan, now: Timestamp) -> Result<(), StoreError> {
         let mut write = self.write().await?;
-        if newest(write.connection()).await? != plan.parent {
+        if newest(write.connection().await?).await? != plan.parent {
             return Err(StoreError::Conflict("another plan was kept in the meantime".to_owned()));
         }
         keep_outlooks(&mut write, &plan.outlooks, now).await?;
@@ -274,7 +274,7 @@ async fn keep(
     fresh: Option<JobId>,
     now: Timestamp,
 ) -> Result<PlanId, StoreError> {
-    if newest(write.connection()).await? != plan.parent {
+    if newest(write.connection().await?).await? != plan.parent {
         return Err(StoreError::Conflict("another plan was kept in the meantime".to_owned()));
     }
     let plan_id = PlanId::new();
@@ -288,12 +288,12 @@ async fn keep(
     .bind(to_json(&plan.wanted.causes)?)
     .bind(to_json(&verdicts)?)
     .bind(now.micros())
-    .execute(write.connection())
+    .execute(write.connection().await?)
     .await?;
     for job in &plan.jobs {
         let job_id = job.verdict.job_id;
         if fresh != Some(job_id) {
-            let state = jobs::state(write.connection(), job_id).await?;
+            let state = jobs::state(write.connection().await?, job_id).await?;
             if !matches!(state, JobState::Booked | JobState::Rendering) {
                 return Err(StoreError::Conflict(format!("job {job_id} is {state}, and needs no plan")));
             }
@@ -305,7 +305,7 @@ async fn keep(
         let told =
             Event { job_id: Some(job_id), plan_id: Some(plan_id), ..event(EventKind::PlanStored, now) };
         let message = (!plan.wanted.causes.is_empty()).then(|| plan.wanted.causes.join("; "));
-        append(write, Event { message, ..told }).await?;
+        append(write, Event { message, ..told })?;
     }
     keep_outlooks(write, &plan.outlooks, now).await?;
     replans::planned(write, &plan.wanted).await?;
@@ -320,7 +320,7 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
         "SELECT b.* FROM bookings b JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?",
     )
     .bind(job_id.0)
-    .fetch_all(write.connection())
+    .fetch_all(write.connection().await?)
     .await?;
     for row in &rows {
         let Booking { frame, node_id: node, start, end, .. } = decode_booking(row)?;
@@ -330,11 +330,11 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
         "SELECT frame FROM tasks WHERE job_id = ? AND kind = 'render' AND state NOT IN ('leased', 'done') AND frame IS NOT NULL",
     )
     .bind(job_id.0)
-    .fetch_all(write.connection())
+    .fetch_all(write.connection().await?)
     .await?;
     let planned: BTreeMap<u32, &NewBooking> =
         job.bookings.iter().map(|booking| (booking.frame, booking)).collect();
-    let slots = Rates::read(write.connection(), job_id).await?;
+    let slots = Rates::read(write.connection().await?, job_id).await?;
     let mut rates: BTreeMap<NodeId, Option<i64>> = BTreeMap::new();
     for frame in waits {
         let frame = u32::try_from(frame).map_err(|_| corrupt("frame", frame))?;
@@ -347,7 +347,7 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
             let rate = match rates.get(&node) {
                 Some(&rate) => rate,
                 None => {
-                    let rate = slots.on(&nodes::read(write.connection(), node).await?);
+                    let rate = slots.on(&nodes::read(write.connection().await?, node).await?);
                     rates.insert(node, rate);
                     rate
                 }
@@ -360,7 +360,7 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
             .bind(slot.and_then(|slot| slot.rate))
             .bind(job_id.0)
             .bind(i64::from(frame))
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
     }
     for booking in booked.values() {
@@ -372,7 +372,7 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
             .bind(booking.node.0)
             .bind(booking.start.micros())
             .bind(booking.end.micros())
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
     }
     // Parts of a cache that the frames share stay where they are booked.
@@ -382,14 +382,14 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
     )
     .bind(plan_id.0)
     .bind(job_id.0)
-    .execute(write.connection())
+    .execute(write.connection().await?)
     .await?;
     sqlx::query("UPDATE jobs SET plan_id = ?, verdict = ?, factor = ? WHERE id = ?")
         .bind(plan_id.0)
         .bind(to_json(&job.verdict)?)
         .bind(job.factor)
         .bind(job_id.0)
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     Ok(())
 }
@@ -403,7 +403,7 @@ async fn keep_outlooks(
     for (job, outlook) in outlooks {
         let row = sqlx::query("SELECT outlook FROM jobs WHERE id = ?")
             .bind(job.0)
-            .fetch_optional(write.connection())
+            .fetch_optional(write.connection().await?)
             .await?;
         let before: JobOutlook = json(&row.ok_or(StoreError::NotFound("job"))?, "outlook")?;
         if before == *outlook {
@@ -412,7 +412,7 @@ async fn keep_outlooks(
         sqlx::query("UPDATE jobs SET outlook = ? WHERE id = ?")
             .bind(to_json(outlook)?)
             .bind(job.0)
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
         let Some(promise) = &outlook.promise else { continue };
         let was_kept = before.promise.as_ref().is_none_or(|promise| promise.kept);
@@ -422,7 +422,7 @@ async fn keep_outlooks(
         let kind = if promise.kept { EventKind::JobPromiseSafe } else { EventKind::JobPromiseAtRisk };
         let message = Some(promise_in_words(promise));
         let promise = Some(promise.clone());
-        append(write, Event { job_id: Some(*job), promise, message, ..event(kind, now) }).await?;
+        append(write, Event { job_id: Some(*job), promise, message, ..event(kind, now) })?;
     }
     Ok(())
 }

@@ -38,7 +38,7 @@ impl Store {
         .bind(&request.project)
         .bind(i64::from(request.share))
         .bind(now.micros())
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
         let cause = format!("the share of project {} is {}", request.project, request.share);
         crate::replans::want(&mut write, &cause).await?;

@@ -62,7 +62,7 @@ async fn read(connection: &mut SqliteConnection) -> Result<Wanted, StoreError> {
 
 /// Says inside a write that the newest plan does not know of this. The same cause is said once.
 pub(crate) async fn want(write: &mut Write, cause: &str) -> Result<(), StoreError> {
-    let mut causes = read(write.connection()).await?.causes;
+    let mut causes = read(write.connection().await?).await?.causes;
     if !causes.iter().any(|known| known == cause) {
         match causes.len() {
             0..MOST_CAUSES => causes.push(cause.to_owned()),
@@ -72,7 +72,7 @@ pub(crate) async fn want(write: &mut Write, cause: &str) -> Result<(), StoreErro
     }
     sqlx::query("UPDATE replans SET wanted = wanted + 1, causes = ?")
         .bind(to_json(&causes)?)
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     write.wants_plan = true;
     Ok(())
@@ -80,7 +80,7 @@ pub(crate) async fn want(write: &mut Write, cause: &str) -> Result<(), StoreErro
 
 /// Says inside a write that everything up to this has been taken into account.
 pub(crate) async fn planned(write: &mut Write, wanted: &Wanted) -> Result<(), StoreError> {
-    let now = read(write.connection()).await?;
+    let now = read(write.connection().await?).await?;
     // What came in meanwhile is at the end of the list, or was said before.
     let rest: &[String] = if now.count == wanted.count {
         &[]
@@ -90,7 +90,7 @@ pub(crate) async fn planned(write: &mut Write, wanted: &Wanted) -> Result<(), St
     sqlx::query("UPDATE replans SET planned = max(planned, ?), causes = ?")
         .bind(wanted.count)
         .bind(to_json(&rest)?)
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     Ok(())
 }

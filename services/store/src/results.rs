@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    ArtifactHash, EventKind, JobId, JobState, LeaseId, NodeId, PreviewResult, ProfileResult, ProfileSpec,
-    RenderResult, TaskId, TaskKind, TaskResult, TaskSpec, Timestamp,
+    ArtifactHash, EventKind, JobId, JobState, LeaseId, Node, NodeId, PreviewResult, ProfileResult,
+    ProfileSpec, RenderResult, TaskId, TaskKind, TaskResult, TaskSpec, Timestamp,
 };
 use sqlx::Row as _;
 
@@ -54,7 +54,7 @@ impl Store {
         let body = to_json(result)?;
         let body_hash = *blake3::hash(body.as_bytes()).as_bytes();
         let mut write = self.write().await?;
-        let row = read(write.connection(), lease).await?;
+        let row = read(write.connection().await?, lease).await?;
         let committed = |duplicate, job_state| Committed {
             duplicate,
             job_id: row.job_id,
@@ -65,14 +65,14 @@ impl Store {
         if row.fence == fence && row.state == LeaseState::Committed {
             let earlier: Vec<u8> = sqlx::query_scalar("SELECT body_hash FROM results WHERE task_id = ?")
                 .bind(row.task_id.0)
-                .fetch_one(write.connection())
+                .fetch_one(write.connection().await?)
                 .await?;
             if earlier != body_hash {
                 return Err(StoreError::Conflict(
                     "another result of this lease was committed before".to_owned(),
                 ));
             }
-            return Ok(committed(true, jobs::state(write.connection(), row.job_id).await?));
+            return Ok(committed(true, jobs::state(write.connection().await?, row.job_id).await?));
         }
         if row.fence != fence || row.state != LeaseState::Active {
             return self.refuse(write, &row, now).await;
@@ -84,48 +84,34 @@ impl Store {
         for artifact in &artifacts {
             let there: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM artifacts WHERE hash = ?)")
                 .bind(&artifact.0[..])
-                .fetch_one(write.connection())
+                .fetch_one(write.connection().await?)
                 .await?;
             if !there {
                 return Err(StoreError::MissingArtifact(*artifact));
             }
         }
-        sqlx::query(
-            "INSERT INTO results (task_id, lease_id, body, body_hash, committed_at) VALUES (?, ?, ?, ?, ?)",
-        )
-        .bind(row.task_id.0)
-        .bind(lease.0)
-        .bind(&body)
-        .bind(&body_hash[..])
-        .bind(now.micros())
-        .execute(write.connection())
-        .await?;
-        for artifact in &artifacts {
-            sqlx::query("INSERT INTO result_artifacts (task_id, hash) VALUES (?, ?)")
-                .bind(row.task_id.0)
-                .bind(&artifact.0[..])
-                .execute(write.connection())
-                .await?;
-        }
-        end(&mut write, &row, "committed", now).await?;
-        touch(&mut write, row.node_id, now).await?;
-        sqlx::query("UPDATE tasks SET state = 'done', progress = 1, finished_at = ? WHERE id = ?")
-            .bind(now.micros())
+        let node = nodes::read(write.connection().await?, row.node_id).await?;
+        write
+            .later("INSERT INTO results (task_id, lease_id, body, body_hash, committed_at) VALUES (?, ?, ?, ?, ?)")
             .bind(row.task_id.0)
-            .execute(write.connection())
-            .await?;
-        append(&mut write, row.event(EventKind::TaskDone, now)).await?;
-        match result {
-            TaskResult::Preview(preview) => keep_preview(&mut write, &row, preview).await?,
-            TaskResult::Profile(profile) => {
-                show_preview(&mut write, row.job_id, profile.frame, profile.artifacts.preview_png).await?;
-            }
-            TaskResult::CachePlan(planned) => seeds::planned(&mut write, &row, planned).await?,
-            TaskResult::CacheFill(filled) => seeds::part_filled(&mut write, &row, filled, now).await?,
-            TaskResult::CacheMerge(merged) => seeds::merged(&mut write, &row, merged, now).await?,
-            TaskResult::Render(render) => keep_render(&mut write, &row, render, now).await?,
+            .bind(lease.0)
+            .bind(body)
+            .bind(body_hash.to_vec())
+            .bind(now.micros());
+        for artifact in &artifacts {
+            write
+                .later("INSERT INTO result_artifacts (task_id, hash) VALUES (?, ?)")
+                .bind(row.task_id.0)
+                .bind(artifact.0.to_vec());
         }
-        let state = jobs::state(write.connection(), row.job_id).await?;
+        end(&mut write, &row, "committed", now);
+        touch(&mut write, row.node_id, now);
+        write
+            .later("UPDATE tasks SET state = 'done', progress = 1, finished_at = ? WHERE id = ?")
+            .bind(now.micros())
+            .bind(row.task_id.0);
+        append(&mut write, row.event(EventKind::TaskDone, now))?;
+        let state = keep(&mut write, &row, &node, result, now).await?;
         self.commit(write).await?;
         Ok(committed(false, state))
     }
@@ -193,68 +179,84 @@ impl Store {
     }
 }
 
-async fn keep_preview(write: &mut Write, row: &LeaseRow, preview: &PreviewResult) -> Result<(), StoreError> {
-    for frame in &preview.frames {
-        show_preview(write, row.job_id, frame.frame, frame.preview_png).await?;
-    }
-    Ok(())
-}
-
-async fn show_preview(
+/// Keeps what there is in a result for others to read, and moves the job on. Says where it stands then.
+async fn keep(
     write: &mut Write,
-    job: JobId,
-    frame: u32,
-    image: Option<ArtifactHash>,
-) -> Result<(), StoreError> {
-    let Some(image) = image else { return Ok(()) };
-    sqlx::query("UPDATE frames SET preview_png = ? WHERE job_id = ? AND frame = ?")
-        .bind(&image.0[..])
-        .bind(job.0)
-        .bind(i64::from(frame))
-        .execute(write.connection())
-        .await?;
-    Ok(())
+    row: &LeaseRow,
+    node: &Node,
+    result: &TaskResult,
+    now: Timestamp,
+) -> Result<JobState, StoreError> {
+    match result {
+        TaskResult::Preview(preview) => {
+            for frame in &preview.frames {
+                show_preview(write, row.job_id, frame.frame, frame.preview_png);
+            }
+        }
+        TaskResult::Profile(profile) => {
+            show_preview(write, row.job_id, profile.frame, profile.artifacts.preview_png);
+        }
+        TaskResult::CachePlan(planned) => seeds::planned(write, row, planned).await?,
+        TaskResult::CacheFill(filled) => seeds::part_filled(write, row, filled, now).await?,
+        TaskResult::CacheMerge(merged) => seeds::merged(write, row, merged, now).await?,
+        TaskResult::Render(render) => {
+            let is_last = keep_render(write, row, node, render, now).await?;
+            return Ok(if is_last { JobState::Done } else { row.job_state });
+        }
+    }
+    jobs::state(write.connection().await?, row.job_id).await
 }
 
-/// Keeps what a frame took; the last frame finishes the job, and says how far its quote was off, in the same transaction.
+fn show_preview(write: &mut Write, job: JobId, frame: u32, image: Option<ArtifactHash>) {
+    let Some(image) = image else { return };
+    write
+        .later("UPDATE frames SET preview_png = ? WHERE job_id = ? AND frame = ?")
+        .bind(image.0.to_vec())
+        .bind(job.0)
+        .bind(i64::from(frame));
+}
+
+/// Keeps what a frame took; the last frame finishes the job, and says how far its quote was off, in the same transaction. Whether it is the last.
 async fn keep_render(
     write: &mut Write,
     row: &LeaseRow,
+    node: &Node,
     render: &RenderResult,
     now: Timestamp,
-) -> Result<(), StoreError> {
+) -> Result<bool, StoreError> {
     let stats = &render.stats;
-    let node = nodes::read(write.connection(), row.node_id).await?;
     let speed = node.corrected_speed(stats.work_by_class.as_ref()).unwrap_or(row.node_speed);
     // CPU seconds spent here, brought to a node of speed 1. What was taken over from the profile is counted at this
     // node's speed as well: the profile does not say per pixel where it was made.
     let cpu_at_speed_one = stats.cpu_seconds * speed;
-    node_learning::learn(write, row, &node, stats).await?;
-    sqlx::query(
-        "UPDATE frames SET actual = ?, actual_work = ?, actual_cpu = ?, artifacts = ?, finished_at = ?, \
-         preview_png = coalesce(?, preview_png) WHERE job_id = ? AND frame = ?",
-    )
-    .bind(to_json(stats)?)
-    .bind(stats.work as f64)
-    .bind(cpu_at_speed_one)
-    .bind(to_json(&render.artifacts)?)
-    .bind(now.micros())
-    .bind(render.artifacts.preview_png.map(|hash| hash.0.to_vec()))
-    .bind(row.job_id.0)
-    .bind(i64::from(stats.frame))
-    .execute(write.connection())
-    .await?;
+    node_learning::learn(write, row, node, stats).await?;
+    let (body, artifacts) = (to_json(stats)?, to_json(&render.artifacts)?);
+    write
+        .later(
+            "UPDATE frames SET actual = ?, actual_work = ?, actual_cpu = ?, artifacts = ?, finished_at = ?, \
+             preview_png = coalesce(?, preview_png) WHERE job_id = ? AND frame = ?",
+        )
+        .bind(body)
+        .bind(stats.work as f64)
+        .bind(cpu_at_speed_one)
+        .bind(artifacts)
+        .bind(now.micros())
+        .bind(render.artifacts.preview_png.map(|hash| hash.0.to_vec()))
+        .bind(row.job_id.0)
+        .bind(i64::from(stats.frame));
     let finished = sqlx::query(
         "UPDATE jobs SET state = 'done', finished_at = ?1 WHERE id = ?2 AND state = 'rendering' \
          AND NOT EXISTS (SELECT 1 FROM frames WHERE job_id = ?2 AND actual IS NULL)",
     )
     .bind(now.micros())
     .bind(row.job_id.0)
-    .execute(write.connection())
+    .execute(write.connection().await?)
     .await?;
-    if finished.rows_affected() == 1 {
+    let is_last = finished.rows_affected() == 1;
+    if is_last {
         calibration::learn(write, row.job_id, now).await?;
-        job_state(write, row.job_id, JobState::Done, None, now).await?;
+        job_state(write, row.job_id, JobState::Done, None, now)?;
     }
-    live::update(write, row.job_id, Occasion::Frame, now).await
+    live::update(write, row.job_id, Occasion::Frame, now).await?;
+    Ok(is_last)
 }

@@ -183,7 +183,7 @@ pub(crate) async fn keep_bookings(
         .bind(booking.node.0)
         .bind(booking.start.micros())
         .bind(booking.end.micros())
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     }
     Ok(())
@@ -191,11 +191,11 @@ pub(crate) async fn keep_bookings(
 
 /// Makes the tasks of the first round.
 pub(crate) async fn begin(write: &mut Write, common: &Common, seed: &NewSeed) -> Result<(), StoreError> {
-    let rates = Rates::read(write.connection(), common.job).await?;
+    let rates = Rates::read(write.connection().await?, common.job).await?;
     for part in 0..seed.parts {
         let booked = match seed.bookings.iter().find(|booking| booking.part == part) {
             Some(&NewSeedBooking { node, start, .. }) => {
-                let rate = rates.on(&nodes::read(write.connection(), node).await?);
+                let rate = rates.on(&nodes::read(write.connection().await?, node).await?);
                 Some(Slot { node, start, rate })
             }
             None => None,
@@ -229,7 +229,7 @@ async fn make_ready(
     .bind(place)
     .bind(job.0)
     .bind(kind)
-    .execute(write.connection())
+    .execute(write.connection().await?)
     .await?;
     write.made_work = true;
     Ok(())
@@ -242,7 +242,7 @@ pub(crate) async fn part_filled(
     filled: &CacheFillResult,
     now: Timestamp,
 ) -> Result<(), StoreError> {
-    let TaskSpec::CacheFill(spec) = spec(write.connection(), row.task_id).await? else {
+    let TaskSpec::CacheFill(spec) = spec(write.connection().await?, row.task_id).await? else {
         return Err(corrupt("spec", "not that of a cache_fill task"));
     };
     if spec.parts == 1 {
@@ -254,7 +254,7 @@ pub(crate) async fn part_filled(
     )
     .bind(row.job_id.0)
     .bind(i64::from(spec.round))
-    .fetch_all(write.connection())
+    .fetch_all(write.connection().await?)
     .await?;
     let mut parts = Vec::with_capacity(rows.len());
     for row in &rows {
@@ -266,7 +266,7 @@ pub(crate) async fn part_filled(
             }
         }
     }
-    let common = Common::read(write.connection(), row.job_id).await?;
+    let common = Common::read(write.connection().await?, row.job_id).await?;
     common.cache_merge(write, spec.round, parts).await
 }
 
@@ -277,7 +277,7 @@ pub(crate) async fn merged(
     merged: &CacheMergeResult,
     now: Timestamp,
 ) -> Result<(), StoreError> {
-    let TaskSpec::CacheMerge(spec) = spec(write.connection(), row.task_id).await? else {
+    let TaskSpec::CacheMerge(spec) = spec(write.connection().await?, row.task_id).await? else {
         return Err(corrupt("spec", "not that of a cache_merge task"));
     };
     let parts = u32::try_from(spec.parts.len()).unwrap_or(u32::MAX);
@@ -300,13 +300,13 @@ async fn go_on(
         let error = format!("the irradiance cache is not full after {CACHE_ROUNDS} rounds of filling it");
         return fail_for_good(write, row, &error, now).await;
     }
-    let common = Common::read(write.connection(), row.job_id).await?;
+    let common = Common::read(write.connection().await?, row.job_id).await?;
     let before = sqlx::query(
         "SELECT part, booked_node, booked_at, booked_rate FROM tasks WHERE job_id = ? AND kind = 'cache_fill' AND round = ? ORDER BY part",
     )
     .bind(row.job_id.0)
     .bind(i64::from(round))
-    .fetch_all(write.connection())
+    .fetch_all(write.connection().await?)
     .await?;
     for row in &before {
         // Each round is done where the one before was.

@@ -160,7 +160,7 @@ impl Store {
         .bind(new.reservation.as_ref().map(|(name, _)| name))
         .bind(new.reservation.as_ref().map(|(_, until)| until.micros()))
         .bind(now.micros())
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
         for (task, position) in new.tasks.iter().zip(0_i64..) {
             let written = sqlx::query(
@@ -170,7 +170,7 @@ impl Store {
             .bind(array)
             .bind(position)
             .bind(task.0)
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
             if written.rows_affected() != 1 {
                 return Err(StoreError::Conflict(format!("task {task} is in somebody's hands already")));
@@ -191,19 +191,19 @@ impl Store {
         sqlx::query("UPDATE slurm_arrays SET slurm_id = ? WHERE id = ?")
             .bind(i64::from(slurm_id))
             .bind(array)
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
         let elements = sqlx::query(
             "SELECT e.position, t.id, t.job_id, t.kind, t.frame FROM slurm_elements e JOIN tasks t ON t.id = e.task_id \
              WHERE e.array_id = ? ORDER BY e.position",
         )
         .bind(array)
-        .fetch_all(write.connection())
+        .fetch_all(write.connection().await?)
         .await?;
         for row in &elements {
             let position: u32 = whole(row, "position")?;
             let message = Some(format!("Slurm job {slurm_id}_{position}"));
-            append(&mut write, Event { message, ..of_task(row, EventKind::TaskSubmitted, now)? }).await?;
+            append(&mut write, Event { message, ..of_task(row, EventKind::TaskSubmitted, now)? })?;
         }
         self.commit(write).await
     }
@@ -213,9 +213,12 @@ impl Store {
         let mut write = self.write().await?;
         sqlx::query("DELETE FROM slurm_elements WHERE array_id = ?")
             .bind(array)
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
-        sqlx::query("DELETE FROM slurm_arrays WHERE id = ?").bind(array).execute(write.connection()).await?;
+        sqlx::query("DELETE FROM slurm_arrays WHERE id = ?")
+            .bind(array)
+            .execute(write.connection().await?)
+            .await?;
         self.commit(write).await
     }
 
@@ -224,7 +227,7 @@ impl Store {
         let mut write = self.write().await?;
         sqlx::query("UPDATE slurm_arrays SET reservation = NULL, reserved_to = NULL WHERE id = ?")
             .bind(array)
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
         self.commit(write).await
     }
@@ -298,7 +301,7 @@ impl Store {
         .bind(now.micros())
         .bind(array)
         .bind(i64::from(position))
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
         if ended.rows_affected() == 1 {
             let row = sqlx::query(
@@ -307,15 +310,14 @@ impl Store {
             )
             .bind(array)
             .bind(i64::from(position))
-            .fetch_one(write.connection())
+            .fetch_one(write.connection().await?)
             .await?;
             if row.try_get::<&str, _>("state")? == "ready" {
                 let number: Option<u32> = whole_opt(&row, "slurm_id")?;
                 let number =
                     number.map_or("never submitted".to_owned(), |slurm| format!("job {slurm}_{position}"));
                 let message = Some(format!("Slurm ended it: {outcome} ({number})"));
-                append(&mut write, Event { message, ..of_task(&row, EventKind::SubmissionLost, now)? })
-                    .await?;
+                append(&mut write, Event { message, ..of_task(&row, EventKind::SubmissionLost, now)? })?;
             }
         }
         self.commit(write).await
@@ -333,7 +335,7 @@ impl Store {
             .bind(reason)
             .bind(now.micros())
             .bind(task.0)
-            .fetch_optional(write.connection())
+            .fetch_optional(write.connection().await?)
             .await?;
         if let Some(row) = row {
             let kind: TaskKind = word(&row, "kind")?;
@@ -358,7 +360,7 @@ impl Store {
             let touched = sqlx::query("UPDATE nodes SET last_seen_at = max(last_seen_at, ?) WHERE name = ?")
                 .bind(now.micros())
                 .bind(&node.name)
-                .execute(write.connection())
+                .execute(write.connection().await?)
                 .await?;
             if touched.rows_affected() == 1 {
                 continue;
@@ -372,14 +374,13 @@ impl Store {
             .bind(price_per_hour)
             .bind(i64::from(node.cores))
             .bind(now.micros())
-            .execute(write.connection())
+            .execute(write.connection().await?)
             .await?;
             let message = Some(node.name.clone());
             append(
                 &mut write,
                 Event { node_id: Some(new), message, ..event(EventKind::NodeRegistered, now) },
-            )
-            .await?;
+            )?;
         }
         self.commit(write).await
     }
@@ -404,8 +405,10 @@ impl Store {
     /// Tells everyone how the engine behind the farm is.
     pub async fn tell_of_engine(&self, message: &str, now: Timestamp) -> Result<(), StoreError> {
         let mut write = self.write().await?;
-        append(&mut write, Event { message: Some(message.to_owned()), ..event(EventKind::EngineState, now) })
-            .await?;
+        append(
+            &mut write,
+            Event { message: Some(message.to_owned()), ..event(EventKind::EngineState, now) },
+        )?;
         self.commit(write).await
     }
 }

@@ -178,7 +178,7 @@ impl Common {
         .bind(booked.map(|slot| slot.start.micros()))
         .bind(booked.and_then(|slot| slot.rate))
         .bind(to_json(&self.limits)?)
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
         write.made_work |= state == READY;
         Ok(())
@@ -194,12 +194,12 @@ pub(crate) async fn withdraw(write: &mut Write, job: JobId, now: Timestamp) -> R
     )
     .bind(now.micros())
     .bind(job.0)
-    .execute(write.connection())
+    .execute(write.connection().await?)
     .await?;
     sqlx::query("UPDATE tasks SET state = 'cancelled', finished_at = ? WHERE job_id = ? AND state IN ('waiting', 'ready', 'leased')")
         .bind(now.micros())
         .bind(job.0)
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     Ok(())
 }

@@ -29,6 +29,7 @@ mod orders;
 mod plans;
 mod records;
 mod seeds;
+mod writing;
 
 const TTL: Duration = Duration::from_secs(30);
 const SECOND: i64 = 1_000_000;

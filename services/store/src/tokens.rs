@@ -38,7 +38,7 @@ pub async fn create(store: &Store, role: Role, name: &str, now: Timestamp) -> Re
         .bind(name)
         .bind(role.name())
         .bind(now.micros())
-        .execute(write.connection())
+        .execute(write.connection().await?)
         .await?;
     store.commit(write).await?;
     Ok(token)

@@ -4,6 +4,10 @@
 //! *batch*: each runs inside a savepoint of its own, one after the other, and then the batch is committed for all. Nobody
 //! is answered before that: what was acknowledged is on disk.
 //!
+//! Most of what a write says needs no answer: that a lease is over, what happened. A question and its answer take longer to find their way between this
+//! thread and that of the connection than SQLite takes for them. So such statements are kept ([`Write::later`]), and go with the next one
+//! that is asked something, or with the end of the write, all at once and in their order.
+//!
 //! Who commits? Whoever has written goes to the end of the queue again; when its turn comes, all who stood in the queue before have
 //! written too, and it commits for all of them, unless someone did already. A write that meets nobody commits at once.
 //!
@@ -18,9 +22,10 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use sqlx::error::BoxDynError;
 use sqlx::pool::PoolConnection;
-use sqlx::sqlite::{SqliteConnection, SqlitePool};
-use sqlx::{Executor as _, Sqlite};
+use sqlx::sqlite::{SqliteArguments, SqliteConnection, SqlitePool};
+use sqlx::{Arguments as _, AssertSqlSafe, Encode, Executor as _, Sqlite, Type};
 use tokio::sync::{Mutex, OwnedMappedMutexGuard, OwnedMutexGuard, watch};
 
 use crate::StoreError;
@@ -94,14 +99,65 @@ pub(crate) struct Write {
     batch: OwnedMappedMutexGuard<Desk, Batch>,
     writer: Writer,
     committed: bool,
+    kept: Kept,
     pub(crate) wrote_events: bool,
     pub(crate) made_work: bool,
     pub(crate) wants_plan: bool,
 }
 
 impl Write {
-    pub(crate) fn connection(&mut self) -> &mut SqliteConnection {
-        &mut self.batch.connection
+    /// Where to ask something. What was left for later is done first.
+    pub(crate) async fn connection(&mut self) -> Result<&mut SqliteConnection, StoreError> {
+        self.kept.send(&mut self.batch.connection).await?;
+        Ok(&mut self.batch.connection)
+    }
+
+    /// Leaves a statement for later: it is done before anything else is asked, and before the write ends. Its parameters are plain `?`.
+    pub(crate) fn later(&mut self, statement: &'static str) -> Later<'_> {
+        self.kept.push(statement);
+        Later(&mut self.kept)
+    }
+}
+
+/// Statements that are kept, and what is bound to them.
+#[derive(Default)]
+struct Kept {
+    statements: String,
+    arguments: SqliteArguments,
+    /// Why one of them could not be bound.
+    failed: Option<BoxDynError>,
+}
+
+impl Kept {
+    fn push(&mut self, statement: &str) {
+        if !self.statements.is_empty() {
+            self.statements.push_str("; ");
+        }
+        self.statements.push_str(statement);
+    }
+
+    async fn send(&mut self, connection: &mut SqliteConnection) -> Result<(), StoreError> {
+        let Kept { statements, arguments, failed } = std::mem::take(self);
+        if let Some(error) = failed {
+            return Err(sqlx::Error::Encode(error).into());
+        }
+        if !statements.is_empty() {
+            // Put together of texts of this crate.
+            sqlx::query_with(AssertSqlSafe(statements), arguments).execute(connection).await?;
+        }
+        Ok(())
+    }
+}
+
+/// Binds what a statement that is left for later needs.
+pub(crate) struct Later<'a>(&'a mut Kept);
+
+impl Later<'_> {
+    pub(crate) fn bind<'t, T: Encode<'t, Sqlite> + Type<Sqlite> + 't>(self, value: T) -> Self {
+        if let Err(error) = self.0.arguments.add(value) {
+            self.0.failed.get_or_insert(error);
+        }
+        self
     }
 }
 
@@ -166,6 +222,7 @@ impl Writer {
             batch,
             writer: self,
             committed: false,
+            kept: Kept::default(),
             wrote_events: false,
             made_work: false,
             wants_plan: false,
@@ -181,7 +238,8 @@ impl Writer {
     }
 
     async fn end(self, mut write: Write) -> Result<(), StoreError> {
-        write.batch.connection.execute("RELEASE one").await?;
+        write.kept.push("RELEASE one");
+        write.kept.send(&mut write.batch.connection).await?;
         let (events, work, plans) = (write.wrote_events, write.made_work, write.wants_plan);
         let batch = &mut write.batch;
         batch.abandoned = false;

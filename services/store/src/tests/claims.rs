@@ -55,7 +55,7 @@ async fn the_database_itself_refuses_a_second_active_lease_on_a_task() {
     .bind(forelight_protocol::LeaseId::new().0)
     .bind(lease.task_id.0)
     .bind(node.id.0)
-    .execute(write.connection())
+    .execute(write.connection().await.unwrap())
     .await
     .unwrap_err();
     assert!(error.to_string().contains("UNIQUE"), "{error}");
@@ -183,10 +183,11 @@ pub(super) async fn steps_of(farm: &Farm, query: &str) -> Vec<String> {
 #[tokio::test]
 async fn a_claim_finds_its_task_by_index_alone_however_many_there_are() {
     let farm = Farm::new().await;
-    for query in [crate::claims::NEXT_QUOTE, crate::claims::NEXT_BOOKED, crate::claims::NEXT_ANY] {
+    for (query, looks) in [(crate::claims::NEXT, 3), (crate::claims::NEXT_BOOKED, 1)] {
         let steps = steps_of(&farm, query).await;
         // The other steps look at a task's failures, by index too, if it has any.
-        assert!(steps[0].contains("USING INDEX tasks_ready"), "{query}: {steps:?}");
+        let by_index = steps.iter().filter(|step| step.contains("USING INDEX tasks_ready")).count();
+        assert_eq!(by_index, looks, "{query}: {steps:?}");
         let slow = |step: &String| step.starts_with("SCAN f") || step.contains("TEMP B-TREE");
         assert!(!steps.iter().any(slow), "{query}: {steps:?}");
     }

@@ -62,7 +62,7 @@ async fn a_task_that_is_asked_for_by_its_id_waits_after_a_failure_and_is_refused
     let by_id = async |seconds| farm.store.claim_task(node.id, lease.task_id, TTL, None, at(seconds)).await;
     assert!(by_id(0).await.unwrap().is_none(), "at once");
     let mut write = farm.store.write().await.unwrap();
-    sqlx::query("UPDATE tasks SET held = 1").execute(write.connection()).await.unwrap();
+    sqlx::query("UPDATE tasks SET held = 1").execute(write.connection().await.unwrap()).await.unwrap();
     farm.store.commit(write).await.unwrap();
     let refused = by_id(2).await;
     assert!(
@@ -70,7 +70,7 @@ async fn a_task_that_is_asked_for_by_its_id_waits_after_a_failure_and_is_refused
         "{refused:?}"
     );
     let mut write = farm.store.write().await.unwrap();
-    sqlx::query("UPDATE tasks SET held = 0").execute(write.connection()).await.unwrap();
+    sqlx::query("UPDATE tasks SET held = 0").execute(write.connection().await.unwrap()).await.unwrap();
     farm.store.commit(write).await.unwrap();
     // Whoever started a process for it on the node that it failed on knows why.
     assert!(by_id(2).await.unwrap().is_some());

@@ -202,13 +202,13 @@ async fn a_new_plan_is_held_against_what_was_expected_when_it_was_made() {
     let plan = forelight_protocol::PlanId::new();
     sqlx::query("INSERT INTO plans (id, reason, verdicts, created_at) VALUES (?, 'job_forecast', '[]', 0)")
         .bind(plan.0)
-        .execute(write.connection())
+        .execute(write.connection().await.unwrap())
         .await
         .unwrap();
     sqlx::query("UPDATE jobs SET plan_id = ? WHERE id = ?")
         .bind(plan.0)
         .bind(job.0)
-        .execute(write.connection())
+        .execute(write.connection().await.unwrap())
         .await
         .unwrap();
     farm.store.commit(write).await.unwrap();

@@ -24,8 +24,10 @@ async fn a_plan_names_its_parent_and_never_changes() {
         "DELETE FROM plans",
     ] {
         let mut write = farm.store.write().await.unwrap();
-        let error =
-            sqlx::query(sqlx::AssertSqlSafe(statement)).execute(write.connection()).await.unwrap_err();
+        let error = sqlx::query(sqlx::AssertSqlSafe(statement))
+            .execute(write.connection().await.unwrap())
+            .await
+            .unwrap_err();
         assert!(error.to_string().contains("never changes"), "{statement}: {error}");
     }
 }
