@@ -1,6 +1,6 @@
 //! Plans and bookings.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_protocol::{
     Booking, BookingId, Event, EventKind, FrameForecast, FrameSet, JobId, JobState, JobVerdict, NodeId, Plan,
@@ -45,6 +45,8 @@ pub struct NewJobPlan {
     pub verdict: JobVerdict,
     /// Where its frames are booked that wait for a worker. All others keep the bookings that they have.
     pub bookings: Vec<NewBooking>,
+    /// Its frames that were done or with a worker when the plan was made. Should one have come back since then, it has its place still.
+    pub begun: BTreeSet<u32>,
     /// What the plan multiplies its forecast by.
     pub factor: f64,
 }
@@ -340,6 +342,7 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
         let frame = u32::try_from(frame).map_err(|_| corrupt("frame", frame))?;
         match planned.get(&frame) {
             Some(&booking) => booked.insert(frame, booking.clone()),
+            None if job.begun.contains(&frame) => continue,
             None => booked.remove(&frame),
         };
         let mut slot = None;

@@ -1,5 +1,6 @@
 //! A farm in a temporary folder, with a clock that stands still unless told.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use forelight_protocol::{
@@ -213,7 +214,12 @@ impl Farm {
             reason: PlanReason::JobForecast,
             seed: None,
             wanted: self.store.wanted_plan().await.unwrap(),
-            jobs: vec![NewJobPlan { verdict: verdict(job.id), bookings, factor: 1.0 }],
+            jobs: vec![NewJobPlan {
+                verdict: verdict(job.id),
+                bookings,
+                begun: BTreeSet::new(),
+                factor: 1.0,
+            }],
             outlooks: Vec::new(),
         }
     }

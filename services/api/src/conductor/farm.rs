@@ -1,7 +1,7 @@
 //! The farm as the planner wants it: nodes with their prices, calendars and speeds, what is under way, what is booked, and the jobs with
 //! what is left of them. Nodes, jobs and projects are numbers there, ours by their place in a list.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_planner::{self as planner, FixedBooking, Interval};
 use forelight_protocol::{
@@ -88,8 +88,8 @@ pub(crate) struct Asked {
     /// What its frames cost that are done or with a worker, micro-units.
     pub spent: i64,
     pub held: bool,
-    /// Some of its frames are done or with a worker.
-    pub has_begun: bool,
+    /// Its frames that are done or with a worker.
+    pub begun: BTreeSet<u32>,
 }
 
 impl Asked {
@@ -202,7 +202,7 @@ fn of_job(farm_job: &FarmJob, projected: &[Projected], factor: f64) -> Asked {
         under_way: under_way.map(|frame| frame.end.micros()).max(),
         spent,
         held: farm_job.held,
-        has_begun: begun.count() > 0,
+        begun: begun.map(|frame| frame.number).collect(),
     }
 }
 

@@ -95,7 +95,7 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
         let bookings = bookings.ok_or_else(|| {
             AdvanceError::Hopeless("the plan books a node or a frame that there is not".to_owned())
         })?;
-        jobs.push(NewJobPlan { verdict: said, bookings, factor: asked.factor });
+        jobs.push(NewJobPlan { verdict: said, bookings, begun: asked.begun.clone(), factor: asked.factor });
     }
     Ok(Settled { plan, jobs, outlooks })
 }
@@ -383,7 +383,7 @@ fn waits(farm: &Farm, plan: &planner::Plan) -> Result<BTreeMap<usize, Waits>, Ad
         .map(|explanation| (explanation.job, explanation.reason))
         .collect();
     for (job, asked) in farm.jobs.iter().enumerate() {
-        if asked.has_begun {
+        if !asked.begun.is_empty() {
             continue;
         }
         let first = plan.bookings_of(job as u64).map(|booking| booking.start).min();

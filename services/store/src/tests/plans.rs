@@ -229,6 +229,40 @@ async fn what_calls_for_a_plan_is_remembered_until_a_plan_knows_it() {
 }
 
 #[tokio::test]
+async fn a_frame_that_comes_back_while_a_plan_is_made_has_its_place_still() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let job = farm.booked_job(request("0-1"), node.id, at(10)).await;
+    let lease = farm.claim(node.id, at(10)).await.unwrap();
+    let plan = NewPlan {
+        parent: farm.store.newest_plan().await.unwrap(),
+        reason: PlanReason::Events,
+        wanted: farm.store.wanted_plan().await.unwrap(),
+        jobs: vec![NewJobPlan {
+            verdict: verdict(job),
+            bookings: vec![NewBooking { frame: 1, node: node.id, start: at(50), end: at(60) }],
+            begun: BTreeSet::from([0]),
+            factor: 1.0,
+        }],
+        outlooks: Vec::new(),
+        seed: None,
+    };
+    farm.store.release(lease.lease_id, lease.fence, at(11)).await.unwrap();
+    farm.store.replan(&plan, at(12)).await.unwrap();
+    let open = farm.store.open_bookings().await.unwrap();
+    let booked: Vec<_> = open.iter().map(|open| (open.booking.frame, open.booking.start)).collect();
+    assert_eq!(booked, [(0, at(10)), (1, at(50))]);
+    let place: (Option<uuid::Uuid>, Option<i64>) = sqlx::query_as(
+        "SELECT booked_node, booked_at FROM tasks WHERE job_id = ? AND kind = 'render' AND frame = 0",
+    )
+    .bind(job.0)
+    .fetch_one(farm.store.readers())
+    .await
+    .unwrap();
+    assert_eq!(place, (Some(node.id.0), Some(at(10).micros())));
+}
+
+#[tokio::test]
 async fn a_new_plan_books_what_waits_anew_and_leaves_what_is_done_as_it_was() {
     let farm = Farm::new().await;
     let (a, b) = (farm.node("a").await, farm.node("b").await);
@@ -245,6 +279,7 @@ async fn a_new_plan_books_what_waits_anew_and_leaves_what_is_done_as_it_was() {
         jobs: vec![NewJobPlan {
             verdict: verdict(job),
             bookings: vec![move_to_b(0), move_to_b(1)],
+            begun: BTreeSet::from([0]),
             factor: 1.5,
         }],
         outlooks: Vec::new(),

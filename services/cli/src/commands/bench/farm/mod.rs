@@ -14,6 +14,7 @@ use forelight_protocol::{
 };
 use forelight_protocol::{Confidence, ForecastTotals, SpentOnForecast};
 use forelight_store::{Answered, JobForecast, NewBooking, NewJob, NewJobPlan, NewPlan, Store};
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -152,7 +153,7 @@ pub async fn fill(store: &Store, frames: u32, workers: u32) -> Result<Vec<Node>>
             reason: PlanReason::JobForecast,
             seed: None,
             wanted: store.wanted_plan().await?,
-            jobs: vec![NewJobPlan { verdict, bookings, factor: 1.0 }],
+            jobs: vec![NewJobPlan { verdict, bookings, begun: BTreeSet::new(), factor: 1.0 }],
             outlooks: Vec::new(),
         };
         store.book(job.id, &forecast(), &frame_forecasts(&job), None, &plan, now).await?;
