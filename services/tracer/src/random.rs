@@ -107,7 +107,7 @@ impl Sampler {
         let index = reversed_scramble(index.reverse_bits(), hash(key) as u32).reverse_bits();
         // First dimension: van der Corput, the bit reversal itself; second: Sobol' with primitive polynomial x + 1.
         let x = reversed_scramble(index, key as u32).reverse_bits();
-        let y = reversed_scramble(sobol_second(index).reverse_bits(), (key >> 32) as u32).reverse_bits();
+        let y = reversed_scramble(sobol_second_reversed(index), (key >> 32) as u32).reverse_bits();
         Vec2::new(unit(x), unit(y))
     }
 }
@@ -117,19 +117,17 @@ fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 * (1.0 / (1 << 24) as f32)
 }
 
-/// Second dimension of the Sobol' sequence: the columns of its matrix are the rows of Pascal's triangle modulo 2.
-fn sobol_second(index: u32) -> u32 {
-    let mut result = 0;
-    let mut column = 1u32 << 31;
-    let mut rest = index;
-    while rest != 0 {
-        if rest & 1 == 1 {
-            result ^= column;
-        }
-        column ^= column >> 1;
-        rest >>= 1;
+/// Second dimension of the Sobol' sequence, with its bits reversed. The columns of its matrix are the rows of Pascal's triangle modulo 2, and a binomial
+/// coefficient "k over j" is odd if every bit of j is one of k (Lucas 1878). So bit j is the sum of all bits k of the index whose number has the bits of j: a
+/// sum over supersets, which takes a step for each of the five bits of a bit's number.
+fn sobol_second_reversed(index: u32) -> u32 {
+    /// Bits whose number has not the bit 1, 2, 4, 8, 16.
+    const WITHOUT: [u32; 5] = [0x5555_5555, 0x3333_3333, 0x0f0f_0f0f, 0x00ff_00ff, 0x0000_ffff];
+    let mut sum = index;
+    for (bit, without) in WITHOUT.into_iter().enumerate() {
+        sum ^= sum >> (1 << bit) & without;
     }
-    result
+    sum
 }
 
 /// Nested uniform scrambling of a number given by its reversed bits: each bit is flipped by a hash of the bits
@@ -163,6 +161,20 @@ mod tests {
                     assert!(cells.iter().all(|&c| c == 1), "pixel {pixel}, 2^{log} points in {w} × {h}");
                 }
             }
+        }
+    }
+
+    #[test]
+    fn the_second_dimension_is_pascals_triangle_row_by_row() {
+        for index in (0..100_000u64).map(|number| hash(number) as u32 >> (number % 32)) {
+            let (mut point, mut column) = (0, 1u32 << 31);
+            for bit in 0..32 {
+                if index >> bit & 1 == 1 {
+                    point ^= column;
+                }
+                column ^= column >> 1;
+            }
+            assert_eq!(sobol_second_reversed(index), point.reverse_bits(), "{index:#x}");
         }
     }
 

@@ -18,7 +18,26 @@ pub struct Octree {
 struct Cell {
     /// The cell of each octant, 0 for none: the root is nobody's child.
     children: [u32; 8],
-    members: Vec<u32>,
+    members: Vec<Member>,
+}
+
+/// A sphere in a cell, beside its neighbours there: most of those that are looked at do not hold the point, and that is found out here.
+#[derive(Debug, Clone, Copy)]
+pub struct Member {
+    /// What it was entered under.
+    pub index: u32,
+    center: Vec3,
+    radius: f32,
+}
+
+impl Member {
+    /// Whether the sphere may hold a point; if not, it does not, however one rounds.
+    pub fn may_hold(&self, point: Vec3) -> bool {
+        /// More than a few roundings.
+        const WIDER: f32 = 1.0 + 1e-5;
+        let radius = self.radius * WIDER;
+        self.center.distance_squared(point) <= radius * radius
+    }
 }
 
 impl Octree {
@@ -37,12 +56,13 @@ impl Octree {
             edge *= 0.5;
             depth += 1;
         }
-        self.descend(0, self.low, self.edge, depth, (center - radius, center + radius), index);
+        let member = Member { index, center, radius };
+        self.descend(0, self.low, self.edge, depth, (center - radius, center + radius), member);
     }
 
-    fn descend(&mut self, cell: u32, low: Vec3, edge: f32, depth: u32, bounds: (Vec3, Vec3), index: u32) {
+    fn descend(&mut self, cell: u32, low: Vec3, edge: f32, depth: u32, bounds: (Vec3, Vec3), member: Member) {
         if depth == 0 {
-            self.cells[cell as usize].members.push(index);
+            self.cells[cell as usize].members.push(member);
             return;
         }
         let half = edge * 0.5;
@@ -62,12 +82,12 @@ impl Octree {
                 self.cells[cell as usize].children[octant as usize] = child;
             }
             let offset = Vec3::from(upper.map(|upper| if upper { half } else { 0.0 }));
-            self.descend(child, low + offset, half, depth - 1, bounds, index);
+            self.descend(child, low + offset, half, depth - 1, bounds, member);
         }
     }
 
-    /// Indices of the spheres that may contain a point, in an order that depends on the insertions alone.
-    pub fn near(&self, point: Vec3) -> impl Iterator<Item = u32> + '_ {
+    /// The spheres in the cells of a point: all that may contain it, in an order that depends on the insertions alone.
+    pub fn near(&self, point: Vec3) -> impl Iterator<Item = &Member> {
         let mut cell = self.cells.first();
         let mut middle = self.low + self.edge * 0.5;
         let mut quarter = self.edge * 0.25;
@@ -80,7 +100,7 @@ impl Octree {
             cell = if child == 0 { None } else { self.cells.get(child as usize) };
             Some(here)
         })
-        .flat_map(|cell| cell.members.iter().copied())
+        .flat_map(|cell| &cell.members)
     }
 
     /// Indices of the spheres whose cells a box touches, ascending, each once.
@@ -96,7 +116,7 @@ impl Octree {
 
     fn collect(&self, cell: u32, low: Vec3, edge: f32, bounds: (Vec3, Vec3), found: &mut Vec<u32>) {
         let cell = &self.cells[cell as usize];
-        found.extend(&cell.members);
+        found.extend(cell.members.iter().map(|member| member.index));
         let half = edge * 0.5;
         for (octant, &child) in cell.children.iter().enumerate().filter(|(_, child)| **child != 0) {
             let offset = Vec3::from([1, 2, 4].map(|bit| if octant & bit != 0 { half } else { 0.0 }));
@@ -126,7 +146,8 @@ mod tests {
         let mut contained = 0;
         for i in 1000..3000 {
             let p = point(i);
-            let near: Vec<u32> = octree.near(p).collect();
+            let near: Vec<u32> =
+                octree.near(p).filter(|member| member.may_hold(p)).map(|member| member.index).collect();
             let touching = octree.touching(p, p);
             for (index, (center, radius)) in spheres.iter().enumerate() {
                 if center.distance(p) < *radius {

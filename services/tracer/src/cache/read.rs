@@ -15,8 +15,12 @@ impl Cache {
         let allowed = here.accuracy * READ_RELAXED;
         let smoothed = here.smoothed.get();
         let (mut sum, mut weights, mut looked_at) = (Vec3::ZERO, 0.0f32, 0);
-        for index in here.octree.near(place.position) {
+        for member in here.octree.near(place.position) {
             looked_at += 1;
+            if !member.may_hold(place.position) {
+                continue;
+            }
+            let index = member.index;
             let planned = &here.planned[index as usize];
             let Some(error) = planned.error(place, allowed) else { continue };
             let gathered = || here.records[index as usize].get().map(Value::of);

@@ -62,7 +62,7 @@ impl Cache {
 impl Level {
     /// Whether a place may be read from a record that was not kept.
     fn near_dropped(&self, place: Vec3, kept: &[bool]) -> bool {
-        self.octree.near(place).any(|index| !kept[index as usize])
+        self.octree.near(place).any(|member| !kept[member.index as usize])
     }
 
     /// The level with some of its records.

@@ -58,6 +58,7 @@ impl Level {
     pub(super) fn covers(&self, place: &Site) -> bool {
         self.octree
             .near(place.position)
-            .any(|index| self.planned[index as usize].error(place, self.accuracy).is_some())
+            .filter(|member| member.may_hold(place.position))
+            .any(|member| self.planned[member.index as usize].error(place, self.accuracy).is_some())
     }
 }
