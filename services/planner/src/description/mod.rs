@@ -1,13 +1,20 @@
 //! A farm and its jobs as people write them: names instead of numbers, hours instead of work, weekly windows instead of instants. The
 //! crate's README documents the fields, and `farm.example.json` shows most of them.
 
-use std::collections::BTreeMap;
+mod entries;
+mod error;
+mod values;
 
-use jiff::civil::{Time, Weekday};
-use jiff::{SignedDuration, Span, SpanRelativeTo, Timestamp};
-use serde::Deserialize;
+use std::collections::{BTreeMap, BTreeSet};
 
-use crate::civil::{CalendarError, Weekly, expand};
+use jiff::Timestamp;
+use jiff::civil::Weekday;
+
+pub use self::entries::Description;
+use self::entries::{Day, Frames, JobEntry, NodeEntry, ProjectEntry, RangeEntry, WindowEntry};
+pub use self::error::DescriptionError;
+use self::values::{duration, known, money, names, scaled};
+use crate::civil::{Weekly, expand};
 use crate::model::{
     Confidence, FixedBooking, Frame, Input, Interval, Job, Limit, LimitUse, Node, Power, Project, Seed,
     Usage, WorkTotal,
@@ -15,237 +22,9 @@ use crate::model::{
 
 /// Work of a second at speed one.
 const WORK_PER_SECOND: f64 = 1e9;
-const MICRO: f64 = 1e6;
 const GIB: f64 = (1u64 << 30) as f64;
 /// Calendars are expanded this far beyond the last deadline and release.
 const BEYOND: i64 = 28 * 86_400_000_000;
-
-/// A farm description.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Description {
-    now: Timestamp,
-    /// Time zone of windows that name none.
-    #[serde(default = "utc")]
-    zone: String,
-    half_life: Option<String>,
-    #[serde(default)]
-    limits: Vec<LimitEntry>,
-    #[serde(default)]
-    projects: Vec<ProjectEntry>,
-    nodes: Vec<NodeEntry>,
-    #[serde(default)]
-    jobs: Vec<JobEntry>,
-    #[serde(default)]
-    fixed: Vec<FixedEntry>,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct LimitEntry {
-    name: String,
-    count: u64,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ProjectEntry {
-    name: String,
-    #[serde(default = "one")]
-    share: u32,
-    #[serde(default)]
-    used: Vec<UsedEntry>,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct UsedEntry {
-    at: Timestamp,
-    hours: f64,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct NodeEntry {
-    name: String,
-    #[serde(default = "one")]
-    count: u32,
-    #[serde(default = "unit")]
-    speed: f64,
-    #[serde(default)]
-    speeds: BTreeMap<String, f64>,
-    #[serde(default)]
-    cores: u32,
-    #[serde(default)]
-    memory_gib: f64,
-    #[serde(default)]
-    gpu_memory_gib: f64,
-    #[serde(default)]
-    price_per_hour: f64,
-    billing_step: Option<String>,
-    minimum_booking: Option<String>,
-    setup: Option<String>,
-    #[serde(default)]
-    setup_cost: f64,
-    #[serde(default)]
-    on: bool,
-    available_from: Option<Timestamp>,
-    calendar: Option<Vec<WindowEntry>>,
-    #[serde(default)]
-    maintenance: Vec<RangeEntry>,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct WindowEntry {
-    #[serde(default)]
-    days: Vec<Day>,
-    from: Time,
-    until: Time,
-    zone: Option<String>,
-}
-
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(rename_all = "lowercase")]
-enum Day {
-    Mon,
-    Tue,
-    Wed,
-    Thu,
-    Fri,
-    Sat,
-    Sun,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RangeEntry {
-    start: Timestamp,
-    end: Option<Timestamp>,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FixedEntry {
-    node: String,
-    start: Timestamp,
-    end: Timestamp,
-    #[serde(default)]
-    limits: BTreeMap<String, u64>,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct JobEntry {
-    name: String,
-    project: Option<String>,
-    class: Option<String>,
-    release: Option<Timestamp>,
-    deadline: Option<Timestamp>,
-    #[serde(default)]
-    priority: i32,
-    #[serde(default = "one")]
-    weight: u32,
-    #[serde(default = "eighty")]
-    confidence: u8,
-    frames: Frames,
-    /// Median hours of a frame at speed one, where `frames` is a count.
-    hours: Option<f64>,
-    /// P80 over P50 of one frame's work.
-    #[serde(default = "unit")]
-    frame_spread: f64,
-    /// P80 over P50 of the whole job's work.
-    #[serde(default = "unit")]
-    spread: f64,
-    seed_hours: Option<f64>,
-    seed_class: Option<String>,
-    /// Into how many equal parts the seed is split.
-    #[serde(default = "one")]
-    seed_parts: u32,
-    #[serde(default)]
-    memory_gib: f64,
-    #[serde(default)]
-    gpu_memory_gib: f64,
-    #[serde(default)]
-    cores: u32,
-    #[serde(default)]
-    limits: BTreeMap<String, u64>,
-    #[serde(default = "one")]
-    tiles: u32,
-    #[serde(default)]
-    tile_overhead_hours: f64,
-    budget: Option<f64>,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(untagged)]
-enum Frames {
-    Count(u32),
-    List(Vec<FrameEntry>),
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FrameEntry {
-    number: i64,
-    hours: f64,
-}
-
-fn utc() -> String {
-    "UTC".to_owned()
-}
-
-fn one() -> u32 {
-    1
-}
-
-fn unit() -> f64 {
-    1.0
-}
-
-fn eighty() -> u8 {
-    80
-}
-
-/// What is wrong with a description.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum DescriptionError {
-    /// A name that is used is not defined.
-    #[error("{at}: there is no {what} named {name:?}")]
-    Unknown {
-        /// Where it is used.
-        at: String,
-        /// Node, limit or project.
-        what: &'static str,
-        /// The name.
-        name: String,
-    },
-    /// Two things have the same name.
-    #[error("{what} {name:?} is given twice")]
-    Twice {
-        /// Node, job, limit or project.
-        what: &'static str,
-        /// The name.
-        name: String,
-    },
-    /// A value that cannot be.
-    #[error("{at}: {reason}")]
-    Value {
-        /// Where it stands.
-        at: String,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// A calendar that cannot be expanded.
-    #[error("{at}: {error}")]
-    Calendar {
-        /// Where it stands.
-        at: String,
-        /// What is wrong with it.
-        error: CalendarError,
-    },
-}
 
 impl Description {
     /// The planner's input. Identities are places in the lists.
@@ -312,7 +91,7 @@ impl Description {
     fn classes(&self) -> BTreeMap<String, u32> {
         let of_nodes = self.nodes.iter().flat_map(|node| node.speeds.keys());
         let of_jobs = self.jobs.iter().flat_map(|job| [&job.class, &job.seed_class]).flatten();
-        let all: std::collections::BTreeSet<&String> = of_nodes.chain(of_jobs).collect();
+        let all: BTreeSet<&String> = of_nodes.chain(of_jobs).collect();
         all.into_iter().cloned().zip(1..).collect()
     }
 
@@ -474,61 +253,4 @@ fn uses(
     held.iter()
         .map(|(name, &count)| Ok(LimitUse { limit: known(limits, "limit", name, at)?, count }))
         .collect()
-}
-
-/// Places by name.
-fn names<'n>(
-    what: &'static str,
-    all: impl Iterator<Item = &'n String>,
-) -> Result<BTreeMap<String, u64>, DescriptionError> {
-    let mut places = BTreeMap::new();
-    for (name, place) in all.zip(0..) {
-        if places.insert(name.clone(), place).is_some() {
-            return Err(DescriptionError::Twice { what, name: name.clone() });
-        }
-    }
-    Ok(places)
-}
-
-fn known(
-    places: &BTreeMap<String, u64>,
-    what: &'static str,
-    name: &str,
-    at: &str,
-) -> Result<u64, DescriptionError> {
-    let unknown = || DescriptionError::Unknown { at: at.to_owned(), what, name: name.to_owned() };
-    places.get(name).copied().ok_or_else(unknown)
-}
-
-/// A length of time such as `90m`, `1h30m` or `7d`; a day is 24 hours.
-fn duration(text: &str, at: &str) -> Result<i64, DescriptionError> {
-    let wrong = || DescriptionError::Value {
-        at: at.to_owned(),
-        reason: format!("{text:?} is no length of time such as 90m, 1h30m or 7d"),
-    };
-    let span: Span = text.parse().map_err(|_| wrong())?;
-    let length: SignedDuration =
-        span.to_duration(SpanRelativeTo::days_are_24_hours()).map_err(|_| wrong())?;
-    let micros = i64::try_from(length.as_micros()).map_err(|_| wrong())?;
-    if micros < 0 { Err(wrong()) } else { Ok(micros) }
-}
-
-/// A value that is not negative, in smaller units.
-fn scaled(value: f64, units: f64, at: &str, field: &str) -> Result<u64, DescriptionError> {
-    let product = (value * units).round();
-    if product.is_finite() && (0.0..1.8e19).contains(&product) {
-        return Ok(product as u64);
-    }
-    Err(DescriptionError::Value {
-        at: format!("{at}, {field}"),
-        reason: format!("{value} is negative or too large"),
-    })
-}
-
-fn money(value: f64, at: &str, field: &str) -> Result<i64, DescriptionError> {
-    let amount = scaled(value, MICRO, at, field)?;
-    i64::try_from(amount).map_err(|_| DescriptionError::Value {
-        at: format!("{at}, {field}"),
-        reason: format!("{value} is too large"),
-    })
 }

@@ -1,0 +1,194 @@
+//! What stands in a description, and what holds where nothing stands.
+
+use std::collections::BTreeMap;
+
+use jiff::Timestamp;
+use jiff::civil::Time;
+use serde::Deserialize;
+
+/// A farm description.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Description {
+    pub(super) now: Timestamp,
+    /// Time zone of windows that name none.
+    #[serde(default = "utc")]
+    pub(super) zone: String,
+    pub(super) half_life: Option<String>,
+    #[serde(default)]
+    pub(super) limits: Vec<LimitEntry>,
+    #[serde(default)]
+    pub(super) projects: Vec<ProjectEntry>,
+    pub(super) nodes: Vec<NodeEntry>,
+    #[serde(default)]
+    pub(super) jobs: Vec<JobEntry>,
+    #[serde(default)]
+    pub(super) fixed: Vec<FixedEntry>,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LimitEntry {
+    pub(super) name: String,
+    pub(super) count: u64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ProjectEntry {
+    pub(super) name: String,
+    #[serde(default = "one")]
+    pub(super) share: u32,
+    #[serde(default)]
+    pub(super) used: Vec<UsedEntry>,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct UsedEntry {
+    pub(super) at: Timestamp,
+    pub(super) hours: f64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct NodeEntry {
+    pub(super) name: String,
+    #[serde(default = "one")]
+    pub(super) count: u32,
+    #[serde(default = "unit")]
+    pub(super) speed: f64,
+    #[serde(default)]
+    pub(super) speeds: BTreeMap<String, f64>,
+    #[serde(default)]
+    pub(super) cores: u32,
+    #[serde(default)]
+    pub(super) memory_gib: f64,
+    #[serde(default)]
+    pub(super) gpu_memory_gib: f64,
+    #[serde(default)]
+    pub(super) price_per_hour: f64,
+    pub(super) billing_step: Option<String>,
+    pub(super) minimum_booking: Option<String>,
+    pub(super) setup: Option<String>,
+    #[serde(default)]
+    pub(super) setup_cost: f64,
+    #[serde(default)]
+    pub(super) on: bool,
+    pub(super) available_from: Option<Timestamp>,
+    pub(super) calendar: Option<Vec<WindowEntry>>,
+    #[serde(default)]
+    pub(super) maintenance: Vec<RangeEntry>,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct WindowEntry {
+    #[serde(default)]
+    pub(super) days: Vec<Day>,
+    pub(super) from: Time,
+    pub(super) until: Time,
+    pub(super) zone: Option<String>,
+}
+
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Day {
+    Mon,
+    Tue,
+    Wed,
+    Thu,
+    Fri,
+    Sat,
+    Sun,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RangeEntry {
+    pub(super) start: Timestamp,
+    pub(super) end: Option<Timestamp>,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FixedEntry {
+    pub(super) node: String,
+    pub(super) start: Timestamp,
+    pub(super) end: Timestamp,
+    #[serde(default)]
+    pub(super) limits: BTreeMap<String, u64>,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct JobEntry {
+    pub(super) name: String,
+    pub(super) project: Option<String>,
+    pub(super) class: Option<String>,
+    pub(super) release: Option<Timestamp>,
+    pub(super) deadline: Option<Timestamp>,
+    #[serde(default)]
+    pub(super) priority: i32,
+    #[serde(default = "one")]
+    pub(super) weight: u32,
+    #[serde(default = "eighty")]
+    pub(super) confidence: u8,
+    pub(super) frames: Frames,
+    /// Median hours of a frame at speed one, where `frames` is a count.
+    pub(super) hours: Option<f64>,
+    /// P80 over P50 of one frame's work.
+    #[serde(default = "unit")]
+    pub(super) frame_spread: f64,
+    /// P80 over P50 of the whole job's work.
+    #[serde(default = "unit")]
+    pub(super) spread: f64,
+    pub(super) seed_hours: Option<f64>,
+    pub(super) seed_class: Option<String>,
+    /// Into how many equal parts the seed is split.
+    #[serde(default = "one")]
+    pub(super) seed_parts: u32,
+    #[serde(default)]
+    pub(super) memory_gib: f64,
+    #[serde(default)]
+    pub(super) gpu_memory_gib: f64,
+    #[serde(default)]
+    pub(super) cores: u32,
+    #[serde(default)]
+    pub(super) limits: BTreeMap<String, u64>,
+    #[serde(default = "one")]
+    pub(super) tiles: u32,
+    #[serde(default)]
+    pub(super) tile_overhead_hours: f64,
+    pub(super) budget: Option<f64>,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(untagged)]
+pub(super) enum Frames {
+    Count(u32),
+    List(Vec<FrameEntry>),
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FrameEntry {
+    pub(super) number: i64,
+    pub(super) hours: f64,
+}
+
+fn utc() -> String {
+    "UTC".to_owned()
+}
+
+fn one() -> u32 {
+    1
+}
+
+fn unit() -> f64 {
+    1.0
+}
+
+fn eighty() -> u8 {
+    80
+}

@@ -1,0 +1,154 @@
+//! What is booked for one job, and what the plan says of it.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::Violation;
+use crate::model::{Booking, Bound, Input, Job, JobPlan, Node, Seed, Task, Verdict};
+
+/// Every task once and rightly booked, and what the plan says of the job is true. Returns the end of the last
+/// task, or none if one has no place.
+pub(super) fn check_job(
+    nodes: &BTreeMap<u64, &Node>,
+    input: &Input,
+    job: &Job,
+    entry: &JobPlan,
+    bookings: &[Booking],
+    cost: i128,
+    found: &mut Vec<Violation>,
+) -> Option<i64> {
+    let works: BTreeMap<i64, u64> = job.open_work().collect();
+    let (unplaced, seed_unplaced) = match &entry.verdict {
+        Verdict::Unplaced { frames, seed } => (&frames[..], *seed),
+        _ => (&[][..], false),
+    };
+    let seed_end = bookings.iter().filter(|booking| booking.task.is_seed()).map(|booking| booking.end).max();
+    let release = job.release.max(input.now);
+    let mut tasks: BTreeSet<Task> = BTreeSet::new();
+    for &booking in bookings {
+        let work = match booking.task {
+            task @ (Task::Seed | Task::SeedPart { .. }) => {
+                job.seed.zip(job.seed_work(task)).map(|(seed, work)| (seed.class, work))
+            }
+            Task::Frame(frame) => works.get(&frame).map(|&work| (job.class, work)),
+            Task::Tile { frame, parts, .. } => {
+                works.get(&frame).map(|&work| (job.class, job.tile_work(work, parts)))
+            }
+        };
+        let Some((class, work)) = work else {
+            found.push(Violation::Unknown(booking));
+            continue;
+        };
+        if !tasks.insert(booking.task) {
+            found.push(Violation::Twice { job: job.id, task: booking.task });
+        }
+        if let Task::Tile { part, parts, .. } = booking.task
+            && (part >= parts || parts > job.tiles || parts < 2)
+        {
+            found.push(Violation::Split(booking));
+        }
+        if booking.start < release {
+            found.push(Violation::Release(booking));
+        }
+        let is_frame = !booking.task.is_seed();
+        if is_frame && job.seed.is_some() && seed_end.is_none_or(|end| booking.start < end) {
+            found.push(Violation::Precedence(booking));
+        }
+        if let Some(node) = nodes.get(&booking.node) {
+            if !node.fits(job) || node.speed_of(class) == 0 {
+                found.push(Violation::Unfit(booking));
+            }
+            let end = node.duration(work, class).and_then(|duration| booking.start.checked_add(duration));
+            if end != Some(booking.end) {
+                found.push(Violation::Duration(booking));
+            }
+        }
+    }
+    check_complete(job, &tasks, unplaced, seed_unplaced, &works, bookings, found);
+
+    let finish = bookings.iter().map(|booking| booking.end).max().unwrap_or(release);
+    if !is_true(job, entry, finish) {
+        found.push(Violation::Verdict { job: job.id });
+    }
+    let cost = i64::try_from(cost).unwrap_or(i64::MAX);
+    if entry.cost != cost || entry.within_budget != job.budget.map(|budget| cost <= budget) {
+        found.push(Violation::Cost { job: job.id, stated: entry.cost, found: cost });
+    }
+    let is_placed = unplaced.is_empty() && !seed_unplaced;
+    if is_placed && beats(finish, entry.bound) {
+        found.push(Violation::Bound { job: Some(job.id) });
+    }
+    is_placed.then_some(finish)
+}
+
+/// Every frame is booked whole, or in all its tiles, or called unplaced; and so is the seed.
+fn check_complete(
+    job: &Job,
+    tasks: &BTreeSet<Task>,
+    unplaced: &[i64],
+    seed_unplaced: bool,
+    works: &BTreeMap<i64, u64>,
+    bookings: &[Booking],
+    found: &mut Vec<Violation>,
+) {
+    let mut by_frame: BTreeMap<i64, Vec<Task>> = BTreeMap::new();
+    for &task in tasks {
+        if let Some(frame) = task.frame() {
+            by_frame.entry(frame).or_default().push(task);
+        }
+    }
+    let mut called = BTreeSet::new();
+    for &frame in unplaced {
+        if !works.contains_key(&frame) {
+            found.push(Violation::UnknownUnplaced { job: job.id, task: Task::Frame(frame) });
+        } else if !called.insert(frame) || by_frame.contains_key(&frame) {
+            found.push(Violation::Twice { job: job.id, task: Task::Frame(frame) });
+        }
+    }
+    for &frame in works.keys().filter(|frame| !called.contains(frame)) {
+        let has = by_frame.get(&frame).map_or(&[][..], |tasks| &tasks[..]);
+        match has {
+            [] => found.push(Violation::Missing { job: job.id, task: Task::Frame(frame) }),
+            [Task::Frame(_)] => {}
+            [Task::Tile { parts, .. }, ..] => {
+                let parts = *parts;
+                let all = |part| tasks.contains(&Task::Tile { frame, part, parts });
+                if has.len() != parts as usize || !(0..parts).all(all) {
+                    let booking = bookings.iter().find(|booking| booking.task.frame() == Some(frame));
+                    found.extend(booking.map(|&booking| Violation::Split(booking)));
+                }
+            }
+            [task, ..] => found.push(Violation::Twice { job: job.id, task: *task }),
+        }
+    }
+    let mut parts = job.seed.into_iter().flat_map(Seed::tasks);
+    let missing = parts.find(|part| !tasks.contains(part));
+    match (job.seed.is_some(), missing, seed_unplaced) {
+        (true, Some(task), false) => found.push(Violation::Missing { job: job.id, task }),
+        (true, None, true) => found.push(Violation::Twice { job: job.id, task: Task::Seed }),
+        (false, _, true) => found.push(Violation::UnknownUnplaced { job: job.id, task: Task::Seed }),
+        _ => {}
+    }
+}
+
+/// Whether the verdict is what the deadline and the last end make it.
+fn is_true(job: &Job, entry: &JobPlan, end: i64) -> bool {
+    match (&entry.verdict, job.deadline) {
+        (Verdict::Unplaced { frames, seed }, _) => !frames.is_empty() || *seed,
+        (Verdict::NoDeadline { finish }, None) => *finish == end,
+        (Verdict::Feasible { finish, slack }, Some(deadline)) => {
+            *finish == end && end <= deadline && *slack == deadline.saturating_sub(end)
+        }
+        (Verdict::Late { finish, by, unavoidable }, Some(deadline)) => {
+            let possible = entry.bound.earliest_finish().is_some_and(|earliest| earliest <= deadline);
+            *finish == end
+                && end > deadline
+                && *by == end.saturating_sub(deadline)
+                && *unavoidable != possible
+        }
+        _ => false,
+    }
+}
+
+pub(super) fn beats(end: i64, bound: Bound) -> bool {
+    bound.earliest_finish().is_none_or(|earliest| end < earliest)
+}
