@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
+use forelight_protocol::Money;
+
 use crate::answers::Offer;
 use crate::model::{Input, Plan};
 
@@ -97,8 +99,8 @@ pub fn price_curve(offers: &[Offer]) -> String {
         let anchor = if offer.deadline == first.deadline { "start" } else { "end" };
         let _ = writeln!(
             svg,
-            "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\">{:.2}</text>",
-            offer.cost as f64 / 1e6
+            "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\">{}</text>",
+            Money(offer.cost)
         );
     }
     svg + "</svg>\n"
