@@ -4,7 +4,7 @@ use jiff::civil::{Time, Weekday};
 use jiff::tz::TimeZone;
 use jiff::{Timestamp, ToSpan};
 
-use crate::calendar::FreeTime;
+use crate::intervals::Intervals;
 use crate::model::Interval;
 
 /// A window that comes back every week.
@@ -77,8 +77,7 @@ pub fn expand(windows: &[Weekly], from: i64, until: i64) -> Result<Vec<Interval>
             day = next;
         }
     }
-    let free = FreeTime::union(open);
-    Ok(free.gaps().iter().map(|&(start, end)| Interval { start, end: Some(end) }).collect())
+    Ok(Intervals::union(open).iter().map(|(start, end)| Interval { start, end: Some(end) }).collect())
 }
 
 #[cfg(test)]

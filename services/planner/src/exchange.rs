@@ -9,8 +9,8 @@ use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
 use crate::lane::{Prefer, Unwanted, Wanted};
-use crate::model::{Task, price_of};
-use crate::problem::Work;
+use crate::model::{Node, Task, price_of};
+use crate::problem::{Problem, Work};
 use crate::state::{Placed, Search, State};
 
 /// Searches for another place, at most: that is what exchanges take their time for.
@@ -20,17 +20,23 @@ const MOST_PLACES: usize = 4;
 /// How many frames a chain may push out.
 const LONGEST_CHAIN: usize = 1;
 
-/// Lets frames of jobs with a deadline change places where that saves money, those first that could save most.
-pub(crate) fn exchange(state: &mut State) {
+/// How often frames, by job and number, found no other frame to change places with.
+pub(crate) type InVain = BTreeMap<(usize, Option<i64>), u32>;
+
+/// Lets frames of jobs with a deadline change places where that saves money, those first that could save most. Whatever was tried in vain
+/// counts half: otherwise the same few hundred frames, which lie dearly because nothing can be done about it, would use up all trials of every
+/// round.
+pub(crate) fn exchange(state: &mut State, in_vain: &mut InVain) {
     let mut board = Board::new(state);
-    board.learn(state);
-    for (_, piece) in dear(state, &board) {
+    for piece in dear(state, &board, in_vain) {
         if board.trials == 0 {
             return;
         }
         // What was moved meanwhile lies elsewhere now.
-        if board.at(piece.placed.node, piece.placed.start) == Some(piece) {
-            improve(state, &mut board, piece);
+        if board.at(piece.placed.node, piece.placed.start) == Some(piece)
+            && !improve(state, &mut board, piece)
+        {
+            *in_vain.entry(piece.name()).or_default() += 1;
         }
     }
 }
@@ -43,10 +49,19 @@ struct Piece {
     placed: Placed,
 }
 
-/// What may be moved, by node and start.
+/// A frame in its place.
+#[derive(Clone, Copy, Debug)]
+struct Standing {
+    piece: Piece,
+    /// What its place costs, less what another would; none if there is no other.
+    gain: Option<i128>,
+}
+
+/// What may be moved.
 struct Board {
-    by_node: Vec<BTreeMap<i64, Piece>>,
-    /// By job: what so much of its work would cost in the best place that is free; none if there is none.
+    /// By node and start.
+    by_node: Vec<BTreeMap<i64, Standing>>,
+    /// See [`elsewhere`].
     elsewhere: Vec<Option<(i64, u64)>>,
     trials: usize,
 }
@@ -56,7 +71,7 @@ impl Board {
         let problem = state.problem;
         let mut board = Board {
             by_node: vec![BTreeMap::new(); problem.nodes.len()],
-            elsewhere: vec![None; problem.jobs.len()],
+            elsewhere: elsewhere(state),
             trials: MOST_TRIALS,
         };
         for (job, work) in problem.jobs.iter().enumerate() {
@@ -69,35 +84,55 @@ impl Board {
                 if let Task::Frame(number) = placed.task
                     && let Some(&work) = works.get(&number)
                 {
-                    board.put(Piece { job, work, placed });
+                    board.put(problem, Piece { job, work, placed });
                 }
             }
         }
         board
     }
 
-    fn put(&mut self, piece: Piece) {
-        self.by_node[piece.placed.node].insert(piece.placed.start, piece);
+    fn put(&mut self, problem: &Problem, piece: Piece) {
+        let gain = self.gain(problem.nodes[piece.placed.node], &piece);
+        self.by_node[piece.placed.node].insert(piece.placed.start, Standing { piece, gain });
     }
 
     fn take(&mut self, piece: Piece) {
         self.by_node[piece.placed.node].remove(&piece.placed.start);
     }
 
-    fn at(&self, node: usize, start: i64) -> Option<Piece> {
-        self.by_node[node].get(&start).copied()
+    fn gain(&self, node: &Node, piece: &Piece) -> Option<i128> {
+        let (cost, work) = self.elsewhere[piece.job]?;
+        let Placed { start, end, .. } = piece.placed;
+        let is = i128::from(price_of(node.price_per_hour, end.saturating_sub(start)));
+        // What planners ask fits into 64 bits, whose division is several times as fast.
+        let elsewhere = match u64::try_from(cost).ok().and_then(|cost| cost.checked_mul(piece.work)) {
+            Some(product) => i128::from(product / work),
+            None => i128::from(cost).saturating_mul(i128::from(piece.work)) / i128::from(work),
+        };
+        Some(is - elsewhere)
     }
 
-    /// Looks for each job where a frame of middling length would go now.
-    fn learn(&mut self, state: &State) {
-        for (job, work) in state.problem.jobs.iter().enumerate() {
-            let Some(frame) = work.frames.get(work.frames.len() / 2) else { continue };
-            let plain = plain_below(state, job, frame.work, i64::MAX);
-            let found = search(state, job, frame.number, frame.work, &plain)
-                .and_then(|search| state.find(work, &search));
-            self.elsewhere[job] = found.map(|(_, fit)| (fit.added_cost, frame.work.max(1)));
-        }
+    /// What lies on a node between these instants, if only in part; the last first.
+    fn between(&self, node: usize, from: i64, until: i64) -> impl Iterator<Item = &Standing> {
+        let before = self.by_node[node].range(..until).rev().map(|(_, standing)| standing);
+        before.take_while(move |standing| standing.piece.placed.end > from)
     }
+
+    fn at(&self, node: usize, start: i64) -> Option<Piece> {
+        self.by_node[node].get(&start).map(|standing| standing.piece)
+    }
+}
+
+/// By job, what so much of its work would cost in the best place that is free now, going by a frame of middling length; none if there is none.
+fn elsewhere(state: &State) -> Vec<Option<(i64, u64)>> {
+    let of_job = |(job, work): (usize, &Work)| {
+        let frame = work.frames.get(work.frames.len() / 2)?;
+        let plain = plain_below(state, job, frame.work, i64::MAX);
+        let search = search(state, job, frame.number, frame.work, &plain)?;
+        let (_, fit) = state.find(work, &search)?;
+        Some((fit.added_cost, frame.work.max(1)))
+    };
+    state.problem.jobs.iter().enumerate().map(of_job).collect()
 }
 
 /// The classes of plainly billed nodes that could render so much of a job's work for less than this.
@@ -124,15 +159,22 @@ fn search<'s>(state: &State, job: usize, number: i64, work: u64, classes: &'s [u
         prefer: Prefer::Cheap,
         below: i64::MAX,
         except: None,
+        freed_since: 0,
         for_others: false,
     })
 }
 
+impl Piece {
+    fn name(&self) -> (usize, Option<i64>) {
+        (self.job, self.placed.task.frame())
+    }
+}
+
 /// The frames that could save something, those that could save most first.
-fn dear(state: &State, board: &Board) -> Vec<(Reverse<i64>, Piece)> {
+fn dear(state: &State, board: &Board, in_vain: &InVain) -> Vec<Piece> {
     let problem = state.problem;
     let mut found = Vec::new();
-    for &piece in board.by_node.iter().flat_map(BTreeMap::values) {
+    for &Standing { piece, .. } in board.by_node.iter().flat_map(BTreeMap::values) {
         let work = &problem.jobs[piece.job];
         let price = |&class: &usize| {
             let node = problem.representative(class);
@@ -141,24 +183,29 @@ fn dear(state: &State, board: &Board) -> Vec<(Reverse<i64>, Piece)> {
         let cheapest = work.classes.iter().filter_map(price).min().unwrap_or(0);
         let saved = saved(state, piece.placed).saturating_sub(cheapest);
         if saved > 0 {
-            found.push((Reverse(saved), piece));
+            let tried = in_vain.get(&piece.name()).map_or(0, |&times| times.min(i64::BITS - 1));
+            found.push((Reverse(saved >> tried), piece));
         }
     }
     found.sort_by_key(|(saved, piece)| (*saved, piece.job, piece.placed.start, piece.placed.node));
-    found
+    found.into_iter().map(|(_, piece)| piece).collect()
 }
 
 fn saved(state: &State, placed: Placed) -> i64 {
     state.lanes[placed.node].saved_without(state.problem.nodes[placed.node], placed.start, placed.end)
 }
 
-/// Moves a frame to where it costs less, if there is such a place.
-fn improve(state: &mut State, board: &mut Board, piece: Piece) {
+/// Moves a frame to where it costs less. Whether there is such a place.
+fn improve(state: &mut State, board: &mut Board, piece: Piece) -> bool {
     let before = saved(state, piece.placed);
+    let freed = state.lanes[piece.placed.node].freed;
     lift(state, board, piece);
-    if settle(state, board, piece, before, LONGEST_CHAIN).is_none() {
+    let is_settled = settle(state, board, piece, before, LONGEST_CHAIN).is_some();
+    if !is_settled {
         set(state, board, piece);
+        state.lanes[piece.placed.node].freed = freed;
     }
+    is_settled
 }
 
 fn lift(state: &mut State, board: &mut Board, piece: Piece) {
@@ -168,7 +215,7 @@ fn lift(state: &mut State, board: &mut Board, piece: Piece) {
 
 fn set(state: &mut State, board: &mut Board, piece: Piece) {
     state.book(piece.job, piece.placed);
-    board.put(piece);
+    board.put(state.problem, piece);
 }
 
 /// Places a lifted frame at less than this cost, all frames that it pushes out included. Returns what that costs; if there is no such place,
@@ -209,32 +256,19 @@ fn in_the_way(state: &State, board: &Board, piece: Piece, search: &Search, below
             continue;
         }
         for &node in &problem.classes[class] {
-            let lane = &state.lanes[node];
-            for other in board.by_node[node].values() {
+            for &Standing { piece: other, gain } in board.between(node, search.release, search.latest_end) {
                 let Placed { start, end, .. } = other.placed;
-                if start >= search.latest_end {
-                    break;
-                }
-                let Some((cost, work)) = board.elsewhere[other.job].filter(|_| end > search.release) else {
-                    continue;
-                };
-                let is = i128::from(price_of(of_class.price_per_hour, end - start));
-                let elsewhere = i128::from(cost).saturating_mul(i128::from(other.work)) / i128::from(work);
-                let gain = left + is - elsewhere;
-                if gain <= 0 || other.job == piece.job {
+                let Some(gain) = gain.map(|gain| gain + left).filter(|&gain| gain > 0) else { continue };
+                let entry = (Reverse(gain), node, start);
+                let is_worse = best.len() == MOST_PLACES && best.last().is_some_and(|last| entry > *last);
+                if is_worse || other.job == piece.job {
                     continue;
                 }
-                let worse =
-                    best.len() == MOST_PLACES && best.last().is_some_and(|last| Reverse(gain) >= last.0);
-                if worse {
-                    continue;
-                }
-                let (from, until) = lane.room_without(start, end);
+                let (from, until) = state.lanes[node].room_without(start, end);
                 if until.min(search.latest_end).saturating_sub(from.max(search.release)) < duration {
                     continue;
                 }
-                let at = best.partition_point(|entry| *entry < (Reverse(gain), node, start));
-                best.insert(at, (Reverse(gain), node, start));
+                best.insert(best.partition_point(|better| *better < entry), entry);
                 best.truncate(MOST_PLACES);
             }
         }
@@ -266,6 +300,7 @@ fn push_out(
         }
     };
     let back = saved(state, other.placed);
+    let freed = state.lanes[node].freed;
     lift(state, board, other);
     if let Some(fit) = state.lanes[node].fit(place, &wanted, &state.ledger, Prefer::Early, &Unwanted) {
         let placed = Placed { node, start: fit.start, end: fit.end, task: piece.placed.task };
@@ -277,12 +312,14 @@ fn push_out(
         lift(state, board, Piece { placed, ..piece });
     }
     set(state, board, other);
+    // Nothing came of it.
+    state.lanes[node].freed = freed;
     None
 }
 
 #[cfg(test)]
 mod tests {
-    use super::exchange;
+    use super::{Board, InVain, dear, exchange};
     use crate::admission::Admission;
     use crate::model::{Confidence, Frame, Input, Interval, Job, Node, Task, WorkTotal};
     use crate::problem::Problem;
@@ -321,7 +358,7 @@ mod tests {
         for (job, node) in [(0, 0), (1, 2)] {
             state.book(job, Placed { node, start: 0, end: 2 * HOUR, task: Task::Frame(0) });
         }
-        exchange(&mut state);
+        exchange(&mut state, &mut InVain::new());
         state.placed.iter().map(|placed| problem.nodes[placed[0].node].id).collect()
     }
 
@@ -335,5 +372,42 @@ mod tests {
     fn nothing_changes_places_where_that_saves_nothing_or_a_job_is_late() {
         assert_eq!(nodes_after(9000, 2 * HOUR), [1, 3]);
         assert_eq!(nodes_after(5000, HOUR), [1, 3]);
+    }
+
+    #[test]
+    fn a_frame_that_was_tried_in_vain_lets_others_go_first_that_could_save_more_than_half_as_much() {
+        let node = |id: u64, price: i64| Node {
+            id,
+            speed: 1,
+            price_per_hour: price,
+            calendar: vec![Interval { start: 0, end: Some(9 * HOUR) }],
+            ..Node::default()
+        };
+        let frame = |number: i64, work: u64| Frame { number, work, work_p80: 0 };
+        let job = Job {
+            id: 1,
+            deadline: Some(9 * HOUR),
+            confidence: Confidence::P50,
+            total: WorkTotal { p50: 18_000, p80: 18_000, p95: 18_000 },
+            frames: vec![frame(1, 3600), frame(2, 10_800), frame(3, 3600)],
+            ..Job::default()
+        };
+        let input = Input { nodes: vec![node(1, 1000), node(2, 9000)], jobs: vec![job], ..Input::default() };
+        let problem = Problem::new(&input);
+        let admission = Admission::none(&problem);
+        let mut state = State::new(&problem, &admission);
+        for (number, start, end) in [(1, 0, 1), (2, 1, 4), (3, 4, 5)] {
+            let (start, end) = (start * HOUR, end * HOUR);
+            state.book(0, Placed { node: 1, start, end, task: Task::Frame(number) });
+        }
+        let board = Board::new(&state);
+        let order = |in_vain: &InVain| -> Vec<Option<i64>> {
+            dear(&state, &board, in_vain).iter().map(|piece| piece.placed.task.frame()).collect()
+        };
+        assert_eq!(order(&InVain::new()), [Some(2), Some(1), Some(3)]);
+        let tried = |times: u32| InVain::from([((0, Some(2)), times)]);
+        assert_eq!(order(&tried(1)), [Some(2), Some(1), Some(3)], "half of three times as much");
+        assert_eq!(order(&tried(2)), [Some(1), Some(3), Some(2)]);
+        assert_eq!(order(&tried(u32::MAX)), [Some(1), Some(3), Some(2)]);
     }
 }

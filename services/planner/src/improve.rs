@@ -1,8 +1,9 @@
 //! Cheaper places for frames that are in time.
 
 use std::cmp::Reverse;
+use std::collections::BTreeMap;
 
-use crate::exchange::exchange;
+use crate::exchange::{InVain, exchange};
 use crate::lane::Prefer;
 use crate::model::Task;
 use crate::state::{Placed, Search, State};
@@ -14,20 +15,25 @@ const LEAST_GAIN: i64 = 2000;
 /// save money; then frames change places. Each makes room for the next. Jobs without a deadline were promised to be early, not
 /// cheap: their frames move to earlier times on their nodes, and nowhere else.
 pub(crate) fn improve(state: &mut State, rounds: usize) {
-    cheapen(state);
+    let mut searched = Searched::new();
+    cheapen(state, &mut searched);
+    let mut in_vain = InVain::new();
     for _ in 0..rounds {
         let before = state.cost();
         close_ranks(state);
-        cheapen(state);
-        exchange(state);
+        cheapen(state, &mut searched);
+        exchange(state, &mut in_vain);
         if before.saturating_sub(state.cost()) < before / LEAST_GAIN {
             break;
         }
     }
 }
 
+/// By job and number of a frame that found no cheaper place than that on a plainly billed node: which one, and when.
+type Searched = BTreeMap<(usize, i64), (usize, u64)>;
+
 /// Moves single frames of jobs with a deadline to where they save money and are still in time.
-fn cheapen(state: &mut State) {
+fn cheapen(state: &mut State, searched: &mut Searched) {
     let problem = state.problem;
     // What each frame could save at most, the most promising first.
     let mut candidates: Vec<(Reverse<i64>, usize, Placed)> = Vec::new();
@@ -57,16 +63,17 @@ fn cheapen(state: &mut State) {
     candidates
         .sort_unstable_by_key(|&(gain, job, placed)| (gain, job, placed.start, placed.node, placed.task));
     for (_, job, placed) in candidates {
-        cheapen_frame(state, job, placed);
+        cheapen_frame(state, job, placed, searched);
     }
 }
 
-fn cheapen_frame(state: &mut State, job: usize, placed: Placed) {
+fn cheapen_frame(state: &mut State, job: usize, placed: Placed, searched: &mut Searched) {
     let problem = state.problem;
     let work = &problem.jobs[job];
     let Some(frame) = work.frames.iter().find(|frame| Some(frame.number) == placed.task.frame()) else {
         return;
     };
+    let name = (job, frame.number);
     let node = problem.nodes[placed.node];
     let saved = state.lanes[placed.node].saved_without(node, placed.start, placed.end);
     let cheaper: Vec<usize> = work
@@ -81,6 +88,8 @@ fn cheapen_frame(state: &mut State, job: usize, placed: Placed) {
         })
         .collect();
     let Some(release) = state.earliest(job, placed.task) else { return };
+    // Where there was no place, there is none until something is freed; of limits, elsewhere too.
+    let before = searched.remove(&name).filter(|&(node, _)| node == placed.node && work.job.uses.is_empty());
     let search = Search {
         class_of_work: work.job.class,
         work: frame.work,
@@ -90,6 +99,7 @@ fn cheapen_frame(state: &mut State, job: usize, placed: Placed) {
         prefer: Prefer::Cheap,
         below: saved,
         except: Some(placed.node),
+        freed_since: before.map_or(0, |(_, clock)| clock),
         for_others: false,
     };
     if let Some((node, fit)) = state.find(work, &search)
@@ -97,6 +107,8 @@ fn cheapen_frame(state: &mut State, job: usize, placed: Placed) {
     {
         state.unbook(job, placed);
         state.book(job, Placed { node, start: fit.start, end: fit.end, task: placed.task });
+    } else if node.is_plainly_billed() {
+        searched.insert(name, (placed.node, state.clock));
     }
 }
 

@@ -1,7 +1,8 @@
 //! One node's time while a plan is made: what is free, what is booked, what it costs.
 
 use crate::admission::IN_A_MICRO_UNIT;
-use crate::calendar::{FreeTime, Window};
+use crate::calendar::Window;
+use crate::intervals::Intervals;
 use crate::limits::Ledger;
 use crate::model::{LimitUse, Node, Rental, price_of};
 use crate::rental::rentals;
@@ -16,23 +17,22 @@ pub(crate) struct Lane {
     is_plain: bool,
     stretches: Vec<Stretch>,
     /// Time in which a booking may lie: past the set-up, and not booked.
-    free: FreeTime,
-    /// Length of the longest of these gaps.
+    free: Intervals,
+    /// Length of the longest gap.
     longest_gap: i64,
     /// Booked time.
     used: i64,
+    /// When something was freed last, by [`crate::state::State::clock`].
+    pub freed: u64,
     /// What the rentals cost. A plain lane's is only known once [`Lane::rentals`] makes them.
-    cost: i64,
+    cost: i128,
 }
 
 #[derive(Clone, Debug)]
 struct Stretch {
     window: Window,
-    /// Bookings by start.
-    busy: Vec<(i64, i64)>,
-    /// Bookings that touch, joined. Kept only where it decides the price.
-    runs: Vec<(i64, i64)>,
-    cost: i64,
+    /// Bookings; those that touch are joined.
+    runs: Intervals,
 }
 
 /// What a booking is looked for with.
@@ -110,16 +110,14 @@ impl Lane {
         let first = |window: &Window| {
             if window.warm { window.start } else { window.start.saturating_add(node.setup) }
         };
-        let free = FreeTime::union(windows.iter().map(|window| (first(window), window.end)).collect());
+        let free = Intervals::union(windows.iter().map(|window| (first(window), window.end)).collect());
         Lane {
             is_plain: node.is_plainly_billed(),
             longest_gap: free.longest(),
             free,
-            stretches: windows
-                .iter()
-                .map(|&window| Stretch { window, busy: Vec::new(), runs: Vec::new(), cost: 0 })
-                .collect(),
+            stretches: windows.iter().map(|&window| Stretch { window, runs: Intervals::default() }).collect(),
             used: 0,
+            freed: 0,
             cost: 0,
         }
     }
@@ -139,7 +137,8 @@ impl Lane {
         if self.is_plain {
             return price_of(node.price_per_hour, duration);
         }
-        price_of(node.price_per_hour, self.used.saturating_add(duration)).saturating_sub(self.cost).max(0)
+        let least = i128::from(price_of(node.price_per_hour, self.used.saturating_add(duration)));
+        within_money(least - self.cost).max(0)
     }
 
     /// The best place for a booking.
@@ -156,14 +155,15 @@ impl Lane {
     ) -> Option<Fit> {
         let mut best: Option<Fit> = None;
         let mut tried = 0;
-        for &gap in &self.free.gaps()[self.free.first_after(wanted.release)..] {
+        for gap in self.free.long_after(wanted.release, wanted.duration) {
             if gap.0.saturating_add(wanted.duration) > wanted.latest_end {
                 break;
             }
-            let Some((start, end)) = within(gap, wanted, ledger) else { continue };
+            let Some((mut start, mut end)) = within(gap, wanted, ledger) else { continue };
             if self.is_plain {
                 let added_cost = price_of(node.price_per_hour, wanted.duration);
-                if prefer == Prefer::Early || !market.is_scarce(start) {
+                let mut is_scarce = prefer == Prefer::Cheap && market.is_scarce(start);
+                if !is_scarce {
                     // Time that is not scarce is as good as a perfect fit.
                     let worth = if prefer == Prefer::Early { 0 } else { market.worth(start, end) };
                     let first = Fit { start, end, added_cost, left: 0, worth };
@@ -171,9 +171,8 @@ impl Lane {
                         return best.filter(|best| best.left == 0 && best.worth == 0).or(Some(first));
                     }
                 }
-                let (mut start, mut end) = (start, end);
                 loop {
-                    let left = if market.is_scarce(start) { gap.1.saturating_sub(end) } else { 0 };
+                    let left = if is_scarce { gap.1.saturating_sub(end) } else { 0 };
                     let fit = Fit { start, end, added_cost, left, worth: market.worth(start, end) };
                     if best.is_none_or(|best| fit.rank(prefer) < best.rank(prefer)) {
                         best = Some(fit);
@@ -186,12 +185,13 @@ impl Lane {
                         break;
                     };
                     (start, end) = next;
+                    is_scarce = market.is_scarce(start);
                 }
                 continue;
             }
             let stretch = &self.stretches[self.stretch_at(start)];
             let mut consider = |start: i64, end: i64| {
-                let added_cost = stretch.cost_with(node, start, end).saturating_sub(stretch.cost);
+                let added_cost = within_money(stretch.added_cost(node, start, end));
                 let worth = if prefer == Prefer::Early { 0 } else { market.worth(start, end) };
                 let fit = Fit { start, end, added_cost, left: 0, worth };
                 if best.is_none_or(|best| fit.rank(prefer) < best.rank(prefer)) {
@@ -221,17 +221,15 @@ impl Lane {
 
     /// Whether exactly this time is free.
     pub fn is_free(&self, start: i64, end: i64) -> bool {
-        self.free.gaps().get(self.free.first_after(start)).is_some_and(|gap| gap.0 <= start && end <= gap.1)
+        self.free.contains(start, end)
     }
 
     /// The unbroken time that there would be without this booking: what is free before it, its own, and what is free behind it.
     pub fn room_without(&self, start: i64, end: i64) -> (i64, i64) {
-        let gaps = self.free.gaps();
-        let behind = self.free.first_after(start);
-        let until = gaps.get(behind).filter(|gap| gap.0 == end).map_or(end, |gap| gap.1);
-        let before = behind.checked_sub(1).and_then(|before| gaps.get(before));
-        let from = before.filter(|gap| gap.1 == start).map_or(start, |gap| gap.0);
-        (from, until)
+        let (before, behind) = self.free.around(start);
+        let before = before.filter(|gap| gap.1 == start);
+        let behind = behind.filter(|gap| gap.0 == end);
+        (before.map_or(start, |gap| gap.0), behind.map_or(end, |gap| gap.1))
     }
 
     /// Books free time.
@@ -240,30 +238,27 @@ impl Lane {
         self.longest_gap = self.free.longest();
         self.used = self.used.saturating_add(end.saturating_sub(start));
         let at = self.stretch_at(start);
-        let is_plain = self.is_plain;
         let stretch = &mut self.stretches[at];
-        let place = stretch.busy.partition_point(|&(other, _)| other < start);
-        stretch.busy.insert(place, (start, end));
-        if !is_plain {
-            stretch.runs = joined(&stretch.runs, start, end);
-            self.recost(node, at);
+        if !self.is_plain {
+            self.cost += stretch.added_cost(node, start, end);
         }
+        stretch.runs.give(start, end);
     }
 
     /// Frees booked time.
     pub fn unbook(&mut self, node: &Node, start: i64, end: i64) {
         let at = self.stretch_at(start);
-        let is_plain = self.is_plain;
         let stretch = &mut self.stretches[at];
-        let Ok(place) = stretch.busy.binary_search(&(start, end)) else { return };
-        stretch.busy.remove(place);
+        if !stretch.runs.contains(start, end) {
+            return;
+        }
+        stretch.runs.take(start, end);
+        if !self.is_plain {
+            self.cost -= stretch.added_cost(node, start, end);
+        }
         self.free.give(start, end);
         self.longest_gap = self.free.longest();
         self.used = self.used.saturating_sub(end.saturating_sub(start));
-        if !is_plain {
-            stretch.runs = stretch.joined_busy();
-            self.recost(node, at);
-        }
     }
 
     /// What freeing this booking would save.
@@ -271,83 +266,62 @@ impl Lane {
         if self.is_plain {
             return price_of(node.price_per_hour, end.saturating_sub(start));
         }
-        let stretch = &self.stretches[self.stretch_at(start)];
-        let rest: Vec<(i64, i64)> =
-            stretch.busy.iter().copied().filter(|&booking| booking != (start, end)).collect();
-        let rest = Stretch { window: stretch.window, busy: rest, runs: Vec::new(), cost: 0 };
-        stretch.cost.saturating_sub(total(&rentals(node, rest.window, &rest.joined_busy())))
+        let mut rest = self.stretches[self.stretch_at(start)].clone();
+        rest.runs.take(start, end);
+        within_money(rest.added_cost(node, start, end))
     }
 
     /// The rentals that pay for all bookings.
     pub fn rentals(&self, node: &Node) -> Vec<Rental> {
-        self.stretches
-            .iter()
-            .flat_map(|stretch| {
-                let runs = stretch.joined_busy();
-                if self.is_plain {
-                    let rental = |&(start, end): &(i64, i64)| Rental {
-                        node: node.id,
-                        start,
-                        end,
-                        setup: false,
-                        cost: node.price(end.saturating_sub(start), false),
-                    };
-                    runs.iter().map(rental).collect()
-                } else {
-                    rentals(node, stretch.window, &runs)
-                }
-            })
-            .collect()
+        let mut all = Vec::new();
+        for stretch in &self.stretches {
+            if self.is_plain {
+                all.extend(stretch.runs.iter().map(|(start, end)| Rental {
+                    node: node.id,
+                    start,
+                    end,
+                    setup: false,
+                    cost: node.price(end.saturating_sub(start), false),
+                }));
+            } else {
+                all.extend(rentals(node, stretch.window, &stretch.runs.iter().collect::<Vec<_>>()));
+            }
+        }
+        all
     }
 
     /// Index of the stretch that holds this instant.
     fn stretch_at(&self, instant: i64) -> usize {
         self.stretches.partition_point(|stretch| stretch.window.end <= instant)
     }
-
-    fn recost(&mut self, node: &Node, at: usize) {
-        let stretch = &mut self.stretches[at];
-        let cost = total(&rentals(node, stretch.window, &stretch.runs));
-        self.cost = self.cost.saturating_sub(stretch.cost).saturating_add(cost);
-        stretch.cost = cost;
-    }
 }
 
 impl Stretch {
-    /// What the rentals cost with one more booking. Only those around it are worked out anew: where so long a gap lies between two runs that
-    /// nobody would pay for it, one side does not matter to the other.
-    fn cost_with(&self, node: &Node, start: i64, end: i64) -> i64 {
-        let runs = &self.runs;
-        let at = runs.partition_point(|run| run.1 < start);
-        let (mut first, mut beyond) = (at, at);
-        // The run that ends just when the booking starts becomes one with it.
-        let mut from = runs.get(at).map_or(start, |run| run.0.min(start));
-        while let Some(run) = first.checked_sub(1).map(|before| runs[before])
+    /// What one more booking adds to the cost of the rentals. Only those around it are worked out anew: where so long a gap lies between two
+    /// runs that nobody would pay for it, one side does not matter to the other.
+    fn added_cost(&self, node: &Node, start: i64, end: i64) -> i128 {
+        let mut near: Vec<(i64, i64)> = Vec::new();
+        let (mut from, mut until) = (start, end);
+        let mut before = self.runs.before(start);
+        while let Some(run) = before
             && (self.window.warm || !never_pays(node, from.saturating_sub(run.1)))
         {
-            (first, from) = (first - 1, run.0);
+            near.push(run);
+            from = run.0;
+            before = self.runs.before(run.0);
         }
-        let mut until = end;
-        while let Some(run) = runs.get(beyond).filter(|run| !never_pays(node, run.0.saturating_sub(until))) {
-            (beyond, until) = (beyond + 1, until.max(run.1));
-        }
-        let before = first.checked_sub(1).map(|before| runs[before].1);
-        let window = before.map_or(self.window, |start| Window { start, end: self.window.end, warm: false });
-        let near = &runs[first..beyond];
-        let was = total(&rentals(node, window, near));
-        let is = total(&rentals(node, window, &joined(near, start, end)));
-        self.cost.saturating_sub(was).saturating_add(is)
-    }
-
-    fn joined_busy(&self) -> Vec<(i64, i64)> {
-        let mut runs: Vec<(i64, i64)> = Vec::new();
-        for &(start, end) in &self.busy {
-            match runs.last_mut() {
-                Some(last) if last.1 == start => last.1 = end,
-                _ => runs.push((start, end)),
+        near.reverse();
+        for run in self.runs.after(start) {
+            if never_pays(node, run.0.saturating_sub(until)) {
+                break;
             }
+            near.push(run);
+            until = until.max(run.1);
         }
-        runs
+        let window =
+            before.map_or(self.window, |(_, start)| Window { start, end: self.window.end, warm: false });
+        let was = total(&rentals(node, window, &near));
+        total(&rentals(node, window, &joined(&near, start, end))) - was
     }
 }
 
@@ -393,8 +367,13 @@ fn joined(runs: &[(i64, i64)], start: i64, end: i64) -> Vec<(i64, i64)> {
     all
 }
 
-fn total(rentals: &[Rental]) -> i64 {
-    rentals.iter().fold(0, |sum, rental| sum.saturating_add(rental.cost))
+fn total(rentals: &[Rental]) -> i128 {
+    rentals.iter().map(|rental| i128::from(rental.cost)).sum()
+}
+
+/// An amount of money, at the end of its range if it leaves it.
+fn within_money(amount: i128) -> i64 {
+    amount.clamp(i128::from(i64::MIN), i128::from(i64::MAX)) as i64
 }
 
 #[cfg(test)]
@@ -462,15 +441,22 @@ mod tests {
             };
             let window = Window { start: 0, end: 200 * HOUR, warm: draw(5, 0, 1) == 1 };
             let mut lane = Lane::new(&node, &[window]);
-            for n in 0..12 {
+            let mut booked: Vec<(i64, i64)> = Vec::new();
+            for n in 0..20 {
                 let start = HOUR + draw(10 + n, 0, 60) * HOUR / 4;
                 let end = start + draw(40 + n, 1, 12) * HOUR / 4;
                 if lane.is_free(start, end) {
-                    let expected = lane.stretches[0].cost_with(&node, start, end);
                     lane.book(&node, start, end);
-                    let runs = lane.stretches[0].joined_busy();
-                    let all = super::total(&crate::rental::rentals(&node, window, &runs));
-                    assert_eq!(expected, all, "seed {seed}, booking {n}");
+                    booked.push((start, end));
+                    assert_eq!(lane.cost, super::total(&lane.rentals(&node)), "seed {seed}, booking {n}");
+                }
+                if draw(80 + n, 0, 2) == 0 && !booked.is_empty() {
+                    let (start, end) = booked.swap_remove(n as usize % booked.len());
+                    let saved = lane.saved_without(&node, start, end);
+                    let before = lane.cost;
+                    lane.unbook(&node, start, end);
+                    assert_eq!(before - lane.cost, i128::from(saved));
+                    assert_eq!(lane.cost, super::total(&lane.rentals(&node)), "seed {seed}, booking {n}");
                 }
             }
         }

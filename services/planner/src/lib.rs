@@ -46,6 +46,7 @@ mod exchange;
 mod explain;
 mod fairness;
 mod improve;
+mod intervals;
 mod lane;
 mod least;
 mod limits;

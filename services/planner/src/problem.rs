@@ -147,6 +147,12 @@ impl<'a> Work<'a> {
         self.frames.iter().find(|frame| frame.number == number).map(|frame| frame.work)
     }
 
+    /// Whether there are nodes that its frames, and its seed, fit into.
+    pub fn has_nodes(&self) -> bool {
+        let can = |is_wanted: bool, classes: &[usize]| !is_wanted || !classes.is_empty();
+        can(!self.frames.is_empty(), &self.classes) && can(self.seed.is_some(), &self.seed_classes)
+    }
+
     /// Work of all frames together.
     pub fn total(&self) -> u128 {
         self.frames.iter().map(|frame| u128::from(frame.work)).sum()

@@ -33,6 +33,9 @@ pub(crate) struct Search<'s> {
     pub below: i64,
     /// A node to leave out.
     pub except: Option<usize>,
+    /// Plainly billed nodes on which nothing was freed since this instant of [`State::clock`] are left out: for who found no place on
+    /// them then. Zero leaves none out.
+    pub freed_since: u64,
     /// Whether a place costs what others would pay for it as well.
     pub for_others: bool,
 }
@@ -72,6 +75,8 @@ pub(crate) struct State<'p, 'a> {
     pub placed: Vec<Vec<Placed>>,
     /// Whether a task was there before and is not to move: by job, how many at the front of `placed`.
     pub kept: Vec<usize>,
+    /// How often something was freed.
+    pub clock: u64,
 }
 
 impl<'p, 'a> State<'p, 'a> {
@@ -86,6 +91,7 @@ impl<'p, 'a> State<'p, 'a> {
             ledger: Ledger::new(problem.input),
             placed: vec![Vec::new(); problem.jobs.len()],
             kept: vec![0; problem.jobs.len()],
+            clock: 0,
         }
     }
 
@@ -199,11 +205,14 @@ impl<'p, 'a> State<'p, 'a> {
                         empty = empty.or(Some(index));
                     }
                 }
+                if lane.freed < search.freed_since && node.is_plainly_billed() || lane.is_too_full(duration) {
+                    continue;
+                }
                 let least = lane.least_added_cost(node, duration);
                 let hopeless = least >= search.below
                     || search.prefer == Prefer::Cheap
                         && best.is_some_and(|(rank, ..)| i128::from(least) * IN_A_MICRO_UNIT > rank.0);
-                if hopeless || lane.is_too_full(duration) || search.except == Some(index) {
+                if hopeless || search.except == Some(index) {
                     continue;
                 }
                 let Some(fit) = lane.fit(node, &wanted, &self.ledger, search.prefer, &market) else {
@@ -226,20 +235,23 @@ impl<'p, 'a> State<'p, 'a> {
     }
 
     pub fn unbook(&mut self, job: usize, placed: Placed) {
-        let node = self.problem.nodes[placed.node];
-        self.lanes[placed.node].unbook(node, placed.start, placed.end);
-        self.ledger.release(&self.problem.jobs[job].job.uses, placed.start, placed.end);
+        self.free(job, placed);
         self.placed[job].retain(|other| *other != placed);
+    }
+
+    fn free(&mut self, job: usize, placed: Placed) {
+        let (node, lane) = (self.problem.nodes[placed.node], &mut self.lanes[placed.node]);
+        lane.unbook(node, placed.start, placed.end);
+        lane.freed = self.clock;
+        self.clock += 1;
+        self.ledger.release(&self.problem.jobs[job].job.uses, placed.start, placed.end);
     }
 
     /// Takes back what was placed after the first `count` tasks of the job.
     pub fn unbook_after(&mut self, job: usize, count: usize) {
-        while self.placed[job].len() > count {
-            let last = self.placed[job][self.placed[job].len() - 1];
-            let node = self.problem.nodes[last.node];
-            self.lanes[last.node].unbook(node, last.start, last.end);
-            self.ledger.release(&self.problem.jobs[job].job.uses, last.start, last.end);
-            self.placed[job].pop();
+        let count = count.min(self.placed[job].len());
+        for last in self.placed[job].split_off(count).into_iter().rev() {
+            self.free(job, last);
         }
     }
 

@@ -1,8 +1,9 @@
 //! Plans by hand: what comes out, and that bad input is named.
 
+use forelight_planner::chance::bits;
 use forelight_planner::{
-    Bound, Confidence, FixedBooking, Frame, Input, InputError, Interval, Job, Node, Plan, Verdict, Violation,
-    WorkTotal, plan, verify,
+    Booking, Bound, Confidence, FixedBooking, Frame, Input, InputError, Interval, Job, Node, Plan, Verdict,
+    Violation, WorkTotal, plan, verify,
 };
 
 const SECOND: i64 = 1_000_000;
@@ -223,4 +224,49 @@ fn a_small_farm_that_is_late_whatever_it_does_is_late_by_no_more_than_it_has_to_
     let found = sound(&input(nodes(), vec![job(1, Some(2), &[2, 2]), job(2, Some(3), &[3, 3, 2, 2, 2])]));
     assert_eq!(found.jobs[0].verdict, Verdict::Feasible { finish: 2, slack: 0 });
     assert!(matches!(found.jobs[1].verdict, Verdict::Late { finish: 8, by: 5, .. }), "{:?}", found.jobs);
+}
+
+/// Where list scheduling puts these frames of one job, by nothing but a list of what is taken on each node: in this order, each where it ends
+/// first, on the first node among equals.
+fn one_by_one(nodes: &[Node], works: &[(i64, u64)]) -> Vec<(i64, u64, i64, i64)> {
+    let mut taken: Vec<Vec<(i64, i64)>> = nodes
+        .iter()
+        .map(|node| node.maintenance.iter().map(|closed| (closed.start, closed.end.unwrap())).collect())
+        .collect();
+    let mut placed = Vec::new();
+    for &(number, work) in works {
+        let first_end = |node: usize| {
+            let length = nodes[node].duration(work, 0).unwrap();
+            let starts = std::iter::once(0).chain(taken[node].iter().map(|&(_, end)| end));
+            let is_free = |&start: &i64| !taken[node].iter().any(|&(s, e)| s < start + length && start < e);
+            starts.filter(is_free).min().unwrap() + length
+        };
+        let (end, node) = (0..nodes.len()).map(|node| (first_end(node), node)).min().unwrap();
+        let start = end - nodes[node].duration(work, 0).unwrap();
+        taken[node].push((start, end));
+        placed.push((start, nodes[node].id, number, end));
+    }
+    placed.sort_unstable();
+    placed
+}
+
+#[test]
+fn a_farm_full_of_gaps_is_planned_as_if_every_frame_looked_at_all_that_is_taken() {
+    let closed = |node: u64, n: u64| {
+        let start = (10 * n + bits(5, &[node, n]) % 8) as i64 * SECOND;
+        Interval { start, end: Some(start + SECOND + (bits(6, &[node, n]) % 2) as i64 * SECOND / 2) }
+    };
+    let gappy = |id: u64| Node {
+        price_per_hour: 0,
+        maintenance: (0..300).map(|n| closed(id, n)).collect(),
+        ..node(id, 1000 + 100 * (id % 3))
+    };
+    let nodes: Vec<Node> = (0..3).map(gappy).collect();
+    let works: Vec<u64> = (0..1500).map(|n| 200 + bits(7, &[n]) % 6000).collect();
+    let found = sound(&input(nodes.clone(), vec![job(1, None, &works)]));
+    let mut longest_first: Vec<(i64, u64)> = (0..).zip(works).collect();
+    longest_first.sort_unstable_by_key(|&(number, work)| (std::cmp::Reverse(work), number));
+    let place = |b: &Booking| (b.start, b.node, b.task.frame().unwrap(), b.end);
+    let places: Vec<_> = found.bookings.iter().map(place).collect();
+    assert_eq!(places, one_by_one(&nodes, &longest_first));
 }
