@@ -3,8 +3,6 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-use forelight_protocol::Money;
-
 use crate::answers::Offer;
 use crate::model::{Input, Plan};
 
@@ -73,8 +71,8 @@ pub fn gantt(input: &Input, plan: &Plan) -> String {
     svg + "</svg>\n"
 }
 
-/// A price against deadlines, with the bound below it.
-pub fn price_curve(offers: &[Offer]) -> String {
+/// A price against deadlines, with the bound below it. `money` writes an amount in micro-units.
+pub fn price_curve(offers: &[Offer], money: impl Fn(i64) -> String) -> String {
     const HEIGHT: f64 = 400.0;
     let mut svg = header(WIDTH, TOP + HEIGHT + 30.0);
     let (Some(first), Some(last)) = (offers.first(), offers.last()) else { return svg + "</svg>\n" };
@@ -100,7 +98,7 @@ pub fn price_curve(offers: &[Offer]) -> String {
         let _ = writeln!(
             svg,
             "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\">{}</text>",
-            Money(offer.cost)
+            money(offer.cost)
         );
     }
     svg + "</svg>\n"

@@ -278,6 +278,8 @@ fn pictures_are_well_formed() {
     assert!(svg.starts_with("<svg") && svg.ends_with("</svg>\n") && svg.contains("&lt;a &amp; b&gt;"));
     assert_eq!(svg.matches("<rect").count(), 1 + 1 + 2, "ground, rental, frames");
     let offers = forelight_planner::curve(&farm, 1, 4).expect("a curve");
-    assert!(price_curve(&offers).contains("<polyline"));
-    assert!(price_curve(&[]).ends_with("</svg>\n"));
+    assert!(
+        price_curve(&offers, |cost| format!("{cost} µ")).contains(&format!("{} µ</text>", offers[0].cost))
+    );
+    assert!(price_curve(&[], |cost| cost.to_string()).ends_with("</svg>\n"));
 }

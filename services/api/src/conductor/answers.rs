@@ -433,5 +433,5 @@ pub(crate) fn curve_svg(document: &AnswersDoc) -> String {
             cost_bound: offer.cost_at_least.micro_units(),
         })
         .collect();
-    planner::price_curve(&offers)
+    planner::price_curve(&offers, |micro_units| Money(micro_units).to_string())
 }

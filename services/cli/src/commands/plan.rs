@@ -120,7 +120,7 @@ pub fn run(args: &Args) -> Result<()> {
         write_bytes(path, gantt(&input, &found).as_bytes())?;
     }
     if let (Some(path), Some(answers)) = (&args.curve, &job) {
-        write_bytes(path, price_curve(&answers.curve).as_bytes())?;
+        write_bytes(path, price_curve(&answers.curve, money).as_bytes())?;
     }
     let document = Document {
         plan_id: found.id().to_string(),
