@@ -49,7 +49,10 @@ async fn a_dearer_job_is_seen_as_such_told_of_and_drawn_and_its_quote_stays() {
     }
     let under_way = farm.job(&job).await.live.unwrap();
     assert!(under_way.work.factor > 1.3 && under_way.work.factor < 1.55, "{under_way:?}");
-    assert!(under_way.work.whole.p50 > quote.total.work.p95 && under_way.cost_is_off, "{under_way:?}");
+    assert!(under_way.work.whole.p50 > quote.total.work.p95, "{under_way:?}");
+    // It has left what is booked, unless the new plan that this calls for is there already.
+    let is_booked_anew = under_way.booked.cpu_seconds > begin.booked.cpu_seconds;
+    assert!(under_way.cost_is_off || is_booked_anew, "{under_way:?}");
     assert!(under_way.cost.unwrap().p50 > quote.cost.unwrap().p95, "{under_way:?}");
     for _ in 0..6 {
         render(&farm, &node, 1.5).await;
