@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use crate::lane::{Prefer, Unwanted, Wanted};
 use crate::model::{Node, Task, price_of};
 use crate::problem::{Problem, Work};
-use crate::state::{Placed, Search, State};
+use crate::state::{Only, Placed, Search, State};
 
 /// Searches for another place, at most: that is what exchanges take their time for.
 const MOST_TRIALS: usize = 2000;
@@ -157,9 +157,7 @@ fn search<'s>(state: &State, job: usize, number: i64, work: u64, classes: &'s [u
         latest_end: asked.job.deadline?,
         classes,
         prefer: Prefer::Cheap,
-        below: i64::MAX,
-        except: None,
-        freed_since: 0,
+        only: Only::ANY,
         for_others: false,
     })
 }

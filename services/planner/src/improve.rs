@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use crate::exchange::{InVain, exchange};
 use crate::lane::Prefer;
 use crate::model::Task;
-use crate::state::{Placed, Search, State};
+use crate::state::{Only, Placed, Search, State};
 
 /// A round that saves less than one part in so many is the last.
 const LEAST_GAIN: i64 = 2000;
@@ -97,9 +97,11 @@ fn cheapen_frame(state: &mut State, job: usize, placed: Placed, searched: &mut S
         latest_end: work.job.deadline.unwrap_or(i64::MAX),
         classes: &cheaper,
         prefer: Prefer::Cheap,
-        below: saved,
-        except: Some(placed.node),
-        freed_since: before.map_or(0, |(_, clock)| clock),
+        only: Only {
+            below: saved,
+            except: Some(placed.node),
+            freed_since: before.map_or(0, |(_, clock)| clock),
+        },
         for_others: false,
     };
     if let Some((node, fit)) = state.find(work, &search)

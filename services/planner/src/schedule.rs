@@ -11,7 +11,7 @@ use crate::lane::{Fit, Prefer};
 use crate::model::{Booking, Bound, Input, InputError, Node, Plan, Task, price_of};
 use crate::outcome;
 use crate::problem::{Problem, Work};
-use crate::state::{Placed, Search, State};
+use crate::state::{Only, Placed, Search, State};
 
 /// Frames that may be placed again in search of a plan that keeps more deadlines: three times those of a studio's week.
 const MOST_PLACEMENTS: usize = 61_000;
@@ -249,9 +249,7 @@ pub(crate) fn place_all(
             latest_end,
             classes: &work.classes,
             prefer,
-            below: i64::MAX,
-            except: None,
-            freed_since: 0,
+            only: Only::ANY,
             for_others: state.for_others,
         };
         let allotted =
@@ -310,9 +308,7 @@ fn place_seed(state: &mut State, job: usize, latest_end: i64) -> bool {
         latest_end,
         classes: &work.seed_classes,
         prefer,
-        below: i64::MAX,
-        except: None,
-        freed_since: 0,
+        only: Only::ANY,
         for_others,
     };
     for task in state.missing_seed(job) {
@@ -338,9 +334,7 @@ fn place_tiles(state: &mut State, job: usize, number: i64, frame_work: u64, late
                 latest_end,
                 classes: &work.classes,
                 prefer: Prefer::Early,
-                below: i64::MAX,
-                except: None,
-                freed_since: 0,
+                only: Only::ANY,
                 for_others: state.for_others,
             };
             let Some((node, fit)) = state.find(work, &search) else { return false };
@@ -383,9 +377,7 @@ fn place_early(state: &mut State, job: usize, number: i64, frame_work: u64) -> O
         latest_end: i64::MAX,
         classes: &work.classes,
         prefer: Prefer::Early,
-        below: i64::MAX,
-        except: None,
-        freed_since: 0,
+        only: Only::ANY,
         for_others: state.for_others,
     };
     if let Some((node, fit)) = state.find(work, &search) {
@@ -518,9 +510,7 @@ fn place_cheaply_by(state: &mut State, job: usize, by: i64) -> bool {
             latest_end: by,
             classes: &work.classes,
             prefer: Prefer::Cheap,
-            below: i64::MAX,
-            except: None,
-            freed_since: 0,
+            only: Only::ANY,
             for_others: state.for_others,
         };
         let Some((node, fit)) = state.find(work, &search) else { return false };

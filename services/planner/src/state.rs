@@ -29,6 +29,15 @@ pub(crate) struct Search<'s> {
     /// Classes of nodes to look at.
     pub classes: &'s [usize],
     pub prefer: Prefer,
+    /// Which places count.
+    pub only: Only,
+    /// Whether a place costs what others would pay for it as well.
+    pub for_others: bool,
+}
+
+/// Which of the places that are found count.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Only {
     /// Places that cost this or more are of no use.
     pub below: i64,
     /// A node to leave out.
@@ -36,8 +45,11 @@ pub(crate) struct Search<'s> {
     /// Plainly billed nodes on which nothing was freed since this instant of [`State::clock`] are left out: for who found no place on
     /// them then. Zero leaves none out.
     pub freed_since: u64,
-    /// Whether a place costs what others would pay for it as well.
-    pub for_others: bool,
+}
+
+impl Only {
+    /// All places.
+    pub const ANY: Self = Self { below: i64::MAX, except: None, freed_since: 0 };
 }
 
 /// What others would pay for a class's time, as the programme says.
@@ -201,18 +213,20 @@ impl<'p, 'a> State<'p, 'a> {
                     if empty.is_some_and(|first| problem.windows[first] == problem.windows[index]) {
                         continue;
                     }
-                    if search.except != Some(index) {
+                    if search.only.except != Some(index) {
                         empty = empty.or(Some(index));
                     }
                 }
-                if lane.freed < search.freed_since && node.is_plainly_billed() || lane.is_too_full(duration) {
+                if lane.freed < search.only.freed_since && node.is_plainly_billed()
+                    || lane.is_too_full(duration)
+                {
                     continue;
                 }
                 let least = lane.least_added_cost(node, duration);
-                let hopeless = least >= search.below
+                let hopeless = least >= search.only.below
                     || search.prefer == Prefer::Cheap
                         && best.is_some_and(|(rank, ..)| i128::from(least) * IN_A_MICRO_UNIT > rank.0);
-                if hopeless || search.except == Some(index) {
+                if hopeless || search.only.except == Some(index) {
                     continue;
                 }
                 let Some(fit) = lane.fit(node, &wanted, &self.ledger, search.prefer, &market) else {

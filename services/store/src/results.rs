@@ -90,6 +90,7 @@ impl Store {
                 return Err(StoreError::MissingArtifact(*artifact));
             }
         }
+        // Asked for before anything is left for later: a question sends that off.
         let node = nodes::read(write.connection().await?, row.node_id).await?;
         write
             .later("INSERT INTO results (task_id, lease_id, body, body_hash, committed_at) VALUES (?, ?, ?, ?, ?)")

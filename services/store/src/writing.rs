@@ -6,7 +6,7 @@
 //!
 //! Most of what a write says needs no answer: that a lease is over, what happened. A question and its answer take longer to find their way between this
 //! thread and that of the connection than SQLite takes for them. So such statements are kept ([`Write::later`]), and go with the next one
-//! that is asked something, or with the end of the write, all at once and in their order.
+//! that is asked something, or with the end of the write, a few at once and in their order.
 //!
 //! Who commits? Whoever has written goes to the end of the queue again; when its turn comes, all who stood in the queue before have
 //! written too, and it commits for all of them, unless someone did already. A write that meets nobody commits at once.
@@ -119,31 +119,53 @@ impl Write {
     }
 }
 
-/// Statements that are kept, and what is bound to them.
+/// Statements that go together, at most: together they are one prepared text, which is worth keeping only if it comes again. A write may leave
+/// thousands, one for each frame of a job.
+const MOST_TOGETHER: usize = 16;
+
+/// Statements that are kept.
 #[derive(Default)]
 struct Kept {
-    statements: String,
-    arguments: SqliteArguments,
+    groups: Vec<Group>,
     /// Why one of them could not be bound.
     failed: Option<BoxDynError>,
 }
 
+/// Statements that go together, and what is bound to them.
+#[derive(Default)]
+struct Group {
+    statements: Vec<&'static str>,
+    arguments: SqliteArguments,
+}
+
 impl Kept {
-    fn push(&mut self, statement: &str) {
-        if !self.statements.is_empty() {
-            self.statements.push_str("; ");
+    fn push(&mut self, statement: &'static str) {
+        if self.groups.last().is_none_or(|group| group.statements.len() == MOST_TOGETHER) {
+            self.groups.push(Group::default());
         }
-        self.statements.push_str(statement);
+        if let Some(group) = self.groups.last_mut() {
+            group.statements.push(statement);
+        }
+    }
+
+    /// Binds a value to the statement that was pushed last.
+    fn bind<'t>(&mut self, value: impl Encode<'t, Sqlite> + Type<Sqlite> + 't) {
+        if let Some(group) = self.groups.last_mut()
+            && let Err(error) = group.arguments.add(value)
+        {
+            self.failed.get_or_insert(error);
+        }
     }
 
     async fn send(&mut self, connection: &mut SqliteConnection) -> Result<(), StoreError> {
-        let Kept { statements, arguments, failed } = std::mem::take(self);
+        let Kept { groups, failed } = std::mem::take(self);
         if let Some(error) = failed {
             return Err(sqlx::Error::Encode(error).into());
         }
-        if !statements.is_empty() {
+        for Group { statements, arguments } in groups {
             // Put together of texts of this crate.
-            sqlx::query_with(AssertSqlSafe(statements), arguments).execute(connection).await?;
+            let together = AssertSqlSafe(statements.join("; "));
+            sqlx::query_with(together, arguments).execute(&mut *connection).await?;
         }
         Ok(())
     }
@@ -153,10 +175,8 @@ impl Kept {
 pub(crate) struct Later<'a>(&'a mut Kept);
 
 impl Later<'_> {
-    pub(crate) fn bind<'t, T: Encode<'t, Sqlite> + Type<Sqlite> + 't>(self, value: T) -> Self {
-        if let Err(error) = self.0.arguments.add(value) {
-            self.0.failed.get_or_insert(error);
-        }
+    pub(crate) fn bind<'t>(self, value: impl Encode<'t, Sqlite> + Type<Sqlite> + 't) -> Self {
+        self.0.bind(value);
         self
     }
 }

@@ -228,25 +228,29 @@ async fn what_calls_for_a_plan_is_remembered_until_a_plan_knows_it() {
     assert!(burst.due && burst.causes.len() == 21 && burst.causes[20] == "and more", "{burst:?}");
 }
 
+impl Farm {
+    /// A plan that books frames of a job anew, of which the first one has begun.
+    async fn plan_after_events(&self, job: JobId, bookings: Vec<NewBooking>, factor: f64) -> NewPlan {
+        let begun = BTreeSet::from([0]);
+        NewPlan {
+            parent: self.store.newest_plan().await.unwrap(),
+            reason: PlanReason::Events,
+            wanted: self.store.wanted_plan().await.unwrap(),
+            jobs: vec![NewJobPlan { verdict: verdict(job), bookings, begun, factor }],
+            outlooks: Vec::new(),
+            seed: None,
+        }
+    }
+}
+
 #[tokio::test]
 async fn a_frame_that_comes_back_while_a_plan_is_made_has_its_place_still() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;
     let job = farm.booked_job(request("0-1"), node.id, at(10)).await;
     let lease = farm.claim(node.id, at(10)).await.unwrap();
-    let plan = NewPlan {
-        parent: farm.store.newest_plan().await.unwrap(),
-        reason: PlanReason::Events,
-        wanted: farm.store.wanted_plan().await.unwrap(),
-        jobs: vec![NewJobPlan {
-            verdict: verdict(job),
-            bookings: vec![NewBooking { frame: 1, node: node.id, start: at(50), end: at(60) }],
-            begun: BTreeSet::from([0]),
-            factor: 1.0,
-        }],
-        outlooks: Vec::new(),
-        seed: None,
-    };
+    let stays = NewBooking { frame: 1, node: node.id, start: at(50), end: at(60) };
+    let plan = farm.plan_after_events(job, vec![stays], 1.0).await;
     farm.store.release(lease.lease_id, lease.fence, at(11)).await.unwrap();
     farm.store.replan(&plan, at(12)).await.unwrap();
     let open = farm.store.open_bookings().await.unwrap();
@@ -272,19 +276,7 @@ async fn a_new_plan_books_what_waits_anew_and_leaves_what_is_done_as_it_was() {
     farm.commit(&lease, at(20)).await;
     let said = farm.store.job(job).await.unwrap();
     let move_to_b = |frame: u32| NewBooking { frame, node: b.id, start: at(50), end: at(60) };
-    let plan = NewPlan {
-        parent: first,
-        reason: PlanReason::Events,
-        wanted: farm.store.wanted_plan().await.unwrap(),
-        jobs: vec![NewJobPlan {
-            verdict: verdict(job),
-            bookings: vec![move_to_b(0), move_to_b(1)],
-            begun: BTreeSet::from([0]),
-            factor: 1.5,
-        }],
-        outlooks: Vec::new(),
-        seed: None,
-    };
+    let plan = farm.plan_after_events(job, vec![move_to_b(0), move_to_b(1)], 1.5).await;
     let second = farm.store.replan(&plan, at(21)).await.unwrap();
     let kept = farm.store.plan(second).await.unwrap();
     let booked: Vec<_> = kept.bookings.iter().map(|booking| (booking.frame, booking.node_id)).collect();

@@ -111,6 +111,20 @@ async fn what_is_left_for_later_is_done_in_its_order_before_anything_is_asked() 
     assert_eq!(names(&mut reader).await, ["third"]);
 }
 
+#[tokio::test]
+async fn thousands_of_statements_may_be_left_for_later() {
+    let farm = Farm::new().await;
+    let mut write = farm.store.write().await.unwrap();
+    token_later(&mut write, "counted");
+    for number in 0..2000i64 {
+        write.later("UPDATE tokens SET created_at = created_at * 2 % 1009 + ?").bind(number);
+    }
+    farm.store.commit(write).await.unwrap();
+    let counted: i64 =
+        sqlx::query_scalar("SELECT created_at FROM tokens").fetch_one(farm.store.readers()).await.unwrap();
+    assert_eq!(counted, (0..2000).fold(0, |sum, number| sum * 2 % 1009 + number), "each once and in order");
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_write_of_which_something_left_for_later_fails_leaves_nothing_behind_and_harms_no_other() {
     let farm = Farm::new().await;

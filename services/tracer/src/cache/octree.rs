@@ -21,7 +21,7 @@ struct Cell {
     members: Vec<Member>,
 }
 
-/// A sphere in a cell, beside its neighbours there: most of those that are looked at do not hold the point, and that is found out here.
+/// A sphere in a cell, beside its neighbours there: most of those that are looked at do not contain the point, and that is found out here.
 #[derive(Debug, Clone, Copy)]
 pub struct Member {
     /// What it was entered under.
@@ -31,8 +31,8 @@ pub struct Member {
 }
 
 impl Member {
-    /// Whether the sphere may hold a point; if not, it does not, however one rounds.
-    pub fn may_hold(&self, point: Vec3) -> bool {
+    /// Whether the sphere may contain a point; if not, it does not, however one rounds.
+    pub fn may_contain(&self, point: Vec3) -> bool {
         /// More than a few roundings.
         const WIDER: f32 = 1.0 + 1e-5;
         let radius = self.radius * WIDER;
@@ -103,6 +103,11 @@ impl Octree {
         .flat_map(|cell| &cell.members)
     }
 
+    /// Indices of those that may contain it.
+    pub fn around(&self, point: Vec3) -> impl Iterator<Item = u32> {
+        self.near(point).filter(move |member| member.may_contain(point)).map(|member| member.index)
+    }
+
     /// Indices of the spheres whose cells a box touches, ascending, each once.
     pub fn touching(&self, low: Vec3, high: Vec3) -> Vec<u32> {
         let mut found = Vec::new();
@@ -146,8 +151,7 @@ mod tests {
         let mut contained = 0;
         for i in 1000..3000 {
             let p = point(i);
-            let near: Vec<u32> =
-                octree.near(p).filter(|member| member.may_hold(p)).map(|member| member.index).collect();
+            let near: Vec<u32> = octree.around(p).collect();
             let touching = octree.touching(p, p);
             for (index, (center, radius)) in spheres.iter().enumerate() {
                 if center.distance(p) < *radius {

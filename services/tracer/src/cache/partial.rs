@@ -24,14 +24,11 @@ impl Cache {
             let start = thread_cpu_nanos();
             let (mut sites, mut counters) = (Vec::new(), Counters::default());
             tracer.kernel.sites(tracer, pixel, tracer.samples_of(pixel), &mut sites, &mut counters);
-            let reads = |index: u32, site| first.planned[index as usize].error(site, allowed).is_some();
+            let reads = |index: &u32, site| first.planned[*index as usize].error(site, allowed).is_some();
             let read: BTreeSet<u32> = sites
                 .iter()
                 .flat_map(|(_, site)| {
-                    let near = first.octree.near(site.position);
-                    near.filter(|member| member.may_hold(site.position))
-                        .map(|member| member.index)
-                        .filter(move |&index| reads(index, site))
+                    first.octree.around(site.position).filter(move |index| reads(index, site))
                 })
                 .collect();
             (read, Cost { work: counters.work(), cpu_nanos: thread_cpu_nanos() - start })

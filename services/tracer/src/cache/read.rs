@@ -17,7 +17,7 @@ impl Cache {
         let (mut sum, mut weights, mut looked_at) = (Vec3::ZERO, 0.0f32, 0);
         for member in here.octree.near(place.position) {
             looked_at += 1;
-            if !member.may_hold(place.position) {
+            if !member.may_contain(place.position) {
                 continue;
             }
             let index = member.index;

@@ -57,8 +57,7 @@ impl Level {
     /// Whether a record's error at a place is allowed, when a record is planned.
     pub(super) fn covers(&self, place: &Site) -> bool {
         self.octree
-            .near(place.position)
-            .filter(|member| member.may_hold(place.position))
-            .any(|member| self.planned[member.index as usize].error(place, self.accuracy).is_some())
+            .around(place.position)
+            .any(|index| self.planned[index as usize].error(place, self.accuracy).is_some())
     }
 }
