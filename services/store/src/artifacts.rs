@@ -21,6 +21,7 @@ use uuid::Uuid;
 
 use self::remote::Remote;
 use crate::StoreError;
+use crate::writing::Writer;
 
 pub use self::place::{ArtifactPlace, BadPlace};
 
@@ -37,7 +38,8 @@ pub struct Artifacts {
     files: LocalFileSystem,
     /// Where artefacts rest, if not in `files`.
     remote: Option<Remote>,
-    rows: SqlitePool,
+    writer: Writer,
+    readers: SqlitePool,
 }
 
 /// Bytes that have come in whole and been hashed, but that nobody has asked to keep yet. Dropped, they are deleted: a
@@ -79,7 +81,12 @@ pub struct ArtifactReader {
 }
 
 impl Artifacts {
-    pub(crate) fn open(folder: &Path, at: &ArtifactPlace, rows: SqlitePool) -> Result<Self, StoreError> {
+    pub(crate) fn open(
+        folder: &Path,
+        at: &ArtifactPlace,
+        writer: Writer,
+        readers: SqlitePool,
+    ) -> Result<Self, StoreError> {
         std::fs::create_dir_all(folder).map_err(|error| StoreError::file(folder, error))?;
         let files = LocalFileSystem::new_with_prefix(folder)?.with_fsync(true);
         let remote = match at {
@@ -88,7 +95,7 @@ impl Artifacts {
                 Some(Remote::new(place::open_s3(bucket)?, place::folder(prefix), at.to_string()))
             }
         };
-        Ok(Self { files, remote, rows })
+        Ok(Self { files, remote, writer, readers })
     }
 
     /// The same artefacts in another object store.
@@ -176,15 +183,16 @@ impl Artifacts {
         size: u64,
         now: Timestamp,
     ) -> Result<ArtifactStored, StoreError> {
-        let inserted = sqlx::query(
-            "INSERT INTO artifacts (hash, size, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING",
-        )
-        .bind(&hash.0[..])
-        .bind(i64::try_from(size).unwrap_or(i64::MAX))
-        .bind(now.micros())
-        .execute(&self.rows)
-        .await?;
-        Ok(ArtifactStored { hash, size, existed: inserted.rows_affected() == 0 })
+        let mut write = self.writer.write().await?;
+        let inserted = write
+            .ask("INSERT INTO artifacts (hash, size, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING RETURNING size")
+            .bind(hash.0.to_vec())
+            .bind(i64::try_from(size).unwrap_or(i64::MAX))
+            .bind(now.micros())
+            .first_row()
+            .await?;
+        self.writer.commit(write).await?;
+        Ok(ArtifactStored { hash, size, existed: inserted.is_none() })
     }
 
     /// Stages and keeps a stream that was announced under a hash; other bytes are refused and thrown away.
@@ -206,7 +214,7 @@ impl Artifacts {
     pub async fn size(&self, hash: ArtifactHash) -> Result<u64, StoreError> {
         let size: Option<i64> = sqlx::query_scalar("SELECT size FROM artifacts WHERE hash = ?")
             .bind(&hash.0[..])
-            .fetch_optional(&self.rows)
+            .fetch_optional(&self.readers)
             .await?;
         size.and_then(|size| u64::try_from(size).ok()).ok_or(StoreError::NotFound("artefact"))
     }

@@ -8,14 +8,16 @@ use forelight_protocol::{
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
+use crate::database::Write;
 use crate::decode::{id, json, whole, word};
 use crate::elsewhere;
 use crate::events::{append, event, job_state};
 use crate::failures::HEAD_START;
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
 use crate::leases::{has_calendar, sleep_of, sweep, touch};
+use crate::nodes::{self, select_nodes};
 use crate::schedule::{Opening, opening};
-use crate::{Store, StoreError, nodes};
+use crate::{Store, StoreError};
 
 impl Store {
     /// Hands the node its next task, if there is one and the node is not draining. Sweeps first, so that a task whose
@@ -52,16 +54,22 @@ impl Store {
         now: Timestamp,
     ) -> Result<Option<Answered<Lease>>, StoreError> {
         let mut write = self.write().await?;
-        if let Some(answer) = earlier_answer(&mut write, key).await? {
+        let asker = asker(&mut write, node, key, now).await?;
+        if asker.was_answered
+            && let Some(answer) = earlier_answer(&mut write, key).await?
+        {
             return Ok(Some(Answered::Repeated(answer)));
         }
-        touch(&mut write, node, now);
-        sweep(&mut write, now).await?;
-        let node = nodes::read(write.connection().await?, node).await?;
+        let mut node = asker.node;
+        if asker.some_ran_out {
+            sweep(&mut write, now).await?;
+            node = nodes::read(write.connection().await?, node.id).await?;
+        }
         let offered = match wanted {
             Some(task) => this_task(write.connection().await?, task, now).await?.into(),
             None => offer(write.connection().await?, &node, self.up_since(), now).await?,
         };
+        touch(&mut write, node.id, now);
         if offered.idle_reason != node.idle_reason {
             write
                 .later("UPDATE nodes SET idle_reason = ? WHERE id = ?")
@@ -133,7 +141,7 @@ impl Store {
         now: Timestamp,
     ) -> Result<bool, StoreError> {
         let mut connection = self.readers().acquire().await?;
-        let some_ran_out = "SELECT EXISTS (SELECT 1 FROM leases WHERE state = 'active' AND expires_at <= ?)";
+        let some_ran_out = concat!("SELECT ", some_ran_out!());
         if sqlx::query_scalar(some_ran_out).bind(now.micros()).fetch_one(&mut *connection).await? {
             return Ok(true);
         }
@@ -157,7 +165,10 @@ impl Store {
         let has_calendar = concat!("SELECT ", has_calendar!(), " FROM nodes n WHERE n.id = ?");
         let has_calendar: Option<bool> =
             sqlx::query_scalar(has_calendar).bind(node.0).fetch_optional(&mut *connection).await?;
-        sleep_of(&mut connection, node, has_calendar.unwrap_or(false), now).await
+        match has_calendar {
+            Some(true) => sleep_of(&mut connection, node, now).await,
+            _ => Ok(None),
+        }
     }
 
     /// A node that waits for work is alive.
@@ -168,6 +179,52 @@ impl Store {
         self.commit(write).await
     }
 }
+
+/// What a claim has to know before it looks for a task: one question, for nearly always nothing comes of the other two.
+struct Asker {
+    node: Node,
+    /// Whether the request of this key was answered before.
+    was_answered: bool,
+    /// Whether there are leases that have run out.
+    some_ran_out: bool,
+}
+
+async fn asker(
+    write: &mut Write,
+    node: NodeId,
+    key: Option<&IdempotencyKey>,
+    now: Timestamp,
+) -> Result<Asker, StoreError> {
+    let row = write
+        .ask(select_nodes!(
+            concat!(
+                ", EXISTS (SELECT 1 FROM idempotency WHERE principal = ? AND key = ?) AS was_answered, ",
+                some_ran_out!(),
+                " AS some_ran_out"
+            ),
+            "WHERE n.id = ?"
+        ))
+        .bind(key.map(|key| key.principal.to_vec()))
+        .bind(key.map(|key| key.key.clone()))
+        .bind(now.micros())
+        .bind(node.0)
+        .first_row()
+        .await?
+        .ok_or(StoreError::NotFound("node"))?;
+    Ok(Asker {
+        node: nodes::decode(&row)?,
+        was_answered: row.try_get("was_answered")?,
+        some_ran_out: row.try_get("some_ran_out")?,
+    })
+}
+
+/// Whether there are leases that have run out by now.
+macro_rules! some_ran_out {
+    () => {
+        "EXISTS (SELECT 1 FROM leases WHERE state = 'active' AND expires_at <= ?)"
+    };
+}
+use some_ran_out;
 
 /// What a node is given, or why it is given nothing though there is something.
 #[derive(Default)]

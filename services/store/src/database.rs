@@ -12,7 +12,7 @@ use sqlx::sqlite::{
     SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions,
     SqliteSynchronous,
 };
-use sqlx::{Sqlite, Transaction};
+use sqlx::{ConnectOptions as _, Sqlite, Transaction};
 use tokio::sync::watch;
 
 pub(crate) use crate::writing::Write;
@@ -37,7 +37,6 @@ pub struct Store {
 }
 
 struct Inner {
-    writers: SqlitePool,
     writer: Writer,
     readers: SqlitePool,
     artifacts: Artifacts,
@@ -89,25 +88,24 @@ impl Store {
             .foreign_keys(true)
             .journal_mode(SqliteJournalMode::Wal)
             .busy_timeout(LOCK_WAIT);
-        let writer = SqlitePoolOptions::new()
-            .max_connections(1)
-            .acquire_timeout(WRITE_TURN)
-            .connect_with(options.clone().create_if_missing(true).synchronous(SqliteSynchronous::Full))
-            .await?;
+        let writable = options.clone().create_if_missing(true).synchronous(SqliteSynchronous::Full);
+        let mut connection = writable.connect().await?;
         restrict_to_owner(&path)?;
         if lock.is_some() {
-            find_damage(&mut *writer.acquire().await?, "quick_check").await?;
+            find_damage(&mut connection, "quick_check").await?;
         }
-        MIGRATIONS.run(&writer).await?;
+        MIGRATIONS.run(&mut connection).await?;
+        let writer = Writer::new(connection, writable.create_if_missing(false));
         let readers = SqlitePoolOptions::new()
             .max_connections(READERS)
             .acquire_timeout(WRITE_TURN)
+            // There is nobody at the other end who could have hung up.
+            .test_before_acquire(false)
             .connect_with(options.read_only(true))
             .await?;
-        let artifacts = Artifacts::open(&data.join("artifacts"), at, writer.clone())?;
+        let artifacts = Artifacts::open(&data.join("artifacts"), at, writer.clone(), readers.clone())?;
         let inner = Inner {
-            writer: Writer::new(writer.clone()),
-            writers: writer,
+            writer,
             readers,
             artifacts,
             up_since: AtomicI64::new(i64::MIN),
@@ -153,7 +151,9 @@ impl Store {
     /// Closes all connections and waits for them; further calls fail.
     pub async fn close(&self) {
         self.inner.readers.close().await;
-        self.inner.writers.close().await;
+        if let Err(error) = self.inner.writer.close().await {
+            tracing::warn!(%error, "the database was not closed properly");
+        }
     }
 
     /// Whether the database answers.

@@ -11,7 +11,7 @@ use forelight_protocol::{Event, EventKind, JobState, LeaseId, NodeId, TaskError,
 
 use crate::database::Write;
 use crate::events::{append, event};
-use crate::leases::{LeaseState, back_to_ready, end, fail_for_good, read, touch};
+use crate::leases::{LeaseState, back_to_ready, end, fail_for_good, read_in, touch};
 use crate::{Store, StoreError, jobs, nodes, replans};
 
 /// Nodes on which a task fails before it fails its job.
@@ -57,7 +57,7 @@ impl Store {
         now: Timestamp,
     ) -> Result<(bool, JobState), StoreError> {
         let mut write = self.write().await?;
-        let row = read(write.connection().await?, lease).await?;
+        let row = read_in(&mut write, lease).await?;
         if row.fence == fence && row.state == LeaseState::Failed {
             return Ok((true, jobs::state(write.connection().await?, row.job_id).await?));
         }

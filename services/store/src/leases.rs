@@ -141,8 +141,11 @@ impl Store {
     ) -> Result<Renewal, StoreError> {
         let &RenewRequest { fence, progress, pixels, paused, ref log } = renewal;
         let mut write = self.write().await?;
-        let row = read(write.connection().await?, lease).await?;
-        let sleep_until = sleep_of(write.connection().await?, row.node_id, row.has_calendar, now).await?;
+        let row = read_in(&mut write, lease).await?;
+        let sleep_until = match row.has_calendar {
+            true => sleep_of(write.connection().await?, row.node_id, now).await?,
+            false => None,
+        };
         if row.fence == fence && row.state == LeaseState::Revoked {
             return Ok(Renewal { expires_at: now, order: LeaseOrder::Stop, drain: row.drain, sleep_until });
         }
@@ -182,7 +185,7 @@ impl Store {
     /// or revoked before is a lease given back: nothing to do.
     pub async fn release(&self, lease: LeaseId, fence: u64, now: Timestamp) -> Result<(), StoreError> {
         let mut write = self.write().await?;
-        let row = read(write.connection().await?, lease).await?;
+        let row = read_in(&mut write, lease).await?;
         if row.fence == fence && matches!(row.state, LeaseState::Released | LeaseState::Revoked) {
             return Ok(());
         }
@@ -297,16 +300,12 @@ impl LeaseRow {
 /// A node of which nobody knows when it wakes up asks again after a day.
 const ASLEEP_FOR_LONG: i64 = 24 * 3_600_000_000;
 
-/// Until when a node sleeps. One without a calendar, as most are, is not read for it: every heartbeat asks.
+/// Until when a node sleeps. One without a calendar, as most are, does not, and need not be asked for: every heartbeat would.
 pub(crate) async fn sleep_of(
     connection: &mut SqliteConnection,
     node: NodeId,
-    has_calendar: bool,
     now: Timestamp,
 ) -> Result<Option<Timestamp>, StoreError> {
-    if !has_calendar {
-        return Ok(None);
-    }
     Ok(match opening(&nodes::read(connection, node).await?, now) {
         Opening::Awake(_) => None,
         Opening::Asleep(until) => Some(until.unwrap_or(now.plus_micros(ASLEEP_FOR_LONG))),
@@ -315,17 +314,14 @@ pub(crate) async fn sleep_of(
 
 /// Takes back the tasks whose leases have run out.
 pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept, StoreError> {
-    let rows = sqlx::query(select_leases!(
-        "WHERE l.state = 'active' AND l.expires_at <= ? ORDER BY l.expires_at, l.id"
-    ))
-    .bind(now.micros())
-    .fetch_all(write.connection().await?)
-    .await?;
+    let ran_out =
+        select_leases!("WHERE l.state = 'active' AND l.expires_at <= ? ORDER BY l.expires_at, l.id");
+    let rows = write.ask(ran_out).bind(now.micros()).rows().await?;
     let mut swept = Swept::default();
     for row in rows {
         let row = decode(&row)?;
         // An earlier row of this sweep may have failed the job, and with it revoked this lease.
-        if read(write.connection().await?, row.id).await?.state != LeaseState::Active {
+        if read_in(write, row.id).await?.state != LeaseState::Active {
             continue;
         }
         end(write, &row, "expired", now);
@@ -389,8 +385,16 @@ pub(crate) fn touch(write: &mut Write, node: NodeId, now: Timestamp) {
         .bind(node.0);
 }
 
+const BY_ID: &str = select_leases!("WHERE l.id = ?");
+
 pub(crate) async fn read(connection: &mut SqliteConnection, lease: LeaseId) -> Result<LeaseRow, StoreError> {
-    let row = sqlx::query(select_leases!("WHERE l.id = ?")).bind(lease.0).fetch_optional(connection).await?;
+    let row = sqlx::query(BY_ID).bind(lease.0).fetch_optional(connection).await?;
+    decode(&row.ok_or(StoreError::NotFound("lease"))?)
+}
+
+/// As [`read`], inside a write.
+pub(crate) async fn read_in(write: &mut Write, lease: LeaseId) -> Result<LeaseRow, StoreError> {
+    let row = write.ask(BY_ID).bind(lease.0).first_row().await?;
     decode(&row.ok_or(StoreError::NotFound("lease"))?)
 }
 

@@ -21,7 +21,7 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::database::Write;
-use crate::decode::{id, id_opt, json, json_opt, time, to_json, whole, word};
+use crate::decode::{id_opt, json, json_opt, time, to_json, whole, word};
 use crate::events::{append, event};
 use crate::projection::{OpenBooking, project};
 use crate::replans::{self, is_news};
@@ -120,7 +120,19 @@ pub(crate) async fn update(
     occasion: Occasion,
     now: Timestamp,
 ) -> Result<(), StoreError> {
-    let kept = read(write.connection().await?, job).await?;
+    let before = before(write, job).await?;
+    update_after(before, write, job, occasion, now).await
+}
+
+/// As [`update`], for who has asked what there was before.
+pub(crate) async fn update_after(
+    before: Before,
+    write: &mut Write,
+    job: JobId,
+    occasion: Occasion,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let Before { estimate: kept, job_state: state } = before;
     if let Some(kept) = &kept
         && !kept.is_due(occasion, now)
     {
@@ -129,12 +141,11 @@ pub(crate) async fn update(
         }
         return Ok(());
     }
-    let row = sqlx::query(
-        "SELECT name, state, factor, forecast, verdict, confidence, plan_id FROM jobs WHERE id = ?",
-    )
-    .bind(job.0)
-    .fetch_one(write.connection().await?)
-    .await?;
+    let row =
+        sqlx::query("SELECT name, factor, forecast, verdict, confidence, plan_id FROM jobs WHERE id = ?")
+            .bind(job.0)
+            .fetch_one(write.connection().await?)
+            .await?;
     let (Some(quote), Some(plan)) =
         (json_opt::<JobForecast>(&row, "forecast")?, id_opt(&row, "plan_id")?.map(PlanId))
     else {
@@ -167,7 +178,6 @@ pub(crate) async fn update(
         let rest = if booked_share > 0.0 { booked_rest * frames.share_left / booked_share } else { 0.0 };
         if rest > 0.0 { cpu.remaining.at(confidence) / rest } else { 1.0 }
     };
-    let state: JobState = word(&row, "state")?;
     let bookings = bookings::open_of(write.connection().await?, job).await?;
     let finish = if frames.all_done || state.is_final() {
         Some(now)
@@ -244,27 +254,39 @@ fn count_frame(write: &mut Write, job: JobId) {
     write.later("UPDATE live_forecasts SET frames_since = frames_since + 1 WHERE job_id = ?").bind(job.0);
 }
 
-async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Option<Kept>, StoreError> {
-    let row = sqlx::query(
-        "SELECT l.*, j.frames_total FROM live_forecasts l JOIN jobs j ON j.id = l.job_id WHERE l.job_id = ?",
-    )
-    .bind(job.0)
-    .fetch_optional(connection)
-    .await?;
-    let Some(row) = row else { return Ok(None) };
-    Ok(Some(Kept {
-        frames_total: whole(&row, "frames_total")?,
-        plan: PlanId(id(&row, "plan_id")?),
-        booked_cpu: row.try_get("booked_cpu")?,
-        booked_rest: row.try_get("booked_rest")?,
-        booked_share: row.try_get("booked_share")?,
-        frames_done: whole(&row, "frames_done")?,
-        frames_since: whole(&row, "frames_since")?,
-        cost_is_off: row.try_get("cost_is_off")?,
-        finish_is_off: row.try_get("finish_is_off")?,
-        updated_at: time(&row, "updated_at")?,
-        body: json(&row, "body")?,
-    }))
+/// What there is before an estimate is made.
+pub(crate) struct Before {
+    /// The one before, if there is one.
+    estimate: Option<Kept>,
+    /// Where the job stands.
+    pub job_state: JobState,
+}
+
+/// Asks for it.
+pub(crate) async fn before(write: &mut Write, job: JobId) -> Result<Before, StoreError> {
+    let row = write
+        .ask("SELECT l.*, j.frames_total, j.state FROM jobs j LEFT JOIN live_forecasts l ON l.job_id = j.id WHERE j.id = ?")
+        .bind(job.0)
+        .first_row()
+        .await?
+        .ok_or(StoreError::NotFound("job"))?;
+    let estimate = match id_opt(&row, "plan_id")? {
+        None => None,
+        Some(plan) => Some(Kept {
+            frames_total: whole(&row, "frames_total")?,
+            plan: PlanId(plan),
+            booked_cpu: row.try_get("booked_cpu")?,
+            booked_rest: row.try_get("booked_rest")?,
+            booked_share: row.try_get("booked_share")?,
+            frames_done: whole(&row, "frames_done")?,
+            frames_since: whole(&row, "frames_since")?,
+            cost_is_off: row.try_get("cost_is_off")?,
+            finish_is_off: row.try_get("finish_is_off")?,
+            updated_at: time(&row, "updated_at")?,
+            body: json(&row, "body")?,
+        }),
+    };
+    Ok(Before { estimate, job_state: word(&row, "state")? })
 }
 
 /// The job's frames as the forecast wants them.

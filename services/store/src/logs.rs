@@ -5,7 +5,7 @@ use sqlx::Row as _;
 
 use crate::database::Write;
 use crate::decode::{time, whole, word};
-use crate::leases::{LeaseRow, LeaseState, read};
+use crate::leases::{LeaseRow, LeaseState, read_in};
 use crate::{Store, StoreError};
 
 /// For how long logs are kept: thirty days, in microseconds.
@@ -19,7 +19,7 @@ impl Store {
             return Ok(());
         }
         let mut write = self.write().await?;
-        let row = read(write.connection().await?, lease).await?;
+        let row = read_in(&mut write, lease).await?;
         if row.fence == fence && row.state == LeaseState::Active {
             keep(&mut write, &row, lines).await?;
             self.commit(write).await?;

@@ -22,15 +22,22 @@ pub const LOST: i64 = 300_000_000;
 /// A measured speed is never quite the same: less than a tenth is nobody's business.
 pub(crate) const SAME_SPEED: f64 = 0.1;
 
+/// Nodes, with what they work on and what else is asked of each.
 macro_rules! select_nodes {
     ($rest:literal) => {
+        $crate::nodes::select_nodes!("", $rest)
+    };
+    ($more:expr, $rest:literal) => {
         concat!(
             "SELECT n.*, (SELECT l.task_id FROM leases l WHERE l.node_id = n.id AND l.state = 'active' ",
-            "ORDER BY l.granted_at DESC, l.id LIMIT 1) AS task_id FROM nodes n ",
+            "ORDER BY l.granted_at DESC, l.id LIMIT 1) AS task_id",
+            $more,
+            " FROM nodes n ",
             $rest
         )
     };
 }
+pub(crate) use select_nodes;
 
 impl Store {
     /// Registers a node. One of the same name is updated and keeps its id: a worker that starts again is the same node.
@@ -196,7 +203,7 @@ pub(crate) async fn take_tasks_away(
             .fetch_all(write.connection().await?)
             .await?;
     for lease in held {
-        let row = leases::read(write.connection().await?, LeaseId(lease)).await?;
+        let row = leases::read_in(write, LeaseId(lease)).await?;
         leases::end(write, &row, "revoked", now);
         leases::back_to_ready(write, &row, None);
         append(write, row.event(EventKind::LeaseReleased, now))?;
@@ -269,7 +276,7 @@ pub(crate) async fn list(
     rows.iter().map(decode).collect()
 }
 
-fn decode(row: &SqliteRow) -> Result<Node, StoreError> {
+pub(crate) fn decode(row: &SqliteRow) -> Result<Node, StoreError> {
     let speed_set: Option<f64> = row.try_get("speed_set")?;
     let price_set: Option<i64> = row.try_get("price_set")?;
     let task_id = id_opt(row, "task_id")?.map(TaskId);

@@ -9,11 +9,12 @@ use forelight_protocol::{
 use sqlx::Row as _;
 
 use crate::database::Write;
-use crate::decode::{corrupt, id, json, to_json};
+use crate::decode::{corrupt, id, json, to_json, whole};
 use crate::events::{append, job_state};
-use crate::leases::{LeaseRow, LeaseState, end, read, touch};
+use crate::leases::{LeaseRow, LeaseState, end, read_in, touch};
 use crate::live::{self, Occasion};
-use crate::{Store, StoreError, calibration, jobs, node_learning, nodes, seeds};
+use crate::nodes::{self, select_nodes};
+use crate::{Store, StoreError, calibration, jobs, node_learning, seeds};
 
 /// What became of a result.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -54,7 +55,7 @@ impl Store {
         let body = to_json(result)?;
         let body_hash = *blake3::hash(body.as_bytes()).as_bytes();
         let mut write = self.write().await?;
-        let row = read(write.connection().await?, lease).await?;
+        let row = read_in(&mut write, lease).await?;
         let committed = |duplicate, job_state| Committed {
             duplicate,
             job_id: row.job_id,
@@ -80,18 +81,6 @@ impl Store {
         if row.kind != result.kind() {
             return Err(StoreError::Conflict(format!("the lease is of a {} task", row.kind)));
         }
-        let artifacts: BTreeSet<ArtifactHash> = result.artifacts().into_iter().collect();
-        for artifact in &artifacts {
-            let there: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM artifacts WHERE hash = ?)")
-                .bind(&artifact.0[..])
-                .fetch_one(write.connection().await?)
-                .await?;
-            if !there {
-                return Err(StoreError::MissingArtifact(*artifact));
-            }
-        }
-        // Asked for before anything is left for later: a question sends that off.
-        let node = nodes::read(write.connection().await?, row.node_id).await?;
         write
             .later("INSERT INTO results (task_id, lease_id, body, body_hash, committed_at) VALUES (?, ?, ?, ?, ?)")
             .bind(row.task_id.0)
@@ -99,12 +88,7 @@ impl Store {
             .bind(body)
             .bind(body_hash.to_vec())
             .bind(now.micros());
-        for artifact in &artifacts {
-            write
-                .later("INSERT INTO result_artifacts (task_id, hash) VALUES (?, ?)")
-                .bind(row.task_id.0)
-                .bind(artifact.0.to_vec());
-        }
+        let node = name_artifacts(&mut write, &row, result).await?;
         end(&mut write, &row, "committed", now);
         touch(&mut write, row.node_id, now);
         write
@@ -180,6 +164,39 @@ impl Store {
     }
 }
 
+/// Keeps which artefacts a result names: all of them have to be there. Brings the lease's node along.
+async fn name_artifacts(write: &mut Write, row: &LeaseRow, result: &TaskResult) -> Result<Node, StoreError> {
+    let artifacts: BTreeSet<ArtifactHash> = result.artifacts().into_iter().collect();
+    for artifact in &artifacts {
+        write
+            .later(
+                "INSERT INTO result_artifacts (task_id, hash) SELECT ?, hash FROM artifacts WHERE hash = ?",
+            )
+            .bind(row.task_id.0)
+            .bind(artifact.0.to_vec());
+    }
+    let kept = write
+        .ask(select_nodes!(
+            ", (SELECT count(*) FROM result_artifacts WHERE task_id = ?) AS artifacts",
+            "WHERE n.id = ?"
+        ))
+        .bind(row.task_id.0)
+        .bind(row.node_id.0)
+        .first_row()
+        .await?
+        .ok_or(StoreError::NotFound("node"))?;
+    if whole::<usize>(&kept, "artifacts")? == artifacts.len() {
+        return nodes::decode(&kept);
+    }
+    for artifact in artifacts {
+        let there = write.ask("SELECT 1 FROM artifacts WHERE hash = ?").bind(artifact.0.to_vec());
+        if there.first_row().await?.is_none() {
+            return Err(StoreError::MissingArtifact(artifact));
+        }
+    }
+    Err(corrupt("hash", format!("task {} named artefacts before it was done", row.task_id)))
+}
+
 /// Keeps what there is in a result for others to read, and moves the job on. Says where it stands then.
 async fn keep(
     write: &mut Write,
@@ -245,19 +262,19 @@ async fn keep_render(
         .bind(render.artifacts.preview_png.map(|hash| hash.0.to_vec()))
         .bind(row.job_id.0)
         .bind(i64::from(stats.frame));
-    let finished = sqlx::query(
-        "UPDATE jobs SET state = 'done', finished_at = ?1 WHERE id = ?2 AND state = 'rendering' \
-         AND NOT EXISTS (SELECT 1 FROM frames WHERE job_id = ?2 AND actual IS NULL)",
-    )
-    .bind(now.micros())
-    .bind(row.job_id.0)
-    .execute(write.connection().await?)
-    .await?;
-    let is_last = finished.rows_affected() == 1;
+    write
+        .later(
+            "UPDATE jobs SET state = 'done', finished_at = ? WHERE id = ? AND state = 'rendering' \
+             AND NOT EXISTS (SELECT 1 FROM frames WHERE job_id = jobs.id AND actual IS NULL)",
+        )
+        .bind(now.micros())
+        .bind(row.job_id.0);
+    let before = live::before(write, row.job_id).await?;
+    let is_last = before.job_state == JobState::Done && row.job_state != JobState::Done;
     if is_last {
         calibration::learn(write, row.job_id, now).await?;
         job_state(write, row.job_id, JobState::Done, None, now)?;
     }
-    live::update(write, row.job_id, Occasion::Frame, now).await?;
+    live::update_after(before, write, row.job_id, Occasion::Frame, now).await?;
     Ok(is_last)
 }

@@ -4,9 +4,8 @@
 //! *batch*: each runs inside a savepoint of its own, one after the other, and then the batch is committed for all. Nobody
 //! is answered before that: what was acknowledged is on disk.
 //!
-//! Most of what a write says needs no answer: that a lease is over, what happened. A question and its answer take longer to find their way between this
-//! thread and that of the connection than SQLite takes for them. So such statements are kept ([`Write::later`]), and go with the next one
-//! that is asked something, or with the end of the write, a few at once and in their order.
+//! Most of what a write says needs no answer: that a lease is over, what happened. It is left for later ([`Write::later`]) and goes with the next
+//! question, the savepoint as well, and `BEGIN` with that of the first (see `statements`): a write that asks once sends two texts in all.
 //!
 //! Who commits? Whoever has written goes to the end of the queue again; when its turn comes, all who stood in the queue before have
 //! written too, and it commits for all of them, unless someone did already. A write that meets nobody commits at once.
@@ -16,18 +15,20 @@
 //! * *A write fails half-way, or whoever asked for it is gone.* Its savepoint is rolled back before anything else happens, the others' writes
 //!   stay. Should SQLite have rolled everything back by itself, as it does when the disk is full, then nothing of the batch
 //!   is there, and all of it are told to come again.
-//! * *Whoever asked goes away between a statement and its answer.* Steps that concern the batch run as tasks of their own, which
+//! * *Whoever asked goes away between a statement and its answer.* What was sent is carried out, a text with several statements perhaps
+//!   only up to one of them; its savepoint, which comes first, is rolled back then. Steps that concern the batch run as tasks of their own, which
 //!   nobody can cancel half-way.
+
+mod statements;
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use sqlx::error::BoxDynError;
-use sqlx::pool::PoolConnection;
-use sqlx::sqlite::{SqliteArguments, SqliteConnection, SqlitePool};
-use sqlx::{Arguments as _, AssertSqlSafe, Encode, Executor as _, Sqlite, Type};
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::{ConnectOptions as _, Connection as _, Executor as _};
 use tokio::sync::{Mutex, OwnedMappedMutexGuard, OwnedMutexGuard, watch};
 
+use self::statements::{Later, Question, Statements};
 use crate::StoreError;
 
 /// How long a writer waits for its turn before the caller is told that the database is busy.
@@ -40,7 +41,7 @@ const LARGEST_BATCH: u32 = 64;
 #[derive(Clone)]
 pub(crate) struct Writer {
     desk: Arc<Mutex<Desk>>,
-    connections: SqlitePool,
+    database: Arc<SqliteConnectOptions>,
     signals: Arc<Signals>,
 }
 
@@ -58,11 +59,16 @@ pub(crate) struct Signals {
 #[derive(Default)]
 struct Desk {
     batch: Option<Batch>,
+    /// The connection, between two batches.
+    rests: Option<SqliteConnection>,
+    is_closed: bool,
 }
 
 /// A transaction that several writes share.
 struct Batch {
-    connection: PoolConnection<Sqlite>,
+    connection: SqliteConnection,
+    /// Whether anything was sent, and `BEGIN` before it.
+    begun: bool,
     /// Writes in it.
     members: u32,
     /// Whether the last savepoint was neither released nor rolled back.
@@ -71,6 +77,21 @@ struct Batch {
     made_work: bool,
     wants_plan: bool,
     outcome: watch::Sender<Option<Outcome>>,
+}
+
+impl Batch {
+    fn new(connection: SqliteConnection) -> Self {
+        Self {
+            connection,
+            begun: false,
+            members: 0,
+            abandoned: false,
+            wrote_events: false,
+            made_work: false,
+            wants_plan: false,
+            outcome: watch::Sender::new(None),
+        }
+    }
 }
 
 /// What became of a batch.
@@ -99,85 +120,59 @@ pub(crate) struct Write {
     batch: OwnedMappedMutexGuard<Desk, Batch>,
     writer: Writer,
     committed: bool,
-    kept: Kept,
+    statements: Statements,
     pub(crate) wrote_events: bool,
     pub(crate) made_work: bool,
     pub(crate) wants_plan: bool,
 }
 
 impl Write {
-    /// Where to ask something. What was left for later is done first.
-    pub(crate) async fn connection(&mut self) -> Result<&mut SqliteConnection, StoreError> {
-        self.kept.send(&mut self.batch.connection).await?;
-        Ok(&mut self.batch.connection)
+    /// `BEGIN IMMEDIATE` takes the write lock at once: a transaction that reads first and asks for the lock later could find
+    /// that another process wrote in between, and would fail half-way.
+    fn new(batch: OwnedMappedMutexGuard<Desk, Batch>, writer: Writer) -> Self {
+        let mut statements = Statements::default();
+        if !batch.begun {
+            statements.push("BEGIN IMMEDIATE");
+        }
+        statements.push("SAVEPOINT one");
+        Self {
+            batch,
+            writer,
+            committed: false,
+            statements,
+            wrote_events: false,
+            made_work: false,
+            wants_plan: false,
+        }
     }
 
-    /// Leaves a statement for later: it is done before anything else is asked, and before the write ends. Its parameters are plain `?`.
+    /// Leaves a statement for later: it is done before anything is asked that comes after it, and before the write ends. Its parameters are
+    /// plain `?`.
     pub(crate) fn later(&mut self, statement: &'static str) -> Later<'_> {
-        self.kept.push(statement);
-        Later(&mut self.kept)
-    }
-}
-
-/// Statements that go together, at most: together they are one prepared text, which is worth keeping only if it comes again. A write may leave
-/// thousands, one for each frame of a job.
-const MOST_TOGETHER: usize = 16;
-
-/// Statements that are kept.
-#[derive(Default)]
-struct Kept {
-    groups: Vec<Group>,
-    /// Why one of them could not be bound.
-    failed: Option<BoxDynError>,
-}
-
-/// Statements that go together, and what is bound to them.
-#[derive(Default)]
-struct Group {
-    statements: Vec<&'static str>,
-    arguments: SqliteArguments,
-}
-
-impl Kept {
-    fn push(&mut self, statement: &'static str) {
-        if self.groups.last().is_none_or(|group| group.statements.len() == MOST_TOGETHER) {
-            self.groups.push(Group::default());
-        }
-        if let Some(group) = self.groups.last_mut() {
-            group.statements.push(statement);
-        }
+        self.statements.push(statement);
+        Later(self)
     }
 
-    /// Binds a value to the statement that was pushed last.
-    fn bind<'t>(&mut self, value: impl Encode<'t, Sqlite> + Type<Sqlite> + 't) {
-        if let Some(group) = self.groups.last_mut()
-            && let Err(error) = group.arguments.add(value)
-        {
-            self.failed.get_or_insert(error);
-        }
+    /// A question whose parameters are plain `?`. What was left for later goes with it.
+    pub(crate) fn ask(&mut self, question: &'static str) -> Question<'_> {
+        self.statements.push(question);
+        Question(self)
     }
 
-    async fn send(&mut self, connection: &mut SqliteConnection) -> Result<(), StoreError> {
-        let Kept { groups, failed } = std::mem::take(self);
-        if let Some(error) = failed {
-            return Err(sqlx::Error::Encode(error).into());
-        }
-        for Group { statements, arguments } in groups {
-            // Put together of texts of this crate.
-            let together = AssertSqlSafe(statements.join("; "));
-            sqlx::query_with(together, arguments).execute(&mut *connection).await?;
-        }
-        Ok(())
+    /// Where to ask anything else. What was left for later is done first.
+    pub(crate) async fn connection(&mut self) -> Result<&mut SqliteConnection, StoreError> {
+        let (connection, statements) = self.open()?;
+        statements.send(connection).await?;
+        Ok(connection)
     }
-}
 
-/// Binds what a statement that is left for later needs.
-pub(crate) struct Later<'a>(&'a mut Kept);
-
-impl Later<'_> {
-    pub(crate) fn bind<'t>(self, value: impl Encode<'t, Sqlite> + Type<Sqlite> + 't) -> Self {
-        self.0.bind(value);
-        self
+    /// For sending something. From here on there is something to clear up, whatever becomes of it.
+    fn open(&mut self) -> Result<(&mut SqliteConnection, &mut Statements), StoreError> {
+        self.statements.check()?;
+        let batch = &mut *self.batch;
+        batch.begun = true;
+        batch.abandoned = true;
+        Ok((&mut batch.connection, &mut self.statements))
     }
 }
 
@@ -194,61 +189,50 @@ impl Drop for Write {
 }
 
 impl Writer {
-    pub fn new(connections: SqlitePool) -> Self {
+    /// Writes to this database, by a connection of its own.
+    pub fn new(connection: SqliteConnection, database: SqliteConnectOptions) -> Self {
         let sender = || watch::Sender::new(0);
         let signals = Signals { events: sender(), work: sender(), plans: sender() };
-        Self { desk: Arc::default(), connections, signals: Arc::new(signals) }
+        let desk = Desk { rests: Some(connection), ..Desk::default() };
+        Self { desk: Arc::new(Mutex::new(desk)), database: Arc::new(database), signals: Arc::new(signals) }
     }
 
     pub fn signals(&self) -> &Signals {
         &self.signals
     }
 
-    /// Begins a write. `BEGIN IMMEDIATE` takes the write lock at once: a transaction that reads first and asks for the lock later could find
-    /// that another process wrote in between, and would fail half-way.
+    /// Begins a write.
     pub async fn write(&self) -> Result<Write, StoreError> {
         let desk = tokio::time::timeout(WRITE_TURN, self.desk.clone().lock_owned());
-        let desk = desk.await.map_err(|_| StoreError::Busy)?;
-        let writer = self.clone();
-        uncancelled(async move { writer.begin(desk).await }).await
+        let mut desk = desk.await.map_err(|_| StoreError::Busy)?;
+        if desk.batch.as_ref().is_some_and(|batch| batch.abandoned || batch.members >= LARGEST_BATCH) {
+            let writer = self.clone();
+            desk = uncancelled(async move { Ok(writer.make_room(desk).await) }).await?;
+        }
+        if desk.is_closed {
+            return Err(sqlx::Error::PoolClosed.into());
+        }
+        if desk.batch.is_none() {
+            let connection = match desk.rests.take() {
+                Some(connection) => connection,
+                None => self.database.connect().await?,
+            };
+            desk.batch = Some(Batch::new(connection));
+        }
+        match OwnedMutexGuard::try_map(desk, |desk| desk.batch.as_mut()) {
+            Ok(batch) => Ok(Write::new(batch, self.clone())),
+            Err(_) => Err(StoreError::Busy),
+        }
     }
 
-    async fn begin(self, mut desk: OwnedMutexGuard<Desk>) -> Result<Write, StoreError> {
+    /// Makes the batch one that takes another write, or none.
+    async fn make_room(&self, mut desk: OwnedMutexGuard<Desk>) -> OwnedMutexGuard<Desk> {
         if let Some(batch) = &mut desk.batch
             && (!clear_up(batch).await || batch.members >= LARGEST_BATCH)
         {
             desk = self.finish(desk).await;
         }
-        if desk.batch.is_none() {
-            let mut connection = self.connections.acquire().await?;
-            connection.execute("BEGIN IMMEDIATE").await?;
-            desk.batch = Some(Batch {
-                connection,
-                members: 0,
-                abandoned: false,
-                wrote_events: false,
-                made_work: false,
-                wants_plan: false,
-                outcome: watch::Sender::new(None),
-            });
-        }
-        let Ok(mut batch) = OwnedMutexGuard::try_map(desk, |desk| desk.batch.as_mut()) else {
-            return Err(StoreError::Busy);
-        };
-        batch.abandoned = true;
-        let savepoint = batch.connection.execute("SAVEPOINT one").await;
-        // From here on dropping it clears up, whatever has happened.
-        let write = Write {
-            batch,
-            writer: self,
-            committed: false,
-            kept: Kept::default(),
-            wrote_events: false,
-            made_work: false,
-            wants_plan: false,
-        };
-        savepoint?;
-        Ok(write)
+        desk
     }
 
     /// Makes a write last, with all others that wait for the same; then wakes those who wait for what it changed.
@@ -258,8 +242,8 @@ impl Writer {
     }
 
     async fn end(self, mut write: Write) -> Result<(), StoreError> {
-        write.kept.push("RELEASE one");
-        write.kept.send(&mut write.batch.connection).await?;
+        write.later("RELEASE one");
+        write.connection().await?;
         let (events, work, plans) = (write.wrote_events, write.made_work, write.wants_plan);
         let batch = &mut write.batch;
         batch.abandoned = false;
@@ -289,12 +273,7 @@ impl Writer {
     async fn finish(&self, mut desk: OwnedMutexGuard<Desk>) -> OwnedMutexGuard<Desk> {
         let Some(mut batch) = desk.batch.take() else { return desk };
         let outcome = if clear_up(&mut batch).await { commit(&mut batch).await } else { Outcome::Again };
-        if !matches!(outcome, Outcome::Committed) {
-            // What is not committed must not be in the way of what comes next. It may be gone already.
-            let _ = batch.connection.execute("ROLLBACK").await;
-        }
-        let Batch { connection, wrote_events, made_work, wants_plan, outcome: waiting, .. } = batch;
-        drop(connection);
+        let Batch { mut connection, wrote_events, made_work, wants_plan, outcome: waiting, .. } = batch;
         if matches!(outcome, Outcome::Committed) {
             let signals = &self.signals;
             for (happened, signal) in
@@ -305,12 +284,34 @@ impl Writer {
                 }
             }
         }
+        desk.rests = match outcome {
+            Outcome::Committed => Some(connection),
+            // What is not committed must not be in the way of what comes next. It may be gone already, which SQLite says; anything else says that the
+            // connection is of no use.
+            _ => match connection.execute("ROLLBACK").await {
+                Ok(_) | Err(sqlx::Error::Database(_)) => Some(connection),
+                Err(_) => None,
+            },
+        };
         waiting.send_replace(Some(outcome));
         desk
+    }
+
+    /// Commits what is under way and closes the connection; further writes fail.
+    pub async fn close(&self) -> Result<(), StoreError> {
+        let mut desk = self.finish(self.desk.clone().lock_owned().await).await;
+        desk.is_closed = true;
+        match desk.rests.take() {
+            Some(connection) => Ok(connection.close().await?),
+            None => Ok(()),
+        }
     }
 }
 
 async fn commit(batch: &mut Batch) -> Outcome {
+    if !batch.begun {
+        return Outcome::Committed;
+    }
     match batch.connection.execute("COMMIT").await.map_err(StoreError::from) {
         Ok(_) => Outcome::Committed,
         Err(StoreError::Full) => Outcome::Full,
@@ -326,7 +327,9 @@ async fn clear_up(batch: &mut Batch) -> bool {
     }
     for statement in ["ROLLBACK TO one", "RELEASE one"] {
         if let Err(error) = batch.connection.execute(statement).await {
-            tracing::warn!(%error, writes = batch.members, "SQLite rolled a transaction back by itself");
+            if batch.members > 0 {
+                tracing::warn!(%error, writes = batch.members, "SQLite rolled a transaction back by itself");
+            }
             return false;
         }
     }

@@ -148,3 +148,32 @@ async fn a_write_of_which_something_left_for_later_fails_leaves_nothing_behind_a
     let mut reader = farm.store.readers().acquire().await.unwrap();
     assert_eq!(names(&mut reader).await, ["a", "b"]);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_write_that_is_given_up_between_a_question_and_its_answer_harms_no_other() {
+    let farm = Farm::new().await;
+    let asks = async |store: Store| {
+        let mut write = store.write().await?;
+        token_later(&mut write, "given up");
+        for _ in 0..20 {
+            write.ask("SELECT count(*) FROM tokens WHERE created_at > ?").bind(0).first_row().await?;
+        }
+        token_later(&mut write, "given up as well");
+        write.connection().await?;
+        std::future::pending::<Result<(), StoreError>>().await
+    };
+    let mut given_up = tokio::task::JoinSet::new();
+    let mut kept = tokio::task::JoinSet::new();
+    for number in 0..100u64 {
+        let (store, soon) = (farm.store.clone(), Duration::from_micros(50 * (number % 23)));
+        given_up.spawn(async move { tokio::time::timeout(soon, asks(store)).await });
+        let store = farm.store.clone();
+        kept.spawn(async move { tokens::create(&store, Role::Viewer, "kept", at(0)).await });
+    }
+    for created in kept.join_all().await {
+        created.unwrap();
+    }
+    assert!(given_up.join_all().await.iter().all(Result::is_err), "they wait for ever");
+    let mut reader = farm.store.readers().acquire().await.unwrap();
+    assert_eq!(names(&mut reader).await, ["kept"; 100]);
+}
