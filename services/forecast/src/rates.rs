@@ -19,8 +19,8 @@
 
 use crate::moments::sum;
 
-/// λ: as if it had been seen once, to within three times the error of a kernel, that the class is in proportion.
-const RIDGE: f64 = 0.1;
+/// λ: the square of what kernels are off by, of which none is a frame, over what machines differ in by class: some 8 % over some 15 %.
+const RIDGE: f64 = 0.3;
 
 /// Proportions stay within this factor of the reference's.
 const WIDEST: f64 = 20.0;
@@ -120,7 +120,8 @@ mod tests {
             off(truth.map(|rate| 3.0 * rate)) < 1e-12,
             "one factor for all classes is found to the last digit"
         );
-        assert!(off([0.9e-9, 2.2e-9, 0.5e-9]) < 0.08, "{}", off([0.9e-9, 2.2e-9, 0.5e-9]));
+        // Of a quarter that proportions are off, less than half is left.
+        assert!(off([0.9e-9, 2.2e-9, 0.5e-9]) < 0.12, "{}", off([0.9e-9, 2.2e-9, 0.5e-9]));
         assert!(off([1.0e-9; 3]) < 0.3, "{}", off([1.0e-9; 3]));
     }
 

@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | `coherent` | rays from the camera, one beside the other, through a small tree |
 //! | `incoherent` | rays gathered from all directions, in a room of boxes in matt, mirror and glass: most like a frame |
-//! | `traversal` | the same above hills of eight thousand triangles, which caches hold |
+//! | `traversal` | the same in a closed room with balls of six thousand triangles, which caches hold |
 //! | `memory` | the same of half a million triangles, which they do not |
 //! | `lights` | a glossy floor under a lamp, with next to nothing in between: rays that meet nothing |
 //! | `surfaces` | a floor without any light: the surface that each ray from the camera meets |
@@ -32,9 +32,12 @@ const SIZE: u32 = 48;
 /// Boxes along an edge of the room: 6916 triangles in all, which caches hold.
 const BOXES: u32 = 24;
 
-/// Squares along an edge of the low and the high hills, and of those of which the tree is built: twice its square of triangles.
-const LOW: u32 = 64;
-const HIGH: u32 = 512;
+/// Balls in the closed room, and rings of each where there are few triangles and where there are many: of n rings a ball has 4 n (n − 1) triangles.
+const BALLS: u32 = 256;
+const FEW: u32 = 3;
+const MANY: u32 = 23;
+
+/// Squares along an edge of the hills of which the tree is built: twice its square of triangles.
 const BUILT: u32 = 160;
 
 /// Sheets of the kernel of textures, and the edge of their image in texels: 16 MiB.
@@ -91,15 +94,15 @@ pub fn all() -> Vec<Kernel> {
     };
     let room = room();
     vec![
-        kernel("coherent", 0.91, &room, &with(4, 0), 1),
-        kernel(REFERENCE, 0.935, &room, &with(1, 1), 1),
-        kernel("traversal", 0.845, &hills(LOW), &with(1, 1), 1),
-        kernel("memory", 0.97, &hills(HIGH), &with(1, 1), 2),
-        kernel("lights", 1.0, &lit_floor(), &with(8, 0), 1),
-        kernel("surfaces", 0.63, &dark_floor(), &with(16, 0), 1),
-        kernel("texture", 1.1, &sheets(), &with(1, 0), 1),
-        kernel("records", 0.757, &room, &cached, 1),
-        Kernel { name: "build", beyond: 0.54, does: Does::Build(Box::new(hills(BUILT)), settings.clone()) },
+        kernel("coherent", 1.10, &room, &with(4, 0), 1),
+        kernel(REFERENCE, 1.085, &room, &with(1, 1), 1),
+        kernel("traversal", 1.26, &interior(FEW), &with(1, 1), 3),
+        kernel("memory", 1.41, &interior(MANY), &with(1, 1), 3),
+        kernel("lights", 1.18, &lit_floor(), &with(8, 0), 1),
+        kernel("surfaces", 0.78, &dark_floor(), &with(16, 0), 1),
+        kernel("texture", 1.16, &sheets(), &with(1, 0), 1),
+        kernel("records", 0.944, &room, &cached, 1),
+        Kernel { name: "build", beyond: 0.53, does: Does::Build(Box::new(hills(BUILT)), settings.clone()) },
     ]
 }
 
@@ -197,6 +200,69 @@ fn room() -> Frame {
     scene.frame()
 }
 
+/// A closed room around the camera with three lamps under its ceiling, and balls of so many rings.
+fn interior(rings: u32) -> Frame {
+    const HALF: f32 = 10.0;
+    const HEIGHT: f32 = 7.0;
+    let mut scene = Builder::default();
+    let plastic = Surface::Plastic { albedo: Color::plain(Vec3::splat(0.4)), ior: 1.5, alpha: 0.3 };
+    let walls = scene.object("walls", matt(0.6), 0.0);
+    let light = scene.object("lights", matt(0.0), 12.0);
+    let balls = [scene.object("matt", matt(0.5), 0.0), scene.object("plastic", plastic, 0.0)];
+    let geometry = &mut scene.geometry;
+    quad(geometry, square(HALF, 0.0), walls);
+    quad(geometry, lamp(HALF, HEIGHT), walls);
+    for (across, along) in
+        [(Vec3::X, Vec3::Z), (Vec3::NEG_X, Vec3::NEG_Z), (Vec3::Z, Vec3::NEG_X), (Vec3::NEG_Z, Vec3::X)]
+    {
+        let corner = |x: f32, y: f32| HALF * (x * across - along) + Vec3::new(0.0, y, 0.0);
+        quad(
+            geometry,
+            [corner(-1.0, 0.0), corner(1.0, 0.0), corner(1.0, HEIGHT), corner(-1.0, HEIGHT)],
+            walls,
+        );
+    }
+    for (i, half) in [(-1.0, 0.3), (0.0, 1.0), (1.0, 0.6)] {
+        let corners = lamp(half, HEIGHT - 0.1).map(|corner| corner + Vec3::new(5.0 * i, 0.0, -2.0 * i));
+        quad(geometry, corners, light);
+    }
+    for i in 0..BALLS {
+        let place = |factor: u32| (i * factor % BALLS) as f32 / BALLS as f32;
+        let radius = 0.3 + 0.4 * place(29);
+        let centre = Vec3::new(16.0 * (place(75) - 0.5), radius + 5.0 * place(117), 14.0 * place(1) - 9.0);
+        ball(geometry, centre, radius, rings, balls[(i % 2) as usize]);
+    }
+    Frame { environment: Environment::Constant(Vec3::ZERO), ..scene.frame() }
+}
+
+/// A ball of so many rings, each of twice as many squares.
+fn ball(geometry: &mut Geometry, centre: Vec3, radius: f32, rings: u32, stratum: u32) {
+    let around = 2 * rings;
+    let first = geometry.positions.len() as u32;
+    for i in 0..(rings + 1) * around {
+        let (down, turn) = (i / around, i % around);
+        let (latitude, longitude) = (
+            std::f32::consts::PI * down as f32 / rings as f32,
+            std::f32::consts::TAU * turn as f32 / around as f32,
+        );
+        let (sine, cosine) = (libm::sinf(latitude), libm::cosf(latitude));
+        let outward = Vec3::new(sine * libm::cosf(longitude), cosine, sine * libm::sinf(longitude));
+        geometry.positions.push(centre + radius * outward);
+        geometry.normals.push(Vec3::ZERO);
+        geometry.uvs.push(Vec2::ZERO);
+    }
+    for i in 0..rings * around {
+        let (down, turn) = (i / around, i % around);
+        let corner = |down: u32, turn: u32| first + down * around + turn % around;
+        let [a, b, c, d] =
+            [corner(down, turn), corner(down, turn + 1), corner(down + 1, turn + 1), corner(down + 1, turn)];
+        // At the poles a square has no more than three corners.
+        geometry.triangles.extend((down > 0).then_some([a, b, c]));
+        geometry.triangles.extend((down < rings - 1).then_some([a, c, d]));
+    }
+    geometry.triangle_stratum.resize(geometry.triangles.len(), stratum);
+}
+
 /// Ground of so many squares to each side whose height follows no pattern.
 fn hills(squares: u32) -> Frame {
     let mut scene = Builder::default();
@@ -285,20 +351,43 @@ fn quad(geometry: &mut Geometry, corners: [Vec3; 4], stratum: u32) {
 mod tests {
     use super::*;
 
+    /// How far a triangle faces away from a point; negative if towards it.
+    fn away(geometry: &Geometry, triangle: u32, from: Vec3) -> f32 {
+        let [a, b, c] = geometry.corners(triangle);
+        geometry.geometric_normal(triangle).dot(((a + b + c) / 3.0 - from).normalize())
+    }
+
     #[test]
-    fn the_boxes_face_outwards_and_the_hills_upwards() {
+    fn boxes_and_balls_face_outwards_and_hills_upwards() {
         let frame = room();
         let geometry = &frame.geometry;
         for triangle in 4..geometry.triangles.len() as u32 {
             let first = 8 + (triangle - 4) / 12 * 24;
-            let own: Vec<Vec3> = geometry.positions[first as usize..first as usize + 24].to_vec();
+            let own = &geometry.positions[first as usize..first as usize + 24];
             let centre = own.iter().sum::<Vec3>() / 24.0;
-            let [a, b, c] = geometry.corners(triangle);
-            let outward = geometry.geometric_normal(triangle).dot((a + b + c) / 3.0 - centre);
-            assert!(outward > 0.0, "triangle {triangle}");
+            assert!(away(geometry, triangle, centre) > 0.0, "triangle {triangle}");
         }
-        let hills = hills(HIGH);
-        assert_eq!(hills.geometry.triangles.len(), 524_288);
-        assert!((0..524_288).step_by(1009).all(|triangle| hills.geometry.geometric_normal(triangle).y > 0.0));
+        let hills = hills(BUILT);
+        assert_eq!(hills.geometry.triangles.len(), 51_200);
+        assert!((0..51_200).step_by(109).all(|triangle| hills.geometry.geometric_normal(triangle).y > 0.0));
+    }
+
+    #[test]
+    fn the_closed_room_faces_the_camera_and_its_balls_face_outwards() {
+        const ROOM: u32 = 18;
+        for (rings, triangles) in [(FEW, 6162), (MANY, 518_162)] {
+            let frame = interior(rings);
+            let geometry = &frame.geometry;
+            assert_eq!(geometry.triangles.len(), triangles);
+            assert_eq!(geometry.triangle_stratum.len(), triangles);
+            assert!((0..ROOM).all(|triangle| away(geometry, triangle, frame.camera.origin) < 0.0));
+            let (corners, of_ball) = (((rings + 1) * 2 * rings) as usize, 4 * rings * (rings - 1));
+            for triangle in (ROOM..triangles as u32).step_by(if rings == FEW { 1 } else { 997 }) {
+                let first = 36 + (triangle - ROOM) as usize / of_ball as usize * corners;
+                let own = &geometry.positions[first..first + corners];
+                let centre = own.iter().sum::<Vec3>() / corners as f32;
+                assert!(away(geometry, triangle, centre) > 0.9, "triangle {triangle} of {rings} rings");
+            }
+        }
     }
 }
