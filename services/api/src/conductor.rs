@@ -19,6 +19,7 @@
 pub(crate) mod accuracy;
 #[cfg(test)]
 mod agreement;
+pub(crate) mod alone;
 pub(crate) mod answers;
 mod book;
 mod choose;

@@ -104,20 +104,27 @@ impl Store {
         .fetch_all(&mut *transaction)
         .await?;
         let frames = rows.iter().map(|row| json(row, "forecast")).collect::<Result<_, _>>()?;
-        Ok(Some(ForecastDoc {
+        Ok(Some(kept.document(frames)))
+    }
+}
+
+impl JobForecast {
+    /// As it is shown, with the forecasts of the frames.
+    pub fn document(self, frames: Vec<FrameForecast>) -> ForecastDoc {
+        ForecastDoc {
             frames,
-            total: kept.total,
-            profiled: kept.profiled,
-            spent: kept.spent,
-            calibrated: kept.calibrated,
-            effects: kept.effects,
-            left_out: kept.left_out,
-            chosen_spp: kept.chosen_spp,
-            work_by_class: kept.work_by_class,
-            cpu_seconds_on: kept.cpu_seconds_on,
-            cache: kept.cache,
-            cost: kept.cost,
-        }))
+            total: self.total,
+            profiled: self.profiled,
+            spent: self.spent,
+            calibrated: self.calibrated,
+            effects: self.effects,
+            left_out: self.left_out,
+            chosen_spp: self.chosen_spp,
+            work_by_class: self.work_by_class,
+            cpu_seconds_on: self.cpu_seconds_on,
+            cache: self.cache,
+            cost: self.cost,
+        }
     }
 }
 

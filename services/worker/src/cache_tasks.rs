@@ -1,13 +1,12 @@
 //! The tasks that make the irradiance cache which the frames of a job share: plan, fill a part, put parts together.
 
 use crate::execute::{Assignment, Control, ExecuteError, Outcome};
-use crate::render::counts;
 use crate::renderer::{RenderError, Renderer};
 use crate::shot_cache::{Filled, fill_part, plan_shared};
 use crate::tasks::Files;
 use forelight_protocol::{
-    CACHE_BYTES, CacheFillResult, CacheFillSpec, CacheMergeResult, CacheMergeSpec, CachePlanResult,
-    CachePlanSpec, LogLevel, Spent, TaskResult,
+    CacheFillResult, CacheFillSpec, CacheMergeResult, CacheMergeSpec, CachePlanSpec, LogLevel, Spent,
+    TaskResult,
 };
 use forelight_tracer::{Cache, CacheError, thread_cpu_nanos};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -26,21 +25,17 @@ pub(crate) fn plan(
     let Some(planned) = planned else {
         return Err(ExecuteError::Permanent("these settings have no use for an irradiance cache".into()));
     };
-    let bytes = planned.cache.to_bytes();
-    let size = bytes.len() as u64;
-    let records: Vec<u32> = counts(planned.cache.records());
+    let mut files = Files::default();
+    let result = planned.result(|bytes| files.add(bytes));
     control.log(
         LogLevel::Info,
-        format!("planned {} records for {} frames: {size} bytes", sum(&records), spec.frames.len()),
+        format!(
+            "planned {} records for {} frames: {} bytes",
+            sum(&result.records),
+            spec.frames.len(),
+            result.bytes
+        ),
     );
-    let mut files = Files::default();
-    let result = CachePlanResult {
-        cache: (size <= CACHE_BYTES).then(|| files.add(bytes)),
-        bytes: size,
-        records,
-        frames: planned.frames,
-        spent: planned.spent,
-    };
     Ok(Outcome { result: TaskResult::CachePlan(result), artifacts: files.contents })
 }
 

@@ -11,7 +11,9 @@ use crate::render::{counts, own_records, spent};
 use crate::renderer::{RenderError, Renderer};
 use crate::shot::{ProfiledFrame, cost_of, records_to_sample};
 use forelight_forecast::accuracy::PixelNoise;
-use forelight_protocol::{CacheFrame, CacheSample, RenderSettings, SharedSample, Spent};
+use forelight_protocol::{
+    ArtifactHash, CACHE_BYTES, CacheFrame, CachePlanResult, CacheSample, RenderSettings, SharedSample, Spent,
+};
 use forelight_tracer::{Cache, Cost, Pixel, RecordCost};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -24,6 +26,22 @@ pub struct SharedPlan {
     pub frames: Vec<CacheFrame>,
     /// What finding all this out took.
     pub spent: Spent,
+}
+
+impl SharedPlan {
+    /// As it is told to who decides, with the cache kept under the name that `keep` gives its bytes, unless it is larger than one that can be sent
+    /// around.
+    pub fn result(self, keep: impl FnOnce(Vec<u8>) -> ArtifactHash) -> CachePlanResult {
+        let bytes = self.cache.to_bytes();
+        let size = bytes.len() as u64;
+        CachePlanResult {
+            cache: (size <= CACHE_BYTES).then(|| keep(bytes)),
+            bytes: size,
+            records: counts(self.cache.records()),
+            frames: self.frames,
+            spent: self.spent,
+        }
+    }
 }
 
 /// Plans a cache for all of these frames, and finds out by planning what each of them needs beyond it; on the current thread pool.

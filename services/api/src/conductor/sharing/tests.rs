@@ -62,13 +62,7 @@ impl Case {
         };
         let profiles = quoted.profiled.iter().map(measured).collect();
         let planned = PlannedCache::There {
-            plan: Box::new(CachePlanResult {
-                cache: Some(ArtifactHash([1; 32])),
-                bytes: plan.cache.to_bytes().len() as u64,
-                records: plan.cache.records().iter().map(|&count| count as u32).collect(),
-                frames: plan.frames,
-                spent: plan.spent,
-            }),
+            plan: Box::new(plan.clone().result(|_| ArtifactHash([1; 32]))),
             node_speed: 1.0,
         };
         Self { shot, frames: frames.to_vec(), settings, preview, profiles, planned, cache: plan.cache }

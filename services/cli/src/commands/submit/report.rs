@@ -1,9 +1,10 @@
 //! What was said and what was, frame by frame.
 
+use crate::caches;
 use crate::quantities::{clock, count, money, percent, seconds};
 use crate::table::{Align, Table};
 use forelight_protocol::{
-    CachePrice, CacheQuote, ForecastDoc, FrameRow, FrameState, Job, JobState, LeftOut, Timestamp, Verdict,
+    CacheQuote, ForecastDoc, FrameRow, FrameState, Job, JobState, LeftOut, Timestamp, Verdict,
 };
 use serde::Serialize;
 
@@ -60,23 +61,10 @@ pub fn report(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], no
 }
 
 /// How the irradiance caches are made, with both prices, and what the shared one took.
-fn caches(cache: &CacheQuote, job: &Job) -> String {
-    let said = |price: &CachePrice| {
-        let cost = price.cost.map_or(String::new(), |cost| format!(", {}", money(cost.0)));
-        format!("{} records, {} CPU time{cost}", count(price.records as f64), seconds(price.cpu_seconds))
-    };
-    let way = if cache.shared { "one for all frames" } else { "each frame makes its own" };
-    let mut text = format!("caches     {way}: {}\n", cache.reason);
-    if let Some(shared) = &cache.shared_price {
-        text +=
-            &format!("           shared: {}; each its own: {}\n", said(shared), said(&cache.private_price));
-    }
+fn made_caches(cache: &CacheQuote, job: &Job) -> String {
+    let mut text = caches::ways(cache);
     if let Some(seed) = &cache.seed {
-        let parts = if seed.parts == 1 { "one part".to_owned() } else { format!("{} parts", seed.parts) };
-        text += &format!(
-            "seed       {} CPU time forecast in {parts}, before the frames",
-            seconds(seed.cpu_seconds.mean)
-        );
+        text += &caches::seed(seed);
         if let Some(done) = job.seed.as_ref().filter(|done| done.ready) {
             text += &format!(
                 "; it took {}, {} operations for {} forecast",
@@ -150,7 +138,7 @@ fn verdict(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: 
         }
         text += "\n";
         if let Some(cache) = &quote.cache {
-            text += &caches(cache, job);
+            text += &made_caches(cache, job);
         }
         if !quote.effects.is_empty() {
             text += &format!("simulated  {}\n", quote.effects.join(", "));

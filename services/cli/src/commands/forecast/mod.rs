@@ -1,12 +1,15 @@
 //! `forelight forecast`: the quote of a shot, on this machine.
 
+mod sharing;
+
 use super::{calibrate, explain};
 use crate::atomic_file::write_bytes;
+use crate::caches;
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::json_file;
 use crate::local::Local;
-use crate::options::{MachineOptions, QualityOptions};
+use crate::options::{MachineOptions, QualityOptions, Sharing};
 use crate::output::{self, Bars};
 use crate::quantities::{count, seconds};
 use crate::table::{Align, Table};
@@ -32,10 +35,12 @@ Examples:
   forelight forecast kitchen/ --frames 0-47 --explain
   forelight forecast kitchen/ --calibration calibration.json
   forelight forecast kitchen/ --for-node rack-7.json
+  forelight forecast kitchen/ --frames 0-47 --cache on --cache-sharing auto
 
 All frames are previewed; of at most --profile-frames of them, --samples pixels each are traced. These are finished pixels: \
 with --save-profile, `forelight render --profile` takes them over. With --cache on, the irradiance cache of every frame is \
-planned with its preview, so that the number of records is known; some of them are gathered to see what that takes. Work is a count of operations that two runs agree on; \
+planned with its preview, so that the number of records is known; some of them are gathered to see what that takes; --cache-sharing \
+also plans one cache for all frames, as farms do, and says which takes less. Work is a count of operations that two runs agree on; \
 CPU time is this machine's.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file
@@ -65,8 +70,11 @@ pub struct Args {
     /// few seconds to compare
     #[arg(long, value_name = "FILE")]
     for_node: Option<PathBuf>,
-    /// Also say why it costs that: which objects, which rays, what would halve it
-    #[arg(long)]
+    /// Whether the frames share one irradiance cache (`forelight cache`). To see what that takes it is planned for all of them
+    #[arg(long, value_name = "HOW", value_enum, default_value_t = Sharing::Private)]
+    cache_sharing: Sharing,
+    /// Also say why it costs that: which objects, which rays, what would halve it; of frames that make their own irradiance caches
+    #[arg(long, conflicts_with = "cache_sharing")]
     explain: bool,
     /// Print the quote as JSON to standard output
     #[arg(long)]
@@ -105,6 +113,11 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     };
     let watcher = Watcher::new(&bars, frames.len(), interrupt);
     let mut quoted = watcher.quote(&local, &args.bundle, &frames, &settings, &options)?;
+    let asker =
+        sharing::Asker { local: &local, bundle: &args.bundle, settings: &settings, bars: &bars, interrupt };
+    if let Some(document) = asker.quote(args.cache_sharing, &frames, &quoted, &options)? {
+        quoted.document = document;
+    }
     if let Some((name, other)) = other {
         let here = calibrate::measured(ROUNDS, &bars);
         quoted.document.cpu_seconds_on.extend(on_another(&quoted.document, name, &here, &other));
@@ -289,6 +302,12 @@ fn report(quote: &ForecastDoc) -> String {
             seconds(spent.cpu_seconds),
             spent.fraction_of_forecast * 100.0,
         )
+        + &quote.cache.as_ref().map_or_else(String::new, caches::ways)
+        + &quote
+            .cache
+            .as_ref()
+            .and_then(|cache| cache.seed.as_ref())
+            .map_or_else(String::new, |seed| caches::seed(seed) + "\n")
         + &on_others(&quote.cpu_seconds_on)
 }
 

@@ -1,0 +1,25 @@
+//! How a quote's irradiance caches are made, for people.
+
+use crate::quantities::{count, money, seconds};
+use forelight_protocol::{CachePrice, CacheQuote, SeedForecast};
+
+/// One for all frames or one for each, why, and both prices.
+pub fn ways(cache: &CacheQuote) -> String {
+    let said = |price: &CachePrice| {
+        let cost = price.cost.map_or(String::new(), |cost| format!(", {}", money(cost.0)));
+        format!("{} records, {} CPU time{cost}", count(price.records as f64), seconds(price.cpu_seconds))
+    };
+    let way = if cache.shared { "one for all frames" } else { "each frame makes its own" };
+    let mut text = format!("caches     {way}: {}\n", cache.reason);
+    if let Some(shared) = &cache.shared_price {
+        text +=
+            &format!("           shared: {}; each its own: {}\n", said(shared), said(&cache.private_price));
+    }
+    text
+}
+
+/// What is made before the frames; without the end of its line.
+pub fn seed(seed: &SeedForecast) -> String {
+    let parts = if seed.parts == 1 { "one part".to_owned() } else { format!("{} parts", seed.parts) };
+    format!("seed       {} CPU time forecast in {parts}, before the frames", seconds(seed.cpu_seconds.mean))
+}

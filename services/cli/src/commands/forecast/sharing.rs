@@ -1,0 +1,142 @@
+//! What one irradiance cache for all frames would take, beside one for each.
+
+use crate::failure::{BadInput, Interrupted};
+use crate::interrupt::Interrupt;
+use crate::local::Local;
+use crate::options::Sharing;
+use crate::output::Bars;
+use anyhow::{Context, Result, anyhow};
+use forelight_api::{Measured, is_shared_cache_worth_planning, quote_alone};
+use forelight_forecast::Strategy;
+use forelight_protocol::{
+    ArtifactHash, CachePlanResult, ForecastDoc, ProfileArtifacts, ProfileResult, RenderSettings,
+};
+use forelight_worker::{
+    Quote, QuoteOptions, RenderError, Renderer, SharedPlan, plan_shared, preview_result, profile_result,
+    profile_shared,
+};
+use std::path::Path;
+
+/// A quote's shot, and who waits for it.
+pub struct Asker<'a> {
+    pub local: &'a Local,
+    pub bundle: &'a Path,
+    pub settings: &'a RenderSettings,
+    pub bars: &'a Bars,
+    pub interrupt: &'a Interrupt,
+}
+
+impl Asker<'_> {
+    /// The quote as a farm would make it, of a job that asks for this. Nothing if there is no question: every frame makes its own then, as was quoted.
+    pub fn quote(
+        &self,
+        sharing: Sharing,
+        frames: &[u32],
+        quoted: &Quote,
+        options: &QuoteOptions,
+    ) -> Result<Option<ForecastDoc>> {
+        if sharing == Sharing::Private {
+            return Ok(None);
+        }
+        if options.strategy != Strategy::Snapshot {
+            return Err(BadInput::new("--cache-sharing: caches are compared by the strategy snapshot").into());
+        }
+        let info = self.local.shot.info();
+        let preview = preview_result(info, frames, self.settings, &quoted.counted);
+        let asked = sharing.into();
+        let planned = match is_shared_cache_worth_planning(asked, &preview) {
+            true => Some(self.plan(frames)?),
+            false => None,
+        };
+        let profiles = self.local.pool.install(|| self.profiles(quoted, options, planned.as_ref()));
+        let profiles = profiles.with_context(|| format!("bundle {}", self.bundle.display()))?;
+        let name = |bytes: Vec<u8>| ArtifactHash(*blake3::hash(&bytes).as_bytes());
+        let cache: Option<CachePlanResult> = planned.map(|plan| plan.result(name));
+        let measured = Measured { preview, profiles, cache };
+        let document = quote_alone(asked, self.settings, measured, options.corrections.as_ref());
+        document.map(Some).map_err(|reason| anyhow!(reason))
+    }
+
+    fn plan(&self, frames: &[u32]) -> Result<SharedPlan> {
+        const STEPS: f64 = 1000.0;
+        let bar = self.bars.bar("planning a cache for all", STEPS as u64);
+        let progress = |done: f64| bar.set_position((done * STEPS) as u64);
+        let plan = || plan_shared(&self.local.shot, frames, self.settings, &progress, self.interrupt.flag());
+        let planned = self.local.pool.install(plan);
+        bar.finish_and_clear();
+        let planned = planned.with_context(|| format!("bundle {}", self.bundle.display()))?;
+        planned.ok_or_else(|| Interrupted.into())
+    }
+
+    /// What the profiled frames took, beside the shared cache as well.
+    fn profiles(
+        &self,
+        quoted: &Quote,
+        options: &QuoteOptions,
+        planned: Option<&SharedPlan>,
+    ) -> Result<Vec<ProfileResult>, RenderError> {
+        // Nothing is kept here.
+        let artifacts = ProfileArtifacts { profile: ArtifactHash([0; 32]), preview_png: None };
+        let mut profiles = Vec::with_capacity(quoted.profiled.len());
+        for profiled in &quoted.profiled {
+            let mut result = profile_result(self.local.shot.info(), self.settings, profiled, artifacts);
+            if let Some(plan) = planned {
+                let beside =
+                    profile_shared(&self.local.shot, profiled, self.settings, options, plan.cache.clone())?;
+                (result.shared_samples, result.shared_cache_samples) = (beside.pixels, beside.records);
+                result.spent = result.spent.plus(beside.spent);
+            }
+            profiles.push(result);
+        }
+        Ok(profiles)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::commands::forecast::{Args, Watcher, run};
+    use crate::options::parsed;
+    use forelight_forecast::Strategy;
+
+    #[test]
+    fn both_ways_are_priced_as_a_farm_would_and_the_cheaper_one_is_quoted() {
+        let bundle = concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/scenes/corridor");
+        let fixed =
+            ["forecast", bundle, "--frames", "0,8,16", "--width", "32", "--spp", "1", "--preview", "cpu"];
+        let cached = ["--ambient-bounces", "1", "--cache", "on", "--cache-rays", "48", "--samples", "64"];
+        let args = |more: &[&str]| parsed::<Args>(fixed.iter().chain(&cached).chain(more));
+        let wanted = args(&["--cache-sharing", "auto"]);
+        let bars = Bars::new(true);
+        let interrupt = Interrupt::default();
+        let local = Local::open(Path::new(bundle), &wanted.machine, &bars).unwrap();
+        let settings = local.settings(&wanted.quality).unwrap();
+        let options = QuoteOptions { samples: 64, profile_frames: 2, ..QuoteOptions::default() };
+        let frames = [0, 8, 16];
+        let watcher = Watcher::new(&bars, frames.len(), &interrupt);
+        let quoted = watcher.quote(&local, Path::new(bundle), &frames, &settings, &options).unwrap();
+        let asker = Asker {
+            local: &local,
+            bundle: Path::new(bundle),
+            settings: &settings,
+            bars: &bars,
+            interrupt: &interrupt,
+        };
+        let ask = |sharing, options: &QuoteOptions| asker.quote(sharing, &frames, &quoted, options);
+        assert!(ask(Sharing::Private, &options).unwrap().is_none());
+        let document = ask(Sharing::Auto, &options).unwrap().unwrap();
+        let cache = document.cache.as_ref().unwrap();
+        let shared = cache.shared_price.unwrap();
+        assert_eq!(cache.shared, shared.work < cache.private_price.work, "{}", cache.reason);
+        assert_eq!(cache.shared, cache.seed.is_some());
+        assert!((cache.private_price.work / quoted.document.total.work.mean - 1.0).abs() < 1e-9);
+        assert!(document.spent.work > quoted.document.spent.work, "planning for all took something");
+        let forced = ask(Sharing::Shared, &options).unwrap().unwrap().cache.unwrap();
+        assert_eq!((forced.shared, forced.shared_price.unwrap().work), (true, shared.work));
+
+        let other = QuoteOptions { strategy: Strategy::Jittered, ..options };
+        let refused = ask(Sharing::Auto, &other).unwrap_err().to_string();
+        assert!(refused.contains("snapshot"), "{refused}");
+        run(&wanted, &interrupt).unwrap();
+    }
+}
