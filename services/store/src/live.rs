@@ -5,27 +5,32 @@
 //! 270 n rows for it in all its life, 5,000 frames a few milliseconds each 20th, and frames that come in thousands a second wait for no estimates. Finished
 //! pixels of frames under way move it as well, at most each [`BETWEEN_PIXELS`]; frames that came since the last estimate are taken by the sweep after as long.
 //!
-//! *History.* Each estimate is kept beside those before it, at most [`MOST_POINTS`]; once there are as many, every second one goes, the first (which is
-//! the quote) excepted. So what is long ago is known coarsely, what was just now finely, and the room that a job takes is bounded.
-//!
 //! *Events.* Whether the estimate has left what is booked is remembered with it, so that leaving and coming back are each said once, in the same
 //! transaction. When a new plan books the job, what is booked is what was expected when it was made. An estimate that is news to the plan calls for
 //! a new one.
 
-use forelight_forecast::{Band, Known, LiveFrame, Measure, live};
+mod frames;
+mod kept;
+
+use forelight_forecast::{Band, LiveFrame, Measure, live};
 use forelight_protocol::{
-    Booked, BookedQuantity, Confidence, Event, EventKind, ForecastHistory, HistoryPoint, JobId, JobState,
-    JobVerdict, LiveFigure, LiveForecast, Money, MoneyQuantiles, OffForecast, PlanId, Quantiles, Timestamp,
+    Booked, BookedQuantity, Confidence, Event, EventKind, JobId, JobVerdict, LiveFigure, LiveForecast, Money,
+    MoneyQuantiles, OffForecast, PlanId, Quantiles, Timestamp,
 };
-use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
+use self::frames::Frames;
+use self::kept::{Before, Kept, count_frame, keep};
 use crate::database::Write;
-use crate::decode::{id_opt, json, json_opt, time, to_json, whole, word};
+use crate::decode::{id_opt, json_opt, word};
 use crate::events::{append, event};
 use crate::projection::{OpenBooking, project};
 use crate::replans::{self, is_news};
-use crate::{JobForecast, Store, StoreError, bookings, seeds};
+use crate::{JobForecast, StoreError, bookings, seeds};
+
+#[cfg(test)]
+pub(crate) use self::frames::FRAMES;
+pub(crate) use self::kept::{before, newest};
 
 /// With each of the first frames there is a new estimate.
 const FIRST: u32 = 16;
@@ -38,9 +43,6 @@ const BETWEEN_FRAMES: i64 = 1_000_000;
 
 /// Time between two estimates that rest on nothing but more finished pixels, or on fewer frames than a part: ten seconds, in microseconds.
 const BETWEEN_PIXELS: i64 = 10_000_000;
-
-/// Estimates of a job that are kept at most.
-const MOST_POINTS: i64 = 512;
 
 /// So much above what is booked the estimate has left it: less is no news, and a plan that is met exactly would be left and met with every frame.
 const MARGIN: f64 = 0.02;
@@ -57,60 +59,6 @@ pub(crate) enum Occasion {
     Frame,
     /// Some pixels of a frame were, or there are frames that were left for the next estimate.
     Meanwhile,
-}
-
-impl Store {
-    /// How the job's estimate moved; `None` before it is booked.
-    pub async fn forecast_history(&self, job: JobId) -> Result<Option<ForecastHistory>, StoreError> {
-        let mut transaction = self.read().await?;
-        let row = sqlx::query(
-            "SELECT j.state, j.frames_total, l.body FROM jobs j LEFT JOIN live_forecasts l ON l.job_id = j.id WHERE j.id = ?",
-        )
-        .bind(job.0)
-        .fetch_optional(&mut *transaction)
-        .await?;
-        let row = row.ok_or(StoreError::NotFound("job"))?;
-        let Some(now) = json_opt(&row, "body")? else { return Ok(None) };
-        let points = sqlx::query("SELECT body FROM forecast_history WHERE job_id = ? ORDER BY point")
-            .bind(job.0)
-            .fetch_all(&mut *transaction)
-            .await?;
-        Ok(Some(ForecastHistory {
-            job_id: job,
-            state: word(&row, "state")?,
-            frames_total: whole(&row, "frames_total")?,
-            now,
-            points: points.iter().map(|row| json(row, "body")).collect::<Result<_, _>>()?,
-        }))
-    }
-}
-
-/// The job's newest estimate.
-pub(crate) async fn newest(
-    connection: &mut SqliteConnection,
-    job: JobId,
-) -> Result<Option<LiveForecast>, StoreError> {
-    let row = sqlx::query("SELECT body FROM live_forecasts WHERE job_id = ?")
-        .bind(job.0)
-        .fetch_optional(connection)
-        .await?;
-    row.as_ref().map(|row| json(row, "body")).transpose()
-}
-
-/// What is kept beside an estimate.
-struct Kept {
-    frames_total: u32,
-    plan: PlanId,
-    booked_cpu: f64,
-    booked_rest: f64,
-    booked_share: f64,
-    frames_done: u32,
-    /// Finished after those.
-    frames_since: u32,
-    cost_is_off: bool,
-    finish_is_off: bool,
-    updated_at: Timestamp,
-    body: LiveForecast,
 }
 
 /// Makes the estimate again, if it is time to, inside a write.
@@ -249,116 +197,6 @@ pub(crate) async fn catch_up(write: &mut Write, now: Timestamp) -> Result<(), St
     Ok(())
 }
 
-/// A frame was finished that is left for the next estimate.
-fn count_frame(write: &mut Write, job: JobId) {
-    write.later("UPDATE live_forecasts SET frames_since = frames_since + 1 WHERE job_id = ?").bind(job.0);
-}
-
-/// What there is before an estimate is made.
-pub(crate) struct Before {
-    /// The one before, if there is one.
-    estimate: Option<Kept>,
-    /// Where the job stands.
-    pub job_state: JobState,
-}
-
-/// Asks for it.
-pub(crate) async fn before(write: &mut Write, job: JobId) -> Result<Before, StoreError> {
-    let row = write
-        .ask("SELECT l.*, j.frames_total, j.state FROM jobs j LEFT JOIN live_forecasts l ON l.job_id = j.id WHERE j.id = ?")
-        .bind(job.0)
-        .first_row()
-        .await?
-        .ok_or(StoreError::NotFound("job"))?;
-    let estimate = match id_opt(&row, "plan_id")? {
-        None => None,
-        Some(plan) => Some(Kept {
-            frames_total: whole(&row, "frames_total")?,
-            plan: PlanId(plan),
-            booked_cpu: row.try_get("booked_cpu")?,
-            booked_rest: row.try_get("booked_rest")?,
-            booked_share: row.try_get("booked_share")?,
-            frames_done: whole(&row, "frames_done")?,
-            frames_since: whole(&row, "frames_since")?,
-            cost_is_off: row.try_get("cost_is_off")?,
-            finish_is_off: row.try_get("finish_is_off")?,
-            updated_at: time(&row, "updated_at")?,
-            body: json(&row, "body")?,
-        }),
-    };
-    Ok(Before { estimate, job_state: word(&row, "state")? })
-}
-
-/// The job's frames as the forecast wants them.
-struct Frames {
-    work: Vec<LiveFrame>,
-    cpu: Vec<LiveFrame>,
-    /// How many of them are finished.
-    done: u32,
-    all_done: bool,
-    /// The part of the quoted CPU time whose frames, or pixels, are not finished.
-    share_left: f64,
-}
-
-/// A job's frames, and the finished pixels of those under way.
-pub(crate) const FRAMES: &str = "SELECT f.frame, f.clock, f.work_mean, f.work_p50, f.work_p80, f.work_p95, f.cpu_mean, f.cpu_p50, f.cpu_p80, f.cpu_p95, \
-    f.actual_work, f.actual_cpu, t.pixels_share, t.pixels_work, t.pixels_cpu FROM frames f \
-    LEFT JOIN tasks t INDEXED BY tasks_of_frames ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame AND t.state = 'leased' \
-    WHERE f.job_id = ? ORDER BY f.frame";
-
-impl Frames {
-    async fn read(connection: &mut SqliteConnection, job: JobId, lights: &[u32]) -> Result<Self, StoreError> {
-        let rows = sqlx::query(FRAMES).bind(job.0).fetch_all(connection).await?;
-        let first: i64 = rows.first().map(|row| row.try_get("frame")).transpose()?.unwrap_or(0);
-        let mut frames = Self {
-            work: Vec::with_capacity(rows.len()),
-            cpu: Vec::with_capacity(rows.len()),
-            done: 0,
-            all_done: false,
-            share_left: 0.0,
-        };
-        let (mut all, mut left) = (0.0, 0.0);
-        for (place, row) in rows.iter().enumerate() {
-            let lights = lights.get(place).copied().unwrap_or_default();
-            let number: i64 = row.try_get("frame")?;
-            let time = row.try_get::<Option<f64>, _>("clock")?.unwrap_or((number - first) as f64);
-            let share: Option<f64> = row.try_get("pixels_share")?;
-            let known = |actual: &str, part: &str| -> Result<Known, StoreError> {
-                let (actual, part): (Option<f64>, Option<f64>) = (row.try_get(actual)?, row.try_get(part)?);
-                Ok(match (actual, share, part) {
-                    (Some(cost), ..) => Known::All(cost),
-                    (None, Some(share), Some(cost)) if share > 0.0 => Known::Part { share, cost },
-                    _ => Known::Nothing,
-                })
-            };
-            let work = known("actual_work", "pixels_work")?;
-            let cpu = known("actual_cpu", "pixels_cpu")?;
-            let quote = band(row, ["work_mean", "work_p50", "work_p80", "work_p95"])?;
-            frames.work.push(LiveFrame { time, lights, quote, known: work });
-            let quote = band(row, ["cpu_mean", "cpu_p50", "cpu_p80", "cpu_p95"])?;
-            frames.cpu.push(LiveFrame { time, lights, quote, known: cpu });
-            frames.done += u32::from(matches!(cpu, Known::All(_)));
-            all += quote.mean;
-            left += quote.mean
-                * match cpu {
-                    Known::Nothing => 1.0,
-                    Known::Part { share, .. } => 1.0 - share,
-                    Known::All(_) => 0.0,
-                };
-        }
-        frames.all_done = frames.done as usize == rows.len();
-        frames.share_left = if all > 0.0 { left / all } else { 0.0 };
-        Ok(frames)
-    }
-}
-
-fn band(row: &SqliteRow, [mean, p50, p80, p95]: [&str; 4]) -> Result<Band, StoreError> {
-    // A job that is booked has a forecast of every frame.
-    let number =
-        |column: &str| Ok::<_, StoreError>(row.try_get::<Option<f64>, _>(column)?.unwrap_or_default());
-    Ok(Band { mean: number(mean)?, p50: number(p50)?, p80: number(p80)?, p95: number(p95)? })
-}
-
 fn figure(quote: &Quantiles, frames: &[LiveFrame], measure: Measure) -> LiveFigure {
     let &Quantiles { mean, p50, p80, p95 } = quote;
     let found = live(&Band { mean, p50, p80, p95 }, frames, measure);
@@ -489,55 +327,5 @@ async fn tell(
             },
         )?;
     }
-    Ok(())
-}
-
-async fn keep(
-    write: &mut Write,
-    job: JobId,
-    plan: PlanId,
-    [booked_cpu, booked_rest, booked_share]: [f64; 3],
-    live: &LiveForecast,
-) -> Result<(), StoreError> {
-    sqlx::query(
-        "INSERT INTO live_forecasts (job_id, plan_id, booked_cpu, booked_rest, booked_share, frames_done, cost_is_off, finish_is_off, body, updated_at) \
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (job_id) DO UPDATE SET plan_id = excluded.plan_id, \
-         booked_cpu = excluded.booked_cpu, booked_rest = excluded.booked_rest, booked_share = excluded.booked_share, \
-         frames_done = excluded.frames_done, frames_since = 0, cost_is_off = excluded.cost_is_off, finish_is_off = excluded.finish_is_off, \
-         body = excluded.body, updated_at = excluded.updated_at",
-    )
-    .bind(job.0)
-    .bind(plan.0)
-    .bind(booked_cpu)
-    .bind(booked_rest)
-    .bind(booked_share)
-    .bind(live.frames_done)
-    .bind(live.cost_is_off)
-    .bind(live.finish_is_off)
-    .bind(to_json(live)?)
-    .bind(live.at.micros())
-    .execute(write.connection().await?)
-    .await?;
-    let points: i64 = sqlx::query_scalar("SELECT count(*) FROM forecast_history WHERE job_id = ?")
-        .bind(job.0)
-        .fetch_one(write.connection().await?)
-        .await?;
-    if points >= MOST_POINTS {
-        sqlx::query(
-            "DELETE FROM forecast_history WHERE job_id = ?1 AND point IN (SELECT point FROM \
-             (SELECT point, row_number() OVER (ORDER BY point) AS place FROM forecast_history WHERE job_id = ?1) WHERE place % 2 = 0)",
-        )
-        .bind(job.0)
-        .execute(write.connection().await?)
-        .await?;
-    }
-    sqlx::query(
-        "INSERT INTO forecast_history (job_id, point, body) \
-         VALUES (?1, (SELECT ifnull(max(point) + 1, 0) FROM forecast_history WHERE job_id = ?1), ?2)",
-    )
-    .bind(job.0)
-    .bind(to_json(&HistoryPoint::of(live))?)
-    .execute(write.connection().await?)
-    .await?;
     Ok(())
 }
