@@ -1,0 +1,291 @@
+//! From a bundle to a scene.
+
+use super::{Scene, light_at};
+use crate::animation::Animated;
+use crate::assembly::{Assembly, plain_material};
+use crate::bundle::Bundle;
+use crate::camera_source::{CameraSource, default_view};
+use crate::description::{DEFAULT_FPS, Description, EnvironmentSource, Frames, LightSource};
+use crate::error::{Place, SceneError};
+use crate::limits::Limits;
+use crate::shot::{Mesh, Node, Part, Placement};
+use crate::{Color, Environment, Surface};
+use glam::{DVec3, Vec2, Vec3};
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+
+/// The file that describes a bundle.
+const DESCRIPTION: &str = "scene.json";
+
+impl Scene {
+    /// Loads a bundle: a folder, a `.zip`, or one `.gltf` or `.glb` file (whose folder then is the bundle).
+    ///
+    /// A bundle without `scene.json` holds one glTF file, which is the scene. Where nothing says so otherwise:
+    /// - fps is 24, and the shot goes from the first to the last key of all animations (exporters count from frame 1 as often
+    ///   as from 0); under a `scene.json`, frame 0 is the file's time 0, and the last key or track ends the shot;
+    /// - without a camera, the view is from the front right and above onto the whole bounding box, 1280 × 720 pixels;
+    /// - without any light, a glTF scene stands in a white environment of radiance 1.
+    ///
+    /// Each of the last two is told as a warning.
+    ///
+    /// # Errors
+    /// The first thing that is wrong with the bundle, with the file, the place in it and the reason.
+    pub fn load(path: &Path, limits: &Limits) -> Result<Self, SceneError> {
+        let (root, single) = match single_file(path) {
+            Some((folder, file)) => (folder, Some(file)),
+            None => (path, None),
+        };
+        let bundle = Bundle::open(root, limits)?;
+        match single {
+            Some(file) if file != DESCRIPTION => Self::of_gltf(&bundle, &file),
+            _ if bundle.contains(DESCRIPTION) => Self::of_description(&bundle),
+            _ => Self::of_gltf(&bundle, &only_geometry(&bundle)?),
+        }
+    }
+
+    fn of_gltf(bundle: &Bundle, path: &str) -> Result<Self, SceneError> {
+        let mut assembly = Assembly::new(bundle, DEFAULT_FPS);
+        load_geometry(&mut assembly, path)?;
+        let name = path.rsplit_once('.').map_or(path, |(stem, _)| stem).to_owned();
+        let said = Said { file: path.to_owned(), name, ..Said::default() };
+        Self::finish(assembly, said)
+    }
+
+    fn of_description(bundle: &Bundle) -> Result<Self, SceneError> {
+        let description = Description::parse(DESCRIPTION, &bundle.read(DESCRIPTION)?, bundle.limits())?;
+        let mut assembly = Assembly::new(bundle, description.fps);
+        for (i, path) in description.geometry.iter().enumerate() {
+            if !bundle.contains(path) {
+                let reason = format!("the bundle has no file `{path}`");
+                return Err(SceneError::pointer(DESCRIPTION, format!("/geometry/{i}"), reason));
+            }
+            load_geometry(&mut assembly, path)?;
+        }
+        let mut emission = Vec::new();
+        for (i, light) in description.lights.iter().enumerate() {
+            if let LightSource::Quad { corner, edge_u, edge_v, radiance } = light {
+                let material = add_quad(&mut assembly, &format!("light:{i}"), *corner, *edge_u, *edge_v);
+                emission.push((material, radiance.clone()));
+            }
+        }
+        let mut motions = Vec::new();
+        let nodes = assembly.shot.nodes_by_name();
+        for track in description.object_tracks {
+            let reason = match nodes.get(track.object.as_str()) {
+                Some(Some(node)) => {
+                    motions.push((*node, track.motion));
+                    continue;
+                }
+                Some(None) => format!("more than one object is named `{}`", track.object),
+                None => format!("there is no object `{}`", track.object),
+            };
+            return Err(SceneError::pointer(DESCRIPTION, &track.pointer, reason));
+        }
+        for (node, motion) in motions {
+            assembly.shot.nodes[node].animate(motion);
+        }
+        let environment = match description.environment {
+            EnvironmentSource::Black => Environment::Black,
+            EnvironmentSource::Constant(radiance) => Environment::Constant(radiance.as_vec3()),
+            EnvironmentSource::Image { path, scale, rotation_deg } => {
+                let place = || Place::Pointer("/environment/path".into());
+                let loaded = assembly.textures.load(&path);
+                let texture = loaded.map_err(|e| e.within(DESCRIPTION, place(), "the environment"))?;
+                Environment::Image { texture, scale: scale as f32, rotation_deg: rotation_deg as f32 }
+            }
+        };
+        let said = Said {
+            file: DESCRIPTION.to_owned(),
+            name: description.name.unwrap_or_else(|| bundle.name().to_owned()),
+            described: true,
+            camera: description.camera.map(|c| CameraSource::LookAt(Box::new(c))),
+            environment,
+            lights: description.lights,
+            emission,
+            frames: description.frames,
+        };
+        Self::finish(assembly, said)
+    }
+
+    /// Puts geometry files and description together, with the defaults for what neither says.
+    fn finish(mut assembly: Assembly<'_>, said: Said) -> Result<Self, SceneError> {
+        let Said { file, name, described, camera, mut environment, lights, emission, frames } = said;
+        for (material, radiance) in &emission {
+            assembly.materials[*material].emission.factor = light_at(radiance, 0.0);
+        }
+        let (first_key, last_key) = assembly.keys.unwrap_or((0.0, 0.0));
+        let start = if described { 0.0 } else { first_key };
+        let keyed = ((last_key - start).round() as u32).saturating_add(1);
+        let frames = match frames {
+            Some(Frames::Said(frames)) => frames,
+            Some(Frames::Keyed(frames)) => frames.max(keyed),
+            None => keyed,
+        };
+        let limit = assembly.bundle.limits().frames;
+        if frames > limit {
+            let (found, limit) = (u64::from(frames), u64::from(limit));
+            return Err(SceneError::Limit { file, what: "frames", found, limit });
+        }
+        let mut still_world = assembly.shot.world(start);
+        let mut still = assembly.shot.bake(&still_world)?;
+        if let Some(centre) = far_centre(&still.geometry.positions) {
+            assembly.shot.origin = centre;
+            still_world = assembly.shot.world(start);
+            still = assembly.shot.bake(&still_world)?;
+        }
+        let moving = assembly.shot.moving();
+        let mut movers: Vec<usize> =
+            assembly.shot.parts.iter().map(|part| part.node).filter(|&node| moving[node]).collect();
+        movers.sort_unstable();
+        movers.dedup();
+        if assembly.shot.triangle_count() == 0
+            || (still.geometry.triangles.is_empty() && !moving.contains(&true))
+        {
+            return Err(SceneError::file(file, "the scene has no triangle with an area"));
+        }
+        if still.dropped > 0 {
+            assembly.warn(format!("{file}: {} triangles have no area and are left out", still.dropped));
+        }
+        let emits = |part: &Part| {
+            let (_, material) = assembly.shot.strata.pairs[part.stratum as usize];
+            assembly.materials[material as usize].is_emissive()
+        };
+        let lit = !lights.is_empty() || !assembly.lights.is_empty() || assembly.shot.parts.iter().any(emits);
+        if !lit && environment == Environment::Black {
+            if described {
+                assembly.warn(format!("{file}: the scene has no light"));
+            } else {
+                assembly.warn(format!("{file}: the scene has no light; a white environment lights it"));
+                environment = Environment::Constant(Vec3::ONE);
+            }
+        }
+        let camera = match (camera, assembly.cameras.first()) {
+            (Some(camera), _) => camera,
+            (None, Some(camera)) => CameraSource::Node(camera.clone()),
+            (None, None) => {
+                assembly.warn(format!("{file}: the scene has no camera; the view shows all of it"));
+                let (low, high) = bounds(&still.geometry.positions);
+                let origin = assembly.shot.origin;
+                CameraSource::LookAt(Box::new(default_view(low + origin, high + origin)))
+            }
+        };
+        let digest = assembly.bundle.digest();
+        let Assembly { fps, shot, materials, textures, lights: node_lights, warnings, .. } = assembly;
+        let scene = Self {
+            name,
+            file,
+            fps,
+            frames,
+            start,
+            warnings,
+            digest,
+            camera,
+            shot,
+            moving,
+            movers,
+            still_world,
+            still,
+            recent: Mutex::new(None),
+            materials: materials.into(),
+            emission,
+            textures: textures.into_textures().into(),
+            lights,
+            node_lights,
+            environment,
+        };
+        scene.check_views()?;
+        Ok(scene)
+    }
+}
+
+/// What a description says about a scene; all defaults for a scene without one.
+#[derive(Default)]
+struct Said {
+    file: String,
+    name: String,
+    /// Whether there is a description at all.
+    described: bool,
+    camera: Option<CameraSource>,
+    environment: Environment,
+    lights: Vec<LightSource>,
+    emission: Vec<(usize, Animated<DVec3>)>,
+    frames: Option<Frames>,
+}
+
+/// Folder and name, where `path` is a geometry file or a description by itself.
+fn single_file(path: &Path) -> Option<(&Path, String)> {
+    let name = path.file_name()?.to_str()?;
+    if !path.is_file() || !(is_gltf(name) || name == DESCRIPTION) {
+        return None;
+    }
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    Some((folder, name.to_owned()))
+}
+
+fn extension(path: &str) -> String {
+    path.rsplit_once('.').map_or_else(String::new, |(_, e)| e.to_ascii_lowercase())
+}
+
+fn is_gltf(path: &str) -> bool {
+    matches!(extension(path).as_str(), "gltf" | "glb")
+}
+
+/// The glTF file that stands for the missing description.
+fn only_geometry(bundle: &Bundle) -> Result<String, SceneError> {
+    let mut names = bundle.top_level()?;
+    names.retain(|name| is_gltf(name) || extension(name) == "obj");
+    match names.as_slice() {
+        [name] if is_gltf(name) => Ok(name.clone()),
+        [] => Err(SceneError::file(bundle.name(), "has neither a `scene.json` nor a glTF file")),
+        _ => {
+            let reason =
+                format!("has no `scene.json`, which says which of {} is the scene", names.join(", "));
+            Err(SceneError::file(bundle.name(), reason))
+        }
+    }
+}
+
+fn load_geometry(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneError> {
+    match extension(path).as_str() {
+        "obj" => crate::obj::load(assembly, path),
+        "gltf" | "glb" => crate::gltf_file::load(assembly, path),
+        _ => Err(SceneError::file(path, "is not geometry that is understood (.obj, .gltf, .glb)")),
+    }
+}
+
+/// Adds the two triangles of a quad light. Returns its material.
+fn add_quad(assembly: &mut Assembly<'_>, name: &str, corner: DVec3, edge_u: DVec3, edge_v: DVec3) -> usize {
+    let black = Surface::Lambert { albedo: Color::plain(Vec3::ZERO) };
+    let material = assembly.add_material(plain_material(name, black));
+    let (object, _) = assembly.shot.add_object(name);
+    let stratum = assembly.shot.stratum(object, material);
+    let unique = assembly.shot.strata.objects[object as usize].clone();
+    assembly.shot.nodes.push(Node::new(unique, None, Placement::IDENTITY));
+    let corners = [corner, corner + edge_u, corner + edge_u + edge_v, corner + edge_v];
+    let mesh = Mesh {
+        positions: corners.map(|c| c.as_vec3()).to_vec(),
+        normals: vec![Vec3::ZERO; 4],
+        uvs: vec![Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y],
+        triangles: vec![[0, 1, 2], [0, 2, 3]],
+    };
+    let node = assembly.shot.nodes.len() - 1;
+    assembly.shot.add_part(Part { node, stratum, mesh: Arc::new(mesh), file: DESCRIPTION.into() });
+    material as usize
+}
+
+fn bounds(positions: &[Vec3]) -> (DVec3, DVec3) {
+    let low = positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
+    let high = positions.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
+    (low.as_dvec3(), high.as_dvec3())
+}
+
+/// The middle of positions that are much farther from the origin than from each other, as a georeferenced building is. Seen from
+/// there, f32 coordinates tell small things apart again. What is not as far stays where it is, bit by bit.
+fn far_centre(positions: &[Vec3]) -> Option<DVec3> {
+    let (low, high) = bounds(positions);
+    let (centre, extent) = (0.5 * (low + high), (high - low).max_element());
+    (extent > 0.0 && centre.abs().max_element() > FAR * extent).then_some(centre)
+}
+
+/// Distance from the origin, in units of its own extent, from which a scene is seen from its middle.
+const FAR: f64 = 16.0;
