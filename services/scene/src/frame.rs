@@ -75,30 +75,42 @@ impl Strata {
 }
 
 impl Geometry {
+    /// What each vertex has, at the three corners of a triangle.
+    #[inline]
+    pub fn at_corners<T: Copy>(&self, triangle: u32, of_vertices: &[T]) -> [T; 3] {
+        let [a, b, c] = self.triangles[triangle as usize];
+        [of_vertices[a as usize], of_vertices[b as usize], of_vertices[c as usize]]
+    }
+
     /// The three corners of a triangle.
+    #[inline]
     pub fn corners(&self, triangle: u32) -> [Vec3; 3] {
-        self.triangles[triangle as usize].map(|v| self.positions[v as usize])
+        self.at_corners(triangle, &self.positions)
     }
 
     /// Object id of a triangle.
+    #[inline]
     pub fn object(&self, triangle: u32) -> u32 {
         self.strata.pairs[self.triangle_stratum[triangle as usize] as usize].0
     }
 
     /// Material index of a triangle.
+    #[inline]
     pub fn material(&self, triangle: u32) -> u32 {
         self.strata.pairs[self.triangle_stratum[triangle as usize] as usize].1
     }
 
     /// Unit geometric normal by the winding.
+    #[inline]
     pub fn geometric_normal(&self, triangle: u32) -> Vec3 {
         let [a, b, c] = self.corners(triangle);
         (b - a).as_dvec3().cross((c - a).as_dvec3()).normalize_or_zero().as_vec3()
     }
 
     /// Texture coordinates at barycentrics (u, v) of corners 1 and 2.
+    #[inline]
     pub fn uv(&self, triangle: u32, u: f32, v: f32) -> Vec2 {
-        let [a, b, c] = self.triangles[triangle as usize].map(|i| self.uvs[i as usize]);
+        let [a, b, c] = self.at_corners(triangle, &self.uvs);
         a * (1.0 - u - v) + b * u + c * v
     }
 }

@@ -182,7 +182,7 @@ impl<'a, const K: u32> Pixels<'a, K> {
         let corners = geometry.corners(hit.primitive);
         let position = hit.position(corners);
         let geometric = geometry.geometric_normal(hit.primitive);
-        let [a, b, c] = geometry.triangles[hit.primitive as usize].map(|i| geometry.normals[i as usize]);
+        let [a, b, c] = geometry.at_corners(hit.primitive, &geometry.normals);
         let shading = if a == Vec3::ZERO || b == Vec3::ZERO || c == Vec3::ZERO {
             geometric
         } else {

@@ -113,8 +113,7 @@ impl LightTree {
         }
         *visited += 2;
         let pair = &self.nodes[node.content as usize..node.content as usize + 2];
-        let [first, second] = [&pair[0], &pair[1]].map(|child| child.bounds.importance(receiver));
-        let Some(share) = share(first, second) else { return };
+        let Some(share) = share(pair, receiver) else { return };
         // What is left of a random number is uniform again; its strata stay together along the way down.
         let (to_first, to_second) = choices.split_at_mut(choices.partition_point(|c| c.number < share));
         if !to_first.is_empty() {
@@ -138,10 +137,9 @@ impl LightTree {
         let mut probability = 1.0;
         while index != ROOT {
             *visited += 2;
-            let pair = (index & !1) as usize;
-            let [first, second] = [pair, pair + 1].map(|i| self.nodes[i].bounds.importance(receiver));
-            let Some(share) = share(first, second) else { return 0.0 };
-            probability *= if index as usize == pair { share } else { 1.0 - share };
+            let first = (index & !1) as usize;
+            let Some(share) = share(&self.nodes[first..first + 2], receiver) else { return 0.0 };
+            probability *= if index as usize == first { share } else { 1.0 - share };
             index = self.nodes[index as usize].parent;
         }
         probability
@@ -199,8 +197,9 @@ impl LightTree {
 /// The largest number below 1.
 pub const BELOW_ONE: f64 = 1.0 - f64::EPSILON / 2.0;
 
-/// Probability of the first of two children; `None` if neither brings anything.
-fn share(first: f64, second: f64) -> Option<f64> {
+/// Probability of the first of a pair of children; `None` if neither brings anything.
+fn share(pair: &[Node], receiver: &Receiver) -> Option<f64> {
+    let (first, second) = (pair[0].bounds.importance(receiver), pair[1].bounds.importance(receiver));
     let sum = first + second;
     (sum > 0.0).then(|| first / sum)
 }
