@@ -96,6 +96,7 @@ fn strategies() -> impl TypedValueParser<Value = Strategy> {
 
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    sharing::check(args.cache_sharing, args.strategy)?;
     let bars = Bars::new(args.json);
     let other = args.for_node.as_deref().map(calibrate::read).transpose()?;
     let local = Local::open(&args.bundle, &args.machine, &bars)?;

@@ -17,6 +17,19 @@ use forelight_worker::{
 };
 use std::path::Path;
 
+/// Whether the question can be asked of quotes that are made like this.
+///
+/// # Errors
+/// If not, before anything was traced.
+pub fn check(sharing: Sharing, strategy: Strategy) -> Result<(), BadInput> {
+    if sharing == Sharing::Private || strategy == Strategy::Snapshot {
+        return Ok(());
+    }
+    let reason =
+        format!("--cache-sharing: caches are compared by the strategy snapshot, not by {}", strategy.name());
+    Err(BadInput::new(reason).hint("leave --strategy away, or ask for --cache-sharing private"))
+}
+
 /// A quote's shot, and who waits for it.
 pub struct Asker<'a> {
     pub local: &'a Local,
@@ -37,9 +50,6 @@ impl Asker<'_> {
     ) -> Result<Option<ForecastDoc>> {
         if sharing == Sharing::Private {
             return Ok(None);
-        }
-        if options.strategy != Strategy::Snapshot {
-            return Err(BadInput::new("--cache-sharing: caches are compared by the strategy snapshot").into());
         }
         let info = self.local.shot.info();
         let preview = preview_result(info, frames, self.settings, &quoted.counted);
@@ -97,7 +107,6 @@ mod tests {
     use super::*;
     use crate::commands::forecast::{Args, Watcher, run};
     use crate::options::parsed;
-    use forelight_forecast::Strategy;
 
     #[test]
     fn both_ways_are_priced_as_a_farm_would_and_the_cheaper_one_is_quoted() {
@@ -134,9 +143,9 @@ mod tests {
         let forced = ask(Sharing::Shared, &options).unwrap().unwrap().cache.unwrap();
         assert_eq!((forced.shared, forced.shared_price.unwrap().work), (true, shared.work));
 
-        let other = QuoteOptions { strategy: Strategy::Jittered, ..options };
-        let refused = ask(Sharing::Auto, &other).unwrap_err().to_string();
-        assert!(refused.contains("snapshot"), "{refused}");
+        let refused = run(&args(&["--cache-sharing", "auto", "--strategy", "jittered"]), &interrupt);
+        let reason = refused.unwrap_err().to_string();
+        assert!(reason.contains("snapshot, not by jittered"), "{reason}");
         run(&wanted, &interrupt).unwrap();
     }
 }
