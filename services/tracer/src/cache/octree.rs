@@ -33,11 +33,16 @@ pub struct Member {
 impl Member {
     /// Whether the sphere may contain a point; if not, it does not, however one rounds.
     pub fn may_contain(&self, point: Vec3) -> bool {
-        /// More than a few roundings.
-        const WIDER: f32 = 1.0 + 1e-5;
-        let radius = self.radius * WIDER;
-        self.center.distance_squared(point) <= radius * radius
+        may_be_within(self.radius, self.center, point)
     }
+}
+
+/// Whether two points may be within a distance of each other; if not, they are not, however one rounds.
+fn may_be_within(distance: f32, a: Vec3, b: Vec3) -> bool {
+    /// More than a few roundings.
+    const WIDER: f32 = 1.0 + 1e-5;
+    let distance = distance * WIDER;
+    a.distance_squared(b) <= distance * distance
 }
 
 impl Octree {
@@ -110,18 +115,41 @@ impl Octree {
 
     /// Indices of the spheres whose cells a box touches, ascending, each once.
     pub fn touching(&self, low: Vec3, high: Vec3) -> Vec<u32> {
+        self.picked((low, high), |_| true)
+    }
+
+    /// Indices of the spheres whose centres may be within a distance of a point, ascending, each once.
+    pub fn centred_within(&self, distance: f32, point: Vec3) -> Vec<u32> {
+        self.picked((point - distance, point + distance), |member| {
+            may_be_within(distance, member.center, point)
+        })
+    }
+
+    /// Those that are wanted of the spheres whose cells a box touches. Most are in several cells, so they are sorted out before they are sorted.
+    fn picked(&self, bounds: (Vec3, Vec3), wanted: impl Fn(&Member) -> bool) -> Vec<u32> {
         let mut found = Vec::new();
         if !self.cells.is_empty() {
-            self.collect(0, self.low, self.edge, (low, high), &mut found);
+            self.collect(0, self.low, self.edge, bounds, &mut |member: &Member| {
+                if wanted(member) {
+                    found.push(member.index);
+                }
+            });
         }
         found.sort_unstable();
         found.dedup();
         found
     }
 
-    fn collect(&self, cell: u32, low: Vec3, edge: f32, bounds: (Vec3, Vec3), found: &mut Vec<u32>) {
+    fn collect(
+        &self,
+        cell: u32,
+        low: Vec3,
+        edge: f32,
+        bounds: (Vec3, Vec3),
+        found: &mut impl FnMut(&Member),
+    ) {
         let cell = &self.cells[cell as usize];
-        found.extend(cell.members.iter().map(|member| member.index));
+        cell.members.iter().for_each(&mut *found);
         let half = edge * 0.5;
         for (octant, &child) in cell.children.iter().enumerate().filter(|(_, child)| **child != 0) {
             let offset = Vec3::from([1, 2, 4].map(|bit| if octant & bit != 0 { half } else { 0.0 }));

@@ -93,7 +93,8 @@ impl Level {
         };
         let position = here.site.position;
         let reach = here.radius * self.accuracy * WIDER;
-        let near = self.octree.touching(position - reach, position + reach);
+        // Those beyond do not count here: see `nearness`.
+        let near = self.octree.centred_within(reach, position);
         let (mut sum, mut weights) = (NOTHING, 0.0f32);
         for &neighbour in &near {
             let there = &self.planned[neighbour as usize];
