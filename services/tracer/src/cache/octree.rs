@@ -166,16 +166,28 @@ mod tests {
     use super::*;
     use crate::random::hash;
 
-    #[test]
-    fn every_sphere_that_contains_a_point_is_found() {
-        let number = |i: u64| (hash(i) >> 40) as f32 / (1 << 24) as f32;
-        let point = |i: u64| Vec3::new(number(3 * i), number(3 * i + 1), number(3 * i + 2));
+    fn number(i: u64) -> f32 {
+        (hash(i) >> 40) as f32 / (1 << 24) as f32
+    }
+
+    fn point(i: u64) -> Vec3 {
+        Vec3::new(number(3 * i), number(3 * i + 1), number(3 * i + 2))
+    }
+
+    /// Five hundred spheres of very different sizes.
+    fn spheres() -> (Vec<(Vec3, f32)>, Octree) {
         let spheres: Vec<(Vec3, f32)> =
             (0..500).map(|i| (point(i), 0.001 * 300f32.powf(number(10_000 + i)))).collect();
         let mut octree = Octree::new(Vec3::ZERO, Vec3::ONE);
         for (index, (center, radius)) in spheres.iter().enumerate() {
             octree.insert(index as u32, *center, *radius);
         }
+        (spheres, octree)
+    }
+
+    #[test]
+    fn every_sphere_that_contains_a_point_is_found() {
+        let (spheres, octree) = spheres();
         let mut contained = 0;
         for i in 1000..3000 {
             let p = point(i);
@@ -193,5 +205,20 @@ mod tests {
             assert_eq!(unique.len(), near.len());
         }
         assert!(contained > 1000, "the test met {contained} cases only");
+    }
+
+    #[test]
+    fn spheres_are_found_by_how_far_their_centres_are_each_once_and_in_order() {
+        let (spheres, octree) = spheres();
+        let mut all = 0;
+        for i in 1000..1500 {
+            let (p, distance) = (point(i), 0.2 * number(20_000 + i));
+            let found = octree.centred_within(distance, p);
+            let near = |&index: &u32| spheres[index as usize].0.distance(p) <= distance;
+            let expected: Vec<u32> = (0..spheres.len() as u32).filter(near).collect();
+            assert_eq!(found, expected, "within {distance} of point {i}");
+            all += found.len();
+        }
+        assert!(all > 1000, "the test met {all} cases only");
     }
 }
