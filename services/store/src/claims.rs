@@ -165,10 +165,7 @@ impl Store {
         let has_calendar = concat!("SELECT ", has_calendar!(), " FROM nodes n WHERE n.id = ?");
         let has_calendar: Option<bool> =
             sqlx::query_scalar(has_calendar).bind(node.0).fetch_optional(&mut *connection).await?;
-        match has_calendar {
-            Some(true) => sleep_of(&mut connection, node, now).await,
-            _ => Ok(None),
-        }
+        sleep_of(&mut connection, node, has_calendar.unwrap_or(false), now).await
     }
 
     /// A node that waits for work is alive.

@@ -142,10 +142,7 @@ impl Store {
         let &RenewRequest { fence, progress, pixels, paused, ref log } = renewal;
         let mut write = self.write().await?;
         let row = read_in(&mut write, lease).await?;
-        let sleep_until = match row.has_calendar {
-            true => sleep_of(write.connection().await?, row.node_id, now).await?,
-            false => None,
-        };
+        let sleep_until = sleep_of(write.connection().await?, row.node_id, row.has_calendar, now).await?;
         if row.fence == fence && row.state == LeaseState::Revoked {
             return Ok(Renewal { expires_at: now, order: LeaseOrder::Stop, drain: row.drain, sleep_until });
         }
@@ -300,12 +297,16 @@ impl LeaseRow {
 /// A node of which nobody knows when it wakes up asks again after a day.
 const ASLEEP_FOR_LONG: i64 = 24 * 3_600_000_000;
 
-/// Until when a node sleeps. One without a calendar, as most are, does not, and need not be asked for: every heartbeat would.
+/// Until when a node sleeps. One without a calendar, as most are, is not read for it: every heartbeat asks.
 pub(crate) async fn sleep_of(
     connection: &mut SqliteConnection,
     node: NodeId,
+    has_calendar: bool,
     now: Timestamp,
 ) -> Result<Option<Timestamp>, StoreError> {
+    if !has_calendar {
+        return Ok(None);
+    }
     Ok(match opening(&nodes::read(connection, node).await?, now) {
         Opening::Awake(_) => None,
         Opening::Asleep(until) => Some(until.unwrap_or(now.plus_micros(ASLEEP_FOR_LONG))),

@@ -12,7 +12,8 @@ use crate::renderer::{RenderError, Renderer};
 use crate::shot::{ProfiledFrame, cost_of, records_to_sample};
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{
-    ArtifactHash, CACHE_BYTES, CacheFrame, CachePlanResult, CacheSample, RenderSettings, SharedSample, Spent,
+    ArtifactHash, CACHE_BYTES, CacheFrame, CachePlanResult, CacheSample, ProfileResult, RenderSettings,
+    SharedSample, Spent,
 };
 use forelight_tracer::{Cache, Cost, Pixel, RecordCost};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -95,6 +96,14 @@ pub struct SharedProfile {
     pub records: Vec<CacheSample>,
     /// What finding out took.
     pub spent: Spent,
+}
+
+impl SharedProfile {
+    /// Puts it beside what the frame costs with a cache of its own.
+    pub fn add_to(self, result: &mut ProfileResult) {
+        result.spent = result.spent.plus(self.spent);
+        (result.shared_samples, result.shared_cache_samples) = (self.pixels, self.records);
+    }
 }
 
 /// Measures the pixels of a profiled frame once more, with the cache of its shot, which need not be filled for that, and gathers a few of that

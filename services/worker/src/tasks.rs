@@ -122,10 +122,9 @@ fn profile(
     result.spent.cpu_nanos += encoding;
     if spec.cache.is_some() {
         let cache = cache_tasks::only_cache(assignment)?;
-        let beside = profile_shared(renderer, &profiled, &spec.settings, &options, cache)
-            .map_err(cache_tasks::of_shared_cache)?;
-        result.spent = result.spent.plus(beside.spent);
-        (result.shared_samples, result.shared_cache_samples) = (beside.pixels, beside.records);
+        profile_shared(renderer, &profiled, &spec.settings, &options, cache)
+            .map_err(cache_tasks::of_shared_cache)?
+            .add_to(&mut result);
     }
     Ok(Outcome { result: TaskResult::Profile(result), artifacts: files.contents })
 }

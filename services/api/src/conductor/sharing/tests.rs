@@ -56,8 +56,8 @@ impl Case {
         let plan = plan_shared(&shot, frames, &settings, &|_| (), &never).unwrap().expect("a cache");
         let measured = |profiled| {
             let mut result = profile_result(info, &settings, profiled, artifacts);
-            let beside = profile_shared(&shot, profiled, &settings, &options, plan.cache.clone()).unwrap();
-            (result.shared_samples, result.shared_cache_samples) = (beside.pixels, beside.records);
+            let beside = profile_shared(&shot, profiled, &settings, &options, plan.cache.clone());
+            beside.unwrap().add_to(&mut result);
             MeasuredProfile { result, node_speed: 1.0, spp: 4 }
         };
         let profiles = quoted.profiled.iter().map(measured).collect();

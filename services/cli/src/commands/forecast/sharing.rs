@@ -91,10 +91,8 @@ impl Asker<'_> {
         for profiled in &quoted.profiled {
             let mut result = profile_result(self.local.shot.info(), self.settings, profiled, artifacts);
             if let Some(plan) = planned {
-                let beside =
-                    profile_shared(&self.local.shot, profiled, self.settings, options, plan.cache.clone())?;
-                (result.shared_samples, result.shared_cache_samples) = (beside.pixels, beside.records);
-                result.spent = result.spent.plus(beside.spent);
+                profile_shared(&self.local.shot, profiled, self.settings, options, plan.cache.clone())?
+                    .add_to(&mut result);
             }
             profiles.push(result);
         }
