@@ -107,7 +107,7 @@ pub struct CacheFrame {
     pub own: Vec<u32>,
     /// Records of the shot's cache whose light is changed by what has moved in this frame.
     pub dropped: u64,
-    /// Planning what the frame needs beyond the shot's cache.
+    /// Reading the shot's cache, finding out what of it holds in the frame, and planning what the frame needs beyond it.
     pub plan: Spent,
     /// Rays of that by category, in the order of [`crate::Rays::NAMES`].
     #[schema(min_items = 7, max_items = 7)]

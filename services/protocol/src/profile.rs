@@ -35,7 +35,7 @@ pub struct SharedSample {
     pub rays: [u64; 7],
 }
 
-/// One record of the irradiance cache, gathered to see what that takes.
+/// One record of the irradiance cache, gathered and averaged with others to see what that takes.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CacheSample {
@@ -80,7 +80,7 @@ pub struct FixedCosts {
     pub load: Spent,
     /// Building the acceleration structure.
     pub build: Spent,
-    /// Planning the irradiance cache; 0 without one.
+    /// Planning the irradiance cache, and reading the one that is shared, if there is one; 0 without.
     #[serde(default)]
     pub plan: Spent,
     /// Rays of the plan by category, in the order of [`crate::Rays::NAMES`].

@@ -19,7 +19,8 @@
 //! | file | subject |
 //! | --- | --- |
 //! | `site` | where irradiance is wanted, and when one place serves for another |
-//! | `octree` | which records are near |
+//! | `octree` | which records may cover a point |
+//! | `places` | which records are near each other |
 //! | `hemisphere` | strata of a gather; irradiance and its gradients from them |
 //! | `plan`, `gather`, `smooth`, `read` | the phases |
 //! | `sample` | what a record takes, from a few of them |
@@ -32,6 +33,7 @@ mod gather;
 mod hemisphere;
 mod octree;
 mod partial;
+mod places;
 mod plan;
 mod read;
 mod sample;
@@ -46,12 +48,13 @@ pub use sample::RecordCost;
 pub use share::Shared;
 pub use site::Site;
 
+use crate::bounds::Bounds;
 use crate::cost::{Cost, Rays, add_rays};
 use crate::tracer::Tracer;
 use forelight_bvh::Hit;
 use glam::Vec3;
 use octree::Octree;
-use smooth::Smoothed;
+use smooth::{Smoothed, Value};
 use std::sync::OnceLock;
 
 /// Records are read that much farther than they are planned to cover: several of them blend everywhere, and the samples between
@@ -101,6 +104,8 @@ pub struct Record {
 pub struct Level {
     planned: Vec<Planned>,
     records: Vec<OnceLock<Record>>,
+    /// What the first records say to those that read them, if it was there before the others were planned.
+    known: Vec<Option<Value>>,
     /// What is read, once all records are filled.
     smoothed: OnceLock<Smoothed>,
     octree: Octree,
@@ -122,11 +127,15 @@ pub struct Cache {
     frame: u32,
     /// The images that it has been planned for, by their fingerprints.
     images: Vec<[u8; 32]>,
+    /// Box around the world's vertices, metres: what the octrees are over.
+    world: Bounds,
     strata: Strata,
     levels: Vec<Level>,
     /// What planning took.
     plan: Cost,
     plan_rays: Rays,
+    /// What reading the file took that it came from, nanoseconds.
+    reading: u64,
     /// Set when the first level alone was filled, for some pixels: deeper points are then followed, not interpolated.
     partial: OnceLock<()>,
 }
@@ -190,6 +199,7 @@ impl Cache {
     pub fn without_times(&self) -> Self {
         let mut cache = self.clone();
         cache.plan.cpu_nanos = 0;
+        cache.reading = 0;
         cache.gathered_mut().for_each(|record| record.cost.cpu_nanos = 0);
         cache
     }
@@ -199,11 +209,20 @@ impl Cache {
         self.plan = Cost::default();
         self.plan_rays = Rays::default();
         self.gathered_mut().for_each(|record| (record.cost, record.rays) = (Cost::default(), [0; 7]));
+        self.levels
+            .iter_mut()
+            .filter_map(|level| level.smoothed.get_mut())
+            .for_each(|smoothed| smoothed.cpu_nanos = 0);
         self
     }
 
     fn gathered_mut(&mut self) -> impl Iterator<Item = &mut Record> {
         self.levels.iter_mut().flat_map(|level| &mut level.records).filter_map(OnceLock::get_mut)
+    }
+
+    /// CPU time of reading the file that it came from, nanoseconds; 0 if it came from none.
+    pub fn reading_nanos(&self) -> u64 {
+        self.reading
     }
 
     /// What it holds and took.

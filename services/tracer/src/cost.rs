@@ -131,9 +131,13 @@ pub fn build_work(triangles: usize, nodes: usize) -> u64 {
     2000 * triangles as u64 + 500 * nodes as u64
 }
 
-/// CPU time of the calling thread, nanoseconds.
-pub fn thread_cpu_nanos() -> u64 {
-    nanos(rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime))
+/// What some work gives, and the CPU time of this thread that it took, nanoseconds. It must not wait for a thread pool: a thread that
+/// waits does other work.
+pub fn clocked<T>(work: impl FnOnce() -> T) -> (T, u64) {
+    let now = || nanos(rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime));
+    let start = now();
+    let given = work();
+    (given, now() - start)
 }
 
 /// CPU time of all threads of this process, nanoseconds.

@@ -1,7 +1,7 @@
 //! A frame, ready to be traced.
 
 use crate::cache::{Cache, CacheError, RecordCost};
-use crate::cost::{Cost, Tally, WorkByClass, build_work, thread_cpu_nanos};
+use crate::cost::{Cost, Tally, WorkByClass, build_work, clocked};
 use crate::effects::{CalledFor, Effects};
 use crate::environment::Sky;
 use crate::fingerprint::{fingerprint, light_fingerprint, of_content};
@@ -120,16 +120,14 @@ impl Tracer {
             Surface::Plastic { ior, .. } => fresnel::internal_diffuse(ior),
             _ => 0.0,
         });
-        let start = thread_cpu_nanos();
-        let reach = reachable(&frame, &materials);
+        let (reach, finding) = clocked(|| reachable(&frame, &materials));
         let everything = Reach::everything(&frame);
         let included = if complete { &everything } else { &reach };
         let known = bvh.filter(|bvh| bvh.is_over(&frame.geometry, included));
         let (bvh, build) = known.map(|bvh| (bvh, Cost::default())).unwrap_or_else(|| {
-            let tree = Tree::new(&frame.geometry, included);
-            let cpu_nanos = thread_cpu_nanos() - start;
+            let (tree, building) = clocked(|| Tree::new(&frame.geometry, included));
             let work = build_work(tree.triangles(frame.geometry.triangles.len()), tree.size().0);
-            (Arc::new(tree), Cost { work, cpu_nanos })
+            (Arc::new(tree), Cost { work, cpu_nanos: finding + building })
         });
         let luminaires = Luminaires::new(&frame, &reach, complete);
         let sky = if included.environment() { Sky::new(&frame) } else { Sky::Black };
@@ -211,8 +209,8 @@ impl Tracer {
 
     /// Starts the plan from a cache that was planned, and perhaps filled, for this image or for others of the same scene and light;
     /// call it before [`Self::plan`]. What the image needs beyond it will be planned anew.
-    pub fn take_cache(&self, mut cache: Cache) -> Result<(), CacheError> {
-        cache.settle(self)?;
+    pub fn take_cache(&self, cache: Cache) -> Result<(), CacheError> {
+        cache.check(self)?;
         *lock(&self.given) = Some(cache);
         Ok(())
     }
@@ -221,8 +219,8 @@ impl Tracer {
     ///
     /// # Errors
     /// If it belongs to another scene, other light or other settings.
-    pub fn hold_cache(&self, mut cache: Cache) -> Result<&Cache, CacheError> {
-        cache.settle(self)?;
+    pub fn hold_cache(&self, cache: Cache) -> Result<&Cache, CacheError> {
+        cache.check(self)?;
         Ok(self.cache.get_or_init(|| cache))
     }
 
@@ -261,7 +259,6 @@ impl Tracer {
             }
             before += count;
         }
-        cache.smooth(0);
         true
     }
 
@@ -461,9 +458,7 @@ fn timed(trace: impl FnOnce() -> Vec<Pixel>) -> Vec<Pixel> {
 /// clock is cheap but counts what other processes took; the thread's CPU clock is exact but too dear to read twice a pixel. So each
 /// pixel gets the share of the batch's CPU time that it had of the batch's wall time.
 pub(crate) fn share_cpu_time<'a>(trace: impl FnOnce() -> Vec<(u64, &'a mut u64)>) {
-    let start = thread_cpu_nanos();
-    let pixels = trace();
-    let cpu = thread_cpu_nanos() - start;
+    let (pixels, cpu) = clocked(trace);
     let wall: u64 = pixels.iter().map(|(before, now)| **now - before).sum();
     if wall > 0 {
         for (before, now) in pixels {

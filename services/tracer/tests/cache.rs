@@ -101,6 +101,7 @@ fn a_fill_in_parts_that_are_merged_is_the_fill_in_one() {
         for part in parts {
             merged.merge(&Cache::from_bytes(&part).unwrap()).unwrap();
         }
+        merged.smooth_full();
     }
     assert_eq!(merged.totals().filled, merged.records().iter().sum::<u64>());
     assert_eq!(timeless(&merged).to_bytes(), timeless(whole.cache().unwrap()).to_bytes());
@@ -238,6 +239,36 @@ fn a_shot_shares_its_records_while_only_the_camera_moves() {
     again.take_cache(second.cache().unwrap().clone()).unwrap();
     again.plan();
     assert_eq!(again.cache().unwrap().records(), second.cache().unwrap().records());
+}
+
+#[test]
+fn a_cache_that_was_filled_is_not_smoothed_again_by_those_that_are_given_it() {
+    for bounces in [1, 2] {
+        let settings = settings(bounces);
+        let mut frame = room(|b| b);
+        let first = Tracer::new(&frame, &settings);
+        let image = render(&first);
+        let bytes = first.cache().unwrap().to_bytes();
+        let given = || Cache::from_bytes(&bytes).unwrap().as_given();
+        assert!(given().reading_nanos() > 0);
+        let again = Tracer::new(&frame, &settings);
+        again.take_cache(given()).unwrap();
+        assert_eq!(bits(&render(&again)), bits(&image));
+        assert_eq!(again.cache().unwrap().totals().fill.cpu_nanos, 0, "it gathered or smoothed something");
+
+        // What others say stays as it was beside records of the frame's own, in memory and in a file.
+        frame.camera.origin.x += 0.1;
+        let one = Tracer::new(&frame, &settings);
+        one.take_cache(first.cache().unwrap().clone()).unwrap();
+        let other = Tracer::new(&frame, &settings);
+        other.take_cache(given()).unwrap();
+        assert_eq!(bits(&render(&one)), bits(&render(&other)));
+        let of = |tracer: &Tracer| tracer.cache().unwrap().records()[0];
+        assert!(of(&one) > of(&first));
+        let third = Tracer::new(&frame, &settings);
+        third.take_cache(Cache::from_bytes(&one.cache().unwrap().to_bytes()).unwrap()).unwrap();
+        assert_eq!(bits(&render(&third)), bits(&render(&one)));
+    }
 }
 
 #[test]

@@ -8,7 +8,7 @@ use forelight_protocol::{
     CacheFillResult, CacheFillSpec, CacheMergeResult, CacheMergeSpec, CachePlanSpec, LogLevel, Spent,
     TaskResult,
 };
-use forelight_tracer::{Cache, CacheError, thread_cpu_nanos};
+use forelight_tracer::{Cache, CacheError, clocked};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Plans the cache of a shot, and what each frame makes of it.
@@ -68,31 +68,37 @@ pub(crate) fn fill(
     Ok(Outcome { result: TaskResult::CacheFill(result), artifacts: files.contents })
 }
 
-/// Puts the parts of a round together. No light is traced.
+/// Puts the parts of a round together, and smooths what is full. No light is traced.
 pub(crate) fn merge(
     spec: &CacheMergeSpec,
     assignment: &Assignment,
     control: &Control,
 ) -> Result<Outcome, ExecuteError> {
-    let start = thread_cpu_nanos();
-    let mut whole: Option<Cache> = None;
-    for (bytes, done) in assignment.caches.iter().zip(1..) {
-        let part = Cache::from_bytes(bytes).map_err(unusable)?;
-        match &mut whole {
-            None => whole = Some(part),
-            Some(whole) => whole.merge(&part).map_err(unusable)?,
+    let put_together = || {
+        let mut whole: Option<Cache> = None;
+        for (bytes, done) in assignment.caches.iter().zip(1..) {
+            let part = Cache::from_bytes(bytes).map_err(unusable)?;
+            match &mut whole {
+                None => whole = Some(part),
+                Some(whole) => whole.merge(&part).map_err(unusable)?,
+            }
+            if control.is_cancelled() {
+                return Err(ExecuteError::Cancelled);
+            }
+            control.set_progress(f64::from(done) / spec.parts.len() as f64);
         }
-        if control.is_cancelled() {
-            return Err(ExecuteError::Cancelled);
-        }
-        control.set_progress(f64::from(done) / spec.parts.len() as f64);
-    }
-    let whole = whole.ok_or_else(|| ExecuteError::Permanent("there are no parts to put together".into()))?;
-    let (full, bytes) = (whole.is_complete(), whole.to_bytes());
+        whole.ok_or_else(|| ExecuteError::Permanent("there are no parts to put together".into()))
+    };
+    let (whole, merging) = clocked(put_together);
+    let whole = whole?;
+    let before = whole.totals().fill.cpu_nanos;
+    whole.smooth_full();
+    let smoothing = whole.totals().fill.cpu_nanos - before;
+    let ((full, bytes), writing) = clocked(|| (whole.is_complete(), whole.to_bytes()));
     let size = bytes.len() as u64;
     control.log(LogLevel::Info, format!("{} parts put together: {size} bytes", spec.parts.len()));
     let mut files = Files::default();
-    let spent = Spent { work: 0, cpu_nanos: thread_cpu_nanos() - start };
+    let spent = Spent { work: 0, cpu_nanos: merging + smoothing + writing };
     let result = CacheMergeResult { cache: files.add(bytes), bytes: size, full, spent };
     Ok(Outcome { result: TaskResult::CacheMerge(result), artifacts: files.contents })
 }

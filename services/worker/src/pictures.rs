@@ -7,7 +7,7 @@ use crate::execute::ExecuteError;
 use crate::shot::ProfiledFrame;
 use forelight_protocol::Spent;
 use forelight_scene::Frame;
-use forelight_tracer::{Image, Pixel, thread_cpu_nanos};
+use forelight_tracer::{Image, Pixel, clocked};
 use image::{ImageFormat, RgbImage};
 use std::io::Cursor;
 
@@ -25,14 +25,15 @@ pub struct Pictures {
 
 /// Encodes a frame's files, all on this thread. Also the CPU time that it took, in nanoseconds.
 pub fn encode(image: &Image, frame: &Frame, preview: &RgbImage) -> Result<(Pictures, u64), ExecuteError> {
-    let start = thread_cpu_nanos();
-    let pictures = Pictures {
-        image_exr: exr(image, frame)?,
-        image_png: png(&image.picture())?,
-        cost_map_png: png(&image.cost_map())?,
-        preview_png: png(preview)?,
-    };
-    Ok((pictures, thread_cpu_nanos() - start))
+    let (pictures, nanos) = clocked(|| {
+        Ok::<_, ExecuteError>(Pictures {
+            image_exr: exr(image, frame)?,
+            image_png: png(&image.picture())?,
+            cost_map_png: png(&image.cost_map())?,
+            preview_png: png(preview)?,
+        })
+    });
+    Ok((pictures?, nanos))
 }
 
 /// What a frame's files take beside tracing: making the preview, and encoding. In time alone, since work counts tracing.

@@ -57,10 +57,11 @@ pub fn plan_shared(
     progress: &dyn Fn(f64),
     cancel: &AtomicBool,
 ) -> Result<Option<SharedPlan>, RenderError> {
-    // Half of it is planning for all, half looking at each.
+    // Half of it is planning for all, half looking at each, which gets it as a file, as its render will.
     let steps = 2.0 * frames.len().max(1) as f64;
     let planned = renderer.plan_cache(frames, settings, &|done| progress(done as f64 / steps), cancel)?;
     let Some(cache) = planned else { return Ok(None) };
+    let bytes = cache.to_bytes();
     let mut plan =
         SharedPlan { spent: spent(cache.totals().plan), frames: Vec::with_capacity(frames.len()), cache };
     for &frame in frames {
@@ -68,7 +69,7 @@ pub fn plan_shared(
             return Ok(None);
         }
         let ready = renderer.frame(frame, settings)?;
-        let shared = ready.share(plan.cache.clone())?;
+        let shared = ready.share(Cache::from_bytes(&bytes)?)?;
         let fixed = ready.fixed();
         let records = ready.cache_records();
         let all: Vec<u64> = records.iter().copied().map(u64::from).collect();

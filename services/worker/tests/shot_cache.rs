@@ -57,6 +57,7 @@ fn a_cache_that_is_filled_in_parts_gives_every_frame_the_image_of_one_that_is_fi
             let parts: Vec<Cache> =
                 (0..3).map(|part| fill(&shot, merged.clone(), &settings, (part, 3))).collect();
             parts.iter().for_each(|part| merged.merge(part).unwrap());
+            merged.smooth_full();
         }
         assert_eq!(merged.without_times().to_bytes(), whole.without_times().to_bytes());
         for frame in [0, 9, 20] {

@@ -171,7 +171,9 @@ fn merge(args: &Merge) -> Result<()> {
             }
         }
     }
-    write(&merged.ok_or_else(|| BadInput::new("there is no cache to merge"))?, &args.written)
+    let merged = merged.ok_or_else(|| BadInput::new("there is no cache to merge"))?;
+    merged.smooth_full();
+    write(&merged, &args.written)
 }
 
 /// The settings, with a cache whether or not that was said.

@@ -10,16 +10,18 @@
 //! | BLAKE3 of all before | 32 |
 
 use super::hemisphere::{PLAN_RAYS, SECTORS, Strata};
-use super::plan::octree;
+use super::octree::Octree;
+use super::smooth::Value;
 use super::{Cache, Level, Planned, Record, Site};
-use crate::cost::Cost;
+use crate::bounds::Bounds;
+use crate::cost::{Cost, clocked};
 use crate::tracer::Tracer;
 use bytemuck::{AnyBitPattern, NoUninit, Pod, Zeroable};
 use forelight_bvh::Hit;
 use glam::Vec3;
 use std::sync::OnceLock;
 
-const MAGIC: [u8; 8] = *b"FLcach03";
+const MAGIC: [u8; 8] = *b"FLcach04";
 const CHECKSUM: usize = 32;
 
 /// The triangle of a ray that met nothing.
@@ -27,12 +29,13 @@ const NOTHING: u32 = u32::MAX;
 
 const FILLED: u32 = 1;
 const REJECTED: u32 = 2;
+const SMOOTHED: u32 = 4;
 
 /// Why bytes are not a cache, or not the right one.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CacheError {
     /// The leading bytes are others.
-    #[error("not an irradiance cache of this version (it must begin with FLcach03)")]
+    #[error("not an irradiance cache of this version (it must begin with FLcach04)")]
     Foreign,
     /// Shorter or longer than it says.
     #[error("truncated irradiance cache: {found} bytes where {expected} were expected")]
@@ -67,6 +70,8 @@ struct Header {
     images: u32,
     levels: u32,
     frame: u32,
+    low: [f32; 3],
+    high: [f32; 3],
 }
 
 #[repr(C)]
@@ -110,14 +115,20 @@ struct HitRow {
 struct RecordRow {
     work: u64,
     nanos: u64,
-    irradiance: [f32; 3],
-    rotation: [[f32; 3]; 3],
-    translation: [[f32; 3]; 3],
+    gathered: LightRow,
+    smoothed: LightRow,
     trusted: f32,
     noise: f32,
     flags: u32,
     rays: [u32; 7],
-    zero: u32,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct LightRow {
+    irradiance: [f32; 3],
+    rotation: [[f32; 3]; 3],
+    translation: [[f32; 3]; 3],
 }
 
 impl Cache {
@@ -136,6 +147,8 @@ impl Cache {
                 images: self.images.len() as u32,
                 levels: self.levels.len() as u32,
                 frame: self.frame,
+                low: self.world.low.to_array(),
+                high: self.world.high.to_array(),
             },
         );
         self.images.iter().for_each(|image| out.extend_from_slice(image));
@@ -152,7 +165,10 @@ impl Cache {
                 },
             );
             level.planned.iter().for_each(|planned| put(&mut out, &planned_row(planned)));
-            level.records.iter().for_each(|record| put(&mut out, &record_row(record.get())));
+            let known = level.known_values();
+            for (index, record) in level.records.iter().enumerate() {
+                put(&mut out, &record_row(record.get(), known.get(index).copied().flatten()));
+            }
         }
         let checksum = blake3::hash(&out);
         out.extend_from_slice(checksum.as_bytes());
@@ -161,6 +177,11 @@ impl Cache {
 
     /// Reads what [`Self::to_bytes`] wrote.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CacheError> {
+        let (cache, reading) = clocked(|| Self::read_from(bytes));
+        Ok(Self { reading, ..cache? })
+    }
+
+    fn read_from(bytes: &[u8]) -> Result<Self, CacheError> {
         if bytes.len() < MAGIC.len() || bytes[..MAGIC.len()] != MAGIC {
             return Err(CacheError::Foreign);
         }
@@ -176,9 +197,14 @@ impl Cache {
             plan_rays: header.plan_rays,
             strata: Strata::for_rays(header.rays),
             images: reader.list(u64::from(header.images))?,
+            world: Bounds { low: header.low.into(), high: header.high.into() },
             ..Self::default()
         };
-        if header.levels > 8 || cache.strata.len() != header.rays as usize {
+        let sized = cache.world.low.is_finite() && cache.world.high.is_finite();
+        if header.levels > 8
+            || cache.strata.len() != header.rays as usize
+            || !(sized || cache.world == Bounds::EMPTY)
+        {
             return Err(CacheError::Damaged("its header holds numbers that no cache has"));
         }
         for _ in 0..header.levels {
@@ -191,30 +217,31 @@ impl Cache {
         if blake3::hash(body).as_bytes() != checksum {
             return Err(CacheError::Damaged("the checksum does not match"));
         }
+        for level in &mut cache.levels {
+            level.octree = Octree::new(cache.world);
+            let planned = std::mem::take(&mut level.planned);
+            planned.iter().zip(0..).for_each(|(planned, index)| level.enter(index, planned));
+            level.planned = planned;
+        }
         Ok(cache)
     }
 
-    /// Makes a cache that was read fit to be used for a frame; it must have been planned for this scene, light and settings.
-    pub fn settle(&mut self, tracer: &Tracer) -> Result<(), CacheError> {
+    /// Whether the cache is one for this frame: planned for this scene, light and settings, and with nothing in it that the scene has not.
+    pub fn check(&self, tracer: &Tracer) -> Result<(), CacheError> {
         if !self.suits(tracer) {
             return Err(CacheError::OtherScene);
         }
         let triangles = tracer.frame.geometry.triangles.len();
         let exists =
             |planned: &Planned| planned.hits.iter().flatten().all(|hit| (hit.primitive as usize) < triangles);
-        for level in &mut self.levels {
-            if !level.planned.iter().all(exists) {
-                return Err(CacheError::Damaged("a record names a triangle that the scene does not have"));
-            }
-            level.octree = octree(tracer);
-            let planned = std::mem::take(&mut level.planned);
-            planned.iter().zip(0..).for_each(|(planned, index)| level.enter(index, planned));
-            level.planned = planned;
+        if !self.levels.iter().flat_map(|level| &level.planned).all(exists) {
+            return Err(CacheError::Damaged("a record names a triangle that the scene does not have"));
         }
         Ok(())
     }
 
-    /// Takes over the records that another part of the same plan has filled.
+    /// Takes over the records that another part of the same plan has filled. Levels that are full then want to be smoothed: see
+    /// [`Self::smooth_full`].
     pub fn merge(&mut self, other: &Self) -> Result<(), CacheError> {
         let same = |(a, b): (&Level, &Level)| a.planned == b.planned;
         if self.fingerprint != other.fingerprint
@@ -224,6 +251,12 @@ impl Cache {
             return Err(CacheError::OtherPlan);
         }
         for (level, other) in self.levels.iter_mut().zip(&other.levels) {
+            let theirs = other.known_values();
+            level.known = level.known_values();
+            level.known.resize(level.planned.len(), None);
+            for (value, other) in level.known.iter_mut().zip(theirs) {
+                *value = value.or(other);
+            }
             level.smoothed = OnceLock::new();
             for (record, other) in level.records.iter_mut().zip(&other.records) {
                 if let (None, Some(other)) = (record.get(), other.get()) {
@@ -246,9 +279,12 @@ fn read_level(reader: &mut Reader<'_>) -> Result<Level, CacheError> {
     }
     let planned: Option<Vec<Planned>> = planned.iter().map(planned_of).collect();
     let planned = planned.ok_or(CacheError::Damaged("a record holds numbers that no record has"))?;
-    let record = |row: &RecordRow| record_of(row).map_or_else(OnceLock::new, OnceLock::from);
+    let gathered: Vec<Option<Record>> = records.iter().map(record_of).collect();
+    let known = records.iter().zip(&gathered).map(|(row, record)| value_of(row, record.as_ref()?)).collect();
+    let filled = |record: Option<Record>| record.map_or_else(OnceLock::new, OnceLock::from);
     Ok(Level {
-        records: records.iter().map(record).collect(),
+        records: gathered.into_iter().map(filled).collect(),
+        known,
         planned,
         explored: header.explored as usize,
         accuracy: header.accuracy,
@@ -306,27 +342,34 @@ fn planned_of(row: &PlannedRow) -> Option<Planned> {
     })
 }
 
-fn record_row(record: Option<&Record>) -> RecordRow {
+fn record_row(record: Option<&Record>, known: Option<Value>) -> RecordRow {
     let Some(record) = record else { return RecordRow::zeroed() };
+    let flag = |flag: u32, is_set: bool| if is_set { flag } else { 0 };
     RecordRow {
         work: record.cost.work,
         nanos: record.cost.cpu_nanos,
-        irradiance: record.irradiance.to_array(),
-        rotation: record.rotation.map(|g| g.to_array()),
-        translation: record.translation.map(|g| g.to_array()),
+        gathered: light_row(&Value::of(record)),
+        smoothed: known.as_ref().map_or_else(LightRow::zeroed, light_row),
         trusted: record.trusted,
         noise: record.noise,
-        flags: FILLED | if record.rejected { REJECTED } else { 0 },
+        flags: FILLED | flag(REJECTED, record.rejected) | flag(SMOOTHED, known.is_some()),
         rays: record.rays,
-        zero: 0,
+    }
+}
+
+fn light_row(value: &Value) -> LightRow {
+    LightRow {
+        irradiance: value.irradiance.to_array(),
+        rotation: value.rotation.map(|gradient| gradient.to_array()),
+        translation: value.translation.map(|gradient| gradient.to_array()),
     }
 }
 
 fn record_of(row: &RecordRow) -> Option<Record> {
     let mut record = Record {
-        irradiance: row.irradiance.into(),
-        rotation: row.rotation.map(Vec3::from),
-        translation: row.translation.map(Vec3::from),
+        irradiance: row.gathered.irradiance.into(),
+        rotation: row.gathered.rotation.map(Vec3::from),
+        translation: row.gathered.translation.map(Vec3::from),
         trusted: row.trusted,
         noise: row.noise,
         rejected: row.flags & REJECTED != 0,
@@ -335,6 +378,18 @@ fn record_of(row: &RecordRow) -> Option<Record> {
     };
     record.rejected |= !(record.is_finite() && record.trusted > 0.0);
     (row.flags & FILLED != 0).then_some(record)
+}
+
+/// `None` if the record is not smoothed, or not finite: it is then smoothed anew.
+fn value_of(row: &RecordRow, record: &Record) -> Option<Value> {
+    let LightRow { irradiance, rotation, translation } = row.smoothed;
+    let value = Value {
+        irradiance: irradiance.into(),
+        rotation: rotation.map(Vec3::from),
+        translation: translation.map(Vec3::from),
+        ..Value::of(record)
+    };
+    (row.flags & SMOOTHED != 0 && value.is_finite()).then_some(value)
 }
 
 fn put(out: &mut Vec<u8>, row: &impl NoUninit) {

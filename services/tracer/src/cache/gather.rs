@@ -1,8 +1,9 @@
 //! Filling: what the hemisphere above a planned record sends.
 
 use super::hemisphere::Irradiance;
+use super::smooth::Value;
 use super::{Cache, Planned, Record};
-use crate::cost::{Cost, SMOOTHING, SMOOTHING_WORK, thread_cpu_nanos};
+use crate::cost::{Cost, SMOOTHING, SMOOTHING_WORK, clocked};
 use crate::tracer::Tracer;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -10,7 +11,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 impl Cache {
     /// Gathers a range of a level's records, on the current thread pool; those that are filled already stay. `progress` is told the
-    /// number done, now and then. The next deeper level has to be filled: a gather reads it. `false` if `cancel` was set.
+    /// number done, now and then. The next deeper level has to be filled: a gather reads it. A level that is full now is smoothed. `false`
+    /// if `cancel` was set.
     pub fn fill(
         &self,
         tracer: &Tracer,
@@ -27,6 +29,7 @@ impl Cache {
                 progress(done.fetch_add(1, Ordering::Relaxed) + 1);
             }
         });
+        self.smooth(level);
         !cancel.load(Ordering::Relaxed)
     }
 
@@ -34,14 +37,15 @@ impl Cache {
     pub(super) fn gathered(&self, tracer: &Tracer, level: usize, index: usize) -> Record {
         let here = &self.levels[level];
         let planned = &here.planned[index];
-        let start = thread_cpu_nanos();
-        let (irradiance, counters) = tracer.kernel.gather(tracer, &self.strata, level as u32, planned);
+        let gather = || {
+            let (irradiance, counters) = tracer.kernel.gather(tracer, &self.strata, level as u32, planned);
+            (Record::new(planned, &irradiance, here.smallest), counters)
+        };
+        let ((record, counters), cpu_nanos) = clocked(gather);
         tracer.gather_work.add(counters.work_by_class());
         tracer.gather_work.add(SMOOTHING);
-        let mut record = Record::new(planned, &irradiance, here.smallest);
-        record.cost = Cost { work: counters.work() + SMOOTHING_WORK, cpu_nanos: thread_cpu_nanos() - start };
-        record.rays = counters.rays;
-        record
+        let cost = Cost { work: counters.work() + SMOOTHING_WORK, cpu_nanos };
+        Record { cost, rays: counters.rays, ..record }
     }
 }
 
@@ -75,9 +79,6 @@ impl Record {
 
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
-        let mut gradients = self.rotation.iter().chain(&self.translation);
-        self.irradiance.is_finite()
-            && self.noise.is_finite()
-            && gradients.all(|gradient| gradient.is_finite())
+        Value::of(self).is_finite() && self.noise.is_finite()
     }
 }

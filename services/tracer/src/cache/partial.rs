@@ -6,10 +6,11 @@
 //! and whose deeper levels are exact.
 
 use super::{Cache, READ_RELAXED};
-use crate::cost::{Cost, Counters, thread_cpu_nanos};
+use crate::cost::{Cost, Counters, clocked};
 use crate::tracer::Tracer;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
+use std::ops::Add;
 
 impl Cache {
     /// See [`Tracer::fill_for`].
@@ -20,8 +21,7 @@ impl Cache {
             self.partial.get_or_init(|| ());
         }
         let allowed = first.accuracy * READ_RELAXED;
-        let found = pixels.par_iter().map(|&pixel| {
-            let start = thread_cpu_nanos();
+        let look = |pixel: u32| {
             let (mut sites, mut counters) = (Vec::new(), Counters::default());
             tracer.kernel.sites(tracer, pixel, tracer.samples_of(pixel), &mut sites, &mut counters);
             let reads = |index: &u32, site| first.planned[*index as usize].error(site, allowed).is_some();
@@ -31,11 +31,13 @@ impl Cache {
                     first.octree.around(site.position).filter(move |index| reads(index, site))
                 })
                 .collect();
-            (read, Cost { work: counters.work(), cpu_nanos: thread_cpu_nanos() - start })
-        });
-        let found: Vec<(BTreeSet<u32>, Cost)> = found.collect();
-        let looking = found.iter().fold(Cost::default(), |sum, (_, cost)| sum + *cost);
-        let read: BTreeSet<u32> = found.into_iter().flat_map(|(read, _)| read).collect();
+            (read, counters.work())
+        };
+        let found: Vec<((BTreeSet<u32>, u64), u64)> =
+            pixels.par_iter().map(|&pixel| clocked(|| look(pixel))).collect();
+        let cost = |&((_, work), cpu_nanos): &(_, u64)| Cost { work, cpu_nanos };
+        let looking = found.iter().map(cost).fold(Cost::default(), Cost::add);
+        let read: BTreeSet<u32> = found.into_iter().flat_map(|((read, _), _)| read).collect();
         let read: Vec<u32> = read.into_iter().collect();
         read.par_iter().for_each(|&index| {
             let index = index as usize;

@@ -10,7 +10,8 @@ use super::hemisphere::{PLAN_RAYS, RINGS, SECTORS, Strata};
 use super::octree::Octree;
 use super::{Cache, Level, Planned, READ_RELAXED, Site};
 use crate::CacheSettings;
-use crate::cost::{Cost, Counters, Rays, add_rays, thread_cpu_nanos};
+use crate::bounds::Bounds;
+use crate::cost::{Cost, Counters, Rays, add_rays, clocked};
 use crate::geometry::Basis;
 use crate::random::{Sampler, hash};
 use crate::tracer::Tracer;
@@ -21,6 +22,9 @@ use std::sync::OnceLock;
 
 /// Pixels, or records of the level before, whose sites are found in one go.
 const CHUNK: usize = 4096;
+
+/// Pixels or places that one thread goes through at a time.
+const TOGETHER: usize = 64;
 
 /// Places whose rays are traced at the same time. Those that turn out to be covered by others of their batch were traced in
 /// vain: few, since successive places are far apart.
@@ -60,7 +64,8 @@ impl Cache {
         if self.levels.is_empty() {
             self.fingerprint = tracer.cache_fingerprint();
             self.frame = tracer.frame.number;
-            self.levels = planning.levels(settings.accuracy as f32 * 1e-3);
+            self.world = world(tracer);
+            self.levels = planning.levels(self.world, settings.accuracy as f32 * 1e-3);
         }
         for depth in 0..self.levels.len() {
             let (before, level) = self.levels.split_at_mut(depth);
@@ -71,6 +76,7 @@ impl Cache {
         }
         for level in &mut self.levels {
             level.records.resize_with(level.planned.len(), OnceLock::new);
+            level.known = level.known_values();
             level.smoothed = OnceLock::new();
             level.explored = level.planned.len();
         }
@@ -79,12 +85,9 @@ impl Cache {
     }
 }
 
-/// An octree over a scene.
-pub fn octree(tracer: &Tracer) -> Octree {
-    let positions = &tracer.frame.geometry.positions;
-    let low = positions.iter().copied().reduce(Vec3::min).unwrap_or(Vec3::ZERO);
-    let high = positions.iter().copied().reduce(Vec3::max).unwrap_or(Vec3::ZERO);
-    Octree::new(low, high)
+/// The box around a frame's world.
+pub fn world(tracer: &Tracer) -> Bounds {
+    Bounds::of(tracer.frame.geometry.positions.iter().copied())
 }
 
 struct Planning<'a> {
@@ -108,7 +111,7 @@ impl PlanCost {
 
 impl Planning<'_> {
     /// The levels of a cache, empty.
-    fn levels(&mut self, accuracy: f32) -> Vec<Level> {
+    fn levels(&mut self, world: Bounds, accuracy: f32) -> Vec<Level> {
         let (smallest, largest) = self.bounds(accuracy).into_inner();
         let level = |depth: u32| {
             let deeper = DEEPER.powi(depth as i32);
@@ -116,7 +119,7 @@ impl Planning<'_> {
                 accuracy: (accuracy * deeper).min(COARSE),
                 smallest: (smallest * deeper).min(largest),
                 largest,
-                octree: octree(self.tracer),
+                octree: Octree::new(world),
                 ..Level::default()
             }
         };
@@ -183,10 +186,7 @@ impl Planning<'_> {
         for chunk in order.chunks(CHUNK / PLAN_RAYS) {
             let (tracer, strata) = (self.tracer, self.strata);
             let found = chunk.par_iter().map(|&index| {
-                let start = thread_cpu_nanos();
-                let (sites, counters) =
-                    tracer.kernel.sites_beyond(tracer, &strata, depth, &before[index as usize]);
-                (sites, counters, thread_cpu_nanos() - start)
+                clocked(|| tracer.kernel.sites_beyond(tracer, &strata, depth, &before[index as usize]))
             });
             let sites = self.gather(found.collect());
             self.insert_all(level, &sites);
@@ -195,20 +195,20 @@ impl Planning<'_> {
 
     fn sites_of_pixels(&mut self, pixels: &[u32]) -> Vec<Keyed> {
         let tracer = self.tracer;
-        let found = pixels.par_chunks(64).map(|pixels| {
-            let start = thread_cpu_nanos();
+        let sites_of = |pixels: &[u32]| {
             let (mut sites, mut counters) = (Vec::new(), Counters::default());
             for &pixel in pixels {
                 tracer.kernel.sites(tracer, pixel, 1, &mut sites, &mut counters);
             }
-            (sites, counters, thread_cpu_nanos() - start)
-        });
+            (sites, counters)
+        };
+        let found = pixels.par_chunks(TOGETHER).map(|pixels| clocked(|| sites_of(pixels)));
         self.gather(found.collect())
     }
 
-    fn gather(&mut self, found: Vec<(Vec<Keyed>, Counters, u64)>) -> Vec<Keyed> {
+    fn gather(&mut self, found: Vec<((Vec<Keyed>, Counters), u64)>) -> Vec<Keyed> {
         let mut all = Vec::new();
-        for (sites, counters, nanos) in found {
+        for ((sites, counters), nanos) in found {
             all.extend(sites);
             self.plan.charge(&counters, nanos);
         }
@@ -217,33 +217,41 @@ impl Planning<'_> {
 
     /// The insertion rule over a list of places, in order.
     fn insert_all(&mut self, level: &mut Level, places: &[Keyed]) {
-        let start = thread_cpu_nanos();
-        let covered: Vec<bool> = places.par_iter().map(|(_, site)| level.covers(site)).collect();
-        let open: Vec<Keyed> =
-            places.iter().zip(covered).filter(|(_, covered)| !covered).map(|p| *p.0).collect();
+        let open_of = |level: &Level, places: &[Keyed]| -> Vec<Keyed> {
+            places.iter().copied().filter(|(_, site)| !level.covers(site)).collect()
+        };
+        let open = places.par_chunks(TOGETHER).map(|places| clocked(|| open_of(level, places)));
+        let (open, nanos): (Vec<Vec<Keyed>>, Vec<u64>) = open.unzip();
+        self.plan.cost.cpu_nanos += nanos.into_iter().sum::<u64>();
+        let open = open.concat();
         let mut rest = open.as_slice();
         let mut batch = Vec::with_capacity(BATCH);
         while !rest.is_empty() {
             batch.clear();
-            while let Some((first, others)) = rest.split_first()
-                && batch.len() < BATCH
-            {
-                rest = others;
-                if !level.covers(&first.1) {
-                    batch.push(*first);
+            let ((), choosing) = clocked(|| {
+                while let Some((first, others)) = rest.split_first()
+                    && batch.len() < BATCH
+                {
+                    rest = others;
+                    if !level.covers(&first.1) {
+                        batch.push(*first);
+                    }
                 }
-            }
+            });
             let (tracer, strata) = (self.tracer, self.strata);
-            let planned: Vec<(Planned, Counters)> =
-                batch.par_iter().map(|&place| plan_record(tracer, &strata, place, level)).collect();
-            for (planned, counters) in planned {
-                self.plan.charge(&counters, 0);
-                if !level.covers(&planned.site) {
-                    level.insert(planned);
+            let planned =
+                batch.par_iter().map(|&place| clocked(|| plan_record(tracer, &strata, place, level)));
+            let planned: Vec<((Planned, Counters), u64)> = planned.collect();
+            let ((), entering) = clocked(|| {
+                for ((planned, counters), nanos) in planned {
+                    self.plan.charge(&counters, nanos);
+                    if !level.covers(&planned.site) {
+                        level.insert(planned);
+                    }
                 }
-            }
+            });
+            self.plan.cost.cpu_nanos += choosing + entering;
         }
-        self.plan.cost.cpu_nanos += thread_cpu_nanos() - start;
     }
 }
 

@@ -1,13 +1,13 @@
 //! Sampling: a few records are gathered, to learn what a record takes.
 
+use super::places::{Cells, Places};
 use super::{Cache, Level, Planned};
 use crate::cost::Cost;
 use crate::random::hash;
 use crate::tracer::Tracer;
-use glam::Vec3;
 use rayon::prelude::*;
 
-/// What gathering one record takes.
+/// What gathering one record takes, and smoothing it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RecordCost {
     /// Its level, from 0.
@@ -17,9 +17,6 @@ pub struct RecordCost {
     /// Rays by category.
     pub rays: [u32; 7],
 }
-
-/// Bits of a position along each axis: cells of a thousandth of what the records cover.
-const BITS: u32 = 10;
 
 impl Cache {
     /// See [`Tracer::sample_records`].
@@ -32,6 +29,7 @@ impl Cache {
                 picks.into_iter().map(move |index| (level as usize, index))
             })
             .collect();
+        let places: Vec<Places> = self.levels.iter().map(|level| Places::of(&level.planned)).collect();
         let sample = |(level, index): (usize, usize)| {
             let gathered = || self.gathered(tracer, level, index);
             let record = if level + 1 == self.levels.len() {
@@ -39,7 +37,9 @@ impl Cache {
             } else {
                 gathered()
             };
-            RecordCost { level: level as u32, cost: record.cost, rays: record.rays }
+            let nanos = self.levels[level].smoothing_nanos(index, &record, &places[level]);
+            let smoothing = Cost { work: 0, cpu_nanos: nanos };
+            RecordCost { level: level as u32, cost: record.cost + smoothing, rays: record.rays }
         };
         picks.into_par_iter().map(sample).collect()
     }
@@ -53,12 +53,9 @@ impl Level {
     fn spread(&self, each: usize, start: u64) -> Vec<usize> {
         let count = self.planned.len();
         let picks = each.min(count);
-        let positions = || self.planned.iter().map(|planned| planned.site.position);
-        let low = positions().reduce(Vec3::min).unwrap_or_default();
-        let extent = positions().reduce(Vec3::max).unwrap_or_default() - low;
-        let scale = ((1 << BITS) - 1) as f32 / extent.max_element().max(f32::MIN_POSITIVE);
+        let cells = Cells::around(&self.planned);
         let mut order: Vec<usize> = (0..count).collect();
-        order.sort_by_cached_key(|&index| curve(&self.planned[index], low, scale));
+        order.sort_by_cached_key(|&index| curve(&self.planned[index], &cells));
         let place = |pick: usize| {
             let at = (pick as u128) << 64 | u128::from(start);
             // Below the count, since `at` is below picks · 2⁶⁴.
@@ -69,18 +66,18 @@ impl Level {
 }
 
 /// Place of a record along the curve: the axis that its normal is nearest to, then the Morton order of its position.
-fn curve(planned: &Planned, low: Vec3, scale: f32) -> u64 {
+fn curve(planned: &Planned, cells: &Cells) -> u64 {
     let normal = planned.site.normal;
     let axis = normal.abs().max_position();
     let facing = 2 * axis as u64 + u64::from(normal[axis] < 0.0);
-    let cell = ((planned.site.position - low) * scale).to_array().map(|coordinate| coordinate as u64);
-    (0..BITS).rev().fold(facing, |code, bit| cell.iter().fold(code, |code, c| code << 1 | c >> bit & 1))
+    facing * Cells::COUNT + cells.number(planned.site.position)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::cache::Site;
+    use glam::Vec3;
 
     fn level(count: usize) -> Level {
         let place = |index: usize| Planned {

@@ -4,7 +4,9 @@
 //! one of them meets something that moved, passes where something has moved to, or meets a point from which a light
 //! is seen past something that moved. If lights or materials themselves change, every record is dropped.
 
-use super::plan::octree;
+use super::octree::Octree;
+use super::places::Places;
+use super::plan::world;
 use super::{Cache, Level, Planned};
 use crate::bounds::Bounds;
 use crate::geometry::Basis;
@@ -34,6 +36,8 @@ impl Cache {
             fingerprint: to.cache_fingerprint(),
             frame: to.frame.number,
             strata: self.strata,
+            world: world(to),
+            reading: self.reading,
             ..Self::default()
         };
         if let Some(change) = Change::between(from, to) {
@@ -48,7 +52,7 @@ impl Cache {
                     !reads_dropped && !change.touches(&self.strata, planned, from)
                 };
                 let kept: Vec<bool> = level.planned.iter().map(keeps).collect();
-                carried.levels.insert(0, level.only(&kept, to));
+                carried.levels.insert(0, level.only(&kept, carried.world));
                 deeper = Some((level, kept));
             }
         }
@@ -65,21 +69,24 @@ impl Level {
         self.octree.near(place).any(|member| !kept[member.index as usize])
     }
 
-    /// The level with some of its records.
-    fn only(&self, kept: &[bool], tracer: &Tracer) -> Self {
+    /// The level with some of its records. What they say is known, unless one that is not kept had a part in it.
+    fn only(&self, kept: &[bool], world: Bounds) -> Self {
         let mut level = Self {
-            octree: octree(tracer),
+            octree: Octree::new(world),
             accuracy: self.accuracy,
             smallest: self.smallest,
             largest: self.largest,
             ..Self::default()
         };
-        for ((planned, record), _) in
-            self.planned.iter().zip(&self.records).zip(kept).filter(|(_, kept)| **kept)
-        {
+        let known = self.known_values();
+        let places = Places::of(&self.planned);
+        for index in (0..kept.len()).filter(|&index| kept[index]) {
+            let planned = &self.planned[index];
             level.enter(level.planned.len() as u32, planned);
             level.planned.push(planned.clone());
-            level.records.push(record.clone());
+            level.records.push(self.records[index].clone());
+            let all_kept = || self.neighbours(index, &places).all(|(neighbour, _)| kept[neighbour as usize]);
+            level.known.push(known.get(index).copied().flatten().filter(|_| all_kept()));
         }
         level.explored = level.planned.len();
         level

@@ -6,8 +6,9 @@
 //! in: the flecks of several gathers for the price of one, paid once a record instead of at every sample that reads. A neighbour
 //! that differs by more than both their noises explain has gathered other light, and counts for less.
 
-use super::{Cache, Level, Planned, Record};
-use crate::cost::thread_cpu_nanos;
+use super::places::Places;
+use super::{Cache, Level, Record};
+use crate::cost::clocked;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -35,11 +36,14 @@ pub struct Value {
     pub rejected: bool,
 }
 
-/// The values of a level, and the time that averaging them took; the work of it is in the records' own.
+/// The values of a level.
 #[derive(Debug, Clone, Default)]
 pub struct Smoothed {
     pub values: Vec<Value>,
+    /// The time that averaging them took; the work of it is in the records' own.
     pub cpu_nanos: u64,
+    /// Whether all records were filled.
+    pub whole: bool,
 }
 
 impl Value {
@@ -47,6 +51,12 @@ impl Value {
     pub fn of(record: &Record) -> Self {
         let Record { irradiance, rotation, translation, trusted, noise, rejected, .. } = *record;
         Self { irradiance, rotation, translation, trusted, noise, rejected }
+    }
+
+    /// Whether every number of light is finite.
+    pub fn is_finite(&self) -> bool {
+        let mut gradients = self.rotation.iter().chain(&self.translation);
+        self.irradiance.is_finite() && gradients.all(|gradient| gradient.is_finite())
     }
 
     /// Irradiance somewhere else, by the gradients: the place lies off by `difference`, metres, and its normal is turned by
@@ -64,53 +74,92 @@ impl Value {
 
 impl Cache {
     /// Smooths a level, if all its records are filled, on the current thread pool.
-    pub fn smooth(&self, level: usize) {
+    pub(super) fn smooth(&self, level: usize) {
         if self.is_full(level) {
             self.smooth_filled(level);
         }
+    }
+
+    /// Smooths every level all of whose records are filled, on the current thread pool: after parts were merged.
+    pub fn smooth_full(&self) {
+        (0..self.levels.len()).for_each(|level| self.smooth(level));
     }
 
     /// Smooths the records of a level that are filled; the others are not to be read from then on.
     pub(super) fn smooth_filled(&self, level: usize) {
         let Some(level) = self.levels.get(level) else { return };
         level.smoothed.get_or_init(|| {
-            let smoothed = (0..level.planned.len()).into_par_iter().map(|index| {
-                let start = thread_cpu_nanos();
-                (level.averaged(index), thread_cpu_nanos() - start)
+            let (places, placing) = clocked(|| Places::of(&level.planned));
+            let smoothed = (0..level.planned.len()).into_par_iter().map(|index| match level.known(index) {
+                Some(value) => (value, 0),
+                None => clocked(|| level.averaged(index, &places, |neighbour| level.gathered(neighbour))),
             });
             let (values, nanos): (Vec<Value>, Vec<u64>) = smoothed.unzip();
-            Smoothed { values, cpu_nanos: nanos.into_iter().sum() }
+            let whole = level.records.iter().all(|record| record.get().is_some());
+            Smoothed { values, cpu_nanos: placing + nanos.into_iter().sum::<u64>(), whole }
         });
     }
 }
 
 impl Level {
-    /// What a record and its neighbours say of its place.
-    fn averaged(&self, index: usize) -> Value {
+    /// What every record was found to say before any that are planned now; nothing of those that were not smoothed.
+    pub(super) fn known_values(&self) -> Vec<Option<Value>> {
+        match self.smoothed.get().filter(|smoothed| smoothed.whole) {
+            Some(smoothed) => smoothed.values.iter().copied().map(Some).collect(),
+            None => self.known.clone(),
+        }
+    }
+
+    fn known(&self, index: usize) -> Option<Value> {
+        self.known.get(index).copied().flatten()
+    }
+
+    /// What a record gathered; nothing if it is not filled.
+    fn gathered(&self, index: usize) -> Option<Value> {
+        self.records[index].get().map(Value::of)
+    }
+
+    /// CPU time of smoothing a record, nanoseconds, whether or not those around it are filled: they are taken for as many that
+    /// say what it says.
+    pub(super) fn smoothing_nanos(&self, index: usize, record: &Record, places: &Places) -> u64 {
+        let value = Value::of(record);
+        let (averaged, nanos) = clocked(|| self.averaged(index, places, |_| Some(value)));
+        // It must not be left out for nobody looking at it.
+        std::hint::black_box(averaged);
+        nanos
+    }
+
+    /// The records that may count when a record is smoothed, itself among them, and how large the larger error is of using one at the
+    /// other's place; in any order.
+    pub(super) fn neighbours(&self, index: usize, places: &Places) -> impl Iterator<Item = (u32, f32)> {
         let here = &self.planned[index];
-        let Some(own) = self.records[index].get().map(Value::of).filter(|own| !own.rejected) else {
+        let allowed = self.accuracy * WIDER;
+        places.within(here.radius * allowed, here.site.position).filter_map(move |neighbour| {
+            let there = &self.planned[neighbour as usize];
+            let error = there.error(&here.site, allowed)?.max(here.error(&there.site, allowed)?);
+            Some((neighbour, error))
+        })
+    }
+
+    /// What a record and its neighbours say of its place, each having gathered what `gathered` says.
+    fn averaged(&self, index: usize, places: &Places, gathered: impl Fn(usize) -> Option<Value>) -> Value {
+        let here = &self.planned[index];
+        let Some(own) = gathered(index).filter(|own| !own.rejected) else {
             return Value { rejected: true, ..NOTHING };
         };
         let position = here.site.position;
-        let reach = here.radius * self.accuracy * WIDER;
-        // Those beyond do not count here: see `nearness`.
-        let near = self.octree.centred_within(reach, position);
+        let mut neighbours: Vec<(u32, f32)> = self.neighbours(index, places).collect();
+        // A sum has one order only.
+        neighbours.sort_unstable_by_key(|(neighbour, _)| *neighbour);
         let (mut sum, mut weights) = (NOTHING, 0.0f32);
-        for &neighbour in &near {
+        for (neighbour, error) in neighbours {
             let there = &self.planned[neighbour as usize];
-            let value = if neighbour as usize == index {
-                own
-            } else {
-                match self.records[neighbour as usize].get() {
-                    Some(record) if !record.rejected => Value::of(record),
-                    _ => continue,
-                }
-            };
-            let Some(nearness) = self.nearness((here, &own), (there, &value)) else { continue };
+            let Some(value) = gathered(neighbour as usize).filter(|value| !value.rejected) else { continue };
             let difference = position - there.site.position;
             let turn = there.site.normal.cross(here.site.normal);
             let said = value.at(difference, turn);
-            let weight = nearness * agreement(&own, &value, said);
+            let trusted = own.trusted.min(value.trusted);
+            let weight = self.nearness(error, difference.length() / trusted) * agreement(&own, &value, said);
             sum.irradiance += weight * said;
             for channel in 0..3 {
                 sum.rotation[channel] += weight * value.rotation[channel];
@@ -130,13 +179,11 @@ impl Level {
 
     /// How much one record counts at another's place: 1 at the place itself, falling to nothing where either says that the other
     /// is too far off. The one with the smaller radius knows best how fast the light changes between them.
-    fn nearness(&self, (here, own): (&Planned, &Value), (there, value): (&Planned, &Value)) -> Option<f32> {
+    /// `distance` is in units of the smaller radius within which gradients are trusted.
+    fn nearness(&self, error: f32, distance: f32) -> f32 {
         let allowed = self.accuracy * WIDER;
-        let error = there.error(&here.site, allowed)?.max(here.error(&there.site, allowed)?);
-        let distance = here.site.position.distance(there.site.position);
-        let trusted = distance / own.trusted.min(value.trusted);
         let near = 1.0 - error / allowed;
-        Some(near * near * (1.0 - trusted / allowed).max(0.0))
+        near * near * (1.0 - distance / allowed).max(0.0)
     }
 }
 

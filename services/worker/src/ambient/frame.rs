@@ -10,7 +10,7 @@ use forelight_protocol::{ByClass, FixedCosts, LeftOut, Spent};
 use forelight_scene::Frame;
 use forelight_tracer::{
     Cache, CacheTotals, Effects, Passes, Pixel, PixelsFinished, Profile, RecordCost, SampleCounts, Shared,
-    Totals, Tracer,
+    Totals, Tracer, clocked,
 };
 use rayon::prelude::*;
 use std::sync::Mutex;
@@ -20,8 +20,8 @@ use std::sync::atomic::AtomicBool;
 pub(super) struct AmbientFrame<'a> {
     pub(super) shot: &'a AmbientShot,
     pub(super) tracer: Tracer,
-    /// What became of the shot's cache, if it was given one.
-    pub(super) shared: Mutex<Shared>,
+    /// What became of the shot's cache, if it was given one, and the CPU time that taking it took, nanoseconds.
+    pub(super) shared: Mutex<(Shared, u64)>,
     /// Without the plan of its irradiance cache.
     pub(super) fixed: FixedCosts,
     pub(super) built_now: Spent,
@@ -30,8 +30,23 @@ pub(super) struct AmbientFrame<'a> {
 impl AmbientFrame<'_> {
     /// What the irradiance cache came to, if there is one.
     fn cache_use(&self, taken_over: CacheTotals) -> Option<CacheUse> {
-        let shared = || lock(&self.shared).clone();
+        let shared = || lock(&self.shared).0.clone();
         self.tracer.cache().map(|cache| CacheUse { all: cache.totals(), taken_over, shared: shared() })
+    }
+
+    /// Takes the cache of the shot, as far as it holds here.
+    fn take(&self, cache: Cache) -> Result<Shared, RenderError> {
+        if cache.suits(&self.tracer) {
+            let kept = cache.records();
+            self.tracer.take_cache(cache.as_given())?;
+            return Ok(Shared { dropped: vec![0; kept.len()], kept });
+        }
+        let settings = self.tracer.settings();
+        let from = self.shot.tracer(&self.shot.frame_of(cache.frame(), settings)?, settings).tracer;
+        cache.check(&from)?;
+        let (carried, shared) = cache.carried(&from, &self.tracer);
+        self.tracer.take_cache(carried.as_given())?;
+        Ok(shared)
     }
 
     /// Finished pixels on the current thread, with what their camera samples say.
@@ -64,7 +79,8 @@ impl FrameRenderer for AmbientFrame<'_> {
             None => self.fixed,
             Some(cache) => {
                 let CacheTotals { plan, plan_rays, .. } = cache.totals();
-                FixedCosts { plan: spent(plan), plan_rays, ..self.fixed }
+                let taking = Spent { work: 0, cpu_nanos: lock(&self.shared).1 };
+                FixedCosts { plan: spent(plan).plus(taking), plan_rays, ..self.fixed }
             }
         }
     }
@@ -165,21 +181,11 @@ impl FrameRenderer for AmbientFrame<'_> {
         Profile { frame: self.tracer.frame().number, fingerprint: self.tracer.fingerprint(), pixels, cache }
     }
 
-    fn share(&self, mut cache: Cache) -> Result<Shared, RenderError> {
-        let given = |cache: Cache| self.tracer.take_cache(cache.as_given());
-        let shared = if cache.suits(&self.tracer) {
-            let kept = cache.records();
-            given(cache)?;
-            Shared { dropped: vec![0; kept.len()], kept }
-        } else {
-            let settings = self.tracer.settings();
-            let from = self.shot.tracer(&self.shot.frame_of(cache.frame(), settings)?, settings).tracer;
-            cache.settle(&from)?;
-            let (carried, shared) = cache.carried(&from, &self.tracer);
-            given(carried)?;
-            shared
-        };
-        *lock(&self.shared) = shared.clone();
+    fn share(&self, cache: Cache) -> Result<Shared, RenderError> {
+        let reading = cache.reading_nanos();
+        let (shared, taking) = clocked(|| self.take(cache));
+        let shared = shared?;
+        *lock(&self.shared) = (shared.clone(), reading + taking);
         Ok(shared)
     }
 

@@ -6,7 +6,7 @@ use crate::render::{counts, spent};
 use crate::renderer::{Counted, FrameRenderer, RenderError, Renderer, ShotInfo, StratumInfo};
 use forelight_protocol::{FixedCosts, RenderSettings, SceneDigest, SceneSummary, Spent, StratumName};
 use forelight_scene::{Frame, Geometry, Limits, Scene};
-use forelight_tracer::{Cache, Effects, Settings, Tracer, thread_cpu_nanos, tracer_version};
+use forelight_tracer::{Cache, Effects, Settings, Tracer, clocked, tracer_version};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
@@ -49,9 +49,9 @@ impl AmbientShot {
         limits: &Limits,
         previewer: Arc<SharedPreviewer>,
     ) -> Result<Self, RenderError> {
-        let start = thread_cpu_nanos();
-        let scene = Scene::load(path, limits)?;
-        let load = Spent { work: 0, cpu_nanos: thread_cpu_nanos() - start };
+        let (scene, loading) = clocked(|| Scene::load(path, limits));
+        let scene = scene?;
+        let load = Spent { work: 0, cpu_nanos: loading };
         let first = scene.frame(0)?;
         Ok(Self {
             info: ShotInfo {
@@ -177,9 +177,8 @@ impl Renderer for AmbientShot {
 
     fn count(&self, frame: u32, settings: &RenderSettings) -> Result<Counted, RenderError> {
         let settings = tracer_settings(settings);
-        let start = thread_cpu_nanos();
-        let frame = self.frame_of(frame, &settings)?;
-        let setup = thread_cpu_nanos() - start;
+        let (frame, setup) = clocked(|| self.frame_of(frame, &settings));
+        let frame = frame?;
         let (cache_records, planning) = self.planned_records(&frame, &settings);
         Ok(self.previewer.with(|previewer| {
             let counts = previewer.counts(&frame)?;
@@ -199,9 +198,8 @@ impl Renderer for AmbientShot {
         settings: &RenderSettings,
     ) -> Result<Box<dyn FrameRenderer + '_>, RenderError> {
         let settings = tracer_settings(settings);
-        let start = thread_cpu_nanos();
-        let frame = self.frame_of(frame, &settings)?;
-        let moved = thread_cpu_nanos() - start;
+        let (frame, moved) = clocked(|| self.frame_of(frame, &settings));
+        let frame = frame?;
         let Ready { tracer, own_tree, built_now } = self.tracer(&frame, &settings);
         Ok(Box::new(AmbientFrame {
             shot: self,
