@@ -10,7 +10,6 @@
 //! | BLAKE3 of all before | 32 |
 
 use super::hemisphere::{PLAN_RAYS, SECTORS, Strata};
-use super::octree::Octree;
 use super::smooth::Value;
 use super::{Cache, Level, Planned, Record, Site};
 use crate::bounds::Bounds;
@@ -218,7 +217,7 @@ impl Cache {
             return Err(CacheError::Damaged("the checksum does not match"));
         }
         for level in &mut cache.levels {
-            level.octree = Octree::new(cache.world);
+            level.octree = level.empty_octree(cache.world);
             let planned = std::mem::take(&mut level.planned);
             planned.iter().zip(0..).for_each(|(planned, index)| level.enter(index, planned));
             level.planned = planned;

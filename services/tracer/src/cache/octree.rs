@@ -42,10 +42,21 @@ impl Member {
 }
 
 impl Octree {
-    /// Over a box that holds all points that will be asked for.
-    pub fn new(Bounds { low, high }: Bounds) -> Self {
+    /// Over a box that holds all points that will be asked for, for spheres of this radius or a larger one.
+    ///
+    /// The cube is a power of two times as wide as a sphere of the least radius, so that these, which are often most of all, are in
+    /// cells that are just as large as they are. In a cube that fits the box, cells would be up to twice as large, and hold up to
+    /// three times as many: in one frame so, and in the next, whose radii are a little smaller, otherwise.
+    pub fn new(Bounds { low, high }: Bounds, least: f32) -> Self {
         // A little larger than the box, so that rounding keeps its border inside.
-        let edge = (high - low).max_element().max(f32::MIN_POSITIVE) * 1.001;
+        let box_edge = (high - low).max_element().max(f32::MIN_POSITIVE) * 1.001;
+        let mut edge = 2.0 * least;
+        if !(edge.is_normal() && box_edge.is_finite()) {
+            edge = box_edge;
+        }
+        while edge < box_edge {
+            edge *= 2.0;
+        }
         Self { low, edge, cells: vec![Cell::default()] }
     }
 
@@ -160,11 +171,27 @@ mod tests {
     fn spheres() -> (Vec<(Vec3, f32)>, Octree) {
         let spheres: Vec<(Vec3, f32)> =
             (0..500).map(|i| (point(i), 0.001 * 300f32.powf(number(10_000 + i)))).collect();
-        let mut octree = Octree::new(Bounds { low: Vec3::ZERO, high: Vec3::ONE });
+        let mut octree = Octree::new(Bounds { low: Vec3::ZERO, high: Vec3::ONE }, 0.001);
         for (index, (center, radius)) in spheres.iter().enumerate() {
             octree.insert(index as u32, *center, *radius);
         }
         (spheres, octree)
+    }
+
+    #[test]
+    fn what_is_looked_at_does_not_depend_on_how_the_box_fits_the_spheres() {
+        let looked_at = |radius: f32| {
+            let mut octree = Octree::new(Bounds { low: Vec3::ZERO, high: Vec3::ONE }, radius);
+            (0..2000).for_each(|index| octree.insert(index, point(u64::from(index)), radius));
+            let all: usize = (5000..6000).map(|i| octree.near(point(i)).count()).sum();
+            // Of spheres that are spread through a cube as many as their share of it.
+            all as f64 / f64::from(radius.powi(3))
+        };
+        let least = looked_at(0.03);
+        for radius in [0.033, 0.037, 0.042, 0.047, 0.053] {
+            let ratio = looked_at(radius) / least;
+            assert!((0.85..1.15).contains(&ratio), "{ratio} times as many with a radius of {radius}");
+        }
     }
 
     #[test]

@@ -115,13 +115,13 @@ impl Planning<'_> {
         let (smallest, largest) = self.bounds(accuracy).into_inner();
         let level = |depth: u32| {
             let deeper = DEEPER.powi(depth as i32);
-            Level {
+            let level = Level {
                 accuracy: (accuracy * deeper).min(COARSE),
                 smallest: (smallest * deeper).min(largest),
                 largest,
-                octree: Octree::new(world),
                 ..Level::default()
-            }
+            };
+            Level { octree: level.empty_octree(world), ..level }
         };
         (0..self.tracer.settings.ambient_bounces).map(level).collect()
     }
@@ -303,9 +303,19 @@ impl Level {
         self.planned.push(planned);
     }
 
+    /// An octree for such records.
+    pub(super) fn empty_octree(&self, world: Bounds) -> Octree {
+        Octree::new(world, self.reach(self.smallest))
+    }
+
     /// Enters a record into the octree.
-    pub fn enter(&mut self, index: u32, planned: &Planned) {
-        let reach = planned.entered * self.accuracy * READ_RELAXED;
+    pub(super) fn enter(&mut self, index: u32, planned: &Planned) {
+        let reach = self.reach(planned.entered);
         self.octree.insert(index, planned.site.position, reach);
+    }
+
+    /// How far off a record of this radius is read at most, metres.
+    fn reach(&self, radius: f32) -> f32 {
+        radius * self.accuracy * READ_RELAXED
     }
 }

@@ -4,7 +4,6 @@
 //! one of them meets something that moved, passes where something has moved to, or meets a point from which a light
 //! is seen past something that moved. If lights or materials themselves change, every record is dropped.
 
-use super::octree::Octree;
 use super::places::Places;
 use super::plan::world;
 use super::{Cache, Level, Planned};
@@ -72,7 +71,7 @@ impl Level {
     /// The level with some of its records. What they say is known, unless one that is not kept had a part in it.
     fn only(&self, kept: &[bool], world: Bounds) -> Self {
         let mut level = Self {
-            octree: Octree::new(world),
+            octree: self.empty_octree(world),
             accuracy: self.accuracy,
             smallest: self.smallest,
             largest: self.largest,

@@ -89,7 +89,9 @@ impl Cache {
     pub(super) fn smooth_filled(&self, level: usize) {
         let Some(level) = self.levels.get(level) else { return };
         level.smoothed.get_or_init(|| {
-            let (places, placing) = clocked(|| Places::of(&level.planned));
+            let all_known = (0..level.planned.len()).all(|index| level.known(index).is_some());
+            let (places, placing) =
+                if all_known { (Places::of(&[]), 0) } else { clocked(|| Places::of(&level.planned)) };
             let smoothed = (0..level.planned.len()).into_par_iter().map(|index| match level.known(index) {
                 Some(value) => (value, 0),
                 None => clocked(|| level.averaged(index, &places, |neighbour| level.gathered(neighbour))),
