@@ -104,7 +104,7 @@ pub struct Record {
 pub struct Level {
     planned: Vec<Planned>,
     records: Vec<OnceLock<Record>>,
-    /// What the first records say to those that read them, if it was there before the others were planned.
+    /// What each planned record says to those that read it, if that was found out before: in a file, or before others were planned.
     known: Vec<Option<Value>>,
     /// What is read, once all records are filled.
     smoothed: OnceLock<Smoothed>,
@@ -159,6 +159,12 @@ pub struct CacheTotals {
     pub rejected: u64,
 }
 
+impl Level {
+    fn is_full(&self) -> bool {
+        self.records.iter().all(|record| record.get().is_some())
+    }
+}
+
 impl Cache {
     /// Number of records by level.
     pub fn records(&self) -> Vec<u64> {
@@ -167,12 +173,12 @@ impl Cache {
 
     /// Whether all records of a level are filled.
     pub fn is_full(&self, level: usize) -> bool {
-        self.levels.get(level).is_none_or(|level| level.records.iter().all(|record| record.get().is_some()))
+        self.levels.get(level).is_none_or(Level::is_full)
     }
 
     /// Whether all records of all levels are filled.
     pub fn is_complete(&self) -> bool {
-        (0..self.levels.len()).all(|level| self.is_full(level))
+        self.levels.iter().all(Level::is_full)
     }
 
     /// The planned records of a level.

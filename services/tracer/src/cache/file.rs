@@ -164,9 +164,8 @@ impl Cache {
                 },
             );
             level.planned.iter().for_each(|planned| put(&mut out, &planned_row(planned)));
-            let known = level.known_values();
-            for (index, record) in level.records.iter().enumerate() {
-                put(&mut out, &record_row(record.get(), known.get(index).copied().flatten()));
+            for (record, known) in level.records.iter().zip(level.known_values()) {
+                put(&mut out, &record_row(record.get(), known));
             }
         }
         let checksum = blake3::hash(&out);
@@ -250,12 +249,8 @@ impl Cache {
             return Err(CacheError::OtherPlan);
         }
         for (level, other) in self.levels.iter_mut().zip(&other.levels) {
-            let theirs = other.known_values();
-            level.known = level.known_values();
-            level.known.resize(level.planned.len(), None);
-            for (value, other) in level.known.iter_mut().zip(theirs) {
-                *value = value.or(other);
-            }
+            let known = level.known_values().into_iter().zip(other.known_values());
+            level.known = known.map(|(own, other)| own.or(other)).collect();
             level.smoothed = OnceLock::new();
             for (record, other) in level.records.iter_mut().zip(&other.records) {
                 if let (None, Some(other)) = (record.get(), other.get()) {

@@ -155,15 +155,17 @@ impl Octree {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::random::hash;
 
-    fn number(i: u64) -> f32 {
+    /// The i-th of numbers that are spread evenly from 0 to 1.
+    pub fn number(i: u64) -> f32 {
         (hash(i) >> 40) as f32 / (1 << 24) as f32
     }
 
-    fn point(i: u64) -> Vec3 {
+    /// The same of the unit cube's points.
+    pub fn point(i: u64) -> Vec3 {
         Vec3::new(number(3 * i), number(3 * i + 1), number(3 * i + 2))
     }
 

@@ -87,16 +87,8 @@ impl Places {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cache::octree::tests::{number, point};
     use crate::cache::{PLAN_RAYS, Site, hemisphere::SECTORS};
-    use crate::random::hash;
-
-    fn number(i: u64) -> f32 {
-        (hash(i) >> 40) as f32 / (1 << 24) as f32
-    }
-
-    fn point(i: u64) -> Vec3 {
-        Vec3::new(number(3 * i), number(3 * i + 1), number(3 * i + 2))
-    }
 
     fn records(count: u64) -> Vec<Planned> {
         let at = |position| Planned {
@@ -133,13 +125,11 @@ mod tests {
     fn cells_that_follow_each_other_are_close() {
         let records = records(2000);
         let cells = Cells::around(&records);
-        let mut order: Vec<Vec3> = records.iter().map(|planned| planned.site.position).collect();
+        let scattered: Vec<Vec3> = records.iter().map(|planned| planned.site.position).collect();
+        let mut order = scattered.clone();
         order.sort_by_cached_key(|&position| cells.number(position));
         assert!(order.iter().all(|&position| cells.number(position) < Cells::COUNT));
-        let step = |places: &[Vec3]| places.windows(2).map(|pair| pair[0].distance(pair[1])).sum::<f32>();
-        assert!(
-            step(&order) * 4.0
-                < step(&records.iter().map(|planned| planned.site.position).collect::<Vec<_>>())
-        );
+        let way = |places: &[Vec3]| places.windows(2).map(|pair| pair[0].distance(pair[1])).sum::<f32>();
+        assert!(way(&order) * 4.0 < way(&scattered));
     }
 }

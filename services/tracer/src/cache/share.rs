@@ -85,7 +85,7 @@ impl Level {
             level.planned.push(planned.clone());
             level.records.push(self.records[index].clone());
             let all_kept = || self.neighbours(index, &places).all(|(neighbour, _)| kept[neighbour as usize]);
-            level.known.push(known.get(index).copied().flatten().filter(|_| all_kept()));
+            level.known.push(known[index].filter(|_| all_kept()));
         }
         level.explored = level.planned.len();
         level

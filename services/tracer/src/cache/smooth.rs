@@ -89,31 +89,29 @@ impl Cache {
     pub(super) fn smooth_filled(&self, level: usize) {
         let Some(level) = self.levels.get(level) else { return };
         level.smoothed.get_or_init(|| {
-            let all_known = (0..level.planned.len()).all(|index| level.known(index).is_some());
+            let all_known = level.known.iter().all(Option::is_some);
             let (places, placing) =
                 if all_known { (Places::of(&[]), 0) } else { clocked(|| Places::of(&level.planned)) };
-            let smoothed = (0..level.planned.len()).into_par_iter().map(|index| match level.known(index) {
-                Some(value) => (value, 0),
+            let smoothed = level.known.par_iter().enumerate().map(|(index, known)| match known {
+                Some(value) => (*value, 0),
                 None => clocked(|| level.averaged(index, &places, |neighbour| level.gathered(neighbour))),
             });
             let (values, nanos): (Vec<Value>, Vec<u64>) = smoothed.unzip();
-            let whole = level.records.iter().all(|record| record.get().is_some());
-            Smoothed { values, cpu_nanos: placing + nanos.into_iter().sum::<u64>(), whole }
+            let cpu_nanos = placing + nanos.into_iter().sum::<u64>();
+            Smoothed { values, cpu_nanos, whole: level.is_full() }
         });
     }
 }
 
 impl Level {
-    /// What every record was found to say before any that are planned now; nothing of those that were not smoothed.
+    /// What every record is known to say, one entry for each that is planned: nothing of those that were not smoothed.
     pub(super) fn known_values(&self) -> Vec<Option<Value>> {
-        match self.smoothed.get().filter(|smoothed| smoothed.whole) {
+        let count = self.planned.len();
+        let known = match self.smoothed.get().filter(|smoothed| smoothed.whole) {
             Some(smoothed) => smoothed.values.iter().copied().map(Some).collect(),
             None => self.known.clone(),
-        }
-    }
-
-    fn known(&self, index: usize) -> Option<Value> {
-        self.known.get(index).copied().flatten()
+        };
+        known.into_iter().chain(std::iter::repeat(None)).take(count).collect()
     }
 
     /// What a record gathered; nothing if it is not filled.
