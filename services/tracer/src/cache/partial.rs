@@ -5,7 +5,7 @@
 //! noise vanishes in the hundreds of rays of a gather. So the colours are those of a cache whose first level is a little noisier
 //! and whose deeper levels are exact.
 
-use super::{Cache, READ_RELAXED};
+use super::{Cache, Level, READ_RELAXED};
 use crate::cost::{Cost, Counters, clocked};
 use crate::tracer::Tracer;
 use rayon::prelude::*;
@@ -17,7 +17,7 @@ impl Cache {
     pub fn fill_for(&self, tracer: &Tracer, pixels: &[u32]) -> Cost {
         let Some(first) = self.levels.first() else { return Cost::default() };
         let before = self.totals().fill;
-        if !(1..self.levels.len()).all(|level| self.is_full(level)) {
+        if !self.levels[1..].iter().all(Level::is_full) {
             self.partial.get_or_init(|| ());
         }
         let allowed = first.accuracy * READ_RELAXED;
