@@ -37,7 +37,8 @@ pub struct QualityOptions {
     /// surroundings [default: 0.2]
     #[arg(long, value_name = "ERROR", requires = "cache", value_parser = accuracy)]
     pub cache_accuracy: Option<u32>,
-    /// Rays gathered at a place of the cache; the nearest of 48, 192, 432, 768, 1200, ... is taken [default: 768]
+    /// Rays gathered at a place of the cache, a quarter of them for each further bounce; the nearest of 48, 192, 432, 768, 1200, ... is
+    /// taken [default: 768]
     #[arg(long, value_name = "RAYS", requires = "cache")]
     pub cache_rays: Option<u32>,
     /// Materials as they are, or every surface as Lambert of its base colour

@@ -19,7 +19,8 @@
 //! | file | subject |
 //! | --- | --- |
 //! | `site` | where irradiance is wanted, and when one place serves for another |
-//! | `octree` | which records may cover a point |
+//! | `index` | which records may serve a place, by where they are and where they face |
+//! | `octree` | spheres, by where they are |
 //! | `places` | which records are near each other |
 //! | `hemisphere` | strata of a gather; irradiance and its gradients from them |
 //! | `plan`, `gather`, `smooth`, `read` | the phases |
@@ -31,6 +32,7 @@
 mod file;
 mod gather;
 mod hemisphere;
+mod index;
 mod octree;
 mod partial;
 mod places;
@@ -53,7 +55,7 @@ use crate::cost::{Cost, Rays, add_rays};
 use crate::tracer::Tracer;
 use forelight_bvh::Hit;
 use glam::Vec3;
-use octree::Octree;
+use index::Index;
 use smooth::{Smoothed, Value};
 use std::sync::OnceLock;
 
@@ -70,7 +72,7 @@ pub struct Planned {
     pub site: Site,
     /// How far it is valid, before the allowed error scales it, metres.
     pub radius: f32,
-    /// The radius with which it was entered into the octree, metres: neighbours that came later may have made `radius` smaller.
+    /// The radius with which it was entered into the index, metres: neighbours that came later may have made `radius` smaller.
     pub entered: f32,
     /// Distance to what blocks the way along the surface, by sector of azimuth, metres.
     pub corral: [f32; hemisphere::SECTORS],
@@ -102,13 +104,15 @@ pub struct Record {
 /// The records of one bounce.
 #[derive(Debug, Default, Clone)]
 pub struct Level {
+    /// Of the gathers.
+    strata: Strata,
     planned: Vec<Planned>,
     records: Vec<OnceLock<Record>>,
     /// What each planned record says to those that read it, if that was found out before: in a file, or before others were planned.
     known: Vec<Option<Value>>,
     /// What is read, once all records are filled.
     smoothed: OnceLock<Smoothed>,
-    octree: Octree,
+    index: Index,
     /// So many of the records, the first ones, have been followed to the next level.
     explored: usize,
     /// Allowed error, see [`site::error`].
@@ -129,7 +133,6 @@ pub struct Cache {
     images: Vec<[u8; 32]>,
     /// Box around the world's vertices, metres: what the octrees are over.
     world: Bounds,
-    strata: Strata,
     levels: Vec<Level>,
     /// What planning took.
     plan: Cost,

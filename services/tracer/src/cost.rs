@@ -57,6 +57,8 @@ pub struct Counters {
     pub traversal: Traversal,
     pub shadings: u64,
     pub texels: u64,
+    /// Points at which a cache was read.
+    pub reads: u64,
     /// Cache records that were looked at.
     pub records: u64,
     /// Points at which a cache was read and had no record.
@@ -81,7 +83,7 @@ impl Counters {
             work(0, nodes, triangles, 0, 0),
             work(0, 0, 0, self.shadings, 0),
             work(0, 0, 0, 0, self.texels),
-            RECORD_WORK * self.records,
+            READ_WORK * self.reads + RECORD_WORK * self.records,
         ]
     }
 }
@@ -109,8 +111,12 @@ impl Tally {
     }
 }
 
-/// Work of looking at one cache record, in the units of [`work`].
-const RECORD_WORK: u64 = 12;
+/// Work of reading a cache at a point, in the units of [`work`]: finding the records around it, and interpolating between the four or five that
+/// serve it.
+const READ_WORK: u64 = 300;
+
+/// Work of looking at one cache record.
+const RECORD_WORK: u64 = 4;
 
 /// Work of averaging a cache record with its neighbours, of which it has some 280; the same for every record, so that what a record takes
 /// is known when it is gathered.

@@ -17,7 +17,7 @@ use kernels::REFERENCE;
 pub const REFERENCE_RATE: f64 = 1e9;
 
 /// Raised whenever kernels, or what is made of their times, change: calibrations that were kept are then made again.
-pub const CALIBRATION_VERSION: u32 = 4;
+pub const CALIBRATION_VERSION: u32 = 5;
 
 /// Seconds for a unit of work of each class on the reference core, in the order of [`ByClass::NAMES`]: the least squares fit of relative errors to whole
 /// frames of eight scenes, each with direct light, one bounce, and one bounce from a cache. It explains them to within 4 % (root mean square), and

@@ -20,7 +20,11 @@ use forelight_bvh::Hit;
 use glam::Vec3;
 use std::sync::OnceLock;
 
-const MAGIC: [u8; 8] = *b"FLcach04";
+const MAGIC: [u8; 8] = *b"FLcach05";
+
+/// A gather has no more strata, see [`crate::Settings::validate`].
+const MOST_RAYS: u32 = 66_000;
+
 const CHECKSUM: usize = 32;
 
 /// The triangle of a ray that met nothing.
@@ -34,7 +38,7 @@ const SMOOTHED: u32 = 4;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CacheError {
     /// The leading bytes are others.
-    #[error("not an irradiance cache of this version (it must begin with FLcach04)")]
+    #[error("not an irradiance cache of this version (it must begin with FLcach05)")]
     Foreign,
     /// Shorter or longer than it says.
     #[error("truncated irradiance cache: {found} bytes where {expected} were expected")]
@@ -65,7 +69,7 @@ struct Header {
     plan_work: u64,
     plan_nanos: u64,
     plan_rays: [u64; 7],
-    rays: u32,
+    zero: u32,
     images: u32,
     levels: u32,
     frame: u32,
@@ -81,7 +85,7 @@ struct LevelHeader {
     accuracy: f32,
     smallest: f32,
     largest: f32,
-    zero: u32,
+    rays: u32,
 }
 
 #[repr(C)]
@@ -142,7 +146,7 @@ impl Cache {
                 plan_work: self.plan.work,
                 plan_nanos: self.plan.cpu_nanos,
                 plan_rays: self.plan_rays,
-                rays: self.strata.len() as u32,
+                zero: 0,
                 images: self.images.len() as u32,
                 levels: self.levels.len() as u32,
                 frame: self.frame,
@@ -160,7 +164,7 @@ impl Cache {
                     accuracy: level.accuracy,
                     smallest: level.smallest,
                     largest: level.largest,
-                    zero: 0,
+                    rays: level.strata.len() as u32,
                 },
             );
             level.planned.iter().for_each(|planned| put(&mut out, &planned_row(planned)));
@@ -193,16 +197,12 @@ impl Cache {
             frame: header.frame,
             plan: Cost { work: header.plan_work, cpu_nanos: header.plan_nanos },
             plan_rays: header.plan_rays,
-            strata: Strata::for_rays(header.rays),
             images: reader.list(u64::from(header.images))?,
             world: Bounds { low: header.low.into(), high: header.high.into() },
             ..Self::default()
         };
         let sized = cache.world.low.is_finite() && cache.world.high.is_finite();
-        if header.levels > 8
-            || cache.strata.len() != header.rays as usize
-            || !(sized || cache.world == Bounds::EMPTY)
-        {
+        if header.levels > 8 || !(sized || cache.world == Bounds::EMPTY) {
             return Err(CacheError::Damaged("its header holds numbers that no cache has"));
         }
         for _ in 0..header.levels {
@@ -216,7 +216,7 @@ impl Cache {
             return Err(CacheError::Damaged("the checksum does not match"));
         }
         for level in &mut cache.levels {
-            level.octree = level.empty_octree(cache.world);
+            level.index = level.empty_index(cache.world);
             let planned = std::mem::take(&mut level.planned);
             planned.iter().zip(0..).for_each(|(planned, index)| level.enter(index, planned));
             level.planned = planned;
@@ -268,7 +268,11 @@ fn read_level(reader: &mut Reader<'_>) -> Result<Level, CacheError> {
     let records: Vec<RecordRow> = reader.list(header.records)?;
     let positive =
         [header.accuracy, header.smallest, header.largest].iter().all(|n| n.is_finite() && *n > 0.0);
-    if header.explored > header.records || !(positive || planned.is_empty()) {
+    let strata = Strata::for_rays(header.rays.min(MOST_RAYS));
+    if header.explored > header.records
+        || !(positive || planned.is_empty())
+        || strata.len() != header.rays as usize
+    {
         return Err(CacheError::Damaged("a level holds numbers that no cache has"));
     }
     let planned: Option<Vec<Planned>> = planned.iter().map(planned_of).collect();
@@ -277,6 +281,7 @@ fn read_level(reader: &mut Reader<'_>) -> Result<Level, CacheError> {
     let known = records.iter().zip(&gathered).map(|(row, record)| value_of(row, record.as_ref()?)).collect();
     let filled = |record: Option<Record>| record.map_or_else(OnceLock::new, OnceLock::from);
     Ok(Level {
+        strata,
         records: gathered.into_iter().map(filled).collect(),
         known,
         planned,

@@ -38,7 +38,7 @@ impl Cache {
         let here = &self.levels[level];
         let planned = &here.planned[index];
         let gather = || {
-            let (irradiance, counters) = tracer.kernel.gather(tracer, &self.strata, level as u32, planned);
+            let (irradiance, counters) = tracer.kernel.gather(tracer, &here.strata, level as u32, planned);
             (Record::new(planned, &irradiance, here.smallest), counters)
         };
         let ((record, counters), cpu_nanos) = clocked(gather);

@@ -32,11 +32,15 @@ pub struct Member {
 }
 
 impl Member {
-    /// Whether the sphere may contain a point; if not, it does not, however one rounds.
-    pub fn may_contain(&self, point: Vec3) -> bool {
+    /// Whether the sphere, of a share of its radius, may contain a point; if not, it does not, however one rounds.
+    pub fn may_contain(&self, point: Vec3, share: f32) -> bool {
+        self.is_within(point, self.radius * share)
+    }
+
+    fn is_within(&self, point: Vec3, distance: f32) -> bool {
         /// More than a few roundings.
         const WIDER: f32 = 1.0 + 1e-5;
-        let distance = self.radius * WIDER;
+        let distance = distance * WIDER;
         self.center.distance_squared(point) <= distance * distance
     }
 }
@@ -115,21 +119,22 @@ impl Octree {
         .flat_map(|cell| &cell.members)
     }
 
-    /// Indices of those that may contain it.
-    pub fn around(&self, point: Vec3) -> impl Iterator<Item = u32> {
-        self.near(point).filter(move |member| member.may_contain(point)).map(|member| member.index)
-    }
-
-    /// Indices of the spheres whose cells a box touches, ascending, each once.
-    pub fn touching(&self, low: Vec3, high: Vec3) -> Vec<u32> {
+    /// Indices of the spheres that touch one, some more than once.
+    pub fn touching(&self, center: Vec3, radius: f32) -> Vec<u32> {
         let mut found = Vec::new();
         if !self.cells.is_empty() {
-            self.collect(0, self.low, self.edge, (low, high), &mut |member: &Member| {
-                found.push(member.index)
-            });
+            self.collect(
+                0,
+                self.low,
+                self.edge,
+                (center - radius, center + radius),
+                &mut |member: &Member| {
+                    if member.is_within(center, member.radius + radius) {
+                        found.push(member.index);
+                    }
+                },
+            );
         }
-        found.sort_unstable();
-        found.dedup();
         found
     }
 
@@ -202,8 +207,9 @@ pub(super) mod tests {
         let mut contained = 0;
         for i in 1000..3000 {
             let p = point(i);
-            let near: Vec<u32> = octree.around(p).collect();
-            let touching = octree.touching(p, p);
+            let near = octree.near(p).filter(|member| member.may_contain(p, 1.0));
+            let near: Vec<u32> = near.map(|member| member.index).collect();
+            let touching = octree.touching(p, 0.0);
             for (index, (center, radius)) in spheres.iter().enumerate() {
                 if center.distance(p) < *radius {
                     contained += 1;

@@ -35,7 +35,7 @@ impl Cells {
 }
 
 /// The places of records, in blocks of those that lie together. Found are records by where they are; which records may cover a
-/// point is what [`super::octree`] finds.
+/// point is what [`super::index`] finds.
 pub struct Places(Vec<Block>);
 
 struct Block {

@@ -7,7 +7,7 @@
 //! What the Hessian gains in empty rooms is not worth a plan that costs as much as the render.
 
 use super::hemisphere::{PLAN_RAYS, RINGS, SECTORS, Strata};
-use super::octree::Octree;
+use super::index::Index;
 use super::{Cache, Level, Planned, READ_RELAXED, Site};
 use crate::CacheSettings;
 use crate::bounds::Bounds;
@@ -48,6 +48,10 @@ const LARGEST_OF_VIEW: f32 = 0.2;
 const DEEPER: f32 = 2.0;
 const COARSE: f32 = 0.6;
 
+/// For the same reason, each level gathers with so many times fewer rays than the one before. (96 × 96, two bounces, rooms and kitchens: fills
+/// take 20 to 30 % less, errors are 0 to 4 % larger.)
+const FEWER: u32 = 4;
+
 /// A place with the key of the random numbers of its gather.
 pub type Keyed = (u64, Site);
 
@@ -59,13 +63,12 @@ impl Cache {
             return;
         }
         self.images.push(image);
-        self.strata = Strata::for_rays(settings.rays);
-        let mut planning = Planning { tracer, strata: self.strata, plan: PlanCost::default() };
+        let mut planning = Planning { tracer, plan: PlanCost::default() };
         if self.levels.is_empty() {
             self.fingerprint = tracer.cache_fingerprint();
             self.frame = tracer.frame.number;
             self.world = world(tracer);
-            self.levels = planning.levels(self.world, settings.accuracy as f32 * 1e-3);
+            self.levels = planning.levels(self.world, settings);
         }
         for depth in 0..self.levels.len() {
             let (before, level) = self.levels.split_at_mut(depth);
@@ -92,7 +95,6 @@ pub fn world(tracer: &Tracer) -> Bounds {
 
 struct Planning<'a> {
     tracer: &'a Tracer,
-    strata: Strata,
     plan: PlanCost,
 }
 
@@ -111,17 +113,19 @@ impl PlanCost {
 
 impl Planning<'_> {
     /// The levels of a cache, empty.
-    fn levels(&mut self, world: Bounds, accuracy: f32) -> Vec<Level> {
+    fn levels(&mut self, world: Bounds, settings: &CacheSettings) -> Vec<Level> {
+        let accuracy = settings.accuracy as f32 * 1e-3;
         let (smallest, largest) = self.bounds(accuracy).into_inner();
         let level = |depth: u32| {
             let deeper = DEEPER.powi(depth as i32);
             let level = Level {
+                strata: Strata::for_rays(settings.rays / FEWER.pow(depth)),
                 accuracy: (accuracy * deeper).min(COARSE),
                 smallest: (smallest * deeper).min(largest),
                 largest,
                 ..Level::default()
             };
-            Level { octree: level.empty_octree(world), ..level }
+            Level { index: level.empty_index(world), ..level }
         };
         (0..self.tracer.settings.ambient_bounces).map(level).collect()
     }
@@ -180,11 +184,11 @@ impl Planning<'_> {
 
     /// A deeper level: the diffuse hits of the plan's rays of those records of the level before that are new.
     fn cover_gathers(&mut self, before: &Level, depth: u32, level: &mut Level) {
-        let (explored, before) = (before.explored as u32, &before.planned);
+        let (explored, strata, before) = (before.explored as u32, before.strata, &before.planned);
         let mut order: Vec<u32> = (explored..before.len() as u32).collect();
         order.sort_by_cached_key(|&index| hash(u64::from(index)));
         for chunk in order.chunks(CHUNK / PLAN_RAYS) {
-            let (tracer, strata) = (self.tracer, self.strata);
+            let tracer = self.tracer;
             let found = chunk.par_iter().map(|&index| {
                 clocked(|| tracer.kernel.sites_beyond(tracer, &strata, depth, &before[index as usize]))
             });
@@ -238,9 +242,8 @@ impl Planning<'_> {
                     }
                 }
             });
-            let (tracer, strata) = (self.tracer, self.strata);
-            let planned =
-                batch.par_iter().map(|&place| clocked(|| plan_record(tracer, &strata, place, level)));
+            let tracer = self.tracer;
+            let planned = batch.par_iter().map(|&place| clocked(|| plan_record(tracer, place, level)));
             let planned: Vec<((Planned, Counters), u64)> = planned.collect();
             let ((), entering) = clocked(|| {
                 for ((planned, counters), nanos) in planned {
@@ -256,12 +259,12 @@ impl Planning<'_> {
 }
 
 /// A record as its own rays see it.
-fn plan_record(tracer: &Tracer, strata: &Strata, (key, site): Keyed, level: &Level) -> (Planned, Counters) {
+fn plan_record(tracer: &Tracer, (key, site): Keyed, level: &Level) -> (Planned, Counters) {
     let basis = Basis::new(site.normal);
     let sampler = Sampler::keyed(key);
     let side = if site.geometric.dot(site.normal) < 0.0 { -site.geometric } else { site.geometric };
     let locals: [Vec3; PLAN_RAYS] =
-        std::array::from_fn(|ray| strata.direction(strata.of_plan(ray), &sampler));
+        std::array::from_fn(|ray| level.strata.direction(level.strata.of_plan(ray), &sampler));
     let directions = locals.map(|local| basis.to_world(local));
     let (hits, counters) = tracer.kernel.plan_rays(tracer, &site, &directions);
     let mut inverse = 0.0f64;
@@ -286,7 +289,7 @@ impl Level {
     fn insert(&mut self, mut planned: Planned) {
         let reach = planned.radius * self.accuracy;
         let position = planned.site.position;
-        let neighbours = self.octree.touching(position - reach, position + reach);
+        let neighbours = self.index.touching(position, reach);
         for &neighbour in &neighbours {
             let other = &self.planned[neighbour as usize];
             let distance = other.site.position.distance(position);
@@ -303,15 +306,15 @@ impl Level {
         self.planned.push(planned);
     }
 
-    /// An octree for such records.
-    pub(super) fn empty_octree(&self, world: Bounds) -> Octree {
-        Octree::new(world, self.reach(self.smallest))
+    /// An index for such records.
+    pub(super) fn empty_index(&self, world: Bounds) -> Index {
+        Index::new(world, self.reach(self.smallest), self.accuracy * READ_RELAXED)
     }
 
-    /// Enters a record into the octree.
+    /// Enters a record into the index.
     pub(super) fn enter(&mut self, index: u32, planned: &Planned) {
         let reach = self.reach(planned.entered);
-        self.octree.insert(index, planned.site.position, reach);
+        self.index.insert(index, planned, reach);
     }
 
     /// How far off a record of this radius is read at most, metres.

@@ -15,9 +15,9 @@ impl Cache {
         let allowed = here.accuracy * READ_RELAXED;
         let smoothed = here.smoothed.get();
         let (mut sum, mut weights, mut looked_at) = (Vec3::ZERO, 0.0f32, 0);
-        for member in here.octree.near(place.position) {
+        for member in here.index.near(place) {
             looked_at += 1;
-            if !member.may_contain(place.position) {
+            if !member.may_contain(place.position, 1.0) {
                 continue;
             }
             let index = member.index;

@@ -1,5 +1,6 @@
 //! Sampling: a few records are gathered, to learn what a record takes.
 
+use super::index::direction_of;
 use super::places::{Cells, Places};
 use super::{Cache, Level, Planned};
 use crate::cost::Cost;
@@ -67,10 +68,7 @@ impl Level {
 
 /// Place of a record along the curve: the axis that its normal is nearest to, then the Morton order of its position.
 fn curve(planned: &Planned, cells: &Cells) -> u64 {
-    let normal = planned.site.normal;
-    let axis = normal.abs().max_position();
-    let facing = 2 * axis as u64 + u64::from(normal[axis] < 0.0);
-    facing * Cells::COUNT + cells.number(planned.site.position)
+    direction_of(planned.site.normal) as u64 * Cells::COUNT + cells.number(planned.site.position)
 }
 
 #[cfg(test)]

@@ -34,7 +34,6 @@ impl Cache {
         let mut carried = Self {
             fingerprint: to.cache_fingerprint(),
             frame: to.frame.number,
-            strata: self.strata,
             world: world(to),
             reading: self.reading,
             ..Self::default()
@@ -43,12 +42,13 @@ impl Cache {
             // The deepest level first: a record that reads one that was dropped cannot stay.
             let mut deeper: Option<(&Level, Vec<bool>)> = None;
             for level in self.levels.iter().rev() {
+                let strata = &level.strata;
                 let keeps = |planned: &Planned| {
                     let reads_dropped = deeper.as_ref().is_some_and(|(level, kept)| {
-                        witnesses(&self.strata, planned, from)
+                        witnesses(strata, planned, from)
                             .any(|witness| witness.hit.is_some_and(|at| level.near_dropped(at, kept)))
                     });
-                    !reads_dropped && !change.touches(&self.strata, planned, from)
+                    !reads_dropped && !change.touches(strata, planned, from)
                 };
                 let kept: Vec<bool> = level.planned.iter().map(keeps).collect();
                 carried.levels.insert(0, level.only(&kept, carried.world));
@@ -65,13 +65,14 @@ impl Cache {
 impl Level {
     /// Whether a place may be read from a record that was not kept.
     fn near_dropped(&self, place: Vec3, kept: &[bool]) -> bool {
-        self.octree.near(place).any(|member| !kept[member.index as usize])
+        self.index.at(place).any(|index| !kept[index as usize])
     }
 
     /// The level with some of its records. What they say is known, unless one that is not kept had a part in it.
     fn only(&self, kept: &[bool], world: Bounds) -> Self {
         let mut level = Self {
-            octree: self.empty_octree(world),
+            strata: self.strata,
+            index: self.empty_index(world),
             accuracy: self.accuracy,
             smallest: self.smallest,
             largest: self.largest,

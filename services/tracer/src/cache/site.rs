@@ -1,6 +1,6 @@
 //! Where irradiance is wanted, and when one place serves for another.
 
-use super::{Level, Planned};
+use super::{Level, Planned, READ_RELAXED};
 use crate::cache::hemisphere;
 use crate::geometry::Basis;
 use glam::Vec3;
@@ -56,8 +56,8 @@ impl Planned {
 impl Level {
     /// Whether a record's error at a place is allowed, when a record is planned.
     pub(super) fn covers(&self, place: &Site) -> bool {
-        self.octree
-            .around(place.position)
+        self.index
+            .around(place, 1.0 / READ_RELAXED)
             .any(|index| self.planned[index as usize].error(place, self.accuracy).is_some())
     }
 }

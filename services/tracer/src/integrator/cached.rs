@@ -18,6 +18,7 @@ impl<const K: u32> Pixels<'_, K> {
         }
         let site = site(p, response);
         let (irradiance, looked_at) = self.tracer.planned().read(s.level as usize, &site);
+        self.counters.reads += 1;
         self.counters.records += looked_at;
         match irradiance {
             Some(irradiance) => response.outgoing(p.wi) * irradiance * FRAC_1_PI,

@@ -1,0 +1,169 @@
+//! Which records may serve a place: by where they are, and by where they face.
+//!
+//! A record serves places that face nearly as it does, and in a cluttered room most of those that are near face elsewhere. So there is
+//! an octree for each direction of the axes, with the records that may serve a place that faces along it more than along any
+//! other; and one with all of them.
+
+use super::octree::{Member, Octree};
+use super::{Planned, Site};
+use crate::bounds::Bounds;
+use glam::Vec3;
+
+/// Directions of the axes: +x, −x, +y, −y, +z, −z.
+const DIRECTIONS: usize = 6;
+
+/// Far more than the roundings of a cosine.
+const ROUNDING: f32 = 1e-4;
+
+/// The planned records of a level, found by place.
+#[derive(Debug, Default, Clone)]
+pub struct Index {
+    facing: [Octree; DIRECTIONS],
+    all: Octree,
+    /// Cosine between the normals of a record and of a place that it may just not serve.
+    least_cos: f32,
+}
+
+impl Index {
+    /// Of records in a box that are read at least so far off, metres, at places where their error is below `allowed`.
+    pub fn new(world: Bounds, least_reach: f32, allowed: f32) -> Self {
+        let all = Octree::new(world, least_reach);
+        // Of the error, the turn alone makes √(1 − cos), see `Planned::error`; and no record serves what faces away.
+        let least_cos = (1.0 - allowed * allowed).max(0.0) - ROUNDING;
+        Self { facing: std::array::from_fn(|_| all.clone()), all, least_cos }
+    }
+
+    /// Enters a record under its number, as one that is read up to so far off, metres.
+    pub fn insert(&mut self, number: u32, planned: &Planned, reach: f32) {
+        let Site { position, normal, .. } = planned.site;
+        self.all.insert(number, position, reach);
+        for (direction, octree) in self.facing.iter_mut().enumerate() {
+            if greatest_cos(normal, direction) >= self.least_cos {
+                octree.insert(number, position, reach);
+            }
+        }
+    }
+
+    /// All that may serve a place, and others near it, in an order that depends on the insertions alone.
+    pub fn near(&self, place: &Site) -> impl Iterator<Item = &Member> {
+        self.facing[direction_of(place.normal)].near(place.position)
+    }
+
+    /// Numbers of those that may serve a place, within a share of the distance up to which they are read.
+    pub fn around(&self, place: &Site, share: f32) -> impl Iterator<Item = u32> {
+        let position = place.position;
+        self.near(place).filter(move |member| member.may_contain(position, share)).map(|member| member.index)
+    }
+
+    /// Numbers of all that may serve a place at a point, wherever it faces, and of others near it.
+    pub fn at(&self, point: Vec3) -> impl Iterator<Item = u32> {
+        self.all.near(point).map(|member| member.index)
+    }
+
+    /// Numbers of those that are read somewhere in a sphere, wherever they face; some more than once.
+    pub fn touching(&self, center: Vec3, radius: f32) -> Vec<u32> {
+        self.all.touching(center, radius)
+    }
+}
+
+/// The direction that a normal points along most.
+pub fn direction_of(normal: Vec3) -> usize {
+    let axis = normal.abs().max_position();
+    2 * axis + usize::from(normal[axis] < 0.0)
+}
+
+/// The greatest cosine between a unit normal and those that point along one direction most: a pyramid through a face of a cube.
+fn greatest_cos(normal: Vec3, direction: usize) -> f32 {
+    let axis = direction / 2;
+    let along = if direction.is_multiple_of(2) { normal[axis] } else { -normal[axis] };
+    let (u, v) = (normal[(axis + 1) % 3].abs(), normal[(axis + 2) % 3].abs());
+    let (more, less) = (u.max(v), u.min(v));
+    let half = 0.5 * (along + more);
+    match () {
+        () if along >= more => 1.0,
+        // The normal's shadow on the pyramid's nearest side; on an edge of it, if the shadow falls beside the side.
+        () if half >= less => (2.0 * half * half + less * less).sqrt(),
+        () => (along + more + less) / 3f32.sqrt(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cache::hemisphere;
+    use crate::cache::octree::tests::{number, point};
+
+    /// The i-th of unit vectors that are spread over the sphere; every eighth along an axis, where octants and pyramids meet.
+    fn normal(i: u64) -> Vec3 {
+        match i % 8 {
+            0 => [Vec3::X, Vec3::Y, Vec3::Z, Vec3::NEG_X, Vec3::NEG_Y, Vec3::NEG_Z][(i / 8 % 6) as usize],
+            1 => Vec3::new(1.0, if i % 16 == 1 { 1.0 } else { -1.0 }, 0.0).normalize(),
+            _ => (point(i + 70_000) - 0.5).normalize(),
+        }
+    }
+
+    fn site(i: u64) -> Site {
+        let normal = normal(i);
+        Site { position: 0.3 * point(i), size: 1.0, normal, geometric: normal, coat: 0.0 }
+    }
+
+    fn planned(i: u64) -> Planned {
+        let radius = 0.05 * 16f32.powf(number(i + 90_000));
+        Planned {
+            key: i,
+            site: site(i),
+            radius,
+            entered: radius,
+            corral: [f32::INFINITY; hemisphere::SECTORS],
+            hits: Box::new([None; hemisphere::PLAN_RAYS]),
+        }
+    }
+
+    #[test]
+    fn every_record_that_serves_a_place_is_found_whatever_error_is_allowed() {
+        // With the largest of these errors, all may serve that do not face away.
+        for (allowed, most) in [(0.12, 0.4), (0.3, 0.5), (0.7, 0.7), (1.6, 0.95)] {
+            let records: Vec<Planned> = (0..2000).map(planned).collect();
+            let mut index = Index::new(Bounds { low: Vec3::ZERO, high: Vec3::ONE }, 0.05 * allowed, allowed);
+            for (record, number) in records.iter().zip(0..) {
+                index.insert(number, record, record.entered * allowed);
+            }
+            let (mut served, mut looked_at) = (0, 0);
+            for i in 3000..4000 {
+                let place = site(i);
+                let around: Vec<u32> = index.around(&place, 1.0).collect();
+                let everywhere: Vec<u32> = index.at(place.position).collect();
+                looked_at += index.near(&place).count();
+                for (record, number) in records.iter().zip(0..) {
+                    if record.error(&place, allowed).is_some() {
+                        served += 1;
+                        assert!(around.contains(&number), "record {number} misses place {i}");
+                        assert!(everywhere.contains(&number), "record {number} misses point {i}");
+                    }
+                }
+            }
+            assert!(served > 30, "the test met {served} cases only with {allowed}");
+            let all: usize = (3000..4000).map(|i| index.at(site(i).position).count()).sum();
+            let share = looked_at as f64 / all as f64;
+            assert!(share < most, "{share:.2} of what is near is looked at with {allowed}");
+        }
+    }
+
+    #[test]
+    fn a_pyramid_is_as_far_from_a_normal_as_the_nearest_of_its_directions() {
+        let many: Vec<Vec3> = (0..100_000).map(|i| (point(i) - 0.5).normalize()).collect();
+        let mut of_direction: [Vec<Vec3>; DIRECTIONS] = Default::default();
+        many.iter().for_each(|&n| of_direction[direction_of(n)].push(n));
+        for i in 0..64 {
+            for (direction, inside) in of_direction.iter().enumerate() {
+                let n = normal(i);
+                let nearest = inside.iter().map(|other| n.dot(*other)).fold(-1.0, f32::max);
+                let greatest = greatest_cos(n, direction);
+                assert!(
+                    greatest >= nearest - 1e-6 && greatest < nearest + 0.02,
+                    "{n} {direction}: {greatest} {nearest}"
+                );
+            }
+        }
+    }
+}
