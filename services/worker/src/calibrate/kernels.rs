@@ -101,7 +101,7 @@ pub fn all() -> Vec<Kernel> {
         kernel("lights", 1.18, &lit_floor(), &with(8, 0), 1),
         kernel("surfaces", 0.78, &dark_floor(), &with(16, 0), 1),
         kernel("texture", 1.16, &sheets(), &with(1, 0), 1),
-        kernel("records", 0.92, &room, &cached, 1),
+        kernel("records", 1.03, &room, &cached, 1),
         Kernel { name: "build", beyond: 0.53, does: Does::Build(Box::new(hills(BUILT)), settings.clone()) },
     ]
 }
