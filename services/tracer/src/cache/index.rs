@@ -90,7 +90,6 @@ fn greatest_cos(normal: Vec3, direction: usize) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cache::hemisphere;
     use crate::cache::octree::tests::{number, point};
 
     /// The i-th of unit vectors that are spread over the sphere; every eighth along an axis, where octants and pyramids meet.
@@ -103,20 +102,11 @@ mod tests {
     }
 
     fn site(i: u64) -> Site {
-        let normal = normal(i);
-        Site { position: 0.3 * point(i), size: 1.0, normal, geometric: normal, coat: 0.0 }
+        Site::bare(0.3 * point(i), normal(i))
     }
 
     fn planned(i: u64) -> Planned {
-        let radius = 0.05 * 16f32.powf(number(i + 90_000));
-        Planned {
-            key: i,
-            site: site(i),
-            radius,
-            entered: radius,
-            corral: [f32::INFINITY; hemisphere::SECTORS],
-            hits: Box::new([None; hemisphere::PLAN_RAYS]),
-        }
+        Planned::in_the_open(site(i), 0.05 * 16f32.powf(number(i + 90_000)))
     }
 
     #[test]

@@ -87,19 +87,11 @@ impl Places {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cache::Site;
     use crate::cache::octree::tests::{number, point};
-    use crate::cache::{PLAN_RAYS, Site, hemisphere::SECTORS};
 
     fn records(count: u64) -> Vec<Planned> {
-        let at = |position| Planned {
-            key: 0,
-            site: Site { position, normal: Vec3::Y, geometric: Vec3::Y, coat: 0.0, size: 1.0 },
-            radius: 1.0,
-            entered: 1.0,
-            corral: [f32::INFINITY; SECTORS],
-            hits: Box::new([None; PLAN_RAYS]),
-        };
-        (0..count).map(|i| at(point(i))).collect()
+        (0..count).map(|i| Planned::in_the_open(Site::bare(point(i), Vec3::Y), 1.0)).collect()
     }
 
     #[test]

@@ -78,19 +78,10 @@ mod tests {
     use glam::Vec3;
 
     fn level(count: usize) -> Level {
-        let place = |index: usize| Planned {
-            key: 0,
-            site: Site {
-                position: Vec3::new((index * 37 % count) as f32, 0.0, (index % 7) as f32 * 1e-3),
-                normal: if index.is_multiple_of(4) { Vec3::Y } else { Vec3::NEG_Z },
-                geometric: Vec3::Y,
-                coat: 0.0,
-                size: 1.0,
-            },
-            radius: 1.0,
-            entered: 1.0,
-            corral: [f32::INFINITY; super::super::hemisphere::SECTORS],
-            hits: Box::new([None; super::super::PLAN_RAYS]),
+        let place = |index: usize| {
+            let position = Vec3::new((index * 37 % count) as f32, 0.0, (index % 7) as f32 * 1e-3);
+            let normal = if index.is_multiple_of(4) { Vec3::Y } else { Vec3::NEG_Z };
+            Planned::in_the_open(Site::bare(position, normal), 1.0)
         };
         Level { planned: (0..count).map(place).collect(), ..Level::default() }
     }

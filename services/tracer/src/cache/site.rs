@@ -61,3 +61,20 @@ impl Level {
             .any(|index| self.planned[index as usize].error(place, self.accuracy).is_some())
     }
 }
+
+#[cfg(test)]
+impl Site {
+    /// A place on an uncoated, flat surface.
+    pub fn bare(position: Vec3, normal: Vec3) -> Self {
+        Self { position, size: 1.0, normal, geometric: normal, coat: 0.0 }
+    }
+}
+
+#[cfg(test)]
+impl Planned {
+    /// A record whose rays meet nothing, with a radius in metres.
+    pub fn in_the_open(site: Site, radius: f32) -> Self {
+        let hits = Box::new([None; hemisphere::PLAN_RAYS]);
+        Self { key: 0, site, radius, entered: radius, corral: [f32::INFINITY; hemisphere::SECTORS], hits }
+    }
+}

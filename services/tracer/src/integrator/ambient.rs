@@ -9,7 +9,6 @@
 //! importance sampling (Veach 1997, balance heuristic), and so do diffuse surfaces the lights that are near.
 
 use super::{Interface, Passed, Pixels, Point, cap_height, leaving};
-use crate::Settings;
 use crate::cost::Category;
 use crate::environment::Sky;
 use crate::fresnel;
@@ -26,8 +25,9 @@ use glam::Vec3;
 /// On the camera's own tree, a branch that adds less than this share of the pixel survives only by roulette.
 const FAINT: f32 = 0.02;
 
-/// Rays with which all samples of a pixel together gather, if no record of the cache covers any of them.
-const UNCOVERED: u32 = 128;
+/// Rays of a gather where no record of the cache covers the point. A few such points are among the samples of a pixel, and each shares its pixel
+/// with samples that are noisy for other reasons: rooms and kitchens at 4 to 64 samples are most exact for their work with 2 to 4.
+const UNCOVERED: u32 = 4;
 
 /// After a diffuse bounce, glossy lobes narrower than this alpha do not see the lights: their highlights are caustics.
 const CAUSTIC_ALPHA: f32 = 0.2;
@@ -358,11 +358,9 @@ impl<const K: u32> Pixels<'_, K> {
         self.gather_rays(count, s, p, response)
     }
 
-    /// Indirect diffuse light of a point that no record of the cache covers: by few rays, since few samples of a pixel meet such points,
-    /// and few rays of a record's gather.
+    /// Indirect diffuse light of a point that no record of the cache covers: by few rays, and few rays of a record's gather.
     pub(super) fn gather_uncovered(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
-        let Settings { spp, ambient_divisions, .. } = self.tracer.settings;
-        let count = if s.level == 0 { UNCOVERED.div_ceil(spp).min(ambient_divisions) } else { 1 };
+        let count = if s.level == 0 { UNCOVERED.min(self.tracer.settings.ambient_divisions) } else { 1 };
         self.gather_rays(count, s, p, response)
     }
 
