@@ -9,6 +9,7 @@
 //! | `pixel` | what the camera samples of one pixel say about its variance at any number of samples |
 //! | `image` | from some pixels to the whole image |
 //! | `allot` | how many camera samples each part of an image gets, for a budget or an error |
+//! | `survey` | where more of them pay, as an image underway shows it |
 //! | `front` | which rungs of a ladder are worth taking, and what the next one costs |
 //!
 //! # Why not the sample variance
@@ -20,9 +21,11 @@ pub mod allot;
 mod front;
 mod image;
 mod pixel;
+mod survey;
 
 pub use front::{Point, Step, front, front_of_known};
 pub use image::{
     ErrorQuantiles, ImageNoise, MeanSquare, NoiseCell, NoiseGroup, NoiseSample, noise_cells, noise_groups,
 };
 pub use pixel::{PixelNoise, PixelSamples};
+pub use survey::{Seen, Survey};

@@ -160,7 +160,7 @@ pub struct RenderStats {
     pub reused_cpu_seconds: f64,
 }
 
-/// Camera paths that differ by pixel, for a time or an error that was asked for, and what they were forecast to come to.
+/// Camera paths that differ by pixel, for a time or an error that was asked for, and what they come to.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AllottedStats {
@@ -170,11 +170,11 @@ pub struct AllottedStats {
     pub most: u32,
     /// Mean over the pixels.
     pub mean: f64,
-    /// Work of the frame.
+    /// Work of the frame, as forecast for these camera paths.
     pub work: Quantiles,
-    /// CPU seconds of the frame, without those of profiling.
+    /// CPU seconds of the same, without those of profiling.
     pub cpu_seconds: Quantiles,
-    /// Error of the image, without what an irradiance cache adds.
+    /// Error of the image, as its own pixels say, without what an irradiance cache adds.
     pub error: ImageError,
     /// Work of the pixels that were profiled for it, and of previews; not in the frame's.
     pub profiling_work: u64,

@@ -52,7 +52,7 @@ pub use cost::{Cost, RAY_NAMES, Rays, WORK_CLASSES, WorkByClass, clocked, proces
 pub use effects::Effects;
 pub use fingerprint::tracer_version;
 pub use image::{Image, ImageError, Totals, cost_color};
-pub use passes::Passes;
+pub use passes::{Passes, SoFar};
 pub use profile::{Profile, ProfileError};
 pub use reach::{Excluded, LeftOut, Reach, Reason, reachable};
 pub use samples::{SampleCounts, SampleCountsError};

@@ -23,6 +23,8 @@ pub(crate) struct Underway {
     pub drawn: Drawn,
     /// Radiance of its samples, added up in their order.
     pub sum: DVec3,
+    /// Squares of that, mean over the channels, the same way.
+    pub squares: f64,
     pub samples: u32,
     /// What its samples took; the colour is not known before [`Self::finished`].
     pub pixel: Pixel,
@@ -38,7 +40,7 @@ impl Default for Underway {
             uncovered: 0,
             stratum: Pixel::NOTHING,
         };
-        Self { drawn: Drawn::default(), sum: DVec3::ZERO, samples: 0, pixel }
+        Self { drawn: Drawn::default(), sum: DVec3::ZERO, squares: 0.0, samples: 0, pixel }
     }
 }
 
@@ -48,6 +50,32 @@ impl Underway {
         let color = (self.sum / f64::from(self.samples.max(1))).as_vec3().to_array();
         Pixel { color, ..self.pixel }
     }
+
+    fn so_far(&self) -> SoFar {
+        let samples = f64::from(self.samples);
+        let mean = self.sum / samples.max(1.0);
+        let square = mean.length_squared() / 3.0;
+        SoFar {
+            samples: self.samples,
+            brightness: mean.element_sum() / 3.0,
+            variance: (self.samples > 1)
+                .then(|| ((self.squares - samples * square) / (samples - 1.0)).max(0.0)),
+            work: self.pixel.work,
+        }
+    }
+}
+
+/// What the samples of a pixel say so far.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SoFar {
+    /// How many they are.
+    pub samples: u32,
+    /// Their mean over the three channels.
+    pub brightness: f64,
+    /// Variance of one sample, mean over the channels; not known of a single one.
+    pub variance: Option<f64>,
+    /// What they took.
+    pub work: u64,
 }
 
 /// All pixels of an image, underway. They belong to the tracer that they are begun with, whose cache has to be filled.
@@ -110,13 +138,18 @@ impl Passes {
                         break;
                     }
                     let nanos = pixel.pixel.cpu_nanos;
+                    let mut squares = pixel.squares;
+                    let mut add = |sample: [f32; 3]| {
+                        squares += sample.map(|c| f64::from(c) * f64::from(c)).iter().sum::<f64>() / 3.0;
+                    };
                     while pixel.samples < samples {
                         let next = samples.min(pixel.samples + RUN);
-                        tracer.kernel.go_on(tracer, index, pixel, next, &mut |_| ());
+                        tracer.kernel.go_on(tracer, index, pixel, next, &mut add);
                         if next < samples && stop() {
                             break;
                         }
                     }
+                    pixel.squares = squares;
                     traced.push((nanos, &mut pixel.pixel.cpu_nanos));
                 }
                 traced
@@ -125,6 +158,11 @@ impl Passes {
             progress(done.fetch_add(pixels, Ordering::Relaxed) + pixels);
         });
         Ok(self.totals().minus(&before))
+    }
+
+    /// How often [`Self::go_on`] calls `progress`.
+    pub fn parts(&self) -> usize {
+        self.tiles.len()
     }
 
     /// Samples that each pixel has got.
@@ -138,6 +176,15 @@ impl Passes {
             counts[index as usize] = pixel.samples as u16;
         }
         SampleCounts::new(counts)
+    }
+
+    /// What the samples of every pixel say so far, row by row from the top left.
+    pub fn so_far(&self) -> Vec<SoFar> {
+        let mut all = vec![Underway::default().so_far(); (self.width * self.height) as usize];
+        for (index, pixel) in self.pixels() {
+            all[index as usize] = pixel.so_far();
+        }
+        all
     }
 
     /// What all passes took.

@@ -2,20 +2,21 @@
 //!
 //! Some pixels are profiled with a few camera samples (see `accuracy::pilot`). They say, stratum by stratum and for the edges of lights
 //! apart, how variance falls with samples and what a sample costs; from these follow the numbers of samples that make the least
-//! error for the time, or the least time for the error (`forelight_forecast::accuracy::allot`). With an irradiance cache that is filled first, for
-//! what is left of the time depends on it. How a render holds to its time is in [`crate::within`].
+//! error for the time, or the least time for the error (`forelight_forecast::accuracy::allot`). A profile does not know which spot of a wall is the
+//! bright one; the image does, once every pixel has a few samples ([`crate::tiles`]). With an irradiance cache that is filled first, for
+//! what is left of the time depends on it. How a render holds to its time is in [`crate::within`], to its error in [`crate::refine`].
 
 use crate::accuracy::{AccuracyObserver, AccuracyOptions, Pilot, piloted};
+use crate::refine::render_for_error;
 use crate::render::{Given, Rendered, render_ready, rendered, seconds};
-use crate::renderer::{Progress, RenderError, Renderer};
+use crate::renderer::{Finished, Progress, RenderError, Renderer};
 use crate::shot::ShotError;
+use crate::tiles::laid_out;
 use crate::within::{Budget, fits_the_cache, render_within};
-use forelight_forecast::accuracy::allot::{
-    MOST_SAMPLES, Zone, cost, mean_variance, samples_for_budget, samples_for_variance, whole,
-};
-use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise, NoiseGroup, noise_groups};
+use forelight_forecast::accuracy::allot::{Zone, cost, samples_for_variance};
+use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise, NoiseGroup, Survey, noise_groups};
 use forelight_forecast::{Calibration, ForecastError};
-use forelight_protocol::{AllottedStats, Confidence, ImageError, Quantiles, RenderSettings};
+use forelight_protocol::{AllottedStats, Confidence, ImageError, Quantiles, RenderSettings, WithinStats};
 use forelight_tracer::SampleCounts;
 use std::time::Instant;
 
@@ -122,24 +123,13 @@ pub fn render_allotted(
         pilot => pilot?,
     };
     let allotment = Allotment::new(&pilot)?;
-    let (finished, samples, within) = match &options.aim {
-        Aim::Within(budget) => {
-            match render_within(&*ready, &allotment, budget, options.confidence, progress, observer.cancel())?
-            {
-                None => return Ok(None),
-                Some((finished, samples, within)) => (finished, samples, Some(within)),
-            }
-        }
-        Aim::Error(wanted) => {
-            let samples = allotment.laid_out(&allotment.for_error(*wanted, options.confidence))?;
-            ready.allot(samples.clone())?;
-            match ready.render(None, progress, &|_| (), observer.cancel())? {
-                None => return Ok(None),
-                Some(finished) => (finished, samples, None),
-            }
-        }
+    let (confidence, cancel) = (options.confidence, observer.cancel());
+    let made = match &options.aim {
+        Aim::Within(budget) => render_within(&*ready, &allotment, budget, confidence, progress, cancel)?,
+        Aim::Error(wanted) => render_for_error(&*ready, &allotment, *wanted, confidence, progress, cancel)?,
     };
-    let allotted = AllottedStats { within, ..allotment.stats(&samples) };
+    let Some(Made { finished, samples, survey, within }) = made else { return Ok(None) };
+    let allotted = AllottedStats { within, ..allotment.stats(&samples, &survey) };
     let wall_seconds = start.elapsed().as_secs_f64();
     let mut rendered = rendered(&*ready, finished, &settings, wall_seconds);
     rendered.stats.spp = allotted.mean.round() as u32;
@@ -172,6 +162,15 @@ pub fn render_as_allotted(
         rendered.stats.wall_seconds = start.elapsed().as_secs_f64();
         Allotted { rendered, samples: samples.clone() }
     }))
+}
+
+/// What came of an aim.
+pub(crate) struct Made {
+    pub finished: Finished,
+    pub samples: SampleCounts,
+    /// What the image says of its own error.
+    pub survey: Survey,
+    pub within: Option<WithinStats>,
 }
 
 /// What samples cost and bring, part by part of a frame.
@@ -235,39 +234,32 @@ impl<'a> Allotment<'a> {
         self.work_of(&vec![1.0; self.zones.len()])
     }
 
-    /// Work of all pixels with so many samples each.
-    pub fn work_of_counts(&self, counts: &SampleCounts) -> f64 {
-        self.work_of(&self.means(counts))
-    }
-
-    /// Samples of each zone for so much work of all pixels, with the least error; one if it is less than these take.
-    pub fn for_work(&self, work: f64) -> Vec<f64> {
-        samples_for_budget(&self.zones, work / self.scale.max(f64::MIN_POSITIVE))
-            .unwrap_or_else(|| vec![1.0; self.zones.len()])
-    }
-
     /// Samples of each zone for an error, as a share of the image's mean, with the least work.
-    fn for_error(&self, wanted: f64, confidence: Confidence) -> Vec<f64> {
-        let quantile = match confidence {
-            Confidence::P50 => self.spread.p50,
-            Confidence::P80 => self.spread.p80,
-            Confidence::P95 => self.spread.p95,
-        };
-        let wanted = wanted / ratio(quantile, self.rms) * self.image.mean();
+    pub fn for_error(&self, wanted: f64, confidence: Confidence) -> Vec<f64> {
+        let wanted = wanted / ratio(quantile(&self.spread, confidence), self.rms) * self.image.mean();
         samples_for_variance(&self.zones, wanted * wanted)
     }
 
     /// The samples of each zone, pixel by pixel.
     pub fn laid_out(&self, samples: &[f64]) -> Result<SampleCounts, RenderError> {
-        let mut counts = vec![1u16; self.pilot.settings.pixels() as usize];
-        for (group, &samples) in self.groups.iter().zip(samples) {
-            let pixels = self.pilot.zones.pixels_of(&group.strata);
-            for (&pixel, n) in pixels.iter().zip(whole(samples, pixels.len())) {
-                // At most as many as that type holds.
-                counts[pixel as usize] = n.min(MOST_SAMPLES as u32) as u16;
+        let pixels = self.groups.iter().map(|group| self.pilot.zones.pixels_of(&group.strata));
+        laid_out(self.pilot.settings.pixels() as usize, pixels.zip(samples.iter().copied()))
+    }
+
+    /// Width and height of the image in pixels.
+    pub fn size(&self) -> (u32, u32) {
+        (self.pilot.settings.width, self.pilot.settings.height)
+    }
+
+    /// How the variance of each pixel's zone falls with samples, see [`Zone::variance`].
+    pub fn profiled_variance(&self) -> Vec<[f64; 2]> {
+        let mut variance = vec![self.image.curve(); self.pilot.settings.pixels() as usize];
+        for (group, zone) in self.groups.iter().zip(&self.zones) {
+            for pixel in self.pilot.zones.pixels_of(&group.strata) {
+                variance[pixel as usize] = zone.variance;
             }
         }
-        Ok(SampleCounts::new(counts)?)
+        variance
     }
 
     /// Mean number of samples in each zone.
@@ -280,25 +272,19 @@ impl<'a> Allotment<'a> {
         self.groups.iter().map(mean).collect()
     }
 
-    /// What was forecast of a frame with these samples.
-    fn stats(&self, counts: &SampleCounts) -> AllottedStats {
+    /// What was forecast of the cost of a frame with these samples, and what its pixels then say of their error.
+    fn stats(&self, counts: &SampleCounts, survey: &Survey) -> AllottedStats {
         let (least, most, mean) = counts.range();
         let samples = self.means(counts);
         let change = self.work_of(&samples) - self.pixel_work;
-        let error = mean_variance(&self.zones, &samples).sqrt() / self.image.mean().max(f64::MIN_POSITIVE);
-        let scaled = |quantile: f64| error * ratio(quantile, self.rms);
+        let ErrorQuantiles { p05, p50, p80, p95 } = survey.error(survey.samples(), Calibration::NONE);
         AllottedStats {
             least,
             most,
             mean,
             work: moved(&self.work, change),
             cpu_seconds: moved(&self.cpu_seconds, change * self.seconds_per_work),
-            error: ImageError {
-                p05: scaled(self.spread.p05),
-                p50: scaled(self.spread.p50),
-                p80: scaled(self.spread.p80),
-                p95: scaled(self.spread.p95),
-            },
+            error: ImageError { p05, p50, p80, p95 },
             profiling_work: self.pilot.overhead.work,
             profiling_cpu_seconds: seconds(self.pilot.overhead.cpu_nanos),
             within: None,
@@ -315,6 +301,15 @@ fn zones(pilot: &Pilot, image: &ImageNoise, groups: &[NoiseGroup]) -> Result<Vec
         Zone::new(pixels, &samples, pilot.settings.spp, of_image)
     };
     groups.iter().map(zone).collect()
+}
+
+/// An error at a confidence.
+pub(crate) fn quantile(error: &ErrorQuantiles, confidence: Confidence) -> f64 {
+    match confidence {
+        Confidence::P50 => error.p50,
+        Confidence::P80 => error.p80,
+        Confidence::P95 => error.p95,
+    }
 }
 
 /// 1 for nothing of nothing.

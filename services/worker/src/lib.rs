@@ -16,7 +16,8 @@
 //! | `tasks`, `cache_tasks` | the kinds of tasks |
 //! | `execute`, `agent` | a task's life between lease and result |
 //! | `library` | bundles, fetched once and kept open |
-//! | `within` | a render that holds to its time |
+//! | `within`, `refine` | a render that holds to its time, or to its error |
+//! | `tiles` | what an image underway says of where more samples pay |
 //! | `calibrate`, `classes`, `capabilities` | how fast this machine is by class of work, what a frame's work is of, and what the machine has |
 //! | `checkpoint` | the finished tiles of a frame, for whoever has it next |
 //! | `limits` | what a task may use at most |
@@ -40,12 +41,14 @@ mod limits;
 mod noise;
 mod pictures;
 mod quote;
+mod refine;
 mod render;
 mod renderer;
 mod server_events;
 mod shot;
 mod shot_cache;
 mod tasks;
+mod tiles;
 mod transport;
 mod warm_clock;
 mod within;

@@ -3,15 +3,17 @@
 //! Forecasts of work hold to a few per cent, but what a unit of work takes differs between a short profile and the render, between
 //! busy and idle hours. So the render looks at its clock. It goes in passes (`forelight_tracer::Passes`): the first gives every
 //! pixel one sample; each of the others gives the samples that make the least error for a part of the time that is left, reckoned with
-//! the seconds that the pass before it took for a unit of work. The last ones take nearly all that is left, and whatever is not
+//! the seconds that the pass before it took for a unit of work, by what the image shows by then ([`crate::tiles`]). The last ones take nearly all that is left, and whatever is not
 //! finished when the time is up stays with the samples that it has: pixels are complete at every number of samples, and a pass goes
 //! over the image in scattered tiles.
 //!
 //! The clock decides how many samples the pixels get, and nothing else.
 
-use crate::allot::{AllotError, Allotment};
+use crate::allot::{AllotError, Allotment, Made};
 use crate::render::seconds;
-use crate::renderer::{Finished, FrameRenderer, Progress, RenderError, Step};
+use crate::renderer::{FrameRenderer, Progress, RenderError, Step};
+use crate::tiles::Tiles;
+use forelight_forecast::accuracy::allot::samples_for_budget;
 use forelight_protocol::{BudgetClock, Confidence, WithinStats};
 use forelight_scene::Frame;
 use forelight_tracer::{Image, Passes, SampleCounts, process_cpu_nanos};
@@ -112,7 +114,7 @@ pub(crate) fn render_within(
     confidence: Confidence,
     progress: &(dyn Fn(Progress) + Sync),
     cancel: &AtomicBool,
-) -> Result<Option<(Finished, SampleCounts, WithinStats)>, AllotError> {
+) -> Result<Option<Made>, AllotError> {
     let clock = &budget.clock;
     let first = allotment.least_work() * allotment.seconds_per_work * allotment.surety(confidence);
     let least = clock.elapsed() + clock.of_cpu(first);
@@ -120,7 +122,8 @@ pub(crate) fn render_within(
         return Err(budget.too_little(least));
     }
     let mut run = Run::new(ready, budget, progress, cancel);
-    run.pass(&allotment.laid_out(&allotment.for_work(0.0))?)?;
+    let (width, height) = allotment.size();
+    run.pass(&SampleCounts::new(vec![1; (width * height) as usize]).map_err(RenderError::from)?)?;
     if cancel.load(Ordering::Relaxed) {
         return Ok(None);
     }
@@ -128,16 +131,16 @@ pub(crate) fn render_within(
         return Err(budget.too_little(least.max(clock.elapsed())));
     };
     run.keep_back_for_writing();
+    let tiles = Tiles::new(allotment);
+    let mut survey = tiles.survey(&run.passes)?;
     for share in CAREFUL.into_iter().chain(std::iter::repeat(BOLD)) {
         let left = run.end - clock.elapsed();
         if left < WORTHWHILE * budget.seconds || run.rate <= 0.0 {
             break;
         }
-        // What the pixels really took, against what the same samples were thought to take.
-        let done = run.passes.totals().work as f64;
-        let truth = done / allotment.work_of_counts(&counts).max(f64::MIN_POSITIVE);
-        let wanted = allotment.for_work((done + share * left / run.rate) / truth);
-        let wanted = allotment.laid_out(&wanted)?.or_more(&counts);
+        let work = run.passes.totals().work as f64 + share * left / run.rate;
+        let Some(wanted) = samples_for_budget(survey.zones(), work) else { break };
+        let wanted = tiles.laid_out(&wanted)?.or_more(&counts);
         if wanted == counts {
             break;
         }
@@ -146,6 +149,7 @@ pub(crate) fn render_within(
             return Ok(None);
         }
         counts = run.passes.counts().map_err(RenderError::from)?;
+        survey = tiles.survey(&run.passes)?;
     }
     let within = WithinStats {
         clock: clock.kind(),
@@ -154,7 +158,8 @@ pub(crate) fn render_within(
         passes: run.number,
         cost: None,
     };
-    Ok(Some((ready.finished(&run.passes), counts, within)))
+    let finished = ready.finished(&run.passes);
+    Ok(Some(Made { finished, samples: counts, survey, within: Some(within) }))
 }
 
 /// Passes over a frame.

@@ -21,7 +21,7 @@ use std::time::Instant;
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Camera samples by what they come to")]
 pub struct AllotArgs {
-    /// Make the best image for this time: seconds, or 5m, 1h30m. In place of --spp, every object and the edges of lights get as many camera
+    /// Make the best image for this time: seconds, or 5m, 1h30m. In place of --spp, every part of the image gets as many camera
     /// samples as pay there. All that you wait for counts: loading, preview, profile, cache and writing. The render looks at its clock as it goes, and
     /// holds to the time
     #[arg(long, value_name = "TIME", conflicts_with_all = ["spp", "error", "within_money", "profile"], value_parser = time)]
@@ -209,13 +209,14 @@ pub fn report(allotted: &AllottedStats) -> String {
     let AllottedStats { least, most, mean, work, cpu_seconds, error, .. } = allotted;
     let mut text = format!(
         "allotted    {least} to {most} camera samples per pixel, {mean:.1} on average\n\
-         forecast    {} operations, {} CPU time (at 95 % {}), noise {:.2} % of the mean (at 95 % {:.2} %)\n\
+         noise       {:.2} % of the mean, as the image says itself (at 95 % {:.2} %)\n\
+         forecast    {} operations, {} CPU time (at 95 % {}) for these samples\n\
          profiled    {} of CPU time to find that out\n",
+        100.0 * error.p50,
+        100.0 * error.p95,
         count(work.mean),
         seconds(cpu_seconds.mean),
         seconds(cpu_seconds.p95),
-        100.0 * error.p50,
-        100.0 * error.p95,
         seconds(allotted.profiling_cpu_seconds),
     );
     if let Some(within) = &allotted.within {

@@ -57,7 +57,7 @@ impl Zone {
     }
 
     /// Sum of its pixels' variances at so many samples each.
-    fn error(&self, samples: f64) -> f64 {
+    pub(super) fn error(&self, samples: f64) -> f64 {
         self.pixels * sum([0, 1].map(|k| self.variance[k] * libm::pow(samples, -EXPONENTS[k])))
     }
 

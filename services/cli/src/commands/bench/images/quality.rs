@@ -120,7 +120,14 @@ pub fn ladder() -> Vec<Quality> {
     let cached = cached.iter().map(|(spp, accuracy, rays)| {
         format!("--spp {spp} --cache on --cache-accuracy {accuracy} --cache-rays {rays}")
     });
-    let allotted = [("8", "0.3", 192), ("4", "0.3", 192), ("2", "0.2", 768), ("1", "0.2", 768)];
+    let allotted = [
+        ("8", "0.6", 48),
+        ("8", "0.3", 192),
+        ("4", "0.6", 48),
+        ("4", "0.3", 192),
+        ("2", "0.2", 768),
+        ("1", "0.2", 768),
+    ];
     let allotted = allotted.iter().map(|(error, accuracy, rays)| {
         format!("--error {error} --cache on --cache-accuracy {accuracy} --cache-rays {rays}")
     });
@@ -178,8 +185,8 @@ mod tests {
     #[test]
     fn every_rung_of_the_default_ladder_is_valid_and_there_are_both_kinds() {
         let rungs = ladder();
-        assert_eq!(rungs.len(), 23);
+        assert_eq!(rungs.len(), 25);
         assert!(rungs.iter().all(|rung| rung.settings(&base()).is_ok()));
-        assert_eq!(rungs.iter().filter(|rung| rung.is_cached()).count(), 15);
+        assert_eq!(rungs.iter().filter(|rung| rung.is_cached()).count(), 17);
     }
 }

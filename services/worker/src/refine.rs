@@ -1,0 +1,81 @@
+//! A render that goes on until its image is good enough.
+//!
+//! It goes in passes (`forelight_tracer::Passes`). The first gives every pixel a few samples, by what the profile says. Each of the others
+//! looks at what the image shows by then ([`crate::tiles`]), and gives every tile what it lacks for the error; but never many times what it has, for a
+//! tile's few samples may deceive. When next to nothing is lacking, the image is finished. All of that depends on the samples alone.
+
+use crate::allot::{AllotError, Allotment, Made, quantile};
+use crate::renderer::{FrameRenderer, Progress, RenderError, Step};
+use crate::tiles::Tiles;
+use forelight_forecast::Calibration;
+use forelight_forecast::accuracy::allot::cost;
+use forelight_protocol::Confidence;
+use forelight_tracer::{Passes, SampleCounts};
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+/// Samples of a pixel in the first pass, at most.
+const FIRST: f64 = 4.0;
+/// A pass gives a tile at most so many times the samples that it has.
+const GROWTH: f64 = 4.0;
+/// A pass is worth its while if it is so large a part of all before it.
+const WORTHWHILE: f64 = 0.01;
+
+/// Renders a frame whose cache is filled until its error is below `wanted`, a share of the image's mean. `None` if `cancel` was set.
+pub(crate) fn render_for_error(
+    ready: &dyn FrameRenderer,
+    allotment: &Allotment<'_>,
+    wanted: f64,
+    confidence: Confidence,
+    progress: &(dyn Fn(Progress) + Sync),
+    cancel: &AtomicBool,
+) -> Result<Option<Made>, AllotError> {
+    let tiles = Tiles::new(allotment);
+    let mut passes = ready.begin();
+    let first: Vec<f64> = allotment.for_error(wanted, confidence).into_iter().map(|n| n.min(FIRST)).collect();
+    let mut next = allotment.laid_out(&first)?;
+    let mut share = 0.0..1.0 / GROWTH;
+    loop {
+        pass(ready, &mut passes, &next, &share, progress, cancel)?;
+        if cancel.load(Ordering::Relaxed) {
+            return Ok(None);
+        }
+        let counts = passes.counts().map_err(RenderError::from)?;
+        let survey = tiles.survey(&passes)?;
+        let has = survey.samples();
+        let lacking =
+            survey.samples_for_error(wanted, |error| quantile(error, confidence), Calibration::NONE);
+        let capped: Vec<f64> = lacking.iter().zip(has).map(|(n, has)| n.min(GROWTH * has)).collect();
+        let cost_with = |samples: &[f64]| {
+            let after: Vec<f64> = samples.iter().zip(has).map(|(n, has)| n.max(*has)).collect();
+            cost(survey.zones(), &after)
+        };
+        let [done, then, all] = [has, &capped, &lacking].map(cost_with);
+        if then - done < WORTHWHILE * done {
+            let finished = ready.finished(&passes);
+            return Ok(Some(Made { finished, samples: counts, survey, within: None }));
+        }
+        next = tiles.laid_out(&capped)?.or_more(&counts);
+        share = done / all..then / all;
+    }
+}
+
+/// Brings the pixels to so many samples: from one share of all to another.
+fn pass(
+    ready: &dyn FrameRenderer,
+    passes: &mut Passes,
+    wanted: &SampleCounts,
+    share: &Range<f64>,
+    progress: &(dyn Fn(Progress) + Sync),
+    cancel: &AtomicBool,
+) -> Result<(), RenderError> {
+    let (pixels, parts) = (wanted.as_slice().len() as u64, passes.parts() as f64);
+    let shown = AtomicU64::new(0);
+    let show = || {
+        let part = (shown.fetch_add(1, Ordering::Relaxed) + 1) as f64 / parts;
+        let done = (pixels as f64 * (share.start + part * (share.end - share.start))) as u64;
+        progress(Progress { step: Step::Tracing, done, all: pixels });
+    };
+    ready.go_on(passes, wanted, &|| cancel.load(Ordering::Relaxed), &show)?;
+    Ok(())
+}
