@@ -26,8 +26,9 @@ use glam::Vec3;
 const FAINT: f32 = 0.02;
 
 /// Rays of a gather where no record of the cache covers the point. A few such points are among the samples of a pixel, and each shares its pixel
-/// with samples that are noisy for other reasons: rooms and kitchens at 4 to 64 samples are most exact for their work with 2 to 4.
-const UNCOVERED: u32 = 4;
+/// with samples that are noisy for other reasons: whole images of rooms and kitchens, of 4 to 64 samples, are most exact for their work with 2 to 4.
+/// But then these points make most of what a good cache leaves of error in indirect light.
+const UNCOVERED: u32 = 8;
 
 /// After a diffuse bounce, glossy lobes narrower than this alpha do not see the lights: their highlights are caustics.
 const CAUSTIC_ALPHA: f32 = 0.2;
