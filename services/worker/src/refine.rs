@@ -51,11 +51,12 @@ pub(crate) fn render_for_error(
             cost(survey.zones(), &after)
         };
         let [done, then, all] = [has, &capped, &lacking].map(cost_with);
-        if then - done < WORTHWHILE * done {
+        next = tiles.laid_out(&capped)?.or_more(&counts);
+        // Where parts of samples are lacking, whole ones may not be.
+        if then - done < WORTHWHILE * done || next == counts {
             let finished = ready.finished(&passes);
             return Ok(Some(Made { finished, samples: counts, survey, within: None }));
         }
-        next = tiles.laid_out(&capped)?.or_more(&counts);
         share = done / all..then / all;
     }
 }

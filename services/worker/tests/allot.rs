@@ -20,9 +20,13 @@ fn settings(spp: u32) -> RenderSettings {
 }
 
 fn allotted(aim: Aim<'_>) -> Result<Allotted, AllotError> {
+    allotted_with(aim, &settings(1))
+}
+
+fn allotted_with(aim: Aim<'_>, settings: &RenderSettings) -> Result<Allotted, AllotError> {
     let options = AllotOptions { aim, confidence: Confidence::P50, samples: 256, seed: 3 };
     let (shot, nobody) = (kitchen(), Nobody::default());
-    let rendered = render_allotted(&shot, 0, &settings(1), Given::default(), &options, &|_| (), &nobody);
+    let rendered = render_allotted(&shot, 0, settings, Given::default(), &options, &|_| (), &nobody);
     rendered.map(Option::unwrap)
 }
 
@@ -81,5 +85,16 @@ fn an_image_of_an_error_hangs_on_no_threads_and_is_made_again_of_its_samples() {
     for other in [&three.rendered, &again.rendered] {
         assert_eq!(bits(&one.rendered), bits(other));
         assert_eq!((one.rendered.stats.work, one.rendered.stats.rays), (other.stats.work, other.stats.rays));
+    }
+}
+
+#[test]
+fn images_of_few_pixels_come_to_an_end_and_so_does_an_error_that_cannot_be_had() {
+    for (width, height, wanted) in [(1, 1, 0.2), (3, 1, 0.05), (9, 2, 0.1), (1, 1, 1e-9), (2, 2, 1e9)] {
+        let settings = RenderSettings { width, height, ..settings(1) };
+        let made = allotted_with(Aim::Error(wanted), &settings).unwrap();
+        let (least, most, _) = made.samples.range();
+        assert!(least >= 1 && most <= 65_535, "{width} x {height}, {wanted}: {least} to {most}");
+        assert!(made.rendered.stats.allotted.unwrap().error.p95.is_finite());
     }
 }
