@@ -58,31 +58,49 @@ impl Zone {
 
     /// Sum of its pixels' variances at so many samples each.
     pub(super) fn error(&self, samples: f64) -> f64 {
-        self.pixels * sum([0, 1].map(|k| self.variance[k] * libm::pow(samples, -EXPONENTS[k])))
+        let powers = powers(samples);
+        self.pixels * sum([0, 1].map(|k| self.variance[k] * powers[k]))
     }
 
     /// By how much a little more cost, from so many samples on, lowers the error.
     fn gain(&self, samples: f64) -> f64 {
-        let slope = |k: usize| EXPONENTS[k] * self.variance[k] * libm::pow(samples, -EXPONENTS[k] - 1.0);
-        sum([0, 1].map(slope)) / self.cost.max(f64::MIN_POSITIVE)
+        let powers = powers(samples);
+        let slope = |k: usize| EXPONENTS[k] * self.variance[k] * powers[k] / samples;
+        sum([0, 1].map(slope)) / self.cost()
+    }
+
+    fn cost(&self) -> f64 {
+        self.cost.max(f64::MIN_POSITIVE)
     }
 
     /// Where that gain has fallen to `price`.
     fn samples_at(&self, price: f64) -> f64 {
-        let (mut low, mut high) = (1.0, MOST_SAMPLES);
-        if self.gain(low) <= price {
-            return low;
+        if self.gain(1.0) <= price {
+            return 1.0;
         }
-        if self.gain(high) >= price {
-            return high;
+        if self.gain(MOST_SAMPLES) >= price {
+            return MOST_SAMPLES;
         }
-        // The gain falls with samples. By ratios: a hundred halvings are more than a number has digits.
-        for _ in 0..100 {
-            let middle = libm::sqrt(low * high);
-            if self.gain(middle) > price { low = middle } else { high = middle }
+        // Times n^2.5 that is a polynomial in the root of n, price s⁵ − linear s − constant, with one positive root, beyond which it is
+        // convex: from above Newton's steps fall to it, and stop where rounding does not let them.
+        let [constant, linear] = [0, 1].map(|k| EXPONENTS[k] * self.variance[k]);
+        let price = price * self.cost();
+        let above = libm::pow(2.0 * constant / price, 0.2).max(libm::pow(2.0 * linear / price, 0.25));
+        let step = |s: f64| {
+            let fourth = price * s * s * s * s;
+            s - ((fourth - linear) * s - constant) / (5.0 * fourth - linear)
+        };
+        let mut root = above;
+        while step(root) < root {
+            root = step(root);
         }
-        libm::sqrt(low * high)
+        (root * root).clamp(1.0, MOST_SAMPLES)
     }
+}
+
+/// A number of samples to the powers of [`EXPONENTS`], both negative.
+fn powers(samples: f64) -> [f64; 2] {
+    [1.0 / (samples * libm::sqrt(samples)), 1.0 / samples]
 }
 
 /// Samples per pixel of each zone that cost `budget` all together, with the least error. `None` if one sample per pixel costs more.
@@ -110,8 +128,12 @@ fn by_price(zones: &[Zone], is_few_enough: impl Fn(&[f64]) -> bool) -> Vec<f64> 
     if is_few_enough(&most) {
         return most;
     }
+    // By ratios, until they are alike; a hundred halvings are more than a number has digits.
     for _ in 0..100 {
-        let middle = libm::sqrt(low * high);
+        if high <= low * (1.0 + 1e-12) {
+            break;
+        }
+        let middle = libm::sqrt(low) * libm::sqrt(high);
         if is_few_enough(&at(middle)) { high = middle } else { low = middle }
     }
     at(high)
@@ -189,6 +211,18 @@ mod tests {
         assert!((mean_variance(&zones, &samples) / 0.02 - 1.0).abs() < 1e-6);
         let again = samples_for_budget(&zones, cost(&zones, &samples)).unwrap();
         assert!(samples.iter().zip(&again).all(|(a, b)| (a / b - 1.0).abs() < 1e-4), "{samples:?} {again:?}");
+    }
+
+    #[test]
+    fn samples_for_a_price_gain_just_that() {
+        let variances = [[1.0, 0.0], [0.0, 1.0], [3.0, 1.0], [1e-9, 7.0], [5e12, 1e-3]];
+        for zone in variances.map(|variance| Zone { pixels: 3.0, variance, cost: 0.7 }) {
+            for samples in [1.5, 2.0, 37.25, 1000.0, 60_000.0] {
+                let found = zone.samples_at(zone.gain(samples));
+                assert!((found / samples - 1.0).abs() < 1e-9, "{zone:?}: {found} for {samples}");
+            }
+            assert_eq!((zone.samples_at(1e300), zone.samples_at(0.0)), (1.0, MOST_SAMPLES));
+        }
     }
 
     #[test]
