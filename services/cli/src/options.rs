@@ -37,7 +37,7 @@ pub struct QualityOptions {
     /// surroundings [default: 0.2]
     #[arg(long, value_name = "ERROR", requires = "cache", value_parser = accuracy)]
     pub cache_accuracy: Option<u32>,
-    /// Rays gathered at a place of the cache, a quarter of them for each further bounce; the nearest of 48, 192, 432, 768, 1200, ... is
+    /// Rays gathered at a place of the cache, about a quarter of them for each further bounce, at least 48; the nearest of 48, 192, 432, 768, 1200, ... is
     /// taken [default: 768]
     #[arg(long, value_name = "RAYS", requires = "cache")]
     pub cache_rays: Option<u32>,

@@ -231,7 +231,9 @@ fn halving(whole: f64, pixels: f64, gathered: f64, settings: &RenderSettings) ->
     let ways = [
         way("spp", settings.spp, f64::from(settings.spp) * kept(pixels)),
         way("width", settings.width, f64::from(settings.width) * kept(pixels).sqrt()),
-        way("cache-rays", settings.cache_rays, f64::from(settings.cache_rays) * kept(gathered)),
+        // Of deeper bounces the rays fall to a least number.
+        way("cache-rays", settings.cache_rays, f64::from(settings.cache_rays) * kept(gathered))
+            .filter(|_| settings.ambient_bounces < 2),
     ];
     ways.into_iter().flatten().collect()
 }

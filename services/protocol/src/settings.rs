@@ -65,7 +65,7 @@ pub struct RenderSettings {
     /// surroundings.
     #[serde(default = "default_cache_accuracy")]
     pub cache_accuracy: u32,
-    /// Hemisphere rays of one record of the cache; those of each further bounce have a quarter of them.
+    /// Hemisphere rays of one record of the cache; those of each further bounce have about a quarter of them, at least 48.
     #[serde(default = "default_cache_rays")]
     pub cache_rays: u32,
     /// Which materials are honoured.

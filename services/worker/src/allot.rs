@@ -1,9 +1,10 @@
 //! A frame for so many seconds, or of so small an error: the camera samples that each part of it gets.
 //!
 //! Some pixels are profiled with a few camera samples (see `accuracy::pilot`). They say, stratum by stratum and for the edges of lights
-//! apart, how variance falls with samples and what a sample costs; from these follow the numbers of samples that make the least
-//! error for the time, or the least time for the error (`forelight_forecast::accuracy::allot`). A profile does not know which spot of a wall is the
-//! bright one; the image does, once every pixel has a few samples ([`crate::tiles`]). With an irradiance cache that is filled first, for
+//! apart, how variance falls with samples and what a sample costs: whether the least image fits a time, how many samples to begin with, and what an image
+//! with so many samples should take. A profile does not know which spot of a wall is the bright one; the image does, once its pixels have a few
+//! samples, and says which numbers of them make the least error for the time, or the least time for the error ([`crate::tiles`],
+//! `forelight_forecast::accuracy::allot`). With an irradiance cache that is filled first, for
 //! what is left of the time depends on it. How a render holds to its time is in [`crate::within`], to its error in [`crate::refine`].
 
 use crate::accuracy::{AccuracyObserver, AccuracyOptions, Pilot, piloted};

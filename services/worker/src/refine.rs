@@ -2,24 +2,26 @@
 //!
 //! It goes in passes (`forelight_tracer::Passes`). The first gives every pixel a few samples, by what the profile says. Each of the others
 //! looks at what the image shows by then ([`crate::tiles`]), and gives every tile what it lacks for the error; but never many times what it has, for a
-//! tile's few samples may deceive. When next to nothing is lacking, the image is finished. All of that depends on the samples alone.
+//! tile's few samples may deceive. When the image vouches for the error, it is finished. All of that depends on the samples alone.
 
 use crate::allot::{AllotError, Allotment, Made, quantile};
 use crate::renderer::{FrameRenderer, Progress, RenderError, Step};
 use crate::tiles::Tiles;
 use forelight_forecast::Calibration;
+use forelight_forecast::accuracy::ErrorQuantiles;
 use forelight_forecast::accuracy::allot::cost;
 use forelight_protocol::Confidence;
 use forelight_tracer::{Passes, SampleCounts};
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-/// Samples of a pixel in the first pass, at most.
+/// Samples of a pixel in the first pass: at least as many as show that they differ.
+const LEAST: f64 = 2.0;
 const FIRST: f64 = 4.0;
 /// A pass gives a tile at most so many times the samples that it has.
 const GROWTH: f64 = 4.0;
-/// A pass is worth its while if it is so large a part of all before it.
-const WORTHWHILE: f64 = 0.01;
+/// An error that is above the one that was asked for by this share of it is near enough.
+const NEAR: f64 = 0.01;
 
 /// Renders a frame whose cache is filled until its error is below `wanted`, a share of the image's mean. `None` if `cancel` was set.
 pub(crate) fn render_for_error(
@@ -32,19 +34,20 @@ pub(crate) fn render_for_error(
 ) -> Result<Option<Made>, AllotError> {
     let tiles = Tiles::new(allotment);
     let mut passes = ready.begin();
-    let first: Vec<f64> = allotment.for_error(wanted, confidence).into_iter().map(|n| n.min(FIRST)).collect();
+    let first: Vec<f64> =
+        allotment.for_error(wanted, confidence).into_iter().map(|n| n.clamp(LEAST, FIRST)).collect();
     let mut next = allotment.laid_out(&first)?;
-    let mut share = 0.0..1.0 / GROWTH;
+    let mut shown = 0.0..1.0 / GROWTH;
     loop {
-        pass(ready, &mut passes, &next, &share, progress, cancel)?;
+        pass(ready, &mut passes, &next, &shown, progress, cancel)?;
         if cancel.load(Ordering::Relaxed) {
             return Ok(None);
         }
         let counts = passes.counts().map_err(RenderError::from)?;
         let survey = tiles.survey(&passes)?;
         let has = survey.samples();
-        let lacking =
-            survey.samples_for_error(wanted, |error| quantile(error, confidence), Calibration::NONE);
+        let at = |error: &ErrorQuantiles| quantile(error, confidence);
+        let lacking = survey.samples_for_error(wanted, at, Calibration::NONE);
         let capped: Vec<f64> = lacking.iter().zip(has).map(|(n, has)| n.min(GROWTH * has)).collect();
         let cost_with = |samples: &[f64]| {
             let after: Vec<f64> = samples.iter().zip(has).map(|(n, has)| n.max(*has)).collect();
@@ -53,28 +56,29 @@ pub(crate) fn render_for_error(
         let [done, then, all] = [has, &capped, &lacking].map(cost_with);
         next = tiles.laid_out(&capped)?.or_more(&counts);
         // Where parts of samples are lacking, whole ones may not be.
-        if then - done < WORTHWHILE * done || next == counts {
+        if at(&survey.error(has, Calibration::NONE)) <= wanted * (1.0 + NEAR) || next == counts {
             let finished = ready.finished(&passes);
             return Ok(Some(Made { finished, samples: counts, survey, within: None }));
         }
-        share = done / all..then / all;
+        let rest = (then - done) / (all - done).max(f64::MIN_POSITIVE);
+        shown = shown.end..shown.end + (1.0 - shown.end) * rest.min(1.0);
     }
 }
 
-/// Brings the pixels to so many samples: from one share of all to another.
+/// Brings the pixels to so many samples, while progress goes from one share of all to another.
 fn pass(
     ready: &dyn FrameRenderer,
     passes: &mut Passes,
     wanted: &SampleCounts,
-    share: &Range<f64>,
+    shown: &Range<f64>,
     progress: &(dyn Fn(Progress) + Sync),
     cancel: &AtomicBool,
 ) -> Result<(), RenderError> {
     let (pixels, parts) = (wanted.as_slice().len() as u64, passes.parts() as f64);
-    let shown = AtomicU64::new(0);
+    let told = AtomicU64::new(0);
     let show = || {
-        let part = (shown.fetch_add(1, Ordering::Relaxed) + 1) as f64 / parts;
-        let done = (pixels as f64 * (share.start + part * (share.end - share.start))) as u64;
+        let part = ((told.fetch_add(1, Ordering::Relaxed) + 1) as f64 / parts).min(1.0);
+        let done = (pixels as f64 * (shown.start + part * (shown.end - shown.start))) as u64;
         progress(Progress { step: Step::Tracing, done, all: pixels });
     };
     ready.go_on(passes, wanted, &|| cancel.load(Ordering::Relaxed), &show)?;

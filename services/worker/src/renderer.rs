@@ -258,7 +258,7 @@ pub trait FrameRenderer: Send + Sync {
     fn begin(&self) -> Passes;
 
     /// Brings its pixels to these numbers of camera samples, on the current thread pool, and says what that took; the irradiance cache has to be filled. Before
-    /// each pixel `stop` is asked whether to leave the others as they are; `progress` is called now and then.
+    /// each pixel `stop` is asked whether to leave the others as they are; `progress` is called [`Passes::parts`] times.
     fn go_on(
         &self,
         passes: &mut Passes,

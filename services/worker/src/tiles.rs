@@ -36,8 +36,9 @@ impl Tiles {
             let (profiled, pixel) = (self.profiled[pixel as usize], so_far[pixel as usize]);
             Seen {
                 samples: pixel.samples,
-                brightness: pixel.brightness,
-                variance: pixel.variance,
+                // A pixel that has no colour says nothing.
+                brightness: if pixel.brightness.is_finite() { pixel.brightness } else { 0.0 },
+                variance: pixel.variance.filter(|variance| variance.is_finite()),
                 cost: pixel.work as f64,
                 profiled,
             }

@@ -546,7 +546,7 @@ fn a_profiled_cache_is_taken_over_with_its_plan_and_the_records_that_depend_on_n
         for level in 0..bounces {
             assert_eq!(of_level(level), 37, "100 pixels go with 37 records");
         }
-        // Of 48 rays a deeper level has a quarter, which its plan has traced.
+        // A deeper level has the fewest rays that there are, all of which its plan has traced.
         assert!(profile.cache_samples.iter().all(|s| s.work > 0 && (s.rays[5] > 0 || s.level > 0)));
 
         let bytes =

@@ -98,8 +98,9 @@ impl Zone {
     }
 }
 
-/// A number of samples to the powers of [`EXPONENTS`], both negative.
-fn powers(samples: f64) -> [f64; 2] {
+/// A number of samples to minus the powers of [`EXPONENTS`].
+pub(super) fn powers(samples: f64) -> [f64; 2] {
+    const { assert!(EXPONENTS[0] == 1.5 && EXPONENTS[1] == 1.0) };
     [1.0 / (samples * libm::sqrt(samples)), 1.0 / samples]
 }
 

@@ -4,7 +4,7 @@
 //! has some samples, the image itself knows: each tile of it is a zone (see [`super::allot`]), whose variance is the mean of its pixels'
 //! sample variances. How that falls with samples is what the profile says of the same materials: a pixel's few samples do not show it.
 
-use super::allot::{Zone, mean_variance, samples_for_variance};
+use super::allot::{Zone, mean_variance, powers, samples_for_variance};
 use super::{ErrorQuantiles, MeanSquare};
 use crate::error::ForecastError;
 use crate::interval::{Calibration, Part, together};
@@ -116,13 +116,23 @@ impl Survey {
 /// A tile as a zone, and its variance with how sure that is.
 fn surveyed(tile: &[Seen]) -> (Zone, (f64, Part)) {
     let pixels = tile.len() as f64;
-    let known: Vec<f64> = tile.iter().filter_map(|pixel| pixel.variance).collect();
-    let count = known.len() as f64;
     let profiled = [0, 1].map(|k| sum(tile.iter().map(|pixel| pixel.profiled[k].max(0.0))) / pixels);
     let expected = profiled[0] + profiled[1];
+    let shape = if expected > 0.0 { profiled.map(|part| part / expected) } else { [0.0, 1.0] };
+    // Samples of a pixel lie more evenly than chance would have them, so n of them vary by V(1) − V(n), not by V(1) (1 − 1 / n).
+    let unbiased = |pixel: &Seen| {
+        let samples = f64::from(pixel.samples);
+        let seen = 1.0 - sum(shape.iter().zip(powers(samples)).map(|(share, power)| share * power));
+        pixel.variance.map(|variance| variance * (1.0 - 1.0 / samples) / seen)
+    };
+    let mut known: Vec<f64> = tile.iter().filter_map(unbiased).collect();
+    if known.is_empty() {
+        // Nobody knows how much of it is noise: what differs within the tile is worth a second look.
+        known.extend(spread(tile));
+    }
+    let count = known.len() as f64;
     let own = sum(known.iter().copied());
     let variance = (own + PROFILE_COUNTS * expected) / (count + PROFILE_COUNTS);
-    let shape = if expected > 0.0 { profiled.map(|part| part / expected) } else { [0.0, 1.0] };
     let cost = sum(tile.iter().map(|pixel| pixel.cost)) / sum(tile.iter().map(|p| f64::from(p.samples)));
     let spread = if count > 1.0 {
         let mean = own / count;
@@ -133,6 +143,14 @@ fn surveyed(tile: &[Seen]) -> (Zone, (f64, Part)) {
         Part { variance: variance * variance, degrees_of_freedom: 1.0 }
     };
     (Zone { pixels, variance: shape.map(|share| share * variance), cost }, (variance, spread))
+}
+
+/// Variance of the brightness of a tile's pixels, which takes two of them.
+fn spread(tile: &[Seen]) -> Option<f64> {
+    let count = tile.len() as f64;
+    let mean = sum(tile.iter().map(|pixel| pixel.brightness)) / count;
+    let squares = sum(tile.iter().map(|pixel| (pixel.brightness - mean) * (pixel.brightness - mean)));
+    (tile.len() > 1).then(|| squares / (count - 1.0))
 }
 
 #[cfg(test)]
@@ -147,18 +165,24 @@ mod tests {
     fn a_tile_varies_as_its_pixels_do_and_falls_as_the_profile_says() {
         let calm = vec![pixel(Some(1e-4)); 64];
         let wild = vec![pixel(Some(0.5)), pixel(Some(1.5))];
-        let unknown = vec![pixel(None); 3];
-        let survey = Survey::new(&[calm, wild, unknown]).unwrap();
-        let [calm, wild, unknown] = survey.zones() else { panic!() };
+        let unknown = vec![pixel(None)];
+        // Each with a single sample: a bright spot.
+        let once = |brightness| Seen { samples: 1, brightness, cost: 2.0, ..pixel(None) };
+        let spot = vec![once(2.0), once(102.0)];
+        let survey = Survey::new(&[calm, wild, unknown, spot]).unwrap();
+        let [calm, wild, unknown, spot] = survey.zones() else { panic!() };
         let total = |zone: &Zone| zone.variance[0] + zone.variance[1];
         assert!(total(calm) < 0.02 && total(calm) > 1e-4, "{calm:?}");
-        assert!((total(wild) - (2.0 + 0.1 * 4.0) / 2.1).abs() < 1e-12);
+        // Four samples of numbers whose variance falls so vary by 1 - 0.75 / 8 - 0.25 / 4 of it, times 4 / 3.
+        let variance = 2.0 * 0.75 / (1.0 - 0.75 / 8.0 - 0.25 / 4.0);
+        assert!((total(wild) - (variance + 0.1 * 4.0) / 2.1).abs() < 1e-12);
+        assert!(total(spot) > 4000.0, "{spot:?}");
         assert_eq!(total(unknown), 4.0, "the profile's word alone");
-        for zone in [calm, wild, unknown] {
+        for zone in [calm, wild, unknown, spot] {
             assert!((zone.variance[0] / zone.variance[1] - 3.0).abs() < 1e-9);
             assert_eq!(zone.cost, 2.0);
         }
-        assert_eq!(survey.samples(), [4.0; 3]);
+        assert_eq!(survey.samples(), [4.0, 4.0, 4.0, 1.0]);
         // Without a word of the profile, as random numbers do.
         let still = Seen { profiled: [0.0; 2], ..pixel(Some(1.0)) };
         assert_eq!(Survey::new(&[vec![still]]).unwrap().zones()[0].variance[0], 0.0);

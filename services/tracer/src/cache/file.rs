@@ -229,6 +229,10 @@ impl Cache {
         if !self.suits(tracer) {
             return Err(CacheError::OtherScene);
         }
+        let planned = !(self.levels.is_empty() && self.images.is_empty());
+        if planned && self.levels.len() != tracer.settings.ambient_bounces as usize {
+            return Err(CacheError::Damaged("it has not a level for each bounce"));
+        }
         let triangles = tracer.frame.geometry.triangles.len();
         let exists =
             |planned: &Planned| planned.hits.iter().flatten().all(|hit| (hit.primitive as usize) < triangles);
@@ -266,11 +270,12 @@ fn read_level(reader: &mut Reader<'_>) -> Result<Level, CacheError> {
     let header: LevelHeader = reader.take()?;
     let planned: Vec<PlannedRow> = reader.list(header.records)?;
     let records: Vec<RecordRow> = reader.list(header.records)?;
-    let positive =
-        [header.accuracy, header.smallest, header.largest].iter().all(|n| n.is_finite() && *n > 0.0);
+    let lengths = [header.accuracy, header.smallest, header.largest];
+    let ordered = lengths.iter().all(|n| n.is_finite() && *n >= 0.0) && header.smallest <= header.largest;
+    let positive = lengths.iter().all(|n| *n > 0.0);
     let strata = Strata::for_rays(header.rays.min(MOST_RAYS));
     if header.explored > header.records
-        || !(positive || planned.is_empty())
+        || !(ordered && (positive || planned.is_empty()))
         || strata.len() != header.rays as usize
     {
         return Err(CacheError::Damaged("a level holds numbers that no cache has"));

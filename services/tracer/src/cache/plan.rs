@@ -68,6 +68,9 @@ impl Cache {
             self.fingerprint = tracer.cache_fingerprint();
             self.frame = tracer.frame.number;
             self.world = world(tracer);
+        }
+        // Also where nothing was seen before by which lengths could be chosen.
+        if self.levels.iter().all(|level| level.planned.is_empty()) {
             self.levels = planning.levels(self.world, settings);
         }
         for depth in 0..self.levels.len() {
