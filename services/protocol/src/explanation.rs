@@ -245,7 +245,8 @@ mod tests {
 
     #[test]
     fn what_is_named_really_halves_the_whole() {
-        let settings = RenderSettingsRequest { spp: Some(64), ..Default::default() }.complete((1000, 500));
+        let request = RenderSettingsRequest { spp: Some(64), ambient_bounces: Some(1), ..Default::default() };
+        let settings = request.complete((1000, 500));
         let (whole, pixels) = (100.0, 80.0);
         for way in halving(whole, pixels, 10.0, &settings) {
             let share = if way.setting == "spp" { way.to / way.from } else { (way.to / way.from).powi(2) };
@@ -255,6 +256,8 @@ mod tests {
         let cached = halving(100.0, 10.0, 80.0, &settings);
         assert_eq!(cached.len(), 1);
         assert!(cached[0].setting == "cache-rays" && 20.0 + 80.0 * cached[0].to / cached[0].from <= 50.0);
+        let twice = RenderSettings { ambient_bounces: 2, ..settings.clone() };
+        assert!(halving(100.0, 10.0, 80.0, &twice).is_empty(), "the second bounce keeps its least rays");
         assert!(halving(100.0, 40.0, 40.0, &settings).is_empty(), "no single part is more than half");
         assert!(halving(0.0, 0.0, 0.0, &settings).is_empty());
     }

@@ -72,6 +72,11 @@ impl Sampler {
         Self { key: hash(key), drawn: [0; VERTICES * PURPOSES] }
     }
 
+    /// Camera samples of its pixel that are begun.
+    pub fn samples(&self) -> u32 {
+        self.drawn[Purpose::Pixel as usize]
+    }
+
     /// The key of its points.
     pub fn key(&self) -> u64 {
         self.key
