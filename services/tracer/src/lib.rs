@@ -21,6 +21,7 @@
 //! | `tree` | the tree over what matters |
 //! | `tracer`, `profile`, `image` | a frame's pixels, some of them, and all of them |
 //! | `samples`, `passes` | camera samples that differ by pixel, and that are added bit by bit |
+//! | `tiling` | an image, cut into square tiles |
 
 mod bounds;
 pub mod bsdf;
@@ -44,6 +45,7 @@ mod reach;
 mod response;
 mod samples;
 mod settings;
+mod tiling;
 mod tracer;
 mod tree;
 
@@ -57,5 +59,6 @@ pub use profile::{Profile, ProfileError};
 pub use reach::{Excluded, LeftOut, Reach, Reason, reachable};
 pub use samples::{SampleCounts, SampleCountsError};
 pub use settings::{CacheSettings, Integrator, MaterialOverride, Settings, SettingsError};
+pub use tiling::Tiling;
 pub use tracer::{Pixel, PixelsFinished, Tracer};
 pub use tree::Tree;

@@ -8,6 +8,7 @@
 use crate::image::{Image, Totals};
 use crate::random::Drawn;
 use crate::samples::{SampleCounts, SampleCountsError};
+use crate::tiling::Tiling;
 use crate::tracer::{Pixel, TILE, Tracer, share_cpu_time};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -97,16 +98,13 @@ impl Passes {
     /// No sample of any pixel.
     pub fn new(tracer: &Tracer) -> Self {
         let (width, height) = (tracer.settings().width, tracer.settings().height);
-        let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
+        let tiling = Tiling::new(width, height, TILE);
         let tile = |number: u32| {
-            let (x0, y0) = (number % columns * TILE, number / columns * TILE);
-            let indices: Vec<u32> = (y0..(y0 + TILE).min(height))
-                .flat_map(|y| (x0..(x0 + TILE).min(width)).map(move |x| y * width + x))
-                .collect();
+            let indices = tiling.pixels(number);
             Tile { pixels: vec![Underway::default(); indices.len()], indices }
         };
         // Scattered, so that what a pass does not come to any more lies all over the image.
-        let tiles = scattered(columns * rows).map(tile).collect();
+        let tiles = scattered(tiling.count()).map(tile).collect();
         Self { width, height, tiles }
     }
 

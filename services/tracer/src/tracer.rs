@@ -12,6 +12,7 @@ use crate::lights::{Lights, Looks, Luminaires};
 use crate::media::{Media, Ranks};
 use crate::profile::Profile;
 use crate::reach::{LeftOut, Reach, reachable};
+use crate::tiling::Tiling;
 use crate::tree::Tree;
 use crate::{Integrator, MaterialOverride, SampleCounts, SampleCountsError, Settings};
 use forelight_bvh::Hit;
@@ -390,18 +391,15 @@ impl Tracer {
         if !self.fill(&|_, _| (), cancel) {
             return None;
         }
-        let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
+        let tiling = Tiling::new(width, height, TILE);
         let done = AtomicU64::new(0);
-        let tiles: Vec<Vec<(u32, Pixel)>> = (0..columns * rows)
+        let tiles: Vec<Vec<(u32, Pixel)>> = (0..tiling.count())
             .into_par_iter()
             .map(|tile| {
                 if cancel.load(Ordering::Relaxed) {
                     return Vec::new();
                 }
-                let (x0, y0) = (tile % columns * TILE, tile / columns * TILE);
-                let indices: Vec<u32> = (y0..(y0 + TILE).min(height))
-                    .flat_map(|y| (x0..(x0 + TILE).min(width)).map(move |x| y * width + x))
-                    .collect();
+                let indices = tiling.pixels(tile);
                 let traced: Vec<u32> =
                     indices.iter().copied().filter(|&i| known[i as usize].is_none()).collect();
                 let wanted = || !cancel.load(Ordering::Relaxed);

@@ -178,8 +178,9 @@ pub(crate) struct Made {
 pub(crate) struct Allotment<'a> {
     pilot: &'a Pilot,
     image: ImageNoise,
-    groups: Vec<NoiseGroup>,
     zones: Vec<Zone>,
+    /// Of each zone, ascending.
+    pixels: Vec<Vec<u32>>,
     /// Of the frame with the pilot's camera samples.
     work: Quantiles,
     cpu_seconds: Quantiles,
@@ -213,8 +214,8 @@ impl<'a> Allotment<'a> {
             rms: uniform.value.sqrt().max(f64::MIN_POSITIVE),
             pilot,
             image,
-            groups,
             zones,
+            pixels: groups.iter().map(|group| pilot.zones.pixels_of(&group.strata)).collect(),
             work,
             cpu_seconds,
         })
@@ -243,8 +244,7 @@ impl<'a> Allotment<'a> {
 
     /// The samples of each zone, pixel by pixel.
     pub fn laid_out(&self, samples: &[f64]) -> Result<SampleCounts, RenderError> {
-        let pixels = self.groups.iter().map(|group| self.pilot.zones.pixels_of(&group.strata));
-        laid_out(self.pilot.settings.pixels() as usize, pixels.zip(samples.iter().copied()))
+        laid_out(self.pilot.settings.pixels() as usize, &self.pixels, samples)
     }
 
     /// Width and height of the image in pixels.
@@ -255,22 +255,19 @@ impl<'a> Allotment<'a> {
     /// How the variance of each pixel's zone falls with samples, see [`Zone::variance`].
     pub fn profiled_variance(&self) -> Vec<[f64; 2]> {
         let mut variance = vec![self.image.curve(); self.pilot.settings.pixels() as usize];
-        for (group, zone) in self.groups.iter().zip(&self.zones) {
-            for pixel in self.pilot.zones.pixels_of(&group.strata) {
-                variance[pixel as usize] = zone.variance;
-            }
+        for (pixels, zone) in self.pixels.iter().zip(&self.zones) {
+            pixels.iter().for_each(|&pixel| variance[pixel as usize] = zone.variance);
         }
         variance
     }
 
     /// Mean number of samples in each zone.
     fn means(&self, counts: &SampleCounts) -> Vec<f64> {
-        let mean = |group: &NoiseGroup| {
-            let pixels = self.pilot.zones.pixels_of(&group.strata);
+        let mean = |pixels: &Vec<u32>| {
             let sum: u64 = pixels.iter().map(|&pixel| u64::from(counts.as_slice()[pixel as usize])).sum();
             (sum as f64 / pixels.len().max(1) as f64).max(1.0)
         };
-        self.groups.iter().map(mean).collect()
+        self.pixels.iter().map(mean).collect()
     }
 
     /// What was forecast of the cost of a frame with these samples, and what its pixels then say of their error.

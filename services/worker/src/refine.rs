@@ -15,8 +15,9 @@ use forelight_tracer::{Passes, SampleCounts};
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-/// Samples of a pixel in the first pass: at least as many as show that they differ.
+/// Fewest samples of a pixel in the first pass: as many as show that they differ.
 const LEAST: f64 = 2.0;
+/// Most samples of a pixel in the first pass.
 const FIRST: f64 = 4.0;
 /// A pass gives a tile at most so many times the samples that it has.
 const GROWTH: f64 = 4.0;
@@ -38,7 +39,7 @@ pub(crate) fn render_for_error(
         allotment.for_error(wanted, confidence).into_iter().map(|n| n.clamp(LEAST, FIRST)).collect();
     let mut next = allotment.laid_out(&first)?;
     let mut shown = 0.0..1.0 / GROWTH;
-    loop {
+    let (samples, survey) = loop {
         pass(ready, &mut passes, &next, &shown, progress, cancel)?;
         if cancel.load(Ordering::Relaxed) {
             return Ok(None);
@@ -47,22 +48,25 @@ pub(crate) fn render_for_error(
         let survey = tiles.survey(&passes)?;
         let has = survey.samples();
         let at = |error: &ErrorQuantiles| quantile(error, confidence);
+        if at(&survey.error(has, Calibration::NONE)) <= wanted * (1.0 + NEAR) {
+            break (counts, survey);
+        }
         let lacking = survey.samples_for_error(wanted, at, Calibration::NONE);
         let capped: Vec<f64> = lacking.iter().zip(has).map(|(n, has)| n.min(GROWTH * has)).collect();
+        next = tiles.laid_out(&capped)?.or_more(&counts);
+        if next == counts {
+            // Parts of samples are lacking, and no whole one.
+            break (counts, survey);
+        }
         let cost_with = |samples: &[f64]| {
             let after: Vec<f64> = samples.iter().zip(has).map(|(n, has)| n.max(*has)).collect();
             cost(survey.zones(), &after)
         };
         let [done, then, all] = [has, &capped, &lacking].map(cost_with);
-        next = tiles.laid_out(&capped)?.or_more(&counts);
-        // Where parts of samples are lacking, whole ones may not be.
-        if at(&survey.error(has, Calibration::NONE)) <= wanted * (1.0 + NEAR) || next == counts {
-            let finished = ready.finished(&passes);
-            return Ok(Some(Made { finished, samples: counts, survey, within: None }));
-        }
         let rest = (then - done) / (all - done).max(f64::MIN_POSITIVE);
         shown = shown.end..shown.end + (1.0 - shown.end) * rest.min(1.0);
-    }
+    };
+    Ok(Some(Made { finished: ready.finished(&passes), samples, survey, within: None }))
 }
 
 /// Brings the pixels to so many samples, while progress goes from one share of all to another.

@@ -5,7 +5,7 @@ use crate::renderer::RenderError;
 use crate::shot::ShotError;
 use forelight_forecast::accuracy::allot::{MOST_SAMPLES, whole};
 use forelight_forecast::accuracy::{Seen, Survey};
-use forelight_tracer::{Passes, SampleCounts};
+use forelight_tracer::{Passes, SampleCounts, Tiling};
 
 /// Width and height of a tile in pixels: of 64 pixels a few samples each show well enough how they vary, and a bright spot on a wall is wider.
 const TILE: u32 = 8;
@@ -20,13 +20,9 @@ pub(crate) struct Tiles {
 impl Tiles {
     pub fn new(allotment: &Allotment<'_>) -> Self {
         let (width, height) = allotment.size();
-        let tile = |x0: u32, y0: u32| {
-            let rows = y0..(y0 + TILE).min(height);
-            rows.flat_map(|y| (x0..(x0 + TILE).min(width)).map(move |x| y * width + x)).collect()
-        };
-        let starts = |size: u32| (0..size).step_by(TILE as usize);
-        let pixels = starts(height).flat_map(|y| starts(width).map(move |x| (x, y)));
-        Self { pixels: pixels.map(|(x, y)| tile(x, y)).collect(), profiled: allotment.profiled_variance() }
+        let tiling = Tiling::new(width, height, TILE);
+        let pixels = (0..tiling.count()).map(|tile| tiling.pixels(tile)).collect();
+        Self { pixels, profiled: allotment.profiled_variance() }
     }
 
     /// What the samples so far say; every pixel has some.
@@ -49,18 +45,18 @@ impl Tiles {
 
     /// The samples of each tile, pixel by pixel.
     pub fn laid_out(&self, samples: &[f64]) -> Result<SampleCounts, RenderError> {
-        laid_out(self.profiled.len(), self.pixels.iter().map(Vec::as_slice).zip(samples.iter().copied()))
+        laid_out(self.profiled.len(), &self.pixels, samples)
     }
 }
 
 /// Mean numbers of samples of some sets of pixels, pixel by pixel; one for those in none.
-pub(crate) fn laid_out<P: AsRef<[u32]>>(
+pub(crate) fn laid_out(
     pixels: usize,
-    samples: impl Iterator<Item = (P, f64)>,
+    sets: &[Vec<u32>],
+    samples: &[f64],
 ) -> Result<SampleCounts, RenderError> {
     let mut counts = vec![1u16; pixels];
-    for (set, samples) in samples {
-        let set = set.as_ref();
+    for (set, &samples) in sets.iter().zip(samples) {
         for (&pixel, n) in set.iter().zip(whole(samples, set.len())) {
             // At most as many as that type holds.
             counts[pixel as usize] = n.min(MOST_SAMPLES as u32) as u16;

@@ -32,8 +32,8 @@ pub struct Seen {
 #[derive(Clone, Debug)]
 pub struct Survey {
     zones: Vec<Zone>,
-    /// Of each tile's variance, with its mean: how sure it is.
-    spreads: Vec<(f64, Part)>,
+    /// How sure each tile's variance is, as a share of it.
+    doubts: Vec<Part>,
     /// Mean samples of each tile's pixels.
     samples: Vec<f64>,
     /// Mean brightness of the image.
@@ -51,12 +51,12 @@ impl Survey {
         }
         let pixels = sum(tiles.iter().map(|tile| tile.len() as f64));
         let brightness = sum(tiles.iter().map(|tile| sum(tile.iter().map(|pixel| pixel.brightness))));
-        let of_tiles: Vec<(Zone, (f64, Part))> = tiles.iter().map(|tile| surveyed(tile)).collect();
-        let (zones, spreads) = of_tiles.into_iter().unzip();
+        let of_tiles: Vec<(Zone, Part)> = tiles.iter().map(|tile| surveyed(tile)).collect();
+        let (zones, doubts) = of_tiles.into_iter().unzip();
         let samples =
             |tile: &Vec<Seen>| sum(tile.iter().map(|pixel| f64::from(pixel.samples))) / tile.len() as f64;
         let samples = tiles.iter().map(samples).collect();
-        Ok(Self { zones, spreads, samples, mean: brightness / pixels.max(1.0) })
+        Ok(Self { zones, doubts, samples, mean: brightness / pixels.max(1.0) })
     }
 
     /// Its tiles, in their order.
@@ -101,20 +101,19 @@ impl Survey {
         }
         let pixels = sum(self.zones.iter().map(|zone| zone.pixels)).max(1.0);
         let square = self.mean * self.mean;
-        let part = |((zone, (variance, spread)), samples): ((&Zone, &(f64, Part)), &f64)| {
+        let part = |((zone, doubt), samples): ((&Zone, &Part), &f64)| {
             // The error of the tile is in proportion to its variance.
             let error = zone.error(*samples) / pixels / square;
-            let relative = if *variance > 0.0 { error / variance } else { 0.0 };
-            Part { variance: spread.variance * relative * relative, ..*spread }
+            Part { variance: doubt.variance * error * error, ..*doubt }
         };
-        let parts: Vec<Part> = self.zones.iter().zip(&self.spreads).zip(samples).map(part).collect();
+        let parts: Vec<Part> = self.zones.iter().zip(&self.doubts).zip(samples).map(part).collect();
         let Part { variance, degrees_of_freedom } = together(&parts);
         MeanSquare { value: mean_variance(&self.zones, samples) / square, variance, degrees_of_freedom }
     }
 }
 
-/// A tile as a zone, and its variance with how sure that is.
-fn surveyed(tile: &[Seen]) -> (Zone, (f64, Part)) {
+/// A tile as a zone, and how sure its variance is, as a share of it.
+fn surveyed(tile: &[Seen]) -> (Zone, Part) {
     let pixels = tile.len() as f64;
     let profiled = [0, 1].map(|k| sum(tile.iter().map(|pixel| pixel.profiled[k].max(0.0))) / pixels);
     let expected = profiled[0] + profiled[1];
@@ -134,15 +133,15 @@ fn surveyed(tile: &[Seen]) -> (Zone, (f64, Part)) {
     let own = sum(known.iter().copied());
     let variance = (own + PROFILE_COUNTS * expected) / (count + PROFILE_COUNTS);
     let cost = sum(tile.iter().map(|pixel| pixel.cost)) / sum(tile.iter().map(|p| f64::from(p.samples)));
-    let spread = if count > 1.0 {
+    let doubt = if count > 1.0 && variance > 0.0 {
         let mean = own / count;
-        let squares = sum(known.iter().map(|v| (v - mean) * (v - mean)));
+        let squares = sum(known.iter().map(|v| (v - mean) / variance * ((v - mean) / variance)));
         Part { variance: squares / (count - 1.0) / count, degrees_of_freedom: count - 1.0 }
     } else {
-        // Nothing shows a spread: it may be off by all of itself.
-        Part { variance: variance * variance, degrees_of_freedom: 1.0 }
+        // Nothing shows how pixels differ: it may be off by all of itself.
+        Part { variance: 1.0, degrees_of_freedom: 1.0 }
     };
-    (Zone { pixels, variance: shape.map(|share| share * variance), cost }, (variance, spread))
+    (Zone { pixels, variance: shape.map(|share| share * variance), cost }, doubt)
 }
 
 /// Variance of the brightness of a tile's pixels, which takes two of them.

@@ -123,17 +123,12 @@ impl Octree {
     pub fn touching(&self, center: Vec3, radius: f32) -> Vec<u32> {
         let mut found = Vec::new();
         if !self.cells.is_empty() {
-            self.collect(
-                0,
-                self.low,
-                self.edge,
-                (center - radius, center + radius),
-                &mut |member: &Member| {
-                    if member.is_within(center, member.radius + radius) {
-                        found.push(member.index);
-                    }
-                },
-            );
+            let around = (center - radius, center + radius);
+            self.collect(0, self.low, self.edge, around, &mut |member: &Member| {
+                if member.is_within(center, member.radius + radius) {
+                    found.push(member.index);
+                }
+            });
         }
         found
     }
