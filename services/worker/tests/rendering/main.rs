@@ -1,0 +1,6 @@
+//! The tasks and quotes of our renderer.
+
+mod cached;
+mod quotes;
+mod room;
+mod tasks;

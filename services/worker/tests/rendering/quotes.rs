@@ -1,0 +1,122 @@
+//! Quotes of shots, against renders of them.
+
+use crate::room::{Nobody, Rig};
+use forelight_forecast::Strategy;
+use forelight_preview::Choice;
+use forelight_protocol::RenderStats;
+use forelight_worker::{Ambient, Given, QuoteOptions, quote, render_frame};
+use std::sync::atomic::AtomicBool;
+
+#[test]
+fn a_quote_from_all_pixels_is_the_render_to_the_last_operation() {
+    let rig = Rig::new();
+    let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
+    let options = QuoteOptions { samples: 32 * 24, profile_frames: 3, seed: 1, ..QuoteOptions::default() };
+    let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
+    let mut total = 0;
+    for forecast in &quoted.document.frames {
+        let cancel = AtomicBool::new(false);
+        let rendered = render_frame(&shot, forecast.frame, &rig.settings, Given::default(), &|_| (), &cancel)
+            .unwrap()
+            .unwrap();
+        let stats = rendered.stats;
+        assert_eq!(forecast.work.mean, stats.work as f64, "frame {}", stats.frame);
+        assert_eq!(forecast.work.p95, stats.work as f64);
+        for (forecast, actual) in forecast.rays.to_array().iter().zip(stats.rays.to_array()) {
+            assert_eq!(forecast.mean, actual as f64);
+        }
+        total += stats.work;
+    }
+    assert_eq!(quoted.document.total.work.mean, total as f64);
+    assert_eq!(quoted.document.profiled.pixels, 3 * 32 * 24);
+}
+
+#[test]
+fn every_strategy_quotes_a_shot_and_from_all_pixels_exactly() {
+    let rig = Rig::new();
+    let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
+    let work = |strategy: Strategy, samples: u32| {
+        let options = QuoteOptions { samples, profile_frames: 2, seed: 3, strategy, corrections: None };
+        let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
+        assert!(quoted.document.profiled.pixels <= 2 * u64::from(samples), "{strategy:?}");
+        quoted.document
+    };
+    let all = work(Strategy::Snapshot, 32 * 24);
+    for strategy in Strategy::ALL {
+        let exact = work(strategy, 32 * 24);
+        assert_eq!(exact.profiled.frames, all.profiled.frames, "{strategy:?}");
+        for frame in &all.profiled.frames {
+            let [one, other] = [&exact, &all].map(|document| document.frames[*frame as usize].work);
+            assert_eq!([one.mean, one.p95], [other.mean, other.p95], "{strategy:?}, frame {frame}");
+        }
+        let few = work(strategy, 48).total.work;
+        assert!(few.p95 > few.mean, "{strategy:?}: {few:?}");
+        assert!((few.mean / all.total.work.mean - 1.0).abs() < 0.4, "{strategy:?}: {few:?}");
+    }
+}
+
+#[test]
+fn a_quote_depends_on_its_seed_and_not_on_the_threads() {
+    let rig = Rig::new();
+    let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
+    let work = |seed: u64, threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let options = QuoteOptions { samples: 64, profile_frames: 1, seed, ..QuoteOptions::default() };
+        let quoted = pool.install(|| quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody)).unwrap();
+        quoted.document.frames.iter().map(|frame| frame.work).collect::<Vec<_>>()
+    };
+    assert_eq!(work(1, 1), work(1, 3));
+    assert_ne!(work(1, 1), work(2, 1));
+}
+
+#[test]
+fn building_the_tree_is_in_a_frames_cost_only_where_something_moves() {
+    let rig = Rig::new();
+    let work = || {
+        let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
+        // Frame 0 of the moving shot has the geometry that it would have without the motion.
+        let cancel = AtomicBool::new(false);
+        render_frame(&shot, 0, &rig.settings, Given::default(), &|_| (), &cancel).unwrap().unwrap().stats.work
+    };
+    let without = work();
+    rig.animate(serde_json::json!({
+        "target": "object:window", "property": "translation", "interpolation": "linear",
+        "keys": [{ "frame": 0, "value": [0, 0, 0] }, { "frame": 2, "value": [0, 1, 0] }],
+    }));
+    assert!(work() > without);
+}
+
+#[test]
+fn a_frame_in_the_dark_is_forecast_from_one_in_the_dark() {
+    // With a cache, of which a frame in the dark has no records, all three are profiled: two others would be worth more.
+    for (rig, profile_frames) in [(Rig::new(), 2), (Rig::cached(1), 3)] {
+        rig.animate(serde_json::json!({
+            "target": "light:0", "property": "radiance", "interpolation": "step",
+            "keys": [
+                { "frame": 0, "value": [9, 9, 9] },
+                { "frame": 1, "value": [0, 0, 0] },
+                { "frame": 2, "value": [9, 9, 9] },
+            ],
+        }));
+        let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
+        // Half of all pixels: what is left of error is that of carrying.
+        let options = QuoteOptions { samples: 384, profile_frames, seed: 2, ..QuoteOptions::default() };
+        let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
+        assert_eq!(quoted.counted.lights, [0, 1, 0]);
+        let render = |frame| {
+            let given = Given::default();
+            let rendered = render_frame(&shot, frame, &rig.settings, given, &|_| (), &AtomicBool::new(false));
+            rendered.unwrap().unwrap().stats
+        };
+        let stats: Vec<RenderStats> = (0..3).map(render).collect();
+        assert!(4 * stats[1].work < stats[0].work, "{} of {}", stats[1].work, stats[0].work);
+        assert!(
+            stats[1].effects.iter().all(|effect| !["ambient", "irradiance cache"].contains(&&effect[..]))
+        );
+        for (forecast, stats) in quoted.document.frames.iter().zip(&stats) {
+            let off = forecast.work.mean / stats.work as f64 - 1.0;
+            assert!(off.abs() < 0.08, "frame {}: {off}", forecast.frame);
+            assert_eq!(stats.cache_records.len(), forecast.cache_records.len());
+        }
+    }
+}
