@@ -24,7 +24,7 @@ pub struct QualityOptions {
     /// a path may be spread after the first time
     #[arg(long, value_name = "BOUNCES")]
     pub ambient_bounces: Option<u32>,
-    /// Rays of one indirect gather
+    /// Rays of one indirect gather, without a cache [default: 16]
     #[arg(long, value_name = "RAYS")]
     pub ambient_divisions: Option<u32>,
     /// Longest chain of mirror and glass hits, 1 to 64

@@ -54,7 +54,7 @@ pub struct RenderSettings {
     /// Diffuse interreflections followed: 0 is direct light only. With the integrator `path`, how often a path is spread
     /// (diffuse, glossy, rough glass) after the first time.
     pub ambient_bounces: u32,
-    /// Hemisphere rays of one ambient gather.
+    /// Hemisphere rays of one ambient gather, without a cache.
     pub ambient_divisions: u32,
     /// Longest path through mirrors and glass, in surfaces.
     pub max_depth: u32,
@@ -189,7 +189,7 @@ pub struct RenderSettingsRequest {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(maximum = 65536)]
     pub ambient_bounces: Option<u32>,
-    /// Hemisphere rays of one ambient gather, 1 to 65536; default 16.
+    /// Hemisphere rays of one ambient gather, without a cache, 1 to 65536; default 16.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1, maximum = 65536)]
     pub ambient_divisions: Option<u32>,

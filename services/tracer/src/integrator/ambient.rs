@@ -25,10 +25,11 @@ use glam::Vec3;
 /// On the camera's own tree, a branch that adds less than this share of the pixel survives only by roulette.
 const FAINT: f32 = 0.02;
 
-/// Rays of a gather where no record of the cache covers the point, in the first sample of a pixel; in the n-th an n-th of them. In an image of
-/// few samples such points would make most of what a good cache leaves of error in indirect light. Where there are many, each shares its
-/// pixel with others that are noisy for other reasons: whole images of 16 to 64 samples are most exact for their work with 2 to 8.
-const UNCOVERED: u32 = 96;
+/// Where no record of the cache covers a point, the gather in the first sample of a pixel has as many rays as the geometric mean of these and of
+/// a record's: 48, 96 and 192 for records of 48, 192 and 768. In an image of few samples such points would make most of what a good cache
+/// leaves of error in indirect light. In the n-th sample it has an n-th of them, for where there are many, each shares its pixel with others
+/// that are noisy for other reasons: whole images of 16 to 64 samples are most exact for their work with 2 to 8.
+const UNCOVERED: u32 = 48;
 const LEAST_UNCOVERED: u32 = 4;
 
 /// After a diffuse bounce, glossy lobes narrower than this alpha do not see the lights: their highlights are caustics.
@@ -363,10 +364,13 @@ impl<const K: u32> Pixels<'_, K> {
     /// Indirect diffuse light of a point that no record of the cache covers: by few rays, and one ray of a record's gather.
     pub(super) fn gather_uncovered(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
         let count = match s.level {
-            0 => (UNCOVERED / self.sampler.samples().max(1)).max(LEAST_UNCOVERED),
+            0 => {
+                let of_record = self.tracer.settings.cache.unwrap_or_default().rays;
+                ((UNCOVERED * of_record).isqrt() / self.sampler.samples().max(1)).max(LEAST_UNCOVERED)
+            }
             _ => 1,
         };
-        self.gather_rays(count.min(self.tracer.settings.ambient_divisions), s, p, response)
+        self.gather_rays(count, s, p, response)
     }
 
     fn gather_rays(&mut self, count: u32, s: &Segment, p: &Point, response: &Response) -> Vec3 {
