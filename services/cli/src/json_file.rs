@@ -1,10 +1,13 @@
 //! JSON documents that the user names.
 
+use crate::bounded_file;
 use crate::failure::BadInput;
 use anyhow::Result;
 use serde::de::DeserializeOwned;
-use std::fs;
 use std::path::Path;
+
+/// Bytes of a document at most.
+const MOST: u64 = 1 << 28;
 
 /// Reads a document.
 ///
@@ -12,8 +15,8 @@ use std::path::Path;
 /// With the file, the field and the reason.
 pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T> {
     let wrong = |why: String| BadInput::new(format!("{}: {why}", path.display()));
-    let text = fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
-    let mut reader = serde_json::Deserializer::from_str(&text);
+    let text = bounded_file::read(path, MOST)?;
+    let mut reader = serde_json::Deserializer::from_slice(&text);
     let document = serde_path_to_error::deserialize(&mut reader)
         .map_err(|error| wrong(format!("{}: {}", error.path(), error.inner())))?;
     reader.end().map_err(|error| wrong(error.to_string()))?;
@@ -24,6 +27,7 @@ pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T> {
 mod tests {
     use super::*;
     use forelight_protocol::RenderSettingsRequest;
+    use std::fs;
 
     #[test]
     fn what_is_wrong_is_said_with_file_and_field() {

@@ -38,6 +38,7 @@ impl Local {
 
     /// The settings, with what was left out completed from the bundle's camera.
     pub fn settings(&self, quality: &QualityOptions) -> Result<RenderSettings> {
+        quality.check()?;
         let scene = &self.shot.info().summary;
         let settings =
             settings_request(quality, (scene.width, scene.height)).complete((scene.width, scene.height));
@@ -49,17 +50,23 @@ impl Local {
 
     /// The frames, checked against the shot; all of them if none were named.
     pub fn frames(&self, wanted: Option<&FrameSet>) -> Result<Vec<u32>> {
-        let frames = self.shot.info().summary.frames;
-        let last = frames.saturating_sub(1);
         match wanted {
-            None => Ok((0..frames).collect()),
-            Some(wanted) if wanted.last() > last => Err(BadInput::new(format!(
-                "--frames: frame {} is outside the shot, which has frames 0 to {last}",
-                wanted.last()
-            ))
-            .into()),
-            Some(wanted) => Ok(wanted.iter().collect()),
+            None => Ok((0..self.shot.info().summary.frames).collect()),
+            Some(wanted) => {
+                self.check_frame("--frames", wanted.last())?;
+                Ok(wanted.iter().collect())
+            }
         }
+    }
+
+    /// Whether the shot has a frame, that a flag names.
+    pub fn check_frame(&self, flag: &str, frame: u32) -> Result<(), BadInput> {
+        let last = self.shot.info().summary.frames.saturating_sub(1);
+        if frame <= last {
+            return Ok(());
+        }
+        let reason = format!("{flag}: frame {frame} is outside the shot, which has frames 0 to {last}");
+        Err(BadInput::new(reason))
     }
 }
 

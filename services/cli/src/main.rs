@@ -2,6 +2,7 @@
 
 mod archive;
 mod atomic_file;
+mod bounded_file;
 mod caches;
 mod commands;
 mod connection;

@@ -1,5 +1,6 @@
 //! Flags that several commands share.
 
+use crate::failure::BadInput;
 use crate::quantities;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
@@ -35,11 +36,11 @@ pub struct QualityOptions {
     pub cache: Option<CacheSwitch>,
     /// Error that the cache may make, 0.01 to 1 in steps of 0.001: a gathered place serves up to this share of the mean distance to its
     /// surroundings [default: 0.2]
-    #[arg(long, value_name = "ERROR", requires = "cache", value_parser = accuracy)]
+    #[arg(long, value_name = "ERROR", value_parser = accuracy)]
     pub cache_accuracy: Option<u32>,
     /// Rays gathered at a place of the cache, about a quarter of them for each further bounce, at least 48; the nearest of 48, 192, 432, 768, 1200, ... is
     /// taken [default: 768]
-    #[arg(long, value_name = "RAYS", requires = "cache")]
+    #[arg(long, value_name = "RAYS")]
     pub cache_rays: Option<u32>,
     /// Materials as they are, or every surface as Lambert of its base colour
     #[arg(long, value_name = "KIND")]
@@ -47,6 +48,30 @@ pub struct QualityOptions {
     /// Seed of all random numbers: the same seed gives the same bits
     #[arg(long, value_name = "NUMBER")]
     pub seed: Option<u64>,
+}
+
+impl QualityOptions {
+    /// Whether what is said of a cache is said of one.
+    pub fn check(&self) -> Result<(), BadInput> {
+        let of_cache = [("cache-accuracy", self.cache_accuracy), ("cache-rays", self.cache_rays)];
+        match of_cache.into_iter().find(|(_, value)| value.is_some()) {
+            Some((name, _)) if self.cache.is_none() => {
+                Err(BadInput::new(format!("--{name}: there is no irradiance cache")).hint("add --cache on"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The same with an irradiance cache, whether or not that was said.
+    pub fn cached(&self) -> Result<Self, BadInput> {
+        if self.cache == Some(CacheSwitch::Off) {
+            return Err(BadInput::new("--cache off: here an irradiance cache is used"));
+        }
+        if self.integrator == Some(IntegratorName::Path) {
+            return Err(BadInput::new("--integrator path: it has no use for an irradiance cache"));
+        }
+        Ok(Self { cache: Some(CacheSwitch::On), ..self.clone() })
+    }
 }
 
 /// Ways to simulate light.
@@ -183,4 +208,27 @@ pub fn parsed<A: clap::Args>(words: impl IntoIterator<Item = impl Into<std::ffi:
         args: A,
     }
     <Command<A> as clap::Parser>::parse_from(words).args
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_said_of_a_cache_needs_one_and_what_needs_one_has_it() {
+        let quality = |words: &str| parsed::<QualityOptions>(format!("q {words}").split_whitespace());
+        for (words, flag) in
+            [("--cache-rays 192", "--cache-rays"), ("--cache-accuracy 0.3", "--cache-accuracy")]
+        {
+            assert!(quality(words).check().unwrap_err().to_string().contains(flag), "{words}");
+            let cached = quality(words).cached().unwrap();
+            assert!(cached.check().is_ok() && cached.cache == Some(CacheSwitch::On), "{words}");
+        }
+        for words in ["", "--cache on --cache-rays 192", "--cache off --cache-rays 192"] {
+            assert!(quality(words).check().is_ok(), "{words}");
+        }
+        for (words, flag) in [("--cache off", "--cache off"), ("--integrator path", "--integrator path")] {
+            assert!(quality(words).cached().unwrap_err().to_string().contains(flag), "{words}");
+        }
+    }
 }

@@ -1,6 +1,7 @@
 //! `forelight cache`: the irradiance cache of a shot, planned once for many frames and filled by many processes.
 
 use crate::atomic_file::write_bytes;
+use crate::bounded_file;
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::local::Local;
@@ -9,11 +10,10 @@ use crate::output::{self, Bars};
 use crate::quantities::{count, seconds};
 use anyhow::{Context, Result};
 use clap::Subcommand;
-use forelight_protocol::{CacheMode, FrameSet, RenderSettings};
+use forelight_protocol::{CACHE_BYTES, FrameSet};
 use forelight_tracer::{Cache, CacheTotals};
 use forelight_worker::{RenderError, seconds as seconds_of};
 use serde::Serialize;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Why no cache is made.
@@ -128,7 +128,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
 fn plan(args: &Plan, interrupt: &Interrupt) -> Result<()> {
     let bars = Bars::new(args.written.json);
     let local = Local::open(&args.bundle, &args.machine, &bars)?;
-    let settings = settings(&local, &args.quality)?;
+    let settings = local.settings(&args.quality.cached()?)?;
     let frames = local.frames(args.frames.as_ref())?;
     let bar = bars.bar("planning", frames.len() as u64);
     let planned = local.pool.install(|| {
@@ -146,7 +146,7 @@ fn fill(args: &Fill, interrupt: &Interrupt) -> Result<()> {
     let cache = read_cache(&args.cache_file)?;
     let bars = Bars::new(args.written.json);
     let local = Local::open(&args.bundle, &args.machine, &bars)?;
-    let settings = settings(&local, &args.quality)?;
+    let settings = local.settings(&args.quality.cached()?)?;
     let bar = bars.bar("filling", 0);
     let progress = |done, all| {
         bar.set_length(all);
@@ -176,14 +176,9 @@ fn merge(args: &Merge) -> Result<()> {
     write(&merged, &args.written)
 }
 
-/// The settings, with a cache whether or not that was said.
-fn settings(local: &Local, quality: &QualityOptions) -> Result<RenderSettings> {
-    Ok(RenderSettings { cache: CacheMode::On, ..local.settings(quality)? })
-}
-
 /// Reads a cache file.
 pub fn read_cache(path: &Path) -> Result<Cache> {
-    let bytes = fs::read(path).map_err(|e| BadInput::new(format!("{}: {e}", path.display())))?;
+    let bytes = bounded_file::read(path, CACHE_BYTES)?;
     Cache::from_bytes(&bytes).map_err(RenderError::from).with_context(|| path.display().to_string())
 }
 

@@ -178,7 +178,6 @@ mod tests {
             ("forelight render b --cache maybe", "--cache"),
             ("forelight render b --cache on --cache-accuracy 0.005", "--cache-accuracy"),
             ("forelight render b --cache on --cache-accuracy fine", "--cache-accuracy"),
-            ("forelight submit b --cache-rays 192", "--cache"),
             ("forelight forecast b --integrator photons", "--integrator"),
             ("forelight preview b --preview tpu", "--preview"),
             ("forelight cache fill b --cache-file c --part 5/4 --out d", "--part"),

@@ -3,6 +3,7 @@
 use super::allot::{self, AllotArgs, Stopping};
 use super::cache::read_cache;
 use crate::atomic_file::{write_bytes, write_with};
+use crate::bounded_file;
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::local::Local;
@@ -12,11 +13,10 @@ use crate::quantities::{count, seconds};
 use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
-use forelight_protocol::{CacheMode, LeftOut, Rays, RenderStats};
+use forelight_protocol::{CACHE_BYTES, LeftOut, Rays, RenderStats};
 use forelight_scene::Frame;
 use forelight_tracer::{Image, Profile};
 use forelight_worker::{Given, RenderError, png, render_allotted, render_as_allotted, render_frame};
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -100,10 +100,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     if args.effects == EffectsSwitch::All {
         local.shot = local.shot.with_everything();
     }
-    let mut settings = local.settings(&args.quality)?;
-    if cache.is_some() {
-        settings.cache = CacheMode::On;
-    }
+    let quality = if cache.is_some() { args.quality.cached()? } else { args.quality.clone() };
+    let settings = local.settings(&quality)?;
     let bar = RenderBar::new(&bars);
     let progress = |progress| bar.show(progress);
     let size = (settings.width, settings.height);
@@ -160,7 +158,7 @@ fn format_of(path: &Path) -> Result<Format> {
 }
 
 fn read_profile(path: &Path) -> Result<Profile> {
-    let bytes = fs::read(path).map_err(|e| BadInput::new(format!("--profile {}: {e}", path.display())))?;
+    let bytes = bounded_file::read(path, CACHE_BYTES).context("--profile")?;
     Profile::from_bytes(&bytes)
         .map_err(RenderError::from)
         .with_context(|| format!("--profile {}", path.display()))

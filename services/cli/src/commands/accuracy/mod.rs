@@ -10,7 +10,7 @@ use crate::local::Local;
 use crate::options::{MachineOptions, QualityOptions};
 use crate::output::{self, Bars};
 use anyhow::{Context, Result};
-use forelight_protocol::{AccuracyDoc, FrameSet, LadderKind};
+use forelight_protocol::{AccuracyDoc, LadderKind};
 use forelight_worker::{
     AccuracyObserver, AccuracyOptions, MeasureOptions, Renderer, ShotError, measure, predict,
 };
@@ -66,8 +66,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let bars = Bars::new(args.json);
     let local = Local::open(&args.bundle, &args.machine, &bars)?;
     let settings = local.settings(&args.quality)?;
-    let frame = FrameSet::range(args.frame, args.frame);
-    local.frames(Some(&frame))?;
+    local.check_frame("--frame", args.frame)?;
     let options = AccuracyOptions { samples: args.samples, seed: args.phase_seed };
     let watcher = Watcher::new(&bars, "profiling", interrupt);
     let predicted = local.pool.install(|| predict(&local.shot, args.frame, &settings, &options, &watcher));

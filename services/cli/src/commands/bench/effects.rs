@@ -129,10 +129,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
 fn measure(args: &Args, bundle: &Path, pool: &rayon::ThreadPool, interrupt: &Interrupt) -> Result<Measured> {
     let bad = |error: &dyn std::fmt::Display| BadInput::new(format!("bundle {}: {error}", bundle.display()));
     let scene = Scene::load(bundle, &Limits::default()).map_err(|error| bad(&error))?;
-    let mut quality = args.quality.clone();
-    quality.width = quality.width.or(Some(SIZE));
-    quality.height = quality.height.or(Some(SIZE));
-    let settings = tracer_settings(&settings_request(&quality, (SIZE, SIZE)).complete((SIZE, SIZE)));
+    args.quality.check()?;
+    let settings = tracer_settings(&settings_request(&args.quality, (SIZE, SIZE)).complete((SIZE, SIZE)));
     settings.validate().map_err(|error| BadInput::new(error.to_string()))?;
     let size = Some((settings.width, settings.height));
     let frame = scene.frame_with(args.frame, size).map_err(|error| bad(&error))?;

@@ -158,6 +158,7 @@ async fn submit(args: &Args, bundle: &Path, client: &Client, bars: &Bars) -> Res
         upload(bundle, client, upload_key, bars).await?
     };
     let frames = args.frames.clone().unwrap_or_else(|| FrameSet::range(0, scene.frames.saturating_sub(1)));
+    args.quality.check()?;
     let settings = settings_request(&args.quality, (scene.width, scene.height));
     let request = request(args, reference, scene.name, frames, settings)?;
     client.submit(&request, key).await.context("cannot submit the job")

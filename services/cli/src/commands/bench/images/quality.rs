@@ -84,6 +84,7 @@ impl Quality {
     /// The whole settings. What the flags leave open is as in `base`.
     pub fn asked(&self, base: &RenderSettings) -> Result<RenderSettings, BadInput> {
         let size = (base.width, base.height);
+        self.options.check()?;
         let mut settings = settings_request(&self.options, size).complete(size);
         if self.options.ambient_bounces.is_none() {
             settings.ambient_bounces = base.ambient_bounces;
