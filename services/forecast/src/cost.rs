@@ -6,6 +6,10 @@ use serde::{Deserialize, Serialize};
 /// order (Gillibrand et al. 2006).
 pub const RAY_KINDS: usize = 7;
 
+/// Indices of shadow rays and of those that gather indirect light.
+const SHADOW: usize = 1;
+const AMBIENT: usize = 5;
+
 /// Columns that are estimated side by side: work, CPU time, all rays, and the rays of each category.
 pub(crate) const COLUMNS: usize = 3 + RAY_KINDS;
 
@@ -34,12 +38,20 @@ pub struct Cost {
 }
 
 impl Cost {
-    /// So many times the cost, to the nearest whole number: of a pixel with `factor` times as many camera samples.
+    /// What a pixel costs with `factor` times as many camera samples, to the nearest whole number. Of its work `extra` is not in proportion to
+    /// them: that is multiplied by `extra_factor`. It is in gathered rays and what comes with them, so its share of the time is that of
+    /// the work, and its rays are ambient and shadow rays.
     #[must_use]
-    pub fn times(&self, factor: f64) -> Self {
+    pub fn with_samples(&self, factor: f64, extra: u64, extra_factor: f64) -> Self {
+        let share = extra.min(self.work) as f64 / self.work.max(1) as f64;
+        let mixed = factor + share * (extra_factor - factor);
         // Saturates at the ends of the range, as float to integer does.
-        let times = |value: u64| (value as f64 * factor).round() as u64;
-        Self { work: times(self.work), cpu_nanos: times(self.cpu_nanos), rays: self.rays.map(times) }
+        let times = |value: u64, factor: f64| (value as f64 * factor).round() as u64;
+        let mut rays = self.rays.map(|rays| times(rays, factor));
+        for kind in [SHADOW, AMBIENT] {
+            rays[kind] = times(self.rays[kind], mixed);
+        }
+        Self { work: times(self.work, mixed), cpu_nanos: times(self.cpu_nanos, mixed), rays }
     }
 
     /// The columns as integers wide enough for any sum over a frame.
@@ -99,4 +111,23 @@ pub struct Quantity {
     pub variance: f64,
     /// Degrees of freedom behind the variance; infinite where the variance is zero.
     pub degrees_of_freedom: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_in_proportion_to_the_samples_grows_by_a_factor_of_its_own() {
+        let pixel = Cost { work: 100, cpu_nanos: 1000, rays: [4, 8, 0, 2, 0, 40, 0] };
+        assert_eq!(pixel.with_samples(1.0, 60, 1.0), pixel);
+        let four_times = Cost { work: 400, cpu_nanos: 4000, rays: [16, 32, 0, 8, 0, 160, 0] };
+        assert_eq!(pixel.with_samples(4.0, 0, 1.5), four_times);
+        // 40 · 4 + 60 · 1.5 of 100.
+        let mixed = Cost { work: 250, cpu_nanos: 2500, rays: [16, 20, 0, 8, 0, 100, 0] };
+        assert_eq!(pixel.with_samples(4.0, 60, 1.5), mixed);
+        assert_eq!(Cost::default().with_samples(4.0, 60, 1.5), Cost::default());
+        // More than all is all.
+        assert_eq!(pixel.with_samples(4.0, 1000, 1.5).work, 150);
+    }
 }

@@ -1,6 +1,6 @@
 //! Why frames are dear.
 
-use crate::{Rays, RenderSettings, StratumName};
+use crate::{FixedCosts, Rays, RenderSettings, StratumName};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -113,6 +113,8 @@ pub struct Amounts {
     pub told_apart: bool,
     /// Work of filling the irradiance cache; 0 without one.
     pub records_work: f64,
+    /// What a frame costs whatever its pixels show; without it that is one part.
+    pub fixed: Option<FixedCosts>,
     /// Rays by category, in the order of [`Rays::NAMES`].
     pub rays: [f64; 7],
 }
@@ -120,16 +122,25 @@ pub struct Amounts {
 impl Explanation {
     /// What the work of a quote at these settings goes into.
     pub fn new(amounts: Amounts, settings: &RenderSettings) -> Self {
-        let Amounts { frame, work: whole, pixels, told_apart, records_work, rays } = amounts;
+        let Amounts { frame, work: whole, pixels, told_apart, records_work, fixed, rays } = amounts;
         let pixel_work: f64 = pixels.iter().map(|shown| shown.work).sum();
         let pixel_count = pixels.iter().map(|shown| shown.pixels).sum::<u64>().max(1) as f64;
         let share = |part: f64| if whole > 0.0 { part / whole } else { 0.0 };
         let part = |name: &str, work: f64| PartShare { part: name.into(), work, share: share(work) };
-        let mut parts = vec![
-            part("pixels", pixel_work),
-            part("filling the irradiance cache", records_work),
-            part("setting up, and planning the cache", (whole - pixel_work - records_work).max(0.0)),
+        let mut parts = vec![part("pixels", pixel_work), part("filling the irradiance cache", records_work)];
+        let rest = (whole - pixel_work - records_work).max(0.0);
+        let FixedCosts { load, build, plan, .. } = fixed.unwrap_or_default();
+        let setting_up = [
+            ("loading and setting up", load),
+            ("building the tree", build),
+            ("planning the irradiance cache", plan),
         ];
+        match setting_up.map(|(_, spent)| spent.work as f64).iter().sum::<f64>() {
+            all if all > 0.0 => {
+                parts.extend(setting_up.map(|(name, spent)| part(name, rest * (spent.work as f64 / all))))
+            }
+            _ => parts.push(part("setting up", rest)),
+        }
         parts.retain(|part| part.work > 0.0);
         parts.sort_by(|a, b| b.work.total_cmp(&a.work));
         let mut objects: Vec<ObjectShare> = Vec::new();

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{ByClass, CacheQuote, LeftOut, Money};
+use crate::{ByClass, CacheQuote, FixedCosts, LeftOut, Money};
 
 /// A forecast of one number: its mean and the values that it stays below with probability 50, 80 and 95 %.
 #[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
@@ -211,6 +211,9 @@ pub struct ForecastDoc {
     /// Camera samples per pixel that were chosen for a time or an amount of money; absent where they were asked for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub chosen_spp: Option<u32>,
+    /// What a frame costs whatever its pixels show, on a node of speed 1: the mean of the profiled frames. It is part of the forecasts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fixed: Option<FixedCosts>,
     /// The work of the profiled frames by class: what it takes on other nodes follows from their calibrations.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub work_by_class: Option<ByClass>,

@@ -101,7 +101,7 @@ pub use plan::{
 pub use problem::{Problem, ProblemKind};
 pub use profile::{
     CacheSample, FixedCosts, NoiseCell, NoiseSample, ProfileArtifacts, ProfileResult, ProfileSample,
-    SharedSample,
+    SharedSample, UncoveredGathers,
 };
 pub use result::{
     FrameStrata, PreviewBackend, PreviewResult, RenderArtifacts, RenderResult, Spent, Stratum, StratumName,

@@ -15,11 +15,45 @@ pub struct ProfileSample {
     pub stratum: u32,
     /// Deterministic count of operations of all its camera paths.
     pub work: u64,
+    /// The part of `work` that is not in proportion to the camera samples, see [`UncoveredGathers`].
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub extra_work: u64,
     /// CPU time of all its camera paths, in nanoseconds.
     pub cpu_nanos: u64,
     /// Rays by category, in the order of [`crate::Rays::NAMES`].
     #[schema(min_items = 7, max_items = 7)]
     pub rays: [u64; 7],
+}
+
+fn is_zero(work: &u64) -> bool {
+    *work == 0
+}
+
+/// Rays of a gather where the irradiance cache has no record: an n-th of `first` in the n-th camera sample of a pixel, but at least
+/// `least`. What they take above the least is what a pixel's cost has that is not in proportion to its samples.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct UncoveredGathers {
+    /// In the first camera sample.
+    pub first: u32,
+    /// In any.
+    #[schema(minimum = 1)]
+    pub least: u32,
+}
+
+impl UncoveredGathers {
+    /// How many times as many rays above the least there are in `to` samples as in `from`; 1 where there are none.
+    pub fn growth(self, from: u32, to: u32) -> f64 {
+        let [from, to] = [from, to].map(|samples| self.above_the_least(samples) as f64);
+        if from > 0.0 { to / from } else { 1.0 }
+    }
+
+    fn above_the_least(self, samples: u32) -> u64 {
+        let least = self.least.max(1);
+        // No later sample has any.
+        let last = samples.min(self.first / least);
+        (1..=last).map(|n| u64::from((self.first / n).saturating_sub(least))).sum()
+    }
 }
 
 /// What a profiled pixel costs if the frame shares its irradiance cache with others: there are more records to look at.
@@ -98,6 +132,35 @@ impl FixedCosts {
         let Self { load, build, plan, plan_rays: _, write } = self;
         load.plus(build).plus(plan).plus(write)
     }
+
+    /// The mean of some; none of none.
+    pub fn mean(all: &[Self]) -> Option<Self> {
+        let count = u64::try_from(all.len()).ok().filter(|&count| count > 0)?;
+        let mean = |of: fn(&Self) -> Spent| {
+            let sum = all.iter().map(of).fold(Spent::default(), Spent::plus);
+            Spent { work: sum.work / count, cpu_nanos: sum.cpu_nanos / count }
+        };
+        Some(Self {
+            load: mean(|fixed| fixed.load),
+            build: mean(|fixed| fixed.build),
+            plan: mean(|fixed| fixed.plan),
+            plan_rays: std::array::from_fn(|kind| {
+                all.iter().map(|fixed| fixed.plan_rays[kind]).sum::<u64>() / count
+            }),
+            write: mean(|fixed| fixed.write),
+        })
+    }
+
+    /// The same on a node of speed 1, of what a node of this speed measured.
+    #[must_use]
+    pub fn at_speed_one(self, speed: f64) -> Self {
+        let on = |Spent { work, cpu_nanos }: Spent| Spent {
+            work,
+            cpu_nanos: (cpu_nanos as f64 * speed).round() as u64,
+        };
+        let Self { load, build, plan, plan_rays, write } = self;
+        Self { load: on(load), build: on(build), plan: on(plan), plan_rays, write: on(write) }
+    }
 }
 
 /// The artefacts of a profile.
@@ -122,6 +185,9 @@ pub struct ProfileResult {
     pub strata: Vec<Stratum>,
     /// The profiled pixels, each once.
     pub samples: Vec<ProfileSample>,
+    /// Gathers at points that the frame's irradiance cache does not cover; none without a cache.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub uncovered: Option<UncoveredGathers>,
     /// What each of these pixels costs with the cache that the task names, in their order; empty if it names none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shared_samples: Vec<SharedSample>,
@@ -155,4 +221,21 @@ pub struct ProfileResult {
     pub spent: Spent,
     /// Its artefacts.
     pub artifacts: ProfileArtifacts,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rays_above_the_least_come_to_an_end_with_the_samples() {
+        let gathers = UncoveredGathers { first: 48, least: 4 };
+        // 44 in the first sample, then 20, 12, 8, 5, 4, 2, 2, 1, 0, 0, 0.
+        assert_eq!(gathers.growth(1, 2), 64.0 / 44.0);
+        assert_eq!(gathers.growth(4, 1), 44.0 / 84.0);
+        assert_eq!(gathers.growth(1, 12), gathers.growth(1, 65_536));
+        assert_eq!(gathers.growth(1, 12), 98.0 / 44.0);
+        assert_eq!(UncoveredGathers { first: 3, least: 4 }.growth(1, 9), 1.0);
+        assert_eq!(UncoveredGathers { first: 0, least: 0 }.growth(0, 9), 1.0);
+    }
 }

@@ -1,8 +1,8 @@
 //! Quotes: choosing to profile, and keeping what was forecast.
 
 use forelight_protocol::{
-    ByClass, CacheQuote, ForecastDoc, ForecastTotals, FrameForecast, FrameSet, JobId, JobState, LeftOut,
-    MoneyQuantiles, NodeSeconds, Profiled, SpentOnForecast, Timestamp,
+    ByClass, CacheQuote, FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, FrameSet, JobId, JobState,
+    LeftOut, MoneyQuantiles, NodeSeconds, Profiled, SpentOnForecast, Timestamp,
 };
 use serde::{Deserialize, Serialize};
 use sqlx::Row as _;
@@ -33,6 +33,9 @@ pub struct JobForecast {
     /// Camera samples that were chosen for a time or an amount of money: what the job is rendered with.
     #[serde(default)]
     pub chosen_spp: Option<u32>,
+    /// What a frame costs whatever its pixels show: the mean of the profiled ones.
+    #[serde(default)]
+    pub fixed: Option<FixedCosts>,
     /// The work of the profiled frames by class.
     #[serde(default)]
     pub work_by_class: Option<ByClass>,
@@ -120,6 +123,7 @@ impl JobForecast {
             effects: self.effects,
             left_out: self.left_out,
             chosen_spp: self.chosen_spp,
+            fixed: self.fixed,
             work_by_class: self.work_by_class,
             cpu_seconds_on: self.cpu_seconds_on,
             cache: self.cache,

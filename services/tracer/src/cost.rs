@@ -63,6 +63,8 @@ pub struct Counters {
     pub records: u64,
     /// Points at which a cache was read and had no record.
     pub uncovered: u32,
+    /// Work that goes with the first camera samples, see [`crate::Pixel::extra_work`].
+    pub extra_work: u64,
 }
 
 impl Counters {

@@ -143,6 +143,7 @@ impl<const K: u32> Kernel<K> {
         let work = pixels.counters.work_by_class();
         tracer.pixel_work.add(work);
         known.work += work.iter().sum::<u64>();
+        known.extra_work += pixels.counters.extra_work;
         known.uncovered += pixels.counters.uncovered;
         known.stratum = pixels.stratum.unwrap_or(Pixel::NOTHING);
         known.cpu_nanos += start.elapsed().as_nanos() as u64;

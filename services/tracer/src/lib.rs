@@ -58,7 +58,7 @@ pub use passes::{Passes, SoFar};
 pub use profile::{Profile, ProfileError};
 pub use reach::{Excluded, LeftOut, Reach, Reason, reachable};
 pub use samples::{SampleCounts, SampleCountsError};
-pub use settings::{CacheSettings, Integrator, MaterialOverride, Settings, SettingsError};
+pub use settings::{CacheSettings, Integrator, MaterialOverride, Settings, SettingsError, UncoveredGathers};
 pub use tiling::Tiling;
 pub use tracer::{Pixel, PixelsFinished, Tracer};
 pub use tree::Tree;

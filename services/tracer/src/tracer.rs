@@ -35,6 +35,9 @@ pub struct Pixel {
     pub rays: [u32; 7],
     /// Deterministic work.
     pub work: u64,
+    /// The part of `work` that is in the rays above the least of gathers where the irradiance cache had no record: later samples have fewer of them
+    /// ([`crate::UncoveredGathers`]). All other work is in proportion to the samples.
+    pub extra_work: u64,
     /// CPU time, nanoseconds.
     pub cpu_nanos: u64,
     /// Samples and gathers that asked the irradiance cache where it had no record, and gathered for themselves.

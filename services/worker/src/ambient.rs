@@ -12,7 +12,9 @@ pub use shot::AmbientShot;
 
 use crate::renderer::{OpenRenderer, RenderError, Renderer};
 use forelight_preview::{Choice, PreviewError, Previewer};
-use forelight_protocol::{CacheMode, Integrator, MaterialMode, PreviewBackend, RenderSettings, Spent};
+use forelight_protocol::{
+    CacheMode, Integrator, MaterialMode, PreviewBackend, RenderSettings, Spent, UncoveredGathers,
+};
 use forelight_scene::{Frame, Limits};
 use forelight_tracer::{CacheSettings, MaterialOverride, Settings};
 use std::path::Path;
@@ -115,6 +117,12 @@ pub fn tracer_settings(settings: &RenderSettings) -> Settings {
     }
 }
 
+/// How a frame of a job gathers where its irradiance cache has no record; nothing without a cache.
+pub(crate) fn uncovered_gathers(settings: &RenderSettings) -> Option<UncoveredGathers> {
+    let forelight_tracer::UncoveredGathers { first, least } = tracer_settings(settings).cache?.uncovered();
+    Some(UncoveredGathers { first, least })
+}
+
 fn backend(previewer: &Previewer) -> PreviewBackend {
     if previewer.backend() == "gpu" { PreviewBackend::Gpu } else { PreviewBackend::Cpu }
 }
@@ -142,6 +150,25 @@ mod tests {
     use super::*;
     use forelight_protocol::RenderSettingsRequest;
     use forelight_scene::Scene;
+
+    #[test]
+    fn a_profile_says_how_the_tracer_gathers_where_no_record_is() {
+        let request = RenderSettingsRequest {
+            cache: Some(CacheMode::On),
+            cache_rays: Some(768),
+            cache_accuracy: Some(150),
+            ..RenderSettingsRequest::default()
+        };
+        let settings = request.complete((64, 36));
+        let said = uncovered_gathers(&settings).unwrap();
+        let done = tracer_settings(&settings).cache.unwrap().uncovered();
+        let above =
+            |samples: u32| (1..=samples).map(|n| f64::from(done.of_sample(n) - done.least)).sum::<f64>();
+        for (from, to) in [(1, 2), (4, 16), (16, 4), (64, 1000)] {
+            assert_eq!(said.growth(from, to), above(to) / above(from));
+        }
+        assert_eq!(uncovered_gathers(&RenderSettings { cache: CacheMode::Off, ..settings }), None);
+    }
 
     #[test]
     fn the_service_takes_exactly_the_settings_that_the_tracer_takes() {

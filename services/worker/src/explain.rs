@@ -24,6 +24,7 @@ impl Quote {
             told_apart: pixels.len() == strata.len() + 1,
             pixels: pixels.iter().enumerate().map(shown).collect(),
             records_work: gathered.iter().map(|sum| sum.work).sum(),
+            fixed: self.document.fixed,
             rays: self.forecast.total.rays.map(|rays| rays.mean),
         };
         Explanation::new(amounts, settings)

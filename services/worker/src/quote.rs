@@ -168,6 +168,7 @@ fn document(
         effects: effects.into_iter().cloned().collect(),
         left_out: LeftOut::of_all(profiled.iter().map(|profile| &profile.left_out[..])),
         chosen_spp: None,
+        fixed: FixedCosts::mean(&profiled.iter().map(|profile| profile.fixed).collect::<Vec<_>>()),
         work_by_class: profiled.iter().filter_map(|profile| profile.work_by_class).reduce(ByClass::plus),
         cpu_seconds_on: Vec::new(),
         cache: None,

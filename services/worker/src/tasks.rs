@@ -1,5 +1,6 @@
 //! The tasks, done by a renderer; those about the irradiance cache of a shot are in `cache_tasks`.
 
+use crate::ambient::uncovered_gathers;
 use crate::cache_tasks;
 use crate::checkpoint::Checkpoints;
 use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
@@ -138,12 +139,13 @@ pub fn profile_result(
 ) -> ProfileResult {
     let sampled = profiled.observations.iter().map(|observation| observation.stratum as usize);
     let shown = Shown::new(info, settings, sampled.filter(|&stratum| stratum < info.strata.len()));
-    let sample = |(&(pixel, _), observation): (&(u32, _), &forelight_forecast::Observation)| {
+    let sample = |(&(index, pixel), observation): (&(u32, Pixel), &forelight_forecast::Observation)| {
         let cost = observation.cost;
         ProfileSample {
-            pixel,
+            pixel: index,
             stratum: shown.place(observation.stratum as usize),
             work: cost.work,
+            extra_work: pixel.extra_work,
             cpu_nanos: cost.cpu_nanos,
             rays: cost.rays,
         }
@@ -153,6 +155,7 @@ pub fn profile_result(
     ProfileResult {
         frame: profiled.frame,
         samples,
+        uncovered: uncovered_gathers(settings),
         shared_samples: Vec::new(),
         cache_samples: profiled.records.iter().map(cache_sample).collect(),
         shared_cache_samples: Vec::new(),

@@ -15,7 +15,7 @@ use forelight_forecast::accuracy::{
 use forelight_forecast::{Calibration, Cost};
 use forelight_protocol::{
     AccuracyDoc, AccuracyRung, CacheMode, ImageError, Integrator, LadderKind, MissingLadder, PreviewResult,
-    ProfileSample, RenderSettings,
+    RenderSettings,
 };
 use forelight_store::MeasuredProfile;
 
@@ -130,12 +130,11 @@ fn rung(
     profiles: &[MeasuredProfile],
     error: Option<ImageError>,
 ) -> Result<AccuracyRung, AdvanceError> {
-    let samples = f64::from(settings.spp) / f64::from(asked.spp);
     let pixels = settings.pixels() as f64 / asked.pixels() as f64;
     let total = if settings == *asked {
         forecast(preview, profiles)?
     } else {
-        forecast(&enlarged(preview, pixels), &scaled(profiles, samples))?
+        forecast(&enlarged(preview, pixels), &with_samples(profiles, settings.spp))?
     }
     .job
     .total;
@@ -167,22 +166,18 @@ fn enlarged(preview: &PreviewResult, factor: f64) -> PreviewResult {
 
 /// The profiles as if their pixels had had so many camera samples.
 pub(crate) fn with_samples(profiles: &[MeasuredProfile], spp: u32) -> Vec<MeasuredProfile> {
-    let one = |profile: &MeasuredProfile| {
-        let factor = f64::from(spp) / f64::from(profile.spp.max(1));
-        scaled(std::slice::from_ref(profile), factor)
-            .into_iter()
-            .map(|scaled| MeasuredProfile { spp, ..scaled })
-    };
-    profiles.iter().flat_map(one).collect()
-}
-
-/// Profiles in which every pixel took so many times as much.
-fn scaled(profiles: &[MeasuredProfile], factor: f64) -> Vec<MeasuredProfile> {
-    let times = |sample: &mut ProfileSample| {
-        let cost = Cost { work: sample.work, cpu_nanos: sample.cpu_nanos, rays: sample.rays }.times(factor);
-        (sample.work, sample.cpu_nanos, sample.rays) = (cost.work, cost.cpu_nanos, cost.rays);
-    };
     let mut profiles = profiles.to_vec();
-    profiles.iter_mut().flat_map(|profile| &mut profile.result.samples).for_each(times);
+    for profile in &mut profiles {
+        let had = profile.spp.max(1);
+        let factor = f64::from(spp) / f64::from(had);
+        let growth = profile.result.uncovered.map_or(1.0, |gathers| gathers.growth(had, spp));
+        for sample in &mut profile.result.samples {
+            let cost = Cost { work: sample.work, cpu_nanos: sample.cpu_nanos, rays: sample.rays };
+            let cost = cost.with_samples(factor, sample.extra_work, growth);
+            (sample.work, sample.cpu_nanos, sample.rays) = (cost.work, cost.cpu_nanos, cost.rays);
+            sample.extra_work = (sample.extra_work as f64 * growth).round() as u64;
+        }
+        profile.spp = spp;
+    }
     profiles
 }

@@ -219,6 +219,7 @@ pub(super) fn calibrated(
         effects: effects.into_iter().cloned().collect(),
         left_out: LeftOut::of_all(profiles.iter().map(|profile| &profile.result.left_out[..])),
         chosen_spp: None,
+        fixed: fixed_costs(profiles),
         work_by_class: profiles
             .iter()
             .filter_map(|profile| profile.result.work_by_class)
@@ -230,6 +231,12 @@ pub(super) fn calibrated(
         clock,
     };
     Ok(Forecast { job, frames, spreads, seed: None })
+}
+
+/// What a frame costs whatever its pixels show, the mean of the profiled ones.
+pub(super) fn fixed_costs(profiles: &[MeasuredProfile]) -> Option<FixedCosts> {
+    let fixed = |profile: &MeasuredProfile| profile.result.fixed.at_speed_one(profile.node_speed);
+    FixedCosts::mean(&profiles.iter().map(fixed).collect::<Vec<_>>())
 }
 
 /// The hazard: the frame was previewed on a graphics processor and profiled where there is none, and a pixel on an edge
@@ -318,6 +325,7 @@ mod tests {
                     pixel: samples.len() as u32,
                     stratum: stratum as u32,
                     work,
+                    extra_work: 0,
                     cpu_nanos: 10 * work,
                     rays: [1, 0, 0, 0, 0, 0, 0],
                 });
@@ -331,6 +339,7 @@ mod tests {
             frame,
             strata,
             samples,
+            uncovered: None,
             shared_samples: Vec::new(),
             shared_cache_samples: Vec::new(),
             cache_samples: Vec::new(),

@@ -5,7 +5,7 @@ use forelight_forecast::StratumSum;
 use forelight_protocol::{Amounts, Explanation, PreviewResult, RenderSettings, ShownWork};
 use forelight_store::{MeasuredProfile, PlannedCache};
 
-use super::estimate::{Estimated, estimated};
+use super::estimate::{Estimated, estimated, fixed_costs};
 use super::sharing::SharedWay;
 use super::{AdvanceError, compute};
 
@@ -58,6 +58,7 @@ pub(super) fn explained(
         pixels: pixels.iter().enumerate().map(shown).collect(),
         told_apart: true,
         records_work: records.iter().map(|sum| sum.work).sum(),
+        fixed: fixed_costs(profiles),
         rays: total.rays.map(|rays| rays.mean),
     };
     Ok(Explanation::new(amounts, settings))

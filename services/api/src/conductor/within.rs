@@ -92,8 +92,8 @@ impl Limit {
             Per::Frame => "its dearest frame",
         };
         let amounts = |seconds: f64| match self.price {
-            None => format!("{} CPU microseconds", (seconds * 1e6).ceil()),
-            Some(price) => format!("{} micro-units", (seconds * price).ceil()),
+            None => format!("{:.6} CPU seconds", (seconds * 1e6).ceil() * 1e-6),
+            Some(price) => format!("{:.6} of money", (seconds * price).ceil() * 1e-6),
         };
         format!(
             "within: with one camera sample per pixel, the least there is, {what} takes {} at {}, and {} were given",

@@ -86,6 +86,7 @@ fn forecast(frames: usize) -> JobForecast {
         effects: Vec::new(),
         left_out: Vec::new(),
         chosen_spp: None,
+        fixed: None,
         work_by_class: Some(ByClass { memory: 100, ..ByClass::default() }),
         cpu_seconds_on: Vec::new(),
         cache: None,

@@ -250,6 +250,7 @@ impl Farm {
                         pixel,
                         stratum: u32::from(background),
                         work,
+                        extra_work: 0,
                         cpu_nanos: work * 1_000_000,
                         rays: [u64::from(spec.settings.spp), 0, 0, 0, 0, 2, 0],
                     }
@@ -258,6 +259,7 @@ impl Farm {
                     frame: spec.frame,
                     strata: vec![stratum()],
                     samples: samples.collect(),
+                    uncovered: None,
                     shared_samples: Vec::new(),
                     shared_cache_samples: Vec::new(),
                     cache_samples: Vec::new(),

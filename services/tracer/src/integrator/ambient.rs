@@ -18,19 +18,13 @@ use crate::lights::Receiver;
 use crate::microfacet as ggx;
 use crate::random::Purpose;
 use crate::response::{Coat, Glossy, Response, Tint};
+use crate::settings::UncoveredGathers;
 use forelight_bvh::{Hit, Ray};
 use forelight_scene::{Color, Surface};
 use glam::Vec3;
 
 /// On the camera's own tree, a branch that adds less than this share of the pixel survives only by roulette.
 const FAINT: f32 = 0.02;
-
-/// Where no record of the cache covers a point, the gather in the first sample of a pixel has as many rays as the geometric mean of these and of
-/// a record's: 48, 96 and 192 for records of 48, 192 and 768. In an image of few samples such points would make most of what a good cache
-/// leaves of error in indirect light. In the n-th sample it has an n-th of them, for where there are many, each shares its pixel with others
-/// that are noisy for other reasons: whole images of 16 to 64 samples are most exact for their work with 2 to 8.
-const UNCOVERED: u32 = 48;
-const LEAST_UNCOVERED: u32 = 4;
 
 /// After a diffuse bounce, glossy lobes narrower than this alpha do not see the lights: their highlights are caustics.
 const CAUSTIC_ALPHA: f32 = 0.2;
@@ -363,14 +357,17 @@ impl<const K: u32> Pixels<'_, K> {
 
     /// Indirect diffuse light of a point that no record of the cache covers: by few rays, and one ray of a record's gather.
     pub(super) fn gather_uncovered(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
-        let count = match s.level {
-            0 => {
-                let of_record = self.tracer.settings.cache.unwrap_or_default().rays;
-                ((UNCOVERED * of_record).isqrt() / self.sampler.samples().max(1)).max(LEAST_UNCOVERED)
-            }
-            _ => 1,
-        };
-        self.gather_rays(count, s, p, response)
+        if s.level > 0 {
+            return self.gather_rays(1, s, p, response);
+        }
+        let rule = self.tracer.settings.cache.unwrap_or_default().uncovered();
+        // What adds little to its pixel has fewer in proportion.
+        let rule = UncoveredGathers { first: (rule.first as f32 * s.weight.min(1.0)) as u32, ..rule };
+        let (count, before) = (rule.of_sample(self.sampler.samples()), self.counters.work());
+        let radiance = self.gather_rays(count, s, p, response);
+        let spent = self.counters.work() - before;
+        self.counters.extra_work += spent * u64::from(count - rule.least) / u64::from(count);
+        radiance
     }
 
     fn gather_rays(&mut self, count: u32, s: &Segment, p: &Point, response: &Response) -> Vec3 {

@@ -17,8 +17,8 @@ use anyhow::{Context, Result};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use forelight_forecast::{Correction, Corrections, LEAST_JOBS, Strategy};
 use forelight_protocol::{
-    CalibratedQuantiles, CalibrationDoc, Explanation, ForecastDoc, FrameSet, LeftOut, NodeCalibration,
-    NodeSeconds, Quantiles, RenderSettings,
+    CalibratedQuantiles, CalibrationDoc, Explanation, FixedCosts, ForecastDoc, FrameSet, LeftOut,
+    NodeCalibration, NodeSeconds, Quantiles, RenderSettings, Spent,
 };
 use forelight_worker::{Observer, Quote, QuoteOptions, ROUNDS, Renderer, ShotError, quote};
 use indicatif::ProgressBar;
@@ -295,6 +295,7 @@ fn report(quote: &ForecastDoc) -> String {
     let left_out =
         quote.left_out.iter().map(|LeftOut { what, reason }| format!("left out: {what}: {reason}\n"));
     table.render()
+        + &quote.fixed.as_ref().map_or_else(String::new, fixed_costs)
         + &format!(
             "\nsimulated: {}\n{}{} pixels of {frames} frame{plural} were profiled. The quote took {} CPU time and {:.1} % of the work that it forecasts.\n{calibrated}\n",
             quote.effects.join(", "),
@@ -310,6 +311,17 @@ fn report(quote: &ForecastDoc) -> String {
             .and_then(|cache| cache.seed.as_ref())
             .map_or_else(String::new, |seed| caches::seed(seed) + "\n")
         + &on_others(&quote.cpu_seconds_on)
+}
+
+/// What of a frame's costs no pixel can change, part by part.
+fn fixed_costs(fixed: &FixedCosts) -> String {
+    let FixedCosts { load, build, plan, write, .. } = *fixed;
+    let parts =
+        [("loading", load), ("building the tree", build), ("planning the cache", plan), ("writing", write)];
+    let taken = parts.into_iter().filter(|(_, spent)| *spent != Spent::default());
+    let line = |(name, spent): (&str, Spent)| format!("{name} {}", seconds(spent.cpu_nanos as f64 * 1e-9));
+    let lines: Vec<String> = taken.map(line).collect();
+    if lines.is_empty() { String::new() } else { format!("\nof that, in each frame: {}\n", lines.join(", ")) }
 }
 
 fn on_others(nodes: &[NodeSeconds]) -> String {

@@ -263,6 +263,7 @@ fn forecast() -> JobForecast {
         effects: Vec::new(),
         left_out: Vec::new(),
         chosen_spp: None,
+        fixed: None,
         work_by_class: None,
         cpu_seconds_on: Vec::new(),
         cache: None,
