@@ -171,7 +171,8 @@ impl Conductor {
             }
         })
         .await?;
-        let basis = kind.map(|kind| forecast.basis(kind));
+        // Frames that are given their work say nothing of how far forecasts are off.
+        let basis = kind.filter(|_| job.within.is_none()).map(|kind| forecast.basis(kind));
         for _ in 0..ATTEMPTS {
             match self.book(job, &forecast, basis.as_ref(), &rungs).await {
                 // Overtaken by another plan, or by a cancellation: look again.

@@ -216,6 +216,7 @@ async fn a_cache_that_two_workers_make_while_one_dies_at_it_gives_the_images_of_
             digest: job.scene.digest,
             frame: row.frame,
             settings: job.settings.clone(),
+            work: None,
             profile: None,
             cache: Some(name),
         };

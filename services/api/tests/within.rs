@@ -45,6 +45,8 @@ async fn the_most_samples_that_fit_are_chosen_said_and_rendered() {
     let lease = farm.claim_waiting(&node, 5000).await.unwrap();
     let TaskSpec::Render(spec) = &lease.spec else { panic!("{:?}", lease.spec) };
     assert_eq!((spec.settings.spp, spec.profile), (spp, None), "profiled pixels have other samples");
+    let of_frame = quoted.frames.iter().find(|each| each.frame == spec.frame).unwrap();
+    assert_eq!(spec.work, Some(of_frame.work.mean.round() as u64), "it may take what so many samples take");
 }
 
 #[tokio::test]

@@ -208,7 +208,8 @@ pub struct ForecastDoc {
     /// Lights and objects that cannot matter to any of the profiled frames: what is not simulated, and costs nothing.
     #[serde(default)]
     pub left_out: Vec<LeftOut>,
-    /// Camera samples per pixel that were chosen for a time or an amount of money; absent where they were asked for.
+    /// Camera samples per pixel that were chosen for a time or an amount of money; absent where they were asked for. Frames take as much work as
+    /// so many of every pixel, and spend it where their images show that it pays.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub chosen_spp: Option<u32>,
     /// What a frame costs whatever its pixels show, on a node of speed 1: the mean of the profiled frames. It is part of the forecasts.

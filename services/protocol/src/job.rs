@@ -41,7 +41,8 @@ pub struct JobRequest {
     #[schema(default = 5, minimum = 1, maximum = 1000)]
     pub profile_frames: u32,
     /// Take the most camera samples that fit into this time or money, in place of `settings.spp`, which is then only what is profiled with. Chosen
-    /// when the profiles are there, as sure as `confidence` says; a job into which not even one sample fits fails, and says what would.
+    /// when the profiles are there, as sure as `confidence` says; a job into which not even one sample fits fails, and says what would. Each frame may
+    /// then take the work of so many samples, and spends it where its image shows that it pays.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub within: Option<Within>,
     /// When all frames have to be there; absent: whenever.

@@ -109,7 +109,9 @@ pub use result::{
 };
 pub use role::{Role, UnknownRole};
 pub use settings::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest};
-pub use stats::{AllottedStats, BudgetClock, CacheStats, LeftOut, Rays, RenderStats, WithinStats};
+pub use stats::{
+    AllottedForecast, AllottedStats, BudgetClock, CacheStats, LeftOut, Rays, RenderStats, WithinStats,
+};
 pub use task::{PreviewSpec, ProfileSpec, RenderSpec, TaskKind, TaskSpec};
 pub use time::{MalformedTime, Timestamp};
 pub use track_record::{

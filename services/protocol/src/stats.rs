@@ -160,7 +160,7 @@ pub struct RenderStats {
     pub reused_cpu_seconds: f64,
 }
 
-/// Camera paths that differ by pixel, for a time or an error that was asked for, and what they come to.
+/// Camera paths that differ by pixel, for a time, an amount of work or an error that was asked for, and what they come to.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AllottedStats {
@@ -170,19 +170,28 @@ pub struct AllottedStats {
     pub most: u32,
     /// Mean over the pixels.
     pub mean: f64,
-    /// Work of the frame, as forecast for these camera paths.
+    /// Error of the image, as its own pixels say, without what an irradiance cache adds.
+    pub error: ImageError,
+    /// What was forecast for these camera paths; absent where no pixels were profiled for them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub forecast: Option<AllottedForecast>,
+    /// How it held to its time; absent where none was given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub within: Option<WithinStats>,
+}
+
+/// What a frame whose camera paths differ by pixel is to take.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AllottedForecast {
+    /// Work of the frame.
     pub work: Quantiles,
     /// CPU seconds of the same, without those of profiling.
     pub cpu_seconds: Quantiles,
-    /// Error of the image, as its own pixels say, without what an irradiance cache adds.
-    pub error: ImageError,
     /// Work of the pixels that were profiled for it, and of previews; not in the frame's.
     pub profiling_work: u64,
     /// CPU seconds of the same.
     pub profiling_cpu_seconds: f64,
-    /// How it held to its time; absent where an error was asked for.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub within: Option<WithinStats>,
 }
 
 /// Which seconds a time counts.

@@ -216,6 +216,10 @@ pub struct RenderSpec {
     pub frame: u32,
     /// The job's settings.
     pub settings: RenderSettings,
+    /// Operations that the frame may take all together: every pixel gets a camera sample, and the others go where the image shows that they
+    /// pay; all pixels get those of the settings, if it is absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub work: Option<u64>,
     /// The finished pixels of this frame's profile, to be taken over; absent if the frame was not profiled.
     pub profile: Option<ArtifactHash>,
     /// The irradiance cache of the shot, full; absent if the frame makes its own, and while the task waits for it.

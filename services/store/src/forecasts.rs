@@ -30,7 +30,7 @@ pub struct JobForecast {
     /// What is left out of all of them.
     #[serde(default)]
     pub left_out: Vec<LeftOut>,
-    /// Camera samples that were chosen for a time or an amount of money: what the job is rendered with.
+    /// Camera samples that were chosen for a time or an amount of money: what its frames are given work for.
     #[serde(default)]
     pub chosen_spp: Option<u32>,
     /// What a frame costs whatever its pixels show: the mean of the profiled ones.

@@ -113,22 +113,28 @@ impl Store {
         let mut common = Common::of(job, &row)?;
         let mut profiles: BTreeMap<_, _> =
             Self::profile_artifacts(write.connection().await?, job).await?.into_iter().collect();
-        if let Some(spp) = forecast.chosen_spp.filter(|&spp| spp != common.settings.spp) {
+        if let Some(spp) = forecast.chosen_spp {
             common.settings.spp = spp;
             sqlx::query("UPDATE jobs SET settings = ? WHERE id = ?")
                 .bind(to_json(&common.settings)?)
                 .bind(job.0)
                 .execute(write.connection().await?)
                 .await?;
-            // They belong to images of other samples.
+            // They belong to images whose pixels all have as many samples.
             profiles.clear();
         }
+        let work: BTreeMap<u32, u64> = match forecast.chosen_spp {
+            Some(_) => frames.iter().map(|each| (each.frame, each.work.mean.round() as u64)).collect(),
+            None => BTreeMap::new(),
+        };
         let job_frames: FrameSet =
             row.try_get::<&str, _>("frames")?.parse().map_err(|error| corrupt("frames", error))?;
         for frame in job_frames.iter() {
             // What was gathered for a cache of the frame's own is of no use beside one that is shared.
             let profile = profiles.get(&frame).copied().filter(|_| plan.seed.is_none());
-            common.render(&mut write, frame, plan.seed.is_some(), None, profile).await?;
+            common
+                .render(&mut write, frame, plan.seed.is_some(), None, work.get(&frame).copied(), profile)
+                .await?;
         }
         append(&mut write, Event { job_id: Some(job), ..event(EventKind::ForecastReady, now) })?;
         let plan_id = keep(&mut write, plan, Some(job), now).await?;

@@ -132,13 +132,14 @@ impl Common {
         self.insert(write, TaskSpec::CacheMerge(spec), READY, None).await
     }
 
-    /// A frame; one that waits becomes ready when the cache is there that it shares with the others.
+    /// A frame, for so much work if that is given; one that waits becomes ready when the cache is there that it shares with the others.
     pub(crate) async fn render(
         &self,
         write: &mut Write,
         frame: u32,
         waits: bool,
         booked: Option<Slot>,
+        work: Option<u64>,
         profile: Option<ArtifactHash>,
     ) -> Result<(), StoreError> {
         let spec = RenderSpec {
@@ -147,6 +148,7 @@ impl Common {
             digest: self.digest,
             frame,
             settings: self.settings.clone(),
+            work,
             profile,
             cache: None,
         };

@@ -10,14 +10,16 @@
 use crate::accuracy::{AccuracyObserver, AccuracyOptions, Pilot, piloted};
 use crate::refine::render_for_error;
 use crate::render::{Given, Rendered, render_ready, rendered, seconds};
-use crate::renderer::{Finished, Progress, RenderError, Renderer};
+use crate::renderer::{Finished, FrameRenderer, Progress, RenderError, Renderer};
 use crate::shot::ShotError;
 use crate::tiles::laid_out;
 use crate::within::{Budget, fits_the_cache, render_within};
 use forelight_forecast::accuracy::allot::{Zone, cost, samples_for_variance};
 use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise, NoiseGroup, Survey, noise_groups};
 use forelight_forecast::{Calibration, ForecastError};
-use forelight_protocol::{AllottedStats, Confidence, ImageError, Quantiles, RenderSettings, WithinStats};
+use forelight_protocol::{
+    AllottedForecast, AllottedStats, Confidence, ImageError, Quantiles, RenderSettings, WithinStats,
+};
 use forelight_tracer::SampleCounts;
 use std::time::Instant;
 
@@ -129,13 +131,9 @@ pub fn render_allotted(
         Aim::Within(budget) => render_within(&*ready, &allotment, budget, confidence, progress, cancel)?,
         Aim::Error(wanted) => render_for_error(&*ready, &allotment, *wanted, confidence, progress, cancel)?,
     };
-    let Some(Made { finished, samples, survey, within }) = made else { return Ok(None) };
-    let allotted = AllottedStats { within, ..allotment.stats(&samples, &survey) };
-    let wall_seconds = start.elapsed().as_secs_f64();
-    let mut rendered = rendered(&*ready, finished, &settings, wall_seconds);
-    rendered.stats.spp = allotted.mean.round() as u32;
-    rendered.stats.allotted = Some(allotted);
-    Ok(Some(Allotted { rendered, samples }))
+    let Some(made) = made else { return Ok(None) };
+    let forecast = allotment.forecast(&made.samples);
+    Ok(Some(made.rendered(&*ready, &settings, Some(forecast), start.elapsed().as_secs_f64())))
 }
 
 /// Renders one frame with camera samples that were allotted before: with the same settings the same image, bit by bit. `None` if the
@@ -172,6 +170,26 @@ pub(crate) struct Made {
     /// What the image says of its own error.
     pub survey: Survey,
     pub within: Option<WithinStats>,
+}
+
+impl Made {
+    /// The frame with what it took, what was forecast of it, and what its pixels say of their error.
+    pub fn rendered(
+        self,
+        ready: &dyn FrameRenderer,
+        settings: &RenderSettings,
+        forecast: Option<AllottedForecast>,
+        wall_seconds: f64,
+    ) -> Allotted {
+        let Self { finished, samples, survey, within } = self;
+        let (least, most, mean) = samples.range();
+        let ErrorQuantiles { p05, p50, p80, p95 } = survey.error(survey.samples(), Calibration::NONE);
+        let error = ImageError { p05, p50, p80, p95 };
+        let mut rendered = rendered(ready, finished, settings, wall_seconds);
+        rendered.stats.spp = mean.round() as u32;
+        rendered.stats.allotted = Some(AllottedStats { least, most, mean, error, forecast, within });
+        Allotted { rendered, samples }
+    }
 }
 
 /// What samples cost and bring, part by part of a frame.
@@ -270,22 +288,15 @@ impl<'a> Allotment<'a> {
         self.pixels.iter().map(mean).collect()
     }
 
-    /// What was forecast of the cost of a frame with these samples, and what its pixels then say of their error.
-    fn stats(&self, counts: &SampleCounts, survey: &Survey) -> AllottedStats {
-        let (least, most, mean) = counts.range();
+    /// What a frame with these samples is to take.
+    fn forecast(&self, counts: &SampleCounts) -> AllottedForecast {
         let samples = self.means(counts);
         let change = self.work_of(&samples) - self.pixel_work;
-        let ErrorQuantiles { p05, p50, p80, p95 } = survey.error(survey.samples(), Calibration::NONE);
-        AllottedStats {
-            least,
-            most,
-            mean,
+        AllottedForecast {
             work: moved(&self.work, change),
             cpu_seconds: moved(&self.cpu_seconds, change * self.seconds_per_work),
-            error: ImageError { p05, p50, p80, p95 },
             profiling_work: self.pilot.overhead.work,
             profiling_cpu_seconds: seconds(self.pilot.overhead.cpu_nanos),
-            within: None,
         }
     }
 }

@@ -70,7 +70,7 @@ pub(crate) fn render_for_error(
 }
 
 /// Brings the pixels to so many samples, while progress goes from one share of all to another.
-fn pass(
+pub(crate) fn pass(
     ready: &dyn FrameRenderer,
     passes: &mut Passes,
     wanted: &SampleCounts,

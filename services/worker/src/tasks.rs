@@ -1,15 +1,14 @@
-//! The tasks, done by a renderer; those about the irradiance cache of a shot are in `cache_tasks`.
+//! The tasks, done by a renderer; those about the irradiance cache of a shot are in `cache_tasks`, renders in `render_task`.
 
 use crate::ambient::uncovered_gathers;
 use crate::cache_tasks;
-use crate::checkpoint::Checkpoints;
 use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 use crate::library::Library;
 use crate::noise::noise_strata;
-use crate::pictures::{encode, encoding_nanos, png, write_cost};
+use crate::pictures::{encoding_nanos, png, write_cost};
 use crate::quote::QuoteOptions;
-use crate::render::{render_ready, seconds};
-use crate::renderer::{FrameRenderer, Progress, RenderError, Renderer, ShotInfo, Step};
+use crate::render_task::render;
+use crate::renderer::{RenderError, Renderer, ShotInfo};
 use crate::shot::{
     CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, forecast_strata, profile_frame,
     record_prior_cost,
@@ -18,14 +17,13 @@ use crate::shot_cache::{cache_sample, profile_shared};
 use bytes::Bytes;
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{
-    ArtifactHash, CacheMode, FinishedPixels, FrameStrata, LogLevel, NoiseCell, NoiseSample, PreviewResult,
-    PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderArtifacts, RenderResult,
-    RenderSettings, RenderSpec, Stratum, TaskResult, TaskSpec,
+    ArtifactHash, FrameStrata, LogLevel, NoiseCell, NoiseSample, PreviewResult, PreviewSpec,
+    ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderSettings, Stratum, TaskResult,
+    TaskSpec,
 };
-use forelight_tracer::{Pixel, Profile};
+use forelight_tracer::Pixel;
 use std::collections::BTreeSet;
-use std::sync::{Arc, Once};
-use std::time::Instant;
+use std::sync::Arc;
 
 /// Does tasks with the bundles of a library.
 #[derive(Debug, Clone)]
@@ -190,120 +188,6 @@ fn noise_cells(info: &ShotInfo, settings: &RenderSettings, profiled: &ProfiledFr
             samples: cell.samples.into_iter().map(sample).collect(),
         })
         .collect()
-}
-
-fn render(
-    renderer: &dyn Renderer,
-    spec: &RenderSpec,
-    assignment: &Assignment,
-    control: &Control,
-) -> Result<Outcome, ExecuteError> {
-    let profile = assignment.profile.as_ref();
-    let profile = profile.map(|bytes| Profile::from_bytes(bytes)).transpose().map_err(RenderError::from)?;
-    let cached = spec.settings.cache == CacheMode::On;
-    let progress = |progress: Progress| control.set_progress(fraction(progress, cached));
-    let start = Instant::now();
-    let ready = renderer.frame(spec.frame, &spec.settings)?;
-    control.log(LogLevel::Info, format!("frame {} calls for: {}", spec.frame, ready.effects().join(", ")));
-    if spec.cache.is_some() {
-        let cache = cache_tasks::only_cache(assignment)?;
-        let shared = ready.share(cache).map_err(cache_tasks::of_shared_cache)?;
-        let (kept, dropped) = (shared.kept.iter().sum::<u64>(), shared.dropped.iter().sum::<u64>());
-        control.log(
-            LogLevel::Info,
-            format!("of the shot's irradiance cache {kept} records hold in this frame, {dropped} do not"),
-        );
-    }
-    let reuse = match (cached, &assignment.checkpoint) {
-        (false, Some(bytes)) => go_on_from(&*ready, bytes, profile, spec.settings.pixels(), control),
-        _ => profile,
-    };
-    // With an irradiance cache the pixels are the lesser part, and worth little without it.
-    let start_of_checkpoints = (!cached).then(|| reuse.clone().unwrap_or_else(|| ready.profile(&[])));
-    let checkpoints = Checkpoints::new(control, start_of_checkpoints, spec.settings.pixels());
-    let count = |pixels: &[(u32, Pixel)]| {
-        let sum = |of: fn(&Pixel) -> u64| pixels.iter().map(|(_, pixel)| of(pixel)).sum();
-        control.finished_pixels(FinishedPixels {
-            done: pixels.len() as u64,
-            all: spec.settings.pixels(),
-            work: sum(|pixel| pixel.work),
-            cpu_nanos: sum(|pixel| pixel.cpu_nanos),
-        });
-    };
-    if !cached {
-        count(reuse.as_ref().map_or(&[], |profile| &profile.pixels));
-    }
-    let begun = Once::new();
-    let finished = |pixels: &[_]| {
-        // Pixels are begun once the irradiance cache is there. Before, nothing is known of them, nor how much the cache is in comparison.
-        begun.call_once(|| control.spent_before_pixels(ready.spent_on_cache()));
-        count(pixels);
-        checkpoints.finished(pixels);
-    };
-    let mut rendered =
-        render_ready(&*ready, &spec.settings, reuse.as_ref(), &progress, &finished, control.cancelled())?
-            .ok_or(ExecuteError::Cancelled)?;
-    let seen = ready.preview()?;
-    let picture = forelight_preview::picture(&seen.preview, &rendered.frame);
-    let (pictures, encoding) = encode(&rendered.image, &rendered.frame, &picture)?;
-    let written = write_cost(encoding, seen.spent);
-    rendered.stats.cpu_seconds += seconds(written.cpu_nanos);
-    rendered.stats.wall_seconds = start.elapsed().as_secs_f64();
-    let stats = &rendered.stats;
-    control.log(
-        LogLevel::Info,
-        format!(
-            "rendered {} × {} pixels, {} of them taken over: {:.1} CPU seconds, {} operations",
-            stats.width, stats.height, stats.reused_pixels, stats.cpu_seconds, stats.work
-        ),
-    );
-    let mut files = Files::default();
-    let artifacts = RenderArtifacts {
-        image_exr: files.add(pictures.image_exr),
-        image_png: files.add(pictures.image_png),
-        cost_map_png: files.add(pictures.cost_map_png),
-        preview_png: Some(files.add(pictures.preview_png)),
-    };
-    let result = RenderResult { stats: rendered.stats, artifacts };
-    Ok(Outcome { result: TaskResult::Render(result), artifacts: files.contents })
-}
-
-/// What an earlier worker finished of the frame, the profile included; the profile alone, if that cannot be used: a checkpoint is a help,
-/// and no part of the task.
-fn go_on_from(
-    ready: &dyn FrameRenderer,
-    checkpoint: &Bytes,
-    profile: Option<Profile>,
-    pixels: u64,
-    control: &Control,
-) -> Option<Profile> {
-    match Profile::from_bytes(checkpoint) {
-        Ok(found)
-            if found.fingerprint == ready.profile(&[]).fingerprint
-                && found.cache.is_none()
-                && found.fits(usize::try_from(pixels).unwrap_or(usize::MAX)) =>
-        {
-            let text = format!("goes on from {} pixels that an earlier worker finished", found.pixels.len());
-            control.log(LogLevel::Info, text);
-            Some(found)
-        }
-        found => {
-            let why = found.err().map_or("it belongs to another image".to_owned(), |error| error.to_string());
-            control.log(LogLevel::Warn, format!("an earlier worker's tiles cannot be used: {why}"));
-            profile
-        }
-    }
-}
-
-/// How much of a render is done, 0 to 1. An irradiance cache is given the first half: it takes about that.
-fn fraction(Progress { step, done, all }: Progress, cached: bool) -> f64 {
-    let part = done as f64 / all.max(1) as f64;
-    match (step, cached) {
-        (Step::Planning, _) => 0.0,
-        (Step::Filling, _) => 0.5 * part,
-        (Step::Tracing, true) => 0.5 + 0.5 * part,
-        (Step::Tracing, false) => part,
-    }
 }
 
 /// The strata of a shot that a result speaks of, in the order of the shot. The order matters: whoever estimates from the result

@@ -5,7 +5,7 @@ use crate::renderer::RenderError;
 use crate::shot::ShotError;
 use forelight_forecast::accuracy::allot::{MOST_SAMPLES, whole};
 use forelight_forecast::accuracy::{Seen, Survey};
-use forelight_tracer::{Passes, SampleCounts, Tiling};
+use forelight_tracer::{Passes, SampleCounts, SoFar, Tiling};
 
 /// Width and height of a tile in pixels: of 64 pixels a few samples each show well enough how they vary, and a bright spot on a wall is wider.
 const TILE: u32 = 8;
@@ -13,28 +13,37 @@ const TILE: u32 = 8;
 /// The pixels of a frame by tile, with what the profile says of them.
 pub(crate) struct Tiles {
     pixels: Vec<Vec<u32>>,
-    /// By pixel: how the variance of those like it falls, see [`Seen::profiled`].
-    profiled: Vec<[f64; 2]>,
+    /// By pixel: how the variance of those like it falls, see [`Seen::profiled`]; without it they are all thought to be like the image.
+    profiled: Option<Vec<[f64; 2]>>,
+    count: usize,
 }
 
 impl Tiles {
     pub fn new(allotment: &Allotment<'_>) -> Self {
         let (width, height) = allotment.size();
+        Self { profiled: Some(allotment.profiled_variance()), ..Self::unprofiled(width, height) }
+    }
+
+    /// Of a frame of which no pixels were profiled.
+    pub fn unprofiled(width: u32, height: u32) -> Self {
         let tiling = Tiling::new(width, height, TILE);
         let pixels = (0..tiling.count()).map(|tile| tiling.pixels(tile)).collect();
-        Self { pixels, profiled: allotment.profiled_variance() }
+        Self { pixels, profiled: None, count: width as usize * height as usize }
     }
 
     /// What the samples so far say; every pixel has some.
     pub fn survey(&self, passes: &Passes) -> Result<Survey, ShotError> {
         let so_far = passes.so_far();
+        // Nobody knows which of the two laws it is: half of each.
+        let half = 0.5 * mean_variance(&so_far);
         let seen = |&pixel: &u32| {
-            let (profiled, pixel) = (self.profiled[pixel as usize], so_far[pixel as usize]);
+            let profiled = self.profiled.as_ref().map_or([half; 2], |profiled| profiled[pixel as usize]);
+            let pixel = so_far[pixel as usize];
             Seen {
                 samples: pixel.samples,
                 // A pixel that has no colour says nothing.
                 brightness: if pixel.brightness.is_finite() { pixel.brightness } else { 0.0 },
-                variance: pixel.variance.filter(|variance| variance.is_finite()),
+                variance: known_variance(&pixel),
                 cost: pixel.work as f64,
                 profiled,
             }
@@ -45,8 +54,22 @@ impl Tiles {
 
     /// The samples of each tile, pixel by pixel.
     pub fn laid_out(&self, samples: &[f64]) -> Result<SampleCounts, RenderError> {
-        laid_out(self.profiled.len(), &self.pixels, samples)
+        laid_out(self.count, &self.pixels, samples)
     }
+}
+
+/// Variance of a sample of a pixel, if its samples say so.
+fn known_variance(pixel: &SoFar) -> Option<f64> {
+    pixel.variance.filter(|variance| variance.is_finite())
+}
+
+/// The mean of that; 0 where it is known of none.
+fn mean_variance(pixels: &[SoFar]) -> f64 {
+    let (sum, count) = pixels
+        .iter()
+        .filter_map(known_variance)
+        .fold((0.0, 0.0), |(sum, n), of_pixel| (sum + of_pixel, n + 1.0));
+    if count > 0.0 { sum / count } else { 0.0 }
 }
 
 /// Mean numbers of samples of some sets of pixels, pixel by pixel; one for those in none.

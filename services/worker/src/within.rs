@@ -139,7 +139,7 @@ pub(crate) fn render_within(
             break;
         }
         let work = run.passes.totals().work as f64 + share * left / run.rate;
-        let Some(wanted) = samples_for_budget(survey.zones(), work) else { break };
+        let Some(wanted) = samples_for_budget(survey.zones(), survey.samples(), work) else { break };
         let wanted = tiles.laid_out(&wanted)?.or_more(&counts);
         if wanted == counts {
             break;

@@ -59,7 +59,8 @@ fn an_error_that_is_asked_for_is_made_with_less_work_than_equally_many_samples_e
     assert!(made > 0.02 && made < 0.06, "asked for 4 %, made {made}");
     assert!(samples.most > 4 * samples.least, "edges of lamps need more than walls: {samples:?}");
     let work = image.stats.work as f64;
-    assert!((samples.work.p50 / work - 1.0).abs() < 0.1, "forecast {:?}, took {work}", samples.work);
+    let forecast = samples.forecast.unwrap().work;
+    assert!((forecast.p50 / work - 1.0).abs() < 0.1, "forecast {forecast:?}, took {work}");
     // Uniform images on both sides of that work.
     let at_equal_work = [64, 128, 256, 512].map(|spp| uniform(spp, 1));
     let worse = at_equal_work.iter().rfind(|other| (other.stats.work as f64) < work).unwrap();

@@ -103,6 +103,7 @@ impl Rig {
             digest: self.digest,
             frame: 24,
             settings: self.settings.clone(),
+            work: None,
             profile: None,
             cache: Some(CACHE),
         })

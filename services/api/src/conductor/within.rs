@@ -1,8 +1,8 @@
 //! The most camera samples that fit into a time or an amount of money.
 //!
 //! A profiled pixel costs in proportion to its samples, while records and fixed costs stay: so what other numbers of samples take
-//! follows from the job's own profiles, as in `accuracy`, and the most that fit are found by halving. All frames get equally many. Frames of
-//! such a job make their irradiance caches themselves.
+//! follows from the job's own profiles, as in `accuracy`, and the most that fit are found by halving. Each frame is given the work that
+//! equally many take in it, which its renderer spends where the image shows that it pays. Frames of such a job make their irradiance caches themselves.
 
 use forelight_forecast::Corrections;
 use forelight_protocol::{Confidence, Job, Per, PreviewResult, Within};

@@ -7,7 +7,7 @@ use crate::options::ConfidenceLevel;
 use crate::quantities::{count, money, parse_duration, parse_money, seconds};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
-use forelight_protocol::{AllottedStats, BudgetClock, Money, WithinStats};
+use forelight_protocol::{AllottedForecast, AllottedStats, BudgetClock, Money, WithinStats};
 use forelight_scene::Frame;
 use forelight_tracer::{Image, SampleCounts};
 use forelight_worker::{AccuracyObserver, Aim, AllotError, AllotOptions, Budget, ShotError, Stopwatch};
@@ -206,19 +206,23 @@ pub fn failure(error: AllotError) -> anyhow::Error {
 
 /// Lines of the report.
 pub fn report(allotted: &AllottedStats) -> String {
-    let AllottedStats { least, most, mean, work, cpu_seconds, error, .. } = allotted;
+    let AllottedStats { least, most, mean, error, .. } = allotted;
     let mut text = format!(
         "allotted    {least} to {most} camera samples per pixel, {mean:.1} on average\n\
-         noise       {:.2} % of the mean, as the image says itself (at 95 % {:.2} %)\n\
-         forecast    {} operations, {} CPU time (at 95 % {}) for these samples\n\
-         profiled    {} of CPU time to find that out\n",
+         noise       {:.2} % of the mean, as the image says itself (at 95 % {:.2} %)\n",
         100.0 * error.p50,
         100.0 * error.p95,
-        count(work.mean),
-        seconds(cpu_seconds.mean),
-        seconds(cpu_seconds.p95),
-        seconds(allotted.profiling_cpu_seconds),
     );
+    if let Some(AllottedForecast { work, cpu_seconds, profiling_cpu_seconds, .. }) = &allotted.forecast {
+        text += &format!(
+            "forecast    {} operations, {} CPU time (at 95 % {}) for these samples\n\
+             profiled    {} of CPU time to find that out\n",
+            count(work.mean),
+            seconds(cpu_seconds.mean),
+            seconds(cpu_seconds.p95),
+            seconds(*profiling_cpu_seconds),
+        );
+    }
     if let Some(within) = &allotted.within {
         let WithinStats { clock, given_seconds, spent_seconds, passes, cost } = within;
         let clock = match clock {

@@ -170,6 +170,7 @@ mod tests {
     #[test]
     fn wrong_values_name_the_flag() {
         for (line, flag) in [
+            ("forelight submit b --per-frame", "--within"),
             ("forelight submit b --frames 3-1", "--frames"),
             ("forelight submit b --deadline soon", "--deadline"),
             ("forelight submit b --budget=-3", "--budget"),

@@ -104,10 +104,13 @@ pub(super) fn powers(samples: f64) -> [f64; 2] {
     [1.0 / (samples * libm::sqrt(samples)), 1.0 / samples]
 }
 
-/// Samples per pixel of each zone that cost `budget` all together, with the least error. `None` if one sample per pixel costs more.
-pub fn samples_for_budget(zones: &[Zone], budget: f64) -> Option<Vec<f64>> {
-    let least = vec![1.0; zones.len()];
-    (cost(zones, &least) <= budget).then(|| by_price(zones, |samples| cost(zones, samples) <= budget))
+/// Samples per pixel of each zone that cost `budget` all together, with the least error; of each at least as many as it has, 1 or more.
+/// `None` if these cost more.
+pub fn samples_for_budget(zones: &[Zone], has: &[f64], budget: f64) -> Option<Vec<f64>> {
+    let with =
+        |samples: &[f64]| -> Vec<f64> { samples.iter().zip(has).map(|(n, has)| n.max(*has)).collect() };
+    let fits = |samples: &[f64]| cost(zones, &with(samples)) <= budget;
+    fits(has).then(|| with(&by_price(zones, fits)))
 }
 
 /// Samples per pixel of each zone with the least cost for a mean variance of the pixels of `variance`; the most that there may be, if that is
@@ -192,7 +195,7 @@ mod tests {
     #[test]
     fn a_budget_is_spent_and_no_exchange_between_zones_lowers_the_error() {
         let zones = zones();
-        let samples = samples_for_budget(&zones, 20_000.0).unwrap();
+        let samples = samples_for_budget(&zones, &[1.0; 3], 20_000.0).unwrap();
         assert!((cost(&zones, &samples) / 20_000.0 - 1.0).abs() < 1e-9);
         assert_eq!(samples[2], 1.0, "what does not vary gets one sample");
         assert!(samples[1] > 2.0 * samples[0], "{samples:?}");
@@ -206,11 +209,23 @@ mod tests {
     }
 
     #[test]
+    fn what_zones_have_already_is_counted_and_the_others_share_the_rest() {
+        let zones = zones();
+        let free = samples_for_budget(&zones, &[1.0; 3], 20_000.0).unwrap();
+        let has = [1.0, 2.0 * free[1], 3.0];
+        let samples = samples_for_budget(&zones, &has, 20_000.0).unwrap();
+        assert!((cost(&zones, &samples) / 20_000.0 - 1.0).abs() < 1e-9);
+        assert_eq!(samples[1..], has[1..]);
+        assert!(samples[0] < free[0]);
+        assert_eq!(samples_for_budget(&zones, &has, 0.99 * cost(&zones, &has)), None);
+    }
+
+    #[test]
     fn an_error_costs_what_its_own_budget_gives_it_for() {
         let zones = zones();
         let samples = samples_for_variance(&zones, 0.02);
         assert!((mean_variance(&zones, &samples) / 0.02 - 1.0).abs() < 1e-6);
-        let again = samples_for_budget(&zones, cost(&zones, &samples)).unwrap();
+        let again = samples_for_budget(&zones, &[1.0; 3], cost(&zones, &samples)).unwrap();
         assert!(samples.iter().zip(&again).all(|(a, b)| (a / b - 1.0).abs() < 1e-4), "{samples:?} {again:?}");
     }
 
@@ -229,14 +244,18 @@ mod tests {
     #[test]
     fn what_cannot_be_had_is_said_or_comes_as_near_as_it_can() {
         let zones = zones();
-        assert_eq!(samples_for_budget(&zones, 1299.0), None, "one sample of every pixel costs 1300");
-        assert!(samples_for_budget(&zones, 1300.0).is_some());
+        assert_eq!(
+            samples_for_budget(&zones, &[1.0; 3], 1299.0),
+            None,
+            "one sample of every pixel costs 1300"
+        );
+        assert!(samples_for_budget(&zones, &[1.0; 3], 1300.0).is_some());
         let most = samples_for_variance(&zones, 0.0);
         assert_eq!(most[0], MOST_SAMPLES);
         assert_eq!(samples_for_variance(&zones, f64::INFINITY), [1.0; 3]);
         let black = [Zone { pixels: 5.0, variance: [0.0; 2], cost: 0.0 }];
-        assert_eq!(samples_for_budget(&black, 0.0), Some(vec![1.0]));
-        assert_eq!(samples_for_budget(&[], 1.0), Some(vec![]));
+        assert_eq!(samples_for_budget(&black, &[1.0], 0.0), Some(vec![1.0]));
+        assert_eq!(samples_for_budget(&[], &[], 1.0), Some(vec![]));
     }
 
     #[test]

@@ -134,6 +134,7 @@ impl Rig {
             digest: self.digest(),
             frame,
             settings: self.settings.clone(),
+            work: None,
             profile: None,
             cache: None,
         })

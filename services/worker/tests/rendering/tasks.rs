@@ -2,7 +2,7 @@
 
 use crate::room::{Nobody, Rig};
 use forelight_preview::Choice;
-use forelight_protocol::{CacheMode, JobId, PreviewSpec, TaskResult, TaskSpec};
+use forelight_protocol::{CacheMode, JobId, PreviewSpec, RenderSpec, TaskResult, TaskSpec};
 use forelight_worker::{Ambient, Assignment, Control, Execute, ExecuteError, Outcome, QuoteOptions, quote};
 use std::fs;
 
@@ -235,5 +235,36 @@ fn a_cancelled_task_says_so() {
         let assignment =
             Assignment { spec, bundle: rig.bundle(), profile: None, caches: Vec::new(), checkpoint: None };
         assert_eq!(rig.runner.execute(&assignment, &control).unwrap_err(), ExecuteError::Cancelled);
+    }
+}
+
+#[test]
+fn a_frame_that_is_given_its_work_takes_that_and_has_the_same_bits_on_any_number_of_threads() {
+    for mut rig in [Rig::new(), Rig::cached(1)] {
+        rig.settings.spp = 12;
+        let TaskSpec::Render(spec) = rig.render_spec(0) else { panic!() };
+        let TaskResult::Render(even) = rig.run(TaskSpec::Render(spec.clone()), None).unwrap().result else {
+            panic!()
+        };
+        let work = 2 * even.stats.work;
+        let made = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let spec = TaskSpec::Render(RenderSpec { work: Some(work), ..spec.clone() });
+            let control = Control::default();
+            let outcome = pool.install(|| rig.run_from(spec, None, None, &control)).unwrap();
+            let TaskResult::Render(result) = outcome.result else { panic!() };
+            (result, control.pixels().unwrap())
+        };
+        let ((one, told), (three, _)) = (made(1), made(3));
+        // The other file has times in it.
+        assert_eq!(one.artifacts.image_png, three.artifacts.image_png);
+        assert_eq!(one.artifacts.cost_map_png, three.artifacts.cost_map_png);
+        assert_eq!((one.stats.work, one.stats.rays), (three.stats.work, three.stats.rays));
+        let share = one.stats.work as f64 / work as f64;
+        assert!((share - 1.0).abs() < 0.02, "{share} of its work");
+        let samples = one.stats.allotted.unwrap();
+        assert!(samples.most > samples.least && one.stats.spp > 12, "{samples:?}");
+        assert!(told.all == 32 * 24 && told.done >= told.all * 97 / 100, "{told:?}");
+        assert!(told.work <= one.stats.work && told.cpu_nanos > 0, "{told:?}");
     }
 }

@@ -53,15 +53,15 @@ pub struct Args {
     /// The most that the job may cost, such as 12.50
     #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
     budget: Option<i64>,
-    /// Take the most camera samples with which all frames fit into this CPU time of a node of speed 1, such as 90m; --spp is then only what is
-    /// profiled with
-    #[arg(long, value_name = "TIME", conflicts_with = "within_money", value_parser = duration)]
+    /// Take the most camera samples with which all frames fit into this CPU time of a node of speed 1, such as 90m, and put them where they pay;
+    /// --spp is then only what is profiled with
+    #[arg(long, value_name = "TIME", group = "limit", value_parser = duration)]
     within: Option<std::time::Duration>,
     /// The same for money, at the mean price of the farm's nodes
-    #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
+    #[arg(long, value_name = "AMOUNT", group = "limit", value_parser = parse_money)]
     within_money: Option<i64>,
     /// --within or --within-money is for each frame, and not for all together
-    #[arg(long)]
+    #[arg(long, requires = "limit")]
     per_frame: bool,
     /// How sure the booking, and the choice of samples, has to be
     #[arg(long, value_name = "LEVEL", default_value = "p80")]

@@ -4,7 +4,7 @@ use crate::caches;
 use crate::quantities::{clock, count, money, percent, seconds};
 use crate::table::{Align, Table};
 use forelight_protocol::{
-    CacheQuote, ForecastDoc, FrameRow, FrameState, Job, JobState, LeftOut, Timestamp, Verdict,
+    AllottedStats, CacheQuote, ForecastDoc, FrameRow, FrameState, Job, JobState, LeftOut, Timestamp, Verdict,
 };
 use serde::Serialize;
 
@@ -108,6 +108,13 @@ fn remark(row: &FrameRow) -> String {
     }
     if let Some(stats) = row.actual.as_ref().filter(|stats| stats.reused_pixels > 0) {
         remarks.push(format!("{} pixels from profiling", stats.reused_pixels));
+    }
+    if let Some(given) = row.actual.as_ref().and_then(|stats| stats.allotted.as_ref()) {
+        let AllottedStats { least, most, mean, error, .. } = given;
+        remarks.push(format!(
+            "{least} to {most} samples a pixel, {mean:.1} on average; noise {:.2} % of the mean",
+            100.0 * error.p50
+        ));
     }
     let cache = row.actual.as_ref().and_then(|stats| stats.cache);
     if let Some(cache) = cache.filter(|cache| cache.reused_records > 0) {

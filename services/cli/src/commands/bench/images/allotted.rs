@@ -42,7 +42,8 @@ impl Allotted {
         let rendered = rendered.map_err(failure)?.ok_or(Interrupted)?.rendered;
         let (cpu_nanos, wall_seconds) = (process_cpu_nanos() - used, start.elapsed().as_secs_f64());
         let stats = &rendered.stats;
-        let profiled = stats.allotted.as_ref().map_or(0, |allotted| allotted.profiling_work);
+        let forecast = stats.allotted.as_ref().and_then(|allotted| allotted.forecast.as_ref());
+        let profiled = forecast.map_or(0, |forecast| forecast.profiling_work);
         let cache = stats.cache.as_ref();
         Ok(Rendered {
             picture: Picture::of(&rendered.image),
