@@ -24,25 +24,25 @@ pub struct AllotArgs {
     /// Make the best image for this time: seconds, or 5m, 1h30m. In place of --spp, every part of the image gets as many camera
     /// samples as pay there. All that you wait for counts: loading, preview, profile, cache and writing. The render looks at its clock as it goes, and
     /// holds to the time
-    #[arg(long, value_name = "TIME", conflicts_with_all = ["spp", "error", "within_money", "profile"], value_parser = time)]
+    #[arg(long, value_name = "TIME", group = "aim", conflicts_with_all = ["spp", "profile"], value_parser = time)]
     within: Option<f64>,
     /// The same for an amount of money, at --price an hour of wall time
-    #[arg(long, value_name = "AMOUNT", requires = "price", conflicts_with_all = ["spp", "error", "profile", "clock"], value_parser = parse_money)]
+    #[arg(long, value_name = "AMOUNT", group = "aim", requires = "price", conflicts_with_all = ["spp", "profile", "clock"], value_parser = parse_money)]
     within_money: Option<i64>,
     /// What an hour of this machine costs
-    #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
+    #[arg(long, value_name = "AMOUNT", requires = "within_money", value_parser = parse_money)]
     price: Option<i64>,
     /// Which seconds --within counts
     #[arg(long, value_name = "CLOCK", default_value = "wall", requires = "within")]
     clock: ClockName,
     /// Make the cheapest image whose noise is at most this share of its mean, in percent (root mean square over the pixels)
-    #[arg(long, value_name = "PERCENT", conflicts_with_all = ["spp", "profile"], value_parser = positive)]
+    #[arg(long, value_name = "PERCENT", group = "aim", conflicts_with_all = ["spp", "profile"], value_parser = positive)]
     error: Option<f64>,
     /// How sure an error is to be kept; of a time, how sure the least image must fit for the render to begin
-    #[arg(long, value_name = "QUANTILE", default_value = "p80")]
+    #[arg(long, value_name = "QUANTILE", default_value = "p80", requires = "aim")]
     confidence: ConfidenceLevel,
     /// Pixels to profile for it
-    #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
+    #[arg(long, value_name = "PIXELS", default_value_t = 256, requires = "aim", value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
     samples: u32,
     /// Write how many camera samples each pixel got, as a grey PNG of 16 bits
     #[arg(long, value_name = "FILE.png")]
@@ -196,9 +196,10 @@ impl AccuracyObserver for Stopping<'_> {
 /// A time too short is the user's to mend.
 pub fn failure(error: AllotError) -> anyhow::Error {
     match error {
-        AllotError::TooLittle { .. } | AllotError::TooLittleForCache { .. } => {
-            BadInput::new(format!("--within: {error}; give it more, or ask for a smaller image")).into()
-        }
+        AllotError::TooLittle { .. } | AllotError::TooLittleForCache { .. } => BadInput::new(format!(
+            "--within: {error}; give it more, profile fewer pixels (--samples), or ask for a smaller image"
+        ))
+        .into(),
         AllotError::Shot(ShotError::Render(error)) => error.into(),
         error => error.into(),
     }

@@ -144,7 +144,11 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     if let Some(path) = &args.stats {
         write_bytes(path, (output::pretty(&rendered.stats)? + "\n").as_bytes())?;
     }
-    if args.json { output::json(&rendered.stats) } else { output::print(&report(&rendered.stats)) }
+    if args.json {
+        output::json(&rendered.stats)
+    } else {
+        output::print(&report(&rendered.stats, args.effects))
+    }
 }
 
 fn format_of(path: &Path) -> Result<Format> {
@@ -202,7 +206,7 @@ fn write_image(image: &Image, frame: &Frame, path: &Path, format: Format) -> Res
 }
 
 /// The cost of a frame for people.
-fn report(stats: &RenderStats) -> String {
+fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
     let mut table = Table::new(&[("rays", Align::Left), ("count", Align::Right)]);
     for (name, rays) in Rays::NAMES.iter().zip(stats.rays.to_array()).filter(|(_, rays)| *rays > 0) {
         table.row([(*name).to_owned(), count(rays as f64)]);
@@ -213,7 +217,11 @@ fn report(stats: &RenderStats) -> String {
     let RenderStats { frame, width, height, spp, .. } = stats;
     text += &format!("\nframe {frame}, {width} x {height}, {spp} samples per pixel\n");
     text += &stats.allotted.as_ref().map_or_else(String::new, allot::report);
-    text += &format!("effects     {}\n", stats.effects.join(", "));
+    let code = match effects {
+        EffectsSwitch::CalledFor => "",
+        EffectsSwitch::All => " (with code for all there are, and nothing left out)",
+    };
+    text += &format!("effects     {}{code}\n", stats.effects.join(", "));
     for LeftOut { what, reason } in &stats.left_out {
         text += &format!("left out    {what}: {reason}\n");
     }

@@ -95,7 +95,10 @@ impl FrameRenderer for AmbientFrame<'_> {
     }
 
     fn effects(&self) -> Vec<String> {
-        let mut effects: Vec<String> = self.tracer.effects().names().map(str::to_owned).collect();
+        // Not a matter of how it is traced, but frames of such a shot cannot share an acceleration structure.
+        let motion = self.shot.moves.then_some("motion");
+        let mut effects: Vec<String> =
+            self.tracer.effects().names().chain(motion).map(str::to_owned).collect();
         effects.sort();
         effects
     }

@@ -17,7 +17,7 @@ pub struct AmbientShot {
     info: ShotInfo,
     pub(super) previewer: Arc<SharedPreviewer>,
     /// Whether anything but the camera and the lights moves in the shot.
-    moves: bool,
+    pub(super) moves: bool,
     /// Whether everything is traced, also what cannot matter.
     everything: bool,
     /// The geometry of frame 0, which frames in which nothing has moved share.

@@ -70,20 +70,23 @@ fn a_quote_depends_on_its_seed_and_not_on_the_threads() {
 }
 
 #[test]
-fn building_the_tree_is_in_a_frames_cost_only_where_something_moves() {
+fn building_the_tree_is_in_a_frames_cost_only_where_something_moves_and_motion_is_said_to_be() {
     let rig = Rig::new();
-    let work = || {
+    let rendered = || {
         let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
         // Frame 0 of the moving shot has the geometry that it would have without the motion.
         let cancel = AtomicBool::new(false);
-        render_frame(&shot, 0, &rig.settings, Given::default(), &|_| (), &cancel).unwrap().unwrap().stats.work
+        render_frame(&shot, 0, &rig.settings, Given::default(), &|_| (), &cancel).unwrap().unwrap().stats
     };
-    let without = work();
+    let still = rendered();
     rig.animate(serde_json::json!({
         "target": "object:window", "property": "translation", "interpolation": "linear",
         "keys": [{ "frame": 0, "value": [0, 0, 0] }, { "frame": 2, "value": [0, 1, 0] }],
     }));
-    assert!(work() > without);
+    let moving = rendered();
+    assert!(moving.work > still.work);
+    let motion = |stats: &RenderStats| stats.effects.iter().any(|effect| effect == "motion");
+    assert!(motion(&moving) && !motion(&still), "{:?}", moving.effects);
 }
 
 #[test]

@@ -4,7 +4,7 @@ mod plot;
 mod table;
 
 use crate::atomic_file::write_bytes;
-use crate::failure::Interrupted;
+use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::local::Local;
 use crate::options::{MachineOptions, QualityOptions};
@@ -49,8 +49,8 @@ pub struct Args {
     /// Camera samples per pixel of the converged images that are measured against, which are made in two halves
     #[arg(long, value_name = "SAMPLES", default_value_t = 512, requires = "measure", value_parser = clap::value_parser!(u32).range(2..=131_072))]
     reference_spp: u32,
-    /// Write a plot of error over CPU time to this file, as SVG
-    #[arg(long, value_name = "FILE")]
+    /// Write a plot of error over CPU time to this file
+    #[arg(long, value_name = "FILE.svg")]
     out: Option<PathBuf>,
     /// Print the ladders as JSON to standard output
     #[arg(long)]
@@ -63,6 +63,10 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    if let Some(path) = args.out.as_deref().filter(|path| path.extension().is_none_or(|end| end != "svg")) {
+        let reason = format!("--out {}: a plot is an SVG, so the name must end in .svg", path.display());
+        return Err(BadInput::new(reason).into());
+    }
     let bars = Bars::new(args.json);
     let local = Local::open(&args.bundle, &args.machine, &bars)?;
     let settings = local.settings(&args.quality)?;

@@ -1,8 +1,8 @@
 //! `forelight bench seconds`: how well a quote that was made here says what frames take on another machine.
 //!
 //! The other machine is a program: another build of this one, or a script that runs it elsewhere (`ssh rack-7 forelight "$@"`, with the same paths on
-//! both). It is calibrated, once, as a user would; the quote is made here and carried over, as `forelight forecast --for-node` does. What is true is what
-//! both programs say that the frames took, rendered in turns, the median of the rounds.
+//! both). It is calibrated as a user would; the quote is made here and carried over, as `forelight forecast --for-node` does. What is true is what
+//! both programs say that the frames took. Each round does all of that in turns, for machines are now busy and now idle; the medians of the rounds count.
 
 use super::{bounces_to_try, mean_absolute, relative_error};
 use crate::atomic_file::write_bytes;
@@ -49,7 +49,7 @@ pub struct Args {
     /// Pixels to profile in a frame
     #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     samples: u32,
-    /// How often each program renders each frame
+    /// How often each program is calibrated, the quote made, and each frame rendered
     #[arg(long, value_name = "TIMES", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=1000))]
     rounds: u16,
     /// Also write the measurements to this file as JSON
@@ -71,9 +71,9 @@ struct Case {
     ambient_bounces: u32,
     /// What the frames took, round by round.
     took: Pair<Vec<f64>>,
-    /// What was quoted.
-    quoted: Pair<f64>,
-    /// Quoted over the median of what they took, less one.
+    /// What was quoted in each round: first, with new calibrations.
+    quoted: Pair<Vec<f64>>,
+    /// The median of what was quoted over that of what they took, less one.
     error: Pair<f64>,
     /// What there is quoted to take over what here is, against the same of what they took: what of the error comes with going from one to the other.
     carried: f64,
@@ -91,20 +91,24 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let bars = Bars::new(args.json);
     let own = std::env::current_exe().context("cannot tell where this program is")?;
     let other = args.other.as_deref().unwrap_or(&own);
-    let spinner = bars.spinner("calibrating");
-    let calibrations = Pair { here: calibration(&own)?, there: calibration(other)? };
-    spinner.finish_and_clear();
-    let mut cases = Vec::new();
+    // Threads that share caches slow each other, by how much depends on the machine.
+    let machine = MachineOptions { threads: args.machine.threads.or(Some(1)), ..args.machine.clone() };
+    let mut ready = Vec::new();
     for bundle in &args.bundles {
-        // Threads that share caches slow each other, by how much depends on the machine.
-        let machine = MachineOptions { threads: args.machine.threads.or(Some(1)), ..args.machine.clone() };
         let local = Local::open(bundle, &machine, &bars)?;
+        let mut settings = Vec::new();
         for bounces in bounces_to_try(&args.bounces, &args.quality) {
             let quality = QualityOptions { ambient_bounces: Some(bounces), ..args.quality.clone() };
-            let settings = local.settings(&quality)?;
-            let trial = Trial { bundle, settings: &settings, threads: local.pool.current_num_threads() };
-            let case =
-                trial.measure(args, &local, Pair { here: &own, there: other }, &calibrations, interrupt);
+            settings.push(local.settings(&quality)?);
+        }
+        let frames = local.frames(Some(&args.frames))?;
+        ready.push((bundle, local, settings, frames));
+    }
+    let mut cases = Vec::new();
+    for (bundle, local, settings, frames) in &ready {
+        for settings in settings {
+            let trial = Trial { bundle, settings, frames, threads: local.pool.current_num_threads() };
+            let case = trial.measure(args, local, Pair { here: &own, there: other }, interrupt);
             cases.push(case.with_context(|| format!("bundle {}", bundle.display()))?);
         }
     }
@@ -144,6 +148,7 @@ fn answer(command: &mut Command) -> Result<Vec<u8>> {
 struct Trial<'a> {
     bundle: &'a Path,
     settings: &'a RenderSettings,
+    frames: &'a [u32],
     threads: usize,
 }
 
@@ -153,24 +158,20 @@ impl Trial<'_> {
         args: &Args,
         local: &Local,
         programs: Pair<&Path>,
-        calibrations: &Pair<NodeCalibration>,
         interrupt: &Interrupt,
     ) -> Result<Case> {
         let bars = Bars::new(args.json);
-        let frames = local.frames(Some(&args.frames))?;
-        let options = QuoteOptions { samples: args.samples, ..QuoteOptions::default() };
-        let watcher = Watcher::new(&bars, frames.len(), interrupt);
-        let quote = watcher.quote(local, self.bundle, &frames, self.settings, &options)?.document;
-        let there = on_another(&quote, "there".to_owned(), &calibrations.here, &calibrations.there);
-        let there = there.context("the quote does not say of which classes its work is")?;
-        let quoted = Pair { here: quote.total.cpu_seconds.mean, there: there.cpu_seconds.mean };
+        let frames = self.frames;
         let folder = tempfile::tempdir().context("cannot make a folder for what frames took")?;
         let stats = folder.path().join("stats.json");
         let bar = bars.bar("rendering", u64::from(args.rounds) * 2 * frames.len() as u64);
-        let mut took = Pair::<Vec<f64>>::default();
+        let [mut took, mut quoted] = [const { Pair { here: Vec::new(), there: Vec::new() } }; 2];
         for _ in 0..args.rounds {
+            let quote = self.quote(args, local, programs, interrupt)?;
+            quoted.here.push(quote.here);
+            quoted.there.push(quote.there);
             let mut sums = Pair::<f64>::default();
-            for &frame in &frames {
+            for &frame in frames {
                 for (program, sum) in [(programs.here, &mut sums.here), (programs.there, &mut sums.there)] {
                     if interrupt.is_set() {
                         return Err(Interrupted.into());
@@ -185,17 +186,38 @@ impl Trial<'_> {
         }
         bar.finish_and_clear();
         let truth = Pair { here: median(&took.here), there: median(&took.there) };
+        let said = Pair { here: median(&quoted.here), there: median(&quoted.there) };
         Ok(Case {
             bundle: local.shot.info().summary.name.clone(),
             ambient_bounces: self.settings.ambient_bounces,
             error: Pair {
-                here: relative_error(quoted.here, truth.here),
-                there: relative_error(quoted.there, truth.there),
+                here: relative_error(said.here, truth.here),
+                there: relative_error(said.there, truth.there),
             },
-            carried: relative_error(quoted.there * truth.here, truth.there * quoted.here),
+            carried: relative_error(said.there * truth.here, truth.there * said.here),
             quoted,
             took,
         })
+    }
+
+    /// What both machines are said to take, as they are now.
+    fn quote(
+        &self,
+        args: &Args,
+        local: &Local,
+        programs: Pair<&Path>,
+        interrupt: &Interrupt,
+    ) -> Result<Pair<f64>> {
+        let bars = Bars::new(args.json);
+        let spinner = bars.spinner("calibrating");
+        let calibrations = Pair { here: calibration(programs.here)?, there: calibration(programs.there)? };
+        spinner.finish_and_clear();
+        let options = QuoteOptions { samples: args.samples, ..QuoteOptions::default() };
+        let watcher = Watcher::new(&bars, self.frames.len(), interrupt);
+        let quote = watcher.quote(local, self.bundle, self.frames, self.settings, &options)?.document;
+        let there = on_another(&quote, "there".to_owned(), &calibrations.here, &calibrations.there);
+        let there = there.context("the quote does not say of which classes its work is")?;
+        Ok(Pair { here: quote.total.cpu_seconds.mean, there: there.cpu_seconds.mean })
     }
 
     /// The command that renders a frame just as it was quoted.
@@ -276,19 +298,21 @@ fn report(cases: &[Case]) -> String {
         ("error", Align::Right),
         ("carried over", Align::Right),
         ("rounds differ by", Align::Right),
+        ("quotes by", Align::Right),
     ]);
     for Case { bundle, ambient_bounces, took, quoted, error, carried } in cases {
         table.row([
             bundle.clone(),
             ambient_bounces.to_string(),
-            seconds(quoted.here),
+            seconds(median(&quoted.here)),
             seconds(median(&took.here)),
             percent(error.here),
-            seconds(quoted.there),
+            seconds(median(&quoted.there)),
             seconds(median(&took.there)),
             percent(error.there),
             percent(*carried),
             format!("±{:.0} %", 100.0 * noise(&took.here).max(noise(&took.there))),
+            format!("±{:.0} %", 100.0 * noise(&quoted.here).max(noise(&quoted.there))),
         ]);
     }
     let mean = |error: fn(&Case) -> f64| 100.0 * mean_absolute(cases.iter().map(error));
@@ -321,7 +345,7 @@ mod tests {
                 "max_depth": 5, "cache": "on", "cache_accuracy": 150, "cache_rays": 192, "materials": "lambert", "seed": 7}"#,
         )
         .unwrap();
-        let trial = Trial { bundle: Path::new("b"), settings: &settings, threads: 1 };
+        let trial = Trial { bundle: Path::new("b"), settings: &settings, frames: &[4], threads: 1 };
         let command = trial.render(Path::new("forelight"), 4);
         let typed: Vec<&str> = command.get_args().map(|arg| arg.to_str().unwrap()).collect();
         assert_eq!(&typed[..4], ["render", "b", "--frame", "4"]);

@@ -7,7 +7,7 @@ mod scenes;
 mod share;
 
 use crate::atomic_file::write_bytes;
-use crate::failure::Interrupted;
+use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::local::Local;
 use crate::options::MachineOptions;
@@ -162,6 +162,10 @@ struct Group {
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let bars = Bars::new(args.json);
     let report = measure(args, &bars, interrupt)?;
+    if report.rows.is_empty() {
+        let reason = format!("--fields {}: too few shots to judge any", args.fields);
+        return Err(BadInput::new(reason).hint("ask for more, or name bundles").into());
+    }
     if let Some(path) = &args.svg {
         write_bytes(path, plot::svg(&report)?.as_bytes())?;
     }
