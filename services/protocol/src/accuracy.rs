@@ -13,6 +13,8 @@ pub enum LadderKind {
     Ambient,
     /// Camera samples a pixel, with the integrator `path`.
     Path,
+    /// Camera samples a pixel, with the integrator `ambient` and an irradiance cache: of the accuracy that was asked for, or the usual one.
+    CachedSamples,
     /// The error that an irradiance cache may make, with the integrator `ambient`.
     Cache,
     /// Hemisphere rays of a gather, with the integrator `ambient` and without a cache.
@@ -23,11 +25,15 @@ pub enum LadderKind {
     Resolution,
 }
 
+/// Accuracy of an irradiance cache that nobody asked for, in thousandths.
+const USUAL_ACCURACY: u32 = 200;
+
 impl LadderKind {
     /// All of them, in the order in which they are listed.
-    pub const ALL: [LadderKind; 5] = [
+    pub const ALL: [LadderKind; 6] = [
         LadderKind::Ambient,
         LadderKind::Path,
+        LadderKind::CachedSamples,
         LadderKind::Cache,
         LadderKind::Divisions,
         LadderKind::Resolution,
@@ -38,6 +44,7 @@ impl LadderKind {
         match self {
             LadderKind::Ambient => "ambient",
             LadderKind::Path => "path",
+            LadderKind::CachedSamples => "cached_samples",
             LadderKind::Cache => "cache",
             LadderKind::Divisions => "divisions",
             LadderKind::Resolution => "resolution",
@@ -55,23 +62,24 @@ impl LadderKind {
             let with = move |spp| RenderSettings { spp, ..like.clone() };
             along(&[1, 4, 16, 64, 256], asked.spp).map(with).collect()
         };
+        let own_accuracy = if asked.cache == CacheMode::On { asked.cache_accuracy } else { USUAL_ACCURACY };
+        let cached =
+            |cache_accuracy| RenderSettings { cache: CacheMode::On, cache_accuracy, ..gathered.clone() };
         let needs_gathers = || {
             let none = "there is no indirect light: ambient_bounces is 0".to_owned();
             if asked.ambient_bounces == 0 { Err(none) } else { Ok(()) }
         };
         let rungs: Vec<RenderSettings> = match self {
-            LadderKind::Ambient => spp(gathered),
-            LadderKind::Path => spp(RenderSettings { integrator: Integrator::Path, ..gathered }),
+            LadderKind::Ambient => spp(gathered.clone()),
+            LadderKind::Path => spp(RenderSettings { integrator: Integrator::Path, ..gathered.clone() }),
+            LadderKind::CachedSamples => {
+                needs_gathers()?;
+                spp(cached(own_accuracy))
+            }
             LadderKind::Cache => {
                 needs_gathers()?;
-                let own = if asked.cache == CacheMode::On { asked.cache_accuracy } else { 200 };
-                let with = |cache_accuracy| RenderSettings {
-                    cache: CacheMode::On,
-                    cache_accuracy,
-                    ..gathered.clone()
-                };
                 // A smaller error is the dearer one.
-                along(&[100, 150, 200, 300, 400], own).rev().map(with).collect()
+                along(&[100, 150, 200, 300, 400], own_accuracy).rev().map(cached).collect()
             }
             LadderKind::Divisions => {
                 needs_gathers()?;

@@ -50,17 +50,13 @@ pub(super) fn ladders(
     let noise = images(profiles);
     for kind in LadderKind::ALL {
         let known = known(kind, asked).and_then(|()| kind.rungs(asked));
-        let mut rungs = match known {
+        let rungs = match known {
             Ok(rungs) => rungs,
             Err(reason) => {
                 document.missing.push(MissingLadder { ladder: kind, reason });
                 continue;
             }
         };
-        if asked.cache == CacheMode::On {
-            // The ladder of samples is laid out without a cache; this job's has one.
-            rungs = rungs.into_iter().map(|rung| RenderSettings { spp: rung.spp, ..asked.clone() }).collect();
-        }
         if let Err(reason) = &noise {
             let reason = format!("errors: {reason}");
             document.missing.push(MissingLadder { ladder: kind, reason });
@@ -78,7 +74,11 @@ pub(super) fn ladders(
 fn known(kind: LadderKind, asked: &RenderSettings) -> Result<(), String> {
     let cached = asked.cache == CacheMode::On;
     let reason = match (kind, asked.integrator) {
-        (LadderKind::Ambient, Integrator::Ambient) | (LadderKind::Path, Integrator::Path) => return Ok(()),
+        (LadderKind::Path, Integrator::Path) => return Ok(()),
+        (LadderKind::Ambient, Integrator::Ambient) if !cached => return Ok(()),
+        (LadderKind::CachedSamples, Integrator::Ambient) if cached => return Ok(()),
+        (LadderKind::Ambient, Integrator::Ambient) => "the job is profiled with an irradiance cache",
+        (LadderKind::CachedSamples, _) => "the job is profiled without an irradiance cache",
         (LadderKind::Ambient, Integrator::Path) => "the job is profiled with the integrator path",
         (LadderKind::Path, Integrator::Ambient) => "the job is profiled with the integrator ambient",
         (LadderKind::Cache, _) => "the job is profiled at its own accuracy; no other is planned",

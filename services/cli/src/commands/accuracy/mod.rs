@@ -26,7 +26,7 @@ Examples:
   forelight accuracy kitchen/ --width 1920 --spp 64 --json > accuracy.json
   forelight accuracy kitchen/ --width 160 --measure --out accuracy.svg
 
-Around the quality that the flags ask for, ladders of camera samples (for both integrators), of the cache's accuracy, of the \
+Around the quality that the flags ask for, ladders of camera samples (for both integrators, and with a cache), of the cache's accuracy, of the \
 rays of a gather and of the resolution are laid out. Of every kind of setting --samples pixels are profiled; from them follow the CPU time of every rung \
 and how far its image will be from its converged self: the root mean square over pixels and channels, as a share of the image's \
 mean. Rungs marked * are worth taking: none is both cheaper and better. With --measure all rungs are rendered, and held against \
@@ -128,7 +128,7 @@ fn value(document: &AccuracyDoc, rung: usize) -> String {
     let rung = &document.rungs[rung];
     let settings = &rung.settings;
     match rung.ladder {
-        LadderKind::Ambient | LadderKind::Path => format!("{} spp", settings.spp),
+        LadderKind::Ambient | LadderKind::Path | LadderKind::CachedSamples => format!("{} spp", settings.spp),
         LadderKind::Cache => format!("error {}", thousandths(settings.cache_accuracy)),
         LadderKind::Divisions => format!("{} rays", settings.ambient_divisions),
         LadderKind::Resolution => format!("{} x {}", settings.width, settings.height),

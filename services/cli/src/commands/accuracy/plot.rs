@@ -25,9 +25,14 @@ struct Look {
 }
 
 /// Resolutions are not held against the others, and not drawn.
-const LOOKS: [Look; 4] = [
+const LOOKS: [Look; 5] = [
     Look { kind: LadderKind::Ambient, colour: RGBColor(31, 95, 168), legend: "ambient, by camera samples" },
     Look { kind: LadderKind::Path, colour: RGBColor(190, 60, 40), legend: "path, by camera samples" },
+    Look {
+        kind: LadderKind::CachedSamples,
+        colour: RGBColor(20, 150, 160),
+        legend: "with a cache, by camera samples",
+    },
     Look { kind: LadderKind::Cache, colour: RGBColor(40, 130, 70), legend: "irradiance cache, by its error" },
     Look { kind: LadderKind::Divisions, colour: RGBColor(130, 80, 160), legend: "gathers, by their rays" },
 ];

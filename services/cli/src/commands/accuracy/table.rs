@@ -105,6 +105,9 @@ fn heading(kind: LadderKind, asked: &RenderSettings) -> String {
             format!("camera samples, integrator ambient, gathers of {} rays", asked.ambient_divisions)
         }
         LadderKind::Path => "camera samples, integrator path".to_owned(),
+        LadderKind::CachedSamples => {
+            format!("camera samples, with an irradiance cache of {} rays a record", asked.cache_rays)
+        }
         LadderKind::Cache => {
             format!("accuracy of the irradiance cache, {} spp, {} rays a record", asked.spp, asked.cache_rays)
         }
