@@ -2,7 +2,10 @@
 
 mod support;
 
-use forelight_protocol::{AccuracyDoc, ForecastDoc, Job, JobState, TaskSpec};
+use forelight_protocol::{
+    AccuracyDoc, AllottedStats, ForecastDoc, Job, JobState, ProblemKind, RenderResult, RenderStats,
+    TaskResult, TaskSpec,
+};
 use reqwest::StatusCode;
 use serde_json::{Value, json};
 use support::{Answer, Farm};
@@ -47,6 +50,20 @@ async fn the_most_samples_that_fit_are_chosen_said_and_rendered() {
     assert_eq!((spec.settings.spp, spec.profile), (spp, None), "profiled pixels have other samples");
     let of_frame = quoted.frames.iter().find(|each| each.frame == spec.frame).unwrap();
     assert_eq!(spec.work, Some(of_frame.work.mean.round() as u64), "it may take what so many samples take");
+    // It says how it spent that; what cannot be is refused.
+    let TaskResult::Render(made) = farm.made_up_result(&lease).await else { panic!() };
+    let spent = made.stats.allotted.clone().unwrap();
+    let with = |allotted| {
+        let stats = RenderStats { allotted, ..made.stats.clone() };
+        TaskResult::Render(RenderResult { stats, ..made.clone() })
+    };
+    let above = AllottedStats { least: spent.most + 1, ..spent.clone() };
+    let other = AllottedStats { mean: spent.mean - 1.0, ..spent.clone() };
+    let none = AllottedStats { least: 0, ..spent };
+    for allotted in [above, other, none].map(Some).into_iter().chain([None]) {
+        farm.report(&lease, with(allotted)).await.problem(ProblemKind::Invalid).await;
+    }
+    assert_eq!(farm.report(&lease, TaskResult::Render(made)).await.status(), StatusCode::OK);
 }
 
 #[tokio::test]

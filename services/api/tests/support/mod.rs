@@ -8,10 +8,10 @@ use std::time::Duration;
 
 use forelight_api::{Config, Service};
 use forelight_protocol::{
-    ArtifactHash, ByClass, FixedCosts, FrameStrata, Job, JobState, Lease, Node, NoiseCell, NoiseSample,
-    PreviewBackend, PreviewResult, Problem, ProblemKind, ProfileArtifacts, ProfileResult, ProfileSample,
-    Rays, RenderArtifacts, RenderResult, RenderStats, ResultAnswer, ResultRequest, Role, Spent, Stratum,
-    StratumName, TaskKind, TaskResult, TaskSpec, Timestamp,
+    AllottedStats, ArtifactHash, ByClass, FixedCosts, FrameStrata, ImageError, Job, JobState, Lease, Node,
+    NoiseCell, NoiseSample, PreviewBackend, PreviewResult, Problem, ProblemKind, ProfileArtifacts,
+    ProfileResult, ProfileSample, Rays, RenderArtifacts, RenderResult, RenderStats, ResultAnswer,
+    ResultRequest, Role, Spent, Stratum, StratumName, TaskKind, TaskResult, TaskSpec, Timestamp,
 };
 use forelight_store::tokens;
 use reqwest::{Method, RequestBuilder, Response, StatusCode};
@@ -289,8 +289,15 @@ impl Farm {
                         frame: spec.frame,
                         width: spec.settings.width,
                         height: spec.settings.height,
-                        spp: spec.settings.spp,
-                        allotted: None,
+                        spp: spec.settings.spp + u32::from(spec.work.is_some()),
+                        allotted: spec.work.map(|_| AllottedStats {
+                            least: 1,
+                            most: 4 * spec.settings.spp,
+                            mean: f64::from(spec.settings.spp + 1),
+                            error: ImageError { p05: 0.01, p50: 0.02, p80: 0.03, p95: 0.04 },
+                            forecast: None,
+                            within: None,
+                        }),
                         effects: vec!["ambient".to_owned()],
                         left_out: Vec::new(),
                         rays: Rays { primary: 1024, ..Rays::default() },

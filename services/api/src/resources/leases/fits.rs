@@ -4,9 +4,9 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    CACHE_BYTES, CacheFillResult, CacheFillSpec, CacheMergeResult, CacheMode, CachePlanResult, CachePlanSpec,
-    LeftOut, NoiseCell, PreviewResult, PreviewSpec, ProfileResult, ProfileSpec, RenderResult, RenderSettings,
-    RenderSpec, Spent, Stratum, TaskResult, TaskSpec,
+    AllottedStats, CACHE_BYTES, CacheFillResult, CacheFillSpec, CacheMergeResult, CacheMode, CachePlanResult,
+    CachePlanSpec, ImageError, LeftOut, NoiseCell, PreviewResult, PreviewSpec, ProfileResult, ProfileSpec,
+    RenderResult, RenderSettings, RenderSpec, Spent, Stratum, TaskResult, TaskSpec,
 };
 
 use crate::error::{ApiError, ApiResult};
@@ -213,6 +213,27 @@ fn cache_bytes(pointer: &str, bytes: u64) -> ApiResult<()> {
     wrong(pointer, format!("an irradiance cache has at most {CACHE_BYTES} bytes"))
 }
 
+/// Camera samples of a frame that was given its work.
+fn samples_where_they_pay(spec: &RenderSpec, allotted: &AllottedStats) -> ApiResult<()> {
+    const AT: &str = "/result/render/stats/allotted";
+    if spec.work.is_none() {
+        return wrong(AT, "the task has as many camera samples for every pixel");
+    }
+    let AllottedStats { least, most, mean, error, .. } = allotted;
+    let (low, high) = (f64::from(*least), f64::from(*most));
+    if *least == 0 || !(low..=high).contains(mean) {
+        return wrong(
+            format!("{AT}/mean"),
+            "the mean lies between the least and the most, which are above 0",
+        );
+    }
+    let ImageError { p05, p50, p80, p95 } = *error;
+    if ![p05, p50, p80, p95].iter().all(|error| (0.0..=1e12).contains(error)) {
+        return wrong(format!("{AT}/error"), "errors are 0 or more");
+    }
+    Ok(())
+}
+
 fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {
     const AT: &str = "/result/render/stats";
     let stats = &result.stats;
@@ -223,10 +244,12 @@ fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {
             format!("frame {}; the task is about {}", stats.frame, spec.frame),
         );
     }
+    stats.allotted.iter().try_for_each(|allotted| samples_where_they_pay(spec, allotted))?;
+    let spp = stats.allotted.as_ref().map_or(settings.spp, |allotted| allotted.mean.round() as u32);
     for (name, actual, expected) in [
         ("width", stats.width, settings.width),
         ("height", stats.height, settings.height),
-        ("spp", stats.spp, settings.spp),
+        ("spp", stats.spp, spp),
     ] {
         if actual != expected {
             return wrong(format!("{AT}/{name}"), format!("{actual}; the task has {expected}"));
