@@ -325,6 +325,27 @@ async fn submitting_by_the_command_line_brings_every_picture_and_a_contact_sheet
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_time_for_a_shot_is_spent_frame_by_frame_where_it_pays() {
+    let service = farm().await;
+    let (scene, data) = (shipped("corridor").display().to_string(), service.data().display().to_string());
+    let job = ["submit", &scene, "--server", service.address(), "--data", &data, "--frames", "0,24"];
+    let quality = ["--width", "48", "--spp", "2", "--samples", "64", "--profile-frames", "1"];
+    let printed = run_well(&[&job[..], &quality, &["--within", "3s", "--follow", "--json"]].concat());
+    let printed: Value = serde_json::from_str(&printed).expect("JSON is printed and nothing else");
+    assert_eq!(printed["job"]["state"], "done", "{printed}");
+    let quote: ForecastDoc = serde_json::from_value(printed["forecast"].clone()).expect("a quote");
+    let frames: Vec<FrameRow> = serde_json::from_value(printed["frames"].clone()).expect("frames");
+    assert!(quote.chosen_spp > Some(2) && quote.total.cpu_seconds.p80 <= 3.0, "{quote:?}");
+    for (forecast, row) in quote.frames.iter().zip(&frames) {
+        let actual = row.actual.as_ref().expect("what it took");
+        let share = actual.work as f64 / forecast.work.mean;
+        assert!((share - 1.0).abs() < 0.02, "{share} of the work that it was given");
+        let samples = actual.allotted.as_ref().expect("how its samples lie");
+        assert!(samples.most > samples.least && samples.error.p50 > 0.0, "{samples:?}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn with_a_cache_the_number_of_records_is_known_before_and_what_was_gathered_for_the_quote_is_taken_over()
  {
     let service = farm().await;
