@@ -18,6 +18,8 @@ mod measure;
 mod pilot;
 mod related;
 
+#[cfg(test)]
+pub(crate) use measure::Converged;
 pub use measure::{MeasureOptions, measure};
 pub(crate) use pilot::Pilot;
 

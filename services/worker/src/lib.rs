@@ -13,15 +13,22 @@
 //! | `render` | one frame with its true cost |
 //! | `pictures` | the files of a finished frame, and what making them takes |
 //! | `shot_cache` | the irradiance cache that the frames of a shot share |
-//! | `tasks`, `cache_tasks` | the kinds of tasks |
+//! | `tasks`, `cache_tasks`, `render_task` | the kinds of tasks |
 //! | `execute`, `agent` | a task's life between lease and result |
 //! | `library` | bundles, fetched once and kept open |
-//! | `within`, `refine` | a render that holds to its time, or to its error |
+//! | `within`, `refine`, `spend` | a render that holds to its time, to its error, or to its work |
 //! | `tiles` | what an image underway says of where more samples pay |
 //! | `calibrate`, `classes`, `capabilities` | how fast this machine is by class of work, what a frame's work is of, and what the machine has |
 //! | `checkpoint` | the finished tiles of a frame, for whoever has it next |
 //! | `limits` | what a task may use at most |
 //! | `client`, `transport`, `backoff`, `server_events` | the service's REST API |
+
+// What unit tests share with the others speaks of this crate by its name.
+#[cfg(test)]
+extern crate self as forelight_worker;
+#[cfg(test)]
+#[path = "../tests/common/mod.rs"]
+mod common;
 
 mod accuracy;
 mod agent;

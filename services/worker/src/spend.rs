@@ -84,12 +84,12 @@ fn before_pixels(ready: &dyn FrameRenderer) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::accuracy::Converged;
+    use crate::common::{Nobody, kitchen};
     use crate::render::Rendered;
     use crate::renderer::Renderer;
-    use crate::{Ambient, Given, render_frame};
-    use forelight_preview::Choice;
+    use crate::{Given, render_frame};
     use forelight_protocol::{CacheMode, RenderSettings, RenderSettingsRequest};
-    use std::path::Path;
 
     fn settings(size: (u32, u32), spp: u32, cache: CacheMode) -> RenderSettings {
         let request = RenderSettingsRequest {
@@ -100,11 +100,6 @@ mod tests {
             ..RenderSettingsRequest::default()
         };
         request.complete(size)
-    }
-
-    fn kitchen() -> impl Renderer {
-        let bundle = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/scenes/kitchen"));
-        Ambient::new(Choice::Cpu).open(bundle).unwrap()
     }
 
     fn even(settings: &RenderSettings) -> Rendered {
@@ -120,29 +115,17 @@ mod tests {
         made.rendered(&*ready, settings, None, 0.0).rendered
     }
 
-    /// Root mean square over pixels and channels, as a share of the reference's mean.
-    fn error(image: &Rendered, reference: &Rendered) -> f64 {
-        let (mut squares, mut sum, mut count) = (0.0, 0.0, 0.0);
-        for (a, b) in image.image.pixels.iter().zip(&reference.image.pixels) {
-            for (a, b) in a.color.iter().zip(b.color) {
-                squares += f64::from(a - b).powi(2);
-                sum += f64::from(b);
-                count += 1.0;
-            }
-        }
-        (squares / count).sqrt() / (sum / count)
-    }
-
     #[test]
     fn the_same_work_makes_less_error_where_it_goes_to_what_varies() {
         for cache in [CacheMode::Off, CacheMode::On] {
             let settings = settings((64, 36), 16, cache);
-            let reference = even(&RenderSettings { spp: 512, seed: 77, ..settings.clone() });
+            let many = RenderSettings { spp: 256, ..settings.clone() };
+            let truth = Converged::new(&kitchen(), 0, many, &Nobody::default()).unwrap();
             let uniform = even(&settings);
             let made = spent(&settings, uniform.stats.work);
             let share = made.stats.work as f64 / uniform.stats.work as f64;
             assert!((share - 1.0).abs() < 0.01, "{share} of the work");
-            let [made_error, uniform_error] = [&made, &uniform].map(|image| error(image, &reference));
+            let [made_error, uniform_error] = [&made, &uniform].map(|each| truth.error(&each.image).0);
             let allotted = made.stats.allotted.unwrap();
             assert!(made_error < 0.95 * uniform_error, "{made_error} is not below {uniform_error}");
             assert!((allotted.error.p50 / made_error - 1.0).abs() < 0.5, "{allotted:?}, made {made_error}");

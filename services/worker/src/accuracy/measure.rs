@@ -21,7 +21,7 @@ pub struct MeasureOptions {
 const HALVES: [u64; 2] = [0x6861_6c66, 0x6f74_6865];
 
 /// Two independent images of what a rung converges to.
-struct Converged {
+pub(crate) struct Converged {
     settings: RenderSettings,
     halves: [Image; 2],
     mean: f64,
@@ -100,7 +100,8 @@ fn image(
 }
 
 impl Converged {
-    fn new(
+    /// Renders both.
+    pub(crate) fn new(
         renderer: &dyn Renderer,
         frame: u32,
         settings: RenderSettings,
@@ -118,7 +119,7 @@ impl Converged {
     }
 
     /// Root mean square error of an image, relative to the mean, and its standard deviation.
-    fn error(&self, image: &Image) -> (f64, f64) {
+    pub(crate) fn error(&self, image: &Image) -> (f64, f64) {
         let [one, other] = &self.halves;
         let products: Vec<f64> = (0..image.pixels.len())
             .map(|i| {

@@ -197,27 +197,13 @@ impl Observer for Watching<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Ambient, Given, render_frame};
-    use forelight_preview::Choice;
+    use crate::common::{Nobody, kitchen};
+    use crate::{Given, render_frame};
     use forelight_protocol::{CacheMode, RenderSettingsRequest};
-    use std::path::Path;
-    use std::sync::atomic::AtomicBool;
-
-    #[derive(Default)]
-    struct Nobody(AtomicBool);
-
-    impl AccuracyObserver for Nobody {
-        fn predicted(&self, _: usize, _: usize) {}
-        fn cancel(&self) -> &AtomicBool {
-            &self.0
-        }
-    }
 
     #[test]
     fn with_a_cache_too_other_numbers_of_samples_are_known_to_cost_what_they_do() {
-        let kitchen = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/scenes/kitchen"));
-        let shot = Ambient::new(Choice::Cpu).open(kitchen).unwrap();
-        let nobody = Nobody::default();
+        let (shot, nobody) = (kitchen(), Nobody::default());
         let request = RenderSettingsRequest {
             spp: Some(4),
             ambient_bounces: Some(1),
