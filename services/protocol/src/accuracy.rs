@@ -251,7 +251,7 @@ mod tests {
             let rungs = kind.rungs(&asked).unwrap();
             assert!(rungs.len() >= 4 && rungs.iter().all(|rung| rung.check().is_ok()), "{kind:?}");
             let own = rungs.iter().filter(|rung| **rung == asked).count();
-            let expected = !matches!(kind, LadderKind::Path | LadderKind::Cache);
+            let expected = !matches!(kind, LadderKind::Path | LadderKind::Cache | LadderKind::CachedSamples);
             assert_eq!(own, usize::from(expected), "{kind:?}");
         }
         let spp: Vec<u32> = LadderKind::Path.rungs(&asked).unwrap().iter().map(|rung| rung.spp).collect();
@@ -261,6 +261,10 @@ mod tests {
             LadderKind::Cache.rungs(&cached).unwrap().iter().map(|rung| rung.cache_accuracy).collect();
         assert_eq!(accuracies, [400, 300, 250, 200, 150, 100]);
         assert!(LadderKind::Ambient.rungs(&cached).unwrap().iter().all(|rung| rung.cache == CacheMode::Off));
+        let sampled: Vec<u32> =
+            LadderKind::CachedSamples.rungs(&cached).unwrap().iter().map(|rung| rung.spp).collect();
+        assert_eq!(sampled, [1, 4, 8, 16, 64, 256]);
+        assert!(LadderKind::CachedSamples.rungs(&cached).unwrap().contains(&cached));
     }
 
     #[test]
