@@ -25,7 +25,7 @@ RUSTDOCFLAGS='-D warnings' cargo doc --workspace --no-deps --quiet
 
 step 'Tests'
 cargo build --workspace --quiet # the processes that tests start
-cargo test --workspace --quiet
+cargo test --workspace --quiet --no-fail-fast
 
 if [ "${1:-}" != --quick ]; then
   export FORELIGHT_BIN=$PWD/target/debug/forelight
