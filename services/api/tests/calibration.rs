@@ -23,6 +23,7 @@ async fn run(farm: &Farm, node: &Node, renderer: &str, factor: f64) -> ForecastD
                 for sample in &mut profile.samples {
                     let more = sample.work * u64::from(sample.pixel * 7 % 11) / 100;
                     sample.work += more;
+                    sample.work_by_ray[0] += more;
                     sample.cpu_nanos += more * 1_000_000;
                 }
             }

@@ -338,12 +338,15 @@ async fn a_result_that_does_not_fit_its_task_is_refused_with_the_place_and_the_l
     gathered.cache_samples = vec![CacheSample { level: 0, work: 1, cpu_nanos: 1, rays: [0; 7] }];
     let mut endless = good.clone();
     endless.fixed.plan.work = u64::MAX;
+    let mut short = good.clone();
+    short.samples[2].work_by_ray[0] -= 1;
     let mut wordy = good;
     wordy.effects = vec!["x".repeat(101)];
     for (bad, pointer) in [
         (stray, "/result/profile/samples/5/pixel"),
         (gathered, "/result/profile/cache_samples/0/level"),
         (endless, "/result/profile/fixed/plan"),
+        (short, "/result/profile/samples/2/work_by_ray"),
         (wordy, "/result/profile/effects"),
     ] {
         let answer = farm.report(&profile, TaskResult::Profile(bad)).await;

@@ -102,6 +102,12 @@ async fn a_quote_explains_itself_as_a_whole_and_frame_by_frame() {
     assert!((quad.share_per_sample.unwrap() * 24.0 - quad.share).abs() < 1e-12);
     assert!(quad.share > 0.99 && quad.times_mean_pixel > 1.3, "{quad:?}");
     assert!(whole.words.iter().any(|line| line.starts_with("quad, paint: 99.")), "{:?}", whole.words);
+    let pixels = whole.parts.iter().find(|part| part.part == "pixels").unwrap().work;
+    let primary = &whole.rays[0];
+    assert_eq!(primary.category, "primary");
+    assert!((primary.work.unwrap() / pixels - 0.75).abs() < 0.01, "{whole:?}");
+    let by_ray: f64 = whole.rays.iter().filter_map(|ray| ray.work).sum();
+    assert!((by_ray / pixels - 1.0).abs() < 1e-9, "{whole:?}");
     assert!(whole.words.last().unwrap().starts_with("half of it: "), "{:?}", whole.words);
     let one: Explanation = farm.viewer.get(&format!("{path}?frame=3")).await.json_as(StatusCode::OK).await;
     assert_eq!((one.frame, one.objects[0].pixels), (Some(3), 48));

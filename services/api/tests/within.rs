@@ -52,9 +52,9 @@ async fn the_most_samples_that_fit_are_chosen_said_and_rendered() {
     assert_eq!(spec.work, Some(of_frame.work.mean.round() as u64), "it may take what so many samples take");
     // It says how it spent that; what cannot be is refused.
     let TaskResult::Render(made) = farm.made_up_result(&lease).await else { panic!() };
-    let spent = made.stats.allotted.clone().unwrap();
-    let with = |allotted| {
-        let stats = RenderStats { allotted, ..made.stats.clone() };
+    let spent = *made.stats.allotted.clone().unwrap();
+    let with = |allotted: Option<AllottedStats>| {
+        let stats = RenderStats { allotted: allotted.map(Box::new), ..made.stats.clone() };
         TaskResult::Render(RenderResult { stats, ..made.clone() })
     };
     let above = AllottedStats { least: spent.most + 1, ..spent.clone() };

@@ -7,6 +7,9 @@ use utoipa::ToSchema;
 /// Objects with less than this share of the pixels' work are not listed.
 const LEAST_SHARE: f64 = 0.01;
 
+/// Index of ambient rays, for which the irradiance cache is.
+const AMBIENT: usize = 5;
+
 /// So many objects, and categories of rays, are named in words.
 const NAMED: usize = 3;
 
@@ -24,7 +27,7 @@ pub struct Explanation {
     pub parts: Vec<PartShare>,
     /// The pixels' part by what they show, the dearest first; those of little work are not listed.
     pub objects: Vec<ObjectShare>,
-    /// Rays by what sends them out, the most first.
+    /// Rays by what sends them out, those that the most work is for first.
     pub rays: Vec<RayShare>,
     /// Share of the whole that each camera sample of a pixel costs, 0 to 1.
     pub camera_sample: f64,
@@ -74,6 +77,12 @@ pub struct RayShare {
     pub rays: f64,
     /// Share of all rays, 0 to 1.
     pub share: f64,
+    /// Work that they bring about, as in [`crate::RenderStats::work_by_ray`]; absent if profiles do not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub work: Option<f64>,
+    /// Share of the whole work, 0 to 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub share_of_work: Option<f64>,
 }
 
 /// A setting that would halve the whole.
@@ -98,6 +107,8 @@ pub struct ShownWork {
     pub samples: u64,
     /// Their work.
     pub work: f64,
+    /// Work of those that were profiled by the ray that brought it about, in the order of [`Rays::NAMES`].
+    pub by_ray: [f64; 7],
 }
 
 /// What is to be explained.
@@ -128,6 +139,7 @@ impl Explanation {
         let share = |part: f64| if whole > 0.0 { part / whole } else { 0.0 };
         let part = |name: &str, work: f64| PartShare { part: name.into(), work, share: share(work) };
         let mut parts = vec![part("pixels", pixel_work), part("filling the irradiance cache", records_work)];
+        let by_ray = work_by_ray(&pixels);
         let rest = (whole - pixel_work - records_work).max(0.0);
         let FixedCosts { load, build, plan, .. } = fixed.unwrap_or_default();
         let setting_up = [
@@ -135,8 +147,10 @@ impl Explanation {
             ("building the tree", build),
             ("planning the irradiance cache", plan),
         ];
+        let mut planning = 0.0;
         match setting_up.map(|(_, spent)| spent.work as f64).iter().sum::<f64>() {
             all if all > 0.0 => {
+                planning = rest * (plan.work as f64 / all);
                 parts.extend(setting_up.map(|(name, spent)| part(name, rest * (spent.work as f64 / all))))
             }
             _ => parts.push(part("setting up", rest)),
@@ -146,7 +160,7 @@ impl Explanation {
         let mut objects: Vec<ObjectShare> = Vec::new();
         if told_apart {
             let shown = pixels.into_iter().filter(|h| h.work >= LEAST_SHARE * pixel_work && h.work > 0.0);
-            objects.extend(shown.map(|ShownWork { shows, pixels, samples, work }| ObjectShare {
+            objects.extend(shown.map(|ShownWork { shows, pixels, samples, work, .. }| ObjectShare {
                 shows,
                 pixels,
                 share_of_pixels: pixels as f64 / pixel_count,
@@ -159,11 +173,21 @@ impl Explanation {
             objects.sort_by(|a, b| b.work.total_cmp(&a.work));
         }
         let all_rays: f64 = rays.iter().sum();
-        let named = Rays::NAMES.iter().zip(rays).filter(|(_, rays)| *rays > 0.0);
-        let mut rays: Vec<RayShare> = named
-            .map(|(name, rays)| RayShare { category: (*name).to_owned(), rays, share: rays / all_rays })
-            .collect();
-        rays.sort_by(|a, b| b.rays.total_cmp(&a.rays));
+        let ray_share = |(kind, (name, rays)): (usize, (&&str, f64))| {
+            let cache = if kind == AMBIENT { records_work + planning } else { 0.0 };
+            let work = by_ray.map(|by_ray| by_ray[kind] + cache);
+            RayShare {
+                category: (*name).to_owned(),
+                rays,
+                share: rays / all_rays,
+                work,
+                share_of_work: work.map(share),
+            }
+        };
+        let named = Rays::NAMES.iter().zip(rays).enumerate().filter(|(_, (_, rays))| *rays > 0.0);
+        let mut rays: Vec<RayShare> = named.map(ray_share).collect();
+        let dear = |ray: &RayShare| ray.work.unwrap_or(ray.rays);
+        rays.sort_by(|a, b| dear(b).total_cmp(&dear(a)));
         let mut explanation = Self {
             words: Vec::new(),
             frame,
@@ -199,10 +223,14 @@ impl Explanation {
                 percent(*share_of_pixels),
             ));
         }
+        let known = self.rays.iter().all(|ray| ray.share_of_work.is_some());
+        let by_ray = self.rays.iter().take(NAMED).map(|ray| match ray.share_of_work {
+            Some(share) => format!("{} for {} rays", percent(share), ray.category),
+            None => format!("{} {}", percent(ray.share), ray.category),
+        });
         if !self.rays.is_empty() {
-            let rays =
-                self.rays.iter().take(NAMED).map(|ray| format!("{} {}", percent(ray.share), ray.category));
-            words.push(format!("of the rays are {}", rays.collect::<Vec<_>>().join(", ")));
+            let of = if known { "of the work is" } else { "of the rays are" };
+            words.push(format!("{of} {}", by_ray.collect::<Vec<_>>().join(", ")));
         }
         if self.camera_sample > 0.0 {
             words.push(format!(
@@ -229,6 +257,22 @@ impl ObjectShare {
             .as_ref()
             .map_or("the background".into(), |name| format!("{}, {}", name.object, name.material))
     }
+}
+
+/// The pixels' work by the ray that brings it about: in the proportions of those that were profiled of what a pixel shows, or of all of them. `None`
+/// if that is of none known.
+fn work_by_ray(pixels: &[ShownWork]) -> Option<[f64; 7]> {
+    let sum = |by_ray: &[f64; 7]| by_ray.iter().sum::<f64>();
+    let all = std::array::from_fn(|kind| pixels.iter().map(|shown| shown.by_ray[kind]).sum());
+    let mut work = [0.0; 7];
+    for shown in pixels {
+        let known = if sum(&shown.by_ray) > 0.0 { &shown.by_ray } else { &all };
+        let sum = sum(known);
+        if sum > 0.0 {
+            work.iter_mut().zip(known).for_each(|(work, of_ray)| *work += shown.work * (of_ray / sum));
+        }
+    }
+    (sum(&all) > 0.0).then_some(work)
 }
 
 /// The pixels' part goes with the camera samples, and with the number of pixels; filling a cache with the rays of a record. What is left is
@@ -271,5 +315,43 @@ mod tests {
         assert!(halving(100.0, 10.0, 80.0, &twice).is_empty(), "the second bounce keeps its least rays");
         assert!(halving(100.0, 40.0, 40.0, &settings).is_empty(), "no single part is more than half");
         assert!(halving(0.0, 0.0, 0.0, &settings).is_empty());
+    }
+
+    #[test]
+    fn the_work_of_rays_is_that_of_pixels_as_profiled_and_all_of_the_cache() {
+        let shown = |pixels, samples, work, by_ray| ShownWork { shows: None, pixels, samples, work, by_ray };
+        let spent = |work| crate::Spent { work, cpu_nanos: 0 };
+        let amounts = |by_ray: [f64; 7]| Amounts {
+            frame: None,
+            work: 200.0,
+            // The second was not profiled: it is like all that were.
+            pixels: vec![shown(10, 2, 80.0, by_ray), shown(5, 0, 40.0, [0.0; 7])],
+            told_apart: true,
+            records_work: 50.0,
+            fixed: Some(FixedCosts {
+                plan: spent(6),
+                load: spent(2),
+                build: spent(2),
+                ..FixedCosts::default()
+            }),
+            rays: [15.0, 20.0, 0.0, 0.0, 0.0, 30.0, 0.0],
+        };
+        let settings = RenderSettingsRequest::default().complete((10, 10));
+        let explained = Explanation::new(amounts([1.0, 2.0, 0.0, 0.0, 0.0, 1.0, 0.0]), &settings);
+        let told = |explained: &Explanation| -> Vec<(String, Option<f64>)> {
+            explained.rays.iter().map(|ray| (ray.category.clone(), ray.share_of_work)).collect()
+        };
+        let expected = [("ambient", 0.49), ("shadow", 0.3), ("primary", 0.15)];
+        assert_eq!(told(&explained), expected.map(|(name, share)| (name.to_owned(), Some(share))));
+        assert!(
+            explained
+                .words
+                .iter()
+                .any(|line| line.starts_with("of the work is 49.0 % for ambient rays, 30.0 %"))
+        );
+        let unknown = Explanation::new(amounts([0.0; 7]), &settings);
+        let expected = ["ambient", "shadow", "primary"].map(|name| (name.to_owned(), None));
+        assert_eq!(told(&unknown), expected);
+        assert!(unknown.words.iter().any(|line| line.starts_with("of the rays are 46.2 % ambient")));
     }
 }

@@ -18,6 +18,11 @@ pub struct ProfileSample {
     /// The part of `work` that is not in proportion to the camera samples, see [`UncoveredGathers`].
     #[serde(default, skip_serializing_if = "is_zero")]
     pub extra_work: u64,
+    /// `work` by the ray that brought it about, as in [`crate::RenderStats::work_by_ray`], in the order of [`crate::Rays::NAMES`]; all 0 if that is
+    /// not known.
+    #[serde(default)]
+    #[schema(min_items = 7, max_items = 7)]
+    pub work_by_ray: [u64; 7],
     /// CPU time of all its camera paths, in nanoseconds.
     pub cpu_nanos: u64,
     /// Rays by category, in the order of [`crate::Rays::NAMES`].

@@ -4,7 +4,7 @@ use crate::{ByClass, ImageError, Money, Quantiles};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// Numbers of rays by what sent them out.
+/// One number for each kind of ray, by what sends it out: how many there are, or what they take.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Rays {
@@ -121,7 +121,7 @@ pub struct RenderStats {
     pub spp: u32,
     /// How camera paths were allotted; absent where all pixels have equally many.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub allotted: Option<AllottedStats>,
+    pub allotted: Option<Box<AllottedStats>>,
     /// The effects that the frame called for, by name, sorted.
     pub effects: Vec<String>,
     /// Lights and objects that cannot matter to the image, and took no rays.
@@ -140,6 +140,11 @@ pub struct RenderStats {
     /// The same by class, as far as it was traced here: what was taken over is thought to be of the same classes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub work_by_class: Option<ByClass>,
+    /// The same by the ray that brought it about, with what is done where the ray ends. Everything that comes of gathered rays is
+    /// ambient, and so is the irradiance cache: what would not be there without indirect light. What belongs to no ray (loading, building the tree)
+    /// is missing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub work_by_ray: Option<Rays>,
     /// CPU time over all threads, in seconds. On the farm also that of encoding the pictures and of the preview among them.
     pub cpu_seconds: f64,
     /// Seconds that this run took, from start to end.

@@ -9,8 +9,9 @@ pub const RAY_NAMES: [&str; 7] =
     ["primary", "shadow", "transparent", "reflected", "refracted", "ambient", "specular"];
 
 /// Index of a category in [`Rays`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Category {
+    #[default]
     Primary,
     Shadow,
     Transparent,
@@ -22,6 +23,11 @@ pub enum Category {
 
 /// Rays by category, in the order of [`RAY_NAMES`].
 pub type Rays = [u64; 7];
+
+/// Work by the ray that brought it about, in the order of [`RAY_NAMES`]: going along the ray, and what is done where it ends. Everything
+/// that comes of a gathered ray is ambient, and so is reading the irradiance cache: work that would not be there without indirect
+/// light.
+pub type WorkByRay = [u64; 7];
 
 /// Adds rays to a sum, category by category.
 pub fn add_rays<R: Copy + Into<u64>>(sum: &mut Rays, rays: &[R; 7]) {
@@ -65,11 +71,46 @@ pub struct Counters {
     pub uncovered: u32,
     /// Work that goes with the first camera samples, see [`crate::Pixel::extra_work`].
     pub extra_work: u64,
+    account: Account,
+}
+
+/// What work is put down to.
+#[derive(Debug, Clone, Default)]
+struct Account {
+    by_ray: WorkByRay,
+    /// The ray that work is for now.
+    cause: Category,
+    /// Work that is put down already.
+    so_far: u64,
 }
 
 impl Counters {
     pub fn ray(&mut self, category: Category) {
         self.rays[category as usize] += 1;
+    }
+
+    /// From now on work is for a ray of this category, or still for gathered rays. Gives what it was for; hand that to [`Self::back_to`].
+    pub fn caused_by(&mut self, category: Category) -> Category {
+        let before = self.account.cause;
+        if before != Category::Ambient {
+            self.back_to(category);
+        }
+        before
+    }
+
+    /// From now on work is for a ray of this category.
+    pub fn back_to(&mut self, category: Category) {
+        if category != self.account.cause {
+            let (work, account) = (self.work(), &mut self.account);
+            account.by_ray[account.cause as usize] += work - account.so_far;
+            (account.so_far, account.cause) = (work, category);
+        }
+    }
+
+    pub fn work_by_ray(&self) -> WorkByRay {
+        let mut by_ray = self.account.by_ray;
+        by_ray[self.account.cause as usize] += self.work() - self.account.so_far;
+        by_ray
     }
 
     pub fn work(&self) -> u64 {

@@ -1,7 +1,7 @@
 //! Finished images: linear EXR with identity and cost layers, a tone-mapped PNG, and the cost map.
 
 use crate::cost::add_rays;
-use crate::{Pixel, RAY_NAMES, Rays};
+use crate::{Pixel, RAY_NAMES, Rays, WorkByRay};
 use exr::prelude as exr;
 use forelight_scene::Frame;
 use glam::Vec3;
@@ -37,6 +37,8 @@ pub struct Totals {
     pub rays: Rays,
     /// Deterministic work.
     pub work: u64,
+    /// The same by the ray that brought it about.
+    pub work_by_ray: WorkByRay,
     /// CPU time, nanoseconds.
     pub cpu_nanos: u64,
 }
@@ -48,6 +50,7 @@ impl Totals {
             t.pixels += 1;
             add_rays(&mut t.rays, &p.rays);
             t.work += p.work;
+            add_rays(&mut t.work_by_ray, &p.work_by_ray);
             t.cpu_nanos += p.cpu_nanos;
             t
         })
@@ -62,6 +65,7 @@ impl Totals {
             pixels: self.pixels,
             rays: std::array::from_fn(|kind| self.rays[kind] - before.rays[kind]),
             work: self.work - before.work,
+            work_by_ray: std::array::from_fn(|kind| self.work_by_ray[kind] - before.work_by_ray[kind]),
             cpu_nanos: self.cpu_nanos - before.cpu_nanos,
         }
     }

@@ -129,6 +129,15 @@ impl<'a, const K: u32> Pixels<'a, K> {
         (self.kernel.integrate)(self, ray)
     }
 
+    /// Does something whose work is for a ray of this category, see [`crate::cost::WorkByRay`].
+    #[inline]
+    fn caused_by<T>(&mut self, category: Category, act: impl FnOnce(&mut Self) -> T) -> T {
+        let before = self.counters.caused_by(category);
+        let given = act(self);
+        self.counters.back_to(before);
+        given
+    }
+
     /// Not normalised: it ends in the plane at distance 1.
     fn camera_direction(&mut self, x: u32, y: u32) -> Vec3 {
         let jitter = self.sampler.next(Purpose::Pixel, 0);

@@ -8,7 +8,7 @@
 
 use crate::Integrator;
 use crate::cache::{Irradiance, Keyed, PLAN_RAYS, Planned, Site, Strata};
-use crate::cost::Counters;
+use crate::cost::{Counters, add_rays};
 use crate::effects::Effects;
 use crate::integrator::{Interface, Pixels, Point, Segment};
 use crate::lights::Looks;
@@ -140,6 +140,7 @@ impl<const K: u32> Kernel<K> {
             underway.samples += 1;
         }
         known.rays.iter_mut().zip(pixels.counters.rays).for_each(|(all, new)| *all += new);
+        add_rays(&mut known.work_by_ray, &pixels.counters.work_by_ray());
         let work = pixels.counters.work_by_class();
         tracer.pixel_work.add(work);
         known.work += work.iter().sum::<u64>();

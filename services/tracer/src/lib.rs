@@ -50,7 +50,9 @@ mod tracer;
 mod tree;
 
 pub use cache::{Cache, CacheError, CacheTotals, RecordCost, Shared};
-pub use cost::{Cost, RAY_NAMES, Rays, WORK_CLASSES, WorkByClass, clocked, process_cpu_nanos, work};
+pub use cost::{
+    Cost, RAY_NAMES, Rays, WORK_CLASSES, WorkByClass, WorkByRay, clocked, process_cpu_nanos, work,
+};
 pub use effects::Effects;
 pub use fingerprint::tracer_version;
 pub use image::{Image, ImageError, Totals, cost_color};

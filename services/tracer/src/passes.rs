@@ -37,6 +37,7 @@ impl Default for Underway {
             color: [0.0; 3],
             rays: [0; 7],
             work: 0,
+            work_by_ray: [0; 7],
             extra_work: 0,
             cpu_nanos: 0,
             uncovered: 0,

@@ -3,9 +3,9 @@
 use crate::Pixel;
 
 /// Leading bytes of the format, with its version.
-const MAGIC: &[u8; 8] = b"FLprof04";
+const MAGIC: &[u8; 8] = b"FLprof05";
 const HEADER: usize = 8 + 4 + 32 + 4 + 8;
-const PIXEL: usize = 4 + 12 + 28 + 8 + 8 + 8 + 4 + 4;
+const PIXEL: usize = 4 + 12 + 28 + 8 + 56 + 8 + 8 + 4 + 4;
 const CHECKSUM: usize = 32;
 
 /// Finished pixels of one frame, or its irradiance cache. Of a frame with a cache no pixels are kept: their colours are not known
@@ -26,7 +26,7 @@ pub struct Profile {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ProfileError {
     /// The leading bytes are others.
-    #[error("not a profile of this version (it must begin with FLprof04)")]
+    #[error("not a profile of this version (it must begin with FLprof05)")]
     Foreign,
     /// Shorter or longer than its header says.
     #[error("truncated profile: {found} bytes where {expected} were expected")]
@@ -43,7 +43,7 @@ pub enum ProfileError {
 
 impl Profile {
     /// Little-endian: magic, frame, fingerprint, count of pixels, bytes of the cache (0 without one), pixels (index, colour, rays, work,
-    /// extra work, CPU nanoseconds, uncovered, stratum), the cache, BLAKE3 of all before.
+    /// work by ray, extra work, CPU nanoseconds, uncovered, stratum), the cache, BLAKE3 of all before.
     pub fn to_bytes(&self) -> Vec<u8> {
         let cache = self.cache.as_deref().unwrap_or_default();
         let mut out = Vec::with_capacity(HEADER + self.pixels.len() * PIXEL + cache.len() + CHECKSUM);
@@ -57,6 +57,7 @@ impl Profile {
             pixel.color.iter().for_each(|c| out.extend_from_slice(&c.to_le_bytes()));
             pixel.rays.iter().for_each(|r| out.extend_from_slice(&r.to_le_bytes()));
             out.extend_from_slice(&pixel.work.to_le_bytes());
+            pixel.work_by_ray.iter().for_each(|w| out.extend_from_slice(&w.to_le_bytes()));
             out.extend_from_slice(&pixel.extra_work.to_le_bytes());
             out.extend_from_slice(&pixel.cpu_nanos.to_le_bytes());
             out.extend_from_slice(&pixel.uncovered.to_le_bytes());
@@ -95,9 +96,11 @@ impl Profile {
                 let index = reader.u32();
                 let color = std::array::from_fn(|_| f32::from_le_bytes(reader.take()));
                 let rays = std::array::from_fn(|_| reader.u32());
-                let (work, extra_work, cpu_nanos) = (reader.u64(), reader.u64(), reader.u64());
+                let work = reader.u64();
+                let work_by_ray = std::array::from_fn(|_| reader.u64());
+                let (extra_work, cpu_nanos) = (reader.u64(), reader.u64());
                 let (uncovered, stratum) = (reader.u32(), reader.u32());
-                (index, Pixel { color, rays, work, extra_work, cpu_nanos, uncovered, stratum })
+                (index, Pixel { color, rays, work, work_by_ray, extra_work, cpu_nanos, uncovered, stratum })
             })
             .collect();
         let cache = (cache > 0).then(|| body[body.len() - cache..].to_vec());
@@ -145,6 +148,7 @@ mod tests {
             color: [0.5, f32::MIN_POSITIVE, 3.0e7],
             rays: [1, 2, 3, 4, 5, 6, i],
             work: u64::MAX - 7,
+            work_by_ray: [u64::MAX, 2, 3, 4, 5, 6, 7],
             extra_work: 1 << 40,
             cpu_nanos: 12_345,
             uncovered: 3,

@@ -1,7 +1,7 @@
 //! A frame, ready to be traced.
 
 use crate::cache::{Cache, CacheError, RecordCost};
-use crate::cost::{Cost, Tally, WorkByClass, build_work, clocked};
+use crate::cost::{Cost, Tally, WorkByClass, WorkByRay, build_work, clocked};
 use crate::effects::{CalledFor, Effects};
 use crate::environment::Sky;
 use crate::fingerprint::{fingerprint, light_fingerprint, of_content};
@@ -35,6 +35,8 @@ pub struct Pixel {
     pub rays: [u32; 7],
     /// Deterministic work.
     pub work: u64,
+    /// The same by the ray that brought it about.
+    pub work_by_ray: WorkByRay,
     /// The part of `work` that is in the rays above the least of gathers where the irradiance cache had no record: later samples have fewer of them
     /// ([`crate::UncoveredGathers`]). All other work is in proportion to the samples.
     pub extra_work: u64,

@@ -2,33 +2,12 @@
 
 mod support;
 
-use forelight_scene::{Color, Environment, Frame, Surface};
+use forelight_scene::Frame;
 use forelight_tracer::{
     Image, Integrator, Passes, Pixel, Profile, SampleCounts, SampleCountsError, Settings, Tracer,
 };
-use glam::Vec3;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use support::{Builder, lambert, material};
-
-/// Everything at once: diffuse, glossy, glass, pane, area light, sky.
-fn frame() -> Frame {
-    let color = Color::plain(Vec3::new(0.9, 0.8, 0.7));
-    let plastic = Surface::Plastic { albedo: color, ior: 1.5, alpha: 0.1 };
-    let glass = Surface::Glass { ior: 1.5, transmittance: color, alpha: 0.0, priority: None };
-    let pane = Surface::ThinGlass { ior: 1.5, transmittance: color };
-    Builder::default()
-        .quad(
-            Vec3::new(-5.0, -1.0, 5.0),
-            Vec3::new(10.0, 0.0, 0.0),
-            Vec3::new(0.0, 0.0, -10.0),
-            material("floor", lambert(0.6), 0.0),
-        )
-        .sphere(Vec3::new(-0.8, 0.0, 0.0), 0.7, material("glass", glass, 0.0))
-        .sphere(Vec3::new(0.8, -0.2, 0.0), 0.7, material("plastic", plastic, 0.0))
-        .quad(Vec3::new(-0.4, -1.0, 1.0), Vec3::X, Vec3::Y, material("pane", pane, 0.0))
-        .quad(Vec3::new(-0.5, 3.0, -0.5), Vec3::X, Vec3::Z, material("light", lambert(0.0), 20.0))
-        .frame(Vec3::new(0.0, 0.5, 4.0), Vec3::ZERO, 40, Environment::Constant(Vec3::splat(0.2)))
-}
+use support::everything;
 
 fn settings() -> Settings {
     Settings {
@@ -43,12 +22,15 @@ fn settings() -> Settings {
 
 fn with_threads(threads: usize, reuse: Option<&Profile>) -> Image {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
-    let tracer = Tracer::new(&frame(), &settings());
+    let tracer = Tracer::new(&everything(), &settings());
     pool.install(|| tracer.render(reuse, &|_| {}, &AtomicBool::new(false))).expect("nobody cancels")
 }
 
-fn bits(pixels: &[Pixel]) -> Vec<([u32; 3], [u32; 7], u64, u32)> {
-    pixels.iter().map(|p| (p.color.map(f32::to_bits), p.rays, p.work, p.stratum)).collect()
+/// Colour, rays, work and stratum of a pixel.
+type Bits = ([u32; 3], [u32; 7], [u64; 7], u32);
+
+fn bits(pixels: &[Pixel]) -> Vec<Bits> {
+    pixels.iter().map(|p| (p.color.map(f32::to_bits), p.rays, p.work_by_ray, p.stratum)).collect()
 }
 
 #[test]
@@ -66,7 +48,7 @@ fn one_two_and_seven_threads_give_the_same_bits() {
 
 #[test]
 fn profiled_pixels_taken_over_give_the_same_image_and_are_not_traced_again() {
-    let tracer = Tracer::new(&frame(), &settings());
+    let tracer = Tracer::new(&everything(), &settings());
     let chosen: Vec<u32> = (0..40 * 28).filter(|i| i % 7 == 3).rev().collect();
     let pixels = chosen.iter().copied().zip(tracer.profile(&chosen)).collect();
     let profile = Profile { frame: 0, fingerprint: tracer.fingerprint(), pixels, cache: None };
@@ -86,7 +68,7 @@ fn profiled_pixels_taken_over_give_the_same_image_and_are_not_traced_again() {
 fn camera_samples_that_are_told_are_those_of_the_pixel_and_of_an_image_of_fewer() {
     let chosen: Vec<u32> = (0..40 * 28).filter(|i| i % 37 == 5).collect();
     let told = |spp: u32| {
-        let tracer = Tracer::new(&frame(), &Settings { spp, ..settings() });
+        let tracer = Tracer::new(&everything(), &Settings { spp, ..settings() });
         let mut samples = vec![Vec::new(); chosen.len()];
         let pixels = tracer.profile_samples(&chosen, &mut |place, sample| samples[place].push(sample));
         assert_eq!(bits(&pixels), bits(&tracer.profile(&chosen)));
@@ -103,14 +85,14 @@ fn camera_samples_that_are_told_are_those_of_the_pixel_and_of_an_image_of_fewer(
 
 #[test]
 fn a_fingerprint_changes_with_anything_that_changes_the_image() {
-    let base = Tracer::new(&frame(), &settings()).fingerprint();
+    let base = Tracer::new(&everything(), &settings()).fingerprint();
     let moved = {
-        let mut f = frame();
+        let mut f = everything();
         f.camera.origin.x += 1e-3;
         Tracer::new(&f, &settings()).fingerprint()
     };
-    let reseeded = Tracer::new(&frame(), &Settings { seed: 1, ..settings() }).fingerprint();
-    let later = Tracer::new(&Frame { number: 1, ..frame() }, &settings()).fingerprint();
+    let reseeded = Tracer::new(&everything(), &Settings { seed: 1, ..settings() }).fingerprint();
+    let later = Tracer::new(&Frame { number: 1, ..everything() }, &settings()).fingerprint();
     let all = [base, moved, reseeded, later];
     for i in 0..all.len() {
         for j in 0..i {
@@ -121,7 +103,7 @@ fn a_fingerprint_changes_with_anything_that_changes_the_image() {
 
 #[test]
 fn a_pixel_with_samples_of_its_own_is_that_of_an_image_of_so_many() {
-    let (frame, settings) = (frame(), settings());
+    let (frame, settings) = (everything(), settings());
     let counts: Vec<u16> = (0..40 * 28).map(|pixel| if pixel % 3 == 0 { 5 } else { 2 }).collect();
     let tracer = Tracer::new(&frame, &settings);
     let plain = tracer.fingerprint();
@@ -149,7 +131,7 @@ fn an_image_made_in_passes_has_the_bits_of_one_made_at_once() {
             SampleCounts::new((0..40 * 28).map(|pixel| of(pixel) as u16).collect()).unwrap()
         };
         let finally = |pixel: usize| if pixel % 50 == 3 { 70 } else { 1 + pixel % 7 };
-        let tracer = Tracer::new(&frame(), &settings);
+        let tracer = Tracer::new(&everything(), &settings);
         let mut passes = Passes::new(&tracer);
         assert!(passes.counts().is_err(), "no pixel has a sample yet");
         let mut work = 0;
@@ -159,7 +141,7 @@ fn an_image_made_in_passes_has_the_bits_of_one_made_at_once() {
         // What a pixel has got it keeps.
         assert_eq!(passes.go_on(&tracer, &counts(&|_| 1), &|| false, &|_| ()).unwrap().work, 0);
         assert_eq!(passes.counts(), Ok(counts(&finally)));
-        let at_once = Tracer::new(&frame(), &settings);
+        let at_once = Tracer::new(&everything(), &settings);
         at_once.allot(counts(&finally)).unwrap();
         let at_once = at_once.render(None, &|_| (), &AtomicBool::new(false)).unwrap();
         assert_eq!(bits(&passes.image().pixels), bits(&at_once.pixels), "{integrator:?}");
@@ -170,7 +152,7 @@ fn an_image_made_in_passes_has_the_bits_of_one_made_at_once() {
 
 #[test]
 fn a_pass_that_is_stopped_leaves_every_pixel_with_the_samples_that_it_says() {
-    let tracer = Tracer::new(&frame(), &settings());
+    let tracer = Tracer::new(&everything(), &settings());
     let all = |samples: u16| SampleCounts::new(vec![samples; 40 * 28]).unwrap();
     let mut passes = Passes::new(&tracer);
     passes.go_on(&tracer, &all(1), &|| false, &|_| ()).unwrap();
@@ -179,7 +161,7 @@ fn a_pass_that_is_stopped_leaves_every_pixel_with_the_samples_that_it_says() {
     let counts = passes.counts().unwrap();
     let given = counts.as_slice().iter().filter(|&&count| count == 3).count();
     assert_eq!(given, 400);
-    let again = Tracer::new(&frame(), &settings());
+    let again = Tracer::new(&everything(), &settings());
     again.allot(counts).unwrap();
     let again = again.render(None, &|_| (), &AtomicBool::new(false)).unwrap();
     assert_eq!(bits(&passes.image().pixels), bits(&again.pixels));
@@ -187,6 +169,6 @@ fn a_pass_that_is_stopped_leaves_every_pixel_with_the_samples_that_it_says() {
 
 #[test]
 fn a_cancelled_render_has_no_image() {
-    let tracer = Tracer::new(&frame(), &settings());
+    let tracer = Tracer::new(&everything(), &settings());
     assert!(tracer.render(None, &|_| {}, &AtomicBool::new(true)).is_none());
 }

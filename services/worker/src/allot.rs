@@ -187,7 +187,8 @@ impl Made {
         let error = ImageError { p05, p50, p80, p95 };
         let mut rendered = rendered(ready, finished, settings, wall_seconds);
         rendered.stats.spp = mean.round() as u32;
-        rendered.stats.allotted = Some(AllottedStats { least, most, mean, error, forecast, within });
+        rendered.stats.allotted =
+            Some(Box::new(AllottedStats { least, most, mean, error, forecast, within }));
         Allotted { rendered, samples }
     }
 }

@@ -95,6 +95,8 @@ fn stats(
         let of_cache = |kind: usize| cache.map_or(0, |cache| cache.plan_rays[kind] + cache.fill_rays[kind]);
         Rays::from_array(std::array::from_fn(|kind| pixels[kind] + of_cache(kind)))
     };
+    let mut work_by_ray = Rays::from_array(all.work_by_ray);
+    work_by_ray.ambient += fixed.plan.work + fill.work;
     RenderStats {
         frame: ready.frame().number,
         width: settings.width,
@@ -108,6 +110,7 @@ fn stats(
         cache: finished.cache.as_ref().map(|cache| cache_stats(cache, &finished.image)),
         work: cost.work,
         work_by_class: of_frame(ready, all.work as f64, fill.work as f64),
+        work_by_ray: Some(work_by_ray),
         cpu_seconds: seconds(cost.cpu_nanos),
         wall_seconds,
         peak_rss_bytes: peak_rss_bytes(),

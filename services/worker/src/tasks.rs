@@ -144,6 +144,7 @@ pub fn profile_result(
             stratum: shown.place(observation.stratum as usize),
             work: cost.work,
             extra_work: pixel.extra_work,
+            work_by_ray: pixel.work_by_ray,
             cpu_nanos: cost.cpu_nanos,
             rays: cost.rays,
         }

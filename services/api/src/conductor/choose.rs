@@ -69,6 +69,12 @@ impl Populations {
         let records = RecordStrata::add(&mut strata, &mut frames, records, prior_cost);
         Self { strata, frames, names, index, background, records }
     }
+
+    /// The stratum that a profiled pixel shows.
+    pub fn shown_by(&self, sample: &protocol::ProfileSample, profile: &protocol::ProfileResult) -> usize {
+        let known = profile.strata.get(sample.stratum as usize);
+        known.and_then(|stratum| self.index.get(&stratum.identity())).copied().unwrap_or(self.background)
+    }
 }
 
 /// The frames to profile, ascending.

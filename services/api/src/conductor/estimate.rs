@@ -102,9 +102,7 @@ pub(super) fn estimated(
                 Some(sample) => (sample.work, sample.cpu_nanos, sample.rays),
                 None => (sample.work, sample.cpu_nanos, sample.rays),
             };
-            let known = result.strata.get(sample.stratum as usize);
-            let place = known.and_then(|stratum| populations.index.get(&stratum.identity()));
-            let stratum = place.copied().unwrap_or(populations.background);
+            let stratum = populations.shown_by(sample, result);
             let cost = Cost { work, cpu_nanos: at_speed_one(cpu_nanos, *node_speed), rays };
             Observation { stratum: stratum as u32, cost }
         });
@@ -326,6 +324,7 @@ mod tests {
                     stratum: stratum as u32,
                     work,
                     extra_work: 0,
+                    work_by_ray: [work, 0, 0, 0, 0, 0, 0],
                     cpu_nanos: 10 * work,
                     rays: [1, 0, 0, 0, 0, 0, 0],
                 });

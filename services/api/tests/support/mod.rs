@@ -251,6 +251,7 @@ impl Farm {
                         stratum: u32::from(background),
                         work,
                         extra_work: 0,
+                        work_by_ray: [work - work / 4, 0, 0, 0, 0, work / 4, 0],
                         cpu_nanos: work * 1_000_000,
                         rays: [u64::from(spec.settings.spp), 0, 0, 0, 0, 2, 0],
                     }
@@ -290,13 +291,15 @@ impl Farm {
                         width: spec.settings.width,
                         height: spec.settings.height,
                         spp: spec.settings.spp + u32::from(spec.work.is_some()),
-                        allotted: spec.work.map(|_| AllottedStats {
-                            least: 1,
-                            most: 4 * spec.settings.spp,
-                            mean: f64::from(spec.settings.spp + 1),
-                            error: ImageError { p05: 0.01, p50: 0.02, p80: 0.03, p95: 0.04 },
-                            forecast: None,
-                            within: None,
+                        allotted: spec.work.map(|_| {
+                            Box::new(AllottedStats {
+                                least: 1,
+                                most: 4 * spec.settings.spp,
+                                mean: f64::from(spec.settings.spp + 1),
+                                error: ImageError { p05: 0.01, p50: 0.02, p80: 0.03, p95: 0.04 },
+                                forecast: None,
+                                within: None,
+                            })
                         }),
                         effects: vec!["ambient".to_owned()],
                         left_out: Vec::new(),
@@ -305,6 +308,7 @@ impl Farm {
                         cache: None,
                         work,
                         work_by_class: None,
+                        work_by_ray: Some(Rays { primary: work / 2, ..Rays::default() }),
                         cpu_seconds: work as f64 * 1e-3,
                         wall_seconds: work as f64 * 1e-3,
                         peak_rss_bytes: 1,

@@ -2,10 +2,28 @@
 
 use crate::quantities::count;
 use crate::table::{Align, Table};
-use forelight_protocol::{Explanation, ObjectShare};
+use forelight_protocol::{Explanation, ObjectShare, RayShare};
 
 /// So many objects are shown; the JSON has all.
 const SHOWN: usize = 10;
+
+/// What is meant by the work for a ray, under tables of it.
+pub const WORK_FOR_RAYS: &str = "work for a ray is going along it, and what is done where it ends; all that comes of gathered rays is for ambient ones\n";
+
+/// Rays by what sends them out, with what they take.
+fn rays(rays: &[RayShare], percent: impl Fn(f64) -> String) -> String {
+    let mut table = Table::new(&[
+        ("rays", Align::Left),
+        ("count", Align::Right),
+        ("work for them", Align::Right),
+        ("share of the work", Align::Right),
+    ]);
+    for RayShare { category, rays, work, share_of_work, .. } in rays {
+        let work = work.map_or("-".into(), count);
+        table.row([category.clone(), count(*rays), work, share_of_work.map_or("-".into(), &percent)]);
+    }
+    format!("\n{}{WORK_FOR_RAYS}", table.render())
+}
 
 /// The explanation for people.
 pub fn text(explanation: &Explanation) -> String {
@@ -14,6 +32,7 @@ pub fn text(explanation: &Explanation) -> String {
     for part in &explanation.parts {
         text += &format!("{:>8}  {} ({} operations)\n", percent(part.share), part.part, count(part.work));
     }
+    text += &rays(&explanation.rays, percent);
     if !explanation.objects.is_empty() {
         let mut table = Table::new(&[
             ("pixels that show", Align::Left),

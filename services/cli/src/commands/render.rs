@@ -2,6 +2,7 @@
 
 use super::allot::{self, AllotArgs, Stopping};
 use super::cache::read_cache;
+use super::explain;
 use crate::atomic_file::{write_bytes, write_with};
 use crate::bounded_file;
 use crate::failure::{BadInput, Interrupted};
@@ -207,16 +208,27 @@ fn write_image(image: &Image, frame: &Frame, path: &Path, format: Format) -> Res
 
 /// The cost of a frame for people.
 fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
-    let mut table = Table::new(&[("rays", Align::Left), ("count", Align::Right)]);
-    for (name, rays) in Rays::NAMES.iter().zip(stats.rays.to_array()).filter(|(_, rays)| *rays > 0) {
-        table.row([(*name).to_owned(), count(rays as f64)]);
+    let mut table = Table::new(&[
+        ("rays", Align::Left),
+        ("count", Align::Right),
+        ("work for them", Align::Right),
+        ("share", Align::Right),
+    ]);
+    let share = |work: u64| format!("{:.1} %", 100.0 * work as f64 / stats.work.max(1) as f64);
+    let by_ray = stats.work_by_ray.unwrap_or_default();
+    let kinds = Rays::NAMES.iter().zip(stats.rays.to_array()).zip(by_ray.to_array());
+    for ((name, rays), work) in kinds.filter(|((_, rays), _)| *rays > 0) {
+        table.row([(*name).to_owned(), count(rays as f64), count(work as f64), share(work)]);
     }
+    let rest = stats.work.saturating_sub(by_ray.total());
+    table.row(["none: loading, building".into(), "-".into(), count(rest as f64), share(rest)]);
     table.footer();
-    table.row(["all".into(), count(stats.rays.total() as f64)]);
+    table.row(["all".into(), count(stats.rays.total() as f64), count(stats.work as f64), share(stats.work)]);
     let mut text = table.render();
     let RenderStats { frame, width, height, spp, .. } = stats;
+    text += explain::WORK_FOR_RAYS;
     text += &format!("\nframe {frame}, {width} x {height}, {spp} samples per pixel\n");
-    text += &stats.allotted.as_ref().map_or_else(String::new, allot::report);
+    text += &stats.allotted.as_deref().map_or_else(String::new, allot::report);
     let code = match effects {
         EffectsSwitch::CalledFor => "",
         EffectsSwitch::All => " (with code for all there are, and nothing left out)",

@@ -99,8 +99,7 @@ impl<const K: u32> Pixels<'_, K> {
             && material.opacity < 1.0
             && self.sampler.next(Purpose::Opacity, s.vertex).x >= material.opacity
         {
-            self.counters.ray(Category::Transparent);
-            return self.radiance(s.beyond(p.passed()));
+            return self.going_straight(&s, p.passed());
         }
         self.counters.shadings += 1;
         let emitted = if material.is_emissive() { self.emission(&s, &p) } else { Vec3::ZERO };
@@ -199,18 +198,22 @@ impl<const K: u32> Pixels<'_, K> {
             }
             _ => None,
         };
-        if response.has_diffuse() || response.glossy.is_some() {
-            total += self.direct(p, &response, s.level, s.vertex);
-        }
         let gathers_sky = ambient.is_some() && self.gathers_sky();
-        if let Some(sky) = kernel.sky
-            && response.has_diffuse()
-            && !gathers_sky
-        {
-            total += sky(self, p, &response, s.vertex);
-        }
+        total += self.caused_by(Category::Shadow, |this| {
+            let mut arriving = Vec3::ZERO;
+            if response.has_diffuse() || response.glossy.is_some() {
+                arriving += this.direct(p, &response, s.level, s.vertex);
+            }
+            if let Some(sky) = kernel.sky
+                && response.has_diffuse()
+                && !gathers_sky
+            {
+                arriving += sky(this, p, &response, s.vertex);
+            }
+            arriving
+        });
         if let Some(ambient) = ambient {
-            total += ambient(self, s, p, &response);
+            total += self.caused_by(Category::Ambient, |this| ambient(this, s, p, &response));
         }
         if K & has::GLOSSY != 0
             && let Some(glossy) = lobe
@@ -252,9 +255,8 @@ impl<const K: u32> Pixels<'_, K> {
     fn glass(&mut self, s: &Segment, p: &Point, between: &Interface) -> Vec3 {
         let &Interface { eta, transmittance, alpha, before, beyond, passed } = between;
         let Some(eta) = eta else {
-            self.counters.ray(Category::Transparent);
             self.media = beyond;
-            return self.radiance(s.beyond(passed));
+            return self.going_straight(s, passed);
         };
         let normal = if alpha < ggx::SMOOTH {
             p.basis.normal
@@ -329,9 +331,22 @@ impl<const K: u32> Pixels<'_, K> {
         if survival < 1.0 && self.sampler.next(Purpose::Roulette, next.vertex - 1).x >= survival {
             return Vec3::ZERO;
         }
-        self.counters.ray(category);
         let share = share / survival;
-        share * self.radiance(Segment { weight: next.weight * share.max_element(), ..next })
+        let next = Segment { weight: next.weight * share.max_element(), ..next };
+        share * self.sent(category, next)
+    }
+
+    /// Radiance of a segment beyond something that it passes straight.
+    fn going_straight(&mut self, s: &Segment, passed: Passed) -> Vec3 {
+        self.sent(Category::Transparent, s.beyond(passed))
+    }
+
+    /// Radiance that arrives along a ray that is sent out for itself.
+    fn sent(&mut self, category: Category, s: Segment) -> Vec3 {
+        self.caused_by(category, |this| {
+            this.counters.ray(category);
+            this.radiance(s)
+        })
     }
 
     /// Whether gathered rays bring the sky's light: a sky without features is found by them as well as by rays of its own.

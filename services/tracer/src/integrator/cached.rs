@@ -57,6 +57,8 @@ impl<const K: u32> Pixels<'_, K> {
 
     /// What the hemisphere above a record of `level` sends. The plan's rays are not traced again.
     pub fn gather_record(&mut self, strata: &Strata, level: u32, planned: &Planned) -> Irradiance {
+        // All of it.
+        self.counters.caused_by(Category::Ambient);
         let basis = Basis::new(planned.site.normal);
         let samples: Vec<Sample> = (0..strata.len())
             .map(|stratum| {

@@ -77,7 +77,7 @@ impl<const K: u32> Pixels<'_, K> {
                 && material.opacity < 1.0
                 && self.sampler.next(Purpose::Opacity, vertex).x >= material.opacity
             {
-                self.counters.ray(Category::Transparent);
+                self.goes_on(Category::Transparent);
                 passed = Some(p.passed());
                 continue;
             }
@@ -92,7 +92,7 @@ impl<const K: u32> Pixels<'_, K> {
                     let Some(eta) = eta else {
                         // Shadow rays do not pass here, so what is met now is met by no other way.
                         (origin, self.media) = (Origin::Only, beyond);
-                        self.counters.ray(Category::Transparent);
+                        self.goes_on(Category::Transparent);
                         passed = Some(through);
                         continue;
                     };
@@ -106,7 +106,8 @@ impl<const K: u32> Pixels<'_, K> {
                 bsdf.mirror(p.wi)
             } else {
                 if bsdf.spreads() {
-                    total += throughput * self.sampled_light(&p, &bsdf, vertex);
+                    total += throughput
+                        * self.caused_by(Category::Shadow, |this| this.sampled_light(&p, &bsdf, vertex));
                 }
                 self.chosen(&p, &bsdf, vertex)
             };
@@ -139,7 +140,7 @@ impl<const K: u32> Pixels<'_, K> {
                     throughput /= survival;
                 }
             }
-            self.counters.ray(category(scattering.lobe));
+            self.goes_on(category(scattering.lobe));
             if scattering.lobe == Lobe::Straight {
                 passed = Some(p.passed());
             } else {
@@ -147,7 +148,14 @@ impl<const K: u32> Pixels<'_, K> {
                 passed = None;
             }
         }
+        self.counters.back_to(Category::Primary);
         total
+    }
+
+    /// The path's next ray.
+    fn goes_on(&mut self, category: Category) {
+        self.counters.caused_by(category);
+        self.counters.ray(category);
     }
 
     /// What any surface but that of a solid dielectric does with light. A kernel has no arm for materials that its frame does not have.

@@ -133,3 +133,23 @@ impl Builder {
         }
     }
 }
+
+/// Everything at once: diffuse, glossy, glass, pane, area light, sky.
+pub fn everything() -> Frame {
+    let color = Color::plain(Vec3::new(0.9, 0.8, 0.7));
+    let plastic = Surface::Plastic { albedo: color, ior: 1.5, alpha: 0.1 };
+    let glass = Surface::Glass { ior: 1.5, transmittance: color, alpha: 0.0, priority: None };
+    let pane = Surface::ThinGlass { ior: 1.5, transmittance: color };
+    Builder::default()
+        .quad(
+            Vec3::new(-5.0, -1.0, 5.0),
+            Vec3::new(10.0, 0.0, 0.0),
+            Vec3::new(0.0, 0.0, -10.0),
+            material("floor", lambert(0.6), 0.0),
+        )
+        .sphere(Vec3::new(-0.8, 0.0, 0.0), 0.7, material("glass", glass, 0.0))
+        .sphere(Vec3::new(0.8, -0.2, 0.0), 0.7, material("plastic", plastic, 0.0))
+        .quad(Vec3::new(-0.4, -1.0, 1.0), Vec3::X, Vec3::Y, material("pane", pane, 0.0))
+        .quad(Vec3::new(-0.5, 3.0, -0.5), Vec3::X, Vec3::Z, material("light", lambert(0.0), 20.0))
+        .frame(Vec3::new(0.0, 0.5, 4.0), Vec3::ZERO, 40, Environment::Constant(Vec3::splat(0.2)))
+}

@@ -106,6 +106,11 @@ fn profile(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
         if [sample.work, sample.cpu_nanos].iter().chain(&sample.rays).any(|&number| number > LARGEST) {
             return wrong(at, "a number is larger than 2⁶³ − 1");
         }
+        let by_ray: u128 = sample.work_by_ray.iter().map(|&work| u128::from(work)).sum();
+        if by_ray != 0 && by_ray != u128::from(sample.work) {
+            let reason = format!("{by_ray} in all; the pixel's work is {}", sample.work);
+            return wrong(at + "/work_by_ray", reason);
+        }
     }
     let expected = if spec.cache.is_some() { result.samples.len() } else { 0 };
     if result.shared_samples.len() != expected {
@@ -266,6 +271,9 @@ fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {
     }
     if u64::max(stats.work, stats.reused_work) > LARGEST || stats.rays.total() > LARGEST {
         return wrong(AT, "a number is larger than 2⁶³ − 1");
+    }
+    if stats.work_by_ray.is_some_and(|by_ray| by_ray.total() > stats.work) {
+        return wrong(format!("{AT}/work_by_ray"), "more in all than the frame's whole work");
     }
     effects(&format!("{AT}/effects"), &stats.effects)?;
     left_out(&format!("{AT}/left_out"), &stats.left_out)?;

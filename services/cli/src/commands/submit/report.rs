@@ -109,7 +109,7 @@ fn remark(row: &FrameRow) -> String {
     if let Some(stats) = row.actual.as_ref().filter(|stats| stats.reused_pixels > 0) {
         remarks.push(format!("{} pixels from profiling", stats.reused_pixels));
     }
-    if let Some(given) = row.actual.as_ref().and_then(|stats| stats.allotted.as_ref()) {
+    if let Some(given) = row.actual.as_ref().and_then(|stats| stats.allotted.as_deref()) {
         let AllottedStats { least, most, mean, error, .. } = given;
         remarks.push(format!(
             "{least} to {most} samples a pixel, {mean:.1} on average; noise {:.2} % of the mean",

@@ -237,6 +237,7 @@ pub fn rendered(frame: u32, spp: u32) -> TaskResult {
             allotted: None,
             work: 1000,
             work_by_class: None,
+            work_by_ray: None,
             cpu_seconds: 1.0,
             wall_seconds: 1.0,
             peak_rss_bytes: 1,
