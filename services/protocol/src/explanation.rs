@@ -111,6 +111,13 @@ pub struct ShownWork {
     pub by_ray: [f64; 7],
 }
 
+impl ShownWork {
+    /// Notes what a profiled one of them took, by the ray that brought it about.
+    pub fn note(&mut self, work_by_ray: &[u64; 7]) {
+        self.by_ray.iter_mut().zip(work_by_ray).for_each(|(sum, &work)| *sum += work as f64);
+    }
+}
+
 /// What is to be explained.
 #[derive(Clone, PartialEq, Debug)]
 pub struct Amounts {

@@ -46,26 +46,25 @@ pub(super) fn explained(
     };
     // Objects first, then the background, then the records.
     let (pixels, records) = sums.split_at((populations.background + 1).min(sums.len()));
-    let mut by_ray = vec![[0.0; 7]; pixels.len()];
-    let seen = profiles
-        .iter()
-        .flat_map(|MeasuredProfile { result, .. }| result.samples.iter().map(move |sample| (sample, result)));
-    for (sample, result) in seen {
-        if let Some(sum) = by_ray.get_mut(populations.shown_by(sample, result)) {
-            sum.iter_mut().zip(sample.work_by_ray).for_each(|(sum, work)| *sum += work as f64);
-        }
-    }
     let shown = |(place, sum): (usize, &StratumSum)| ShownWork {
         shows: populations.names.get(place).cloned(),
         pixels: sum.pixels,
         samples: sum.samples,
         work: sum.work,
-        by_ray: by_ray[place],
+        by_ray: [0.0; 7],
     };
+    let mut pixels: Vec<ShownWork> = pixels.iter().enumerate().map(shown).collect();
+    for MeasuredProfile { result, .. } in profiles {
+        for sample in &result.samples {
+            if let Some(shown) = pixels.get_mut(populations.shown_by(sample, result)) {
+                shown.note(&sample.work_by_ray);
+            }
+        }
+    }
     let amounts = Amounts {
         frame,
         work: total.work.mean,
-        pixels: pixels.iter().enumerate().map(shown).collect(),
+        pixels,
         told_apart: true,
         records_work: records.iter().map(|sum| sum.work).sum(),
         fixed: fixed_costs(profiles),
