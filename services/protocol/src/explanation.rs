@@ -21,7 +21,7 @@ pub struct Explanation {
     /// The frame that it is about; absent if it is about all of them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<u32>,
-    /// The whole.
+    /// The whole, without the making of an irradiance cache that frames share.
     pub work: f64,
     /// Kinds of work, the dearest first.
     pub parts: Vec<PartShare>,
@@ -88,7 +88,7 @@ pub struct RayShare {
 /// A setting that would halve the whole.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Halving {
-    /// Name of the setting.
+    /// Name of the setting. With the width the height changes in proportion.
     pub setting: String,
     /// Its value now.
     pub from: f64,
@@ -133,6 +133,8 @@ pub struct Amounts {
     pub records_work: f64,
     /// What a frame costs whatever its pixels show; without it that is one part.
     pub fixed: Option<FixedCosts>,
+    /// Whether frames share an irradiance cache, whose making is in none of this.
+    pub shares_cache: bool,
     /// Rays by category, in the order of [`Rays::NAMES`].
     pub rays: [f64; 7],
 }
@@ -140,7 +142,8 @@ pub struct Amounts {
 impl Explanation {
     /// What the work of a quote at these settings goes into.
     pub fn new(amounts: Amounts, settings: &RenderSettings) -> Self {
-        let Amounts { frame, work: whole, pixels, told_apart, records_work, fixed, rays } = amounts;
+        let Amounts { frame, work: whole, pixels, told_apart, records_work, fixed, shares_cache, rays } =
+            amounts;
         let pixel_work: f64 = pixels.iter().map(|shown| shown.work).sum();
         let pixel_count = pixels.iter().map(|shown| shown.pixels).sum::<u64>().max(1) as f64;
         let share = |part: f64| if whole > 0.0 { part / whole } else { 0.0 };
@@ -186,13 +189,14 @@ impl Explanation {
             RayShare {
                 category: (*name).to_owned(),
                 rays,
-                share: rays / all_rays,
+                share: if all_rays > 0.0 { rays / all_rays } else { 0.0 },
                 work,
                 share_of_work: work.map(share),
             }
         };
-        let named = Rays::NAMES.iter().zip(rays).enumerate().filter(|(_, (_, rays))| *rays > 0.0);
-        let mut rays: Vec<RayShare> = named.map(ray_share).collect();
+        let all = Rays::NAMES.iter().zip(rays).enumerate().map(ray_share);
+        // A cache that is there already is read without a ray.
+        let mut rays: Vec<RayShare> = all.filter(|ray| ray.rays > 0.0 || ray.work > Some(0.0)).collect();
         let dear = |ray: &RayShare| ray.work.unwrap_or(ray.rays);
         rays.sort_by(|a, b| dear(b).total_cmp(&dear(a)));
         let mut explanation = Self {
@@ -205,12 +209,12 @@ impl Explanation {
             camera_sample: share(pixel_work) / f64::from(settings.spp.max(1)),
             halving: halving(whole, pixel_work, records_work, settings),
         };
-        explanation.words = explanation.in_words();
+        explanation.words = explanation.in_words(settings, shares_cache);
         explanation
     }
 
     /// The sentences.
-    fn in_words(&self) -> Vec<String> {
+    fn in_words(&self, settings: &RenderSettings, shares_cache: bool) -> Vec<String> {
         let mut words = Vec::new();
         let percent = |share: f64| format!("{:.1} %", 100.0 * share);
         if let Some(PartShare { part, share, .. }) = self.parts.first() {
@@ -247,8 +251,16 @@ impl Explanation {
         }
         let way = |way: &Halving| match way.setting.as_str() {
             "spp" => format!("{} camera samples per pixel in place of {}", way.to, way.from),
+            "width" => {
+                let RenderSettings { width, height, .. } = settings;
+                let lower = (f64::from(*height) * way.to / way.from).floor().max(1.0);
+                format!("--width {} --height {lower} in place of {width} x {height}", way.to)
+            }
             setting => format!("--{setting} {} in place of {}", way.to, way.from),
         };
+        if shares_cache {
+            words.push("making the irradiance cache that the frames share is not in this: it is a line of its own in the quote".to_owned());
+        }
         words.push(match &self.halving[..] {
             [] => "half of it: no single setting does that".to_owned(),
             ways => format!("half of it: {}", ways.iter().map(way).collect::<Vec<_>>().join("; or ")),
@@ -294,10 +306,16 @@ fn halving(whole: f64, pixels: f64, gathered: f64, settings: &RenderSettings) ->
         way("spp", settings.spp, f64::from(settings.spp) * kept(pixels)),
         way("width", settings.width, f64::from(settings.width) * kept(pixels).sqrt()),
         // Of deeper bounces the rays fall to a least number.
-        way("cache-rays", settings.cache_rays, f64::from(settings.cache_rays) * kept(gathered))
+        way("cache-rays", settings.cache_rays, rays_used(f64::from(settings.cache_rays) * kept(gathered)))
             .filter(|_| settings.ambient_bounces < 2),
     ];
     ways.into_iter().flatten().collect()
+}
+
+/// The most rays up to a number that a record can be gathered with: 48 times a square, or none.
+fn rays_used(most: f64) -> f64 {
+    let cut = (most / 48.0).sqrt().floor();
+    48.0 * cut * cut
 }
 
 #[cfg(test)]
@@ -317,11 +335,17 @@ mod tests {
         }
         let cached = halving(100.0, 10.0, 80.0, &settings);
         assert_eq!(cached.len(), 1);
+        assert_eq!(
+            cached[0].to, 192.0,
+            "of 768 rays 288 are allowed; the next fewer that are ever used are these"
+        );
         assert!(cached[0].setting == "cache-rays" && 20.0 + 80.0 * cached[0].to / cached[0].from <= 50.0);
         let twice = RenderSettings { ambient_bounces: 2, ..settings.clone() };
         assert!(halving(100.0, 10.0, 80.0, &twice).is_empty(), "the second bounce keeps its least rays");
         assert!(halving(100.0, 40.0, 40.0, &settings).is_empty(), "no single part is more than half");
         assert!(halving(0.0, 0.0, 0.0, &settings).is_empty());
+        let least = RenderSettings { cache_rays: 192, ..settings };
+        assert!(halving(100.0, 10.0, 55.0, &least).is_empty(), "less than the fewest rays that a record has");
     }
 
     #[test]
@@ -341,6 +365,7 @@ mod tests {
                 build: spent(2),
                 ..FixedCosts::default()
             }),
+            shares_cache: false,
             rays: [15.0, 20.0, 0.0, 0.0, 0.0, 30.0, 0.0],
         };
         let settings = RenderSettingsRequest::default().complete((10, 10));

@@ -35,6 +35,7 @@ impl Quote {
             pixels,
             records_work: gathered.iter().map(|sum| sum.work).sum(),
             fixed: self.document.fixed,
+            shares_cache: false,
             rays: self.forecast.total.rays.map(|rays| rays.mean),
         };
         Explanation::new(amounts, settings)

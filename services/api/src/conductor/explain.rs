@@ -2,7 +2,7 @@
 //! is traced for it.
 
 use forelight_forecast::StratumSum;
-use forelight_protocol::{Amounts, Explanation, PreviewResult, RenderSettings, ShownWork};
+use forelight_protocol::{Amounts, Explanation, FixedCosts, PreviewResult, RenderSettings, ShownWork};
 use forelight_store::{MeasuredProfile, PlannedCache};
 
 use super::estimate::{Estimated, estimated, fixed_costs};
@@ -67,8 +67,20 @@ pub(super) fn explained(
         pixels,
         told_apart: true,
         records_work: records.iter().map(|sum| sum.work).sum(),
-        fixed: fixed_costs(profiles),
+        fixed: fixed_costs(profiles).map(|fixed| with_planning_beside(fixed, shared, frame)),
+        shares_cache: shared.is_some(),
         rays: total.rays.map(|rays| rays.mean),
     };
     Ok(Explanation::new(amounts, settings))
+}
+
+/// Fixed costs of frames that plan what they need beyond a shared cache, as the mean of those that are explained.
+fn with_planning_beside(fixed: FixedCosts, shared: Option<&SharedWay<'_>>, frame: Option<u32>) -> FixedCosts {
+    let Some(way) = shared else { return fixed };
+    let explained =
+        way.plan.frames.iter().filter(|planned| frame.is_none_or(|number| planned.frame == number));
+    let plans: Vec<FixedCosts> =
+        explained.map(|planned| FixedCosts { plan: planned.plan, ..FixedCosts::default() }).collect();
+    let plan = FixedCosts::mean(&plans).unwrap_or_default().plan;
+    FixedCosts { plan, ..fixed }
 }

@@ -69,8 +69,8 @@ pub(crate) struct ExplanationQuery {
 }
 
 /// Why the job is dear, or one of its frames: what its work goes into, by parts, by what the pixels show and by kinds of rays; on how many profiled pixels that
-/// rests, what each camera sample of a pixel costs, and what would halve it. It is the quote taken apart, and nothing is traced for
-/// it. 409 until the profile is there.
+/// rests, what each camera sample of a pixel costs, and what would halve it. It is the quote taken apart, but for an irradiance cache that frames share: making that is
+/// a line of its own there. Nothing is traced for it. 409 until the profile is there.
 #[utoipa::path(get, path = "/v1/jobs/{id}/explanation", tag = "jobs", params(("id" = JobId, Path), ExplanationQuery),
     responses((status = 200, description = "The explanation", body = Explanation), Problems))]
 pub(crate) async fn explanation_of_job(

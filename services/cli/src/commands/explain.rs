@@ -4,7 +4,7 @@ use crate::quantities::count;
 use crate::table::{Align, Table};
 use forelight_protocol::{Explanation, ObjectShare, RayShare};
 
-/// So many objects are shown; the JSON has all.
+/// So many objects are shown; the JSON has all that have at least a hundredth of the pixels' work.
 const SHOWN: usize = 10;
 
 /// What is meant by the work for a ray, under tables of it.
@@ -57,7 +57,10 @@ pub fn text(explanation: &Explanation) -> String {
         text += "\n";
         text += &table.render();
         if explanation.objects.len() > SHOWN {
-            text += &format!("and {} others\n", explanation.objects.len() - SHOWN);
+            text += &format!(
+                "and {} others with at least 1 % of the pixels' work\n",
+                explanation.objects.len() - SHOWN
+            );
         }
     }
     text += "\n";

@@ -217,7 +217,7 @@ fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
     let share = |work: u64| format!("{:.1} %", 100.0 * work as f64 / stats.work.max(1) as f64);
     let by_ray = stats.work_by_ray.unwrap_or_default();
     let kinds = Rays::NAMES.iter().zip(stats.rays.to_array()).zip(by_ray.to_array());
-    for ((name, rays), work) in kinds.filter(|((_, rays), _)| *rays > 0) {
+    for ((name, rays), work) in kinds.filter(|((_, rays), work)| rays + work > 0) {
         table.row([(*name).to_owned(), count(rays as f64), count(work as f64), share(work)]);
     }
     let rest = stats.work.saturating_sub(by_ray.total());

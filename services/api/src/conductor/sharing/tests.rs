@@ -4,13 +4,14 @@ use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
 use forelight_forecast::LEAST_JOBS;
-use forelight_protocol::{ProfileArtifacts, RenderSettingsRequest, RenderStats};
+use forelight_protocol::{Explanation, ProfileArtifacts, RenderSettingsRequest, RenderStats};
 use forelight_tracer::Cache;
 use forelight_worker::{
     Ambient, AmbientShot, Given, Observer, QuoteOptions, fill_part, plan_shared, preview_result,
     profile_result, profile_shared, render_frame,
 };
 
+use super::super::explain::explained;
 use super::*;
 
 /// An observer that looks away.
@@ -72,6 +73,35 @@ impl Case {
         quote(asked, &self.settings, &self.preview, &self.profiles, &self.planned, None).unwrap()
     }
 
+    /// What frames take for indirect light, and for planning it, as the quote's explanation has it and as it was.
+    fn hold_explanation_against(&self, shared: bool, actual: &[RenderStats]) {
+        let PlannedCache::There { plan, node_speed } = &self.planned else { panic!("no plan") };
+        let way = shared.then_some(SharedWay { plan, node_speed: *node_speed });
+        let explained = |frame| {
+            explained(&self.settings, &self.preview, &self.profiles, way.as_ref(), frame)
+                .expect("an explanation")
+        };
+        let hold = |explanation: Explanation, stats: &[RenderStats], most: f64| {
+            let ambient =
+                explanation.rays.iter().find(|ray| ray.category == "ambient").and_then(|ray| ray.work);
+            let planning = explanation.parts.iter().find(|part| part.part.starts_with("planning"));
+            let taken: u64 = stats.iter().map(|stats| stats.work_by_ray.unwrap().ambient).sum();
+            let planned: u64 = stats.iter().map(|stats| stats.cache.unwrap().plan_work).sum();
+            let error = off(ambient.unwrap(), taken);
+            println!(
+                "ambient {:+.1} %, planning {:?} {planned}",
+                100.0 * error,
+                planning.map(|part| part.work)
+            );
+            assert!(error.abs() < most, "{taken} for ambient rays: {error}");
+            assert!((planning.map_or(0.0, |part| part.work) - planned as f64).abs() < 0.1 * taken as f64);
+        };
+        hold(explained(None), actual, 0.1);
+        for stats in actual {
+            hold(explained(Some(stats.frame)), std::slice::from_ref(stats), 0.25);
+        }
+    }
+
     fn filled(&self) -> (Cache, u64) {
         let never = AtomicBool::new(false);
         let filled = fill_part(&self.shot, self.cache.clone(), &self.settings, (0, 1), &|_, _| (), &never);
@@ -126,6 +156,7 @@ fn what_is_quoted_for_either_way_is_what_it_takes_and_the_way_that_takes_less_is
             let frames_work: u64 = actual.iter().map(|stats| stats.work).sum();
             let error = off(quoted.job.total.work.mean, frames_work);
             assert!(error.abs() < 0.08, "{scene}, {asked:?}, all frames: {error}");
+            case.hold_explanation_against(said.shared, &actual);
             let price = if said.shared { said.shared_price.unwrap() } else { said.private_price };
             taken[usize::from(said.shared)] = frames_work;
             if let (Some(seed), PlannedCache::There { plan, .. }) = (&said.seed, &case.planned) {

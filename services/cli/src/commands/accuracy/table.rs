@@ -16,7 +16,7 @@ pub fn text(document: &AccuracyDoc) -> String {
         }
     }
     for missing in &document.missing {
-        text += &format!("\n{}: {}\n", missing.ladder.name(), missing.reason);
+        text += &format!("\n{}: {}\n", words(missing.ladder), missing.reason);
     }
     let spent = &document.spent;
     text += &format!(
@@ -85,6 +85,11 @@ fn truth(rung: &AccuracyRung) -> [String; 4] {
     ]
 }
 
+/// A ladder's name for people.
+fn words(ladder: LadderKind) -> String {
+    ladder.name().replace('_', " ")
+}
+
 /// What the next better rung that is worth taking costs.
 fn next(document: &AccuracyDoc, rung: &AccuracyRung) -> String {
     let Some(next) = rung.next else { return String::new() };
@@ -94,7 +99,7 @@ fn next(document: &AccuracyDoc, rung: &AccuracyRung) -> String {
         next.times_cpu_seconds,
         seconds(next.more_cpu_seconds),
         next.times_error,
-        document.rungs[index].ladder.name(),
+        words(document.rungs[index].ladder),
         value(document, index),
     )
 }
