@@ -26,11 +26,11 @@ fn with_threads(threads: usize, reuse: Option<&Profile>) -> Image {
     pool.install(|| tracer.render(reuse, &|_| {}, &AtomicBool::new(false))).expect("nobody cancels")
 }
 
-/// Colour, rays, work and stratum of a pixel.
-type Bits = ([u32; 3], [u32; 7], [u64; 7], u32);
+/// Colour, rays, work, the same by ray, and stratum of a pixel.
+type Bits = ([u32; 3], [u32; 7], u64, [u64; 7], u32);
 
 fn bits(pixels: &[Pixel]) -> Vec<Bits> {
-    pixels.iter().map(|p| (p.color.map(f32::to_bits), p.rays, p.work_by_ray, p.stratum)).collect()
+    pixels.iter().map(|p| (p.color.map(f32::to_bits), p.rays, p.work, p.work_by_ray, p.stratum)).collect()
 }
 
 #[test]
