@@ -142,7 +142,7 @@ impl Conductor {
         let limit = match &job.within {
             Some(within) => {
                 let nodes = self.nodes_for_plans(self.clock.now()).await?;
-                Some(within::Limit::new(within, job, book::mean_price(&nodes))?)
+                Some(within::Limit::new(within, job, nodes)?)
             }
             None => None,
         };

@@ -210,6 +210,13 @@ pub struct CacheQuote {
     pub seed: Option<SeedForecast>,
 }
 
+impl CacheQuote {
+    /// CPU seconds of the cache that is made before the frames; zero if each makes its own.
+    pub fn seed_seconds(&self) -> Quantiles {
+        self.seed.as_ref().map(|seed| seed.cpu_seconds).unwrap_or_default()
+    }
+}
+
 /// How far a job's shared cache is made.
 #[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct SeedProgress {

@@ -32,6 +32,20 @@ impl Quantiles {
             Confidence::P95 => self.p95,
         }
     }
+
+    /// Both together, where the same measurements are behind both: what one is off, the other is.
+    #[must_use]
+    pub fn plus(&self, other: &Self) -> Self {
+        let [a, b] = [self, other];
+        Self { mean: a.mean + b.mean, p50: a.p50 + b.p50, p80: a.p80 + b.p80, p95: a.p95 + b.p95 }
+    }
+
+    /// In money, at so many micro-units for one of what this counts.
+    pub fn in_money(&self, price: f64) -> MoneyQuantiles {
+        let money = |amount: f64| Money((amount * price).round() as i64);
+        let Self { mean, p50, p80, p95 } = *self;
+        MoneyQuantiles { mean: money(mean), p50: money(p50), p80: money(p80), p95: money(p95) }
+    }
 }
 
 /// As [`Quantiles`], for money.

@@ -207,6 +207,12 @@ impl Node {
     pub fn corrected_speed(&self, work: Option<&ByClass>) -> Option<f64> {
         Some(self.speed_by_class(work)? / self.time_factor)
     }
+
+    /// Seconds of a core of speed 1 that one of its cores does in a second of this work: as its calibration, corrected, says, or its speed where that
+    /// says nothing.
+    pub fn speed_for(&self, work: Option<&ByClass>) -> f64 {
+        self.corrected_speed(work).unwrap_or(self.speed)
+    }
 }
 
 impl NodeState {

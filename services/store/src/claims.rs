@@ -3,13 +3,13 @@
 use std::time::Duration;
 
 use forelight_protocol::{
-    Event, EventKind, JobId, JobState, Lease, LeaseId, Node, NodeId, TaskId, TaskSpec, Timestamp,
+    ByClass, Event, EventKind, JobId, JobState, Lease, LeaseId, Node, NodeId, TaskId, TaskSpec, Timestamp,
 };
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::database::Write;
-use crate::decode::{id, json, whole, word};
+use crate::decode::{id, json, json_opt, whole, word};
 use crate::elsewhere;
 use crate::events::{append, event, job_state};
 use crate::failures::HEAD_START;
@@ -83,6 +83,7 @@ impl Store {
         let task_id = TaskId(id(&task, "id")?);
         let job_id = JobId(id(&task, "job_id")?);
         let spec: TaskSpec = json(&task, "spec")?;
+        let work: Option<ByClass> = json_opt(&task, "work_by_class")?;
         let fence = whole::<i64>(&task, "fence")? + 1;
         write
             .later("UPDATE tasks SET state = 'leased', fence = ?, progress = 0, pixels_share = NULL, node_id = ?, started_at = ? WHERE id = ?")
@@ -110,7 +111,7 @@ impl Store {
             .bind(task_id.0)
             .bind(node.id.0)
             .bind(fence)
-            .bind(node.speed)
+            .bind(node.speed_for(work.as_ref()))
             .bind(now.micros())
             .bind(lease.expires_at.micros());
         if lease.spec.kind().is_booked() && word::<JobState>(&task, "job_state")? == JobState::Booked {
@@ -354,7 +355,8 @@ pub(crate) use next_task;
 /// What an offer needs of a task.
 macro_rules! task_columns {
     () => {
-        "id, job_id, spec, limits, fence, (SELECT j.state FROM jobs j WHERE j.id = tasks.job_id) AS job_state"
+        "id, job_id, spec, limits, fence, (SELECT j.state FROM jobs j WHERE j.id = tasks.job_id) AS job_state, \
+         (SELECT j.work_by_class FROM jobs j WHERE j.id = tasks.job_id) AS work_by_class"
     };
 }
 pub(crate) use task_columns;

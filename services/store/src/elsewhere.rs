@@ -31,7 +31,7 @@ const THOUSANDTHS: f64 = 1e3;
 
 /// What an hour of a core of speed 1 of such work costs on the node, in thousandths of a micro-unit.
 pub(crate) fn rate(node: &Node, work: Option<&ByClass>) -> i64 {
-    let speed = node.corrected_speed(work).unwrap_or(node.speed) * f64::from(node.cores);
+    let speed = node.speed_for(work) * f64::from(node.cores);
     // Speeds are above zero; what is beyond the range becomes its end.
     (node.price_per_hour.micro_units() as f64 * THOUSANDTHS / speed).round() as i64
 }

@@ -2,7 +2,7 @@
 
 use forelight_protocol::{
     ByClass, CacheQuote, FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, FrameSet, JobId, JobState,
-    LeftOut, MoneyQuantiles, NodeSeconds, Profiled, SpentOnForecast, Timestamp,
+    LeftOut, MoneyQuantiles, NodeSeconds, Profiled, Quantiles, SpentOnForecast, Timestamp,
 };
 use serde::{Deserialize, Serialize};
 use sqlx::Row as _;
@@ -112,6 +112,11 @@ impl Store {
 }
 
 impl JobForecast {
+    /// CPU seconds for the irradiance cache that its frames share; zero if they do not.
+    pub fn shared_cache_seconds(&self) -> Quantiles {
+        self.cache.as_ref().map(CacheQuote::seed_seconds).unwrap_or_default()
+    }
+
     /// As it is shown, with the forecasts of the frames.
     pub fn document(self, frames: Vec<FrameForecast>) -> ForecastDoc {
         ForecastDoc {

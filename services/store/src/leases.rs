@@ -82,6 +82,7 @@ pub(crate) struct LeaseRow {
     pub state: LeaseState,
     pub fence: u64,
     pub node_id: NodeId,
+    /// Speed of the node for work like the job's when it was leased: a CPU second there is this many on a node of speed 1.
     pub node_speed: f64,
     pub task_id: TaskId,
     pub job_id: JobId,

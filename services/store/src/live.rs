@@ -15,7 +15,7 @@ mod kept;
 use forelight_forecast::{Band, LiveFrame, Measure, live};
 use forelight_protocol::{
     Booked, BookedQuantity, Confidence, Event, EventKind, JobId, JobVerdict, LiveFigure, LiveForecast, Money,
-    MoneyQuantiles, OffForecast, PlanId, Quantiles, Timestamp,
+    OffForecast, PlanId, Quantiles, Timestamp,
 };
 use sqlx::{Row as _, SqliteConnection};
 
@@ -137,12 +137,17 @@ pub(crate) async fn update_after(
     let was_off = same_plan.map_or([false; 2], |kept| [kept.cost_is_off, kept.finish_is_off]);
     let delay = delay_that_counts(write.connection().await?, plan, job, booked.finish).await?;
     let expected = cpu.whole.at(confidence);
+    // The frames' estimate says nothing of a cache that they share: until it is there it is what was quoted for it.
+    let shared_cache = match seeds::progress(write.connection().await?, job).await? {
+        Some(done) if done.ready => Quantiles::known(done.cpu_seconds),
+        _ => quote.shared_cache_seconds(),
+    };
     let live = LiveForecast {
         at: now,
         frames_done: frames.done,
         work,
         cpu_seconds: cpu,
-        cost: in_money(&cpu, &quote),
+        cost: price(&quote).map(|price| cpu.whole.plus(&shared_cache).in_money(price)),
         finish,
         booked,
         cost_is_off: is_off(was_off[0], expected, booked_cpu, MARGIN * booked_cpu),
@@ -210,24 +215,10 @@ fn figure(quote: &Quantiles, frames: &[LiveFrame], measure: Measure) -> LiveFigu
     }
 }
 
-/// The whole job at the price that the quote had for a second of CPU time. A cache that is made before the frames costs what was quoted for it: their
-/// estimate says nothing of it.
-fn in_money(cpu: &LiveFigure, quote: &JobForecast) -> Option<MoneyQuantiles> {
-    let quoted = quote.cost.filter(|_| cpu.quote.mean > 0.0)?;
-    let seed = quote.cache.as_ref().and_then(|cache| cache.seed.as_ref()).and_then(|seed| seed.cost);
-    let seed = seed.unwrap_or_default();
-    let of_frames = quoted.mean.micro_units().saturating_sub(seed.mean.micro_units());
-    let price = of_frames as f64 / cpu.quote.mean;
-    let money = |seconds: f64, seed: Money| {
-        Money(seed.micro_units().saturating_add((seconds * price).round() as i64))
-    };
-    let Quantiles { mean, p50, p80, p95 } = cpu.whole;
-    Some(MoneyQuantiles {
-        mean: money(mean, seed.mean),
-        p50: money(p50, seed.p50),
-        p80: money(p80, seed.p80),
-        p95: money(p95, seed.p95),
-    })
+/// Micro-units for a CPU second in the quote.
+fn price(quote: &JobForecast) -> Option<f64> {
+    let seconds = quote.total.cpu_seconds.mean + quote.shared_cache_seconds().mean;
+    Some(quote.cost?.mean.micro_units() as f64 / seconds).filter(|price| price.is_finite())
 }
 
 /// The bookings, as long as is now expected.

@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 
 use forelight_planner as planner;
 use forelight_protocol::{
-    AccuracyRung, Job, Money, MoneyQuantiles, Node, NodeSeconds, PlanEffect, PlanReason, Quantiles,
+    AccuracyRung, ByClass, Job, Node, NodeSeconds, PlanEffect, PlanReason, Quantiles,
     Timestamp, Verdict,
 };
 use forelight_store::{FarmFrame, FarmJob, JobForecast, NewPlan, NewSeed, NewSeedBooking, QuoteBasis};
 
 use super::answers::qualities;
 use super::estimate::Forecast;
-use super::farm::{Farm, MOST_NODES, Snapshot, bookable, seconds_per_second};
+use super::farm::{Farm, MOST_NODES, Snapshot, bookable};
 use super::settle::{Settled, Unsettled, settle};
 use super::{AdvanceError, Conductor, compute};
 
@@ -167,40 +167,28 @@ fn own_part(booking: &planner::Booking, nodes: &[Node]) -> Result<NewSeedBooking
     }
 }
 
-/// Micro-units for a second of a core of speed 1, on average over the nodes; `None` without nodes.
-pub(super) fn mean_price(nodes: &[Node]) -> Option<f64> {
-    let price = |node: &Node| node.price_per_hour.micro_units() as f64 / 3600.0 / seconds_per_second(node);
+/// Micro-units for a second of such work on a core of speed 1, on average over the nodes; `None` without nodes.
+pub(super) fn mean_price(nodes: &[Node], work: Option<&ByClass>) -> Option<f64> {
+    let speed = |node: &Node| node.speed_for(work) * f64::from(node.cores);
+    let price = |node: &Node| node.price_per_hour.micro_units() as f64 / 3600.0 / speed(node);
     (!nodes.is_empty()).then(|| nodes.iter().map(price).sum::<f64>() / nodes.len() as f64)
 }
 
 /// Fills in what depends on the farm: into how many parts a shared cache is split, and everything in money, at the mean price that the nodes ask
 /// for a second of a core of speed 1.
 fn price(kept: &mut JobForecast, forecast: &Forecast, nodes: &[Node]) {
-    let mean_price = mean_price(nodes);
-    let money = |seconds: f64| mean_price.map(|price| Money((seconds * price).round() as i64));
-    let cost = |cpu_seconds: &Quantiles| {
-        let Quantiles { mean, p50, p80, p95 } = *cpu_seconds;
-        Some(MoneyQuantiles { mean: money(mean)?, p50: money(p50)?, p80: money(p80)?, p95: money(p95)? })
-    };
-    let mut all = kept.total.cpu_seconds;
+    let mean_price = mean_price(nodes, kept.work_by_class.as_ref());
+    let cost = |cpu_seconds: &Quantiles| mean_price.map(|price| cpu_seconds.in_money(price));
     if let Some(cache) = &mut kept.cache {
         for price in std::iter::once(&mut cache.private_price).chain(&mut cache.shared_price) {
-            price.cost = money(price.cpu_seconds);
+            price.cost = cost(&Quantiles::known(price.cpu_seconds)).map(|cost| cost.mean);
         }
         if let Some(seed) = &mut cache.seed {
             seed.cost = cost(&seed.cpu_seconds);
             seed.parts = forecast.seed.as_ref().map_or(1, |plan| plan.parts(nodes.len()));
-            // The same measurements are behind both: what one is off, the other is.
-            let Quantiles { mean, p50, p80, p95 } = seed.cpu_seconds;
-            all = Quantiles {
-                mean: all.mean + mean,
-                p50: all.p50 + p50,
-                p80: all.p80 + p80,
-                p95: all.p95 + p95,
-            };
         }
     }
-    kept.cost = cost(&all);
+    kept.cost = cost(&kept.total.cpu_seconds.plus(&kept.shared_cache_seconds()));
 }
 
 #[cfg(test)]

@@ -441,12 +441,7 @@ pub(crate) fn frame(number: u32, p50: f64, p80: f64) -> planner::Frame {
 
 /// What a node does a second, in the planner's unit of work.
 pub(crate) fn speed(node: &Node) -> u64 {
-    units(seconds_per_second(node)).max(1)
-}
-
-/// Seconds of a core of speed 1 that the node does in a second, with all its cores.
-pub(crate) fn seconds_per_second(node: &Node) -> f64 {
-    node.speed * f64::from(node.cores)
+    units(node.speed * f64::from(node.cores)).max(1)
 }
 
 /// Seconds in the planner's unit of work; saturates at the ends of the range, as float to integer does.

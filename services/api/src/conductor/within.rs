@@ -5,11 +5,12 @@
 //! equally many take in it, which its renderer spends where the image shows that it pays. Frames of such a job make their irradiance caches themselves.
 
 use forelight_forecast::Corrections;
-use forelight_protocol::{Confidence, Job, Per, PreviewResult, Within};
+use forelight_protocol::{Confidence, Job, Money, Node, Per, PreviewResult, Within};
 use forelight_store::MeasuredProfile;
 
 use super::AdvanceError;
 use super::accuracy::with_samples;
+use super::book::mean_price;
 use super::estimate::{self, Forecast};
 
 /// Most camera samples that are chosen: what the settings allow.
@@ -17,28 +18,35 @@ const MOST: u32 = 65_536;
 
 /// What frames may take.
 pub(super) struct Limit {
-    /// CPU seconds on a node of speed 1.
-    seconds: f64,
+    most: Most,
     per: Per,
     confidence: Confidence,
-    /// Micro-units a second, where the limit is money.
-    price: Option<f64>,
+}
+
+/// The most of it.
+enum Most {
+    /// CPU seconds on a node of speed 1.
+    Seconds(f64),
+    /// Micro-units, at the mean price of nodes.
+    Money(i64, Vec<Node>),
 }
 
 impl Limit {
-    /// Of a job, where a second of a core of speed 1 costs so much; that is not known without nodes.
-    pub(super) fn new(within: &Within, job: &Job, price: Option<f64>) -> Result<Self, AdvanceError> {
-        let limit = |seconds, price| Self { seconds, per: within.per, confidence: job.confidence, price };
-        match (within.cpu_micros, within.money) {
-            (Some(micros), _) => Ok(limit(micros as f64 * 1e-6, None)),
-            (None, Some(money)) => match price {
-                Some(price) if price > 0.0 => Ok(limit(money.micro_units() as f64 / price, Some(price))),
-                _ => Err(AdvanceError::Hopeless(
+    /// Of a job, on a farm of these nodes; without them money says nothing of time.
+    pub(super) fn new(within: &Within, job: &Job, nodes: Vec<Node>) -> Result<Self, AdvanceError> {
+        let most = match (within.cpu_micros, within.money) {
+            (Some(micros), _) => Most::Seconds(micros as f64 * 1e-6),
+            (None, Some(money)) if nodes.iter().any(|node| node.price_per_hour > Money(0)) => {
+                Most::Money(money.micro_units(), nodes)
+            }
+            (None, Some(_)) => {
+                return Err(AdvanceError::Hopeless(
                     "within: the farm has no node with a price, so money says nothing of quality".to_owned(),
-                )),
-            },
-            (None, None) => Err(AdvanceError::Hopeless("within: there is no limit in it".to_owned())),
-        }
+                ));
+            }
+            (None, None) => return Err(AdvanceError::Hopeless("within: there is no limit in it".to_owned())),
+        };
+        Ok(Self { most, per: within.per, confidence: job.confidence })
     }
 
     /// The forecast with the most samples that fit.
@@ -58,15 +66,14 @@ impl Limit {
             Ok(forecast)
         };
         let mut best = with(1)?;
-        let least = self.takes(&best);
-        if least > self.seconds {
-            return Err(AdvanceError::Hopeless(self.too_little(least)));
+        if !self.fits(&best) {
+            return Err(AdvanceError::Hopeless(self.too_little(&best)));
         }
         let (mut fits, mut too_many) = (1, MOST + 1);
         while too_many - fits > 1 {
             let middle = fits + (too_many - fits) / 2;
             let forecast = with(middle)?;
-            if self.takes(&forecast) <= self.seconds {
+            if self.fits(&forecast) {
                 (fits, best) = (middle, forecast);
             } else {
                 too_many = middle;
@@ -75,8 +82,16 @@ impl Limit {
         Ok(best)
     }
 
+    fn fits(&self, forecast: &Forecast) -> bool {
+        let takes = self.seconds(forecast);
+        match &self.most {
+            Most::Seconds(most) => takes <= *most,
+            Most::Money(most, nodes) => takes * price(nodes, forecast) <= *most as f64,
+        }
+    }
+
     /// CPU seconds that the limit is held against.
-    fn takes(&self, forecast: &Forecast) -> f64 {
+    fn seconds(&self, forecast: &Forecast) -> f64 {
         match self.per {
             Per::Job => forecast.job.total.cpu_seconds.at(self.confidence),
             Per::Frame => {
@@ -86,20 +101,32 @@ impl Limit {
         }
     }
 
-    fn too_little(&self, least: f64) -> String {
+    /// That not even this fits.
+    fn too_little(&self, least: &Forecast) -> String {
         let what = match self.per {
             Per::Job => "the job",
             Per::Frame => "its dearest frame",
         };
-        let amounts = |seconds: f64| match self.price {
-            None => format!("{:.6} CPU seconds", (seconds * 1e6).ceil() * 1e-6),
-            Some(price) => format!("{:.6} of money", (seconds * price).ceil() * 1e-6),
+        let takes = self.seconds(least);
+        let in_millionths = |millionths: f64| millionths.ceil() * 1e-6;
+        let (needed, given) = match &self.most {
+            Most::Seconds(most) => {
+                let seconds = |seconds: f64| format!("{:.6} CPU seconds", in_millionths(seconds * 1e6));
+                (seconds(takes), seconds(*most))
+            }
+            Most::Money(most, nodes) => {
+                let money = |micro_units: f64| format!("{:.6} of money", in_millionths(micro_units));
+                (money(takes * price(nodes, least)), money(*most as f64))
+            }
         };
         format!(
-            "within: with one camera sample per pixel, the least there is, {what} takes {} at {}, and {} were given",
-            amounts(least),
+            "within: with one camera sample per pixel, the least there is, {what} takes {needed} at {}, and {given} were given",
             self.confidence.name(),
-            amounts(self.seconds)
         )
     }
+}
+
+/// Micro-units for a second of what was forecast.
+fn price(nodes: &[Node], forecast: &Forecast) -> f64 {
+    mean_price(nodes, forecast.job.work_by_class.as_ref()).unwrap_or_default()
 }

@@ -62,6 +62,18 @@ async fn frames_teach_about_nodes_that_did_not_profile_them_in_whatever_order_th
 }
 
 #[tokio::test]
+async fn the_speed_of_a_lease_is_that_of_the_node_for_the_work_of_the_job() {
+    let (farm, first, second) = farm().await;
+    assert_eq!(first.speed, 2.0, "what it says of itself, for any work");
+    let classes = ByClass { rays: 400, memory: 600, ..ByClass::default() };
+    let forecast = JobForecast { work_by_class: Some(classes), ..forecast() };
+    farm.quoted_job(request("0"), first.id, at(0), &forecast, None).await;
+    let lease = farm.claim(second.id, at(50)).await.unwrap();
+    let mut read = farm.store.read().await.unwrap();
+    assert_eq!(crate::leases::read(&mut read, lease.lease_id).await.unwrap().node_speed, 1.0);
+}
+
+#[tokio::test]
 async fn a_node_is_not_judged_by_its_own_profiles_nor_by_frames_far_off() {
     let (farm, first, second) = farm().await;
     farm.quoted_job(request("0-2"), first.id, at(0), &forecast(), None).await;

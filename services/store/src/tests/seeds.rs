@@ -1,11 +1,15 @@
 //! Irradiance caches that frames share: their tasks follow from each other, and the frames from them.
 
 use forelight_protocol::{
-    CachePrice, CacheQuote, CacheSharing, EventKind, FrameState, JobState, SeedForecast, TaskError, TaskKind,
+    CachePrice, CacheQuote, CacheSharing, EventKind, FrameState, JobState, Money, SeedForecast, TaskError,
+    TaskKind,
 };
 
 use super::*;
 use crate::{NewSeed, NewSeedBooking, PlannedCache, StoreError};
+
+/// Micro-units for a second.
+const PRICE: f64 = 1000.0;
 
 impl Farm {
     /// A job whose frames share a cache of two levels in three parts, booked.
@@ -36,7 +40,8 @@ impl Farm {
         let seed = NewSeed { cache: plan.cache.unwrap(), parts, bookings: (0..parts).map(booking).collect() };
         let mut new = self.plan_for(&job, node, at(10)).await;
         new.seed = Some(seed);
-        let forecast = JobForecast { cache: Some(quote(parts)), ..job_forecast() };
+        let mut forecast = JobForecast { cache: Some(quote(parts)), ..job_forecast() };
+        forecast.cost = Some(forecast.total.cpu_seconds.plus(&Quantiles::known(6.0)).in_money(PRICE));
         self.store.book(job.id, &forecast, &frame_forecasts(&job), None, &new, at(0)).await.unwrap();
         job.id
     }
@@ -73,6 +78,9 @@ async fn frames_wait_until_every_level_of_the_cache_is_filled_and_put_together()
     let farm = Farm::new().await;
     let node = farm.node("a").await.id;
     let job = farm.seeded_job(node, 3).await;
+    let cost = async || farm.store.job(job).await.unwrap().live.unwrap().cost.unwrap();
+    let quoted = job_forecast().total.cpu_seconds.mean;
+    assert_eq!(cost().await.mean, Money(((quoted + 6.0) * PRICE) as i64));
     let states = async || farm.store.frames(job, None, 10).await.unwrap().into_iter().map(|f| f.state);
     assert!(states().await.all(|state| state == FrameState::Waiting));
     assert_eq!(
@@ -123,7 +131,11 @@ async fn frames_wait_until_every_level_of_the_cache_is_filled_and_put_together()
         assert_eq!((spec.cache, spec.profile), (Some(cache), None));
         farm.commit(&lease, at(20)).await;
     }
-    assert_eq!(farm.store.job(job).await.unwrap().state, JobState::Done);
+    let done = farm.store.job(job).await.unwrap();
+    assert_eq!(done.state, JobState::Done);
+    // Quoted were six seconds for the cache, and it took twice as many.
+    let took = done.live.unwrap().cpu_seconds.spent + 12.0;
+    assert_eq!(cost().await, Quantiles::known(took).in_money(PRICE));
 }
 
 #[tokio::test]
