@@ -12,4 +12,4 @@ pub(crate) use body::{whole, within_announced_length};
 pub(crate) use idempotency::KeyHeader;
 pub(crate) use json::{JsonBody, Large};
 pub(crate) use path::{Segment, Segments};
-pub(crate) use query::QueryParameters;
+pub(crate) use query::{QueryParameters, number, number_if_any};

@@ -7,33 +7,30 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use crate::error::{ApiError, ApiResult};
+use crate::extract::number_if_any;
 
 const DEFAULT_SIZE: u32 = 50;
-const LARGEST_SIZE: u32 = 200;
+
+/// Most things on a page.
+pub(crate) const LARGEST_PAGE: i64 = 200;
 
 /// Which page of a list.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams, ToSchema)]
 #[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
 pub(crate) struct PageQuery {
     /// `next_page_token` of the page before.
     pub page_token: Option<String>,
     /// Things on a page: 1 to 200, default 50.
     #[param(minimum = 1, maximum = 200, default = 50)]
+    #[serde(default, deserialize_with = "number_if_any::<_, _, 1, LARGEST_PAGE>")]
     pub page_size: Option<u32>,
 }
 
 impl PageQuery {
     /// How many things to show.
-    pub fn size(&self) -> ApiResult<u32> {
-        match self.page_size {
-            None => Ok(DEFAULT_SIZE),
-            Some(size @ 1..=LARGEST_SIZE) => Ok(size),
-            Some(size) => Err(ApiError::new(
-                ProblemKind::Invalid,
-                format!("a page has 1 to {LARGEST_SIZE} things, not {size}"),
-            )
-            .in_parameter("page_size")),
-        }
+    pub fn size(&self) -> u32 {
+        self.page_size.unwrap_or(DEFAULT_SIZE)
     }
 
     /// The key after which the page starts; `list` names the list, for a token of another list is refused.

@@ -4,7 +4,7 @@ mod support;
 
 use std::time::Duration;
 
-use forelight_protocol::{Job, JobCheck, JobPage, Lease, Node, ProblemKind};
+use forelight_protocol::{Job, JobCheck, JobPage, Lease, Node, Problem, ProblemKind};
 use reqwest::header::CONTENT_TYPE;
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
@@ -163,9 +163,23 @@ async fn addresses_methods_and_parameters_that_lead_nowhere_are_problems_too() {
         ("page_size=many", "page_size"),
         ("page_token=zz", "page_token"),
         ("state=sleeping", "state"),
+        ("stat=done", "stat"),
     ] {
         let problem = farm.viewer.get(&format!("/v1/jobs?{query}")).await.problem(ProblemKind::Invalid).await;
         assert_eq!(problem.parameter.as_deref(), Some(parameter), "{query}: {}", problem.detail);
+    }
+    let reason = async |path: String| farm.viewer.get(&path).await.json::<Problem>().await.unwrap().detail;
+    let explained = format!("/v1/jobs/{}/explanation", job.id);
+    for (path, said) in [
+        (format!("{explained}?frame=-1"), "frame: `-1` is not a whole number from 0 to 4294967295"),
+        (format!("{explained}?fame=1"), "fame: unknown field `fame`, expected `frame`"),
+        ("/v1/jobs?page_size=many".to_owned(), "page_size: `many` is not a whole number from 1 to 200"),
+        (
+            format!("/v1/jobs/{}/frames/one/image.png", job.id),
+            "this address names nothing: `one` is not an id or number of anything here",
+        ),
+    ] {
+        assert_eq!(reason(path).await, said);
     }
 }
 

@@ -4,8 +4,7 @@ use std::collections::BTreeMap;
 
 use forelight_planner as planner;
 use forelight_protocol::{
-    AccuracyRung, ByClass, Job, Node, NodeSeconds, PlanEffect, PlanReason, Quantiles,
-    Timestamp, Verdict,
+    AccuracyRung, ByClass, Job, Node, NodeSeconds, PlanEffect, PlanReason, Quantiles, Timestamp, Verdict,
 };
 use forelight_store::{FarmFrame, FarmJob, JobForecast, NewPlan, NewSeed, NewSeedBooking, QuoteBasis};
 

@@ -18,34 +18,41 @@ pub(crate) struct Segments<A, B>(pub A, pub B);
 
 impl<A> FromRequestParts<App> for Segment<A>
 where
-    A: FromStr<Err: Display> + Send,
+    A: FromStr + Send,
 {
     type Rejection = ApiError;
 
     async fn from_request_parts(parts: &mut Parts, app: &App) -> ApiResult<Self> {
         let Path(text) =
-            Path::<String>::from_request_parts(parts, app).await.map_err(|error| not_found(&error))?;
-        text.parse().map(Self).map_err(|error| not_found(&error))
+            Path::<String>::from_request_parts(parts, app).await.map_err(|error| unreadable(&error))?;
+        read(&text).map(Self)
     }
 }
 
 impl<A, B> FromRequestParts<App> for Segments<A, B>
 where
-    A: FromStr<Err: Display> + Send,
-    B: FromStr<Err: Display> + Send,
+    A: FromStr + Send,
+    B: FromStr + Send,
 {
     type Rejection = ApiError;
 
     async fn from_request_parts(parts: &mut Parts, app: &App) -> ApiResult<Self> {
         let Path((first, second)) = Path::<(String, String)>::from_request_parts(parts, app)
             .await
-            .map_err(|error| not_found(&error))?;
-        let first = first.parse().map_err(|error| not_found(&error))?;
-        let second = second.parse().map_err(|error| not_found(&error))?;
-        Ok(Self(first, second))
+            .map_err(|error| unreadable(&error))?;
+        Ok(Self(read(&first)?, read(&second)?))
     }
 }
 
-fn not_found(error: &impl Display) -> ApiError {
+fn read<T: FromStr>(segment: &str) -> ApiResult<T> {
+    let refused = |_| {
+        let reason =
+            format!("this address names nothing: `{segment}` is not an id or number of anything here");
+        ApiError::new(ProblemKind::NotFound, reason)
+    };
+    segment.parse().map_err(refused)
+}
+
+fn unreadable(error: &impl Display) -> ApiError {
     ApiError::new(ProblemKind::NotFound, format!("this address names nothing: {error}"))
 }

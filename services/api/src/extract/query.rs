@@ -1,9 +1,10 @@
-//! Query parameters.
+//! Query parameters. What an address does not know is refused: a misspelt filter would show everything.
 
 use axum::extract::{FromRequestParts, Query};
 use axum::http::request::Parts;
 use forelight_protocol::ProblemKind;
-use serde::de::DeserializeOwned;
+use serde::de::{DeserializeOwned, Error};
+use serde::{Deserialize, Deserializer};
 
 use crate::error::{ApiError, ApiResult};
 use crate::state::App;
@@ -31,4 +32,28 @@ impl<T: DeserializeOwned> FromRequestParts<App> for QueryParameters<T> {
             }
         }
     }
+}
+
+/// A whole number of this range, as a field's `deserialize_with`.
+pub(crate) fn number<'de, D, T, const LEAST: i64, const MOST: i64>(deserializer: D) -> Result<T, D::Error>
+where
+    D: Deserializer<'de>,
+    T: TryFrom<i64>,
+{
+    let text = String::deserialize(deserializer)?;
+    let number = text.parse().ok().filter(|number| (LEAST..=MOST).contains(number));
+    number
+        .and_then(|number| T::try_from(number).ok())
+        .ok_or_else(|| D::Error::custom(format!("`{text}` is not a whole number from {LEAST} to {MOST}")))
+}
+
+/// The same, where there may be none.
+pub(crate) fn number_if_any<'de, D, T, const LEAST: i64, const MOST: i64>(
+    deserializer: D,
+) -> Result<Option<T>, D::Error>
+where
+    D: Deserializer<'de>,
+    T: TryFrom<i64>,
+{
+    number::<D, T, LEAST, MOST>(deserializer).map(Some)
 }

@@ -17,7 +17,7 @@ use crate::conductor::answers::{Question, answers, curve_svg};
 use crate::conductor::farm::{Farm, Snapshot};
 use crate::conductor::{AdvanceError, accuracy, compute};
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{QueryParameters, Reader, Segment};
+use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
 use crate::openapi::FileContent;
 use crate::state::App;
 
@@ -60,12 +60,14 @@ impl Desk {
 /// What is asked about a job.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
 pub(crate) struct AnswersQuery {
     /// By when it should be done; the job's own deadline if absent.
     #[param(value_type = Option<String>, format = DateTime)]
     pub deadline: Option<Timestamp>,
     /// What the rest of it may cost, in micro-units, 0 to 10¹⁸; what is left of the job's own budget if absent.
     #[param(value_type = Option<i64>, minimum = 0, maximum = 1_000_000_000_000_000_000_i64)]
+    #[serde(default, deserialize_with = "number_if_any::<_, _, 0, { HIGHEST.0 }>")]
     pub budget: Option<i64>,
 }
 
@@ -98,10 +100,6 @@ pub(crate) async fn price_curve(
 
 async fn found(app: &App, job: JobId, query: &AnswersQuery) -> ApiResult<Arc<AnswersDoc>> {
     let budget = query.budget.map(Money);
-    if budget.is_some_and(|budget| !(Money(0)..=HIGHEST).contains(&budget)) {
-        let reason = format!("a budget is 0 to {} micro-units", HIGHEST.0);
-        return Err(ApiError::new(ProblemKind::Invalid, reason).in_parameter("budget"));
-    }
     let asked = app.store.job(job).await?;
     if !matches!(asked.state, JobState::Booked | JobState::Rendering) {
         let reason = format!("the job is {}: there is nothing to be planned of it", asked.state);

@@ -31,6 +31,7 @@ const KEEP_ALIVE: Duration = Duration::from_secs(15);
 /// Where to start.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
 pub(crate) struct FromEvent {
     /// The last event seen, for clients that cannot set the header `Last-Event-ID`; the header counts if both are there.
     pub last_event_id: Option<EventId>,

@@ -17,7 +17,7 @@ use utoipa::IntoParams;
 use crate::conductor::accuracy::{accuracy, with_samples};
 use crate::conductor::explain::explanation;
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{QueryParameters, Reader, Segment};
+use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
 use crate::openapi::FileContent;
 use crate::page::{PageQuery, cut};
 use crate::plot;
@@ -63,8 +63,10 @@ pub(crate) async fn accuracy_of_job(
 /// What to explain.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
 pub(crate) struct ExplanationQuery {
     /// This frame alone.
+    #[serde(default, deserialize_with = "number_if_any::<_, _, 0, { u32::MAX as i64 }>")]
     pub frame: Option<u32>,
 }
 
@@ -155,7 +157,7 @@ pub(crate) async fn track_record(
     _: Reader,
     QueryParameters(query): QueryParameters<PageQuery>,
 ) -> ApiResult<Json<TrackRecord>> {
-    let size = query.size()?;
+    let size = query.size();
     let before: Option<(Timestamp, JobId, u32)> = query.key("track-record")?;
     let mut record = app.store.track_record(before, size + 1).await?;
     record.next_page_token =

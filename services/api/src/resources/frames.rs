@@ -23,7 +23,7 @@ pub(crate) async fn list(
     Segment(job): Segment<JobId>,
     QueryParameters(query): QueryParameters<PageQuery>,
 ) -> ApiResult<Json<FramePage>> {
-    let size = query.size()?;
+    let size = query.size();
     let mut items = app.store.frames(job, query.key("frames")?, size + 1).await?;
     let next_page_token = cut(&mut items, size, "frames", |row| row.frame);
     Ok(Json(FramePage { items, next_page_token }))

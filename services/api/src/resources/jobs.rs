@@ -13,8 +13,8 @@ use utoipa::IntoParams;
 
 use super::{created, repeated};
 use crate::error::{ApiResult, Problems};
-use crate::extract::{JsonBody, KeyHeader, QueryParameters, Reader, Segment, Submitter};
-use crate::page::{PageQuery, cut};
+use crate::extract::{JsonBody, KeyHeader, QueryParameters, Reader, Segment, Submitter, number_if_any};
+use crate::page::{LARGEST_PAGE, PageQuery, cut};
 use crate::state::App;
 
 /// Submits a job. It is previewed, forecast, booked and rendered from here on.
@@ -54,6 +54,7 @@ pub(crate) async fn check(
 /// Which jobs to list.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
 pub(crate) struct JobQuery {
     /// Only jobs in this state.
     pub state: Option<JobState>,
@@ -65,6 +66,7 @@ pub(crate) struct JobQuery {
     pub page_token: Option<String>,
     /// Things on a page: 1 to 200, default 50.
     #[param(minimum = 1, maximum = 200, default = 50)]
+    #[serde(default, deserialize_with = "number_if_any::<_, _, 1, LARGEST_PAGE>")]
     pub page_size: Option<u32>,
 }
 
@@ -78,7 +80,7 @@ pub(crate) async fn list(
 ) -> ApiResult<Json<JobPage>> {
     let JobQuery { state, project, name, page_token, page_size } = query;
     let page = PageQuery { page_token, page_size };
-    let size = page.size()?;
+    let size = page.size();
     let filter = JobFilter { state, project, name };
     let mut items = app.store.jobs(&filter, page.key("jobs")?, size + 1).await?;
     let next_page_token = cut(&mut items, size, "jobs", |job| job.id);

@@ -83,7 +83,7 @@ pub(crate) async fn list(
     _: Anyone,
     QueryParameters(query): QueryParameters<PageQuery>,
 ) -> ApiResult<Json<NodePage>> {
-    let size = query.size()?;
+    let size = query.size();
     let mut items = app.store.nodes(query.key("nodes")?, size + 1).await?;
     let next_page_token = cut(&mut items, size, "nodes", |node| node.id);
     let now = app.now();

@@ -18,7 +18,7 @@ pub(crate) async fn list(
     _: Reader,
     QueryParameters(query): QueryParameters<PageQuery>,
 ) -> ApiResult<Json<PlanPage>> {
-    let size = query.size()?;
+    let size = query.size();
     let mut items = app.store.plans(query.key("plans")?, size + 1).await?;
     let next_page_token = cut(&mut items, size, "plans", |plan| plan.id);
     Ok(Json(PlanPage { items, next_page_token }))
@@ -54,7 +54,7 @@ pub(crate) async fn bookings(
     _: Reader,
     QueryParameters(query): QueryParameters<PageQuery>,
 ) -> ApiResult<Json<BookingPage>> {
-    let size = query.size()?;
+    let size = query.size();
     let mut items = app.store.open_bookings_page(query.key("bookings")?, size + 1).await?;
     let next_page_token = cut(&mut items, size, "bookings", |booking| (booking.start, booking.id));
     Ok(Json(BookingPage { items, next_page_token }))

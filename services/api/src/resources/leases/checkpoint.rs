@@ -9,15 +9,17 @@ use utoipa::IntoParams;
 
 use super::counted;
 use crate::error::{ApiResult, Problems};
-use crate::extract::{QueryParameters, Segment, WorkerToken, whole};
+use crate::extract::{QueryParameters, Segment, WorkerToken, number, whole};
 use crate::openapi::FileContent;
 use crate::state::App;
 
 /// Whose checkpoint it is.
 #[derive(Clone, Debug, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
 pub(crate) struct FenceQuery {
     /// The lease's fencing token.
+    #[serde(deserialize_with = "number::<_, _, 0, { i64::MAX }>")]
     fence: u64,
 }
 
