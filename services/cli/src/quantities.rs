@@ -54,6 +54,17 @@ pub fn parse_duration(text: &str) -> Result<SignedDuration, String> {
     Ok(duration)
 }
 
+/// Seconds of `2.5`, `90s` or `1h30m`, at most a billion.
+pub fn parse_seconds(text: &str) -> Result<f64, String> {
+    const MOST: f64 = 1e9;
+    let seconds = text.trim().parse().or_else(|_| parse_duration(text).map(|duration| duration.as_secs_f64()));
+    match seconds {
+        Ok(seconds) if seconds > 0.0 && seconds <= MOST => Ok(seconds),
+        Ok(_) => Err("a time is more than nothing and at most a billion seconds".into()),
+        Err(_) => Err("expected seconds such as 2.5, or a duration such as 90s, 45m or 1h30m".into()),
+    }
+}
+
 /// Reads a size such as `512MiB`, `8GiB` or `1.5GiB`, at least a mebibyte, into bytes.
 pub fn parse_bytes(text: &str) -> Result<u64, String> {
     let wrong = || "expected a size such as 512MiB or 8GiB, at least 1MiB".to_string();
@@ -163,6 +174,14 @@ mod tests {
         }
         for text in ["", "1KiB", "-8GiB", "much", "NaN", "1e30", "inf", "5GB"] {
             assert!(parse_bytes(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn times_are_seconds_or_durations() {
+        assert_eq!(["2.5", "90s", "1h30m"].map(parse_seconds), [Ok(2.5), Ok(90.0), Ok(5400.0)]);
+        for wrong in ["0", "-3", "soon", "1e99", "inf", "NaN", ""] {
+            assert!(parse_seconds(wrong).is_err(), "{wrong}");
         }
     }
 

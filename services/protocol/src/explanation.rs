@@ -250,7 +250,10 @@ impl Explanation {
             ));
         }
         let way = |way: &Halving| match way.setting.as_str() {
-            "spp" => format!("{} camera samples per pixel in place of {}", way.to, way.from),
+            "spp" => {
+                let samples = if way.to == 1.0 { "sample" } else { "samples" };
+                format!("{} camera {samples} per pixel in place of {}", way.to, way.from)
+            }
             "width" => {
                 let RenderSettings { width, height, .. } = settings;
                 let lower = (f64::from(*height) * way.to / way.from).floor().max(1.0);

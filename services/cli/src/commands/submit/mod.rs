@@ -12,7 +12,7 @@ use crate::interrupt::Interrupt;
 use crate::local::settings_request;
 use crate::options::{ConfidenceLevel, ConnectionOptions, QualityOptions, Sharing, duration};
 use crate::output::{self, Bars};
-use crate::quantities::{Deadline, parse_bytes, parse_deadline, parse_money};
+use crate::quantities::{Deadline, parse_bytes, parse_deadline, parse_money, parse_seconds};
 use anyhow::{Context, Result, bail};
 use forelight_protocol::{
     BundleRef, CacheSharing, FrameSet, Job, JobId, JobRequest, JobState, Money, Per, RenderSettingsRequest,
@@ -53,10 +53,10 @@ pub struct Args {
     /// The most that the job may cost, such as 12.50
     #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
     budget: Option<i64>,
-    /// Take the most camera samples with which all frames fit into this CPU time of a node of speed 1, such as 90m, and put them where they pay;
+    /// Take the most camera samples with which all frames fit into this CPU time of a node of speed 1, seconds or such as 90m, and put them where they pay;
     /// --spp is then only what is profiled with
-    #[arg(long, value_name = "TIME", group = "limit", value_parser = duration)]
-    within: Option<std::time::Duration>,
+    #[arg(long, value_name = "TIME", group = "limit", value_parser = parse_seconds)]
+    within: Option<f64>,
     /// The same for money, at the mean price of the farm's nodes
     #[arg(long, value_name = "AMOUNT", group = "limit", value_parser = parse_money)]
     within_money: Option<i64>,
@@ -202,7 +202,7 @@ fn request(
 /// What the frames may take, if that decides how good they are.
 fn within(args: &Args) -> Option<Within> {
     let per = if args.per_frame { Per::Frame } else { Per::Job };
-    let cpu_micros = args.within.map(|time| i64::try_from(time.as_micros()).unwrap_or(i64::MAX));
+    let cpu_micros = args.within.map(|seconds| (seconds * 1e6).ceil() as i64);
     let money = args.within_money.map(Money);
     (cpu_micros.is_some() || money.is_some()).then_some(Within { cpu_micros, money, per })
 }

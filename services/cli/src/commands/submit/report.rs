@@ -133,12 +133,14 @@ fn remark(row: &FrameRow) -> String {
 fn verdict(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: Timestamp) -> String {
     let mut text = String::new();
     if let Some(quote) = forecast {
-        let cpu = &quote.total.cpu_seconds;
+        let seed = quote.cache.as_ref().map(CacheQuote::seed_seconds).unwrap_or_default();
+        let cpu = quote.total.cpu_seconds.plus(&seed);
         text += &format!(
-            "quoted     {} CPU time (P50), {} (P80), {} (P95)",
+            "quoted     {} CPU time (P50), {} (P80), {} (P95){}",
             seconds(cpu.p50),
             seconds(cpu.p80),
-            seconds(cpu.p95)
+            seconds(cpu.p95),
+            if seed.mean > 0.0 { ", frames and seed" } else { "" }
         );
         if let Some(cost) = &quote.cost {
             text += &format!("; costs {} (P50), {} (P80)", money(cost.p50.0), money(cost.p80.0));
