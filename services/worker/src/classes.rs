@@ -28,10 +28,15 @@ pub fn of_frame(ready: &dyn FrameRenderer, pixels: f64, gathers: f64) -> Option<
     (all.total() > 0).then_some(all)
 }
 
-/// As much work as `total`, of the same classes.
+/// As much work as `total`, of the same classes. Sums are rounded, not their parts, so that these add up.
 fn scaled(work: ByClass, total: f64) -> ByClass {
     let factor = total / (work.total() as f64).max(1.0);
-    ByClass::from_array(work.to_array().map(|class| (class as f64 * factor).round() as u64))
+    let (mut sum, mut given) = (0, 0);
+    ByClass::from_array(work.to_array().map(|class| {
+        sum += class;
+        let before = std::mem::replace(&mut given, (sum as f64 * factor).round() as u64);
+        given - before
+    }))
 }
 
 #[cfg(test)]
@@ -50,5 +55,7 @@ mod tests {
         let work = ByClass { rays: 10, shading: 30, ..ByClass::default() };
         assert_eq!(scaled(work, 400.0), ByClass { rays: 100, shading: 300, ..ByClass::default() });
         assert_eq!(scaled(ByClass::default(), 400.0), ByClass::default());
+        let thirds = ByClass { rays: 1, shading: 1, records: 1, ..ByClass::default() };
+        assert_eq!([100.0, 101.0, 102.0].map(|total| scaled(thirds, total).total()), [100, 101, 102]);
     }
 }
