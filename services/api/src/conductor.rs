@@ -27,6 +27,7 @@ pub(crate) mod effects;
 mod estimate;
 pub(crate) mod explain;
 pub(crate) mod farm;
+pub(crate) mod measured;
 mod replan;
 pub(crate) mod settle;
 mod sharing;
@@ -159,11 +160,12 @@ impl Conductor {
                         &planned,
                         corrections.as_ref(),
                     )?;
-                    // Nothing is known of other qualities without profiles, and of one that a cache was chosen for.
-                    let rungs = if profiles.is_empty() || quote.seed.is_some() {
+                    // Without profiles nothing is known of other qualities.
+                    let rungs = if profiles.is_empty() {
                         Vec::new()
                     } else {
-                        accuracy::ladders(&settings, &preview, &profiles)?.rungs
+                        let shared = sharing::SharedWay::of(&planned).filter(|_| quote.seed.is_some());
+                        accuracy::ladders(&settings, &preview, &profiles, shared.as_ref())?.rungs
                     };
                     Ok((quote, rungs))
                 }

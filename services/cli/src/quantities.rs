@@ -57,7 +57,8 @@ pub fn parse_duration(text: &str) -> Result<SignedDuration, String> {
 /// Seconds of `2.5`, `90s` or `1h30m`, at most a billion.
 pub fn parse_seconds(text: &str) -> Result<f64, String> {
     const MOST: f64 = 1e9;
-    let seconds = text.trim().parse().or_else(|_| parse_duration(text).map(|duration| duration.as_secs_f64()));
+    let seconds =
+        text.trim().parse().or_else(|_| parse_duration(text).map(|duration| duration.as_secs_f64()));
     match seconds {
         Ok(seconds) if seconds > 0.0 && seconds <= MOST => Ok(seconds),
         Ok(_) => Err("a time is more than nothing and at most a billion seconds".into()),

@@ -67,6 +67,9 @@ impl UncoveredGathers {
 pub struct SharedSample {
     /// Deterministic count of operations of all its camera paths.
     pub work: u64,
+    /// The part of `work` that is not in proportion to the camera samples, see [`UncoveredGathers`].
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub extra_work: u64,
     /// CPU time of all its camera paths, in nanoseconds.
     pub cpu_nanos: u64,
     /// Rays by category, in the order of [`crate::Rays::NAMES`].

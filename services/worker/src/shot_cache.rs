@@ -134,7 +134,7 @@ pub fn profile_shared(
         let cost = cost_of(&pixel);
         spent = spent.plus(Spent { work: cost.work, cpu_nanos: cost.cpu_nanos });
         let cpu_nanos = (cost.cpu_nanos as f64 * warmth).round() as u64;
-        SharedSample { work: cost.work, cpu_nanos, rays: cost.rays }
+        SharedSample { work: cost.work, extra_work: pixel.extra_work, cpu_nanos, rays: cost.rays }
     };
     let pixels = ready.trace(&indices).into_iter().map(sample).collect();
     let gathered = ready.sample_records(records_to_sample(options.samples / 2), options.seed);

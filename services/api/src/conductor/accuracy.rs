@@ -19,25 +19,25 @@ use forelight_protocol::{
 };
 use forelight_store::MeasuredProfile;
 
-use super::estimate::forecast;
+use super::estimate::calibrated;
+use super::measured::Measured;
+use super::sharing::SharedWay;
 use super::{AdvanceError, compute};
 
 /// The ladders of a job with these settings.
-pub(crate) async fn accuracy(
-    asked: RenderSettings,
-    preview: PreviewResult,
-    profiles: Vec<MeasuredProfile>,
-) -> Result<AccuracyDoc, AdvanceError> {
-    compute(move || ladders(&asked, &preview, &profiles)).await
+pub(crate) async fn accuracy(asked: RenderSettings, measured: Measured) -> Result<AccuracyDoc, AdvanceError> {
+    compute(move || ladders(&asked, &measured.preview, &measured.profiles, measured.way().as_ref())).await
 }
 
-/// Of the ladders of [`LadderKind`], those that the profile knows something of.
+/// Of the ladders of [`LadderKind`], those that the profile knows something of; of frames that are given a `shared` irradiance cache, without what that
+/// takes, or that make their own.
 pub(super) fn ladders(
     asked: &RenderSettings,
     preview: &PreviewResult,
     profiles: &[MeasuredProfile],
+    shared: Option<&SharedWay<'_>>,
 ) -> Result<AccuracyDoc, AdvanceError> {
-    let whole = forecast(preview, profiles)?;
+    let whole = calibrated(preview, profiles, shared, None)?;
     let mut document = AccuracyDoc {
         frames: preview.frames.len() as u32,
         settings: asked.clone(),
@@ -63,7 +63,20 @@ pub(super) fn ladders(
         }
         for settings in rungs {
             let error = noise.as_ref().ok().and_then(|images| error(images, settings.spp));
-            document.rungs.push(rung(kind, settings, asked, preview, profiles, error)?);
+            let pixels = settings.pixels() as f64 / asked.pixels() as f64;
+            let profiles = with_samples(profiles, settings.spp);
+            let total = calibrated(&enlarged(preview, pixels), &profiles, shared, None)?.job.total;
+            document.rungs.push(AccuracyRung {
+                ladder: kind,
+                asked_for: settings == *asked,
+                settings,
+                work: total.work,
+                cpu_seconds: total.cpu_seconds,
+                error,
+                worth_taking: false,
+                next: None,
+                measured: None,
+            });
         }
     }
     document.mark(front_of_known(&document.points()));
@@ -121,36 +134,6 @@ fn error(images: &[ImageNoise], spp: u32) -> Option<ImageError> {
     Some(ImageError { p05, p50, p80, p95 })
 }
 
-/// A rung, as the forecast of a job of which every profiled pixel took so many times as much, and which has so many times the pixels.
-fn rung(
-    kind: LadderKind,
-    settings: RenderSettings,
-    asked: &RenderSettings,
-    preview: &PreviewResult,
-    profiles: &[MeasuredProfile],
-    error: Option<ImageError>,
-) -> Result<AccuracyRung, AdvanceError> {
-    let pixels = settings.pixels() as f64 / asked.pixels() as f64;
-    let total = if settings == *asked {
-        forecast(preview, profiles)?
-    } else {
-        forecast(&enlarged(preview, pixels), &with_samples(profiles, settings.spp))?
-    }
-    .job
-    .total;
-    Ok(AccuracyRung {
-        ladder: kind,
-        asked_for: settings == *asked,
-        settings,
-        work: total.work,
-        cpu_seconds: total.cpu_seconds,
-        error,
-        worth_taking: false,
-        next: None,
-        measured: None,
-    })
-}
-
 /// The preview of an image of so many times the pixels.
 fn enlarged(preview: &PreviewResult, factor: f64) -> PreviewResult {
     let mut preview = preview.clone();
@@ -171,11 +154,17 @@ pub(crate) fn with_samples(profiles: &[MeasuredProfile], spp: u32) -> Vec<Measur
         let had = profile.spp.max(1);
         let factor = f64::from(spp) / f64::from(had);
         let growth = profile.result.uncovered.map_or(1.0, |gathers| gathers.growth(had, spp));
+        let scale = |work: &mut u64, extra: &mut u64, cpu_nanos: &mut u64, rays: &mut [u64; 7]| {
+            let had = Cost { work: *work, cpu_nanos: *cpu_nanos, rays: *rays };
+            let cost = had.with_samples(factor, *extra, growth);
+            (*work, *cpu_nanos, *rays) = (cost.work, cost.cpu_nanos, cost.rays);
+            *extra = (*extra as f64 * growth).round() as u64;
+        };
         for sample in &mut profile.result.samples {
-            let cost = Cost { work: sample.work, cpu_nanos: sample.cpu_nanos, rays: sample.rays };
-            let cost = cost.with_samples(factor, sample.extra_work, growth);
-            (sample.work, sample.cpu_nanos, sample.rays) = (cost.work, cost.cpu_nanos, cost.rays);
-            sample.extra_work = (sample.extra_work as f64 * growth).round() as u64;
+            scale(&mut sample.work, &mut sample.extra_work, &mut sample.cpu_nanos, &mut sample.rays);
+        }
+        for sample in &mut profile.result.shared_samples {
+            scale(&mut sample.work, &mut sample.extra_work, &mut sample.cpu_nanos, &mut sample.rays);
         }
         profile.spp = spp;
     }

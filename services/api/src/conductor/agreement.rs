@@ -7,7 +7,7 @@ use forelight_store::MeasuredProfile;
 use forelight_worker::{Ambient, Observer, QuoteOptions, preview_result, profile_result, quote};
 
 use super::choose::frames_to_profile;
-use super::estimate::forecast;
+use super::estimate::calibrated;
 use super::explain::explained;
 
 /// Forty small things of ten materials, in front of a floor, while the camera moves along them: more strata than samples
@@ -99,7 +99,7 @@ fn an_offline_quote_and_the_estimate_of_the_service_agree_to_the_last_bit_and_ex
                 spp: settings.spp,
             })
             .collect();
-        let estimated = forecast(&preview, &profiles).unwrap();
+        let estimated = calibrated(&preview, &profiles, None, None).unwrap();
         assert_eq!(estimated.frames, quoted.document.frames);
         assert_eq!(estimated.job.total, quoted.document.total);
         assert_eq!(estimated.job.profiled, quoted.document.profiled);

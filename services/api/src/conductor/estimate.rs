@@ -44,15 +44,6 @@ pub(super) fn kind(profiles: &[MeasuredProfile], settings: &RenderSettings) -> O
         .then(|| QuoteKind { renderer: renderer.clone(), feature_class: settings.feature_class().to_owned() })
 }
 
-/// Forecasts every frame from the preview's counts of pixels and records and from those that were profiled. CPU time is brought to a node of
-/// speed 1 first: a second measured on a node of speed 2 is two.
-pub(super) fn forecast(
-    preview: &PreviewResult,
-    profiles: &[MeasuredProfile],
-) -> Result<Forecast, AdvanceError> {
-    calibrated(preview, profiles, None, None)
-}
-
 /// What the statistics know of a shot.
 pub(super) struct Estimated {
     pub shot: ShotForecast,
@@ -155,7 +146,8 @@ fn no_forecast(error: ForecastError) -> AdvanceError {
     AdvanceError::Hopeless(format!("no forecast: {error}"))
 }
 
-/// The forecast with quantiles as past jobs teach them, if there are enough.
+/// Forecasts every frame from the preview's counts of pixels and records and from those that were profiled, with quantiles as past jobs teach them, if there
+/// are enough. CPU time is brought to a node of speed 1 first: a second measured on a node of speed 2 is two.
 pub(super) fn calibrated(
     preview: &PreviewResult,
     profiles: &[MeasuredProfile],
@@ -358,7 +350,7 @@ mod tests {
     fn counts_times_unit_costs_make_the_frames_whatever_the_order_of_the_strata_and_the_speed_of_the_node() {
         let preview = preview(&[(0, &[200, 40], 16), (3, &[100, 140], 16)]);
         let profile = profile(0, vec![stratum(1), stratum(0)], &[8, 16, 4]);
-        let forecast = forecast(&preview, &[profile]).unwrap();
+        let forecast = calibrated(&preview, &[profile], None, None).unwrap();
         let means: Vec<f64> = forecast.frames.iter().map(|frame| frame.work.mean).collect();
         let expected = [20_000.0 + 36_000.0 + 160.0 + 7.0, 10_000.0 + 126_000.0 + 160.0 + 7.0];
         for (mean, expected) in means.iter().zip(expected) {
@@ -378,7 +370,7 @@ mod tests {
         let mut preview = preview(&[(0, &[200, 40], 16), (3, &[100, 140], 16)]);
         let lights = |preview: &PreviewResult| {
             let profile = profile(0, vec![stratum(1), stratum(0)], &[8, 16, 4]);
-            forecast(preview, &[profile]).unwrap().job.lights
+            calibrated(preview, &[profile], None, None).unwrap().job.lights
         };
         assert_eq!(lights(&preview), Vec::<u32>::new());
         preview.frames[1].lights = 3;
@@ -400,7 +392,7 @@ mod tests {
             .into_iter()
             .flat_map(|level| vec![sample(level, [5000, 2000][level as usize]); 12])
             .collect();
-        let forecast = forecast(&preview, &[profile]).unwrap();
+        let forecast = calibrated(&preview, &[profile], None, None).unwrap();
         let expected = [
             20_000.0 + 36_000.0 + 160.0 + 1007.0 + 900.0 * 5000.0 + 300.0 * 2000.0,
             10_000.0 + 126_000.0 + 160.0 + 1007.0 + 700.0 * 5000.0 + 100.0 * 2000.0,
@@ -421,7 +413,7 @@ mod tests {
     fn a_stratum_that_only_the_profile_saw_does_not_sink_the_forecast() {
         let preview = preview(&[(0, &[200, 0], 56)]);
         let profile = profile(0, vec![stratum(0), stratum(1), stratum(2)], &[8, 1, 1, 4]);
-        let forecast = forecast(&preview, &[profile]).unwrap();
+        let forecast = calibrated(&preview, &[profile], None, None).unwrap();
         assert!(forecast.frames[0].work.mean > 20_000.0);
     }
 
@@ -439,7 +431,7 @@ mod tests {
         let mut profile = profile(0, vec![stratum(0), stratum(1)], &[16, 8, 4]);
         profile.result.samples.iter_mut().for_each(|sample| sample.work += u64::from(sample.pixel % 5));
         let profiles = [profile];
-        let plain = forecast(&preview, &profiles).unwrap();
+        let plain = calibrated(&preview, &profiles, None, None).unwrap();
         let correction = Correction { p50: 1.0, p80: 2.0, p95: 4.0 };
         let corrections = Corrections {
             frame_work: correction,

@@ -3,27 +3,22 @@
 
 use forelight_forecast::StratumSum;
 use forelight_protocol::{Amounts, Explanation, FixedCosts, PreviewResult, RenderSettings, ShownWork};
-use forelight_store::{MeasuredProfile, PlannedCache};
+use forelight_store::MeasuredProfile;
 
 use super::estimate::{Estimated, estimated, fixed_costs};
+use super::measured::Measured;
 use super::sharing::SharedWay;
 use super::{AdvanceError, compute};
 
-/// Of a job with these settings, or of one of its frames. `shared` is the irradiance cache that its
-/// frames share, if they do; what that takes is no frame's, and a line of its own in the quote.
+/// Of a job with these settings, or of one of its frames. What an irradiance cache takes that its frames share is no frame's, and a line of its own in
+/// the quote.
 pub(crate) async fn explanation(
     settings: RenderSettings,
-    preview: PreviewResult,
-    profiles: Vec<MeasuredProfile>,
-    shared: PlannedCache,
+    measured: Measured,
     frame: Option<u32>,
 ) -> Result<Explanation, AdvanceError> {
     compute(move || {
-        let way = match &shared {
-            PlannedCache::There { plan, node_speed } => Some(SharedWay { plan, node_speed: *node_speed }),
-            PlannedCache::NotAsked | PlannedCache::Pending => None,
-        };
-        explained(&settings, &preview, &profiles, way.as_ref(), frame)
+        explained(&settings, &measured.preview, &measured.profiles, measured.way().as_ref(), frame)
     })
     .await
 }

@@ -37,6 +37,16 @@ pub(super) struct SharedWay<'a> {
     pub node_speed: f64,
 }
 
+impl<'a> SharedWay<'a> {
+    /// As it was planned; nothing if there is no plan.
+    pub fn of(planned: &'a PlannedCache) -> Option<Self> {
+        match planned {
+            PlannedCache::There { plan, node_speed } => Some(Self { plan, node_speed: *node_speed }),
+            PlannedCache::NotAsked | PlannedCache::Pending => None,
+        }
+    }
+}
+
 /// A shared cache that is to be made.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct SeedPlan {
@@ -91,19 +101,17 @@ pub(super) fn quote(
         shared_price: None,
         seed: None,
     };
-    let (plan, node_speed) = match planned {
-        PlannedCache::There { plan, node_speed } => (plan, *node_speed),
-        PlannedCache::NotAsked | PlannedCache::Pending => {
-            answer.reason = match asked {
-                CacheSharing::Private => "the job asks for it",
-                _ if private_price.records == 0 => "no frame needs a record",
-                _ => "there is but one frame",
-            }
-            .to_owned();
-            private.job.cache = Some(answer);
-            return Ok(private);
+    let Some(way) = SharedWay::of(planned) else {
+        answer.reason = match asked {
+            CacheSharing::Private => "the job asks for it",
+            _ if private_price.records == 0 => "no frame needs a record",
+            _ => "there is but one frame",
         }
+        .to_owned();
+        private.job.cache = Some(answer);
+        return Ok(private);
     };
+    let plan = way.plan;
     let Some(cache) = plan.cache else {
         let reason = format!(
             "a cache for all frames would take {} bytes; one that is shared has at most {CACHE_BYTES}",
@@ -118,7 +126,6 @@ pub(super) fn quote(
         private.job.cache = Some(answer);
         return Ok(private);
     };
-    let way = SharedWay { plan, node_speed };
     let mut shared = estimate::calibrated(preview, profiles, Some(&way), corrections)?;
     let seed = seed(&plan.records, preview, profiles, corrections)?;
     let own = sum(plan.frames.iter().flat_map(|frame| &frame.own));

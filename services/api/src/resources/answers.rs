@@ -8,13 +8,14 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
-use forelight_protocol::{AnswersDoc, JobId, JobState, Money, ProblemKind, Timestamp};
+use forelight_protocol::{AccuracyRung, AnswersDoc, Job, JobId, JobState, Money, ProblemKind, Timestamp};
 use serde::Deserialize;
 use tokio::sync::Semaphore;
 use utoipa::IntoParams;
 
 use crate::conductor::answers::{Question, answers, curve_svg};
 use crate::conductor::farm::{Farm, Snapshot};
+use crate::conductor::measured::Measured;
 use crate::conductor::{AdvanceError, accuracy, compute};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
@@ -133,7 +134,7 @@ async fn found(app: &App, job: JobId, query: &AnswersQuery) -> ApiResult<Arc<Ans
     if let Some(known) = app.answers.find(&key) {
         return Ok(known);
     }
-    let rungs = rungs(app, job, asked.settings).await?;
+    let rungs = rungs(app, &asked).await?;
     let question = Question { deadline: query.deadline, budget, rungs, patience: PATIENCE };
     let document = compute(move || answers(&farm, place, &question)).await.map_err(refused)?;
     let document = Arc::new(AnswersDoc { plan_id, ..document });
@@ -151,20 +152,14 @@ fn refused(error: AdvanceError) -> ApiError {
 }
 
 /// Other qualities of a job, as far as its profile knows any.
-async fn rungs(
-    app: &App,
-    job: JobId,
-    settings: forelight_protocol::RenderSettings,
-) -> ApiResult<Vec<forelight_protocol::AccuracyRung>> {
-    let preview = app.store.preview_result(job).await?;
-    let profiles = app.store.profile_results(job).await?.filter(|profiles| !profiles.is_empty());
-    let Some((preview, profiles)) = preview.zip(profiles) else { return Ok(Vec::new()) };
-    match accuracy::accuracy(settings, preview, profiles).await {
+async fn rungs(app: &App, job: &Job) -> ApiResult<Vec<AccuracyRung>> {
+    let Some(measured) = Measured::read(&app.store, job).await? else { return Ok(Vec::new()) };
+    match accuracy::accuracy(job.settings.clone(), measured).await {
         Ok(document) => Ok(document.rungs),
         Err(AdvanceError::Store(error)) => Err(error.into()),
         // The profile says nothing of other qualities: then there are none to be offered.
         Err(AdvanceError::Hopeless(reason)) => {
-            tracing::debug!(%job, reason, "no other qualities");
+            tracing::debug!(job = %job.id, reason, "no other qualities");
             Ok(Vec::new())
         }
     }

@@ -7,15 +7,15 @@ use axum::response::{IntoResponse, Response};
 use forelight_forecast::Correction;
 use forelight_protocol::{
     AccuracyDoc, CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Explanation, ForecastDoc,
-    ForecastHistory, Job, JobId, PreviewResult, ProblemKind, Timestamp, TrackRecord,
+    ForecastHistory, Job, JobId, ProblemKind, Timestamp, TrackRecord,
 };
 
-use forelight_store::{MeasuredProfile, PlannedCache};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use crate::conductor::accuracy::{accuracy, with_samples};
+use crate::conductor::accuracy::accuracy;
 use crate::conductor::explain::explanation;
+use crate::conductor::measured::Measured;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
 use crate::openapi::FileContent;
@@ -42,7 +42,8 @@ pub(crate) async fn of_job(
 
 /// What accuracy costs in time: other qualities of the job, with what all its frames would take and how far their images would be from
 /// their converged selves. It rests on the job's own profile, and nothing is traced for it: so of the other integrator, of a cache's
-/// accuracy and of the rays of a gather it says nothing. 409 until the profile is there.
+/// accuracy and of the rays of a gather it says nothing. An irradiance cache that the frames share is in no rung: it is a line of its own in the
+/// quote. 409 until the profile is there.
 #[utoipa::path(get, path = "/v1/jobs/{id}/accuracy", tag = "jobs", params(("id" = JobId, Path)),
     responses((status = 200, description = "The ladders", body = AccuracyDoc), Problems))]
 pub(crate) async fn accuracy_of_job(
@@ -51,8 +52,8 @@ pub(crate) async fn accuracy_of_job(
     Segment(id): Segment<JobId>,
 ) -> ApiResult<Json<AccuracyDoc>> {
     let job = app.store.job(id).await?;
-    let (preview, profiles) = profile(&app, &job).await?;
-    match accuracy(job.settings, preview, profiles).await {
+    let measured = profile(&app, &job).await?;
+    match accuracy(job.settings, measured).await {
         Ok(document) => Ok(Json(document)),
         Err(reason) => {
             Err(ApiError::new(ProblemKind::Conflict, format!("the profile says nothing: {reason}")))
@@ -85,11 +86,8 @@ pub(crate) async fn explanation_of_job(
     if let Some(frame) = frame.filter(|&frame| !job.frames.iter().any(|known| known == frame)) {
         return Err(ApiError::new(ProblemKind::NotFound, format!("the job has no frame {frame}")));
     }
-    let (preview, profiles) = profile(&app, &job).await?;
-    let quote = app.store.forecast(id).await?;
-    let shares = quote.and_then(|quote| quote.cache).is_some_and(|cache| cache.shared);
-    let shared = if shares { app.store.planned_cache(id).await? } else { PlannedCache::NotAsked };
-    match explanation(job.settings, preview, profiles, shared, frame).await {
+    let measured = profile(&app, &job).await?;
+    match explanation(job.settings, measured, frame).await {
         Ok(document) => Ok(Json(document)),
         Err(reason) => {
             Err(ApiError::new(ProblemKind::Conflict, format!("the profile says nothing: {reason}")))
@@ -98,12 +96,8 @@ pub(crate) async fn explanation_of_job(
 }
 
 /// What is kept of the job's profile, or that it is not there yet.
-async fn profile(app: &App, job: &Job) -> ApiResult<(PreviewResult, Vec<MeasuredProfile>)> {
-    let preview = app.store.preview_result(job.id).await?;
-    let profiles = app.store.profile_results(job.id).await?.filter(|profiles| !profiles.is_empty());
-    // A job that was given a time is rendered with other samples than it was profiled with.
-    let profiles = profiles.map(|profiles| with_samples(&profiles, job.settings.spp));
-    preview.zip(profiles).ok_or_else(|| {
+async fn profile(app: &App, job: &Job) -> ApiResult<Measured> {
+    Measured::read(&app.store, job).await?.ok_or_else(|| {
         let reason = format!("the job is {} and not profiled, so nothing is known of its pixels", job.state);
         ApiError::new(ProblemKind::Conflict, reason)
     })

@@ -11,6 +11,7 @@ use forelight_worker::{
     profile_result, profile_shared, render_frame,
 };
 
+use super::super::accuracy::ladders;
 use super::super::explain::explained;
 use super::*;
 
@@ -38,10 +39,14 @@ struct Case {
 
 impl Case {
     fn new(scene: &str, frames: &[u32], bounces: u32) -> Self {
+        Self::with_samples(scene, frames, bounces, 1)
+    }
+
+    fn with_samples(scene: &str, frames: &[u32], bounces: u32, spp: u32) -> Self {
         let bundle = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/scenes").join(scene);
         let shot = Ambient::new(forelight_preview::Choice::Cpu).open(&bundle).unwrap();
         let settings = RenderSettingsRequest {
-            spp: Some(1),
+            spp: Some(spp),
             ambient_bounces: Some(bounces),
             cache: Some(CacheMode::On),
             cache_rays: Some(48),
@@ -59,7 +64,7 @@ impl Case {
             let mut result = profile_result(info, &settings, profiled, artifacts);
             let beside = profile_shared(&shot, profiled, &settings, &options, plan.cache.clone());
             beside.unwrap().add_to(&mut result);
-            MeasuredProfile { result, node_speed: 1.0, spp: 4 }
+            MeasuredProfile { result, node_speed: 1.0, spp: settings.spp }
         };
         let profiles = quoted.profiled.iter().map(measured).collect();
         let planned = PlannedCache::There {
@@ -187,6 +192,24 @@ fn what_is_quoted_for_either_way_is_what_it_takes_and_the_way_that_takes_less_is
         println!("{scene}: {taken:?}, {}", said.reason);
         assert_eq!(said.shared, taken[1] < taken[0], "{scene}: {taken:?}, {}", said.reason);
         assert!(said.reason.contains("% less work"), "{}", said.reason);
+    }
+}
+
+#[test]
+fn other_camera_samples_are_priced_beside_the_shared_cache_where_there_is_one() {
+    let case = Case::with_samples("corridor", &[0, 8, 16], 1, 4);
+    let finer = Case::with_samples("corridor", &[0, 8, 16], 1, 16);
+    for asked in [CacheSharing::Private, CacheSharing::Shared] {
+        let shared = asked == CacheSharing::Shared;
+        let way = SharedWay::of(&case.planned).filter(|_| shared);
+        let ladder = ladders(&case.settings, &case.preview, &case.profiles, way.as_ref()).unwrap();
+        let of = |spp: u32| ladder.rungs.iter().find(|rung| rung.settings.spp == spp).unwrap();
+        assert_eq!((of(4).asked_for, of(4).work), (true, case.quote(asked).job.total.work));
+        let (cache, _) = finer.filled();
+        let taken: u64 = finer.render(shared.then_some(&cache)).iter().map(|stats| stats.work).sum();
+        let error = off(of(16).work.mean, taken);
+        println!("{asked:?}: {:+.1} %", 100.0 * error);
+        assert!(error.abs() < 0.08, "{asked:?}: {error}");
     }
 }
 
