@@ -16,6 +16,8 @@ pub struct FarmJob {
     pub forecast: Option<JobForecast>,
     /// All its frames, ascending.
     pub frames: Vec<FarmFrame>,
+    /// What is booked for the irradiance cache that its frames share costs, done or not, micro-units; 0 if they do not.
+    pub shared_cache_cost: i64,
     /// What the newest plan multiplies the forecast by, after what finished frames took.
     pub factor: f64,
     /// Its project's budget holds it back.
@@ -47,6 +49,10 @@ pub(crate) const FRAMES: &str = "SELECT f.frame, f.cpu_p50, f.cpu_p80, f.cpu_p95
     LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = f.job_id AND b.frame = f.frame LEFT JOIN nodes n ON n.id = b.node_id \
     WHERE f.job_id = ? AND f.cpu_p50 IS NOT NULL ORDER BY f.frame";
 
+/// What is booked for the parts of a job's shared irradiance cache.
+const PARTS: &str = "SELECT b.end_at - b.start_at AS length, coalesce(n.price_set, n.price_per_hour) AS price \
+    FROM jobs j JOIN seed_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id JOIN nodes n ON n.id = b.node_id WHERE j.id = ?";
+
 impl Store {
     /// The jobs that are booked or being rendered, oldest first.
     pub async fn farm_jobs(&self) -> Result<Vec<FarmJob>, StoreError> {
@@ -74,10 +80,15 @@ impl Store {
                     })
                 })
                 .collect::<Result<_, StoreError>>()?;
+            let parts = sqlx::query(PARTS).bind(job_id.0).fetch_all(&mut *transaction).await?;
+            let shared_cache_cost = parts
+                .iter()
+                .try_fold(0i64, |sum, row| Ok::<_, StoreError>(sum.saturating_add(booked_cost(row)?)))?;
             found.push(FarmJob {
                 job: jobs::decode(row, done)?,
                 forecast: json_opt(row, "forecast")?,
                 frames,
+                shared_cache_cost,
                 factor: row.try_get("factor")?,
                 held,
             });

@@ -98,6 +98,7 @@ fn fresh(job: &Job, kept: &JobForecast, forecast: &Forecast) -> FarmJob {
                 waits: true,
             })
             .collect(),
+        shared_cache_cost: 0,
         factor: 1.0,
         held: false,
     }

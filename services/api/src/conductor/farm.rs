@@ -85,7 +85,7 @@ pub(crate) struct Asked {
     pub factor_before: f64,
     /// When the last of its frames that are with a worker should be done.
     pub under_way: Option<i64>,
-    /// What its frames cost that are done or with a worker, micro-units.
+    /// What its frames cost that are done or with a worker, and the irradiance cache that they share, micro-units.
     pub spent: i64,
     pub held: bool,
     /// Its frames that are done or with a worker.
@@ -194,7 +194,9 @@ fn of_job(farm_job: &FarmJob, projected: &[Projected], factor: f64) -> Asked {
     let under_way =
         projected.iter().filter(|frame| frame.under_way && frame.booking.job_id == farm_job.job.id);
     let begun = farm_job.frames.iter().filter(|frame| !frame.waits);
-    let spent = begun.clone().fold(0i64, |sum, frame| sum.saturating_add(frame.booked_cost));
+    // What is booked for a shared cache stands, whatever is planned anew.
+    let spent =
+        begun.clone().fold(farm_job.shared_cache_cost, |sum, frame| sum.saturating_add(frame.booked_cost));
     Asked {
         job: farm_job.job.clone(),
         factor,

@@ -128,6 +128,7 @@ fn forecast_of(
         job: job(&frames),
         forecast: Some(forecast(numbers.len())),
         frames: bookings.iter().map(frame).collect(),
+        shared_cache_cost: 0,
         factor: 1.0,
         held: false,
     };

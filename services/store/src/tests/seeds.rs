@@ -89,6 +89,9 @@ async fn frames_wait_until_every_level_of_the_cache_is_filled_and_put_together()
         "frames that wait are booked all the same"
     );
     assert_eq!(farm.store.open_seeds().await.unwrap().len(), 3);
+    // Three parts of a second each, at a unit an hour: what is planned anew has that much less to spend.
+    let spent = async || farm.store.farm_jobs().await.unwrap()[0].shared_cache_cost;
+    assert_eq!(spent().await, 3 * 278);
 
     let (fill, merge) = (TaskKind::CacheFill, TaskKind::CacheMerge);
     let mut seen = Vec::new();
@@ -122,6 +125,7 @@ async fn frames_wait_until_every_level_of_the_cache_is_filled_and_put_together()
     assert!(seen[..3].iter().all(|&hash| hash == seen[0]) && seen[3..].iter().all(|&hash| hash == seen[3]));
     assert_ne!(seen[0], seen[3]);
     assert!(states().await.all(|state| state == FrameState::Ready));
+    assert_eq!(spent().await, 3 * 278);
     assert!(farm.store.job(job).await.unwrap().seed.unwrap().ready);
     assert!(farm.store.open_seeds().await.unwrap().is_empty());
     let cache = farm.artifact("a cache").await;
