@@ -230,6 +230,6 @@ pub struct SeedProgress {
     pub ready: bool,
     /// Work of the parts that are filled.
     pub work: u64,
-    /// CPU seconds of the same, brought to a node of speed 1.
+    /// CPU seconds of the same and of putting parts together, brought to a node of speed 1.
     pub cpu_seconds: f64,
 }

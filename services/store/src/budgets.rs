@@ -307,7 +307,7 @@ async fn committed(
     now: Timestamp,
 ) -> Result<Money, StoreError> {
     let rows = sqlx::query(
-        "SELECT d.*, f.cpu_p50, coalesce(n.speed_set, n.speed) * n.cores AS rate FROM ledger d \
+        "SELECT d.*, f.cpu_p50, l.node_speed * n.cores AS rate FROM ledger d \
          JOIN leases l ON l.id = d.lease_id JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = d.node_id \
          JOIN frames f ON f.job_id = d.job_id AND f.frame = t.frame \
          WHERE d.project = ? AND d.until_at IS NULL AND t.kind = 'render' AND f.cpu_p50 IS NOT NULL",

@@ -266,6 +266,16 @@ impl Store {
             .bind(micros)
             .execute(write.connection().await?)
             .await?;
+        // What runs is paid for the time that it took, not for that which the clock went.
+        sqlx::query("UPDATE ledger SET from_at = from_at + ? WHERE until_at IS NULL")
+            .bind(micros)
+            .execute(write.connection().await?)
+            .await?;
+        sqlx::query("UPDATE tasks SET started_at = started_at + ? WHERE state = 'leased'")
+            .bind(micros)
+            .execute(write.connection().await?)
+            .await?;
+        self.set_up_since(self.up_since().plus_micros(micros));
         self.commit(write).await
     }
 

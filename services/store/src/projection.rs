@@ -42,7 +42,7 @@ pub struct Projected {
     pub under_way: bool,
 }
 
-/// A booked part of an irradiance cache that the frames of a job share and wait for, and that is not filled yet.
+/// A booked part of an irradiance cache that the frames of a job share and wait for, and that is not full yet.
 #[derive(Clone, PartialEq, Debug)]
 pub struct OpenSeed {
     /// The booking: for all rounds of the part.

@@ -88,7 +88,7 @@ impl Store {
         }
     }
 
-    /// The booked parts that are not filled yet, by start.
+    /// The booked parts of caches that are not full yet, by start: between its rounds, and while others are filled, a part waits.
     pub async fn open_seeds(&self) -> Result<Vec<OpenSeed>, StoreError> {
         let mut connection = self.readers().acquire().await?;
         open(&mut connection).await
@@ -102,8 +102,10 @@ macro_rules! select_open {
              (SELECT count(*) FROM seed_bookings o WHERE o.plan_id = b.plan_id AND o.job_id = b.job_id) AS parts, \
              (SELECT count(*) FROM json_each(j.forecast, '$.cache.seed.records') WHERE value > 0) AS levels \
              FROM jobs j JOIN seed_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
-             JOIN tasks t ON t.job_id = j.id AND t.kind = 'cache_fill' AND t.part = b.part AND t.state IN ('ready', 'leased') \
-             WHERE j.state IN ('booked', 'rendering') ",
+             JOIN tasks t ON t.job_id = j.id AND t.kind = 'cache_fill' AND t.part = b.part AND t.round = \
+             (SELECT max(l.round) FROM tasks l WHERE l.job_id = j.id AND l.kind = 'cache_fill' AND l.part = b.part) \
+             WHERE j.state IN ('booked', 'rendering') AND EXISTS (SELECT 1 FROM tasks o WHERE o.job_id = j.id \
+             AND o.kind IN ('cache_fill', 'cache_merge') AND o.state IN ('ready', 'leased')) ",
             $rest,
             " ORDER BY b.start_at, b.job_id, b.part"
         )
@@ -126,9 +128,9 @@ pub(crate) async fn open_of(
 
 fn decode_open(row: &SqliteRow) -> Result<OpenSeed, StoreError> {
     let rounds = f64::from(rounds(whole(row, "parts")?, whole(row, "levels")?));
-    let before: u32 = whole(row, "round")?;
-    let done = (f64::from(before) / rounds).min(1.0);
-    let leased = row.try_get::<&str, _>("state")? == "leased";
+    let (round, state): (u32, &str) = (whole(row, "round")?, row.try_get("state")?);
+    let (leased, filled) = (state == "leased", state == "done");
+    let done = (f64::from(round + u32::from(filled)) / rounds).min(1.0);
     let holder = match (leased, id_opt(row, "holder")?, time_opt(row, "started_at")?) {
         (true, Some(node), Some(started)) => {
             let progress = (done + row.try_get::<f64, _>("progress")? / rounds).min(1.0);
@@ -341,11 +343,12 @@ pub(crate) async fn progress(
     let row = sqlx::query(
         "SELECT count(*) FILTER (WHERE t.state = 'done') AS done, \
                 total(CASE t.state WHEN 'done' THEN 1.0 WHEN 'leased' THEN t.progress ELSE 0.0 END) AS reached, \
-                coalesce(sum(json_extract(r.body, '$.cache_fill.spent.work')), 0) AS work, \
-                total(json_extract(r.body, '$.cache_fill.spent.cpu_nanos') * l.node_speed) AS cpu_nanos, \
+                total(json_extract(r.body, '$.cache_fill.spent.work')) AS work, \
+                (SELECT total(json_extract(r.body, '$.' || t.kind || '.spent.cpu_nanos') * l.node_speed) FROM tasks t \
+                 JOIN results r ON r.task_id = t.id JOIN leases l ON l.id = r.lease_id \
+                 WHERE t.job_id = ?1 AND t.kind IN ('cache_fill', 'cache_merge')) AS cpu_nanos, \
                 EXISTS (SELECT 1 FROM tasks w WHERE w.job_id = ?1 AND w.kind = 'render' AND w.state NOT IN ('waiting', 'cancelled')) AS ready \
-         FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id \
-         WHERE t.job_id = ?1 AND t.kind = 'cache_fill'",
+         FROM tasks t LEFT JOIN results r ON r.task_id = t.id WHERE t.job_id = ?1 AND t.kind = 'cache_fill'",
     )
     .bind(job.0)
     .fetch_one(connection)
@@ -359,7 +362,8 @@ pub(crate) async fn progress(
         parts_done: whole(&row, "done")?,
         progress: (reached / f64::from(parts)).clamp(0.0, 1.0),
         ready: row.try_get("ready")?,
-        work: whole(&row, "work")?,
+        // Saturates at the end of the range, as float to integer does.
+        work: row.try_get::<f64, _>("work")? as u64,
         cpu_seconds: row.try_get::<f64, _>("cpu_nanos")? * 1e-9,
     }))
 }

@@ -74,7 +74,10 @@ async fn a_clock_that_is_set_ends_no_lease_early_and_holds_none_for_ever() {
     farm.booked_job(request("0-1"), node.id, at(0)).await;
     farm.claim(node.id, at(10)).await.unwrap();
     // An hour ahead, ten seconds into the lease; then two hours back.
+    let begun = async || farm.store.ledger(at(-9000), at(9000)).await.unwrap().last().unwrap().from;
+    assert_eq!(begun().await, at(10));
     farm.store.clock_was_set(3600 * SECOND).await.unwrap();
+    assert_eq!(begun().await, at(3610), "an hour that was set is paid by nobody");
     assert_eq!(farm.store.sweep(at(3639)).await.unwrap().expired, 0);
     farm.store.clock_was_set(-7200 * SECOND).await.unwrap();
     assert_eq!(farm.store.sweep(at(-3561)).await.unwrap().expired, 0);
