@@ -3,6 +3,8 @@
 //! Questions about one job are answered around the bookings of all others, which stand: the others were promised theirs.
 //! Questions about the farm plan anew.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use crate::model::{
@@ -104,6 +106,24 @@ pub struct Effect {
     pub pushed_back: Vec<(u64, i64)>,
     /// Jobs that would end earlier, and by how many microseconds.
     pub brought_forward: Vec<(u64, i64)>,
+    /// Jobs that come to an end, and when.
+    pub ends: Vec<(u64, i64)>,
+}
+
+impl Effect {
+    /// Every job that would end at another time, by how many microseconds later, or would miss a deadline that it keeps without the change: by 0 where it would
+    /// not end at all.
+    pub fn moved(&self) -> BTreeMap<u64, i64> {
+        let mut moved: BTreeMap<u64, i64> = self.broken.iter().map(|&job| (job, 0)).collect();
+        moved.extend(self.pushed_back.iter().copied());
+        moved.extend(self.brought_forward.iter().map(|&(job, by)| (job, by.saturating_neg())));
+        moved
+    }
+
+    /// When a job would end; `None` if never.
+    pub fn end(&self, job: u64) -> Option<i64> {
+        self.ends.iter().find(|&&(other, _)| other == job).map(|&(_, end)| end)
+    }
 }
 
 /// Whether the job can be done at P50, P80 and P95, and for how much.
@@ -259,18 +279,20 @@ fn nodes_to_add(input: &Input, plan: &Plan, job: &Job) -> Vec<u64> {
         plan.infeasible.iter().flat_map(|i| &i.short).flat_map(|s| s.nodes.iter().copied()).collect();
     let mut able: Vec<&Node> =
         input.nodes.iter().filter(|node| node.fits(job) && node.speed_of(job.class) > 0).collect();
-    // Price of work, compared as fractions.
-    let price =
-        |node: &Node| i128::from(node.price_per_hour) * 1_000_000_000 / i128::from(node.speed_of(job.class));
-    able.sort_by_key(|node| (!short.contains(&node.id), price(node), node.id));
+    able.sort_by_key(|node| (!short.contains(&node.id), node.price_of_work(job.class), node.id));
+    kinds(able, job.class, 3).iter().map(|node| node.id).collect()
+}
+
+/// The first node of each kind, at most so many: those are alike that are as fast for work of a class and ask the same for an hour.
+pub fn kinds<'a>(nodes: impl IntoIterator<Item = &'a Node>, class: u32, most: usize) -> Vec<&'a Node> {
+    let terms = |node: &Node| (node.speed_of(class), node.price_per_hour);
     let mut kinds: Vec<&Node> = Vec::new();
-    for node in able {
-        let same = |other: &&Node| (other.speed, other.price_per_hour) == (node.speed, node.price_per_hour);
-        if kinds.len() < 3 && !kinds.iter().any(same) {
+    for node in nodes {
+        if kinds.len() < most && !kinds.iter().any(|other| terms(other) == terms(node)) {
             kinds.push(node);
         }
     }
-    kinds.iter().map(|node| node.id).collect()
+    kinds
 }
 
 /// Up to four jobs with deadlines that might make way: those that compete with it, least important first.
@@ -319,7 +341,8 @@ pub fn changed(input: &Input, change: &Change) -> Result<Input, InputError> {
     Ok(new)
 }
 
-fn effect(change: &Change, before: &Plan, after: &Plan) -> Effect {
+/// What a change does to the jobs of both plans.
+pub fn effect(change: &Change, before: &Plan, after: &Plan) -> Effect {
     let mut effect = Effect {
         change: change.clone(),
         added_cost: after.cost.saturating_sub(before.cost),
@@ -327,6 +350,7 @@ fn effect(change: &Change, before: &Plan, after: &Plan) -> Effect {
         broken: Vec::new(),
         pushed_back: Vec::new(),
         brought_forward: Vec::new(),
+        ends: after.jobs.iter().filter_map(|entry| Some((entry.job, entry.verdict.finish()?))).collect(),
     };
     for old in &before.jobs {
         let Some(new) = after.job(old.job) else { continue };

@@ -64,7 +64,8 @@ mod state;
 mod verify;
 
 pub use answers::{
-    Change, Effect, Offer, Outlook, changed, curve, earliest_for_budget, outlook, ways_out, what_if,
+    Change, Effect, Offer, Outlook, changed, curve, earliest_for_budget, effect, kinds, outlook, ways_out,
+    what_if,
 };
 pub use calendar::free_time;
 pub use civil::{CalendarError, Weekly, expand};

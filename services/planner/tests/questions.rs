@@ -266,8 +266,13 @@ fn one_more_node_and_a_dead_one_have_their_price() {
     assert_eq!(more.added_cost, -4_000_000, "all eight on two cheap nodes");
     let gone = what_if(&farm, &Change::NodeGone { node: 2, from: 0 }).expect("an effect");
     assert_eq!(gone.broken, [1]);
+    assert!(gone.moved()[&1] > 0 && gone.end(1) > Some(4 * HOUR), "{gone:?}");
     let later = what_if(&farm, &Change::Later { job: 1, by: 4 * HOUR }).expect("an effect");
     assert_eq!(later.added_cost, -4_000_000);
+    let only = input(vec![node(1, 1, 1_000_000)], vec![job(1, Some(9), &[1])]);
+    let nowhere = what_if(&only, &Change::NodeGone { node: 1, from: 0 }).expect("an effect");
+    let never = (&nowhere.broken[..], nowhere.moved()[&1], nowhere.end(1));
+    assert_eq!(never, (&[1][..], 0, None), "what has no end any more is moved, too");
 }
 
 #[test]

@@ -350,27 +350,18 @@ fn pushed_back(farm: &Farm, job: usize) -> Result<Vec<MovedJob>, AdvanceError> {
     without.jobs.retain(|other| other.id != own);
     let Some(itself) = farm.input.jobs.get(job) else { return Ok(Vec::new()) };
     let effect = planner::what_if(&without, &Change::NewJob { job: Box::new(itself.clone()) })?;
-    let later = effect.pushed_back.iter();
-    Ok(later.filter_map(|&(other, by)| farm.moved(other, by, effect.broken.contains(&other))).collect())
+    let later = |other: &MovedJob| other.later_ms > 0 || other.breaks_promise;
+    Ok(farm.moved(&effect, own).into_iter().filter(later).collect())
 }
 
 /// What one more node, an hour more and a node's death would do.
 fn effects(farm: &Farm, job: usize) -> Result<Vec<PlanEffect>, AdvanceError> {
     let own = job as u64;
     let whole = farm.asked_whole(job, &farm.standing);
-    let mut kinds: Vec<&planner::Node> = Vec::new();
+    let class = farm.input.jobs.get(job).map_or(0, |job| job.class);
     let mut by_price: Vec<&planner::Node> = whole.nodes.iter().collect();
-    let price = |node: &planner::Node| {
-        i128::from(node.price_per_hour) * 1_000_000_000 / i128::from(node.speed.max(1))
-    };
-    by_price.sort_by_key(|node| (price(node), node.id));
-    for node in by_price {
-        let same =
-            |other: &&planner::Node| (other.speed, other.price_per_hour) == (node.speed, node.price_per_hour);
-        if kinds.len() < KINDS && !kinds.iter().any(same) {
-            kinds.push(node);
-        }
-    }
+    by_price.sort_by_key(|node| (node.price_of_work(class), node.id));
+    let kinds = planner::kinds(by_price, class, KINDS);
     let mut changes: Vec<Change> =
         kinds.iter().map(|node| Change::MoreNodes { like: node.id, count: 1 }).collect();
     if farm.jobs[job].job.deadline.is_some() {
@@ -394,19 +385,8 @@ fn effects(farm: &Farm, job: usize) -> Result<Vec<PlanEffect>, AdvanceError> {
         };
         let in_time =
             finish.is_some_and(|finish| deadline.is_none_or(|deadline| finish <= deadline.micros()));
-        let moved: Vec<MovedJob> = before
-            .jobs
-            .iter()
-            .filter(|entry| entry.job != own)
-            .filter_map(|entry| {
-                let new = after.job(entry.job)?;
-                let by = new.verdict.finish()?.saturating_sub(entry.verdict.finish()?);
-                let broken = entry.verdict.is_kept() && !new.verdict.is_kept();
-                (by != 0 || broken).then(|| farm.moved(entry.job, by, broken)).flatten()
-            })
-            .collect();
-        let added = after.cost.saturating_sub(before.cost);
-        found.extend(farm.told(change, added, finish, in_time, &moved, job));
+        let effect = planner::effect(change, &before, &after);
+        found.extend(farm.told(change, effect.added_cost, finish, in_time, &farm.moved(&effect, own), job));
     }
     Ok(found)
 }

@@ -65,7 +65,7 @@ impl Farm {
             found.extend(self.told(
                 &change,
                 offer.cost.saturating_sub(before),
-                Some(offer.finish),
+                self.jobs[job].finish(Some(offer.finish)),
                 true,
                 &[],
                 job,
@@ -81,7 +81,7 @@ impl Farm {
                 && entry.within_budget == Some(true)
                 && entry.verdict.is_kept()
             {
-                let finish = entry.verdict.finish();
+                let finish = self.jobs[job].finish(entry.verdict.finish());
                 found.extend(self.told(&change, after.cost.saturating_sub(before), finish, true, &[], job));
                 break;
             }
@@ -92,26 +92,25 @@ impl Farm {
     /// An effect that the planner worked out. None of changes that this farm does not know.
     pub fn effect(&self, effect: &Effect, job: usize) -> Option<PlanEffect> {
         let own = job as u64;
-        let mut moved: Vec<(u64, i64)> = effect.pushed_back.clone();
-        moved.extend(effect.brought_forward.iter().map(|&(job, by)| (job, by.saturating_neg())));
-        let moved: Vec<MovedJob> = moved
-            .into_iter()
-            .filter(|&(other, _)| other != own)
-            .filter_map(|(other, by)| self.moved(other, by, effect.broken.contains(&other)))
-            .collect();
+        let finish = self.jobs[job].finish(effect.end(own));
         let in_time = !effect.broken.contains(&own);
-        self.told(&effect.change, effect.added_cost, None, in_time, &moved, job)
+        self.told(&effect.change, effect.added_cost, finish, in_time, &self.moved(effect, own), job)
     }
 
-    /// A job that ends at another time.
-    pub fn moved(&self, job: u64, by: i64, breaks_promise: bool) -> Option<MovedJob> {
-        let asked = self.jobs.get(usize::try_from(job).ok()?)?;
-        Some(MovedJob {
-            job_id: asked.job.id,
-            name: asked.job.name.clone(),
-            later_ms: by / 1000,
-            breaks_promise,
-        })
+    /// The other jobs that end at another time, or miss their deadlines.
+    pub fn moved(&self, effect: &Effect, own: u64) -> Vec<MovedJob> {
+        let moved = effect.moved().into_iter().filter(|&(other, _)| other != own);
+        moved
+            .filter_map(|(other, by)| {
+                let asked = self.jobs.get(usize::try_from(other).ok()?)?;
+                Some(MovedJob {
+                    job_id: asked.job.id,
+                    name: asked.job.name.clone(),
+                    later_ms: by / 1000,
+                    breaks_promise: effect.broken.contains(&other),
+                })
+            })
+            .collect()
     }
 
     /// A change and its effect on a job, in words as well.

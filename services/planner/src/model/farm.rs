@@ -109,6 +109,14 @@ impl Node {
         self.speeds.get(&class).copied().unwrap_or(self.speed)
     }
 
+    /// What work of a class costs on the node, for comparing: a billion times its price an hour over its speed. That of work it cannot do is beyond all others.
+    pub fn price_of_work(&self, class: u32) -> i128 {
+        match self.speed_of(class) {
+            0 => i128::MAX,
+            speed => i128::from(self.price_per_hour) * 1_000_000_000 / i128::from(speed),
+        }
+    }
+
     /// Microseconds that the node takes for this much work of a class, rounded up, and at least one. None if
     /// that leaves the range of time, or the node cannot do it.
     pub fn duration(&self, work: u64, class: u32) -> Option<i64> {
