@@ -249,7 +249,8 @@ impl Agent {
         control.log(LogLevel::Info, format!("{kind} begun on {name}, attempt {}", lease.fence));
         let limits = lease.limits.and(self.limits);
         let ending = {
-            let work = self.perform(&lease, control.clone());
+            let given_up = CancellationToken::new();
+            let work = self.perform(&lease, control.clone(), &given_up);
             tokio::pin!(work);
             let ending = tokio::select! {
                 done = &mut work => Ending::Finished(Box::new(done)),
@@ -259,6 +260,7 @@ impl Agent {
             };
             if !matches!(ending, Ending::Finished(_)) {
                 control.cancel();
+                given_up.cancel();
                 // The threads are free again when the work has noticed.
                 let _ = work.await;
             }
@@ -284,9 +286,28 @@ impl Agent {
         }
     }
 
-    /// Fetches what the task needs and does it on this worker's threads.
-    async fn perform(&self, lease: &Lease, control: Arc<Control>) -> Result<Outcome, ExecuteError> {
-        let fetched = |error: ClientError| {
+    /// Fetches what the task needs, unless it is given up meanwhile, and does it on this worker's threads.
+    async fn perform(
+        &self,
+        lease: &Lease,
+        control: Arc<Control>,
+        given_up: &CancellationToken,
+    ) -> Result<Outcome, ExecuteError> {
+        let assignment = tokio::select! {
+            assignment = self.prepare(lease, &control) => assignment?,
+            () = given_up.cancelled() => return Err(ExecuteError::Cancelled),
+        };
+        let (pool, executor) = (self.pool.clone(), self.executor.clone());
+        let work = move || pool.install(|| executor.execute(&assignment, &control));
+        match tokio::task::spawn_blocking(work).await {
+            Ok(done) => done,
+            Err(panic) => Err(ExecuteError::Transient(format!("the renderer failed: {}", panic_text(panic)))),
+        }
+    }
+
+    /// Everything that a task needs to be begun.
+    async fn prepare(&self, lease: &Lease, control: &Control) -> Result<Assignment, ExecuteError> {
+        let failed = |error: ClientError| {
             let message = describe(&error);
             // What the service does not have, it will not have later.
             let missing = error.is(ProblemKind::NotFound);
@@ -296,11 +317,11 @@ impl Agent {
             match self.fetch(lease).await {
                 Ok(fetched) => break fetched,
                 // That the service or its artefact store is away for a while is not the task's fault.
-                Err(error) if error.is_passing() && !control.is_cancelled() => {
+                Err(error) if error.is_passing() => {
                     tracing::warn!(task = %lease.task_id, %error, "what the task needs cannot be fetched yet");
                     tokio::time::sleep(AFTER_REFUSAL).await;
                 }
-                Err(error) => return Err(fetched(error)),
+                Err(error) => return Err(failed(error)),
             }
         };
         control.log(LogLevel::Info, "the bundle is here");
@@ -311,13 +332,7 @@ impl Agent {
             }
             _ => None,
         };
-        let assignment = Assignment { spec: lease.spec.clone(), bundle, profile, caches, checkpoint };
-        let (pool, executor) = (self.pool.clone(), self.executor.clone());
-        let work = move || pool.install(|| executor.execute(&assignment, &control));
-        match tokio::task::spawn_blocking(work).await {
-            Ok(done) => done,
-            Err(panic) => Err(ExecuteError::Transient(format!("the renderer failed: {}", panic_text(panic)))),
-        }
+        Ok(Assignment { spec: lease.spec.clone(), bundle, profile, caches, checkpoint })
     }
 
     /// The bundle, the profile and the irradiance caches that a task needs.

@@ -48,6 +48,8 @@ struct Farm {
     artifacts: BTreeSet<ArtifactHash>,
     reports: Vec<ResultRequest>,
     releases: Vec<LeaseId>,
+    /// Downloads that were begun; none ever ends.
+    downloads: u32,
 }
 
 type Shared = Arc<Mutex<Farm>>;
@@ -121,6 +123,11 @@ async fn store(State(farm): State<Shared>, Path(hash): Path<ArtifactHash>, body:
     Json(serde_json::json!({ "hash": hash, "size": body.len(), "existed": existed })).into_response()
 }
 
+async fn fetch(State(farm): State<Shared>) -> Response {
+    farm.lock().unwrap().downloads += 1;
+    std::future::pending().await
+}
+
 fn app(farm: Shared) -> Router {
     Router::new()
         .route("/v1/nodes", post(register))
@@ -128,7 +135,7 @@ fn app(farm: Shared) -> Router {
         .route("/v1/leases/{id}", patch(renew))
         .route("/v1/leases/{id}/result", post(report))
         .route("/v1/leases/{id}/release", post(release))
-        .route("/v1/artifacts/{hash}", put(store))
+        .route("/v1/artifacts/{hash}", put(store).get(fetch))
         .with_state(farm)
 }
 
@@ -445,6 +452,19 @@ async fn a_worker_that_is_stopped_gives_its_lease_back() {
     let farm = farm.lock().unwrap();
     assert_eq!(farm.releases, [id]);
     assert!(farm.reports.is_empty());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_that_is_stopped_while_it_downloads_gives_its_lease_back_at_once() {
+    let mut lease = lease(1);
+    let TaskSpec::Preview(spec) = &mut lease.spec else { unreachable!() };
+    spec.bundle = BundleSource::Artifact(ArtifactHash([7; 32]));
+    let id = lease.lease_id;
+    let rig = Rig::new(Farm { ready: vec![lease], ..Farm::default() }, Slow::new(Duration::ZERO)).await;
+    rig.until("it downloads", |farm| farm.downloads == 1).await;
+    let farm = rig.farm.clone();
+    let executor = tokio::time::timeout(Duration::from_secs(10), rig.end()).await.expect("an end");
+    assert_eq!((executor.runs.load(Ordering::SeqCst), &farm.lock().unwrap().releases[..]), (0, &[id][..]));
 }
 
 #[tokio::test(flavor = "multi_thread")]
