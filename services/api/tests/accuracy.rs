@@ -109,7 +109,8 @@ async fn a_job_with_a_cache_has_its_times_and_no_errors_and_says_why() {
     let profile = farm.next_task(&node).await;
     let TaskResult::Profile(mut profiled) = farm.made_up_result(&profile).await else { panic!() };
     profiled.noise.clear();
-    profiled.cache_samples = vec![CacheSample { level: 0, work: 7000, cpu_nanos: 1, rays: [0; 7] }; 8];
+    profiled.cache_samples =
+        vec![CacheSample { level: 0, own: false, work: 7000, cpu_nanos: 1, rays: [0; 7] }; 8];
     assert_eq!(farm.report(&profile, TaskResult::Profile(profiled)).await.status(), StatusCode::OK);
     let document = document(&farm, &job).await;
     let known =

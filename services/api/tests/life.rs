@@ -335,7 +335,7 @@ async fn a_result_that_does_not_fit_its_task_is_refused_with_the_place_and_the_l
     let mut stray = good.clone();
     stray.samples[5].pixel = 64;
     let mut gathered = good.clone();
-    gathered.cache_samples = vec![CacheSample { level: 0, work: 1, cpu_nanos: 1, rays: [0; 7] }];
+    gathered.cache_samples = vec![CacheSample { level: 0, own: false, work: 1, cpu_nanos: 1, rays: [0; 7] }];
     let mut endless = good.clone();
     endless.fixed.plan.work = u64::MAX;
     let mut short = good.clone();

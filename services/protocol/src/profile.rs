@@ -34,6 +34,10 @@ fn is_zero(work: &u64) -> bool {
     *work == 0
 }
 
+fn is_false(value: &bool) -> bool {
+    !value
+}
+
 /// Rays of a gather where the irradiance cache has no record: an n-th of `first` in the n-th camera sample of a pixel, but at least
 /// `least`. What they take above the least is what a pixel's cost has that is not in proportion to its samples.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
@@ -83,6 +87,9 @@ pub struct SharedSample {
 pub struct CacheSample {
     /// Level of the record: 0 is read by the image, each further one by the gathers of the one before.
     pub level: u32,
+    /// Whether it is one that the frame gathers itself beside the cache that it shares: such records lie around what moves, and cost otherwise.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub own: bool,
     /// Deterministic count of operations.
     pub work: u64,
     /// CPU time, in nanoseconds.

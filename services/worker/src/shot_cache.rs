@@ -120,7 +120,7 @@ pub fn profile_shared(
     cache: Cache,
 ) -> Result<SharedProfile, RenderError> {
     let ready = renderer.frame(profiled.frame, settings)?;
-    ready.share(cache)?;
+    let shared = ready.share(cache)?;
     // The pixels after the observed ones were traced for their time alone.
     let observed = profiled.traced.iter().zip(&profiled.observations);
     let (measured, warm) =
@@ -138,7 +138,12 @@ pub fn profile_shared(
     };
     let pixels = ready.trace(&indices).into_iter().map(sample).collect();
     let gathered = ready.sample_records(records_to_sample(options.samples / 2), options.seed);
-    let records: Vec<CacheSample> = gathered.iter().map(cache_sample).collect();
+    let taken_over = |level: u32| shared.kept.get(level as usize).copied().unwrap_or(0);
+    let sample = |record: &RecordCost| CacheSample {
+        own: record.index as u64 >= taken_over(record.level),
+        ..cache_sample(record)
+    };
+    let records: Vec<CacheSample> = gathered.iter().map(sample).collect();
     let spent = records
         .iter()
         .fold(spent, |sum, record| sum.plus(Spent { work: record.work, cpu_nanos: record.cpu_nanos }));
@@ -148,7 +153,7 @@ pub fn profile_shared(
 /// A record that was gathered, in the words of the wire.
 pub(crate) fn cache_sample(record: &RecordCost) -> CacheSample {
     let Cost { work, cpu_nanos } = record.cost;
-    CacheSample { level: record.level, work, cpu_nanos, rays: record.rays.map(u64::from) }
+    CacheSample { level: record.level, own: false, work, cpu_nanos, rays: record.rays.map(u64::from) }
 }
 
 /// A cache with a part of it filled.

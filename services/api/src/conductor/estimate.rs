@@ -1,14 +1,14 @@
 //! From profiles to a forecast of every frame.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_forecast::{
     Calibration, Corrections, Cost, Costs, Expansion, ForecastError, Measure, Observation, ProfiledFrame,
     Quantity, ShotForecast, forecast_shot, shot_times,
 };
 use forelight_protocol::{
-    ByClass, CacheFrame, FixedCosts, ForecastTotals, FrameForecast, LeftOut, PreviewResult, Profiled,
-    Quantiles, RayQuantiles, RenderSettings, Spent, SpentOnForecast,
+    ByClass, CacheFrame, CacheSample, FixedCosts, ForecastTotals, FrameForecast, LeftOut, PreviewResult,
+    Profiled, Quantiles, RayQuantiles, RenderSettings, Spent, SpentOnForecast,
 };
 use forelight_store::{JobForecast, MeasuredProfile, QuoteBasis, QuoteKind, Spreads};
 
@@ -64,6 +64,28 @@ fn records_of<'a>(preview: &'a PreviewResult, shared: Option<&SharedWay<'a>>) ->
     }
 }
 
+/// Which of the sampled records stand for those that frames gather themselves beside a shared cache.
+struct OwnRecords {
+    /// By level, how many of these were sampled.
+    sampled: BTreeMap<u32, usize>,
+}
+
+impl OwnRecords {
+    /// Fewer say less than all records do.
+    const LEAST: usize = 4;
+
+    fn of(profiles: &[MeasuredProfile]) -> Self {
+        let mut sampled = BTreeMap::new();
+        let samples = profiles.iter().flat_map(|profile| &profile.result.shared_cache_samples);
+        samples.filter(|sample| sample.own).for_each(|sample| *sampled.entry(sample.level).or_default() += 1);
+        Self { sampled }
+    }
+
+    fn counts(&self, sample: &CacheSample) -> bool {
+        sample.own || self.sampled.get(&sample.level).is_none_or(|&own| own < Self::LEAST)
+    }
+}
+
 /// The statistics' part, with quantiles as the formulas have them; of frames that are given a `shared` irradiance cache, without what that
 /// takes, or that make their own.
 pub(super) fn estimated(
@@ -81,6 +103,7 @@ pub(super) fn estimated(
         }
         None => Vec::new(),
     };
+    let own = OwnRecords::of(profiles);
     let mut gathered_by: Vec<(usize, Vec<u32>)> = Vec::new();
     let mut observations: Vec<(usize, Vec<Observation>, Cost)> = Vec::with_capacity(profiles.len());
     for MeasuredProfile { result, node_speed, .. } in profiles {
@@ -101,7 +124,8 @@ pub(super) fn estimated(
             Some(_) => &result.shared_cache_samples,
             None => &result.cache_samples,
         };
-        let records = records.iter().map(|sample| {
+        let gathered_here = |sample: &&CacheSample| shared.is_none() || own.counts(sample);
+        let records = records.iter().filter(gathered_here).map(|sample| {
             let cpu_nanos = at_speed_one(sample.cpu_nanos, *node_speed);
             let cost = Cost { work: sample.work, cpu_nanos, rays: sample.rays };
             populations.records.observation(sample.level, cost)
@@ -386,8 +410,13 @@ mod tests {
         let mut profile = profile(0, vec![stratum(1), stratum(0)], &[8, 16, 4]);
         let plan = Spent { work: 1000, cpu_nanos: 5000 };
         profile.result.fixed = FixedCosts { plan, plan_rays: [9, 0, 0, 0, 0, 20, 0], ..profile.result.fixed };
-        let sample =
-            |level, work| CacheSample { level, work, cpu_nanos: 10 * work, rays: [0, 1, 0, 0, 0, 48, 0] };
+        let sample = |level, work| CacheSample {
+            level,
+            own: false,
+            work,
+            cpu_nanos: 10 * work,
+            rays: [0, 1, 0, 0, 0, 48, 0],
+        };
         profile.result.cache_samples = [0, 1]
             .into_iter()
             .flat_map(|level| vec![sample(level, [5000, 2000][level as usize]); 12])

@@ -13,6 +13,8 @@ use rayon::prelude::*;
 pub struct RecordCost {
     /// Its level, from 0.
     pub level: u32,
+    /// Its place in the level. Those that were taken over from another frame come first.
+    pub index: usize,
     /// Work and time.
     pub cost: Cost,
     /// Rays by category.
@@ -40,7 +42,7 @@ impl Cache {
             };
             let nanos = self.levels[level].smoothing_nanos(index, &record, &places[level]);
             let smoothing = Cost { work: 0, cpu_nanos: nanos };
-            RecordCost { level: level as u32, cost: record.cost + smoothing, rays: record.rays }
+            RecordCost { level: level as u32, index, cost: record.cost + smoothing, rays: record.rays }
         };
         picks.into_par_iter().map(sample).collect()
     }
