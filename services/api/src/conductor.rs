@@ -27,7 +27,7 @@ pub(crate) mod effects;
 mod estimate;
 pub(crate) mod explain;
 pub(crate) mod farm;
-pub(crate) mod measured;
+pub(crate) mod job_profile;
 mod replan;
 pub(crate) mod settle;
 mod sharing;

@@ -1,11 +1,13 @@
-//! Files that are either there whole or not there: written beside their place, then renamed into it.
+//! Files that are either there whole or not there: written beside their place, then renamed into it. A link stays one, and what it points to is
+//! written; pipes and devices take the bytes as they are.
 
+use crate::failure::BadInput;
 use anyhow::{Context, Result};
 use std::ffi::OsString;
 use std::fs::{self, File};
-use std::io::Write;
+use std::io::{self, Write};
 use std::os::unix::fs::PermissionsExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Lets `write` fill a temporary file in the folder of `path`, then moves it to `path`. If `write` fails, or the
 /// process ends before the move, nothing is left at `path` (a process that is killed may leave the temporary file).
@@ -26,11 +28,79 @@ pub fn write_secret(path: &Path, secret: &[u8]) -> Result<()> {
     place(path, 0o600, |temporary| Ok(File::options().write(true).open(temporary)?.write_all(secret)?))
 }
 
+/// Finds out whether these files will be written, before the work whose results they are. Nothing is left behind.
+///
+/// # Errors
+/// If one of them is a folder, protected, or in a place where nothing can be written, or if two of them are the same.
+pub fn check<'a>(paths: impl IntoIterator<Item = Option<&'a Path>>) -> Result<()> {
+    let mut seen: Vec<PathBuf> = Vec::new();
+    for path in paths.into_iter().flatten() {
+        let target = target(path)?;
+        if matches!(target.kind, Kind::File) {
+            let there = target.folder().ancestors().find(|folder| fs::symlink_metadata(folder).is_ok());
+            let there = there.filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            tempfile::tempfile_in(there).map_err(|error| {
+                refused(path, &format!("nothing can be written in {}: {error}", there.display()))
+            })?;
+        }
+        if seen.contains(&target.path) {
+            return Err(refused(path, "two results are to be written there").into());
+        }
+        seen.push(target.path);
+    }
+    Ok(())
+}
+
+fn refused(path: &Path, reason: &str) -> BadInput {
+    BadInput::new(format!("cannot write {}: {reason}", path.display()))
+}
+
+/// Where a result ends up.
+struct Target {
+    path: PathBuf,
+    kind: Kind,
+}
+
+enum Kind {
+    /// A file, or nothing yet.
+    File,
+    /// A pipe or a device.
+    Special,
+}
+
+impl Target {
+    fn folder(&self) -> &Path {
+        let parent = self.path.parent().filter(|parent| !parent.as_os_str().is_empty());
+        parent.unwrap_or(Path::new("."))
+    }
+}
+
+fn target(path: &Path) -> Result<Target> {
+    // What is not there yet is named as it is.
+    let path =
+        if path.is_symlink() { &*fs::canonicalize(path).unwrap_or_else(|_| path.to_owned()) } else { path };
+    let found = |kind| Ok(Target { path: path.to_owned(), kind });
+    match fs::metadata(path) {
+        Ok(about) if about.is_dir() => Err(refused(path, "it is a folder; name a file in it").into()),
+        Ok(about) if !about.is_file() => found(Kind::Special),
+        Ok(about) if about.permissions().readonly() => Err(refused(path, "it is write-protected").into()),
+        _ => found(Kind::File),
+    }
+}
+
 fn place(path: &Path, mode: u32, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
-    let folder = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
+    let target = target(path)?;
+    let (path, folder) = (&*target.path, target.folder());
+    if matches!(target.kind, Kind::Special) {
+        let elsewhere =
+            tempfile::NamedTempFile::new().context("cannot write a temporary file")?.into_temp_path();
+        write(&elsewhere).with_context(|| format!("cannot write {}", path.display()))?;
+        let through = || {
+            let mut into = File::options().write(true).open(path)?;
+            io::copy(&mut File::open(&elsewhere)?, &mut into)
+        };
+        return through().map(drop).with_context(|| format!("cannot write {}", path.display()));
+    }
     fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     let mut suffix = OsString::from(".part");
     if let Some(extension) = path.extension() {
@@ -64,6 +134,43 @@ mod tests {
         write_secret(&dir.path().join("secret"), b"x").unwrap();
         write_bytes(&dir.path().join("result"), b"x").unwrap();
         assert_eq!((mode("secret"), mode("result")), (0o600, 0o644));
+    }
+
+    #[test]
+    fn links_stay_links_and_pipes_pipes() {
+        let dir = tempfile::tempdir().unwrap();
+        let (file, link, pipe) = (dir.path().join("file"), dir.path().join("link"), dir.path().join("pipe"));
+        write_bytes(&file, b"old").unwrap();
+        std::os::unix::fs::symlink(&file, &link).unwrap();
+        write_bytes(&link, b"new").unwrap();
+        assert!(link.is_symlink());
+        assert_eq!(fs::read(&file).unwrap(), b"new");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        let reader = std::thread::spawn({
+            let pipe = pipe.clone();
+            move || fs::read(pipe).unwrap()
+        });
+        write_bytes(&pipe, b"through").unwrap();
+        assert_eq!(reader.join().unwrap(), b"through");
+        check([Some(&*pipe), Some(&*link)]).unwrap();
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_said_beforehand_and_leaves_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = |name: &str| dir.path().join(name);
+        write_bytes(&path("file"), b"x").unwrap();
+        write_bytes(&path("kept"), b"x").unwrap();
+        fs::set_permissions(path("kept"), fs::Permissions::from_mode(0o444)).unwrap();
+        check([Some(&*path("new/folders/a.png")), None, Some(&*path("file"))]).unwrap();
+        let said = |paths: &[PathBuf]| check(paths.iter().map(|path| Some(&**path))).unwrap_err().to_string();
+        assert!(said(&[dir.path().to_owned()]).contains("name a file in it"));
+        assert!(said(&[path("kept")]).contains("write-protected"));
+        assert!(said(&[path("file/a.png")]).contains("nothing can be written in"));
+        assert!(said(&[PathBuf::from("/proc/a.png")]).contains("nothing can be written in /proc"));
+        assert!(said(&[path("a.png"), path("a.png")]).contains("two results"));
+        assert!(write_bytes(&path("kept"), b"y").is_err());
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
     }
 
     #[test]

@@ -7,7 +7,8 @@ use forelight_protocol::{CachePrice, CacheQuote, SeedForecast};
 pub fn ways(cache: &CacheQuote) -> String {
     let said = |price: &CachePrice| {
         let cost = price.cost.map_or(String::new(), |cost| format!(", {}", money(cost.0)));
-        format!("{} records, {} CPU time{cost}", count(price.records as f64), seconds(price.cpu_seconds))
+        let (records, work) = (count(price.records as f64), count(price.work));
+        format!("{records} records, {work} operations, {} CPU time{cost}", seconds(price.cpu_seconds))
     };
     let way = if cache.shared { "one for all frames" } else { "each frame makes its own" };
     let mut text = format!("caches     {way}: {}\n", cache.reason);

@@ -189,13 +189,23 @@ pub fn duration(text: &str) -> Result<std::time::Duration, String> {
     quantities::parse_duration(text)?.try_into().map_err(|_| "the duration is too long".to_string())
 }
 
+/// A picture to write.
+pub fn png_file(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    match path.extension() {
+        Some(end) if end.eq_ignore_ascii_case("png") => Ok(path),
+        _ => Err("it will be a PNG, so the name must end in .png".into()),
+    }
+}
+
 /// The accuracy of a cache in thousandths, as the wire has it.
 fn accuracy(text: &str) -> Result<u32, String> {
     let value: f64 = text.parse().map_err(|_| "expected a number such as 0.2".to_string())?;
-    if (0.01..=1.0).contains(&value) {
-        Ok((value * 1000.0).round() as u32)
-    } else {
-        Err("must lie in 0.01 to 1".into())
+    let thousandths = (value * 1000.0).round();
+    match value {
+        0.01..=1.0 if (value * 1000.0 - thousandths).abs() < 1e-6 => Ok(thousandths as u32),
+        0.01..=1.0 => Err("is in steps of 0.001".into()),
+        _ => Err("must lie in 0.01 to 1".into()),
     }
 }
 

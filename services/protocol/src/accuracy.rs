@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{CacheMode, Integrator, Profiled, Quantiles, RenderSettings, SpentOnForecast};
+use crate::{CacheMode, Confidence, Integrator, Profiled, Quantiles, RenderSettings, SpentOnForecast};
 
 /// What is changed along a ladder; all else is as it was asked for.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize, ToSchema)]
@@ -124,6 +124,17 @@ pub struct ImageError {
     pub p80: f64,
     /// 95 % quantile.
     pub p95: f64,
+}
+
+impl ImageError {
+    /// The value at a confidence.
+    pub const fn at(&self, confidence: Confidence) -> f64 {
+        match confidence {
+            Confidence::P50 => self.p50,
+            Confidence::P80 => self.p80,
+            Confidence::P95 => self.p95,
+        }
+    }
 }
 
 /// The way from a rung that is worth taking to the next better one.

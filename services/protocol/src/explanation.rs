@@ -265,7 +265,9 @@ impl Explanation {
             words.push("making the irradiance cache that the frames share is not in this: it is a line of its own in the quote".to_owned());
         }
         words.push(match &self.halving[..] {
-            [] => "half of it: no single setting does that".to_owned(),
+            [] => {
+                "half of it: neither camera samples nor pixels nor rays of a gather do that alone".to_owned()
+            }
             ways => format!("half of it: {}", ways.iter().map(way).collect::<Vec<_>>().join("; or ")),
         });
         words

@@ -20,12 +20,15 @@ use forelight_protocol::{
 use forelight_store::MeasuredProfile;
 
 use super::estimate::calibrated;
-use super::measured::Measured;
+use super::job_profile::JobProfile;
 use super::sharing::SharedWay;
 use super::{AdvanceError, compute};
 
 /// The ladders of a job with these settings.
-pub(crate) async fn accuracy(asked: RenderSettings, measured: Measured) -> Result<AccuracyDoc, AdvanceError> {
+pub(crate) async fn accuracy(
+    asked: RenderSettings,
+    measured: JobProfile,
+) -> Result<AccuracyDoc, AdvanceError> {
     compute(move || ladders(&asked, &measured.preview, &measured.profiles, measured.way().as_ref())).await
 }
 

@@ -233,7 +233,7 @@ pub(super) fn calibrated(
         effects: effects.into_iter().cloned().collect(),
         left_out: LeftOut::of_all(profiles.iter().map(|profile| &profile.result.left_out[..])),
         chosen_spp: None,
-        fixed: fixed_costs(profiles),
+        fixed: fixed_costs(profiles, shared, None),
         work_by_class: profiles
             .iter()
             .filter_map(|profile| profile.result.work_by_class)
@@ -247,10 +247,24 @@ pub(super) fn calibrated(
     Ok(Forecast { job, frames, spreads, seed: None })
 }
 
-/// What a frame costs whatever its pixels show, the mean of the profiled ones.
-pub(super) fn fixed_costs(profiles: &[MeasuredProfile]) -> Option<FixedCosts> {
+/// What a frame costs whatever its pixels show, the mean of the profiled ones; what planning takes beyond a shared cache, which is known of every frame, that of
+/// this one or the mean of all.
+pub(super) fn fixed_costs(
+    profiles: &[MeasuredProfile],
+    shared: Option<&SharedWay<'_>>,
+    frame: Option<u32>,
+) -> Option<FixedCosts> {
     let fixed = |profile: &MeasuredProfile| profile.result.fixed.at_speed_one(profile.node_speed);
-    FixedCosts::mean(&profiles.iter().map(fixed).collect::<Vec<_>>())
+    let own = FixedCosts::mean(&profiles.iter().map(fixed).collect::<Vec<_>>())?;
+    let Some(way) = shared else { return Some(own) };
+    let frames = way.plan.frames.iter().filter(|planned| frame.is_none_or(|number| planned.frame == number));
+    let beside = frames.map(|planned| {
+        let plans = FixedCosts { plan: planned.plan, plan_rays: planned.plan_rays, ..FixedCosts::default() };
+        plans.at_speed_one(way.node_speed)
+    });
+    let FixedCosts { plan, plan_rays, .. } =
+        FixedCosts::mean(&beside.collect::<Vec<_>>()).unwrap_or_default();
+    Some(FixedCosts { plan, plan_rays, ..own })
 }
 
 /// The hazard: the frame was previewed on a graphics processor and profiled where there is none, and a pixel on an edge

@@ -6,7 +6,7 @@ use forelight_protocol::{Amounts, Explanation, FixedCosts, PreviewResult, Render
 use forelight_store::MeasuredProfile;
 
 use super::estimate::{Estimated, estimated, fixed_costs};
-use super::measured::Measured;
+use super::job_profile::JobProfile;
 use super::sharing::SharedWay;
 use super::{AdvanceError, compute};
 
@@ -14,7 +14,7 @@ use super::{AdvanceError, compute};
 /// the quote.
 pub(crate) async fn explanation(
     settings: RenderSettings,
-    measured: Measured,
+    measured: JobProfile,
     frame: Option<u32>,
 ) -> Result<Explanation, AdvanceError> {
     compute(move || {
@@ -62,20 +62,9 @@ pub(super) fn explained(
         pixels,
         told_apart: true,
         records_work: records.iter().map(|sum| sum.work).sum(),
-        fixed: fixed_costs(profiles).map(|fixed| with_planning_beside(fixed, shared, frame)),
+        fixed: fixed_costs(profiles, shared, frame),
         shares_cache: shared.is_some(),
         rays: total.rays.map(|rays| rays.mean),
     };
     Ok(Explanation::new(amounts, settings))
-}
-
-/// Fixed costs of frames that plan what they need beyond a shared cache, as the mean of those that are explained.
-fn with_planning_beside(fixed: FixedCosts, shared: Option<&SharedWay<'_>>, frame: Option<u32>) -> FixedCosts {
-    let Some(way) = shared else { return fixed };
-    let explained =
-        way.plan.frames.iter().filter(|planned| frame.is_none_or(|number| planned.frame == number));
-    let plans: Vec<FixedCosts> =
-        explained.map(|planned| FixedCosts { plan: planned.plan, ..FixedCosts::default() }).collect();
-    let plan = FixedCosts::mean(&plans).unwrap_or_default().plan;
-    FixedCosts { plan, ..fixed }
 }

@@ -15,7 +15,7 @@ use utoipa::IntoParams;
 
 use crate::conductor::answers::{Question, answers, curve_svg};
 use crate::conductor::farm::{Farm, Snapshot};
-use crate::conductor::measured::Measured;
+use crate::conductor::job_profile::JobProfile;
 use crate::conductor::{AdvanceError, accuracy, compute};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
@@ -153,7 +153,7 @@ fn refused(error: AdvanceError) -> ApiError {
 
 /// Other qualities of a job, as far as its profile knows any.
 async fn rungs(app: &App, job: &Job) -> ApiResult<Vec<AccuracyRung>> {
-    let Some(measured) = Measured::read(&app.store, job).await? else { return Ok(Vec::new()) };
+    let Some(measured) = JobProfile::read(&app.store, job).await? else { return Ok(Vec::new()) };
     match accuracy::accuracy(job.settings.clone(), measured).await {
         Ok(document) => Ok(document.rungs),
         Err(AdvanceError::Store(error)) => Err(error.into()),

@@ -15,7 +15,7 @@ use utoipa::IntoParams;
 
 use crate::conductor::accuracy::accuracy;
 use crate::conductor::explain::explanation;
-use crate::conductor::measured::Measured;
+use crate::conductor::job_profile::JobProfile;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
 use crate::openapi::FileContent;
@@ -96,8 +96,8 @@ pub(crate) async fn explanation_of_job(
 }
 
 /// What is kept of the job's profile, or that it is not there yet.
-async fn profile(app: &App, job: &Job) -> ApiResult<Measured> {
-    Measured::read(&app.store, job).await?.ok_or_else(|| {
+async fn profile(app: &App, job: &Job) -> ApiResult<JobProfile> {
+    JobProfile::read(&app.store, job).await?.ok_or_else(|| {
         let reason = format!("the job is {} and not profiled, so nothing is known of its pixels", job.state);
         ApiError::new(ProblemKind::Conflict, reason)
     })

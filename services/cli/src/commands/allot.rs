@@ -3,9 +3,9 @@
 use crate::atomic_file::write_bytes;
 use crate::failure::BadInput;
 use crate::interrupt::Interrupt;
-use crate::options::ConfidenceLevel;
+use crate::options::{ConfidenceLevel, png_file};
 use crate::quantities::{count, money, parse_money, parse_seconds, seconds};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use forelight_protocol::{AllottedForecast, AllottedStats, BudgetClock, Money, WithinStats};
 use forelight_scene::Frame;
@@ -35,7 +35,8 @@ pub struct AllotArgs {
     /// Which seconds --within counts
     #[arg(long, value_name = "CLOCK", default_value = "wall", requires = "within")]
     clock: ClockName,
-    /// Make the cheapest image whose noise is at most this share of its mean, in percent (root mean square over the pixels)
+    /// Make the cheapest image whose noise is at most this share of its mean, in percent (root mean square over the pixels), with at
+    /// most 65,535 camera samples a pixel
     #[arg(long, value_name = "PERCENT", group = "aim", conflicts_with_all = ["spp", "profile"], value_parser = positive)]
     error: Option<f64>,
     /// How sure an error is to be kept; of a time, how sure the least image must fit for the render to begin
@@ -45,7 +46,7 @@ pub struct AllotArgs {
     #[arg(long, value_name = "PIXELS", default_value_t = 256, requires = "aim", value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
     samples: u32,
     /// Write how many camera samples each pixel got, as a grey PNG of 16 bits
-    #[arg(long, value_name = "FILE.png")]
+    #[arg(long, value_name = "FILE.png", value_parser = png_file)]
     samples_map: Option<PathBuf>,
     /// Give every pixel as many camera samples as such a file says: the same image again, bit by bit, whatever the clock
     #[arg(long, value_name = "FILE.png", conflicts_with_all = ["spp", "within", "within_money", "error", "profile"])]
@@ -100,7 +101,7 @@ impl AllotArgs {
     }
 
     /// Whether samples that differ by pixel are wanted in a file; equally many everywhere are not worth one.
-    pub fn check_map(&self) -> Result<()> {
+    pub fn check_map(&self) -> Result<Option<&Path>> {
         let allots = self.within.is_some()
             || self.within_money.is_some()
             || self.error.is_some()
@@ -111,7 +112,7 @@ impl AllotArgs {
             )
             .into());
         }
-        Ok(())
+        Ok(self.samples_map.as_deref())
     }
 }
 
@@ -142,6 +143,22 @@ impl Wish<'_> {
             Some(price) if price > 0 && amount > 0 => Ok(3600.0 * amount as f64 / price as f64),
             _ => Err(BadInput::new("--within-money: amount and --price must be more than nothing").into()),
         }
+    }
+
+    /// That the image is as good as was asked for.
+    ///
+    /// # Errors
+    /// If it is not, though its pixels have as many samples as they can.
+    pub fn check_error(&self, allotted: &AllottedStats) -> Result<()> {
+        let Some(percent) = self.args.error else { return Ok(()) };
+        let reached = 100.0 * allotted.error.at(self.args.confidence.into());
+        if reached <= percent || allotted.most < u32::from(u16::MAX) {
+            return Ok(());
+        }
+        bail!(
+            "--error {percent}: the image is written, but its noise is {reached:.2} % of the mean: a pixel has at most {} camera samples",
+            u16::MAX
+        )
     }
 
     /// Now that everything is written: what it took in the end.
@@ -191,10 +208,12 @@ impl AccuracyObserver for Stopping<'_> {
 /// A time too short is the user's to mend.
 pub fn failure(error: AllotError) -> anyhow::Error {
     match error {
-        AllotError::TooLittle { .. } | AllotError::TooLittleForCache { .. } => BadInput::new(format!(
-            "--within: {error}; give it more, profile fewer pixels (--samples), or ask for a smaller image"
-        ))
-        .into(),
+        AllotError::TooLittle { .. } => BadInput::new(format!("--within: {error}"))
+            .hint("give it more, profile fewer pixels (--samples), or ask for a smaller image")
+            .into(),
+        AllotError::TooLittleForCache { .. } => BadInput::new(format!("--within: {error}"))
+            .hint("give it more, ask for a rougher cache (--cache-rays, --cache-accuracy), or do without one (--cache off)")
+            .into(),
         AllotError::Shot(ShotError::Render(error)) => error.into(),
         error => error.into(),
     }

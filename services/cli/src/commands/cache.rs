@@ -1,6 +1,6 @@
 //! `forelight cache`: the irradiance cache of a shot, planned once for many frames and filled by many processes.
 
-use crate::atomic_file::write_bytes;
+use crate::atomic_file::{self, write_bytes};
 use crate::bounded_file;
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
@@ -99,6 +99,12 @@ struct Written {
     json: bool,
 }
 
+impl Written {
+    fn check(&self) -> Result<()> {
+        atomic_file::check([Some(&*self.out)])
+    }
+}
+
 /// What a cache holds.
 #[derive(Debug, Serialize)]
 struct Held {
@@ -126,6 +132,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
 }
 
 fn plan(args: &Plan, interrupt: &Interrupt) -> Result<()> {
+    args.written.check()?;
     let bars = Bars::new(args.written.json);
     let local = Local::open(&args.bundle, &args.machine, &bars)?;
     let settings = local.settings(&args.quality.cached()?)?;
@@ -143,6 +150,7 @@ fn plan(args: &Plan, interrupt: &Interrupt) -> Result<()> {
 }
 
 fn fill(args: &Fill, interrupt: &Interrupt) -> Result<()> {
+    args.written.check()?;
     let cache = read_cache(&args.cache_file)?;
     let bars = Bars::new(args.written.json);
     let local = Local::open(&args.bundle, &args.machine, &bars)?;
@@ -161,6 +169,7 @@ fn fill(args: &Fill, interrupt: &Interrupt) -> Result<()> {
 }
 
 fn merge(args: &Merge) -> Result<()> {
+    args.written.check()?;
     let mut merged: Option<Cache> = None;
     for path in &args.parts {
         let part = read_cache(path)?;
@@ -180,6 +189,23 @@ fn merge(args: &Merge) -> Result<()> {
 pub fn read_cache(path: &Path) -> Result<Cache> {
     let bytes = bounded_file::read(path, CACHE_BYTES)?;
     Cache::from_bytes(&bytes).map_err(RenderError::from).with_context(|| path.display().to_string())
+}
+
+/// Reads the cache that frames are to share.
+pub fn read_full_cache(path: &Path) -> Result<Cache> {
+    let cache = read_cache(path)?;
+    if !cache.is_complete() {
+        let CacheTotals { records, filled, .. } = cache.totals();
+        let reason = format!(
+            "{}: the irradiance cache is not full: {filled} of {} records. Every frame would gather the others for itself, each with noise of its own",
+            path.display(),
+            records.iter().sum::<u64>()
+        );
+        return Err(BadInput::new(reason)
+            .hint("fill it with `forelight cache fill`; `forelight cache merge` puts parts together")
+            .into());
+    }
+    Ok(cache)
 }
 
 fn write(cache: &Cache, to: &Written) -> Result<()> {
@@ -205,7 +231,13 @@ fn report(held: &Held) -> String {
     let cost =
         |work: u64, cpu: f64| format!("{} operations, {} of CPU time", count(work as f64), seconds(cpu));
     let mut text = format!("records   {} in the world of frame {}\n", levels.join(" + "), held.frame);
-    text += &format!("filled    {}\n", count(held.filled as f64));
+    let missing = held.records.iter().sum::<u64>().saturating_sub(held.filled);
+    let rest = if missing > 0 {
+        format!("; {} are still to be filled", count(missing as f64))
+    } else {
+        String::new()
+    };
+    text += &format!("filled    {}{rest}\n", count(held.filled as f64));
     if held.rejected > 0 {
         text += &format!("rejected  {}: they are not finite, and will not be used\n", held.rejected);
     }

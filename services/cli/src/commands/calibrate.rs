@@ -1,6 +1,6 @@
 //! `forelight calibrate`: how fast this machine is, by class of work.
 
-use crate::atomic_file::write_bytes;
+use crate::atomic_file::{self, write_bytes};
 use crate::failure::BadInput;
 use crate::json_file;
 use crate::output::{self, Bars};
@@ -41,6 +41,7 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
+    atomic_file::check([args.out.as_deref()])?;
     let calibration = measured(usize::from(args.rounds), &Bars::new(args.json));
     if let Some(path) = &args.out {
         write_bytes(path, (output::pretty(&calibration)? + "\n").as_bytes())?;

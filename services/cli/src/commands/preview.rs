@@ -2,7 +2,7 @@
 
 use crate::atomic_file::write_bytes;
 use crate::local::Local;
-use crate::options::{MachineOptions, QualityOptions};
+use crate::options::{MachineOptions, QualityOptions, png_file};
 use crate::output::{self, Bars};
 use crate::table::{Align, Table};
 use anyhow::{Context, Result};
@@ -25,7 +25,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 0)]
     frame: u32,
     /// Picture to write
-    #[arg(long, value_name = "FILE.png")]
+    #[arg(long, value_name = "FILE.png", value_parser = png_file)]
     out: Option<PathBuf>,
     /// Print what is seen as JSON to standard output
     #[arg(long)]

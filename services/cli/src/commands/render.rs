@@ -1,14 +1,14 @@
 //! `forelight render`: one frame on this machine, with its true cost.
 
 use super::allot::{self, AllotArgs, Stopping};
-use super::cache::read_cache;
+use super::cache::read_full_cache;
 use super::explain;
-use crate::atomic_file::{write_bytes, write_with};
+use crate::atomic_file::{self, write_bytes, write_with};
 use crate::bounded_file;
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::local::Local;
-use crate::options::{MachineOptions, QualityOptions};
+use crate::options::{MachineOptions, QualityOptions, png_file};
 use crate::output::{self, Bars, RenderBar};
 use crate::quantities::{count, seconds};
 use crate::table::{Align, Table};
@@ -48,7 +48,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Also write the cost of every pixel in colour: cyan is cheap, red is dear
-    #[arg(long, value_name = "FILE.png")]
+    #[arg(long, value_name = "FILE.png", value_parser = png_file)]
     cost_map: Option<PathBuf>,
     /// Write the frame's cost as JSON
     #[arg(long, value_name = "FILE")]
@@ -92,10 +92,11 @@ enum Format {
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let wish = args.allot.wish(Instant::now());
-    args.allot.check_map()?;
+    let samples_map = args.allot.check_map()?;
     let files = Files::new(args)?;
+    atomic_file::check([args.out.as_deref(), args.cost_map.as_deref(), args.stats.as_deref(), samples_map])?;
     let profile = args.profile.as_deref().map(read_profile).transpose()?;
-    let cache = args.cache_file.as_deref().map(read_cache).transpose()?;
+    let cache = args.cache_file.as_deref().map(read_full_cache).transpose()?;
     let bars = Bars::new(args.json);
     let mut local = Local::open(&args.bundle, &args.machine, &bars)?;
     if args.effects == EffectsSwitch::All {
@@ -146,10 +147,11 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         write_bytes(path, (output::pretty(&rendered.stats)? + "\n").as_bytes())?;
     }
     if args.json {
-        output::json(&rendered.stats)
+        output::json(&rendered.stats)?;
     } else {
-        output::print(&report(&rendered.stats, args.effects))
+        output::print(&report(&rendered.stats, args.effects))?;
     }
+    rendered.stats.allotted.as_deref().map_or(Ok(()), |allotted| wish.check_error(allotted))
 }
 
 fn format_of(path: &Path) -> Result<Format> {

@@ -3,7 +3,7 @@
 mod plot;
 mod table;
 
-use crate::atomic_file::write_bytes;
+use crate::atomic_file::{self, write_bytes};
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::local::Local;
@@ -67,6 +67,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         let reason = format!("--out {}: a plot is an SVG, so the name must end in .svg", path.display());
         return Err(BadInput::new(reason).into());
     }
+    atomic_file::check([args.out.as_deref()])?;
     let bars = Bars::new(args.json);
     let local = Local::open(&args.bundle, &args.machine, &bars)?;
     let settings = local.settings(&args.quality)?;

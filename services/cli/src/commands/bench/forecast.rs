@@ -3,7 +3,7 @@
 //! more forecasts on costs that are traced once.
 
 use super::{PAPER_SIZE, bounces_to_try, mean_absolute, relative_error};
-use crate::atomic_file::write_bytes;
+use crate::atomic_file::{self, write_bytes};
 use crate::commands::forecast::Watcher;
 use crate::failure::Interrupted;
 use crate::interrupt::Interrupt;
@@ -116,6 +116,7 @@ struct Trial {
 
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    atomic_file::check([args.out.as_deref()])?;
     let bars = Bars::new(args.json);
     let mut cases = Vec::new();
     for bundle in &args.bundles {

@@ -5,7 +5,7 @@
 //! both programs say that the frames took. Each round does all of that in turns, for machines are now busy and now idle; the medians of the rounds count.
 
 use super::{bounces_to_try, mean_absolute, relative_error};
-use crate::atomic_file::write_bytes;
+use crate::atomic_file::{self, write_bytes};
 use crate::commands::forecast::{Watcher, on_another};
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
@@ -88,6 +88,7 @@ struct Pair<T> {
 
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    atomic_file::check([args.out.as_deref()])?;
     let bars = Bars::new(args.json);
     let own = std::env::current_exe().context("cannot tell where this program is")?;
     let other = args.other.as_deref().unwrap_or(&own);

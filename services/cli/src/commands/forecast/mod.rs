@@ -3,7 +3,7 @@
 mod sharing;
 
 use super::{calibrate, explain};
-use crate::atomic_file::write_bytes;
+use crate::atomic_file::{self, write_bytes};
 use crate::caches;
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
@@ -37,7 +37,8 @@ Examples:
   forelight forecast kitchen/ --for-node rack-7.json
   forelight forecast kitchen/ --frames 0-47 --cache on --cache-sharing auto
 
-All frames are previewed; of at most --profile-frames of them, --samples pixels each are traced. These are finished pixels: \
+All frames are previewed; of at most --profile-frames of them, --samples pixels each are profiled, and around a few of these blocks of \
+neighbours are traced, to see how long pixels take that lie beside each other. All are finished pixels: \
 with --save-profile, `forelight render --profile` takes them over. With --cache on, the irradiance cache of every frame is \
 planned with its preview, so that the number of records is known; some of them are gathered to see what that takes; --cache-sharing \
 also plans one cache for all frames, as farms do, and says which takes less. Work is a count of operations that two runs agree on; \
@@ -48,7 +49,7 @@ pub struct Args {
     /// Frames, such as 0-47 or 0,5,9-12 [default: the whole shot]
     #[arg(long, value_name = "LIST")]
     frames: Option<FrameSet>,
-    /// Pixels to trace in a profiled frame
+    /// Pixels to profile in a profiled frame, which the forecast of work rests on
     #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     samples: u32,
     /// Frames to profile at most
@@ -96,7 +97,8 @@ fn strategies() -> impl TypedValueParser<Value = Strategy> {
 
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
-    sharing::check(args.cache_sharing, args.strategy)?;
+    sharing::check(args.cache_sharing, args.strategy, &args.quality)?;
+    atomic_file::check([args.save_profile.as_ref().map(|folder| folder.join("profile")).as_deref()])?;
     let bars = Bars::new(args.json);
     let other = args.for_node.as_deref().map(calibrate::read).transpose()?;
     let local = Local::open(&args.bundle, &args.machine, &bars)?;
@@ -283,7 +285,17 @@ fn report(quote: &ForecastDoc) -> String {
     }
     table.footer();
     let total = &quote.total;
-    table.row(row("all".into(), &total.work, &total.cpu_seconds, &total.cache_records, ""));
+    match quote.cache.as_ref().and_then(|cache| cache.seed.as_ref()) {
+        None => table.row(row("all".into(), &total.work, &total.cpu_seconds, &total.cache_records, "")),
+        Some(seed) => {
+            let records: Vec<Quantiles> =
+                seed.records.iter().map(|&records| Quantiles::known(records.into())).collect();
+            table.row(row("frames".into(), &total.work, &total.cpu_seconds, &[], ""));
+            table.row(row("seed".into(), &seed.work, &seed.cpu_seconds, &records, "before the frames"));
+            let (work, cpu) = (total.work.plus(&seed.work), total.cpu_seconds.plus(&seed.cpu_seconds));
+            table.row(row("all".into(), &work, &cpu, &[], ""));
+        }
+    }
     let spent = &quote.spent;
     let frames = quote.profiled.frames.len();
     let plural = if frames == 1 { "" } else { "s" };
@@ -297,7 +309,7 @@ fn report(quote: &ForecastDoc) -> String {
     table.render()
         + &quote.fixed.as_ref().map_or_else(String::new, fixed_costs)
         + &format!(
-            "\nsimulated: {}\n{}{} pixels of {frames} frame{plural} were profiled. The quote took {} CPU time and {:.1} % of the work that it forecasts.\n{calibrated}\n",
+            "\nsimulated: {}\n{}{} pixels of {frames} frame{plural} were profiled, and blocks of neighbours traced for their time. The quote took {} CPU time and {:.1} % of the work that it forecasts.\n{calibrated}\n",
             quote.effects.join(", "),
             left_out.collect::<String>(),
             quote.profiled.pixels,

@@ -3,7 +3,7 @@
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::local::Local;
-use crate::options::Sharing;
+use crate::options::{CacheSwitch, QualityOptions, Sharing};
 use crate::output::Bars;
 use anyhow::{Context, Result, anyhow};
 use forelight_api::{Measured, is_shared_cache_worth_planning, quote_alone};
@@ -21,8 +21,15 @@ use std::path::Path;
 ///
 /// # Errors
 /// If not, before anything was traced.
-pub fn check(sharing: Sharing, strategy: Strategy) -> Result<(), BadInput> {
-    if sharing == Sharing::Private || strategy == Strategy::Snapshot {
+pub fn check(sharing: Sharing, strategy: Strategy, quality: &QualityOptions) -> Result<(), BadInput> {
+    if sharing == Sharing::Private {
+        return Ok(());
+    }
+    if quality.cache != Some(CacheSwitch::On) {
+        let reason = "--cache-sharing: there is no irradiance cache to be shared";
+        return Err(BadInput::new(reason).hint("add --cache on"));
+    }
+    if strategy == Strategy::Snapshot {
         return Ok(());
     }
     let reason =

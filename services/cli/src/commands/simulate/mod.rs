@@ -2,7 +2,7 @@
 
 mod plot;
 
-use crate::atomic_file::write_bytes;
+use crate::atomic_file::{self, write_bytes};
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::json_file;
@@ -221,6 +221,7 @@ struct Finding {
 
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    atomic_file::check([args.svg.as_deref()])?;
     let chances = Chances {
         seed: args.seed,
         bias: args.bias,

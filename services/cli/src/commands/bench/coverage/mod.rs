@@ -6,7 +6,7 @@ mod plot;
 mod scenes;
 mod share;
 
-use crate::atomic_file::write_bytes;
+use crate::atomic_file::{self, write_bytes};
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::local::Local;
@@ -160,6 +160,7 @@ struct Group {
 
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    atomic_file::check([args.svg.as_deref(), args.out.as_deref()])?;
     let bars = Bars::new(args.json);
     let report = measure(args, &bars, interrupt)?;
     if report.rows.is_empty() {

@@ -8,7 +8,7 @@ mod picture;
 mod quality;
 mod report;
 
-use crate::atomic_file::write_bytes;
+use crate::atomic_file::{self, write_bytes};
 use crate::failure::BadInput;
 use crate::interrupt::Interrupt;
 use crate::options::Materials;
@@ -98,6 +98,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     if args.bundles.len() > 1 && !args.peer.is_empty() {
         return Err(BadInput::new("--peer: an image belongs to one bundle, and there are several").into());
     }
+    atomic_file::check([args.out.as_deref()])?;
     let bars = Bars::new(args.json);
     let rungs = if args.rung.is_empty() { quality::ladder() } else { args.rung.clone() };
     let mut measured = Vec::with_capacity(args.bundles.len());

@@ -7,7 +7,7 @@ mod report;
 mod truth;
 
 use super::{mean_absolute, relative_error};
-use crate::atomic_file::write_bytes;
+use crate::atomic_file::{self, write_bytes};
 use crate::commands::forecast::Watcher;
 use crate::interrupt::Interrupt;
 use crate::local::Local;
@@ -176,6 +176,7 @@ struct Frame {
 
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    atomic_file::check([args.out.as_deref()])?;
     let bars = Bars::new(args.json);
     let mut shots = Vec::with_capacity(args.bundles.len());
     for bundle in &args.bundles {

@@ -8,7 +8,7 @@ use super::sharing::SharedWay;
 
 /// A profiled job.
 #[derive(Clone, Debug)]
-pub(crate) struct Measured {
+pub(crate) struct JobProfile {
     pub preview: PreviewResult,
     /// At the camera samples that the job is rendered with: one that was given a time is profiled with others.
     pub profiles: Vec<MeasuredProfile>,
@@ -16,7 +16,7 @@ pub(crate) struct Measured {
     pub shared: PlannedCache,
 }
 
-impl Measured {
+impl JobProfile {
     /// Of this job; `None` until it is profiled.
     pub async fn read(store: &Store, job: &Job) -> Result<Option<Self>, StoreError> {
         let Some(preview) = store.preview_result(job.id).await? else { return Ok(None) };
