@@ -7,7 +7,7 @@
 //!
 //! When something happens that the newest plan does not know of, the farm is planned anew, moving as little as possible (`replan`).
 //!
-//! (The first frame handed out makes a job `rendering`, the last result `done`; that happens in the store, in the same
+//! (The first frame, or part of a shared cache, handed out makes a job `rendering`, the last result `done`; that happens in the store, in the same
 //! transaction.)
 //!
 //! *Idempotent*: every step looks at the store, computes, and writes one transaction that does nothing if the

@@ -21,6 +21,8 @@ use crate::strata::Stratum;
 pub(crate) struct ShotClock {
     /// From zero, strictly increasing.
     times: Vec<f64>,
+    /// From the first frame to the last by their numbers.
+    frames: f64,
 }
 
 impl ShotClock {
@@ -37,7 +39,7 @@ impl ShotClock {
             time += apart(pair[0].number, pair[1].number) + length * changed * changed;
             time
         }));
-        Self { times }
+        Self { times, frames: length }
     }
 
     /// When frame number `t` of the shot is.
@@ -48,6 +50,11 @@ impl ShotClock {
     /// When all frames are.
     pub fn times(&self) -> &[f64] {
         &self.times
+    }
+
+    /// By how many frames numbers go from the first to the last: what a cut is worth.
+    pub fn frames(&self) -> f64 {
+        self.frames
     }
 
     /// From the first frame to the last; one if there is but one.

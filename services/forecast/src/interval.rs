@@ -19,12 +19,6 @@ impl Calibration {
     /// No past jobs to learn from. The factor 1.3 stands for what the formulas leave out when costs have no
     /// heavy tail.
     pub const NONE: Calibration = Calibration { inflation: 1.3, calibrated: false };
-
-    /// A factor measured on past jobs; factors that are not positive numbers count as 1.
-    pub fn measured(inflation: f64) -> Self {
-        let usable = inflation.is_finite() && inflation > 0.0;
-        Calibration { inflation: if usable { inflation } else { 1.0 }, calibrated: true }
-    }
 }
 
 /// An independent part of a variance with the degrees of freedom behind it.

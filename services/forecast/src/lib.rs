@@ -123,7 +123,7 @@ pub use choose::{FrameDesign, Pick};
 pub use conformal::{Correction, Corrections, Experience, LEAST_JOBS, Measure, Past, residual};
 pub use cost::{Cost, Costs, Observation, Quantity, RAY_KINDS};
 pub use error::ForecastError;
-pub use estimate::{FrameEstimate, ObjectEstimate, StratumEstimate, by_object, estimate};
+pub use estimate::{FrameEstimate, StratumEstimate, estimate};
 pub use expansion::Expansion;
 pub use frames::{FramePopulation, choose_frames};
 pub use interval::Calibration;

@@ -127,15 +127,10 @@ pub struct Live {
 pub fn shot_times(strata: &[Stratum], frames: &[FramePopulation]) -> Result<Vec<f64>, ForecastError> {
     check_frames(strata, frames)?;
     let clock = ShotClock::new(strata, frames);
-    let frames_apart = |early: i64, late: i64| late.abs_diff(early) as f64;
-    let length = match frames {
-        [first, .., last] => frames_apart(first.number, last.number),
-        _ => 0.0,
-    };
     let mut cuts = 0.0;
     let mut times = clock.times().to_vec();
     for (time, pair) in times.iter_mut().skip(1).zip(frames.windows(2)) {
-        cuts += if pair[0].lights == pair[1].lights { 0.0 } else { length };
+        cuts += if pair[0].lights == pair[1].lights { 0.0 } else { clock.frames() };
         *time += cuts;
     }
     Ok(times)

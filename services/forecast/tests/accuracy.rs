@@ -42,7 +42,7 @@ fn small(recipe: Recipe) -> Recipe {
 
 #[test]
 fn an_interior_is_forecast_within_four_percent_and_its_quantiles_hold() {
-    let outcome = run(small(INTERIOR), Calibration::measured(1.0));
+    let outcome = run(small(INTERIOR), Calibration { inflation: 1.0, calibrated: false });
     println!("interior: {:?}, hits {:?}", outcome.errors, outcome.hits);
     assert!(outcome.errors.mean_absolute < 0.03);
     assert!(outcome.errors.bias.abs() < 0.01);

@@ -35,7 +35,7 @@ pub enum EventKind {
     TaskFailed,
     /// A task went back because its lease ran out.
     LeaseExpired,
-    /// A task was given back by its worker.
+    /// A task was given back by its worker, or taken back from it by an operator, a budget, or the end of its node's window.
     LeaseReleased,
     /// A worker without a lease spoke up and was refused.
     LeaseLost,

@@ -18,7 +18,7 @@ use sqlx::{Row as _, SqliteConnection};
 use crate::database::Write;
 use crate::decode::{corrupt, id, json, time, time_opt, to_json, word};
 use crate::events::{append, event};
-use crate::{JobForecast, Store, StoreError, jobs, progress};
+use crate::{JobForecast, Store, StoreError, jobs, leases, progress};
 
 /// A job that is booked and not done, with what its forecast says.
 #[derive(Clone, PartialEq, Debug)]
@@ -434,21 +434,14 @@ async fn let_go(write: &mut Write, project: &str) -> Result<(), StoreError> {
 
 /// Takes back what a project has running: the next renewal brings the order to stop, and the task goes back, held.
 async fn stop(write: &mut Write, project: &str, now: Timestamp) -> Result<(), StoreError> {
-    let running =
-        "SELECT t.id FROM tasks t JOIN jobs j ON j.id = t.job_id WHERE j.project = ? AND t.state = 'leased'";
-    let leases = format!(
-        "UPDATE leases SET state = 'revoked', ended_at = max(?, granted_at) WHERE state = 'active' AND task_id IN ({running})"
-    );
-    // Put together from constants alone.
-    sqlx::query(sqlx::AssertSqlSafe(leases))
-        .bind(now.micros())
-        .bind(project)
-        .execute(write.connection().await?)
-        .await?;
-    let tasks =
-        format!("UPDATE tasks SET state = 'ready', progress = 0, node_id = NULL WHERE id IN ({running})");
-    sqlx::query(sqlx::AssertSqlSafe(tasks)).bind(project).execute(write.connection().await?).await?;
-    Ok(())
+    let running = sqlx::query_scalar(
+        "SELECT l.id FROM leases l JOIN tasks t ON t.id = l.task_id JOIN jobs j ON j.id = t.job_id \
+         WHERE l.state = 'active' AND j.project = ? ORDER BY l.id",
+    )
+    .bind(project)
+    .fetch_all(write.connection().await?)
+    .await?;
+    leases::take_back(write, running, now).await
 }
 
 #[cfg(test)]

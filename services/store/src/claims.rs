@@ -168,14 +168,6 @@ impl Store {
             sqlx::query_scalar(has_calendar).bind(node.0).fetch_optional(&mut *connection).await?;
         sleep_of(&mut connection, node, has_calendar.unwrap_or(false), now).await
     }
-
-    /// A node that waits for work is alive.
-    pub async fn touch_node(&self, node: NodeId, now: Timestamp) -> Result<(), StoreError> {
-        let mut write = self.write().await?;
-        let node = nodes::read(write.connection().await?, node).await?;
-        touch(&mut write, node.id, now);
-        self.commit(write).await
-    }
 }
 
 /// What a claim has to know before it looks for a task: one question, for nearly always nothing comes of the other two.

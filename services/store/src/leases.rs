@@ -389,6 +389,21 @@ pub(crate) fn end(write: &mut Write, row: &LeaseRow, state: &'static str, now: T
         .bind(row.id.0);
 }
 
+/// Takes back the tasks of these leases: they are ready for another, and the next renewal brings each worker the order to stop.
+pub(crate) async fn take_back(
+    write: &mut Write,
+    leases: Vec<uuid::Uuid>,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    for lease in leases {
+        let row = read_in(write, LeaseId(lease)).await?;
+        end(write, &row, "revoked", now);
+        back_to_ready(write, &row, None);
+        append(write, row.event(EventKind::LeaseReleased, now))?;
+    }
+    Ok(())
+}
+
 /// Says that a node, if it is there, was heard of.
 pub(crate) fn touch(write: &mut Write, node: NodeId, now: Timestamp) {
     write

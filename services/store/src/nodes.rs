@@ -2,7 +2,7 @@
 
 use forelight_forecast::learned_factor;
 use forelight_protocol::{
-    Event, EventKind, LeaseId, Money, Node, NodeCalendar, NodeChange, NodeId, NodeRegistration, NodeState,
+    ByClass, Event, EventKind, Money, Node, NodeCalendar, NodeChange, NodeId, NodeRegistration, NodeState,
     TaskId, Timestamp,
 };
 use sqlx::sqlite::SqliteRow;
@@ -188,7 +188,16 @@ pub(crate) async fn upsert(
 /// Whether plans see the same node in both.
 fn same_machine(one: &Node, other: &Node) -> bool {
     let terms = |node: &Node| (node.price_per_hour, node.cores, node.schedule.clone());
-    terms(one) == terms(other) && (one.speed / other.speed - 1.0).abs() < SAME_SPEED
+    let alike = |one: f64, other: f64| (one / other - 1.0).abs() < SAME_SPEED;
+    // For work of every class by itself, as far as they are calibrated.
+    let classes = (0..ByClass::CLASSES).all(|class| {
+        let work = ByClass::from_array(std::array::from_fn(|each| u64::from(each == class)));
+        match (one.speed_by_class(Some(&work)), other.speed_by_class(Some(&work))) {
+            (Some(one), Some(other)) => alike(one, other),
+            (one, other) => one.is_none() && other.is_none(),
+        }
+    });
+    terms(one) == terms(other) && alike(one.speed, other.speed) && classes
 }
 
 /// Takes the tasks away that a node has: they are ready for another, and the node's next renewal brings the order to stop.
@@ -202,13 +211,7 @@ pub(crate) async fn take_tasks_away(
             .bind(node.0)
             .fetch_all(write.connection().await?)
             .await?;
-    for lease in held {
-        let row = leases::read_in(write, LeaseId(lease)).await?;
-        leases::end(write, &row, "revoked", now);
-        leases::back_to_ready(write, &row, None);
-        append(write, row.event(EventKind::LeaseReleased, now))?;
-    }
-    Ok(())
+    leases::take_back(write, held, now).await
 }
 
 pub(crate) async fn read(connection: &mut SqliteConnection, node: NodeId) -> Result<Node, StoreError> {

@@ -14,7 +14,7 @@
 //! anywhere goes on where it was, and a worker that brings the same result twice changes nothing.
 
 use forelight_protocol::{
-    ArtifactHash, CACHE_ROUNDS, CacheFillResult, CacheMergeResult, CachePlanResult, JobId, NodeId,
+    ArtifactHash, ByClass, CACHE_ROUNDS, CacheFillResult, CacheMergeResult, CachePlanResult, JobId, NodeId,
     SeedBooking, SeedForecast, SeedProgress, TaskId, TaskResult, TaskSpec, Timestamp,
 };
 use sqlx::sqlite::SqliteRow;
@@ -72,7 +72,9 @@ impl Store {
     /// The plan of the cache that the job's frames could share.
     pub async fn planned_cache(&self, job: JobId) -> Result<PlannedCache, StoreError> {
         let row = sqlx::query(
-            "SELECT r.body, l.node_speed FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id \
+            "SELECT r.body, l.node_id, (SELECT json_extract(p.body, '$.profile.work_by_class') FROM tasks o JOIN results p ON p.task_id = o.id \
+             WHERE o.job_id = t.job_id AND o.kind = 'profile' ORDER BY o.frame LIMIT 1) AS work_by_class \
+             FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id \
              WHERE t.job_id = ? AND t.kind = 'cache_plan'",
         )
         .bind(job.0)
@@ -82,7 +84,10 @@ impl Store {
         match json_opt(&row, "body")? {
             None => Ok(PlannedCache::Pending),
             Some(TaskResult::CachePlan(plan)) => {
-                Ok(PlannedCache::There { plan: Box::new(plan), node_speed: row.try_get("node_speed")? })
+                // As the profiles' times are: by the work that the job is.
+                let work: Option<ByClass> = json_opt(&row, "work_by_class")?;
+                let node = self.node(NodeId(id(&row, "node_id")?)).await?;
+                Ok(PlannedCache::There { plan: Box::new(plan), node_speed: node.speed_for(work.as_ref()) })
             }
             Some(other) => Err(corrupt("body", format!("a {} result of a cache_plan task", other.kind()))),
         }

@@ -46,6 +46,13 @@ fn fresh<T>(answered: Answered<T>) -> T {
     }
 }
 
+/// The node is heard of.
+async fn touch(store: &Store, node: NodeId, now: Timestamp) {
+    let mut write = store.write().await.unwrap();
+    crate::leases::touch(&mut write, node, now);
+    store.commit(write).await.unwrap();
+}
+
 struct Farm {
     folder: TempDir,
     store: Store,

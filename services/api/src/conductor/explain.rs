@@ -2,7 +2,7 @@
 //! is traced for it.
 
 use forelight_forecast::StratumSum;
-use forelight_protocol::{Amounts, Explanation, FixedCosts, PreviewResult, RenderSettings, ShownWork};
+use forelight_protocol::{Amounts, Explanation, PreviewResult, RenderSettings, ShownWork};
 use forelight_store::MeasuredProfile;
 
 use super::estimate::{Estimated, estimated, fixed_costs};

@@ -121,7 +121,7 @@ async fn a_frame_that_should_have_begun_a_minute_ago_is_for_whoever_is_idle() {
     let cheap = farm.register(&priced("cheap", 1)).await;
     let dear = farm.register(&priced("dear", 4)).await;
     let job = farm.booked_job(bounded("0-2"), cheap.id, at(100)).await;
-    farm.store.touch_node(cheap.id, at(150)).await.unwrap();
+    touch(&farm.store, cheap.id, at(150)).await;
     assert_eq!(farm.claim(dear.id, at(159)).await, None);
     assert_eq!(farm.frames_for(&dear, at(160)).await, [(job, 0)], "the next is booked ten seconds later");
     assert_eq!(farm.frames_for(&dear, at(170)).await, [(job, 1)]);

@@ -72,7 +72,7 @@ async fn a_backup_is_whole_while_others_write_and_is_what_a_farm_can_go_on_from(
         let store = farm.store.clone();
         tokio::spawn(async move {
             for second in 0..200 {
-                store.touch_node(node.id, at(second)).await.unwrap();
+                touch(&store, node.id, at(second)).await;
             }
         })
     };
