@@ -1,5 +1,6 @@
 //! Claims: which task a node is given next.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use forelight_protocol::{
@@ -9,7 +10,7 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::database::Write;
-use crate::decode::{id, json, json_opt, whole, word};
+use crate::decode::{id, json, json_opt, to_json, whole, word};
 use crate::elsewhere;
 use crate::events::{append, event, job_state};
 use crate::failures::HEAD_START;
@@ -236,8 +237,8 @@ pub(crate) struct Asking<'a> {
     pub now: Timestamp,
     /// Since when nodes can be heard of: the service was not there before.
     pub up_since: Timestamp,
-    /// CPU seconds of a node of speed 1 that this one has until its window ends.
-    at_most: Option<f64>,
+    /// What this node does of each booked job until its window ends, see [`at_most`].
+    at_most: Option<String>,
 }
 
 impl Asking<'_> {
@@ -253,7 +254,7 @@ impl Asking<'_> {
             .bind(self.node.id.0)
             .bind(self.now.micros())
             .bind(self.now.plus_micros(-HEAD_START).micros())
-            .bind(self.at_most);
+            .bind(self.at_most.clone());
         Ok(more(common).fetch_optional(connection).await?)
     }
 }
@@ -287,8 +288,10 @@ async fn offer(
         Opening::Awake(until) if node.takes_tasks() => until,
         Opening::Awake(_) | Opening::Asleep(_) => return Ok(Offer::default()),
     };
-    let at_most =
-        until.map(|until| until.micros_since(now).max(0) as f64 * 1e-6 * node.speed * f64::from(node.cores));
+    let at_most = match until {
+        Some(until) => Some(at_most(connection, node, until.micros_since(now)).await?),
+        None => None,
+    };
     let asking = Asking { node, now, up_since, at_most };
     let Some(first) = asking.first(connection, NEXT, |query| query).await? else {
         return Ok(Offer::default());
@@ -321,6 +324,26 @@ async fn this_task(
     }
 }
 
+/// By job, in JSON, how many of its forecast's CPU seconds the node does in so many microseconds: as plans have it, for work of the job's classes, and after what
+/// finished frames took.
+async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) -> Result<String, StoreError> {
+    let rows = sqlx::query(
+        "SELECT hex(id) AS name, work_by_class, factor FROM jobs WHERE state IN ('booked', 'rendering')",
+    )
+    .fetch_all(connection)
+    .await?;
+    let seconds = micros.max(0) as f64 * 1e-6 * f64::from(node.cores);
+    let limits: Result<BTreeMap<String, f64>, StoreError> = rows
+        .iter()
+        .map(|row| {
+            let work: Option<ByClass> = json_opt(row, "work_by_class")?;
+            let factor: f64 = row.try_get("factor")?;
+            Ok((row.try_get("name")?, seconds * node.speed_for(work.as_ref()) / factor))
+        })
+        .collect();
+    to_json(&limits?)
+}
+
 /// The first task by an index of which these hold and which the node, `?1`, may have now.
 macro_rules! next_task {
     ($index:literal, $which:literal, $order:literal) => {
@@ -336,7 +359,8 @@ macro_rules! next_task {
             $which,
             " AND held = 0 AND not_before <= ?2 AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS (SELECT 1 FROM leases f \
               WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1)) \
-              AND (?4 IS NULL OR ?4 >= ifnull((SELECT cpu_p95 FROM frames WHERE job_id = tasks.job_id AND frame = tasks.frame), 0)) ORDER BY ",
+              AND (?4 IS NULL OR (SELECT cpu_p95 FROM frames WHERE job_id = tasks.job_id AND frame = tasks.frame) \
+              > ?4 ->> ('$.\"' || hex(tasks.job_id) || '\"') IS NOT TRUE) ORDER BY ",
             $order,
             " LIMIT 1"
         )

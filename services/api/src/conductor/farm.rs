@@ -284,9 +284,10 @@ fn spare_work(snapshot: &Snapshot, jobs: &[planner::Job]) -> u64 {
     let mut most = 0;
     for (farm_job, job) in asked.zip(jobs) {
         let bought: BTreeMap<i64, u64> = job.open_work().collect();
+        let factor = learned(farm_job);
         for frame in &farm_job.frames {
             if let Some(bought) = bought.get(&i64::from(frame.number)) {
-                most = most.max(units(frame.p95).saturating_sub(*bought));
+                most = most.max(units(frame.p95 * factor).saturating_sub(*bought));
             }
         }
     }

@@ -74,6 +74,21 @@ async fn the_speed_of_a_lease_is_that_of_the_node_for_the_work_of_the_job() {
 }
 
 #[tokio::test]
+async fn what_a_node_does_before_its_window_ends_goes_by_its_speed_for_the_work_of_the_job() {
+    let (farm, first, _) = farm().await;
+    let classes = ByClass { rays: 400, memory: 600, ..ByClass::default() };
+    let forecast = JobForecast { work_by_class: Some(classes), ..forecast() };
+    farm.quoted_job(request("0-2"), first.id, at(0), &forecast, None).await;
+    let closed = forelight_protocol::TimeSpan { start: at(56), end: None };
+    let terms = forelight_protocol::NodeTerms { maintenance: vec![closed], ..Default::default() };
+    let change = forelight_protocol::NodeChange { terms: Some(terms), ..Default::default() };
+    farm.store.change_node(first.id, &change, at(0)).await.unwrap();
+    // One frame in twenty takes five seconds or more at the speed of 1 that the node has for this work; of any work it says that its speed is 2.
+    assert!(farm.claim(first.id, at(51)).await.is_some());
+    assert_eq!(farm.claim(first.id, at(52)).await, None);
+}
+
+#[tokio::test]
 async fn a_node_is_not_judged_by_its_own_profiles_nor_by_frames_far_off() {
     let (farm, first, second) = farm().await;
     farm.quoted_job(request("0-2"), first.id, at(0), &forecast(), None).await;
