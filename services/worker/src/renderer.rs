@@ -41,7 +41,7 @@ pub enum RenderError {
     Samples(#[from] SampleCountsError),
     /// The profile was made from another scene, another frame, at another quality, or by another version.
     #[error(
-        "profile: it belongs to another image (of frame {frame}); make it again with the same bundle and settings"
+        "profile: it is of frame {frame}, and was made of another scene, of another frame than this one, or with other settings; make it again with the bundle, frame and settings of this image"
     )]
     ForeignProfile {
         /// The frame that the profile says it is of.

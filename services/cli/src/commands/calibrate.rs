@@ -22,7 +22,8 @@ Examples:
   forelight forecast kitchen/ --for-node rack-7.json
 
 A fixed set of small scenes is traced, the same on every machine, and the shortest time of each counts: what else the machine does \
-can only make it longer. What a unit of work takes differs between machines, and between classes of work on one of them: a processor \
+can only make it longer. The rates of the classes are those of whole frames; a kernel is more, or less, coherent than a frame, by a factor that \
+is known, so its own rate is another. What a unit of work takes differs between machines, and between classes of work on one of them: a processor \
 with small caches is slow in large scenes, and there alone; building the tree of what moves is no tracing. With the \
 calibrations of two machines a quote that was made on one says what it takes on the other. Workers of a farm calibrate themselves when \
 they first start, keep that beside their bundles (calibration-HOST.json; without the file they measure again), and finished frames \
