@@ -228,19 +228,24 @@ impl AccuracyDoc {
         self.rungs.iter().map(point).collect()
     }
 
-    /// Marks the rungs that are worth taking: these, each with the index of the next better one.
+    /// Marks the rungs that are worth taking: these and those of the same settings, each with the index of the next better one.
     pub fn mark(&mut self, front: impl IntoIterator<Item = (usize, Option<usize>)>) {
         let points = self.points();
         for (own, next) in front {
             let Some((cost, error)) = points.get(own).copied().flatten() else { continue };
             let next = next.and_then(|rung| Some((rung, points.get(rung).copied().flatten()?)));
-            self.rungs[own].worth_taking = true;
-            self.rungs[own].next = next.map(|(rung, (next_cost, next_error))| NextRung {
+            let next = next.map(|(rung, (next_cost, next_error))| NextRung {
                 rung: rung as u32,
                 more_cpu_seconds: next_cost - cost,
                 times_cpu_seconds: next_cost / cost,
                 times_error: next_error / error,
             });
+            // What was asked for stands in several ladders.
+            let settings = self.rungs[own].settings.clone();
+            let same = self.rungs.iter_mut().zip(&points);
+            for (rung, _) in same.filter(|(rung, point)| point.is_some() && rung.settings == settings) {
+                (rung.worth_taking, rung.next) = (true, next);
+            }
         }
     }
 }

@@ -410,12 +410,14 @@ async fn keep_outlooks(
     now: Timestamp,
 ) -> Result<(), StoreError> {
     for (job, outlook) in outlooks {
-        let row = sqlx::query("SELECT outlook FROM jobs WHERE id = ?")
+        let row = sqlx::query("SELECT outlook, state FROM jobs WHERE id = ?")
             .bind(job.0)
             .fetch_optional(write.connection().await?)
             .await?;
-        let before: JobOutlook = json(&row.ok_or(StoreError::NotFound("job"))?, "outlook")?;
-        if before == *outlook {
+        let row = row.ok_or(StoreError::NotFound("job"))?;
+        let before: JobOutlook = json(&row, "outlook")?;
+        // A job that was over before this was found out has no outlook any more.
+        if before == *outlook || word::<JobState>(&row, "state")?.is_final() {
             continue;
         }
         sqlx::query("UPDATE jobs SET outlook = ? WHERE id = ?")

@@ -31,6 +31,21 @@ impl Farm {
     async fn idle_reason(&self, node: &Node) -> Option<String> {
         self.store.node(node.id).await.unwrap().idle_reason
     }
+
+    /// It is found out, without a new plan, whether a job's deadline is kept.
+    async fn promise(&self, job: JobId, kept: bool) {
+        let promise = Promise { kept, probability: 0.5, finish: None, since: at(0), rescue: None };
+        let outlook = JobOutlook { waits: None, promise: Some(promise) };
+        let said = NewPlan {
+            parent: self.store.newest_plan().await.unwrap(),
+            reason: PlanReason::Events,
+            wanted: self.store.wanted_plan().await.unwrap(),
+            jobs: Vec::new(),
+            outlooks: vec![(job, outlook)],
+            seed: None,
+        };
+        self.store.keep_outlooks(&said, at(1)).await.unwrap();
+    }
 }
 
 #[tokio::test]
@@ -154,22 +169,25 @@ async fn a_job_whose_deadline_the_plan_does_not_keep_is_for_everybody() {
     let cheap = farm.register(&priced("cheap", 1)).await;
     let dear = farm.register(&priced("dear", 4)).await;
     let job = farm.booked_job(bounded("0-2"), cheap.id, at(1000)).await;
-    let promise = |kept| Promise { kept, probability: 0.5, finish: None, since: at(0), rescue: None };
     let mut taken = Vec::new();
     for kept in [true, false] {
-        let outlook = JobOutlook { waits: None, promise: Some(promise(kept)) };
-        let said = NewPlan {
-            parent: farm.store.newest_plan().await.unwrap(),
-            reason: PlanReason::Events,
-            wanted: farm.store.wanted_plan().await.unwrap(),
-            jobs: Vec::new(),
-            outlooks: vec![(job, outlook)],
-            seed: None,
-        };
-        farm.store.keep_outlooks(&said, at(1)).await.unwrap();
+        farm.promise(job, kept).await;
         taken.push(farm.frames_for(&dear, at(1)).await.len());
     }
     assert_eq!(taken, [0, 3]);
+}
+
+#[tokio::test]
+async fn what_is_found_out_too_late_about_a_job_that_is_over_changes_nothing() {
+    let farm = Farm::new().await;
+    let node = farm.register(&priced("a", 1)).await;
+    let job = farm.booked_job(bounded("0"), node.id, at(1000)).await;
+    farm.promise(job, true).await;
+    let cancelled = farm.store.cancel_job(job, at(2)).await.unwrap();
+    let events = farm.store.last_event_id().await.unwrap();
+    farm.promise(job, false).await;
+    assert_eq!(farm.store.job(job).await.unwrap(), cancelled);
+    assert_eq!(farm.store.last_event_id().await.unwrap(), events);
 }
 
 #[tokio::test]
