@@ -251,30 +251,17 @@ impl Store {
     /// The clock was set forward by so many microseconds (back, if negative): what was to end in a minute still does.
     pub async fn clock_was_set(&self, micros: i64) -> Result<(), StoreError> {
         let mut write = self.write().await?;
-        sqlx::query("UPDATE leases SET expires_at = expires_at + ? WHERE state = 'active'")
-            .bind(micros)
-            .execute(write.connection().await?)
-            .await?;
-        sqlx::query(
+        for moved in [
+            "UPDATE leases SET expires_at = expires_at + ? WHERE state = 'active'",
             "UPDATE tasks SET not_before = max(1, not_before + ?) WHERE state = 'ready' AND not_before > 0",
-        )
-        .bind(micros)
-        .execute(write.connection().await?)
-        .await?;
-        // A node that was heard of in what is now the future would look alive for as long.
-        sqlx::query("UPDATE nodes SET last_seen_at = last_seen_at + ?1 WHERE ?1 < 0")
-            .bind(micros)
-            .execute(write.connection().await?)
-            .await?;
-        // What runs is paid for the time that it took, not for that which the clock went.
-        sqlx::query("UPDATE ledger SET from_at = from_at + ? WHERE until_at IS NULL")
-            .bind(micros)
-            .execute(write.connection().await?)
-            .await?;
-        sqlx::query("UPDATE tasks SET started_at = started_at + ? WHERE state = 'leased'")
-            .bind(micros)
-            .execute(write.connection().await?)
-            .await?;
+            // A node that was heard of in what is now the future would look alive for as long.
+            "UPDATE nodes SET last_seen_at = last_seen_at + ?1 WHERE ?1 < 0",
+            // What runs is paid for the time that it took, not for that which the clock went.
+            "UPDATE ledger SET from_at = from_at + ? WHERE until_at IS NULL",
+            "UPDATE tasks SET started_at = started_at + ? WHERE state = 'leased'",
+        ] {
+            sqlx::query(moved).bind(micros).execute(write.connection().await?).await?;
+        }
         self.set_up_since(self.up_since().plus_micros(micros));
         self.commit(write).await
     }

@@ -138,10 +138,13 @@ pub(crate) async fn update_after(
     let delay = delay_that_counts(write.connection().await?, plan, job, booked.finish).await?;
     let expected = cpu.whole.at(confidence);
     // The frames' estimate says nothing of a cache that they share: until it is there it is what was quoted for it.
-    let shared_cache = match seeds::progress(write.connection().await?, job).await? {
-        Some(done) if done.ready => Quantiles::known(done.cpu_seconds),
-        _ => quote.shared_cache_seconds(),
-    };
+    let mut shared_cache = quote.shared_cache_seconds();
+    if quote.cache.as_ref().is_some_and(|cache| cache.seed.is_some())
+        && let Some(done) = seeds::progress(write.connection().await?, job).await?
+        && done.ready
+    {
+        shared_cache = Quantiles::known(done.cpu_seconds);
+    }
     let live = LiveForecast {
         at: now,
         frames_done: frames.done,
