@@ -20,7 +20,8 @@
 //! | --- | --- |
 //! | `site` | where irradiance is wanted, and when one place serves for another |
 //! | `index` | which records may serve a place, by where they are and where they face |
-//! | `octree` | spheres, by where they are |
+//! | `spheres`, `octree`, `loose` | spheres, by the points that they hold and by the spheres that they touch |
+//! | `coverage` | records while others are planned |
 //! | `places` | which records are near each other |
 //! | `hemisphere` | strata of a gather; irradiance and its gradients from them |
 //! | `plan`, `gather`, `smooth`, `read` | the phases |
@@ -29,10 +30,12 @@
 //! | `share` | records of one frame that hold in another |
 //! | `file` | the artefact |
 
+mod coverage;
 mod file;
 mod gather;
 mod hemisphere;
 mod index;
+mod loose;
 mod octree;
 mod partial;
 mod places;
@@ -42,6 +45,7 @@ mod sample;
 mod share;
 mod site;
 mod smooth;
+mod spheres;
 
 pub use file::CacheError;
 pub use hemisphere::{Irradiance, PLAN_RAYS, Sample, Strata};
@@ -72,8 +76,6 @@ pub struct Planned {
     pub site: Site,
     /// How far it is valid, before the allowed error scales it, metres.
     pub radius: f32,
-    /// The radius with which it was entered into the index, metres: neighbours that came later may have made `radius` smaller.
-    pub entered: f32,
     /// Distance to what blocks the way along the surface, by sector of azimuth, metres.
     pub corral: [f32; hemisphere::SECTORS],
     /// What the plan's rays met; apart from the rest, which reading looks at millions of times.
@@ -112,6 +114,7 @@ pub struct Level {
     known: Vec<Option<Value>>,
     /// What is read, once all records are filled.
     smoothed: OnceLock<Smoothed>,
+    /// Of what is read.
     index: Index,
     /// So many of the records, the first ones, have been followed to the next level.
     explored: usize,
@@ -163,6 +166,13 @@ pub struct CacheTotals {
 }
 
 impl Level {
+    /// The index of its records, in a world.
+    fn indexed(&self, world: Bounds) -> Index {
+        let mut index = Index::new(world, self.smallest, self.accuracy * READ_RELAXED);
+        self.planned.iter().zip(0..).for_each(|(planned, number)| index.insert(number, planned));
+        index
+    }
+
     fn is_full(&self) -> bool {
         self.records.iter().all(|record| record.get().is_some())
     }

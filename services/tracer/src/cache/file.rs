@@ -20,7 +20,7 @@ use forelight_bvh::Hit;
 use glam::Vec3;
 use std::sync::OnceLock;
 
-const MAGIC: [u8; 8] = *b"FLcach05";
+const MAGIC: [u8; 8] = *b"FLcach06";
 
 /// A gather has no more strata, see [`crate::Settings::validate`].
 const MOST_RAYS: u32 = 66_000;
@@ -38,7 +38,7 @@ const SMOOTHED: u32 = 4;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CacheError {
     /// The leading bytes are others.
-    #[error("not an irradiance cache of this version (it must begin with FLcach05)")]
+    #[error("not an irradiance cache of this version (it must begin with FLcach06)")]
     Foreign,
     /// Shorter or longer than it says.
     #[error("truncated irradiance cache: {found} bytes where {expected} were expected")]
@@ -98,8 +98,6 @@ struct PlannedRow {
     geometric: [f32; 3],
     coat: f32,
     radius: f32,
-    entered: f32,
-    zero: u32,
     corral: [f32; SECTORS],
     hits: [HitRow; PLAN_RAYS],
 }
@@ -216,10 +214,7 @@ impl Cache {
             return Err(CacheError::Damaged("the checksum does not match"));
         }
         for level in &mut cache.levels {
-            level.index = level.empty_index(cache.world);
-            let planned = std::mem::take(&mut level.planned);
-            planned.iter().zip(0..).for_each(|(planned, index)| level.enter(index, planned));
-            level.planned = planned;
+            level.index = level.indexed(cache.world);
         }
         Ok(cache)
     }
@@ -309,8 +304,6 @@ fn planned_row(planned: &Planned) -> PlannedRow {
         geometric: geometric.to_array(),
         coat,
         radius: planned.radius,
-        entered: planned.entered,
-        zero: 0,
         corral: planned.corral,
         hits: planned
             .hits
@@ -331,14 +324,13 @@ fn planned_of(row: &PlannedRow) -> Option<Planned> {
         && site.size.is_finite()
         && site.geometric.is_finite()
         && site.coat.is_finite();
-    let radii = [row.radius, row.entered].iter().all(|r| r.is_finite() && *r > 0.0);
+    let radius = row.radius.is_finite() && row.radius > 0.0;
     let corral = row.corral.iter().all(|distance| *distance >= 0.0);
     let hits = row.hits.iter().all(|h| [h.u, h.v, h.t].iter().all(|n| n.is_finite()));
-    (finite && site.normal.is_normalized() && radii && corral && hits).then(|| Planned {
+    (finite && site.normal.is_normalized() && radius && corral && hits).then(|| Planned {
         key: row.key,
         site,
         radius: row.radius,
-        entered: row.entered,
         corral: row.corral,
         hits: Box::new(row.hits.map(|h| {
             (h.triangle != NOTHING).then_some(Hit { primitive: h.triangle, u: h.u, v: h.v, t: h.t })

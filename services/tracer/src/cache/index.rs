@@ -1,68 +1,60 @@
 //! Which records may serve a place: by where they are, and by where they face.
 //!
 //! A record serves places that face nearly as it does, and in a cluttered room most of those that are near face elsewhere. So there is
-//! an octree for each direction of the axes, with the records that may serve a place that faces along it more than along any
-//! other; and one with all of them.
+//! a set of records for each direction of the axes: those that may serve a place that faces along it more than along any other.
 
-use super::octree::{Member, Octree};
+use super::octree::{Cube, Octree};
+use super::spheres::{SETS, Sphere};
 use super::{Planned, Site};
 use crate::bounds::Bounds;
 use glam::Vec3;
 
 /// Directions of the axes: +x, −x, +y, −y, +z, −z.
-const DIRECTIONS: usize = 6;
+const DIRECTIONS: usize = SETS;
 
 /// Far more than the roundings of a cosine.
 const ROUNDING: f32 = 1e-4;
 
-/// The planned records of a level, found by place.
+/// Planned records, found by places that they may serve with an allowed error.
 #[derive(Debug, Default, Clone)]
 pub struct Index {
-    facing: [Octree; DIRECTIONS],
-    all: Octree,
+    octree: Octree,
+    /// The allowed error: a record serves places up to this share of its radius away.
+    allowed: f32,
     /// Cosine between the normals of a record and of a place that it may just not serve.
     least_cos: f32,
 }
 
 impl Index {
-    /// Of records in a box that are read at least so far off, metres, at places where their error is below `allowed`.
-    pub fn new(world: Bounds, least_reach: f32, allowed: f32) -> Self {
-        let all = Octree::new(world, least_reach);
+    /// Of records in a box whose radii are at least so large, metres, at places where their error is below `allowed`.
+    pub fn new(world: Bounds, smallest: f32, allowed: f32) -> Self {
         // Of the error, the turn alone makes √(1 − cos), see `Planned::error`; and no record serves what faces away.
         let least_cos = (1.0 - allowed * allowed).max(0.0) - ROUNDING;
-        Self { facing: std::array::from_fn(|_| all.clone()), all, least_cos }
+        Self { octree: Octree::over(Cube::over(world, smallest * allowed)), allowed, least_cos }
     }
 
-    /// Enters a record under its number, as one that is read up to so far off, metres.
-    pub fn insert(&mut self, number: u32, planned: &Planned, reach: f32) {
+    /// Enters a record under its number.
+    pub fn insert(&mut self, number: u32, planned: &Planned) {
         let Site { position, normal, .. } = planned.site;
-        self.all.insert(number, position, reach);
-        for (direction, octree) in self.facing.iter_mut().enumerate() {
-            if greatest_cos(normal, direction) >= self.least_cos {
-                octree.insert(number, position, reach);
-            }
-        }
+        let may_face = |direction: &usize| greatest_cos(normal, *direction) >= self.least_cos;
+        let sets = (0..DIRECTIONS).filter(may_face).fold(0, |sets, direction| sets | 1 << direction);
+        let radius = planned.radius * self.allowed;
+        self.octree.insert(Sphere { index: number, center: position, radius, sets });
     }
 
-    /// All that may serve a place, and others near it, in an order that depends on the insertions alone.
-    pub fn near(&self, place: &Site) -> impl Iterator<Item = &Member> {
-        self.facing[direction_of(place.normal)].near(place.position)
+    /// Numbers of those that may serve a place, in an order that depends on the insertions alone. `looked_at` is told how many were
+    /// looked at.
+    pub fn around(&self, place: &Site, mut looked_at: impl FnMut(u64)) -> impl Iterator<Item = u32> {
+        let (position, direction) = (place.position, direction_of(place.normal));
+        self.octree.near(position).flat_map(move |block| {
+            looked_at(block.count(direction));
+            block.holding(direction, position)
+        })
     }
 
-    /// Numbers of those that may serve a place, within a share of the distance up to which they are read.
-    pub fn around(&self, place: &Site, share: f32) -> impl Iterator<Item = u32> {
-        let position = place.position;
-        self.near(place).filter(move |member| member.may_contain(position, share)).map(|member| member.index)
-    }
-
-    /// Numbers of all that may serve a place at a point, wherever it faces, and of others near it.
+    /// Numbers of those that may serve a place at a point, wherever it faces.
     pub fn at(&self, point: Vec3) -> impl Iterator<Item = u32> {
-        self.all.near(point).map(|member| member.index)
-    }
-
-    /// Numbers of those that are read somewhere in a sphere, wherever they face; some more than once.
-    pub fn touching(&self, center: Vec3, radius: f32) -> Vec<u32> {
-        self.all.touching(center, radius)
+        self.octree.near(point).flat_map(move |block| block.touching(point, 0.0))
     }
 }
 
@@ -114,16 +106,15 @@ mod tests {
         // With the largest of these errors, all may serve that do not face away.
         for (allowed, most) in [(0.12, 0.4), (0.3, 0.5), (0.7, 0.7), (1.6, 0.95)] {
             let records: Vec<Planned> = (0..2000).map(planned).collect();
-            let mut index = Index::new(Bounds { low: Vec3::ZERO, high: Vec3::ONE }, 0.05 * allowed, allowed);
-            for (record, number) in records.iter().zip(0..) {
-                index.insert(number, record, record.entered * allowed);
-            }
-            let (mut served, mut looked_at) = (0, 0);
+            let mut index = Index::new(Bounds { low: Vec3::ZERO, high: Vec3::ONE }, 0.05, allowed);
+            records.iter().zip(0..).for_each(|(record, number)| index.insert(number, record));
+            let (mut served, mut around_place, mut all) = (0, 0, 0);
             for i in 3000..4000 {
                 let place = site(i);
-                let around: Vec<u32> = index.around(&place, 1.0).collect();
+                let around: Vec<u32> = index.around(&place, |_| ()).collect();
                 let everywhere: Vec<u32> = index.at(place.position).collect();
-                looked_at += index.near(&place).count();
+                all += everywhere.len();
+                around_place += around.len();
                 for (record, number) in records.iter().zip(0..) {
                     if record.error(&place, allowed).is_some() {
                         served += 1;
@@ -133,8 +124,7 @@ mod tests {
                 }
             }
             assert!(served > 30, "the test met {served} cases only with {allowed}");
-            let all: usize = (3000..4000).map(|i| index.at(site(i).position).count()).sum();
-            let share = looked_at as f64 / all as f64;
+            let share = around_place as f64 / all as f64;
             assert!(share < most, "{share:.2} of what is near is looked at with {allowed}");
         }
     }

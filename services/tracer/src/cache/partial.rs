@@ -27,7 +27,9 @@ impl Cache {
             let reads = |index: &u32, site| first.planned[*index as usize].error(site, allowed).is_some();
             let read: BTreeSet<u32> = sites
                 .iter()
-                .flat_map(|(_, site)| first.index.around(site, 1.0).filter(move |index| reads(index, site)))
+                .flat_map(|(_, site)| {
+                    first.index.around(site, |_| ()).filter(move |index| reads(index, site))
+                })
                 .collect();
             (read, counters.work())
         };

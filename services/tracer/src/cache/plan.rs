@@ -6,9 +6,9 @@
 //! the uncached image, split sphere / Hessian): a furnished hall 0.96 / 1.03 %, a kitchen 0.35 / 0.35 %, an empty box 0.69 / 0.48 %.
 //! What the Hessian gains in empty rooms is not worth a plan that costs as much as the render.
 
+use super::coverage::Coverage;
 use super::hemisphere::{PLAN_RAYS, RINGS, SECTORS, Strata};
-use super::index::Index;
-use super::{Cache, Level, Planned, READ_RELAXED, Site};
+use super::{Cache, Level, Planned, Site};
 use crate::CacheSettings;
 use crate::bounds::Bounds;
 use crate::cost::{Cost, Counters, Rays, add_rays, clocked};
@@ -71,14 +71,11 @@ impl Cache {
         }
         // Also where nothing was seen before by which lengths could be chosen.
         if self.levels.iter().all(|level| level.planned.is_empty()) {
-            self.levels = planning.levels(self.world, settings);
+            self.levels = planning.levels(settings);
         }
         for depth in 0..self.levels.len() {
             let (before, level) = self.levels.split_at_mut(depth);
-            match before.last() {
-                None => planning.cover_pixels(&mut level[0]),
-                Some(before) => planning.cover_gathers(before, depth as u32, &mut level[0]),
-            }
+            planning.cover(before.last(), depth as u32, &mut level[0], self.world);
         }
         for level in &mut self.levels {
             level.records.resize_with(level.planned.len(), OnceLock::new);
@@ -116,19 +113,18 @@ impl PlanCost {
 
 impl Planning<'_> {
     /// The levels of a cache, empty.
-    fn levels(&mut self, world: Bounds, settings: &CacheSettings) -> Vec<Level> {
+    fn levels(&mut self, settings: &CacheSettings) -> Vec<Level> {
         let accuracy = settings.accuracy as f32 * 1e-3;
         let (smallest, largest) = self.bounds(accuracy).into_inner();
         let level = |depth: u32| {
             let deeper = DEEPER.powi(depth as i32);
-            let level = Level {
+            Level {
                 strata: Strata::for_rays(settings.rays / FEWER.pow(depth)),
                 accuracy: (accuracy * deeper).min(COARSE),
                 smallest: (smallest * deeper).min(largest),
                 largest,
                 ..Level::default()
-            };
-            Level { index: level.empty_index(world), ..level }
+            }
         };
         (0..self.tracer.settings.ambient_bounces).map(level).collect()
     }
@@ -161,9 +157,21 @@ impl Planning<'_> {
         smallest..=largest
     }
 
+    /// Plans what a level lacks.
+    fn cover(&mut self, before: Option<&Level>, depth: u32, level: &mut Level, world: Bounds) {
+        let (mut coverage, starting) = clocked(|| Coverage::of(level, world));
+        match before {
+            None => self.cover_pixels(&mut coverage),
+            Some(before) => self.cover_gathers(before, depth, &mut coverage),
+        }
+        let (index, indexing) = clocked(|| level.indexed(world));
+        level.index = index;
+        self.plan.cost.cpu_nanos += starting + indexing;
+    }
+
     /// The first level: the first diffuse hits of all pixels, coarse to fine, scattered within each stage so that a batch's
     /// places are far apart.
-    fn cover_pixels(&mut self, level: &mut Level) {
+    fn cover_pixels(&mut self, coverage: &mut Coverage) {
         let camera = &self.tracer.frame.camera;
         let mut stride = COARSEST;
         while stride > 0 {
@@ -179,14 +187,14 @@ impl Planning<'_> {
             pixels.sort_by_cached_key(|&pixel| hash(u64::from(pixel)));
             for chunk in pixels.chunks(CHUNK) {
                 let sites = self.sites_of_pixels(chunk);
-                self.insert_all(level, &sites);
+                self.insert_all(coverage, &sites);
             }
             stride /= 2;
         }
     }
 
     /// A deeper level: the diffuse hits of the plan's rays of those records of the level before that are new.
-    fn cover_gathers(&mut self, before: &Level, depth: u32, level: &mut Level) {
+    fn cover_gathers(&mut self, before: &Level, depth: u32, coverage: &mut Coverage) {
         let (explored, strata, before) = (before.explored as u32, before.strata, &before.planned);
         let mut order: Vec<u32> = (explored..before.len() as u32).collect();
         order.sort_by_cached_key(|&index| hash(u64::from(index)));
@@ -196,7 +204,7 @@ impl Planning<'_> {
                 clocked(|| tracer.kernel.sites_beyond(tracer, &strata, depth, &before[index as usize]))
             });
             let sites = self.gather(found.collect());
-            self.insert_all(level, &sites);
+            self.insert_all(coverage, &sites);
         }
     }
 
@@ -223,11 +231,11 @@ impl Planning<'_> {
     }
 
     /// The insertion rule over a list of places, in order.
-    fn insert_all(&mut self, level: &mut Level, places: &[Keyed]) {
-        let open_of = |level: &Level, places: &[Keyed]| -> Vec<Keyed> {
-            places.iter().copied().filter(|(_, site)| !level.covers(site)).collect()
+    fn insert_all(&mut self, coverage: &mut Coverage, places: &[Keyed]) {
+        let open_of = |coverage: &Coverage, places: &[Keyed]| -> Vec<Keyed> {
+            places.iter().copied().filter(|(_, site)| !coverage.covers(site)).collect()
         };
-        let open = places.par_chunks(TOGETHER).map(|places| clocked(|| open_of(level, places)));
+        let open = places.par_chunks(TOGETHER).map(|places| clocked(|| open_of(coverage, places)));
         let (open, nanos): (Vec<Vec<Keyed>>, Vec<u64>) = open.unzip();
         self.plan.cost.cpu_nanos += nanos.into_iter().sum::<u64>();
         let open = open.concat();
@@ -240,19 +248,19 @@ impl Planning<'_> {
                     && batch.len() < BATCH
                 {
                     rest = others;
-                    if !level.covers(&first.1) {
+                    if !coverage.covers(&first.1) {
                         batch.push(*first);
                     }
                 }
             });
-            let tracer = self.tracer;
+            let (tracer, level) = (self.tracer, coverage.level());
             let planned = batch.par_iter().map(|&place| clocked(|| plan_record(tracer, place, level)));
             let planned: Vec<((Planned, Counters), u64)> = planned.collect();
             let ((), entering) = clocked(|| {
                 for ((planned, counters), nanos) in planned {
                     self.plan.charge(&counters, nanos);
-                    if !level.covers(&planned.site) {
-                        level.insert(planned);
+                    if !coverage.covers(&planned.site) {
+                        coverage.insert(planned);
                     }
                 }
             });
@@ -283,45 +291,5 @@ fn plan_record(tracer: &Tracer, (key, site): Keyed, level: &Level) -> (Planned, 
     }
     let harmonic = if inverse > 0.0 { (PLAN_RAYS as f64 / inverse) as f32 } else { f32::INFINITY };
     let radius = harmonic.clamp(level.smallest, level.largest);
-    (Planned { key, site, radius, entered: radius, corral, hits: Box::new(hits) }, counters)
-}
-
-impl Level {
-    /// Enters a record: its radius may not exceed a neighbour's by more than their distance, nor a neighbour's its own, so that a record
-    /// whose rays missed something small and near is put right by others (Křivánek et al. 2006, neighbour clamping).
-    fn insert(&mut self, mut planned: Planned) {
-        let reach = planned.radius * self.accuracy;
-        let position = planned.site.position;
-        let neighbours = self.index.touching(position, reach);
-        for &neighbour in &neighbours {
-            let other = &self.planned[neighbour as usize];
-            let distance = other.site.position.distance(position);
-            planned.radius = planned.radius.min(other.radius + distance);
-        }
-        planned.radius = planned.radius.max(self.smallest);
-        for neighbour in neighbours {
-            let other = &mut self.planned[neighbour as usize];
-            let distance = other.site.position.distance(position);
-            other.radius = other.radius.min(planned.radius + distance);
-        }
-        planned.entered = planned.radius;
-        self.enter(self.planned.len() as u32, &planned);
-        self.planned.push(planned);
-    }
-
-    /// An index for such records.
-    pub(super) fn empty_index(&self, world: Bounds) -> Index {
-        Index::new(world, self.reach(self.smallest), self.accuracy * READ_RELAXED)
-    }
-
-    /// Enters a record into the index.
-    pub(super) fn enter(&mut self, index: u32, planned: &Planned) {
-        let reach = self.reach(planned.entered);
-        self.index.insert(index, planned, reach);
-    }
-
-    /// How far off a record of this radius is read at most, metres.
-    fn reach(&self, radius: f32) -> f32 {
-        radius * self.accuracy * READ_RELAXED
-    }
+    (Planned { key, site, radius, corral, hits: Box::new(hits) }, counters)
 }

@@ -15,12 +15,7 @@ impl Cache {
         let allowed = here.accuracy * READ_RELAXED;
         let smoothed = here.smoothed.get();
         let (mut sum, mut weights, mut looked_at) = (Vec3::ZERO, 0.0f32, 0);
-        for member in here.index.near(place) {
-            looked_at += 1;
-            if !member.may_contain(place.position, 1.0) {
-                continue;
-            }
-            let index = member.index;
+        for index in here.index.around(place, |count| looked_at += count) {
             let planned = &here.planned[index as usize];
             let Some(error) = planned.error(place, allowed) else { continue };
             let gathered = || here.records[index as usize].get().map(Value::of);

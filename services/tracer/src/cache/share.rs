@@ -72,7 +72,6 @@ impl Level {
     fn only(&self, kept: &[bool], world: Bounds) -> Self {
         let mut level = Self {
             strata: self.strata,
-            index: self.empty_index(world),
             accuracy: self.accuracy,
             smallest: self.smallest,
             largest: self.largest,
@@ -82,13 +81,13 @@ impl Level {
         let places = Places::of(&self.planned);
         for index in (0..kept.len()).filter(|&index| kept[index]) {
             let planned = &self.planned[index];
-            level.enter(level.planned.len() as u32, planned);
             level.planned.push(planned.clone());
             level.records.push(self.records[index].clone());
             let all_kept = || self.neighbours(index, &places).all(|(neighbour, _)| kept[neighbour as usize]);
             level.known.push(known[index].filter(|_| all_kept()));
         }
         level.explored = level.planned.len();
+        level.index = level.indexed(world);
         level
     }
 }

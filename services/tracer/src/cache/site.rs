@@ -1,6 +1,6 @@
 //! Where irradiance is wanted, and when one place serves for another.
 
-use super::{Level, Planned, READ_RELAXED};
+use super::Planned;
 use crate::cache::hemisphere;
 use crate::geometry::Basis;
 use glam::Vec3;
@@ -53,15 +53,6 @@ impl Planned {
     }
 }
 
-impl Level {
-    /// Whether a record's error at a place is allowed, when a record is planned.
-    pub(super) fn covers(&self, place: &Site) -> bool {
-        self.index
-            .around(place, 1.0 / READ_RELAXED)
-            .any(|index| self.planned[index as usize].error(place, self.accuracy).is_some())
-    }
-}
-
 #[cfg(test)]
 impl Site {
     /// A place on an uncoated, flat surface.
@@ -75,6 +66,6 @@ impl Planned {
     /// A record whose rays meet nothing, with a radius in metres.
     pub fn in_the_open(site: Site, radius: f32) -> Self {
         let hits = Box::new([None; hemisphere::PLAN_RAYS]);
-        Self { key: 0, site, radius, entered: radius, corral: [f32::INFINITY; hemisphere::SECTORS], hits }
+        Self { key: 0, site, radius, corral: [f32::INFINITY; hemisphere::SECTORS], hits }
     }
 }

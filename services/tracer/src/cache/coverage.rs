@@ -1,0 +1,76 @@
+//! The records of a level while others are planned.
+
+use super::index::Index;
+use super::loose::LooseOctree;
+use super::octree::Cube;
+use super::spheres::Sphere;
+use super::{Level, Planned, READ_RELAXED, Site};
+use crate::bounds::Bounds;
+
+/// A level that grows: where it has records already, and which of them are near each other.
+pub struct Coverage<'a> {
+    level: &'a mut Level,
+    covered: Index,
+    /// How far off each record is read.
+    read: LooseOctree,
+}
+
+impl<'a> Coverage<'a> {
+    pub fn of(level: &'a mut Level, world: Bounds) -> Self {
+        let covered = Index::new(world, level.smallest, level.accuracy);
+        let read = LooseOctree::over(Cube::over(world, level.reach(level.smallest)));
+        let records = level.planned.len();
+        let mut coverage = Self { level, covered, read };
+        (0..records).for_each(|number| coverage.enter(number));
+        coverage
+    }
+
+    pub fn level(&self) -> &Level {
+        self.level
+    }
+
+    /// Whether a record's error at a place is allowed.
+    pub fn covers(&self, place: &Site) -> bool {
+        let Level { planned, accuracy, .. } = &*self.level;
+        self.covered
+            .around(place, |_| ())
+            .any(|number| planned[number as usize].error(place, *accuracy).is_some())
+    }
+
+    /// Enters a record: its radius may not exceed a neighbour's by more than their distance, nor a neighbour's its own, so that a record
+    /// whose rays missed something small and near is put right by others (Křivánek et al. 2006, neighbour clamping).
+    pub fn insert(&mut self, mut planned: Planned) {
+        let level = &mut *self.level;
+        let position = planned.site.position;
+        let mut neighbours = Vec::new();
+        self.read.touching(position, planned.radius * level.accuracy, |neighbour| neighbours.push(neighbour));
+        for &neighbour in &neighbours {
+            let other = &level.planned[neighbour as usize];
+            let distance = other.site.position.distance(position);
+            planned.radius = planned.radius.min(other.radius + distance);
+        }
+        planned.radius = planned.radius.max(level.smallest);
+        for neighbour in neighbours {
+            let other = &mut level.planned[neighbour as usize];
+            let distance = other.site.position.distance(position);
+            other.radius = other.radius.min(planned.radius + distance);
+        }
+        level.planned.push(planned);
+        self.enter(self.level.planned.len() - 1);
+    }
+
+    /// Makes a planned record one that is found, by its radius of now: neighbours that come later may make it smaller.
+    fn enter(&mut self, number: usize) {
+        let (planned, index) = (&self.level.planned[number], number as u32);
+        self.covered.insert(index, planned);
+        let radius = self.level.reach(planned.radius);
+        self.read.insert(Sphere { index, center: planned.site.position, radius, sets: 0 });
+    }
+}
+
+impl Level {
+    /// How far off a record of this radius is read at most, metres.
+    fn reach(&self, radius: f32) -> f32 {
+        radius * self.accuracy * READ_RELAXED
+    }
+}
