@@ -10,6 +10,6 @@ mod query;
 pub(crate) use auth::{Anyone, BAD_TOKEN, OneTimeToken, Operator, Reader, Submitter, WorkerToken};
 pub(crate) use body::{whole, within_announced_length};
 pub(crate) use idempotency::KeyHeader;
-pub(crate) use json::{JsonBody, Large};
+pub(crate) use json::{JsonBody, Large, media_type};
 pub(crate) use path::{Segment, Segments};
 pub(crate) use query::{QueryParameters, number, number_if_any};

@@ -35,6 +35,8 @@ async fn every_malformed_job_is_told_which_field_is_wrong_and_nothing_is_kept() 
         (with("/name", json!("a\u{7}")), "/name", "control"),
         (with("/name", json!("x".repeat(201))), "/name", "1 to 200"),
         (with("/name", json!(7)), "/name", "invalid type"),
+        (with("/confidence", json!(null)), "/confidence", "none of the values"),
+        (with("/confidence", json!(0.8)), "/confidence", "none of the values"),
         (with("/project", json!(" ")), "/project", "1 to 200"),
         (with("/frames", json!("0-x")), "/frames", "`0-x`"),
         (with("/frames", json!("3-1")), "/frames", "backwards"),

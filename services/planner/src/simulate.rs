@@ -1,12 +1,12 @@
 //! How sure a plan is: it is carried out many times with work drawn from the forecast's distribution.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
 use crate::calendar::Window;
 use crate::chance::normal;
-use crate::model::{Input, InputError, Plan, Task, price_of};
+use crate::model::{Input, InputError, JobPlan, Plan, Task, Verdict, price_of};
 use crate::problem::Problem;
 
 /// What came out of the scenarios.
@@ -62,7 +62,12 @@ pub fn simulate(input: &Input, plan: &Plan, scenarios: u32, seed: u64) -> Result
         costs.push(cost.saturating_add(fixed_part));
     }
     costs.sort_unstable();
+    let without_place = |job: &&JobPlan| matches!(job.verdict, Verdict::Unplaced { .. });
+    let never_done: BTreeSet<u64> = plan.jobs.iter().filter(without_place).map(|job| job.job).collect();
     let jobs = problem.jobs.iter().zip(&mut finishes).map(|(work, ends)| {
+        if never_done.contains(&work.job.id) {
+            ends.fill(i64::MAX);
+        }
         ends.sort_unstable();
         let late =
             ends.iter().filter(|&&end| work.job.deadline.is_some_and(|deadline| end > deadline)).count();

@@ -37,6 +37,7 @@ fn mistakes_are_named() {
         error("\"name\": \"water\"", "\"name\": \"hero-shot\""),
         DescriptionError::Twice { what: "job", .. }
     ));
+    assert!(matches!(error("\"frames\": 120", "\"frames\": 1000000001"), DescriptionError::Value { .. }));
     assert!(matches!(error("\"setup\": \"10m\"", "\"setup\": \"soon\""), DescriptionError::Value { .. }));
     assert!(matches!(error("\"confidence\": 95", "\"confidence\": 99"), DescriptionError::Value { .. }));
     assert!(matches!(

@@ -139,6 +139,13 @@ pub struct Waits {
     pub share: Option<ProjectShare>,
 }
 
+impl Waits {
+    /// Whether nothing is begun before somebody changes a budget: then nobody knows when.
+    pub fn is_for_money(&self) -> bool {
+        self.kind == WaitKind::Budget
+    }
+}
+
 /// A project's share of the farm, and what it had of it.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct ProjectShare {

@@ -126,7 +126,7 @@ pub struct BudgetRequest {
     #[serde(default = "utc")]
     #[schema(default = "UTC")]
     pub zone: String,
-    /// What happens when, at most 10; none: nothing.
+    /// What happens when, at most 10; an empty list: nothing. Absent: a warning at 80 %, and at 100 % nothing new is begun (`drain`).
     #[serde(default = "BudgetRequest::usual_thresholds")]
     #[schema(max_items = 10)]
     pub thresholds: Vec<BudgetThreshold>,

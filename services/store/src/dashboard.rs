@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use forelight_protocol::{
     Dashboard, DashboardCounts, DashboardJob, DashboardNode, JobId, NodeActivity, NodeId, TaskCounts, TaskId,
-    Timestamp,
+    Timestamp, Waits,
 };
 use sqlx::{Row as _, SqliteConnection};
 
@@ -124,7 +124,7 @@ async fn dashboard_jobs(
             seed: job.seed,
             deadline: job.deadline,
             verdict: job.verdict.as_ref().map(|verdict| verdict.verdict),
-            eta: projected.finish_of(job.id),
+            eta: projected.finish_of(job.id).filter(|_| !job.waits.as_ref().is_some_and(Waits::is_for_money)),
             waits: job.waits,
             promise: job.promise,
             booked_cost: job.verdict.and_then(|verdict| verdict.cost),

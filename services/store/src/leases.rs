@@ -151,7 +151,10 @@ impl Store {
             return self.refuse(write, &row, now).await;
         }
         let expires_at = now.plus_micros(i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX));
-        write.later("UPDATE leases SET expires_at = ? WHERE id = ?").bind(expires_at.micros()).bind(lease.0);
+        write
+            .later("UPDATE leases SET expires_at = ?, paid_until = NULL WHERE id = ?")
+            .bind(expires_at.micros())
+            .bind(lease.0);
         write
             .later("UPDATE nodes SET last_seen_at = max(last_seen_at, ?), paused = ? WHERE id = ?")
             .bind(now.micros())
@@ -231,15 +234,19 @@ impl Store {
 
     /// Gives every active lease one more term, from now. Called once when a service starts, before anything is swept:
     /// that nobody could renew while it was down is not the workers' fault. Nor does a lease last any longer because the clock was set
-    /// back in the meantime; tasks that wait after a failure wait no longer than they would at most.
+    /// back in the meantime; tasks that wait after a failure wait no longer than they would at most. A worker that is not heard of any more is
+    /// paid until its lease would have run out.
     pub async fn extend_leases_after_start(&self, ttl: Duration, now: Timestamp) -> Result<u64, StoreError> {
         let until = now.plus_micros(i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX));
         self.set_up_since(now);
         let mut write = self.write().await?;
-        let extended = sqlx::query("UPDATE leases SET expires_at = ? WHERE state = 'active'")
-            .bind(until.micros())
-            .execute(write.connection().await?)
-            .await?;
+        let extended = sqlx::query(
+            "UPDATE leases SET paid_until = min(coalesce(paid_until, expires_at), ?1), expires_at = ?2 WHERE state = 'active'",
+        )
+        .bind(now.micros())
+        .bind(until.micros())
+        .execute(write.connection().await?)
+        .await?;
         sqlx::query("UPDATE tasks SET not_before = ?1 WHERE state = 'ready' AND not_before > ?1")
             .bind(now.plus_micros(LONGEST_WAIT).micros())
             .execute(write.connection().await?)
@@ -252,7 +259,7 @@ impl Store {
     pub async fn clock_was_set(&self, micros: i64) -> Result<(), StoreError> {
         let mut write = self.write().await?;
         for moved in [
-            "UPDATE leases SET expires_at = expires_at + ? WHERE state = 'active'",
+            "UPDATE leases SET expires_at = expires_at + ?1, paid_until = paid_until + ?1 WHERE state = 'active'",
             "UPDATE tasks SET not_before = max(1, not_before + ?) WHERE state = 'ready' AND not_before > 0",
             // A node that was heard of in what is now the future would look alive for as long.
             "UPDATE nodes SET last_seen_at = last_seen_at + ?1 WHERE ?1 < 0",
@@ -369,8 +376,13 @@ pub(crate) async fn fail_for_good(
 
 /// Ends an active lease.
 pub(crate) fn end(write: &mut Write, row: &LeaseRow, state: &'static str, now: Timestamp) {
+    let unheard = ["expired", "revoked"].contains(&state);
     write
-        .later("UPDATE leases SET state = ?, ended_at = ? WHERE id = ? AND state = 'active'")
+        .later(if unheard {
+            "UPDATE leases SET state = ?, ended_at = coalesce(paid_until, ?) WHERE id = ? AND state = 'active'"
+        } else {
+            "UPDATE leases SET state = ?, ended_at = ? WHERE id = ? AND state = 'active'"
+        })
         .bind(state)
         .bind(now.micros())
         .bind(row.id.0);

@@ -261,8 +261,13 @@ impl Agent {
             if !matches!(ending, Ending::Finished(_)) {
                 control.cancel();
                 given_up.cancel();
-                // The threads are free again when the work has noticed.
-                let _ = work.await;
+                // The threads are free again when the work has noticed. Until then the lease is held, if it still is: its end is to be told.
+                tokio::select! {
+                    _ = &mut work => {}
+                    () = self.hold(&lease, &control), if !matches!(ending, Ending::Lost) => {
+                        let _ = work.await;
+                    }
+                }
             }
             match ending {
                 Ending::Beyond(error) => Ending::Finished(Box::new(Err(error))),

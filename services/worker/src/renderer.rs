@@ -236,7 +236,16 @@ pub trait FrameRenderer: Send + Sync {
 
     /// Finished pixels by index, in the order given, on the current thread pool, with what their camera samples say of their error. With an
     /// irradiance cache all but their colours is final: the cache is planned, but not filled; see [`FrameRenderer::fill_for`].
-    fn trace(&self, pixels: &[u32]) -> Vec<(Pixel, PixelNoise)>;
+    fn trace(&self, pixels: &[u32]) -> Vec<(Pixel, PixelNoise)> {
+        self.trace_unless(pixels, &|| false).unwrap_or_default()
+    }
+
+    /// The same, unless `stop` says at some time on the way that it is not wanted any more: then nothing.
+    fn trace_unless(
+        &self,
+        pixels: &[u32],
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Option<Vec<(Pixel, PixelNoise)>>;
 
     /// Fills the irradiance cache as far as the colours of these pixels need it, on the current thread pool, and says what that took. The
     /// colours are then close to the image's: a whole cache is a little less noisy, for its records are averaged.
@@ -270,8 +279,13 @@ pub trait FrameRenderer: Send + Sync {
     /// The image, as far as it has come.
     fn finished(&self, passes: &Passes) -> Finished;
 
-    /// The same as [`FrameRenderer::trace`] for runs of pixels: those of a run are traced one after the other by one thread, as a tile's are in a render.
-    fn trace_runs(&self, runs: &[Vec<u32>]) -> Vec<Vec<(Pixel, PixelNoise)>>;
+    /// The same as [`FrameRenderer::trace_unless`] for runs of pixels: those of a run are traced one after the other by one thread, as a
+    /// tile's are in a render.
+    fn trace_runs(
+        &self,
+        runs: &[Vec<u32>],
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Option<Vec<Vec<(Pixel, PixelNoise)>>>;
 
     /// What gathering records of the irradiance cache takes: of `each` of every level, chosen by `seed` so that all have the same
     /// chance, on the current thread pool. None without a cache.

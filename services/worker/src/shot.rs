@@ -231,23 +231,21 @@ pub(crate) fn profile_ready(
     let mut observations = Vec::with_capacity(samples as usize);
     let mut finished = Vec::with_capacity(samples as usize);
     let mut sampled = Vec::with_capacity(samples as usize);
-    let mut trace = |picks: &[forelight_forecast::Pick], observations: &mut Vec<Observation>| {
+    let stop = || observer.is_cancelled();
+    let trace = |pixels: &[u32]| ready.trace_unless(pixels, &stop).ok_or(ShotError::Cancelled);
+    let mut observe = |picks: &[forelight_forecast::Pick], observations: &mut Vec<Observation>| {
         let indices: Vec<u32> = picks.iter().map(|pick| pick.pixel).collect();
-        for (pick, (pixel, noise)) in picks.iter().zip(ready.trace(&indices)) {
+        for (pick, (pixel, noise)) in picks.iter().zip(trace(&indices)?) {
             observations.push(Observation { stratum: pick.stratum, cost: cost_of(&pixel) });
             finished.push((pick.pixel, pixel));
             sampled.push((pick.pixel, noise));
         }
+        Ok::<(), ShotError>(())
     };
-    if observer.is_cancelled() {
-        return Err(ShotError::Cancelled);
-    }
-    trace(&design.first_phase(), &mut observations);
-    if observer.is_cancelled() {
-        return Err(ShotError::Cancelled);
-    }
-    trace(&design.second_phase(&observations)?, &mut observations);
-    let warmth = warm_clock::measure(ready, design.counts(), &observations, &finished);
+    observe(&design.first_phase(), &mut observations)?;
+    observe(&design.second_phase(&observations)?, &mut observations)?;
+    let warmth = warm_clock::measure(ready, design.counts(), &observations, &finished, &stop)
+        .ok_or(ShotError::Cancelled)?;
     for observation in &mut observations {
         let cpu_nanos = &mut observation.cost.cpu_nanos;
         *cpu_nanos = (*cpu_nanos as f64 * warmth.factor).round() as u64;
@@ -255,19 +253,20 @@ pub(crate) fn profile_ready(
     let (neighbours, of_neighbours): (Vec<_>, Vec<_>) =
         warmth.pixels.into_iter().map(|(index, (pixel, noise))| ((index, pixel), (index, noise))).unzip();
     finished.extend(neighbours);
-    let noise = ready.has_final_colours().then(|| {
+    let mut noise = None;
+    if ready.has_final_colours() {
         let zones = Zones::new(ready, &seen.preview);
         let taken: BTreeSet<u32> = finished.iter().map(|(pixel, _)| *pixel).collect();
         let edges = zones.edges(observations.len(), &taken);
-        for (&index, (pixel, noise)) in edges.iter().zip(ready.trace(&edges)) {
+        for (&index, (pixel, noise)) in edges.iter().zip(trace(&edges)?) {
             finished.push((index, pixel));
             sampled.push((index, noise));
         }
         let scattered = sampled.len();
         sampled.extend(of_neighbours);
-        zones.noise(sampled, scattered)
-    });
-    if observer.is_cancelled() {
+        noise = Some(zones.noise(sampled, scattered));
+    }
+    if stop() {
         return Err(ShotError::Cancelled);
     }
     let records = ready.sample_records(records_to_sample(samples), seed);

@@ -38,14 +38,15 @@ pub struct Warmth {
     pub pixels: Vec<(u32, (Pixel, PixelNoise))>,
 }
 
-/// Traces neighbours of some of the profiled pixels. `counts` are the frame's pixels by stratum; `profiled` are the pixels that
-/// belong to `observations`, in the same order.
+/// Traces neighbours of some of the profiled pixels, unless `stop` says that they are not wanted any more. `counts` are the frame's pixels by
+/// stratum; `profiled` are the pixels that belong to `observations`, in the same order.
 pub fn measure(
     ready: &dyn FrameRenderer,
     counts: &[u32],
     observations: &[Observation],
     profiled: &[(u32, Pixel)],
-) -> Warmth {
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Option<Warmth> {
     let camera = &ready.frame().camera;
     let mut samples = vec![0u32; counts.len()];
     observations.iter().for_each(|o| samples[o.stratum as usize] += 1);
@@ -62,13 +63,13 @@ pub fn measure(
         taken.extend(&run);
         runs.push(run);
     }
-    let traced = ready.trace_runs(&runs);
+    let traced = ready.trace_runs(&runs, stop)?;
     let warm = middle_mean(traced.iter().filter_map(|run| warm_rate(run)).collect());
     let scattered = time / work.iter().sum::<f64>();
     // Nothing may have been measured: no blocks, or a clock that did not move.
     let factor = if warm > 0.0 && scattered > 0.0 { warm / scattered } else { 1.0 };
     let pixels = runs.into_iter().flatten().zip(traced.into_iter().flatten()).collect();
-    Warmth { factor, pixels }
+    Some(Warmth { factor, pixels })
 }
 
 /// Blocks for so many profiled pixels.

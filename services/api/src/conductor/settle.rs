@@ -393,7 +393,8 @@ fn waits(farm: &Farm, plan: &planner::Plan) -> Result<BTreeMap<usize, Waits>, Ad
             |kind, because: String, behind| Waits { kind, because, until, behind, share: share.clone() };
         if asked.held {
             let because = format!("waits because the budget of project {} is used up", asked.job.project);
-            found.insert(job, waits(WaitKind::Budget, because, Vec::new()));
+            // It begins when somebody changes the budget.
+            found.insert(job, Waits { until: None, ..waits(WaitKind::Budget, because, Vec::new()) });
         } else if let Some(reason) = explained.get(&(job as u64)) {
             let (kind, behind) = match reason {
                 Reason::NoNode => (WaitKind::Node, Vec::new()),

@@ -3,6 +3,7 @@
 use std::marker::PhantomData;
 
 use axum::extract::{FromRequest, Request};
+use axum::http::HeaderMap;
 use axum::http::header::CONTENT_TYPE;
 use forelight_protocol::ProblemKind;
 use serde::de::DeserializeOwned;
@@ -47,16 +48,8 @@ impl<T: DeserializeOwned, L: BodyLimit> FromRequest<App> for JsonBody<T, L> {
     type Rejection = ApiError;
 
     async fn from_request(request: Request, app: &App) -> ApiResult<Self> {
-        let is_json = request
-            .headers()
-            .get(CONTENT_TYPE)
-            .and_then(|value| value.to_str().ok())
-            .and_then(|value| value.split(';').next())
-            .is_some_and(|value| {
-                let value = value.trim().to_ascii_lowercase();
-                value == "application/json" || (value.starts_with("application/") && value.ends_with("+json"))
-            });
-        if !is_json {
+        let sent = media_type(request.headers());
+        if sent != "application/json" && !(sent.starts_with("application/") && sent.ends_with("+json")) {
             return Err(ApiError::new(
                 ProblemKind::UnsupportedMediaType,
                 "send Content-Type: application/json",
@@ -66,6 +59,12 @@ impl<T: DeserializeOwned, L: BodyLimit> FromRequest<App> for JsonBody<T, L> {
         let bytes = whole(&head.headers, body, L::bytes(app)).await?;
         Ok(Self { value: parse(&bytes)?, hash: *blake3::hash(&bytes).as_bytes(), limit: PhantomData })
     }
+}
+
+/// What a request says that its body is, in small letters and without parameters; empty if it says nothing.
+pub fn media_type(headers: &HeaderMap) -> String {
+    let sent = headers.get(CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    sent.split(';').next().unwrap_or_default().trim().to_ascii_lowercase()
 }
 
 /// Parses a body. What is no JSON at all is malformed (400); JSON that is not what was asked for is invalid (422).
@@ -82,8 +81,11 @@ fn parse<T: DeserializeOwned>(bytes: &[u8]) -> ApiResult<T> {
     let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
         let pointer = pointer(error.path());
         let error = error.into_inner();
+        let is_json = || serde_json::from_slice::<serde::de::IgnoredAny>(bytes).is_ok();
         match error.classify() {
             serde_json::error::Category::Data => ApiError::invalid(pointer, error.to_string()),
+            // A name is read letter by letter, so that anything else in its place is taken for bad JSON.
+            _ if is_json() => ApiError::invalid(pointer, "this is none of the values that are possible here"),
             _ => ApiError::new(ProblemKind::Malformed, format!("the body is not JSON: {error}")),
         }
     })?;

@@ -3,7 +3,6 @@
 use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
-use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
 use forelight_protocol::{Bundle, BundleId, ProblemKind};
@@ -11,7 +10,7 @@ use forelight_store::NewBundle;
 
 use super::{created, repeated};
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{Anyone, KeyHeader, Segment, Submitter, within_announced_length};
+use crate::extract::{Anyone, KeyHeader, Segment, Submitter, media_type, within_announced_length};
 use crate::openapi::FileContent;
 use crate::scenes;
 use crate::state::App;
@@ -28,8 +27,9 @@ pub(crate) async fn upload(
     headers: HeaderMap,
     body: Body,
 ) -> ApiResult<Response> {
-    let media_type = headers.get(CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or("");
-    if !["application/zip", "application/x-zip-compressed", "application/octet-stream"].contains(&media_type)
+    let media_type = media_type(&headers);
+    if !["application/zip", "application/x-zip-compressed", "application/octet-stream"]
+        .contains(&media_type.as_str())
     {
         return Err(ApiError::new(
             ProblemKind::UnsupportedMediaType,

@@ -6,7 +6,7 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::Response;
-use forelight_protocol::{Job, JobCheck, JobId, JobPage, JobRequest, JobState};
+use forelight_protocol::{Job, JobCheck, JobId, JobPage, JobRequest, JobState, Waits};
 use forelight_store::{JobFilter, project};
 use serde::Deserialize;
 use utoipa::IntoParams;
@@ -121,7 +121,8 @@ async fn expect(app: &App, jobs: &mut [Job]) -> ApiResult<()> {
     let (bookings, seeds) = (app.store.open_bookings().await?, app.store.open_seeds().await?);
     let projected = project(&bookings, &seeds, app.now());
     for job in jobs {
-        job.eta = projected.finish_of(job.id);
+        job.eta =
+            projected.finish_of(job.id).filter(|_| !job.waits.as_ref().is_some_and(Waits::is_for_money));
     }
     Ok(())
 }

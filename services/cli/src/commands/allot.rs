@@ -77,6 +77,11 @@ pub struct Wish<'a> {
 }
 
 impl AllotArgs {
+    /// The flag by which time is limited, if it is.
+    pub fn limit(&self) -> &'static str {
+        if self.within_money.is_some() { "--within-money" } else { "--within" }
+    }
+
     /// Counts wall time from `started` on.
     pub fn wish(&self, started: Instant) -> Wish<'_> {
         Wish { args: self, started }
@@ -205,13 +210,13 @@ impl AccuracyObserver for Stopping<'_> {
     }
 }
 
-/// A time too short is the user's to mend.
-pub fn failure(error: AllotError) -> anyhow::Error {
+/// A time too short is the user's to mend, or the money that buys it; `flag` gave it.
+pub fn failure(flag: &str, error: AllotError) -> anyhow::Error {
     match error {
-        AllotError::TooLittle { .. } => BadInput::new(format!("--within: {error}"))
+        AllotError::TooLittle { .. } => BadInput::new(format!("{flag}: {error}"))
             .hint("give it more, profile fewer pixels (--samples), or ask for a smaller image")
             .into(),
-        AllotError::TooLittleForCache { .. } => BadInput::new(format!("--within: {error}"))
+        AllotError::TooLittleForCache { .. } => BadInput::new(format!("{flag}: {error}"))
             .hint("give it more, ask for a rougher cache (--cache-rays, --cache-accuracy), or do without one (--cache off)")
             .into(),
         AllotError::Shot(ShotError::Render(error)) => error.into(),

@@ -124,7 +124,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
                 }
                 (None, Some(options)) => {
                     let made = render_allotted(shot, frame, &settings, given, options, &progress, &stopping);
-                    let made = made.map_err(allot::failure)?;
+                    let made = made.map_err(|error| allot::failure(args.allot.limit(), error))?;
                     Ok(made.map(|allotted| (allotted.rendered, Some(allotted.samples))))
                 }
                 (None, None) => {

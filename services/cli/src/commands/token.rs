@@ -20,7 +20,7 @@ Examples:
 
 The token is shown or written once; the farm keeps only its hash. The service may be running.
 
-Roles: viewer reads; submitter also submits jobs and bundles; worker also takes tasks; operator may do everything.
+Roles: viewer reads; submitter also submits jobs and bundles; worker registers a node and takes tasks, and reads nothing else; operator may do everything.
 
 A one-time token lets one machine join the farm, once: `forelight worker --join-token-file rack-8.join --token-file rack-8.token`. The \
 machine gets a token of its own, which speaks for its node and no other.")]

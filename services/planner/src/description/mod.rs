@@ -23,6 +23,9 @@ use crate::model::{
 /// Work of a second at speed one.
 const WORK_PER_SECOND: f64 = 1e9;
 const GIB: f64 = (1u64 << 30) as f64;
+/// Of a job.
+const MOST_FRAMES: u32 = 1_000_000;
+
 /// Calendars are expanded this far beyond the last deadline and release.
 const BEYOND: i64 = 28 * 86_400_000_000;
 
@@ -191,6 +194,9 @@ fn job(
         return Err(wrong("a spread is P80 over P50 and must be at least 1"));
     }
     let listed: Vec<(i64, f64)> = match (&entry.frames, entry.hours) {
+        (Frames::Count(count), _) if *count > MOST_FRAMES => {
+            return Err(wrong(&format!("{count} frames are too many for one job: at most {MOST_FRAMES}")));
+        }
         (Frames::Count(count), Some(hours)) => (0..i64::from(*count)).map(|number| (number, hours)).collect(),
         (Frames::Count(_), None) => {
             return Err(wrong("frames is a count, so hours must say what each takes"));

@@ -160,6 +160,25 @@ async fn a_result_that_names_a_missing_artefact_is_refused_and_the_lease_stays()
 }
 
 #[tokio::test]
+async fn who_died_with_the_service_is_not_paid_for_the_time_that_it_was_down() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    farm.booked_job(request("0-2"), node.id, at(0)).await;
+    let dead = farm.claim(node.id, at(1)).await.unwrap();
+    let alive = farm.claim(node.id, at(2)).await.unwrap();
+    let runs_out =
+        farm.store.renew(dead.lease_id, &renewal(dead.fence, 0.1), TTL, at(4)).await.unwrap().expires_at;
+    // Twice, as after a failed start.
+    farm.store.extend_leases_after_start(TTL, at(3000)).await.unwrap();
+    farm.store.extend_leases_after_start(TTL, at(3600)).await.unwrap();
+    farm.store.renew(alive.lease_id, &renewal(alive.fence, 0.5), TTL, at(3605)).await.unwrap();
+    assert_eq!(farm.store.sweep(at(9000)).await.unwrap().expired, 2);
+    let ledger = farm.store.ledger(at(0), at(9000)).await.unwrap();
+    let paid: Vec<_> = ledger.iter().map(|line| line.until).collect();
+    assert_eq!(paid, [Some(runs_out), Some(at(9000))], "the other was heard of after the start");
+}
+
+#[tokio::test]
 async fn a_restart_resumes_where_it_was_and_leaves_leases_a_term_to_report() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;

@@ -119,9 +119,14 @@ impl FrameRenderer for AmbientFrame<'_> {
         (by_class(pixels, triangles), by_class(gathers, triangles))
     }
 
-    fn trace(&self, pixels: &[u32]) -> Vec<(Pixel, PixelNoise)> {
+    fn trace_unless(
+        &self,
+        pixels: &[u32],
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Option<Vec<(Pixel, PixelNoise)>> {
         self.tracer.plan();
-        pixels.par_chunks(BATCH).flat_map_iter(|batch| self.traced(batch)).collect()
+        let batches = pixels.par_chunks(BATCH).map(|batch| (!stop()).then(|| self.traced(batch)));
+        Some(batches.collect::<Option<Vec<_>>>()?.concat())
     }
 
     fn fill_for(&self, pixels: &[u32]) -> Spent {
@@ -168,9 +173,13 @@ impl FrameRenderer for AmbientFrame<'_> {
         Finished { image: passes.image(), cache: self.cache_use(CacheTotals::default()) }
     }
 
-    fn trace_runs(&self, runs: &[Vec<u32>]) -> Vec<Vec<(Pixel, PixelNoise)>> {
+    fn trace_runs(
+        &self,
+        runs: &[Vec<u32>],
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Option<Vec<Vec<(Pixel, PixelNoise)>>> {
         self.tracer.plan();
-        runs.par_iter().map(|run| self.traced(run)).collect()
+        runs.par_iter().map(|run| (!stop()).then(|| self.traced(run))).collect()
     }
 
     fn sample_records(&self, each: usize, seed: u64) -> Vec<RecordCost> {

@@ -4,8 +4,10 @@ use crate::room::{Nobody, Rig};
 use forelight_forecast::Strategy;
 use forelight_preview::Choice;
 use forelight_protocol::RenderStats;
-use forelight_worker::{Ambient, Given, QuoteOptions, quote, render_frame};
-use std::sync::atomic::AtomicBool;
+use forelight_worker::{
+    Ambient, Given, Observer, QuoteOptions, ShotError, profile_frame, quote, render_frame,
+};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed};
 
 #[test]
 fn a_quote_from_all_pixels_is_the_render_to_the_last_operation() {
@@ -122,4 +124,28 @@ fn a_frame_in_the_dark_is_forecast_from_one_in_the_dark() {
             assert_eq!(stats.cache_records.len(), forecast.cache_records.len());
         }
     }
+}
+
+/// Says after so many questions that it is enough.
+struct Patience(AtomicUsize);
+
+impl Observer for Patience {
+    fn previewed(&self, _: usize, _: usize) {}
+    fn profiled(&self, _: usize, _: usize) {}
+    fn is_cancelled(&self) -> bool {
+        self.0.fetch_update(Relaxed, Relaxed, |left| left.checked_sub(1)).is_err()
+    }
+}
+
+#[test]
+fn a_profile_is_broken_off_in_the_middle_of_its_pixels() {
+    let rig = Rig::new();
+    let options = QuoteOptions { samples: 32 * 24, profile_frames: 1, ..QuoteOptions::default() };
+    let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
+    let profile = |questions: usize| {
+        profile_frame(&shot, 0, &rig.settings, &options, &Patience(AtomicUsize::new(questions)))
+    };
+    // 768 pixels in batches of 16: after eight questions most are not traced.
+    assert!(matches!(profile(8), Err(ShotError::Cancelled)));
+    assert_eq!(profile(1000).unwrap().observations.len(), 32 * 24);
 }

@@ -15,7 +15,7 @@ use forelight_protocol::{
     BudgetAction, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetPeriod, BudgetRequest,
     BudgetThreshold, Money, Night, Timestamp,
 };
-use forelight_store::Store;
+use forelight_store::{DATABASE, Store};
 use std::path::{Path, PathBuf};
 
 /// What tonight and the nights after it will cost, against budgets; sets budgets
@@ -244,6 +244,14 @@ async fn open(folder: &Path) -> Result<Store> {
         return Err(BadInput::new(format!("--database {}: there is no such folder", folder.display()))
             .hint("name the folder that the farm was started with (--data there)")
             .into());
+    }
+    if !folder.join(DATABASE).is_file() {
+        return Err(BadInput::new(format!(
+            "--database {}: there is no farm in this folder",
+            folder.display()
+        ))
+        .hint("name the folder that the farm was started with (--data there)")
+        .into());
     }
     Store::open_beside(folder)
         .await

@@ -39,7 +39,7 @@ impl Allotted {
         let stopping = Stopping(interrupt);
         let rendered =
             render_allotted(&self.shot, self.frame, settings, Given::default(), &options, &|_| (), &stopping);
-        let rendered = rendered.map_err(failure)?.ok_or(Interrupted)?.rendered;
+        let rendered = rendered.map_err(|error| failure("--error", error))?.ok_or(Interrupted)?.rendered;
         let (cpu_nanos, wall_seconds) = (process_cpu_nanos() - used, start.elapsed().as_secs_f64());
         let stats = &rendered.stats;
         let forecast = stats.allotted.as_ref().and_then(|allotted| allotted.forecast.as_ref());
