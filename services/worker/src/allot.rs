@@ -132,7 +132,7 @@ pub fn render_allotted(
         Aim::Error(wanted) => render_for_error(&*ready, &allotment, *wanted, confidence, progress, cancel)?,
     };
     let Some(made) = made else { return Ok(None) };
-    let forecast = allotment.forecast(&made.samples);
+    let forecast = allotment.forecast(&made.samples)?;
     Ok(Some(made.rendered(&*ready, &settings, Some(forecast), start.elapsed().as_secs_f64())))
 }
 
@@ -200,11 +200,10 @@ pub(crate) struct Allotment<'a> {
     zones: Vec<Zone>,
     /// Of each zone, ascending.
     pixels: Vec<Vec<u32>>,
+    /// Those of the pilot's scattered samples that speak for each zone.
+    profiled: Vec<Vec<usize>>,
     /// Of the frame with the pilot's camera samples.
-    work: Quantiles,
     cpu_seconds: Quantiles,
-    /// The part of it that is in proportion to the samples.
-    pixel_work: f64,
     /// Work of the pixels for a unit of the zones' cost: the strata of cost are finer, and their estimate of the whole is the better one.
     scale: f64,
     /// CPU seconds of a unit of work, by what the pilot took.
@@ -224,9 +223,11 @@ impl<'a> Allotment<'a> {
         let image = ImageNoise::new(noise.cells(&pilot.noise_strata, &noise.counts)?)?;
         let groups = noise_groups(&pilot.noise_strata, &noise.counts, &noise.samples)?;
         let zones = zones(pilot, &image, &groups)?;
+        let scattered = |group: NoiseGroup| -> Vec<usize> {
+            group.samples.into_iter().filter(|&i| i < noise.scattered).collect()
+        };
         let uniform = image.noise_at(spp);
         Ok(Self {
-            pixel_work,
             scale: pixel_work / cost(&zones, &vec![f64::from(spp); zones.len()]).max(f64::MIN_POSITIVE),
             seconds_per_work: (double_seconds.mean - cpu_seconds.mean) / pixel_work.max(f64::MIN_POSITIVE),
             spread: uniform.error(Calibration::NONE),
@@ -235,7 +236,7 @@ impl<'a> Allotment<'a> {
             image,
             zones,
             pixels: groups.iter().map(|group| pilot.zones.pixels_of(&group.strata)).collect(),
-            work,
+            profiled: groups.into_iter().map(scattered).collect(),
             cpu_seconds,
         })
     }
@@ -280,25 +281,39 @@ impl<'a> Allotment<'a> {
         variance
     }
 
-    /// Mean number of samples in each zone.
+    /// Mean number of samples in each zone, weighted by what a sample of each pixel takes: samples go by tiles in the end, and the tiles of a
+    /// zone that need more of them may have the dearer pixels, or the cheaper. The plain mean is known, and the profiled pixels say how far the
+    /// weighted one is from it (a difference estimator).
     fn means(&self, counts: &SampleCounts) -> Vec<f64> {
-        let mean = |pixels: &Vec<u32>| {
-            let sum: u64 = pixels.iter().map(|&pixel| u64::from(counts.as_slice()[pixel as usize])).sum();
-            (sum as f64 / pixels.len().max(1) as f64).max(1.0)
+        let of_pixel = |pixel: u32| f64::from(counts.as_slice()[pixel as usize]);
+        let mean = |(pixels, profiled): (&Vec<u32>, &Vec<usize>)| {
+            let plain = pixels.iter().map(|&pixel| of_pixel(pixel)).sum::<f64>() / pixels.len().max(1) as f64;
+            let (mut samples, mut work, mut both) = (0.0, 0.0, 0.0);
+            for &i in profiled {
+                let (here, took) = (of_pixel(self.pilot.noise.pixels[i]), self.pilot.pixel_work[i] as f64);
+                (samples, work, both) = (samples + here, work + took, both + here * took);
+            }
+            let tilt = if work > 0.0 { both / work - samples / profiled.len() as f64 } else { 0.0 };
+            (plain + tilt).max(1.0)
         };
-        self.pixels.iter().map(mean).collect()
+        self.pixels.iter().zip(&self.profiled).map(mean).collect()
     }
 
     /// What a frame with these samples is to take.
-    fn forecast(&self, counts: &SampleCounts) -> AllottedForecast {
-        let samples = self.means(counts);
-        let change = self.work_of(&samples) - self.pixel_work;
-        AllottedForecast {
-            work: moved(&self.work, change),
-            cpu_seconds: moved(&self.cpu_seconds, change * self.seconds_per_work),
+    ///
+    /// It is that of a frame with as many samples everywhere as these are on average, moved by what it changes where they are.
+    fn forecast(&self, counts: &SampleCounts) -> Result<AllottedForecast, ShotError> {
+        let even = (counts.range().2.round() as u32).max(1);
+        let (work, cpu_seconds) = self.pilot.cost(&self.pilot.view, even)?;
+        let (double_work, double_seconds) = self.pilot.cost(&self.pilot.view, 2 * even)?;
+        let evenly = vec![f64::from(even); self.zones.len()];
+        let more = ratio(cost(&self.zones, &self.means(counts)), cost(&self.zones, &evenly)) - 1.0;
+        Ok(AllottedForecast {
+            work: moved(&work, more * (double_work.mean - work.mean)),
+            cpu_seconds: moved(&cpu_seconds, more * (double_seconds.mean - cpu_seconds.mean)),
             profiling_work: self.pilot.overhead.work,
             profiling_cpu_seconds: seconds(self.pilot.overhead.cpu_nanos),
-        }
+        })
     }
 }
 

@@ -2,8 +2,8 @@
 
 mod common;
 
-use common::{Nobody, kitchen};
-use forelight_protocol::{Confidence, RenderSettings, RenderSettingsRequest};
+use common::{Nobody, kitchen, scene};
+use forelight_protocol::{CacheMode, Confidence, RenderSettings, RenderSettingsRequest};
 use forelight_worker::{
     Aim, AllotError, AllotOptions, Allotted, Given, Rendered, render_allotted, render_as_allotted,
     render_frame,
@@ -67,6 +67,23 @@ fn an_error_that_is_asked_for_is_made_with_less_work_than_equally_many_samples_e
     let better = at_equal_work.iter().find(|other| (other.stats.work as f64) >= work).unwrap();
     let between = (error(worse, &reference) * error(better, &reference)).sqrt();
     assert!(made < between, "{made} with samples where they pay, {between} with equally many everywhere");
+}
+
+#[test]
+fn what_a_frame_takes_whose_samples_are_where_dear_pixels_are_is_forecast_too() {
+    // In the corridor the tiles that need most samples have the cheapest pixels of their zones; and with a cache the first samples of a pixel
+    // are dearer than the hundredth.
+    let settings = RenderSettings { ambient_bounces: 1, cache: CacheMode::On, ..settings(1) };
+    for (profiled, tolerance) in [(256, 0.06), (64 * 36, 0.015)] {
+        let options =
+            AllotOptions { aim: Aim::Error(0.03), confidence: Confidence::P50, samples: profiled, seed: 3 };
+        let (shot, nobody) = (scene("corridor"), Nobody::default());
+        let made = render_allotted(&shot, 0, &settings, Given::default(), &options, &|_| (), &nobody);
+        let stats = made.unwrap().unwrap().rendered.stats;
+        let (forecast, work) = (stats.allotted.unwrap().forecast.unwrap().work, stats.work as f64);
+        let off = forecast.p50 / work - 1.0;
+        assert!(off.abs() < tolerance, "{profiled} pixels: {forecast:?}, took {work}, {:+.1} %", 100.0 * off);
+    }
 }
 
 #[test]

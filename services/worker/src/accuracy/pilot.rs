@@ -13,7 +13,7 @@ use forelight_forecast::{
 };
 use forelight_preview::Preview;
 use forelight_protocol::{FixedCosts, ImageError, Quantiles, RenderSettings, Spent};
-use forelight_tracer::RecordCost;
+use forelight_tracer::{Pixel, RecordCost};
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
 
@@ -70,7 +70,7 @@ pub struct Pilot {
     pub interpolation: Option<FrameNoise>,
     /// Which pixel is in which of these strata.
     pub zones: Zones,
-    /// Work of the pixels of `noise`, in their order.
+    /// Of the work of the pixels of `noise`, in their order, what is in proportion to the camera samples.
     pub pixel_work: Vec<u64>,
     /// What it took.
     pub spent: Spent,
@@ -94,8 +94,9 @@ impl Pilot {
         let seen = ready.preview()?;
         let zones = Zones::new(ready, &seen.preview);
         let view = View::new(ready, &seen.preview, &zones);
+        let by_samples = |pixel: &Pixel| pixel.work.saturating_sub(pixel.extra_work);
         let traced: BTreeMap<u32, u64> =
-            profiled.traced.iter().map(|(pixel, traced)| (*pixel, traced.work)).collect();
+            profiled.traced.iter().map(|(index, pixel)| (*index, by_samples(pixel))).collect();
         let overhead = profiled.pixels.plus(profiled.preview).plus(seen.spent);
         let noise = profiled.noise.unwrap_or_else(|| FrameNoise {
             counts: view.noise_counts.clone(),

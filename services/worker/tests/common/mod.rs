@@ -18,6 +18,11 @@ impl AccuracyObserver for Nobody {
 
 /// The kitchen that ships with the project.
 pub fn kitchen() -> AmbientShot {
-    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/scenes/kitchen"));
-    Ambient::new(Choice::Cpu).open(path).unwrap()
+    scene("kitchen")
+}
+
+/// One of the scenes that ship with it.
+pub fn scene(name: &str) -> AmbientShot {
+    let scenes = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/scenes"));
+    Ambient::new(Choice::Cpu).open(&scenes.join(name)).unwrap()
 }
