@@ -24,6 +24,13 @@ fn the_example_is_planned() {
 }
 
 #[test]
+fn frames_that_are_neither_a_count_nor_a_list_are_told_what_they_may_be() {
+    let text = EXAMPLE.replace("\"frames\": 120", "\"frames\": -1");
+    let error = serde_json::from_str::<Description>(&text).expect_err("no frames").to_string();
+    assert!(error.contains("write how many there are"), "{error}");
+}
+
+#[test]
 fn mistakes_are_named() {
     let error = |from: &str, to: &str| {
         assert!(EXAMPLE.contains(from), "{from}");

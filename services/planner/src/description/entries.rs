@@ -164,7 +164,10 @@ pub(super) struct JobEntry {
 }
 
 #[derive(Clone, Debug, Deserialize)]
-#[serde(untagged)]
+#[serde(
+    untagged,
+    expecting = "frames: write how many there are, or a list of {\"number\": 1, \"hours\": 0.5}"
+)]
 pub(super) enum Frames {
     Count(u32),
     List(Vec<FrameEntry>),
