@@ -48,7 +48,8 @@ pub struct JobRequest {
     /// When all frames have to be there; absent: whenever.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deadline: Option<Timestamp>,
-    /// The most that the job may cost, micro-units; absent: no limit.
+    /// The most that the job is to cost, micro-units; absent: no limit. Plans keep to it if any can. If none can, the job is rendered all the
+    /// same, and its verdict says `over_budget`: what stops work is the budget of a project.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<Money>,
     /// How sure the plan has to be of deadline and budget.

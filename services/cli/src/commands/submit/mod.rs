@@ -50,7 +50,7 @@ pub struct Args {
     /// When all frames have to be there: 2h, 45m, or 2026-03-01T06:00:00Z
     #[arg(long, value_name = "WHEN", value_parser = parse_deadline)]
     deadline: Option<Deadline>,
-    /// The most that the job may cost, such as 12.50
+    /// The most that the job is to cost, such as 12.50: plans keep to it if any can; what stops work is a project's budget (`forelight budget`)
     #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
     budget: Option<i64>,
     /// Take the most camera samples with which all frames fit into this CPU time of a node of speed 1, seconds or such as 90m, and put them where they pay;
