@@ -8,8 +8,9 @@ use crate::quantities::{money, parse_duration, parse_money, seconds};
 use crate::table::{Align, Table};
 use anyhow::{Result, anyhow};
 use forelight_planner::{
-    Change, Description, Effect, Explanation, Input, Offer, Outlook, Plan, Simulation, Verdict, curve,
-    earliest_for_budget, explain, gantt, outlook, plan, price_curve, simulate, verify, ways_out, what_if,
+    Change, Confidence, Description, Effect, Explanation, Input, Offer, Outlook, Plan, Simulation, Verdict,
+    curve, earliest_for_budget, explain, gantt, outlook, plan, price_curve, simulate, verify, ways_out,
+    what_if,
 };
 use serde::Serialize;
 use std::path::PathBuf;
@@ -176,6 +177,17 @@ fn answers(args: &Args, input: &Input, name: &str) -> Result<Answers> {
     })
 }
 
+/// Whether a job was late in more of so many scenarios than its confidence allows, by more than chance can explain. Plans give a job the time that
+/// all its work takes at that confidence; where frames scatter much, the last of those beside each other ends later than that.
+fn is_beyond((late, scenarios): (f64, u32), confidence: Confidence) -> bool {
+    let allowed: f64 = match confidence {
+        Confidence::P50 => 0.5,
+        Confidence::P80 => 0.2,
+        Confidence::P95 => 0.05,
+    };
+    late > allowed + 3.0 * (allowed * (1.0 - allowed) / f64::from(scenarios.max(1))).sqrt()
+}
+
 fn report(input: &Input, document: &Document) -> String {
     let found = &document.plan;
     let mut table = Table::new(&[
@@ -191,7 +203,7 @@ fn report(input: &Input, document: &Document) -> String {
         let Some(job) = input.jobs.iter().find(|job| job.id == entry.job) else { continue };
         let risk = document.simulation.as_ref().and_then(|simulation| {
             let risk = simulation.jobs.iter().find(|risk| risk.job == entry.job)?;
-            job.deadline.map(|_| format!("{:.1} %", risk.probability(simulation.scenarios) * 100.0))
+            job.deadline.map(|_| (risk.probability(simulation.scenarios), simulation.scenarios))
         });
         let left = match &entry.verdict {
             Verdict::Feasible { slack, .. } => seconds(*slack as f64 / 1e6),
@@ -199,6 +211,9 @@ fn report(input: &Input, document: &Document) -> String {
             _ => String::new(),
         };
         let mut word = match &entry.verdict {
+            Verdict::Feasible { .. } if risk.is_some_and(|risk| is_beyond(risk, job.confidence)) => {
+                format!("in time as planned, but late more often than {:?} allows", job.confidence)
+            }
             Verdict::Feasible { .. } => "in time".to_owned(),
             Verdict::NoDeadline { .. } => String::new(),
             Verdict::Late { unavoidable: true, .. } => "late, and could not be otherwise".to_owned(),
@@ -214,7 +229,7 @@ fn report(input: &Input, document: &Document) -> String {
             job.deadline.map(clock).unwrap_or_default(),
             left,
             money(entry.cost),
-            risk.unwrap_or_default(),
+            risk.map_or(String::new(), |(late, _)| format!("{:.1} %", late * 100.0)),
             word,
         ]);
     }
