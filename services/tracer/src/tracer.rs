@@ -334,13 +334,19 @@ impl Tracer {
     }
 
     /// The same as [`Self::profile`], with the radiance of every camera sample told to `each`, after the place of its pixel in `pixels`, in
-    /// the order of the samples.
-    pub fn profile_samples(&self, pixels: &[u32], each: &mut dyn FnMut(usize, [f32; 3])) -> Vec<Pixel> {
+    /// the order of the samples. Before each pixel `stop` is asked whether they are not wanted any more: then there are none.
+    pub fn profile_samples(
+        &self,
+        pixels: &[u32],
+        each: &mut dyn FnMut(usize, [f32; 3]),
+        stop: &dyn Fn() -> bool,
+    ) -> Option<Vec<Pixel>> {
         self.plan();
         let mut traced = |(place, &index): (usize, &u32)| {
-            self.kernel.pixel(self, index, &mut |sample| each(place, sample))
+            (!stop()).then(|| self.kernel.pixel(self, index, &mut |sample| each(place, sample)))
         };
-        timed(|| pixels.iter().enumerate().map(&mut traced).collect())
+        let traced: Vec<Pixel> = timed(|| pixels.iter().enumerate().map_while(&mut traced).collect());
+        (traced.len() == pixels.len()).then_some(traced)
     }
 
     /// Gathers what the cache lacks for the colours of these pixels: the records of the first level that they read. The colours are then

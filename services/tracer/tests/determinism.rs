@@ -70,7 +70,8 @@ fn camera_samples_that_are_told_are_those_of_the_pixel_and_of_an_image_of_fewer(
     let told = |spp: u32| {
         let tracer = Tracer::new(&everything(), &Settings { spp, ..settings() });
         let mut samples = vec![Vec::new(); chosen.len()];
-        let pixels = tracer.profile_samples(&chosen, &mut |place, sample| samples[place].push(sample));
+        let mut each = |place: usize, sample| samples[place].push(sample);
+        let pixels = tracer.profile_samples(&chosen, &mut each, &|| false).unwrap();
         assert_eq!(bits(&pixels), bits(&tracer.profile(&chosen)));
         for (pixel, samples) in pixels.iter().zip(&samples) {
             assert_eq!(samples.len(), spp as usize);

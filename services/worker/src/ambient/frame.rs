@@ -49,11 +49,13 @@ impl AmbientFrame<'_> {
         Ok(shared)
     }
 
-    /// Finished pixels on the current thread, with what their camera samples say.
-    fn traced(&self, pixels: &[u32]) -> Vec<(Pixel, PixelNoise)> {
+    /// Finished pixels on the current thread, with what their camera samples say; nothing if `stop` says on the way that they are not
+    /// wanted any more.
+    fn traced(&self, pixels: &[u32], stop: &dyn Fn() -> bool) -> Option<Vec<(Pixel, PixelNoise)>> {
         let mut samples = vec![PixelSamples::default(); pixels.len()];
-        let traced = self.tracer.profile_samples(pixels, &mut |place, sample| samples[place].push(sample));
-        traced.into_iter().zip(samples.iter().map(PixelSamples::noise)).collect()
+        let mut each = |place: usize, sample| samples[place].push(sample);
+        let traced = self.tracer.profile_samples(pixels, &mut each, stop)?;
+        Some(traced.into_iter().zip(samples.iter().map(PixelSamples::noise)).collect())
     }
 }
 
@@ -125,7 +127,7 @@ impl FrameRenderer for AmbientFrame<'_> {
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Option<Vec<(Pixel, PixelNoise)>> {
         self.tracer.plan();
-        let batches = pixels.par_chunks(BATCH).map(|batch| (!stop()).then(|| self.traced(batch)));
+        let batches = pixels.par_chunks(BATCH).map(|batch| self.traced(batch, stop));
         Some(batches.collect::<Option<Vec<_>>>()?.concat())
     }
 
@@ -179,7 +181,7 @@ impl FrameRenderer for AmbientFrame<'_> {
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Option<Vec<Vec<(Pixel, PixelNoise)>>> {
         self.tracer.plan();
-        runs.par_iter().map(|run| (!stop()).then(|| self.traced(run))).collect()
+        runs.par_iter().map(|run| self.traced(run, stop)).collect()
     }
 
     fn sample_records(&self, each: usize, seed: u64) -> Vec<RecordCost> {
