@@ -18,6 +18,7 @@ use crate::tracer::Tracer;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::ops::RangeInclusive;
+use std::slice::Chunks;
 use std::sync::OnceLock;
 
 /// Pixels, or records of the level before, whose sites are found in one go.
@@ -109,6 +110,43 @@ impl PlanCost {
         self.cost += Cost { work: counters.work(), cpu_nanos };
         add_rays(&mut self.rays, &counters.rays);
     }
+
+    fn add(&mut self, other: &Self) {
+        self.cost += other.cost;
+        add_rays(&mut self.rays, &other.rays);
+    }
+}
+
+/// Places that may need records, in order, and what finding them took.
+#[derive(Default)]
+struct Found {
+    places: Vec<Keyed>,
+    cost: PlanCost,
+}
+
+impl Found {
+    /// Of all parts, each with the CPU time that it took, on the current thread pool.
+    fn of(parts: impl IndexedParallelIterator<Item = ((Vec<Keyed>, Counters), u64)>) -> Self {
+        let parts: Vec<_> = parts.collect();
+        let mut all = Self::default();
+        for ((places, counters), nanos) in parts {
+            all.places.extend(places);
+            all.cost.charge(&counters, nanos);
+        }
+        all
+    }
+}
+
+/// The first diffuse hits of pixels.
+fn sites_of_pixels(tracer: &Tracer, pixels: &[u32]) -> Found {
+    let sites_of = |pixels: &[u32]| {
+        let (mut sites, mut counters) = (Vec::new(), Counters::default());
+        for &pixel in pixels {
+            tracer.kernel.sites(tracer, pixel, 1, &mut sites, &mut counters);
+        }
+        (sites, counters)
+    };
+    Found::of(pixels.par_chunks(TOGETHER).map(|pixels| clocked(|| sites_of(pixels))))
 }
 
 impl Planning<'_> {
@@ -141,7 +179,8 @@ impl Planning<'_> {
                 columns.map(move |x| y * camera.width + x)
             })
             .collect();
-        let sites = self.sites_of_pixels(&pilots);
+        let Found { places: sites, cost } = sites_of_pixels(self.tracer, &pilots);
+        self.plan.add(&cost);
         let mut distances: Vec<f32> = sites.iter().map(|s| s.1.position.distance(camera.origin)).collect();
         distances.sort_unstable_by(f32::total_cmp);
         let Some(&median) = distances.get(distances.len() / 2) else { return 0.0..=0.0 };
@@ -185,10 +224,8 @@ impl Planning<'_> {
                 })
                 .collect();
             pixels.sort_by_cached_key(|&pixel| hash(u64::from(pixel)));
-            for chunk in pixels.chunks(CHUNK) {
-                let sites = self.sites_of_pixels(chunk);
-                self.insert_all(coverage, &sites);
-            }
+            let tracer = self.tracer;
+            self.cover_in_turn(coverage, pixels.chunks(CHUNK), |chunk| sites_of_pixels(tracer, chunk));
             stride /= 2;
         }
     }
@@ -198,36 +235,28 @@ impl Planning<'_> {
         let (explored, strata, before) = (before.explored as u32, before.strata, &before.planned);
         let mut order: Vec<u32> = (explored..before.len() as u32).collect();
         order.sort_by_cached_key(|&index| hash(u64::from(index)));
-        for chunk in order.chunks(CHUNK / PLAN_RAYS) {
-            let tracer = self.tracer;
-            let found = chunk.par_iter().map(|&index| {
-                clocked(|| tracer.kernel.sites_beyond(tracer, &strata, depth, &before[index as usize]))
-            });
-            let sites = self.gather(found.collect());
-            self.insert_all(coverage, &sites);
-        }
-    }
-
-    fn sites_of_pixels(&mut self, pixels: &[u32]) -> Vec<Keyed> {
         let tracer = self.tracer;
-        let sites_of = |pixels: &[u32]| {
-            let (mut sites, mut counters) = (Vec::new(), Counters::default());
-            for &pixel in pixels {
-                tracer.kernel.sites(tracer, pixel, 1, &mut sites, &mut counters);
-            }
-            (sites, counters)
-        };
-        let found = pixels.par_chunks(TOGETHER).map(|pixels| clocked(|| sites_of(pixels)));
-        self.gather(found.collect())
+        let beyond =
+            |&index: &u32| tracer.kernel.sites_beyond(tracer, &strata, depth, &before[index as usize]);
+        self.cover_in_turn(coverage, order.chunks(CHUNK / PLAN_RAYS), |chunk| {
+            Found::of(chunk.par_iter().map(|index| clocked(|| beyond(index))))
+        });
     }
 
-    fn gather(&mut self, found: Vec<((Vec<Keyed>, Counters), u64)>) -> Vec<Keyed> {
-        let mut all = Vec::new();
-        for ((sites, counters), nanos) in found {
-            all.extend(sites);
-            self.plan.charge(&counters, nanos);
+    /// The insertion rule over what is found from each list, one after the other. The next list's places are found while those of
+    /// one are inserted, much of which one thread does alone.
+    fn cover_in_turn(
+        &mut self,
+        coverage: &mut Coverage,
+        mut lists: Chunks<u32>,
+        find: impl Fn(&[u32]) -> Found + Sync,
+    ) {
+        let mut found = lists.next().map(&find);
+        while let Some(Found { places, cost }) = found {
+            self.plan.add(&cost);
+            let next = lists.next();
+            ((), found) = rayon::join(|| self.insert_all(coverage, &places), || next.map(&find));
         }
-        all
     }
 
     /// The insertion rule over a list of places, in order.
