@@ -7,7 +7,8 @@
 
 use crate::lane::{Lane, Prefer, Unwanted, Wanted};
 use crate::model::Task;
-use crate::problem::Problem;
+use crate::problem::{Problem, Work};
+use crate::schedule::broken;
 use crate::state::{Placed, State};
 
 /// Sets of this many frames, at most.
@@ -17,38 +18,34 @@ const MOST_NODES: usize = 5;
 const MOST_LATE: i64 = 1 << 62;
 
 /// The cheapest plan that keeps all deadlines, if the problem is small, all its jobs have deadlines, and
-/// nothing couples the nodes. If there is no such plan, the one in which the jobs that `found` has late are late by no more than they have to be, while
-/// the others stay in time. None if the problem is not like that.
+/// nothing couples the nodes. If there is no such plan, one that breaks as little as can be, where the rest is late by no more than it
+/// has to be. None if the problem is not like that.
 pub(crate) fn search<'p, 'a>(
     problem: &'p Problem<'a>,
     start: &State<'p, 'a>,
     found: &State<'p, 'a>,
 ) -> Option<State<'p, 'a>> {
     let frames = frames(problem, start)?;
-    let deadlines = |late: i64| -> Vec<i64> {
-        let deadline = |job: usize| problem.jobs[job].job.deadline.unwrap_or(i64::MAX);
-        let by = |job: usize| if found.is_kept(job) { 0 } else { late };
-        (0..problem.jobs.len()).map(|job| deadline(job).saturating_add(by(job))).collect()
+    let tables = |kept: &[bool], late: i64| -> Vec<Table> {
+        let latest = |(work, &kept): (&Work, &bool)| {
+            work.job.deadline.unwrap_or(i64::MAX).saturating_add(if kept { 0 } else { late })
+        };
+        let latest: Vec<i64> = problem.jobs.iter().zip(kept).map(latest).collect();
+        (0..problem.nodes.len()).map(|node| Table::new(problem, start, node, &frames, &latest)).collect()
     };
-    let tables = |late: i64| -> Vec<Table> {
-        let deadlines = deadlines(late);
-        (0..problem.nodes.len()).map(|node| Table::new(problem, start, node, &frames, &deadlines)).collect()
-    };
-    let is_possible = |late: i64| deal(&tables(late), frames.len()).is_some();
-    let mut late = 0;
-    if !is_possible(0) {
-        // The least lateness, by halving between what cannot be and what can.
-        let (mut low, mut high) = (0i64, latest(found));
-        if !is_possible(high) {
-            return None;
-        }
+    let is_possible = |kept: &[bool], late: i64| deal(&tables(kept, late), frames.len()).is_some();
+    let (mut kept, mut late) = (vec![true; problem.jobs.len()], 0);
+    if !is_possible(&kept, 0) {
+        kept = most_in_time(problem, found, |kept| is_possible(kept, MOST_LATE))?;
+        // The least lateness of the rest, by halving between what cannot be and what can.
+        let (mut low, mut high) = (0, MOST_LATE);
         while high - low > 1 {
             let middle = low + (high - low) / 2;
-            if is_possible(middle) { high = middle } else { low = middle }
+            if is_possible(&kept, middle) { high = middle } else { low = middle }
         }
         late = high;
     }
-    let mut tables = tables(late);
+    let mut tables = tables(&kept, late);
     for (node, table) in tables.iter_mut().enumerate() {
         table.price(problem, start, node);
     }
@@ -64,13 +61,25 @@ pub(crate) fn search<'p, 'a>(
     Some(state)
 }
 
-/// By how much the latest job is late; very much if something has no place.
-fn latest(found: &State) -> i64 {
-    let late = |job: usize| {
-        let deadline = found.problem.jobs[job].job.deadline.unwrap_or(i64::MAX);
-        if found.missing_tasks(job) > 0 { MOST_LATE } else { found.finish(job).saturating_sub(deadline) }
+/// The jobs that are in time where not all can be: of all sets that are possible, one that breaks the least; of several, what was
+/// `found`. None if not even the empty set is possible.
+fn most_in_time(
+    problem: &Problem,
+    found: &State,
+    is_possible: impl Fn(&[bool]) -> bool,
+) -> Option<Vec<bool>> {
+    let of_set = |jobs: &[usize], set: usize| {
+        let mut kept = vec![false; problem.jobs.len()];
+        (0..jobs.len()).filter(|bit| set >> bit & 1 == 1).for_each(|bit| kept[jobs[bit]] = true);
+        kept
     };
-    (0..found.problem.jobs.len()).map(late).max().unwrap_or(0).clamp(1, MOST_LATE)
+    // No set is possible with a job that is not in time even by itself.
+    let hopeful: Vec<usize> =
+        (0..problem.jobs.len()).filter(|&job| is_possible(&of_set(&[job], 1))).collect();
+    let is_found = |kept: &[bool]| (0..kept.len()).all(|job| kept[job] == found.is_kept(job));
+    let mut sets: Vec<Vec<bool>> = (0..1usize << hopeful.len()).map(|set| of_set(&hopeful, set)).collect();
+    sets.sort_by_cached_key(|kept| (broken(problem, |job| !kept[job]), !is_found(kept)));
+    sets.into_iter().find(|kept| is_possible(kept))
 }
 
 /// Job and place of every frame, if the problem is one that is tried out.

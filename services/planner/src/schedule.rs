@@ -152,24 +152,33 @@ struct Score {
 impl Score {
     fn of(state: &State) -> Self {
         let problem = state.problem;
-        let mut priorities: Vec<i32> = problem.jobs.iter().map(|work| work.job.priority).collect();
-        priorities.sort_unstable_by_key(|&priority| Reverse(priority));
-        priorities.dedup();
-        let mut score = Score { broken: vec![0; priorities.len()], unplaced: 0, lateness: 0, cost: 0 };
+        let is_late = |job: usize| {
+            let deadline = problem.jobs[job].job.deadline;
+            deadline.is_some() && !state.is_kept(job)
+        };
+        let mut score = Score { broken: broken(problem, is_late), unplaced: 0, lateness: 0, cost: 0 };
         for (job, work) in problem.jobs.iter().enumerate() {
-            let missing = state.missing(job).len() + usize::from(state.misses_seed(job));
-            score.unplaced += missing;
-            let Some(deadline) = work.job.deadline else { continue };
-            let late = (i128::from(state.finish(job)) - i128::from(deadline)).max(0);
-            score.lateness += late;
-            if late > 0 || missing > 0 {
-                let rank = priorities.partition_point(|&other| other > work.job.priority);
-                score.broken[rank] += u64::from(work.job.worth());
+            score.unplaced += state.missing(job).len() + usize::from(state.misses_seed(job));
+            if let Some(deadline) = work.job.deadline {
+                score.lateness += (i128::from(state.finish(job)) - i128::from(deadline)).max(0);
             }
         }
         score.cost = state.cost();
         score
     }
+}
+
+/// Weights of the jobs whose deadlines are broken, by priority, greatest first: less is better.
+pub(crate) fn broken(problem: &Problem, is_broken: impl Fn(usize) -> bool) -> Vec<u64> {
+    let mut priorities: Vec<i32> = problem.jobs.iter().map(|work| work.job.priority).collect();
+    priorities.sort_unstable_by_key(|&priority| Reverse(priority));
+    priorities.dedup();
+    let mut weights = vec![0; priorities.len()];
+    for (_, work) in problem.jobs.iter().enumerate().filter(|&(job, _)| is_broken(job)) {
+        let rank = priorities.partition_point(|&other| other > work.job.priority);
+        weights[rank] += u64::from(work.job.worth());
+    }
+    weights
 }
 
 /// Places everything that has no place yet. `early`: do not look at the price in the first place.

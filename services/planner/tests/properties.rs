@@ -388,3 +388,25 @@ fn small_farms_are_planned_whenever_there_is_a_plan_and_at_hardly_more_than_the_
         assert!(if in_steps { mean < 0.02 } else { mean == 0.0 }, "{mean} above the optimum");
     }
 }
+
+#[test]
+fn as_many_jobs_of_a_small_farm_are_in_time_as_can_be_while_all_are_rendered() {
+    let mut hopeless = 0u32;
+    for seed in 0..2000 {
+        let input = tiny(seed, false);
+        let kept = plan(&input).expect("a plan").jobs.iter().filter(|entry| entry.verdict.is_kept()).count();
+        // Deadlines that are not to be kept are years away.
+        let is_possible = |set: usize| {
+            let mut input = input.clone();
+            let others = input.jobs.iter_mut().enumerate().filter(|(job, _)| set >> job & 1 == 0);
+            others.for_each(|(_, job)| job.deadline = Some(1 << 50));
+            cheapest_by_trying_everything(&input).is_some()
+        };
+        let sets = 0..1usize << input.jobs.len();
+        let Some(most) = sets.filter(|&set| is_possible(set)).map(usize::count_ones).max() else { continue };
+        hopeless += u32::from((most as usize) < input.jobs.len());
+        // It may be more where frames that would be too late are left out.
+        assert!(kept >= most as usize, "seed {seed}: {kept} of {most}");
+    }
+    assert!(hopeless > 200, "{hopeless} farms have too little time");
+}

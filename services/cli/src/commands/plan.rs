@@ -248,7 +248,7 @@ fn report(input: &Input, document: &Document) -> String {
             &format!("cost in {} scenarios: {p50} (P50), {p80} (P80), {p95} (P95)\n", simulation.scenarios);
     }
     if let Some(infeasible) = &found.infeasible {
-        text += "\nNo plan keeps all deadlines. Too little time for: ";
+        text += "\nNo plan keeps all deadlines. There is too little time for all of these together: ";
         text += &infeasible.jobs.iter().map(|&job| job_name(input, job)).collect::<Vec<_>>().join(", ");
         text.push('\n');
         for short in &infeasible.short {
