@@ -83,8 +83,8 @@ pub struct Capabilities {
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JoinRequest {
-    /// The node that it will be. If there is one of this name, the machine takes its place, and the token that the other one had is
-    /// void.
+    /// The node that it will be. If there is one of this name, the one-time token must have been made in that name: the machine takes
+    /// that node's place, and the token that the other one had is void.
     pub node: NodeRegistration,
     /// BLAKE3 of the bearer token that the machine made for itself and will show from now on. The token itself stays there: an
     /// answer that gets lost costs nothing, and nobody who listens learns it.
@@ -95,7 +95,7 @@ pub struct JoinRequest {
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JoinTokenRequest {
-    /// Whom it is for: 1 to 200 characters.
+    /// Whom it is for: 1 to 200 characters. The name of a node lets the machine take that node's place.
     #[schema(min_length = 1, max_length = 200)]
     pub name: String,
     /// Hours for which it may be used: 1 to 720.

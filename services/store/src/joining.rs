@@ -1,8 +1,9 @@
 //! Machines that join the farm with a one-time token.
 //!
 //! The machine makes its own bearer token and sends its hash with the one-time token, which is burnt in the same transaction that makes
-//! the node and its token. Two hazards are met by that: an answer that is lost (the machine asks again with the same hash, and is
-//! answered as before) and a one-time token that someone else picked up (it is good for one hash alone, and both notice).
+//! the node and its token. Three hazards are met by that: an answer that is lost (the machine asks again with the same hash, and is
+//! answered as before), a one-time token that someone else picked up (it is good for one hash alone, and both notice), and a machine
+//! that calls itself as another does (it takes that one's place only with a token that was made in its name).
 
 use forelight_protocol::{ArtifactHash, JoinRequest, JoinToken, Node, NodeId, Timestamp};
 use sqlx::Row as _;
@@ -41,15 +42,23 @@ impl Store {
     pub async fn join(&self, token: &str, request: &JoinRequest, now: Timestamp) -> Result<Node, StoreError> {
         let burnt = tokens::hash(token);
         let mut write = self.write().await?;
-        let row =
-            sqlx::query("SELECT expires_at, used_at, used_for, node_id FROM join_tokens WHERE hash = ?")
-                .bind(&burnt[..])
-                .fetch_optional(write.connection().await?)
-                .await?
-                .ok_or_else(|| StoreError::JoinRefused("this one-time token is not known here".to_owned()))?;
+        let row = sqlx::query(
+            "SELECT name, expires_at, used_at, used_for, node_id FROM join_tokens WHERE hash = ?",
+        )
+        .bind(&burnt[..])
+        .fetch_optional(write.connection().await?)
+        .await?
+        .ok_or_else(|| StoreError::JoinRefused("this one-time token is not known here".to_owned()))?;
         if let (Some(node), Some(chosen)) = (id_opt(&row, "node_id")?, hash_opt(&row, "used_for")?) {
+            let node = nodes::read(write.connection().await?, NodeId(node)).await?;
+            if chosen == request.token_hash && node.name == request.node.name {
+                return Ok(node);
+            }
             if chosen == request.token_hash {
-                return nodes::read(write.connection().await?, NodeId(node)).await;
+                return Err(StoreError::Conflict(format!(
+                    "this machine joined as the node {:?} with this one-time token; join under that name, or ask an operator for a new token",
+                    node.name
+                )));
             }
             return Err(StoreError::Conflict(format!(
                 "this one-time token was used at {} by another machine; ask an operator for a new one, and if nobody knows that machine, \
@@ -61,6 +70,15 @@ impl Store {
         if expires_at <= now {
             return Err(StoreError::JoinRefused(format!(
                 "this one-time token expired at {expires_at}; ask an operator for a new one"
+            )));
+        }
+        let made_for: String = row.try_get("name")?;
+        let taken = nodes::by_name(write.connection().await?, &request.node.name).await?.is_some();
+        if taken && made_for != request.node.name {
+            return Err(StoreError::Conflict(format!(
+                "there is a node {0:?} already, and this one-time token was made for {made_for:?}: join under another name, or, if this \
+                 machine is to take that node's place, with a one-time token whose name is {0:?}",
+                request.node.name
             )));
         }
         let node = nodes::upsert(&mut write, &request.node, now).await?;

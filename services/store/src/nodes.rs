@@ -219,7 +219,10 @@ pub(crate) async fn read(connection: &mut SqliteConnection, node: NodeId) -> Res
     decode(&row.ok_or(StoreError::NotFound("node"))?)
 }
 
-async fn by_name(connection: &mut SqliteConnection, name: &str) -> Result<Option<Node>, StoreError> {
+pub(crate) async fn by_name(
+    connection: &mut SqliteConnection,
+    name: &str,
+) -> Result<Option<Node>, StoreError> {
     let row = sqlx::query(select_nodes!("WHERE n.name = ?")).bind(name).fetch_optional(connection).await?;
     row.as_ref().map(decode).transpose()
 }

@@ -23,7 +23,8 @@ The token is shown or written once; the farm keeps only its hash. The service ma
 Roles: viewer reads; submitter also submits jobs and bundles; worker registers a node and takes tasks, and reads nothing else; operator may do everything.
 
 A one-time token lets one machine join the farm, once: `forelight worker --join-token-file rack-8.join --token-file rack-8.token`. The \
-machine gets a token of its own, which speaks for its node and no other.")]
+machine gets a token of its own, which speaks for its node and no other. It takes the place of a node that is there already only with a \
+one-time token whose --name is that node's.")]
 pub struct Args {
     /// Data folder of the farm
     #[arg(long, value_name = "DIR", default_value = "farm-data")]
@@ -37,7 +38,7 @@ pub struct Args {
     /// How long a one-time token may be used
     #[arg(long, value_name = "DURATION", default_value = "24h", value_parser = duration, requires = "one_time")]
     valid: Duration,
-    /// Whom it is for
+    /// Whom it is for; a one-time token in a node's name lets a machine take that node's place
     #[arg(long, value_name = "NAME", default_value = "unnamed")]
     name: String,
     /// Write it to this file, readable by its owner alone, instead of showing it

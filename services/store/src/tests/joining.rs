@@ -22,6 +22,9 @@ async fn a_one_time_token_makes_one_node_with_a_token_of_its_own_and_is_burnt() 
     assert_eq!((principal.role, principal.node), (Role::Worker, Some(node.id)));
     // The answer was lost: the same machine asks again.
     assert_eq!(store.join(&made.token, &join("rack-7", &own), at(2)).await.unwrap().id, node.id);
+    // Under another name, which it would believe to be its own.
+    let renamed = store.join(&made.token, &join("rack-9", &own), at(2)).await;
+    assert!(matches!(&renamed, Err(StoreError::Conflict(why)) if why.contains("rack-7")), "{renamed:?}");
     // Another machine, and one that comes much later.
     let other = tokens::random();
     let Err(StoreError::Conflict(why)) = store.join(&made.token, &join("rack-8", &other), at(3)).await else {
@@ -58,4 +61,24 @@ async fn a_machine_that_takes_a_nodes_place_takes_its_token_away() {
     let made = farm.store.create_join_token("b", SECOND, at(0)).await.unwrap();
     let stolen = farm.store.join(&made.token, &join("b", &second), at(0)).await;
     assert!(matches!(stolen, Err(StoreError::Conflict(_))), "{stolen:?}");
+}
+
+#[tokio::test]
+async fn a_one_time_token_made_for_one_machine_does_not_take_the_place_of_another() {
+    let farm = Farm::new().await;
+    let store = &farm.store;
+    let (at_work, newcomer) = (tokens::random(), tokens::random());
+    let first = store.create_join_token("rack-1", SECOND, at(0)).await.unwrap();
+    let node = store.join(&first.token, &join("rack-1", &at_work), at(0)).await.unwrap();
+    let other = store.create_join_token("rack-2", SECOND, at(0)).await.unwrap();
+    let Err(StoreError::Conflict(why)) = store.join(&other.token, &join("rack-1", &newcomer), at(0)).await
+    else {
+        panic!("it took rack-1's place")
+    };
+    assert!(why.contains("whose name is \"rack-1\""), "{why}");
+    assert_eq!(tokens::find(store, &at_work).await.unwrap().unwrap().node, Some(node.id));
+    assert_eq!(tokens::find(store, &newcomer).await.unwrap(), None);
+    // Nothing was burnt: it can still join as what it is.
+    let second = store.join(&other.token, &join("rack-2", &newcomer), at(0)).await.unwrap();
+    assert_ne!(second.id, node.id);
 }
