@@ -35,7 +35,7 @@ pub struct QualityOptions {
     #[arg(long, value_name = "MODE")]
     pub cache: Option<CacheSwitch>,
     /// Error that the cache may make, 0.01 to 1 in steps of 0.001: a gathered place serves up to this share of the mean distance to its
-    /// surroundings [default: 0.2]
+    /// surroundings; beyond 0.3 the closest places also lie farther apart [default: 0.2]
     #[arg(long, value_name = "ERROR", value_parser = accuracy)]
     pub cache_accuracy: Option<u32>,
     /// Rays gathered at a place of the cache, about a quarter of them for each further bounce, at least 48; the nearest of 48, 192, 432, 768, 1200, ... is

@@ -5,7 +5,7 @@ use blake3::Hasher;
 use forelight_scene::{Frame, Texels};
 
 /// Raised when a change of the tracer changes images or counters: finished pixels of another version are not taken over.
-const TRACER_VERSION: u32 = 11;
+const TRACER_VERSION: u32 = 12;
 
 /// BLAKE3 of frame, settings and tracer version; `content` is [`of_content`] of the frame.
 pub fn fingerprint(

@@ -73,6 +73,19 @@ fn image_counters_and_records_are_the_same_for_one_two_and_seven_threads() {
 }
 
 #[test]
+fn the_larger_the_error_that_is_allowed_the_fewer_records_are_planned() {
+    let frame = room(|b| b);
+    let records = |accuracy: u32| {
+        let cache = Some(CacheSettings { accuracy, ..settings(1).cache.unwrap() });
+        let tracer = Tracer::new(&frame, &Settings { cache, ..settings(1) });
+        tracer.plan();
+        tracer.cache().unwrap().records()[0]
+    };
+    let ladder: Vec<u64> = [50, 100, 200, 300, 400, 600, 800, 1000].map(records).into();
+    assert!(ladder.is_sorted_by(|finer, coarser| coarser < finer), "{ladder:?}");
+}
+
+#[test]
 fn a_fill_in_parts_that_are_merged_is_the_fill_in_one() {
     let frame = room(|b| b);
     let settings = settings(2);

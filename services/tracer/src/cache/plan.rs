@@ -40,6 +40,13 @@ const PILOTS: u32 = 1024;
 /// Spacing of the densest records, pixels of the planning view.
 const SPACING: f32 = 1.5;
 
+/// Whoever allows a larger error than this has the densest records farther apart, in the same ratio, rather than all others, of which none
+/// serves beyond `COARSEST_SEEN`: where everything is near, few places want most of the records, and an image shows least of them.
+/// (192 × 192, 512 rays a record, what an allowed error of 0.6 took before and takes now, RMSE of the image: a kitchen 4,935 and
+/// 4,613 records, 3.01 and 2.97 %; an empty box 975 and 1,102 records, 3.15 and 2.14 %.)
+const FINE: f32 = 0.3;
+const COARSEST_SEEN: f32 = 0.4;
+
 /// Largest radius: as a multiple of the smallest, and as a share of what the view shows (Radiance's bounds).
 const LARGEST: f32 = 64.0;
 const LARGEST_OF_VIEW: f32 = 0.2;
@@ -153,12 +160,14 @@ impl Planning<'_> {
     /// The levels of a cache, empty.
     fn levels(&mut self, settings: &CacheSettings) -> Vec<Level> {
         let accuracy = settings.accuracy as f32 * 1e-3;
-        let (smallest, largest) = self.bounds(accuracy).into_inner();
+        let seen = accuracy.min(COARSEST_SEEN);
+        let spacing = SPACING * (accuracy / FINE).max(1.0);
+        let (smallest, largest) = self.bounds(spacing, seen).into_inner();
         let level = |depth: u32| {
             let deeper = DEEPER.powi(depth as i32);
             Level {
                 strata: Strata::for_rays(settings.rays / FEWER.pow(depth)),
-                accuracy: (accuracy * deeper).min(COARSE),
+                accuracy: if depth == 0 { seen } else { (accuracy * deeper).min(COARSE) },
                 smallest: (smallest * deeper).min(largest),
                 largest,
                 ..Level::default()
@@ -167,9 +176,9 @@ impl Planning<'_> {
         (0..self.tracer.settings.ambient_bounces).map(level).collect()
     }
 
-    /// Bounds of the radii, metres: world-space lengths, so that records serve any view. The smallest makes records as dense as
-    /// [`SPACING`] pixels at the median distance of what the view shows; the largest keeps a record from serving half the room.
-    fn bounds(&mut self, accuracy: f32) -> RangeInclusive<f32> {
+    /// Bounds of the radii, metres: world-space lengths, so that records serve any view. The smallest, of which `accuracy` is used, makes records
+    /// as dense as `spacing` pixels at the median distance of what the view shows; the largest keeps a record from serving half the room.
+    fn bounds(&mut self, spacing: f32, accuracy: f32) -> RangeInclusive<f32> {
         let camera = &self.tracer.frame.camera;
         let stride = (camera.pixels() as u32 / PILOTS).isqrt().max(1);
         let pilots: Vec<u32> = (stride / 2..camera.height)
@@ -191,7 +200,7 @@ impl Planning<'_> {
             along[along.len() - 1 - cut] - along[cut]
         });
         let pixel = 2.0 * camera.tan_half_x / camera.width as f32;
-        let smallest = SPACING * pixel * median / accuracy;
+        let smallest = spacing * pixel * median / accuracy;
         let largest = (LARGEST * smallest).min(LARGEST_OF_VIEW * Vec3::from(extent).length()).max(smallest);
         smallest..=largest
     }
