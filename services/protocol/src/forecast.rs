@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{ByClass, CacheQuote, FixedCosts, LeftOut, Money};
+use crate::{ByClass, CacheQuote, FixedCosts, LeftOut, Money, RenderSettings, SceneDigest};
 
 /// A forecast of one number: its mean and the values that it stays below with probability 50, 80 and 95 %.
 #[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
@@ -206,6 +206,9 @@ pub struct SpentOnForecast {
 /// A job's quote, as `forelight forecast --json` and `GET /v1/jobs/{id}/forecast` give it.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct ForecastDoc {
+    /// What is quoted; absent in quotes of older versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub of: Option<QuotedShot>,
     /// One forecast a frame, ascending.
     pub frames: Vec<FrameForecast>,
     /// All frames together.
@@ -243,6 +246,16 @@ pub struct ForecastDoc {
     /// The total in money, with the shared irradiance cache if there is one, at the mean price of the farm's nodes; absent without nodes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cost: Option<MoneyQuantiles>,
+}
+
+/// The scene and the quality that a quote is of.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct QuotedShot {
+    /// Hash of the scene's files.
+    pub scene: SceneDigest,
+    /// How its frames are rendered.
+    pub settings: RenderSettings,
 }
 
 /// What a job takes on one node.

@@ -71,7 +71,7 @@ pub use event::{Event, EventKind};
 pub use explanation::{Amounts, Explanation, Halving, ObjectShare, PartShare, RayShare, ShownWork};
 pub use forecast::{
     Confidence, ForecastDoc, ForecastTotals, FrameForecast, MoneyQuantiles, NodeSeconds, Profiled, Quantiles,
-    RayQuantiles, SpentOnForecast,
+    QuotedShot, RayQuantiles, SpentOnForecast,
 };
 pub use frames::{FrameSet, MalformedFrames};
 pub use hash::{ArtifactHash, MalformedHash, SceneDigest};

@@ -100,6 +100,17 @@ impl std::fmt::Display for BadSetting {
 impl std::error::Error for BadSetting {}
 
 impl RenderSettings {
+    /// What differs from other settings, by its names in JSON, such as `spp: 4 and 16`, these first.
+    pub fn differences(&self, other: &Self) -> Vec<String> {
+        let fields = |settings: &Self| match serde_json::to_value(settings) {
+            Ok(serde_json::Value::Object(fields)) => fields,
+            _ => serde_json::Map::new(),
+        };
+        let (here, there) = (fields(self), fields(other));
+        let differ = here.iter().zip(there.values()).filter(|((_, here), there)| here != there);
+        differ.map(|((name, here), there)| format!("{name}: {here} and {there}")).collect()
+    }
+
     /// Most ambient bounces.
     pub const MOST_BOUNCES: u32 = 8;
     /// The same for the integrator `path`: as good as no limit.

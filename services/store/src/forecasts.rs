@@ -2,7 +2,8 @@
 
 use forelight_protocol::{
     ByClass, CacheQuote, FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, FrameSet, JobId, JobState,
-    LeftOut, MoneyQuantiles, NodeSeconds, Profiled, Quantiles, SpentOnForecast, Timestamp,
+    LeftOut, MoneyQuantiles, NodeSeconds, Profiled, Quantiles, QuotedShot, SceneSummary, SpentOnForecast,
+    Timestamp,
 };
 use serde::{Deserialize, Serialize};
 use sqlx::Row as _;
@@ -94,12 +95,15 @@ impl Store {
     /// The job's quote; `None` until it is there.
     pub async fn forecast(&self, job: JobId) -> Result<Option<ForecastDoc>, StoreError> {
         let mut transaction = self.read().await?;
-        let row = sqlx::query("SELECT forecast FROM jobs WHERE id = ?")
+        let row = sqlx::query("SELECT forecast, scene, settings FROM jobs WHERE id = ?")
             .bind(job.0)
             .fetch_optional(&mut *transaction)
             .await?;
-        let kept: Option<JobForecast> = json_opt(&row.ok_or(StoreError::NotFound("job"))?, "forecast")?;
+        let row = row.ok_or(StoreError::NotFound("job"))?;
+        let kept: Option<JobForecast> = json_opt(&row, "forecast")?;
         let Some(kept) = kept else { return Ok(None) };
+        let scene: SceneSummary = json(&row, "scene")?;
+        let of = QuotedShot { scene: scene.digest, settings: json(&row, "settings")? };
         let rows = sqlx::query(
             "SELECT forecast FROM frames WHERE job_id = ? AND forecast IS NOT NULL ORDER BY frame",
         )
@@ -107,7 +111,7 @@ impl Store {
         .fetch_all(&mut *transaction)
         .await?;
         let frames = rows.iter().map(|row| json(row, "forecast")).collect::<Result<_, _>>()?;
-        Ok(Some(kept.document(frames)))
+        Ok(Some(kept.document(of, frames)))
     }
 }
 
@@ -117,9 +121,10 @@ impl JobForecast {
         self.cache.as_ref().map(CacheQuote::seed_seconds).unwrap_or_default()
     }
 
-    /// As it is shown, with the forecasts of the frames.
-    pub fn document(self, frames: Vec<FrameForecast>) -> ForecastDoc {
+    /// As it is shown, with what it is of and the forecasts of the frames.
+    pub fn document(self, of: QuotedShot, frames: Vec<FrameForecast>) -> ForecastDoc {
         ForecastDoc {
+            of: Some(of),
             frames,
             total: self.total,
             profiled: self.profiled,

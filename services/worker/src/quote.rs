@@ -12,7 +12,7 @@ use forelight_forecast::{
 };
 use forelight_protocol::{
     ByClass, FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, LeftOut, Profiled, Quantiles,
-    RayQuantiles, RenderSettings, Spent, SpentOnForecast,
+    QuotedShot, RayQuantiles, RenderSettings, Spent, SpentOnForecast,
 };
 use std::collections::BTreeSet;
 
@@ -118,7 +118,8 @@ pub fn quote(
         Some(corrections) => forecast.corrected(corrections),
         None => forecast,
     };
-    let document = document(frames, &counted, &profiled, &forecast);
+    let of = QuotedShot { scene: renderer.info().summary.digest, settings: settings.clone() };
+    let document = document(of, frames, &counted, &profiled, &forecast);
     let mut quote = Quote { document, forecast, counted, profiled };
     let spent = quote.spent();
     let mean = quote.document.total.work.mean;
@@ -136,6 +137,7 @@ fn fixed_cost(fixed: &FixedCosts) -> Cost {
 }
 
 fn document(
+    of: QuotedShot,
     frames: &[u32],
     counted: &CountedFrames,
     profiled: &[ProfiledFrame],
@@ -152,6 +154,7 @@ fn document(
     };
     let effects: BTreeSet<&String> = profiled.iter().flat_map(|profile| &profile.effects).collect();
     ForecastDoc {
+        of: Some(of),
         frames: frames.iter().zip(&counted.cache_records).zip(&forecast.frames).map(frame).collect(),
         total: ForecastTotals {
             rays: rays(&forecast.total),

@@ -101,7 +101,8 @@ fn an_offline_quote_and_the_estimate_of_the_service_agree_to_the_last_bit_and_ex
             .collect();
         let estimated = calibrated(&preview, &profiles, None, None).unwrap();
         // Every field of the one is in the other.
-        assert_eq!(estimated.job.clone().document(estimated.frames), quoted.document);
+        let of = quoted.document.of.clone().unwrap();
+        assert_eq!(estimated.job.clone().document(of, estimated.frames), quoted.document);
         assert_eq!(estimated.job.total.cache_records.len(), levels);
         let explanation = explained(&settings, &preview, &profiles, None, None).unwrap();
         assert_eq!(explanation, quoted.explained(&info.strata, &settings));

@@ -2,7 +2,7 @@
 
 use forelight_forecast::Corrections;
 use forelight_protocol::{
-    CachePlanResult, CacheSharing, ForecastDoc, PreviewResult, ProfileResult, RenderSettings,
+    CachePlanResult, CacheSharing, ForecastDoc, PreviewResult, ProfileResult, QuotedShot,
 };
 use forelight_store::{MeasuredProfile, PlannedCache};
 
@@ -25,16 +25,17 @@ pub fn is_shared_cache_worth_planning(asked: CacheSharing, preview: &PreviewResu
     sharing::is_worth_planning(asked, preview)
 }
 
-/// The quote, with its caches made in the way that is asked for, or in the one that takes less work. CPU time is this machine's.
+/// The quote of a shot, with its caches made in the way that is asked for, or in the one that takes less work. CPU time is this machine's.
 ///
 /// # Errors
 /// If there is none, with the reason.
 pub fn quote_alone(
     asked: CacheSharing,
-    settings: &RenderSettings,
+    of: QuotedShot,
     measured: Measured,
     corrections: Option<&Corrections>,
 ) -> Result<ForecastDoc, String> {
+    let settings = &of.settings;
     let Measured { preview, profiles, cache } = measured;
     let profiles: Vec<MeasuredProfile> = profiles
         .into_iter()
@@ -46,5 +47,5 @@ pub fn quote_alone(
     };
     let quoted = sharing::quote(asked, settings, &preview, &profiles, &planned, corrections);
     let forecast = quoted.map_err(|error: AdvanceError| error.to_string())?;
-    Ok(forecast.job.document(forecast.frames))
+    Ok(forecast.job.document(of, forecast.frames))
 }

@@ -13,7 +13,9 @@ use crate::output::{self, Bars};
 use crate::quantities::{money, seconds};
 use anyhow::Result;
 use clap::ValueEnum;
-use forelight_protocol::{CacheMode, ForecastDoc, FrameSet, RenderSettings, RenderStats, SceneSummary};
+use forelight_protocol::{
+    CacheMode, ForecastDoc, FrameSet, QuotedShot, RenderSettings, RenderStats, SceneSummary,
+};
 use forelight_worker::Renderer;
 use openjd::ExportedShot;
 use std::path::{Path, PathBuf};
@@ -139,6 +141,18 @@ fn exported(
         let why = format!("the list has {} characters; a template holds {LONGEST_VALUE}", list.len());
         return Err(BadInput::new(format!("--frames: {why}")).hint("export the shot as several jobs").into());
     }
+    if let Some(quote) = forecast {
+        check_quoted(quote, scene, &settings)?;
+    }
+    let size = (settings.width, settings.height);
+    if let Some(stats) = stats.filter(|stats| (stats.width, stats.height) != size) {
+        let (width, height) = (stats.width, stats.height);
+        let why = format!(
+            "it is of an image of {width} x {height} pixels, not of {} x {}: its memory says little of these",
+            size.0, size.1
+        );
+        return Err(BadInput::new(format!("--stats: {why}")).into());
+    }
     let name = args.name.as_deref().unwrap_or(&scene.name);
     let limits = Limits::new(args.timeout, forecast, &frames)?;
     Ok(ExportedShot {
@@ -154,6 +168,23 @@ fn exported(
         frame_limit: limits.frame,
         cache_limit: limits.cache,
     })
+}
+
+/// Refuses a quote of something else.
+fn check_quoted(quote: &ForecastDoc, scene: &SceneSummary, settings: &RenderSettings) -> Result<()> {
+    let Some(QuotedShot { scene: quoted, settings: asked }) = &quote.of else { return Ok(()) };
+    let hint = "forelight forecast --json makes a quote of this one";
+    if *quoted != scene.digest {
+        let why = "it is of another scene, or of an earlier version of this one";
+        return Err(BadInput::new(format!("--forecast: {why}")).hint(hint).into());
+    }
+    let spp = quote.chosen_spp.unwrap_or(asked.spp);
+    let differences = RenderSettings { spp, ..asked.clone() }.differences(settings);
+    if !differences.is_empty() {
+        let why = format!("it is of another quality ({})", differences.join("; "));
+        return Err(BadInput::new(format!("--forecast: {why}")).hint(hint).into());
+    }
+    Ok(())
 }
 
 /// A name that a job may have.
@@ -391,6 +422,47 @@ mod tests {
         ] {
             assert!(message.starts_with(flag), "{message}");
         }
+    }
+
+    #[test]
+    fn a_quote_of_something_else_is_refused_with_what_differs() {
+        let settings = forelight_protocol::RenderSettingsRequest::default().complete((4, 2));
+        let of = |scene: SceneSummary, settings: &RenderSettings, chosen_spp| ForecastDoc {
+            of: Some(QuotedShot { scene: scene.digest, settings: settings.clone() }),
+            chosen_spp,
+            ..quote("0-9", 1.0)
+        };
+        let check = |quote: ForecastDoc, settings: &RenderSettings| check_quoted(&quote, &scene(), settings);
+        check(of(scene(), &settings, None), &settings).unwrap();
+        let finer = RenderSettings { spp: 64, cache: CacheMode::On, ..settings.clone() };
+        let refused = message(check(of(scene(), &settings, None), &finer));
+        assert!(refused.contains("another quality (cache: \"off\" and \"on\"; spp: 16 and 64)"), "{refused}");
+        let changed = SceneSummary { digest: "07".repeat(32).parse().unwrap(), ..scene() };
+        let refused = message(check(of(changed, &settings, None), &settings));
+        assert!(refused.contains("another scene"), "{refused}");
+        // The samples that were chosen for a limit are those that count.
+        let chosen = RenderSettings { spp: 37, ..settings.clone() };
+        check(of(scene(), &settings, Some(37)), &chosen).unwrap();
+        check(of(scene(), &settings, Some(37)), &settings).unwrap_err();
+        // Quotes of older versions do not say what they are of.
+        check(quote("0-9", 1.0), &settings).unwrap();
+    }
+
+    #[test]
+    fn the_memory_of_a_frame_is_asked_for_if_it_is_of_the_same_size() {
+        let stats: RenderStats = serde_json::from_value(serde_json::json!({
+            "frame": 0, "width": 4, "height": 2, "spp": 1, "effects": [], "work": 1, "cpu_seconds": 1.0, "wall_seconds": 1.0,
+            "rays": {"primary": 8, "shadow": 0, "transparent": 0, "reflected": 0, "refracted": 0, "ambient": 0, "specular": 0},
+            "peak_rss_bytes": (5u64 << 20) + 1,
+        }))
+        .unwrap();
+        let Typed { args } = clap::Parser::try_parse_from(["export", "b"]).unwrap();
+        let exported = |width: u32| {
+            let settings = forelight_protocol::RenderSettingsRequest::default().complete((width, 2));
+            super::exported(&args, &scene(), settings, "0".parse().unwrap(), None, Some(&stats))
+        };
+        assert_eq!(exported(4).unwrap().memory_mib, Some(6));
+        assert!(message(exported(8)).contains("an image of 4 x 2 pixels, not of 8 x 2"));
     }
 
     #[test]

@@ -9,7 +9,7 @@ use anyhow::{Context, Result, anyhow};
 use forelight_api::{Measured, is_shared_cache_worth_planning, quote_alone};
 use forelight_forecast::Strategy;
 use forelight_protocol::{
-    ArtifactHash, CachePlanResult, ForecastDoc, ProfileArtifacts, ProfileResult, RenderSettings,
+    ArtifactHash, CachePlanResult, ForecastDoc, ProfileArtifacts, ProfileResult, QuotedShot, RenderSettings,
 };
 use forelight_worker::{
     Quote, QuoteOptions, RenderError, Renderer, SharedPlan, plan_shared, preview_result, profile_result,
@@ -70,7 +70,8 @@ impl Asker<'_> {
         let name = |bytes: Vec<u8>| ArtifactHash(*blake3::hash(&bytes).as_bytes());
         let cache: Option<CachePlanResult> = planned.map(|plan| plan.result(name));
         let measured = Measured { preview, profiles, cache };
-        let document = quote_alone(asked, self.settings, measured, options.corrections.as_ref());
+        let of = QuotedShot { scene: info.summary.digest, settings: self.settings.clone() };
+        let document = quote_alone(asked, of, measured, options.corrections.as_ref());
         document.map(Some).map_err(|reason| anyhow!(reason))
     }
 
