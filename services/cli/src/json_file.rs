@@ -14,7 +14,16 @@ const MOST: u64 = 1 << 28;
 /// # Errors
 /// With the file, the field and the reason.
 pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T> {
-    let wrong = |why: String| BadInput::new(format!("{}: {why}", path.display()));
+    parse(path, |wrong| wrong)
+}
+
+/// The same of what a command writes, which is named where the document is another one.
+pub fn read_written_by<T: DeserializeOwned>(command: &str, path: &Path) -> Result<T> {
+    parse(path, |wrong| wrong.hint(format!("such a file is written by `{command}`")))
+}
+
+fn parse<T: DeserializeOwned>(path: &Path, hinted: impl Fn(BadInput) -> BadInput) -> Result<T> {
+    let wrong = |why: String| hinted(BadInput::new(format!("{}: {why}", path.display())));
     let text = bounded_file::read(path, MOST)?;
     let mut reader = serde_json::Deserializer::from_slice(&text);
     let document = serde_path_to_error::deserialize(&mut reader)
@@ -43,6 +52,9 @@ mod tests {
             fs::write(&path, text).unwrap();
             assert!(message().contains(reason), "{text}: {}", message());
         }
+        let other = read_written_by::<RenderSettingsRequest>("forelight x --out", &path).unwrap_err();
+        let other = other.downcast_ref::<BadInput>().unwrap();
+        assert!(format!("{other:?}").contains("written by `forelight x --out`"), "{other:?}");
         fs::write(&path, r#"{"spp": 4}"#).unwrap();
         assert_eq!(read::<RenderSettingsRequest>(&path).unwrap().spp, Some(4));
     }

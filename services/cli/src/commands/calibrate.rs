@@ -103,7 +103,7 @@ pub fn kept(folder: &Path, processor: Option<&str>) -> NodeCalibration {
 
 /// A calibration that `--out` wrote, with the name of its file for the machine's.
 pub fn read(path: &Path) -> Result<(String, NodeCalibration)> {
-    let calibration: NodeCalibration = json_file::read(path)?;
+    let calibration: NodeCalibration = json_file::read_written_by("forelight calibrate --out", path)?;
     calibration
         .check()
         .map_err(|(field, reason)| BadInput::new(format!("{}: {field} {reason}", path.display())))?;

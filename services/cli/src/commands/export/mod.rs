@@ -90,8 +90,10 @@ pub fn run(args: &Args) -> Result<()> {
         let why = "the name must end in .json, by which others know how to read it";
         return Err(BadInput::new(format!("--out {}: {why}", out.display())).into());
     }
-    let forecast: Option<ForecastDoc> = args.forecast.as_deref().map(json_file::read).transpose()?;
-    let stats: Option<RenderStats> = args.stats.as_deref().map(json_file::read).transpose()?;
+    let quote = |path| json_file::read_written_by("forelight forecast --json", path);
+    let forecast: Option<ForecastDoc> = args.forecast.as_deref().map(quote).transpose()?;
+    let stats = |path| json_file::read_written_by("forelight render --stats", path);
+    let stats: Option<RenderStats> = args.stats.as_deref().map(stats).transpose()?;
     // Nothing is traced or previewed here.
     let machine = MachineOptions { threads: Some(1), preview: PreviewBackend::Cpu };
     let local = Local::open(&args.bundle, &machine, &Bars::new(args.out.is_none()))?;
