@@ -20,6 +20,9 @@ pub(crate) const DEFAULT_FPS: f64 = 24.0;
 /// Brightest radiance, intensity or irradiance that is accepted, in its own unit.
 const BRIGHTEST: f64 = 1e12;
 
+/// Characters of a scene's name at most, as of a job's.
+const LONGEST_NAME: usize = 200;
+
 /// A `scene.json` that makes sense by itself.
 #[derive(Debug)]
 pub(crate) struct Description {
@@ -194,6 +197,15 @@ impl Checker<'_> {
         Err(SceneError::pointer(self.file, pointer, reason))
     }
 
+    /// What the scene is called, which stands in tables, logs and the names of jobs.
+    fn name(&self, name: String) -> Result<String, SceneError> {
+        if !(1..=LONGEST_NAME).contains(&name.chars().count()) || name.contains(char::is_control) {
+            let reason = format!("must have 1 to {LONGEST_NAME} characters, none of them a control character");
+            return self.fail("/name", reason);
+        }
+        Ok(name)
+    }
+
     /// A position or an edge, metres.
     pub(crate) fn coordinates(&self, pointer: &str, value: [f64; 3]) -> Result<DVec3, SceneError> {
         if value.iter().any(|c| c.abs() > LARGEST_COORDINATE) {
@@ -256,7 +268,7 @@ impl Checker<'_> {
             // A saturating conversion; `Scene::load` holds the result against the limit.
             None => last_key.map(|frame| Frames::Keyed((frame.ceil().max(0.0) as u32).saturating_add(1))),
         };
-        let name = raw.name;
+        let name = raw.name.map(|name| self.name(name)).transpose()?;
         Ok(Description { name, geometry, camera, environment, lights, fps, frames, object_tracks })
     }
 

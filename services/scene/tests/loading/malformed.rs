@@ -254,6 +254,14 @@ fn a_camera_that_looks_at_itself_in_the_middle_of_the_shot() {
 }
 
 #[test]
+fn a_name_that_no_table_can_show() {
+    for name in ["".to_owned(), "x".repeat(201), "red\u{1b}[31m".to_owned(), "two\nlines".to_owned()] {
+        let error = Files::good().set("/name", json!(name)).error();
+        assert!(error.contains("/name: must have 1 to 200 characters, none of them a control"), "{error}");
+    }
+}
+
+#[test]
 fn a_field_of_view_out_of_range() {
     for fov in [0.0, -10.0, 180.0] {
         let error = Files::good().set("/camera/fov_deg", json!(fov)).error();
