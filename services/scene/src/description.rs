@@ -200,7 +200,8 @@ impl Checker<'_> {
     /// What the scene is called, which stands in tables, logs and the names of jobs.
     fn name(&self, name: String) -> Result<String, SceneError> {
         if !(1..=LONGEST_NAME).contains(&name.chars().count()) || name.contains(char::is_control) {
-            let reason = format!("must have 1 to {LONGEST_NAME} characters, none of them a control character");
+            let reason =
+                format!("must have 1 to {LONGEST_NAME} characters, none of them a control character");
             return self.fail("/name", reason);
         }
         Ok(name)

@@ -103,7 +103,8 @@ impl Store {
     /// What was paid for between two instants, in the order of leases.
     pub async fn ledger(&self, from: Timestamp, until: Timestamp) -> Result<Vec<LedgerLine>, StoreError> {
         let rows = sqlx::query(
-            "SELECT * FROM ledger WHERE from_at < ? AND (until_at IS NULL OR until_at > ?) ORDER BY from_at, lease_id",
+            "SELECT d.*, l.paid_until FROM ledger d JOIN leases l ON l.id = d.lease_id \
+             WHERE d.from_at < ? AND (d.until_at IS NULL OR d.until_at > ?) ORDER BY d.from_at, d.lease_id",
         )
         .bind(until.micros())
         .bind(from.micros())
@@ -115,7 +116,8 @@ impl Store {
     /// What a job's leases have cost so far, those that end at `now` and those that go on.
     pub async fn spent_on(&self, job: JobId, now: Timestamp) -> Result<Money, StoreError> {
         let rows = sqlx::query(
-            "SELECT d.* FROM tasks t JOIN leases l ON l.task_id = t.id JOIN ledger d ON d.lease_id = l.id WHERE t.job_id = ?",
+            "SELECT d.*, l.paid_until FROM tasks t JOIN leases l ON l.task_id = t.id JOIN ledger d ON d.lease_id = l.id \
+             WHERE t.job_id = ?",
         )
         .bind(job.0)
         .fetch_all(self.readers())
@@ -215,6 +217,8 @@ impl Store {
     }
 }
 
+/// A line of the ledger, read with its lease's `paid_until`: a worker that was not heard of since the service began again is paid until then
+/// so far, and not for the time in which the service was down.
 fn line(row: &SqliteRow) -> Result<LedgerLine, StoreError> {
     Ok(LedgerLine {
         project: row.try_get("project")?,
@@ -222,7 +226,7 @@ fn line(row: &SqliteRow) -> Result<LedgerLine, StoreError> {
         node_id: NodeId(id(row, "node_id")?),
         price_per_hour: Money(row.try_get("price_per_hour")?),
         from: time(row, "from_at")?,
-        until: time_opt(row, "until_at")?,
+        until: time_opt(row, "until_at")?.or(time_opt(row, "paid_until")?),
     })
 }
 
@@ -288,11 +292,14 @@ async fn spent(
     from: Timestamp,
     now: Timestamp,
 ) -> Result<Money, StoreError> {
-    let rows = sqlx::query("SELECT * FROM ledger WHERE project = ? AND (until_at IS NULL OR until_at > ?)")
-        .bind(project)
-        .bind(from.micros())
-        .fetch_all(connection)
-        .await?;
+    let rows = sqlx::query(
+        "SELECT d.*, l.paid_until FROM ledger d JOIN leases l ON l.id = d.lease_id \
+         WHERE d.project = ? AND (d.until_at IS NULL OR d.until_at > ?)",
+    )
+    .bind(project)
+    .bind(from.micros())
+    .fetch_all(connection)
+    .await?;
     let mut sum = 0i64;
     for row in &rows {
         sum = sum.saturating_add(line(row)?.cost_within(from, now).0);
@@ -307,7 +314,7 @@ async fn committed(
     now: Timestamp,
 ) -> Result<Money, StoreError> {
     let rows = sqlx::query(
-        "SELECT d.*, f.cpu_p50, l.node_speed * n.cores AS rate FROM ledger d \
+        "SELECT d.*, l.paid_until, f.cpu_p50, l.node_speed * n.cores AS rate FROM ledger d \
          JOIN leases l ON l.id = d.lease_id JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = d.node_id \
          JOIN frames f ON f.job_id = d.job_id AND f.frame = t.frame \
          WHERE d.project = ? AND d.until_at IS NULL AND t.kind = 'render' AND f.cpu_p50 IS NOT NULL",

@@ -379,7 +379,7 @@ pub(crate) fn end(write: &mut Write, row: &LeaseRow, state: &'static str, now: T
     let unheard = ["expired", "revoked"].contains(&state);
     write
         .later(if unheard {
-            "UPDATE leases SET state = ?, ended_at = coalesce(paid_until, ?) WHERE id = ? AND state = 'active'"
+            "UPDATE leases SET state = ?, ended_at = coalesce(paid_until, min(?, expires_at)) WHERE id = ? AND state = 'active'"
         } else {
             "UPDATE leases SET state = ?, ended_at = ? WHERE id = ? AND state = 'active'"
         })

@@ -69,8 +69,9 @@ pub(crate) async fn read(
         found.insert(name.clone(), ProjectUse { name, share, used: Vec::new() });
     }
     let rows = sqlx::query(
-        "SELECT project, (coalesce(until_at, ?1) + ?3 - 1) / ?3 AS hour, sum(coalesce(until_at, ?1) - from_at) AS used FROM ledger \
-         WHERE from_at < ?1 AND (until_at IS NULL OR until_at > ?2) GROUP BY project, hour ORDER BY project, hour",
+        "SELECT project, (ends_at + ?3 - 1) / ?3 AS hour, sum(ends_at - from_at) AS used FROM \
+         (SELECT project, from_at, coalesce(until_at, paid_until, ?1) AS ends_at FROM ledger d JOIN leases l ON l.id = d.lease_id \
+         WHERE from_at < ?1 AND (until_at IS NULL OR until_at > ?2)) GROUP BY project, hour ORDER BY project, hour",
     )
     .bind(now.micros())
     .bind(now.plus_micros(-REMEMBERED * HALF_LIFE).micros())

@@ -172,10 +172,22 @@ async fn who_died_with_the_service_is_not_paid_for_the_time_that_it_was_down() {
     farm.store.extend_leases_after_start(TTL, at(3000)).await.unwrap();
     farm.store.extend_leases_after_start(TTL, at(3600)).await.unwrap();
     farm.store.renew(alive.lease_id, &renewal(alive.fence, 0.5), TTL, at(3605)).await.unwrap();
+    // Before the first lease has run out once more, nothing is owed for it either.
+    let job = farm.store.lease(dead.lease_id).await.unwrap().job_id;
+    let price = registration("a").price_per_hour;
+    let owed = |micros: i64| price.for_micros_at_hourly_rate(micros).0;
+    let until_now = owed(runs_out.micros_since(at(1))) + owed(3608 * SECOND);
+    assert_eq!(farm.store.spent_on(job, at(3610)).await.unwrap().0, until_now);
     assert_eq!(farm.store.sweep(at(9000)).await.unwrap().expired, 2);
     let ledger = farm.store.ledger(at(0), at(9000)).await.unwrap();
     let paid: Vec<_> = ledger.iter().map(|line| line.until).collect();
-    assert_eq!(paid, [Some(runs_out), Some(at(9000))], "the other was heard of after the start");
+    let term = i64::try_from(TTL.as_micros()).unwrap();
+    let heard_of = at(3605).plus_micros(term);
+    assert_eq!(
+        paid,
+        [Some(runs_out), Some(heard_of)],
+        "the other was heard of after the start, however late the sweep"
+    );
 }
 
 #[tokio::test]
