@@ -1,11 +1,13 @@
 //! The running service: its start, what it does by itself, and its end.
 
 use std::net::SocketAddr;
+use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
 
 use forelight_protocol::JobId;
 use forelight_store::{Store, StoreError};
+use futures::FutureExt as _;
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, mpsc};
 use tokio::task::JoinHandle;
@@ -97,8 +99,8 @@ impl Service {
             openapi: openapi_yaml().into(),
         };
         let tasks = vec![
-            tokio::spawn(conduct(app.clone(), jobs)),
-            tokio::spawn(sweep(app.clone(), clock)),
+            tokio::spawn(conduct_for_good(app.clone(), jobs)),
+            tokio::spawn(sweep_for_good(app.clone(), clock)),
             tokio::spawn(serve(listener, router(app), stopping.clone())),
         ];
         Ok(Self { address, store, stopping, tasks })
@@ -136,12 +138,35 @@ impl Drop for Service {
     }
 }
 
+/// How long after a panic a loop begins again.
+const AFTER_PANIC: Duration = Duration::from_secs(1);
+
+/// A loop that ends by a panic, which is a defect, begins again: without it the service would take requests and do nothing about them.
+async fn again_after_panic(name: &str, run: impl Future<Output = ()>) -> bool {
+    match AssertUnwindSafe(run).catch_unwind().await {
+        Ok(()) => false,
+        Err(_) => {
+            tracing::error!("{name} panicked; it begins again");
+            tokio::time::sleep(AFTER_PANIC).await;
+            true
+        }
+    }
+}
+
+async fn conduct_for_good(app: App, mut jobs: mpsc::UnboundedReceiver<JobId>) {
+    while again_after_panic("advancing jobs", conduct(&app, &mut jobs)).await {}
+}
+
+async fn sweep_for_good(app: App, clock: Arc<SteadyClock>) {
+    while again_after_panic("the sweep", sweep(&app, &clock)).await {}
+}
+
 /// The least time between two plans that nobody waits for; after one that took long, four times as long as that.
 const BREATH: Duration = Duration::from_millis(500);
 
 /// Advances jobs as they are announced, and all that wait once in a while: an advance may have failed for a reason that
 /// has passed. Plans the farm anew when something happened, one plan at a time: what happens meanwhile, or soon after, is in the next.
-async fn conduct(app: App, mut jobs: mpsc::UnboundedReceiver<JobId>) {
+async fn conduct(app: &App, jobs: &mut mpsc::UnboundedReceiver<JobId>) {
     let conductor = Conductor::new(app.store.clone(), app.clock.clone(), app.metrics.clone());
     let mut again = tokio::time::interval(app.lease_ttl.max(Duration::from_secs(1)));
     let mut wanted = app.store.watch_plans();
@@ -179,7 +204,7 @@ async fn conduct(app: App, mut jobs: mpsc::UnboundedReceiver<JobId>) {
 const CLOCK_WAS_SET: Duration = Duration::from_secs(1);
 
 /// Takes back tasks whose leases have run out, four times a lease; before that, follows a clock that was set.
-async fn sweep(app: App, clock: Arc<SteadyClock>) {
+async fn sweep(app: &App, clock: &SteadyClock) {
     let mut ticks = tokio::time::interval((app.lease_ttl / 4).max(Duration::from_millis(100)));
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     loop {
@@ -187,7 +212,7 @@ async fn sweep(app: App, clock: Arc<SteadyClock>) {
             () = app.stopping.cancelled() => return,
             _ = ticks.tick() => {}
         }
-        if let Err(error) = follow(&app.store, &clock).await {
+        if let Err(error) = follow(&app.store, clock).await {
             tracing::warn!(%error, "the clock was set and could not be followed; the next sweep tries again");
         }
         match app.store.sweep(app.now()).await {

@@ -19,7 +19,7 @@ mod quantities;
 mod table;
 
 use clap::Parser;
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write as _};
 use std::process::ExitCode;
 use tracing_subscriber::EnvFilter;
 
@@ -30,17 +30,23 @@ fn main() -> ExitCode {
     let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
         Ok(runtime) => runtime,
         Err(error) => {
-            eprintln!("error: cannot start: {error}");
+            say(&format!("error: cannot start: {error}"));
             return ExitCode::FAILURE;
         }
     };
     match runtime.block_on(cli.run()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("{}", failure::describe(&error));
+            say(&failure::describe(&error));
             ExitCode::from(failure::exit_code(&error))
         }
     }
+}
+
+/// The last words, for whoever reads them.
+fn say(words: &str) {
+    // There is nowhere else to say that nobody can hear it.
+    let _ = writeln!(std::io::stderr(), "{words}");
 }
 
 /// Logs go to standard error, so that standard output holds results alone.
@@ -57,6 +63,8 @@ fn log(verbosity: u8) {
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
+        // What cannot be written, for a disk is full or nobody reads it, is lost. To say so on standard error would panic.
+        .log_internal_errors(false)
         .init();
 }
 
