@@ -34,6 +34,13 @@ impl Texture {
         self.bilinear(uv, |texel| self.texel_color(texel))
     }
 
+    /// The same of an image of all directions, whose top row is one pole and whose bottom row the other: v does not repeat.
+    pub fn sky(&self, uv: Vec2) -> Vec3 {
+        // Half a texel from the edges, where the row beyond would come in.
+        let half = 0.5 / self.height as f32;
+        self.color(Vec2::new(uv.x, uv.y.clamp(half, 1.0 - half)))
+    }
+
     /// Alpha at `uv`, 1 for images without alpha.
     pub fn alpha(&self, uv: Vec2) -> f32 {
         match &self.texels {

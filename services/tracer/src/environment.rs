@@ -109,7 +109,7 @@ impl SkyImage {
 
     fn radiance(&self, d: Vec3) -> Vec3 {
         let uv = self.coordinates(d);
-        self.scale * self.textures[self.texture].color(Vec2::new(uv.x, 1.0 - uv.y))
+        self.scale * self.textures[self.texture].sky(Vec2::new(uv.x, 1.0 - uv.y))
     }
 
     /// Density per steradian with which [`Self::sample`] chooses direction `d` (unit).

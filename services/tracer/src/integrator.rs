@@ -28,7 +28,7 @@ use crate::media::Media;
 use crate::random::{Drawn, Purpose, Sampler};
 use crate::tracer::Tracer;
 use forelight_bvh::{Hit, Ray, offset_origin, size_of};
-use forelight_scene::Color;
+use forelight_scene::{Color, Sun};
 use glam::{Vec2, Vec3};
 use std::cell::Cell;
 
@@ -237,6 +237,12 @@ fn leaving(p: &Point, direction: Vec3) -> Ray {
 /// A point of a surface with geometric normal `normal`, moved off it to the side that `direction` points to.
 fn off_surface(position: Vec3, normal: Vec3, size: f32, direction: Vec3) -> Vec3 {
     offset_origin(position, if normal.dot(direction) < 0.0 { -normal } else { normal }, size)
+}
+
+/// A sun's radiance times its solid angle, W/m². A disc of radiance L that spans 2θ has the solid angle 2π (1 − cos θ), and gives a surface
+/// that faces its centre the irradiance π L sin² θ, by which a sun is described.
+fn fluence(sun: &Sun) -> Vec3 {
+    sun.irradiance * (2.0 / (2.0 - cap_height(sun.angle_deg)))
 }
 
 /// 1 − cos of half an angular diameter, without cancellation: 2 sin²(θ/2).

@@ -8,7 +8,7 @@
 //! diffuse surface do not see the lights that it sampled; glossy lobes share the lights with light sampling by multiple
 //! importance sampling (Veach 1997, balance heuristic), and so do diffuse surfaces the lights that are near.
 
-use super::{Interface, Passed, Pixels, Point, cap_height, leaving};
+use super::{Interface, Passed, Pixels, Point, cap_height, fluence, leaving};
 use crate::cost::Category;
 use crate::environment::Sky;
 use crate::fresnel;
@@ -151,7 +151,7 @@ impl<const K: u32> Pixels<'_, K> {
                 let suns = tracer.frame.suns.iter().map(|sun| {
                     let height = cap_height(sun.angle_deg);
                     if height > 0.0 && s.ray.direction.dot(sun.direction) >= 1.0 - height {
-                        sun.irradiance / (std::f32::consts::TAU * height)
+                        fluence(sun) / (std::f32::consts::TAU * height)
                     } else {
                         Vec3::ZERO
                     }

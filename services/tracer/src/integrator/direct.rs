@@ -1,6 +1,6 @@
 //! Direct light: every light sampled from a surface, and what lies between.
 
-use super::{Passed, Pixels, Point, cap_height, leaving};
+use super::{Passed, Pixels, Point, cap_height, fluence, leaving};
 use crate::cost::Category;
 use crate::environment::Sky;
 use crate::geometry::{self, Basis};
@@ -252,7 +252,7 @@ impl<const K: u32> Pixels<'_, K> {
             let wo = p.basis.to_local(direction);
             if wo.z > 0.0 {
                 let (diffuse, glossy, _) = response.evaluate(p.wi, wo);
-                let reflected = (diffuse + glossy) * sun.irradiance;
+                let reflected = (diffuse + glossy) * fluence(sun);
                 if reflected.max_element() > 0.0 {
                     sum += reflected * self.shadow(p, direction, None);
                 }

@@ -11,7 +11,7 @@
 //! which leaves the mean as it is.
 
 use super::direct::{LAST_BIT, falloff, fine};
-use super::{Interface, Pixels, Point, cap_height, leaving};
+use super::{Interface, Pixels, Point, cap_height, fluence, leaving};
 use crate::bsdf::{Bsdf, Coat, Lobe, Scattering};
 use crate::cost::Category;
 use crate::environment::Sky;
@@ -231,7 +231,7 @@ impl<const K: u32> Pixels<'_, K> {
             let height = cap_height(sun.angle_deg);
             if height > 0.0 && direction.dot(sun.direction) >= 1.0 - height {
                 let density = |r: &Receiver| tracer.lights.of_sun(r, i) as f32 / (TAU * height);
-                weight(&density) * sun.irradiance / (TAU * height)
+                weight(&density) * fluence(sun) / (TAU * height)
             } else {
                 Vec3::ZERO
             }
@@ -258,7 +258,7 @@ impl<const K: u32> Pixels<'_, K> {
                 Some(Candidate {
                     direction: Basis::new(sun.direction).to_world(local),
                     target: None,
-                    light: sun.irradiance / probability,
+                    light: fluence(sun) / probability,
                     density: (height > 0.0).then_some(probability / (TAU * height)),
                 })
             }
