@@ -221,6 +221,11 @@ fn open_archive(shown: &str, file: File, limits: &Limits) -> Result<Store, Scene
         let path = std::str::from_utf8(entry.name_raw())
             .map_err(|_| SceneError::file(shown, format!("the name of archive entry {at} is not UTF-8")))?;
         let file = format!("{shown}/{path}");
+        // Some programs write every path from here, and macOS adds what it knows of each file.
+        let path = path.strip_prefix("./").unwrap_or(path);
+        if path.is_empty() || path.starts_with("__MACOSX/") {
+            continue;
+        }
         if entry.is_symlink() {
             return Err(SceneError::file(file, "symbolic links are not allowed in an archive"));
         }
@@ -243,7 +248,9 @@ fn open_archive(shown: &str, file: File, limits: &Limits) -> Result<Store, Scene
             let (what, limit) = ("expanded bytes of the archive", limits.total_bytes);
             return Err(SceneError::Limit { file: shown.to_owned(), what, found: total, limit });
         }
-        index.insert(path.to_owned(), at);
+        if index.insert(path.to_owned(), at).is_some() {
+            return Err(SceneError::file(file, "the archive has two entries of this name"));
+        }
     }
     Ok(Store::Archive { archive: Mutex::new(archive), index: without_common_folder(index) })
 }

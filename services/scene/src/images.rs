@@ -89,6 +89,17 @@ impl<'a> TextureLibrary<'a> {
         self.by_name.get(name).copied()
     }
 
+    /// Refuses an image that, as the colour of a surface, would have it reflect more than arrives.
+    pub(crate) fn check_reflectance(&self, id: TextureId) -> Result<(), SceneError> {
+        let Texture { name, width, texels, .. } = &self.textures[id.0 as usize];
+        let Texels::Linear(texels) = texels else { return Ok(()) };
+        let Some(i) = texels.iter().position(|texel| texel.iter().any(|&c| c > 1.0)) else { return Ok(()) };
+        let (x, y) = (i % *width as usize, i / *width as usize);
+        let why =
+            format!("the pixel in column {x}, row {y} is {:?}; a surface's colour lies in 0 to 1", texels[i]);
+        Err(SceneError::file(name, why))
+    }
+
     /// Whether any texel has an alpha below 1.
     pub(crate) fn has_alpha(&self, id: TextureId) -> bool {
         self.translucent[id.0 as usize]

@@ -5,6 +5,7 @@
 
 use crate::assembly::{Assembly, plain_material};
 use crate::error::{Place, SceneError};
+use crate::obj::without_comment;
 use crate::{Color, Material, Surface};
 use glam::Vec3;
 use std::collections::BTreeMap;
@@ -24,7 +25,8 @@ pub(crate) fn check(file: &str, bytes: &[u8]) -> Result<(String, BTreeMap<String
     for (i, line) in text.lines().enumerate() {
         let line = line.trim();
         let (key, rest) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
-        let rest = rest.trim();
+        // Names may hold the character that begins a comment.
+        let rest = if matches!(key, "newmtl" | "map_Kd") { rest } else { without_comment(rest) }.trim();
         if key.is_empty() || key.starts_with('#') {
             continue;
         }
@@ -101,7 +103,9 @@ pub(crate) fn material(
         Some(reference) => {
             let path = crate::bundle::resolve(file, reference).map_err(&fail)?;
             let context = format!("material `{}`: `map_Kd`", source.name);
-            Some(assembly.textures.load(&path).map_err(|e| e.within(file, Place::Whole, &context))?)
+            let loaded = assembly.textures.load(&path);
+            let checked = loaded.and_then(|id| assembly.textures.check_reflectance(id).map(|()| id));
+            Some(checked.map_err(|e| e.within(file, Place::Whole, &context))?)
         }
         None => None,
     };

@@ -10,6 +10,7 @@ use crate::error::{Place, SceneError};
 use crate::shot::{Mesh, Node, Part, Placement};
 use crate::{Color, Surface};
 use glam::{Vec2, Vec3};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -167,13 +168,44 @@ fn warn_ignored(assembly: &mut Assembly<'_>, file: &str, ignored: &BTreeMap<Stri
     }
 }
 
-/// The text of a file, or an error with the line where it stops to be UTF-8.
-pub(crate) fn text<'a>(file: &str, bytes: &'a [u8]) -> Result<&'a str, SceneError> {
+/// The text of a file, lines that go on joined, or an error with the line where it stops to be UTF-8.
+pub(crate) fn text<'a>(file: &str, bytes: &'a [u8]) -> Result<Cow<'a, str>, SceneError> {
     let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
-    std::str::from_utf8(bytes).map_err(|e| {
+    let text = std::str::from_utf8(bytes).map_err(|e| {
         let line = 1 + bytes[..e.valid_up_to()].iter().filter(|&&b| b == b'\n').count();
         SceneError::line(file, line, "is not UTF-8 text")
-    })
+    })?;
+    let goes_on = text.contains("\\\n") || text.contains("\\\r\n");
+    Ok(if goes_on { Cow::Owned(joined(text)) } else { Cow::Borrowed(text) })
+}
+
+/// A line that ends in `\` goes on in the next. Empty lines after it keep the numbers of those that follow.
+fn joined(text: &str) -> String {
+    let mut joined = String::with_capacity(text.len());
+    let (mut owed, mut is_comment) = (0, false);
+    for line in text.lines() {
+        if owed == 0 {
+            is_comment = line.trim_start().starts_with('#');
+        }
+        match line.strip_suffix('\\').filter(|_| !is_comment) {
+            Some(part) => {
+                joined += part;
+                joined.push(' ');
+                owed += 1;
+            }
+            None => {
+                joined += line;
+                joined.extend(std::iter::repeat_n('\n', owed + 1));
+                owed = 0;
+            }
+        }
+    }
+    joined
+}
+
+/// Numbers without the comment behind them.
+pub(crate) fn without_comment(numbers: &str) -> &str {
+    numbers.split_once('#').map_or(numbers, |(numbers, _)| numbers.trim_end())
 }
 
 fn check(file: &str, bytes: &[u8], triangle_limit: u64) -> Result<Checked, SceneError> {
@@ -222,7 +254,7 @@ struct Check<'a> {
 impl<'a> Check<'a> {
     fn line(&mut self, line: &'a str, number: usize) -> Result<(), String> {
         let (key, rest) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
-        let rest = rest.trim();
+        let rest = if matches!(key, "v" | "vt" | "vn" | "f") { without_comment(rest) } else { rest }.trim();
         match key {
             "" | "s" => {}
             "v" => self.position(rest)?,

@@ -55,6 +55,11 @@ impl Reader<'_, '_> {
                 .fail(&at, "a base colour, roughness or metallic factor does not lie in 0 to 1");
         }
         let texture = pbr.base_color_texture().map(|info| self.texture(&info.texture())).transpose()?;
+        if let Some(texture) = texture {
+            let checked = self.assembly.textures.check_reflectance(texture);
+            let place = Place::Pointer(format!("{at}/pbrMetallicRoughness/baseColorTexture"));
+            checked.map_err(|e| e.within(&self.opened.file, place, "the base colour"))?;
+        }
         let base = Color { factor: Vec3::new(r, g, b), texture };
         let surface = self.surface(source, &at, base)?;
         let name = source.name().map_or_else(|| format!("material {index}"), str::to_owned);

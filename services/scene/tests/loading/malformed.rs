@@ -48,6 +48,9 @@ fn an_archive_entry_that_climbs_out() {
 
 #[test]
 fn an_archive_entry_with_an_absolute_path() {
+    let twice = zip(&[("scene.json", b"{}"), ("./scene.json", b"{}")]);
+    let error = line(load_zip(&twice, &Limits::default()));
+    assert!(error.ends_with("./scene.json: the archive has two entries of this name"), "{error}");
     let error = line(load_zip(&zip(&[("/etc/evil", b"v")]), &Limits::default()));
     assert!(error.ends_with("/etc/evil: the archive entry does not stay inside the bundle"), "{error}");
 }
@@ -483,6 +486,19 @@ fn a_material_library_that_is_missing() {
 fn a_material_that_no_library_has() {
     let error = Files::good().with("scene.mtl", "newmtl black\nKd 0 0 0\n").error();
     assert_eq!(error, "scene.obj: line 12: no material library has a material `white`");
+}
+
+#[test]
+fn a_colour_that_reflects_more_than_arrives() {
+    let mut image = image::Rgb32FImage::from_pixel(4, 2, image::Rgb([0.5, 1.0, 0.0]));
+    let files = |image: &image::Rgb32FImage| {
+        let exr = crate::made::encoded(&image.clone().into(), image::ImageFormat::OpenExr);
+        Files::good().with("scene.mtl", "newmtl white\nmap_Kd a.exr\n").with("a.exr", exr)
+    };
+    files(&image).scene();
+    image.put_pixel(3, 1, image::Rgb([1.0, 5.0, 1.0]));
+    let error = files(&image).error();
+    assert!(error.contains("`map_Kd`: a.exr: the pixel in column 3, row 1 is [1.0, 5.0, 1.0]"), "{error}");
 }
 
 #[test]

@@ -177,12 +177,43 @@ fn a_zip_and_one_with_the_folder_inside_are_the_same_scene() {
     let inside: Vec<(String, &[u8])> =
         files.0.iter().map(|(p, c)| (format!("made/{p}"), c.as_slice())).collect();
     let inside: Vec<(&str, &[u8])> = inside.iter().map(|(p, c)| (p.as_str(), *c)).collect();
-    for archive in [zip(&flat), zip(&inside)] {
+    // As bsdtar writes it, and as macOS does.
+    let dotted: Vec<(String, &[u8])> = flat.iter().map(|(p, c)| (format!("./{p}"), *c)).collect();
+    let dotted: Vec<(&str, &[u8])> = dotted.iter().map(|(p, c)| (p.as_str(), *c)).collect();
+    let mut mac = inside.clone();
+    mac.push(("__MACOSX/made/._scene.json", b"what the Finder knows"));
+    for archive in [zip(&flat), zip(&inside), zip(&dotted), zip(&mac)] {
         let scene = load_zip(&archive, &Limits::default()).unwrap();
         assert_eq!(*scene.frame(0).unwrap().geometry, *folder.frame(0).unwrap().geometry);
         assert_eq!(scene.digest(), folder.digest());
     }
     assert_ne!(files.with("scene.mtl", "newmtl white\nKd 0 0 0\n").scene().digest(), folder.digest());
+}
+
+#[test]
+fn numbers_may_be_commented_and_lines_may_go_on() {
+    let plain = Files::good().scene();
+    let commented =
+        |text: &str| -> String {
+            text.lines()
+                .map(|line| {
+                    if line.starts_with(['v', 'f']) { format!("{line} # why\n") } else { format!("{line}\n") }
+                })
+                .collect()
+        };
+    let went_on = OBJ
+        .lines()
+        .map(|line| if line.starts_with('f') { line.replacen(' ', " \\\r\n ", 2) } else { line.to_owned() });
+    let went_on = format!("# not a line that goes on: C:\\\n{}\n", went_on.collect::<Vec<_>>().join("\n"));
+    for obj in [commented(OBJ), went_on.clone()] {
+        let files =
+            Files::good().with("scene.obj", &obj).with("scene.mtl", "newmtl white\nKd .8 .8 .8 # grey\n");
+        assert_eq!(*files.scene().frame(0).unwrap().geometry, *plain.frame(0).unwrap().geometry, "{obj}");
+    }
+    // Lines keep their numbers.
+    let error = Files::good().with("scene.obj", format!("{went_on}v one\n")).error();
+    let last = went_on.lines().count() + 1;
+    assert_eq!(error, format!("scene.obj: line {last}: `v`: `one` is not a number"));
 }
 
 #[test]
