@@ -99,7 +99,12 @@ mod tests {
             (0..2).map(|i| Stratum { object: i, material: i, prior_cost: 1.0, apart: false }).collect();
         let frames: Vec<FramePopulation> = (10..)
             .zip(counts)
-            .map(|(number, counts)| FramePopulation { number, counts: counts.to_vec(), lights: 0 })
+            .map(|(number, counts)| FramePopulation {
+                number,
+                counts: counts.to_vec(),
+                lights: 0,
+                triangles: 0,
+            })
             .collect();
         ShotClock::new(&strata, &frames)
     }

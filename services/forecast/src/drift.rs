@@ -167,7 +167,8 @@ mod tests {
 
     /// Every third frame of a shot; `lights` says which shine.
     fn lit(lights: impl IntoIterator<Item = u32>) -> (ShotClock, Vec<FramePopulation>) {
-        let frame = |(number, lights)| FramePopulation { number: 3 * number, counts: vec![], lights };
+        let frame =
+            |(number, lights)| FramePopulation { number: 3 * number, counts: vec![], lights, triangles: 0 };
         let frames: Vec<FramePopulation> = (0i64..).zip(lights).map(frame).collect();
         (ShotClock::new(&[], &frames), frames)
     }

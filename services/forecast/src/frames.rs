@@ -19,6 +19,8 @@ pub struct FramePopulation {
     /// Which lights shine, as a number that frames with the same ones share. What a surface costs depends on them, and no preview
     /// shows it.
     pub lights: u32,
+    /// Triangles of the frame, seen or not: what it takes to build a tree over them. 0 if nobody counted.
+    pub triangles: u64,
 }
 
 /// Checks frames and counts against the strata.

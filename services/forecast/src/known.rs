@@ -72,7 +72,8 @@ mod tests {
     #[test]
     fn what_is_known_moves_means_and_leaves_what_is_uncertain_as_it_is() {
         let strata = [Stratum::background(1.0)];
-        let frames = [0, 1].map(|number| FramePopulation { number, counts: vec![100], lights: 0 });
+        let frames =
+            [0, 1].map(|number| FramePopulation { number, counts: vec![100], lights: 0, triangles: 0 });
         let cost = |work| Cost { work, ..Cost::default() };
         let observations: Vec<Observation> =
             [90, 110, 95, 105].map(|work| Observation { stratum: 0, cost: cost(work) }).to_vec();
@@ -81,6 +82,7 @@ mod tests {
             observations: &observations,
             expansion: &Expansion::Groups,
             fixed: Cost::default(),
+            build: Cost::default(),
         };
         let plain = forecast_shot(&strata, &frames, &[profiled], Calibration::NONE).unwrap();
         let known = [cost(5000), Cost::default()].map(Costs::from);

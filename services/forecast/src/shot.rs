@@ -22,8 +22,10 @@ pub struct ProfiledFrame<'a> {
     pub observations: &'a [Observation],
     /// How the profiled pixels stand for all of the frame's.
     pub expansion: &'a Expansion,
-    /// Cost of the frame whatever its pixels: loading, building, writing.
+    /// Cost of the frame whatever its pixels and its triangles: loading, planning, writing.
     pub fixed: Cost,
+    /// Cost of building the tree over its triangles.
+    pub build: Cost,
 }
 
 /// Forecast of one frame.
@@ -156,6 +158,7 @@ struct Source {
     frame: usize,
     fit: FrameFit,
     fixed: Row,
+    build: Row,
     /// Mean unit cost of all pixels of the frame, without what stands apart.
     overall: Row,
 }
@@ -186,8 +189,9 @@ impl<'a> Carrier<'a> {
             let fit =
                 FrameFit::new(strata, frame.number, &frame.counts, profile.observations, profile.expansion)?;
             let overall = std::array::from_fn(|column| fit.mean_of_pixels(column));
-            let fixed = profile.fixed.columns().map(|value| value as f64);
-            sources.push(Source { frame: profile.frame, fit, fixed, overall });
+            let [fixed, build] =
+                [profile.fixed, profile.build].map(|cost| cost.columns().map(|value| value as f64));
+            sources.push(Source { frame: profile.frame, fit, fixed, build, overall });
         }
         if sources.is_empty() && !frames.is_empty() {
             return Err(ForecastError::NoSamples);
@@ -220,7 +224,9 @@ impl<'a> Carrier<'a> {
             }
             let total = std::array::from_fn(|column| source.fit.total(column));
             let means = source.fit.means.clone();
-            return Prediction { total, fixed: source.fixed, means, weights, unseen: Vec::new() };
+            let mut fixed = source.fixed;
+            add_scaled(&mut fixed, 1.0, &source.build);
+            return Prediction { total, fixed, means, weights, unseen: Vec::new() };
         }
         let mut means = vec![[0.0; COLUMNS]; self.strata.len()];
         let mut unseen = Vec::new();
@@ -252,7 +258,12 @@ impl<'a> Carrier<'a> {
         });
         let mut fixed = [0.0; COLUMNS];
         for (k, share) in self.neighbours(t, left_out, |_| Some(f64::INFINITY)) {
-            add_scaled(&mut fixed, share, &self.sources[k].fixed);
+            let source = &self.sources[k];
+            add_scaled(&mut fixed, share, &source.fixed);
+            // A tree takes as much as there are triangles, which need not be in sight.
+            let [here, there] = [t, source.frame].map(|frame| self.frames[frame].triangles as f64);
+            let size = if there > 0.0 { here / there } else { 1.0 };
+            add_scaled(&mut fixed, share * size, &source.build);
         }
         Prediction { total, fixed, means, weights, unseen }
     }

@@ -21,7 +21,7 @@ impl Shot {
             .collect();
         let frames = (0..)
             .zip(&pictures)
-            .map(|(number, p)| FramePopulation { number, counts: p.counts.clone(), lights: 0 })
+            .map(|(number, p)| FramePopulation { number, counts: p.counts.clone(), lights: 0, triangles: 0 })
             .collect();
         Shot { pictures, frames }
     }
@@ -44,6 +44,7 @@ impl Shot {
                 observations,
                 expansion: &Expansion::Groups,
                 fixed: Cost::default(),
+                build: Cost::default(),
             })
             .collect();
         forecast_shot(strata, &self.frames, &profiled, Calibration::NONE).expect("a forecast")
@@ -118,7 +119,7 @@ fn one_stratum_each(counts: &[[u32; 3]]) -> (Vec<Stratum>, Vec<FramePopulation>)
     let strata = (0..3).map(|i| Stratum { object: i, material: i, prior_cost: 1.0, apart: false }).collect();
     let frames = (0..)
         .zip(counts)
-        .map(|(number, counts)| FramePopulation { number, counts: counts.to_vec(), lights: 0 })
+        .map(|(number, counts)| FramePopulation { number, counts: counts.to_vec(), lights: 0, triangles: 0 })
         .collect();
     (strata, frames)
 }
@@ -164,6 +165,7 @@ fn an_object_that_vanishes_takes_its_cost_with_it() {
         observations: &observed,
         expansion: &Expansion::Groups,
         fixed: Cost { work: 7, ..Cost::default() },
+        build: Cost::default(),
     }];
     let found = forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast");
     assert_eq!(found.frames[0].total.work.mean, 900.0 * 10.0 + 100.0 * 5000.0 + 7.0);
@@ -182,6 +184,7 @@ fn an_object_that_no_profiled_frame_shows_borrows_and_widens_the_quote() {
         observations: &observed,
         expansion: &Expansion::Groups,
         fixed: Cost::default(),
+        build: Cost::default(),
     }];
     let found = forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast");
     assert_eq!(found.borrowed, 1);
@@ -202,6 +205,7 @@ fn unit_costs_follow_a_trend_between_profiled_frames() {
         observations,
         expansion: &Expansion::Groups,
         fixed: Cost::default(),
+        build: Cost::default(),
     };
     let profiled = [profile(10, &late[..]), profile(0, &early[..])];
     let found = forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast");
@@ -230,6 +234,7 @@ fn with_records(shot: &Shot, records: &[&[u32]], works: &[&[f64]]) -> ShotForeca
         observations,
         expansion: &Expansion::Groups,
         fixed: Cost::default(),
+        build: Cost::default(),
     });
     forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast")
 }
@@ -277,7 +282,29 @@ fn records_of_which_none_was_gathered_are_an_error_and_not_a_guess() {
         observations: &observed,
         expansion: &Expansion::Groups,
         fixed: Cost::default(),
+        build: Cost::default(),
     }];
     let refused = forecast_shot(&strata, &frames, &profiled, Calibration::NONE);
     assert_eq!(refused, Err(forelight_forecast::ForecastError::NoSamples));
+}
+
+#[test]
+fn a_tree_costs_by_the_triangles_of_its_frame_whoever_was_profiled() {
+    let strata = [Stratum::background(1.0)];
+    let triangles = [100, 100, 9000, 50, 100];
+    let frames: Vec<FramePopulation> = (0..)
+        .zip(triangles)
+        .map(|(number, triangles)| FramePopulation { number, counts: vec![4], lights: 0, triangles })
+        .collect();
+    let observations = [1.0; 4].map(|work| Observation { stratum: 0, cost: cost_of(work) });
+    let profiled = [0, 4].map(|frame| ProfiledFrame {
+        frame,
+        observations: &observations,
+        expansion: &Expansion::Groups,
+        fixed: Cost { work: 7, ..Cost::default() },
+        build: Cost { work: 3000, ..Cost::default() },
+    });
+    let forecast = forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast");
+    let work: Vec<f64> = forecast.frames.iter().map(|frame| frame.total.work.mean).collect();
+    assert_eq!(work, [3011.0, 3011.0, 270_011.0, 1511.0, 3011.0]);
 }

@@ -250,8 +250,12 @@ fn a_shot_is_quoted_by_any_strategy_and_records_stand_apart_from_all() {
         let (_, mut observations) = design.profile(|pixel| picture.costs[pixel as usize]).expect("costs");
         let of_pixels = design.estimate(&observations, Calibration::NONE).expect("an estimate").total.work;
         let mut strata = design.strata().to_vec();
-        let mut frames =
-            [0, 5].map(|number| FramePopulation { number, counts: design.counts().to_vec(), lights: 0 });
+        let mut frames = [0, 5].map(|number| FramePopulation {
+            number,
+            counts: design.counts().to_vec(),
+            lights: 0,
+            triangles: 0,
+        });
         let records = RecordStrata::add(&mut strata, &mut frames, &[&[40], &[80]], 48.0);
         observations.extend([1000, 1000].map(|work| records.observation(0, cost_of(f64::from(work)))));
         let profiled = [ProfiledFrame {
@@ -259,6 +263,7 @@ fn a_shot_is_quoted_by_any_strategy_and_records_stand_apart_from_all() {
             observations: &observations,
             expansion: design.expansion(),
             fixed: Cost { work: 7, ..Cost::default() },
+            build: Cost::default(),
         }];
         let found = forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast");
         let [first, second] = [0, 1].map(|frame| found.frames[frame].total.work.mean);

@@ -142,6 +142,12 @@ pub struct FixedCosts {
 }
 
 impl FixedCosts {
+    /// All but building the acceleration structure, which depends on how many triangles a frame has.
+    pub const fn without_build(self) -> Spent {
+        let Self { load, build: _, plan, plan_rays: _, write } = self;
+        load.plus(plan).plus(write)
+    }
+
     /// All of them together.
     pub const fn total(self) -> Spent {
         let Self { load, build, plan, plan_rays: _, write } = self;

@@ -26,10 +26,19 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Whether each light shines at this instant: materials by index (those that cannot emit never do), then lights without surface, then
-    /// suns. The same lights in every frame of a shot.
+    /// Whether each light shines at this instant: materials by index (those that cannot emit never do, nor those that nothing is made of
+    /// at this instant), then lights without surface, then suns. The same lights in every frame of a shot.
     pub fn shining(&self) -> Vec<bool> {
-        let materials = self.materials.iter().map(Material::is_emissive);
+        let mut present = vec![false; self.geometry.strata.pairs.len()];
+        self.geometry.triangle_stratum.iter().for_each(|&stratum| present[stratum as usize] = true);
+        let mut made_of = vec![false; self.materials.len()];
+        for (&(_, material), _) in
+            self.geometry.strata.pairs.iter().zip(&present).filter(|(_, present)| **present)
+        {
+            made_of[material as usize] = true;
+        }
+        let materials =
+            self.materials.iter().zip(made_of).map(|(material, any)| any && material.is_emissive());
         let points = self.points.iter().map(|point| point.intensity.max_element() > 0.0);
         let suns = self.suns.iter().map(|sun| sun.irradiance.max_element() > 0.0);
         materials.chain(points).chain(suns).collect()

@@ -77,11 +77,12 @@ pub fn quote(
     let counted = count_frames(renderer, frames, settings, observer)?;
     let mut populations: Vec<FramePopulation> = frames
         .iter()
-        .zip(counted.counts.iter().zip(&counted.lights))
-        .map(|(&frame, (counts, &lights))| FramePopulation {
+        .zip(counted.counts.iter().zip(counted.lights.iter().zip(&counted.triangles)))
+        .map(|(&frame, (counts, (&lights, &triangles)))| FramePopulation {
             number: i64::from(frame),
             counts: strategy.counts(&shown, counts),
             lights,
+            triangles,
         })
         .collect();
     let records: Vec<&[u32]> = counted.cache_records.iter().map(Vec::as_slice).collect();
@@ -110,7 +111,8 @@ pub fn quote(
             frame,
             observations,
             expansion: &profile.expansion,
-            fixed: fixed_cost(&profile.fixed),
+            fixed: cost(profile.fixed.without_build(), profile.fixed.plan_rays),
+            build: cost(profile.fixed.build, [0; 7]),
         })
         .collect();
     let forecast = forelight_forecast::forecast_shot(&strata, &populations, &measured, Calibration::NONE)?;
@@ -131,9 +133,8 @@ pub fn quote(
     Ok(quote)
 }
 
-fn fixed_cost(fixed: &FixedCosts) -> Cost {
-    let Spent { work, cpu_nanos } = fixed.total();
-    Cost { work, cpu_nanos, rays: fixed.plan_rays }
+fn cost(spent: Spent, rays: [u64; 7]) -> Cost {
+    Cost { work: spent.work, cpu_nanos: spent.cpu_nanos, rays }
 }
 
 fn document(

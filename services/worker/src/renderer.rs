@@ -102,6 +102,8 @@ pub struct Counted {
     pub cache_records: Vec<u32>,
     /// Whether each of the scene's lights shines.
     pub shining: Vec<bool>,
+    /// Triangles, seen or not.
+    pub triangles: u64,
     /// Who counted.
     pub backend: PreviewBackend,
     /// What it took.

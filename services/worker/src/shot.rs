@@ -82,6 +82,8 @@ pub struct CountedFrames {
     pub cache_records: Vec<Vec<u32>>,
     /// Per frame, which lights shine, in numbers from 0 by first appearance.
     pub lights: Vec<u32>,
+    /// Per frame, its triangles, seen or not.
+    pub triangles: Vec<u64>,
     /// Who counted the last frame.
     pub backend: PreviewBackend,
     /// What it took.
@@ -99,6 +101,7 @@ pub fn count_frames(
         counts: Vec::with_capacity(frames.len()),
         cache_records: Vec::with_capacity(frames.len()),
         lights: Vec::with_capacity(frames.len()),
+        triangles: Vec::with_capacity(frames.len()),
         backend: PreviewBackend::Cpu,
         spent: Spent::default(),
     };
@@ -107,11 +110,13 @@ pub fn count_frames(
         if observer.is_cancelled() {
             return Err(ShotError::Cancelled);
         }
-        let Counted { counts, cache_records, shining, backend, spent } = renderer.count(frame, settings)?;
+        let Counted { counts, cache_records, shining, triangles, backend, spent } =
+            renderer.count(frame, settings)?;
         let mut pixels = counts.per_stratum;
         pixels.push(counts.background);
         all.counts.push(pixels);
         all.cache_records.push(cache_records);
+        all.triangles.push(triangles);
         let next = lit.len() as u32;
         all.lights.push(*lit.entry(shining).or_insert(next));
         all.backend = backend;

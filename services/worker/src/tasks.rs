@@ -83,13 +83,13 @@ pub fn preview_result(
     let background = info.strata.len();
     let seen = |stratum: usize| counted.counts.iter().any(|counts| counts[stratum] > 0);
     let shown = Shown::new(info, settings, (0..background).filter(|&stratum| seen(stratum)));
-    let counts = counted.counts.iter().zip(&counted.cache_records).zip(&counted.lights);
-    let frames = frames.iter().zip(counts).map(|(&frame, ((counts, records), &lights))| FrameStrata {
+    let frames = frames.iter().enumerate().map(|(at, &frame)| FrameStrata {
         frame,
-        pixels: shown.strata.iter().map(|&stratum| counts[stratum]).collect(),
-        background: counts[background],
-        cache_records: records.clone(),
-        lights,
+        pixels: shown.strata.iter().map(|&stratum| counted.counts[at][stratum]).collect(),
+        background: counted.counts[at][background],
+        cache_records: counted.cache_records[at].clone(),
+        lights: counted.lights[at],
+        triangles: counted.triangles[at],
         preview_png: None,
     });
     PreviewResult {

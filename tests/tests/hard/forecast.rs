@@ -188,7 +188,12 @@ fn an_object_of_one_pixel_is_neither_lost_nor_blown_up() {
 fn shot(frames: usize, seen: impl Fn(usize) -> u32, known: &[usize]) -> (ShotForecast, Vec<f64>) {
     let strata = strata(3);
     let population: Vec<FramePopulation> = (0..frames)
-        .map(|t| FramePopulation { number: t as i64, counts: vec![200, 50, seen(t)], lights: 0 })
+        .map(|t| FramePopulation {
+            number: t as i64,
+            counts: vec![200, 50, seen(t)],
+            lights: 0,
+            triangles: 0,
+        })
         .collect();
     let all: Vec<Vec<Observation>> = (0..frames)
         .map(|t| {
@@ -208,6 +213,7 @@ fn shot(frames: usize, seen: impl Fn(usize) -> u32, known: &[usize]) -> (ShotFor
             observations: &all[frame],
             expansion: &Expansion::Groups,
             fixed: Cost::default(),
+            build: Cost::default(),
         })
         .collect();
     let truth = all.iter().map(|o| o.iter().map(|o| o.cost.work).sum::<u64>() as f64).collect();
@@ -358,7 +364,7 @@ fn estimates_have_no_drift_while_frames_are_finished() {
             })
             .collect();
         let population: Vec<FramePopulation> = (0..frames)
-            .map(|t| FramePopulation { number: t as i64, counts: vec![80, 20], lights: 0 })
+            .map(|t| FramePopulation { number: t as i64, counts: vec![80, 20], lights: 0, triangles: 0 })
             .collect();
         let observed: Vec<Vec<Observation>> = works
             .iter()
@@ -382,6 +388,7 @@ fn estimates_have_no_drift_while_frames_are_finished() {
                     observations: &observed[frame],
                     expansion: &Expansion::Groups,
                     fixed: Cost::default(),
+                    build: Cost::default(),
                 })
                 .collect();
             let work = forecast_shot(&strata, &population, &profiled, PLAIN).expect("a forecast").total.work;
@@ -414,7 +421,7 @@ proptest! {
     ) {
         let strata = strata(4);
         let population: Vec<FramePopulation> =
-            counts.iter().zip(0..).map(|(counts, number)| FramePopulation { number, counts: counts.clone(), lights: 0 }).collect();
+            counts.iter().zip(0..).map(|(counts, number)| FramePopulation { number, counts: counts.clone(), lights: 0, triangles: 0 }).collect();
         let mut frames: Vec<(usize, Vec<Observation>)> = Vec::new();
         for (index, samples) in known {
             let frame = index.index(counts.len());
@@ -433,7 +440,7 @@ proptest! {
         }
         let profiled: Vec<ProfiledFrame<'_>> = frames
             .iter()
-            .map(|(frame, observations)| ProfiledFrame { frame: *frame, observations, expansion: &Expansion::Groups, fixed: Cost::default() })
+            .map(|(frame, observations)| ProfiledFrame { frame: *frame, observations, expansion: &Expansion::Groups, fixed: Cost::default(), build: Cost::default() })
             .collect();
         if let Ok(found) = forecast_shot(&strata, &population, &profiled, PLAIN) {
             prop_assert_eq!(unsound(&found.total), 0);

@@ -62,7 +62,12 @@ impl Populations {
                 let mut counts = vec![0; strata.len()];
                 counts[..frame.pixels.len()].copy_from_slice(&frame.pixels);
                 counts[background] = frame.background;
-                FramePopulation { number: i64::from(frame.frame), counts, lights: frame.lights }
+                FramePopulation {
+                    number: i64::from(frame.frame),
+                    counts,
+                    lights: frame.lights,
+                    triangles: frame.triangles,
+                }
             })
             .collect();
         let prior_cost = preview.record_prior_cost.unwrap_or(1.0);

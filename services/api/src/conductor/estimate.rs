@@ -105,7 +105,7 @@ pub(super) fn estimated(
     };
     let own = OwnRecords::of(profiles);
     let mut gathered_by: Vec<(usize, Vec<u32>)> = Vec::new();
-    let mut observations: Vec<(usize, Vec<Observation>, Cost)> = Vec::with_capacity(profiles.len());
+    let mut observations: Vec<(usize, Vec<Observation>, Cost, Cost)> = Vec::with_capacity(profiles.len());
     for MeasuredProfile { result, node_speed, .. } in profiles {
         let at = preview.frames.iter().position(|frame| frame.frame == result.frame).ok_or_else(|| {
             AdvanceError::Hopeless(format!("frame {} was profiled, but not previewed", result.frame))
@@ -141,18 +141,21 @@ pub(super) fn estimated(
             Some(_) => FixedCosts { plan: Spent::default(), plan_rays: [0; 7], ..result.fixed },
             None => result.fixed,
         };
-        let Spent { work, cpu_nanos } = fixed.total();
-        let cpu_nanos = at_speed_one(cpu_nanos, *node_speed);
-        let fixed = Cost { work, cpu_nanos, rays: fixed.plan_rays };
-        observations.push((at, observed, fixed));
+        let cost = |Spent { work, cpu_nanos }: Spent, rays: [u64; 7]| {
+            let cpu_nanos = at_speed_one(cpu_nanos, *node_speed);
+            Cost { work, cpu_nanos, rays }
+        };
+        let (others, build) = (cost(fixed.without_build(), fixed.plan_rays), cost(fixed.build, [0; 7]));
+        observations.push((at, observed, others, build));
     }
     let profiled: Vec<ProfiledFrame<'_>> = observations
         .iter()
-        .map(|(frame, observations, fixed)| ProfiledFrame {
+        .map(|(frame, observations, fixed, build)| ProfiledFrame {
             frame: *frame,
             observations,
             expansion: &Expansion::Groups,
             fixed: *fixed,
+            build: *build,
         })
         .collect();
     let mut shot = forecast_shot(&populations.strata, &populations.frames, &profiled, Calibration::NONE)
@@ -331,6 +334,7 @@ mod tests {
                     background,
                     cache_records: Vec::new(),
                     lights: 0,
+                    triangles: 0,
                     preview_png: None,
                 })
                 .collect(),

@@ -217,6 +217,17 @@ fn numbers_may_be_commented_and_lines_may_go_on() {
 }
 
 #[test]
+fn a_lamp_shines_while_there_is_something_of_it() {
+    let keys = json!([{"frame": 0, "value": [1, 1, 1]}, {"frame": 1, "value": [0, 0, 0]}]);
+    let track = json!({"target": "object:wall", "property": "scale", "interpolation": "step", "keys": keys});
+    let files = Files::good()
+        .with("scene.mtl", "newmtl white\nKe 1 1 1\n")
+        .set("/animation", json!({"frames": 2, "tracks": [track]}));
+    let scene = files.scene();
+    assert_eq!([0, 1].map(|frame| scene.frame(frame).unwrap().shining()), [vec![true], vec![false]]);
+}
+
+#[test]
 fn a_bundle_can_be_read_by_itself() {
     let folder = Files::good().folder();
     let bundle = Bundle::open(folder.path(), &Limits::default()).unwrap();

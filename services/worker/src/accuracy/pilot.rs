@@ -146,7 +146,7 @@ impl Pilot {
         let factor = f64::from(spp) / f64::from(had);
         let growth = uncovered_gathers(&self.settings).map_or(1.0, |gathers| gathers.growth(had, spp));
         let mut strata = self.strata.clone();
-        let mut frame = [FramePopulation { number: 0, counts: view.counts.clone(), lights: 0 }];
+        let mut frame = [FramePopulation { number: 0, counts: view.counts.clone(), lights: 0, triangles: 0 }];
         let of_pixels = self.observations.iter().zip(&self.extra_work).map(|(seen, &extra)| Observation {
             stratum: seen.stratum,
             cost: seen.cost.with_samples(factor, extra, growth),
@@ -177,7 +177,13 @@ impl Pilot {
         let Spent { work, cpu_nanos } = view.fixed.total();
         let fixed = Cost { work, cpu_nanos, rays: view.fixed.plan_rays };
         let expansion = &Expansion::Groups;
-        let profiled = [ProfiledFrame { frame: 0, observations: &observations, fixed, expansion }];
+        let profiled = [ProfiledFrame {
+            frame: 0,
+            observations: &observations,
+            fixed,
+            build: Cost::default(),
+            expansion,
+        }];
         let forecast = forecast_shot(&strata, &frame, &profiled, Calibration::NONE)?;
         let total = &forecast.total;
         Ok((quantiles(&total.work, 1.0), quantiles(&total.cpu_nanos, 1e-9)))

@@ -186,6 +186,7 @@ impl Renderer for AmbientShot {
                 counts,
                 cache_records,
                 shining: frame.shining(),
+                triangles: frame.geometry.triangles.len() as u64,
                 backend: backend(previewer),
                 spent: preview_spent(previewer, &frame, setup).plus(planning),
             })

@@ -70,7 +70,12 @@ impl Known {
         let populations: Vec<FramePopulation> = self
             .frames
             .iter()
-            .map(|frame| FramePopulation { number: frame.number, counts: self.counts(frame), lights: 0 })
+            .map(|frame| FramePopulation {
+                number: frame.number,
+                counts: self.counts(frame),
+                lights: 0,
+                triangles: 0,
+            })
             .collect();
         let chosen = choose_frames(&self.strata, &populations, effort.frames)?;
         let mut case = Case::default();
@@ -96,6 +101,7 @@ impl Known {
                 observations,
                 expansion: &Expansion::Groups,
                 fixed: self.frames[frame].fixed,
+                build: Cost::default(),
             })
             .collect();
         let found = forecast_shot(&self.strata, &populations, &profiled, Calibration::NONE)?;

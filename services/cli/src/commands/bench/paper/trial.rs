@@ -91,7 +91,8 @@ pub fn forecast(
     let costs = if planned { &truth.pixels } else { &truth.cold };
     let (picks, mut observations) = design.profile(|pixel| costs[pixel as usize])?;
     let mut strata = design.strata().to_vec();
-    let mut frames = [FramePopulation { number: 0, counts: design.counts().to_vec(), lights: 0 }];
+    let mut frames =
+        [FramePopulation { number: 0, counts: design.counts().to_vec(), lights: 0, triangles: 0 }];
     if planned {
         let prior = truth.record_prior_cost;
         let apart = RecordStrata::add(&mut strata, &mut frames, &[&truth.records], prior);
@@ -100,7 +101,8 @@ pub fn forecast(
     }
     let fixed = if planned { truth.plan } else { Cost::default() };
     let expansion = design.expansion();
-    let profiled = [ProfiledFrame { frame: 0, observations: &observations, expansion, fixed }];
+    let profiled =
+        [ProfiledFrame { frame: 0, observations: &observations, expansion, fixed, build: Cost::default() }];
     let found = forecast_shot(&strata, &frames, &profiled, Calibration::NONE)?.total;
     let mut mean = Columns::<Quantity>::of(&found).map(|quantity| quantity.mean);
     mean.cpu_seconds *= 1e-9;
