@@ -81,6 +81,18 @@ async fn soon_in_force(farm: &Farm, action: Option<BudgetAction>) -> Budget {
     panic!("{action:?} does not come into force");
 }
 
+/// The job, as soon as it says why it waits.
+async fn soon_waits(farm: &Farm, job: &Job) -> Job {
+    for _ in 0..200 {
+        let job = farm.job(job).await;
+        if job.waits.is_some() {
+            return job;
+        }
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    panic!("{} does not say why it waits", job.name);
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_night_is_forecast_by_project_job_and_class_and_asking_again_changes_nothing() {
     let (farm, _) = farm().await;
@@ -194,6 +206,25 @@ async fn stop_takes_back_what_runs_until_the_budget_is_set_again() {
         .collect();
     assert_eq!(said.len(), 1, "{said:?}");
     assert!(said[0].contains("film") && said[0].contains("stopped"), "{said:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_that_has_begun_says_that_a_budget_holds_it_and_not_when_it_is_ready() {
+    let (farm, clock) = farm().await;
+    let node = farm.node("a").await;
+    let film = job(&farm, &node, "film", None).await;
+    let done = farm.next_task(&node).await;
+    farm.finish(&done).await;
+    assert!(farm.job(&film).await.eta.is_some());
+    let running = farm.next_task(&node).await;
+    clock.advance_micros(500_000);
+    set(&farm, &budget("film", 100, json!([{"percent": 100, "action": "stop"}]))).await;
+    in_force(&farm, &clock, Some(BudgetAction::Stop)).await;
+    renew(&farm, &running).await;
+    let held = soon_waits(&farm, &film).await;
+    let waits = held.waits.unwrap();
+    assert!(waits.is_for_money() && waits.because.contains("budget of project film"), "{waits:?}");
+    assert_eq!((held.eta, waits.until), (None, None));
 }
 
 #[tokio::test(flavor = "multi_thread")]

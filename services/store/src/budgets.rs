@@ -18,7 +18,7 @@ use sqlx::{Row as _, SqliteConnection};
 use crate::database::Write;
 use crate::decode::{corrupt, id, json, time, time_opt, to_json, word};
 use crate::events::{append, event};
-use crate::{JobForecast, Store, StoreError, jobs, leases, progress};
+use crate::{JobForecast, Store, StoreError, jobs, leases, progress, replans};
 
 /// A job that is booked and not done, with what its forecast says.
 #[derive(Clone, PartialEq, Debug)]
@@ -419,12 +419,16 @@ async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
 
 /// Keeps a project's tasks from being handed out.
 async fn hold(write: &mut Write, project: &str) -> Result<(), StoreError> {
-    sqlx::query(
+    let held = sqlx::query(
         "UPDATE tasks SET held = 1 WHERE held = 0 AND state IN ('waiting', 'ready', 'leased') AND job_id IN (SELECT id FROM jobs WHERE project = ?)",
     )
     .bind(project)
     .execute(write.connection().await?)
     .await?;
+    // Plans say what waits, and why.
+    if held.rows_affected() > 0 {
+        replans::want(write, &format!("the budget of project {project} holds its tasks")).await?;
+    }
     Ok(())
 }
 
@@ -436,6 +440,7 @@ async fn let_go(write: &mut Write, project: &str) -> Result<(), StoreError> {
     .bind(project)
     .execute(write.connection().await?)
     .await?;
+    replans::want(write, &format!("the budget of project {project} holds its tasks no more")).await?;
     Ok(())
 }
 

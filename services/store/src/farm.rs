@@ -69,14 +69,15 @@ impl Store {
             let frames = frames
                 .iter()
                 .map(|row| {
-                    held |= row.try_get::<bool, _>("held")?;
+                    let waits = row.try_get("waits")?;
+                    held |= waits && row.try_get::<bool, _>("held")?;
                     Ok(FarmFrame {
                         number: whole(row, "frame")?,
                         p50: row.try_get("cpu_p50")?,
                         p80: row.try_get("cpu_p80")?,
                         p95: row.try_get("cpu_p95")?,
                         booked_cost: booked_cost(row)?,
-                        waits: row.try_get("waits")?,
+                        waits,
                     })
                 })
                 .collect::<Result<_, StoreError>>()?;

@@ -277,7 +277,8 @@ pub(crate) fn decode(row: &SqliteRow, progress: Progress) -> Result<Job, StoreEr
         verdict: json_opt(row, "verdict")?,
         plan_id: id_opt(row, "plan_id")?.map(PlanId),
         // Who has a frame with a worker does not wait, whatever the newest plan knew.
-        waits: outlook.waits.filter(|_| !progress.begun && !state.is_final()),
+        // Whoever has begun may still be held for money.
+        waits: outlook.waits.filter(|waits| (!progress.begun || waits.is_for_money()) && !state.is_final()),
         promise: outlook.promise,
         eta: None,
         spent: None,

@@ -375,7 +375,7 @@ fn rescued(
     Ok(end(farm, &after, job))
 }
 
-/// By job, why it has not begun.
+/// By job, why it has not begun, or does not go on.
 fn waits(farm: &Farm, plan: &planner::Plan) -> Result<BTreeMap<usize, Waits>, AdvanceError> {
     let mut found = BTreeMap::new();
     let explained: BTreeMap<u64, Reason> = planner::explain(&farm.input, plan)?
@@ -383,7 +383,7 @@ fn waits(farm: &Farm, plan: &planner::Plan) -> Result<BTreeMap<usize, Waits>, Ad
         .map(|explanation| (explanation.job, explanation.reason))
         .collect();
     for (job, asked) in farm.jobs.iter().enumerate() {
-        if !asked.begun.is_empty() {
+        if !asked.begun.is_empty() && !asked.held {
             continue;
         }
         let first = plan.bookings_of(job as u64).map(|booking| booking.start).min();
