@@ -5,8 +5,8 @@ use crate::contact_sheet::{Cell, contact_sheet};
 use crate::failure::Interrupted;
 use crate::interrupt::Interrupt;
 use crate::output::Bars;
-use anyhow::{Context, Result};
-use forelight_protocol::{FrameRow, Job};
+use anyhow::{Context, Result, bail};
+use forelight_protocol::{ArtifactHash, FrameRow, Job};
 use forelight_worker::{Client, FramePicture, png};
 use futures::{StreamExt, TryStreamExt};
 use image::RgbImage;
@@ -32,54 +32,66 @@ pub async fn fetch(
     bars: &Bars,
     interrupt: &Interrupt,
 ) -> Result<()> {
-    let wanted: Vec<(u32, FramePicture, PathBuf)> =
-        frames.iter().flat_map(|row| files(row, folder)).collect();
+    let wanted: Vec<File> = frames.iter().flat_map(|row| files(row, folder)).collect();
     let bar = bars.bar("fetching", wanted.len() as u64);
-    let fetched = futures::stream::iter(wanted).map(|(frame, picture, path)| {
+    let fetched = futures::stream::iter(wanted).map(|file| {
         let (client, bar) = (client.clone(), &bar);
         async move {
-            let name = picture.file_name();
-            let content = client
-                .picture(job.id, frame, picture)
-                .await
-                .with_context(|| format!("cannot fetch {name} of frame {frame}"))?;
-            write_bytes(&path, &content)?;
+            let name = format!("{} of frame {}", file.picture.file_name(), file.frame);
+            let content = client.picture(job.id, file.frame, file.picture).await;
+            let content = content.with_context(|| format!("cannot fetch {name}"))?;
             bar.inc(1);
-            Ok::<_, anyhow::Error>(())
+            if file.hash.0 != *blake3::hash(&content).as_bytes() {
+                return Ok(Some(name));
+            }
+            write_bytes(&file.path, &content)?;
+            Ok::<_, anyhow::Error>(None)
         }
     });
+    let fetched = fetched.buffer_unordered(AT_ONCE).try_filter_map(|damaged| async { Ok(damaged) });
     let stopped = interrupt.token();
-    tokio::select! {
-        fetched = fetched.buffer_unordered(AT_ONCE).try_collect::<()>() => fetched?,
+    let mut damaged: Vec<String> = tokio::select! {
+        fetched = fetched.try_collect() => fetched?,
         () = stopped.cancelled() => return Err(Interrupted.into()),
-    }
+    };
     bar.finish_and_clear();
+    if !damaged.is_empty() {
+        damaged.sort_unstable();
+        bail!(
+            "damaged where the farm keeps them, and not written: {}; submit these frames again",
+            damaged.join(", ")
+        );
+    }
     let (rows, folder) = (frames.to_vec(), folder.to_owned());
     tokio::task::spawn_blocking(move || write_sheet(&rows, &folder)).await?
 }
 
+/// A picture of a frame, and where it is put.
+struct File {
+    frame: u32,
+    picture: FramePicture,
+    hash: ArtifactHash,
+    path: PathBuf,
+}
+
 /// The files of a frame, of the pictures that are there.
-fn files(row: &FrameRow, folder: &Path) -> Vec<(u32, FramePicture, PathBuf)> {
-    let there = |picture: FramePicture| match picture {
-        FramePicture::Preview => row.artifacts.preview_png.is_some(),
-        FramePicture::CostMap => row.artifacts.cost_map_png.is_some(),
-        FramePicture::Png => row.artifacts.image_png.is_some(),
-        FramePicture::Exr => row.artifacts.image_exr.is_some(),
+fn files(row: &FrameRow, folder: &Path) -> Vec<File> {
+    let hash = |picture: FramePicture| match picture {
+        FramePicture::Preview => row.artifacts.preview_png,
+        FramePicture::CostMap => row.artifacts.cost_map_png,
+        FramePicture::Png => row.artifacts.image_png,
+        FramePicture::Exr => row.artifacts.image_exr,
     };
     let path = |end: &str| folder.join(format!("frame-{:04}{end}", row.frame));
-    PICTURES
-        .into_iter()
-        .filter(|(picture, _)| there(*picture))
-        .map(|(picture, end)| (row.frame, picture, path(end)))
-        .collect()
+    let file =
+        |(picture, end)| Some(File { frame: row.frame, picture, hash: hash(picture)?, path: path(end) });
+    PICTURES.into_iter().filter_map(file).collect()
 }
 
 fn write_sheet(frames: &[FrameRow], folder: &Path) -> Result<()> {
     let load = |row: &FrameRow, wanted: FramePicture| -> Result<Option<RgbImage>> {
-        let files = files(row, folder);
-        let Some((_, _, path)) = files.into_iter().find(|(_, picture, _)| *picture == wanted) else {
-            return Ok(None);
-        };
+        let file = files(row, folder).into_iter().find(|file| file.picture == wanted);
+        let Some(File { path, .. }) = file else { return Ok(None) };
         let picture = image::open(&path).with_context(|| format!("cannot read {}", path.display()))?;
         Ok(Some(picture.into_rgb8()))
     };
