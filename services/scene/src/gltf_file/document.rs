@@ -11,7 +11,7 @@ use gltf::json::validation::{Checked, Validate};
 use gltf::json::{Path, Root};
 
 /// Extensions that a file may require.
-const UNDERSTOOD: [&str; 8] = [
+pub(super) const UNDERSTOOD: [&str; 8] = [
     "KHR_lights_punctual",
     "KHR_materials_emissive_strength",
     "KHR_materials_ior",

@@ -13,11 +13,12 @@ use crate::camera_source::{DEFAULT_ASPECT, DEFAULT_HEIGHT, NodeCamera};
 use crate::error::SceneError;
 use crate::limits::LARGEST_COORDINATE;
 use crate::shot::{Mesh, Node, Part, Placement};
-use document::Opened;
+use document::{Opened, UNDERSTOOD};
 use glam::{DMat4, DQuat, DVec3, Vec3};
 use gltf::camera::Projection;
 use gltf::khr_lights_punctual::Kind;
 use gltf::scene::Transform;
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -41,7 +42,8 @@ pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneE
     };
     reader.hierarchy()?;
     reader.animations()?;
-    let ignored: Vec<&str> = reader.ignored.iter().copied().collect();
+    reader.note_unknown_extensions();
+    let ignored: Vec<&str> = reader.ignored.iter().map(Cow::as_ref).collect();
     if !ignored.is_empty() {
         let warning = format!("{path}: not shown as the file has it: {}", ignored.join("; "));
         reader.assembly.warn(warning);
@@ -61,14 +63,27 @@ struct Reader<'r, 'a> {
     /// Meshes by (mesh, primitive), shared by the nodes that show them.
     meshes: BTreeMap<(usize, usize), Option<Arc<Mesh>>>,
     /// What is not shown as the file has it.
-    ignored: BTreeSet<&'static str>,
+    ignored: BTreeSet<Cow<'static, str>>,
     /// Elements read from accessors so far.
     elements: u64,
 }
 
 impl Reader<'_, '_> {
     fn ignore(&mut self, what: &'static str) {
-        self.ignored.insert(what);
+        self.ignored.insert(what.into());
+    }
+
+    /// What else the file has, as far as it says so: instances of a forest, for one.
+    fn note_unknown_extensions(&mut self) {
+        /// Names of extensions are short words.
+        const LONGEST: usize = 60;
+        const MOST: usize = 10;
+        let is_name = |name: &&str| {
+            name.len() <= LONGEST && name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_' || b == b'-')
+        };
+        let used = self.opened.document.extensions_used();
+        let unknown = used.filter(|name| !UNDERSTOOD.contains(name)).filter(is_name).take(MOST);
+        self.ignored.extend(unknown.map(|name| format!("the extension `{name}`").into()));
     }
 
     /// Counts elements read, as a small file can name the same large accessor many times. Returns how many more may be read.

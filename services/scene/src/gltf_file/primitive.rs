@@ -46,6 +46,9 @@ impl Reader<'_, '_> {
         for normal in &mut normals {
             *normal = unit_or_zero(*normal);
         }
+        if primitive.get(&Semantic::Colors(0)).is_some() {
+            self.ignore("colours of vertices");
+        }
         let uvs = self.texture_coordinates(primitive, count, most)?;
         if normals.len() != count || uvs.len() != count {
             return self.opened.fail(at, "the attributes have not all the same number of elements");

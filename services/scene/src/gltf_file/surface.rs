@@ -151,8 +151,8 @@ impl Reader<'_, '_> {
         let texture = match source.emissive_texture() {
             Some(info) if factor != Vec3::ZERO => {
                 let base = source.pbr_metallic_roughness().base_color_texture();
-                if base.is_some_and(|base| base.tex_coord() != info.tex_coord()) {
-                    self.ignore("an emission texture's own set of coordinates");
+                if base.is_some_and(|base| placed(&base) != placed(&info)) {
+                    self.ignore("an emission texture's own coordinates");
                 }
                 Some(self.texture(&info.texture())?)
             }
@@ -213,6 +213,17 @@ impl Reader<'_, '_> {
             (None, None) => return opened.fail(&pointer, "has neither a `uri` nor a `bufferView`"),
         };
         loaded.map_err(|e| e.within(&opened.file, Place::Pointer(pointer), context))
+    }
+}
+
+/// Which coordinates a texture is looked up by, and how they are moved.
+fn placed(info: &gltf::texture::Info<'_>) -> (u32, [f32; 2], f32, [f32; 2]) {
+    match info.texture_transform() {
+        None => (info.tex_coord(), [0.0; 2], 0.0, [1.0; 2]),
+        Some(moved) => {
+            let set = moved.tex_coord().unwrap_or(info.tex_coord());
+            (set, moved.offset(), moved.rotation(), moved.scale())
+        }
     }
 }
 

@@ -364,10 +364,14 @@ fn what_is_not_shown_is_told_in_one_warning() {
         .push(json!({"attributes": {"POSITION": 0}, "mode": 0}));
     document["nodes"][0]["skin"] = json!(0);
     document["skins"] = json!([{"joints": [1]}]);
+    document["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = json!(0);
+    document["extensionsUsed"] =
+        json!(["KHR_materials_ior", "EXT_mesh_gpu_instancing", "KHR_texture_transform", "a\u{1b}[31m"]);
     let scene = gltf(&document, &triangle_bin()).scene();
     assert_eq!(
         scene.warnings()[0],
-        "tri.gltf: not shown as the file has it: morph targets; points and lines; skins"
+        "tri.gltf: not shown as the file has it: colours of vertices; morph targets; points and lines; skins; \
+         the extension `EXT_mesh_gpu_instancing`"
     );
 }
 
