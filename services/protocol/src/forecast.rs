@@ -40,6 +40,14 @@ impl Quantiles {
         Self { mean: a.mean + b.mean, p50: a.p50 + b.p50, p80: a.p80 + b.p80, p95: a.p95 + b.p95 }
     }
 
+    /// What is left of it once so much is spent, never negative.
+    #[must_use]
+    pub fn less(&self, spent: f64) -> Self {
+        let left = |amount: f64| (amount - spent).max(0.0);
+        let Self { mean, p50, p80, p95 } = *self;
+        Self { mean: left(mean), p50: left(p50), p80: left(p80), p95: left(p95) }
+    }
+
     /// In money, at so many micro-units for one of what this counts.
     pub fn in_money(&self, price: f64) -> MoneyQuantiles {
         let money = |amount: f64| Money((amount * price).round() as i64);
@@ -59,6 +67,16 @@ pub struct MoneyQuantiles {
     pub p80: Money,
     /// 95 % quantile.
     pub p95: Money,
+}
+
+impl MoneyQuantiles {
+    /// With so much that is known.
+    #[must_use]
+    pub fn plus(&self, known: Money) -> Self {
+        let sum = |amount: Money| Money(amount.0.saturating_add(known.0));
+        let Self { mean, p50, p80, p95 } = *self;
+        Self { mean: sum(mean), p50: sum(p50), p80: sum(p80), p95: sum(p95) }
+    }
 }
 
 /// How sure the planner has to be.

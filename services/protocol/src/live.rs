@@ -44,7 +44,7 @@ pub struct LiveForecast {
     pub work: LiveFigure,
     /// CPU seconds over all threads, on a node of speed 1.
     pub cpu_seconds: LiveFigure,
-    /// The whole job in money, at the quote's mean price, with the irradiance cache that its frames share: as quoted until it is there, then as it was. Absent if the job was quoted without.
+    /// The whole job in money: what its nodes' time has cost until now, the quote and what was lost included, and the rest at the quote's mean price. After the last frame it is what the job has cost. Absent if it was quoted without.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cost: Option<MoneyQuantiles>,
     /// When the last frame is expected, at the plan's confidence; absent if nothing is booked.

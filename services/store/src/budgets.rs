@@ -115,19 +115,7 @@ impl Store {
 
     /// What a job's leases have cost so far, those that end at `now` and those that go on.
     pub async fn spent_on(&self, job: JobId, now: Timestamp) -> Result<Money, StoreError> {
-        let rows = sqlx::query(
-            "SELECT d.*, l.paid_until FROM tasks t JOIN leases l ON l.task_id = t.id JOIN ledger d ON d.lease_id = l.id \
-             WHERE t.job_id = ?",
-        )
-        .bind(job.0)
-        .fetch_all(self.readers())
-        .await?;
-        let mut spent = Money(0);
-        for row in &rows {
-            let line = line(row)?;
-            spent.0 = spent.0.saturating_add(line.cost_within(line.from, now).0);
-        }
-        Ok(spent)
+        spent_on(&mut *self.readers().acquire().await?, job, now).await
     }
 
     /// The jobs that are neither done, failed nor cancelled, oldest first.
@@ -285,6 +273,22 @@ async fn as_it_stands(
     })
 }
 
+/// What a job's leases cost, those that run up to now: its quote, its frames, and what was lost.
+pub(crate) async fn spent_on(
+    connection: &mut SqliteConnection,
+    job: JobId,
+    now: Timestamp,
+) -> Result<Money, StoreError> {
+    let rows = sqlx::query(
+        "SELECT d.*, l.paid_until FROM tasks t JOIN leases l ON l.task_id = t.id JOIN ledger d ON d.lease_id = l.id \
+         WHERE t.job_id = ?",
+    )
+    .bind(job.0)
+    .fetch_all(connection)
+    .await?;
+    cost_since(&rows, Timestamp::from_micros(i64::MIN), now)
+}
+
 /// What a project's leases cost since an instant; those that run, up to now.
 async fn spent(
     connection: &mut SqliteConnection,
@@ -300,11 +304,12 @@ async fn spent(
     .bind(from.micros())
     .fetch_all(connection)
     .await?;
-    let mut sum = 0i64;
-    for row in &rows {
-        sum = sum.saturating_add(line(row)?.cost_within(from, now).0);
-    }
-    Ok(Money(sum))
+    cost_since(&rows, from, now)
+}
+
+fn cost_since(rows: &[SqliteRow], from: Timestamp, now: Timestamp) -> Result<Money, StoreError> {
+    rows.iter()
+        .try_fold(Money(0), |sum, row| Ok(Money(sum.0.saturating_add(line(row)?.cost_within(from, now).0))))
 }
 
 /// What the frames that a project has running are expected to cost from now on, at the median of their forecasts.

@@ -15,7 +15,7 @@ mod kept;
 use forelight_forecast::{Band, LiveFrame, Measure, live};
 use forelight_protocol::{
     Booked, BookedQuantity, Confidence, Event, EventKind, JobId, JobVerdict, LiveFigure, LiveForecast, Money,
-    OffForecast, PlanId, Quantiles, Timestamp,
+    OffForecast, PlanId, Quantiles, SeedProgress, Timestamp,
 };
 use sqlx::{Row as _, SqliteConnection};
 
@@ -26,7 +26,7 @@ use crate::decode::{id_opt, json_opt, word};
 use crate::events::{append, event};
 use crate::projection::{OpenBooking, project};
 use crate::replans::{self, is_news};
-use crate::{JobForecast, StoreError, bookings, seeds};
+use crate::{JobForecast, StoreError, bookings, budgets, seeds};
 
 #[cfg(test)]
 pub(crate) use self::frames::FRAMES;
@@ -137,20 +137,20 @@ pub(crate) async fn update_after(
     let was_off = same_plan.map_or([false; 2], |kept| [kept.cost_is_off, kept.finish_is_off]);
     let delay = delay_that_counts(write.connection().await?, plan, job, booked.finish).await?;
     let expected = cpu.whole.at(confidence);
-    // The frames' estimate says nothing of a cache that they share: until it is there it is what was quoted for it.
-    let mut shared_cache = quote.shared_cache_seconds();
-    if quote.cache.as_ref().is_some_and(|cache| cache.seed.is_some())
-        && let Some(done) = seeds::progress(write.connection().await?, job).await?
-        && done.ready
-    {
-        shared_cache = Quantiles::known(done.cpu_seconds);
-    }
+    let cost = match price(&quote) {
+        None => None,
+        Some(price) => {
+            let connection = write.connection().await?;
+            let left = cpu.remaining.plus(&shared_cache_left(connection, job, &quote).await?);
+            Some(left.in_money(price).plus(budgets::spent_on(connection, job, now).await?))
+        }
+    };
     let live = LiveForecast {
         at: now,
         frames_done: frames.done,
         work,
         cpu_seconds: cpu,
-        cost: price(&quote).map(|price| cpu.whole.plus(&shared_cache).in_money(price)),
+        cost,
         finish,
         booked,
         cost_is_off: is_off(was_off[0], expected, booked_cpu, MARGIN * booked_cpu),
@@ -216,6 +216,20 @@ fn figure(quote: &Quantiles, frames: &[LiveFrame], measure: Measure) -> LiveFigu
         whole: quantiles(found.whole),
         factor: found.factor,
     }
+}
+
+/// CPU seconds that the cache that the frames share is yet to take, on a node of speed 1: as quoted, less what is done of it.
+async fn shared_cache_left(
+    connection: &mut SqliteConnection,
+    job: JobId,
+    quote: &JobForecast,
+) -> Result<Quantiles, StoreError> {
+    let quoted = quote.shared_cache_seconds();
+    Ok(match seeds::progress(connection, job).await? {
+        None => quoted,
+        Some(SeedProgress { ready: true, .. }) => Quantiles::default(),
+        Some(SeedProgress { cpu_seconds, .. }) => quoted.less(cpu_seconds),
+    })
 }
 
 /// Micro-units for a CPU second in the quote.

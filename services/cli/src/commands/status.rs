@@ -25,7 +25,7 @@ With --watch the picture is kept up to date until the job is over; the exit code
 each change is a line of its own.
 
 `forecast` is what was quoted, and what is expected now that some frames are done; `booked` is what the plan set aside for it. `cost` is what the time of \
-its nodes has cost so far, what was lost and the quote itself included.")]
+its nodes has cost so far and will have cost in all, what was lost and the quote itself included.")]
 pub struct Args {
     /// Its id, or its name: of several jobs of the same name the newest
     job: String,
@@ -196,7 +196,7 @@ fn ready(job: &Job, now: Timestamp) -> String {
 fn cost(job: &Job) -> String {
     let mut parts: Vec<String> = job.spent.iter().map(|spent| format!("{spent} so far")).collect();
     if let Some(whole) = job.live.as_ref().and_then(|live| live.cost).filter(|_| !job.state.is_final()) {
-        parts.push(format!("{} (P50), {} (P80) expected for all frames", whole.p50, whole.p80));
+        parts.push(format!("{} (P50), {} (P80) expected in all", whole.p50, whole.p80));
     }
     parts.extend(job.live.iter().filter_map(|live| live.booked.cost).map(|cost| format!("{cost} booked")));
     parts.extend(job.budget.map(|budget| format!("its budget is {budget}")));
@@ -311,7 +311,7 @@ mod tests {
             "3m 20s at P80: exceeded, ready by",
             "30m 00s before the deadline",
             "kept, with a probability of 93 %",
-            "0.001234 so far; 0.004321 (P50), 0.004321 (P80) expected for all frames; 0.003 booked; its budget is 0.50",
+            "0.001234 so far; 0.004321 (P50), 0.004321 (P80) expected in all; 0.003 booked; its budget is 0.50",
         ] {
             assert!(text.contains(said), "{said}: {text}");
         }

@@ -1,8 +1,8 @@
 //! Irradiance caches that frames share: their tasks follow from each other, and the frames from them.
 
 use forelight_protocol::{
-    CachePrice, CacheQuote, CacheSharing, EventKind, FrameState, JobState, Money, SeedForecast, TaskError,
-    TaskKind,
+    CachePrice, CacheQuote, CacheSharing, EventKind, FrameState, JobState, Money, MoneyQuantiles,
+    SeedForecast, TaskError, TaskKind,
 };
 
 use super::*;
@@ -137,15 +137,16 @@ async fn frames_wait_until_every_level_of_the_cache_is_filled_and_put_together()
         let lease = farm.claim(node, at(20)).await.unwrap();
         let TaskSpec::Render(spec) = &lease.spec else { panic!("{:?}", lease.spec) };
         assert_eq!((spec.cache, spec.profile), (Some(cache), None));
-        farm.commit(&lease, at(20)).await;
+        farm.commit(&lease, at(25)).await;
     }
     let done = farm.store.job(job).await.unwrap();
     assert_eq!(done.state, JobState::Done);
     // Quoted were six seconds for the cache, and it took twice as many.
     let cache = done.seed.unwrap().cpu_seconds;
     assert!((cache - 12.0).abs() < 1e-3);
-    let took = done.live.unwrap().cpu_seconds.spent + cache;
-    assert_eq!(cost().await, Quantiles::known(took).in_money(PRICE));
+    // What is paid is the node's time, five seconds a frame at a unit an hour.
+    assert_eq!(farm.store.spent_on(job, at(60)).await.unwrap(), Money(3 * 1389));
+    assert_eq!(cost().await, MoneyQuantiles::default().plus(Money(3 * 1389)));
 }
 
 #[tokio::test]
