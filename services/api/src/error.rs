@@ -88,6 +88,7 @@ impl From<StoreError> for ApiError {
             StoreError::BrokenOff(_) => ProblemKind::Malformed,
             StoreError::Busy | StoreError::ArtifactsAway(_) => ProblemKind::Busy,
             StoreError::Full => ProblemKind::StorageFull,
+            StoreError::ArtifactLost { .. } => ProblemKind::ArtifactLost,
             _ => ProblemKind::Internal,
         };
         match kind {
@@ -100,6 +101,10 @@ impl From<StoreError> for ApiError {
                 // Whoever runs the farm has to see to it; a client has to know no more than that it may try again.
                 tracing::warn!(%error, "an artefact could not be moved");
                 Self::new(kind, "the artefact store cannot be used just now").retry_after(ARTIFACTS_AWAY)
+            }
+            ProblemKind::ArtifactLost => {
+                tracing::error!(%error, "kept content is lost");
+                Self::new(kind, format!("{error}; bring it back from a backup, or submit what made it again"))
             }
             ProblemKind::LeaseLost | ProblemKind::NotFound => Self::new(kind, error.to_string()),
             ProblemKind::Unauthenticated => Self::new(kind, error.to_string()).authenticate(BAD_TOKEN),

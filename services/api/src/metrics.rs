@@ -44,8 +44,8 @@ impl Metrics {
         }
     }
 
-    /// All of it, in the text format of Prometheus.
-    pub fn render(&self, counts: &DashboardCounts) -> String {
+    /// All of it, in the text format of Prometheus; `room` in bytes.
+    pub fn render(&self, counts: &DashboardCounts, room: u64) -> String {
         let mut text = String::new();
         let mut family = |name: &str, kind: &str, help: &str, values: &[(String, u64)]| {
             // Writing to a string cannot fail.
@@ -100,6 +100,12 @@ impl Metrics {
         );
         family("nodes", "gauge", "Nodes.", &plain(counts.nodes));
         family("nodes_alive", "gauge", "Nodes heard of lately and not draining.", &plain(counts.nodes_alive));
+        family(
+            "room_bytes",
+            "gauge",
+            "Bytes that can still be written where the farm's data are.",
+            &plain(room),
+        );
         text
     }
 }
@@ -114,7 +120,7 @@ mod tests {
         metrics.count_response(404);
         metrics.count_response(999);
         metrics.leases_lost.add(2);
-        let text = metrics.render(&DashboardCounts::default());
+        let text = metrics.render(&DashboardCounts::default(), 7 << 30);
         assert!(text.contains("forelight_http_responses_total{class=\"4xx\"} 1\n"), "{text}");
         assert!(
             text.contains("# TYPE forelight_leases_lost_total counter\nforelight_leases_lost_total 2\n"),

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use forelight_protocol::{
     ArtifactHash, Booking, BookingPage, CacheSample, Dashboard, ForecastDoc, FramePage, FrameState, Job,
-    JobState, Plan, TaskKind, TaskResult, TrackRecord, Verdict,
+    JobState, Plan, ProblemKind, TaskKind, TaskResult, TrackRecord, Verdict,
 };
 use reqwest::StatusCode;
 use serde_json::json;
@@ -96,6 +96,12 @@ async fn a_job_is_previewed_profiled_forecast_booked_rendered_and_done() {
     assert_eq!(image.bytes().await.unwrap(), &b"image 7"[..]);
     let again = farm.viewer.request(reqwest::Method::GET, &format!("/v1/jobs/{}/frames/7/image.exr", job.id));
     assert_eq!(again.header("if-none-match", tag).send().await.unwrap().status(), StatusCode::NOT_MODIFIED);
+    let name = blake3::hash(b"image 6").to_hex().to_string();
+    let kept = farm.folder.path().join("data/artifacts/blake3").join(&name[..2]).join(&name);
+    std::fs::remove_file(kept).unwrap();
+    let path = format!("/v1/jobs/{}/frames/6/image.exr", job.id);
+    let lost = farm.viewer.get(&path).await.problem(ProblemKind::ArtifactLost).await;
+    assert!(lost.detail.contains(&format!("{name}: its file is not there; bring it back")), "{lost:?}");
 
     let record: TrackRecord =
         farm.viewer.get("/v1/forecasts/track-record?page_size=3").await.json_as(StatusCode::OK).await;

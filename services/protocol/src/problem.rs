@@ -24,6 +24,8 @@ pub enum ProblemKind {
     LeaseLost,
     /// 409: a request with the same idempotency key is being worked on.
     IdempotencyInFlight,
+    /// 410: the farm had the content, and has it no more.
+    ArtifactLost,
     /// 413: too long.
     TooLarge,
     /// 415: not a media type that is understood here.
@@ -48,7 +50,7 @@ pub enum ProblemKind {
 
 impl ProblemKind {
     /// All kinds.
-    pub const ALL: [ProblemKind; 18] = [
+    pub const ALL: [ProblemKind; 19] = [
         ProblemKind::Malformed,
         ProblemKind::Unauthenticated,
         ProblemKind::Forbidden,
@@ -57,6 +59,7 @@ impl ProblemKind {
         ProblemKind::Conflict,
         ProblemKind::LeaseLost,
         ProblemKind::IdempotencyInFlight,
+        ProblemKind::ArtifactLost,
         ProblemKind::TooLarge,
         ProblemKind::UnsupportedMediaType,
         ProblemKind::Invalid,
@@ -102,6 +105,7 @@ impl ProblemKind {
             ProblemKind::IdempotencyInFlight => {
                 ("idempotency-in-flight", 409, "A request with this idempotency key is being worked on")
             }
+            ProblemKind::ArtifactLost => ("artifact-lost", 410, "The farm no longer has the content"),
             ProblemKind::TooLarge => ("too-large", 413, "The request is too long"),
             ProblemKind::UnsupportedMediaType => {
                 ("unsupported-media-type", 415, "The media type is not understood here")

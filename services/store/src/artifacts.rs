@@ -226,13 +226,12 @@ impl Artifacts {
             Some(remote) => remote.get(&place_of(hash)).await?,
             None => self.get_local(hash).await?,
         };
-        match found {
-            Some(reader) if reader.size == size => Ok(reader),
-            Some(_) => {
-                Err(StoreError::Corrupt(format!("artefact {hash} does not have its length of {size} bytes")))
-            }
-            None => Err(StoreError::Corrupt(format!("artefact {hash} has a row but no file"))),
-        }
+        let reason = match found {
+            Some(reader) if reader.size == size => return Ok(reader),
+            Some(reader) => format!("its file has {} bytes in place of {size}", reader.size),
+            None => "its file is not there".to_owned(),
+        };
+        Err(StoreError::ArtifactLost { hash, reason })
     }
 
     async fn get_local(&self, hash: ArtifactHash) -> Result<Option<ArtifactReader>, StoreError> {

@@ -15,7 +15,7 @@ use crate::leases::{LeaseState, read};
 use crate::{Store, StoreError};
 
 /// Name of their folder in the data folder.
-pub(crate) const FOLDER: &str = "checkpoints";
+const FOLDER: &str = "checkpoints";
 
 impl Store {
     /// Keeps the finished tiles of the frame that a lease is about. [`StoreError::LeaseLost`] if the lease is not the sender's.
@@ -27,7 +27,7 @@ impl Store {
         if row.kind != TaskKind::Render {
             return Err(StoreError::Conflict(format!("a {} has no tiles", row.kind)));
         }
-        let (folder, task) = (self.checkpoints().to_owned(), row.task_id);
+        let (folder, task) = (self.checkpoints(), row.task_id);
         blocking(move || {
             std::fs::create_dir_all(&folder).map_err(|error| StoreError::file(&folder, error))?;
             // A name of its own, then a rename: whoever reads sees the old one or the new one, whole.
@@ -46,7 +46,7 @@ impl Store {
     /// The tiles of a lease's frame that an earlier worker finished.
     pub async fn checkpoint(&self, lease: LeaseId) -> Result<Vec<u8>, StoreError> {
         let row = read(&mut *self.readers().acquire().await?, lease).await?;
-        let path = place(self.checkpoints(), row.task_id);
+        let path = place(&self.checkpoints(), row.task_id);
         blocking(move || match std::fs::read(&path) {
             Ok(bytes) => Ok(bytes),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
@@ -57,9 +57,13 @@ impl Store {
         .await
     }
 
+    fn checkpoints(&self) -> PathBuf {
+        self.data().join(FOLDER)
+    }
+
     /// Deletes the checkpoints of tasks that have ended, and what was left half-written.
     pub(crate) async fn forget_checkpoints(&self) -> Result<(), StoreError> {
-        let folder = self.checkpoints().to_owned();
+        let folder = self.checkpoints();
         let found: Vec<(PathBuf, Option<TaskId>)> = blocking(move || match std::fs::read_dir(&folder) {
             Ok(entries) => {
                 Ok(entries.flatten().map(|entry| (entry.path(), task_of(&entry.path()))).collect())

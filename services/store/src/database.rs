@@ -42,8 +42,8 @@ struct Inner {
     artifacts: Artifacts,
     /// Since when the service is there for its nodes; microseconds.
     up_since: AtomicI64,
-    /// Folder of the checkpoints.
-    checkpoints: PathBuf,
+    /// The data folder.
+    data: PathBuf,
     /// Held while the store is open. The system lets go of it when the process dies, however it dies.
     _lock: Option<File>,
 }
@@ -109,7 +109,7 @@ impl Store {
             readers,
             artifacts,
             up_since: AtomicI64::new(i64::MIN),
-            checkpoints: data.join(crate::checkpoints::FOLDER),
+            data: data.to_owned(),
             _lock: lock,
         };
         Ok(Self { inner: Arc::new(inner) })
@@ -129,8 +129,8 @@ impl Store {
         self.inner.up_since.store(now.micros(), Ordering::Relaxed);
     }
 
-    pub(crate) fn checkpoints(&self) -> &Path {
-        &self.inner.checkpoints
+    pub(crate) fn data(&self) -> &Path {
+        &self.inner.data
     }
 
     /// Changes whenever events were written.
@@ -160,6 +160,13 @@ impl Store {
     pub async fn ping(&self) -> Result<(), StoreError> {
         sqlx::query("SELECT 1").execute(self.readers()).await?;
         Ok(())
+    }
+
+    /// Bytes that can still be written where the data folder is.
+    pub fn room(&self) -> Result<u64, StoreError> {
+        let there = rustix::fs::statvfs(&self.inner.data);
+        let there = there.map_err(|error| StoreError::file(&self.inner.data, error.into()))?;
+        Ok(there.f_bavail.saturating_mul(there.f_frsize))
     }
 
     pub(crate) fn readers(&self) -> &SqlitePool {

@@ -50,6 +50,14 @@ pub enum StoreError {
     /// Another service has this data folder open.
     #[error("another service uses the data folder {0}")]
     InUse(String),
+    /// The content of an artefact that was kept is gone, or is not what was kept.
+    #[error("the farm no longer has the content of artefact {hash}: {reason}")]
+    ArtifactLost {
+        /// The artefact.
+        hash: ArtifactHash,
+        /// What is found in its place.
+        reason: String,
+    },
     /// The database does not hold what it should.
     #[error("the database is damaged: {0}")]
     Corrupt(String),

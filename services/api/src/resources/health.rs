@@ -15,7 +15,10 @@ pub(crate) async fn healthz() -> &'static str {
     "ok\n"
 }
 
-/// The service can work: its database answers and it is not being stopped.
+/// Bytes of room without which the service is not ready: what is written meanwhile, the log of the database included.
+const LEAST_ROOM: u64 = 64 << 20;
+
+/// The service can work: its database answers, there is room for what is to be kept, and it is not being stopped.
 #[utoipa::path(get, path = "/readyz", tag = "service", security(()), responses((status = 200, description = "It is ready", body = String, content_type = "text/plain"), Problems))]
 pub(crate) async fn readyz(State(app): State<App>) -> ApiResult<&'static str> {
     if app.stopping.is_cancelled() {
@@ -25,6 +28,15 @@ pub(crate) async fn readyz(State(app): State<App>) -> ApiResult<&'static str> {
         tracing::error!(%error, "the database does not answer");
         ApiError::new(ProblemKind::Busy, "the database does not answer")
     })?;
+    let room = app.store.room()?;
+    if room < LEAST_ROOM {
+        let detail = format!(
+            "{} MiB of room are left where the farm's data are, at least {} MiB are needed",
+            room >> 20,
+            LEAST_ROOM >> 20
+        );
+        return Err(ApiError::new(ProblemKind::StorageFull, detail));
+    }
     Ok("ready\n")
 }
 
@@ -32,8 +44,8 @@ pub(crate) async fn readyz(State(app): State<App>) -> ApiResult<&'static str> {
 #[utoipa::path(get, path = "/metrics", tag = "service", responses((status = 200, description = "The numbers", body = String, content_type = "text/plain"), Problems))]
 pub(crate) async fn metrics(State(app): State<App>, _: Reader) -> ApiResult<Response> {
     let counts = app.store.counts(app.lease_ttl, app.now()).await?;
-    Ok(([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], app.metrics.render(&counts))
-        .into_response())
+    let text = app.metrics.render(&counts, app.store.room()?);
+    Ok(([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response())
 }
 
 /// This document.

@@ -79,7 +79,7 @@ async fn a_file_that_was_cut_short_behind_our_back_is_reported_not_served() {
     let hash = farm.artifact("some content").await;
     let name = hash.to_string();
     std::fs::write(farm.folder.path().join("artifacts/blake3").join(&name[..2]).join(&name), "some").unwrap();
-    assert!(matches!(farm.store.artifacts().get(hash).await, Err(StoreError::Corrupt(_))));
+    assert!(matches!(farm.store.artifacts().get(hash).await, Err(StoreError::ArtifactLost { .. })));
 }
 
 #[tokio::test]
@@ -148,11 +148,11 @@ async fn an_object_that_vanished_or_was_cut_short_is_reported_and_mended_by_the_
     let put = async || artifacts.put(hash, stream(&["some content"]), 100, at(0)).await.unwrap();
     put().await;
     bucket.put(&object_of(hash), "some".into()).await.unwrap();
-    assert!(matches!(artifacts.get(hash).await, Err(StoreError::Corrupt(_))));
+    assert!(matches!(artifacts.get(hash).await, Err(StoreError::ArtifactLost { .. })));
     put().await;
     assert_eq!(artifacts.get(hash).await.unwrap().size, 12);
     bucket.delete(&object_of(hash)).await.unwrap();
-    assert!(matches!(artifacts.get(hash).await, Err(StoreError::Corrupt(_))));
+    assert!(matches!(artifacts.get(hash).await, Err(StoreError::ArtifactLost { .. })));
     assert!(put().await.existed);
     assert_eq!(artifacts.get(hash).await.unwrap().size, 12);
 }

@@ -6,8 +6,8 @@ use crate::failure::Interrupted;
 use crate::interrupt::Interrupt;
 use crate::output::Bars;
 use anyhow::{Context, Result, bail};
-use forelight_protocol::{ArtifactHash, FrameRow, Job};
-use forelight_worker::{Client, FramePicture, png};
+use forelight_protocol::{ArtifactHash, FrameRow, Job, ProblemKind};
+use forelight_worker::{Client, ClientError, FramePicture, png};
 use futures::{StreamExt, TryStreamExt};
 use image::RgbImage;
 use std::path::{Path, PathBuf};
@@ -38,8 +38,14 @@ pub async fn fetch(
         let (client, bar) = (client.clone(), &bar);
         async move {
             let name = format!("{} of frame {}", file.picture.file_name(), file.frame);
-            let content = client.picture(job.id, file.frame, file.picture).await;
-            let content = content.with_context(|| format!("cannot fetch {name}"))?;
+            let content = match client.picture(job.id, file.frame, file.picture).await {
+                Err(ClientError::Refused(problem))
+                    if problem.known_kind() == Some(ProblemKind::ArtifactLost) =>
+                {
+                    return Ok(Some(name));
+                }
+                content => content.with_context(|| format!("cannot fetch {name}"))?,
+            };
             bar.inc(1);
             if file.hash.0 != *blake3::hash(&content).as_bytes() {
                 return Ok(Some(name));
@@ -58,7 +64,7 @@ pub async fn fetch(
     if !damaged.is_empty() {
         damaged.sort_unstable();
         bail!(
-            "damaged where the farm keeps them, and not written: {}; submit these frames again",
+            "lost or damaged where the farm keeps them, and not written: {}; submit these frames again",
             damaged.join(", ")
         );
     }
