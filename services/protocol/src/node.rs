@@ -189,6 +189,8 @@ pub enum NodeState {
     Drained,
     /// Gets no tasks, because too much failed on it: see `set_aside`.
     SetAside,
+    /// Was not heard of for three lease times in which it should have been awake.
+    Silent,
 }
 
 impl Node {
@@ -226,6 +228,7 @@ impl NodeState {
             NodeState::Draining => "draining",
             NodeState::Drained => "drained",
             NodeState::SetAside => "set_aside",
+            NodeState::Silent => "silent",
         }
     }
 }

@@ -376,11 +376,11 @@ async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
             .await?;
         let message = match action {
             Some(action) => format!(
-                "{}: {} and {} committed of {} micro-units a {}: {}",
+                "{}: {} spent and {} committed of {} a {}: {}",
                 budget.project,
-                budget.spent.0,
-                budget.committed.0,
-                budget.amount.0,
+                budget.spent,
+                budget.committed,
+                budget.amount,
                 budget.period.name(),
                 match action {
                     BudgetAction::Warn => "warning",

@@ -10,7 +10,7 @@ use sqlx::{Row as _, SqliteConnection};
 
 use crate::decode::{id, json_opt, time, whole, whole_opt, word};
 use crate::projection::{Projection, project};
-use crate::schedule::with_power;
+use crate::schedule::{as_it_is, silent_after};
 use crate::{JobForecast, Store, StoreError, bookings, events, jobs, nodes, progress, seeds, track_record};
 
 /// How much of everything the dashboard shows.
@@ -23,7 +23,7 @@ impl Store {
     /// Everything a dashboard shows, read in one transaction. A node is alive if it was heard of within the last three
     /// lease times.
     pub async fn dashboard(&self, ttl: Duration, now: Timestamp) -> Result<Dashboard, StoreError> {
-        let silent_since = now.plus_micros(-3 * i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX / 3));
+        let silent_since = now.plus_micros(-silent_after(ttl));
         let mut transaction = self.read().await?;
         let connection = &mut *transaction;
         let open = bookings::open(connection).await?;
@@ -39,7 +39,7 @@ impl Store {
             last_event_id: newest.first().map_or(0, |event| event.id),
             counts: counts(connection, silent_since).await?,
             jobs: dashboard_jobs(connection, &projected).await?,
-            nodes: dashboard_nodes(connection, silent_since, now).await?,
+            nodes: dashboard_nodes(connection, ttl, now).await?,
             bookings: open.into_iter().take(BOOKINGS).map(|open| open.booking).collect(),
             events: newest,
             track_frames: record.frames,
@@ -50,7 +50,7 @@ impl Store {
 
     /// The farm in numbers.
     pub async fn counts(&self, ttl: Duration, now: Timestamp) -> Result<DashboardCounts, StoreError> {
-        let silent_since = now.plus_micros(-3 * i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX / 3));
+        let silent_since = now.plus_micros(-silent_after(ttl));
         let mut transaction = self.read().await?;
         counts(&mut transaction, silent_since).await
     }
@@ -140,14 +140,14 @@ async fn dashboard_jobs(
 
 async fn dashboard_nodes(
     connection: &mut SqliteConnection,
-    silent_since: Timestamp,
+    ttl: Duration,
     now: Timestamp,
 ) -> Result<Vec<DashboardNode>, StoreError> {
     let mut list = Vec::new();
     for node in nodes::list(connection, None, NODES).await? {
         let activity = activity(connection, node.id).await?;
-        let alive = node.last_seen_at >= silent_since;
-        list.push(DashboardNode { alive, node: with_power(node, now), activity });
+        let alive = node.last_seen_at >= now.plus_micros(-silent_after(ttl));
+        list.push(DashboardNode { alive, node: as_it_is(node, ttl, now), activity });
     }
     Ok(list)
 }

@@ -76,7 +76,7 @@ pub use projection::{Holder, OpenBooking, OpenSeed, Projected, ProjectedSeed, Pr
 pub use projects::{HALF_LIFE, ProjectUse};
 pub use replans::{Wanted, is_news};
 pub use results::{Committed, MeasuredProfile};
-pub use schedule::{Opening, free_time_of, opening, silence, with_power};
+pub use schedule::{Opening, as_it_is, free_time_of, opening, silence};
 pub use seeds::{NewSeed, NewSeedBooking, PlannedCache};
 pub use slurm::{BookedTime, Holding, NewArray, OpenArray, OpenElement, SeenNode, Waiting};
 pub use track_record::FinishedJob;

@@ -1,8 +1,10 @@
 //! When nodes are awake.
 
+use std::time::Duration;
+
 use forelight_planner as planner;
 use forelight_planner::{Interval, Weekly};
-use forelight_protocol::{Day, Node, NodeCalendar, NodePower, PowerState, Timestamp};
+use forelight_protocol::{Day, Node, NodeCalendar, NodePower, NodeState, PowerState, Timestamp};
 use jiff::civil::{Time, Weekday};
 
 const DAY: i64 = 86_400_000_000;
@@ -88,9 +90,26 @@ pub fn silence(node: &Node, now: Timestamp) -> i64 {
     })
 }
 
+/// After so many microseconds without a word a node no longer counts as there: three lease times.
+pub(crate) fn silent_after(ttl: Duration) -> i64 {
+    i64::try_from(ttl.as_micros()).map_or(i64::MAX / 2, |ttl| ttl.saturating_mul(3))
+}
+
+/// The node as it is now: with its power, and whether it has fallen silent.
+#[must_use]
+pub fn as_it_is(node: Node, ttl: Duration, now: Timestamp) -> Node {
+    let should_speak = matches!(node.state, NodeState::Idle | NodeState::Working);
+    let node = with_power(node, now);
+    if should_speak && silence(&node, now) > silent_after(ttl) {
+        // Why it got nothing when it last asked is no longer why.
+        return Node { state: NodeState::Silent, idle_reason: None, ..node };
+    }
+    node
+}
+
 /// The node with its power filled in.
 #[must_use]
-pub fn with_power(node: Node, now: Timestamp) -> Node {
+pub(crate) fn with_power(node: Node, now: Timestamp) -> Node {
     let power = match opening(&node, now) {
         Opening::Awake(until) => NodePower { state: PowerState::Awake, until },
         Opening::Asleep(until) => NodePower { state: PowerState::Asleep, until },

@@ -14,7 +14,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use forelight_planner as planner;
 use forelight_planner::{AtRisk, Booking, Precedence, Reason};
 use forelight_protocol::{
-    JobId, JobVerdict, NodeId, ProjectShare, Promise, Timestamp, Verdict, WaitKind, Waits,
+    JobId, JobVerdict, Money, NodeId, ProjectShare, Promise, Timestamp, Verdict, WaitKind, Waits,
 };
 use forelight_store::{HALF_LIFE, JobOutlook, NewBooking, NewJobPlan};
 
@@ -256,7 +256,7 @@ fn verdict(farm: &Farm, plan: &planner::Plan, job: usize) -> JobVerdict {
     let cost = with_spent(entry.map_or(0, |entry| entry.cost), asked);
     if over_budget && let Some(budget) = asked.job.budget {
         let above = cost.micro_units().saturating_sub(budget.micro_units());
-        reasons.push(format!("{above} micro-units above the budget"));
+        reasons.push(format!("{} above the budget", Money(above)));
     }
     if asked.factor > 1.0 {
         reasons

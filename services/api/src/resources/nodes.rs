@@ -8,7 +8,7 @@ use forelight_protocol::{
     Capabilities, JoinRequest, JoinToken, JoinTokenRequest, MOST_WINDOWS, Money, Node, NodeCalendar,
     NodeCalibration, NodeChange, NodeId, NodePage, NodeRegistration, NodeTerms, ProblemKind,
 };
-use forelight_store::with_power;
+use forelight_store::as_it_is;
 
 use super::{created, repeated};
 use crate::error::{ApiError, ApiResult, Problems};
@@ -87,7 +87,7 @@ pub(crate) async fn list(
     let mut items = app.store.nodes(query.key("nodes")?, size + 1).await?;
     let next_page_token = cut(&mut items, size, "nodes", |node| node.id);
     let now = app.now();
-    let items = items.into_iter().map(|node| with_power(node, now)).collect();
+    let items = items.into_iter().map(|node| as_it_is(node, app.lease_ttl, now)).collect();
     Ok(Json(NodePage { items, next_page_token }))
 }
 
@@ -99,7 +99,7 @@ pub(crate) async fn get(
     _: Anyone,
     Segment(node): Segment<NodeId>,
 ) -> ApiResult<Json<Node>> {
-    Ok(Json(with_power(app.store.node(node).await?, app.now())))
+    Ok(Json(as_it_is(app.store.node(node).await?, app.lease_ttl, app.now())))
 }
 
 /// Gives a node orders (drain, pause and resume, take its task away, set it aside or bring it back), or sets its speed, price, calendar or terms by hand.
@@ -127,7 +127,7 @@ pub(crate) async fn change(
         .map_or(Ok(()), |schedule| check_schedule("/schedule", schedule))?;
     change.terms.as_ref().map_or(Ok(()), check_terms)?;
     let now = app.now();
-    Ok(Json(with_power(app.store.change_node(node, &change, now).await?, now)))
+    Ok(Json(as_it_is(app.store.change_node(node, &change, now).await?, app.lease_ttl, now)))
 }
 
 fn check_registration(place: &str, node: &NodeRegistration) -> ApiResult<()> {

@@ -1,6 +1,6 @@
 //! Frames, track record, dashboard.
 
-use forelight_protocol::{FrameState, QuantileHits};
+use forelight_protocol::{FrameState, NodeState, QuantileHits};
 
 use super::*;
 
@@ -80,6 +80,7 @@ async fn the_dashboard_shows_what_every_node_does_and_which_are_silent() {
     let activity = first.activity.as_ref().unwrap();
     assert_eq!((activity.frame, activity.progress, activity.started), (Some(0), 0.5, at(100)));
     assert_eq!(second.activity, None);
+    assert_eq!((first.node.state, second.node.state), (NodeState::Working, NodeState::Silent));
     assert_eq!(dashboard.bookings.len(), 4);
     assert_eq!(dashboard.last_event_id, farm.store.last_event_id().await.unwrap());
 }
