@@ -7,8 +7,10 @@ use crate::strata::Stratum;
 ///
 /// What a stratum costs follows from where the camera is, what is near and what is lit; none of that is known of the frames that are
 /// not profiled, but the preview shows how much of the picture has changed from one to the next: D = ½ Σ_h |w_h(t) − w_h(t−1)|, the
-/// part of the expected cost that is in other strata now (0 nothing, 1 everything). If unit costs change as much as the picture
-/// does, the variance that they pick up goes with D². So a step takes, in frames,
+/// part of the expected cost that is in other strata now (0 nothing, 1 everything). What appears where the camera does not look may be
+/// seen in a mirror, or light what is seen: of that the preview knows the triangles alone, so D is at least the part of them that has
+/// come or gone. If unit costs change as much as the picture does, the variance that they pick up goes with D². So a step takes, in
+/// frames,
 ///
 /// ```text
 /// Δτ = Δn + L D² ,     n the frames' numbers, L the length of the shot
@@ -35,7 +37,8 @@ impl ShotClock {
         let mut time = 0.0;
         let mut times: Vec<f64> = frames.first().map(|_| time).into_iter().collect();
         times.extend(frames.windows(2).map(|pair| {
-            let changed = changed(strata, &pair[0].counts, &pair[1].counts);
+            let changed =
+                changed(strata, &pair[0].counts, &pair[1].counts).max(come_or_gone(&pair[0], &pair[1]));
             time += apart(pair[0].number, pair[1].number) + length * changed * changed;
             time
         }));
@@ -88,6 +91,13 @@ fn changed(strata: &[Stratum], before: &[u32], after: &[u32]) -> f64 {
     (0.5 * moved.sum::<f64>()).min(1.0)
 }
 
+/// The part of the triangles that one of the frames has and the other has not, 0 to 1.
+fn come_or_gone(before: &FramePopulation, after: &FramePopulation) -> f64 {
+    let (fewer, more) =
+        (before.triangles.min(after.triangles) as f64, before.triangles.max(after.triangles) as f64);
+    if more > 0.0 { (more - fewer) / more } else { 0.0 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::ShotClock;
@@ -123,6 +133,16 @@ mod tests {
         assert_eq!((cut.between(9, 10), cut.between(8, 9)), (1.0 + 19.0, 1.0));
         let slow: Vec<[u32; 2]> = (0..20).map(|t| [1000 - 20 * t, 20 * t]).collect();
         assert!(clock(&slow).length() < 19.2);
+    }
+
+    #[test]
+    fn what_appears_where_the_camera_does_not_look_is_a_cut_as_well() {
+        let frame = |number, triangles| FramePopulation { number, counts: vec![], lights: 0, triangles };
+        let frames: Vec<FramePopulation> =
+            (0..20).map(|n| frame(n, if (8..11).contains(&n) { 1000 } else { 10 })).collect();
+        let clock = ShotClock::new(&[], &frames);
+        assert_eq!((clock.between(0, 7), clock.between(8, 10)), (7.0, 2.0));
+        assert!(clock.between(7, 8) > 19.0 && clock.between(10, 11) > 19.0);
     }
 
     #[test]

@@ -19,6 +19,7 @@ mod limits;
 mod material;
 mod mtl;
 mod obj;
+mod polygon;
 mod scene;
 mod shot;
 mod texture;

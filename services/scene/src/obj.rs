@@ -1,21 +1,26 @@
 //! OBJ geometry, read by `tobj`.
 //!
 //! [`check`] goes through the text first, because `tobj` names no lines in its errors, lets NaN pass, does not
-//! say when a material is missing, and mixes up the attributes of an object where only some faces have normals or texture
-//! coordinates. What it hands on has none of these: attributes never change within a model, as it starts a new model
-//! of the same name where they do.
+//! say when a material is missing, makes fans of faces that are not convex, and mixes up the attributes of an object where only some faces have
+//! normals or texture coordinates. What it hands on has none of these: faces that are not convex are triangles, and attributes never change within
+//! a model, as it starts a new model of the same name where they do.
 
 use crate::assembly::{Assembly, plain_material};
 use crate::error::{Place, SceneError};
+use crate::polygon;
 use crate::shot::{Mesh, Node, Part, Placement};
 use crate::{Color, Surface};
-use glam::{Vec2, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// The name `tobj` gives to faces before the first `o` or `g`.
 const UNNAMED: &str = "unnamed_object";
+
+/// The most that the squares of the numbers of corners of faces that are not convex may add up to: cutting ears takes time in proportion to
+/// them, at worst half a minute for these.
+const MOST_CUTTING: u64 = 1_000_000_000;
 
 /// A checked OBJ file.
 struct Checked {
@@ -214,8 +219,10 @@ fn check(file: &str, bytes: &[u8], triangle_limit: u64) -> Result<Checked, Scene
         out: Vec::with_capacity(text.len() + 1024),
         name: UNNAMED,
         format: None,
-        counts: [0; 3],
+        positions: Vec::new(),
+        counts: [0; 2],
         triangles: 0,
+        cutting: 0,
         libraries: Vec::new(),
         materials: BTreeMap::new(),
         ignored: BTreeMap::new(),
@@ -243,9 +250,13 @@ struct Check<'a> {
     name: &'a str,
     /// Whether the faces of the current model have (texture coordinates, normals).
     format: Option<(bool, bool)>,
-    /// Positions, texture coordinates and normals so far.
-    counts: [usize; 3],
+    /// Positions so far.
+    positions: Vec<[f32; 3]>,
+    /// Texture coordinates and normals so far.
+    counts: [usize; 2],
     triangles: u64,
+    /// Squares of the numbers of corners of faces that are not convex, added up.
+    cutting: u64,
     libraries: Vec<(String, usize)>,
     materials: BTreeMap<String, usize>,
     ignored: BTreeMap<String, usize>,
@@ -259,14 +270,14 @@ impl<'a> Check<'a> {
             "" | "s" => {}
             "v" => self.position(rest)?,
             "vt" => {
-                let words = numbers::<3>("vt", rest, 1)?;
-                self.counts[1] += 1;
+                let (words, _) = numbers::<3>("vt", rest, 1)?;
+                self.counts[0] += 1;
                 let v = if words == 1 { " 0" } else { "" };
                 self.write(&["vt ", rest, v]);
             }
             "vn" => {
                 numbers::<3>("vn", rest, 3)?;
-                self.counts[2] += 1;
+                self.counts[1] += 1;
                 self.write(&["vn ", rest]);
             }
             "f" => self.face(rest)?,
@@ -296,12 +307,12 @@ impl<'a> Check<'a> {
 
     /// A position: 3 numbers, or 4 with a weight, or 6 with a colour, which is left out.
     fn position(&mut self, rest: &str) -> Result<(), String> {
-        self.counts[0] += 1;
-        match numbers::<6>("v", rest, 3)? {
+        let (words, [x, y, z, weight, ..]) = numbers::<6>("v", rest, 3)?;
+        let weight = if words == 4 { weight } else { 1.0 };
+        self.positions.push([x, y, z].map(|coordinate| coordinate / weight));
+        match words {
             3 => self.write(&["v ", rest]),
-            4 if rest.split_whitespace().nth(3).and_then(|w| w.parse::<f32>().ok()) == Some(0.0) => {
-                return Err("`v`: the weight is zero".into());
-            }
+            4 if weight == 0.0 => return Err("`v`: the weight is zero".into()),
             4 => self.write(&["v ", rest]),
             6 => {
                 let words: Vec<&str> = rest.split_whitespace().take(3).collect();
@@ -313,61 +324,93 @@ impl<'a> Check<'a> {
     }
 
     fn face(&mut self, rest: &str) -> Result<(), String> {
-        let mut corners = 0u64;
+        let mut corners: Vec<usize> = Vec::new();
         let mut format = None;
         for corner in rest.split_whitespace() {
-            let mut has = [false; 3];
+            let mut has = [None; 3];
             let mut indices = corner.split('/');
             for (kind, has) in has.iter_mut().enumerate() {
                 if let Some(index) = indices.next().filter(|index| !index.is_empty()) {
-                    self.index(kind, index)?;
-                    *has = true;
+                    *has = Some(self.index(kind, index)?);
                 }
             }
-            if !has[0] || indices.next().is_some() {
+            let (Some(position), None) = (has[0], indices.next()) else {
                 return Err(format!("`f`: `{corner}` is not `v`, `v/vt`, `v//vn` or `v/vt/vn`"));
-            }
-            if *format.get_or_insert((has[1], has[2])) != (has[1], has[2]) {
+            };
+            let has = (has[1].is_some(), has[2].is_some());
+            if *format.get_or_insert(has) != has {
                 return Err("`f`: the corners have not all the same attributes".into());
             }
-            corners += 1;
+            corners.push(position);
         }
-        if corners < 3 {
-            return Err(format!("`f`: a face has at least 3 corners, not {corners}"));
+        if corners.len() < 3 {
+            return Err(format!("`f`: a face has at least 3 corners, not {}", corners.len()));
         }
         if self.format.is_some() && self.format != format {
             self.write(&["o ", self.name]);
         }
         self.format = format;
-        self.triangles += corners - 2;
-        self.write(&["f ", rest]);
+        self.triangles += corners.len() as u64 - 2;
+        let ears = if corners.len() == 3 { None } else { self.ears(&corners)? };
+        match ears {
+            None => self.write(&["f ", rest]),
+            Some(ears) => {
+                let words: Vec<&str> = rest.split_whitespace().collect();
+                for [a, b, c] in ears {
+                    self.write(&["f ", words[a], " ", words[b], " ", words[c]]);
+                }
+            }
+        }
         Ok(())
     }
 
-    /// Checks an index: from 1, or negative from the last one so far.
-    fn index(&self, kind: usize, text: &str) -> Result<(), String> {
-        let count = self.counts[kind];
+    /// The triangles of a face that is not convex.
+    fn ears(&mut self, corners: &[usize]) -> Result<Option<Vec<[usize; 3]>>, String> {
+        let corners: Vec<DVec3> =
+            corners.iter().map(|&corner| DVec3::from(self.positions[corner].map(f64::from))).collect();
+        if polygon::is_fan(&corners) {
+            return Ok(None);
+        }
+        let corners_squared = (corners.len() as u64).saturating_mul(corners.len() as u64);
+        self.cutting = self.cutting.saturating_add(corners_squared);
+        if self.cutting > MOST_CUTTING {
+            return Err(
+                "`f`: the faces that are not convex have too many corners to be cut into triangles here; let the exporter do it".into()
+            );
+        }
+        Ok(polygon::ears(&corners))
+    }
+
+    /// Checks an index, from 1, or negative from the last one so far; returns it from 0.
+    fn index(&self, kind: usize, text: &str) -> Result<usize, String> {
+        let count = [self.positions.len(), self.counts[0], self.counts[1]][kind];
         let index: i64 = text.parse().map_err(|_| format!("`f`: `{text}` is not an index"))?;
         if index == 0 || index.unsigned_abs() > count as u64 {
             let what = ["vertex", "texture coordinate", "normal"][kind];
             return Err(format!("`f`: there is no {what} {index}; there are {count} so far"));
         }
-        Ok(())
+        // Both are within the number of lines.
+        let distance = index.unsigned_abs() as usize;
+        Ok(if index > 0 { distance - 1 } else { count - distance })
     }
 }
 
-/// Checks that `text` is at least `least` and at most `N` finite numbers; returns how many.
-fn numbers<const N: usize>(key: &str, text: &str, least: usize) -> Result<usize, String> {
+/// Reads at least `least` and at most `N` finite numbers; returns how many, and zeros behind them.
+fn numbers<const N: usize>(key: &str, text: &str, least: usize) -> Result<(usize, [f32; N]), String> {
     let mut count = 0;
+    let mut found = [0.0; N];
     for word in text.split_whitespace() {
         let value: f32 = word.parse().map_err(|_| format!("`{key}`: `{word}` is not a number"))?;
         if !value.is_finite() {
             return Err(format!("`{key}`: {word} is not finite"));
+        }
+        if let Some(place) = found.get_mut(count) {
+            *place = value;
         }
         count += 1;
     }
     if count < least || count > N {
         return Err(format!("`{key}` takes {least} to {N} numbers, not {count}"));
     }
-    Ok(count)
+    Ok((count, found))
 }

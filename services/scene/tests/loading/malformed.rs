@@ -601,6 +601,25 @@ fn malformed_lines_of_an_obj_file() {
 }
 
 #[test]
+fn faces_with_thousands_of_corners_have_to_be_convex() {
+    let round = |corners: usize, notch: f64| {
+        let mut text = OBJ.to_owned();
+        for corner in 0..corners {
+            let (y, x) = (std::f64::consts::TAU * corner as f64 / corners as f64).sin_cos();
+            let radius = if corner == 7 { notch } else { 1.0 };
+            text += &format!("v {} {} 0\n", radius * x, radius * y);
+        }
+        text += "f";
+        (0..corners).rev().for_each(|corner| text += &format!(" -{}", corner + 1));
+        Files::good().with("scene.obj", text)
+    };
+    assert_eq!(round(40_000, 1.0).scene().frame(0).unwrap().geometry.triangles.len(), 2 + 39_998);
+    assert_eq!(round(4000, 0.5).scene().frame(0).unwrap().geometry.triangles.len(), 2 + 3998);
+    let expected = "scene.obj: line 40014: `f`: the faces that are not convex have too many corners to be cut into triangles here; let the exporter do it";
+    assert_eq!(round(40_000, 0.5).error(), expected);
+}
+
+#[test]
 fn an_obj_file_that_is_no_text() {
     let error = Files::good().with("scene.obj", b"v 0 0 0\n\xff\xfe\n").error();
     assert_eq!(error, "scene.obj: line 2: is not UTF-8 text");

@@ -155,6 +155,31 @@ fn obj_oddities_are_read_as_they_are_meant() {
 }
 
 #[test]
+fn a_face_that_is_not_convex_has_the_area_that_it_encloses() {
+    // An L about a corner at the third vertex, from each of its corners on, with texture coordinates.
+    let corners = ["0 0 5", "2 0 5", "1 1 5", "1 2 5", "0 2 5"];
+    for first in 0..corners.len() {
+        let mut obj = "mtllib scene.mtl\nusemtl white\n".to_owned();
+        for corner in 0..corners.len() {
+            let corner = corners[(first + corner) % corners.len()];
+            let [x, y, _] = corner.split(' ').collect::<Vec<_>>()[..] else { panic!() };
+            obj += &format!("v {corner}\nvt {x} {y}\n");
+        }
+        let g = frame(&Files::good().with("scene.obj", obj + "f 1/1 -4/-4 3/3 4/4 5/5\n")).geometry;
+        assert_eq!((g.triangles.len(), g.positions.len()), (3, 5));
+        let area = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(|v| g.positions[v as usize]);
+            0.5 * (b - a).cross(c - a)
+        };
+        assert!(g.triangles.iter().all(|t| area(t).z > 0.0), "{:?}", g.triangles);
+        assert!((g.triangles.iter().map(|t| area(t).z).sum::<f32>() - 2.5).abs() < 1e-6);
+        for (position, uv) in g.positions.iter().zip(&g.uvs) {
+            assert_eq!((position.x, position.y), (uv.x, uv.y));
+        }
+    }
+}
+
+#[test]
 fn triangles_without_area_are_left_out_and_counted() {
     let scene = Files::good().with("scene.obj", format!("{OBJ}f 1 1 2\nf 1 2 2\n")).scene();
     assert_eq!(scene.frame(0).unwrap().geometry.triangles.len(), 2);
