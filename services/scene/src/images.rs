@@ -62,6 +62,9 @@ impl<'a> TextureLibrary<'a> {
             return Err(SceneError::Limit { file, what: "texels of all textures", found, limit });
         }
         let (mut reader, format) = open()?;
+        if format == ImageFormat::Jpeg && is_cut_short(bytes) {
+            return Err(SceneError::file(name, "is not a readable image: the JPEG file is cut short"));
+        }
         // The size is known and allowed: 16 bytes a pixel, and a margin for the decoder and for what a file carries
         // beside the pixels.
         let mut limits = image::Limits::default();
@@ -108,6 +111,14 @@ impl<'a> TextureLibrary<'a> {
     pub(crate) fn into_textures(self) -> Vec<Texture> {
         self.textures
     }
+}
+
+/// Whether a JPEG file ends before its image does, which decoders fill up with grey. Behind the last start of a scan (ITU-T T.81, B.1.1.2)
+/// nothing but the end of the image looks like one: in a scan, another byte follows each 0xFF.
+fn is_cut_short(jpeg: &[u8]) -> bool {
+    let last = |marker: u8| jpeg.windows(2).rposition(|pair| pair == [0xFF, marker]);
+    let (start_of_scan, end_of_image) = (last(0xDA), last(0xD9));
+    end_of_image.is_none() || end_of_image < start_of_scan
 }
 
 /// Linear texels; filters and denoisers leave small negative values in images of light, which count as black.

@@ -513,8 +513,18 @@ fn a_texture_that_is_missing_or_no_image() {
     assert!(error.contains("textures/wood.jpg: is not an image that is understood"), "{error}");
     let mut cut = png(8, 8, [1, 2, 3, 255]);
     cut.truncate(40);
-    let error = files.with("textures/wood.jpg", cut).error();
+    let error = files.clone().with("textures/wood.jpg", cut).error();
     assert!(error.contains("textures/wood.jpg: is not a readable image"), "{error}");
+    let image = image::RgbImage::from_fn(64, 64, |x, y| image::Rgb([x as u8, y as u8, (x * y) as u8]));
+    let jpeg = crate::made::encoded(&image.into(), image::ImageFormat::Jpeg);
+    for cut in [jpeg.len() - 2, jpeg.len() / 2] {
+        let error = files.clone().with("textures/wood.jpg", &jpeg[..cut]).error();
+        assert!(error.contains("textures/wood.jpg: is not a readable image: "), "{error}");
+    }
+    let with_more = [&jpeg[..], b"and what a camera writes behind it"].concat();
+    for whole in [jpeg, with_more] {
+        files.clone().with("textures/wood.jpg", whole).scene();
+    }
 }
 
 #[test]
