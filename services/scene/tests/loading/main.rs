@@ -3,8 +3,10 @@
 mod bundles;
 mod damaged;
 mod made;
-mod malformed;
+mod malformed_description;
+mod malformed_files;
 mod malformed_gltf;
+mod malformed_obj;
 mod meaning;
 mod meaning_gltf;
 mod shared;
