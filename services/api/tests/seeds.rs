@@ -78,6 +78,7 @@ impl Worker {
             cores: 1,
             capabilities: Default::default(),
             schedule: None,
+            worker: None,
         };
         let agent = Agent::new(client, library, executor.clone(), registration).unwrap();
         let stop = CancellationToken::new();

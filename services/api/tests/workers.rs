@@ -6,11 +6,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use forelight_api::{Clock as _, ManualClock};
-use forelight_protocol::{JoinToken, Lease, Node, NodeState, ProblemKind, Renewal, TaskLog, Timestamp};
+use forelight_protocol::{
+    JoinToken, Lease, LeaseOrder, Node, NodeState, ProblemKind, Renewal, TaskLog, Timestamp,
+};
 use forelight_store::{token_hash, tokens};
 use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
 use support::{Answer, Client, Farm};
+use uuid::Uuid;
 
 impl Farm {
     async fn order(&self, node: &Node, order: Value) -> Node {
@@ -28,6 +31,35 @@ impl Farm {
 
 fn node(name: &str) -> Value {
     json!({"name": name, "cores": 4, "capabilities": {"memory_bytes": 1 << 30, "vulkan_adapter": "llvmpipe"}})
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn of_two_workers_of_one_name_the_later_has_the_node_and_the_earlier_is_told() {
+    let farm = Farm::new().await;
+    farm.submit("0").await;
+    let [first, second] = [Uuid::now_v7(), Uuid::now_v7()];
+    let register = async |worker: Option<Uuid>| -> Node {
+        let node = json!({"name": "rack-7", "cores": 4, "worker": worker});
+        farm.worker.post("/v1/nodes", &node).await.json_as(StatusCode::CREATED).await
+    };
+    let node = register(Some(first)).await;
+    let claim = async |worker: Option<Uuid>| {
+        farm.worker.post("/v1/leases", &json!({"node_id": node.id, "worker": worker})).await
+    };
+    let lease: Lease = claim(Some(first)).await.json_as(StatusCode::OK).await;
+    // It registers again, as when the service forgot it, and so does a process of a moment: nothing changes.
+    for worker in [Some(first), None] {
+        assert_eq!(register(worker).await.task_id, Some(lease.task_id));
+    }
+    assert_eq!(claim(Some(first)).await.status(), StatusCode::NO_CONTENT);
+    // The other one takes the task over at once.
+    assert_eq!((register(Some(second)).await.id, register(None).await.task_id), (node.id, None));
+    let again: Lease = claim(Some(second)).await.json_as(StatusCode::OK).await;
+    assert_eq!((again.task_id, again.fence), (lease.task_id, lease.fence + 1));
+    let told = claim(Some(first)).await.problem(ProblemKind::Conflict).await;
+    assert!(told.detail.contains("another worker has registered as \"rack-7\""), "{told:?}");
+    let renewal: Renewal = farm.renew(&lease, json!({})).await.json_as(StatusCode::OK).await;
+    assert_eq!(renewal.order, LeaseOrder::Stop);
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -5,6 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
+use uuid::Uuid;
 
 use crate::{JobId, JobState, LeaseId, LogLine, NodeId, TaskId, TaskResult, TaskSpec, Timestamp};
 
@@ -25,6 +26,9 @@ pub struct ClaimRequest {
     /// it. Waits while another worker holds the task; a conflict once it is over. Absent: whatever is next.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub task_id: Option<TaskId>,
+    /// The number under which the process registered. If another has taken the node over since, that is a conflict.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub worker: Option<Uuid>,
 }
 
 /// A task in a worker's hands.

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Deserializer, Serialize};
 use utoipa::ToSchema;
+use uuid::Uuid;
 
 use crate::{
     ArtifactHash, ByClass, Money, NodeCalendar, NodeCalibration, NodeId, NodePower, PageToken, TaskId,
@@ -33,6 +34,10 @@ pub struct NodeRegistration {
     /// When the machine is awake; absent: always.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub schedule: Option<NodeCalendar>,
+    /// The process that registers, by a number of its own. It takes the node over from an earlier one: what that one had goes back, and its
+    /// claims are refused. Absent: a process of a moment, which leaves the node to whoever has it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub worker: Option<Uuid>,
 }
 
 /// On which terms a node is had: how its time is billed, when it is closed, and what happens then.

@@ -111,6 +111,18 @@ impl Store {
         Ok(changed)
     }
 
+    /// Refuses a process whose node was taken over by another.
+    pub async fn check_worker(&self, node: NodeId, worker: uuid::Uuid) -> Result<(), StoreError> {
+        let mut connection = self.readers().acquire().await?;
+        if !has_another_worker(&mut connection, node, worker).await? {
+            return Ok(());
+        }
+        let Node { name, .. } = read(&mut connection, node).await?;
+        Err(StoreError::Conflict(format!(
+            "another worker has registered as {name:?} since, and has taken the node over; if both are to work, give each a name of its own"
+        )))
+    }
+
     /// A node.
     pub async fn node(&self, node: NodeId) -> Result<Node, StoreError> {
         let mut connection = self.readers().acquire().await?;
@@ -150,11 +162,18 @@ pub(crate) async fn upsert(
     now: Timestamp,
 ) -> Result<Node, StoreError> {
     let before = by_name(write.connection().await?, &registration.name).await?;
+    let is_replaced = match (&before, registration.worker) {
+        (Some(before), Some(worker)) => {
+            has_another_worker(write.connection().await?, before.id, worker).await?
+        }
+        _ => false,
+    };
     let node_id: uuid::Uuid = sqlx::query_scalar(
-        "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at, capabilities, schedule) \
-         VALUES (?, ?, ?, ?, ?, ?6, ?6, ?7, ?8) ON CONFLICT (name) DO UPDATE SET speed = excluded.speed, \
+        "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at, capabilities, schedule, worker) \
+         VALUES (?, ?, ?, ?, ?, ?6, ?6, ?7, ?8, ?9) ON CONFLICT (name) DO UPDATE SET speed = excluded.speed, \
          price_per_hour = excluded.price_per_hour, cores = excluded.cores, last_seen_at = excluded.last_seen_at, \
-         capabilities = excluded.capabilities, schedule = excluded.schedule, paused = 0 RETURNING id",
+         capabilities = excluded.capabilities, schedule = excluded.schedule, \
+         worker = coalesce(excluded.worker, worker), paused = 0 RETURNING id",
     )
     .bind(NodeId::new().0)
     .bind(&registration.name)
@@ -164,8 +183,13 @@ pub(crate) async fn upsert(
     .bind(now.micros())
     .bind(to_json(&registration.capabilities)?)
     .bind(registration.schedule.as_ref().map(to_json).transpose()?)
+    .bind(registration.worker)
     .fetch_one(write.connection().await?)
     .await?;
+    if is_replaced {
+        // Who had it is dead, or is about to be told.
+        take_tasks_away(write, NodeId(node_id), now).await?;
+    }
     let node = read(write.connection().await?, NodeId(node_id)).await?;
     match before {
         None => replans::want(write, &format!("node {} joined", node.name)).await?,
@@ -183,6 +207,20 @@ pub(crate) async fn upsert(
         },
     )?;
     Ok(with_power(node, now))
+}
+
+/// Whether the node was registered last by another process than this one.
+async fn has_another_worker(
+    connection: &mut SqliteConnection,
+    node: NodeId,
+    worker: uuid::Uuid,
+) -> Result<bool, StoreError> {
+    let found: Option<bool> = sqlx::query_scalar("SELECT coalesce(worker <> ?, 0) FROM nodes WHERE id = ?")
+        .bind(worker)
+        .bind(node.0)
+        .fetch_optional(connection)
+        .await?;
+    found.ok_or(StoreError::NotFound("node"))
 }
 
 /// Whether plans see the same node in both.

@@ -244,6 +244,7 @@ fn registration(name: &str) -> NodeRegistration {
         cores: 1,
         capabilities: Capabilities::default(),
         schedule: None,
+        worker: None,
     }
 }
 

@@ -53,6 +53,8 @@ pub struct Agent {
     executor: Arc<dyn Execute>,
     pool: Arc<rayon::ThreadPool>,
     registration: NodeRegistration,
+    /// What tells this process from others that may register under the same name.
+    worker: Uuid,
     limits: TaskLimits,
     checkpoints: Duration,
     /// Until when the service wants this worker to sleep, by this machine's clock.
@@ -120,7 +122,8 @@ impl Agent {
             .map_err(|error| AgentError::Threads { threads, reason: error.to_string() })?;
         let (pool, limits, checkpoints) = (Arc::new(pool), TaskLimits::default(), CHECKPOINT_INTERVAL);
         let asleep = Mutex::new(None);
-        Ok(Self { client, library, executor, pool, registration, limits, checkpoints, asleep })
+        let worker = Uuid::now_v7();
+        Ok(Self { client, library, executor, pool, registration, worker, limits, checkpoints, asleep })
     }
 
     /// The same worker with limits of its own for every task; where a job sets its own, the stricter holds.
@@ -135,11 +138,16 @@ impl Agent {
 
     /// Works until `stop` is cancelled, or until the service does not want this worker.
     pub async fn run(&self, stop: CancellationToken) -> Result<(), AgentError> {
-        let Some(mut node) = self.register(&stop).await? else { return Ok(()) };
+        let Some(mut node) = self.register(Some(self.worker), &stop).await? else { return Ok(()) };
         let patient = self.client.with_backoff(Backoff::FOREVER);
         while !stop.is_cancelled() {
             self.sleep(&stop).await;
-            let claim = ClaimRequest { node_id: node, wait_ms: CLAIM_WAIT_MS, task_id: None };
+            let claim = ClaimRequest {
+                node_id: node,
+                wait_ms: CLAIM_WAIT_MS,
+                task_id: None,
+                worker: Some(self.worker),
+            };
             let claimed = tokio::select! {
                 () = stop.cancelled() => break,
                 claimed = patient.claim(&claim, Uuid::now_v7()) => claimed,
@@ -150,12 +158,17 @@ impl Agent {
                 Ok(Claimed::Asleep(time)) => {
                     self.go_to_sleep(i64::try_from(time.as_micros()).unwrap_or(i64::MAX))
                 }
-                Err(error) if is_unwanted(&error) => return Err(self.refused(error)),
+                // It does not want this worker, or another has taken its node over.
+                Err(error) if is_unwanted(&error) || error.is(ProblemKind::Conflict) => {
+                    return Err(self.refused(error));
+                }
                 // A service that lost its memory does not know the node any more.
-                Err(error) if error.is(ProblemKind::NotFound) => match self.register(&stop).await? {
-                    Some(again) => node = again,
-                    None => break,
-                },
+                Err(error) if error.is(ProblemKind::NotFound) => {
+                    match self.register(Some(self.worker), &stop).await? {
+                        Some(again) => node = again,
+                        None => break,
+                    }
+                }
                 Err(error) => {
                     tracing::warn!(node = self.registration.name, %error, "no task was handed out");
                     pause(AFTER_REFUSAL, &stop).await;
@@ -169,10 +182,11 @@ impl Agent {
     /// renews; so a process that was started twice is harmless, and takes over when the first one dies. What became of it is told to
     /// the service, and is no error here.
     pub async fn run_task(&self, task: TaskId, stop: CancellationToken) -> Result<Errand, AgentError> {
-        let Some(node) = self.register(&stop).await? else { return Ok(Errand::Stopped) };
+        let Some(node) = self.register(None, &stop).await? else { return Ok(Errand::Stopped) };
         let patient = self.client.with_backoff(Backoff::FOREVER);
         while !stop.is_cancelled() {
-            let claim = ClaimRequest { node_id: node, wait_ms: CLAIM_WAIT_MS, task_id: Some(task) };
+            let claim =
+                ClaimRequest { node_id: node, wait_ms: CLAIM_WAIT_MS, task_id: Some(task), worker: None };
             let claimed = tokio::select! {
                 () = stop.cancelled() => break,
                 claimed = patient.claim(&claim, Uuid::now_v7()) => claimed,
@@ -192,12 +206,17 @@ impl Agent {
     }
 
     /// Announces the node until the service answers; `None` if `stop` came first.
-    async fn register(&self, stop: &CancellationToken) -> Result<Option<NodeId>, AgentError> {
+    async fn register(
+        &self,
+        worker: Option<Uuid>,
+        stop: &CancellationToken,
+    ) -> Result<Option<NodeId>, AgentError> {
         let client = self.client.with_backoff(Backoff::FOREVER);
+        let registration = NodeRegistration { worker, ..self.registration.clone() };
         // Registering is an update by name: each time is a request of its own.
         let registered = tokio::select! {
             () = stop.cancelled() => return Ok(None),
-            registered = client.register(&self.registration, Uuid::now_v7()) => registered,
+            registered = client.register(&registration, Uuid::now_v7()) => registered,
         };
         let node = registered.map_err(|error| self.refused(error))?;
         tracing::info!(node = node.name, id = %node.id, speed = node.speed, cores = node.cores, "registered");

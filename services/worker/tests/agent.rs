@@ -13,8 +13,8 @@ use forelight_protocol::{
     TaskLimits, TaskResult, TaskSpec, Timestamp,
 };
 use forelight_worker::{
-    Agent, Assignment, Client, Control, Errand, Execute, ExecuteError, Library, OpenRenderer, Outcome,
-    RenderError, Renderer,
+    Agent, AgentError, Assignment, Client, Control, Errand, Execute, ExecuteError, Library, OpenRenderer,
+    Outcome, RenderError, Renderer,
 };
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -31,7 +31,7 @@ struct Farm {
     ready: Vec<Lease>,
     /// The tasks that claims asked for.
     wanted: Vec<Option<TaskId>>,
-    /// Claims find that the task is done.
+    /// Claims find that the task is done, or the node in other hands.
     over: bool,
     /// Renewals answer this instead of "continue".
     order: Option<Result<LeaseOrder, ProblemKind>>,
@@ -247,6 +247,7 @@ fn agent(address: &str, executor: Arc<Slow>) -> (Agent, tempfile::TempDir) {
         cores: 1,
         capabilities: Default::default(),
         schedule: None,
+        worker: None,
     };
     let client = Client::new(address, None).unwrap();
     (Agent::new(client, library, executor, registration).unwrap(), bundles)
@@ -475,6 +476,13 @@ async fn a_node_that_the_service_forgot_registers_again() {
     rig.until("the result came", |farm| farm.reports.len() == 1).await;
     assert_eq!(rig.farm.lock().unwrap().registrations, 2);
     rig.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_whose_node_another_has_taken_over_ends_and_says_so() {
+    let rig = Rig::new(Farm { over: true, ..Farm::default() }, Slow::new(Duration::ZERO)).await;
+    let AgentError::Refused { source, .. } = rig.agent.await.unwrap().unwrap_err() else { panic!() };
+    assert!(source.is(ProblemKind::Conflict), "{source}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

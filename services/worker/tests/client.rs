@@ -55,6 +55,7 @@ fn registration() -> NodeRegistration {
         cores: 1,
         capabilities: Default::default(),
         schedule: None,
+        worker: None,
     }
 }
 

@@ -64,6 +64,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
             cores: u32::from(args.threads),
             capabilities: capabilities.clone(),
             schedule: None,
+            worker: None,
         };
         let executor = Arc::new(TaskRunner::new(library.clone()));
         let agent = Agent::new(client.clone(), library.clone(), executor, registration)?;

@@ -36,7 +36,7 @@ back. A restart of the service is survived: results are offered until they are t
 With --join-token-file the machine joins the farm: the one-time token is burnt, and the machine's own token, which it makes itself, is \
 kept in --token-file. Started again with the same flags it finds that token and uses it.")]
 pub struct Args {
-    /// Name of this node, unique on the farm [default: the host's name]
+    /// Name of this node, unique on the farm: whoever starts under it takes the node over [default: the host's name]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
     /// Threads that trace light [default: one per core]
@@ -97,6 +97,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
         cores,
         capabilities: Capabilities { calibration: Some(calibration), ..capabilities },
         schedule: args.schedule,
+        worker: None,
     };
     let client = match &args.join_token_file {
         Some(one_time) => join(one_time, &args.connection, &registration).await?,

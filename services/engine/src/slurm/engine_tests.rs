@@ -202,6 +202,7 @@ impl Farm {
             cores: 4,
             capabilities: Default::default(),
             schedule: None,
+            worker: None,
         };
         match self.store.register_node(&registration, None, at(0)).await.unwrap() {
             Answered::Fresh(node) => node.id,

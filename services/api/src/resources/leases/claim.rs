@@ -39,6 +39,9 @@ pub(super) async fn wait_for_task(
     let mut work = app.store.watch_work();
     loop {
         work.borrow_and_update();
+        if let Some(worker) = request.worker {
+            app.store.check_worker(request.node_id, worker).await?;
+        }
         let claimed = match request.task_id {
             Some(task) => app.store.claim_task(request.node_id, task, app.lease_ttl, key, app.now()).await?,
             None => app.store.claim(request.node_id, app.lease_ttl, key, app.now()).await?,

@@ -186,7 +186,7 @@ async fn frame(client: &Client, node: NodeId, took: &mut Vec<f64>) -> Result<()>
         took.push(last.elapsed().as_secs_f64());
         last = Instant::now();
     };
-    let claim = ClaimRequest { node_id: node, wait_ms: 0, task_id: None };
+    let claim = ClaimRequest { node_id: node, wait_ms: 0, task_id: None, worker: None };
     let lease = client.claim(&claim, Uuid::now_v7()).await.context("claim")?.lease();
     let lease = lease.context("there are no frames left: fewer rounds, please")?;
     lap(took);

@@ -178,6 +178,7 @@ pub fn registration(name: &str) -> NodeRegistration {
         cores: 1,
         capabilities: Capabilities::default(),
         schedule: None,
+        worker: None,
     }
 }
 
