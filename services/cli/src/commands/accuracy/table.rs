@@ -76,11 +76,17 @@ fn ladder(document: &AccuracyDoc, rungs: &[usize]) -> String {
 
 fn truth(rung: &AccuracyRung) -> [String; 4] {
     let Some(measured) = rung.measured else { return Default::default() };
-    let off = rung.error.filter(|_| measured.error > 0.0).map(|error| error.p50 / measured.error - 1.0);
+    // A converged image with few samples shows no errors that are smaller than its own.
+    let shows = measured.error > measured.error_deviation;
+    let off = rung.error.filter(|_| shows).map(|error| error.p50 / measured.error - 1.0);
     [
         count(measured.work as f64),
         seconds(measured.cpu_seconds),
-        share(measured.error),
+        if shows {
+            share(measured.error)
+        } else {
+            format!("< {}", share(measured.error.max(measured.error_deviation)))
+        },
         off.map_or("-".into(), percent),
     ]
 }
