@@ -70,6 +70,13 @@ pub struct MoneyQuantiles {
 }
 
 impl MoneyQuantiles {
+    /// Where so much is known to be spent.
+    #[must_use]
+    pub fn at_least(&self, spent: Money) -> Self {
+        let Self { mean, p50, p80, p95 } = *self;
+        Self { mean: mean.max(spent), p50: p50.max(spent), p80: p80.max(spent), p95: p95.max(spent) }
+    }
+
     /// With so much that is known.
     #[must_use]
     pub fn plus(&self, known: Money) -> Self {

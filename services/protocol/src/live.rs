@@ -20,6 +20,18 @@ pub struct LiveFigure {
     pub factor: f64,
 }
 
+impl LiveFigure {
+    /// Nothing more will be spent: what is done is all.
+    pub fn give_up(&mut self) {
+        *self = Self {
+            remaining: Quantiles::default(),
+            whole: Quantiles::known(self.spent),
+            factor: 1.0,
+            ..*self
+        };
+    }
+}
+
 /// What is booked for a job: what its living estimate is held against.
 #[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct Booked {

@@ -102,10 +102,12 @@ impl Store {
 
     /// What was paid for between two instants, in the order of leases.
     pub async fn ledger(&self, from: Timestamp, until: Timestamp) -> Result<Vec<LedgerLine>, StoreError> {
-        let rows = sqlx::query(
-            "SELECT d.*, l.paid_until FROM ledger d JOIN leases l ON l.id = d.lease_id \
-             WHERE d.from_at < ? AND (d.until_at IS NULL OR d.until_at > ?) ORDER BY d.from_at, d.lease_id",
-        )
+        let rows = sqlx::query(concat!(
+            "SELECT ",
+            lines!(),
+            " FROM ledger d JOIN leases l ON l.id = d.lease_id \
+             WHERE d.from_at < ? AND (d.until_at IS NULL OR d.until_at > ?) ORDER BY d.from_at, d.lease_id"
+        ))
         .bind(until.micros())
         .bind(from.micros())
         .fetch_all(self.readers())
@@ -205,9 +207,23 @@ impl Store {
     }
 }
 
-/// A line of the ledger, read with its lease's `paid_until`: a worker that was not heard of since the service began again is paid until then
-/// so far, and not for the time in which the service was down.
-fn line(row: &SqliteRow) -> Result<LedgerLine, StoreError> {
+/// Columns of a line of the ledger. A worker that was not heard of since the service began again is paid until then, and no other longer than its
+/// lease goes, unless it is renewed.
+macro_rules! lines {
+    () => {
+        "d.*, coalesce(l.paid_until, CASE l.state WHEN 'active' THEN l.expires_at END) AS paid_until"
+    };
+}
+use lines;
+
+/// All lines of a job, each with what was done.
+pub(crate) const LINES_OF_JOB: &str = concat!(
+    "SELECT ",
+    lines!(),
+    ", t.kind, t.frame, l.state = 'active' AS is_active FROM tasks t JOIN leases l ON l.task_id = t.id JOIN ledger d ON d.lease_id = l.id WHERE t.job_id = ?"
+);
+
+pub(crate) fn line(row: &SqliteRow) -> Result<LedgerLine, StoreError> {
     Ok(LedgerLine {
         project: row.try_get("project")?,
         job_id: JobId(id(row, "job_id")?),
@@ -279,13 +295,7 @@ pub(crate) async fn spent_on(
     job: JobId,
     now: Timestamp,
 ) -> Result<Money, StoreError> {
-    let rows = sqlx::query(
-        "SELECT d.*, l.paid_until FROM tasks t JOIN leases l ON l.task_id = t.id JOIN ledger d ON d.lease_id = l.id \
-         WHERE t.job_id = ?",
-    )
-    .bind(job.0)
-    .fetch_all(connection)
-    .await?;
+    let rows = sqlx::query(LINES_OF_JOB).bind(job.0).fetch_all(connection).await?;
     cost_since(&rows, Timestamp::from_micros(i64::MIN), now)
 }
 
@@ -296,10 +306,12 @@ async fn spent(
     from: Timestamp,
     now: Timestamp,
 ) -> Result<Money, StoreError> {
-    let rows = sqlx::query(
-        "SELECT d.*, l.paid_until FROM ledger d JOIN leases l ON l.id = d.lease_id \
-         WHERE d.project = ? AND (d.until_at IS NULL OR d.until_at > ?)",
-    )
+    let rows = sqlx::query(concat!(
+        "SELECT ",
+        lines!(),
+        " FROM ledger d JOIN leases l ON l.id = d.lease_id \
+         WHERE d.project = ? AND (d.until_at IS NULL OR d.until_at > ?)"
+    ))
     .bind(project)
     .bind(from.micros())
     .fetch_all(connection)
@@ -319,10 +331,10 @@ async fn committed(
     now: Timestamp,
 ) -> Result<Money, StoreError> {
     let rows = sqlx::query(
-        "SELECT d.*, l.paid_until, f.cpu_p50, l.node_speed * n.cores AS rate FROM ledger d \
+        concat!("SELECT ", lines!(), ", f.cpu_p50, l.node_speed * n.cores AS rate FROM ledger d \
          JOIN leases l ON l.id = d.lease_id JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = d.node_id \
          JOIN frames f ON f.job_id = d.job_id AND f.frame = t.frame \
-         WHERE d.project = ? AND d.until_at IS NULL AND t.kind = 'render' AND f.cpu_p50 IS NOT NULL",
+         WHERE d.project = ? AND d.until_at IS NULL AND t.kind = 'render' AND f.cpu_p50 IS NOT NULL"),
     )
     .bind(project)
     .fetch_all(connection)

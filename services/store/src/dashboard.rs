@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use forelight_protocol::{
     Dashboard, DashboardCounts, DashboardJob, DashboardNode, JobId, NodeActivity, NodeId, TaskCounts, TaskId,
-    Timestamp, Waits,
+    Timestamp,
 };
 use sqlx::{Row as _, SqliteConnection};
 
@@ -113,6 +113,7 @@ async fn dashboard_jobs(
         let progress = progress::of_job(connection, JobId(id(&row, "id")?)).await?;
         let job = jobs::decode(&row, progress)?;
         let forecast: Option<JobForecast> = json_opt(&row, "forecast")?;
+        let eta = projected.eta(&job);
         list.push(DashboardJob {
             id: job.id,
             name: job.name,
@@ -124,7 +125,7 @@ async fn dashboard_jobs(
             seed: job.seed,
             deadline: job.deadline,
             verdict: job.verdict.as_ref().map(|verdict| verdict.verdict),
-            eta: projected.finish_of(job.id).filter(|_| !job.waits.as_ref().is_some_and(Waits::is_for_money)),
+            eta,
             waits: job.waits,
             promise: job.promise,
             booked_cost: job.verdict.and_then(|verdict| verdict.cost),

@@ -7,6 +7,7 @@
 //! * the plan does not keep the job's deadline, or will not any more;
 //! * the idle node is no dearer for an hour of such work than the node where the frame is booked;
 //! * the frame should have begun [`OVERDUE`] ago, or is booked nowhere;
+//! * the frame has failed on another node;
 //! * the node where it is booked gets no tasks, or is lost.
 //!
 //! Otherwise the node waits, and says for what. Each question is a step into an index for each booked job, whatever number of frames it has;
@@ -200,7 +201,7 @@ pub(crate) const NEXT_OF_JOB: &str = next_task!(
     "frame, part"
 );
 
-/// Of the job `?5`: what is booked dearest, if for `?6` or more; what should have begun by `?7`; what is booked nowhere.
+/// Of the job `?5`: what is booked dearest, if for `?6` or more; what should have begun by `?7`; what is booked nowhere; what has failed.
 pub(crate) const NEXT_NO_DEARER: &str = concat!(
     "SELECT ",
     task_columns!(),
@@ -221,6 +222,12 @@ pub(crate) const NEXT_NO_DEARER: &str = concat!(
         "tasks_ready_booked",
         "kind IN ('cache_fill', 'render') AND booked_node IS NULL AND booked_at IS NULL AND job_id = ?5",
         "frame, part"
+    ),
+    "), (",
+    next_task!(
+        "tasks_backing_off",
+        "not_before > 0 AND kind IN ('cache_fill', 'render') AND failures > 0 AND job_id = ?5",
+        "not_before"
     ),
     "))"
 );

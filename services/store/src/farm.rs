@@ -1,10 +1,13 @@
 //! The farm's booked jobs as a plan needs them.
 
-use forelight_protocol::{Job, JobId, Money};
+use std::collections::BTreeMap;
+
+use forelight_protocol::{Job, JobId, Money, TaskKind, Timestamp};
 use sqlx::Row as _;
 use sqlx::sqlite::SqliteRow;
 
-use crate::decode::{id, json_opt, whole};
+use crate::budgets::{LINES_OF_JOB, line};
+use crate::decode::{id, json_opt, whole, word};
 use crate::{JobForecast, Store, StoreError, jobs, progress};
 
 /// A job that is booked and not over.
@@ -16,8 +19,9 @@ pub struct FarmJob {
     pub forecast: Option<JobForecast>,
     /// All its frames, ascending.
     pub frames: Vec<FarmFrame>,
-    /// What is booked for the irradiance cache that its frames share costs, done or not, micro-units; 0 if they do not.
-    pub shared_cache_cost: i64,
+    /// What it has cost, its quote and what was lost included, and what that will cost which is under way or stands: frames with a worker, and the
+    /// irradiance cache that its frames share.
+    pub spent: Money,
     /// What the newest plan multiplies the forecast by, after what finished frames took.
     pub factor: f64,
     /// Its project's budget holds it back.
@@ -35,8 +39,6 @@ pub struct FarmFrame {
     pub p80: f64,
     /// Forecast CPU seconds that it exceeds in one case of twenty.
     pub p95: f64,
-    /// What its booking costs by the time that it takes, micro-units; 0 without one.
-    pub booked_cost: i64,
     /// Whether it waits for a worker: neither done nor with one.
     pub waits: bool,
 }
@@ -55,7 +57,7 @@ const PARTS: &str = "SELECT b.end_at - b.start_at AS length, coalesce(n.price_se
 
 impl Store {
     /// The jobs that are booked or being rendered, oldest first.
-    pub async fn farm_jobs(&self) -> Result<Vec<FarmJob>, StoreError> {
+    pub async fn farm_jobs(&self, now: Timestamp) -> Result<Vec<FarmJob>, StoreError> {
         let mut transaction = self.read().await?;
         let rows = sqlx::query("SELECT * FROM jobs WHERE state IN ('booked', 'rendering') ORDER BY id")
             .fetch_all(&mut *transaction)
@@ -66,36 +68,67 @@ impl Store {
             let done = progress::of_job(&mut transaction, job_id).await?;
             let frames = sqlx::query(FRAMES).bind(job_id.0).fetch_all(&mut *transaction).await?;
             let mut held = false;
+            let mut booked: BTreeMap<u32, i64> = BTreeMap::new();
             let frames = frames
                 .iter()
                 .map(|row| {
                     let waits = row.try_get("waits")?;
                     held |= waits && row.try_get::<bool, _>("held")?;
+                    let number = whole(row, "frame")?;
+                    booked.insert(number, booked_cost(row)?);
                     Ok(FarmFrame {
-                        number: whole(row, "frame")?,
+                        number,
                         p50: row.try_get("cpu_p50")?,
                         p80: row.try_get("cpu_p80")?,
                         p95: row.try_get("cpu_p95")?,
-                        booked_cost: booked_cost(row)?,
                         waits,
                     })
                 })
                 .collect::<Result<_, StoreError>>()?;
             let parts = sqlx::query(PARTS).bind(job_id.0).fetch_all(&mut *transaction).await?;
-            let shared_cache_cost = parts
+            let cache_is_full = done.seed.as_ref().is_none_or(|seed| seed.ready);
+            let parts = if cache_is_full { Vec::new() } else { parts };
+            let booked_cache = parts
                 .iter()
                 .try_fold(0i64, |sum, row| Ok::<_, StoreError>(sum.saturating_add(booked_cost(row)?)))?;
+            let lines = sqlx::query(LINES_OF_JOB).bind(job_id.0).fetch_all(&mut *transaction).await?;
+            let spent = spent(&lines, &booked, booked_cache, now)?;
             found.push(FarmJob {
                 job: jobs::decode(row, done)?,
                 forecast: json_opt(row, "forecast")?,
                 frames,
-                shared_cache_cost,
+                spent,
                 factor: row.try_get("factor")?,
                 held,
             });
         }
         Ok(found)
     }
+}
+
+/// What was paid by these lines of the ledger, and what is left of what is booked for frames that are with a worker and for the shared cache.
+fn spent(
+    lines: &[SqliteRow],
+    booked: &BTreeMap<u32, i64>,
+    booked_cache: i64,
+    now: Timestamp,
+) -> Result<Money, StoreError> {
+    let (mut spent, mut of_cache, mut left) = (0i64, 0i64, 0i64);
+    for row in lines {
+        let line = line(row)?;
+        let paid = line.cost_within(line.from, now).0;
+        spent = spent.saturating_add(paid);
+        match word(row, "kind")? {
+            TaskKind::CacheFill | TaskKind::CacheMerge => of_cache = of_cache.saturating_add(paid),
+            TaskKind::Render if row.try_get("is_active")? => {
+                let booked = booked.get(&whole(row, "frame")?).copied().unwrap_or_default();
+                left = left.saturating_add(booked.saturating_sub(paid).max(0));
+            }
+            _ => {}
+        }
+    }
+    left = left.saturating_add(booked_cache.saturating_sub(of_cache).max(0));
+    Ok(Money(spent.saturating_add(left)))
 }
 
 fn booked_cost(row: &SqliteRow) -> Result<i64, StoreError> {

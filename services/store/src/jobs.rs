@@ -11,6 +11,7 @@ use crate::database::Write;
 use crate::decode::{id, id_opt, json, json_opt, time, time_opt, to_json, whole, word};
 use crate::events::{append, event, job_state};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
+use crate::live::{self, Occasion};
 use crate::progress::{self, Progress};
 use crate::tasks::{Common, withdraw};
 use crate::{JobOutlook, Store, StoreError, replans};
@@ -168,6 +169,7 @@ impl Store {
             .execute(write.connection().await?)
             .await?;
         job_state(&mut write, job, JobState::Cancelled, None, now)?;
+        live::update(&mut write, job, Occasion::Ended, now).await?;
         if current.plan_id.is_some() {
             replans::want(&mut write, &format!("job {} was cancelled", current.name)).await?;
         }
@@ -212,6 +214,7 @@ pub(crate) async fn fail(
         return Ok(());
     }
     withdraw(write, job, now).await?;
+    live::update(write, job, Occasion::Ended, now).await?;
     let failed = read(write.connection().await?, job).await?;
     if failed.plan_id.is_some() {
         replans::want(write, &format!("job {} failed", failed.name)).await?;

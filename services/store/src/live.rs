@@ -57,6 +57,8 @@ pub(crate) enum Occasion {
     Booked,
     /// A frame was finished.
     Frame,
+    /// The job was cancelled, or failed.
+    Ended,
     /// Some pixels of a frame were, or there are frames that were left for the next estimate.
     Meanwhile,
 }
@@ -102,8 +104,13 @@ pub(crate) async fn update_after(
     let confidence: Confidence = word(&row, "confidence")?;
     let verdict: Option<JobVerdict> = json_opt(&row, "verdict")?;
     let frames = Frames::read(write.connection().await?, job, &quote.lights).await?;
-    let work = figure(&quote.total.work, &frames.work, Measure::Work);
-    let cpu = figure(&quote.total.cpu_seconds, &frames.cpu, Measure::CpuTime);
+    let mut work = figure(&quote.total.work, &frames.work, Measure::Work);
+    let mut cpu = figure(&quote.total.cpu_seconds, &frames.cpu, Measure::CpuTime);
+    // Nothing will come of what is left of a job that was cancelled or failed.
+    let is_given_up = state.is_final() && !frames.all_done;
+    if is_given_up {
+        [&mut work, &mut cpu].into_iter().for_each(LiveFigure::give_up);
+    }
 
     // What the plan was made for: the estimate before this one if it is a new plan, the quote if there was none.
     let [booked_cpu, booked_rest, booked_share] = match &kept {
@@ -131,7 +138,8 @@ pub(crate) async fn update_after(
         Some(now)
     } else {
         let seeds = seeds::open_of(write.connection().await?, job).await?;
-        project(&stretched(&bookings, stretch), &seeds, now).finish_of(job)
+        let all_booked = bookings.len() + frames.done as usize >= frames.cpu.len();
+        project(&stretched(&bookings, stretch), &seeds, now).finish_of(job).filter(|_| all_booked)
     };
     let same_plan = kept.as_ref().filter(|kept| kept.plan == plan);
     let was_off = same_plan.map_or([false; 2], |kept| [kept.cost_is_off, kept.finish_is_off]);
@@ -141,7 +149,12 @@ pub(crate) async fn update_after(
         None => None,
         Some(price) => {
             let connection = write.connection().await?;
-            let left = cpu.remaining.plus(&shared_cache_left(connection, job, &quote).await?);
+            let cache = if is_given_up {
+                Quantiles::default()
+            } else {
+                shared_cache_left(connection, job, &quote).await?
+            };
+            let left = cpu.remaining.plus(&cache);
             Some(left.in_money(price).plus(budgets::spent_on(connection, job, now).await?))
         }
     };
@@ -161,7 +174,9 @@ pub(crate) async fn update_after(
             _ => false,
         },
     };
-    tell(write, job, plan, &live, was_off).await?;
+    if !is_given_up {
+        tell(write, job, plan, &live, was_off).await?;
+    }
     if !state.is_final()
         && (is_news(live.cpu_seconds.factor, row.try_get("factor")?) || (live.finish_is_off && !was_off[1]))
     {
@@ -178,7 +193,7 @@ impl Kept {
     fn is_due(&self, occasion: Occasion, now: Timestamp) -> bool {
         let age = now.micros_since(self.updated_at);
         match occasion {
-            Occasion::Booked => true,
+            Occasion::Booked | Occasion::Ended => true,
             Occasion::Frame => {
                 let since = self.frames_since + 1;
                 let done = self.frames_done + since;

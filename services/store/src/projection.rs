@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use forelight_protocol::{Booking, JobId, NodeId, SeedBooking, Timestamp};
+use forelight_protocol::{Booking, Job, JobId, NodeId, SeedBooking, Timestamp, Waits};
 
 /// A booking whose frame is not rendered yet.
 #[derive(Clone, PartialEq, Debug)]
@@ -196,6 +196,14 @@ impl Projection {
     pub fn finish_of(&self, job: JobId) -> Option<Timestamp> {
         let frames = self.frames.iter().filter(|frame| frame.booking.job_id == job).map(|frame| frame.end);
         frames.chain(self.full(job)).max()
+    }
+
+    /// When the last of a job's frames is expected; `None` if some are booked nowhere, or if the job waits for money.
+    pub fn eta(&self, job: &Job) -> Option<Timestamp> {
+        let booked = self.frames.iter().filter(|frame| frame.booking.job_id == job.id).count();
+        let open = job.frames_total.saturating_sub(job.frames_done);
+        let waits_for_money = job.waits.as_ref().is_some_and(Waits::is_for_money);
+        self.finish_of(job.id).filter(|_| !waits_for_money && booked >= open as usize)
     }
 
     /// When the cache that a job's frames share should be full; `None` if they wait for none.

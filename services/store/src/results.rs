@@ -215,8 +215,14 @@ async fn keep(
             show_preview(write, row.job_id, profile.frame, profile.artifacts.preview_png);
         }
         TaskResult::CachePlan(planned) => seeds::planned(write, row, planned).await?,
-        TaskResult::CacheFill(filled) => seeds::part_filled(write, row, filled, now).await?,
-        TaskResult::CacheMerge(merged) => seeds::merged(write, row, merged, now).await?,
+        TaskResult::CacheFill(filled) => {
+            seeds::part_filled(write, row, filled, now).await?;
+            live::update(write, row.job_id, Occasion::Meanwhile, now).await?;
+        }
+        TaskResult::CacheMerge(merged) => {
+            seeds::merged(write, row, merged, now).await?;
+            live::update(write, row.job_id, Occasion::Meanwhile, now).await?;
+        }
         TaskResult::Render(render) => {
             let is_last = keep_render(write, row, node, render, now).await?;
             return Ok(if is_last { JobState::Done } else { row.job_state });

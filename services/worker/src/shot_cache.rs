@@ -15,7 +15,8 @@ use forelight_protocol::{
     ArtifactHash, CACHE_BYTES, CacheFrame, CachePlanResult, CacheSample, ProfileResult, RenderSettings,
     SharedSample, Spent,
 };
-use forelight_tracer::{Cache, Cost, Pixel, RecordCost};
+use forelight_scene::Frame;
+use forelight_tracer::{Cache, Cost, Effects, Pixel, RecordCost};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// A shot's cache as planned, and what each frame would make of it.
@@ -204,22 +205,29 @@ impl AmbientShot {
         cancel: &AtomicBool,
     ) -> Result<Option<Cache>, RenderError> {
         let settings = tracer_settings(settings);
-        let Some(&first) = frames.first() else { return Ok(None) };
-        let world = self.frame_of(first, &settings)?;
+        let mut world: Option<Frame> = None;
         let mut planned: Option<Cache> = None;
         for (&frame, done) in frames.iter().zip(1..) {
-            let tracer = self.tracer(&self.view_of(frame, &world)?, &settings).tracer;
-            if let Some(cache) = planned {
-                if cache.suits(&tracer) {
-                    tracer.take_cache(cache)?;
-                } else {
-                    // Other lights reach what this frame sees of the same world.
-                    let from = self.tracer(&world, &settings).tracer;
-                    tracer.take_cache(cache.carried(&from, &tracer).0)?;
+            let seen = match &world {
+                Some(world) => self.view_of(frame, world)?,
+                None => self.frame_of(frame, &settings)?,
+            };
+            let tracer = self.tracer(&seen, &settings).tracer;
+            // A frame in which no light gets anywhere but straight needs no records.
+            if tracer.effects().has(Effects::CACHE) {
+                let world = world.get_or_insert(seen);
+                if let Some(cache) = planned {
+                    if cache.suits(&tracer) {
+                        tracer.take_cache(cache)?;
+                    } else {
+                        // Other lights reach what this frame sees of the same world.
+                        let from = self.tracer(world, &settings).tracer;
+                        tracer.take_cache(cache.carried(&from, &tracer).0)?;
+                    }
                 }
+                tracer.plan();
+                planned = tracer.into_cache();
             }
-            tracer.plan();
-            planned = tracer.into_cache();
             progress(done);
             if cancel.load(Ordering::Relaxed) {
                 return Ok(None);

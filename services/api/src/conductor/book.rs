@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use forelight_planner as planner;
 use forelight_protocol::{
-    AccuracyRung, ByClass, Job, Node, NodeSeconds, PlanEffect, PlanReason, Quantiles, Timestamp, Verdict,
+    AccuracyRung, ByClass, Job, Money, Node, NodeSeconds, PlanEffect, PlanReason, Quantiles, Timestamp,
+    Verdict,
 };
 use forelight_store::{FarmFrame, FarmJob, JobForecast, NewPlan, NewSeed, NewSeedBooking, QuoteBasis};
 
@@ -29,7 +30,8 @@ impl Conductor {
         let (parent, wanted) = (snapshot.parent, snapshot.wanted.clone());
         let mut kept = forecast.job.clone();
         price(&mut kept, forecast, &nodes);
-        snapshot.jobs.push(fresh(job, &kept, forecast));
+        let spent = self.store.spent_on(job.id, now).await?;
+        snapshot.jobs.push(fresh(job, &kept, forecast, spent));
         let (id, rungs) = (job.id, rungs.to_vec());
         let settled = compute(move || {
             let farm = Farm::new(&snapshot);
@@ -82,7 +84,7 @@ impl Conductor {
 }
 
 /// A job that gets its first plan, as the farm has those that have one.
-fn fresh(job: &Job, kept: &JobForecast, forecast: &Forecast) -> FarmJob {
+fn fresh(job: &Job, kept: &JobForecast, forecast: &Forecast, spent: Money) -> FarmJob {
     FarmJob {
         job: job.clone(),
         forecast: Some(kept.clone()),
@@ -94,11 +96,10 @@ fn fresh(job: &Job, kept: &JobForecast, forecast: &Forecast) -> FarmJob {
                 p50: each.cpu_seconds.p50,
                 p80: each.cpu_seconds.p80,
                 p95: each.cpu_seconds.p95,
-                booked_cost: 0,
                 waits: true,
             })
             .collect(),
-        shared_cache_cost: 0,
+        spent,
         factor: 1.0,
         held: false,
     }

@@ -48,7 +48,7 @@ impl Snapshot {
         let wanted = store.wanted_plan().await?;
         let parent = store.newest_plan().await?;
         let nodes = store.nodes(None, MOST_NODES).await?;
-        let jobs = store.farm_jobs().await?;
+        let jobs = store.farm_jobs(now).await?;
         let projects = store.projects(now).await?;
         let projected = project(&store.open_bookings().await?, &store.open_seeds().await?, now);
         Ok(Self { now, parent, wanted, nodes, jobs, projects, projected })
@@ -85,7 +85,7 @@ pub(crate) struct Asked {
     pub factor_before: f64,
     /// When the last of its frames that are with a worker should be done.
     pub under_way: Option<i64>,
-    /// What its frames cost that are done or with a worker, and the irradiance cache that they share, micro-units.
+    /// What it has cost and what of it is under way will, see [`FarmJob::spent`]; micro-units.
     pub spent: i64,
     pub held: bool,
     /// Its frames that are done or with a worker.
@@ -194,15 +194,12 @@ fn of_job(farm_job: &FarmJob, projected: &[Projected], factor: f64) -> Asked {
     let under_way =
         projected.iter().filter(|frame| frame.under_way && frame.booking.job_id == farm_job.job.id);
     let begun = farm_job.frames.iter().filter(|frame| !frame.waits);
-    // What is booked for a shared cache stands, whatever is planned anew.
-    let spent =
-        begun.clone().fold(farm_job.shared_cache_cost, |sum, frame| sum.saturating_add(frame.booked_cost));
     Asked {
         job: farm_job.job.clone(),
         factor,
         factor_before: farm_job.factor,
         under_way: under_way.map(|frame| frame.end.micros()).max(),
-        spent,
+        spent: farm_job.spent.micro_units(),
         held: farm_job.held,
         begun: begun.map(|frame| frame.number).collect(),
     }

@@ -95,7 +95,7 @@ impl Conductor {
         for node in &lost {
             self.store.want_plan(&format!("node {} is not there", name(node))).await?;
         }
-        for farm_job in self.store.farm_jobs().await? {
+        for farm_job in self.store.farm_jobs(now).await? {
             let job = farm_job.job;
             let promised = job.promise.as_ref().is_some_and(|promise| promise.kept);
             let finish = projected.finish_of(job.id);

@@ -329,7 +329,8 @@ fn promise(
 ) -> Result<Option<Promise>, AdvanceError> {
     let asked = &farm.jobs[job];
     let Some(deadline) = asked.job.deadline else { return Ok(None) };
-    let finish = end(farm, plan, job);
+    // What a budget holds back has no end before somebody changes that.
+    let (finish, probability) = if asked.held { (None, 0.0) } else { (end(farm, plan, job), probability) };
     let kept = asked.is_kept(finish);
     if !kept && !asked.is_promised() {
         return Ok(None);

@@ -121,14 +121,13 @@ fn forecast_of(
         p50: FRAME,
         p80: FRAME,
         p95: FRAME,
-        booked_cost: 0,
         waits: open.holder.is_none(),
     };
     let farm_job = FarmJob {
         job: job(&frames),
         forecast: Some(forecast(numbers.len())),
         frames: bookings.iter().map(frame).collect(),
-        shared_cache_cost: 0,
+        spent: Money(0),
         factor: 1.0,
         held: false,
     };

@@ -6,7 +6,7 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::Response;
-use forelight_protocol::{Job, JobCheck, JobId, JobPage, JobRequest, JobState, Waits};
+use forelight_protocol::{Job, JobCheck, JobId, JobPage, JobRequest, JobState};
 use forelight_store::{JobFilter, project};
 use serde::Deserialize;
 use utoipa::IntoParams;
@@ -98,7 +98,12 @@ pub(crate) async fn get(
 ) -> ApiResult<Json<Job>> {
     let mut job = app.store.job(job).await?;
     expect(&app, std::slice::from_mut(&mut job)).await?;
-    job.spent = Some(app.store.spent_on(job.id, app.now()).await?).filter(|spent| spent.0 > 0);
+    let spent = app.store.spent_on(job.id, app.now()).await?;
+    job.spent = Some(spent).filter(|spent| spent.0 > 0);
+    // The estimate is from when something of the job was last finished; nodes are paid meanwhile.
+    if let Some(live) = &mut job.live {
+        live.cost = live.cost.map(|cost| cost.at_least(spent));
+    }
     Ok(Json(job))
 }
 
@@ -121,8 +126,7 @@ async fn expect(app: &App, jobs: &mut [Job]) -> ApiResult<()> {
     let (bookings, seeds) = (app.store.open_bookings().await?, app.store.open_seeds().await?);
     let projected = project(&bookings, &seeds, app.now());
     for job in jobs {
-        job.eta =
-            projected.finish_of(job.id).filter(|_| !job.waits.as_ref().is_some_and(Waits::is_for_money));
+        job.eta = projected.eta(job);
     }
     Ok(())
 }

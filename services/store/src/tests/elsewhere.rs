@@ -1,6 +1,6 @@
 //! What idle nodes take of what is booked on others.
 
-use forelight_protocol::{ByClass, Money, NodeCalibration, NodeChange, Promise};
+use forelight_protocol::{ByClass, Money, NodeCalibration, NodeChange, Promise, TaskError};
 
 use super::*;
 use crate::JobOutlook;
@@ -65,6 +65,24 @@ async fn an_idle_node_that_is_dearer_leaves_a_frame_to_the_node_where_it_is_book
     // With nothing left to pass over there is no reason.
     assert_eq!(farm.claim(dear.id, at(1)).await, None);
     assert_eq!(farm.idle_reason(&dear).await, None);
+}
+
+#[tokio::test]
+async fn a_frame_that_failed_where_it_is_cheap_is_for_a_dearer_node_too() {
+    let farm = Farm::new().await;
+    let cheap = farm.register(&priced("cheap", 1)).await;
+    let dear = farm.register(&priced("dear", 4)).await;
+    farm.booked_job(bounded("0-1"), cheap.id, at(100)).await;
+    let lease = farm.claim(cheap.id, at(1)).await.unwrap();
+    let error = TaskError { message: "out of memory".to_owned(), ..TaskError::default() };
+    farm.store.fail_task(lease.lease_id, lease.fence, &error, at(2)).await.unwrap();
+    assert_eq!(farm.claim(dear.id, at(2)).await, None, "at once");
+    assert_eq!(farm.claim(dear.id, at(3)).await.map(|again| again.task_id), Some(lease.task_id));
+    assert_eq!(
+        farm.claim(dear.id, at(3)).await,
+        None,
+        "the other one is booked for less, and has not failed"
+    );
 }
 
 #[tokio::test]

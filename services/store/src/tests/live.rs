@@ -91,6 +91,21 @@ async fn the_estimate_begins_as_the_quote_and_is_the_truth_with_the_last_frame()
 }
 
 #[tokio::test]
+async fn what_is_cancelled_will_have_cost_what_it_cost() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let job = booked(&farm, node.id, 4).await;
+    for now in [20, 21] {
+        render(&farm, &node, 1000, 4.0, at(now)).await;
+    }
+    farm.store.cancel_job(job, at(30)).await.unwrap();
+    let end = live(&farm, job).await;
+    assert_eq!((end.work.whole, end.work.spent), (Quantiles::known(2000.0), 2000.0));
+    assert_eq!((end.cpu_seconds.remaining, end.finish), (Quantiles::default(), Some(at(30))));
+    assert_eq!(said(&farm, job).await, [], "nobody has to know that the rest costs nothing");
+}
+
+#[tokio::test]
 async fn frames_that_come_in_a_burst_are_estimated_once_a_second_and_the_sweep_takes_the_rest() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;
