@@ -3,7 +3,8 @@
 use forelight_preview::Choice;
 use forelight_protocol::{CacheMode, CacheStats, RenderSettings, RenderSettingsRequest};
 use forelight_tracer::Cache;
-use forelight_worker::{Ambient, AmbientShot, Given, RenderError, Rendered, render_frame};
+use forelight_worker::{Ambient, AmbientShot, Given, RenderError, Rendered, plan_shared, render_frame};
+use serde_json::json;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
@@ -108,6 +109,49 @@ fn records_whose_light_has_moved_are_dropped_and_made_anew() {
         sum / r.image.pixels.len() as f64
     };
     assert!((mean(&moved) / mean(&alone) - 1.0).abs() < 0.01, "{} and {}", mean(&moved), mean(&alone));
+}
+
+/// A closed room with a lamp; in frame 1 the camera is outside of it, where no light gets.
+fn in_and_out() -> (AmbientShot, tempfile::TempDir) {
+    let folder = tempfile::tempdir().unwrap();
+    let step = |property: &str, [inside, outside]: [[f64; 3]; 2]| {
+        let keys = json!([{"frame": 0, "value": inside}, {"frame": 1, "value": outside}]);
+        json!({"target": "camera", "property": property, "interpolation": "step", "keys": keys})
+    };
+    let description = json!({
+        "version": 1, "name": "in and out", "geometry": ["room.obj"],
+        "camera": {"origin": [0, 0, 0.9], "target": [0, 0, -1], "up": [0, 1, 0], "fov_deg": 60, "fov_axis": "x", "width": 40, "height": 24},
+        "lights": [{"type": "quad", "corner": [-0.5, 0.9, -0.5], "edge_u": [1, 0, 0], "edge_v": [0, 0, 1], "radiance": [5, 5, 5]}],
+        "animation": {"fps": 24, "frames": 2, "tracks": [
+            step("origin", [[0.0, 0.0, 0.9], [0.0, 0.0, 9.0]]),
+            step("target", [[0.0, 0.0, -1.0], [0.0, 0.0, 20.0]]),
+        ]},
+    });
+    let corners = (0..8).map(|i| {
+        let at = |bit: u32| if i >> bit & 1 == 0 { -1 } else { 1 };
+        format!("v {} {} {}\n", at(0), at(1), at(2))
+    });
+    let obj =
+        corners.collect::<String>() + "f 1 2 4 3\nf 5 7 8 6\nf 1 3 7 5\nf 2 6 8 4\nf 1 5 6 2\nf 3 4 8 7\n";
+    std::fs::write(folder.path().join("scene.json"), description.to_string()).unwrap();
+    std::fs::write(folder.path().join("room.obj"), obj).unwrap();
+    (Ambient::new(Choice::Cpu).open(folder.path()).unwrap(), folder)
+}
+
+#[test]
+fn a_frame_without_use_for_a_cache_takes_nothing_from_the_others() {
+    let (shot, _folder) = in_and_out();
+    let settings = settings(1);
+    let records = plan(&shot, &[0], &settings).records();
+    assert!(records[0] > 0);
+    for frames in [&[0, 1][..], &[1, 0], &[1, 0, 1]] {
+        assert_eq!(plan(&shot, frames, &settings).records(), records);
+    }
+    let never = AtomicBool::new(false);
+    assert!(shot.plan_cache(&[1], &settings, &|_| (), &never).unwrap().is_none());
+    let shared = plan_shared(&shot, &[0, 1], &settings, &|_| (), &never).unwrap().unwrap();
+    let own: Vec<Vec<u32>> = shared.frames.iter().map(|frame| frame.own.clone()).collect();
+    assert_eq!((own[0].iter().sum::<u32>(), own[1].iter().sum::<u32>()), (0, 0), "{own:?}");
 }
 
 #[test]
