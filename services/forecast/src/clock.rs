@@ -113,6 +113,7 @@ mod tests {
                 number,
                 counts: counts.to_vec(),
                 lights: 0,
+                shining: 0,
                 triangles: 0,
             })
             .collect();
@@ -137,7 +138,8 @@ mod tests {
 
     #[test]
     fn what_appears_where_the_camera_does_not_look_is_a_cut_as_well() {
-        let frame = |number, triangles| FramePopulation { number, counts: vec![], lights: 0, triangles };
+        let frame =
+            |number, triangles| FramePopulation { number, counts: vec![], lights: 0, shining: 0, triangles };
         let frames: Vec<FramePopulation> =
             (0..20).map(|n| frame(n, if (8..11).contains(&n) { 1000 } else { 10 })).collect();
         let clock = ShotClock::new(&[], &frames);

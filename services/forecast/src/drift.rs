@@ -7,6 +7,9 @@ use crate::frames::FramePopulation;
 use crate::interval::Part;
 use crate::moments::sum;
 
+/// What a surface costs under lights that no profiled frame has is off as by a walk of so many shot lengths.
+const UNKNOWN_LIGHTS: f64 = 4.0;
+
 /// Prior log-standard deviation that a frame's cost picks up over a third of the shot, beyond what its pixel
 /// counts explain.
 const PRIOR_DEVIATION: f64 = 0.1;
@@ -17,7 +20,8 @@ const PRIOR_FREEDOM: f64 = 2.0;
 /// The residual d_t = ln(y_t / ŷ_t) of the carried frames, as a random walk of variance q per frame of the shot's
 /// clock that is zero at every profiled frame: a Brownian bridge between two of them, with Cov(d_s, d_t) = q (s − L)(R − t)
 /// / (R − L) for L ≤ s ≤ t ≤ R, and a free walk before the first and after the last. Frames in which other lights shine have a walk of
-/// their own, of the same q; if none of them is profiled, they are all as far off as a walk as long as the shot goes.
+/// their own, of the same q; frames with lights of which none is profiled are all off by the same, as far as a walk goes that is [`UNKNOWN_LIGHTS`]
+/// times as long as the shot.
 ///
 /// It is the rough relative of a Gaussian process with Matérn covariance. A handful of profiled frames cannot
 /// show a length scale; the walk needs none, is never too sure between frames, and has closed forms. Its one
@@ -84,7 +88,7 @@ impl Drift {
     /// The carried part of the variance of frame t, whose total is `total`.
     pub fn of_frame(&self, t: usize, total: f64) -> Part {
         let pins: Vec<usize> = self.pins(self.lights[t]).collect();
-        let spread = if pins.is_empty() { self.length } else { self.spread(t, &pins) };
+        let spread = if pins.is_empty() { UNKNOWN_LIGHTS * self.length } else { self.spread(t, &pins) };
         self.part(total * total * spread)
     }
 
@@ -99,20 +103,26 @@ impl Drift {
     /// is q Σ Δ_i S_i²; pinning its end takes off q (Σ Δ_i S_i)² / Σ Δ_i.
     pub fn of_total(&self, totals: &[f64]) -> Part {
         let sets: BTreeSet<u32> = self.lights.iter().copied().collect();
-        let of_set = |lights: u32| {
-            let own = |(&total, &of): (&f64, &u32)| if of == lights { total } else { 0.0 };
-            let totals: Vec<f64> = totals.iter().zip(&self.lights).map(own).collect();
-            self.variance_of_set(&self.pins(lights).collect::<Vec<_>>(), &totals)
+        let (known, unknown): (Vec<u32>, Vec<u32>) =
+            sets.into_iter().partition(|&lights| self.pins(lights).next().is_some());
+        let of_sets = |sets: &[u32]| -> Vec<f64> {
+            let own = |(&total, of): (&f64, &u32)| if sets.contains(of) { total } else { 0.0 };
+            totals.iter().zip(&self.lights).map(own).collect()
         };
-        self.part(sum(sets.into_iter().map(of_set)))
+        let of_known = |lights: u32| {
+            let pins: Vec<usize> = self.pins(lights).collect();
+            self.variance_of_set(&pins, &of_sets(&[lights]))
+        };
+        // All others take their unit costs from the same few frames, so what these are off is in all of them.
+        let borrowed = sum(of_sets(&unknown));
+        let of_unknown = UNKNOWN_LIGHTS * borrowed * borrowed * self.length;
+        self.part(sum(known.into_iter().map(of_known)) + of_unknown)
     }
 
-    /// The same for the frames with the same lights, of which these are profiled, per variance of the walk; all others have a total of zero.
+    /// The same for the frames with the same lights, of which these are profiled, per variance of the walk; all others have a total of zero. If none
+    /// is, nothing is known of them here.
     fn variance_of_set(&self, pins: &[usize], totals: &[f64]) -> f64 {
-        let (Some(&first), Some(&last)) = (pins.first(), pins.last()) else {
-            let all = sum(totals.iter().copied());
-            return all * all * self.length;
-        };
+        let (Some(&first), Some(&last)) = (pins.first(), pins.last()) else { return 0.0 };
         let mut variance = self.walk((0..=first).rev(), pins, totals).0;
         variance += self.walk(last..totals.len(), pins, totals).0;
         for ends in pins.windows(2) {
@@ -167,8 +177,13 @@ mod tests {
 
     /// Every third frame of a shot; `lights` says which shine.
     fn lit(lights: impl IntoIterator<Item = u32>) -> (ShotClock, Vec<FramePopulation>) {
-        let frame =
-            |(number, lights)| FramePopulation { number: 3 * number, counts: vec![], lights, triangles: 0 };
+        let frame = |(number, lights)| FramePopulation {
+            number: 3 * number,
+            counts: vec![],
+            lights,
+            shining: 0,
+            triangles: 0,
+        };
         let frames: Vec<FramePopulation> = (0i64..).zip(lights).map(frame).collect();
         (ShotClock::new(&[], &frames), frames)
     }

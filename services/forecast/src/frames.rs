@@ -1,6 +1,6 @@
 //! Which frames of a shot to profile.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
@@ -19,6 +19,8 @@ pub struct FramePopulation {
     /// Which lights shine, as a number that frames with the same ones share. What a surface costs depends on them, and no preview
     /// shows it.
     pub lights: u32,
+    /// How many of them: what costs something under one light is more like what it costs under another than like what it costs in the dark.
+    pub shining: u32,
     /// Triangles of the frame, seen or not: what it takes to build a tree over them. 0 if nobody counted.
     pub triangles: u64,
 }
@@ -37,7 +39,7 @@ pub(crate) fn check_frames(strata: &[Stratum], frames: &[FramePopulation]) -> Re
 /// At most so many frames can be chosen; in a longer shot each stands for those around it.
 const MOST_CANDIDATES: usize = 256;
 
-/// So many sets of lights are told apart when frames are chosen; what is left are one.
+/// So many sets of lights are told apart when frames are chosen. Of more, only by how many lights shine, and what is left are one.
 const MOST_LIGHTS: usize = 8;
 
 /// Passes over the chosen frames in which each may move to a better place.
@@ -107,6 +109,8 @@ struct Candidate {
     /// Time from 0 to 1.
     time: f64,
     lights: usize,
+    /// Whether any light shines.
+    is_lit: bool,
     /// Strata shown by it or a frame that it stands for, with their weight.
     shown: Vec<(usize, f64)>,
     /// Whether it shows enough of a stratum for it to be sampled.
@@ -116,7 +120,11 @@ struct Candidate {
 impl Candidate {
     /// How far it is, in shot lengths, from this frame to one that takes its unit costs from it.
     fn away(&self, other: &Self) -> f64 {
-        let lights = if self.lights == other.lights { 0.0 } else { OTHER_LIGHTS };
+        let lights = match () {
+            () if self.is_lit != other.is_lit => NEVER_SEEN,
+            () if self.lights != other.lights => OTHER_LIGHTS,
+            () => 0.0,
+        };
         ((self.time - other.time).abs() + lights).min(NEVER_SEEN)
     }
 }
@@ -153,6 +161,7 @@ impl Cover {
                 index,
                 time: clock.at(index) / clock.length(),
                 lights: lights[index],
+                is_lit: frames[index].shining > 0,
                 shown: (0..strata.len()).map(|h| (h, weight(h))).filter(|(_, w)| *w > 0.0).collect(),
                 enough: (0..strata.len()).map(enough).collect(),
             }
@@ -202,12 +211,15 @@ impl Cover {
 
 /// Which lights shine in each frame, in numbers from 0 by first appearance.
 fn told_apart(frames: &[FramePopulation]) -> Vec<usize> {
+    let sets: BTreeSet<u32> = frames.iter().map(|frame| frame.lights).collect();
+    let few = sets.len() <= MOST_LIGHTS;
     let mut known = Vec::new();
     let number = |frame: &FramePopulation| {
-        let place = known.iter().position(|&lights| lights == frame.lights);
+        let key = if few { frame.lights } else { frame.shining };
+        let place = known.iter().position(|&lights| lights == key);
         place.unwrap_or_else(|| {
             if known.len() < MOST_LIGHTS {
-                known.push(frame.lights);
+                known.push(key);
             }
             known.len() - 1
         })

@@ -72,8 +72,13 @@ mod tests {
     #[test]
     fn what_is_known_moves_means_and_leaves_what_is_uncertain_as_it_is() {
         let strata = [Stratum::background(1.0)];
-        let frames =
-            [0, 1].map(|number| FramePopulation { number, counts: vec![100], lights: 0, triangles: 0 });
+        let frames = [0, 1].map(|number| FramePopulation {
+            number,
+            counts: vec![100],
+            lights: 0,
+            shining: 0,
+            triangles: 0,
+        });
         let cost = |work| Cost { work, ..Cost::default() };
         let observations: Vec<Observation> =
             [90, 110, 95, 105].map(|work| Observation { stratum: 0, cost: cost(work) }).to_vec();

@@ -47,7 +47,13 @@ mod tests {
     fn every_level_of_any_frame_has_a_stratum_and_every_frame_a_number_for_it() {
         let mut strata = vec![Stratum::background(0.1)];
         let mut frames = [3, 4]
-            .map(|number| FramePopulation { number, counts: vec![number as u32], lights: 0, triangles: 0 })
+            .map(|number| FramePopulation {
+                number,
+                counts: vec![number as u32],
+                lights: 0,
+                shining: 0,
+                triangles: 0,
+            })
             .to_vec();
         let records = RecordStrata::add(&mut strata, &mut frames, &[&[], &[700, 90]], 48.0);
         assert_eq!(frames.iter().map(|f| &f.counts[..]).collect::<Vec<_>>(), [&[3, 0, 0], &[4, 700, 90]]);
@@ -59,7 +65,8 @@ mod tests {
     #[test]
     fn without_a_cache_nothing_is_added() {
         let mut strata = vec![Stratum::background(0.1)];
-        let mut frames = vec![FramePopulation { number: 0, counts: vec![9], lights: 0, triangles: 0 }];
+        let mut frames =
+            vec![FramePopulation { number: 0, counts: vec![9], lights: 0, shining: 0, triangles: 0 }];
         RecordStrata::add(&mut strata, &mut frames, &[&[]], 1.0);
         assert_eq!((strata.len(), &frames[0].counts[..]), (1, &[9][..]));
     }

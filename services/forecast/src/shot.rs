@@ -163,6 +163,14 @@ struct Source {
     overall: Row,
 }
 
+/// How unlike the lights of two frames are: it counts most whether there are any, and then how many; some more or less, up to a third, are
+/// alike.
+fn unlike(one: &FramePopulation, other: &FramePopulation) -> (bool, u32) {
+    let (fewer, more) = (one.shining.min(other.shining), one.shining.max(other.shining));
+    let differ = more - fewer;
+    ((fewer == 0) != (more == 0), if differ <= more / 3 { 0 } else { differ })
+}
+
 /// Carries unit costs from the profiled frames to the others.
 struct Carrier<'a> {
     strata: &'a [Stratum],
@@ -272,8 +280,8 @@ impl<'a> Carrier<'a> {
         f64::from(self.sources[k].fit.strata[h].samples)
     }
 
-    /// The nearest usable sources before and after frame t, of those with the frame's lights if any is usable, with shares that add up to
-    /// one. `samples` says on how many samples a source stands, or none if it is of no use.
+    /// The nearest usable sources before and after frame t, of those with the frame's lights if any is usable, and otherwise of those with lights most
+    /// like them, with shares that add up to one. `samples` says on how many samples a source stands, or none if it is of no use.
     fn neighbours(
         &self,
         t: usize,
@@ -281,14 +289,16 @@ impl<'a> Carrier<'a> {
         samples: impl Fn(usize) -> Option<f64>,
     ) -> Vec<(usize, f64)> {
         let usable = |k: &usize| Some(*k) != left_out && samples(*k).is_some();
-        let lights = |k: usize| self.frames[self.sources[k].frame].lights;
-        let same = |k: &usize| usable(k) && lights(*k) == self.frames[t].lights;
+        let (own, of) = (&self.frames[t], |k: usize| &self.frames[self.sources[k].frame]);
+        let same = |k: &usize| usable(k) && of(*k).lights == own.lights;
+        let closest = (0..self.sources.len()).filter(usable).map(|k| unlike(own, of(k))).min();
+        let alike = |k: &usize| usable(k) && Some(unlike(own, of(*k))) == closest;
         let split = self.sources.partition_point(|source| source.frame <= t);
         let nearest = |useful: &dyn Fn(&usize) -> bool| {
             [(0..split).rev().find(useful), (split..self.sources.len()).find(useful)]
         };
         let nearest = match nearest(&same) {
-            [None, None] => nearest(&usable),
+            [None, None] => nearest(&alike),
             found => found,
         };
         let drift = Drift::prior_rate(&self.clock);

@@ -45,7 +45,7 @@ impl Shot {
             let pixel_works =
                 counts.iter().zip(&looks).flat_map(|(&count, &(_, mean))| vec![mean; count as usize]);
             works.push(pixel_works.map(|mean| mean * (0.33 * noise.normal() - 0.054).exp()).collect());
-            all.push(FramePopulation { number, counts, lights: 0, triangles: 0 });
+            all.push(FramePopulation { number, counts, lights: 0, shining: 0, triangles: 0 });
         }
         Shot { strata, frames: all, works }
     }

@@ -144,7 +144,7 @@ fn wrong_input_is_named() {
     ));
     assert!(matches!(FrameDesign::new(&strata, &[0], 0, 2, 0, 0), Err(ForecastError::ImageShape { .. })));
     assert!(matches!(FrameDesign::new(&strata, &[9], 1, 2, 0, 0), Err(ForecastError::UnknownStratum { .. })));
-    let frame = |number| FramePopulation { number, counts: vec![1, 1], lights: 0, triangles: 0 };
+    let frame = |number| FramePopulation { number, counts: vec![1, 1], lights: 0, shining: 0, triangles: 0 };
     assert_eq!(choose_frames(&strata, &[frame(4), frame(4)], 1), Err(ForecastError::FrameOrder { frame: 4 }));
     let profiled = |frame| ProfiledFrame {
         frame,

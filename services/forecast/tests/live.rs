@@ -390,7 +390,8 @@ fn two_sides_of_a_cut_say_little_of_each_other() {
 #[test]
 fn the_clock_of_the_estimate_has_a_cut_where_lights_change() {
     let strata = [Stratum { object: 0, material: 0, prior_cost: 1.0, apart: false }];
-    let frame = |number, lights| FramePopulation { number, counts: vec![64], lights, triangles: 0 };
+    let frame =
+        |number, lights| FramePopulation { number, counts: vec![64], lights, shining: 0, triangles: 0 };
     let frames = [frame(0, 0), frame(1, 0), frame(2, 1), frame(5, 1)];
     assert_eq!(shot_times(&strata, &frames).unwrap(), [0.0, 1.0, 7.0, 10.0]);
     assert_eq!(shot_times(&strata, &[]).unwrap(), Vec::<f64>::new());

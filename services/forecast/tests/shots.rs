@@ -21,7 +21,13 @@ impl Shot {
             .collect();
         let frames = (0..)
             .zip(&pictures)
-            .map(|(number, p)| FramePopulation { number, counts: p.counts.clone(), lights: 0, triangles: 0 })
+            .map(|(number, p)| FramePopulation {
+                number,
+                counts: p.counts.clone(),
+                lights: 0,
+                shining: 0,
+                triangles: 0,
+            })
             .collect();
         Shot { pictures, frames }
     }
@@ -119,7 +125,13 @@ fn one_stratum_each(counts: &[[u32; 3]]) -> (Vec<Stratum>, Vec<FramePopulation>)
     let strata = (0..3).map(|i| Stratum { object: i, material: i, prior_cost: 1.0, apart: false }).collect();
     let frames = (0..)
         .zip(counts)
-        .map(|(number, counts)| FramePopulation { number, counts: counts.to_vec(), lights: 0, triangles: 0 })
+        .map(|(number, counts)| FramePopulation {
+            number,
+            counts: counts.to_vec(),
+            lights: 0,
+            shining: 0,
+            triangles: 0,
+        })
         .collect();
     (strata, frames)
 }
@@ -294,7 +306,13 @@ fn a_tree_costs_by_the_triangles_of_its_frame_whoever_was_profiled() {
     let triangles = [100, 100, 9000, 50, 100];
     let frames: Vec<FramePopulation> = (0..)
         .zip(triangles)
-        .map(|(number, triangles)| FramePopulation { number, counts: vec![4], lights: 0, triangles })
+        .map(|(number, triangles)| FramePopulation {
+            number,
+            counts: vec![4],
+            lights: 0,
+            shining: 0,
+            triangles,
+        })
         .collect();
     let observations = [1.0; 4].map(|work| Observation { stratum: 0, cost: cost_of(work) });
     let profiled = [0, 4].map(|frame| ProfiledFrame {
@@ -309,4 +327,40 @@ fn a_tree_costs_by_the_triangles_of_its_frame_whoever_was_profiled() {
     for (work, truth) in work.zip([3011.0, 3011.0, 270_011.0, 1511.0, 3011.0]) {
         assert!((work / truth - 1.0).abs() < 1e-12, "{work} in place of {truth}");
     }
+}
+
+#[test]
+fn a_frame_under_lights_that_were_never_profiled_costs_like_one_under_others_not_like_a_dark_one() {
+    let strata = [Stratum::background(1.0)];
+    // A lamp of its own in every second frame: 10 a pixel, 1 in the dark.
+    let frames: Vec<FramePopulation> = (0..12)
+        .map(|number| {
+            let is_lit = number % 2 == 1;
+            let (lights, shining) = if is_lit { (number as u32, 1) } else { (0, 0) };
+            FramePopulation { number, counts: vec![100], lights, shining, triangles: 0 }
+        })
+        .collect();
+    let chosen = choose_frames(&strata, &frames, 2).expect("frames");
+    assert_eq!(chosen.iter().map(|frame| frame % 2).sum::<usize>(), 1, "{chosen:?}");
+    let of = |work: f64| [1.0; 100].map(|_| Observation { stratum: 0, cost: cost_of(work) });
+    let observations = [of(1.0), of(10.0)];
+    let profiled = chosen.iter().map(|&frame| ProfiledFrame {
+        frame,
+        observations: &observations[frame % 2],
+        expansion: &Expansion::Groups,
+        fixed: Cost::default(),
+        build: Cost::default(),
+    });
+    let profiled: Vec<ProfiledFrame<'_>> = profiled.collect();
+    let forecast = forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast");
+    for frame in &forecast.frames {
+        let truth = if frame.number % 2 == 1 { 1000.0 } else { 100.0 };
+        let work = frame.total.work;
+        assert!((work.mean / truth - 1.0).abs() < 1e-9, "frame {}: {work:?}", frame.number);
+        // Another lamp may well bring a third more.
+        let is_unknown = frame.number % 2 == 1 && !frame.profiled;
+        assert!(!is_unknown || work.p95 > 1.33 * truth, "frame {}: {work:?}", frame.number);
+    }
+    let total = forecast.total.work;
+    assert!((total.mean / 6600.0 - 1.0).abs() < 1e-9 && total.p95 > 1.2 * 6600.0, "{total:?}");
 }

@@ -254,6 +254,7 @@ fn a_shot_is_quoted_by_any_strategy_and_records_stand_apart_from_all() {
             number,
             counts: design.counts().to_vec(),
             lights: 0,
+            shining: 0,
             triangles: 0,
         });
         let records = RecordStrata::add(&mut strata, &mut frames, &[&[40], &[80]], 48.0);

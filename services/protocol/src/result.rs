@@ -143,6 +143,9 @@ pub struct FrameStrata {
     /// under other lights.
     #[serde(default)]
     pub lights: u32,
+    /// How many of them shine, the environment being one.
+    #[serde(default)]
+    pub shining: u32,
     /// Triangles of the frame, seen or not: a tree is built over all of them. 0 if nobody counted.
     #[serde(default)]
     pub triangles: u64,

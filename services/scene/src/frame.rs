@@ -27,7 +27,7 @@ pub struct Frame {
 
 impl Frame {
     /// Whether each light shines at this instant: materials by index (those that cannot emit never do, nor those that nothing is made of
-    /// at this instant), then lights without surface, then suns. The same lights in every frame of a shot.
+    /// at this instant), then lights without surface, suns, and the environment. The same lights in every frame of a shot.
     pub fn shining(&self) -> Vec<bool> {
         let mut present = vec![false; self.geometry.strata.pairs.len()];
         self.geometry.triangle_stratum.iter().for_each(|&stratum| present[stratum as usize] = true);
@@ -41,7 +41,12 @@ impl Frame {
             self.materials.iter().zip(made_of).map(|(material, any)| any && material.is_emissive());
         let points = self.points.iter().map(|point| point.intensity.max_element() > 0.0);
         let suns = self.suns.iter().map(|sun| sun.irradiance.max_element() > 0.0);
-        materials.chain(points).chain(suns).collect()
+        let environment = match &self.environment {
+            Environment::Black => false,
+            Environment::Constant(radiance) => radiance.max_element() > 0.0,
+            Environment::Image { scale, .. } => *scale > 0.0,
+        };
+        materials.chain(points).chain(suns).chain([environment]).collect()
     }
 }
 

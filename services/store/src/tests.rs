@@ -116,6 +116,7 @@ impl Farm {
                         background: 4,
                         cache_records: Vec::new(),
                         lights: 0,
+                        shining: 0,
                         triangles: 0,
                         preview_png: Some(image),
                     })

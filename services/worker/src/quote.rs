@@ -77,12 +77,13 @@ pub fn quote(
     let counted = count_frames(renderer, frames, settings, observer)?;
     let mut populations: Vec<FramePopulation> = frames
         .iter()
-        .zip(counted.counts.iter().zip(counted.lights.iter().zip(&counted.triangles)))
-        .map(|(&frame, (counts, (&lights, &triangles)))| FramePopulation {
+        .enumerate()
+        .map(|(at, &frame)| FramePopulation {
             number: i64::from(frame),
-            counts: strategy.counts(&shown, counts),
-            lights,
-            triangles,
+            counts: strategy.counts(&shown, &counted.counts[at]),
+            lights: counted.lights[at],
+            shining: counted.shining[at],
+            triangles: counted.triangles[at],
         })
         .collect();
     let records: Vec<&[u32]> = counted.cache_records.iter().map(Vec::as_slice).collect();

@@ -82,6 +82,8 @@ pub struct CountedFrames {
     pub cache_records: Vec<Vec<u32>>,
     /// Per frame, which lights shine, in numbers from 0 by first appearance.
     pub lights: Vec<u32>,
+    /// Per frame, how many lights shine.
+    pub shining: Vec<u32>,
     /// Per frame, its triangles, seen or not.
     pub triangles: Vec<u64>,
     /// Who counted the last frame.
@@ -101,6 +103,7 @@ pub fn count_frames(
         counts: Vec::with_capacity(frames.len()),
         cache_records: Vec::with_capacity(frames.len()),
         lights: Vec::with_capacity(frames.len()),
+        shining: Vec::with_capacity(frames.len()),
         triangles: Vec::with_capacity(frames.len()),
         backend: PreviewBackend::Cpu,
         spent: Spent::default(),
@@ -118,6 +121,7 @@ pub fn count_frames(
         all.cache_records.push(cache_records);
         all.triangles.push(triangles);
         let next = lit.len() as u32;
+        all.shining.push(shining.iter().filter(|&&shines| shines).count() as u32);
         all.lights.push(*lit.entry(shining).or_insert(next));
         all.backend = backend;
         all.spent = all.spent.plus(spent);

@@ -89,6 +89,7 @@ pub fn preview_result(
         background: counted.counts[at][background],
         cache_records: counted.cache_records[at].clone(),
         lights: counted.lights[at],
+        shining: counted.shining[at],
         triangles: counted.triangles[at],
         preview_png: None,
     });

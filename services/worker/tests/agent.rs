@@ -205,6 +205,7 @@ impl Execute for Slow {
             background: 16,
             cache_records: Vec::new(),
             lights: 0,
+            shining: 0,
             triangles: 0,
             preview_png: Some(hash),
         };

@@ -192,6 +192,7 @@ fn shot(frames: usize, seen: impl Fn(usize) -> u32, known: &[usize]) -> (ShotFor
             number: t as i64,
             counts: vec![200, 50, seen(t)],
             lights: 0,
+            shining: 0,
             triangles: 0,
         })
         .collect();
@@ -364,7 +365,13 @@ fn estimates_have_no_drift_while_frames_are_finished() {
             })
             .collect();
         let population: Vec<FramePopulation> = (0..frames)
-            .map(|t| FramePopulation { number: t as i64, counts: vec![80, 20], lights: 0, triangles: 0 })
+            .map(|t| FramePopulation {
+                number: t as i64,
+                counts: vec![80, 20],
+                lights: 0,
+                shining: 0,
+                triangles: 0,
+            })
             .collect();
         let observed: Vec<Vec<Observation>> = works
             .iter()
@@ -421,7 +428,7 @@ proptest! {
     ) {
         let strata = strata(4);
         let population: Vec<FramePopulation> =
-            counts.iter().zip(0..).map(|(counts, number)| FramePopulation { number, counts: counts.clone(), lights: 0, triangles: 0 }).collect();
+            counts.iter().zip(0..).map(|(counts, number)| FramePopulation { number, counts: counts.clone(), lights: 0, shining: 0, triangles: 0 }).collect();
         let mut frames: Vec<(usize, Vec<Observation>)> = Vec::new();
         for (index, samples) in known {
             let frame = index.index(counts.len());

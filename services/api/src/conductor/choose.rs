@@ -66,6 +66,7 @@ impl Populations {
                     number: i64::from(frame.frame),
                     counts,
                     lights: frame.lights,
+                    shining: frame.shining,
                     triangles: frame.triangles,
                 }
             })

@@ -334,6 +334,7 @@ mod tests {
                     background,
                     cache_records: Vec::new(),
                     lights: 0,
+                    shining: 0,
                     triangles: 0,
                     preview_png: None,
                 })

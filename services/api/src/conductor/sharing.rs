@@ -204,7 +204,8 @@ fn seed(
     corrections: Option<&Corrections>,
 ) -> Result<SeedForecast, AdvanceError> {
     let mut strata = vec![Stratum::background(preview.background_prior_cost)];
-    let mut frames = vec![FramePopulation { number: 0, counts: vec![0], lights: 0, triangles: 0 }];
+    let mut frames =
+        vec![FramePopulation { number: 0, counts: vec![0], lights: 0, shining: 0, triangles: 0 }];
     let places =
         RecordStrata::add(&mut strata, &mut frames, &[records], preview.record_prior_cost.unwrap_or(1.0));
     let observations: Vec<Observation> = profiles

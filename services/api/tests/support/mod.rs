@@ -236,6 +236,7 @@ impl Farm {
                         background: 16,
                         cache_records: Vec::new(),
                         lights: 0,
+                        shining: 0,
                         triangles: 0,
                         preview_png: None,
                     })

@@ -146,7 +146,8 @@ impl Pilot {
         let factor = f64::from(spp) / f64::from(had);
         let growth = uncovered_gathers(&self.settings).map_or(1.0, |gathers| gathers.growth(had, spp));
         let mut strata = self.strata.clone();
-        let mut frame = [FramePopulation { number: 0, counts: view.counts.clone(), lights: 0, triangles: 0 }];
+        let mut frame =
+            [FramePopulation { number: 0, counts: view.counts.clone(), lights: 0, shining: 0, triangles: 0 }];
         let of_pixels = self.observations.iter().zip(&self.extra_work).map(|(seen, &extra)| Observation {
             stratum: seen.stratum,
             cost: seen.cost.with_samples(factor, extra, growth),

@@ -74,6 +74,7 @@ impl Known {
                 number: frame.number,
                 counts: self.counts(frame),
                 lights: 0,
+                shining: 0,
                 triangles: 0,
             })
             .collect();

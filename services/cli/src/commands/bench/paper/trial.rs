@@ -91,8 +91,13 @@ pub fn forecast(
     let costs = if planned { &truth.pixels } else { &truth.cold };
     let (picks, mut observations) = design.profile(|pixel| costs[pixel as usize])?;
     let mut strata = design.strata().to_vec();
-    let mut frames =
-        [FramePopulation { number: 0, counts: design.counts().to_vec(), lights: 0, triangles: 0 }];
+    let mut frames = [FramePopulation {
+        number: 0,
+        counts: design.counts().to_vec(),
+        lights: 0,
+        shining: 0,
+        triangles: 0,
+    }];
     if planned {
         let prior = truth.record_prior_cost;
         let apart = RecordStrata::add(&mut strata, &mut frames, &[&truth.records], prior);
