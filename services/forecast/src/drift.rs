@@ -31,6 +31,7 @@ const PRIOR_FREEDOM: f64 = 2.0;
 #[derive(Clone, Debug)]
 pub(crate) struct Drift {
     times: Vec<f64>,
+    /// Of the shot, in frames.
     length: f64,
     /// Which lights shine, frame by frame.
     lights: Vec<u32>,
@@ -42,16 +43,17 @@ pub(crate) struct Drift {
 }
 
 impl Drift {
-    /// Variance per frame of the shot's clock before anything is learnt.
+    /// Variance per frame of the shot's clock before anything is learnt. The shot is as long as it has frames: what a cut adds to the clock must not
+    /// make the walk across it shorter.
     pub fn prior_rate(clock: &ShotClock) -> f64 {
-        PRIOR_DEVIATION * PRIOR_DEVIATION / (clock.length() / 3.0)
+        PRIOR_DEVIATION * PRIOR_DEVIATION / (clock.frames().max(1.0) / 3.0)
     }
 
     /// The prior walk over the frames.
     pub fn new(clock: &ShotClock, frames: &[FramePopulation], profiled: Vec<usize>) -> Self {
         Drift {
             times: clock.times().to_vec(),
-            length: clock.length(),
+            length: clock.frames().max(1.0),
             lights: frames.iter().map(|frame| frame.lights).collect(),
             profiled,
             prior: Self::prior_rate(clock),

@@ -1,6 +1,6 @@
 //! What is known of frames beyond what was profiled.
 
-use crate::cost::{Costs, Quantity};
+use crate::cost::{Cost, Costs, Quantity};
 use crate::interval::{Calibration, Part, log_deviation, quantity};
 use crate::shot::ShotForecast;
 
@@ -19,6 +19,22 @@ impl ShotForecast {
         self.job_sigma = log_deviation(work.mean, work.variance) * calibration.inflation;
         self
     }
+}
+
+/// Costs of which work and rays were counted beforehand, with their times: in proportion to work, as in what was `taken` of their kind, given as work and
+/// nanoseconds.
+pub fn with_times(
+    counted: impl IntoIterator<Item = Cost>,
+    taken: impl IntoIterator<Item = (u64, u64)>,
+) -> Vec<Costs<f64>> {
+    let sum = |(work, nanos): (f64, f64), taken: (u64, u64)| (work + taken.0 as f64, nanos + taken.1 as f64);
+    let (work, nanos) = taken.into_iter().fold((0.0, 0.0), sum);
+    let rate = if work > 0.0 { nanos / work } else { 0.0 };
+    let timed = |cost: Cost| {
+        // Saturates at the end of the range, as float to integer does.
+        Costs::from(Cost { cpu_nanos: (cost.work as f64 * rate).round() as u64, ..cost })
+    };
+    counted.into_iter().map(timed).collect()
 }
 
 fn shifted(costs: &Costs<Quantity>, known: &Costs<f64>, calibration: Calibration) -> Costs<Quantity> {

@@ -127,6 +127,7 @@ pub use estimate::{FrameEstimate, StratumEstimate, estimate};
 pub use expansion::Expansion;
 pub use frames::{FramePopulation, choose_frames};
 pub use interval::Calibration;
+pub use known::with_times;
 pub use live::{Band, Known, Live, LiveFrame, live, shot_times};
 pub use rates::{Timed, class_rates, learned_factor, log_ratio_millionths};
 pub use records::RecordStrata;

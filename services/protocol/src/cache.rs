@@ -95,6 +95,17 @@ pub struct CacheMergeSpec {
     pub parts: Vec<ArtifactHash>,
 }
 
+/// What planning a frame's irradiance cache takes, counted.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PlanCount {
+    /// Deterministic count of operations.
+    pub work: u64,
+    /// Rays by category, in the order of [`crate::Rays::NAMES`].
+    #[schema(min_items = 7, max_items = 7)]
+    pub rays: [u64; 7],
+}
+
 /// What a shot's cache is to one frame.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]

@@ -59,7 +59,8 @@ pub use budget::{
 pub use bundle::{Bundle, BundleRef, BundleSource, SceneSummary};
 pub use cache::{
     CACHE_BYTES, CACHE_ROUNDS, CacheFillResult, CacheFillSpec, CacheFrame, CacheMergeResult, CacheMergeSpec,
-    CachePlanResult, CachePlanSpec, CachePrice, CacheQuote, CacheSharing, SeedForecast, SeedProgress,
+    CachePlanResult, CachePlanSpec, CachePrice, CacheQuote, CacheSharing, PlanCount, SeedForecast,
+    SeedProgress,
 };
 pub use calendar::{
     ClockTime, Day, MOST_WINDOWS, MalformedCalendar, NodeCalendar, NodePower, NodeWindow, PowerState,

@@ -148,6 +148,12 @@ impl FixedCosts {
         load.plus(plan).plus(write)
     }
 
+    /// All but planning the irradiance cache.
+    #[must_use]
+    pub fn without_plan(self) -> Self {
+        Self { plan: Spent::default(), plan_rays: [0; 7], ..self }
+    }
+
     /// All of them together.
     pub const fn total(self) -> Spent {
         let Self { load, build, plan, plan_rays: _, write } = self;

@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    ArtifactHash, CacheFillResult, CacheMergeResult, CachePlanResult, ProfileResult, RenderStats, TaskKind,
+    ArtifactHash, CacheFillResult, CacheMergeResult, CachePlanResult, PlanCount, ProfileResult, RenderStats,
+    TaskKind,
 };
 
 /// What came of it. In JSON an object with one key: `{"preview": {…}}`.
@@ -139,6 +140,9 @@ pub struct FrameStrata {
     /// Records of the frame's irradiance cache, which is planned with the preview, one number a level; empty without a cache.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cache_records: Vec<u32>,
+    /// What planning it takes; absent without a cache.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cache_plan: Option<PlanCount>,
     /// Which of the scene's lights shine, as a number that frames with the same ones share: what is in sight costs something else
     /// under other lights.
     #[serde(default)]

@@ -115,6 +115,7 @@ impl Farm {
                         pixels: vec![60],
                         background: 4,
                         cache_records: Vec::new(),
+                        cache_plan: None,
                         lights: 0,
                         shining: 0,
                         triangles: 0,

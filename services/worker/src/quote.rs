@@ -8,7 +8,7 @@ use crate::shot::{
 };
 use forelight_forecast::{
     Calibration, Corrections, Cost, Costs, FramePopulation, Observation, Quantity, RecordStrata,
-    ShotForecast, Strategy,
+    ShotForecast, Strategy, with_times,
 };
 use forelight_protocol::{
     ByClass, FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, LeftOut, Profiled, Quantiles,
@@ -112,11 +112,21 @@ pub fn quote(
             frame,
             observations,
             expansion: &profile.expansion,
-            fixed: cost(profile.fixed.without_build(), profile.fixed.plan_rays),
+            fixed: cost(profile.fixed.without_plan().without_build(), [0; 7]),
             build: cost(profile.fixed.build, [0; 7]),
         })
         .collect();
-    let forecast = forelight_forecast::forecast_shot(&strata, &populations, &measured, Calibration::NONE)?;
+    // Each frame's cache was planned to be counted: what that takes is known.
+    let plans = with_times(
+        counted.cache_plans.iter().flatten().map(|plan| Cost {
+            work: plan.work,
+            rays: plan.rays,
+            ..Cost::default()
+        }),
+        profiled.iter().map(|profile| (profile.fixed.plan.work, profile.fixed.plan.cpu_nanos)),
+    );
+    let forecast = forelight_forecast::forecast_shot(&strata, &populations, &measured, Calibration::NONE)?
+        .with_known(&plans, Calibration::NONE);
     let forecast = match &options.corrections {
         Some(corrections) => forecast.corrected(corrections),
         None => forecast,

@@ -7,7 +7,7 @@
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_preview::{Counts, Preview, PreviewError};
 use forelight_protocol::{
-    ByClass, FixedCosts, LeftOut, PreviewBackend, RenderSettings, SceneSummary, Spent, StratumName,
+    ByClass, FixedCosts, LeftOut, PlanCount, PreviewBackend, RenderSettings, SceneSummary, Spent, StratumName,
 };
 use forelight_scene::{Frame, MaterialClass, SceneError};
 use forelight_tracer::{
@@ -100,6 +100,8 @@ pub struct Counted {
     pub counts: Counts,
     /// Records of the frame's irradiance cache by level, as planned; empty without a cache.
     pub cache_records: Vec<u32>,
+    /// What planning it takes; nothing without a cache.
+    pub cache_plan: Option<PlanCount>,
     /// Whether each of the scene's lights shines.
     pub shining: Vec<bool>,
     /// Triangles, seen or not.

@@ -12,7 +12,7 @@ use crate::warm_clock;
 use forelight_forecast::{Cost, Expansion, Observation, Stratum};
 use forelight_preview::{NOTHING, Preview};
 use forelight_protocol::{
-    ByClass, CacheMode, FixedCosts, LeftOut, MaterialMode, PreviewBackend, RenderSettings, Spent,
+    ByClass, CacheMode, FixedCosts, LeftOut, MaterialMode, PlanCount, PreviewBackend, RenderSettings, Spent,
 };
 use forelight_scene::{Frame, MaterialClass};
 use forelight_tracer::{Pixel, Profile, RecordCost};
@@ -80,6 +80,8 @@ pub struct CountedFrames {
     pub counts: Vec<Vec<u32>>,
     /// Per frame, the records of its irradiance cache by level, as planned; empty without a cache.
     pub cache_records: Vec<Vec<u32>>,
+    /// Per frame, what planning that takes; nothing without a cache.
+    pub cache_plans: Vec<Option<PlanCount>>,
     /// Per frame, which lights shine, in numbers from 0 by first appearance.
     pub lights: Vec<u32>,
     /// Per frame, how many lights shine.
@@ -102,6 +104,7 @@ pub fn count_frames(
     let mut all = CountedFrames {
         counts: Vec::with_capacity(frames.len()),
         cache_records: Vec::with_capacity(frames.len()),
+        cache_plans: Vec::with_capacity(frames.len()),
         lights: Vec::with_capacity(frames.len()),
         shining: Vec::with_capacity(frames.len()),
         triangles: Vec::with_capacity(frames.len()),
@@ -113,12 +116,13 @@ pub fn count_frames(
         if observer.is_cancelled() {
             return Err(ShotError::Cancelled);
         }
-        let Counted { counts, cache_records, shining, triangles, backend, spent } =
+        let Counted { counts, cache_records, cache_plan, shining, triangles, backend, spent } =
             renderer.count(frame, settings)?;
         let mut pixels = counts.per_stratum;
         pixels.push(counts.background);
         all.counts.push(pixels);
         all.cache_records.push(cache_records);
+        all.cache_plans.push(cache_plan);
         all.triangles.push(triangles);
         let next = lit.len() as u32;
         all.shining.push(shining.iter().filter(|&&shines| shines).count() as u32);

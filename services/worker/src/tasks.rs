@@ -88,6 +88,7 @@ pub fn preview_result(
         pixels: shown.strata.iter().map(|&stratum| counted.counts[at][stratum]).collect(),
         background: counted.counts[at][background],
         cache_records: counted.cache_records[at].clone(),
+        cache_plan: counted.cache_plans[at],
         lights: counted.lights[at],
         shining: counted.shining[at],
         triangles: counted.triangles[at],

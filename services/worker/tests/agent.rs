@@ -204,6 +204,7 @@ impl Execute for Slow {
             pixels: Vec::new(),
             background: 16,
             cache_records: Vec::new(),
+            cache_plan: None,
             lights: 0,
             shining: 0,
             triangles: 0,

@@ -4,11 +4,11 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_forecast::{
     Calibration, Corrections, Cost, Costs, Expansion, ForecastError, Measure, Observation, ProfiledFrame,
-    Quantity, ShotForecast, forecast_shot, shot_times,
+    Quantity, ShotForecast, forecast_shot, shot_times, with_times,
 };
 use forelight_protocol::{
-    ByClass, CacheFrame, CacheSample, FixedCosts, ForecastTotals, FrameForecast, LeftOut, PreviewResult,
-    Profiled, Quantiles, RayQuantiles, RenderSettings, Spent, SpentOnForecast,
+    ByClass, CacheFrame, CacheSample, FixedCosts, ForecastTotals, FrameForecast, LeftOut, PlanCount,
+    PreviewResult, Profiled, Quantiles, RayQuantiles, RenderSettings, Spent, SpentOnForecast,
 };
 use forelight_store::{JobForecast, MeasuredProfile, QuoteBasis, QuoteKind, Spreads};
 
@@ -64,6 +64,18 @@ fn records_of<'a>(preview: &'a PreviewResult, shared: Option<&SharedWay<'a>>) ->
     }
 }
 
+/// What planning each frame's own cache takes, as counted with the preview; nothing if it was not. A plan's operations take as long as in the
+/// profiled frames, on a node of speed 1.
+fn plans(preview: &PreviewResult, profiles: &[MeasuredProfile]) -> Vec<Costs<f64>> {
+    let counted: Option<Vec<PlanCount>> = preview.frames.iter().map(|frame| frame.cache_plan).collect();
+    let counted = counted.unwrap_or_default().into_iter();
+    let taken = profiles.iter().map(|profile| profile.result.fixed.at_speed_one(profile.node_speed).plan);
+    with_times(
+        counted.map(|PlanCount { work, rays }| Cost { work, rays, ..Cost::default() }),
+        taken.map(|plan| (plan.work, plan.cpu_nanos)),
+    )
+}
+
 /// Which of the sampled records stand for those that frames gather themselves beside a shared cache.
 struct OwnRecords {
     /// By level, how many of these were sampled.
@@ -101,8 +113,10 @@ pub(super) fn estimated(
         Some(way) => {
             way.plan.frames.iter().map(|frame| Costs::from(planning(frame, way.node_speed))).collect()
         }
-        None => Vec::new(),
+        None => plans(preview, profiles),
     };
+    // Of old previews it is not, and what the profiled frames took is carried to the others.
+    let plans_are_known = !known.is_empty();
     let own = OwnRecords::of(profiles);
     let mut gathered_by: Vec<(usize, Vec<u32>)> = Vec::new();
     let mut observations: Vec<(usize, Vec<Observation>, Cost, Cost)> = Vec::with_capacity(profiles.len());
@@ -131,16 +145,15 @@ pub(super) fn estimated(
             populations.records.observation(sample.level, cost)
         });
         let observed: Vec<Observation> = pixels.chain(records).collect();
-        if let Some(known) = known.get_mut(at) {
+        if shared.is_some()
+            && let Some(known) = known.get_mut(at)
+        {
             let counts = &populations.frames[at].counts;
             *known = known.plus(&surplus(counts, &observed, &populations.strata).times(-1.0));
         }
         gathered_by.push((at, populations.frames[at].counts.clone()));
         make_room(&mut populations.frames[at].counts, &observed);
-        let fixed = match shared {
-            Some(_) => FixedCosts { plan: Spent::default(), plan_rays: [0; 7], ..result.fixed },
-            None => result.fixed,
-        };
+        let fixed = if plans_are_known { result.fixed.without_plan() } else { result.fixed };
         let cost = |Spent { work, cpu_nanos }: Spent, rays: [u64; 7]| {
             let cpu_nanos = at_speed_one(cpu_nanos, *node_speed);
             Cost { work, cpu_nanos, rays }
@@ -333,6 +346,7 @@ mod tests {
                     pixels: pixels.to_vec(),
                     background,
                     cache_records: Vec::new(),
+                    cache_plan: None,
                     lights: 0,
                     shining: 0,
                     triangles: 0,

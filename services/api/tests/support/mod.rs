@@ -235,6 +235,7 @@ impl Farm {
                         pixels: vec![48],
                         background: 16,
                         cache_records: Vec::new(),
+                        cache_plan: None,
                         lights: 0,
                         shining: 0,
                         triangles: 0,

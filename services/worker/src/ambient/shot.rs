@@ -4,9 +4,11 @@ use super::frame::AmbientFrame;
 use super::{SharedPreviewer, backend, lock, preview_spent, tracer_settings};
 use crate::render::{counts, spent};
 use crate::renderer::{Counted, FrameRenderer, RenderError, Renderer, ShotInfo, StratumInfo};
-use forelight_protocol::{FixedCosts, RenderSettings, SceneDigest, SceneSummary, Spent, StratumName};
+use forelight_protocol::{
+    FixedCosts, PlanCount, RenderSettings, SceneDigest, SceneSummary, Spent, StratumName,
+};
 use forelight_scene::{Frame, Geometry, Limits, Scene};
-use forelight_tracer::{Cache, Effects, Settings, Tracer, clocked, tracer_version};
+use forelight_tracer::{Cache, CacheTotals, Effects, Settings, Tracer, clocked, tracer_version};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
@@ -123,14 +125,15 @@ impl AmbientShot {
 
     /// Records of a frame's irradiance cache by level, none without one, and what planning them took, with any tree that had
     /// to be built for it.
-    fn planned_records(&self, frame: &Frame, settings: &Settings) -> (Vec<u32>, Spent) {
+    fn planned_records(&self, frame: &Frame, settings: &Settings) -> (Vec<u32>, Option<PlanCount>, Spent) {
         if settings.cache.is_none() {
-            return (Vec::new(), Spent::default());
+            return (Vec::new(), None, Spent::default());
         }
         let Ready { tracer, built_now, .. } = self.tracer(frame, settings);
         tracer.plan();
-        let planning = tracer.cache().map_or_else(Spent::default, |cache| spent(cache.totals().plan));
-        (records(&tracer), built_now.plus(planning))
+        let CacheTotals { plan, plan_rays, .. } = tracer.cache().map(Cache::totals).unwrap_or_default();
+        let count = PlanCount { work: plan.work, rays: plan_rays };
+        (records(&tracer), Some(count), built_now.plus(spent(plan)))
     }
 }
 
@@ -179,12 +182,13 @@ impl Renderer for AmbientShot {
         let settings = tracer_settings(settings);
         let (frame, setup) = clocked(|| self.frame_of(frame, &settings));
         let frame = frame?;
-        let (cache_records, planning) = self.planned_records(&frame, &settings);
+        let (cache_records, cache_plan, planning) = self.planned_records(&frame, &settings);
         Ok(self.previewer.with(|previewer| {
             let counts = previewer.counts(&frame)?;
             Ok(Counted {
                 counts,
                 cache_records,
+                cache_plan,
                 shining: frame.shining(),
                 triangles: frame.geometry.triangles.len() as u64,
                 backend: backend(previewer),
