@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use forelight_api::{Clock as _, ManualClock};
 use forelight_protocol::{
-    Budget, BudgetAction, BudgetForecast, BudgetList, Job, JobState, Lease, LeaseOrder, Money, Node,
-    ProblemKind, Renewal, Timestamp,
+    AnswersDoc, Budget, BudgetAction, BudgetForecast, BudgetList, Job, JobState, Lease, LeaseOrder, Money,
+    Node, ProblemKind, Renewal, Timestamp,
 };
 use reqwest::StatusCode;
 use serde_json::{Value, json};
@@ -225,6 +225,9 @@ async fn a_job_that_has_begun_says_that_a_budget_holds_it_and_not_when_it_is_rea
     let waits = held.waits.unwrap();
     assert!(waits.is_for_money() && waits.because.contains("budget of project film"), "{waits:?}");
     assert_eq!((held.eta, waits.until), (None, None));
+    let path = format!("/v1/jobs/{}/answers", held.id);
+    let answers: AnswersDoc = farm.viewer.get(&path).await.json_as(StatusCode::OK).await;
+    assert!(answers.why_not[0].contains("budget of project film is used up"), "{:?}", answers.why_not);
 }
 
 #[tokio::test(flavor = "multi_thread")]

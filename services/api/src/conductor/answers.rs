@@ -85,6 +85,10 @@ pub(crate) fn answers(farm: &Farm, job: usize, question: &Question) -> Result<An
     if !kept || !affordable {
         document.why_not = why_not(farm, &around, &plan, job, budget);
     }
+    if asked.held {
+        let project = &asked.job.project;
+        document.why_not.insert(0, format!("the budget of project {project} is used up: nothing goes on before it is raised, or its next period begins"));
+    }
     let mut ask = |name: &str, answer: &mut dyn FnMut() -> Result<(), AdvanceError>| {
         if begun.elapsed() < question.patience {
             answer()
