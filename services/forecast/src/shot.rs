@@ -291,14 +291,15 @@ impl<'a> Carrier<'a> {
         let usable = |k: &usize| Some(*k) != left_out && samples(*k).is_some();
         let (own, of) = (&self.frames[t], |k: usize| &self.frames[self.sources[k].frame]);
         let same = |k: &usize| usable(k) && of(*k).lights == own.lights;
-        let closest = (0..self.sources.len()).filter(usable).map(|k| unlike(own, of(k))).min();
-        let alike = |k: &usize| usable(k) && Some(unlike(own, of(*k))) == closest;
         let split = self.sources.partition_point(|source| source.frame <= t);
         let nearest = |useful: &dyn Fn(&usize) -> bool| {
             [(0..split).rev().find(useful), (split..self.sources.len()).find(useful)]
         };
         let nearest = match nearest(&same) {
-            [None, None] => nearest(&alike),
+            [None, None] => {
+                let closest = (0..self.sources.len()).filter(usable).map(|k| unlike(own, of(k))).min();
+                nearest(&|k: &usize| usable(k) && Some(unlike(own, of(*k))) == closest)
+            }
             found => found,
         };
         let drift = Drift::prior_rate(&self.clock);
