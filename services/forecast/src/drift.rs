@@ -104,21 +104,17 @@ impl Drift {
     /// With walk steps of length Δ_i and S_i the sum of the totals after step i, the variance of a free walk
     /// is q Σ Δ_i S_i²; pinning its end takes off q (Σ Δ_i S_i)² / Σ Δ_i.
     pub fn of_total(&self, totals: &[f64]) -> Part {
-        let sets: BTreeSet<u32> = self.lights.iter().copied().collect();
-        let (known, unknown): (Vec<u32>, Vec<u32>) =
-            sets.into_iter().partition(|&lights| self.pins(lights).next().is_some());
-        let of_sets = |sets: &[u32]| -> Vec<f64> {
-            let own = |(&total, of): (&f64, &u32)| if sets.contains(of) { total } else { 0.0 };
-            totals.iter().zip(&self.lights).map(own).collect()
-        };
-        let of_known = |lights: u32| {
-            let pins: Vec<usize> = self.pins(lights).collect();
-            self.variance_of_set(&pins, &of_sets(&[lights]))
+        let known: BTreeSet<u32> = self.profiled.iter().map(|&k| self.lights[k]).collect();
+        let of_set = |&lights: &u32| {
+            let own = |(&total, &of): (&f64, &u32)| if of == lights { total } else { 0.0 };
+            let totals: Vec<f64> = totals.iter().zip(&self.lights).map(own).collect();
+            self.variance_of_set(&self.pins(lights).collect::<Vec<_>>(), &totals)
         };
         // All others take their unit costs from the same few frames, so what these are off is in all of them.
-        let borrowed = sum(of_sets(&unknown));
-        let of_unknown = UNKNOWN_LIGHTS * borrowed * borrowed * self.length;
-        self.part(sum(known.into_iter().map(of_known)) + of_unknown)
+        let others = totals.iter().zip(&self.lights).filter(|(_, of)| !known.contains(of));
+        let borrowed = sum(others.map(|(&total, _)| total));
+        let of_others = UNKNOWN_LIGHTS * borrowed * borrowed * self.length;
+        self.part(sum(known.iter().map(of_set)) + of_others)
     }
 
     /// The same for the frames with the same lights, of which these are profiled, per variance of the walk; all others have a total of zero. If none

@@ -85,9 +85,12 @@ impl Store {
                     })
                 })
                 .collect::<Result<_, StoreError>>()?;
-            let parts = sqlx::query(PARTS).bind(job_id.0).fetch_all(&mut *transaction).await?;
-            let cache_is_full = done.seed.as_ref().is_none_or(|seed| seed.ready);
-            let parts = if cache_is_full { Vec::new() } else { parts };
+            let is_to_be_filled = done.seed.as_ref().is_some_and(|seed| !seed.ready);
+            let parts = if is_to_be_filled {
+                sqlx::query(PARTS).bind(job_id.0).fetch_all(&mut *transaction).await?
+            } else {
+                Vec::new()
+            };
             let booked_cache = parts
                 .iter()
                 .try_fold(0i64, |sum, row| Ok::<_, StoreError>(sum.saturating_add(booked_cost(row)?)))?;
