@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use forelight_api::{Clock as _, ManualClock};
 use forelight_protocol::{
-    JoinToken, Lease, LeaseOrder, Node, NodeState, ProblemKind, Renewal, TaskLog, Timestamp,
+    JobPage, JoinToken, Lease, LeaseOrder, Node, NodeState, ProblemKind, Renewal, TaskLog, Timestamp,
 };
 use forelight_store::{token_hash, tokens};
 use reqwest::{Method, Response, StatusCode};
@@ -129,6 +129,23 @@ async fn orders_travel_with_the_heartbeat_and_are_seen_to_be_obeyed() {
     assert_eq!(heard(json!({})).await["order"], "stop");
     assert_eq!(ordered(json!({"drain": false})).await, NodeState::Idle);
     assert_eq!(farm.next_task(&node).await.fence, lease.fence + 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_that_no_node_would_quote_says_why_it_waits() {
+    let farm = Farm::new().await;
+    let job = farm.submit("0").await;
+    let listed: JobPage = farm.viewer.get("/v1/jobs").await.json_as(StatusCode::OK).await;
+    let told = farm.job(&job).await.waits;
+    assert!(
+        told.as_ref().is_some_and(|waits| waits.because.contains("no worker has registered")),
+        "{told:?}"
+    );
+    assert_eq!(listed.items[0].waits, told);
+    let node = farm.node("a").await;
+    assert_eq!(farm.job(&job).await.waits, None);
+    farm.order(&node, json!({"drain": true})).await;
+    assert!(farm.job(&job).await.waits.is_some_and(|waits| waits.because.ends_with(": 1 drained")));
 }
 
 #[tokio::test(flavor = "multi_thread")]

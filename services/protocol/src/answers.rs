@@ -107,9 +107,9 @@ pub struct Promise {
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WaitKind {
-    /// A node that could ever render it.
+    /// A node that could ever render it; of a job without a quote, a node that takes tasks.
     Node,
-    /// A node that could render it to be awake.
+    /// A node that could do it to be awake.
     Calendar,
     /// A licence or another limit that others hold.
     Limit,
@@ -121,14 +121,14 @@ pub enum WaitKind {
     Budget,
 }
 
-/// Why a job that is booked has not begun.
+/// Why a job that is booked has not begun, or why one that has to be quoted before does not go on.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Waits {
     /// What kind of reason it is.
     pub kind: WaitKind,
     /// The reason, in a line for people that begins with "waits because".
     pub because: String,
-    /// When its first frame is booked; absent: never.
+    /// When its first frame is booked; of a job without a quote, when the first node wakes. Absent: never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub until: Option<Timestamp>,
     /// The jobs that go first, those that hold most of the nodes' time first.

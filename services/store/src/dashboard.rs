@@ -11,6 +11,7 @@ use sqlx::{Row as _, SqliteConnection};
 use crate::decode::{id, json_opt, time, whole, whole_opt, word};
 use crate::projection::{Projection, project};
 use crate::schedule::{as_it_is, silent_after};
+use crate::unattended::{Unattended, unattended};
 use crate::{JobForecast, Store, StoreError, bookings, events, jobs, nodes, progress, seeds, track_record};
 
 /// How much of everything the dashboard shows.
@@ -28,6 +29,7 @@ impl Store {
         let connection = &mut *transaction;
         let open = bookings::open(connection).await?;
         let projected = project(&open, &seeds::open(connection).await?, now);
+        let unattended = unattended(connection, ttl, now).await?;
         let record = track_record::totals(connection).await?;
         let rows = sqlx::query("SELECT id, body FROM events ORDER BY id DESC LIMIT ?")
             .bind(EVENTS)
@@ -38,7 +40,7 @@ impl Store {
             at: now,
             last_event_id: newest.first().map_or(0, |event| event.id),
             counts: counts(connection, silent_since).await?,
-            jobs: dashboard_jobs(connection, &projected).await?,
+            jobs: dashboard_jobs(connection, &projected, &unattended).await?,
             nodes: dashboard_nodes(connection, ttl, now).await?,
             bookings: open.into_iter().take(BOOKINGS).map(|open| open.booking).collect(),
             events: newest,
@@ -102,6 +104,7 @@ async fn counts(
 async fn dashboard_jobs(
     connection: &mut SqliteConnection,
     projected: &Projection,
+    unattended: &Unattended,
 ) -> Result<Vec<DashboardJob>, StoreError> {
     let rows =
         sqlx::query("SELECT * FROM jobs ORDER BY state IN ('done', 'failed', 'cancelled'), id DESC LIMIT ?")
@@ -126,7 +129,7 @@ async fn dashboard_jobs(
             deadline: job.deadline,
             verdict: job.verdict.as_ref().map(|verdict| verdict.verdict),
             eta,
-            waits: job.waits,
+            waits: job.waits.or_else(|| unattended.waits(job.id)),
             promise: job.promise,
             booked_cost: job.verdict.and_then(|verdict| verdict.cost),
             budget: job.budget,

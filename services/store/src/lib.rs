@@ -53,6 +53,7 @@ mod slurm;
 mod tasks;
 pub mod tokens;
 mod track_record;
+mod unattended;
 mod writing;
 
 pub use artifacts::{ArtifactPlace, ArtifactReader, Artifacts, BadPlace, Staged};
@@ -80,6 +81,7 @@ pub use schedule::{Opening, as_it_is, free_time_of, opening, silence};
 pub use seeds::{NewSeed, NewSeedBooking, PlannedCache};
 pub use slurm::{BookedTime, Holding, NewArray, OpenArray, OpenElement, SeenNode, Waiting};
 pub use track_record::FinishedJob;
+pub use unattended::Unattended;
 
 #[cfg(test)]
 mod tests;

@@ -30,6 +30,7 @@ mod orders;
 mod plans;
 mod records;
 mod seeds;
+mod unattended;
 mod writing;
 
 const TTL: Duration = Duration::from_secs(30);

@@ -118,8 +118,11 @@ pub(crate) async fn cancel(
     Ok(Json(app.store.cancel_job(job, app.now()).await?))
 }
 
-/// Fills in when the jobs are expected to be done.
+/// Fills in when the jobs are expected to be done, and which of them nobody quotes.
 async fn expect(app: &App, jobs: &mut [Job]) -> ApiResult<()> {
+    if jobs.iter().any(|job| matches!(job.state, JobState::Previewing | JobState::Profiling)) {
+        app.store.unattended(app.lease_ttl, app.now()).await?.tell(&mut *jobs);
+    }
     if jobs.iter().all(|job| job.state.is_final() || job.plan_id.is_none()) {
         return Ok(());
     }

@@ -127,7 +127,8 @@ fn report(job: &Job, now: Timestamp) -> String {
         line("cache", format!("{}  {filled}; the frames wait for it", bar(seed.progress, CELLS / 2)));
     }
     if let Some(waits) = &job.waits {
-        let until = waits.until.map_or(String::new(), |at| format!("; it begins at {}", clock(at, now)));
+        let what = if job.plan_id.is_some() { "it begins" } else { "the first wakes" };
+        let until = waits.until.map_or(String::new(), |at| format!("; {what} at {}", clock(at, now)));
         line("waits", format!("{}{until}", waits.because.trim_start_matches("waits ")));
     }
     if let Some(live) = &job.live {
@@ -208,7 +209,7 @@ mod tests {
     use super::*;
     use forelight_protocol::{
         Booked, Confidence, LiveFigure, LiveForecast, Money, MoneyQuantiles, PlanId, Promise, Quantiles,
-        RenderSettingsRequest, SceneDigest, SceneSummary,
+        RenderSettingsRequest, SceneDigest, SceneSummary, WaitKind, Waits,
     };
     use serde_json::json;
 
@@ -248,6 +249,18 @@ mod tests {
         assert_eq!(bar(0.999, 4), "[###.]  99 %");
         assert_eq!(bar(1.0, 4), "[####] 100 %");
         assert_eq!(bar(f64::MAX, 4), "[####] 100 %");
+    }
+
+    #[test]
+    fn a_job_that_nobody_quotes_says_why() {
+        let because = "waits because no node takes tasks: 2 asleep".to_owned();
+        let waits =
+            Waits { kind: WaitKind::Calendar, because, until: Some(at(60)), behind: Vec::new(), share: None };
+        let text = report(&Job { waits: Some(waits), ..job() }, at(0));
+        assert!(
+            text.contains("waits      because no node takes tasks: 2 asleep; the first wakes at "),
+            "{text}"
+        );
     }
 
     #[test]

@@ -30,6 +30,10 @@ pub async fn follow(client: &Client, job: Job, bars: &Bars, interrupt: &Interrup
             match client.events(id, last).await {
                 Ok(stream) => {
                     failures = 0;
+                    // Of some things no event tells, such as that nobody is there who could begin.
+                    if let Ok(job) = client.job(id).await {
+                        stages.job(&job);
+                    }
                     last = listen(stream, last, &mut stages, client).await;
                 }
                 Err(error) => {
@@ -104,6 +108,8 @@ struct Stages {
     frames_done: u64,
     /// A frame was finished since the job was asked for its estimate.
     is_behind: bool,
+    /// Why the job waits, as it was last told.
+    waits: Option<String>,
 }
 
 impl Stages {
@@ -120,6 +126,7 @@ impl Stages {
             profiles: BTreeMap::new(),
             frames_done: 0,
             is_behind: false,
+            waits: None,
         };
         stages.job(job);
         stages
@@ -134,6 +141,11 @@ impl Stages {
             self.frames.set_message(format!("{}, {}", job.state, expected(live)));
         }
         self.is_behind = false;
+        let waits = job.waits.as_ref().map(|waits| waits.because.clone());
+        if waits != self.waits {
+            waits.iter().for_each(|because| self.bars.note(because));
+            self.waits = waits;
+        }
         if let Some(seed) = &job.seed {
             let cache = self.cache.get_or_insert_with(|| self.bars.bar("cache", 0));
             cache.set_length(u64::from(seed.parts) * 100);
