@@ -227,7 +227,7 @@ wait_for 30 leases 2
 is "SELECT count(*) FROM leases WHERE lower(hex(task_id)) = '$task' AND state = 'active'" 1 || fail 'nobody has taken over'
 
 echo 'a job that is cancelled here is cancelled in Slurm'
-curl -sf -X POST -H "Authorization: Bearer $(cat "$work/data/tokens/operator.token")" "http://127.0.0.1:$port/v1/jobs/$job/cancel" >/dev/null
+"$FORELIGHT_BIN" cancel "$job" --server "http://127.0.0.1:$port" --data "$work/data"
 wait_for 60 nothing_left
 is "SELECT state FROM jobs WHERE name = 'long'" cancelled || fail 'the job is not cancelled'
 start_node "${node#node}"

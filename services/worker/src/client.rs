@@ -118,9 +118,9 @@ impl Client {
         self.transport.json(&Request::new(Method::GET, format!("/v1/jobs/{id}"))).await
     }
 
-    /// Cancels a job.
-    pub async fn cancel(&self, id: JobId, key: Uuid) -> Result<Job, ClientError> {
-        self.transport.json(&with_key(Request::new(Method::POST, format!("/v1/jobs/{id}/cancel")), key)).await
+    /// Cancels a job; to do so twice is to do so once.
+    pub async fn cancel(&self, id: JobId) -> Result<Job, ClientError> {
+        self.transport.json(&Request::new(Method::POST, format!("/v1/jobs/{id}/cancel"))).await
     }
 
     /// What is known of a job's plan, seen with another deadline or budget if one is given.

@@ -8,6 +8,7 @@ mod bench;
 mod budget;
 mod cache;
 mod calibrate;
+mod cancel;
 mod explain;
 mod export;
 mod farm;
@@ -62,6 +63,7 @@ enum Command {
     Submit(submit::Args),
     Status(status::Args),
     Jobs(jobs::Args),
+    Cancel(cancel::Args),
     Render(render::Args),
     Preview(preview::Args),
     Cache(cache::Args),
@@ -100,6 +102,7 @@ impl Cli {
             Command::Submit(args) => submit::run(args, interrupt).await,
             Command::Status(args) => status::run(args, interrupt).await,
             Command::Jobs(args) => jobs::run(args).await,
+            Command::Cancel(args) => cancel::run(args).await,
             Command::Token(args) => token::run(args).await,
             Command::Node(args) => node::run(*args).await,
             Command::Ask(args) => ask::run(args).await,

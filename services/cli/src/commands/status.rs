@@ -205,7 +205,7 @@ fn cost(job: &Job) -> String {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use forelight_protocol::{
         Booked, Confidence, LiveFigure, LiveForecast, Money, MoneyQuantiles, PlanId, Promise, Quantiles,
@@ -218,7 +218,7 @@ mod tests {
         evening.plus_micros(seconds * 1_000_000)
     }
 
-    fn job() -> Job {
+    pub fn job() -> Job {
         let scene = SceneSummary {
             name: "a".into(),
             digest: SceneDigest([0; 32]),
