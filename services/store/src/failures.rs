@@ -35,7 +35,7 @@ pub(crate) const LONGEST_WAIT: i64 = 60_000_000;
 /// For how long after its wait a task is kept for nodes on which it has not failed: ten seconds, in microseconds.
 pub(crate) const HEAD_START: i64 = 10_000_000;
 
-/// How long a task waits after its failure number `failures` (from 1), in microseconds: between half of the whole of a ceiling that
+/// How long a task waits after its failure number `failures` (from 1), in microseconds: between half and the whole of a ceiling that
 /// doubles from a second to a minute. The jitter is a hash of task and number, so that the tasks of a job do not come back at once, and
 /// two runs of the same story agree.
 pub(crate) fn wait(task: TaskId, failures: u32) -> i64 {

@@ -2,7 +2,7 @@
 
 use forelight_protocol::{
     BundleId, BundleRef, BundleSource, Event, EventKind, FrameSet, Job, JobId, JobRequest, JobState, Money,
-    PlanId, RenderSettings, SceneDigest, SceneSummary, Timestamp,
+    PlanId, RenderSettings, SceneDigest, SceneSummary, TaskKind, Timestamp,
 };
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
@@ -193,6 +193,18 @@ impl Store {
                 .await?;
         Ok(ids.into_iter().map(JobId).collect())
     }
+}
+
+/// Fails a job inside a write for what became of one of its tasks.
+pub(crate) async fn fail_for_task(
+    write: &mut Write,
+    job: JobId,
+    (kind, frame): (TaskKind, Option<u32>),
+    error: &str,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let of_frame = frame.map_or(String::new(), |frame| format!(" of frame {frame}"));
+    fail(write, job, &format!("{kind}{of_frame}: {error}"), now).await
 }
 
 /// Fails a job inside a write; nothing if it is final already.

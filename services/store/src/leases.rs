@@ -370,16 +370,27 @@ pub(crate) async fn fail_for_good(
         .bind(row.task_id.0)
         .execute(write.connection().await?)
         .await?;
-    let of_frame = row.frame.map_or(String::new(), |frame| format!(" of frame {frame}"));
-    jobs::fail(write, row.job_id, &format!("{}{of_frame}: {error}", row.kind), now).await
+    jobs::fail_for_task(write, row.job_id, (row.kind, row.frame), error, now).await
 }
+
+/// Until when a lease is paid for of whose worker nothing is heard, at this instant.
+macro_rules! paid_until {
+    ($now:literal) => {
+        concat!("coalesce(paid_until, min(", $now, ", expires_at))")
+    };
+}
+pub(crate) use paid_until;
 
 /// Ends an active lease.
 pub(crate) fn end(write: &mut Write, row: &LeaseRow, state: &'static str, now: Timestamp) {
     let unheard = ["expired", "revoked"].contains(&state);
     write
         .later(if unheard {
-            "UPDATE leases SET state = ?, ended_at = coalesce(paid_until, min(?, expires_at)) WHERE id = ? AND state = 'active'"
+            concat!(
+                "UPDATE leases SET state = ?, ended_at = ",
+                paid_until!("?"),
+                " WHERE id = ? AND state = 'active'"
+            )
         } else {
             "UPDATE leases SET state = ?, ended_at = ? WHERE id = ? AND state = 'active'"
         })

@@ -6,6 +6,7 @@ use forelight_protocol::{ProjectRequest, Timestamp};
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::decode::whole;
+use crate::leases::paid_until;
 use crate::{Store, StoreError};
 
 /// After this many microseconds, what a project used counts half: a week.
@@ -68,11 +69,13 @@ pub(crate) async fn read(
         let share = whole::<u32>(row, "share")?.max(1);
         found.insert(name.clone(), ProjectUse { name, share, used: Vec::new() });
     }
-    let rows = sqlx::query(
+    let rows = sqlx::query(concat!(
         "SELECT project, (ends_at + ?3 - 1) / ?3 AS hour, sum(ends_at - from_at) AS used FROM \
-         (SELECT project, from_at, coalesce(until_at, paid_until, ?1) AS ends_at FROM ledger d JOIN leases l ON l.id = d.lease_id \
+         (SELECT project, from_at, coalesce(until_at, ",
+        paid_until!("?1"),
+        ") AS ends_at FROM ledger d JOIN leases l ON l.id = d.lease_id \
          WHERE from_at < ?1 AND (until_at IS NULL OR until_at > ?2)) GROUP BY project, hour ORDER BY project, hour",
-    )
+    ))
     .bind(now.micros())
     .bind(now.plus_micros(-REMEMBERED * HALF_LIFE).micros())
     .bind(HOUR)

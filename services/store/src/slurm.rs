@@ -11,7 +11,7 @@
 //! An element says only that a process was asked for; who works on a task is the lease's business alone. So an element that ran twice, or
 //! was lost, or came late is harmless: its process asks for the lease of exactly its task, and gets it or not.
 
-use forelight_protocol::{Event, EventKind, JobId, NodeId, TaskId, TaskKind, Timestamp, Verdict};
+use forelight_protocol::{Event, EventKind, JobId, Money, NodeId, TaskId, TaskKind, Timestamp, Verdict};
 use sqlx::Row as _;
 use sqlx::sqlite::SqliteRow;
 use uuid::Uuid;
@@ -338,11 +338,8 @@ impl Store {
             .fetch_optional(write.connection().await?)
             .await?;
         if let Some(row) = row {
-            let kind: TaskKind = word(&row, "kind")?;
-            let of_frame =
-                whole_opt::<u32>(&row, "frame")?.map_or(String::new(), |frame| format!(" of frame {frame}"));
-            let error = format!("{kind}{of_frame}: {reason}");
-            jobs::fail(&mut write, JobId(id(&row, "job_id")?), &error, now).await?;
+            let of = (word::<TaskKind>(&row, "kind")?, whole_opt(&row, "frame")?);
+            jobs::fail_for_task(&mut write, JobId(id(&row, "job_id")?), of, reason, now).await?;
         }
         self.commit(write).await
     }
@@ -352,7 +349,7 @@ impl Store {
     pub async fn see_nodes(
         &self,
         seen: &[SeenNode],
-        price_per_hour: i64,
+        price_per_hour: Money,
         now: Timestamp,
     ) -> Result<(), StoreError> {
         let mut write = self.write().await?;
@@ -371,7 +368,7 @@ impl Store {
             )
             .bind(new.0)
             .bind(&node.name)
-            .bind(price_per_hour)
+            .bind(price_per_hour.micro_units())
             .bind(i64::from(node.cores))
             .bind(now.micros())
             .execute(write.connection().await?)
@@ -385,17 +382,20 @@ impl Store {
         self.commit(write).await
     }
 
-    /// The names of nodes that are to get no further tasks.
-    pub async fn drained_nodes(&self) -> Result<Vec<String>, StoreError> {
-        Ok(sqlx::query_scalar("SELECT name FROM nodes WHERE drain = 1 ORDER BY name")
-            .fetch_all(self.readers())
-            .await?)
+    /// The names of nodes that are to get no further tasks: drained, paused, or set aside.
+    pub async fn closed_nodes(&self) -> Result<Vec<String>, StoreError> {
+        Ok(sqlx::query_scalar(
+            "SELECT name FROM nodes WHERE drain OR pause OR set_aside IS NOT NULL ORDER BY name",
+        )
+        .fetch_all(self.readers())
+        .await?)
     }
 
     /// The least that a node which is there and takes work does in a second, in seconds of a core of speed 1; absent if there is none.
     pub async fn slowest_node(&self, seen_since: Timestamp) -> Result<Option<f64>, StoreError> {
         Ok(sqlx::query_scalar(
-            "SELECT min(coalesce(speed_set, speed) * cores) FROM nodes WHERE drain = 0 AND last_seen_at >= ?",
+            "SELECT min(coalesce(speed_set, speed) * cores) FROM nodes \
+             WHERE NOT (drain OR pause OR set_aside IS NOT NULL) AND last_seen_at >= ?",
         )
         .bind(seen_since.micros())
         .fetch_one(self.readers())

@@ -11,6 +11,7 @@ use sqlx::sqlite::SqliteRow;
 use crate::database::Write;
 use crate::decode::{json, time_opt, to_json, whole};
 use crate::elsewhere::Slot;
+use crate::leases::paid_until;
 use crate::{StoreError, jobs};
 
 /// To be handed out.
@@ -190,10 +191,11 @@ impl Common {
 /// Takes back all tasks of a job that are not finished. Leases become `revoked`, so that the next renewal of each
 /// brings its worker the order to stop.
 pub(crate) async fn withdraw(write: &mut Write, job: JobId, now: Timestamp) -> Result<(), StoreError> {
-    sqlx::query(
-        "UPDATE leases SET state = 'revoked', ended_at = ? WHERE state = 'active' \
-         AND task_id IN (SELECT id FROM tasks WHERE job_id = ? AND state = 'leased')",
-    )
+    sqlx::query(concat!(
+        "UPDATE leases SET state = 'revoked', ended_at = ",
+        paid_until!("?"),
+        " WHERE state = 'active' AND task_id IN (SELECT id FROM tasks WHERE job_id = ? AND state = 'leased')",
+    ))
     .bind(now.micros())
     .bind(job.0)
     .execute(write.connection().await?)

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use forelight_protocol::Timestamp;
+use forelight_protocol::{Money, Timestamp};
 use forelight_store::{OpenArray, SeenNode, Store, StoreError};
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
@@ -158,7 +158,7 @@ impl<C: Cluster> Engine<C> {
         if known.is_some_and(|(at, known)| *known == there && now.micros_since(*at) < NODES_AGAIN) {
             return Ok(());
         }
-        self.store.see_nodes(&there, self.submitting.price_per_hour, now).await?;
+        self.store.see_nodes(&there, Money(self.submitting.price_per_hour), now).await?;
         self.noted = Some((now, there));
         Ok(())
     }
@@ -271,10 +271,10 @@ impl<C: Cluster> Engine<C> {
         if self.refused_until.is_some_and(|until| now < until) {
             return Ok(());
         }
-        let mut drained = self.store.drained_nodes().await?;
-        drained.retain(|name| nodes.iter().any(|node| node.name == *name));
+        let mut closed = self.store.closed_nodes().await?;
+        closed.retain(|name| nodes.iter().any(|node| node.name == *name));
         for batch in due.batches {
-            match self.submit(batch, &drained, now).await {
+            match self.submit(batch, &closed, now).await {
                 // Somebody took one of its tasks meanwhile; the next round looks again.
                 Err(RoundError::Store(StoreError::Conflict(reason))) => {
                     tracing::debug!(reason, "not submitted")
@@ -289,14 +289,14 @@ impl<C: Cluster> Engine<C> {
         Ok(())
     }
 
-    async fn submit(&mut self, batch: Batch, drained: &[String], now: Timestamp) -> Result<(), RoundError> {
+    async fn submit(&mut self, batch: Batch, closed: &[String], now: Timestamp) -> Result<(), RoundError> {
         let Batch { mut array, kind, job_name, keep_free } = batch;
         if let Some((nodes, start, end)) = keep_free {
             let end = end.plus_micros(i64::from(array.limit_minutes) * 60_000_000 + LEAVE_AHEAD);
             array.reservation = self.reserve(nodes, start, end, now).await?.map(|name| (name, end));
         }
         let id = self.store.announce_slurm_array(&array, now).await?;
-        let arguments = command::sbatch(&self.submitting, id, &array, &job_name, kind, drained);
+        let arguments = command::sbatch(&self.submitting, id, &array, &job_name, kind, closed);
         let script = command::script(&self.submitting, &array.tasks);
         match self.cluster.submit(arguments, script).await {
             Ok(number) => {

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
 use forelight_protocol::{
-    BundleSource, EventKind, Job, JobId, JobRequest, JobState, NodeId, NodeRegistration, SceneDigest,
-    SceneSummary, TaskId,
+    BundleSource, EventKind, Job, JobId, JobRequest, JobState, NodeChange, NodeId, NodeRegistration,
+    SceneDigest, SceneSummary, TaskId,
 };
 use forelight_store::{Answered, NewJob};
 
@@ -234,6 +234,25 @@ async fn a_task_is_submitted_once_however_often_slurm_is_looked_at_and_whoever_i
     let seen: BTreeMap<String, u32> =
         farm.store.nodes(None, 10).await.unwrap().into_iter().map(|node| (node.name, node.cores)).collect();
     assert_eq!(seen, BTreeMap::from([("n1".to_owned(), 4), ("n2".to_owned(), 4)]));
+}
+
+#[tokio::test]
+async fn nodes_that_get_no_tasks_here_get_none_from_slurm() {
+    for order in [
+        NodeChange { drain: Some(true), ..NodeChange::default() },
+        NodeChange { pause: Some(true), ..NodeChange::default() },
+        NodeChange { set_aside: Some(true), ..NodeChange::default() },
+    ] {
+        let mut farm = Farm::new().await;
+        farm.round(0).await;
+        let nodes = farm.store.nodes(None, 10).await.unwrap();
+        let n2 = nodes.iter().find(|node| node.name == "n2").unwrap();
+        farm.store.change_node(n2.id, &order, at(1)).await.unwrap();
+        farm.job().await;
+        farm.round(2).await;
+        let words = farm.slurm.said("sbatch").concat();
+        assert!(words.contains(&"--exclude=n2".to_owned()), "{order:?}: {words:?}");
+    }
 }
 
 #[tokio::test]

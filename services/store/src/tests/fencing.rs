@@ -191,6 +191,21 @@ async fn who_died_with_the_service_is_not_paid_for_the_time_that_it_was_down() {
 }
 
 #[tokio::test]
+async fn nor_if_its_job_is_cancelled_before_its_lease_has_run_out() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let job = farm.booked_job(request("0-1"), node.id, at(0)).await;
+    let dead = farm.claim(node.id, at(1)).await.unwrap();
+    let alive = farm.claim(node.id, at(2)).await.unwrap();
+    farm.store.extend_leases_after_start(TTL, at(3600)).await.unwrap();
+    farm.store.renew(alive.lease_id, &renewal(alive.fence, 0.5), TTL, at(3605)).await.unwrap();
+    farm.store.cancel_job(job, at(3610)).await.unwrap();
+    let ledger = farm.store.ledger(at(0), at(9000)).await.unwrap();
+    let paid: Vec<_> = ledger.iter().map(|line| line.until).collect();
+    assert_eq!(paid, [Some(dead.expires_at), Some(at(3610))]);
+}
+
+#[tokio::test]
 async fn a_restart_resumes_where_it_was_and_leaves_leases_a_term_to_report() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;
