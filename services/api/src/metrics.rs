@@ -91,6 +91,7 @@ impl Metrics {
             "gauge",
             "Tasks by state.",
             &[
+                state("waiting", tasks.waiting),
                 state("ready", tasks.ready),
                 state("leased", tasks.leased),
                 state("done", tasks.done),
@@ -99,7 +100,12 @@ impl Metrics {
             ],
         );
         family("nodes", "gauge", "Nodes.", &plain(counts.nodes));
-        family("nodes_alive", "gauge", "Nodes heard of lately and not draining.", &plain(counts.nodes_alive));
+        family(
+            "nodes_alive",
+            "gauge",
+            "Nodes heard of lately, neither draining nor set aside.",
+            &plain(counts.nodes_alive),
+        );
         family(
             "room_bytes",
             "gauge",

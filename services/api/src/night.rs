@@ -46,6 +46,9 @@ pub enum NightError {
     /// The planner.
     #[error("what is booked cannot be carried out: {0}")]
     Bookings(#[from] planner::InputError),
+    /// The computation panicked, or the service ends.
+    #[error("the computation was not finished: {0}")]
+    Unfinished(#[from] tokio::task::JoinError),
 }
 
 /// Works the forecast out, and keeps it as what was said of its first night. Asked again for the same night, it is kept in the same place until
@@ -71,11 +74,7 @@ pub async fn budget_forecast(
     let track_record = track_record(store, &past, now).await?;
     let zone = request.zone.clone();
     let made = Making { now, zone, nights: nights.clone(), nodes, jobs, ledger, budgets };
-    let worked_out = tokio::task::spawn_blocking(move || made.work_out(&snapshot)).await;
-    let mut forecast = match worked_out {
-        Ok(forecast) => forecast?,
-        Err(error) => std::panic::resume_unwind(error.into_panic()),
-    };
+    let mut forecast = tokio::task::spawn_blocking(move || made.work_out(&snapshot)).await??;
     forecast.track_record = track_record;
     if let Some(before) = past.first() {
         forecast.compared_with = Some(before.forecast.made_at);

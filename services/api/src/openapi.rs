@@ -15,7 +15,8 @@ pub(crate) fn frame() -> OpenApi {
     let mut info = Info::new("forelight", env!("CARGO_PKG_VERSION"));
     info.description = Some(
         "A render farm that knows what a frame will cost before it is rendered. Times are RFC 3339 with microseconds, money is \
-         micro-units, errors are problem details (RFC 9457). Every POST that creates takes an `Idempotency-Key`. Default \
+         micro-units, errors are problem details (RFC 9457). Every POST that makes something new each time takes an `Idempotency-Key`, but the one for one-time \
+         tokens, which nobody keeps. Default \
          limits: bundles 256 MiB, artefacts 1 GiB, JSON 1 MiB (results 64 MiB), 10,000 frames a job, 2^26 pixels an image, \
          50 million triangles and 4 GiB a scene."
             .to_owned(),

@@ -21,10 +21,12 @@ use axum::body::Body;
 use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
+use forelight_protocol::Money;
 use forelight_store::{Answered, ArtifactReader, RecordedAnswer};
 use serde::Serialize;
 
-use crate::error::ApiResult;
+/// The highest sum of money that is taken: a million million units, with which no sum overflows.
+pub(crate) const HIGHEST_SUM: Money = Money(1_000_000_000_000_000_000);
 
 /// An answer given earlier, given again.
 pub(crate) fn repeated(answer: RecordedAnswer) -> Response {
@@ -44,14 +46,10 @@ pub(crate) fn created<T: Serialize>(status: StatusCode, answered: Answered<T>) -
 }
 
 /// An artefact as the body of a response. Its content can never change under its name, so it may be kept for ever.
-pub(crate) fn file(
-    reader: ArtifactReader,
-    media_type: &'static str,
-    headers: HeaderMap,
-) -> ApiResult<Response> {
+pub(crate) fn file(reader: ArtifactReader, media_type: &'static str, headers: HeaderMap) -> Response {
     let mut response = Response::new(Body::from_stream(reader.stream));
     *response.headers_mut() = headers;
     response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(media_type));
     response.headers_mut().insert(CONTENT_LENGTH, HeaderValue::from(reader.size));
-    Ok(response)
+    response
 }

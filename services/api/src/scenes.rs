@@ -42,9 +42,6 @@ fn summary(path: &Path, limits: &forelight_scene::Limits) -> Result<SceneSummary
     let scene = Scene::load(path, limits)?;
     let first = scene.frame(0)?;
     let strata = scene.strata();
-    let mut materials: Vec<u32> = strata.pairs.iter().map(|&(_, material)| material).collect();
-    materials.sort_unstable();
-    materials.dedup();
     Ok(SceneSummary {
         name: scene.name().to_owned(),
         digest: SceneDigest(scene.digest()),
@@ -52,7 +49,7 @@ fn summary(path: &Path, limits: &forelight_scene::Limits) -> Result<SceneSummary
         width: first.camera.width,
         height: first.camera.height,
         objects: strata.objects.len() as u64,
-        materials: materials.len() as u64,
+        materials: strata.materials() as u64,
         triangles: first.geometry.triangles.len() as u64,
     })
 }

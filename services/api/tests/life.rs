@@ -224,20 +224,23 @@ async fn a_lost_worker_costs_one_lease_time_and_its_late_result_nothing() {
     assert!(metrics.contains("forelight_leases_lost_total 1\n"), "{metrics}");
 }
 
+/// Of claims that wait for a minute: what ends them earlier was no timeout.
+const HALF_OF_THE_WAIT: Duration = Duration::from_secs(30);
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_waiting_claim_is_answered_when_work_comes_and_empty_when_none_does() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;
     let begun = std::time::Instant::now();
     assert!(farm.claim_waiting(&node, 300).await.is_none());
-    assert!((250..2000).contains(&begun.elapsed().as_millis()), "{:?}", begun.elapsed());
+    assert!(begun.elapsed() > Duration::from_millis(250), "{:?}", begun.elapsed());
     let begun = std::time::Instant::now();
-    let (lease, job) = tokio::join!(farm.claim_waiting(&node, 20_000), async {
+    let (lease, job) = tokio::join!(farm.claim_waiting(&node, 60_000), async {
         tokio::time::sleep(Duration::from_millis(200)).await;
         farm.submit("0").await
     });
     assert_eq!(lease.unwrap().job_id, job.id);
-    assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
+    assert!(begun.elapsed() < HALF_OF_THE_WAIT, "it was answered when its time was over");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -255,7 +258,7 @@ async fn stopping_the_service_ends_waits_and_streams_at_once() {
     farm.service.shutdown().await;
     assert_eq!(waiting.await.unwrap(), StatusCode::NO_CONTENT);
     assert!(stream.text().await.unwrap().contains("event: task_leased"));
-    assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
+    assert!(begun.elapsed() < HALF_OF_THE_WAIT, "the service waited for its waiters");
 }
 
 #[tokio::test(flavor = "multi_thread")]

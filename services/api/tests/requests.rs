@@ -59,6 +59,7 @@ async fn every_malformed_job_is_told_which_field_is_wrong_and_nothing_is_kept() 
         (with("/profile_frames", json!(0)), "/profile_frames", "1 to 1000"),
         (with("/deadline", json!("tomorrow")), "/deadline", "RFC 3339"),
         (with("/deadline", json!("2020-01-01T00:00:00Z")), "/deadline", "has passed"),
+        (with("/deadline", json!("2205-01-01T00:00:00Z")), "/deadline", "is more than ten years away"),
         (with("/budget", json!(-1)), "/budget", "-1"),
         (with("/budget", json!(0.5)), "/budget", "0.5"),
         (with("/confidence", json!("p99")), "/confidence", "p99"),

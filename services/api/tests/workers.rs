@@ -222,7 +222,7 @@ async fn a_task_that_failed_comes_back_to_a_waiting_claim_when_its_time_has_come
     let begun = std::time::Instant::now();
     let again = farm.next_task(&b).await;
     assert_eq!(again.task_id, lease.task_id);
-    assert!((0.3..5.0).contains(&begun.elapsed().as_secs_f64()), "{:?}", begun.elapsed());
+    assert!(begun.elapsed() > Duration::from_millis(300), "{:?}", begun.elapsed());
 }
 
 #[tokio::test(flavor = "multi_thread")]

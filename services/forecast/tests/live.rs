@@ -435,21 +435,3 @@ fn frames_that_cost_nothing_and_numbers_that_are_none_do_no_harm() {
     let free = [LiveFrame { time: 0.0, lights: 0, quote: nothing, known: Known::All(0.0) }; 3];
     assert_eq!(live(&nothing, &free, Measure::Work).whole, nothing);
 }
-
-#[test]
-fn five_thousand_frames_take_time_in_proportion() {
-    let time = |count: usize| {
-        let mut job = Job::new(11, count, AS_QUOTED, AS_QUOTED);
-        (0..count).step_by(2).for_each(|frame| job.finish(frame));
-        let best = (0..5).map(|_| {
-            let begin = std::time::Instant::now();
-            assert!(job.live().whole.p95 > 0.0);
-            begin.elapsed().as_secs_f64()
-        });
-        best.fold(f64::MAX, f64::min)
-    };
-    let (short, long) = (time(1250), time(5000));
-    assert!(long < 16.0 * short, "{short} s for 1250 frames, {long} s for 5000");
-    assert!(long < 0.5, "{long} s");
-    println!("1250 frames {short:.4} s, 5000 frames {long:.4} s");
-}

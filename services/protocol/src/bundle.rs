@@ -44,7 +44,7 @@ pub struct SceneSummary {
     pub height: u32,
     /// Objects.
     pub objects: u64,
-    /// Materials.
+    /// Materials that surfaces have; libraries may describe more.
     pub materials: u64,
     /// Triangles.
     pub triangles: u64,

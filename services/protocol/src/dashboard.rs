@@ -39,7 +39,7 @@ pub struct DashboardCounts {
     pub jobs_cancelled: u64,
     /// Tasks by state.
     pub tasks: TaskCounts,
-    /// Nodes heard of within the last three lease times and not draining.
+    /// Nodes heard of within the last three lease times that are neither draining nor set aside.
     pub nodes_alive: u64,
     /// All nodes.
     pub nodes: u64,

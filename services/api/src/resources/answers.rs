@@ -20,6 +20,7 @@ use crate::conductor::{AdvanceError, accuracy, compute};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
 use crate::openapi::FileContent;
+use crate::resources::HIGHEST_SUM;
 use crate::state::App;
 
 /// Answers are seen from the minute that has begun, so that for a minute they are the same.
@@ -30,8 +31,6 @@ const KEPT: usize = 64;
 const PATIENCE: Duration = Duration::from_secs(10);
 /// How long a request waits for its turn.
 const TURN: Duration = Duration::from_secs(20);
-/// A million million units: no sum with it overflows.
-const HIGHEST: Money = Money(1_000_000_000_000_000_000);
 
 /// Works answers out, one at a time, and keeps the newest: by the plan and everything else that they rest on.
 pub(crate) struct Desk {
@@ -68,7 +67,7 @@ pub(crate) struct AnswersQuery {
     pub deadline: Option<Timestamp>,
     /// What the rest of it may cost, in micro-units, 0 to 10¹⁸; what is left of the job's own budget if absent.
     #[param(value_type = Option<i64>, minimum = 0, maximum = 1_000_000_000_000_000_000_i64)]
-    #[serde(default, deserialize_with = "number_if_any::<_, _, 0, { HIGHEST.0 }>")]
+    #[serde(default, deserialize_with = "number_if_any::<_, _, 0, { HIGHEST_SUM.0 }>")]
     pub budget: Option<i64>,
 }
 

@@ -45,7 +45,7 @@ pub(crate) async fn get(
     _: Anyone,
     Segment(hash): Segment<ArtifactHash>,
 ) -> ApiResult<Response> {
-    file(app.store.artifacts().get(hash).await?, MEDIA_TYPE, headers_of(hash))
+    Ok(file(app.store.artifacts().get(hash).await?, MEDIA_TYPE, headers_of(hash)))
 }
 
 /// Whether an artefact is there, and how long it is.

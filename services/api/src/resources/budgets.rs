@@ -10,12 +10,11 @@ use super::nodes::check_name;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, Operator, Reader};
 use crate::night::{NightError, budget_forecast};
+use crate::resources::HIGHEST_SUM;
 use crate::state::App;
 
 /// Thresholds that a budget may have.
 const MOST_THRESHOLDS: usize = 10;
-/// A million million units: no sum with it overflows.
-const HIGHEST: Money = Money(1_000_000_000_000_000_000);
 
 /// All budgets and how they stand.
 #[utoipa::path(get, path = "/v1/budgets", tag = "farm",
@@ -34,8 +33,8 @@ pub(crate) async fn set(
     JsonBody { value: request, .. }: JsonBody<BudgetRequest>,
 ) -> ApiResult<Json<Budget>> {
     check_name("/project", &request.project, 200)?;
-    if !(Money(0)..=HIGHEST).contains(&request.amount) {
-        return Err(ApiError::invalid("/amount", format!("an amount is 0 to {} micro-units", HIGHEST.0)));
+    if !(Money(0)..=HIGHEST_SUM).contains(&request.amount) {
+        return Err(ApiError::invalid("/amount", format!("an amount is 0 to {} micro-units", HIGHEST_SUM.0)));
     }
     if Night::of(&request.zone, app.now()).is_none() {
         return Err(ApiError::invalid(
@@ -73,6 +72,10 @@ pub(crate) async fn forecast(
         Ok(forecast) => Ok(Json(forecast)),
         Err(NightError::Invalid { pointer, reason }) => Err(ApiError::invalid(pointer, reason)),
         Err(NightError::Store(error)) => Err(error.into()),
+        Err(NightError::Unfinished(error)) => {
+            tracing::error!(%error, "a forecast was not finished");
+            Err(ApiError::new(ProblemKind::Internal, "the service failed; its log says more"))
+        }
         Err(error @ NightError::Bookings(_)) => Err(ApiError::new(ProblemKind::Conflict, error.to_string())),
     }
 }

@@ -93,5 +93,5 @@ async fn picture(
     }
     let own =
         HeaderMap::from_iter([(ETAG, etag), (CACHE_CONTROL, HeaderValue::from_static("private, no-cache"))]);
-    file(app.store.artifacts().get(hash).await?, media_type, own)
+    Ok(file(app.store.artifacts().get(hash).await?, media_type, own))
 }

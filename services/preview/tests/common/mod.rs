@@ -1,7 +1,7 @@
 //! Small worlds built in code, and the makers of previews that this machine has.
 #![allow(dead_code)] // each test file uses its part
 
-use forelight_preview::{Choice, Previewer};
+use forelight_preview::{Choice, PreviewError, Previewer};
 use forelight_scene::{
     AlphaMask, Camera, Color, Environment, Frame, Geometry, Material, Surface, Texels, Texture, TextureId,
 };
@@ -96,9 +96,16 @@ pub fn camera(width: u32, height: u32) -> Camera {
     }
 }
 
-/// The GPU, or none with a printed line.
+/// The GPU, or none with a printed line where there is none. One that is there has to work.
 pub fn gpu() -> Option<Previewer> {
-    Previewer::new(Choice::Gpu).inspect_err(|error| println!("the GPU's part is skipped: {error}")).ok()
+    match Previewer::new(Choice::Gpu) {
+        Ok(gpu) => Some(gpu),
+        Err(error @ PreviewError::NoDevice(_)) => {
+            println!("the GPU's part is skipped: {error}");
+            None
+        }
+        Err(error) => panic!("the GPU cannot be used: {error}"),
+    }
 }
 
 /// Every maker of previews that this machine has.

@@ -5,7 +5,7 @@ use crate::ambient::uncovered_gathers;
 use crate::noise::{FrameNoise, Zones, noise_strata};
 use crate::quote::{QuoteOptions, quantiles};
 use crate::renderer::{FrameRenderer, RenderError, Renderer};
-use crate::shot::{Observer, ShotError, forecast_strata, profile_ready, record_prior_cost};
+use crate::shot::{Observer, ShotError, cost_of_record, forecast_strata, profile_ready, record_prior_cost};
 use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise};
 use forelight_forecast::{
     Calibration, Cost, Expansion, ForecastError, FramePopulation, Observation, ProfiledFrame, RecordStrata,
@@ -162,17 +162,12 @@ impl Pilot {
         let mut room = view.cache_records.clone();
         room.fill(0);
         for record in &self.records {
-            let cost = Cost {
-                work: record.cost.work,
-                cpu_nanos: record.cost.cpu_nanos,
-                rays: record.rays.map(u64::from),
-            };
             // The same for records.
             if let Some(room) = room.get_mut(record.level as usize)
                 && *room < view.cache_records[record.level as usize]
             {
                 *room += 1;
-                observations.push(apart.observation(record.level, cost));
+                observations.push(apart.observation(record.level, cost_of_record(record)));
             }
         }
         let Spent { work, cpu_nanos } = view.fixed.total();

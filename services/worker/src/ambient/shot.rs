@@ -147,14 +147,15 @@ pub(super) fn records(tracer: &Tracer) -> Vec<u32> {
 }
 
 fn summary(scene: &Scene, first: &Frame) -> SceneSummary {
+    let strata = scene.strata();
     SceneSummary {
         name: scene.name().to_owned(),
         digest: SceneDigest(scene.digest()),
         frames: scene.frame_count(),
         width: first.camera.width,
         height: first.camera.height,
-        objects: first.geometry.strata.objects.len() as u64,
-        materials: first.materials.len() as u64,
+        objects: strata.objects.len() as u64,
+        materials: strata.materials() as u64,
         triangles: first.geometry.triangles.len() as u64,
     }
 }

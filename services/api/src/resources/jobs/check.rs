@@ -9,9 +9,13 @@ use forelight_protocol::{
 use forelight_store::{NewJob, StoreError};
 
 use crate::error::{ApiError, ApiResult};
+use crate::resources::HIGHEST_SUM;
 use crate::resources::nodes::check_name;
 use crate::scenes;
 use crate::state::App;
+
+/// No deadline is further away: ten years, in microseconds. A wrong digit in a year is told.
+const LATEST_DEADLINE: i64 = 3653 * 86_400_000_000;
 
 /// A job request with all of it checked, cheapest things first: the bundle is looked into last.
 pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<NewJob> {
@@ -32,17 +36,21 @@ pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<New
         let amounts = [limit.cpu_micros, limit.money.map(Money::micro_units)];
         match amounts {
             [Some(micros), None] => within("/within/cpu_micros", micros, 1..=i64::MAX)?,
-            [None, Some(money)] => within("/within/money", money, 1..=i64::MAX)?,
+            [None, Some(money)] => within("/within/money", money, 1..=HIGHEST_SUM.micro_units())?,
             _ => return Err(ApiError::invalid("/within", "give exactly one of `cpu_micros` and `money`")),
         }
     }
     if let Some(budget) = request.budget {
-        within("/budget", budget.micro_units(), 0..=i64::MAX)?;
+        within("/budget", budget.micro_units(), 0..=HIGHEST_SUM.micro_units())?;
     }
-    if let Some(deadline) = request.deadline
-        && deadline <= app.now()
-    {
-        return Err(ApiError::invalid("/deadline", format!("the deadline {deadline} has passed")));
+    if let Some(deadline) = request.deadline {
+        let wrong =
+            |reason: &str| ApiError::invalid("/deadline", format!("the deadline {deadline} {reason}"));
+        match deadline.micros_since(app.now()) {
+            ..=0 => return Err(wrong("has passed")),
+            LATEST_DEADLINE.. => return Err(wrong("is more than ten years away")),
+            _ => {}
+        }
     }
     let frames = request.frames.count();
     if frames > app.limits.frames {
