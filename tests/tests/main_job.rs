@@ -3,7 +3,7 @@
 
 use forelight_protocol::{
     Booking, BookingPage, Bundle, Dashboard, Event, EventKind, ForecastDoc, FramePage, FrameRow, FrameState,
-    Job, JobState, NodePage, Plan, Problem, ProblemKind, Quantiles, Role, Verdict,
+    Job, JobState, NodePage, Plan, Problem, ProblemKind, Quantiles, Role, Timestamp, Verdict,
 };
 use forelight_tests::bundles::{shipped, zip_of, zipped};
 use forelight_tests::events::Events;
@@ -37,11 +37,15 @@ async fn upload(http: &Http, scene: &str) -> Bundle {
     http.upload(zipped(&shipped(scene)), None).await.parsed(StatusCode::CREATED).await
 }
 
+fn in_a_year() -> Timestamp {
+    Timestamp::now().plus_micros(365 * 86_400_000_000)
+}
+
 fn request(bundle: &Bundle, frames: &str, samples_per_pixel: u32) -> Value {
     json!({
         "name": "a shot", "project": "a film", "bundle": {"id": bundle.id}, "frames": frames,
         "settings": {"width": WIDTH, "height": HEIGHT, "spp": samples_per_pixel},
-        "samples": 128, "profile_frames": 2, "deadline": "2099-01-01T00:00:00Z",
+        "samples": 128, "profile_frames": 2, "deadline": in_a_year(),
     })
 }
 
@@ -269,7 +273,8 @@ async fn submitting_by_the_command_line_brings_every_picture_and_a_contact_sheet
     };
     let folder = out.display().to_string();
     let key = "0198c0de-0000-7000-8000-000000000003";
-    let wanted = ["--frames", "0-2", "--deadline", "2099-01-01T00:00:00Z", "--idempotency-key", key];
+    let deadline = in_a_year().to_string();
+    let wanted = ["--frames", "0-2", "--deadline", &deadline, "--idempotency-key", key];
     let arguments = submit(&scene, &[&wanted[..], &["--out", &folder, "--json"]].concat());
     let printed: Value =
         serde_json::from_str(&run_well(&arguments)).expect("JSON is printed and nothing else");

@@ -135,6 +135,14 @@ impl Conductor {
         if planned == PlannedCache::Pending {
             return Ok(());
         }
+        if job.profile_frames.is_none() && job.within.is_none() {
+            let (preview, profiles, settings) = (preview.clone(), profiles.clone(), job.settings.clone());
+            let more = compute(move || choose::more_to_profile(&preview, &profiles, &settings)).await?;
+            if !more.is_empty() {
+                tracing::info!(job = %job.id, frames = ?more, "more frames to profile: the forecast is not sure");
+                return Ok(self.store.profile_more(job.id, &more, &planned).await?);
+            }
+        }
         let kind = estimate::kind(&profiles, &job.settings);
         let experience = match &kind {
             Some(kind) => self.store.experience(kind).await?,

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::clock::ShotClock;
 use crate::error::ForecastError;
+use crate::shot::ShotForecast;
 use crate::strata::{Stratum, check};
 
 /// What the preview saw in one frame.
@@ -64,6 +65,7 @@ const OTHER_LIGHTS: f64 = 1.0;
 /// sums are settled for the earlier frame, so the choice is a function of the previews alone. Frames come out
 /// spread over time, drawn to where strata that matter appear. Time is the shot's own (`clock`), in which a cut is as long as the
 /// shot: so each side of it gets frames of its own. A frame in which other lights shine is a shot's length further away.
+/// [`choose_more_frames`] adds to them once they have been profiled.
 ///
 /// # Errors
 /// If frames are out of order, or counts and strata do not fit together.
@@ -76,12 +78,9 @@ pub fn choose_frames(
     if at_most >= frames.len() {
         return Ok((0..frames.len()).collect());
     }
-    let cover = Cover::new(strata, frames);
+    let cover = Cover::new(strata, frames, |h, t| f64::from(frames[t].counts[h]) * strata[h].prior_cost);
     let mut chosen: Vec<usize> = Vec::new();
-    while chosen.len() < at_most.min(cover.frames.len()) {
-        let Some((_, best)) = cover.best(&chosen) else { break };
-        chosen.push(best);
-    }
+    cover.add(&mut chosen, at_most);
     let mut loss = cover.distances(&chosen).loss;
     for _ in 0..MOST_PASSES {
         let before = loss;
@@ -101,6 +100,56 @@ pub fn choose_frames(
     let mut chosen: Vec<usize> = chosen.into_iter().map(|c| cover.frames[c].index).collect();
     chosen.sort_unstable();
     Ok(chosen)
+}
+
+/// So many frames are profiled before it is seen whether more pay.
+pub const FIRST_FRAMES: usize = 5;
+
+/// No more frames are profiled than this unless somebody asks for more.
+pub const MOST_FRAMES: usize = 16;
+
+/// What a forecast may take, as a part of the work that it forecasts, for more frames to be profiled: what is lost on profiles, and not
+/// taken over by renders.
+const LARGEST_SHARE: f64 = 0.01;
+
+/// A forecast is sure enough if the work of all frames is at most this far above its median with a probability of 95 %, relative.
+const SURE: f64 = 0.02;
+
+/// Whether more frames than the [`FIRST_FRAMES`] should be profiled, and which, as indices in increasing order: as many as can be paid with a
+/// hundredth of the work that is forecast, and at most [`MOST_FRAMES`] in all. Nothing if the forecast is sure enough, or if others than so
+/// many were profiled: so it is asked once. `lost` is the work that was spent on the profiled frames and that no render gets back.
+///
+/// They are chosen as the first ones were ([`choose_frames`]), but weighted by what strata were found to cost, and beside those that
+/// are profiled already.
+///
+/// # Errors
+/// If frames are out of order, or counts and strata do not fit together.
+pub fn choose_more_frames(
+    strata: &[Stratum],
+    frames: &[FramePopulation],
+    forecast: &ShotForecast,
+    lost: u64,
+) -> Result<Vec<usize>, ForecastError> {
+    check_frames(strata, frames)?;
+    let profiled: Vec<usize> = (0..frames.len()).filter(|&t| forecast.frames[t].profiled).collect();
+    let work = &forecast.total.work;
+    if profiled.len() != FIRST_FRAMES || work.p95 <= (1.0 + SURE) * work.p50 {
+        return Ok(Vec::new());
+    }
+    // As many as would take the same share each; all of them are paid by what is forecast.
+    let each = lost as f64 / profiled.len() as f64;
+    let affordable = (LARGEST_SHARE * work.mean / each.max(1.0)) as usize;
+    let cover = Cover::new(strata, frames, |h, t| {
+        let stratum = &forecast.frames[t].strata[h];
+        f64::from(stratum.pixels) * stratum.mean.work
+    });
+    let known: Vec<usize> =
+        (0..cover.frames.len()).filter(|&c| profiled.contains(&cover.frames[c].index)).collect();
+    let mut chosen = known.clone();
+    cover.add(&mut chosen, affordable.min(MOST_FRAMES));
+    let mut more: Vec<usize> = chosen[known.len()..].iter().map(|&c| cover.frames[c].index).collect();
+    more.sort_unstable();
+    Ok(more)
 }
 
 /// A frame that may be chosen, and stands for its neighbours in a long shot.
@@ -142,7 +191,8 @@ struct Distances {
 }
 
 impl Cover {
-    fn new(strata: &[Stratum], frames: &[FramePopulation]) -> Self {
+    /// `weight` is what a stratum is thought to cost in a frame.
+    fn new(strata: &[Stratum], frames: &[FramePopulation], weight: impl Fn(usize, usize) -> f64) -> Self {
         let clock = ShotClock::new(strata, frames);
         let most: Vec<u32> = (0..strata.len())
             .map(|h| frames.iter().map(|frame| frame.counts[h]).max().unwrap_or(0))
@@ -151,10 +201,7 @@ impl Cover {
         let candidate = |stands_for: Vec<usize>| {
             let index = stands_for[stands_for.len() / 2];
             let counts = &frames[index].counts;
-            let weight = |h: usize| {
-                let pixels: f64 = stands_for.iter().map(|&t| f64::from(frames[t].counts[h])).sum();
-                pixels * strata[h].prior_cost
-            };
+            let weight = |h: usize| stands_for.iter().map(|&t| weight(h, t)).sum::<f64>();
             let enough =
                 |h: usize| counts[h] > 0 && f64::from(counts[h]) >= ENOUGH_PIXELS * f64::from(most[h]);
             Candidate {
@@ -167,6 +214,14 @@ impl Cover {
             }
         };
         Cover { frames: slices(&clock, &lights).into_iter().map(candidate).collect() }
+    }
+
+    /// Adds to the chosen candidates one by one, until so many are.
+    fn add(&self, chosen: &mut Vec<usize>, until: usize) {
+        while chosen.len() < until.min(self.frames.len()) {
+            let Some((_, best)) = self.best(chosen) else { break };
+            chosen.push(best);
+        }
     }
 
     fn distances(&self, chosen: &[usize]) -> Distances {

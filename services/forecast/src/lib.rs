@@ -28,7 +28,8 @@
 //! is near in time to a frame that shows it (k-median). Others get ŷ_t = Σ N_h,t ĉ_h(t) with unit costs
 //! carried over time. All frames rest on the same samples, so their errors are added before they are squared;
 //! what drifts between profiled frames is a random walk pinned at each of them, in a time that runs faster where the
-//! picture changes faster (`clock`), so that nothing is carried over a cut. The error that a job's frames
+//! picture changes faster (`clock`), so that nothing is carried over a cut. Where that leaves the shot unsure and little would be
+//! spent, more frames are profiled ([`choose_more_frames`]). The error that a job's frames
 //! have in common is [`ShotForecast::job_sigma`].
 //!
 //! **While it is rendered** ([`live`]). Finished frames are the truth, and say of the others by how much the quote is off: a Gaussian
@@ -125,7 +126,7 @@ pub use cost::{Cost, Costs, Observation, Quantity, RAY_KINDS};
 pub use error::ForecastError;
 pub use estimate::{FrameEstimate, StratumEstimate, estimate};
 pub use expansion::Expansion;
-pub use frames::{FramePopulation, choose_frames};
+pub use frames::{FIRST_FRAMES, FramePopulation, MOST_FRAMES, choose_frames, choose_more_frames};
 pub use interval::Calibration;
 pub use known::with_times;
 pub use live::{Band, Known, Live, LiveFrame, live, shot_times};

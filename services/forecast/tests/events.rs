@@ -3,10 +3,12 @@
 
 mod common;
 
+use std::collections::BTreeSet;
+
 use common::{Stream, cost_of};
 use forelight_forecast::{
-    Calibration, Cost, Expansion, FrameDesign, FramePopulation, Observation, ProfiledFrame, Stratum,
-    choose_frames, forecast_shot,
+    Calibration, Cost, Expansion, FIRST_FRAMES, FrameDesign, FramePopulation, MOST_FRAMES, Observation,
+    ProfiledFrame, ShotForecast, Stratum, choose_frames, choose_more_frames, forecast_shot,
 };
 
 /// Edge of the image, pixels.
@@ -79,7 +81,12 @@ impl Shot {
 
     /// The frames' forecasts from five of them.
     fn forecast(&self, seed: u64) -> (Vec<usize>, Vec<f64>) {
-        let chosen = choose_frames(&self.strata, &self.frames, 5).expect("good frames");
+        let chosen = choose_frames(&self.strata, &self.frames, FIRST_FRAMES).expect("good frames");
+        let found = self.forecast_from(&chosen, seed);
+        (chosen, found.frames.iter().map(|frame| frame.total.work.mean).collect())
+    }
+
+    fn forecast_from(&self, chosen: &[usize], seed: u64) -> ShotForecast {
         let observed: Vec<Vec<Observation>> = chosen.iter().map(|&t| self.observe(t, 256, seed)).collect();
         let profiled: Vec<ProfiledFrame<'_>> = chosen
             .iter()
@@ -92,9 +99,12 @@ impl Shot {
                 build: Cost::default(),
             })
             .collect();
-        let found =
-            forecast_shot(&self.strata, &self.frames, &profiled, Calibration::NONE).expect("a forecast");
-        (chosen, found.frames.iter().map(|frame| frame.total.work.mean).collect())
+        forecast_shot(&self.strata, &self.frames, &profiled, Calibration::NONE).expect("a forecast")
+    }
+
+    fn more(&self, found: &ShotForecast, lost: f64) -> Vec<usize> {
+        let lost = (lost * found.total.work.mean) as u64;
+        choose_more_frames(&self.strata, &self.frames, found, lost).expect("good frames")
     }
 }
 
@@ -258,4 +268,40 @@ fn both_sides_of_a_cut_are_profiled_wherever_it_is() {
         let before = chosen.iter().filter(|&&t| (t as i64) < cut).count();
         assert!((1..=2).contains(&before), "{cut}: {chosen:?}");
     }
+}
+
+#[test]
+fn a_montage_that_five_frames_cannot_know_is_profiled_in_more_as_far_as_that_is_cheap() {
+    // Eight scenes of six frames, each with objects of its own.
+    let shot = Shot::new(16, 48, 1, |h, t| {
+        let there = t / 6 == i64::from(h / 2);
+        (if there { 1.0 + f64::from(h % 2) } else { 0.0 }, 1.0 + f64::from(h * h % 11))
+    });
+    let first = choose_frames(&shot.strata, &shot.frames, FIRST_FRAMES).expect("good frames");
+    let found = shot.forecast_from(&first, 3);
+    let more = shot.more(&found, 1e-4);
+    assert_eq!(first.len() + more.len(), MOST_FRAMES);
+    let all: BTreeSet<usize> = first.iter().chain(&more).copied().collect();
+    let scenes: BTreeSet<usize> = all.iter().map(|t| t / 6).collect();
+    assert_eq!((all.len(), scenes.len()), (MOST_FRAMES, 8), "{all:?}");
+    let known = shot.forecast_from(&Vec::from_iter(all), 3);
+    let truth: f64 = shot.truth().iter().sum();
+    let error = |found: &ShotForecast| (found.total.work.mean / truth - 1.0).abs();
+    assert!(
+        error(&known) < 0.02 && error(&known) < error(&found) / 4.0,
+        "{} {}",
+        error(&known),
+        error(&found)
+    );
+    assert!(known.total.work.p95 / known.total.work.p50 < 1.05, "{:?}", known.total.work);
+
+    // Five took a part of the work; with so much for each, no more than a hundredth of it is lost.
+    assert_eq!(shot.more(&found, 0.006).len(), 3);
+    assert_eq!(shot.more(&found, 0.0099), []);
+    assert_eq!(shot.more(&found, 0.5), []);
+    // It is asked once, and not of what is sure.
+    assert_eq!(shot.more(&known, 1e-4), []);
+    let still = Shot::new(2, 48, 1, |_, _| (1.0, 1.0));
+    let found = still.forecast_from(&[4, 14, 24, 34, 44], 3);
+    assert_eq!(still.more(&found, 1e-4), []);
 }

@@ -36,10 +36,11 @@ pub struct JobRequest {
     #[serde(default = "default_samples")]
     #[schema(default = 256, minimum = 16, maximum = 1_000_000)]
     pub samples: u32,
-    /// Frames to profile at most, 1 to 1000.
-    #[serde(default = "default_profile_frames")]
-    #[schema(default = 5, minimum = 1, maximum = 1000)]
-    pub profile_frames: u32,
+    /// Frames to profile at most, 1 to 1000. Absent: five, and up to 16 if that leaves the forecast unsure and more would cost less than a
+    /// hundredth of the job.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 1, maximum = 1000)]
+    pub profile_frames: Option<u32>,
     /// Take the most camera samples that fit into this time or money, in place of `settings.spp`, which is then only what is profiled with. Chosen
     /// when the profiles are there, as sure as `confidence` says; a job into which not even one sample fits fails, and says what would. Each frame may
     /// then take the work of so many samples, and spends it where its image shows that it pays.
@@ -102,10 +103,6 @@ fn default_project() -> String {
 
 fn default_samples() -> u32 {
     256
-}
-
-fn default_profile_frames() -> u32 {
-    5
 }
 
 fn default_weight() -> u32 {
@@ -201,8 +198,9 @@ pub struct Job {
     pub seed: Option<SeedProgress>,
     /// Pixels to profile per profiled frame.
     pub samples: u32,
-    /// Frames to profile at most.
-    pub profile_frames: u32,
+    /// Frames to profile at most; absent: as many as pay.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub profile_frames: Option<u32>,
     /// What its frames may take, from which `settings.spp` was or will be chosen.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub within: Option<Within>,

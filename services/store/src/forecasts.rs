@@ -12,7 +12,7 @@ use crate::database::Write;
 use crate::decode::{corrupt, json, json_opt, to_json, whole};
 use crate::events::job_state;
 use crate::tasks::Common;
-use crate::{Store, StoreError, jobs};
+use crate::{PlannedCache, Store, StoreError, jobs};
 
 /// A job's quote without its frames, as it is kept with the job.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize)]
@@ -77,7 +77,7 @@ impl Store {
         }
         let common = Common::of(job, &row)?;
         for &frame in frames {
-            common.profile(&mut write, frame, plan_cache, whole(&row, "samples")?).await?;
+            common.profile(&mut write, frame, plan_cache, whole(&row, "samples")?, None).await?;
         }
         if plan_cache {
             let all: FrameSet =
@@ -89,6 +89,41 @@ impl Store {
             .execute(write.connection().await?)
             .await?;
         job_state(&mut write, job, JobState::Profiling, None, now)?;
+        self.commit(write).await
+    }
+
+    /// Has more frames of the job profiled, with the cache that all of its frames could share if one was planned. Nothing if the job is not, or no
+    /// longer, being profiled, or if one of the frames was asked for already, so that doing it again after a crash is harmless.
+    pub async fn profile_more(
+        &self,
+        job: JobId,
+        frames: &[u32],
+        planned: &PlannedCache,
+    ) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        let row = sqlx::query("SELECT * FROM jobs WHERE id = ?")
+            .bind(job.0)
+            .fetch_optional(write.connection().await?)
+            .await?;
+        let row = row.ok_or(StoreError::NotFound("job"))?;
+        let asked: Vec<u32> =
+            sqlx::query_scalar("SELECT frame FROM tasks WHERE job_id = ? AND kind = 'profile'")
+                .bind(job.0)
+                .fetch_all(write.connection().await?)
+                .await?;
+        if jobs::state(write.connection().await?, job).await? != JobState::Profiling
+            || frames.iter().any(|frame| asked.contains(frame))
+        {
+            return Ok(());
+        }
+        let common = Common::of(job, &row)?;
+        let cache = match planned {
+            PlannedCache::There { plan, .. } => plan.cache,
+            PlannedCache::NotAsked | PlannedCache::Pending => None,
+        };
+        for &frame in frames {
+            common.profile(&mut write, frame, false, whole(&row, "samples")?, cache).await?;
+        }
         self.commit(write).await
     }
 

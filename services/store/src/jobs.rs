@@ -1,5 +1,6 @@
 //! Jobs: submitting, reading, cancelling, failing.
 
+use forelight_forecast::FIRST_FRAMES;
 use forelight_protocol::{
     BundleId, BundleRef, BundleSource, Event, EventKind, FrameSet, Job, JobId, JobRequest, JobState, Money,
     PlanId, RenderSettings, SceneDigest, SceneSummary, TaskKind, Timestamp,
@@ -56,8 +57,8 @@ impl Store {
         let job_id = JobId::new();
         sqlx::query(
             "INSERT INTO jobs (id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, frames_total, \
-             settings, samples, profile_frames, deadline_at, budget, confidence, priority, created_at, limits, within, cache, weight) \
-             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+             settings, samples, profile_frames, deadline_at, budget, confidence, priority, created_at, limits, within, cache, weight, \
+             profiles_more) VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
         )
         .bind(job_id.0)
         .bind(&request.name)
@@ -70,7 +71,7 @@ impl Store {
         .bind(i64::try_from(request.frames.count()).unwrap_or(i64::MAX))
         .bind(to_json(settings)?)
         .bind(i64::from(request.samples))
-        .bind(i64::from(request.profile_frames))
+        .bind(request.profile_frames.map_or(FIRST_FRAMES as i64, i64::from))
         .bind(request.deadline.map(Timestamp::micros))
         .bind(request.budget.map(Money::micro_units))
         .bind(request.confidence.name())
@@ -80,6 +81,7 @@ impl Store {
         .bind(request.within.as_ref().map(to_json).transpose()?)
         .bind(request.cache.name())
         .bind(i64::from(request.weight))
+        .bind(request.profile_frames.is_none())
         .execute(write.connection().await?)
         .await?;
         for frame in request.frames.iter() {
@@ -278,7 +280,11 @@ pub(crate) fn decode(row: &SqliteRow, progress: Progress) -> Result<Job, StoreEr
         cache: word(row, "cache")?,
         seed: progress.seed,
         samples: whole(row, "samples")?,
-        profile_frames: whole(row, "profile_frames")?,
+        profile_frames: if row.try_get("profiles_more")? {
+            None
+        } else {
+            Some(whole(row, "profile_frames")?)
+        },
         within: json_opt(row, "within")?,
         deadline: time_opt(row, "deadline_at")?,
         budget: row.try_get::<Option<i64>, _>("budget")?.map(Money),

@@ -63,13 +63,14 @@ impl Common {
         self.insert(write, TaskSpec::Preview(spec), READY, None).await
     }
 
-    /// A profile; one that waits becomes ready when the cache is planned that all frames could share.
+    /// A profile, with the cache that all frames could share if that is planned; one that waits becomes ready when it is.
     pub(crate) async fn profile(
         &self,
         write: &mut Write,
         frame: u32,
         waits: bool,
         samples: u32,
+        cache: Option<ArtifactHash>,
     ) -> Result<(), StoreError> {
         let spec = ProfileSpec {
             job_id: self.job,
@@ -79,7 +80,7 @@ impl Common {
             samples,
             phase_seed: self.settings.seed,
             settings: self.settings.clone(),
-            cache: None,
+            cache,
         };
         self.insert(write, TaskSpec::Profile(spec), if waits { WAITING } else { READY }, None).await
     }

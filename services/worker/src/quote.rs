@@ -7,8 +7,8 @@ use crate::shot::{
     profile_frame, record_prior_cost,
 };
 use forelight_forecast::{
-    Calibration, Corrections, Cost, Costs, FramePopulation, Observation, Quantity, RecordStrata,
-    ShotForecast, Strategy, with_times,
+    Calibration, Corrections, Cost, Costs, FIRST_FRAMES, FramePopulation, Observation, Quantity,
+    RecordStrata, ShotForecast, Strategy, Stratum, with_times,
 };
 use forelight_protocol::{
     ByClass, FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, LeftOut, Profiled, Quantiles,
@@ -21,8 +21,8 @@ use std::collections::BTreeSet;
 pub struct QuoteOptions {
     /// Pixels to profile per profiled frame.
     pub samples: u32,
-    /// Frames to profile at most, at least 1.
-    pub profile_frames: usize,
+    /// Frames to profile at most, at least 1; `None`: as many as pay, see [`forelight_forecast::choose_more_frames`].
+    pub profile_frames: Option<usize>,
     /// Seed of the choice of pixels.
     pub seed: u64,
     /// How the pixels are chosen and expanded.
@@ -33,7 +33,7 @@ pub struct QuoteOptions {
 
 impl Default for QuoteOptions {
     fn default() -> Self {
-        Self { samples: 256, profile_frames: 5, seed: 0, strategy: Strategy::Snapshot, corrections: None }
+        Self { samples: 256, profile_frames: None, seed: 0, strategy: Strategy::Snapshot, corrections: None }
     }
 }
 
@@ -89,13 +89,58 @@ pub fn quote(
     let records: Vec<&[u32]> = counted.cache_records.iter().map(Vec::as_slice).collect();
     let prior_cost = record_prior_cost(settings).unwrap_or(1.0);
     let apart = RecordStrata::add(&mut strata, &mut populations, &records, prior_cost);
-    let chosen = forelight_forecast::choose_frames(&strata, &populations, options.profile_frames.max(1))?;
-    let mut profiled = Vec::with_capacity(chosen.len());
-    for &index in &chosen {
-        let frame = frames[index];
-        profiled.push(profile_frame(renderer, frame, settings, options, observer)?);
-        observer.profiled(profiled.len(), chosen.len());
-    }
+    let first = options.profile_frames.unwrap_or(FIRST_FRAMES).max(1);
+    let mut chosen = forelight_forecast::choose_frames(&strata, &populations, first)?;
+    let mut profiled: Vec<ProfiledFrame> = Vec::with_capacity(chosen.len());
+    let forecast = loop {
+        for &index in &chosen[profiled.len()..] {
+            profiled.push(profile_frame(renderer, frames[index], settings, options, observer)?);
+            observer.profiled(profiled.len(), chosen.len());
+        }
+        let forecast = estimated(&strata, &populations, &apart, &counted, &chosen, &profiled)?;
+        if options.profile_frames.is_some() {
+            break forecast;
+        }
+        let lost = profiled.iter().map(|profile| lost(profile, settings)).sum();
+        let more = forelight_forecast::choose_more_frames(&strata, &populations, &forecast, lost)?;
+        if more.is_empty() {
+            break forecast;
+        }
+        chosen.extend(more);
+    };
+    profiled.sort_by_key(|profile| profile.frame);
+    let forecast = match &options.corrections {
+        Some(corrections) => forecast.corrected(corrections),
+        None => forecast,
+    };
+    let of = QuotedShot { scene: renderer.info().summary.digest, settings: settings.clone() };
+    let document = document(of, frames, &counted, &profiled, &forecast);
+    let mut quote = Quote { document, forecast, counted, profiled };
+    let spent = quote.spent();
+    let mean = quote.document.total.work.mean;
+    quote.document.spent = SpentOnForecast {
+        work: spent.work,
+        cpu_seconds: seconds(spent.cpu_nanos),
+        fraction_of_forecast: if mean > 0.0 { spent.work as f64 / mean } else { 0.0 },
+    };
+    Ok(quote)
+}
+
+/// Work of profiling a frame that its render does not get back.
+fn lost(profile: &ProfiledFrame, settings: &RenderSettings) -> u64 {
+    let pixels = profile.observations.iter().map(|observation| observation.cost.work);
+    profile.fixed.lost_by_profiling(settings, pixels)
+}
+
+/// What the profiled frames, of these places, say of all.
+fn estimated(
+    strata: &[Stratum],
+    populations: &[FramePopulation],
+    apart: &RecordStrata,
+    counted: &CountedFrames,
+    chosen: &[usize],
+    profiled: &[ProfiledFrame],
+) -> Result<ShotForecast, ShotError> {
     let observed: Vec<Vec<Observation>> = profiled
         .iter()
         .map(|profile: &ProfiledFrame| {
@@ -106,7 +151,7 @@ pub fn quote(
         .collect();
     let measured: Vec<forelight_forecast::ProfiledFrame<'_>> = chosen
         .iter()
-        .zip(&profiled)
+        .zip(profiled)
         .zip(&observed)
         .map(|((&frame, profile), observations)| forelight_forecast::ProfiledFrame {
             frame,
@@ -125,23 +170,8 @@ pub fn quote(
         }),
         profiled.iter().map(|profile| (profile.fixed.plan.work, profile.fixed.plan.cpu_nanos)),
     );
-    let forecast = forelight_forecast::forecast_shot(&strata, &populations, &measured, Calibration::NONE)?
-        .with_known(&plans, Calibration::NONE);
-    let forecast = match &options.corrections {
-        Some(corrections) => forecast.corrected(corrections),
-        None => forecast,
-    };
-    let of = QuotedShot { scene: renderer.info().summary.digest, settings: settings.clone() };
-    let document = document(of, frames, &counted, &profiled, &forecast);
-    let mut quote = Quote { document, forecast, counted, profiled };
-    let spent = quote.spent();
-    let mean = quote.document.total.work.mean;
-    quote.document.spent = SpentOnForecast {
-        work: spent.work,
-        cpu_seconds: seconds(spent.cpu_nanos),
-        fraction_of_forecast: if mean > 0.0 { spent.work as f64 / mean } else { 0.0 },
-    };
-    Ok(quote)
+    Ok(forelight_forecast::forecast_shot(strata, populations, &measured, Calibration::NONE)?
+        .with_known(&plans, Calibration::NONE))
 }
 
 fn cost(spent: Spent, rays: [u64; 7]) -> Cost {

@@ -1,12 +1,14 @@
 //! The service's estimate and the quote that a worker's machine makes alone are one and the same.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
+use forelight_forecast::{FIRST_FRAMES, MOST_FRAMES};
 use forelight_protocol::{ArtifactHash, ProfileArtifacts, RenderSettingsRequest};
 use forelight_store::MeasuredProfile;
 use forelight_worker::{Ambient, Observer, QuoteOptions, preview_result, profile_result, quote};
 
-use super::choose::frames_to_profile;
+use super::choose::{frames_to_profile, more_to_profile};
 use super::estimate::calibrated;
 use super::explain::explained;
 
@@ -17,7 +19,7 @@ fn write_bundle(folder: &Path) {
         "version": 1, "name": "shelf", "geometry": ["shelf.obj"],
         "camera": {"origin": [-3, 2, 6], "target": [0, 0.5, 0], "up": [0, 1, 0], "fov_deg": 60, "fov_axis": "x", "width": 48, "height": 32},
         "lights": [{"type": "quad", "corner": [-1, 4, -1], "edge_u": [2, 0, 0], "edge_v": [0, 0, 2], "radiance": [9, 9, 9]}],
-        "animation": {"fps": 24, "frames": 6, "tracks": [{
+        "animation": {"fps": 24, "frames": 24, "tracks": [{
             "target": "camera", "property": "origin", "interpolation": "linear",
             "keys": [{"frame": 0, "value": [-3, 2, 6]}, {"frame": 5, "value": [3, 1, 5]}],
         }]},
@@ -62,6 +64,42 @@ impl Observer for Nobody {
 }
 
 #[test]
+fn an_offline_quote_and_the_service_profile_the_same_frames_and_more_where_that_pays() {
+    let folder = tempfile::tempdir().unwrap();
+    write_bundle(folder.path());
+    let shot = Ambient::new(forelight_preview::Choice::Cpu).open(folder.path()).unwrap();
+    let info = forelight_worker::Renderer::info(&shot);
+    let frames: Vec<u32> = (0..24).collect();
+    let mut most = BTreeSet::new();
+    for (cache, spp) in [("off", 1), ("off", 64), ("on", 1), ("on", 64)] {
+        let settings: RenderSettingsRequest =
+            serde_json::from_value(serde_json::json!({"spp": spp, "cache": cache, "cache_rays": 48}))
+                .unwrap();
+        let settings = settings.complete((48, 32));
+        let options = QuoteOptions { samples: 32, seed: 3, ..QuoteOptions::default() };
+        let quoted = quote(&shot, &frames, &settings, &options, &Nobody).unwrap();
+        let preview = preview_result(info, &frames, &settings, &quoted.counted);
+        let mut chosen = frames_to_profile(&preview, None).unwrap();
+        assert_eq!(chosen.len(), FIRST_FRAMES);
+        let artifacts = ProfileArtifacts { profile: ArtifactHash([0; 32]), preview_png: None };
+        let of_first = quoted.profiled.iter().filter(|profiled| chosen.contains(&profiled.frame));
+        let profiles: Vec<MeasuredProfile> = of_first
+            .map(|profiled| MeasuredProfile {
+                result: profile_result(info, &settings, profiled, artifacts),
+                node_speed: 1.0,
+                spp: settings.spp,
+            })
+            .collect();
+        chosen.extend(more_to_profile(&preview, &profiles, &settings).unwrap());
+        chosen.sort_unstable();
+        assert_eq!(chosen, quoted.profiled.iter().map(|profiled| profiled.frame).collect::<Vec<_>>());
+        assert!(chosen.len() <= MOST_FRAMES);
+        most.insert(chosen.len());
+    }
+    assert!(most.len() > 1 && most.last() > Some(&FIRST_FRAMES), "{most:?}");
+}
+
+#[test]
 fn an_offline_quote_and_the_estimate_of_the_service_agree_to_the_last_bit_and_explain_themselves_alike() {
     let folder = tempfile::tempdir().unwrap();
     write_bundle(folder.path());
@@ -80,14 +118,14 @@ fn an_offline_quote_and_the_estimate_of_the_service_agree_to_the_last_bit_and_ex
         }))
         .unwrap();
         let settings = settings.complete((48, 32));
-        let options = QuoteOptions { samples, profile_frames: 2, seed: 3, ..QuoteOptions::default() };
+        let options = QuoteOptions { samples, profile_frames: Some(2), seed: 3, ..QuoteOptions::default() };
         let quoted = quote(&shot, &frames, &settings, &options, &Nobody).unwrap();
 
         let preview = preview_result(info, &frames, &settings, &quoted.counted);
         assert!(preview.strata.len() > samples as usize / 4, "there is nothing to be joined");
         let levels = if cache == "on" { ambient_bounces } else { 0 };
         assert!(preview.frames.iter().all(|frame| frame.cache_records.len() == levels), "{preview:?}");
-        let chosen = frames_to_profile(&preview, 2).unwrap();
+        let chosen = frames_to_profile(&preview, Some(2)).unwrap();
         assert_eq!(chosen, quoted.profiled.iter().map(|profiled| profiled.frame).collect::<Vec<_>>());
         let artifacts = ProfileArtifacts { profile: ArtifactHash([0; 32]), preview_png: None };
         let profiles: Vec<MeasuredProfile> = quoted

@@ -2,10 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use forelight_forecast::{FramePopulation, RecordStrata, Stratum, choose_frames};
-use forelight_protocol::{self as protocol, PreviewResult, StratumName};
+use forelight_forecast::{
+    FIRST_FRAMES, ForecastError, FramePopulation, RecordStrata, Stratum, choose_frames, choose_more_frames,
+};
+use forelight_protocol::{self as protocol, PreviewResult, RenderSettings, StratumName};
+use forelight_store::MeasuredProfile;
 
 use super::AdvanceError;
+use super::estimate::{Estimated, estimated};
 
 /// A preview as the forecast wants it: strata by number, the background as the last of those of pixels, then those of the
 /// irradiance cache's records.
@@ -83,13 +87,35 @@ impl Populations {
     }
 }
 
-/// The frames to profile, ascending.
-pub(super) fn frames_to_profile(preview: &PreviewResult, at_most: u32) -> Result<Vec<u32>, AdvanceError> {
+fn not_chosen(error: ForecastError) -> AdvanceError {
+    AdvanceError::Hopeless(format!("no frames could be chosen to be profiled: {error}"))
+}
+
+/// More frames to profile, ascending, beside those that these profiles are of; nothing if these say enough, or if more would take too much.
+pub(super) fn more_to_profile(
+    preview: &PreviewResult,
+    profiles: &[MeasuredProfile],
+    settings: &RenderSettings,
+) -> Result<Vec<u32>, AdvanceError> {
+    let Estimated { shot, populations } = estimated(preview, profiles, None)?;
+    let lost = |profile: &MeasuredProfile| {
+        let pixels = profile.result.samples.iter().map(|sample| sample.work);
+        profile.result.fixed.lost_by_profiling(settings, pixels)
+    };
+    let lost = profiles.iter().map(lost).fold(0, u64::saturating_add);
+    let more =
+        choose_more_frames(&populations.strata, &populations.frames, &shot, lost).map_err(not_chosen)?;
+    Ok(more.into_iter().map(|index| preview.frames[index].frame).collect())
+}
+
+/// The frames to profile first, ascending.
+pub(super) fn frames_to_profile(
+    preview: &PreviewResult,
+    at_most: Option<u32>,
+) -> Result<Vec<u32>, AdvanceError> {
     let populations = Populations::new(preview, []);
-    let chosen =
-        choose_frames(&populations.strata, &populations.frames, at_most as usize).map_err(|error| {
-            AdvanceError::Hopeless(format!("no frames could be chosen to be profiled: {error}"))
-        })?;
+    let at_most = at_most.map_or(FIRST_FRAMES, |at_most| at_most as usize);
+    let chosen = choose_frames(&populations.strata, &populations.frames, at_most).map_err(not_chosen)?;
     if chosen.is_empty() {
         return Err(AdvanceError::Hopeless("no frame was chosen to be profiled".to_owned()));
     }

@@ -74,6 +74,38 @@ fn quote(parts: u32) -> CacheQuote {
 }
 
 #[tokio::test]
+async fn more_profiles_are_asked_for_once_and_measure_with_the_planned_cache_as_the_first_did() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let job = farm.submit(request("0-5")).await;
+    let preview = farm.claim(node.id, at(0)).await.unwrap();
+    farm.commit(&preview, at(0)).await;
+    farm.store.start_profiling(job.id, &[0], true, at(0)).await.unwrap();
+    for _ in ["the plan", "the profile"] {
+        let lease = farm.claim(node.id, at(0)).await.unwrap();
+        farm.commit(&lease, at(0)).await;
+    }
+    assert_eq!(farm.store.profile_results(job.id).await.unwrap().map(|profiles| profiles.len()), Some(1));
+    let planned = farm.store.planned_cache(job.id).await.unwrap();
+    for _ in ["once", "again, as after a crash"] {
+        farm.store.profile_more(job.id, &[2, 4], &planned).await.unwrap();
+    }
+    assert_eq!(farm.store.profile_results(job.id).await.unwrap(), None, "two are under way");
+    for frame in [2, 4] {
+        let profile = farm.claim(node.id, at(0)).await.unwrap();
+        assert_eq!((profile.spec.kind(), profile.spec.frame()), (TaskKind::Profile, Some(frame)));
+        assert_eq!(profile.spec.caches(), [farm.artifact("a plan").await]);
+        farm.commit(&profile, at(0)).await;
+    }
+    assert_eq!(farm.claim(node.id, at(0)).await, None);
+    assert_eq!(farm.store.profile_results(job.id).await.unwrap().map(|profiles| profiles.len()), Some(3));
+    // Not of a job that is over.
+    farm.store.cancel_job(job.id, at(1)).await.unwrap();
+    farm.store.profile_more(job.id, &[5], &planned).await.unwrap();
+    assert_eq!(farm.claim(node.id, at(1)).await, None);
+}
+
+#[tokio::test]
 async fn frames_wait_until_every_level_of_the_cache_is_filled_and_put_together() {
     let farm = Farm::new().await;
     let node = farm.node("a").await.id;

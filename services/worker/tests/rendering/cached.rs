@@ -12,7 +12,8 @@ fn the_records_that_the_preview_counted_are_those_of_the_render() {
     for bounces in [1, 2] {
         let rig = Rig::cached(bounces);
         let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
-        let options = QuoteOptions { samples: 64, profile_frames: 1, seed: 2, ..QuoteOptions::default() };
+        let options =
+            QuoteOptions { samples: 64, profile_frames: Some(1), seed: 2, ..QuoteOptions::default() };
         let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
         for (forecast, counted) in quoted.document.frames.iter().zip(&quoted.counted.cache_records) {
             let cancel = AtomicBool::new(false);
@@ -115,7 +116,8 @@ fn with_a_cache_the_quote_of_the_kitchen_is_within_a_few_percent_of_its_render()
             ..Default::default()
         };
         let settings = settings.complete((48, 27));
-        let options = QuoteOptions { samples: 256, profile_frames: 1, seed: 0, ..QuoteOptions::default() };
+        let options =
+            QuoteOptions { samples: 256, profile_frames: Some(1), seed: 0, ..QuoteOptions::default() };
         let quoted = quote(&shot, &[0], &settings, &options, &Nobody).unwrap();
         let cancel = AtomicBool::new(false);
         let stats =

@@ -13,7 +13,8 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed};
 fn a_quote_from_all_pixels_is_the_render_to_the_last_operation() {
     let rig = Rig::new();
     let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
-    let options = QuoteOptions { samples: 32 * 24, profile_frames: 3, seed: 1, ..QuoteOptions::default() };
+    let options =
+        QuoteOptions { samples: 32 * 24, profile_frames: Some(3), seed: 1, ..QuoteOptions::default() };
     let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
     let mut total = 0;
     for forecast in &quoted.document.frames {
@@ -38,7 +39,7 @@ fn every_strategy_quotes_a_shot_and_from_all_pixels_exactly() {
     let rig = Rig::new();
     let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
     let work = |strategy: Strategy, samples: u32| {
-        let options = QuoteOptions { samples, profile_frames: 2, seed: 3, strategy, corrections: None };
+        let options = QuoteOptions { samples, profile_frames: Some(2), seed: 3, strategy, corrections: None };
         let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
         assert!(quoted.document.profiled.pixels <= 2 * u64::from(samples), "{strategy:?}");
         quoted.document
@@ -63,7 +64,7 @@ fn a_quote_depends_on_its_seed_and_not_on_the_threads() {
     let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
     let work = |seed: u64, threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let options = QuoteOptions { samples: 64, profile_frames: 1, seed, ..QuoteOptions::default() };
+        let options = QuoteOptions { samples: 64, profile_frames: Some(1), seed, ..QuoteOptions::default() };
         let quoted = pool.install(|| quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody)).unwrap();
         quoted.document.frames.iter().map(|frame| frame.work).collect::<Vec<_>>()
     };
@@ -105,7 +106,12 @@ fn a_frame_in_the_dark_is_forecast_from_one_in_the_dark() {
         }));
         let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
         // Half of all pixels: what is left of error is that of carrying.
-        let options = QuoteOptions { samples: 384, profile_frames, seed: 2, ..QuoteOptions::default() };
+        let options = QuoteOptions {
+            samples: 384,
+            profile_frames: Some(profile_frames),
+            seed: 2,
+            ..QuoteOptions::default()
+        };
         let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
         assert_eq!(quoted.counted.lights, [0, 1, 0]);
         let render = |frame| {
@@ -140,7 +146,7 @@ impl Observer for Patience {
 #[test]
 fn a_profile_is_broken_off_in_the_middle_of_its_pixels() {
     let rig = Rig::new();
-    let options = QuoteOptions { samples: 32 * 24, profile_frames: 1, ..QuoteOptions::default() };
+    let options = QuoteOptions { samples: 32 * 24, profile_frames: Some(1), ..QuoteOptions::default() };
     let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
     let profile = |questions: usize| {
         profile_frame(&shot, 0, &rig.settings, &options, &Patience(AtomicUsize::new(questions)))

@@ -155,7 +155,7 @@ fn a_frames_time_holds_that_of_writing_its_files_and_the_profile_measures_it() {
     );
     // With every pixel taken over, what is left of the frame's time is setting it up and writing it.
     let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
-    let all = QuoteOptions { samples: 32 * 24, profile_frames: 1, seed: 1, ..QuoteOptions::default() };
+    let all = QuoteOptions { samples: 32 * 24, profile_frames: Some(1), seed: 1, ..QuoteOptions::default() };
     let quoted = quote(&shot, &[1], &rig.settings, &all, &Nobody).unwrap();
     let bytes = bytes::Bytes::from(quoted.profiled[0].profile.to_bytes());
     let TaskResult::Render(render) = rig.run(rig.render_spec(1), Some(bytes)).unwrap().result else {

@@ -159,7 +159,7 @@ fn a_stratum_that_only_the_profile_saw_does_not_sink_the_forecast() {
 #[test]
 fn frames_are_chosen_within_the_allowance_and_by_their_own_numbers() {
     let frames: Vec<(u32, &[u32], u32)> = (0..20).map(|i| (10 + 2 * i, &[200u32, 40][..], 16)).collect();
-    let chosen = super::super::choose::frames_to_profile(&preview(&frames), 3).unwrap();
+    let chosen = super::super::choose::frames_to_profile(&preview(&frames), Some(3)).unwrap();
     assert_eq!(chosen.len(), 3);
     assert!(chosen.iter().all(|frame| frames.iter().any(|(number, ..)| number == frame)), "{chosen:?}");
 }

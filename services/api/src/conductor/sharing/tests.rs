@@ -53,7 +53,8 @@ impl Case {
             ..Default::default()
         };
         let settings = settings.complete((48, 27));
-        let options = QuoteOptions { samples: 200, profile_frames: 3, seed: 3, ..QuoteOptions::default() };
+        let options =
+            QuoteOptions { samples: 200, profile_frames: Some(3), seed: 3, ..QuoteOptions::default() };
         let quoted = forelight_worker::quote(&shot, frames, &settings, &options, &Nobody).unwrap();
         let info = forelight_worker::Renderer::info(&shot);
         let preview = preview_result(info, frames, &settings, &quoted.counted);

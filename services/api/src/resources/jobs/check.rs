@@ -22,7 +22,9 @@ pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<New
     check_name("/name", &request.name, 200)?;
     check_name("/project", &request.project, 200)?;
     within("/samples", i64::from(request.samples), 16..=1_000_000)?;
-    within("/profile_frames", i64::from(request.profile_frames), 1..=1000)?;
+    if let Some(frames) = request.profile_frames {
+        within("/profile_frames", i64::from(frames), 1..=1000)?;
+    }
     within("/priority", i64::from(request.priority), -1000..=1000)?;
     within("/weight", i64::from(request.weight), 1..=1000)?;
     if let Some(bytes) = request.limits.memory_bytes {

@@ -152,7 +152,7 @@ fn measure(args: &Args, local: &Local, bounces: u32, bars: &Bars, interrupt: &In
     let bar = bars.bar("forecasts", u64::from(args.seeds));
     for seed in 0..u64::from(args.seeds) {
         let options =
-            QuoteOptions { samples: args.samples, profile_frames: 1, seed, ..QuoteOptions::default() };
+            QuoteOptions { samples: args.samples, profile_frames: Some(1), seed, ..QuoteOptions::default() };
         let watcher = Watcher::new(&Bars::new(true), 1, interrupt);
         let quoted = local.pool.install(|| quote(&local.shot, &[args.frame], &settings, &options, &watcher));
         let total = match quoted {

@@ -37,7 +37,7 @@ Examples:
   forelight forecast kitchen/ --for-node rack-7.json
   forelight forecast kitchen/ --frames 0-47 --cache on --cache-sharing auto
 
-All frames are previewed; of at most --profile-frames of them, --samples pixels each are profiled, and around a few of these blocks of \
+All frames are previewed; of five of them, or of more if that leaves the forecast unsure, --samples pixels each are profiled, and around a few of these blocks of \
 neighbours are traced, to see how long pixels take that lie beside each other. All are finished pixels: \
 with --save-profile, `forelight render --profile` takes them over. With --cache on, the irradiance cache of every frame is \
 planned with its preview, so that the number of records is known; some of them are gathered to see what that takes; --cache-sharing \
@@ -52,9 +52,9 @@ pub struct Args {
     /// Pixels to profile in a profiled frame, which the forecast of work rests on
     #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     samples: u32,
-    /// Frames to profile at most
-    #[arg(long, value_name = "FRAMES", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
-    profile_frames: u32,
+    /// Frames to profile at most [default: 5, and up to 16 if that leaves the forecast unsure and more would cost less than 1 % of the shot]
+    #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    profile_frames: Option<u32>,
     /// How the pixels are chosen, and what they cost is expanded to the frame
     #[arg(long, value_name = "NAME", default_value = Strategy::Snapshot.name(), value_parser = strategies())]
     strategy: Strategy,
@@ -106,7 +106,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let frames = local.frames(args.frames.as_ref())?;
     let options = QuoteOptions {
         samples: args.samples,
-        profile_frames: args.profile_frames as usize,
+        profile_frames: args.profile_frames.map(|frames| frames as usize),
         seed: args.phase_seed,
         strategy: args.strategy,
         corrections: match &args.calibration {

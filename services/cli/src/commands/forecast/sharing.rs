@@ -126,7 +126,7 @@ mod tests {
         let interrupt = Interrupt::default();
         let local = Local::open(Path::new(bundle), &wanted.machine, &bars).unwrap();
         let settings = local.settings(&wanted.quality).unwrap();
-        let options = QuoteOptions { samples: 64, profile_frames: 2, ..QuoteOptions::default() };
+        let options = QuoteOptions { samples: 64, profile_frames: Some(2), ..QuoteOptions::default() };
         let frames = [0, 8, 16];
         let watcher = Watcher::new(&bars, frames.len(), &interrupt);
         let quoted = watcher.quote(&local, Path::new(bundle), &frames, &settings, &options).unwrap();

@@ -5,6 +5,7 @@ use crate::interrupt::Interrupt;
 use crate::output::Bars;
 use crate::quantities::seconds;
 use anyhow::{Context, Result};
+use forelight_forecast::FIRST_FRAMES;
 use forelight_protocol::{Event, EventId, EventKind, Job, JobId, JobState, LiveForecast, TaskId, TaskKind};
 use forelight_worker::{Backoff, Client, EventStream};
 use indicatif::ProgressBar;
@@ -119,7 +120,8 @@ impl Stages {
             id: job.id,
             bars: bars.clone(),
             previews: bars.bar("previews", frames),
-            profiling: bars.bar("profiling", frames.min(u64::from(job.profile_frames))),
+            profiling: bars
+                .bar("profiling", frames.min(job.profile_frames.map_or(FIRST_FRAMES as u64, u64::from))),
             cache: None,
             parts: BTreeMap::new(),
             frames: bars.bar("frames", frames),

@@ -81,9 +81,9 @@ pub struct Args {
     /// Pixels to profile in a profiled frame
     #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
     samples: u32,
-    /// Frames to profile at most
-    #[arg(long, value_name = "FRAMES", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
-    profile_frames: u32,
+    /// Frames to profile at most [default: 5, and up to 16 if that leaves the forecast unsure and more would cost less than 1 % of the shot]
+    #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    profile_frames: Option<u32>,
     /// Whether the frames share one irradiance cache, with --cache on
     #[arg(long, value_name = "WAY", default_value = "auto")]
     cache_sharing: Sharing,

@@ -45,9 +45,9 @@ pub struct Args {
     /// Pixels to profile in a profiled frame
     #[arg(long, value_name = "PIXELS", default_value_t = QuoteOptions::default().samples, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     samples: u32,
-    /// Frames to profile at most
-    #[arg(long, value_name = "FRAMES", default_value_t = QuoteOptions::default().profile_frames as u32, value_parser = clap::value_parser!(u32).range(1..=1000))]
-    profile_frames: u32,
+    /// Frames to profile at most [default: 5, and up to 16 if that leaves the forecast unsure and more would cost less than 1 % of the shot]
+    #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    profile_frames: Option<u32>,
     /// Quotes to make, each with another choice of pixels
     #[arg(long, value_name = "COUNT", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
     seeds: u32,
@@ -218,7 +218,7 @@ fn measure(
     for seed in 0..u64::from(args.seeds) {
         let options = QuoteOptions {
             samples: args.samples,
-            profile_frames: args.profile_frames as usize,
+            profile_frames: args.profile_frames.map(|frames| frames as usize),
             seed,
             ..QuoteOptions::default()
         };
