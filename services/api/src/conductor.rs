@@ -136,8 +136,8 @@ impl Conductor {
             return Ok(());
         }
         if job.profile_frames.is_none() && job.within.is_none() {
-            let (preview, profiles, settings) = (preview.clone(), profiles.clone(), job.settings.clone());
-            let more = compute(move || choose::more_to_profile(&preview, &profiles, &settings)).await?;
+            let (preview, profiles) = (preview.clone(), profiles.clone());
+            let more = compute(move || choose::more_to_profile(&preview, &profiles)).await?;
             if !more.is_empty() {
                 tracing::info!(job = %job.id, frames = ?more, "more frames to profile: the forecast is not sure");
                 return Ok(self.store.profile_more(job.id, &more, &planned).await?);

@@ -108,8 +108,7 @@ pub const FIRST_FRAMES: usize = 5;
 /// No more frames are profiled than this unless somebody asks for more.
 pub const MOST_FRAMES: usize = 16;
 
-/// What a forecast may take, as a part of the work that it forecasts, for more frames to be profiled: what is lost on profiles, and not
-/// taken over by renders.
+/// What profiling may take, as a part of the work that is forecast, for more frames to be profiled.
 const LARGEST_SHARE: f64 = 0.01;
 
 /// A forecast is sure enough if the work of all frames is at most this far above its median with a probability of 95 %, relative.
@@ -117,7 +116,7 @@ const SURE: f64 = 0.02;
 
 /// Whether more frames than the [`FIRST_FRAMES`] should be profiled, and which, as indices in increasing order: as many as can be paid with a
 /// hundredth of the work that is forecast, and at most [`MOST_FRAMES`] in all. Nothing if the forecast is sure enough, or if others than so
-/// many were profiled: so it is asked once. `lost` is the work that was spent on the profiled frames and that no render gets back.
+/// many were profiled: so it is asked once. `spent` is the work that profiling these took.
 ///
 /// They are chosen as the first ones were ([`choose_frames`]), but weighted by what strata were found to cost, and beside those that
 /// are profiled already.
@@ -128,7 +127,7 @@ pub fn choose_more_frames(
     strata: &[Stratum],
     frames: &[FramePopulation],
     forecast: &ShotForecast,
-    lost: u64,
+    spent: u64,
 ) -> Result<Vec<usize>, ForecastError> {
     check_frames(strata, frames)?;
     let profiled: Vec<usize> = (0..frames.len()).filter(|&t| forecast.frames[t].profiled).collect();
@@ -137,7 +136,7 @@ pub fn choose_more_frames(
         return Ok(Vec::new());
     }
     // As many as would take the same share each; all of them are paid by what is forecast.
-    let each = lost as f64 / profiled.len() as f64;
+    let each = spent as f64 / profiled.len() as f64;
     let affordable = (LARGEST_SHARE * work.mean / each.max(1.0)) as usize;
     let cover = Cover::new(strata, frames, |h, t| {
         let stratum = &forecast.frames[t].strata[h];

@@ -102,9 +102,9 @@ impl Shot {
         forecast_shot(&self.strata, &self.frames, &profiled, Calibration::NONE).expect("a forecast")
     }
 
-    fn more(&self, found: &ShotForecast, lost: f64) -> Vec<usize> {
-        let lost = (lost * found.total.work.mean) as u64;
-        choose_more_frames(&self.strata, &self.frames, found, lost).expect("good frames")
+    fn more(&self, found: &ShotForecast, spent: f64) -> Vec<usize> {
+        let spent = (spent * found.total.work.mean) as u64;
+        choose_more_frames(&self.strata, &self.frames, found, spent).expect("good frames")
     }
 }
 
@@ -293,9 +293,10 @@ fn a_montage_that_five_frames_cannot_know_is_profiled_in_more_as_far_as_that_is_
         error(&known),
         error(&found)
     );
+    println!("five frames: {:.3}, sixteen: {:.3}", error(&found), error(&known));
     assert!(known.total.work.p95 / known.total.work.p50 < 1.05, "{:?}", known.total.work);
 
-    // Five took a part of the work; with so much for each, no more than a hundredth of it is lost.
+    // Five took a part of the work; with so much for each, no more than a hundredth of it is spent.
     assert_eq!(shot.more(&found, 0.006).len(), 3);
     assert_eq!(shot.more(&found, 0.0099), []);
     assert_eq!(shot.more(&found, 0.5), []);

@@ -4,7 +4,6 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{ArtifactHash, ByClass, LeftOut, Spent, Stratum};
-use crate::{CacheMode, RenderSettings};
 
 /// One profiled pixel.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
@@ -143,18 +142,6 @@ pub struct FixedCosts {
 }
 
 impl FixedCosts {
-    /// Setting the frame up: what is done again whenever it is opened.
-    pub const fn setup(self) -> Spent {
-        self.load.plus(self.build)
-    }
-
-    /// Work of profiling a frame that its render does not get back, besides its preview: setting it up and, with an irradiance cache, its
-    /// profiled pixels, whose colours are not known before the cache is filled.
-    pub fn lost_by_profiling(self, settings: &RenderSettings, pixels: impl Iterator<Item = u64>) -> u64 {
-        let again = if settings.cache == CacheMode::On { pixels.sum() } else { 0 };
-        self.setup().work.saturating_add(again)
-    }
-
     /// All but building the acceleration structure, which depends on how many triangles a frame has.
     pub const fn without_build(self) -> Spent {
         let Self { load, build: _, plan, plan_rays: _, write } = self;
@@ -264,6 +251,15 @@ pub struct ProfileResult {
     pub spent: Spent,
     /// Its artefacts.
     pub artifacts: ProfileArtifacts,
+}
+
+impl ProfileResult {
+    /// Work of setting the frame up and tracing its pixels: all but what is done for its irradiance cache, whose plan was needed to count its
+    /// records, and which its render takes over.
+    pub fn work_on_pixels(&self) -> u64 {
+        let gathered = self.cache_samples.iter().chain(&self.shared_cache_samples).map(|sample| sample.work);
+        gathered.fold(self.spent.work.saturating_sub(self.fixed.plan.work), u64::saturating_sub)
+    }
 }
 
 #[cfg(test)]

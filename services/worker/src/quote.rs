@@ -101,8 +101,8 @@ pub fn quote(
         if options.profile_frames.is_some() {
             break forecast;
         }
-        let lost = profiled.iter().map(|profile| lost(profile, settings)).sum();
-        let more = forelight_forecast::choose_more_frames(&strata, &populations, &forecast, lost)?;
+        let spent = profiled.iter().map(ProfiledFrame::work_on_pixels).sum();
+        let more = forelight_forecast::choose_more_frames(&strata, &populations, &forecast, spent)?;
         if more.is_empty() {
             break forecast;
         }
@@ -124,12 +124,6 @@ pub fn quote(
         fraction_of_forecast: if mean > 0.0 { spent.work as f64 / mean } else { 0.0 },
     };
     Ok(quote)
-}
-
-/// Work of profiling a frame that its render does not get back.
-fn lost(profile: &ProfiledFrame, settings: &RenderSettings) -> u64 {
-    let pixels = profile.observations.iter().map(|observation| observation.cost.work);
-    profile.fixed.lost_by_profiling(settings, pixels)
 }
 
 /// What the profiled frames, of these places, say of all.

@@ -183,6 +183,11 @@ impl ProfiledFrame {
         self.setup.plus(self.preview).plus(self.pixels).plus(cache)
     }
 
+    /// Work of setting the frame up and tracing its pixels: all of it but what is done for its irradiance cache.
+    pub fn work_on_pixels(&self) -> u64 {
+        self.setup.plus(self.preview).plus(self.pixels).work
+    }
+
     /// The part of it that a render does not get back. Without an irradiance cache the traced pixels are finished pixels. With one
     /// they are not, but the plan is taken over, and of the gathered records those of the deepest level.
     pub fn spent_for_good(&self) -> Spent {

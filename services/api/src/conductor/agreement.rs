@@ -75,8 +75,8 @@ fn an_offline_quote_and_the_service_profile_the_same_frames_and_more_where_that_
         let settings: RenderSettingsRequest =
             serde_json::from_value(serde_json::json!({"spp": spp, "cache": cache, "cache_rays": 48}))
                 .unwrap();
-        let settings = settings.complete((48, 32));
-        let options = QuoteOptions { samples: 32, seed: 3, ..QuoteOptions::default() };
+        let settings = settings.complete((192, 128));
+        let options = QuoteOptions { samples: 16, seed: 3, ..QuoteOptions::default() };
         let quoted = quote(&shot, &frames, &settings, &options, &Nobody).unwrap();
         let preview = preview_result(info, &frames, &settings, &quoted.counted);
         let mut chosen = frames_to_profile(&preview, None).unwrap();
@@ -90,7 +90,7 @@ fn an_offline_quote_and_the_service_profile_the_same_frames_and_more_where_that_
                 spp: settings.spp,
             })
             .collect();
-        chosen.extend(more_to_profile(&preview, &profiles, &settings).unwrap());
+        chosen.extend(more_to_profile(&preview, &profiles).unwrap());
         chosen.sort_unstable();
         assert_eq!(chosen, quoted.profiled.iter().map(|profiled| profiled.frame).collect::<Vec<_>>());
         assert!(chosen.len() <= MOST_FRAMES);

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use forelight_forecast::{
     FIRST_FRAMES, ForecastError, FramePopulation, RecordStrata, Stratum, choose_frames, choose_more_frames,
 };
-use forelight_protocol::{self as protocol, PreviewResult, RenderSettings, StratumName};
+use forelight_protocol::{self as protocol, PreviewResult, StratumName};
 use forelight_store::MeasuredProfile;
 
 use super::AdvanceError;
@@ -95,16 +95,11 @@ fn not_chosen(error: ForecastError) -> AdvanceError {
 pub(super) fn more_to_profile(
     preview: &PreviewResult,
     profiles: &[MeasuredProfile],
-    settings: &RenderSettings,
 ) -> Result<Vec<u32>, AdvanceError> {
     let Estimated { shot, populations } = estimated(preview, profiles, None)?;
-    let lost = |profile: &MeasuredProfile| {
-        let pixels = profile.result.samples.iter().map(|sample| sample.work);
-        profile.result.fixed.lost_by_profiling(settings, pixels)
-    };
-    let lost = profiles.iter().map(lost).fold(0, u64::saturating_add);
+    let spent = profiles.iter().map(|profile| profile.result.work_on_pixels()).fold(0, u64::saturating_add);
     let more =
-        choose_more_frames(&populations.strata, &populations.frames, &shot, lost).map_err(not_chosen)?;
+        choose_more_frames(&populations.strata, &populations.frames, &shot, spent).map_err(not_chosen)?;
     Ok(more.into_iter().map(|index| preview.frames[index].frame).collect())
 }
 
