@@ -29,7 +29,7 @@ pub enum ProfileError {
     #[error("not a profile of this version (it must begin with FLprof05)")]
     Foreign,
     /// Shorter or longer than its header says.
-    #[error("truncated profile: {found} bytes where {expected} were expected")]
+    #[error("cut short or continued: {found} bytes where a profile of its header has {expected}")]
     Length {
         /// Bytes given.
         found: usize,

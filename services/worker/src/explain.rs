@@ -33,7 +33,7 @@ impl Quote {
             work: self.forecast.total.work.mean,
             told_apart,
             pixels,
-            records_work: gathered.iter().map(|sum| sum.work).sum(),
+            records_work: gathered.iter().map(|sum| sum.work).collect(),
             fixed: self.document.fixed,
             shares_cache: false,
             rays: self.forecast.total.rays.map(|rays| rays.mean),

@@ -17,7 +17,7 @@ use forelight_forecast::accuracy::allot::samples_for_budget;
 use forelight_protocol::{BudgetClock, Confidence, WithinStats};
 use forelight_scene::Frame;
 use forelight_tracer::{Image, Passes, SampleCounts, process_cpu_nanos};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 
 /// Share of the time left that the second and the third pass are given: what a unit of work takes is better known after each.
@@ -31,6 +31,12 @@ const WORTHWHILE: f64 = 0.01;
 const MARGIN: f64 = 0.015;
 /// Writing is kept back so many times, for the same reason.
 const WRITING: f64 = 1.5;
+/// Of the first pass so much is to be done before it is given up for being late.
+const SEEN: f64 = 0.1;
+/// The least image may take so many times the time that was given: it would be a pity to throw it away for less.
+const LATE: f64 = 1.03;
+/// What a refusal says would do is so much more than what was found: no two runs take the same.
+const ENOUGH: f64 = 1.1;
 /// Records that are gathered of each level, to see how long all of them take.
 const RECORDS: usize = 16;
 
@@ -82,7 +88,7 @@ pub struct Budget<'a> {
 
 impl Budget<'_> {
     fn too_little(&self, least: f64) -> AllotError {
-        AllotError::TooLittle { given: self.seconds, least }
+        AllotError::TooLittle { given: self.seconds, least: least * ENOUGH }
     }
 }
 
@@ -123,12 +129,13 @@ pub(crate) fn render_within(
     }
     let mut run = Run::new(ready, budget, progress, cancel);
     let (width, height) = allotment.size();
-    run.pass(&SampleCounts::new(vec![1; (width * height) as usize]).map_err(RenderError::from)?)?;
+    let projected =
+        run.first_pass(&SampleCounts::new(vec![1; (width * height) as usize]).map_err(RenderError::from)?)?;
     if cancel.load(Ordering::Relaxed) {
         return Ok(None);
     }
     let Ok(mut counts) = run.passes.counts() else {
-        return Err(budget.too_little(least.max(clock.elapsed())));
+        return Err(budget.too_little(least.max(projected)));
     };
     run.keep_back_for_writing();
     let tiles = Tiles::new(allotment);
@@ -198,17 +205,55 @@ impl<'a> Run<'a> {
         }
     }
 
+    /// Gives every pixel its first sample, and returns when that is done on the clock, or would have been: without these there is no image.
+    /// So it does not wait for the time to be up if that would be too late, and takes a little longer if that is all that is missing.
+    fn first_pass(&mut self, wanted: &SampleCounts) -> Result<f64, RenderError> {
+        let (clock, began, parts) = (self.budget.clock, self.began, self.passes.parts() as f64);
+        let (end, latest) = (self.end, LATE * self.budget.seconds);
+        let done = AtomicUsize::new(0);
+        let projected = || {
+            let share = done.load(Ordering::Relaxed) as f64 / parts;
+            let now = clock.elapsed();
+            (share, if share > 0.0 { began + (now - began) / share } else { now })
+        };
+        // Who has been late once does not go on: a hole anywhere is no image.
+        let late = AtomicBool::new(false);
+        let told = || {
+            done.fetch_add(1, Ordering::Relaxed);
+            // The more is done the surer the projection is, and the more would be lost.
+            let (share, at) = projected();
+            if share >= SEEN && at > end + (latest - end) * share {
+                late.store(true, Ordering::Relaxed);
+            }
+        };
+        let is_late = || late.load(Ordering::Relaxed) || clock.elapsed() > latest;
+        self.pass_until(wanted, &is_late, &told)?;
+        Ok(projected().1)
+    }
+
     /// Brings the pixels to so many samples, as far as there is time.
     fn pass(&mut self, wanted: &SampleCounts) -> Result<(), RenderError> {
+        let (clock, end) = (self.budget.clock, self.end);
+        self.pass_until(wanted, &|| clock.elapsed() >= end, &|| ())
+    }
+
+    /// The same until something is so; told of every part that is done.
+    fn pass_until(
+        &mut self,
+        wanted: &SampleCounts,
+        is_over: &(dyn Fn() -> bool + Sync),
+        done: &(dyn Fn() + Sync),
+    ) -> Result<(), RenderError> {
         let (clock, end, began) = (&self.budget.clock, self.end, self.began);
         let start = clock.elapsed();
         let pixels = wanted.as_slice().len() as u64;
         let shown = || {
+            done();
             let share = (clock.elapsed() - began) / (end - began).max(f64::MIN_POSITIVE);
             let done = (pixels as f64 * share.clamp(0.0, 1.0)) as u64;
             (self.progress)(Progress { step: Step::Tracing, done, all: pixels });
         };
-        let stop = || self.cancel.load(Ordering::Relaxed) || clock.elapsed() >= end;
+        let stop = || self.cancel.load(Ordering::Relaxed) || is_over();
         let took = self.ready.go_on(&mut self.passes, wanted, &stop, &shown)?;
         self.number += 1;
         self.rate = (clock.elapsed() - start) / (took.work as f64).max(1.0);
@@ -217,6 +262,10 @@ impl<'a> Run<'a> {
 
     fn keep_back_for_writing(&mut self) {
         let start = self.budget.clock.elapsed();
+        // Where no other pass fits anyway there is nothing to keep back.
+        if self.end - start < WORTHWHILE * self.budget.seconds {
+            return;
+        }
         (self.budget.rehearse)(&self.passes.image(), self.ready.frame());
         self.end -= WRITING * (self.budget.clock.elapsed() - start);
     }

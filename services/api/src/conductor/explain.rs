@@ -61,7 +61,7 @@ pub(super) fn explained(
         work: total.work.mean,
         pixels,
         told_apart: true,
-        records_work: records.iter().map(|sum| sum.work).sum(),
+        records_work: records.iter().map(|sum| sum.work).collect(),
         fixed: fixed_costs(profiles, shared, frame),
         shares_cache: shared.is_some(),
         rays: total.rays.map(|rays| rays.mean),

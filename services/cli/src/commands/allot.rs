@@ -250,10 +250,11 @@ pub fn report(allotted: &AllottedStats) -> String {
             BudgetClock::Cpu => "CPU",
         };
         text += &format!(
-            "time        {} of {} {clock} time used ({:.1} %), in {passes} passes",
+            "time        {} of {} {clock} time used ({:.1} %), in {passes} {}",
             seconds(*spent_seconds),
             seconds(*given_seconds),
             100.0 * spent_seconds / given_seconds,
+            if *passes == 1 { "pass" } else { "passes" },
         );
         text += &cost.map_or_else(String::new, |cost| format!("; {} of money", money(cost.0)));
         text += "\n";

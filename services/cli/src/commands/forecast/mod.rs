@@ -40,7 +40,8 @@ Examples:
 All frames are previewed; of five of them, or of more if that leaves the forecast unsure, --samples pixels each are profiled, and around a few of these blocks of \
 neighbours are traced, to see how long pixels take that lie beside each other. All are finished pixels: \
 with --save-profile, `forelight render --profile` takes them over. With --cache on, the irradiance cache of every frame is \
-planned with its preview, so that the number of records is known; some of them are gathered to see what that takes; --cache-sharing \
+planned with its preview, so that the number of records is known, and some of them are gathered to see what that takes; what a render takes \
+over is the plan and the records gathered last, for no pixel is finished before the cache is full. --cache-sharing \
 also plans one cache for all frames, as farms do, and says which takes less. Work is a count of operations that two runs agree on; \
 CPU time is this machine's.")]
 pub struct Args {
