@@ -67,11 +67,7 @@ impl Store {
         now: Timestamp,
     ) -> Result<(), StoreError> {
         let mut write = self.write().await?;
-        let row = sqlx::query("SELECT * FROM jobs WHERE id = ?")
-            .bind(job.0)
-            .fetch_optional(write.connection().await?)
-            .await?;
-        let row = row.ok_or(StoreError::NotFound("job"))?;
+        let row = jobs::row(write.connection().await?, job).await?;
         if jobs::state(write.connection().await?, job).await? != JobState::Previewing {
             return Ok(());
         }
@@ -101,11 +97,7 @@ impl Store {
         planned: &PlannedCache,
     ) -> Result<(), StoreError> {
         let mut write = self.write().await?;
-        let row = sqlx::query("SELECT * FROM jobs WHERE id = ?")
-            .bind(job.0)
-            .fetch_optional(write.connection().await?)
-            .await?;
-        let row = row.ok_or(StoreError::NotFound("job"))?;
+        let row = jobs::row(write.connection().await?, job).await?;
         let asked: Vec<u32> =
             sqlx::query_scalar("SELECT frame FROM tasks WHERE job_id = ? AND kind = 'profile'")
                 .bind(job.0)

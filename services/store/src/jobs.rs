@@ -243,10 +243,14 @@ pub(crate) async fn state(connection: &mut SqliteConnection, job: JobId) -> Resu
     word(&row.ok_or(StoreError::NotFound("job"))?, "state")
 }
 
+/// A job's row.
+pub(crate) async fn row(connection: &mut SqliteConnection, job: JobId) -> Result<SqliteRow, StoreError> {
+    let row = sqlx::query("SELECT * FROM jobs WHERE id = ?").bind(job.0).fetch_optional(connection).await?;
+    row.ok_or(StoreError::NotFound("job"))
+}
+
 pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Job, StoreError> {
-    let row =
-        sqlx::query("SELECT * FROM jobs WHERE id = ?").bind(job.0).fetch_optional(&mut *connection).await?;
-    let row = row.ok_or(StoreError::NotFound("job"))?;
+    let row = row(&mut *connection, job).await?;
     let progress = progress::of_job(connection, job).await?;
     decode(&row, progress)
 }

@@ -91,11 +91,7 @@ impl Store {
         now: Timestamp,
     ) -> Result<PlanId, StoreError> {
         let mut write = self.write().await?;
-        let row = sqlx::query("SELECT * FROM jobs WHERE id = ?")
-            .bind(job.0)
-            .fetch_optional(write.connection().await?)
-            .await?;
-        let row = row.ok_or(StoreError::NotFound("job"))?;
+        let row = jobs::row(write.connection().await?, job).await?;
         let state: JobState = word(&row, "state")?;
         if state != JobState::Profiling {
             return Err(StoreError::Conflict(format!("the job is {state}, not profiling")));

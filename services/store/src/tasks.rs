@@ -47,9 +47,7 @@ impl Common {
 
     /// Read from the database.
     pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Self, StoreError> {
-        let row =
-            sqlx::query("SELECT * FROM jobs WHERE id = ?").bind(job.0).fetch_optional(connection).await?;
-        Self::of(job, &row.ok_or(StoreError::NotFound("job"))?)
+        Self::of(job, &jobs::row(connection, job).await?)
     }
 
     pub(crate) async fn preview(&self, write: &mut Write, frames: Vec<u32>) -> Result<(), StoreError> {
