@@ -322,7 +322,10 @@ async fn a_service_killed_ten_times_in_the_middle_of_leases_loses_nothing_that_i
     // What was answered is on disk: a kill right after it changes nothing.
     service.kill();
     service.start_again().await;
-    assert_eq!(job_of(&http, &job).await, job);
+    // Why it waits is worked out when it is asked for.
+    let kept = job_of(&http, &job).await;
+    assert!(kept.waits.as_ref().is_some_and(|waits| waits.because.contains("no worker has registered")));
+    assert_eq!(Job { waits: None, ..kept }, job);
     let workers: Vec<Process> =
         (0..2).map(|number| service.worker(&format!("node-{number}"), &format!("worker-{number}"))).collect();
     // Before the job is booked: previews, profiles, and the service's own steps.
