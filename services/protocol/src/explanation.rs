@@ -142,10 +142,17 @@ pub struct Amounts {
 impl Explanation {
     /// What the work of a quote at these settings goes into.
     pub fn new(amounts: Amounts, settings: &RenderSettings) -> Self {
-        let Amounts { frame, work: whole, pixels, told_apart, records_work, fixed, shares_cache, rays } =
-            amounts;
+        let Amounts {
+            frame,
+            work: whole,
+            pixels,
+            told_apart,
+            records_work: levels,
+            fixed,
+            shares_cache,
+            rays,
+        } = amounts;
         let pixel_work: f64 = pixels.iter().map(|shown| shown.work).sum();
-        let levels = records_work;
         let records_work: f64 = levels.iter().sum();
         let pixel_count = pixels.iter().map(|shown| shown.pixels).sum::<u64>().max(1) as f64;
         let share = |part: f64| if whole > 0.0 { part / whole } else { 0.0 };
@@ -326,6 +333,9 @@ impl Dear {
     /// The pixels' part goes with the camera samples and with the number of pixels, its ambient part with the rays of a gather; filling a cache
     /// with the rays of a record, and with the number of records. What is left is taken to stay.
     fn halving(&self, settings: &RenderSettings) -> Vec<Halving> {
+        if self.whole <= 0.0 {
+            return Vec::new();
+        }
         let way = |setting: &str, from: u32, to: Option<f64>| {
             to.map(|to| Halving { setting: setting.into(), from: f64::from(from), to })
         };
@@ -348,25 +358,22 @@ impl Dear {
             });
             self.whole - gathered.sum::<f64>()
         };
-        let fewer = (1..=37).rev().map(|side| 48.0 * f64::from(side * side)).filter(|&rays| rays < now);
-        let ways = if self.whole > 0.0 {
-            [
-                way("spp", settings.spp, most(settings.spp, &of_pixels)),
-                way("width", settings.width, most(settings.width, &of_width)),
-                way(
-                    "ambient-divisions",
-                    settings.ambient_divisions,
-                    most(settings.ambient_divisions, &of_ambient),
-                ),
-                way(
-                    "cache-rays",
-                    settings.cache_rays,
-                    fewer.into_iter().find(|&rays| of_rays(rays) <= HALF * self.whole),
-                ),
-            ]
-        } else {
-            [None, None, None, None]
-        };
+        let sides = (1..=(now / 48.0).sqrt().ceil() as u32).rev();
+        let fewer = sides.map(|side| 48.0 * f64::from(side * side)).filter(|&rays| rays < now);
+        let ways = [
+            way("spp", settings.spp, most(settings.spp, &of_pixels)),
+            way("width", settings.width, most(settings.width, &of_width)),
+            way(
+                "ambient-divisions",
+                settings.ambient_divisions,
+                most(settings.ambient_divisions, &of_ambient),
+            ),
+            way(
+                "cache-rays",
+                settings.cache_rays,
+                fewer.into_iter().find(|&rays| of_rays(rays) <= HALF * self.whole),
+            ),
+        ];
         ways.into_iter().flatten().collect()
     }
 }

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use sqlx::Row as _;
 
 use crate::database::Write;
-use crate::decode::{corrupt, json, json_opt, to_json, whole};
+use crate::decode::{corrupt, json, json_opt, to_json, whole, word};
 use crate::events::job_state;
 use crate::tasks::Common;
 use crate::{PlannedCache, Store, StoreError, jobs};
@@ -68,7 +68,7 @@ impl Store {
     ) -> Result<(), StoreError> {
         let mut write = self.write().await?;
         let row = jobs::row(write.connection().await?, job).await?;
-        if jobs::state(write.connection().await?, job).await? != JobState::Previewing {
+        if word::<JobState>(&row, "state")? != JobState::Previewing {
             return Ok(());
         }
         let common = Common::of(job, &row)?;
@@ -103,7 +103,7 @@ impl Store {
                 .bind(job.0)
                 .fetch_all(write.connection().await?)
                 .await?;
-        if jobs::state(write.connection().await?, job).await? != JobState::Profiling
+        if word::<JobState>(&row, "state")? != JobState::Profiling
             || frames.iter().any(|frame| asked.contains(frame))
         {
             return Ok(());

@@ -24,10 +24,10 @@ pub(crate) const SAME_SPEED: f64 = 0.1;
 
 /// Nodes, with what they work on and what else is asked of each.
 macro_rules! select_nodes {
-    ($rest:literal) => {
+    ($rest:expr) => {
         $crate::nodes::select_nodes!("", $rest)
     };
-    ($more:expr, $rest:literal) => {
+    ($more:expr, $rest:expr) => {
         concat!(
             "SELECT n.*, (SELECT l.task_id FROM leases l WHERE l.node_id = n.id AND l.state = 'active' ",
             "ORDER BY l.granted_at DESC, l.id LIMIT 1) AS task_id",
@@ -38,6 +38,14 @@ macro_rules! select_nodes {
     };
 }
 pub(crate) use select_nodes;
+
+/// Whether a node is to get no tasks, as [`Node::takes_tasks`] says.
+macro_rules! closed {
+    () => {
+        "(drain OR pause OR set_aside IS NOT NULL)"
+    };
+}
+pub(crate) use closed;
 
 impl Store {
     /// Registers a node. One of the same name is updated and keeps its id: a worker that starts again is the same node.
@@ -289,10 +297,12 @@ pub(crate) async fn gone(
     up_since: Timestamp,
     now: Timestamp,
 ) -> Result<Vec<NodeId>, StoreError> {
-    let rows = sqlx::query(select_nodes!(
-        "WHERE (n.drain OR n.pause OR n.set_aside IS NOT NULL OR n.last_seen_at < ?) AND EXISTS (SELECT 1 FROM tasks t INDEXED BY tasks_ready_booked \
+    let rows = sqlx::query(select_nodes!(concat!(
+        "WHERE (",
+        closed!(),
+        " OR n.last_seen_at < ?) AND EXISTS (SELECT 1 FROM tasks t INDEXED BY tasks_ready_booked \
          WHERE t.state = 'ready' AND t.kind IN ('cache_fill', 'render') AND t.booked_node = n.id) ORDER BY n.id"
-    ))
+    )))
     .bind(now.plus_micros(-LOST).micros())
     .fetch_all(connection)
     .await?;

@@ -18,6 +18,7 @@ use uuid::Uuid;
 
 use crate::decode::{id, json_opt, time, time_opt, whole, whole_opt, word};
 use crate::events::{append, event};
+use crate::nodes::closed;
 use crate::{Store, StoreError, jobs};
 
 /// A task that waits to be handed to Slurm.
@@ -384,19 +385,18 @@ impl Store {
 
     /// The names of nodes that are to get no further tasks: drained, paused, or set aside.
     pub async fn closed_nodes(&self) -> Result<Vec<String>, StoreError> {
-        Ok(sqlx::query_scalar(
-            "SELECT name FROM nodes WHERE drain OR pause OR set_aside IS NOT NULL ORDER BY name",
-        )
-        .fetch_all(self.readers())
-        .await?)
+        Ok(sqlx::query_scalar(concat!("SELECT name FROM nodes WHERE ", closed!(), " ORDER BY name"))
+            .fetch_all(self.readers())
+            .await?)
     }
 
     /// The least that a node which is there and takes work does in a second, in seconds of a core of speed 1; absent if there is none.
     pub async fn slowest_node(&self, seen_since: Timestamp) -> Result<Option<f64>, StoreError> {
-        Ok(sqlx::query_scalar(
-            "SELECT min(coalesce(speed_set, speed) * cores) FROM nodes \
-             WHERE NOT (drain OR pause OR set_aside IS NOT NULL) AND last_seen_at >= ?",
-        )
+        Ok(sqlx::query_scalar(concat!(
+            "SELECT min(coalesce(speed_set, speed) * cores) FROM nodes WHERE NOT ",
+            closed!(),
+            " AND last_seen_at >= ?"
+        ))
         .bind(seen_since.micros())
         .fetch_one(self.readers())
         .await?)

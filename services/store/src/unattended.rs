@@ -10,6 +10,7 @@ use forelight_protocol::{Job, JobId, Node, NodePower, NodeState, PowerState, Tim
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::decode::id;
+use crate::nodes::closed;
 use crate::schedule::{as_it_is, silent_after};
 use crate::{Store, StoreError, nodes};
 
@@ -66,10 +67,12 @@ async fn somebody_is_there(
     ttl: Duration,
     now: Timestamp,
 ) -> Result<bool, StoreError> {
-    let row = sqlx::query(
-        "SELECT EXISTS (SELECT 1 FROM nodes WHERE NOT drain AND NOT pause AND set_aside IS NULL AND last_seen_at >= ? \
-         AND coalesce(schedule_set, schedule) IS NULL AND coalesce(json_array_length(terms, '$.maintenance'), 0) = 0) AS there",
-    )
+    let row = sqlx::query(concat!(
+        "SELECT EXISTS (SELECT 1 FROM nodes WHERE NOT ",
+        closed!(),
+        " AND last_seen_at >= ? \
+         AND coalesce(schedule_set, schedule) IS NULL AND coalesce(json_array_length(terms, '$.maintenance'), 0) = 0) AS there"
+    ))
     .bind(now.plus_micros(-silent_after(ttl)).micros())
     .fetch_one(connection)
     .await?;

@@ -4,9 +4,11 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use forelight_forecast::{FIRST_FRAMES, MOST_FRAMES};
-use forelight_protocol::{ArtifactHash, ProfileArtifacts, RenderSettingsRequest};
+use forelight_protocol::{ArtifactHash, ProfileArtifacts, RenderSettings, RenderSettingsRequest};
 use forelight_store::MeasuredProfile;
-use forelight_worker::{Ambient, Observer, QuoteOptions, preview_result, profile_result, quote};
+use forelight_worker::{
+    Ambient, Observer, ProfiledFrame, QuoteOptions, ShotInfo, preview_result, profile_result, quote,
+};
 
 use super::choose::{frames_to_profile, more_to_profile};
 use super::estimate::calibrated;
@@ -63,6 +65,21 @@ impl Observer for Nobody {
     }
 }
 
+/// Profiles as the service has them, from the machine that quoted.
+fn measured<'a>(
+    info: &ShotInfo,
+    settings: &RenderSettings,
+    profiled: impl Iterator<Item = &'a ProfiledFrame>,
+) -> Vec<MeasuredProfile> {
+    let artifacts = ProfileArtifacts { profile: ArtifactHash([0; 32]), preview_png: None };
+    let profile = |profiled| MeasuredProfile {
+        result: profile_result(info, settings, profiled, artifacts),
+        node_speed: 1.0,
+        spp: settings.spp,
+    };
+    profiled.map(profile).collect()
+}
+
 #[test]
 fn an_offline_quote_and_the_service_profile_the_same_frames_and_more_where_that_pays() {
     let folder = tempfile::tempdir().unwrap();
@@ -81,15 +98,8 @@ fn an_offline_quote_and_the_service_profile_the_same_frames_and_more_where_that_
         let preview = preview_result(info, &frames, &settings, &quoted.counted);
         let mut chosen = frames_to_profile(&preview, None).unwrap();
         assert_eq!(chosen.len(), FIRST_FRAMES);
-        let artifacts = ProfileArtifacts { profile: ArtifactHash([0; 32]), preview_png: None };
         let of_first = quoted.profiled.iter().filter(|profiled| chosen.contains(&profiled.frame));
-        let profiles: Vec<MeasuredProfile> = of_first
-            .map(|profiled| MeasuredProfile {
-                result: profile_result(info, &settings, profiled, artifacts),
-                node_speed: 1.0,
-                spp: settings.spp,
-            })
-            .collect();
+        let profiles = measured(info, &settings, of_first);
         chosen.extend(more_to_profile(&preview, &profiles).unwrap());
         chosen.sort_unstable();
         assert_eq!(chosen, quoted.profiled.iter().map(|profiled| profiled.frame).collect::<Vec<_>>());
@@ -127,16 +137,7 @@ fn an_offline_quote_and_the_estimate_of_the_service_agree_to_the_last_bit_and_ex
         assert!(preview.frames.iter().all(|frame| frame.cache_records.len() == levels), "{preview:?}");
         let chosen = frames_to_profile(&preview, Some(2)).unwrap();
         assert_eq!(chosen, quoted.profiled.iter().map(|profiled| profiled.frame).collect::<Vec<_>>());
-        let artifacts = ProfileArtifacts { profile: ArtifactHash([0; 32]), preview_png: None };
-        let profiles: Vec<MeasuredProfile> = quoted
-            .profiled
-            .iter()
-            .map(|profiled| MeasuredProfile {
-                result: profile_result(info, &settings, profiled, artifacts),
-                node_speed: 1.0,
-                spp: settings.spp,
-            })
-            .collect();
+        let profiles = measured(info, &settings, quoted.profiled.iter());
         let estimated = calibrated(&preview, &profiles, None, None).unwrap();
         // Every field of the one is in the other.
         let of = quoted.document.of.clone().unwrap();

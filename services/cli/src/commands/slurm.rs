@@ -5,6 +5,7 @@ use crate::options::{PreviewBackend, duration};
 use crate::quantities::parse_money;
 use anyhow::{Context, Result};
 use forelight_engine::slurm::{Options, Submitting};
+use forelight_protocol::Money;
 use std::path::{Path, PathBuf, absolute};
 use std::time::Duration;
 
@@ -87,7 +88,7 @@ impl SlurmOptions {
                 PreviewBackend::Gpu => "gpu",
                 PreviewBackend::Cpu => "cpu",
             },
-            price_per_hour: self.slurm_price,
+            price_per_hour: Money(self.slurm_price),
             logs: there(self.slurm_logs.as_deref().unwrap_or(logs))?,
         };
         Ok(Options {

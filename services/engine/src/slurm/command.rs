@@ -4,7 +4,7 @@
 
 use std::path::{Path, PathBuf};
 
-use forelight_protocol::{TaskId, TaskKind, Timestamp};
+use forelight_protocol::{Money, TaskId, TaskKind, Timestamp};
 use forelight_store::NewArray;
 use uuid::Uuid;
 
@@ -31,8 +31,8 @@ pub struct Submitting {
     pub bundles: Option<PathBuf>,
     /// Who makes previews: `auto`, `gpu` or `cpu`.
     pub preview: &'static str,
-    /// What an hour of a node costs, micro-units.
-    pub price_per_hour: i64,
+    /// What an hour of a node costs.
+    pub price_per_hour: Money,
     /// Folder for what processes say, the same on all nodes.
     pub logs: PathBuf,
 }
@@ -91,7 +91,7 @@ pub fn script(submitting: &Submitting, tasks: &[TaskId]) -> String {
     words.extend(["--server".to_owned(), quoted(&submitting.server)]);
     words.extend(["--token-file".to_owned(), quoted_path(&submitting.token_file)]);
     words.extend(["--preview".to_owned(), submitting.preview.to_owned()]);
-    words.extend(["--price".to_owned(), decimal(submitting.price_per_hour)]);
+    words.extend(["--price".to_owned(), decimal(submitting.price_per_hour.micro_units())]);
     if let Some(bundles) = &submitting.bundles {
         words.extend(["--bundles".to_owned(), quoted_path(bundles)]);
     }
@@ -199,7 +199,7 @@ mod tests {
             token_file: "/srv/it's/worker.token".into(),
             bundles: None,
             preview: "auto",
-            price_per_hour: 1_250_000,
+            price_per_hour: Money(1_250_000),
             logs: "/srv/logs".into(),
         }
     }

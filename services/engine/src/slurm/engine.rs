@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use forelight_protocol::{Money, Timestamp};
+use forelight_protocol::Timestamp;
 use forelight_store::{OpenArray, SeenNode, Store, StoreError};
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
@@ -158,7 +158,7 @@ impl<C: Cluster> Engine<C> {
         if known.is_some_and(|(at, known)| *known == there && now.micros_since(*at) < NODES_AGAIN) {
             return Ok(());
         }
-        self.store.see_nodes(&there, Money(self.submitting.price_per_hour), now).await?;
+        self.store.see_nodes(&there, self.submitting.price_per_hour, now).await?;
         self.noted = Some((now, there));
         Ok(())
     }

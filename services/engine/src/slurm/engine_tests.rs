@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
 use forelight_protocol::{
-    BundleSource, EventKind, Job, JobId, JobRequest, JobState, NodeChange, NodeId, NodeRegistration,
+    BundleSource, EventKind, Job, JobId, JobRequest, JobState, Money, NodeChange, NodeId, NodeRegistration,
     SceneDigest, SceneSummary, TaskId,
 };
 use forelight_store::{Answered, NewJob};
@@ -125,7 +125,7 @@ fn engine(store: &Store, slurm: &FakeCluster) -> Engine<FakeCluster> {
         token_file: "/srv/token".into(),
         bundles: None,
         preview: "auto",
-        price_per_hour: 0,
+        price_per_hour: Money(0),
         logs: "/srv/logs".into(),
     };
     let options = Options { submitting, quote_minutes: 60, reserve_for: None, poll: Duration::from_secs(5) };
@@ -198,7 +198,7 @@ impl Farm {
         let registration = NodeRegistration {
             name: name.to_owned(),
             speed: 1.5,
-            price_per_hour: forelight_protocol::Money(0),
+            price_per_hour: Money(0),
             cores: 4,
             capabilities: Default::default(),
             schedule: None,

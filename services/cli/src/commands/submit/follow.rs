@@ -23,7 +23,8 @@ pub async fn follow(client: &Client, job: Job, bars: &Bars, interrupt: &Interrup
     let id = job.id;
     let stopped = interrupt.token();
     let followed = async {
-        let mut job = job;
+        // Of some things no event tells, such as that nobody is there who could begin.
+        let mut job = client.job(id).await.unwrap_or(job);
         let mut stages = Stages::new(bars, &job);
         let mut last: Option<EventId> = None;
         let mut failures = 0;
@@ -31,10 +32,6 @@ pub async fn follow(client: &Client, job: Job, bars: &Bars, interrupt: &Interrup
             match client.events(id, last).await {
                 Ok(stream) => {
                     failures = 0;
-                    // Of some things no event tells, such as that nobody is there who could begin.
-                    if let Ok(job) = client.job(id).await {
-                        stages.job(&job);
-                    }
                     last = listen(stream, last, &mut stages, client).await;
                 }
                 Err(error) => {
