@@ -10,6 +10,8 @@ shopt -s nullglob
 cd "$(dirname "$0")/.."
 command -v cargo >/dev/null || PATH="$HOME/.cargo/bin:$PATH"
 export CARGO_TERM_COLOR=never
+# Where everything is built once, what incremental builds keep for the next time is ten gigabytes of nothing.
+[ -z "${CI:-}" ] || export CARGO_INCREMENTAL=0
 # A commit passes or fails, whenever it is tested. Exploring is done by hand: cargo test with PROPTEST_CASES and no seed.
 export PROPTEST_RNG_SEED=${PROPTEST_RNG_SEED:-2006}
 
