@@ -27,11 +27,6 @@ pub fn shared() -> Option<PathBuf> {
     if folder.join("scenes").is_dir() {
         return Some(folder);
     }
-    assert!(
-        std::env::var_os("FORELIGHT_SHARED").is_none(),
-        "FORELIGHT_SHARED: there is no {}",
-        folder.join("scenes").display()
-    );
     println!("skipped: no shared test input at {} (set FORELIGHT_SHARED)", folder.display());
     None
 }

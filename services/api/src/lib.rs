@@ -20,6 +20,7 @@ mod openapi;
 mod page;
 mod plot;
 mod resources;
+mod room;
 mod router;
 mod scenes;
 mod service;

@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use forelight_api::{Clock as _, ManualClock};
 use forelight_protocol::{
-    JobPage, JoinToken, Lease, LeaseOrder, Node, NodeState, ProblemKind, Renewal, TaskLog, Timestamp,
+    Dashboard, Job, JobPage, JoinToken, Lease, LeaseOrder, Node, NodeState, ProblemKind, Renewal, TaskLog,
+    Timestamp, WaitKind,
 };
 use forelight_store::{token_hash, tokens};
 use reqwest::{Method, Response, StatusCode};
@@ -146,6 +147,26 @@ async fn a_job_that_no_node_would_quote_says_why_it_waits() {
     assert_eq!(farm.job(&job).await.waits, None);
     farm.order(&node, json!({"drain": true})).await;
     assert!(farm.job(&job).await.waits.is_some_and(|waits| waits.because.ends_with(": 1 drained")));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn without_room_no_task_is_handed_out_and_every_job_says_so() {
+    let farm = Farm::with(|config| config.limits.least_room = u64::MAX).await;
+    let job = farm.submit("0").await;
+    let node = farm.node("a").await;
+    let claim = farm.worker.post("/v1/leases", &json!({"node_id": node.id, "wait_ms": 0})).await;
+    let lack = claim.problem(ProblemKind::StorageFull).await.detail;
+    assert!(lack.contains("MiB of room are left"), "{lack}");
+    assert_eq!(farm.nobody.get("/readyz").await.problem(ProblemKind::StorageFull).await.detail, lack);
+    let told = farm.job(&job).await.waits.expect("a reason");
+    assert_eq!((told.kind, told.because.contains("MiB of room are left")), (WaitKind::Room, true));
+    let listed: JobPage = farm.viewer.get("/v1/jobs").await.json_as(StatusCode::OK).await;
+    assert_eq!(listed.items[0].waits.as_ref().map(|waits| waits.kind), Some(WaitKind::Room));
+    let shown: Dashboard = farm.viewer.get("/v1/dashboard").await.json_as(StatusCode::OK).await;
+    assert_eq!(shown.jobs[0].waits.as_ref().map(|waits| waits.kind), Some(WaitKind::Room));
+    let cancel = farm.submitter.post(&format!("/v1/jobs/{}/cancel", job.id), &json!({})).await;
+    cancel.json_as::<Job>(StatusCode::OK).await;
+    assert_eq!(farm.job(&job).await.waits, None);
 }
 
 #[tokio::test(flavor = "multi_thread")]

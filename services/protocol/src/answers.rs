@@ -119,6 +119,8 @@ pub enum WaitKind {
     Cheaper,
     /// Its project's budget.
     Budget,
+    /// Room on the disk where the farm's data are: no task is handed out.
+    Room,
 }
 
 /// Why a job that is booked has not begun, or why one that has to be quoted before does not go on.

@@ -11,5 +11,7 @@ use crate::state::App;
 /// The farm at one instant: counts, jobs, nodes, open bookings, newest events, track record.
 #[utoipa::path(get, path = "/v1/dashboard", tag = "farm", responses((status = 200, description = "The farm", body = Dashboard), Problems))]
 pub(crate) async fn get(State(app): State<App>, _: Reader) -> ApiResult<Json<Dashboard>> {
-    Ok(Json(app.store.dashboard(app.lease_ttl, app.now()).await?))
+    let mut farm = app.store.dashboard(app.lease_ttl, app.now()).await?;
+    app.tell_lack_of_room(farm.jobs.iter_mut().map(|job| (job.state, &mut job.waits)))?;
+    Ok(Json(farm))
 }

@@ -15,9 +15,6 @@ pub(crate) async fn healthz() -> &'static str {
     "ok\n"
 }
 
-/// Bytes of room without which the service is not ready: what is written meanwhile, the log of the database included.
-const LEAST_ROOM: u64 = 64 << 20;
-
 /// The service can work: its database answers, there is room for what is to be kept, and it is not being stopped.
 #[utoipa::path(get, path = "/readyz", tag = "service", security(()), responses((status = 200, description = "It is ready", body = String, content_type = "text/plain"), Problems))]
 pub(crate) async fn readyz(State(app): State<App>) -> ApiResult<&'static str> {
@@ -28,15 +25,7 @@ pub(crate) async fn readyz(State(app): State<App>) -> ApiResult<&'static str> {
         tracing::error!(%error, "the database does not answer");
         ApiError::new(ProblemKind::Busy, "the database does not answer")
     })?;
-    let room = app.store.room()?;
-    if room < LEAST_ROOM {
-        let detail = format!(
-            "{} MiB of room are left where the farm's data are, at least {} MiB are needed",
-            room >> 20,
-            LEAST_ROOM >> 20
-        );
-        return Err(ApiError::new(ProblemKind::StorageFull, detail));
-    }
+    app.check_room()?;
     Ok("ready\n")
 }
 

@@ -123,6 +123,7 @@ async fn expect(app: &App, jobs: &mut [Job]) -> ApiResult<()> {
     if jobs.iter().any(|job| matches!(job.state, JobState::Previewing | JobState::Profiling)) {
         app.store.unattended(app.lease_ttl, app.now()).await?.tell(&mut *jobs);
     }
+    app.tell_lack_of_room(jobs.iter_mut().map(|job| (job.state, &mut job.waits)))?;
     if jobs.iter().all(|job| job.state.is_final() || job.plan_id.is_none()) {
         return Ok(());
     }

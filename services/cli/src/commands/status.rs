@@ -165,7 +165,10 @@ fn report(job: &Job, now: Timestamp) -> String {
     } else if let Some(verdict) = job.verdict.as_ref().filter(|said| said.verdict != Verdict::OnTime) {
         verdict.reasons.iter().for_each(|reason| line("", reason.clone()));
     }
-    line("cost", cost(job));
+    let cost = cost(job);
+    if !cost.is_empty() {
+        line("cost", cost);
+    }
     if let Some(error) = &job.error {
         line("error", error.clone());
     }
@@ -269,6 +272,7 @@ pub(super) mod tests {
         assert!(text.contains("not known before it is booked; wanted by"), "{text}");
         assert!(text.contains("its budget is 0.50"), "{text}");
         assert!(!text.contains("forecast") && !text.contains("promise"), "{text}");
+        assert!(!report(&Job { budget: None, ..job() }, at(0)).contains("cost"));
     }
 
     #[test]

@@ -39,6 +39,7 @@ pub(super) async fn wait_for_task(
     let mut work = app.store.watch_work();
     loop {
         work.borrow_and_update();
+        app.check_room()?;
         if let Some(worker) = request.worker {
             app.store.check_worker(request.node_id, worker).await?;
         }
