@@ -21,6 +21,7 @@ pub mod allot;
 mod front;
 mod image;
 mod pixel;
+mod settling;
 mod survey;
 
 pub use front::{Point, Step, front, front_of_known};

@@ -22,7 +22,7 @@ impl Calibration {
 }
 
 /// An independent part of a variance with the degrees of freedom behind it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Part {
     pub variance: f64,
     pub degrees_of_freedom: f64,

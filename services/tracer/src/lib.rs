@@ -56,7 +56,7 @@ pub use cost::{
 pub use effects::Effects;
 pub use fingerprint::tracer_version;
 pub use image::{Image, ImageError, Totals, cost_color};
-pub use passes::{Passes, SoFar};
+pub use passes::{Grown, Passes, SoFar};
 pub use profile::{Profile, ProfileError};
 pub use reach::{Excluded, LeftOut, Reach, Reason, reachable};
 pub use samples::{SampleCounts, SampleCountsError};

@@ -3,7 +3,8 @@
 //! Nothing of a pass is traced again in the next one, and nothing depends on where one pass ends and the next begins: a pixel's samples are
 //! added up in f64 in the order of their indices, and its random sequences go on where they were. So a pixel that got 3 samples, and 5 later on,
 //! has the bits of one that got 8 at once. What has to be kept for that is small: how far each random sequence that the pixel uses was
-//! drawn, 8 bytes for each, which comes to about a hundred bytes a pixel of the `ambient` integrator and several hundred of `path`.
+//! drawn, 8 bytes for each, and what the sum was at fewer samples, which says how it settles. It comes to about 150 bytes a pixel of the
+//! `ambient` integrator and several hundred of `path`.
 
 use crate::image::{Image, Totals};
 use crate::random::Drawn;
@@ -27,6 +28,8 @@ pub(crate) struct Underway {
     /// Squares of that, mean over the channels, the same way.
     pub squares: f64,
     pub samples: u32,
+    /// The sum when the number of samples was a power of two, the last two times.
+    pub before: [(u32, DVec3); 2],
     /// What its samples took; the colour is not known before [`Self::finished`].
     pub pixel: Pixel,
 }
@@ -43,7 +46,8 @@ impl Default for Underway {
             uncovered: 0,
             stratum: Pixel::NOTHING,
         };
-        Self { drawn: Drawn::default(), sum: DVec3::ZERO, squares: 0.0, samples: 0, pixel }
+        let before = [(0, DVec3::ZERO); 2];
+        Self { drawn: Drawn::default(), sum: DVec3::ZERO, squares: 0.0, samples: 0, before, pixel }
     }
 }
 
@@ -58,12 +62,16 @@ impl Underway {
         let samples = f64::from(self.samples);
         let mean = self.sum / samples.max(1.0);
         let square = mean.length_squared() / 3.0;
+        let (before, sum) = self.before[0];
+        let grown = (before > 0)
+            .then(|| Grown { before, square: (mean - sum / f64::from(before)).length_squared() / 3.0 });
         SoFar {
             samples: self.samples,
             brightness: mean.element_sum() / 3.0,
             variance: (self.samples > 1)
                 .then(|| ((self.squares - samples * square) / (samples - 1.0)).max(0.0)),
             work: self.pixel.work,
+            grown,
         }
     }
 }
@@ -79,6 +87,17 @@ pub struct SoFar {
     pub variance: Option<f64>,
     /// What they took.
     pub work: u64,
+    /// What the later half of its samples changed, or somewhat more than half; not known of one sample.
+    pub grown: Option<Grown>,
+}
+
+/// What more samples did to a pixel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Grown {
+    /// How many there were before.
+    pub before: u32,
+    /// Square of the change of their mean, mean over the channels.
+    pub square: f64,
 }
 
 /// All pixels of an image, underway. They belong to the tracer that they are begun with, whose cache has to be filled.
@@ -143,8 +162,12 @@ impl Passes {
                         squares += sample.map(|c| f64::from(c) * f64::from(c)).iter().sum::<f64>() / 3.0;
                     };
                     while pixel.samples < samples {
-                        let next = samples.min(pixel.samples + RUN);
+                        let doubled = (pixel.samples + 1).next_power_of_two();
+                        let next = samples.min(pixel.samples + RUN).min(doubled);
                         tracer.kernel.go_on(tracer, index, pixel, next, &mut add);
+                        if next == doubled {
+                            pixel.before = [pixel.before[1], (next, pixel.sum)];
+                        }
                         if next < samples && stop() {
                             break;
                         }

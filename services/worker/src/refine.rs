@@ -2,7 +2,8 @@
 //!
 //! It goes in passes (`forelight_tracer::Passes`). The first gives every pixel a few samples, by what the profile says. Each of the others
 //! looks at what the image shows by then ([`crate::tiles`]), and gives every tile what it lacks for the error; but never many times what it has, for a
-//! tile's few samples may deceive. When the image vouches for the error, it is finished. All of that depends on the samples alone.
+//! tile's few samples may deceive; and as if it were sure how variance falls with samples, for what they change will show that. When the
+//! image vouches for the error, it is finished. All of that depends on the samples alone.
 
 use crate::allot::{AllotError, Allotment, Made, quantile};
 use crate::renderer::{FrameRenderer, Progress, RenderError, Step};
@@ -51,9 +52,15 @@ pub(crate) fn render_for_error(
         if at(&survey.error(has, Calibration::NONE)) <= wanted * (1.0 + NEAR) {
             break (counts, survey);
         }
-        let lacking = survey.samples_for_error(wanted, at, Calibration::NONE);
-        let capped: Vec<f64> = lacking.iter().zip(has).map(|(n, has)| n.min(GROWTH * has)).collect();
-        next = tiles.laid_out(&capped)?.or_more(&counts);
+        let capped = |lacking: &[f64]| -> Vec<f64> {
+            lacking.iter().zip(has).map(|(n, has)| n.min(GROWTH * has)).collect()
+        };
+        let mut lacking = survey.samples_to_see(wanted, at, Calibration::NONE);
+        next = tiles.laid_out(&capped(&lacking))?.or_more(&counts);
+        if next == counts {
+            lacking = survey.samples_for_error(wanted, at, Calibration::NONE);
+            next = tiles.laid_out(&capped(&lacking))?.or_more(&counts);
+        }
         if next == counts {
             // Parts of samples are lacking, and no whole one.
             break (counts, survey);
@@ -62,7 +69,7 @@ pub(crate) fn render_for_error(
             let after: Vec<f64> = samples.iter().zip(has).map(|(n, has)| n.max(*has)).collect();
             cost(survey.zones(), &after)
         };
-        let [done, then, all] = [has, &capped, &lacking].map(cost_with);
+        let [done, then, all] = [has, &capped(&lacking), &lacking].map(cost_with);
         let rest = (then - done) / (all - done).max(f64::MIN_POSITIVE);
         shown = shown.end..shown.end + (1.0 - shown.end) * rest.min(1.0);
     };

@@ -10,7 +10,7 @@ use crate::refine::pass;
 use crate::renderer::{FrameRenderer, Progress, RenderError};
 use crate::shot::ShotError;
 use crate::tiles::Tiles;
-use forelight_forecast::accuracy::allot::{MOST_SAMPLES, samples_for_budget};
+use forelight_forecast::accuracy::allot::even_numbers;
 use forelight_tracer::{SampleCounts, Totals};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -34,10 +34,8 @@ pub(crate) fn render_for_work(
 ) -> Result<Option<Made>, ShotError> {
     let camera = &ready.frame().camera;
     let tiles = Tiles::unprofiled(camera.width, camera.height);
-    let everywhere = |samples: f64| {
-        let samples = samples.clamp(1.0, MOST_SAMPLES) as u16;
-        SampleCounts::new(vec![samples; camera.pixels()]).map_err(RenderError::from)
-    };
+    let everywhere =
+        |samples: f64| SampleCounts::new(vec![samples as u16; camera.pixels()]).map_err(RenderError::from);
     let all = work.saturating_sub(before_pixels(ready)).max(1) as f64;
     let mut passes = ready.begin();
     let mut next = everywhere(1.0)?;
@@ -53,13 +51,14 @@ pub(crate) fn render_for_work(
         let first = done == 0.0;
         done = (totals.work as f64).max(1.0);
         passed((done / all).min(1.0), &totals);
-        let even = if first { (EVEN * all / done).max(TELLING) } else { 1.0 };
+        let [even, _] = even_numbers(if first { (EVEN * all / done).max(TELLING) } else { 1.0 });
+        let even = f64::from(even);
         if all - done < NEAR * all {
             break (counts, survey);
         }
         (next, then) = if even < 2.0 || even * done > all {
             let then = all.min(GROWTH * done);
-            match samples_for_budget(survey.zones(), survey.samples(), then) {
+            match survey.samples_for_budget(then) {
                 Some(samples) => (tiles.laid_out(&samples)?.or_more(&counts), then),
                 None => break (counts, survey),
             }

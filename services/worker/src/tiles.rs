@@ -46,6 +46,7 @@ impl Tiles {
                 variance: known_variance(&pixel),
                 cost: pixel.work as f64,
                 profiled,
+                grown: pixel.grown.filter(|grown| grown.square.is_finite()).map(|g| (g.before, g.square)),
             }
         };
         let tiles: Vec<Vec<Seen>> = self.pixels.iter().map(|tile| tile.iter().map(seen).collect()).collect();

@@ -13,7 +13,6 @@ use crate::allot::{AllotError, Allotment, Made};
 use crate::render::seconds;
 use crate::renderer::{FrameRenderer, Progress, RenderError, Step};
 use crate::tiles::Tiles;
-use forelight_forecast::accuracy::allot::samples_for_budget;
 use forelight_protocol::{BudgetClock, Confidence, WithinStats};
 use forelight_scene::Frame;
 use forelight_tracer::{Image, Passes, SampleCounts, process_cpu_nanos};
@@ -146,7 +145,7 @@ pub(crate) fn render_within(
             break;
         }
         let work = run.passes.totals().work as f64 + share * left / run.rate;
-        let Some(wanted) = samples_for_budget(survey.zones(), survey.samples(), work) else { break };
+        let Some(wanted) = survey.samples_for_budget(work) else { break };
         let wanted = tiles.laid_out(&wanted)?.or_more(&counts);
         if wanted == counts {
             break;

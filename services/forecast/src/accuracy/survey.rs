@@ -3,8 +3,10 @@
 //! A profile of some pixels knows of a material that it varies, not of the bright spot on the wall beside a lamp. Once every pixel
 //! has some samples, the image itself knows: each tile of it is a zone (see [`super::allot`]), whose variance is the mean of its pixels'
 //! sample variances. How that falls with samples is what the profile says of the same materials: a pixel's few samples do not show it.
+//! By how much that guess is off, where the image has come to, all pixels together show: by what the later half of their samples changed.
 
-use super::allot::{Zone, mean_variance, powers, samples_for_variance};
+use super::allot::{Zone, powers, powers_of_pixel, samples_for_budget, samples_for_variance};
+use super::settling::Settling;
 use super::{ErrorQuantiles, MeanSquare};
 use crate::error::ForecastError;
 use crate::interval::{Calibration, Part, together};
@@ -26,14 +28,19 @@ pub struct Seen {
     pub cost: f64,
     /// What the profile says of pixels like this: their variance at n samples is the sum of these over n^1.5 and n.
     pub profiled: [f64; 2],
+    /// How many samples there were before the later half of them came, and by how much these changed the mean of all: its square, mean
+    /// over the channels. None of a pixel with one sample.
+    pub grown: Option<(u32, f64)>,
 }
 
 /// An image underway, tile by tile.
 #[derive(Clone, Debug)]
 pub struct Survey {
     zones: Vec<Zone>,
-    /// How sure each tile's variance is, as a share of it.
+    /// How sure each tile's error is, as a share of it.
     doubts: Vec<Part>,
+    /// How far they were off, and how sure they are together.
+    settling: Settling,
     /// Mean samples of each tile's pixels.
     samples: Vec<f64>,
     /// Mean brightness of the image.
@@ -52,11 +59,18 @@ impl Survey {
         let pixels = sum(tiles.iter().map(|tile| tile.len() as f64));
         let brightness = sum(tiles.iter().map(|tile| sum(tile.iter().map(|pixel| pixel.brightness))));
         let of_tiles: Vec<(Zone, Part)> = tiles.iter().map(|tile| surveyed(tile)).collect();
-        let (zones, doubts) = of_tiles.into_iter().unzip();
+        let (mut zones, doubts): (Vec<Zone>, Vec<Part>) = of_tiles.into_iter().unzip();
         let samples =
             |tile: &Vec<Seen>| sum(tile.iter().map(|pixel| f64::from(pixel.samples))) / tile.len() as f64;
-        let samples = tiles.iter().map(samples).collect();
-        Ok(Self { zones, doubts, samples, mean: brightness / pixels.max(1.0) })
+        let samples: Vec<f64> = tiles.iter().map(samples).collect();
+        let settling = Settling::new(tiles, &zones, &samples);
+        for ((zone, octave), (tile, samples)) in
+            zones.iter_mut().zip(settling.of_tiles()).zip(tiles.iter().zip(&samples))
+        {
+            let factor = octave.off * unevenness(tile, zone, *samples);
+            zone.variance = zone.variance.map(|part| part * factor);
+        }
+        Ok(Self { zones, doubts, settling, samples, mean: brightness / pixels.max(1.0) })
     }
 
     /// Its tiles, in their order.
@@ -64,12 +78,30 @@ impl Survey {
         &self.zones
     }
 
+    /// Samples per pixel of each tile that cost `budget` all together, with the least error; of each at least as many as it has. `None` if
+    /// these cost more.
+    pub fn samples_for_budget(&self, budget: f64) -> Option<Vec<f64>> {
+        samples_for_budget(&self.zones, &self.samples, budget)
+    }
+
     /// Mean number of samples that the pixels of each have got.
     pub fn samples(&self) -> &[f64] {
         &self.samples
     }
 
-    /// Samples per pixel of each tile for an error at one of its quantiles, as a share of the image's mean, with the least cost.
+    /// Samples per pixel of each tile for an error at one of its quantiles, as a share of the image's mean, with the least cost; as if it were known
+    /// how variance falls with samples, for these will show it better.
+    pub fn samples_to_see(
+        &self,
+        wanted: f64,
+        quantile: impl Fn(&ErrorQuantiles) -> f64,
+        calibration: Calibration,
+    ) -> Vec<f64> {
+        let sure = self.clone();
+        Self { settling: sure.settling.undoubted(), ..sure }.samples_for_error(wanted, quantile, calibration)
+    }
+
+    /// The same, as sure as can be.
     pub fn samples_for_error(
         &self,
         wanted: f64,
@@ -101,18 +133,27 @@ impl Survey {
         }
         let pixels = sum(self.zones.iter().map(|zone| zone.pixels)).max(1.0);
         let square = self.mean * self.mean;
-        let part = |((zone, doubt), samples): ((&Zone, &Part), &f64)| {
-            // The error of the tile is in proportion to its variance.
-            let error = zone.error(*samples) / pixels / square;
-            Part { variance: doubt.variance * error * error, ..*doubt }
-        };
-        let parts: Vec<Part> = self.zones.iter().zip(&self.doubts).zip(samples).map(part).collect();
+        // The error of a tile is in proportion to its variance.
+        let error = |(zone, samples): (&Zone, &f64)| zone.error(*samples) / pixels / square;
+        let errors: Vec<f64> = self.zones.iter().zip(samples).map(error).collect();
+        let mut parts = self.settling.doubts(&errors);
+        let doubts = self.doubts.iter().zip(&errors);
+        parts
+            .extend(doubts.map(|(doubt, error)| Part { variance: doubt.variance * error * error, ..*doubt }));
         let Part { variance, degrees_of_freedom } = together(&parts);
-        MeanSquare { value: mean_variance(&self.zones, samples) / square, variance, degrees_of_freedom }
+        MeanSquare { value: sum(errors), variance, degrees_of_freedom }
     }
 }
 
-/// A tile as a zone, and how sure its variance is, as a share of it.
+/// The variance of a tile's pixels, each with the samples that it has, in units of what it would be if all had equally many.
+fn unevenness(tile: &[Seen], zone: &Zone, samples: f64) -> f64 {
+    let variance = |powers: [f64; 2]| sum((0..2).map(|k| zone.variance[k] * powers[k]));
+    let are = sum(tile.iter().map(|pixel| variance(powers_of_pixel(pixel.samples)))) / tile.len() as f64;
+    let even = variance(powers(samples));
+    if even > 0.0 { are / even } else { 1.0 }
+}
+
+/// A tile as a zone, and how sure its error is, as a share of it.
 fn surveyed(tile: &[Seen]) -> (Zone, Part) {
     let pixels = tile.len() as f64;
     let profiled = [0, 1].map(|k| sum(tile.iter().map(|pixel| pixel.profiled[k].max(0.0))) / pixels);
@@ -121,7 +162,8 @@ fn surveyed(tile: &[Seen]) -> (Zone, Part) {
     // Samples of a pixel lie more evenly than chance would have them, so n of them vary by V(1) − V(n), not by V(1) (1 − 1 / n).
     let unbiased = |pixel: &Seen| {
         let samples = f64::from(pixel.samples);
-        let seen = 1.0 - sum(shape.iter().zip(powers(samples)).map(|(share, power)| share * power));
+        let seen =
+            1.0 - sum(shape.iter().zip(powers_of_pixel(pixel.samples)).map(|(share, power)| share * power));
         pixel.variance.map(|variance| variance * (1.0 - 1.0 / samples) / seen)
     };
     let mut known: Vec<f64> = tile.iter().filter_map(unbiased).collect();
@@ -136,7 +178,10 @@ fn surveyed(tile: &[Seen]) -> (Zone, Part) {
     let doubt = if count > 1.0 && variance > 0.0 {
         let mean = own / count;
         let squares = sum(known.iter().map(|v| (v - mean) / variance * ((v - mean) / variance)));
-        Part { variance: squares / (count - 1.0) / count, degrees_of_freedom: count - 1.0 }
+        let doubt = squares / (count - 1.0) / count;
+        // And few pixels of an image may come out well or badly: 2 V² of each, as of normal numbers, is so much of the square of their sum.
+        let luck = 2.0 * (doubt + 1.0 / count);
+        Part { variance: doubt + luck, degrees_of_freedom: count - 1.0 }
     } else {
         // Nothing shows how pixels differ: it may be off by all of itself.
         Part { variance: 1.0, degrees_of_freedom: 1.0 }
@@ -157,7 +202,7 @@ mod tests {
     use super::*;
 
     fn pixel(variance: Option<f64>) -> Seen {
-        Seen { samples: 4, brightness: 2.0, variance, cost: 8.0, profiled: [3.0, 1.0] }
+        Seen { samples: 4, brightness: 2.0, variance, cost: 8.0, profiled: [3.0, 1.0], grown: None }
     }
 
     #[test]
@@ -208,8 +253,8 @@ mod tests {
         let survey = Survey::new(&[vec![black; 5]]).unwrap();
         assert_eq!(survey.samples_for_error(0.01, |e| e.p50, Calibration::NONE), [1.0]);
         assert_eq!(survey.error(&[1.0], Calibration::NONE).p95, 0.0);
-        let alone = Survey::new(&[vec![pixel(None)]]).unwrap();
-        assert!(alone.error(&[4.0], Calibration::NONE).p95.is_finite());
+        let single = Survey::new(&[vec![pixel(None)]]).unwrap();
+        assert!(single.error(&[4.0], Calibration::NONE).p95.is_finite());
         assert!(Survey::new(&[vec![]]).is_err());
         assert!(Survey::new(&[vec![Seen { samples: 0, ..black }]]).is_err());
         assert!(Survey::new(&[]).is_ok());
