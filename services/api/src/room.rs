@@ -4,13 +4,14 @@
 //! tasks stop before that, and whoever asks for a job is told why it does not go on.
 
 use forelight_protocol::{JobState, ProblemKind, WaitKind, Waits};
+use forelight_store::StoreError;
 
 use crate::error::{ApiError, ApiResult};
 use crate::state::App;
 
 impl App {
     /// What there is to say if there is too little room for another task to begin.
-    fn lack_of_room(&self) -> ApiResult<Option<String>> {
+    fn lack_of_room(&self) -> Result<Option<String>, StoreError> {
         let (room, least) = (self.store.room()?, self.limits.least_room);
         Ok((room < least).then(|| {
             format!(
@@ -19,6 +20,23 @@ impl App {
                 least >> 20
             )
         }))
+    }
+
+    /// Says in the log when room begins to lack and when there is some again; whether it lacks now.
+    pub fn log_room(&self, lacked: bool) -> bool {
+        let lack = match self.lack_of_room() {
+            Ok(lack) => lack,
+            Err(error) => {
+                tracing::warn!(%error, "how much room there is cannot be known");
+                return lacked;
+            }
+        };
+        match &lack {
+            Some(lack) if !lacked => tracing::error!("{lack}; no task is handed out until there are"),
+            None if lacked => tracing::info!("there is room again; tasks are handed out"),
+            _ => {}
+        }
+        lack.is_some()
     }
 
     /// Refuses what needs room, if there is too little.

@@ -7,8 +7,10 @@ use axum::http::StatusCode;
 use axum::middleware::{Next, from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::classify::ServerErrorsFailureClass;
 use tower_http::timeout::RequestBodyTimeoutLayer;
 use tower_http::trace::TraceLayer;
+use tracing::Span;
 use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
@@ -87,8 +89,18 @@ pub(crate) fn router(app: App) -> axum::Router {
         .layer(CatchPanicLayer::custom(|_| StatusCode::INTERNAL_SERVER_ERROR.into_response()))
         .layer(from_fn(render_problems))
         .layer(from_fn_with_state(app.clone(), count))
-        .layer(TraceLayer::new_for_http())
+        .layer(TraceLayer::new_for_http().on_failure(tell_failure))
         .with_state(app)
+}
+
+/// What is refused for want of room is asked again and again. That it is refused is told once, when it begins.
+fn tell_failure(failure: ServerErrorsFailureClass, latency: Duration, _: &Span) {
+    match failure {
+        ServerErrorsFailureClass::StatusCode(StatusCode::INSUFFICIENT_STORAGE) => {
+            tracing::debug!(?latency, "refused for want of room");
+        }
+        _ => tracing::error!(%failure, ?latency, "response failed"),
+    }
 }
 
 async fn count(State(app): State<App>, request: Request, next: Next) -> Response {

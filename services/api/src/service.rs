@@ -207,11 +207,13 @@ const CLOCK_WAS_SET: Duration = Duration::from_secs(1);
 async fn sweep(app: &App, clock: &SteadyClock) {
     let mut ticks = tokio::time::interval((app.lease_ttl / 4).max(Duration::from_millis(100)));
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    let mut lacks_room = false;
     loop {
         tokio::select! {
             () = app.stopping.cancelled() => return,
             _ = ticks.tick() => {}
         }
+        lacks_room = app.log_room(lacks_room);
         if let Err(error) = follow(&app.store, clock).await {
             tracing::warn!(%error, "the clock was set and could not be followed; the next sweep tries again");
         }

@@ -35,15 +35,18 @@ pub fn pretty<T: Serialize>(document: &T) -> Result<String> {
 #[derive(Debug, Clone)]
 pub struct Bars {
     all: MultiProgress,
+    /// Nobody watches, and somebody reads what was said later on: a log.
+    logged: bool,
 }
 
 impl Bars {
     /// Bars that are shown if someone watches and `json` is not wanted.
     pub fn new(json: bool) -> Self {
-        let shown = !json && std::io::stderr().is_terminal();
+        let watched = std::io::stderr().is_terminal();
+        let shown = !json && watched;
         let target =
             if shown { ProgressDrawTarget::stderr_with_hz(10) } else { ProgressDrawTarget::hidden() };
-        Self { all: MultiProgress::with_draw_target(target) }
+        Self { all: MultiProgress::with_draw_target(target), logged: !json && !watched }
     }
 
     /// A bar of so many steps.
@@ -67,10 +70,15 @@ impl Bars {
         spinner
     }
 
-    /// A line above the bars, for people only.
+    /// A line above the bars, or in a log; for people only.
     pub fn note(&self, text: impl AsRef<str>) {
-        // `println` of hidden bars says nothing, which is what a machine wants to read.
-        let _ = self.all.println(text);
+        if self.logged {
+            // A log that cannot be written is no reason to stop.
+            let _ = writeln!(std::io::stderr(), "{}", text.as_ref());
+        } else {
+            // `println` of hidden bars says nothing, which is what a machine wants to read.
+            let _ = self.all.println(text);
+        }
     }
 }
 
