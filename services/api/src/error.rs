@@ -97,6 +97,10 @@ impl From<StoreError> for ApiError {
                 tracing::error!(%error, "the store failed");
                 Self::new(kind, "the service failed; its log says more")
             }
+            ProblemKind::StorageFull => {
+                tracing::warn!(%error, "nothing could be written");
+                Self::new(kind, error.to_string())
+            }
             ProblemKind::Busy if matches!(error, StoreError::ArtifactsAway(_)) => {
                 // Whoever runs the farm has to see to it; a client has to know no more than that it may try again.
                 tracing::warn!(%error, "an artefact could not be moved");

@@ -7,9 +7,11 @@
 //! | file | subject |
 //! | --- | --- |
 //! | `pixel` | what the camera samples of one pixel say about its variance at any number of samples |
+//! | `law` | how the variance of a pixel falls with its samples |
 //! | `image` | from some pixels to the whole image |
 //! | `allot` | how many camera samples each part of an image gets, for a budget or an error |
 //! | `survey` | where more of them pay, as an image underway shows it |
+//! | `settling` | how far the guess is off of how its variance falls, as it shows itself |
 //! | `front` | which rungs of a ladder are worth taking, and what the next one costs |
 //!
 //! # Why not the sample variance
@@ -20,6 +22,7 @@
 pub mod allot;
 mod front;
 mod image;
+mod law;
 mod pixel;
 mod settling;
 mod survey;

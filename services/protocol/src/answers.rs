@@ -123,7 +123,7 @@ pub enum WaitKind {
     Room,
 }
 
-/// Why a job that is booked has not begun, or why one that has to be quoted before does not go on.
+/// Why a job that is booked has not begun, why one that has to be quoted before does not go on, or that no job does for want of room.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Waits {
     /// What kind of reason it is.

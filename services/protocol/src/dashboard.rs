@@ -71,7 +71,7 @@ pub struct DashboardJob {
     pub verdict: Option<Verdict>,
     /// When the last frame is expected.
     pub eta: Option<Timestamp>,
-    /// Why it has not begun; absent if it has.
+    /// Why it has not begun, or does not go on because nobody quotes it or there is no room.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub waits: Option<Waits>,
     /// What is left of its promise.

@@ -228,7 +228,7 @@ pub struct Job {
     pub verdict: Option<JobVerdict>,
     /// The plan that booked it.
     pub plan_id: Option<PlanId>,
-    /// Why it has not begun; absent if it has, and until booked.
+    /// Why it has not begun, or does not go on because nobody quotes it or there is no room.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub waits: Option<Waits>,
     /// What is left of its promise; absent if its deadline was never promised.

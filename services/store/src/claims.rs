@@ -46,6 +46,30 @@ impl Store {
         self.hand_out(node, Some(task), ttl, key, now).await
     }
 
+    /// What a claim gets while no task is to be handed out: the lease that the same request got before, or nothing. The node counts as heard of; a
+    /// task that is over is a [`StoreError::Conflict`] as ever.
+    pub async fn claim_nothing_new(
+        &self,
+        node: NodeId,
+        wanted: Option<TaskId>,
+        key: Option<&IdempotencyKey>,
+        now: Timestamp,
+    ) -> Result<Option<Answered<Lease>>, StoreError> {
+        let mut write = self.write().await?;
+        let asker = asker(&mut write, node, key, now).await?;
+        if asker.was_answered
+            && let Some(answer) = earlier_answer(&mut write, key).await?
+        {
+            return Ok(Some(Answered::Repeated(answer)));
+        }
+        if let Some(task) = wanted {
+            this_task(write.connection().await?, task, now).await?;
+        }
+        touch(&mut write, node, now);
+        self.commit(write).await?;
+        Ok(None)
+    }
+
     async fn hand_out(
         &self,
         node: NodeId,

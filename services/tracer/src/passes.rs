@@ -162,11 +162,13 @@ impl Passes {
                         squares += sample.map(|c| f64::from(c) * f64::from(c)).iter().sum::<f64>() / 3.0;
                     };
                     while pixel.samples < samples {
-                        let doubled = (pixel.samples + 1).next_power_of_two();
-                        let next = samples.min(pixel.samples + RUN).min(doubled);
-                        tracer.kernel.go_on(tracer, index, pixel, next, &mut add);
-                        if next == doubled {
-                            pixel.before = [pixel.before[1], (next, pixel.sum)];
+                        let next = samples.min(pixel.samples + RUN);
+                        while pixel.samples < next {
+                            let doubled = (pixel.samples + 1).next_power_of_two();
+                            tracer.kernel.go_on(tracer, index, pixel, next.min(doubled), &mut add);
+                            if pixel.samples == doubled {
+                                pixel.before = [pixel.before[1], (doubled, pixel.sum)];
+                            }
                         }
                         if next < samples && stop() {
                             break;

@@ -152,6 +152,33 @@ fn an_image_made_in_passes_has_the_bits_of_one_made_at_once() {
 }
 
 #[test]
+fn what_the_later_samples_changed_is_known_whatever_the_passes() {
+    let tracer = Tracer::new(&everything(), &settings());
+    let all = |samples: u16| SampleCounts::new(vec![samples; 40 * 28]).unwrap();
+    let image = |samples: u16| {
+        let mut passes = Passes::new(&tracer);
+        passes.go_on(&tracer, &all(samples), &|| false, &|_| ()).unwrap();
+        passes.image().pixels
+    };
+    let mut passes = Passes::new(&tracer);
+    for (samples, before) in [(1, 0), (2, 1), (3, 1), (6, 2), (7, 2), (8, 4), (48, 16)] {
+        passes.go_on(&tracer, &all(samples), &|| false, &|_| ()).unwrap();
+        if before == 0 {
+            assert!(passes.so_far().iter().all(|pixel| pixel.grown.is_none()));
+            continue;
+        }
+        let (then, now) = (image(before), image(samples));
+        for (pixel, (then, now)) in passes.so_far().iter().zip(then.iter().zip(&now)) {
+            let grown = pixel.grown.unwrap();
+            let changes = then.color.iter().zip(now.color).map(|(then, now)| f64::from(now - then).powi(2));
+            let square = changes.sum::<f64>() / 3.0;
+            assert_eq!(grown.before, u32::from(before));
+            assert!((grown.square.sqrt() - square.sqrt()).abs() < 1e-5, "{samples}: {grown:?}, {square}");
+        }
+    }
+}
+
+#[test]
 fn a_pass_that_is_stopped_leaves_every_pixel_with_the_samples_that_it_says() {
     let tracer = Tracer::new(&everything(), &settings());
     let all = |samples: u16| SampleCounts::new(vec![samples; 40 * 28]).unwrap();

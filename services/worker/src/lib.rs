@@ -75,6 +75,7 @@ pub use library::Library;
 pub use noise::FrameNoise;
 pub use pictures::png;
 pub use quote::{Quote, QuoteOptions, quote};
+pub use refine::NEAR_ENOUGH;
 pub use render::{Given, Rendered, peak_rss_bytes, render_frame, render_ready, seconds};
 pub use renderer::{
     CacheUse, Counted, Finished, FrameRenderer, OpenRenderer, Previewed, Progress, RenderError, Renderer,

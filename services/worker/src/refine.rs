@@ -23,7 +23,9 @@ const FIRST: f64 = 4.0;
 /// A pass gives a tile at most so many times the samples that it has.
 const GROWTH: f64 = 4.0;
 /// An error that is above the one that was asked for by this share of it is near enough.
-const NEAR: f64 = 0.01;
+pub const NEAR_ENOUGH: f64 = 0.01;
+/// A pass that is to show how variance falls adds at least this share of what was done; if less is lacking, all of it is made sure.
+const WORTHWHILE: f64 = 0.02;
 
 /// Renders a frame whose cache is filled until its error is below `wanted`, a share of the image's mean. `None` if `cancel` was set.
 pub(crate) fn render_for_error(
@@ -49,31 +51,43 @@ pub(crate) fn render_for_error(
         let survey = tiles.survey(&passes)?;
         let has = survey.samples();
         let at = |error: &ErrorQuantiles| quantile(error, confidence);
-        if at(&survey.error(has, Calibration::NONE)) <= wanted * (1.0 + NEAR) {
+        if at(&survey.error(has, Calibration::NONE)) <= wanted * (1.0 + NEAR_ENOUGH) {
             break (counts, survey);
         }
-        let capped = |lacking: &[f64]| -> Vec<f64> {
-            lacking.iter().zip(has).map(|(n, has)| n.min(GROWTH * has)).collect()
-        };
-        let mut lacking = survey.samples_to_see(wanted, at, Calibration::NONE);
-        next = tiles.laid_out(&capped(&lacking))?.or_more(&counts);
-        if next == counts {
-            lacking = survey.samples_for_error(wanted, at, Calibration::NONE);
-            next = tiles.laid_out(&capped(&lacking))?.or_more(&counts);
-        }
-        if next == counts {
-            // Parts of samples are lacking, and no whole one.
-            break (counts, survey);
-        }
-        let cost_with = |samples: &[f64]| {
+        let cost_of = |samples: &[f64]| {
             let after: Vec<f64> = samples.iter().zip(has).map(|(n, has)| n.max(*has)).collect();
             cost(survey.zones(), &after)
         };
-        let [done, then, all] = [has, &capped(&lacking), &lacking].map(cost_with);
-        let rest = (then - done) / (all - done).max(f64::MIN_POSITIVE);
+        let (to_see, sure) = (
+            survey.samples_to_see(wanted, at, Calibration::NONE),
+            survey.samples_for_error(wanted, at, Calibration::NONE),
+        );
+        let done = cost_of(has);
+        let lacking = if cost_of(&to_see) > done * (1.0 + WORTHWHILE) { to_see } else { sure.clone() };
+        let capped: Vec<f64> = lacking.iter().zip(has).map(|(n, has)| n.min(GROWTH * has)).collect();
+        next = more(&tiles, &capped, &counts)?;
+        if next == counts {
+            // No pixel may have more samples.
+            break (counts, survey);
+        }
+        let rest = (cost_of(&capped) - done) / (cost_of(&sure) - done).max(f64::MIN_POSITIVE);
         shown = shown.end..shown.end + (1.0 - shown.end) * rest.min(1.0);
     };
     Ok(Some(Made { finished: ready.finished(&passes), samples, survey, within: None }))
+}
+
+/// At least so many samples, pixel by pixel, and more than they have if there may be more: in few pixels, means between the numbers at which samples lie
+/// evenly may not come to the next of them.
+fn more(tiles: &Tiles, samples: &[f64], has: &SampleCounts) -> Result<SampleCounts, RenderError> {
+    let mut scale = 1.0;
+    loop {
+        let scaled: Vec<f64> = samples.iter().map(|n| n * scale).collect();
+        let next = tiles.laid_out(&scaled)?.or_more(has);
+        if next != *has || scale >= 2.0 {
+            return Ok(next);
+        }
+        scale *= 1.25;
+    }
 }
 
 /// Brings the pixels to so many samples, while progress goes from one share of all to another.

@@ -2,7 +2,7 @@
 //!
 //! A farm books a frame for what equally many camera samples of every pixel would take. The same work makes less error where it goes to the
 //! pixels that vary. So the frame is rendered in passes (`forelight_tracer::Passes`): one sample of every pixel, which says what a sample takes; as many of
-//! all as an eighth of the work buys, but two if there is work for them; and then each pass doubles what was spent, by what the image shows by then
+//! all as an eighth of the work buys, rounded down to a number at which they lie evenly, but two if there is work for them; and then each pass doubles what was spent, by what the image shows by then
 //! ([`crate::tiles`]), until there is none left. Unlike in [`crate::within`], no clock is asked: all of that depends on the samples alone, and so does the image.
 
 use crate::allot::Made;
@@ -35,10 +35,10 @@ pub(crate) fn render_for_work(
     let camera = &ready.frame().camera;
     let tiles = Tiles::unprofiled(camera.width, camera.height);
     let everywhere =
-        |samples: f64| SampleCounts::new(vec![samples as u16; camera.pixels()]).map_err(RenderError::from);
+        |samples: u32| SampleCounts::new(vec![samples as u16; camera.pixels()]).map_err(RenderError::from);
     let all = work.saturating_sub(before_pixels(ready)).max(1) as f64;
     let mut passes = ready.begin();
-    let mut next = everywhere(1.0)?;
+    let mut next = everywhere(1)?;
     let (mut done, mut then) = (0.0, 0.0);
     let (samples, survey) = loop {
         pass(ready, &mut passes, &next, &(done / all..then / all), progress, cancel)?;
@@ -52,18 +52,18 @@ pub(crate) fn render_for_work(
         done = (totals.work as f64).max(1.0);
         passed((done / all).min(1.0), &totals);
         let [even, _] = even_numbers(if first { (EVEN * all / done).max(TELLING) } else { 1.0 });
-        let even = f64::from(even);
         if all - done < NEAR * all {
             break (counts, survey);
         }
-        (next, then) = if even < 2.0 || even * done > all {
+        let with_even = f64::from(even) * done;
+        (next, then) = if even < 2 || with_even > all {
             let then = all.min(GROWTH * done);
             match survey.samples_for_budget(then) {
                 Some(samples) => (tiles.laid_out(&samples)?.or_more(&counts), then),
                 None => break (counts, survey),
             }
         } else {
-            (everywhere(even)?, even * done)
+            (everywhere(even)?, with_even)
         };
         if next == counts {
             // Nothing varies, or no whole sample is left.

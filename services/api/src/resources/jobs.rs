@@ -118,19 +118,17 @@ pub(crate) async fn cancel(
     Ok(Json(app.store.cancel_job(job, app.now()).await?))
 }
 
-/// Fills in when the jobs are expected to be done, and which of them nobody quotes.
+/// Fills in when the jobs are expected to be done, and what those wait for of which no plan says it: nobody quotes them, or there is no room.
 async fn expect(app: &App, jobs: &mut [Job]) -> ApiResult<()> {
     if jobs.iter().any(|job| matches!(job.state, JobState::Previewing | JobState::Profiling)) {
         app.store.unattended(app.lease_ttl, app.now()).await?.tell(&mut *jobs);
     }
-    app.tell_lack_of_room(jobs.iter_mut().map(|job| (job.state, &mut job.waits)))?;
-    if jobs.iter().all(|job| job.state.is_final() || job.plan_id.is_none()) {
-        return Ok(());
+    if jobs.iter().any(|job| !job.state.is_final() && job.plan_id.is_some()) {
+        let (bookings, seeds) = (app.store.open_bookings().await?, app.store.open_seeds().await?);
+        let projected = project(&bookings, &seeds, app.now());
+        jobs.iter_mut().for_each(|job| job.eta = projected.eta(job));
     }
-    let (bookings, seeds) = (app.store.open_bookings().await?, app.store.open_seeds().await?);
-    let projected = project(&bookings, &seeds, app.now());
-    for job in jobs {
-        job.eta = projected.eta(job);
-    }
+    // What is expected hangs on what the plan says of waiting.
+    app.tell_lack_of_room(jobs.iter_mut().map(|job| (job.state, &mut job.waits)));
     Ok(())
 }

@@ -10,7 +10,9 @@ use clap::ValueEnum;
 use forelight_protocol::{AllottedForecast, AllottedStats, BudgetClock, Money, WithinStats};
 use forelight_scene::Frame;
 use forelight_tracer::{Image, SampleCounts};
-use forelight_worker::{AccuracyObserver, Aim, AllotError, AllotOptions, Budget, ShotError, Stopwatch};
+use forelight_worker::{
+    AccuracyObserver, Aim, AllotError, AllotOptions, Budget, NEAR_ENOUGH, ShotError, Stopwatch,
+};
 use image::{DynamicImage, ImageBuffer, ImageFormat, ImageReader, Luma};
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -35,8 +37,8 @@ pub struct AllotArgs {
     /// Which seconds --within counts
     #[arg(long, value_name = "CLOCK", default_value = "wall", requires = "within")]
     clock: ClockName,
-    /// Make the cheapest image whose noise is at most this share of its mean, in percent (root mean square over the pixels), with at
-    /// most 65,535 camera samples a pixel
+    /// Make the cheapest image whose noise is at most this share of its mean, in percent (root mean square over the pixels; a hundredth
+    /// above is near enough), with at most 65,535 camera samples a pixel
     #[arg(long, value_name = "PERCENT", group = "aim", conflicts_with_all = ["spp", "profile"], value_parser = positive)]
     error: Option<f64>,
     /// How sure an error is to be kept; of a time, how sure the least image must fit for the render to begin
@@ -157,7 +159,7 @@ impl Wish<'_> {
     pub fn check_error(&self, allotted: &AllottedStats) -> Result<()> {
         let Some(percent) = self.args.error else { return Ok(()) };
         let reached = 100.0 * allotted.error.at(self.args.confidence.into());
-        if reached <= percent || allotted.most < u32::from(u16::MAX) {
+        if reached <= percent * (1.0 + NEAR_ENOUGH) || allotted.most < u32::from(u16::MAX) {
             return Ok(());
         }
         bail!(

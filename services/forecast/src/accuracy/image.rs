@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::PixelNoise;
+use super::law::{EXPONENTS, between, powers, powers_of_pixel};
 use crate::error::ForecastError;
 use crate::interval::{Calibration, Part, quantity, together};
 use crate::moments::sum;
@@ -83,14 +84,12 @@ impl MeanSquare {
     }
 }
 
-/// Beyond what was sampled the variance is taken to be A / n^1.5 + B / n. The first is what scrambled nets make of an edge that runs
-/// through a pixel (Owen 1997; Mitchell 1996), which dominates while a pixel has few samples; the second what is as good as random,
-/// and is left in the end.
-pub(super) const EXPONENTS: [f64; 2] = [1.5, 1.0];
-
 /// At least this share of the variance at the last sampled number of samples is taken to be random. Few drops of few pixels may well say that
 /// nothing is; on the test scenes that was never so, and halved the error that was forecast for sixteen times the samples.
 const LEAST_RANDOM: f64 = 1.0 / 3.0;
+
+/// Doublings of one sample that are looked at: numbers of samples are of 32 bits.
+const MOST_LEVELS: usize = 31;
 
 /// The error of an image by its number of camera samples.
 #[derive(Clone, Debug)]
@@ -125,7 +124,7 @@ impl ImageNoise {
         }
         let all = cells.iter().flat_map(|cell| &cell.samples);
         let levels = all.map(|sample| sample.drops.len()).min();
-        let levels = levels.filter(|&levels| levels > 0).ok_or(ForecastError::NoSamples)?;
+        let levels = levels.filter(|&levels| levels > 0).ok_or(ForecastError::NoSamples)?.min(MOST_LEVELS);
         let mut noise = Self { cells, levels, mean: 0.0, mean_variance: 0.0, fit: Fit::default() };
         let (mean, part) = noise.stratified(|pixel| pixel.brightness);
         noise.mean = mean;
@@ -166,18 +165,17 @@ impl ImageNoise {
 
     /// The part of it that falls with samples.
     ///
-    /// At the powers of two that were sampled it is the sum of all further drops and of what is left beyond them; between them it
-    /// follows a power. Its variance is that of the estimate and that of the error of a single image, in which a few pixels may come
-    /// out well or badly: 2 V² of each, as of a normal number.
+    /// At the powers of two that were sampled it is the sum of all further drops and of what is left beyond them, which is taken to fall as
+    /// [`super::law`] says; of numbers between them too. Its variance is that of the estimate and that of the error of a single image, in
+    /// which a few pixels may come out well or badly: 2 V² of each, as of a normal number.
     pub fn noise_at(&self, spp: u32) -> MeanSquare {
-        let samples = f64::from(spp.max(1));
-        let doublings = libm::log2(samples);
-        if doublings >= self.levels as f64 {
-            return self.noise(|pixel| self.fit.beyond(pixel, samples), samples);
+        let spp = spp.max(1);
+        let below = spp.ilog2() as usize;
+        if below >= self.levels {
+            return self.noise(|pixel| self.fit.beyond(pixel, spp), spp);
         }
-        let below = doublings as usize;
         let at = |k: usize| {
-            let samples = libm::exp2(self.levels as f64);
+            let samples = 1 << self.levels;
             let value = move |pixel: &PixelNoise| {
                 sum(pixel.drops[k..self.levels].iter().copied()) + self.fit.beyond(pixel, samples)
             };
@@ -185,11 +183,12 @@ impl ImageNoise {
         };
         let known = at(below);
         let ratio = if known.value > 0.0 { at(below + 1).value / known.value } else { 0.0 };
-        known.scaled(libm::pow(ratio, doublings - below as f64))
+        let between = between(spp);
+        known.scaled(between + (1.0 - between) * ratio)
     }
 
     /// The mean square of an image by the variances of its pixels, of which all beyond so many samples is extrapolated.
-    fn noise(&self, variance: impl Fn(&PixelNoise) -> f64, samples: f64) -> MeanSquare {
+    fn noise(&self, variance: impl Fn(&PixelNoise) -> f64, samples: u32) -> MeanSquare {
         let mut square = self.mean_square(&variance);
         if self.mean > 0.0 {
             let scale = 1.0 / (self.mean * self.mean);
@@ -200,7 +199,8 @@ impl ImageNoise {
             };
             square.variance += sum(self.cells.iter().map(of_cell)) / pixels * scale * scale;
             if let Some(weights) = &self.fit.at_most {
-                let at_most = self.stratified(|pixel| weighted(weights, pixel)).0 / samples * scale;
+                let at_most =
+                    self.stratified(|pixel| weighted(weights, pixel)).0 / f64::from(samples) * scale;
                 let is = self.stratified(|pixel| self.fit.beyond(pixel, samples)).0 * scale;
                 // All of it is at the 95 % quantile of a normal number.
                 let deviation = (at_most - is).max(0.0) / 1.645;
@@ -287,7 +287,7 @@ impl Fit {
             return independent;
         }
         let samples = libm::exp2(drops.len() as f64);
-        let powers = EXPONENTS.map(|exponent| libm::pow(samples, -exponent));
+        let powers = powers(samples);
         let fitted = if value(&both[1]) > 0.0 { both } else { [alone(0), none] };
         let [of_edges, of_rest] = [0, 1].map(|which| value(&fitted[which]) * powers[which]);
         if of_rest >= LEAST_RANDOM * (of_edges + of_rest) {
@@ -303,8 +303,9 @@ impl Fit {
     }
 
     /// V(n) of a pixel beyond what was sampled.
-    fn beyond(&self, pixel: &PixelNoise, samples: f64) -> f64 {
-        sum([0, 1].map(|which| weighted(&self.weights[which], pixel) * libm::pow(samples, -EXPONENTS[which])))
+    fn beyond(&self, pixel: &PixelNoise, samples: u32) -> f64 {
+        let powers = powers_of_pixel(samples);
+        sum([0, 1].map(|which| weighted(&self.weights[which], pixel) * powers[which]))
     }
 }
 

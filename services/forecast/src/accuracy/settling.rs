@@ -5,7 +5,8 @@
 //! it. So all pixels together show how far that guess is off where the image has come to. Tiles that were given many samples are others than
 //! those with few (edges of lamps, what shines), and show it apart.
 
-use super::allot::{Zone, powers_of_pixel};
+use super::allot::Zone;
+use super::law::powers_of_pixel;
 use super::survey::Seen;
 use crate::interval::Part;
 use crate::moments::sum;
@@ -18,8 +19,10 @@ const ALL_COUNT: f64 = 4.0;
 /// How far the variances of tiles are off that were guessed.
 #[derive(Clone, Debug)]
 pub(super) struct Settling {
-    /// Of tiles with up to 2, 4, 8 … samples.
-    octaves: Vec<Octave>,
+    /// Of tiles with less than 2, 4, 8 … samples, where these say enough of themselves.
+    octaves: Vec<Option<Octave>>,
+    /// Of all tiles.
+    all: Octave,
     /// The octave of each tile.
     of_tiles: Vec<usize>,
 }
@@ -53,28 +56,34 @@ impl Settling {
         let all = Octave::of_all(&known(None));
         let count = of_tiles.iter().max().map_or(0, |most| most + 1);
         let octaves = (0..count).map(|octave| all.corrected(&known(Some(octave)))).collect();
-        Self { octaves, of_tiles }
+        Self { octaves, all, of_tiles }
     }
 
     /// What there is to say of each tile.
     pub fn of_tiles(&self) -> impl Iterator<Item = &Octave> {
-        self.of_tiles.iter().map(|&of| &self.octaves[of])
+        self.of_tiles.iter().map(|&of| self.octaves[of].as_ref().unwrap_or(&self.all))
     }
 
     /// How sure the sum of the tiles' errors is of that.
     pub fn doubts(&self, errors: &[f64]) -> Vec<Part> {
+        // Those that say nothing of themselves are off together.
         let mut sums = vec![0.0; self.octaves.len()];
-        self.of_tiles.iter().zip(errors).for_each(|(&of, error)| sums[of] += error);
-        let part = |(octave, error): (&Octave, f64)| Part {
+        let mut of_all = 0.0;
+        for (&of, error) in self.of_tiles.iter().zip(errors) {
+            *(if self.octaves[of].is_some() { &mut sums[of] } else { &mut of_all }) += error;
+        }
+        let part = |octave: &Octave, error: f64| Part {
             variance: octave.doubt.variance * error * error,
             ..octave.doubt
         };
-        self.octaves.iter().zip(sums).map(part).collect()
+        let own = self.octaves.iter().zip(sums).filter_map(|(octave, sum)| Some(part(octave.as_ref()?, sum)));
+        own.chain([part(&self.all, of_all)]).collect()
     }
 
     /// The same as if all of it were sure.
     pub fn undoubted(mut self) -> Self {
-        self.octaves.iter_mut().for_each(|octave| octave.doubt = SURE);
+        let octaves = self.octaves.iter_mut().flatten();
+        octaves.chain([&mut self.all]).for_each(|octave| octave.doubt = SURE);
         self
     }
 }
@@ -111,17 +120,17 @@ impl Octave {
         Self { off: off.clamp(1.0 / MOST_OFF, MOST_OFF), doubt }
     }
 
-    /// What some of the tiles that this is of say, of themselves: a few of them are believed a little.
-    fn corrected(&self, some: &[Moved]) -> Self {
+    /// What some of the tiles that this is of say of themselves: a few of them are believed a little. Nothing, if they show nothing.
+    fn corrected(&self, some: &[Moved]) -> Option<Self> {
         let own = Self::of_all(some);
         if own.doubt == SURE {
-            return *self;
+            return None;
         }
         let count = some.len() as f64;
         let believed = count / (count + ALL_COUNT);
         let off = believed * own.off + (1.0 - believed) * self.off;
         let variance = own.doubt.variance * believed * (own.off / off) * (own.off / off);
-        Self { off, doubt: Part { variance, ..own.doubt } }
+        Some(Self { off, doubt: Part { variance, ..own.doubt } })
     }
 }
 

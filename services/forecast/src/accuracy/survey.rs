@@ -5,7 +5,8 @@
 //! sample variances. How that falls with samples is what the profile says of the same materials: a pixel's few samples do not show it.
 //! By how much that guess is off, where the image has come to, all pixels together show: by what the later half of their samples changed.
 
-use super::allot::{Zone, powers, powers_of_pixel, samples_for_budget, samples_for_variance};
+use super::allot::{Zone, samples_for_budget, samples_for_variance};
+use super::law::{powers, powers_of_pixel};
 use super::settling::Settling;
 use super::{ErrorQuantiles, MeanSquare};
 use crate::error::ForecastError;
@@ -28,8 +29,8 @@ pub struct Seen {
     pub cost: f64,
     /// What the profile says of pixels like this: their variance at n samples is the sum of these over n^1.5 and n.
     pub profiled: [f64; 2],
-    /// How many samples there were before the later half of them came, and by how much these changed the mean of all: its square, mean
-    /// over the channels. None of a pixel with one sample.
+    /// How many samples there were before the later half of them came, or up to three quarters, and by how much these changed the mean of
+    /// all: its square, mean over the channels. None of a pixel with one sample.
     pub grown: Option<(u32, f64)>,
 }
 
@@ -39,7 +40,7 @@ pub struct Survey {
     zones: Vec<Zone>,
     /// How sure each tile's error is, as a share of it.
     doubts: Vec<Part>,
-    /// How far they were off, and how sure they are together.
+    /// How far the guesses of them were off, and how sure they are together.
     settling: Settling,
     /// Mean samples of each tile's pixels.
     samples: Vec<f64>,
@@ -150,7 +151,7 @@ fn unevenness(tile: &[Seen], zone: &Zone, samples: f64) -> f64 {
     let variance = |powers: [f64; 2]| sum((0..2).map(|k| zone.variance[k] * powers[k]));
     let are = sum(tile.iter().map(|pixel| variance(powers_of_pixel(pixel.samples)))) / tile.len() as f64;
     let even = variance(powers(samples));
-    if even > 0.0 { are / even } else { 1.0 }
+    if even > 0.0 && even.is_finite() { are / even } else { 1.0 }
 }
 
 /// A tile as a zone, and how sure its error is, as a share of it.

@@ -2,9 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use forelight_protocol::{JobState, Money, NodeChange, TaskKind};
+use forelight_protocol::{JobState, Money, NodeChange, TaskId, TaskKind};
 
 use super::*;
+use crate::{IdempotencyKey, StoreError};
 
 #[tokio::test]
 async fn a_new_job_offers_its_preview_and_nothing_else() {
@@ -39,6 +40,25 @@ async fn claimers_at_the_same_time_never_get_the_same_task() {
     let all: Vec<_> = claimers.join_all().await.into_iter().flatten().collect();
     let distinct: BTreeSet<_> = all.iter().copied().collect();
     assert_eq!((all.len(), distinct.len()), (40, 40));
+}
+
+#[tokio::test]
+async fn while_nothing_new_is_handed_out_claims_have_their_earlier_answers_and_nodes_are_heard_of() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    farm.job("0").await;
+    let key = |key: &str| IdempotencyKey { principal: [1; 32], key: key.to_owned(), request_hash: [1; 32] };
+    let lease = fresh(farm.store.claim(node.id, TTL, Some(&key("before")), at(0)).await.unwrap().unwrap());
+    farm.job("0").await;
+    let nothing_new = async |name: &str, task: Option<TaskId>| {
+        farm.store.claim_nothing_new(node.id, task, Some(&key(name)), at(20)).await
+    };
+    assert!(matches!(nothing_new("before", None).await, Ok(Some(Answered::Repeated(_)))));
+    assert!(matches!(nothing_new("after", None).await, Ok(None)));
+    assert_eq!(farm.store.node(node.id).await.unwrap().last_seen_at, at(20));
+    farm.commit(&lease, at(21)).await;
+    assert!(matches!(nothing_new("one", Some(lease.task_id)).await, Err(StoreError::Conflict(_))));
+    assert!(farm.claim(node.id, at(22)).await.is_some(), "there was a task all the while");
 }
 
 #[tokio::test]

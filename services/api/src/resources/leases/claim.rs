@@ -39,13 +39,15 @@ pub(super) async fn wait_for_task(
     let mut work = app.store.watch_work();
     loop {
         work.borrow_and_update();
-        app.check_room()?;
         if let Some(worker) = request.worker {
             app.store.check_worker(request.node_id, worker).await?;
         }
+        let room = app.check_room();
+        let (node, ttl, now) = (request.node_id, app.lease_ttl, app.now());
         let claimed = match request.task_id {
-            Some(task) => app.store.claim_task(request.node_id, task, app.lease_ttl, key, app.now()).await?,
-            None => app.store.claim(request.node_id, app.lease_ttl, key, app.now()).await?,
+            wanted if room.is_err() => app.store.claim_nothing_new(node, wanted, key, now).await?,
+            Some(task) => app.store.claim_task(node, task, ttl, key, now).await?,
+            None => app.store.claim(node, ttl, key, now).await?,
         };
         if let Some(lease) = claimed {
             app.metrics.leases_granted.add(u64::from(matches!(lease, Answered::Fresh(_))));
@@ -56,6 +58,7 @@ pub(super) async fn wait_for_task(
         {
             return Ok(Claimed::Asleep(until));
         }
+        room?;
         loop {
             let retry = match app.store.next_retry(app.now()).await? {
                 Some(due) => {

@@ -142,7 +142,7 @@ impl Stages {
         self.is_behind = false;
         let waits = job.waits.as_ref().map(|waits| waits.because.clone());
         if waits != self.waits {
-            waits.iter().for_each(|because| self.bars.note(because));
+            self.bars.note(waits.as_deref().unwrap_or("goes on"));
             self.waits = waits;
         }
         if let Some(seed) = &job.seed {
