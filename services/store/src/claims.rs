@@ -14,7 +14,7 @@ use crate::decode::{id, json, json_opt, to_json, whole, word};
 use crate::elsewhere;
 use crate::events::{append, event, job_state};
 use crate::failures::HEAD_START;
-use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
+use crate::idempotency::{Answered, IdempotencyKey, RecordedAnswer, earlier_answer, record};
 use crate::leases::{has_calendar, sleep_of, sweep, touch};
 use crate::nodes::{self, select_nodes};
 use crate::schedule::{Opening, opening};
@@ -57,9 +57,7 @@ impl Store {
     ) -> Result<Option<Answered<Lease>>, StoreError> {
         let mut write = self.write().await?;
         let asker = asker(&mut write, node, key, now).await?;
-        if asker.was_answered
-            && let Some(answer) = earlier_answer(&mut write, key).await?
-        {
+        if let Some(answer) = asker.answered {
             return Ok(Some(Answered::Repeated(answer)));
         }
         if let Some(task) = wanted {
@@ -80,9 +78,7 @@ impl Store {
     ) -> Result<Option<Answered<Lease>>, StoreError> {
         let mut write = self.write().await?;
         let asker = asker(&mut write, node, key, now).await?;
-        if asker.was_answered
-            && let Some(answer) = earlier_answer(&mut write, key).await?
-        {
+        if let Some(answer) = asker.answered {
             return Ok(Some(Answered::Repeated(answer)));
         }
         let mut node = asker.node;
@@ -198,8 +194,8 @@ impl Store {
 /// What a claim has to know before it looks for a task: one question, for nearly always nothing comes of the other two.
 struct Asker {
     node: Node,
-    /// Whether the request of this key was answered before.
-    was_answered: bool,
+    /// What the request of this key was answered before.
+    answered: Option<RecordedAnswer>,
     /// Whether there are leases that have run out.
     some_ran_out: bool,
 }
@@ -226,11 +222,8 @@ async fn asker(
         .first_row()
         .await?
         .ok_or(StoreError::NotFound("node"))?;
-    Ok(Asker {
-        node: nodes::decode(&row)?,
-        was_answered: row.try_get("was_answered")?,
-        some_ran_out: row.try_get("some_ran_out")?,
-    })
+    let answered = if row.try_get("was_answered")? { earlier_answer(write, key).await? } else { None };
+    Ok(Asker { node: nodes::decode(&row)?, answered, some_ran_out: row.try_get("some_ran_out")? })
 }
 
 /// Whether there are leases that have run out by now.

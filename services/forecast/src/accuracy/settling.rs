@@ -109,7 +109,7 @@ impl Octave {
     /// What these tiles say together: a ratio of sums, and its variance as a share of its square.
     fn of_all(tiles: &[Moved]) -> Self {
         let [is, guess] = [sum(tiles.iter().map(|tile| tile.is)), sum(tiles.iter().map(|tile| tile.guess))];
-        if tiles.len() < 2 || is <= 0.0 {
+        if tiles.len() < 2 || is <= 0.0 || !(is / guess).is_finite() {
             return Self { off: 1.0, doubt: SURE };
         }
         let off = is / guess;
