@@ -166,7 +166,7 @@ impl ImageNoise {
     /// The part of it that falls with samples.
     ///
     /// At the powers of two that were sampled it is the sum of all further drops and of what is left beyond them, which is taken to fall as
-    /// [`super::law`] says; of numbers between them too. Its variance is that of the estimate and that of the error of a single image, in
+    /// the law A / n^1.5 + B / n says; of numbers between them too. Its variance is that of the estimate and that of the error of a single image, in
     /// which a few pixels may come out well or badly: 2 V² of each, as of a normal number.
     pub fn noise_at(&self, spp: u32) -> MeanSquare {
         let spp = spp.max(1);
