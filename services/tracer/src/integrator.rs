@@ -116,9 +116,9 @@ impl<'a, const K: u32> Pixels<'a, K> {
         self.sampler.key()
     }
 
-    /// How far its random sequences are drawn.
-    pub fn drawn(&self) -> Drawn {
-        self.sampler.drawn()
+    /// Notes how far its random sequences are drawn.
+    pub fn note_drawn(&self, drawn: &mut Drawn) {
+        self.sampler.note_drawn(drawn);
     }
 
     /// One camera sample of the pixel at column `x` and row `y`.

@@ -131,14 +131,14 @@ impl<const K: u32> Kernel<K> {
         let (x, y) = (index % settings.width, index / settings.width);
         let sampler = Sampler::resumed(settings.seed, tracer.frame.number, index, &underway.drawn);
         let mut pixels = Pixels::new(tracer, self, sampler);
-        let known = &mut underway.pixel;
-        pixels.stratum = (known.stratum != Pixel::NOTHING).then_some(known.stratum);
+        let stratum = underway.pixel.stratum;
+        pixels.stratum = (stratum != Pixel::NOTHING).then_some(stratum);
         while underway.samples < samples {
             let sample = pixels.sample(x, y);
             each(sample.to_array());
-            underway.sum += sample.as_dvec3();
-            underway.samples += 1;
+            underway.add(sample);
         }
+        let known = &mut underway.pixel;
         known.rays.iter_mut().zip(pixels.counters.rays).for_each(|(all, new)| *all += new);
         add_rays(&mut known.work_by_ray, &pixels.counters.work_by_ray());
         let work = pixels.counters.work_by_class();
@@ -232,7 +232,7 @@ impl<const K: u32> Trace for Kernel<K> {
         samples: u32,
         each: &mut dyn FnMut([f32; 3]),
     ) {
-        underway.drawn = self.trace(tracer, index, underway, samples, each).drawn();
+        self.trace(tracer, index, underway, samples, each).note_drawn(&mut underway.drawn);
     }
 
     fn sites(

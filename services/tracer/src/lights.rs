@@ -21,7 +21,7 @@ pub use tree::{Choice, Receiver};
 use crate::bounds::Bounds;
 use crate::geometry;
 use forelight_bvh::{Hit, size_of};
-use forelight_scene::Frame;
+use forelight_scene::Geometry;
 use glam::{Vec2, Vec3};
 
 /// So many lights with a position (objects that emit, and points) a point that the camera sees looks at, at most. The error that a
@@ -54,6 +54,19 @@ impl Looks {
     }
 }
 
+/// An emitting triangle, with what every look at it needs.
+#[derive(Debug, Clone, Copy)]
+struct Surface {
+    triangle: u32,
+    /// Index of its material in the frame.
+    material: u32,
+    corners: [Vec3; 3],
+    /// See [`size_of`].
+    size: f32,
+    /// Unit geometric normal by the winding.
+    normal: Vec3,
+}
+
 /// A point chosen on an emitting triangle.
 pub struct LightPoint {
     pub position: Vec3,
@@ -61,7 +74,8 @@ pub struct LightPoint {
     pub size: f32,
     /// Unit geometric normal by the winding.
     pub normal: Vec3,
-    pub uv: Vec2,
+    /// Index of the triangle's material in the frame.
+    pub material: u32,
     /// The same as something that a ray could have met.
     pub hit: Hit,
 }
@@ -90,17 +104,27 @@ fn is_near(light: &Bounds, area: f32, point: Vec3) -> bool {
     outside.length_squared() < area
 }
 
-impl LightPoint {
-    /// A uniform point of a triangle.
-    fn on(frame: &Frame, triangle: u32, u: Vec2) -> Self {
-        let (b, c) = geometry::triangle(u);
-        let hit = Hit { t: 0.0, primitive: triangle, u: b, v: c };
-        let corners = frame.geometry.corners(triangle);
+impl Surface {
+    fn of(geometry: &Geometry, triangle: u32) -> Self {
+        let corners = geometry.corners(triangle);
         Self {
+            triangle,
+            material: geometry.material(triangle),
+            corners,
             size: size_of(corners),
-            position: hit.position(frame.geometry.corners(triangle)),
-            normal: frame.geometry.geometric_normal(triangle),
-            uv: frame.geometry.uv(triangle, b, c),
+            normal: geometry.geometric_normal(triangle),
+        }
+    }
+
+    /// A uniform point of it.
+    fn point(&self, u: Vec2) -> LightPoint {
+        let (u, v) = geometry::triangle(u);
+        let hit = Hit { t: 0.0, primitive: self.triangle, u, v };
+        LightPoint {
+            position: hit.position(self.corners),
+            size: self.size,
+            normal: self.normal,
+            material: self.material,
             hit,
         }
     }

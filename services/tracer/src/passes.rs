@@ -11,7 +11,7 @@ use crate::random::Drawn;
 use crate::samples::{SampleCounts, SampleCountsError};
 use crate::tiling::Tiling;
 use crate::tracer::{Pixel, TILE, Tracer, share_cpu_time};
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -52,6 +52,15 @@ impl Default for Underway {
 }
 
 impl Underway {
+    /// Adds the radiance of one more sample.
+    pub fn add(&mut self, sample: Vec3) {
+        self.sum += sample.as_dvec3();
+        self.samples += 1;
+        if self.samples.is_power_of_two() {
+            self.before = [self.before[1], (self.samples, self.sum)];
+        }
+    }
+
     /// The pixel with the samples that it has; of none it is black.
     pub fn finished(&self) -> Pixel {
         let color = (self.sum / f64::from(self.samples.max(1))).as_vec3().to_array();
@@ -163,13 +172,7 @@ impl Passes {
                     };
                     while pixel.samples < samples {
                         let next = samples.min(pixel.samples + RUN);
-                        while pixel.samples < next {
-                            let doubled = (pixel.samples + 1).next_power_of_two();
-                            tracer.kernel.go_on(tracer, index, pixel, next.min(doubled), &mut add);
-                            if pixel.samples == doubled {
-                                pixel.before = [pixel.before[1], (doubled, pixel.sum)];
-                            }
-                        }
+                        tracer.kernel.go_on(tracer, index, pixel, next, &mut add);
                         if next < samples && stop() {
                             break;
                         }
@@ -214,8 +217,7 @@ impl Passes {
 
     /// What all passes took.
     pub fn totals(&self) -> Totals {
-        let pixels: Vec<Pixel> = self.pixels().map(|(_, underway)| underway.pixel).collect();
-        Totals::of(pixels.iter())
+        Totals::of(self.pixels().map(|(_, underway)| &underway.pixel))
     }
 
     /// The image, as far as it has come.

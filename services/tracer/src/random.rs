@@ -60,11 +60,16 @@ impl Sampler {
         sampler
     }
 
-    /// How far its sequences are drawn.
-    pub fn drawn(&self) -> Drawn {
+    /// Notes how far its sequences are drawn.
+    pub fn note_drawn(&self, Drawn(left): &mut Drawn) {
         const { assert!(VERTICES * PURPOSES <= 256) };
-        let begun = (0u8..).zip(self.drawn).filter(|(_, drawn)| *drawn > 0);
-        Drawn(begun.collect())
+        let begun = || (0u8..).zip(self.drawn.iter().copied()).filter(|(_, drawn)| *drawn > 0);
+        // Nearly always the same sequences as before.
+        let count = begun().count();
+        if left.len() != count {
+            *left = vec![(0, 0); count].into();
+        }
+        left.iter_mut().zip(begun()).for_each(|(left, drawn)| *left = drawn);
     }
 
     /// Points for something else than a pixel, by a key of its own.

@@ -87,7 +87,8 @@ impl Zone {
         // convex: from above Newton's steps fall to it, and stop where rounding does not let them.
         let [constant, linear] = [0, 1].map(|k| EXPONENTS[k] * self.variance[k]);
         let price = price * self.cost();
-        let above = libm::pow(2.0 * constant / price, 0.2).max(libm::pow(2.0 * linear / price, 0.25));
+        // The root is above 1, and so s⁴ at most twice the larger part.
+        let above = libm::sqrt(libm::sqrt(2.0 * constant.max(linear) / price));
         let step = |s: f64| {
             let fourth = price * s * s * s * s;
             s - ((fourth - linear) * s - constant) / (5.0 * fourth - linear)
@@ -105,38 +106,57 @@ impl Zone {
 pub(super) fn samples_for_budget(zones: &[Zone], has: &[f64], budget: f64) -> Option<Vec<f64>> {
     let with =
         |samples: &[f64]| -> Vec<f64> { samples.iter().zip(has).map(|(n, has)| n.max(*has)).collect() };
-    let fits = |samples: &[f64]| cost(zones, &with(samples)) <= budget;
-    fits(has).then(|| with(&by_price(zones, fits)))
+    let left = |samples: &[f64]| libm::log(budget / cost(zones, &with(samples)));
+    (cost(zones, has) <= budget).then(|| with(&by_price(zones, left)))
 }
 
 /// Samples per pixel of each zone with the least cost for a mean variance of the pixels of `variance`; the most that there may be, if that is
 /// not enough.
 pub fn samples_for_variance(zones: &[Zone], variance: f64) -> Vec<f64> {
-    by_price(zones, |samples| mean_variance(zones, samples) >= variance)
+    by_price(zones, |samples| libm::log(mean_variance(zones, samples) / variance))
 }
 
-/// The samples of the lowest price that still meets a condition, which only few samples meet.
-fn by_price(zones: &[Zone], is_few_enough: impl Fn(&[f64]) -> bool) -> Vec<f64> {
+/// Logarithms this near to zero are zero.
+const NEAR_ZERO: f64 = 1e-10;
+
+/// The samples of the lowest price at which `slack` is not negative; of the highest, if it is negative at all of them. The fewer samples, the larger it is:
+/// the logarithm of something that is about a power of the price.
+fn by_price(zones: &[Zone], slack: impl Fn(&[f64]) -> f64) -> Vec<f64> {
     let at = |price: f64| -> Vec<f64> { zones.iter().map(|zone| zone.samples_at(price)).collect() };
     // Between these all zones go from the most samples to one.
     let gains = |samples: f64| zones.iter().map(move |zone| zone.gain(samples)).filter(|gain| *gain > 0.0);
-    let (Some(mut low), Some(mut high)) = (gains(MOST_SAMPLES).reduce(f64::min), gains(1.0).reduce(f64::max))
-    else {
+    let (Some(low), Some(high)) = (gains(MOST_SAMPLES).reduce(f64::min), gains(1.0).reduce(f64::max)) else {
         return vec![1.0; zones.len()];
     };
-    let most = at(low);
-    if is_few_enough(&most) {
+    let (most, mut best) = (at(low), at(high));
+    let (least, mut left) = (slack(&most), slack(&best));
+    if least >= 0.0 {
         return most;
     }
-    // By ratios, until they are alike; a hundred halvings are more than a number has digits.
-    for _ in 0..100 {
-        if high <= low * (1.0 + 1e-12) {
+    let mut ends = [(libm::log(low), least), (libm::log(high), left)];
+    // The Illinois method: on to where a line between the ends is zero, and an end that stays again counts half. Now and then to the
+    // middle, for where zones reach one sample or the most, slack is no line.
+    let mut moved = None;
+    for step in 1..100 {
+        let [below, above] = ends;
+        if left <= NEAR_ZERO || above.0 - below.0 <= NEAR_ZERO {
             break;
         }
-        let middle = libm::sqrt(low) * libm::sqrt(high);
-        if is_few_enough(&at(middle)) { high = middle } else { low = middle }
+        let line = above.0 - above.1 * (above.0 - below.0) / (above.1 - below.1);
+        let is_between = step % 4 > 0 && line > below.0 && line < above.0;
+        let price = if is_between { line } else { 0.5 * (below.0 + above.0) };
+        let samples = at(libm::exp(price));
+        let here = slack(&samples);
+        let end = usize::from(here >= 0.0);
+        if moved == Some(end) {
+            ends[1 - end].1 *= 0.5;
+        }
+        (ends[end], moved) = ((price, here), Some(end));
+        if end == 1 {
+            (best, left) = (samples, here);
+        }
     }
-    at(high)
+    best
 }
 
 /// What so many samples in each zone cost.

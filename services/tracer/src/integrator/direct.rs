@@ -37,7 +37,7 @@ impl<const K: u32> Pixels<'_, K> {
         };
         let points = self.sampler.draw(Purpose::Light, vertex);
         for (index, luminaire) in luminaires.all.iter().enumerate() {
-            let light = luminaire.sample(&tracer.frame, self.sampler.related(points, luminaire.stratum));
+            let light = luminaire.sample(self.sampler.related(points, luminaire.stratum));
             let density = |distance2, cos| luminaires.density(index, distance2, cos);
             sum += self.triangle_light(p, response, &light, near(index), density);
         }
@@ -48,7 +48,7 @@ impl<const K: u32> Pixels<'_, K> {
     pub fn some_lights(&mut self, p: &Point, response: &Response, level: u32, vertex: u32) -> Vec3 {
         let tracer = self.tracer;
         let Some(looks) = tracer.looks.at(level) else { return Vec3::ZERO };
-        let (frame, emitters) = (&tracer.frame, &tracer.lights.emitters);
+        let emitters = &tracer.lights.emitters;
         let receiver = p.receiver();
         let mut sum = if response.has_diffuse() && emitters.any_near(p.position) {
             self.near_lights(p, response, vertex, |this, hit, distance2, cos| {
@@ -78,7 +78,7 @@ impl<const K: u32> Pixels<'_, K> {
             sum += match emitter {
                 Emitter::Patch(emitter) => {
                     let place = if few { place.with_x(choice.number as f32) } else { place };
-                    let light = emitters.point(frame, emitter, place);
+                    let light = emitters.point(emitter, place);
                     let near = response.has_diffuse() && emitters.is_near(emitter, p.position);
                     let density = |distance2, cos| emitters.density(emitter, expected, distance2, cos);
                     self.triangle_light(p, response, &light, near, density)
@@ -156,7 +156,7 @@ impl<const K: u32> Pixels<'_, K> {
     }
 
     fn emitter(&self, light: &LightPoint) -> &Material {
-        &self.tracer.materials[self.tracer.frame.geometry.material(light.hit.primitive) as usize]
+        &self.tracer.materials[light.material as usize]
     }
 
     /// Radiance that a point of an emitting triangle sends out, as far as the surface is there and not cut out.
@@ -170,7 +170,8 @@ impl<const K: u32> Pixels<'_, K> {
             }
         }
         let (emission, opacity) = (self.emitter(light).emission, self.emitter(light).opacity);
-        opacity * self.color(&emission, light.uv)
+        let Hit { primitive, u, v, .. } = light.hit;
+        opacity * self.color(&emission, self.tracer.frame.geometry.uv(primitive, u, v))
     }
 
     /// The diffuse lobe's share of the near lights: one cosine-weighted ray that looks for them, straight through panes.

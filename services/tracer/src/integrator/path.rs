@@ -279,8 +279,8 @@ impl<const K: u32> Pixels<'_, K> {
     fn toward_patch(&mut self, p: &Point, patch: usize, chance: f64, vertex: u32) -> Option<Candidate> {
         let tracer = self.tracer;
         let emitters = &tracer.lights.emitters;
-        let light = emitters.point(&tracer.frame, patch, self.sampler.next(Purpose::Light, vertex));
-        let material = &tracer.materials[tracer.frame.geometry.material(light.hit.primitive) as usize];
+        let light = emitters.point(patch, self.sampler.next(Purpose::Light, vertex));
+        let material = &tracer.materials[light.material as usize];
         let to = light.position - p.position;
         let distance2 = to.length_squared();
         let direction = to / distance2.sqrt();

@@ -118,19 +118,18 @@ impl Bounds {
         // What rounding may have taken off the differences.
         let rounding = 4.0 * f32::EPSILON * receiver.position.abs().max(centre.abs()).max_element();
         let nearest = (to.abs() - half).max(Vec3::ZERO).length() - rounding;
-        let farthest = (to.abs() + half).length() + rounding;
         // Upper bound of the cosine between an axis and the directions from the box to the receiver.
         let bound = |axis: Vec3, along: f32| {
             let most = along + axis.abs().dot(half) + rounding;
             match most > 0.0 {
                 true if most >= nearest => 1.0,
                 true => most / nearest,
-                false => most / farthest,
+                false => most / ((to.abs() + half).length() + rounding),
             }
         };
         let along = self.axis.dot(to);
         let cos = bound(self.axis, if self.both_sides { along.abs() } else { along });
-        let (emitted, _) = less((cos, ((1.0 - cos) * (1.0 + cos)).max(0.0).sqrt()), self.spread);
+        let emitted = cos_less(cos, self.spread);
         if emitted < self.reach - SLACK {
             return 0.0;
         }
@@ -142,9 +141,13 @@ impl Bounds {
     }
 }
 
-/// Cosine and sine of max(0, α − β), by those of two angles in [0, π].
-fn less(a: (f32, f32), b: (f32, f32)) -> (f32, f32) {
-    if a.0 >= b.0 { (1.0, 0.0) } else { (a.0 * b.0 + a.1 * b.1, a.1 * b.0 - a.0 * b.1) }
+/// Cosine of max(0, α − β), by that of one angle in [0, π] and cosine and sine of another.
+fn cos_less(cos: f32, other: (f32, f32)) -> f32 {
+    if cos >= other.0 {
+        return 1.0;
+    }
+    let sin = ((1.0 - cos) * (1.0 + cos)).max(0.0).sqrt();
+    cos * other.0 + sin * other.1
 }
 
 /// What a set of lights looks like from far: enough to compare ways of splitting it, and quick to add up.

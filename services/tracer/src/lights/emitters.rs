@@ -2,7 +2,7 @@
 
 use super::bounds::Bounds as LightBounds;
 use super::tree::{Choice, LightTree, Receiver};
-use super::{LightPoint, cumulative, is_near, part};
+use super::{LightPoint, Surface, cumulative, is_near, part};
 use crate::Reach;
 use crate::bounds::Bounds;
 use crate::geometry::Basis;
@@ -34,7 +34,7 @@ struct Patch {
 pub struct Emitters {
     patches: Vec<Patch>,
     /// Triangles by patch, and the cumulative shares of the patch's area.
-    triangles: Vec<u32>,
+    surfaces: Vec<Surface>,
     cumulative: Vec<f32>,
     /// Emitting triangles in ascending order, each with its patch.
     patch_of: Vec<(u32, u32)>,
@@ -90,7 +90,7 @@ impl Emitters {
     fn add(&mut self, geometry: &Geometry, members: &[Member], both_sides: bool) -> LightBounds {
         let corners = members.iter().flat_map(|m| geometry.corners(m.triangle));
         let areas = members.iter().map(|m| f64::from(m.area));
-        let first = self.triangles.len() as u32;
+        let first = self.surfaces.len() as u32;
         let patch = Patch {
             first,
             end: first + members.len() as u32,
@@ -98,7 +98,7 @@ impl Emitters {
             bounds: Bounds::of(corners),
         };
         self.patch_of.extend(members.iter().map(|m| (m.triangle, self.patches.len() as u32)));
-        self.triangles.extend(members.iter().map(|m| m.triangle));
+        self.surfaces.extend(members.iter().map(|m| Surface::of(geometry, m.triangle)));
         self.cumulative.extend(cumulative(areas));
         self.patches.push(patch);
         let intensity = members.iter().map(|m| m.intensity).sum();
@@ -148,10 +148,10 @@ impl Emitters {
     }
 
     /// A uniform point of a patch.
-    pub fn point(&self, frame: &Frame, patch: usize, u: Vec2) -> LightPoint {
+    pub fn point(&self, patch: usize, u: Vec2) -> LightPoint {
         let Patch { first, end, .. } = self.patches[patch];
         let (i, within) = part(&self.cumulative[first as usize..end as usize], u.x);
-        LightPoint::on(frame, self.triangles[first as usize + i], Vec2::new(within, u.y))
+        self.surfaces[first as usize + i].point(Vec2::new(within, u.y))
     }
 
     /// See [`is_near`].

@@ -1,6 +1,6 @@
 //! Few area lights: each is sampled at every point, uniformly by area.
 
-use super::{LightPoint, cumulative, is_near, part};
+use super::{LightPoint, Surface, cumulative, is_near, part};
 use crate::Reach;
 use crate::bounds::Bounds;
 use forelight_scene::Frame;
@@ -15,7 +15,7 @@ pub struct Luminaire {
     pub area: f32,
     /// The box around it.
     pub bounds: Bounds,
-    triangles: Vec<u32>,
+    surfaces: Vec<Surface>,
     /// Cumulative share of the area by triangle; the last entry is 1.
     cumulative: Vec<f32>,
 }
@@ -64,7 +64,7 @@ impl Luminaires {
                 bounds: Bounds::of(corners),
                 area: areas.clone().sum::<f64>() as f32,
                 cumulative: cumulative(areas).collect(),
-                triangles: members.iter().map(|m| m.0).collect(),
+                surfaces: members.iter().map(|m| Surface::of(geometry, m.0)).collect(),
             });
         }
         luminaires
@@ -95,8 +95,8 @@ impl Luminaire {
     }
 
     /// A uniform point of the surface.
-    pub fn sample(&self, frame: &Frame, u: Vec2) -> LightPoint {
+    pub fn sample(&self, u: Vec2) -> LightPoint {
         let (i, within) = part(&self.cumulative, u.x);
-        LightPoint::on(frame, self.triangles[i], Vec2::new(within, u.y))
+        self.surfaces[i].point(Vec2::new(within, u.y))
     }
 }
