@@ -26,8 +26,12 @@ fn parse<T: DeserializeOwned>(path: &Path, hinted: impl Fn(BadInput) -> BadInput
     let wrong = |why: String| hinted(BadInput::new(format!("{}: {why}", path.display())));
     let text = bounded_file::read(path, MOST)?;
     let mut reader = serde_json::Deserializer::from_slice(&text);
-    let document = serde_path_to_error::deserialize(&mut reader)
-        .map_err(|error| wrong(format!("{}: {}", error.path(), error.inner())))?;
+    let document = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
+        // What is no JSON at all has no field.
+        let is_whole = error.path().iter().next().is_none();
+        let place = if is_whole { String::new() } else { format!("{}: ", error.path()) };
+        wrong(format!("{place}{}", error.inner()))
+    })?;
     reader.end().map_err(|error| wrong(error.to_string()))?;
     Ok(document)
 }
@@ -47,6 +51,7 @@ mod tests {
         for (text, reason) in [
             (r#"{"spp": "many"}"#, "x.json: spp: invalid type"),
             (r#"{"spp": 4} {}"#, "x.json: trailing characters"),
+            ("spp: 4", "x.json: expected value at line 1"),
             (r#"{"spp": 4"#, "EOF"),
         ] {
             fs::write(&path, text).unwrap();

@@ -54,6 +54,22 @@ impl Cost {
         Self { work: times(self.work, mixed), cpu_nanos: times(self.cpu_nanos, mixed), rays }
     }
 
+    /// The mean of some, to the nearest whole number; nothing of none.
+    #[must_use]
+    pub fn mean(all: &[Self]) -> Self {
+        let mean = |of: &dyn Fn(&Self) -> u64| {
+            let sum: u128 = all.iter().map(|cost| u128::from(of(cost))).sum();
+            let count = (all.len() as u128).max(1);
+            // No more than the largest of them.
+            ((sum + count / 2) / count) as u64
+        };
+        Self {
+            work: mean(&|cost| cost.work),
+            cpu_nanos: mean(&|cost| cost.cpu_nanos),
+            rays: std::array::from_fn(|kind| mean(&|cost| cost.rays[kind])),
+        }
+    }
+
     /// The columns as integers wide enough for any sum over a frame.
     pub(crate) fn columns(&self) -> [u128; COLUMNS] {
         let mut columns = [0; COLUMNS];

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{ByClass, CacheQuote, FixedCosts, LeftOut, Money, RenderSettings, SceneDigest};
+use crate::{ByClass, CacheQuote, FixedCosts, LeftOut, Money, ProcessCosts, RenderSettings, SceneDigest};
 
 /// A forecast of one number: its mean and the values that it stays below with probability 50, 80 and 95 %.
 #[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
@@ -257,6 +257,9 @@ pub struct ForecastDoc {
     /// What a frame costs whatever its pixels show, on a node of speed 1: the mean of the profiled frames. It is part of the forecasts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fixed: Option<FixedCosts>,
+    /// What every process pays once that renders frames of the shot, on a node of speed 1: in no frame's cost, and not in the total.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub once: Option<ProcessCosts>,
     /// The work of the profiled frames by class: what it takes on other nodes follows from their calibrations.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub work_by_class: Option<ByClass>,

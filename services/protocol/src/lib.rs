@@ -101,8 +101,8 @@ pub use plan::{
 };
 pub use problem::{Problem, ProblemKind};
 pub use profile::{
-    CacheSample, FixedCosts, NoiseCell, NoiseSample, ProfileArtifacts, ProfileResult, ProfileSample,
-    SharedSample, UncoveredGathers, at_speed_one,
+    CacheSample, FixedCosts, NoiseCell, NoiseSample, ProcessCosts, ProfileArtifacts, ProfileResult,
+    ProfileSample, SharedSample, UncoveredGathers, at_speed_one,
 };
 pub use result::{
     FrameStrata, PreviewBackend, PreviewResult, RenderArtifacts, RenderResult, Spent, Stratum, StratumName,

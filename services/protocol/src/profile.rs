@@ -162,28 +162,48 @@ impl FixedCosts {
 
     /// The mean of some; none of none.
     pub fn mean(all: &[Self]) -> Option<Self> {
-        let count = u64::try_from(all.len()).ok().filter(|&count| count > 0)?;
-        let mean = |of: fn(&Self) -> Spent| {
-            let sum = all.iter().map(of).fold(Spent::default(), Spent::plus);
-            Spent { work: sum.work / count, cpu_nanos: sum.cpu_nanos / count }
-        };
+        let mean = |of: fn(&Self) -> Spent| Spent::mean(all.iter().map(of));
         Some(Self {
-            load: mean(|fixed| fixed.load),
-            build: mean(|fixed| fixed.build),
-            plan: mean(|fixed| fixed.plan),
+            load: mean(|fixed| fixed.load)?,
+            build: mean(|fixed| fixed.build)?,
+            plan: mean(|fixed| fixed.plan)?,
             plan_rays: std::array::from_fn(|kind| {
-                all.iter().map(|fixed| fixed.plan_rays[kind]).sum::<u64>() / count
+                all.iter().map(|fixed| fixed.plan_rays[kind]).sum::<u64>() / all.len() as u64
             }),
-            write: mean(|fixed| fixed.write),
+            write: mean(|fixed| fixed.write)?,
         })
     }
 
     /// The same on a node of speed 1, of what a node of this speed measured.
     #[must_use]
     pub fn at_speed_one(self, speed: f64) -> Self {
-        let on = |Spent { work, cpu_nanos }: Spent| Spent { work, cpu_nanos: at_speed_one(cpu_nanos, speed) };
+        let on = |spent: Spent| spent.at_speed_one(speed);
         let Self { load, build, plan, plan_rays, write } = self;
         Self { load: on(load), build: on(build), plan: on(plan), plan_rays, write: on(write) }
+    }
+}
+
+/// What each process pays once that renders frames of a shot, before the first of them: in no frame's cost, and in no total.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ProcessCosts {
+    /// Reading the bundle. In time alone: work counts tracing.
+    pub load: Spent,
+    /// Building the acceleration structure, if nothing moves in the shot and so all frames share one; 0 if each builds its own.
+    pub build: Spent,
+}
+
+impl ProcessCosts {
+    /// The mean of some; none of none.
+    pub fn mean(all: &[Self]) -> Option<Self> {
+        let mean = |of: fn(&Self) -> Spent| Spent::mean(all.iter().map(of));
+        Some(Self { load: mean(|once| once.load)?, build: mean(|once| once.build)? })
+    }
+
+    /// The same on a node of speed 1, if a node of this speed measured it.
+    #[must_use]
+    pub fn at_speed_one(self, speed: f64) -> Self {
+        Self { load: self.load.at_speed_one(speed), build: self.build.at_speed_one(speed) }
     }
 }
 
@@ -247,6 +267,9 @@ pub struct ProfileResult {
     pub work_by_class: Option<ByClass>,
     /// Costs beside the pixels.
     pub fixed: FixedCosts,
+    /// What the process had paid once for the shot.
+    #[serde(default)]
+    pub once: ProcessCosts,
     /// What the whole task took.
     pub spent: Spent,
     /// Its artefacts.

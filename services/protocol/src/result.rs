@@ -78,6 +78,19 @@ impl Spent {
             cpu_nanos: self.cpu_nanos.saturating_add(other.cpu_nanos),
         }
     }
+
+    /// The mean of some; none of none.
+    pub fn mean(all: impl ExactSizeIterator<Item = Self>) -> Option<Self> {
+        let count = u64::try_from(all.len()).ok().filter(|&count| count > 0)?;
+        let sum = all.fold(Self::default(), Self::plus);
+        Some(Self { work: sum.work / count, cpu_nanos: sum.cpu_nanos / count })
+    }
+
+    /// The same on a node of speed 1, if a node of this speed took it.
+    #[must_use]
+    pub fn at_speed_one(self, speed: f64) -> Self {
+        Self { cpu_nanos: crate::at_speed_one(self.cpu_nanos, speed), ..self }
+    }
 }
 
 /// A stratum: the pixels that show one material of one object.

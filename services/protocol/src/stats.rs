@@ -1,6 +1,6 @@
 //! What a frame took.
 
-use crate::{ByClass, ImageError, Money, Quantiles};
+use crate::{ByClass, ImageError, Money, ProcessCosts, Quantiles};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -147,6 +147,9 @@ pub struct RenderStats {
     pub work_by_ray: Option<Rays>,
     /// CPU time over all threads, in seconds. On the farm also that of encoding the pictures and of the preview among them.
     pub cpu_seconds: f64,
+    /// What the process had paid once for the shot, before its first frame: in none of these numbers.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub once: Option<ProcessCosts>,
     /// Seconds that this run took, from start to end.
     pub wall_seconds: f64,
     /// Largest resident memory of the process, in bytes; 0 where the system does not say.

@@ -2,8 +2,8 @@
 
 use forelight_protocol::{
     ByClass, CacheQuote, FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, FrameSet, JobId, JobState,
-    LeftOut, MoneyQuantiles, NodeSeconds, Profiled, Quantiles, QuotedShot, SceneSummary, SpentOnForecast,
-    Timestamp,
+    LeftOut, MoneyQuantiles, NodeSeconds, ProcessCosts, Profiled, Quantiles, QuotedShot, SceneSummary,
+    SpentOnForecast, Timestamp,
 };
 use serde::{Deserialize, Serialize};
 use sqlx::Row as _;
@@ -37,6 +37,9 @@ pub struct JobForecast {
     /// What a frame costs whatever its pixels show: the mean of the profiled ones.
     #[serde(default)]
     pub fixed: Option<FixedCosts>,
+    /// What every process pays once that renders its frames.
+    #[serde(default)]
+    pub once: Option<ProcessCosts>,
     /// The work of the profiled frames by class.
     #[serde(default)]
     pub work_by_class: Option<ByClass>,
@@ -161,6 +164,7 @@ impl JobForecast {
             left_out: self.left_out,
             chosen_spp: self.chosen_spp,
             fixed: self.fixed,
+            once: self.once,
             work_by_class: self.work_by_class,
             cpu_seconds_on: self.cpu_seconds_on,
             cache: self.cache,

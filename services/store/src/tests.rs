@@ -6,10 +6,10 @@ use std::time::Duration;
 use forelight_protocol::{
     ArtifactHash, BundleRef, BundleSource, CacheFillResult, CacheMergeResult, CachePlanResult, Capabilities,
     FixedCosts, ForecastTotals, FrameForecast, FrameStrata, Job, JobId, JobRequest, JobVerdict, Lease, Node,
-    NodeId, NodeRegistration, PlanReason, PreviewBackend, PreviewResult, ProfileArtifacts, ProfileResult,
-    ProfileSample, Profiled, Quantiles, RayQuantiles, Rays, RenderArtifacts, RenderResult, RenderStats,
-    RenewRequest, SceneDigest, SceneSummary, Spent, SpentOnForecast, Stratum, StratumName, TaskResult,
-    TaskSpec, Timestamp, Verdict,
+    NodeId, NodeRegistration, PlanReason, PreviewBackend, PreviewResult, ProcessCosts, ProfileArtifacts,
+    ProfileResult, ProfileSample, Profiled, Quantiles, RayQuantiles, Rays, RenderArtifacts, RenderResult,
+    RenderStats, RenewRequest, SceneDigest, SceneSummary, Spent, SpentOnForecast, Stratum, StratumName,
+    TaskResult, TaskSpec, Timestamp, Verdict,
 };
 use tempfile::TempDir;
 
@@ -148,6 +148,7 @@ impl Farm {
                 left_out: Vec::new(),
                 renderer: None,
                 fixed: FixedCosts::default(),
+                once: ProcessCosts::default(),
                 spent: Spent { work: 10, cpu_nanos: 500 },
                 artifacts: ProfileArtifacts { profile: self.artifact("a profile").await, preview_png: None },
             }),
@@ -318,6 +319,7 @@ fn stats(frame: u32) -> RenderStats {
         work_by_class: None,
         work_by_ray: Some(Rays { primary: 900, ..Rays::default() }),
         cpu_seconds: 2.0,
+        once: None,
         wall_seconds: 2.0,
         peak_rss_bytes: 1,
         reused_pixels: 0,
@@ -349,6 +351,7 @@ fn job_forecast() -> JobForecast {
         left_out: Vec::new(),
         chosen_spp: None,
         fixed: None,
+        once: None,
         work_by_class: None,
         cpu_seconds_on: Vec::new(),
         cache: None,

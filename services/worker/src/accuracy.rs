@@ -34,7 +34,7 @@ use forelight_protocol::{
 };
 use interpolation::Truth;
 use pilot::View;
-use related::{affordable, relate};
+use related::{affordable, is_too_dear, relate};
 
 /// Camera samples of a profiled pixel: four doublings of them can be seen.
 const PILOT_SPP: u32 = 16;
@@ -135,6 +135,15 @@ impl<'a> Prediction<'a> {
             if self.observer.cancel().load(std::sync::atomic::Ordering::Relaxed) {
                 return Err(ShotError::Cancelled);
             }
+            self.done += 1;
+            if kind == LadderKind::Divisions && is_too_dear(&self.gathers_asked_for(), &piloted(settings)) {
+                let reason = format!(
+                    "{} rays with {} bounces: a few pixels of them take longer than all else here",
+                    settings.ambient_divisions, settings.ambient_bounces
+                );
+                self.missing.push(MissingLadder { ladder: kind, reason });
+                continue;
+            }
             let like = match kind {
                 LadderKind::Resolution => self.asked,
                 _ => settings,
@@ -157,7 +166,6 @@ impl<'a> Prediction<'a> {
                 next: None,
                 measured: None,
             });
-            self.done += 1;
             self.observer.predicted(self.done, self.all);
         }
         Ok(())

@@ -11,8 +11,8 @@ use forelight_forecast::{
     RecordStrata, ShotForecast, Strategy, Stratum, with_times,
 };
 use forelight_protocol::{
-    ByClass, FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, LeftOut, Profiled, Quantiles,
-    QuotedShot, RayQuantiles, RenderSettings, Spent, SpentOnForecast,
+    ByClass, FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, LeftOut, ProcessCosts, Profiled,
+    Quantiles, QuotedShot, RayQuantiles, RenderSettings, Spent, SpentOnForecast,
 };
 use std::collections::BTreeSet;
 
@@ -208,6 +208,7 @@ fn document(
         left_out: LeftOut::of_all(profiled.iter().map(|profile| &profile.left_out[..])),
         chosen_spp: None,
         fixed: FixedCosts::mean(&profiled.iter().map(|profile| profile.fixed).collect::<Vec<_>>()),
+        once: ProcessCosts::mean(&profiled.iter().map(|profile| profile.once).collect::<Vec<_>>()),
         work_by_class: profiled.iter().filter_map(|profile| profile.work_by_class).reduce(ByClass::plus),
         cpu_seconds_on: Vec::new(),
         cache: None,

@@ -103,6 +103,7 @@ fn stats(
         height: settings.height,
         spp: settings.spp,
         allotted: None,
+        once: Some(ready.once()),
         effects: ready.effects(),
         left_out: ready.left_out(),
         rays: rays(gathered, all.rays),

@@ -7,7 +7,8 @@
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_preview::{Counts, Preview, PreviewError};
 use forelight_protocol::{
-    ByClass, FixedCosts, LeftOut, PlanCount, PreviewBackend, RenderSettings, SceneSummary, Spent, StratumName,
+    ByClass, FixedCosts, LeftOut, PlanCount, PreviewBackend, ProcessCosts, RenderSettings, SceneSummary,
+    Spent, StratumName,
 };
 use forelight_scene::{Frame, MaterialClass, SceneError};
 use forelight_tracer::{
@@ -89,8 +90,6 @@ pub struct ShotInfo {
     pub renderer: String,
     /// All (object, material) pairs; the same for every frame of the shot.
     pub strata: Vec<StratumInfo>,
-    /// What loading the bundle took. Paid once per process, not per frame.
-    pub load: Spent,
 }
 
 /// What a frame shows, in numbers.
@@ -221,6 +220,9 @@ pub trait FrameRenderer: Send + Sync {
     /// (`plan`), which is done now if it was not. Whether a structure was kept from before makes no difference: a frame's cost does
     /// not depend on what was done before it.
     fn fixed(&self) -> FixedCosts;
+
+    /// What this process has paid once for the shot: reading it, and building the acceleration structure that its frames share.
+    fn once(&self) -> ProcessCosts;
 
     /// Records of the frame's irradiance cache by level, which is planned now if it was not; none without a cache.
     fn cache_records(&self) -> Vec<u32>;

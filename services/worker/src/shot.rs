@@ -7,12 +7,13 @@ use crate::classes::of_frame;
 use crate::noise::{FrameNoise, Zones};
 use crate::quote::QuoteOptions;
 use crate::render::spent;
-use crate::renderer::{Counted, FrameRenderer, RenderError, Renderer, StratumInfo};
+use crate::renderer::{Counted, FrameRenderer, Previewed, RenderError, Renderer, StratumInfo};
 use crate::warm_clock;
 use forelight_forecast::{Cost, Expansion, Observation, Stratum};
 use forelight_preview::{NOTHING, Preview};
 use forelight_protocol::{
-    ByClass, CacheMode, FixedCosts, LeftOut, MaterialMode, PlanCount, PreviewBackend, RenderSettings, Spent,
+    ByClass, CacheMode, FixedCosts, LeftOut, MaterialMode, PlanCount, PreviewBackend, ProcessCosts,
+    RenderSettings, Spent,
 };
 use forelight_scene::{Frame, MaterialClass};
 use forelight_tracer::{Pixel, Profile, RecordCost};
@@ -154,6 +155,8 @@ pub struct ProfiledFrame {
     /// What every render of the frame costs whatever its pixels show; without writing its files, which is for those who write
     /// them to add.
     pub fixed: FixedCosts,
+    /// What this process had paid once for the shot.
+    pub once: ProcessCosts,
     /// The effects that the frame calls for, by name, sorted.
     pub effects: Vec<String>,
     /// Lights and objects that cannot matter to the frame's image.
@@ -229,17 +232,17 @@ pub fn profile_frame(
     observer: &dyn Observer,
 ) -> Result<ProfiledFrame, ShotError> {
     let ready = renderer.frame(frame, settings)?;
-    profile_ready(&*ready, &renderer.info().strata, settings, options, observer)
+    Ok(profile_ready(&*ready, &renderer.info().strata, settings, options, observer)?.0)
 }
 
-/// The same of a frame that was set up before; `shot` are the shot's strata.
+/// The same of a frame that was set up before, and what it shows; `shot` are the shot's strata.
 pub(crate) fn profile_ready(
     ready: &dyn FrameRenderer,
     shot: &[StratumInfo],
     settings: &RenderSettings,
     options: &QuoteOptions,
     observer: &dyn Observer,
-) -> Result<ProfiledFrame, ShotError> {
+) -> Result<(ProfiledFrame, Previewed), ShotError> {
     let &QuoteOptions { samples, seed, strategy, .. } = options;
     let frame = ready.frame().number;
     let seen = ready.preview()?;
@@ -291,7 +294,7 @@ pub(crate) fn profile_ready(
     let pixels = finished.iter().fold(Spent::default(), |sum, (_, pixel)| {
         sum.plus(Spent { work: pixel.work, cpu_nanos: pixel.cpu_nanos })
     });
-    Ok(ProfiledFrame {
+    let profiled = ProfiledFrame {
         frame,
         work_by_class: of_frame(
             ready,
@@ -302,6 +305,7 @@ pub(crate) fn profile_ready(
         expansion: design.expansion().clone(),
         records,
         fixed: ready.fixed(),
+        once: ready.once(),
         effects: ready.effects(),
         left_out: ready.left_out(),
         setup: ready.spent_on_setup(),
@@ -312,7 +316,8 @@ pub(crate) fn profile_ready(
         scene: ready.frame().clone(),
         profile: ready.profile(&finished),
         traced: finished,
-    })
+    };
+    Ok((profiled, seen))
 }
 
 /// Work of all pixels, thought to be in each stratum what was profiled of it on average, and of others what all were: good enough for knowing

@@ -73,6 +73,24 @@ fn a_prediction_depends_on_its_seed_alone_but_for_times() {
 }
 
 #[test]
+fn gathers_whose_rays_grow_beyond_measure_are_left_out_and_said_to_be() {
+    let asked = RenderSettings { width: 16, height: 9, spp: 1, ambient_bounces: 3, ..tiny() };
+    let options = AccuracyOptions { samples: 64, seed: 5 };
+    let document = predict(&kitchen(), 0, &asked, &options, &Nobody::default()).unwrap();
+    let divisions: Vec<u32> =
+        of(&document, LadderKind::Divisions).map(|rung| rung.settings.ambient_divisions).collect();
+    // Of 4 rays each meets a point with one ray of its own; of 64, with 8, and of 256, with 32, of which each goes on with 4.
+    assert_eq!(divisions, [4, 16]);
+    let dear: Vec<&String> = document
+        .missing
+        .iter()
+        .filter(|missing| missing.ladder == LadderKind::Divisions)
+        .map(|missing| &missing.reason)
+        .collect();
+    assert!(matches!(&dear[..], [a, b] if a.starts_with("64 rays") && b.starts_with("256 rays")), "{dear:?}");
+}
+
+#[test]
 fn whoever_does_not_want_to_wait_is_obeyed() {
     let observer = Nobody(AtomicBool::new(true));
     let options = AccuracyOptions { samples: 16, seed: 0 };

@@ -87,6 +87,7 @@ fn forecast(frames: usize) -> JobForecast {
         left_out: Vec::new(),
         chosen_spp: None,
         fixed: None,
+        once: None,
         work_by_class: Some(ByClass { memory: 100, ..ByClass::default() }),
         cpu_seconds_on: Vec::new(),
         cache: None,

@@ -9,9 +9,10 @@ use std::time::Duration;
 use forelight_api::{Config, Service};
 use forelight_protocol::{
     AllottedStats, ArtifactHash, ByClass, FixedCosts, FrameStrata, ImageError, Job, JobState, Lease, Node,
-    NoiseCell, NoiseSample, PreviewBackend, PreviewResult, Problem, ProblemKind, ProfileArtifacts,
-    ProfileResult, ProfileSample, Rays, RenderArtifacts, RenderResult, RenderStats, ResultAnswer,
-    ResultRequest, Role, Spent, Stratum, StratumName, TaskKind, TaskResult, TaskSpec, Timestamp,
+    NoiseCell, NoiseSample, PreviewBackend, PreviewResult, Problem, ProblemKind, ProcessCosts,
+    ProfileArtifacts, ProfileResult, ProfileSample, Rays, RenderArtifacts, RenderResult, RenderStats,
+    ResultAnswer, ResultRequest, Role, Spent, Stratum, StratumName, TaskKind, TaskResult, TaskSpec,
+    Timestamp,
 };
 use forelight_store::tokens;
 use reqwest::{Method, RequestBuilder, Response, StatusCode};
@@ -276,6 +277,7 @@ impl Farm {
                         load: Spent { work: 5, cpu_nanos: 5_000_000 },
                         ..FixedCosts::default()
                     },
+                    once: ProcessCosts::default(),
                     spent: Spent { work: 1000, cpu_nanos: 1_000_000 },
                     artifacts: ProfileArtifacts {
                         profile: self.artifact(format!("profile of {}", spec.frame).as_bytes()).await,
@@ -313,6 +315,7 @@ impl Farm {
                         work_by_class: None,
                         work_by_ray: Some(Rays { primary: work / 2, ..Rays::default() }),
                         cpu_seconds: work as f64 * 1e-3,
+                        once: None,
                         wall_seconds: work as f64 * 1e-3,
                         peak_rss_bytes: 1,
                         reused_pixels: 0,

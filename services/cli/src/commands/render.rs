@@ -3,6 +3,7 @@
 use super::allot::{self, AllotArgs, Stopping};
 use super::cache::read_full_cache;
 use super::explain;
+use super::forecast::once_costs;
 use crate::atomic_file::{self, write_bytes, write_with};
 use crate::bounded_file;
 use crate::failure::{BadInput, Interrupted};
@@ -242,6 +243,10 @@ fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
     text += &format!("work        {} operations\n", count(stats.work as f64));
     text += &format!("CPU time    {}\n", seconds(stats.cpu_seconds));
     text += &format!("wall time   {}\n", seconds(stats.wall_seconds));
+    if let Some(costs) = stats.once.and_then(once_costs) {
+        text +=
+            &format!("once        {costs} of CPU time, for each process; in no frame's work or CPU time\n");
+    }
     if let Some(cache) = &stats.cache {
         let levels: Vec<String> = stats.cache_records.iter().map(u64::to_string).collect();
         let share = |work: u64| 100.0 * work as f64 / stats.work.max(1) as f64;

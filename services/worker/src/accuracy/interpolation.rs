@@ -14,15 +14,19 @@
 //! an unbiased estimate of the cache's part alone. That of a single pixel may be negative; the mean over the image is hardly.
 
 use super::pilot::Pilot;
-use super::related::{LESS_NOISY, cost, scaled};
+use super::related::{LESS_NOISY, cost, scaled, times_the_rays};
 use crate::noise::FrameNoise;
 use crate::renderer::{FrameRenderer, RenderError, Renderer};
 use forelight_forecast::ForecastError;
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{RenderSettings, Spent};
 
-/// Gathers of the truth have that many times the divisions that were asked for, that their noise does not hide what is looked for.
-const FINER: u32 = 4;
+/// Gathers of the truth have that many times the divisions that were asked for, that their noise does not hide what is looked for; the first of
+/// these with which they have at most [`MOST_TIMES`] the rays, for with several bounces these grow with a power of the divisions.
+const FINER: [u32; 3] = [4, 2, 1];
+
+/// See [`FINER`].
+const MOST_TIMES: f64 = 8.0;
 
 /// Most divisions that settings may have.
 const MOST_DIVISIONS: u32 = 65_536;
@@ -46,10 +50,15 @@ pub struct Truth {
 impl Truth {
     /// Of the scattered pixels of a pilot without a cache.
     pub fn new(renderer: &dyn Renderer, frame: u32, pilot: &Pilot) -> Result<Self, RenderError> {
-        let finer = RenderSettings {
-            ambient_divisions: pilot.settings.ambient_divisions.saturating_mul(FINER).min(MOST_DIVISIONS),
+        let finer_by = |times: u32| RenderSettings {
+            ambient_divisions: pilot.settings.ambient_divisions.saturating_mul(times).min(MOST_DIVISIONS),
             ..pilot.settings.clone()
         };
+        let finer = FINER
+            .map(finer_by)
+            .into_iter()
+            .find(|finer| times_the_rays(&pilot.settings, finer) <= MOST_TIMES)
+            .unwrap_or_else(|| pilot.settings.clone());
         let other = RenderSettings { seed: finer.seed ^ OTHER_SEED, ..finer.clone() };
         let gathered = pilot.noise.thinned(PIXELS);
         let pixels = gathered.scattered_pixels();

@@ -89,15 +89,14 @@ impl Pilot {
     ) -> Result<Self, ShotError> {
         let shot = &renderer.info().strata;
         let picked = QuoteOptions { samples: options.samples, seed: options.seed, ..QuoteOptions::default() };
-        let profiled = profile_ready(ready, shot, &settings, &picked, &Watching(observer))?;
+        let (profiled, seen) = profile_ready(ready, shot, &settings, &picked, &Watching(observer))?;
         let spent = profiled.spent();
-        let seen = ready.preview()?;
         let zones = Zones::new(ready, &seen.preview);
         let view = View::new(ready, &seen.preview, &zones);
         let by_samples = |pixel: &Pixel| pixel.work.saturating_sub(pixel.extra_work);
         let traced: BTreeMap<u32, u64> =
             profiled.traced.iter().map(|(index, pixel)| (*index, by_samples(pixel))).collect();
-        let overhead = profiled.pixels.plus(profiled.preview).plus(seen.spent);
+        let overhead = profiled.pixels.plus(profiled.preview);
         let noise = profiled.noise.unwrap_or_else(|| FrameNoise {
             counts: view.noise_counts.clone(),
             pixels: Vec::new(),
@@ -116,7 +115,7 @@ impl Pilot {
             extra_work: profiled.traced.iter().map(|(_, pixel)| pixel.extra_work).collect(),
             observations: profiled.observations,
             records: profiled.records,
-            spent: spent.plus(seen.spent),
+            spent,
             settings,
             view,
         })
@@ -152,11 +151,7 @@ impl Pilot {
             stratum: seen.stratum,
             cost: seen.cost.with_samples(factor, extra, growth),
         });
-        let mut observations: Vec<Observation> = of_pixels.collect();
-        // In a smaller image a stratum may have fewer pixels than were profiled of it in this one.
-        let mut least = vec![0; strata.len()];
-        observations.iter().for_each(|seen| least[seen.stratum as usize] += 1);
-        frame[0].counts.iter_mut().zip(least).for_each(|(count, least)| *count = (*count).max(least));
+        let mut observations = at_most(&view.counts, of_pixels);
         let prior_cost = record_prior_cost(&self.settings).unwrap_or(1.0);
         let apart = RecordStrata::add(&mut strata, &mut frame, &[&view.cache_records], prior_cost);
         let mut room = view.cache_records.clone();
@@ -186,6 +181,20 @@ impl Pilot {
     }
 }
 
+/// Observations for an image that may have fewer pixels of a stratum than were profiled of it in a larger one: then as many as it has, each the mean of
+/// some.
+fn at_most(counts: &[u32], observations: impl Iterator<Item = Observation>) -> Vec<Observation> {
+    let mut of_strata: BTreeMap<u32, Vec<Cost>> = BTreeMap::new();
+    observations.for_each(|seen| of_strata.entry(seen.stratum).or_default().push(seen.cost));
+    let fewer = |(stratum, costs): (u32, Vec<Cost>)| {
+        let pixels = (counts[stratum as usize] as usize).min(costs.len());
+        let group =
+            move |i: usize| Cost::mean(&costs[i * costs.len() / pixels..(i + 1) * costs.len() / pixels]);
+        (0..pixels).map(move |i| Observation { stratum, cost: group(i) })
+    };
+    of_strata.into_iter().flat_map(fewer).collect()
+}
+
 /// Profiling as a part of it.
 struct Watching<'a>(&'a dyn AccuracyObserver);
 
@@ -203,6 +212,36 @@ mod tests {
     use crate::common::{Nobody, kitchen};
     use crate::{Given, render_frame};
     use forelight_protocol::{CacheMode, RenderSettingsRequest};
+
+    #[test]
+    fn a_smaller_image_costs_what_its_own_pixels_do_however_many_of_a_larger_one_were_profiled() {
+        let (shot, nobody) = (kitchen(), Nobody::default());
+        let request = RenderSettingsRequest { spp: Some(4), ..RenderSettingsRequest::default() };
+        let settings = request.complete((32, 18));
+        let ready = shot.frame(0, &settings).unwrap();
+        let options = AccuracyOptions { samples: 256, seed: 2 };
+        let pilot = Pilot::new(&shot, &*ready, settings.clone(), &options, &nobody).unwrap();
+        for (width, height) in [(16, 9), (8, 5)] {
+            let settings = RenderSettings { width, height, ..settings.clone() };
+            let (view, _) = View::of(&*shot.frame(0, &settings).unwrap()).unwrap();
+            let rendered = render_frame(&shot, 0, &settings, Given::default(), &|_| (), nobody.cancel())
+                .unwrap()
+                .unwrap();
+            let (work, _) = pilot.cost(&view, settings.spp).unwrap();
+            let off = work.mean / rendered.stats.work as f64 - 1.0;
+            println!("{width} x {height}: {off:+.3}");
+            // Forty pixels see other things than those beside them: what is ruled out is that a sixteenth of the pixels costs a half.
+            assert!(off.abs() < 0.25, "{width} x {height}: {off}");
+        }
+    }
+
+    #[test]
+    fn more_observations_than_pixels_become_as_many_means() {
+        let seen = |stratum, work| Observation { stratum, cost: Cost { work, ..Cost::default() } };
+        let observations = [(0, 1), (1, 5), (0, 3), (0, 10), (2, 7), (0, 12), (1, 6)];
+        let fewer = at_most(&[2, 9, 0], observations.into_iter().map(|(stratum, work)| seen(stratum, work)));
+        assert_eq!(fewer, [seen(0, 2), seen(0, 11), seen(1, 5), seen(1, 6)]);
+    }
 
     #[test]
     fn with_a_cache_too_other_numbers_of_samples_are_known_to_cost_what_they_do() {

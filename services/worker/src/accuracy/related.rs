@@ -19,6 +19,9 @@ use std::ops::RangeInclusive;
 /// So many pixels at least are traced with both settings, of gathers however large.
 const LEAST_PIXELS: u32 = 32;
 
+/// Other gathers may have so many times the rays: a few dozen of their pixels then take a few times as long as the first pilot.
+const MOST_TIMES: f64 = 20.0;
+
 /// Replaces what a pilot without a cache says of the error by what the first one says, scaled.
 pub fn relate(
     renderer: &dyn Renderer,
@@ -86,9 +89,19 @@ pub fn scaled(
 /// How many pixels of other gathers may be traced for about the price of `count` pixels of the first pilot's; `least`, or all, however
 /// dear they are.
 pub fn affordable(count: u32, least: u32, first: &RenderSettings, other: &RenderSettings) -> u32 {
-    let times = gathered_rays(other) / gathered_rays(first);
+    let times = times_the_rays(first, other);
     let affordable = if times > 1.0 { (f64::from(count) / times) as u32 } else { count };
     affordable.max(least.min(count))
+}
+
+/// Whether even the fewest pixels of other gathers are too dear, beside those of the first pilot.
+pub fn is_too_dear(first: &RenderSettings, other: &RenderSettings) -> bool {
+    times_the_rays(first, other) > MOST_TIMES
+}
+
+/// How many times the rays of a pixel with the first settings one with the others has, without a cache.
+pub fn times_the_rays(first: &RenderSettings, other: &RenderSettings) -> f64 {
+    gathered_rays(other) / gathered_rays(first)
 }
 
 /// Rays that a pixel gathers without a cache, of all levels: every level but the first has an eighth of the rays of the one before.

@@ -6,7 +6,7 @@ use crate::classes::by_class;
 use crate::render::spent;
 use crate::renderer::{CacheUse, Finished, FrameRenderer, Previewed, Progress, RenderError, Step};
 use forelight_forecast::accuracy::{PixelNoise, PixelSamples};
-use forelight_protocol::{ByClass, FixedCosts, LeftOut, Spent};
+use forelight_protocol::{ByClass, FixedCosts, LeftOut, ProcessCosts, Spent};
 use forelight_scene::Frame;
 use forelight_tracer::{
     Cache, CacheTotals, Effects, Passes, Pixel, PixelsFinished, Profile, RecordCost, SampleCounts, Shared,
@@ -85,6 +85,10 @@ impl FrameRenderer for AmbientFrame<'_> {
                 FixedCosts { plan: spent(plan).plus(taking), plan_rays, ..self.fixed }
             }
         }
+    }
+
+    fn once(&self) -> ProcessCosts {
+        self.shot.once()
     }
 
     fn cache_records(&self) -> Vec<u32> {

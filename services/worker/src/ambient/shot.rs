@@ -5,7 +5,7 @@ use super::{SharedPreviewer, backend, lock, preview_spent, tracer_settings};
 use crate::render::{counts, spent};
 use crate::renderer::{Counted, FrameRenderer, RenderError, Renderer, ShotInfo, StratumInfo};
 use forelight_protocol::{
-    FixedCosts, PlanCount, RenderSettings, SceneDigest, SceneSummary, Spent, StratumName,
+    FixedCosts, PlanCount, ProcessCosts, RenderSettings, SceneDigest, SceneSummary, Spent, StratumName,
 };
 use forelight_scene::{Frame, Geometry, Limits, Scene};
 use forelight_tracer::{Cache, CacheTotals, Effects, Settings, Tracer, clocked, tracer_version};
@@ -24,6 +24,8 @@ pub struct AmbientShot {
     everything: bool,
     /// The geometry of frame 0, which frames in which nothing has moved share.
     still: Arc<Geometry>,
+    /// Reading the bundle.
+    load: Spent,
     still_tree: Mutex<Option<Tree>>,
     /// The tree of the last frame in which something had moved.
     moved_tree: Mutex<Option<Tree>>,
@@ -60,8 +62,8 @@ impl AmbientShot {
                 summary: summary(&scene, &first),
                 renderer: format!("forelight {}, tracer {}", env!("CARGO_PKG_VERSION"), tracer_version()),
                 strata: strata(&first),
-                load,
             },
+            load,
             moves: scene.geometry_moves(),
             everything: false,
             scene,
@@ -76,6 +78,12 @@ impl AmbientShot {
     /// keep their bits.
     pub fn with_everything(self) -> Self {
         Self { everything: true, ..self }
+    }
+
+    /// What this process has paid once for the shot, as far as it has.
+    pub(super) fn once(&self) -> ProcessCosts {
+        let shared = lock(&self.still_tree).as_ref().filter(|_| !self.moves).map(|tree| tree.build);
+        ProcessCosts { load: self.load, build: shared.unwrap_or_default() }
     }
 
     pub(crate) fn frame_of(&self, frame: u32, settings: &Settings) -> Result<Frame, RenderError> {

@@ -3,8 +3,8 @@
 use super::*;
 use forelight_forecast::Correction;
 use forelight_protocol::{
-    ArtifactHash, CacheSample, FrameStrata, PreviewBackend, ProfileArtifacts, ProfileResult, ProfileSample,
-    Stratum, StratumName,
+    ArtifactHash, CacheSample, FrameStrata, PreviewBackend, ProcessCosts, ProfileArtifacts, ProfileResult,
+    ProfileSample, Stratum, StratumName,
 };
 
 fn stratum(object: u32) -> Stratum {
@@ -76,6 +76,7 @@ fn profile(frame: u32, strata: Vec<Stratum>, counts: &[usize]) -> MeasuredProfil
         left_out: vec![LeftOut { what: "sun 0".to_owned(), reason: "outside".to_owned() }],
         renderer: Some("r 1".to_owned()),
         fixed,
+        once: ProcessCosts { load, build: Spent::default() },
         spent: Spent { work: 50, cpu_nanos: 0 },
         artifacts,
     };

@@ -18,7 +18,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use forelight_forecast::{Correction, Corrections, LEAST_JOBS, Strategy};
 use forelight_protocol::{
     CalibratedQuantiles, CalibrationDoc, Explanation, FixedCosts, ForecastDoc, FrameSet, LeftOut,
-    NodeCalibration, NodeSeconds, Quantiles, RenderSettings, Spent,
+    NodeCalibration, NodeSeconds, ProcessCosts, Quantiles, RenderSettings, Spent,
 };
 use forelight_worker::{Observer, Quote, QuoteOptions, ROUNDS, Renderer, ShotError, quote};
 use indicatif::ProgressBar;
@@ -166,7 +166,7 @@ fn corrections(
     local: &Local,
     settings: &RenderSettings,
 ) -> Result<Corrections> {
-    let document: CalibrationDoc = json_file::read(path)?;
+    let document: CalibrationDoc = json_file::read_written_by("curl FARM/v1/forecasts/calibration", path)?;
     if strategy != Strategy::Snapshot {
         let reason =
             "--calibration: farms quote by the strategy snapshot, and their jobs teach nothing of others";
@@ -308,7 +308,11 @@ fn report(quote: &ForecastDoc) -> String {
     let left_out =
         quote.left_out.iter().map(|LeftOut { what, reason }| format!("left out: {what}: {reason}\n"));
     table.render()
-        + &quote.fixed.as_ref().map_or_else(String::new, fixed_costs)
+        + &quote.fixed.map_or_else(String::new, fixed_costs)
+        + &quote.once.map_or_else(String::new, |once| {
+            once_costs(once)
+                .map_or_else(String::new, |costs| format!("once for each process, in no frame: {costs}\n"))
+        })
         + &format!(
             "\nsimulated: {}\n{}{} pixels of {frames} frame{plural} were profiled, and blocks of neighbours traced for their time. The quote took {} CPU time and {:.1} % of the work that it forecasts.\n{calibrated}\n",
             quote.effects.join(", "),
@@ -327,14 +331,29 @@ fn report(quote: &ForecastDoc) -> String {
 }
 
 /// What of a frame's costs no pixel can change, part by part.
-fn fixed_costs(fixed: &FixedCosts) -> String {
-    let FixedCosts { load, build, plan, write, .. } = *fixed;
-    let parts =
-        [("loading", load), ("building the tree", build), ("planning the cache", plan), ("writing", write)];
-    let taken = parts.into_iter().filter(|(_, spent)| *spent != Spent::default());
-    let line = |(name, spent): (&str, Spent)| format!("{name} {}", seconds(spent.cpu_nanos as f64 * 1e-9));
-    let lines: Vec<String> = taken.map(line).collect();
-    if lines.is_empty() { String::new() } else { format!("\nof that, in each frame: {}\n", lines.join(", ")) }
+fn fixed_costs(fixed: FixedCosts) -> String {
+    let FixedCosts { load, build, plan, write, .. } = fixed;
+    let parts = [
+        ("setting up", load),
+        ("building the tree", build),
+        ("planning the cache", plan),
+        ("writing", write),
+    ];
+    taken(&parts).map_or_else(String::new, |parts| format!("\nof that, in each frame: {parts}\n"))
+}
+
+/// What a process pays once for a shot, if that is anything.
+pub fn once_costs(once: ProcessCosts) -> Option<String> {
+    let ProcessCosts { load, build } = once;
+    taken(&[("loading", load), ("building the tree", build)])
+}
+
+/// The time of each part that took any.
+fn taken(parts: &[(&str, Spent)]) -> Option<String> {
+    let taken = parts.iter().filter(|(_, spent)| *spent != Spent::default());
+    let part = |(name, spent): &(&str, Spent)| format!("{name} {}", seconds(spent.cpu_nanos as f64 * 1e-9));
+    let parts: Vec<String> = taken.map(part).collect();
+    (!parts.is_empty()).then(|| parts.join(", "))
 }
 
 fn on_others(nodes: &[NodeSeconds]) -> String {
