@@ -189,7 +189,7 @@ pub struct AccuracyRung {
     pub measured: Option<MeasuredRung>,
 }
 
-/// A ladder that is missing, or that has no errors.
+/// A ladder that is missing, or has no errors, or a rung of it that is left out.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct MissingLadder {
     /// The ladder.
@@ -208,7 +208,7 @@ pub struct AccuracyDoc {
     pub settings: RenderSettings,
     /// The rungs, ladder by ladder, from the cheapest settings to the dearest.
     pub rungs: Vec<AccuracyRung>,
-    /// Ladders that are missing or have no errors, and why.
+    /// Ladders that are missing or have no errors, rungs that are left out, and why.
     pub missing: Vec<MissingLadder>,
     /// Frames and pixels that the predictions rest on. Errors are those of the profiled frames: root mean square over them.
     pub profiled: Profiled,

@@ -125,7 +125,7 @@ pub struct NoiseCell {
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FixedCosts {
-    /// Loading the bundle and setting up the frame.
+    /// Setting up the frame: moving what moves in it.
     pub load: Spent,
     /// Building the acceleration structure.
     pub build: Spent,
@@ -183,13 +183,14 @@ impl FixedCosts {
     }
 }
 
-/// What each process pays once that renders frames of a shot, before the first of them: in no frame's cost, and in no total.
+/// What each process pays once that renders frames of a shot: in no frame's cost, and in no total.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ProcessCosts {
     /// Reading the bundle. In time alone: work counts tracing.
     pub load: Spent,
-    /// Building the acceleration structure, if nothing moves in the shot and so all frames share one; 0 if each builds its own.
+    /// Building the acceleration structure, if nothing moves in the shot and so its frames share one (or several, one after the other, where the camera
+    /// goes from one closed room to the next); 0 if each frame is charged for its own.
     pub build: Spent,
 }
 
@@ -268,8 +269,8 @@ pub struct ProfileResult {
     /// Costs beside the pixels.
     pub fixed: FixedCosts,
     /// What the process had paid once for the shot.
-    #[serde(default)]
-    pub once: ProcessCosts,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub once: Option<ProcessCosts>,
     /// What the whole task took.
     pub spent: Spent,
     /// Its artefacts.

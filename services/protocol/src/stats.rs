@@ -147,7 +147,7 @@ pub struct RenderStats {
     pub work_by_ray: Option<Rays>,
     /// CPU time over all threads, in seconds. On the farm also that of encoding the pictures and of the preview among them.
     pub cpu_seconds: f64,
-    /// What the process had paid once for the shot, before its first frame: in none of these numbers.
+    /// What the process has paid once for the shot: not in the work and the CPU time of any frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub once: Option<ProcessCosts>,
     /// Seconds that this run took, from start to end.

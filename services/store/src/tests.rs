@@ -6,10 +6,10 @@ use std::time::Duration;
 use forelight_protocol::{
     ArtifactHash, BundleRef, BundleSource, CacheFillResult, CacheMergeResult, CachePlanResult, Capabilities,
     FixedCosts, ForecastTotals, FrameForecast, FrameStrata, Job, JobId, JobRequest, JobVerdict, Lease, Node,
-    NodeId, NodeRegistration, PlanReason, PreviewBackend, PreviewResult, ProcessCosts, ProfileArtifacts,
-    ProfileResult, ProfileSample, Profiled, Quantiles, RayQuantiles, Rays, RenderArtifacts, RenderResult,
-    RenderStats, RenewRequest, SceneDigest, SceneSummary, Spent, SpentOnForecast, Stratum, StratumName,
-    TaskResult, TaskSpec, Timestamp, Verdict,
+    NodeId, NodeRegistration, PlanReason, PreviewBackend, PreviewResult, ProfileArtifacts, ProfileResult,
+    ProfileSample, Profiled, Quantiles, RayQuantiles, Rays, RenderArtifacts, RenderResult, RenderStats,
+    RenewRequest, SceneDigest, SceneSummary, Spent, SpentOnForecast, Stratum, StratumName, TaskResult,
+    TaskSpec, Timestamp, Verdict,
 };
 use tempfile::TempDir;
 
@@ -148,7 +148,7 @@ impl Farm {
                 left_out: Vec::new(),
                 renderer: None,
                 fixed: FixedCosts::default(),
-                once: ProcessCosts::default(),
+                once: None,
                 spent: Spent { work: 10, cpu_nanos: 500 },
                 artifacts: ProfileArtifacts { profile: self.artifact("a profile").await, preview_png: None },
             }),

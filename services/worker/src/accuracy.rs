@@ -136,12 +136,17 @@ impl<'a> Prediction<'a> {
                 return Err(ShotError::Cancelled);
             }
             self.done += 1;
-            if kind == LadderKind::Divisions && is_too_dear(&self.gathers_asked_for(), &piloted(settings)) {
+            let is_dear = || {
+                let (first, other) = (self.gathers_asked_for(), piloted(settings));
+                is_too_dear(self.options.samples, LEAST_SAMPLES, &first, &other)
+            };
+            if kind == LadderKind::Divisions && is_dear() {
                 let reason = format!(
                     "{} rays with {} bounces: a few pixels of them take longer than all else here",
                     settings.ambient_divisions, settings.ambient_bounces
                 );
                 self.missing.push(MissingLadder { ladder: kind, reason });
+                self.observer.predicted(self.done, self.all);
                 continue;
             }
             let like = match kind {

@@ -166,7 +166,7 @@ pub fn profile_result(
         renderer: Some(info.renderer.clone()),
         work_by_class: profiled.work_by_class,
         fixed: profiled.fixed,
-        once: profiled.once,
+        once: Some(profiled.once),
         spent: profiled.spent(),
         strata: shown.list,
         artifacts,

@@ -229,7 +229,7 @@ pub(super) fn calibrated(
     };
     let spent = profiles.iter().map(|profile| profile.result.spent).fold(preview.spent, Spent::plus);
     let effects: BTreeSet<&String> = profiles.iter().flat_map(|profile| &profile.result.effects).collect();
-    let once = profiles.iter().map(|profile| profile.result.once.at_speed_one(profile.node_speed));
+    let once = |profile: &MeasuredProfile| Some(profile.result.once?.at_speed_one(profile.node_speed));
     let mut profiled_frames: Vec<u32> = profiles.iter().map(|profile| profile.result.frame).collect();
     profiled_frames.sort_unstable();
     let job = JobForecast {
@@ -252,7 +252,7 @@ pub(super) fn calibrated(
         left_out: LeftOut::of_all(profiles.iter().map(|profile| &profile.result.left_out[..])),
         chosen_spp: None,
         fixed: fixed_costs(profiles, shared, None),
-        once: ProcessCosts::mean(&once.collect::<Vec<_>>()),
+        once: ProcessCosts::mean(&profiles.iter().filter_map(once).collect::<Vec<_>>()),
         work_by_class: profiles
             .iter()
             .filter_map(|profile| profile.result.work_by_class)

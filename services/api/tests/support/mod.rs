@@ -9,10 +9,9 @@ use std::time::Duration;
 use forelight_api::{Config, Service};
 use forelight_protocol::{
     AllottedStats, ArtifactHash, ByClass, FixedCosts, FrameStrata, ImageError, Job, JobState, Lease, Node,
-    NoiseCell, NoiseSample, PreviewBackend, PreviewResult, Problem, ProblemKind, ProcessCosts,
-    ProfileArtifacts, ProfileResult, ProfileSample, Rays, RenderArtifacts, RenderResult, RenderStats,
-    ResultAnswer, ResultRequest, Role, Spent, Stratum, StratumName, TaskKind, TaskResult, TaskSpec,
-    Timestamp,
+    NoiseCell, NoiseSample, PreviewBackend, PreviewResult, Problem, ProblemKind, ProfileArtifacts,
+    ProfileResult, ProfileSample, Rays, RenderArtifacts, RenderResult, RenderStats, ResultAnswer,
+    ResultRequest, Role, Spent, Stratum, StratumName, TaskKind, TaskResult, TaskSpec, Timestamp,
 };
 use forelight_store::tokens;
 use reqwest::{Method, RequestBuilder, Response, StatusCode};
@@ -277,7 +276,7 @@ impl Farm {
                         load: Spent { work: 5, cpu_nanos: 5_000_000 },
                         ..FixedCosts::default()
                     },
-                    once: ProcessCosts::default(),
+                    once: None,
                     spent: Spent { work: 1000, cpu_nanos: 1_000_000 },
                     artifacts: ProfileArtifacts {
                         profile: self.artifact(format!("profile of {}", spec.frame).as_bytes()).await,

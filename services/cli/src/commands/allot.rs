@@ -44,7 +44,7 @@ pub struct AllotArgs {
     /// How sure an error is to be kept; of a time, how sure the least image must fit for the render to begin
     #[arg(long, value_name = "QUANTILE", default_value = "p80", requires = "aim")]
     confidence: ConfidenceLevel,
-    /// Pixels to profile for it
+    /// Pixels to profile for it, 16 to a million
     #[arg(long, value_name = "PIXELS", default_value_t = 256, requires = "aim", value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
     samples: u32,
     /// Write how many camera samples each pixel got, as a grey PNG of 16 bits

@@ -145,28 +145,36 @@ impl Pilot {
         let factor = f64::from(spp) / f64::from(had);
         let growth = uncovered_gathers(&self.settings).map_or(1.0, |gathers| gathers.growth(had, spp));
         let mut strata = self.strata.clone();
-        let mut frame =
-            [FramePopulation { number: 0, counts: view.counts.clone(), lights: 0, shining: 0, triangles: 0 }];
         let of_pixels = self.observations.iter().zip(&self.extra_work).map(|(seen, &extra)| Observation {
             stratum: seen.stratum,
             cost: seen.cost.with_samples(factor, extra, growth),
         });
-        let mut observations = at_most(&view.counts, of_pixels);
+        let mut observations = of_view(&view.counts, of_pixels.collect());
+        // In a smaller image a stratum may have fewer pixels than were profiled of it in this one: the forecast is then of several such images.
+        let copies = copies(&view.counts, &observations);
+        let of_copies = |counts: &[u32]| counts.iter().map(|count| count * copies).collect::<Vec<u32>>();
+        let records = of_copies(&view.cache_records);
+        let counts = of_copies(&view.counts);
+        let mut frame = [FramePopulation { number: 0, counts, lights: 0, shining: 0, triangles: 0 }];
         let prior_cost = record_prior_cost(&self.settings).unwrap_or(1.0);
-        let apart = RecordStrata::add(&mut strata, &mut frame, &[&view.cache_records], prior_cost);
-        let mut room = view.cache_records.clone();
-        room.fill(0);
+        let apart = RecordStrata::add(&mut strata, &mut frame, &[&records], prior_cost);
+        let mut room = vec![0; records.len()];
         for record in &self.records {
             // The same for records.
             if let Some(room) = room.get_mut(record.level as usize)
-                && *room < view.cache_records[record.level as usize]
+                && *room < records[record.level as usize]
             {
                 *room += 1;
                 observations.push(apart.observation(record.level, cost_of_record(record)));
             }
         }
         let Spent { work, cpu_nanos } = view.fixed.total();
-        let fixed = Cost { work, cpu_nanos, rays: view.fixed.plan_rays };
+        let times = u64::from(copies);
+        let fixed = Cost {
+            work: work * times,
+            cpu_nanos: cpu_nanos * times,
+            rays: view.fixed.plan_rays.map(|rays| rays * times),
+        };
         let expansion = &Expansion::Groups;
         let profiled = [ProfiledFrame {
             frame: 0,
@@ -177,22 +185,30 @@ impl Pilot {
         }];
         let forecast = forecast_shot(&strata, &frame, &profiled, Calibration::NONE)?;
         let total = &forecast.total;
-        Ok((quantiles(&total.work, 1.0), quantiles(&total.cpu_nanos, 1e-9)))
+        let one = 1.0 / f64::from(copies);
+        Ok((quantiles(&total.work, one), quantiles(&total.cpu_nanos, 1e-9 * one)))
     }
 }
 
-/// Observations for an image that may have fewer pixels of a stratum than were profiled of it in a larger one: then as many as it has, each the mean of
-/// some.
-fn at_most(counts: &[u32], observations: impl Iterator<Item = Observation>) -> Vec<Observation> {
-    let mut of_strata: BTreeMap<u32, Vec<Cost>> = BTreeMap::new();
-    observations.for_each(|seen| of_strata.entry(seen.stratum).or_default().push(seen.cost));
-    let fewer = |(stratum, costs): (u32, Vec<Cost>)| {
-        let pixels = (counts[stratum as usize] as usize).min(costs.len());
-        let group =
-            move |i: usize| Cost::mean(&costs[i * costs.len() / pixels..(i + 1) * costs.len() / pixels]);
-        (0..pixels).map(move |i| Observation { stratum, cost: group(i) })
-    };
-    of_strata.into_iter().flat_map(fewer).collect()
+/// The observations that speak for what a view shows; where nothing that it shows was profiled, what all cost on average.
+fn of_view(counts: &[u32], observations: Vec<Observation>) -> Vec<Observation> {
+    let shown = |seen: &&Observation| counts[seen.stratum as usize] > 0;
+    let own: Vec<Observation> = observations.iter().filter(shown).copied().collect();
+    match (own.is_empty(), (0..).zip(counts).find(|(_, count)| **count > 0)) {
+        (true, Some((stratum, _))) => {
+            let costs: Vec<Cost> = observations.iter().map(|seen| seen.cost).collect();
+            vec![Observation { stratum, cost: Cost::mean(&costs) }]
+        }
+        _ => own,
+    }
+}
+
+/// How many times a view has to be laid side by side, so that it has as many pixels of each stratum as were observed.
+fn copies(counts: &[u32], observations: &[Observation]) -> u32 {
+    let mut seen = vec![0u32; counts.len()];
+    observations.iter().for_each(|observation| seen[observation.stratum as usize] += 1);
+    let times = |(count, seen): (&u32, u32)| if *count > 0 { seen.div_ceil(*count) } else { 1 };
+    counts.iter().zip(seen).map(times).max().unwrap_or(1).max(1)
 }
 
 /// Profiling as a part of it.
@@ -236,11 +252,34 @@ mod tests {
     }
 
     #[test]
-    fn more_observations_than_pixels_become_as_many_means() {
+    fn views_of_a_few_pixels_have_a_price_whatever_was_profiled() {
+        let (shot, nobody) = (kitchen(), Nobody::default());
+        let options = AccuracyOptions { samples: 16, seed: 2 };
+        let sizes = [(1, 1), (2, 2), (3, 1), (5, 3)].map(|(width, height)| RenderSettings {
+            width,
+            height,
+            ..RenderSettingsRequest { spp: Some(1), ..RenderSettingsRequest::default() }.complete((1, 1))
+        });
+        for own in &sizes {
+            let ready = shot.frame(0, own).unwrap();
+            let pilot = Pilot::new(&shot, &*ready, own.clone(), &options, &nobody).unwrap();
+            for other in &sizes {
+                let (view, _) = View::of(&*shot.frame(0, other).unwrap()).unwrap();
+                let (work, seconds) = pilot.cost(&view, 4).unwrap();
+                assert!(work.mean > 0.0 && work.p95.is_finite() && seconds.p95.is_finite(), "{work:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_was_profiled_speaks_for_views_in_which_there_is_less_of_it() {
         let seen = |stratum, work| Observation { stratum, cost: Cost { work, ..Cost::default() } };
-        let observations = [(0, 1), (1, 5), (0, 3), (0, 10), (2, 7), (0, 12), (1, 6)];
-        let fewer = at_most(&[2, 9, 0], observations.into_iter().map(|(stratum, work)| seen(stratum, work)));
-        assert_eq!(fewer, [seen(0, 2), seen(0, 11), seen(1, 5), seen(1, 6)]);
+        let all = vec![seen(0, 1), seen(1, 5), seen(0, 3), seen(0, 8), seen(2, 7)];
+        let own = of_view(&[2, 9, 0], all.clone());
+        assert_eq!(own, [seen(0, 1), seen(1, 5), seen(0, 3), seen(0, 8)]);
+        assert_eq!(copies(&[2, 9, 0], &own), 2);
+        assert_eq!(copies(&[3, 9, 0], &own), 1);
+        assert_eq!(of_view(&[0, 0, 0, 4], [all, vec![seen(1, 1)]].concat()[..5].to_vec()), [seen(3, 5)]);
     }
 
     #[test]

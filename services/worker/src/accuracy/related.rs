@@ -19,8 +19,11 @@ use std::ops::RangeInclusive;
 /// So many pixels at least are traced with both settings, of gathers however large.
 const LEAST_PIXELS: u32 = 32;
 
-/// Other gathers may have so many times the rays: a few dozen of their pixels then take a few times as long as the first pilot.
-const MOST_TIMES: f64 = 20.0;
+/// The fewest pixels of other gathers may have so many times the rays of the first pilot.
+const MOST_TIMES: f64 = 4.0;
+
+/// Or so many rays, which take a few seconds.
+const MOST_RAYS: f64 = 2e6;
 
 /// Replaces what a pilot without a cache says of the error by what the first one says, scaled.
 pub fn relate(
@@ -94,9 +97,11 @@ pub fn affordable(count: u32, least: u32, first: &RenderSettings, other: &Render
     affordable.max(least.min(count))
 }
 
-/// Whether even the fewest pixels of other gathers are too dear, beside those of the first pilot.
-pub fn is_too_dear(first: &RenderSettings, other: &RenderSettings) -> bool {
-    times_the_rays(first, other) > MOST_TIMES
+/// Whether even `least` pixels of other gathers are too dear beside `count` of the first pilot's.
+pub fn is_too_dear(count: u32, least: u32, first: &RenderSettings, other: &RenderSettings) -> bool {
+    let count = count.min(first.width.saturating_mul(first.height));
+    let rays = |pixels: u32, settings: &RenderSettings| f64::from(pixels) * gathered_rays(settings);
+    rays(least.min(count), other) > f64::max(MOST_TIMES * rays(count, first), MOST_RAYS)
 }
 
 /// How many times the rays of a pixel with the first settings one with the others has, without a cache.

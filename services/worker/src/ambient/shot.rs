@@ -26,7 +26,7 @@ pub struct AmbientShot {
     still: Arc<Geometry>,
     /// Reading the bundle.
     load: Spent,
-    still_tree: Mutex<Option<Tree>>,
+    still_tree: Mutex<Still>,
     /// The tree of the last frame in which something had moved.
     moved_tree: Mutex<Option<Tree>>,
 }
@@ -36,6 +36,14 @@ struct Tree {
     geometry: Arc<Geometry>,
     bvh: Arc<forelight_tracer::Tree>,
     build: Spent,
+}
+
+/// The tree of the geometry that frames share.
+#[derive(Default)]
+struct Still {
+    tree: Option<Tree>,
+    /// Building it, and others before it: a camera that leaves a closed room sees another scene.
+    built: Spent,
 }
 
 /// A tracer, and what its tree took.
@@ -82,8 +90,8 @@ impl AmbientShot {
 
     /// What this process has paid once for the shot, as far as it has.
     pub(super) fn once(&self) -> ProcessCosts {
-        let shared = lock(&self.still_tree).as_ref().filter(|_| !self.moves).map(|tree| tree.build);
-        ProcessCosts { load: self.load, build: shared.unwrap_or_default() }
+        let build = if self.moves { Spent::default() } else { lock(&self.still_tree).built };
+        ProcessCosts { load: self.load, build }
     }
 
     pub(crate) fn frame_of(&self, frame: u32, settings: &Settings) -> Result<Frame, RenderError> {
@@ -120,8 +128,8 @@ impl AmbientShot {
         if Arc::ptr_eq(&frame.geometry, &self.still) {
             // Held while the tree is built, so that workers that share this shot wait for one build instead of doing two.
             let mut still = lock(&self.still_tree);
-            let (ready, tree) = ready(still.as_ref());
-            *still = Some(tree);
+            let (ready, tree) = ready(still.tree.as_ref());
+            *still = Still { tree: Some(tree), built: still.built.plus(ready.built_now) };
             return ready;
         }
         // Not held: workers on different frames build different trees, at the same time.

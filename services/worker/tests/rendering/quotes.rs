@@ -88,6 +88,9 @@ fn building_the_tree_is_in_a_frames_cost_only_where_something_moves_and_motion_i
     }));
     let moving = rendered();
     assert!(moving.work > still.work);
+    let (once, each) = (still.once.unwrap(), moving.once.unwrap());
+    assert_eq!((once.build.work, each.build.work), (moving.work - still.work, 0));
+    assert!(once.load.cpu_nanos > 0 && each.load.cpu_nanos > 0);
     let motion = |stats: &RenderStats| stats.effects.iter().any(|effect| effect == "motion");
     assert!(motion(&moving) && !motion(&still), "{:?}", moving.effects);
 }

@@ -76,7 +76,7 @@ fn profile(frame: u32, strata: Vec<Stratum>, counts: &[usize]) -> MeasuredProfil
         left_out: vec![LeftOut { what: "sun 0".to_owned(), reason: "outside".to_owned() }],
         renderer: Some("r 1".to_owned()),
         fixed,
-        once: ProcessCosts { load, build: Spent::default() },
+        once: Some(ProcessCosts { load, build: write }),
         spent: Spent { work: 50, cpu_nanos: 0 },
         artifacts,
     };
@@ -87,7 +87,7 @@ fn profile(frame: u32, strata: Vec<Stratum>, counts: &[usize]) -> MeasuredProfil
 fn counts_times_unit_costs_make_the_frames_whatever_the_order_of_the_strata_and_the_speed_of_the_node() {
     let preview = preview(&[(0, &[200, 40], 16), (3, &[100, 140], 16)]);
     let profile = profile(0, vec![stratum(1), stratum(0)], &[8, 16, 4]);
-    let forecast = calibrated(&preview, &[profile], None, None).unwrap();
+    let forecast = calibrated(&preview, std::slice::from_ref(&profile), None, None).unwrap();
     let means: Vec<f64> = forecast.frames.iter().map(|frame| frame.work.mean).collect();
     let expected = [20_000.0 + 36_000.0 + 160.0 + 7.0, 10_000.0 + 126_000.0 + 160.0 + 7.0];
     for (mean, expected) in means.iter().zip(expected) {
@@ -100,6 +100,14 @@ fn counts_times_unit_costs_make_the_frames_whatever_the_order_of_the_strata_and_
     assert_eq!(forecast.job.spent.work, 100);
     assert_eq!(forecast.job.effects, ["ambient", "mirror"]);
     assert_eq!(forecast.job.left_out[0].what, "sun 0");
+    let spent = |work, cpu_nanos| Spent { work, cpu_nanos };
+    assert_eq!(forecast.job.once, Some(ProcessCosts { load: spent(7, 60), build: spent(0, 80) }));
+    // Workers of before say nothing of it, which is not that it was nothing.
+    let mut silent = self::profile(3, vec![stratum(1), stratum(0)], &[8, 16, 4]);
+    silent.result.once = None;
+    let of_both = calibrated(&preview, &[profile, silent.clone()], None, None).unwrap().job.once;
+    assert_eq!(of_both, forecast.job.once);
+    assert_eq!(calibrated(&preview, &[silent], None, None).unwrap().job.once, None);
 }
 
 #[test]

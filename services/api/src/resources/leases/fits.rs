@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 
 use forelight_protocol::{
     AllottedStats, CACHE_BYTES, CacheFillResult, CacheFillSpec, CacheMergeResult, CacheMode, CachePlanResult,
-    CachePlanSpec, ImageError, LeftOut, NoiseCell, PreviewResult, PreviewSpec, ProfileResult, ProfileSpec,
-    RenderResult, RenderSettings, RenderSpec, Spent, Stratum, TaskResult, TaskSpec,
+    CachePlanSpec, ImageError, LeftOut, NoiseCell, PreviewResult, PreviewSpec, ProcessCosts, ProfileResult,
+    ProfileSpec, RenderResult, RenderSettings, RenderSpec, Spent, Stratum, TaskResult, TaskSpec,
 };
 
 use crate::error::{ApiError, ApiResult};
@@ -149,6 +149,7 @@ fn profile(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
     {
         spent(&format!("{AT}/fixed/{name}"), cost)?;
     }
+    once(&format!("{AT}/once"), result.once)?;
     if fixed.plan_rays.iter().any(|&number| number > LARGEST) {
         return wrong(format!("{AT}/fixed/plan_rays"), "a number is larger than 2⁶³ − 1");
     }
@@ -249,6 +250,7 @@ fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {
             format!("frame {}; the task is about {}", stats.frame, spec.frame),
         );
     }
+    once(&format!("{AT}/once"), stats.once)?;
     stats.allotted.iter().try_for_each(|allotted| samples_where_they_pay(spec, allotted))?;
     let spp = stats.allotted.as_ref().map_or(settings.spp, |allotted| allotted.mean.round() as u32);
     for (name, actual, expected) in [
@@ -364,6 +366,12 @@ fn left_out(pointer: &str, left_out: &[LeftOut]) -> ApiResult<()> {
         return Ok(());
     }
     wrong(pointer, format!("at most {} entries, of at most {LONGEST} bytes each", LeftOut::MOST))
+}
+
+fn once(pointer: &str, costs: Option<ProcessCosts>) -> ApiResult<()> {
+    let ProcessCosts { load, build } = costs.unwrap_or_default();
+    spent(&format!("{pointer}/load"), load)?;
+    spent(&format!("{pointer}/build"), build)
 }
 
 fn spent(pointer: &str, spent: Spent) -> ApiResult<()> {

@@ -37,7 +37,7 @@ pub struct Args {
     /// Frame number
     #[arg(long, value_name = "N", default_value_t = 0)]
     frame: u32,
-    /// Pixels to profile of every kind of setting
+    /// Pixels to profile of every kind of setting, 16 to a million
     #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
     samples: u32,
     /// Seed of the choice of pixels

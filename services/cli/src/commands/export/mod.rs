@@ -14,7 +14,7 @@ use crate::quantities::{money, seconds};
 use anyhow::Result;
 use clap::ValueEnum;
 use forelight_protocol::{
-    CacheMode, ForecastDoc, FrameSet, QuotedShot, RenderSettings, RenderStats, SceneSummary,
+    CacheMode, ForecastDoc, FrameSet, ProcessCosts, QuotedShot, RenderSettings, RenderStats, SceneSummary,
 };
 use forelight_worker::Renderer;
 use openjd::ExportedShot;
@@ -250,7 +250,11 @@ impl Limits {
                 return Err(BadInput::new(format!("--forecast: it is of {quoted}, not of {frames}")).into());
             }
             let dearest = quote.frames.iter().map(|frame| frame.cpu_seconds.p95).fold(0.0, f64::max);
-            limits = Self { frame: Some(limit(dearest)?), cache: Some(limit(quote.total.cpu_seconds.p95)?) };
+            // Each task is a process.
+            let ProcessCosts { load, build } = quote.once.unwrap_or_default();
+            let once = load.plus(build).cpu_nanos as f64 * 1e-9;
+            let all = quote.total.cpu_seconds.p95;
+            limits = Self { frame: Some(limit(once + dearest)?), cache: Some(limit(once + all)?) };
         }
         if let Some(asked) = asked {
             let whole = asked.as_secs() + u64::from(asked.subsec_nanos() > 0);
@@ -299,6 +303,7 @@ fn description(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use forelight_protocol::Spent;
     use std::fs;
 
     fn message<T: std::fmt::Debug>(result: Result<T>) -> String {
@@ -370,6 +375,10 @@ mod tests {
         assert_eq!(limits(None, Some(&dear)).unwrap(), Limits { frame: Some(4001), cache: Some(40010) });
         let cheap = quote("0-9", 20.0);
         assert_eq!(limits(None, Some(&cheap)).unwrap(), Limits { frame: Some(600), cache: Some(800) });
+        let build = Spent { work: 9, cpu_nanos: 12_000_000_000 };
+        let once = Some(ProcessCosts { load: Spent { work: 0, cpu_nanos: 500_000_000 }, build });
+        let loaded = ForecastDoc { once, ..dear.clone() };
+        assert_eq!(limits(None, Some(&loaded)).unwrap(), Limits { frame: Some(4051), cache: Some(40060) });
         let asked = Some(Duration::from_millis(1500));
         assert_eq!(limits(asked, Some(&dear)).unwrap(), Limits { frame: Some(2), cache: Some(2) });
         assert!(message(limits(None, Some(&quote("0-8", 1.0)))).contains("the frames 0-8, not of 0-9"));

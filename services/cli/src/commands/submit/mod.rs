@@ -78,7 +78,7 @@ pub struct Args {
     /// Among jobs of equal priority, what it is worth: one of 2 as much as two of 1
     #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
     weight: u32,
-    /// Pixels to profile in a profiled frame
+    /// Pixels to profile in a profiled frame, 16 to a million
     #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
     samples: u32,
     /// Frames to profile at most [default: 5, and up to 16 if that leaves the forecast unsure and more would cost less than 1 % of the shot]

@@ -46,7 +46,7 @@ pub struct Args {
     /// Width and height of the image in pixels
     #[arg(long, value_name = "PIXELS", default_value_t = PAPER_SIZE, value_parser = clap::value_parser!(u32).range(1..=4096))]
     size: u32,
-    /// Pixels to profile
+    /// Pixels to profile, 1 to a million
     #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     samples: u32,
     /// Forecasts by each strategy at each level

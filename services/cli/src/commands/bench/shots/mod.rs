@@ -42,7 +42,7 @@ pub struct Args {
     /// Frames, such as 0-47 or 0,5,9-12 [default: the first 48 of the shot]
     #[arg(long, value_name = "LIST")]
     frames: Option<FrameSet>,
-    /// Pixels to profile in a profiled frame
+    /// Pixels to profile in a profiled frame, 1 to a million
     #[arg(long, value_name = "PIXELS", default_value_t = QuoteOptions::default().samples, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     samples: u32,
     /// Frames to profile at most [default: 5, and up to 16 if that leaves the forecast unsure and more would cost less than 1 % of the shot]
