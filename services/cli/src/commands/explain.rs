@@ -69,3 +69,9 @@ pub fn text(explanation: &Explanation) -> String {
     }
     text
 }
+
+/// The effects that a frame calls for, in words.
+pub fn effects(names: &[impl AsRef<str>]) -> String {
+    let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
+    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+}

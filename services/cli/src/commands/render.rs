@@ -236,7 +236,7 @@ fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
         EffectsSwitch::CalledFor => "",
         EffectsSwitch::All => " (with code for all there are, and nothing left out)",
     };
-    text += &format!("effects     {}{code}\n", stats.effects.join(", "));
+    text += &format!("effects     {}{code}\n", explain::effects(&stats.effects));
     for LeftOut { what, reason } in &stats.left_out {
         text += &format!("left out    {what}: {reason}\n");
     }

@@ -1,5 +1,6 @@
 //! `forelight bench effects`: what it saves to simulate only what a scene calls for.
 
+use crate::commands::explain;
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::local::{settings_request, thread_pool};
@@ -219,7 +220,7 @@ fn report(measured: &Measured) -> String {
         "{bundle}: {width} x {height}, {spp} spp, {ambient_bounces} bounces, {} triangles\n",
         count(*triangles as f64)
     );
-    text += &format!("calls for  {}\n", measured.effects.join(", "));
+    text += &format!("calls for  {}\n", explain::effects(&measured.effects));
     for (index, LeftOut { what, reason }) in measured.left_out.iter().enumerate() {
         text += &format!("{:9}  {what}: {reason}\n", if index == 0 { "left out" } else { "" });
     }

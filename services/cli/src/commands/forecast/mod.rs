@@ -315,7 +315,7 @@ fn report(quote: &ForecastDoc) -> String {
         })
         + &format!(
             "\nsimulated: {}\n{}{} pixels of {frames} frame{plural} were profiled, and blocks of neighbours traced for their time. The quote took {} CPU time and {:.1} % of the work that it forecasts.\n{calibrated}\n",
-            quote.effects.join(", "),
+            explain::effects(&quote.effects),
             left_out.collect::<String>(),
             quote.profiled.pixels,
             seconds(spent.cpu_seconds),

@@ -1,6 +1,7 @@
 //! What was said and what was, frame by frame.
 
 use crate::caches;
+use crate::commands::explain;
 use crate::quantities::{clock, count, money, percent, seconds};
 use crate::table::{Align, Table};
 use forelight_protocol::{
@@ -150,7 +151,7 @@ fn verdict(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: 
             text += &made_caches(cache, job);
         }
         if !quote.effects.is_empty() {
-            text += &format!("simulated  {}\n", quote.effects.join(", "));
+            text += &format!("simulated  {}\n", explain::effects(&quote.effects));
         }
         for LeftOut { what, reason } in &quote.left_out {
             text += &format!("left out   {what}: {reason}\n");
