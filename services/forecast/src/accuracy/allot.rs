@@ -259,6 +259,27 @@ mod tests {
         assert!(samples.iter().zip(&again).all(|(a, b)| (a / b - 1.0).abs() < 1e-4), "{samples:?} {again:?}");
     }
 
+    proptest::proptest! {
+        /// Whatever the zones, and however much some of them have already: a budget is never exceeded, and spent, unless all have the most.
+        #[test]
+        fn any_budget_is_spent_and_never_exceeded(
+            zones in proptest::collection::vec((1.0..1e6f64, -12.0..12.0f64, -12.0..12.0f64, 0.01..100.0f64, 1.0..50.0f64), 1..40),
+            more in 0.0..12.0f64,
+        ) {
+            let has: Vec<f64> = zones.iter().map(|zone| zone.4).collect();
+            let zone = |&(pixels, a, b, cost, _): &(f64, f64, f64, f64, f64)| {
+                Zone { pixels, variance: [libm::exp(a), libm::exp(b)], cost }
+            };
+            let zones: Vec<Zone> = zones.iter().map(zone).collect();
+            let budget = cost(&zones, &has) * libm::exp(more);
+            let samples = samples_for_budget(&zones, &has, budget).unwrap();
+            let spent = cost(&zones, &samples);
+            proptest::prop_assert!(spent <= budget, "{spent} of {budget}");
+            let all_have_the_most = samples.iter().all(|n| *n >= 0.999 * MOST_SAMPLES);
+            proptest::prop_assert!(all_have_the_most || spent >= budget * (1.0 - 1e-6), "{spent} of {budget}");
+        }
+    }
+
     #[test]
     fn samples_for_a_price_gain_just_that() {
         let variances = [[1.0, 0.0], [0.0, 1.0], [3.0, 1.0], [1e-9, 7.0], [5e12, 1e-3]];
