@@ -62,6 +62,11 @@ impl Drift {
         }
     }
 
+    /// Of what does not drift.
+    pub fn standing_still(self) -> Self {
+        Self { prior: 0.0, ..self }
+    }
+
     /// Takes in that the profiled frame number `k` was missed by `residual` (logarithm) when predicted from
     /// the others, of which sampling explains the variance `noise`. If it is the only one with its lights, it says nothing of the walk.
     pub fn learn(&mut self, k: usize, residual: f64, noise: f64) {

@@ -113,6 +113,19 @@ pub(crate) struct GroupFit {
     influence: Row,
 }
 
+impl GroupFit {
+    /// What each of its pixels costs, if all that were looked at cost just the same; nothing where it stands apart.
+    pub fn constant(&self, column: usize) -> Option<f64> {
+        let is_constant = self.variance[column] == 0.0 && self.influence[column] == 0.0;
+        is_constant.then_some(self.mean[column])
+    }
+
+    /// Whether it stands apart.
+    pub const fn is_apart(&self) -> bool {
+        self.apart
+    }
+}
+
 /// Gathers the sampling error of a total of group means.
 ///
 /// Beside the variances it holds a *tail allowance*. When rare pixels cost many times the mean, a sample that

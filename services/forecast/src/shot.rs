@@ -364,12 +364,25 @@ impl<'a> Carrier<'a> {
         uncertainty
     }
 
+    /// Whether every pixel of every profiled frame costs just the same, and what is no pixel nothing: camera rays.
+    fn is_the_same_everywhere(&self, column: usize) -> bool {
+        let mut groups = self.sources.iter().flat_map(|source| &source.fit.groups);
+        let pixels = self.sources[0].fit.groups.iter().find(|group| !group.is_apart());
+        let constant = pixels.and_then(|group| group.constant(column));
+        constant.is_some()
+            && groups
+                .all(|group| group.constant(column) == if group.is_apart() { Some(0.0) } else { constant })
+    }
+
     /// Learns how fast unit costs drift from how well each profiled frame is predicted by the others.
     fn drift(&self, column: usize) -> Drift {
         let profiled = self.sources.iter().map(|source| source.frame).collect();
         let mut drift = Drift::new(&self.clock, self.frames, profiled);
         if self.sources.len() < 2 {
             return drift;
+        }
+        if column > WORK && self.is_the_same_everywhere(column) {
+            return drift.standing_still();
         }
         for (k, source) in self.sources.iter().enumerate() {
             let measured = source.fit.total(column);

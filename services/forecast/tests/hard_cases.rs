@@ -46,6 +46,37 @@ fn a_scene_of_constant_cost_is_forecast_exactly() {
 }
 
 #[test]
+fn rays_that_every_pixel_has_are_known_of_frames_that_were_not_profiled() {
+    // One camera ray a pixel; other rays are as many as there is work.
+    let strata = strata(2);
+    let frame = |number| {
+        let counts = vec![400 + 20 * number as u32, 600 - 20 * number as u32];
+        FramePopulation { number, counts, lights: 0, shining: 0, triangles: 0 }
+    };
+    let frames: Vec<FramePopulation> = (0..6).map(frame).collect();
+    let observations: Vec<Vec<Observation>> = [0u64, 2, 5]
+        .map(|t| (0..40).map(|i| observe((i % 2) as u32, 1000 + 50 * t + 37 * (i % 7))).collect())
+        .to_vec();
+    let profiled: Vec<ProfiledFrame> = [0, 2, 5]
+        .into_iter()
+        .zip(&observations)
+        .map(|(frame, observations)| ProfiledFrame {
+            frame,
+            observations,
+            expansion: &Expansion::Groups,
+            fixed: Cost::default(),
+            build: Cost::default(),
+        })
+        .collect();
+    let found = forecast_shot(&strata, &frames, &profiled, Calibration::NONE).unwrap();
+    for frame in &found.frames {
+        assert_exact(&frame.total.rays[0], 1000.0);
+        assert!(frame.total.rays[1].p95 > frame.total.rays[1].p50, "{:?}", frame.total.rays[1]);
+    }
+    assert_exact(&found.total.rays[0], 6000.0);
+}
+
+#[test]
 fn a_complete_sample_gives_the_exact_total_with_no_interval() {
     let picture = Picture::new(Recipe { side: 32, ..INTERIOR }, 1, 1, 0.0);
     let (picks, observations) = picture.profile(5000, 9, 0);
