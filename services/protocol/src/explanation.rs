@@ -162,7 +162,7 @@ impl Explanation {
         let rest = (whole - pixel_work - records_work).max(0.0);
         let FixedCosts { load, build, plan, .. } = fixed.unwrap_or_default();
         let setting_up = [
-            ("loading and setting up", load),
+            ("setting up", load),
             ("building the tree", build),
             ("planning the irradiance cache", plan),
         ];
