@@ -161,11 +161,8 @@ impl Explanation {
         let by_ray = work_by_ray(&pixels);
         let rest = (whole - pixel_work - records_work).max(0.0);
         let FixedCosts { load, build, plan, .. } = fixed.unwrap_or_default();
-        let setting_up = [
-            ("setting up", load),
-            ("building the tree", build),
-            ("planning the irradiance cache", plan),
-        ];
+        let setting_up =
+            [("setting up", load), ("building the tree", build), ("planning the irradiance cache", plan)];
         let mut planning = 0.0;
         match setting_up.map(|(_, spent)| spent.work as f64).iter().sum::<f64>() {
             all if all > 0.0 => {

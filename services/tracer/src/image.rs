@@ -58,6 +58,18 @@ impl Totals {
 }
 
 impl Totals {
+    /// Both together.
+    #[must_use]
+    pub fn plus(self, other: Self) -> Self {
+        Self {
+            pixels: self.pixels + other.pixels,
+            rays: std::array::from_fn(|kind| self.rays[kind] + other.rays[kind]),
+            work: self.work + other.work,
+            work_by_ray: std::array::from_fn(|kind| self.work_by_ray[kind] + other.work_by_ray[kind]),
+            cpu_nanos: self.cpu_nanos + other.cpu_nanos,
+        }
+    }
+
     /// What was added since a total of the same pixels.
     #[must_use]
     pub fn minus(&self, before: &Self) -> Self {

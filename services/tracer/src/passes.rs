@@ -115,6 +115,8 @@ pub struct Passes {
     width: u32,
     height: u32,
     tiles: Vec<Tile>,
+    /// What all passes took.
+    totals: Totals,
 }
 
 /// Pixels that one thread works off one after the other.
@@ -135,7 +137,7 @@ impl Passes {
         };
         // Scattered, so that what a pass does not come to any more lies all over the image.
         let tiles = scattered(tiling.count()).map(tile).collect();
-        Self { width, height, tiles }
+        Self { width, height, tiles, totals: Totals::default() }
     }
 
     /// Brings every pixel to the number of samples that `wanted` has for it, on the current thread pool, and says what that took. Pixels that have as many keep theirs.
@@ -153,8 +155,7 @@ impl Passes {
         let wanted = wanted.for_pixels((self.width * self.height) as usize)?;
         tracer.plan();
         let done = AtomicU64::new(0);
-        let before = self.totals();
-        self.tiles.par_iter_mut().for_each(|tile| {
+        let of_tile = |tile: &mut Tile| {
             share_cpu_time(|| {
                 let mut traced = Vec::new();
                 for (&index, pixel) in tile.indices.iter().zip(&mut tile.pixels) {
@@ -184,8 +185,11 @@ impl Passes {
             });
             let pixels = tile.indices.len() as u64;
             progress(done.fetch_add(pixels, Ordering::Relaxed) + pixels);
-        });
-        Ok(self.totals().minus(&before))
+            Totals::of(tile.pixels.iter().map(|underway| &underway.pixel))
+        };
+        let totals = self.tiles.par_iter_mut().map(of_tile).reduce(Totals::default, Totals::plus);
+        let before = std::mem::replace(&mut self.totals, totals);
+        Ok(totals.minus(&before))
     }
 
     /// How often [`Self::go_on`] calls `progress`.
@@ -216,8 +220,8 @@ impl Passes {
     }
 
     /// What all passes took.
-    pub fn totals(&self) -> Totals {
-        Totals::of(self.pixels().map(|(_, underway)| &underway.pixel))
+    pub const fn totals(&self) -> Totals {
+        self.totals
     }
 
     /// The image, as far as it has come.

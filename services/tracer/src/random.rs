@@ -63,13 +63,19 @@ impl Sampler {
     /// Notes how far its sequences are drawn.
     pub fn note_drawn(&self, Drawn(left): &mut Drawn) {
         const { assert!(VERTICES * PURPOSES <= 256) };
-        let begun = || (0u8..).zip(self.drawn.iter().copied()).filter(|(_, drawn)| *drawn > 0);
+        let begun = || {
+            // Most paths have few vertices.
+            let used = |row: &[u32; PURPOSES]| row.iter().fold(0, |all, drawn| all | drawn) > 0;
+            let rows =
+                (0u8..).step_by(PURPOSES).zip(self.drawn.as_chunks().0).filter(move |(_, row)| used(row));
+            rows.flat_map(|(first, row)| (first..).zip(row.iter().copied())).filter(|(_, drawn)| *drawn > 0)
+        };
         // Nearly always the same sequences as before.
-        let count = begun().count();
-        if left.len() != count {
-            *left = vec![(0, 0); count].into();
+        let mut slots = left.iter_mut();
+        let fits = begun().all(|drawn| slots.next().map(|slot| *slot = drawn).is_some());
+        if !fits || slots.next().is_some() {
+            *left = begun().collect();
         }
-        left.iter_mut().zip(begun()).for_each(|(left, drawn)| *left = drawn);
     }
 
     /// Points for something else than a pixel, by a key of its own.

@@ -470,8 +470,9 @@ pub(crate) fn share_cpu_time<'a>(trace: impl FnOnce() -> Vec<(u64, &'a mut u64)>
     let (pixels, cpu) = clocked(trace);
     let wall: u64 = pixels.iter().map(|(before, now)| **now - before).sum();
     if wall > 0 {
+        let share = cpu as f64 / wall as f64;
         for (before, now) in pixels {
-            *now = before + (u128::from(*now - before) * u128::from(cpu) / u128::from(wall)) as u64;
+            *now = before + ((*now - before) as f64 * share).round() as u64;
         }
     }
 }
