@@ -5,10 +5,10 @@ mod common;
 
 use std::collections::BTreeSet;
 
-use common::{Stream, cost_of};
+use common::{Stream, cost_of, profile_of};
 use forelight_forecast::{
-    Calibration, Cost, Expansion, FIRST_FRAMES, FrameDesign, FramePopulation, MOST_FRAMES, Observation,
-    ProfiledFrame, ShotForecast, Stratum, choose_frames, choose_more_frames, forecast_shot,
+    Calibration, FIRST_FRAMES, FrameDesign, FramePopulation, MOST_FRAMES, Observation, ProfiledFrame,
+    ShotForecast, Stratum, choose_frames, choose_more_frames, forecast_shot,
 };
 
 /// Edge of the image, pixels.
@@ -91,13 +91,7 @@ impl Shot {
         let profiled: Vec<ProfiledFrame<'_>> = chosen
             .iter()
             .zip(&observed)
-            .map(|(&frame, observations)| ProfiledFrame {
-                frame,
-                observations,
-                expansion: &Expansion::Groups,
-                fixed: Cost::default(),
-                build: Cost::default(),
-            })
+            .map(|(&frame, observations)| profile_of(frame, observations))
             .collect();
         forecast_shot(&self.strata, &self.frames, &profiled, Calibration::NONE).expect("a forecast")
     }

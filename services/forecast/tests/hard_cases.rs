@@ -2,10 +2,10 @@
 
 mod common;
 
-use common::{INTERIOR, LIGHT, Picture, Recipe, cost_of};
+use common::{INTERIOR, LIGHT, Picture, Recipe, cost_of, profile_of};
 use forelight_forecast::{
-    Calibration, Cost, Costs, Expansion, ForecastError, FrameDesign, FramePopulation, Observation,
-    ProfiledFrame, Quantity, Stratum, choose_frames, estimate, forecast_shot,
+    Calibration, Cost, Costs, ForecastError, FrameDesign, FramePopulation, Observation, ProfiledFrame,
+    Quantity, Stratum, choose_frames, estimate, forecast_shot,
 };
 use proptest::prelude::*;
 
@@ -60,13 +60,7 @@ fn rays_that_every_pixel_has_are_known_of_frames_that_were_not_profiled() {
     let profiled: Vec<ProfiledFrame> = [0, 2, 5]
         .into_iter()
         .zip(&observations)
-        .map(|(frame, observations)| ProfiledFrame {
-            frame,
-            observations,
-            expansion: &Expansion::Groups,
-            fixed: Cost::default(),
-            build: Cost::default(),
-        })
+        .map(|(frame, observations)| profile_of(frame, observations))
         .collect();
     let found = forecast_shot(&strata, &frames, &profiled, Calibration::NONE).unwrap();
     for frame in &found.frames {
@@ -177,13 +171,7 @@ fn wrong_input_is_named() {
     assert!(matches!(FrameDesign::new(&strata, &[9], 1, 2, 0, 0), Err(ForecastError::UnknownStratum { .. })));
     let frame = |number| FramePopulation { number, counts: vec![1, 1], lights: 0, shining: 0, triangles: 0 };
     assert_eq!(choose_frames(&strata, &[frame(4), frame(4)], 1), Err(ForecastError::FrameOrder { frame: 4 }));
-    let profiled = |frame| ProfiledFrame {
-        frame,
-        observations: &twice[..1],
-        expansion: &Expansion::Groups,
-        fixed: Cost::default(),
-        build: Cost::default(),
-    };
+    let profiled = |frame| profile_of(frame, &twice[..1]);
     assert_eq!(
         forecast_shot(&strata, &[frame(1)], &[profiled(0), profiled(0)], calibration),
         Err(ForecastError::ProfiledFrame { index: 0 })

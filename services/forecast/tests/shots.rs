@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{INTERIOR, LIGHT, Picture, Recipe, cost_of, errors};
+use common::{INTERIOR, LIGHT, Picture, Recipe, cost_of, errors, profile_of};
 use forelight_forecast::{
     Calibration, Cost, Expansion, FramePopulation, Observation, ProfiledFrame, RecordStrata, ShotForecast,
     Stratum, choose_frames, forecast_shot,
@@ -45,13 +45,7 @@ impl Shot {
         let profiled: Vec<ProfiledFrame<'_>> = chosen
             .iter()
             .zip(&observed)
-            .map(|(&frame, observations)| ProfiledFrame {
-                frame,
-                observations,
-                expansion: &Expansion::Groups,
-                fixed: Cost::default(),
-                build: Cost::default(),
-            })
+            .map(|(&frame, observations)| profile_of(frame, observations))
             .collect();
         forecast_shot(strata, &self.frames, &profiled, Calibration::NONE).expect("a forecast")
     }
@@ -191,13 +185,7 @@ fn an_object_that_no_profiled_frame_shows_borrows_and_widens_the_quote() {
     strata[2].material = 0;
     let observed: Vec<Observation> =
         (0..40).map(|_| Observation { stratum: 0, cost: cost_of(10.0) }).collect();
-    let profiled = [ProfiledFrame {
-        frame: 0,
-        observations: &observed,
-        expansion: &Expansion::Groups,
-        fixed: Cost::default(),
-        build: Cost::default(),
-    }];
+    let profiled = [profile_of(0, &observed)];
     let found = forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast");
     assert_eq!(found.borrowed, 1);
     assert!((found.frames[1].total.work.mean - 10_000.0).abs() < 1e-6);
@@ -212,14 +200,7 @@ fn unit_costs_follow_a_trend_between_profiled_frames() {
         (0..4000).map(|_| Observation { stratum: 0, cost: cost_of(work) }).collect()
     };
     let (early, late) = (observed(1000.0), observed(2000.0));
-    let profile = |frame, observations| ProfiledFrame {
-        frame,
-        observations,
-        expansion: &Expansion::Groups,
-        fixed: Cost::default(),
-        build: Cost::default(),
-    };
-    let profiled = [profile(10, &late[..]), profile(0, &early[..])];
+    let profiled = [profile_of(10, &late), profile_of(0, &early)];
     let found = forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast");
     let unit = |t: usize| found.frames[t].total.work.mean / 100_000.0;
     assert_eq!((unit(0), unit(10)), (1000.0, 2000.0));
@@ -241,13 +222,8 @@ fn with_records(shot: &Shot, records: &[&[u32]], works: &[&[f64]]) -> ShotForeca
             pixels.into_iter().chain(gathered).collect()
         })
         .to_vec();
-    let profiled = [(8, &observed[0]), (40, &observed[1])].map(|(frame, observations)| ProfiledFrame {
-        frame,
-        observations,
-        expansion: &Expansion::Groups,
-        fixed: Cost::default(),
-        build: Cost::default(),
-    });
+    let profiled =
+        [(8, &observed[0]), (40, &observed[1])].map(|(frame, observations)| profile_of(frame, observations));
     forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast")
 }
 
@@ -289,13 +265,7 @@ fn records_of_which_none_was_gathered_are_an_error_and_not_a_guess() {
     let (mut strata, mut frames) = one_stratum_each(&[[1000, 0, 0]]);
     RecordStrata::add(&mut strata, &mut frames, &[&[50]], 20.0);
     let observed = [Observation { stratum: 0, cost: cost_of(10.0) }];
-    let profiled = [ProfiledFrame {
-        frame: 0,
-        observations: &observed,
-        expansion: &Expansion::Groups,
-        fixed: Cost::default(),
-        build: Cost::default(),
-    }];
+    let profiled = [profile_of(0, &observed)];
     let refused = forecast_shot(&strata, &frames, &profiled, Calibration::NONE);
     assert_eq!(refused, Err(forelight_forecast::ForecastError::NoSamples));
 }
@@ -344,13 +314,7 @@ fn a_frame_under_lights_that_were_never_profiled_costs_like_one_under_others_not
     assert_eq!(chosen.iter().map(|frame| frame % 2).sum::<usize>(), 1, "{chosen:?}");
     let of = |work: f64| [1.0; 100].map(|_| Observation { stratum: 0, cost: cost_of(work) });
     let observations = [of(1.0), of(10.0)];
-    let profiled = chosen.iter().map(|&frame| ProfiledFrame {
-        frame,
-        observations: &observations[frame % 2],
-        expansion: &Expansion::Groups,
-        fixed: Cost::default(),
-        build: Cost::default(),
-    });
+    let profiled = chosen.iter().map(|&frame| profile_of(frame, &observations[frame % 2]));
     let profiled: Vec<ProfiledFrame<'_>> = profiled.collect();
     let forecast = forecast_shot(&strata, &frames, &profiled, Calibration::NONE).expect("a forecast");
     for frame in &forecast.frames {

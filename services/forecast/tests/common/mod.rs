@@ -6,7 +6,7 @@
 
 #![allow(dead_code, reason = "every test file uses its own part of this module")]
 
-use forelight_forecast::{Cost, FrameDesign, Observation, Pick, Stratum};
+use forelight_forecast::{Cost, Expansion, FrameDesign, Observation, Pick, ProfiledFrame, Stratum};
 
 /// A stream of uniform numbers in (0, 1).
 pub struct Stream(u64);
@@ -162,6 +162,12 @@ impl Picture {
         let observations = self.observe(&picks);
         (picks, observations)
     }
+}
+
+/// A profiled frame without costs beside its pixels.
+pub fn profile_of(frame: usize, observations: &[Observation]) -> ProfiledFrame<'_> {
+    let (fixed, build) = (Cost::default(), Cost::default());
+    ProfiledFrame { frame, observations, expansion: &Expansion::Groups, fixed, build }
 }
 
 /// A cost whose columns all follow the work.

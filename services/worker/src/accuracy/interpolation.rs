@@ -22,8 +22,8 @@ use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{RenderSettings, Spent};
 
 /// Gathers of the truth have that many times the divisions that were asked for, that their noise does not hide what is looked for; the first of
-/// these with which they have at most [`MOST_TIMES`] the rays, for with several bounces these grow with a power of the divisions.
-const FINER: [u32; 3] = [4, 2, 1];
+/// these with which they have at most [`MOST_TIMES`] the rays, or as many: with several bounces rays grow with a power of the divisions.
+const FINER: [u32; 2] = [4, 2];
 
 /// See [`FINER`].
 const MOST_TIMES: f64 = 8.0;

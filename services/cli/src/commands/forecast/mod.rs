@@ -309,10 +309,10 @@ fn report(quote: &ForecastDoc) -> String {
         quote.left_out.iter().map(|LeftOut { what, reason }| format!("left out: {what}: {reason}\n"));
     table.render()
         + &quote.fixed.map_or_else(String::new, fixed_costs)
-        + &quote.once.map_or_else(String::new, |once| {
-            once_costs(once)
-                .map_or_else(String::new, |costs| format!("once for each process, in no frame: {costs}\n"))
-        })
+        + &quote
+            .once
+            .and_then(once_costs)
+            .map_or_else(String::new, |costs| format!("once for each process, in no frame: {costs}\n"))
         + &format!(
             "\nsimulated: {}\n{}{} pixels of {frames} frame{plural} were profiled, and blocks of neighbours traced for their time. The quote took {} CPU time and {:.1} % of the work that it forecasts.\n{calibrated}\n",
             explain::effects(&quote.effects),
