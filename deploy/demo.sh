@@ -25,7 +25,7 @@ command -v cargo >/dev/null || PATH="$HOME/.cargo/bin:$PATH"
 if [ -z "${FORELIGHT_BIN:-}" ]; then
   command -v cargo >/dev/null || { echo 'error: no Rust here; install it from https://rustup.rs and run this again' >&2; exit 1; }
   cargo build --release --package forelight-cli
-  FORELIGHT_BIN=$PWD/target/release/forelight
+  FORELIGHT_BIN=$(realpath "${CARGO_TARGET_DIR:-target}")/release/forelight
 fi
 
 data=${FORELIGHT_DATA:-farm-data}

@@ -30,7 +30,8 @@ cargo build --workspace --quiet # the processes that tests start
 cargo test --workspace --quiet --no-fail-fast
 
 if [ "${1:-}" != --quick ]; then
-  export FORELIGHT_BIN=$PWD/target/debug/forelight
+  FORELIGHT_BIN=$(realpath "${CARGO_TARGET_DIR:-target}")/debug/forelight
+  export FORELIGHT_BIN
   for peer in tests/peers/*.sh; do
     step "$(basename "$peer" .sh)"
     "$peer"
