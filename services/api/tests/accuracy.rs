@@ -3,11 +3,12 @@
 mod support;
 
 use forelight_protocol::{
-    AccuracyDoc, CacheSample, ForecastDoc, Job, LadderKind, ProblemKind, TaskKind, TaskResult,
+    AccuracyDoc, AnswersDoc, CacheMode, CacheSample, ForecastDoc, Integrator, Job, LadderKind, Ladders, Node,
+    PlanChange, ProblemKind, RenderSettings, TaskKind, TaskResult, TaskSpec, Timestamp,
 };
 use reqwest::StatusCode;
 use serde_json::json;
-use support::{Answer, Farm};
+use support::{Answer, Farm, made_up_times};
 
 async fn document(farm: &Farm, job: &Job) -> AccuracyDoc {
     farm.viewer.get(&format!("/v1/jobs/{}/accuracy", job.id)).await.json_as(StatusCode::OK).await
@@ -89,7 +90,7 @@ async fn rungs_cost_in_proportion_and_err_by_the_profiled_variance() {
     let missing: Vec<LadderKind> = document.missing.iter().map(|missing| missing.ladder).collect();
     let unknown = [LadderKind::Path, LadderKind::CachedSamples, LadderKind::Cache, LadderKind::Divisions];
     assert_eq!(missing, unknown);
-    assert!(document.missing.iter().all(|missing| missing.reason.contains("forelight accuracy")));
+    assert!(document.missing.iter().all(|missing| missing.reason.contains("all `ladders`")));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -124,6 +125,140 @@ async fn a_job_with_a_cache_has_its_times_and_no_errors_and_says_why() {
     let records = 2.0 * 30.0 * 7000.0;
     assert!(first > records && (second - first) * 4.0 / 3.0 + records < second * 1.01, "{first} {second}");
     assert!(document.missing.iter().any(|missing| missing.reason.contains("before the irradiance cache")));
+}
+
+/// The tasks of a job that asks for all ladders, up to its booking; the frames that were profiled for ladders.
+async fn booked_with_ladders(farm: &Farm, node: &Node, job: &Job) -> Vec<u32> {
+    let mut laid_out = Vec::new();
+    while !farm.job(job).await.state.is_final() {
+        let task = farm.next_task(node).await;
+        match &task.spec {
+            TaskSpec::Render(_) => break,
+            TaskSpec::Profile(spec) if spec.ladders => laid_out.push(spec.frame),
+            _ => {}
+        }
+        farm.finish(&task).await;
+    }
+    laid_out
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_that_asks_for_all_ladders_has_those_of_other_settings_by_one_of_its_frames() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let mut request = farm.job_request("0-4");
+    request["ladders"] = json!("all");
+    request["profile_frames"] = json!(3);
+    request["settings"] = json!({"ambient_bounces": 1, "spp": 16, "width": 8, "height": 8});
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    assert_eq!(job.ladders, Ladders::All);
+    let laid_out = booked_with_ladders(&farm, &node, &job).await;
+    assert_eq!(laid_out.len(), 1, "one frame stands for all");
+    let document = document(&farm, &job).await;
+    let quote: ForecastDoc =
+        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.json_as(StatusCode::OK).await;
+    assert!(quote.profiled.frames.contains(&laid_out[0]) && quote.profiled.frames[0] < laid_out[0]);
+    // Ladders of their own are as they were; the others have a ratio to what was asked for, of price and of error.
+    let asked = document.rungs.iter().find(|rung| rung.asked_for).unwrap();
+    assert_eq!(asked.work, quote.total.work);
+    for kind in LadderKind::ALL {
+        let rungs: Vec<_> = document.rungs.iter().filter(|rung| rung.ladder == kind).collect();
+        let settings: Vec<_> = rungs.iter().map(|rung| rung.settings.clone()).collect();
+        assert_eq!(settings, kind.rungs(&job.settings).unwrap(), "{kind:?}");
+        if [LadderKind::Ambient, LadderKind::Resolution].contains(&kind) {
+            continue;
+        }
+        for (place, rung) in (1..).zip(rungs) {
+            let times = if rung.settings == job.settings { 1.0 } else { made_up_times(kind, place) };
+            assert!((rung.work.mean / (times * asked.work.mean) - 1.0).abs() < 1e-9, "{rung:?}");
+            assert!((rung.cpu_seconds.p95 / (times * asked.cpu_seconds.p95) - 1.0).abs() < 1e-9, "{rung:?}");
+            let (error, own) = (rung.error.unwrap(), asked.error.unwrap());
+            assert!((error.p80 / (times * own.p80) - 1.0).abs() < 1e-9, "{error:?} {own:?}");
+            assert!((error.p05 / (times * own.p05) - 1.0).abs() < 1e-9, "{error:?} {own:?}");
+        }
+    }
+    assert_eq!(document.missing.len(), 1);
+    assert_eq!(document.missing[0].reason, "too dear");
+    // What they took is part of what the quote did: three profiles of 1000 and a preview of 100.
+    assert_eq!(document.spent.work, 3100);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_that_is_late_is_offered_other_settings_that_would_be_in_time() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let mut request = farm.job_request("0-4");
+    request["ladders"] = json!("all");
+    request["settings"] = json!({"ambient_bounces": 1, "spp": 16, "width": 8, "height": 8});
+    // As asked for it takes four minutes.
+    request["deadline"] = json!(Timestamp::from_micros(Timestamp::now().micros() + 120_000_000));
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    booked_with_ladders(&farm, &node, &job).await;
+    let path = format!("/v1/jobs/{}/answers", job.id);
+    let answers: AnswersDoc = farm.submitter.get(&path).await.json_as(StatusCode::OK).await;
+    let of = |has: &dyn Fn(&RenderSettings) -> bool| {
+        answers.qualities.iter().filter(|offer| has(&offer.settings)).count()
+    };
+    assert!(of(&|settings| settings.integrator == Integrator::Path) >= 5, "{:?}", answers.qualities);
+    assert!(of(&|settings| settings.cache == CacheMode::On) >= 5);
+    assert_eq!(of(&|settings| *settings == job.settings), 1, "each quality is offered once");
+    // The best that is in time.
+    let verdict = farm.job(&job).await.verdict.unwrap();
+    let way = verdict.ways_out.iter().find_map(|way| match &way.change {
+        PlanChange::Quality { settings: Some(settings), .. } => Some((settings, &way.words)),
+        _ => None,
+    });
+    let (settings, words) = way.unwrap_or_else(|| panic!("{:?}", verdict.ways_out));
+    assert_eq!((settings.cache, settings.spp), (CacheMode::On, 1));
+    assert!(
+        words.starts_with("an irradiance cache of accuracy 0.2, 1 samples a pixel instead of 16"),
+        "{words}"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn ladders_that_make_no_sense_are_refused_with_the_place() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let mut request = farm.job_request("0");
+    request["ladders"] = json!("all");
+    request["within"] = json!({"cpu_micros": 1_000_000});
+    let answer = farm.submitter.post("/v1/jobs", &request).await;
+    assert_eq!(answer.problem(ProblemKind::Invalid).await.pointer.as_deref(), Some("/ladders"));
+    request.as_object_mut().unwrap().remove("within");
+    farm.submitter.post("/v1/jobs", &request).await.json_as::<Job>(StatusCode::CREATED).await;
+    let preview = farm.next_task(&node).await;
+    farm.finish(&preview).await;
+    let profile = farm.next_task(&node).await;
+    let TaskResult::Profile(good) = farm.made_up_result(&profile).await else { panic!() };
+    let at = |change: &dyn Fn(&mut AccuracyDoc)| {
+        let mut result = good.clone();
+        change(result.ladders.as_mut().unwrap());
+        result
+    };
+    let first = |pointer: &str| format!("/result/profile/ladders/rungs/0/{pointer}");
+    for (result, pointer) in [
+        (at(&|l| l.settings.spp += 1), "/result/profile/ladders/settings".to_owned()),
+        (at(&|l| l.rungs[0].settings.spp = 3), first("settings")),
+        (at(&|l| l.rungs[0].ladder = LadderKind::Divisions), first("settings")),
+        (at(&|l| l.rungs[1] = l.rungs[0].clone()), "/result/profile/ladders/rungs/1/settings".to_owned()),
+        (at(&|l| l.rungs[0].work.p80 = -1.0), first("work")),
+        (at(&|l| l.rungs[0].cpu_seconds.mean = 1e31), first("cpu_seconds")),
+        (at(&|l| l.rungs[0].error.as_mut().unwrap().p95 = -0.1), first("error")),
+        (at(&|l| l.missing[0].reason = "x".repeat(5000)), "/result/profile/ladders/missing".to_owned()),
+        (at(&|l| l.spent.work = u64::MAX), "/result/profile/ladders/spent/work".to_owned()),
+    ] {
+        let answer = farm.report(&profile, TaskResult::Profile(result)).await;
+        let problem = answer.problem(ProblemKind::Invalid).await;
+        assert_eq!(problem.pointer.as_deref(), Some(&*pointer), "{}", problem.detail);
+    }
+    // An older worker does not know of them: the job has those of its own.
+    let mut without = good;
+    without.ladders = None;
+    farm.report(&profile, TaskResult::Profile(without))
+        .await
+        .json_as::<serde_json::Value>(StatusCode::OK)
+        .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -60,3 +60,19 @@ fn wrong_input_is_named_and_nothing_is_written() {
     assert!(String::from_utf8_lossy(&output.stderr).contains("frame 4000"));
     assert!(!path.exists());
 }
+
+#[test]
+fn a_bundle_or_a_job_is_named_and_not_both() {
+    let run = |arguments: &[&str]| {
+        let output =
+            Command::new(env!("CARGO_BIN_EXE_forelight")).arg("accuracy").args(arguments).output().unwrap();
+        assert_eq!(output.status.code(), Some(2));
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let job = "0197a8a5-0000-7000-8000-000000000000";
+    assert!(run(&[]).contains("name a bundle, or a job by --job"));
+    for other in [&[KITCHEN][..], &["--spp", "4"], &["--frame", "0"], &["--measure"], &["--threads", "1"]] {
+        let error = run(&[&["--job", job][..], other].concat());
+        assert!(error.contains("cannot be used with"), "{error}");
+    }
+}

@@ -25,6 +25,33 @@ pub enum LadderKind {
     Resolution,
 }
 
+/// Which ladders of qualities are part of a job's quote.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Ladders {
+    /// Those that the job's own profile speaks of: camera samples and, without a cache, resolutions.
+    #[default]
+    Own,
+    /// All of them: one frame is profiled with the other settings too, before the job is quoted. That takes as much as a few times the frame's own
+    /// profile, and with a cache that of its records; what it took is part of what the quote did.
+    All,
+}
+
+impl Ladders {
+    /// The name, as in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Ladders::Own => "own",
+            Ladders::All => "all",
+        }
+    }
+
+    /// Whether they are the usual ones.
+    pub fn are_own(&self) -> bool {
+        *self == Ladders::Own
+    }
+}
+
 /// Accuracy of an irradiance cache that nobody asked for, in thousandths.
 const USUAL_ACCURACY: u32 = 200;
 

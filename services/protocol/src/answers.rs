@@ -48,6 +48,9 @@ pub enum PlanChange {
         width: u32,
         /// Pixels down.
         height: u32,
+        /// All of its settings; absent in answers of older versions.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        settings: Option<Box<RenderSettings>>,
     },
     /// The job is not there.
     WithoutJob {

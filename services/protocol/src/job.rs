@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    ArtifactHash, BundleRef, CacheSharing, Confidence, FrameForecast, FrameSet, JobId, JobVerdict,
+    ArtifactHash, BundleRef, CacheSharing, Confidence, FrameForecast, FrameSet, JobId, JobVerdict, Ladders,
     LiveForecast, Money, NodeId, PageToken, PlanId, Promise, Quantiles, RenderSettings,
     RenderSettingsRequest, RenderStats, SceneSummary, SeedProgress, TaskLimits, Timestamp, Waits,
 };
@@ -41,6 +41,9 @@ pub struct JobRequest {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1, maximum = 1000)]
     pub profile_frames: Option<u32>,
+    /// Which other qualities the quote prices; `all` cannot be had together with `within`, which chooses the samples itself.
+    #[serde(default, skip_serializing_if = "Ladders::are_own")]
+    pub ladders: Ladders,
     /// Take the most camera samples that fit into this time or money, in place of `settings.spp`, which is then only what is profiled with. Chosen
     /// when the profiles are there, as sure as `confidence` says; a job into which not even one sample fits fails, and says what would. Each frame may
     /// then take the work of so many samples, and spends it where its image shows that it pays.
@@ -201,6 +204,9 @@ pub struct Job {
     /// Frames to profile at most; absent: as many as pay.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub profile_frames: Option<u32>,
+    /// Which other qualities its quote prices.
+    #[serde(default, skip_serializing_if = "Ladders::are_own")]
+    pub ladders: Ladders,
     /// What its frames may take, from which `settings.spp` was or will be chosen.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub within: Option<Within>,

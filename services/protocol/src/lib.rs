@@ -44,7 +44,7 @@ mod time;
 mod track_record;
 
 pub use accuracy::{
-    AccuracyDoc, AccuracyRung, ImageError, LadderKind, MeasuredRung, MissingLadder, NextRung,
+    AccuracyDoc, AccuracyRung, ImageError, LadderKind, Ladders, MeasuredRung, MissingLadder, NextRung,
 };
 pub use answers::{
     AnswersDoc, BudgetAnswer, MovedJob, OutlookLine, PlanChange, PlanEffect, PriceOffer, ProjectList,

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{ArtifactHash, ByClass, LeftOut, Spent, Stratum};
+use crate::{AccuracyDoc, ArtifactHash, ByClass, LeftOut, Spent, Stratum};
 
 /// One profiled pixel.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
@@ -271,6 +271,9 @@ pub struct ProfileResult {
     /// What the process had paid once for the shot.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub once: Option<ProcessCosts>,
+    /// The ladders of this frame, if the task asks for them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ladders: Option<Box<AccuracyDoc>>,
     /// What the whole task took.
     pub spent: Spent,
     /// Its artefacts.
@@ -278,11 +281,14 @@ pub struct ProfileResult {
 }
 
 impl ProfileResult {
-    /// Work of setting the frame up and tracing its pixels: all but what is done for its irradiance cache, whose plan was needed to count its
-    /// records, and which its render takes over.
+    /// Work of setting the frame up and tracing its pixels: all but what is done for other qualities, and for its irradiance cache, whose plan was
+    /// needed to count its records, and which its render takes over.
     pub fn work_on_pixels(&self) -> u64 {
         let gathered = self.cache_samples.iter().chain(&self.shared_cache_samples).map(|sample| sample.work);
-        gathered.fold(self.spent.work.saturating_sub(self.fixed.plan.work), u64::saturating_sub)
+        let on_ladders = self.ladders.as_ref().map_or(0, |ladders| ladders.spent.work);
+        gathered
+            .chain([self.fixed.plan.work, on_ladders])
+            .fold(self.spent.work, |spent, part| spent.saturating_sub(part))
     }
 }
 

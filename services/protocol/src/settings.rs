@@ -27,6 +27,16 @@ pub enum Integrator {
     Path,
 }
 
+impl Integrator {
+    /// The name, as in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Integrator::Ambient => "ambient",
+            Integrator::Path => "path",
+        }
+    }
+}
+
 /// Whether indirect light is interpolated between the records of an irradiance cache.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]

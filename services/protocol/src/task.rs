@@ -197,6 +197,9 @@ pub struct ProfileSpec {
     pub phase_seed: u64,
     /// The job's settings.
     pub settings: RenderSettings,
+    /// Lay out the ladders of qualities around the settings too.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub ladders: bool,
     /// The irradiance cache, as planned, that all frames could share: the pixels are also measured with it. Absent if there is none, and
     /// while the task waits for it.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -2,8 +2,8 @@
 
 use forelight_protocol::{
     ByClass, CacheQuote, FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, FrameSet, JobId, JobState,
-    LeftOut, MoneyQuantiles, NodeSeconds, ProcessCosts, Profiled, Quantiles, QuotedShot, SceneSummary,
-    SpentOnForecast, Timestamp,
+    Ladders, LeftOut, MoneyQuantiles, NodeSeconds, ProcessCosts, Profiled, Quantiles, QuotedShot,
+    SceneSummary, SpentOnForecast, Timestamp,
 };
 use serde::{Deserialize, Serialize};
 use sqlx::Row as _;
@@ -11,7 +11,7 @@ use sqlx::Row as _;
 use crate::database::Write;
 use crate::decode::{corrupt, json, json_opt, to_json, whole, word};
 use crate::events::job_state;
-use crate::tasks::Common;
+use crate::tasks::{Common, ProfileAsked};
 use crate::{PlannedCache, Store, StoreError, jobs};
 
 /// A job's quote without its frames, as it is kept with the job.
@@ -75,8 +75,19 @@ impl Store {
             return Ok(());
         }
         let common = Common::of(job, &row)?;
-        for &frame in frames {
-            common.profile(&mut write, frame, plan_cache, whole(&row, "samples")?, None).await?;
+        // The frame in their middle stands for all where other qualities are asked for.
+        let with_ladders = match word::<Ladders>(&row, "ladders")? {
+            Ladders::All => frames.get(frames.len() / 2),
+            Ladders::Own => None,
+        };
+        for frame in frames {
+            let asked = ProfileAsked {
+                frame: *frame,
+                samples: whole(&row, "samples")?,
+                ladders: with_ladders == Some(frame),
+                cache: None,
+            };
+            common.profile(&mut write, asked, plan_cache).await?;
         }
         if plan_cache {
             let all: FrameSet =
@@ -117,7 +128,9 @@ impl Store {
             PlannedCache::NotAsked | PlannedCache::Pending => None,
         };
         for &frame in frames {
-            common.profile(&mut write, frame, false, whole(&row, "samples")?, cache).await?;
+            let samples = whole(&row, "samples")?;
+            let asked = ProfileAsked { frame, samples, ladders: false, cache };
+            common.profile(&mut write, asked, false).await?;
         }
         self.commit(write).await
     }

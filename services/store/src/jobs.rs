@@ -58,7 +58,7 @@ impl Store {
         sqlx::query(
             "INSERT INTO jobs (id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, frames_total, \
              settings, samples, profile_frames, deadline_at, budget, confidence, priority, created_at, limits, within, cache, weight, \
-             profiles_more) VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+             profiles_more, ladders) VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
         )
         .bind(job_id.0)
         .bind(&request.name)
@@ -82,6 +82,7 @@ impl Store {
         .bind(request.cache.name())
         .bind(i64::from(request.weight))
         .bind(request.profile_frames.is_none())
+        .bind(request.ladders.name())
         .execute(write.connection().await?)
         .await?;
         for frame in request.frames.iter() {
@@ -289,6 +290,7 @@ pub(crate) fn decode(row: &SqliteRow, progress: Progress) -> Result<Job, StoreEr
         } else {
             Some(whole(row, "profile_frames")?)
         },
+        ladders: word(row, "ladders")?,
         within: json_opt(row, "within")?,
         deadline: time_opt(row, "deadline_at")?,
         budget: row.try_get::<Option<i64>, _>("budget")?.map(Money),

@@ -31,6 +31,17 @@ pub(crate) struct Common {
     pub limits: TaskLimits,
 }
 
+/// What a profile is to find out.
+pub(crate) struct ProfileAsked {
+    pub frame: u32,
+    /// Pixels to profile.
+    pub samples: u32,
+    /// The ladders of qualities too.
+    pub ladders: bool,
+    /// What the pixels take with this cache too, which all frames could share.
+    pub cache: Option<ArtifactHash>,
+}
+
 impl Common {
     /// Read from a job's row.
     pub(crate) fn of(job: JobId, row: &SqliteRow) -> Result<Self, StoreError> {
@@ -61,14 +72,12 @@ impl Common {
         self.insert(write, TaskSpec::Preview(spec), READY, None).await
     }
 
-    /// A profile, with the cache that all frames could share if that is planned; one that waits becomes ready when it is.
+    /// A profile; one that waits becomes ready when the cache is planned that all frames could share.
     pub(crate) async fn profile(
         &self,
         write: &mut Write,
-        frame: u32,
+        ProfileAsked { frame, samples, ladders, cache }: ProfileAsked,
         waits: bool,
-        samples: u32,
-        cache: Option<ArtifactHash>,
     ) -> Result<(), StoreError> {
         let spec = ProfileSpec {
             job_id: self.job,
@@ -78,6 +87,7 @@ impl Common {
             samples,
             phase_seed: self.settings.seed,
             settings: self.settings.clone(),
+            ladders,
             cache,
         };
         self.insert(write, TaskSpec::Profile(spec), if waits { WAITING } else { READY }, None).await

@@ -148,6 +148,7 @@ impl Farm {
                 left_out: Vec::new(),
                 renderer: None,
                 fixed: FixedCosts::default(),
+                ladders: None,
                 once: None,
                 spent: Spent { work: 10, cpu_nanos: 500 },
                 artifacts: ProfileArtifacts { profile: self.artifact("a profile").await, preview_png: None },

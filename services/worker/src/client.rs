@@ -5,12 +5,12 @@ use crate::server_events::{EventParser, ServerEvent};
 use crate::transport::{ClientError, Payload, Request, Token, Transport};
 use bytes::Bytes;
 use forelight_protocol::{
-    AnswersDoc, ArtifactHash, ArtifactStored, Budget, BudgetForecast, BudgetForecastRequest, BudgetList,
-    BudgetRequest, Bundle, ClaimRequest, Event, EventId, ForecastDoc, FramePage, FrameRow, Job, JobCheck,
-    JobId, JobPage, JobRequest, JoinRequest, Lease, LeaseId, Money, Node, NodeChange, NodeId, NodePage,
-    NodeRegistration, PageToken, PlanDifference, PlanId, PlanPage, PlanSummary, ProblemKind, ProjectList,
-    ProjectRequest, ProjectShare, ReleaseRequest, RenewRequest, Renewal, ResultAnswer, ResultRequest, TaskId,
-    TaskLog, Timestamp,
+    AccuracyDoc, AnswersDoc, ArtifactHash, ArtifactStored, Budget, BudgetForecast, BudgetForecastRequest,
+    BudgetList, BudgetRequest, Bundle, ClaimRequest, Event, EventId, ForecastDoc, FramePage, FrameRow, Job,
+    JobCheck, JobId, JobPage, JobRequest, JoinRequest, Lease, LeaseId, Money, Node, NodeChange, NodeId,
+    NodePage, NodeRegistration, PageToken, PlanDifference, PlanId, PlanPage, PlanSummary, ProblemKind,
+    ProjectList, ProjectRequest, ProjectShare, ReleaseRequest, RenewRequest, Renewal, ResultAnswer,
+    ResultRequest, TaskId, TaskLog, Timestamp,
 };
 use reqwest::header::{HeaderName, HeaderValue, RETRY_AFTER};
 use reqwest::{Method, StatusCode};
@@ -189,6 +189,11 @@ impl Client {
     /// A job's quote.
     pub async fn forecast(&self, id: JobId) -> Result<ForecastDoc, ClientError> {
         self.transport.json(&Request::new(Method::GET, format!("/v1/jobs/{id}/forecast"))).await
+    }
+
+    /// The ladders of qualities in a job's quote.
+    pub async fn accuracy(&self, id: JobId) -> Result<AccuracyDoc, ClientError> {
+        self.transport.json(&Request::new(Method::GET, format!("/v1/jobs/{id}/accuracy"))).await
     }
 
     /// All frames of a job, ascending.

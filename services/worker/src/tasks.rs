@@ -1,5 +1,6 @@
 //! The tasks, done by a renderer; those about the irradiance cache of a shot are in `cache_tasks`, renders in `render_task`.
 
+use crate::accuracy::{AccuracyObserver, AccuracyOptions, predict};
 use crate::ambient::uncovered_gathers;
 use crate::cache_tasks;
 use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
@@ -18,12 +19,13 @@ use bytes::Bytes;
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{
     ArtifactHash, FrameStrata, LogLevel, NoiseCell, NoiseSample, PreviewResult, PreviewSpec,
-    ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderSettings, Stratum, TaskResult,
-    TaskSpec,
+    ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderSettings, Spent, SpentOnForecast,
+    Stratum, TaskResult, TaskSpec,
 };
 use forelight_tracer::Pixel;
 use std::collections::BTreeSet;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 /// Does tasks with the bundles of a library.
 #[derive(Debug, Clone)]
@@ -127,6 +129,14 @@ fn profile(
             .map_err(cache_tasks::of_shared_cache)?
             .add_to(&mut result);
     }
+    if spec.ladders {
+        let options = AccuracyOptions { samples: spec.samples, seed: spec.phase_seed };
+        let ladders = predict(renderer, spec.frame, &spec.settings, &options, &Reporting(control))?;
+        let SpentOnForecast { work, cpu_seconds, .. } = ladders.spent;
+        result.spent = result.spent.plus(Spent { work, cpu_nanos: (cpu_seconds * 1e9).round() as u64 });
+        control.log(LogLevel::Info, format!("laid out ladders of {} qualities", ladders.rungs.len()));
+        result.ladders = Some(Box::new(ladders));
+    }
     Ok(Outcome { result: TaskResult::Profile(result), artifacts: files.contents })
 }
 
@@ -167,6 +177,7 @@ pub fn profile_result(
         work_by_class: profiled.work_by_class,
         fixed: profiled.fixed,
         once: Some(profiled.once),
+        ladders: None,
         spent: profiled.spent(),
         strata: shown.list,
         artifacts,
@@ -252,6 +263,16 @@ impl Observer for Reporting<'_> {
 
     fn is_cancelled(&self) -> bool {
         self.0.is_cancelled()
+    }
+}
+
+impl AccuracyObserver for Reporting<'_> {
+    fn predicted(&self, done: usize, all: usize) {
+        self.0.set_progress(done as f64 / all.max(1) as f64);
+    }
+
+    fn cancel(&self) -> &AtomicBool {
+        self.0.cancelled()
     }
 }
 

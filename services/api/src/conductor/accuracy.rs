@@ -6,8 +6,11 @@
 //!
 //! *Resolution*: strata have so many times the pixels, and pixels cost and err as they do.
 //!
-//! What the profile cannot know is named as missing: the other integrator, other gathers; with an irradiance cache, its errors, for
-//! profiled pixels are traced before it is filled, and other accuracies and resolutions, whose records no one has counted.
+//! What the profile cannot know are the other integrator, other gathers; with an irradiance cache, its errors, for
+//! profiled pixels are traced before it is filled, and other accuracies and resolutions, whose records no one has counted. Where the job asks
+//! for these ladders, one of its frames was profiled with such settings too ([`one_frame`]); where not, they are named as missing.
+
+mod one_frame;
 
 use forelight_forecast::accuracy::{
     ErrorQuantiles, ImageNoise, MeanSquare, NoiseCell, PixelNoise, front_of_known,
@@ -18,6 +21,7 @@ use forelight_protocol::{
     RenderSettings,
 };
 use forelight_store::MeasuredProfile;
+use one_frame::{Job, OneFrame};
 
 use super::estimate::calibrated;
 use super::job_profile::JobProfile;
@@ -51,21 +55,52 @@ pub(super) fn ladders(
         calibrated: whole.job.calibrated,
     };
     let noise = images(profiles);
+    let error_with = |spp| noise.as_ref().ok().and_then(|images| error(images, spp));
+    let frame = profiles.iter().find_map(|profile| profile.result.ladders.as_deref());
+    let frame = match frame {
+        Some(frame) => {
+            // The frame made its own cache.
+            let total = calibrated(preview, profiles, None, None)?.job.total;
+            let error = error_with(asked.spp);
+            OneFrame::new(frame, Job { work: total.work, cpu_seconds: total.cpu_seconds, error })
+        }
+        None => None,
+    };
     for kind in LadderKind::ALL {
-        let known = known(kind, asked).and_then(|()| kind.rungs(asked));
-        let rungs = match known {
+        let rungs = match kind.rungs(asked) {
             Ok(rungs) => rungs,
             Err(reason) => {
                 document.missing.push(MissingLadder { ladder: kind, reason });
                 continue;
             }
         };
-        if let Err(reason) = &noise {
+        match (known(kind, asked, shared.is_some()), &frame) {
+            (Known::ByProfiles, _) => {}
+            (Known::ByLadders(_), Some(frame)) => {
+                document.rungs.extend(frame.rungs(kind));
+                document.missing.extend(frame.missing(kind));
+                continue;
+            }
+            (Known::ByLadders(reason), None) => {
+                let reason = format!(
+                    "{reason}; a job that asks for all `ladders`, and `forelight accuracy`, find out"
+                );
+                document.missing.push(MissingLadder { ladder: kind, reason });
+                continue;
+            }
+            (Known::Never(reason), _) => {
+                let reason = format!("{reason}; `forelight accuracy` finds out");
+                document.missing.push(MissingLadder { ladder: kind, reason });
+                continue;
+            }
+        }
+        if let (Err(reason), None) = (&noise, &frame) {
             let reason = format!("errors: {reason}");
             document.missing.push(MissingLadder { ladder: kind, reason });
         }
         for settings in rungs {
-            let error = noise.as_ref().ok().and_then(|images| error(images, settings.spp));
+            let of_frame = || frame.as_ref()?.error_with(kind, settings.spp);
+            let error = error_with(settings.spp).or_else(of_frame);
             let pixels = settings.pixels() as f64 / asked.pixels() as f64;
             let profiles = with_samples(profiles, settings.spp);
             let total = calibrated(&enlarged(preview, pixels), &profiles, shared, None)?.job.total;
@@ -86,23 +121,38 @@ pub(super) fn ladders(
     Ok(document)
 }
 
-/// Whether a profile of these settings says what a ladder takes, or why not.
-fn known(kind: LadderKind, asked: &RenderSettings) -> Result<(), String> {
+/// Who says what a ladder takes.
+enum Known {
+    /// Every profile does.
+    ByProfiles,
+    /// Not they, for this reason, but the ladders of one frame.
+    ByLadders(&'static str),
+    /// Nobody, for this reason.
+    Never(&'static str),
+}
+
+/// Who says what a ladder of these settings takes, where frames share a cache or do not.
+fn known(kind: LadderKind, asked: &RenderSettings, shared: bool) -> Known {
     let cached = asked.cache == CacheMode::On;
-    let reason = match (kind, asked.integrator) {
-        (LadderKind::Path, Integrator::Path) => return Ok(()),
-        (LadderKind::Ambient, Integrator::Ambient) if !cached => return Ok(()),
-        (LadderKind::CachedSamples, Integrator::Ambient) if cached => return Ok(()),
+    let ladders = match (kind, asked.integrator) {
+        (LadderKind::Path, Integrator::Path) => return Known::ByProfiles,
+        (LadderKind::Ambient, Integrator::Ambient) if !cached => return Known::ByProfiles,
+        (LadderKind::CachedSamples, Integrator::Ambient) if cached => return Known::ByProfiles,
+        (LadderKind::Resolution, _) if !cached => return Known::ByProfiles,
+        (LadderKind::Cache | LadderKind::Resolution, _) if shared => {
+            return Known::Never(
+                "the frames share a cache, which is filled for its own accuracy and resolution",
+            );
+        }
         (LadderKind::Ambient, Integrator::Ambient) => "the job is profiled with an irradiance cache",
         (LadderKind::CachedSamples, _) => "the job is profiled without an irradiance cache",
         (LadderKind::Ambient, Integrator::Path) => "the job is profiled with the integrator path",
         (LadderKind::Path, Integrator::Ambient) => "the job is profiled with the integrator ambient",
         (LadderKind::Cache, _) => "the job is profiled at its own accuracy; no other is planned",
         (LadderKind::Divisions, _) => "the job is profiled with its own gathers",
-        (LadderKind::Resolution, _) if cached => "the job's cache is planned at its own resolution",
-        (LadderKind::Resolution, _) => return Ok(()),
+        (LadderKind::Resolution, _) => "the job's cache is planned at its own resolution",
     };
-    Err(format!("{reason}; `forelight accuracy` finds out"))
+    Known::ByLadders(ladders)
 }
 
 /// What every profile says of its frame's error, or in words why they do not.

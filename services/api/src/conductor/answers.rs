@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 use forelight_planner as planner;
 use forelight_planner::{Booking, Change};
 use forelight_protocol::{
-    AccuracyRung, AnswersDoc, BudgetAnswer, JobVerdict, Money, MovedJob, OutlookLine, PlanChange, PlanEffect,
-    PriceOffer, QualityOffer, Quantiles, Timestamp, Verdict,
+    AccuracyRung, AnswersDoc, BudgetAnswer, CacheMode, JobVerdict, Money, MovedJob, OutlookLine, PlanChange,
+    PlanEffect, PriceOffer, QualityOffer, Quantiles, RenderSettings, Timestamp, Verdict,
 };
 
 use super::AdvanceError;
@@ -265,7 +265,12 @@ impl Offered {
         }
         let added = less.micro_units().saturating_sub(cost);
         Some(PlanEffect {
-            change: PlanChange::Quality { spp: settings.spp, width: settings.width, height: settings.height },
+            change: PlanChange::Quality {
+                spp: settings.spp,
+                width: settings.width,
+                height: settings.height,
+                settings: Some(Box::new(settings.clone())),
+            },
             words: format!("{}: {}", self.words, priced(added)),
             added_cost: Money(added),
             finish: *finish,
@@ -290,7 +295,8 @@ pub(crate) fn qualities(
     let around = farm.around(job, standing);
     let mut offers = Vec::new();
     for rung in rungs {
-        if rung.asked_for && offers.iter().any(|other: &Offered| other.offer.asked_for) {
+        // What is on several ladders is offered once.
+        if offers.iter().any(|other: &Offered| other.offer.settings == rung.settings) {
             continue;
         }
         let mut input = around.clone();
@@ -299,14 +305,7 @@ pub(crate) fn qualities(
         let plan = planner::plan(&input)?;
         let finish = end(farm, &plan, job);
         let within = plan.job(job as u64).is_some_and(|entry| entry.within_budget != Some(false));
-        let pixels = (rung.settings.width, rung.settings.height);
-        let mut words = format!("{} samples a pixel instead of {}", rung.settings.spp, own.settings.spp);
-        if pixels != (own.settings.width, own.settings.height) {
-            words = format!(
-                "{} × {} pixels instead of {} × {}",
-                pixels.0, pixels.1, own.settings.width, own.settings.height
-            );
-        }
+        let mut words = in_words(&rung.settings, &own.settings);
         if let Some((error, before)) = rung.error.zip(own.error) {
             words +=
                 &format!(" (an error of {:.1} % instead of {:.1} %)", error.p50 * 100.0, before.p50 * 100.0);
@@ -329,6 +328,39 @@ pub(crate) fn qualities(
         pixels(b).cmp(&pixels(a)).then(error(a).total_cmp(&error(b))).then(b.cost.cmp(&a.cost))
     });
     Ok(offers)
+}
+
+/// What one quality has that another has not.
+fn in_words(other: &RenderSettings, own: &RenderSettings) -> String {
+    let cached = |settings: &RenderSettings| settings.cache == CacheMode::On;
+    let accuracy = |settings: &RenderSettings| f64::from(settings.cache_accuracy) / 1000.0;
+    let mut words = Vec::new();
+    if other.integrator != own.integrator {
+        words.push(format!(
+            "the integrator {} instead of {}",
+            other.integrator.name(),
+            own.integrator.name()
+        ));
+    }
+    if cached(other) && !cached(own) {
+        words.push(format!("an irradiance cache of accuracy {}", accuracy(other)));
+    } else if cached(own) && !cached(other) {
+        words.push("no irradiance cache".to_owned());
+    } else if cached(own) && accuracy(other) != accuracy(own) {
+        words.push(format!("a cache of accuracy {} instead of {}", accuracy(other), accuracy(own)));
+    }
+    if other.ambient_divisions != own.ambient_divisions {
+        words.push(format!("{} rays a gather instead of {}", other.ambient_divisions, own.ambient_divisions));
+    }
+    let pixels = |settings: &RenderSettings| (settings.width, settings.height);
+    if pixels(other) != pixels(own) {
+        let ((width, height), (own_width, own_height)) = (pixels(other), pixels(own));
+        words.push(format!("{width} × {height} pixels instead of {own_width} × {own_height}"));
+    }
+    if other.spp != own.spp || words.is_empty() {
+        words.push(format!("{} samples a pixel instead of {}", other.spp, own.spp));
+    }
+    words.join(", ")
 }
 
 /// The job as if each of its frames took so many times as much.

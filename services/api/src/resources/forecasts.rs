@@ -41,9 +41,9 @@ pub(crate) async fn of_job(
 }
 
 /// What accuracy costs in time: other qualities of the job, with what all its frames would take and how far their images would be from
-/// their converged selves. It rests on the job's own profile, and nothing is traced for it: so of the other integrator, of a cache's
-/// accuracy and of the rays of a gather it says nothing. An irradiance cache that the frames share is in no rung: it is a line of its own in the
-/// quote. 409 until the profile is there.
+/// their converged selves. It rests on the job's own profile; of the other integrator, of a cache's accuracy and of the rays of a gather that says
+/// nothing, and these ladders are there if the job asked for `ladders: all`. An irradiance cache that the frames share is in no rung: it is a line of
+/// its own in the quote. 409 until the profile is there.
 #[utoipa::path(get, path = "/v1/jobs/{id}/accuracy", tag = "jobs", params(("id" = JobId, Path)),
     responses((status = 200, description = "The ladders", body = AccuracyDoc), Problems))]
 pub(crate) async fn accuracy_of_job(

@@ -8,10 +8,11 @@ use std::time::Duration;
 
 use forelight_api::{Config, Service};
 use forelight_protocol::{
-    AllottedStats, ArtifactHash, ByClass, FixedCosts, FrameStrata, ImageError, Job, JobState, Lease, Node,
-    NoiseCell, NoiseSample, PreviewBackend, PreviewResult, Problem, ProblemKind, ProfileArtifacts,
-    ProfileResult, ProfileSample, Rays, RenderArtifacts, RenderResult, RenderStats, ResultAnswer,
-    ResultRequest, Role, Spent, Stratum, StratumName, TaskKind, TaskResult, TaskSpec, Timestamp,
+    AccuracyDoc, AccuracyRung, AllottedStats, ArtifactHash, ByClass, FixedCosts, FrameStrata, ImageError,
+    Job, JobState, LadderKind, Lease, MissingLadder, Node, NoiseCell, NoiseSample, PreviewBackend,
+    PreviewResult, Problem, ProblemKind, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec,
+    Profiled, Quantiles, Rays, RenderArtifacts, RenderResult, RenderStats, ResultAnswer, ResultRequest, Role,
+    Spent, SpentOnForecast, Stratum, StratumName, TaskKind, TaskResult, TaskSpec, Timestamp,
 };
 use forelight_store::tokens;
 use reqwest::{Method, RequestBuilder, Response, StatusCode};
@@ -277,6 +278,7 @@ impl Farm {
                         ..FixedCosts::default()
                     },
                     once: None,
+                    ladders: spec.ladders.then(|| Box::new(made_up_ladders(spec))),
                     spent: Spent { work: 1000, cpu_nanos: 1_000_000 },
                     artifacts: ProfileArtifacts {
                         profile: self.artifact(format!("profile of {}", spec.frame).as_bytes()).await,
@@ -343,6 +345,45 @@ fn made_up_noise(spp: u32) -> Vec<NoiseCell> {
         samples: vec![NoiseSample { brightness, drops: drops(variance) }; 4],
     };
     vec![cell(48, 2.0, 1.0), cell(16, 1.0, 0.0)]
+}
+
+/// How many times what was asked for a made-up rung takes, and errs: those with a cache a tenth of their place on the ladder, others more than once.
+pub fn made_up_times(kind: LadderKind, place: u32) -> f64 {
+    match kind {
+        LadderKind::CachedSamples => f64::from(place) / 10.0,
+        _ => f64::from(place) + 1.0,
+    }
+}
+
+fn made_up_ladders(spec: &ProfileSpec) -> AccuracyDoc {
+    let even = |value| Quantiles { mean: value, p50: value, p80: value, p95: value };
+    let rungs = LadderKind::ALL.into_iter().flat_map(|kind| {
+        let rungs = kind.rungs(&spec.settings).unwrap_or_default();
+        (1..).zip(rungs).map(move |(place, settings)| {
+            let times = if settings == spec.settings { 1.0 } else { made_up_times(kind, place) };
+            let error = times / 100.0;
+            AccuracyRung {
+                ladder: kind,
+                asked_for: settings == spec.settings,
+                settings,
+                work: even(500.0 * times),
+                cpu_seconds: even(2.0 * times),
+                error: Some(ImageError { p05: error, p50: error, p80: error, p95: error }),
+                worth_taking: false,
+                next: None,
+                measured: None,
+            }
+        })
+    });
+    AccuracyDoc {
+        frames: 1,
+        settings: spec.settings.clone(),
+        rungs: rungs.collect(),
+        missing: vec![MissingLadder { ladder: LadderKind::Divisions, reason: "too dear".to_owned() }],
+        profiled: Profiled { frames: vec![spec.frame], pixels: 99 },
+        spent: SpentOnForecast { work: 400, cpu_seconds: 1e-4, fraction_of_forecast: 0.5 },
+        calibrated: false,
+    }
 }
 
 fn pixel_work(frame: u32) -> u64 {

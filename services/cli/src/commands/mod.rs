@@ -117,7 +117,7 @@ impl Cli {
             Command::Cache(args) => blocking(move || cache::run(&args, &interrupt)).await,
             Command::Calibrate(args) => blocking(move || calibrate::run(&args)).await,
             Command::Forecast(args) => blocking(move || forecast::run(&args, &interrupt)).await,
-            Command::Accuracy(args) => blocking(move || accuracy::run(&args, &interrupt)).await,
+            Command::Accuracy(args) => accuracy::run(args, interrupt).await,
             Command::Export(args) => blocking(move || export::run(&args)).await,
             Command::Plan(args) => blocking(move || plan::run(&args)).await,
             Command::Simulate(args) => blocking(move || simulate::run(&args, &interrupt)).await,

@@ -116,6 +116,7 @@ impl Rig {
 
     pub fn profile_spec(&self, frame: u32) -> TaskSpec {
         TaskSpec::Profile(ProfileSpec {
+            ladders: false,
             job_id: JobId::new(),
             bundle: self.source(),
             digest: self.digest(),

@@ -2,7 +2,9 @@
 
 use crate::room::{Nobody, Rig};
 use forelight_preview::Choice;
-use forelight_protocol::{CacheMode, JobId, PreviewSpec, RenderSpec, TaskResult, TaskSpec};
+use forelight_protocol::{
+    CacheMode, JobId, LadderKind, PreviewSpec, ProfileResult, ProfileSpec, RenderSpec, TaskResult, TaskSpec,
+};
 use forelight_worker::{Ambient, Assignment, Control, Execute, ExecuteError, Outcome, QuoteOptions, quote};
 use std::fs;
 
@@ -73,6 +75,33 @@ fn a_profiled_pixel_is_a_finished_pixel() {
             artifact(hash, outcome);
         }
     }
+}
+
+#[test]
+fn a_profile_that_is_asked_for_ladders_lays_them_out_beside_the_same_pixels() {
+    // Each by a worker that has not seen the scene before.
+    let profile = |ladders| {
+        let rig = Rig::new();
+        let TaskSpec::Profile(asked) = rig.profile_spec(1) else { panic!() };
+        let spec = TaskSpec::Profile(ProfileSpec { ladders, ..asked });
+        let TaskResult::Profile(result) = rig.run(spec, None).unwrap().result else { panic!() };
+        (rig.settings, result)
+    };
+    let ((settings, plain), (_, laid_out)) = (profile(false), profile(true));
+    assert!(plain.ladders.is_none());
+    let ladders = laid_out.ladders.as_ref().unwrap();
+    assert_eq!((&ladders.settings, &ladders.profiled.frames[..]), (&settings, &[1][..]));
+    for kind in LadderKind::ALL {
+        let rungs = ladders.rungs.iter().filter(|rung| rung.ladder == kind);
+        let found: Vec<_> = rungs.map(|rung| rung.settings.clone()).collect();
+        assert_eq!(found, kind.rungs(&settings).unwrap(), "{kind:?}");
+    }
+    // What they took is in the task's account, and not in that of its pixels.
+    assert_eq!(laid_out.spent.work, plain.spent.work + ladders.spent.work);
+    assert_eq!(laid_out.work_on_pixels(), plain.work_on_pixels());
+    let works =
+        |result: &ProfileResult| result.samples.iter().map(|sample| sample.work).collect::<Vec<u64>>();
+    assert_eq!(works(&laid_out), works(&plain));
 }
 
 #[test]

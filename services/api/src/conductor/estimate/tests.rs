@@ -77,6 +77,7 @@ fn profile(frame: u32, strata: Vec<Stratum>, counts: &[usize]) -> MeasuredProfil
         renderer: Some("r 1".to_owned()),
         fixed,
         once: Some(ProcessCosts { load, build: write }),
+        ladders: None,
         spent: Spent { work: 50, cpu_nanos: 0 },
         artifacts,
     };

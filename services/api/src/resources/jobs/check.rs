@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use forelight_protocol::{
-    BadSetting, BundleSource, CacheMode, CacheSharing, JobRequest, Money, RenderSettings,
+    BadSetting, BundleSource, CacheMode, CacheSharing, JobRequest, Ladders, Money, RenderSettings,
     RenderSettingsRequest, SceneSummary,
 };
 use forelight_store::{NewJob, StoreError};
@@ -69,6 +69,10 @@ pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<New
     if request.cache == CacheSharing::Shared && request.within.is_some() {
         let reason = "frames whose camera samples are chosen for a limit make their own caches: leave out `cache` or `within`";
         return Err(ApiError::invalid("/cache", reason));
+    }
+    if request.ladders == Ladders::All && request.within.is_some() {
+        let reason = "camera samples are chosen for a limit here, not by what they cost: leave out `ladders` or `within`";
+        return Err(ApiError::invalid("/ladders", reason));
     }
     let (source, scene) = find_bundle(app, &mut request).await?;
     if request.frames.last() >= scene.frames {

@@ -4,9 +4,10 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    AllottedStats, CACHE_BYTES, CacheFillResult, CacheFillSpec, CacheMergeResult, CacheMode, CachePlanResult,
-    CachePlanSpec, ImageError, LeftOut, NoiseCell, PreviewResult, PreviewSpec, ProcessCosts, ProfileResult,
-    ProfileSpec, RenderResult, RenderSettings, RenderSpec, Spent, Stratum, TaskResult, TaskSpec,
+    AccuracyDoc, AllottedStats, CACHE_BYTES, CacheFillResult, CacheFillSpec, CacheMergeResult, CacheMode,
+    CachePlanResult, CachePlanSpec, ImageError, LadderKind, LeftOut, NoiseCell, PreviewResult, PreviewSpec,
+    ProcessCosts, ProfileResult, ProfileSpec, Quantiles, RenderResult, RenderSettings, RenderSpec, Spent,
+    Stratum, TaskResult, TaskSpec,
 };
 
 use crate::error::{ApiError, ApiResult};
@@ -150,6 +151,9 @@ fn profile(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
         spent(&format!("{AT}/fixed/{name}"), cost)?;
     }
     once(&format!("{AT}/once"), result.once)?;
+    if let Some(document) = &result.ladders {
+        ladders(&format!("{AT}/ladders"), spec, document)?;
+    }
     if fixed.plan_rays.iter().any(|&number| number > LARGEST) {
         return wrong(format!("{AT}/fixed/plan_rays"), "a number is larger than 2⁶³ − 1");
     }
@@ -233,8 +237,7 @@ fn samples_where_they_pay(spec: &RenderSpec, allotted: &AllottedStats) -> ApiRes
             "the mean lies between the least and the most, which are above 0",
         );
     }
-    let ImageError { p05, p50, p80, p95 } = *error;
-    if ![p05, p50, p80, p95].iter().all(|error| (0.0..=1e12).contains(error)) {
+    if !is_an_error(*error) {
         return wrong(format!("{AT}/error"), "errors are 0 or more");
     }
     Ok(())
@@ -348,6 +351,54 @@ fn noise(pointer: &str, spec: &ProfileSpec, cells: &[NoiseCell]) -> ApiResult<()
         }
     }
     Ok(())
+}
+
+/// Ladders are of the settings that were asked for, and priced by numbers that can be multiplied.
+fn ladders(pointer: &str, spec: &ProfileSpec, document: &AccuracyDoc) -> ApiResult<()> {
+    const HIGHEST: f64 = 1e30;
+    if !spec.ladders {
+        return wrong(pointer, "the task does not ask for them");
+    }
+    if document.settings != spec.settings {
+        return wrong(format!("{pointer}/settings"), "they are not those of the task");
+    }
+    let ladder = |kind: LadderKind| kind.rungs(&spec.settings).unwrap_or_default();
+    let all = LadderKind::ALL.map(|kind| (kind, ladder(kind)));
+    let mut seen = BTreeSet::new();
+    for (i, rung) in document.rungs.iter().enumerate() {
+        let at = format!("{pointer}/rungs/{i}");
+        let place = all.iter().find(|(kind, _)| *kind == rung.ladder).and_then(|(kind, rungs)| {
+            Some((*kind, rungs.iter().position(|settings| *settings == rung.settings)?))
+        });
+        if place.is_none_or(|place| !seen.insert(place)) {
+            return wrong(
+                at + "/settings",
+                "a ladder around the task's settings has no such rung, or has it once",
+            );
+        }
+        for (name, price) in [("work", rung.work), ("cpu_seconds", rung.cpu_seconds)] {
+            let Quantiles { mean, p50, p80, p95 } = price;
+            if ![mean, p50, p80, p95].iter().all(|number| (0.0..=HIGHEST).contains(number)) {
+                return wrong(format!("{at}/{name}"), format!("each is 0 to {HIGHEST:e}"));
+            }
+        }
+        if rung.error.is_some_and(|error| !is_an_error(error)) {
+            return wrong(at + "/error", "errors are 0 or more");
+        }
+    }
+    let reasons = document.missing.iter().map(|missing| missing.reason.len());
+    if document.missing.len() > 100 || reasons.max().unwrap_or(0) > 4096 {
+        return wrong(format!("{pointer}/missing"), "at most 100 entries, of at most 4096 bytes each");
+    }
+    if document.spent.work > LARGEST {
+        return wrong(format!("{pointer}/spent/work"), "a number is larger than 2⁶³ − 1");
+    }
+    Ok(())
+}
+
+/// Whether an image can err so far.
+fn is_an_error(ImageError { p05, p50, p80, p95 }: ImageError) -> bool {
+    [p05, p50, p80, p95].iter().all(|error| (0.0..=1e12).contains(error))
 }
 
 /// Names of effects are shown to people, and kept with the job.

@@ -3,19 +3,21 @@
 mod plot;
 mod table;
 
+use super::blocking;
 use crate::atomic_file::{self, write_bytes};
+use crate::connection::connect;
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::local::Local;
-use crate::options::{MachineOptions, QualityOptions};
+use crate::options::{ConnectionOptions, MachineOptions, QualityOptions};
 use crate::output::{self, Bars};
 use anyhow::{Context, Result};
-use forelight_protocol::{AccuracyDoc, LadderKind};
+use forelight_protocol::{AccuracyDoc, JobId, LadderKind};
 use forelight_worker::{
     AccuracyObserver, AccuracyOptions, MeasureOptions, Renderer, ShotError, measure, predict,
 };
 use indicatif::ProgressBar;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 /// Say what accuracy costs in time: error against CPU time over ladders of qualities
@@ -25,15 +27,21 @@ Examples:
   forelight accuracy kitchen/ --frame 12 --out accuracy.svg
   forelight accuracy kitchen/ --width 1920 --spp 64 --json > accuracy.json
   forelight accuracy kitchen/ --width 160 --measure --out accuracy.svg
+  forelight accuracy --job 0197a8a5-0000-7000-8000-000000000000 --out accuracy.svg
 
 Around the quality that the flags ask for, ladders of camera samples (for both integrators, and with a cache), of the cache's accuracy, of the \
 rays of a gather and of the resolution are laid out. Of every kind of setting --samples pixels are profiled; from them follow the CPU time of every rung \
 and how far its image will be from its converged self: the root mean square over pixels and channels, as a share of the image's \
 mean. Rungs marked * are worth taking: none is both cheaper and better. With --measure all rungs are rendered, and held against \
-converged images; that takes as long as it sounds.")]
+converged images; that takes as long as it sounds.
+
+With --job the farm's quote of a job is shown: what all its frames take at every rung. A job that was submitted with --ladders has all of them.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file
-    bundle: PathBuf,
+    bundle: Option<PathBuf>,
+    /// Show the ladders in the quote of this job on the farm instead
+    #[arg(long, value_name = "ID", conflicts_with_all = ["bundle", "frame", "samples", "phase_seed", "measure", "QualityOptions", "MachineOptions"])]
+    job: Option<JobId>,
     /// Frame number
     #[arg(long, value_name = "N", default_value_t = 0)]
     frame: u32,
@@ -59,35 +67,58 @@ pub struct Args {
     quality: QualityOptions,
     #[command(flatten)]
     machine: MachineOptions,
+    #[command(flatten)]
+    connection: ConnectionOptions,
 }
 
 /// Runs the command.
-pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     if let Some(path) = args.out.as_deref().filter(|path| path.extension().is_none_or(|end| end != "svg")) {
         let reason = format!("--out {}: a plot is an SVG, so the name must end in .svg", path.display());
         return Err(BadInput::new(reason).into());
     }
     atomic_file::check([args.out.as_deref()])?;
+    match (args.job, args.bundle.clone()) {
+        (Some(job), _) => of_job(&args, job).await,
+        (None, Some(bundle)) => blocking(move || of_bundle(&args, &bundle, &interrupt)).await,
+        (None, None) => Err(BadInput::new("name a bundle, or a job by --job").into()),
+    }
+}
+
+/// The ladders in the quote of a job.
+async fn of_job(args: &Args, id: JobId) -> Result<()> {
+    let client = connect(&args.connection)?;
+    let document =
+        client.accuracy(id).await.with_context(|| format!("cannot read the ladders of job {id}"))?;
+    let job = client.job(id).await.with_context(|| format!("cannot read job {id}"))?;
+    show(args, &format!("job {}, frames {}", job.name, job.frames), &document)
+}
+
+/// The ladders of a frame, found out here.
+fn of_bundle(args: &Args, bundle: &Path, interrupt: &Interrupt) -> Result<()> {
     let bars = Bars::new(args.json);
-    let local = Local::open(&args.bundle, &args.machine, &bars)?;
+    let local = Local::open(bundle, &args.machine, &bars)?;
     let settings = local.settings(&args.quality)?;
     local.check_frame("--frame", args.frame)?;
     let options = AccuracyOptions { samples: args.samples, seed: args.phase_seed };
     let watcher = Watcher::new(&bars, "profiling", interrupt);
     let predicted = local.pool.install(|| predict(&local.shot, args.frame, &settings, &options, &watcher));
-    let mut document = watcher.done(predicted, args)?;
+    let mut document = watcher.done(predicted, bundle)?;
     if args.measure {
         let options = MeasureOptions { reference_spp: args.reference_spp };
         let watcher = Watcher::new(&bars, "rendering", interrupt);
         let measured =
             local.pool.install(|| measure(&local.shot, args.frame, &mut document, &options, &watcher));
-        watcher.done(measured, args)?;
+        watcher.done(measured, bundle)?;
     }
+    show(args, &format!("{}, frame {}", local.shot.info().summary.name, args.frame), &document)
+}
+
+fn show(args: &Args, title: &str, document: &AccuracyDoc) -> Result<()> {
     if let Some(path) = &args.out {
-        let title = format!("{}, frame {}", local.shot.info().summary.name, args.frame);
-        write_bytes(path, plot::svg(&title, &document)?.as_bytes())?;
+        write_bytes(path, plot::svg(title, document)?.as_bytes())?;
     }
-    if args.json { output::json(&document) } else { output::print(&table::text(&document)) }
+    if args.json { output::json(document) } else { output::print(&table::text(document)) }
 }
 
 /// A bar, and the user's wish to stop.
@@ -101,12 +132,12 @@ impl<'a> Watcher<'a> {
         Self { bar: bars.bar(name, 0), interrupt }
     }
 
-    fn done<T>(&self, outcome: Result<T, ShotError>, args: &Args) -> Result<T> {
+    fn done<T>(&self, outcome: Result<T, ShotError>, bundle: &Path) -> Result<T> {
         self.bar.finish_and_clear();
         match outcome {
             Err(ShotError::Cancelled) => Err(Interrupted.into()),
             Err(ShotError::Render(error)) => {
-                Err(error).with_context(|| format!("bundle {}", args.bundle.display()))
+                Err(error).with_context(|| format!("bundle {}", bundle.display()))
             }
             other => Ok(other?),
         }

@@ -7,7 +7,11 @@ use forelight_protocol::{AccuracyDoc, AccuracyRung, CacheMode, Integrator, Ladde
 
 /// Everything: a table for every ladder, and what they rest on.
 pub fn text(document: &AccuracyDoc) -> String {
-    let mut text = format!("asked for: {}\n", described(&document.settings));
+    let frames = match document.frames {
+        1 => String::new(),
+        frames => format!(", {frames} frames"),
+    };
+    let mut text = format!("asked for: {}{frames}\n", described(&document.settings));
     for kind in LadderKind::ALL {
         let rungs: Vec<usize> =
             (0..document.rungs.len()).filter(|&rung| document.rungs[rung].ladder == kind).collect();
@@ -21,11 +25,12 @@ pub fn text(document: &AccuracyDoc) -> String {
     let spent = &document.spent;
     text += &format!(
         "\n* worth taking: no other rung is both cheaper and better; `next` is what the next better of them costs.\n\
-         {} pixels were profiled, for {} of CPU time: {:.1} % of the work of one frame as asked for.\n\
+         {} pixels were profiled, for {} of CPU time: {:.1} % of the work of {} as asked for.\n\
          {}.\n",
         document.profiled.pixels,
         seconds(spent.cpu_seconds),
         spent.fraction_of_forecast * 100.0,
+        if document.frames == 1 { "one frame" } else { "all frames" },
         if document.calibrated { "Intervals are calibrated" } else { "Intervals are not calibrated" },
     );
     text

@@ -15,8 +15,8 @@ use crate::output::{self, Bars};
 use crate::quantities::{Deadline, parse_bytes, parse_deadline, parse_money, parse_seconds};
 use anyhow::{Context, Result, bail};
 use forelight_protocol::{
-    BundleRef, CacheSharing, FrameSet, Job, JobId, JobRequest, JobState, Money, Per, RenderSettingsRequest,
-    SceneSummary, Timestamp, Within,
+    BundleRef, CacheSharing, FrameSet, Job, JobId, JobRequest, JobState, Ladders, Money, Per,
+    RenderSettingsRequest, SceneSummary, Timestamp, Within,
 };
 use forelight_worker::Client;
 use std::path::{Path, PathBuf};
@@ -84,6 +84,9 @@ pub struct Args {
     /// Frames to profile at most [default: 5, and up to 16 if that leaves the forecast unsure and more would cost less than 1 % of the shot]
     #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=1000))]
     profile_frames: Option<u32>,
+    /// Price all ladders of qualities in the quote, as `forelight accuracy` does, by profiling one frame with other settings too: `forelight accuracy --job` shows them [default: those that the job's own profile speaks of]
+    #[arg(long, conflicts_with = "limit")]
+    ladders: bool,
     /// Whether the frames share one irradiance cache, with --cache on
     #[arg(long, value_name = "WAY", default_value = "auto")]
     cache_sharing: Sharing,
@@ -189,6 +192,7 @@ fn request(
         cache: args.cache_sharing.into(),
         samples: args.samples,
         profile_frames: args.profile_frames,
+        ladders: if args.ladders { Ladders::All } else { Ladders::Own },
         within: within(args),
         deadline,
         budget: args.budget.map(Money),
