@@ -7,6 +7,7 @@ mod caches;
 mod commands;
 mod connection;
 mod contact_sheet;
+mod cost_picture;
 mod drawing;
 mod failure;
 mod interrupt;

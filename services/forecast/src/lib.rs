@@ -63,7 +63,8 @@
 //!
 //! While no past job says how well intervals hold, [`Calibration::NONE`] stretches them by 1.3 and the
 //! forecast says that it is not calibrated. Once [`LEAST_JOBS`] jobs of the same kind are finished, [`Experience`] says where the
-//! quantiles belong, and [`ShotForecast::corrected`] puts them there: these hold whatever is wrong with the formulas.
+//! quantiles belong, and [`ShotForecast::corrected`] puts them there: these hold whatever is wrong with the formulas. What a single pixel
+//! may cost, the profiled ones of its own frame say ([`PixelCosts`]).
 //!
 //! # Use
 //! ```
@@ -109,6 +110,7 @@ mod known;
 mod live;
 mod moments;
 mod nearest;
+mod pixel_costs;
 mod random;
 mod rates;
 mod records;
@@ -130,6 +132,7 @@ pub use frames::{FIRST_FRAMES, FramePopulation, MOST_FRAMES, choose_frames, choo
 pub use interval::Calibration;
 pub use known::with_times;
 pub use live::{Band, Known, Live, LiveFrame, live, shot_times};
+pub use pixel_costs::PixelCosts;
 pub use rates::{Timed, class_rates, learned_factor, log_ratio_millionths};
 pub use records::RecordStrata;
 pub use shot::{FrameForecast, ProfiledFrame, ShotForecast, forecast_shot};

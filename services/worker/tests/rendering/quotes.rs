@@ -35,6 +35,33 @@ fn a_quote_from_all_pixels_is_the_render_to_the_last_operation() {
 }
 
 #[test]
+fn pixels_cost_what_the_quote_says_of_each() {
+    let rig = Rig::new();
+    let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
+    let options = QuoteOptions { samples: 160, profile_frames: Some(1), seed: 3, ..QuoteOptions::default() };
+    let quoted = quote(&shot, &[0, 1], &rig.settings, &options, &Nobody).unwrap();
+    for frame in [0, 1] {
+        let work =
+            |probability| quoted.pixel_work(&shot, &rig.settings, frame, probability).unwrap().unwrap();
+        let (mean, p80) = (work(None), work(Some(0.8)));
+        let cancel = AtomicBool::new(false);
+        let rendered = render_frame(&shot, frame, &rig.settings, Given::default(), &|_| (), &cancel);
+        let truth = &rendered.unwrap().unwrap().image.pixels;
+        assert_eq!((mean.len(), p80.len()), (truth.len(), truth.len()));
+        let total = quoted.forecast.frames[frame as usize].strata.iter();
+        let total: f64 = total.map(|known| f64::from(known.pixels) * known.mean.work).sum();
+        assert!((mean.iter().sum::<f64>() / total - 1.0).abs() < 1e-9);
+        let below = truth.iter().zip(&p80).filter(|(pixel, most)| pixel.work as f64 <= **most).count();
+        let share = below as f64 / truth.len() as f64;
+        // Four standard errors of an order statistic of 160 pixels, of which half may vary in common.
+        let noise = 4.0 * (0.8f64 * 0.2 / 80.0).sqrt();
+        println!("frame {frame}: {share:.3} of its pixels cost at most their P80");
+        assert!((share - 0.8).abs() < noise, "frame {frame}: {share}");
+    }
+    assert!(quoted.pixel_work(&shot, &rig.settings, 2, None).unwrap().is_none(), "it is not in the quote");
+}
+
+#[test]
 fn every_strategy_quotes_a_shot_and_from_all_pixels_exactly() {
     let rig = Rig::new();
     let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();

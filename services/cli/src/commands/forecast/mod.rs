@@ -1,5 +1,6 @@
 //! `forelight forecast`: the quote of a shot, on this machine.
 
+mod cost_map;
 mod sharing;
 
 use super::{calibrate, explain};
@@ -9,7 +10,7 @@ use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
 use crate::json_file;
 use crate::local::Local;
-use crate::options::{MachineOptions, QualityOptions, Sharing};
+use crate::options::{MachineOptions, QualityOptions, Sharing, png_file};
 use crate::output::{self, Bars};
 use crate::quantities::{count, seconds};
 use crate::table::{Align, Table};
@@ -20,7 +21,7 @@ use forelight_protocol::{
     CalibratedQuantiles, CalibrationDoc, Explanation, FixedCosts, ForecastDoc, FrameSet, LeftOut,
     NodeCalibration, NodeSeconds, ProcessCosts, Quantiles, RenderSettings, Spent,
 };
-use forelight_worker::{Observer, Quote, QuoteOptions, ROUNDS, Renderer, ShotError, quote};
+use forelight_worker::{Observer, Quote, QuoteOptions, ROUNDS, Renderer, ShotError, png, quote};
 use indicatif::ProgressBar;
 use std::path::{Path, PathBuf};
 
@@ -33,6 +34,7 @@ Examples:
   forelight forecast kitchen/ --frames 0-47 --save-profile profiles/
   forelight forecast kitchen/ --frames 12 --strategy jittered
   forelight forecast kitchen/ --frames 0-47 --explain
+  forelight forecast kitchen/ --frames 12 --cost-map map.png
   forelight forecast kitchen/ --calibration calibration.json
   forelight forecast kitchen/ --for-node rack-7.json
   forelight forecast kitchen/ --frames 0-47 --cache on --cache-sharing auto
@@ -75,6 +77,12 @@ pub struct Args {
     /// Whether the frames share one irradiance cache (`forelight cache`). To see what that takes it is planned for all of them
     #[arg(long, value_name = "HOW", value_enum, default_value_t = Sharing::Private)]
     cache_sharing: Sharing,
+    /// Write a picture of what each pixel of the first of the frames will cost, in the colours of the cost maps of renders
+    #[arg(long, value_name = "FILE.png", value_parser = png_file)]
+    cost_map: Option<PathBuf>,
+    /// What the picture shows: what pixels cost on average where they show what they do, or at most with a probability
+    #[arg(long, value_name = "WHAT", value_enum, default_value_t = cost_map::At::Mean, requires = "cost_map")]
+    cost_map_at: cost_map::At,
     /// Also say why it costs that: which objects, which rays, what would halve it; of frames that make their own irradiance caches
     #[arg(long, conflicts_with = "cache_sharing")]
     explain: bool,
@@ -99,7 +107,11 @@ fn strategies() -> impl TypedValueParser<Value = Strategy> {
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     sharing::check(args.cache_sharing, args.strategy, &args.quality)?;
-    atomic_file::check([args.save_profile.as_ref().map(|folder| folder.join("profile")).as_deref()])?;
+    if args.cost_map.is_some() {
+        cost_map::check(args.strategy)?;
+    }
+    let first_profile = args.save_profile.as_ref().map(|folder| folder.join("profile"));
+    atomic_file::check([first_profile.as_deref(), args.cost_map.as_deref()])?;
     let bars = Bars::new(args.json);
     let other = args.for_node.as_deref().map(calibrate::read).transpose()?;
     let local = Local::open(&args.bundle, &args.machine, &bars)?;
@@ -128,6 +140,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     }
     if let Some(folder) = &args.save_profile {
         save_profiles(&quoted, folder)?;
+    }
+    if let Some(path) = &args.cost_map {
+        let picture = cost_map::picture(args.cost_map_at, &local, &quoted, &settings, &bars)?;
+        write_bytes(path, &png(&picture)?)?;
     }
     let explained = args.explain.then(|| quoted.explained(&local.shot.info().strata, &settings));
     if args.json {

@@ -1,9 +1,10 @@
 //! One shot whose every pixel's cost is known, forecast, and held against it.
 
+use super::NOMINAL;
 use anyhow::Result;
 use forelight_forecast::{
-    Calibration, Cost, Expansion, FrameDesign, FramePopulation, Measure, Observation, ProfiledFrame,
-    Quantity, Stratum, choose_frames, estimate, forecast_shot, residual,
+    Calibration, Cost, Expansion, FrameDesign, FramePopulation, Measure, Observation, Pick, PixelCosts,
+    ProfiledFrame, Quantity, Stratum, StratumEstimate, choose_frames, estimate, forecast_shot, residual,
 };
 
 /// A shot with the true cost of every pixel.
@@ -44,9 +45,20 @@ impl Judged {
     }
 }
 
+/// Pixels, and how many of them cost at most what was promised.
+#[derive(Debug, Clone, Default)]
+pub struct Tally {
+    /// Pixels of which any promise could be made.
+    pub pixels: u64,
+    /// By the quantile in [`NOMINAL`]. One of which no quantile can be said is promised nothing, and keeps that.
+    pub held: [u64; NOMINAL.len()],
+}
+
 /// All forecasts of one quote.
 #[derive(Debug, Clone, Default)]
 pub struct Case {
+    /// Pixels of profiled frames that were not profiled.
+    pub pixels: Tally,
     /// Strata of profiled frames with at least two profiled pixels and some that are not.
     pub strata: Vec<Judged>,
     /// Every frame.
@@ -81,18 +93,23 @@ impl Known {
         let chosen = choose_frames(&self.strata, &populations, effort.frames)?;
         let mut case = Case::default();
         let mut observed = Vec::with_capacity(chosen.len());
+        let mut picks = Vec::with_capacity(chosen.len());
         for &t in &chosen {
             let frame = &self.frames[t];
             let design =
                 FrameDesign::new(&self.strata, &frame.ids, self.width, effort.samples, seed, frame.number)?;
-            let observe = |picks: Vec<forelight_forecast::Pick>| -> Vec<Observation> {
+            let observe = |picks: &[Pick]| -> Vec<Observation> {
                 let cost = |pixel: u32| frame.costs[pixel as usize];
                 picks.iter().map(|p| Observation { stratum: p.stratum, cost: cost(p.pixel) }).collect()
             };
-            let mut observations = observe(design.first_phase());
-            observations.extend(observe(design.second_phase(&observations)?));
+            let mut chosen = design.first_phase();
+            let mut observations = observe(&chosen);
+            let second = design.second_phase(&observations)?;
+            observations.extend(observe(&second));
+            chosen.extend(second);
             case.strata.extend(self.judge_strata(frame, &populations[t].counts, &observations)?);
             observed.push(observations);
+            picks.push(chosen);
         }
         let profiled: Vec<ProfiledFrame<'_>> = chosen
             .iter()
@@ -106,6 +123,10 @@ impl Known {
             })
             .collect();
         let found = forecast_shot(&self.strata, &populations, &profiled, Calibration::NONE)?;
+        for (&t, (observations, picks)) in chosen.iter().zip(observed.iter().zip(&picks)) {
+            let costs = PixelCosts::new(&self.strata, &populations[t].counts, observations);
+            self.frames[t].judge_pixels(&found.frames[t].strata, &costs, picks, &mut case.pixels);
+        }
         let actual: Vec<f64> = self.frames.iter().map(KnownFrame::work).collect();
         let judged = |(frame, &actual): (&forelight_forecast::FrameForecast, &f64)| Judged {
             forecast: frame.total.work,
@@ -148,6 +169,30 @@ impl Known {
 }
 
 impl KnownFrame {
+    /// Each pixel that was not profiled against those that were.
+    fn judge_pixels(
+        &self,
+        strata: &[StratumEstimate],
+        costs: &PixelCosts,
+        picks: &[Pick],
+        tally: &mut Tally,
+    ) {
+        let promised: Vec<[Option<f64>; NOMINAL.len()]> = strata
+            .iter()
+            .enumerate()
+            .map(|(h, known)| NOMINAL.map(|p| costs.at(h, known.mean.work, p)))
+            .collect();
+        let mut profiled = vec![false; self.ids.len()];
+        picks.iter().for_each(|pick| profiled[pick.pixel as usize] = true);
+        for ((&id, cost), _) in self.ids.iter().zip(&self.costs).zip(profiled).filter(|(_, known)| !known) {
+            tally.pixels += 1;
+            for (held, promised) in tally.held.iter_mut().zip(promised[id as usize]) {
+                // By means that are as they are but for rounding.
+                *held += u64::from(promised.is_none_or(|most| cost.work as f64 <= most * (1.0 + 1e-9)));
+            }
+        }
+    }
+
     fn work(&self) -> f64 {
         self.costs.iter().chain([&self.fixed]).map(|cost| cost.work as f64).sum()
     }

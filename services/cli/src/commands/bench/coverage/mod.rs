@@ -34,8 +34,9 @@ Examples:
 A case is a shot, quoted from a few pixels of a few of its frames, of which every pixel's cost is known: synthetic shots with \
 light and heavy tails, no two alike, and with bundles some frames of theirs at several qualities and seeds. Quantiles of work \
 are judged for the strata of profiled frames, for frames and for whole shots, as the formulas make them and calibrated on \
-other cases: synthetic shots on the other half of the synthetic shots, a scene on all other scenes. The intervals (95 %) count \
-shots, since frames of a shot share their errors.")]
+other cases: synthetic shots on the other half of the synthetic shots, a scene on all other scenes. Those of single pixels are \
+calibrated by the profile of their own frame, and need no others. The intervals (95 %) count shots, since frames of a shot share \
+their errors.")]
 pub struct Args {
     /// Scene bundles to judge too: folders or zip files
     #[arg(value_name = "BUNDLE")]
@@ -75,6 +76,8 @@ pub struct Args {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Level {
+    /// A pixel of a profiled frame that was not profiled.
+    Pixel,
     /// The pixels of one surface in a profiled frame.
     Stratum,
     /// A frame.
@@ -84,18 +87,21 @@ pub enum Level {
 }
 
 impl Level {
-    const ALL: [Level; 3] = [Level::Stratum, Level::Frame, Level::Shot];
+    const ALL: [Level; 4] = [Level::Pixel, Level::Stratum, Level::Frame, Level::Shot];
 
     const fn title(self) -> &'static str {
         match self {
+            Level::Pixel => "pixel",
             Level::Stratum => "stratum",
             Level::Frame => "frame",
             Level::Shot => "shot",
         }
     }
 
+    /// The forecasts of a case; of pixels there is but a tally.
     fn of(self, case: &Case) -> &[Judged] {
         match self {
+            Level::Pixel => &[],
             Level::Stratum => &case.strata,
             Level::Frame => &case.frames,
             Level::Shot => &case.shot,
@@ -252,6 +258,9 @@ fn row(shots: &str, level: Level, judged: &[&Group], teachers: &[&Group]) -> Row
     for case in teachers.iter().flat_map(|group| &group.cases) {
         past.push(level.of(case).iter().filter_map(Judged::residual).collect());
     }
+    if level == Level::Pixel {
+        return row_of_pixels(shots, judged);
+    }
     // Per group, the share of its forecasts that held.
     let held = |holds: &dyn Fn(&Judged) -> bool| -> Vec<f64> {
         let share = |group: &&Group| {
@@ -282,6 +291,25 @@ fn row(shots: &str, level: Level, judged: &[&Group], teachers: &[&Group]) -> Row
     }
 }
 
+fn row_of_pixels(shots: &str, judged: &[&Group]) -> Row {
+    let pixels = |group: &Group| group.cases.iter().map(|case| case.pixels.pixels).sum::<u64>();
+    let point = |(place, &nominal): (usize, &f64)| {
+        let held = |group: &Group| group.cases.iter().map(|case| case.pixels.held[place]).sum::<u64>();
+        let share = |group: &&Group| (pixels(group) > 0).then(|| held(group) as f64 / pixels(group) as f64);
+        let shares: Vec<f64> = judged.iter().filter_map(share).collect();
+        Point { nominal, formulas: Share::of(&shares), calibrated: None }
+    };
+    Row {
+        shots: shots.to_owned(),
+        level: Level::Pixel,
+        cases: judged.iter().map(|group| group.cases.len()).sum(),
+        independent: judged.len(),
+        forecasts: judged.iter().map(|group| pixels(group) as usize).sum(),
+        calibrated_on: 0,
+        points: NOMINAL.iter().enumerate().map(point).collect(),
+    }
+}
+
 fn text(report: &Report) -> String {
     let head = [
         ("shots", Align::Left),
@@ -297,7 +325,7 @@ fn text(report: &Report) -> String {
     ];
     let mut table = Table::new(&head);
     for row in &report.rows {
-        let first = row.level == Level::Stratum;
+        let first = row.level == Level::ALL[0];
         let name = if first { row.shots.clone() } else { String::new() };
         let shares = |of: fn(&Point) -> Option<Share>| {
             NAMED.map(|p| row.point(p).and_then(of).map_or("-".to_owned(), |share| share.to_string()))
@@ -328,11 +356,15 @@ mod tests {
         let args: Args = parsed(["coverage", "--fields", "400", "--json"]);
         let report = measure(&args, &Bars::new(true), &Interrupt::default()).unwrap();
         let all: Vec<&Row> = report.rows.iter().filter(|row| row.shots == "synthetic: all").collect();
-        assert_eq!(all.len(), 3);
+        assert_eq!(all.len(), 4);
         for row in all {
-            assert_eq!((row.cases, row.independent, row.calibrated_on), (200, 200, 200));
+            // A pixel is held against those of its own frame.
+            let of_pixels = row.level == Level::Pixel;
+            let teachers = if of_pixels { 0 } else { 200 };
+            assert_eq!((row.cases, row.independent, row.calibrated_on), (200, 200, teachers));
             for nominal in [0.8, 0.95] {
-                let share = row.point(nominal).unwrap().calibrated.unwrap().share;
+                let point = row.point(nominal).unwrap();
+                let share = point.calibrated.unwrap_or(point.formulas).share;
                 // Four standard errors of two hundred shots that calibrate and as many that are judged.
                 let noise = 4.0 * (2.0 * nominal * (1.0 - nominal) / 200.0f64).sqrt();
                 assert!((share - nominal).abs() < noise, "{:?} P{nominal}: {share}", row.level);
@@ -372,10 +404,10 @@ mod tests {
             measure(&args, &Bars::new(true), &Interrupt::default()).unwrap().rows
         };
         let alone = measured(&[&bundle]);
-        assert_eq!((alone.len(), alone[2].calibrated_on, alone[2].cases), (3, 0, 21));
-        assert!(alone[2].point(0.8).unwrap().calibrated.is_none());
+        assert_eq!((alone.len(), alone[3].calibrated_on, alone[3].cases), (4, 0, 21));
+        assert!(alone[3].point(0.8).unwrap().calibrated.is_none());
         let two = measured(&[&bundle, &bundle]);
-        assert_eq!((two.len(), two[2].calibrated_on), (6, 21));
-        assert!(two[2].point(0.8).unwrap().calibrated.is_some());
+        assert_eq!((two.len(), two[3].calibrated_on), (8, 21));
+        assert!(two[3].point(0.8).unwrap().calibrated.is_some());
     }
 }

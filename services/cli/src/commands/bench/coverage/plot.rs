@@ -41,8 +41,12 @@ fn panel(area: &Area<'_>, row: &Row) -> Drawn {
         .y_label_formatter(&percent)
         .draw()?;
     chart.draw_series([PathElement::new([(0.0, 0.0), (1.0, 1.0)], BLACK.mix(0.5))])?;
+    let formulas = match row.level {
+        Level::Pixel => "by the profile of its own frame",
+        Level::Stratum | Level::Frame | Level::Shot => "as the formulas make it",
+    };
     for (name, colour, calibrated) in
-        [("as the formulas make it", FORMULAS, false), ("calibrated on other shots", CALIBRATED, true)]
+        [(formulas, FORMULAS, false), ("calibrated on other shots", CALIBRATED, true)]
     {
         let points: Vec<(f64, super::Share)> = row
             .points

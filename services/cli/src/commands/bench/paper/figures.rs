@@ -1,9 +1,10 @@
 //! The files of the paper's figures.
 
 use super::level::{Level, Seen, Truth, mean_record};
-use super::picture::{Paint, Scale, key, map, positions};
+use super::picture::positions;
 use super::trial::Records;
 use super::{Curve, chart};
+use crate::cost_picture::{Paint, Scale, key, map};
 use anyhow::Result;
 use forelight_forecast::{Cost, Costs, Strategy, predicted_map};
 use forelight_worker::png;

@@ -1,6 +1,5 @@
-//! Pictures: where pixels are profiled, and what pixels cost, in the paper's colours.
+//! Pictures of where pixels are profiled.
 
-use forelight_tracer::cost_color;
 use image::{Rgb, RgbImage};
 
 /// Pixels of a picture for one of the image.
@@ -26,85 +25,9 @@ pub fn positions(behind: &RgbImage, pixels: impl Iterator<Item = u32>) -> RgbIma
     picture
 }
 
-/// How a picture shows a cost.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Paint {
-    /// Cyan for the least, over blue, to red for the most (figures 4, 6 and 8).
-    Colour,
-    /// Black for the least, white for the most (figures 5, 7 and 9).
-    Grey,
-}
-
-/// The range that a picture shows.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Scale {
-    /// Shown as the least.
-    pub lowest: f64,
-    /// Shown as the most.
-    pub highest: f64,
-}
-
-/// One pixel in so many may be off the scale, so that a single one does not flatten all others.
-const OFF_SCALE: f64 = 0.005;
-
-impl Scale {
-    /// From the least value to one that few exceed.
-    pub fn of(values: &[f64]) -> Self {
-        let mut sorted = values.to_vec();
-        sorted.sort_unstable_by(f64::total_cmp);
-        let at = |share: f64| sorted.get((sorted.len().max(1) as f64 * share) as usize).copied();
-        let (lowest, highest) = (at(0.0).unwrap_or(0.0), at(1.0 - OFF_SCALE).unwrap_or(0.0));
-        Self { lowest, highest: if highest > lowest { highest } else { lowest + 1.0 } }
-    }
-
-    fn place(&self, value: f64) -> f32 {
-        ((value - self.lowest) / (self.highest - self.lowest)) as f32
-    }
-}
-
-/// One value a pixel, in row order.
-pub fn map(width: u32, values: &[f64], scale: Scale, paint: Paint) -> RgbImage {
-    let height = values.len() as u32 / width.max(1);
-    RgbImage::from_fn(width, height, |x, y| Rgb(colour(scale.place(values[(y * width + x) as usize]), paint)))
-}
-
-/// Width and height of a key, pixels.
-const KEY: (u32, u32) = (256, 12);
-
-/// All colours from the least to the most.
-pub fn key(paint: Paint) -> RgbImage {
-    RgbImage::from_fn(KEY.0, KEY.1, |x, _| Rgb(colour(x as f32 / (KEY.0 - 1) as f32, paint)))
-}
-
-fn colour(place: f32, paint: Paint) -> [u8; 3] {
-    match paint {
-        Paint::Colour => cost_color(place),
-        Paint::Grey => [(place.clamp(0.0, 1.0) * 255.0).round() as u8; 3],
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_scale_leaves_out_what_is_rare_and_is_never_of_no_width() {
-        let mut values: Vec<f64> = (0..1000).map(f64::from).collect();
-        values[999] = 1e9;
-        assert_eq!(Scale::of(&values), Scale { lowest: 0.0, highest: 995.0 });
-        assert_eq!(Scale::of(&[3.0; 10]), Scale { lowest: 3.0, highest: 4.0 });
-        assert_eq!(Scale::of(&[]), Scale { lowest: 0.0, highest: 1.0 });
-    }
-
-    #[test]
-    fn the_least_is_cyan_or_black_and_the_most_red_or_white() {
-        let scale = Scale { lowest: 1.0, highest: 3.0 };
-        let colours = map(2, &[1.0, 9.0], scale, Paint::Colour);
-        let [Rgb([r, g, b]), Rgb([red, green, blue])] = [*colours.get_pixel(0, 0), *colours.get_pixel(1, 0)];
-        assert!(r < 30 && g > 200 && b > 200 && red > 200 && green < 30 && blue < 30);
-        let greys = map(3, &[1.0, 2.0, 3.0], scale, Paint::Grey);
-        assert_eq!([0, 1, 2].map(|x| greys.get_pixel(x, 0).0[0]), [0, 128, 255]);
-    }
 
     #[test]
     fn a_profiled_pixel_is_a_white_dot_and_the_rest_is_dimmed() {

@@ -1,0 +1,65 @@
+//! A picture of what pixels will cost.
+
+use crate::cost_picture::{Paint, Scale, map};
+use crate::failure::BadInput;
+use crate::local::Local;
+use crate::output::Bars;
+use crate::quantities::count;
+use anyhow::Result;
+use clap::ValueEnum;
+use forelight_forecast::Strategy;
+use forelight_protocol::RenderSettings;
+use forelight_worker::Quote;
+use image::RgbImage;
+
+/// What a picture of forecast costs shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum At {
+    /// What they cost on average.
+    Mean,
+    /// What half of them stay below.
+    P50,
+    /// What four in five stay below.
+    P80,
+    /// What 19 in 20 stay below.
+    P95,
+}
+
+impl At {
+    const fn probability(self) -> Option<f64> {
+        match self {
+            At::Mean => None,
+            At::P50 => Some(0.50),
+            At::P80 => Some(0.80),
+            At::P95 => Some(0.95),
+        }
+    }
+}
+
+/// Whether a strategy knows what pixels show.
+pub fn check(strategy: Strategy) -> Result<()> {
+    if strategy == Strategy::Snapshot {
+        return Ok(());
+    }
+    let reason = format!("--cost-map: the strategy {} does not tell strata apart", strategy.name());
+    Err(BadInput::new(reason).into())
+}
+
+/// A picture of what the pixels of the first frame are forecast to cost.
+pub fn picture(
+    at: At,
+    local: &Local,
+    quoted: &Quote,
+    settings: &RenderSettings,
+    bars: &Bars,
+) -> Result<RgbImage> {
+    let frame = quoted.document.frames.first().map_or(0, |frame| frame.frame);
+    let Some(work) = quoted.pixel_work(&local.shot, settings, frame, at.probability())? else {
+        let reason = "--cost-map-at: too few pixels were profiled to say how they vary";
+        return Err(BadInput::new(reason).hint("profile more of them by --samples").into());
+    };
+    let scale = Scale::of(&work);
+    let (least, most) = (count(scale.lowest), count(scale.highest));
+    bars.note(format!("cost map of frame {frame}: cyan is {least} operations a pixel, red {most}"));
+    Ok(map(settings.width, &work, scale, Paint::Colour))
+}
