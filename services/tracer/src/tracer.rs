@@ -352,10 +352,10 @@ impl Tracer {
     /// Gathers what the cache lacks for the colours of these pixels: the records of the first level that they read. The colours are then
     /// nearly those of the image: fewer records are averaged, so they are a little noisier, and deeper levels are followed by single rays. Once, and
     /// for these pixels alone: an image is not to be rendered by this tracer any more. On the current thread pool; says what
-    /// that took, nothing without a cache.
-    pub fn fill_for(&self, pixels: &[u32]) -> Cost {
+    /// that took, nothing without a cache. `None` if `stop` said on the way that they are not wanted any more.
+    pub fn fill_for(&self, pixels: &[u32], stop: &(dyn Fn() -> bool + Sync)) -> Option<Cost> {
         self.plan();
-        self.cache.get().map_or_else(Cost::default, |cache| cache.fill_for(self, pixels))
+        self.cache.get().map_or(Some(Cost::default()), |cache| cache.fill_for(self, pixels, stop))
     }
 
     /// Finished pixels by index, in the order given; see [`Self::pixel`] for their colours. With a cache, call [`Self::plan`] before

@@ -334,7 +334,7 @@ fn of_the_first_level_what_some_pixels_read_is_filled_and_enough_for_their_colou
         let whole = Tracer::new(&frame, &settings);
         let image = render(&whole);
         let tracer = Tracer::new(&frame, &settings);
-        let cost = pool(2).install(|| tracer.fill_for(&pixels));
+        let cost = pool(2).install(|| tracer.fill_for(&pixels, &|| false)).unwrap();
         let cache = tracer.cache().unwrap();
         let totals = cache.totals();
         let all: u64 = totals.records.iter().sum();
@@ -363,9 +363,12 @@ fn of_the_first_level_what_some_pixels_read_is_filled_and_enough_for_their_colou
         }
         assert!(off < 0.05 * sum, "{bounces} bounces: off by {} of the whole", off / sum);
         // What is there is not gathered again.
-        let again = tracer.fill_for(&pixels);
+        let again = tracer.fill_for(&pixels, &|| false).unwrap();
         assert!(again.work < cost.work && tracer.cache().unwrap().totals().filled == totals.filled);
     }
     let without = Tracer::new(&room(|b| b), &Settings { cache: None, ..settings(1) });
-    assert_eq!(without.fill_for(&pixels).work, 0);
+    assert_eq!(without.fill_for(&pixels, &|| true).unwrap().work, 0);
+    let stopped = Tracer::new(&room(|b| b), &settings(1));
+    assert!(stopped.fill_for(&pixels, &|| true).is_none());
+    assert!(stopped.cache().unwrap().totals().filled < 8, "one on each thread at most");
 }

@@ -27,14 +27,16 @@ use crate::render::seconds;
 use crate::renderer::{FrameRenderer, Renderer};
 use crate::shot::ShotError;
 use forelight_forecast::Calibration;
-use forelight_forecast::accuracy::front_of_known;
+use forelight_forecast::accuracy::{PixelNoise, front_of_known};
 use forelight_protocol::{
     AccuracyDoc, AccuracyRung, CacheMode, Integrator, LadderKind, MissingLadder, Profiled, RenderSettings,
     Spent, SpentOnForecast,
 };
+use forelight_tracer::Pixel;
 use interpolation::Truth;
 use pilot::View;
 use related::{affordable, is_too_dear, relate};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Camera samples of a profiled pixel: four doublings of them can be seen.
 const PILOT_SPP: u32 = 16;
@@ -62,7 +64,7 @@ pub trait AccuracyObserver: Sync {
     /// So many of all steps of the prediction are done.
     fn predicted(&self, done: usize, all: usize);
     /// The flag that ends it.
-    fn cancel(&self) -> &std::sync::atomic::AtomicBool;
+    fn cancel(&self) -> &AtomicBool;
 }
 
 /// Predicts all ladders around the settings that were asked for.
@@ -132,7 +134,7 @@ impl<'a> Prediction<'a> {
 
     fn ladder(&mut self, kind: LadderKind, rungs: &[RenderSettings]) -> Result<(), ShotError> {
         for settings in rungs {
-            if self.observer.cancel().load(std::sync::atomic::Ordering::Relaxed) {
+            if is_cancelled(self.observer) {
                 return Err(ShotError::Cancelled);
             }
             self.done += 1;
@@ -199,17 +201,17 @@ impl<'a> Prediction<'a> {
         let mut pilot = Pilot::new(self.renderer, &*ready, settings, &options, self.observer)?;
         if let Some(first) = known.map(|known| &self.pilots[known]) {
             if pilot.settings.cache == CacheMode::Off {
-                relate(self.renderer, &*ready, first, &mut pilot)?;
+                relate(self.renderer, &*ready, first, &mut pilot, self.observer)?;
             } else {
                 let truth = match self.truth.take() {
                     Some(truth) => truth,
                     None => {
-                        let truth = Truth::new(self.renderer, self.frame, first)?;
+                        let truth = Truth::new(self.renderer, self.frame, first, self.observer)?;
                         self.spent = self.spent.plus(truth.spent);
                         truth
                     }
                 };
-                self.truth.insert(truth).interpolated(&*ready, &first.noise, &mut pilot)?;
+                self.truth.insert(truth).interpolated(&*ready, &first.noise, &mut pilot, self.observer)?;
             }
         }
         self.pilots.push(pilot);
@@ -259,6 +261,19 @@ impl<'a> Prediction<'a> {
         mark(&mut document);
         document
     }
+}
+
+fn is_cancelled(observer: &dyn AccuracyObserver) -> bool {
+    observer.cancel().load(Ordering::Relaxed)
+}
+
+/// These pixels, unless the observer wants it to end on the way.
+fn traced(
+    ready: &dyn FrameRenderer,
+    pixels: &[u32],
+    observer: &dyn AccuracyObserver,
+) -> Result<Vec<(Pixel, PixelNoise)>, ShotError> {
+    ready.trace_unless(pixels, &|| is_cancelled(observer)).ok_or(ShotError::Cancelled)
 }
 
 /// The settings of the pilot for these settings. What makes no difference to them is brought to one value, so that one

@@ -254,8 +254,9 @@ pub trait FrameRenderer: Send + Sync {
     ) -> Option<Vec<(Pixel, PixelNoise)>>;
 
     /// Fills the irradiance cache as far as the colours of these pixels need it, on the current thread pool, and says what that took. The
-    /// colours are then close to the image's: a whole cache is a little less noisy, for its records are averaged.
-    fn fill_for(&self, pixels: &[u32]) -> Spent;
+    /// colours are then close to the image's: a whole cache is a little less noisy, for its records are averaged. Nothing if `stop` says on the way
+    /// that they are not wanted any more.
+    fn fill_for(&self, pixels: &[u32], stop: &(dyn Fn() -> bool + Sync)) -> Option<Spent>;
 
     /// Plans and fills the irradiance cache, if there is one, on the current thread pool. `false` if `cancel` was set.
     fn fill(&self, progress: &(dyn Fn(Progress) + Sync), cancel: &AtomicBool) -> bool;

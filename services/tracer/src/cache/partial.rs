@@ -14,8 +14,13 @@ use std::ops::Add;
 
 impl Cache {
     /// See [`Tracer::fill_for`].
-    pub fn fill_for(&self, tracer: &Tracer, pixels: &[u32]) -> Cost {
-        let Some(first) = self.levels.first() else { return Cost::default() };
+    pub fn fill_for(
+        &self,
+        tracer: &Tracer,
+        pixels: &[u32],
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Option<Cost> {
+        let Some(first) = self.levels.first() else { return Some(Cost::default()) };
         let before = self.totals().fill;
         if !self.levels[1..].iter().all(Level::is_full) {
             self.partial.get_or_init(|| ());
@@ -39,15 +44,16 @@ impl Cache {
         let looking = found.iter().map(cost).fold(Cost::default(), Cost::add);
         let read: BTreeSet<u32> = found.into_iter().flat_map(|((read, _), _)| read).collect();
         let read: Vec<u32> = read.into_iter().collect();
-        read.par_iter().for_each(|&index| {
+        read.par_iter().try_for_each(|&index| {
             let index = index as usize;
             first.records[index].get_or_init(|| self.gathered(tracer, 0, index));
-        });
+            (!stop()).then_some(())
+        })?;
         self.smooth_filled(0);
         let after = self.totals().fill;
         let gathering =
             Cost { work: after.work - before.work, cpu_nanos: after.cpu_nanos - before.cpu_nanos };
-        looking + gathering
+        Some(looking + gathering)
     }
 
     /// Whether points of a level are followed though it was planned.

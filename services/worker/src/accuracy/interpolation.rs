@@ -15,9 +15,10 @@
 
 use super::pilot::Pilot;
 use super::related::{LESS_NOISY, cost, scaled, times_the_rays};
+use super::{AccuracyObserver, is_cancelled, traced};
 use crate::noise::FrameNoise;
-use crate::renderer::{FrameRenderer, RenderError, Renderer};
-use forelight_forecast::ForecastError;
+use crate::renderer::{FrameRenderer, Renderer};
+use crate::shot::ShotError;
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{RenderSettings, Spent};
 
@@ -49,7 +50,12 @@ pub struct Truth {
 
 impl Truth {
     /// Of the scattered pixels of a pilot without a cache.
-    pub fn new(renderer: &dyn Renderer, frame: u32, pilot: &Pilot) -> Result<Self, RenderError> {
+    pub fn new(
+        renderer: &dyn Renderer,
+        frame: u32,
+        pilot: &Pilot,
+        observer: &dyn AccuracyObserver,
+    ) -> Result<Self, ShotError> {
         let finer_by = |times: u32| RenderSettings {
             ambient_divisions: pilot.settings.ambient_divisions.saturating_mul(times).min(MOST_DIVISIONS),
             ..pilot.settings.clone()
@@ -63,9 +69,9 @@ impl Truth {
         let gathered = pilot.noise.thinned(PIXELS);
         let pixels = gathered.scattered_pixels();
         let mut spent = Spent::default();
-        let mut colors = |settings: &RenderSettings| -> Result<Vec<[f32; 3]>, RenderError> {
+        let mut colors = |settings: &RenderSettings| -> Result<Vec<[f32; 3]>, ShotError> {
             let ready = renderer.frame(frame, settings)?;
-            let traced = ready.trace(pixels);
+            let traced = traced(&*ready, pixels, observer)?;
             spent = spent.plus(ready.spent_on_setup()).plus(cost(&traced));
             Ok(traced.into_iter().map(|(pixel, _)| pixel.color).collect())
         };
@@ -80,10 +86,11 @@ impl Truth {
         ready: &dyn FrameRenderer,
         gathered: &FrameNoise,
         pilot: &mut Pilot,
-    ) -> Result<(), ForecastError> {
+        observer: &dyn AccuracyObserver,
+    ) -> Result<(), ShotError> {
         let pixels = self.gathered.scattered_pixels();
-        let filling = ready.fill_for(pixels);
-        let traced = ready.trace(pixels);
+        let filling = ready.fill_for(pixels, &|| is_cancelled(observer)).ok_or(ShotError::Cancelled)?;
+        let traced = traced(ready, pixels, observer)?;
         pilot.spent = pilot.spent.plus(filling).plus(cost(&traced));
         let noise = traced.into_iter().enumerate().map(|(i, (pixel, noise))| PixelNoise {
             bias_square: product(pixel.color, self.same[i], self.independent[i]),

@@ -15,7 +15,6 @@ use forelight_preview::Preview;
 use forelight_protocol::{FixedCosts, ImageError, Quantiles, RenderSettings, Spent};
 use forelight_tracer::{Pixel, RecordCost};
 use std::collections::BTreeMap;
-use std::sync::atomic::Ordering;
 
 /// What a frame shows at one size, in numbers.
 #[derive(Debug, Clone)]
@@ -218,7 +217,7 @@ impl Observer for Watching<'_> {
     fn previewed(&self, _: usize, _: usize) {}
     fn profiled(&self, _: usize, _: usize) {}
     fn is_cancelled(&self) -> bool {
-        self.0.cancel().load(Ordering::Relaxed)
+        super::is_cancelled(self.0)
     }
 }
 

@@ -7,6 +7,7 @@
 //! *Sampling Techniques*, 3rd edition 1977, section 12.8).
 
 use super::pilot::Pilot;
+use super::{AccuracyObserver, traced};
 use crate::noise::FrameNoise;
 use crate::renderer::{FrameRenderer, Renderer};
 use crate::shot::ShotError;
@@ -31,22 +32,23 @@ pub fn relate(
     ready: &dyn FrameRenderer,
     first: &Pilot,
     pilot: &mut Pilot,
+    observer: &dyn AccuracyObserver,
 ) -> Result<(), ShotError> {
     let most = affordable(first.noise.scattered as u32, LEAST_PIXELS, &first.settings, &pilot.settings);
     let few = first.noise.thinned(most as usize);
     let pixels = few.scattered_pixels();
-    let traced = ready.trace(pixels);
-    pilot.spent = pilot.spent.plus(cost(&traced));
-    let own = few.with_scattered(traced.into_iter().map(|(_, noise)| noise));
+    let with_own = traced(ready, pixels, observer)?;
+    pilot.spent = pilot.spent.plus(cost(&with_own));
+    let own = few.with_scattered(with_own.into_iter().map(|(_, noise)| noise));
     let known = if pilot.settings.spp == first.settings.spp {
         few
     } else {
         // Ratios are of the same camera samples, or what some of them met by chance would be in one part alone.
         let alike = RenderSettings { spp: pilot.settings.spp, ..first.settings.clone() };
         let again = renderer.frame(ready.frame().number, &alike)?;
-        let traced = again.trace(pixels);
-        pilot.spent = pilot.spent.plus(again.spent_on_setup()).plus(cost(&traced));
-        few.with_scattered(traced.into_iter().map(|(_, noise)| noise))
+        let with_first = traced(&*again, pixels, observer)?;
+        pilot.spent = pilot.spent.plus(again.spent_on_setup()).plus(cost(&with_first));
+        few.with_scattered(with_first.into_iter().map(|(_, noise)| noise))
     };
     let finer = pilot.settings.ambient_divisions > first.settings.ambient_divisions;
     let bounds = if finer { LESS_NOISY } else { MORE_NOISY };

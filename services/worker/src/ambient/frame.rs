@@ -135,8 +135,8 @@ impl FrameRenderer for AmbientFrame<'_> {
         Some(batches.collect::<Option<Vec<_>>>()?.concat())
     }
 
-    fn fill_for(&self, pixels: &[u32]) -> Spent {
-        spent(self.tracer.fill_for(pixels))
+    fn fill_for(&self, pixels: &[u32], stop: &(dyn Fn() -> bool + Sync)) -> Option<Spent> {
+        self.tracer.fill_for(pixels, stop).map(spent)
     }
 
     fn fill(&self, progress: &(dyn Fn(Progress) + Sync), cancel: &AtomicBool) -> bool {
