@@ -8,6 +8,12 @@
 
 use forelight_protocol::{AccuracyDoc, AccuracyRung, ImageError, LadderKind, MissingLadder, Quantiles};
 
+/// What is held against others is at least this: operations, seconds or shares.
+const LEAST: f64 = 1e-12;
+
+/// No quantile lies so many medians from its median.
+const WIDEST: f64 = 1e12;
+
 /// The ladders of a frame, beside what is known of the job as it was asked for.
 pub(super) struct OneFrame<'a> {
     ladders: &'a AccuracyDoc,
@@ -24,12 +30,11 @@ pub(super) struct Job {
 }
 
 impl<'a> OneFrame<'a> {
-    /// Nothing if the ladders do not price what was asked for: there is nothing to hold the others against.
+    /// Nothing if the ladders do not price what was asked for, or next to nothing: there is nothing to hold the others against.
     pub fn new(ladders: &'a AccuracyDoc, job: Job) -> Option<Self> {
         let asked = ladders.rungs.iter().find(|rung| rung.settings == ladders.settings)?;
-        let priced =
-            [&asked.work, &asked.cpu_seconds].iter().all(|price| price.mean > 0.0 && price.p50 > 0.0);
-        priced.then_some(Self { ladders, asked, job })
+        let prices = [asked.work.mean, asked.work.p50, asked.cpu_seconds.mean, asked.cpu_seconds.p50];
+        prices.iter().all(|&price| price >= LEAST).then_some(Self { ladders, asked, job })
     }
 
     /// The rungs of a ladder, for all frames.
@@ -64,7 +69,7 @@ impl<'a> OneFrame<'a> {
     fn error(&self, rung: &AccuracyRung) -> Option<ImageError> {
         let own = rung.error?;
         match (self.asked.error, self.job.error) {
-            (Some(asked), Some(job)) if asked.p50 > 0.0 && own.p50 > 0.0 && job.p50 > 0.0 => {
+            (Some(asked), Some(job)) if [asked.p50, own.p50, job.p50].iter().all(|&error| error >= LEAST) => {
                 let p50 = job.p50 * (own.p50 / asked.p50);
                 let at = |quantile: fn(&ImageError) -> f64, side: f64| {
                     let spread = spread([quantile(&own) / own.p50, quantile(&job) / job.p50]);
@@ -97,9 +102,10 @@ fn ratio(rung: &Quantiles, asked: &Quantiles, job: &Quantiles) -> Quantiles {
     }
 }
 
-/// How far quantiles, over their medians, lie from these together.
+/// How far quantiles, over their medians, lie from these together; a number whatever they are.
 fn spread(relative: [f64; 2]) -> f64 {
-    relative.map(|relative| (relative - 1.0).powi(2)).iter().sum::<f64>().sqrt()
+    let squares = relative.map(|relative| (relative - 1.0).powi(2));
+    squares.iter().sum::<f64>().sqrt().min(WIDEST)
 }
 
 #[cfg(test)]
@@ -116,5 +122,10 @@ mod tests {
         assert!((found.p80 - 300.0).abs() < 1e-9 && (found.p95 - 400.0).abs() < 1e-9, "{found:?}");
         let certain = quantiles(5.0, 5.0, 5.0, 5.0);
         assert_eq!(ratio(&certain, &certain, &certain), certain);
+        let wild = ratio(&quantiles(1e30, 1e-300, 1e30, 1e30), &quantiles(1e-12, 1e-12, 0.0, 0.0), &certain);
+        assert!(
+            [wild.mean, wild.p50, wild.p80, wild.p95].iter().all(|number| number.is_finite()),
+            "{wild:?}"
+        );
     }
 }
