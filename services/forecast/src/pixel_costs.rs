@@ -8,15 +8,39 @@
 //!
 //! For four in five that takes 4 pixels, for 19 in 20 it takes 19. Strata with fewer speak together, by the *scores* y_i / ȳ_(−i) of
 //! their pixels, each held against the mean of the others (as in the jackknife+: Barber, Candès, Ramdas, Tibshirani 2021), with the pixels that
-//! it stands for as its weight (Tibshirani, Barber, Candès, Ramdas 2019); if these are too few as well, all strata do.
+//! it stands for as its weight (Tibshirani, Barber, Candès, Ramdas 2019); if these are too few as well, all strata do. The one pixel more, that is
+//! asked about, is given the mean weight: its own would promise nothing in a large stratum of which few were profiled. So together they hold
+//! for the pixels of all these strata, and not for each of them: an approximation, which `forelight bench coverage` judges.
 
 use crate::cost::{Observation, WORK};
 use crate::strata::Stratum;
+use std::collections::BTreeMap;
 
 /// The profiled pixels of a frame, as what they say of the others.
 #[derive(Clone, Debug)]
 pub struct PixelCosts {
     strata: Vec<OfStratum>,
+}
+
+/// What the pixels that were not profiled take at most, with one probability.
+#[derive(Clone, Debug)]
+pub struct PixelQuantiles {
+    /// By stratum: work, by its own pixels alone.
+    own: Vec<Option<f64>>,
+    /// For the others: so many times their mean.
+    together: Option<f64>,
+}
+
+impl PixelQuantiles {
+    /// Work that a pixel of a stratum takes at most where those of the stratum are forecast to take `here` each, by what was profiled where they
+    /// were forecast to take `there` each; none where too few were profiled to say.
+    pub fn of(&self, stratum: usize, there: f64, here: f64) -> Option<f64> {
+        match self.own.get(stratum)? {
+            Some(own) if there > 0.0 => Some(own * (here / there)),
+            Some(own) if here == there => Some(*own),
+            _ => self.together.map(|times| times * here),
+        }
+    }
 }
 
 /// The profiled pixels of a stratum.
@@ -37,6 +61,19 @@ impl OfStratum {
     }
 }
 
+/// Works of pixels, added up.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sum {
+    work: f64,
+    count: f64,
+}
+
+impl Sum {
+    fn add(&mut self, work: f64) {
+        (self.work, self.count) = (self.work + work, self.count + 1.0);
+    }
+}
+
 impl PixelCosts {
     /// Of the work of the pixels that were profiled in a frame with so many pixels of each stratum. What stands apart has no pixels.
     pub fn new(strata: &[Stratum], counts: &[u32], observations: &[Observation]) -> Self {
@@ -44,26 +81,23 @@ impl PixelCosts {
             strata.get(observation.stratum as usize).is_some_and(|stratum| !stratum.apart)
         };
         let pixels: Vec<&Observation> = observations.iter().filter(is_pixel).collect();
-        let sum_of = |alike: &dyn Fn(&Observation) -> bool| -> (f64, f64) {
-            let own = pixels.iter().filter(|pixel| alike(pixel));
-            own.fold((0.0, 0.0), |(sum, count), pixel| (sum + work(pixel), count + 1.0))
-        };
-        let mut sums = vec![(0.0, 0.0); strata.len()];
+        let mut sums = vec![Sum::default(); strata.len()];
+        let mut of_material: BTreeMap<u32, Sum> = BTreeMap::new();
+        let mut of_all = Sum::default();
         for pixel in &pixels {
-            let (sum, count) = &mut sums[pixel.stratum as usize];
-            (*sum, *count) = (*sum + work(pixel), *count + 1.0);
+            let (work, stratum) = (work(pixel), pixel.stratum as usize);
+            sums[stratum].add(work);
+            of_material.entry(strata[stratum].material).or_default().add(work);
+            of_all.add(work);
         }
         let mut found = vec![OfStratum::default(); strata.len()];
         for pixel in &pixels {
-            let stratum = pixel.stratum as usize;
-            let score = score(sums[stratum], pixel).or_else(|| {
-                // Alone of its stratum, it is held against those of its material, or against all.
-                let material = strata[stratum].material;
-                let alike = sum_of(&|other| strata[other.stratum as usize].material == material);
-                score(alike, pixel).or_else(|| score(sum_of(&|_| true), pixel))
-            });
-            found[stratum].works.push(work(pixel));
-            found[stratum].scores.extend(score);
+            let (work, stratum) = (work(pixel), pixel.stratum as usize);
+            // Alone of its stratum, it is held against those of its material, or against all.
+            let alike = of_material.get(&strata[stratum].material).copied();
+            let score = [Some(sums[stratum]), alike, Some(of_all)].into_iter().flatten();
+            found[stratum].works.push(work);
+            found[stratum].scores.extend(score.filter_map(|sum| self::score(sum, work)).next());
         }
         for (stratum, &count) in found.iter_mut().zip(counts) {
             stratum.works.sort_by(f64::total_cmp);
@@ -72,20 +106,21 @@ impl PixelCosts {
         Self { strata: found }
     }
 
-    /// Work that a pixel of a stratum takes at most, with this probability, where those of the stratum are forecast to take `mean` each; none
-    /// where too few were profiled to say.
-    pub fn at(&self, stratum: usize, mean: f64, probability: f64) -> Option<f64> {
-        let own = self.strata.get(stratum)?.own(probability);
-        let together = |of: &dyn Fn(&OfStratum) -> bool| {
-            let those = self.strata.iter().filter(|stratum| of(stratum));
-            let mut weighted: Vec<(f64, f64)> =
-                those.flat_map(|one| one.scores.iter().map(|&score| (score, one.weight))).collect();
+    /// What the pixels take at most, with this probability.
+    pub fn at(&self, probability: f64) -> PixelQuantiles {
+        let own: Vec<Option<f64>> = self.strata.iter().map(|stratum| stratum.own(probability)).collect();
+        let together = |of: &dyn Fn(&Option<f64>) -> bool| {
+            let those = self.strata.iter().zip(&own).filter(|(_, own)| of(own));
+            let scores = |(one, _): (&OfStratum, _)| {
+                one.scores.iter().map(|&score| (score, one.weight)).collect::<Vec<_>>()
+            };
+            let mut weighted: Vec<(f64, f64)> = those.flat_map(scores).collect();
             weighted.sort_by(|one, other| one.0.total_cmp(&other.0));
             let next = weighted.iter().map(|(_, weight)| weight).sum::<f64>() / weighted.len().max(1) as f64;
-            Some(quantile(weighted.into_iter(), next, probability)? * mean)
+            quantile(weighted.into_iter(), next, probability)
         };
-        own.or_else(|| together(&|stratum| stratum.own(probability).is_none()))
-            .or_else(|| together(&|_| true))
+        let together = together(&|own| own.is_none()).or_else(|| together(&|_| true));
+        PixelQuantiles { own, together }
     }
 }
 
@@ -97,11 +132,11 @@ fn work(pixel: &Observation) -> f64 {
 ///
 /// With σ² for the variance of a pixel's logarithm, that of y_i / ȳ_(−i) is about σ² (1 + 1 / (n − 1)), and that of a new pixel over the mean of all n
 /// is σ² (1 + 1 / n): so logarithms of scores are brought closer to zero by √(1 − 1 / n²).
-fn score((sum, count): (f64, f64), pixel: &Observation) -> Option<f64> {
+fn score(Sum { work: sum, count }: Sum, work: f64) -> Option<f64> {
     if count < 2.0 {
         return None;
     }
-    let (work, mean) = (work(pixel), (sum - work(pixel)) / (count - 1.0));
+    let mean = (sum - work) / (count - 1.0);
     let closer = libm::sqrt(1.0 - 1.0 / (count * count));
     Some(if work == mean { 1.0 } else { libm::pow(work / mean, closer) })
 }
@@ -152,19 +187,22 @@ mod tests {
         observed.extend([seen(1, 10), seen(1, 30), seen(2, 100)]);
         let costs = PixelCosts::new(&strata, &[90, 20, 10], &observed);
         // Of ten places the eighth, the fifth, and three quarters of the way from there to the next.
-        is(costs.at(0, 5.0, 0.8), 8.0);
-        is(costs.at(0, 5.0, 0.5), 5.0);
-        is(costs.at(0, 5.0, 0.575), 5.75);
+        is(costs.at(0.8).of(0, 5.0, 5.0), 8.0);
+        is(costs.at(0.5).of(0, 5.0, 5.0), 5.0);
+        is(costs.at(0.575).of(0, 5.0, 5.0), 5.75);
         // The others have three scores together, the greatest of them that of the pixel that is held against all others.
         let closer = |score: f64, count: f64| score.powf((1.0 - 1.0 / (count * count)).sqrt());
         let (alone, one_of_two) = (closer(100.0 / (85.0 / 11.0), 12.0), closer(3.0, 2.0));
         for stratum in [1, 2] {
-            is(costs.at(stratum, 7.0, 0.75), 7.0 * alone);
+            is(costs.at(0.75).of(stratum, 7.0, 7.0), 7.0 * alone);
             // Too few for more, so that all speak: of twelve and one more, each for ten pixels, the eleventh.
-            is(costs.at(stratum, 7.0, 11.0 / 13.0), 7.0 * one_of_two);
-            assert_eq!(costs.at(stratum, 7.0, 0.95), None, "it may be the one more");
+            is(costs.at(11.0 / 13.0).of(stratum, 7.0, 7.0), 7.0 * one_of_two);
+            assert_eq!(costs.at(0.95).of(stratum, 7.0, 7.0), None, "it may be the one more");
         }
-        assert_eq!(costs.at(3, 7.0, 0.5), None, "there is no such stratum");
+        assert_eq!(costs.at(0.5).of(3, 7.0, 7.0), None, "there is no such stratum");
+        // Elsewhere they cost twice as much, or what costs nothing there costs something.
+        is(costs.at(0.8).of(0, 5.0, 10.0), 16.0);
+        is(costs.at(0.75).of(0, 0.0, 3.0), 3.0 * alone);
     }
 
     #[test]
@@ -173,14 +211,14 @@ mod tests {
         let constant: Vec<Observation> = (0..30).map(|_| seen(0, 7)).collect();
         let costs = PixelCosts::new(&strata(&[0]), &[900], &constant);
         for probability in [0.05, 0.5, 0.95] {
-            is(costs.at(0, 7.3, probability), 7.0);
+            is(costs.at(probability).of(0, 7.3, 7.3), 7.0);
         }
         let mut free: Vec<Observation> = (0..30).map(|_| seen(0, 0)).collect();
-        assert_eq!(PixelCosts::new(&strata(&[0]), &[900], &free).at(0, 0.0, 0.95), Some(0.0));
+        assert_eq!(PixelCosts::new(&strata(&[0]), &[900], &free).at(0.95).of(0, 0.0, 0.0), Some(0.0));
         free.extend([seen(1, 5), seen(1, 0)]);
         let costs = PixelCosts::new(&strata(&[0, 0]), &[900, 9], &free);
         assert_eq!(
-            (costs.at(1, 2.5, 0.2), costs.at(1, 2.5, 0.99)),
+            (costs.at(0.2).of(1, 2.5, 2.5), costs.at(0.99).of(1, 2.5, 2.5)),
             (Some(0.0), None),
             "endlessly more than none"
         );
@@ -188,7 +226,7 @@ mod tests {
 
     #[test]
     fn nothing_profiled_says_nothing() {
-        assert_eq!(PixelCosts::new(&strata(&[0]), &[9], &[]).at(0, 1.0, 0.5), None);
-        is(PixelCosts::new(&strata(&[0]), &[9], &[seen(0, 1)]).at(0, 1.0, 0.5), 1.0);
+        assert_eq!(PixelCosts::new(&strata(&[0]), &[9], &[]).at(0.5).of(0, 1.0, 1.0), None);
+        is(PixelCosts::new(&strata(&[0]), &[9], &[seen(0, 1)]).at(0.5).of(0, 1.0, 1.0), 1.0);
     }
 }

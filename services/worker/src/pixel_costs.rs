@@ -36,15 +36,13 @@ impl Quote {
                 let Some(there) = frames.clone().position(|number| number == nearest.frame) else {
                     return Ok(None);
                 };
-                let known = PixelCosts::new(&strata, &self.counted.counts[there], &nearest.observations);
-                let cost =
-                    |(stratum, (here, there)): (usize, (f64, f64))| match self.counted.counts[at][stratum] {
-                        // What no pixel shows has no price, and needs none.
-                        0 => Some(here),
-                        _ if here == there => known.at(stratum, there, probability),
-                        _ if there > 0.0 => Some(known.at(stratum, there, probability)? * (here / there)),
-                        _ => Some(here),
-                    };
+                let (counts, seen) = (&self.counted.counts, &nearest.observations);
+                let known = PixelCosts::new(&strata, &counts[there], seen).at(probability);
+                let cost = |(stratum, (here, there)): (usize, (f64, f64))| match counts[at][stratum] {
+                    // What no pixel shows has no price, and needs none.
+                    0 => Some(here),
+                    _ => known.of(stratum, there, here),
+                };
                 means(at).into_iter().zip(means(there)).enumerate().map(cost).collect()
             }
         };

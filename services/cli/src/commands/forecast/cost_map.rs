@@ -15,13 +15,13 @@ use image::RgbImage;
 /// What a picture of forecast costs shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum At {
-    /// What they cost on average.
+    /// What they cost on average
     Mean,
-    /// What half of them stay below.
+    /// What half of them stay below
     P50,
-    /// What four in five stay below.
+    /// What four in five stay below; takes 4 profiled pixels
     P80,
-    /// What 19 in 20 stay below.
+    /// What 19 in 20 stay below; takes 19 profiled pixels
     P95,
 }
 
@@ -36,13 +36,21 @@ impl At {
     }
 }
 
-/// Whether a strategy knows what pixels show.
-pub fn check(strategy: Strategy) -> Result<()> {
-    if strategy == Strategy::Snapshot {
-        return Ok(());
+/// Whether a strategy knows what pixels show, and so many of them can say how likely it is what they cost.
+pub fn check(at: At, strategy: Strategy, samples: u32) -> Result<()> {
+    if strategy != Strategy::Snapshot {
+        let reason = format!("--cost-map: the strategy {} does not tell strata apart", strategy.name());
+        return Err(BadInput::new(reason).into());
     }
-    let reason = format!("--cost-map: the strategy {} does not tell strata apart", strategy.name());
-    Err(BadInput::new(reason).into())
+    // Of n and one more, that one is no dearer than the dearest of the n with probability n / (n + 1).
+    let takes = at.probability().map_or(0, |probability| (probability / (1.0 - probability)).round() as u32);
+    if samples < takes {
+        let reason = format!(
+            "--cost-map-at: it takes at least {takes} profiled pixels to say; --samples is {samples}"
+        );
+        return Err(BadInput::new(reason).into());
+    }
+    Ok(())
 }
 
 /// A picture of what the pixels of the first frame are forecast to cost.
@@ -54,7 +62,8 @@ pub fn picture(
     bars: &Bars,
 ) -> Result<RgbImage> {
     let frame = quoted.document.frames.first().map_or(0, |frame| frame.frame);
-    let Some(work) = quoted.pixel_work(&local.shot, settings, frame, at.probability())? else {
+    let work = || quoted.pixel_work(&local.shot, settings, frame, at.probability());
+    let Some(work) = local.pool.install(work)? else {
         let reason = "--cost-map-at: too few pixels were profiled to say how they vary";
         return Err(BadInput::new(reason).hint("profile more of them by --samples").into());
     };

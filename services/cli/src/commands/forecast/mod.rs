@@ -108,7 +108,7 @@ fn strategies() -> impl TypedValueParser<Value = Strategy> {
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     sharing::check(args.cache_sharing, args.strategy, &args.quality)?;
     if args.cost_map.is_some() {
-        cost_map::check(args.strategy)?;
+        cost_map::check(args.cost_map_at, args.strategy, args.samples)?;
     }
     let first_profile = args.save_profile.as_ref().map(|folder| folder.join("profile"));
     atomic_file::check([first_profile.as_deref(), args.cost_map.as_deref()])?;
@@ -141,15 +141,20 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     if let Some(folder) = &args.save_profile {
         save_profiles(&quoted, folder)?;
     }
-    if let Some(path) = &args.cost_map {
-        let picture = cost_map::picture(args.cost_map_at, &local, &quoted, &settings, &bars)?;
-        write_bytes(path, &png(&picture)?)?;
-    }
     let explained = args.explain.then(|| quoted.explained(&local.shot.info().strata, &settings));
     if args.json {
-        return output::json(&Explained { quote: &quoted.document, explanation: explained.as_ref() });
+        output::json(&Explained { quote: &quoted.document, explanation: explained.as_ref() })?;
+    } else {
+        let why = explained.as_ref().map_or_else(String::new, explain::text);
+        output::print(&(report(&quoted.document) + &why))?;
     }
-    output::print(&(report(&quoted.document) + &explained.as_ref().map_or_else(String::new, explain::text)))
+    match &args.cost_map {
+        Some(path) => {
+            let picture = cost_map::picture(args.cost_map_at, &local, &quoted, &settings, &bars)?;
+            write_bytes(path, &png(&picture)?)
+        }
+        None => Ok(()),
+    }
 }
 
 /// The quote's document, and why it is so if that was asked for.

@@ -48,9 +48,11 @@ impl Judged {
 /// Pixels, and how many of them cost at most what was promised.
 #[derive(Debug, Clone, Default)]
 pub struct Tally {
-    /// Pixels of which any promise could be made.
+    /// All that were not profiled.
     pub pixels: u64,
-    /// By the quantile in [`NOMINAL`]. One of which no quantile can be said is promised nothing, and keeps that.
+    /// By the quantile in [`NOMINAL`]: those of which it could be said.
+    pub promised: [u64; NOMINAL.len()],
+    /// Those of them that keep it.
     pub held: [u64; NOMINAL.len()],
 }
 
@@ -177,18 +179,21 @@ impl KnownFrame {
         picks: &[Pick],
         tally: &mut Tally,
     ) {
-        let promised: Vec<[Option<f64>; NOMINAL.len()]> = strata
-            .iter()
-            .enumerate()
-            .map(|(h, known)| NOMINAL.map(|p| costs.at(h, known.mean.work, p)))
-            .collect();
+        let quantiles = NOMINAL.map(|p| costs.at(p));
+        let promised = |(h, known): (usize, &StratumEstimate)| {
+            let mean = known.mean.work;
+            quantiles.each_ref().map(|quantile| quantile.of(h, mean, mean))
+        };
+        let promised: Vec<[Option<f64>; NOMINAL.len()]> = strata.iter().enumerate().map(promised).collect();
         let mut profiled = vec![false; self.ids.len()];
         picks.iter().for_each(|pick| profiled[pick.pixel as usize] = true);
         for ((&id, cost), _) in self.ids.iter().zip(&self.costs).zip(profiled).filter(|(_, known)| !known) {
             tally.pixels += 1;
-            for (held, promised) in tally.held.iter_mut().zip(promised[id as usize]) {
+            for (place, most) in promised[id as usize].into_iter().enumerate() {
+                let Some(most) = most else { continue };
+                tally.promised[place] += 1;
                 // By means that are as they are but for rounding.
-                *held += u64::from(promised.is_none_or(|most| cost.work as f64 <= most * (1.0 + 1e-9)));
+                tally.held[place] += u64::from(cost.work as f64 <= most * (1.0 + 1e-9));
             }
         }
     }

@@ -14,7 +14,7 @@ use crate::options::MachineOptions;
 use crate::output::{self, Bars};
 use crate::table::{Align, Table};
 use anyhow::{Context, Result};
-use case::{Case, Effort, Judged};
+use case::{Case, Effort, Judged, Tally};
 use fields::Family;
 use forelight_forecast::Past;
 use forelight_worker::Renderer;
@@ -294,8 +294,13 @@ fn row(shots: &str, level: Level, judged: &[&Group], teachers: &[&Group]) -> Row
 fn row_of_pixels(shots: &str, judged: &[&Group]) -> Row {
     let pixels = |group: &Group| group.cases.iter().map(|case| case.pixels.pixels).sum::<u64>();
     let point = |(place, &nominal): (usize, &f64)| {
-        let held = |group: &Group| group.cases.iter().map(|case| case.pixels.held[place]).sum::<u64>();
-        let share = |group: &&Group| (pixels(group) > 0).then(|| held(group) as f64 / pixels(group) as f64);
+        let sum = |group: &Group, of: &dyn Fn(&Tally) -> u64| -> u64 {
+            group.cases.iter().map(|case| of(&case.pixels)).sum()
+        };
+        let share = |group: &&Group| {
+            let promised = sum(group, &|tally| tally.promised[place]);
+            (promised > 0).then(|| sum(group, &|tally| tally.held[place]) as f64 / promised as f64)
+        };
         let shares: Vec<f64> = judged.iter().filter_map(share).collect();
         Point { nominal, formulas: Share::of(&shares), calibrated: None }
     };
