@@ -28,6 +28,7 @@ mod estimate;
 pub(crate) mod explain;
 pub(crate) mod farm;
 pub(crate) mod job_profile;
+mod qualities;
 mod replan;
 pub(crate) mod settle;
 mod sharing;

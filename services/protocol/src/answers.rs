@@ -269,7 +269,7 @@ pub struct AnswersDoc {
     pub why_not: Vec<String>,
     /// The cheapest ways out, at most three; empty if it can be done.
     pub ways_out: Vec<PlanEffect>,
-    /// Questions for which there was no time on so large a farm.
+    /// Questions for which there was no time on so large a farm, or for some of whose answers.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<String>,
 }

@@ -9,13 +9,13 @@ use std::time::{Duration, Instant};
 use forelight_planner as planner;
 use forelight_planner::{Booking, Change};
 use forelight_protocol::{
-    AccuracyRung, AnswersDoc, BudgetAnswer, CacheMode, JobVerdict, Money, MovedJob, OutlookLine, PlanChange,
-    PlanEffect, PriceOffer, QualityOffer, Quantiles, RenderSettings, Timestamp, Verdict,
+    AccuracyRung, AnswersDoc, BudgetAnswer, Money, MovedJob, OutlookLine, PlanEffect, PriceOffer, Timestamp,
 };
 
 use super::AdvanceError;
-use super::effects::{duration, priced};
-use super::farm::{Farm, own_confidence, times, total};
+use super::effects::duration;
+use super::farm::{Farm, own_confidence};
+use super::qualities::qualities;
 use super::settle::end;
 
 /// Offers on a price curve.
@@ -99,6 +99,7 @@ pub(crate) fn answers(farm: &Farm, job: usize, question: &Question) -> Result<An
     };
     let (mut ways_out, mut for_budget, mut curve) = (Vec::new(), None, Vec::new());
     let (mut offers, mut pushes_back, mut what_if) = (Vec::new(), Vec::new(), Vec::new());
+    let mut is_cut_short = false;
     ask("ways_out", &mut || {
         if !kept || !affordable {
             let mut limited = farm.clone();
@@ -121,7 +122,12 @@ pub(crate) fn answers(farm: &Farm, job: usize, question: &Question) -> Result<An
         Ok(())
     })?;
     ask("qualities", &mut || {
-        offers = qualities(farm, job, standing, &question.rungs)?;
+        let mut best_first = qualities(farm, job, standing, &question.rungs);
+        while begun.elapsed() < question.patience {
+            let Some(offer) = best_first.next() else { return Ok(()) };
+            offers.push(offer?);
+        }
+        is_cut_short = true;
         Ok(())
     })?;
     ask("pushes_back", &mut || {
@@ -137,6 +143,9 @@ pub(crate) fn answers(farm: &Farm, job: usize, question: &Question) -> Result<An
         document.ways_out.push(way);
         document.ways_out.sort_by_key(|way| way.added_cost);
         document.ways_out.truncate(3);
+    }
+    if is_cut_short {
+        document.left_out.push("qualities".to_owned());
     }
     document.qualities = offers.into_iter().map(|offer| offer.offer).collect();
     (document.for_budget, document.curve) = (for_budget, curve);
@@ -242,136 +251,6 @@ fn why_not(
 
 fn amount(micro_units: i64) -> String {
     Money(micro_units).to_string()
-}
-
-/// A quality, and what the job is without it.
-pub(crate) struct Offered {
-    pub offer: QualityOffer,
-    words: String,
-}
-
-impl Offered {
-    /// As a way out for a job that cannot be had as asked for, if it is one.
-    pub fn way_out(&self, verdict: &JobVerdict) -> Option<PlanEffect> {
-        let cost = verdict.cost.unwrap_or_default();
-        (verdict.verdict != Verdict::OnTime).then(|| self.way(cost.micro_units())).flatten()
-    }
-
-    /// As a change of a job that costs so much as it is asked for; none if it does not fit, or is that.
-    fn way(&self, cost: i64) -> Option<PlanEffect> {
-        let QualityOffer { settings, asked_for, finish, cost: less, fits, .. } = &self.offer;
-        if *asked_for || !fits {
-            return None;
-        }
-        let added = less.micro_units().saturating_sub(cost);
-        Some(PlanEffect {
-            change: PlanChange::Quality {
-                spp: settings.spp,
-                width: settings.width,
-                height: settings.height,
-                settings: Some(Box::new(settings.clone())),
-            },
-            words: format!("{}: {}", self.words, priced(added)),
-            added_cost: Money(added),
-            finish: *finish,
-            in_time: true,
-            moved: Vec::new(),
-        })
-    }
-}
-
-/// The job at other qualities around what is booked, the best first: by the error of their images, then by what they cost. What is done of the job
-/// stays as it is done.
-pub(crate) fn qualities(
-    farm: &Farm,
-    job: usize,
-    standing: &[Booking],
-    rungs: &[AccuracyRung],
-) -> Result<Vec<Offered>, AdvanceError> {
-    let Some(own) = rungs.iter().find(|rung| rung.asked_for).filter(|rung| rung.cpu_seconds.p50 > 0.0) else {
-        return Ok(Vec::new());
-    };
-    let asked = &farm.jobs[job];
-    let around = farm.around(job, standing);
-    let mut offers = Vec::new();
-    for rung in rungs {
-        // What is on several ladders is offered once.
-        if offers.iter().any(|other: &Offered| other.offer.settings == rung.settings) {
-            continue;
-        }
-        let mut input = around.clone();
-        let Some(at) = input.jobs.first_mut() else { continue };
-        scale(at, &own.cpu_seconds, &rung.cpu_seconds, asked.factor);
-        let plan = planner::plan(&input)?;
-        let finish = end(farm, &plan, job);
-        let within = plan.job(job as u64).is_some_and(|entry| entry.within_budget != Some(false));
-        let mut words = in_words(&rung.settings, &own.settings);
-        if let Some((error, before)) = rung.error.zip(own.error) {
-            words +=
-                &format!(" (an error of {:.1} % instead of {:.1} %)", error.p50 * 100.0, before.p50 * 100.0);
-        }
-        offers.push(Offered {
-            offer: QualityOffer {
-                settings: rung.settings.clone(),
-                asked_for: rung.asked_for,
-                error: rung.error,
-                finish: finish.map(Timestamp::from_micros),
-                cost: Money(plan.cost),
-                fits: asked.is_kept(finish) && within,
-            },
-            words,
-        });
-    }
-    let pixels = |offer: &QualityOffer| u64::from(offer.settings.width) * u64::from(offer.settings.height);
-    offers.sort_by(|Offered { offer: a, .. }, Offered { offer: b, .. }| {
-        let error = |offer: &QualityOffer| offer.error.map_or(f64::INFINITY, |error| error.p50);
-        pixels(b).cmp(&pixels(a)).then(error(a).total_cmp(&error(b))).then(b.cost.cmp(&a.cost))
-    });
-    Ok(offers)
-}
-
-/// What one quality has that another has not.
-fn in_words(other: &RenderSettings, own: &RenderSettings) -> String {
-    let cached = |settings: &RenderSettings| settings.cache == CacheMode::On;
-    let accuracy = |settings: &RenderSettings| f64::from(settings.cache_accuracy) / 1000.0;
-    let mut words = Vec::new();
-    if other.integrator != own.integrator {
-        words.push(format!(
-            "the integrator {} instead of {}",
-            other.integrator.name(),
-            own.integrator.name()
-        ));
-    }
-    if cached(other) && !cached(own) {
-        words.push(format!("an irradiance cache of accuracy {}", accuracy(other)));
-    } else if cached(own) && !cached(other) {
-        words.push("no irradiance cache".to_owned());
-    } else if cached(own) && accuracy(other) != accuracy(own) {
-        words.push(format!("a cache of accuracy {} instead of {}", accuracy(other), accuracy(own)));
-    }
-    if other.ambient_divisions != own.ambient_divisions {
-        words.push(format!("{} rays a gather instead of {}", other.ambient_divisions, own.ambient_divisions));
-    }
-    let pixels = |settings: &RenderSettings| (settings.width, settings.height);
-    if pixels(other) != pixels(own) {
-        let ((width, height), (own_width, own_height)) = (pixels(other), pixels(own));
-        words.push(format!("{width} × {height} pixels instead of {own_width} × {own_height}"));
-    }
-    if other.spp != own.spp || words.is_empty() {
-        words.push(format!("{} samples a pixel instead of {}", other.spp, own.spp));
-    }
-    words.join(", ")
-}
-
-/// The job as if each of its frames took so many times as much.
-fn scale(job: &mut planner::Job, own: &Quantiles, other: &Quantiles, factor: f64) {
-    let by = other.p50 / own.p50;
-    let scaled = |work: u64| ((work as f64 * by).round() as u64).max(1);
-    for frame in &mut job.frames {
-        frame.work = scaled(frame.work);
-        frame.work_p80 = scaled(frame.work_p80);
-    }
-    job.total = total(&times(other, factor));
 }
 
 /// Jobs that end later because this one is there.

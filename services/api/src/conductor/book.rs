@@ -4,14 +4,13 @@ use std::collections::BTreeMap;
 
 use forelight_planner as planner;
 use forelight_protocol::{
-    AccuracyRung, ByClass, Job, Money, Node, NodeSeconds, PlanEffect, PlanReason, Quantiles, Timestamp,
-    Verdict,
+    AccuracyRung, ByClass, Job, Money, Node, NodeSeconds, PlanReason, Quantiles, Timestamp, Verdict,
 };
 use forelight_store::{FarmFrame, FarmJob, JobForecast, NewPlan, NewSeed, NewSeedBooking, QuoteBasis};
 
-use super::answers::qualities;
 use super::estimate::Forecast;
 use super::farm::{Farm, MOST_NODES, Snapshot, bookable};
+use super::qualities::qualities;
 use super::settle::{Settled, Unsettled, settle};
 use super::{AdvanceError, Conductor, compute};
 
@@ -119,12 +118,12 @@ fn add_qualities(
     if planned.verdict.verdict == Verdict::OnTime {
         return Ok(());
     }
-    let offers = qualities(farm, place, &settled.plan.bookings, rungs)?;
-    let best: Option<PlanEffect> = offers.iter().find_map(|offer| offer.way_out(&planned.verdict));
-    if let Some(best) = best {
+    for offer in qualities(farm, place, &settled.plan.bookings, rungs) {
+        let Some(best) = offer?.way_out(&planned.verdict) else { continue };
         planned.verdict.ways_out.push(best);
         planned.verdict.ways_out.sort_by_key(|way| way.added_cost);
         planned.verdict.ways_out.truncate(3);
+        break;
     }
     Ok(())
 }
