@@ -4,7 +4,7 @@ mod support;
 
 use forelight_protocol::{
     AccuracyDoc, AnswersDoc, CacheMode, CacheSample, ForecastDoc, Integrator, Job, LadderKind, Ladders, Node,
-    PlanChange, ProblemKind, RenderSettings, TaskKind, TaskResult, TaskSpec, Timestamp,
+    PlanChange, ProblemKind, ProfileResult, RenderSettings, TaskKind, TaskResult, TaskSpec, Timestamp,
 };
 use reqwest::StatusCode;
 use serde_json::json;
@@ -127,8 +127,8 @@ async fn a_job_with_a_cache_has_its_times_and_no_errors_and_says_why() {
     assert!(document.missing.iter().any(|missing| missing.reason.contains("before the irradiance cache")));
 }
 
-/// The tasks of a job that asks for all ladders, up to its booking; the frames that were profiled for ladders.
-async fn booked_with_ladders(farm: &Farm, node: &Node, job: &Job) -> Vec<u32> {
+/// The tasks of a job that asks for all ladders, up to its booking, its profiles changed; the frames that were profiled for ladders.
+async fn booked_after(farm: &Farm, node: &Node, job: &Job, change: impl Fn(&mut ProfileResult)) -> Vec<u32> {
     let mut laid_out = Vec::new();
     while !farm.job(job).await.state.is_final() {
         let task = farm.next_task(node).await;
@@ -137,9 +137,17 @@ async fn booked_with_ladders(farm: &Farm, node: &Node, job: &Job) -> Vec<u32> {
             TaskSpec::Profile(spec) if spec.ladders => laid_out.push(spec.frame),
             _ => {}
         }
-        farm.finish(&task).await;
+        let mut result = farm.made_up_result(&task).await;
+        if let TaskResult::Profile(result) = &mut result {
+            change(result);
+        }
+        farm.report(&task, result).await.json_as::<serde_json::Value>(StatusCode::OK).await;
     }
     laid_out
+}
+
+async fn booked_with_ladders(farm: &Farm, node: &Node, job: &Job) -> Vec<u32> {
+    booked_after(farm, node, job, |_| ()).await
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -181,6 +189,48 @@ async fn a_job_that_asks_for_all_ladders_has_those_of_other_settings_by_one_of_i
     assert_eq!(document.missing[0].reason, "too dear");
     // What they took is part of what the quote did: three profiles of 1000 and a preview of 100.
     assert_eq!(document.spent.work, 3100);
+    assert_eq!(document.profiled.pixels, quote.profiled.pixels + 99, "those of the ladders count as well");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn other_resolutions_of_a_job_of_one_sample_err_as_what_was_asked_for_does() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let mut request = farm.job_request("0");
+    request["ladders"] = json!("all");
+    request["settings"] = json!({"ambient_bounces": 1, "spp": 1, "width": 8, "height": 8});
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    // One sample a pixel says nothing of its variance.
+    booked_after(&farm, &node, &job, |result| result.noise.clear()).await;
+    let document = document(&farm, &job).await;
+    let asked = document.rungs.iter().find(|rung| rung.asked_for).unwrap();
+    let resolutions: Vec<_> =
+        document.rungs.iter().filter(|rung| rung.ladder == LadderKind::Resolution).collect();
+    assert_eq!(resolutions.len(), 5);
+    assert!(
+        resolutions.iter().all(|rung| rung.error.is_some() && rung.error == asked.error),
+        "{resolutions:?}"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn ladders_that_could_not_be_laid_out_are_missing_for_that_reason() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let mut request = farm.job_request("0");
+    request["ladders"] = json!("all");
+    request["settings"] = json!({"ambient_bounces": 1, "spp": 16, "width": 8, "height": 8});
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    let fail = |result: &mut ProfileResult| {
+        let ladders = result.ladders.as_mut().unwrap();
+        **ladders = AccuracyDoc::missing(0, &ladders.settings, "no room");
+    };
+    booked_after(&farm, &node, &job, fail).await;
+    let document = document(&farm, &job).await;
+    let missing: Vec<_> = document.missing.iter().map(|missing| (missing.ladder, &*missing.reason)).collect();
+    let of_others = [LadderKind::Path, LadderKind::CachedSamples, LadderKind::Cache, LadderKind::Divisions];
+    assert_eq!(missing, of_others.map(|ladder| (ladder, "no room")));
+    assert!(document.rungs.iter().all(|rung| rung.error.is_some()), "those of its own are there");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -246,6 +296,7 @@ async fn ladders_that_make_no_sense_are_refused_with_the_place() {
         (at(&|l| l.rungs[0].cpu_seconds.mean = 1e31), first("cpu_seconds")),
         (at(&|l| l.rungs[0].error.as_mut().unwrap().p95 = -0.1), first("error")),
         (at(&|l| l.missing[0].reason = "x".repeat(5000)), "/result/profile/ladders/missing".to_owned()),
+        (at(&|l| l.profiled.pixels = u64::MAX), "/result/profile/ladders/profiled/pixels".to_owned()),
         (at(&|l| l.spent.work = u64::MAX), "/result/profile/ladders/spent/work".to_owned()),
     ] {
         let answer = farm.report(&profile, TaskResult::Profile(result)).await;

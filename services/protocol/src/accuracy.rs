@@ -32,8 +32,8 @@ pub enum Ladders {
     /// Those that the job's own profile speaks of: camera samples and, without a cache, resolutions.
     #[default]
     Own,
-    /// All of them: one frame is profiled with the other settings too, before the job is quoted. That takes as much as a few times the frame's own
-    /// profile, and with a cache that of its records; what it took is part of what the quote did.
+    /// All of them: one frame is profiled with the other settings too, before the job is quoted. That takes about as much as rendering such a frame,
+    /// several times that of a small one, whatever the length of the shot; what it took is part of what the quote did.
     All,
 }
 
@@ -75,6 +75,17 @@ impl LadderKind {
             LadderKind::Cache => "cache",
             LadderKind::Divisions => "divisions",
             LadderKind::Resolution => "resolution",
+        }
+    }
+
+    /// Whether pixels that were profiled with these settings tell what its rungs take: it is one of [`Ladders::Own`].
+    pub fn is_own(self, asked: &RenderSettings) -> bool {
+        let cached = asked.cache == CacheMode::On;
+        match (self, asked.integrator) {
+            (LadderKind::Path, Integrator::Path) => true,
+            (LadderKind::Ambient, Integrator::Ambient) | (LadderKind::Resolution, _) => !cached,
+            (LadderKind::CachedSamples, Integrator::Ambient) => cached,
+            _ => false,
         }
     }
 
@@ -246,6 +257,20 @@ pub struct AccuracyDoc {
 }
 
 impl AccuracyDoc {
+    /// Of one frame whose ladders are all missing, for this reason.
+    pub fn missing(frame: u32, settings: &RenderSettings, reason: &str) -> Self {
+        let missing = LadderKind::ALL.map(|ladder| MissingLadder { ladder, reason: reason.to_owned() });
+        Self {
+            frames: 1,
+            settings: settings.clone(),
+            rungs: Vec::new(),
+            missing: missing.into(),
+            profiled: Profiled { frames: vec![frame], pixels: 0 },
+            spent: SpentOnForecast::default(),
+            calibrated: false,
+        }
+    }
+
     /// What the rungs that can be held against each other cost in CPU seconds, and their errors, by the medians; none of the others.
     pub fn points(&self) -> Vec<Option<(f64, f64)>> {
         let point = |rung: &AccuracyRung| {

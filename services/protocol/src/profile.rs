@@ -271,7 +271,8 @@ pub struct ProfileResult {
     /// What the process had paid once for the shot.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub once: Option<ProcessCosts>,
-    /// The ladders of this frame, if the task asks for them.
+    /// The ladders of this frame that its samples do not tell by themselves, and of those the rung that was asked for, if the task asks for them. None
+    /// but the reason, if they could not be laid out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ladders: Option<Box<AccuracyDoc>>,
     /// What the whole task took.

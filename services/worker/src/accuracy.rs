@@ -67,20 +67,35 @@ pub trait AccuracyObserver: Sync {
     fn cancel(&self) -> &AtomicBool;
 }
 
-/// Predicts all ladders around the settings that were asked for.
+/// An image of more pixels than this, and than was asked for, is not looked at to see what it would take: its preview alone
+/// has 32 bytes a pixel.
+const MOST_PIXELS: u64 = 1 << 26;
+
+/// Predicts these ladders around the settings that were asked for; of others the rung that was asked for.
 pub fn predict(
     renderer: &dyn Renderer,
     frame: u32,
     asked: &RenderSettings,
+    ladders: &[LadderKind],
     options: &AccuracyOptions,
     observer: &dyn AccuracyObserver,
 ) -> Result<AccuracyDoc, ShotError> {
-    let mut prediction = Prediction::new(renderer, frame, asked, options, observer);
+    let mut missing = Vec::new();
+    let mut wanted = Vec::new();
     for kind in LadderKind::ALL {
-        match kind.rungs(asked) {
-            Err(reason) => prediction.missing.push(MissingLadder { ladder: kind, reason }),
-            Ok(rungs) => prediction.ladder(kind, &rungs)?,
+        match (kind.rungs(asked), ladders.contains(&kind)) {
+            (Ok(rungs), true) => wanted.push((kind, rungs)),
+            (Err(reason), true) => missing.push(MissingLadder { ladder: kind, reason }),
+            // What the others are held against.
+            (Ok(rungs), false) if rungs.contains(asked) => wanted.push((kind, vec![asked.clone()])),
+            (_, false) => {}
         }
+    }
+    let all = wanted.iter().map(|(_, rungs)| rungs.len()).sum();
+    let mut prediction =
+        Prediction { missing, all, ..Prediction::new(renderer, frame, asked, options, observer) };
+    for (kind, rungs) in wanted {
+        prediction.ladder(kind, &rungs)?;
     }
     Ok(prediction.document())
 }
@@ -115,7 +130,6 @@ impl<'a> Prediction<'a> {
         options: &'a AccuracyOptions,
         observer: &'a dyn AccuracyObserver,
     ) -> Self {
-        let all = LadderKind::ALL.iter().map(|kind| kind.rungs(asked).map_or(0, |rungs| rungs.len())).sum();
         Self {
             renderer,
             frame,
@@ -128,7 +142,7 @@ impl<'a> Prediction<'a> {
             missing: Vec::new(),
             spent: Spent::default(),
             done: 0,
-            all,
+            all: 0,
         }
     }
 
@@ -142,11 +156,15 @@ impl<'a> Prediction<'a> {
                 let (first, other) = (self.gathers_asked_for(), piloted(settings));
                 is_too_dear(self.options.samples, LEAST_SAMPLES, &first, &other)
             };
-            if kind == LadderKind::Divisions && is_dear() {
-                let reason = format!(
+            let left_out = match kind {
+                LadderKind::Divisions if is_dear() => Some(format!(
                     "{} rays with {} bounces: a few pixels of them take longer than all else here",
                     settings.ambient_divisions, settings.ambient_bounces
-                );
+                )),
+                LadderKind::Resolution => too_large(settings, self.asked),
+                _ => None,
+            };
+            if let Some(reason) = left_out {
                 self.missing.push(MissingLadder { ladder: kind, reason });
                 self.observer.predicted(self.done, self.all);
                 continue;
@@ -263,6 +281,13 @@ impl<'a> Prediction<'a> {
     }
 }
 
+/// Why an image is not looked at in passing.
+fn too_large(settings: &RenderSettings, asked: &RenderSettings) -> Option<String> {
+    let RenderSettings { width, height, .. } = settings;
+    let why = || format!("{width} × {height}: looking at so many pixels takes more memory than it is worth");
+    (settings.pixels() > MOST_PIXELS.max(asked.pixels())).then(why)
+}
+
 fn is_cancelled(observer: &dyn AccuracyObserver) -> bool {
     observer.cancel().load(Ordering::Relaxed)
 }
@@ -290,4 +315,23 @@ pub(crate) fn piloted(settings: &RenderSettings) -> RenderSettings {
     }
     piloted.spp = (PILOT_RAYS / piloted.ambient_divisions.max(1)).clamp(LEAST_SPP, PILOT_SPP);
     piloted
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use forelight_protocol::RenderSettingsRequest;
+
+    #[test]
+    fn only_images_much_larger_than_usual_are_not_looked_at() {
+        let of = |width, height| RenderSettingsRequest::default().complete((width, height));
+        let left_out = |asked: &RenderSettings| {
+            let rungs = LadderKind::Resolution.rungs(asked).unwrap();
+            rungs.iter().filter_map(|rung| too_large(rung, asked)).collect::<Vec<String>>()
+        };
+        assert!(left_out(&of(4096, 2160)).is_empty());
+        let dear = left_out(&of(8192, 8192));
+        assert_eq!(dear.len(), 2, "{dear:?}");
+        assert!(dear[1].starts_with("16384 × 16384: "), "{dear:?}");
+    }
 }

@@ -18,9 +18,9 @@ use crate::shot_cache::{cache_sample, profile_shared};
 use bytes::Bytes;
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{
-    ArtifactHash, FrameStrata, LogLevel, NoiseCell, NoiseSample, PreviewResult, PreviewSpec,
-    ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderSettings, Spent, SpentOnForecast,
-    Stratum, TaskResult, TaskSpec,
+    AccuracyDoc, ArtifactHash, FrameStrata, LadderKind, LogLevel, NoiseCell, NoiseSample, PreviewResult,
+    PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderSettings, Spent,
+    SpentOnForecast, Stratum, TaskResult, TaskSpec,
 };
 use forelight_tracer::Pixel;
 use std::collections::BTreeSet;
@@ -69,7 +69,7 @@ impl Execute for TaskRunner {
 }
 
 fn preview(renderer: &dyn Renderer, spec: &PreviewSpec, control: &Control) -> Result<Outcome, ExecuteError> {
-    let counted = count_frames(renderer, &spec.frames, &spec.settings, &Reporting(control))?;
+    let counted = count_frames(renderer, &spec.frames, &spec.settings, &Reporting::all(control))?;
     let result = preview_result(renderer.info(), &spec.frames, &spec.settings, &counted);
     control.log(LogLevel::Info, format!("previewed {} frames", result.frames.len()));
     Ok(Outcome { result: TaskResult::Preview(result), artifacts: Vec::new() })
@@ -113,7 +113,9 @@ fn profile(
     control: &Control,
 ) -> Result<Outcome, ExecuteError> {
     let options = QuoteOptions { samples: spec.samples, seed: spec.phase_seed, ..QuoteOptions::default() };
-    let mut profiled = profile_frame(renderer, spec.frame, &spec.settings, &options, &Reporting(control))?;
+    let share = if spec.ladders { WITHOUT_LADDERS } else { 1.0 };
+    let reporting = Reporting { control, from: 0.0, to: share };
+    let mut profiled = profile_frame(renderer, spec.frame, &spec.settings, &options, &reporting)?;
     let encoding = encoding_nanos(&profiled)?;
     profiled.fixed.write = write_cost(encoding, profiled.preview);
     let mut files = Files::default();
@@ -130,14 +132,41 @@ fn profile(
             .add_to(&mut result);
     }
     if spec.ladders {
-        let options = AccuracyOptions { samples: spec.samples, seed: spec.phase_seed };
-        let ladders = predict(renderer, spec.frame, &spec.settings, &options, &Reporting(control))?;
+        let ladders = ladders(renderer, spec, !result.noise.is_empty(), control)?;
         let SpentOnForecast { work, cpu_seconds, .. } = ladders.spent;
         result.spent = result.spent.plus(Spent { work, cpu_nanos: (cpu_seconds * 1e9).round() as u64 });
-        control.log(LogLevel::Info, format!("laid out ladders of {} qualities", ladders.rungs.len()));
         result.ladders = Some(Box::new(ladders));
     }
     Ok(Outcome { result: TaskResult::Profile(result), artifacts: files.contents })
+}
+
+/// The part of a task that profiles, in its progress, where it lays out ladders too, which take longer.
+const WITHOUT_LADDERS: f64 = 0.2;
+
+/// The ladders that the frame's profile does not tell by itself. What keeps them from being laid out is no reason to lose the profile.
+fn ladders(
+    renderer: &dyn Renderer,
+    spec: &ProfileSpec,
+    knows_error: bool,
+    control: &Control,
+) -> Result<AccuracyDoc, ExecuteError> {
+    // Of resolutions that the profile can price, the error is that of what was asked for.
+    let told =
+        |kind: LadderKind| kind.is_own(&spec.settings) && (knows_error || kind == LadderKind::Resolution);
+    let wanted: Vec<LadderKind> = LadderKind::ALL.into_iter().filter(|kind| !told(*kind)).collect();
+    let options = AccuracyOptions { samples: spec.samples, seed: spec.phase_seed };
+    let reporting = Reporting { control, from: WITHOUT_LADDERS, to: 1.0 };
+    match predict(renderer, spec.frame, &spec.settings, &wanted, &options, &reporting) {
+        Ok(ladders) => {
+            control.log(LogLevel::Info, format!("laid out ladders of {} qualities", ladders.rungs.len()));
+            Ok(ladders)
+        }
+        Err(ShotError::Cancelled) => Err(ExecuteError::Cancelled),
+        Err(error) => {
+            control.log(LogLevel::Warn, format!("no ladders of qualities: {error}"));
+            Ok(AccuracyDoc::missing(spec.frame, &spec.settings, &error.to_string()))
+        }
+    }
 }
 
 /// A profiled frame in the words of the wire: of the shot's strata those that were sampled.
@@ -250,29 +279,45 @@ impl Files {
 }
 
 /// Progress of the steps of a quote, as the lease's progress.
-struct Reporting<'a>(&'a Control);
+struct Reporting<'a> {
+    control: &'a Control,
+    /// The part of the task's progress that this is, 0 to 1.
+    from: f64,
+    to: f64,
+}
+
+impl<'a> Reporting<'a> {
+    fn all(control: &'a Control) -> Self {
+        Self { control, from: 0.0, to: 1.0 }
+    }
+
+    fn report(&self, done: usize, all: usize) {
+        let part = done as f64 / all.max(1) as f64;
+        self.control.set_progress(self.from + part * (self.to - self.from));
+    }
+}
 
 impl Observer for Reporting<'_> {
     fn previewed(&self, done: usize, all: usize) {
-        self.0.set_progress(done as f64 / all.max(1) as f64);
+        self.report(done, all);
     }
 
     fn profiled(&self, done: usize, all: usize) {
-        self.0.set_progress(done as f64 / all.max(1) as f64);
+        self.report(done, all);
     }
 
     fn is_cancelled(&self) -> bool {
-        self.0.is_cancelled()
+        self.control.is_cancelled()
     }
 }
 
 impl AccuracyObserver for Reporting<'_> {
     fn predicted(&self, done: usize, all: usize) {
-        self.0.set_progress(done as f64 / all.max(1) as f64);
+        self.report(done, all);
     }
 
     fn cancel(&self) -> &AtomicBool {
-        self.0.cancelled()
+        self.control.cancelled()
     }
 }
 

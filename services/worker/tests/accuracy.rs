@@ -29,7 +29,7 @@ fn of(document: &AccuracyDoc, kind: LadderKind) -> impl Iterator<Item = &forelig
 fn predicted_errors_and_work_are_those_of_the_rendered_image() {
     let (shot, observer, asked) = (kitchen(), Nobody::default(), tiny());
     let options = AccuracyOptions { samples: 128, seed: 1 };
-    let mut document = predict(&shot, 0, &asked, &options, &observer).unwrap();
+    let mut document = predict(&shot, 0, &asked, &LadderKind::ALL, &options, &observer).unwrap();
     assert!(document.missing.is_empty() && !document.calibrated);
     // The dear ends of the ladders say no more than their middles.
     document.rungs.retain(|rung| rung.settings.spp <= 64 && rung.settings.ambient_divisions <= 64);
@@ -63,7 +63,9 @@ fn a_prediction_depends_on_its_seed_alone_but_for_times() {
     let options = AccuracyOptions { samples: 32, seed: 5 };
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let document = pool.install(|| predict(&shot, 0, &asked, &options, &Nobody::default())).unwrap();
+        let document = pool
+            .install(|| predict(&shot, 0, &asked, &LadderKind::ALL, &options, &Nobody::default()))
+            .unwrap();
         let rung = |rung: forelight_protocol::AccuracyRung| (rung.settings, rung.work, rung.error);
         document.rungs.into_iter().map(rung).collect::<Vec<_>>()
     };
@@ -76,7 +78,7 @@ fn a_prediction_depends_on_its_seed_alone_but_for_times() {
 fn gathers_whose_rays_grow_beyond_measure_are_left_out_and_said_to_be() {
     let asked = RenderSettings { width: 16, height: 9, spp: 1, ambient_bounces: 3, ..tiny() };
     let options = AccuracyOptions { samples: 64, seed: 5 };
-    let document = predict(&kitchen(), 0, &asked, &options, &Nobody::default()).unwrap();
+    let document = predict(&kitchen(), 0, &asked, &LadderKind::ALL, &options, &Nobody::default()).unwrap();
     let divisions: Vec<u32> =
         of(&document, LadderKind::Divisions).map(|rung| rung.settings.ambient_divisions).collect();
     // Each of 256 rays goes on with 32, and each of these with 4: two million for 48 pixels of one sample.
@@ -91,9 +93,28 @@ fn gathers_whose_rays_grow_beyond_measure_are_left_out_and_said_to_be() {
 }
 
 #[test]
+fn of_ladders_that_nobody_wants_there_is_what_was_asked_for_alone() {
+    let asked = RenderSettings { width: 16, height: 9, ..tiny() };
+    let options = AccuracyOptions { samples: 32, seed: 5 };
+    let nobody = Nobody::default();
+    let all = predict(&kitchen(), 0, &asked, &LadderKind::ALL, &options, &nobody).unwrap();
+    let some = predict(&kitchen(), 0, &asked, &[LadderKind::Divisions], &options, &nobody).unwrap();
+    let rungs = |document: &AccuracyDoc| -> Vec<_> {
+        let kept = |rung: &&forelight_protocol::AccuracyRung| {
+            rung.ladder == LadderKind::Divisions || rung.settings == asked
+        };
+        let rungs = document.rungs.iter().filter(kept);
+        rungs.map(|rung| (rung.ladder, rung.settings.clone(), rung.work, rung.error)).collect()
+    };
+    assert_eq!(some.rungs.len(), rungs(&some).len());
+    assert_eq!(rungs(&some), rungs(&all), "the others make no difference to them");
+    assert!(some.spent.work < all.spent.work, "{:?} {:?}", some.spent, all.spent);
+}
+
+#[test]
 fn whoever_does_not_want_to_wait_is_obeyed() {
     let observer = Nobody(AtomicBool::new(true));
     let options = AccuracyOptions { samples: 16, seed: 0 };
-    let stopped = predict(&kitchen(), 0, &tiny(), &options, &observer);
+    let stopped = predict(&kitchen(), 0, &tiny(), &LadderKind::ALL, &options, &observer);
     assert!(matches!(stopped, Err(ShotError::Cancelled)));
 }

@@ -17,7 +17,7 @@ use forelight_forecast::accuracy::{
 };
 use forelight_forecast::{Calibration, Cost};
 use forelight_protocol::{
-    AccuracyDoc, AccuracyRung, CacheMode, ImageError, Integrator, LadderKind, MissingLadder, PreviewResult,
+    AccuracyDoc, AccuracyRung, ImageError, Integrator, LadderKind, MissingLadder, PreviewResult,
     RenderSettings,
 };
 use forelight_store::MeasuredProfile;
@@ -56,50 +56,57 @@ pub(super) fn ladders(
     };
     let noise = images(profiles);
     let error_with = |spp| noise.as_ref().ok().and_then(|images| error(images, spp));
-    let frame = profiles.iter().find_map(|profile| profile.result.ladders.as_deref());
-    let frame = match frame {
-        Some(frame) => {
+    let laid_out = profiles.iter().find_map(|profile| profile.result.ladders.as_deref());
+    let frame = match laid_out {
+        Some(laid_out) => {
+            document.profiled.pixels = document.profiled.pixels.saturating_add(laid_out.profiled.pixels);
             // The frame made its own cache.
-            let total = calibrated(preview, profiles, None, None)?.job.total;
+            let total = match shared {
+                Some(_) => calibrated(preview, profiles, None, None)?.job.total,
+                None => whole.job.total,
+            };
             let error = error_with(asked.spp);
-            OneFrame::new(frame, Job { work: total.work, cpu_seconds: total.cpu_seconds, error })
+            OneFrame::new(laid_out, Job { work: total.work, cpu_seconds: total.cpu_seconds, error })
         }
         None => None,
     };
+    let mut miss = |ladder, reason| document.missing.push(MissingLadder { ladder, reason });
     for kind in LadderKind::ALL {
         let rungs = match kind.rungs(asked) {
             Ok(rungs) => rungs,
             Err(reason) => {
-                document.missing.push(MissingLadder { ladder: kind, reason });
+                miss(kind, reason);
                 continue;
             }
         };
-        match (known(kind, asked, shared.is_some()), &frame) {
-            (Known::ByProfiles, _) => {}
-            (Known::ByLadders(_), Some(frame)) => {
-                document.rungs.extend(frame.rungs(kind));
-                document.missing.extend(frame.missing(kind));
-                continue;
+        if !kind.is_own(asked) {
+            let reason = unknown(kind, asked);
+            match (never(kind, shared.is_some()), laid_out, &frame) {
+                (Some(reason), ..) => miss(kind, format!("{reason}; `forelight accuracy` finds out")),
+                (None, Some(laid_out), frame) => {
+                    let had = document.rungs.len();
+                    document.rungs.extend(frame.iter().flat_map(|frame| frame.rungs(kind)));
+                    let why = laid_out.missing.iter().filter(|missing| missing.ladder == kind);
+                    let mut why: Vec<String> = why.map(|missing| missing.reason.clone()).collect();
+                    if document.rungs.len() == had && why.is_empty() {
+                        why.push(format!("{reason}, and the frame that was to tell says nothing of it"));
+                    }
+                    why.into_iter().for_each(|reason| miss(kind, reason));
+                }
+                (None, None, _) => miss(
+                    kind,
+                    format!(
+                        "{reason}; a job that asks for all `ladders`, and `forelight accuracy`, find out"
+                    ),
+                ),
             }
-            (Known::ByLadders(reason), None) => {
-                let reason = format!(
-                    "{reason}; a job that asks for all `ladders`, and `forelight accuracy`, find out"
-                );
-                document.missing.push(MissingLadder { ladder: kind, reason });
-                continue;
-            }
-            (Known::Never(reason), _) => {
-                let reason = format!("{reason}; `forelight accuracy` finds out");
-                document.missing.push(MissingLadder { ladder: kind, reason });
-                continue;
-            }
+            continue;
         }
         if let (Err(reason), None) = (&noise, &frame) {
-            let reason = format!("errors: {reason}");
-            document.missing.push(MissingLadder { ladder: kind, reason });
+            miss(kind, format!("errors: {reason}"));
         }
         for settings in rungs {
-            let of_frame = || frame.as_ref()?.error_with(kind, settings.spp);
+            let of_frame = || frame.as_ref()?.error_like(kind, &settings);
             let error = error_with(settings.spp).or_else(of_frame);
             let pixels = settings.pixels() as f64 / asked.pixels() as f64;
             let profiles = with_samples(profiles, settings.spp);
@@ -121,38 +128,24 @@ pub(super) fn ladders(
     Ok(document)
 }
 
-/// Who says what a ladder takes.
-enum Known {
-    /// Every profile does.
-    ByProfiles,
-    /// Not they, for this reason, but the ladders of one frame.
-    ByLadders(&'static str),
-    /// Nobody, for this reason.
-    Never(&'static str),
+/// Why nobody can say what a ladder takes, if so, of frames that share a cache or do not.
+fn never(kind: LadderKind, shared: bool) -> Option<&'static str> {
+    let is_of_cache = matches!(kind, LadderKind::Cache | LadderKind::Resolution);
+    (shared && is_of_cache)
+        .then_some("the frames share a cache, which is filled for its own accuracy and resolution")
 }
 
-/// Who says what a ladder of these settings takes, where frames share a cache or do not.
-fn known(kind: LadderKind, asked: &RenderSettings, shared: bool) -> Known {
-    let cached = asked.cache == CacheMode::On;
-    let ladders = match (kind, asked.integrator) {
-        (LadderKind::Path, Integrator::Path) => return Known::ByProfiles,
-        (LadderKind::Ambient, Integrator::Ambient) if !cached => return Known::ByProfiles,
-        (LadderKind::CachedSamples, Integrator::Ambient) if cached => return Known::ByProfiles,
-        (LadderKind::Resolution, _) if !cached => return Known::ByProfiles,
-        (LadderKind::Cache | LadderKind::Resolution, _) if shared => {
-            return Known::Never(
-                "the frames share a cache, which is filled for its own accuracy and resolution",
-            );
-        }
+/// Why the job's own profile does not say what a ladder takes that is not its own.
+fn unknown(kind: LadderKind, asked: &RenderSettings) -> &'static str {
+    match (kind, asked.integrator) {
         (LadderKind::Ambient, Integrator::Ambient) => "the job is profiled with an irradiance cache",
         (LadderKind::CachedSamples, _) => "the job is profiled without an irradiance cache",
         (LadderKind::Ambient, Integrator::Path) => "the job is profiled with the integrator path",
-        (LadderKind::Path, Integrator::Ambient) => "the job is profiled with the integrator ambient",
+        (LadderKind::Path, _) => "the job is profiled with the integrator ambient",
         (LadderKind::Cache, _) => "the job is profiled at its own accuracy; no other is planned",
         (LadderKind::Divisions, _) => "the job is profiled with its own gathers",
         (LadderKind::Resolution, _) => "the job's cache is planned at its own resolution",
-    };
-    Known::ByLadders(ladders)
+    }
 }
 
 /// What every profile says of its frame's error, or in words why they do not.

@@ -3,10 +3,11 @@
 //! The settings that were asked for are priced twice: for the job, by all its profiles, and for the frame, as a rung. What another rung of the
 //! frame takes, and errs, beside that is brought to the job as a ratio (ratio estimator: Cochran, *Sampling Techniques*, 3rd edition
 //! 1977, section 6.2): the speed of the node that measured it falls out, and so does most of what sets the frame apart from the others.
-//! The two are taken as independent: relative distances of quantiles from their medians add up as squares. They rest in part on the same pixels,
-//! so that intervals are rather too wide.
+//! The three are taken as independent: relative distances of quantiles from their medians add up as squares. The frame's two rest in part on the
+//! same pixels, so that what their ratio errs is rather less; how much ratios differ between the job's frames is in no interval.
+//! What was asked for is what the job's profiles say of it.
 
-use forelight_protocol::{AccuracyDoc, AccuracyRung, ImageError, LadderKind, MissingLadder, Quantiles};
+use forelight_protocol::{AccuracyDoc, AccuracyRung, ImageError, LadderKind, Quantiles, RenderSettings};
 
 /// What is held against others is at least this: operations, seconds or shares.
 const LEAST: f64 = 1e-12;
@@ -39,41 +40,48 @@ impl<'a> OneFrame<'a> {
 
     /// The rungs of a ladder, for all frames.
     pub fn rungs(&self, kind: LadderKind) -> impl Iterator<Item = AccuracyRung> {
-        self.of(kind).map(|rung| AccuracyRung {
-            asked_for: rung.settings == self.ladders.settings,
-            work: ratio(&rung.work, &self.asked.work, &self.job.work),
-            cpu_seconds: ratio(&rung.cpu_seconds, &self.asked.cpu_seconds, &self.job.cpu_seconds),
-            error: self.error(rung),
-            worth_taking: false,
-            next: None,
-            measured: None,
-            ..rung.clone()
+        self.of(kind).map(|rung| {
+            let asked_for = self.is_asked_for(rung);
+            let price = |of: fn(&AccuracyRung) -> &Quantiles, job: Quantiles| {
+                if asked_for { job } else { ratio(of(rung), of(self.asked), &job) }
+            };
+            AccuracyRung {
+                asked_for,
+                work: price(|rung| &rung.work, self.job.work),
+                cpu_seconds: price(|rung| &rung.cpu_seconds, self.job.cpu_seconds),
+                error: self.error(rung),
+                worth_taking: false,
+                next: None,
+                measured: None,
+                ..rung.clone()
+            }
         })
     }
 
-    /// The error of a rung with so many camera samples.
-    pub fn error_with(&self, kind: LadderKind, spp: u32) -> Option<ImageError> {
-        self.error(self.of(kind).find(|rung| rung.settings.spp == spp)?)
-    }
-
-    /// What is missing of a ladder.
-    pub fn missing(&self, kind: LadderKind) -> impl Iterator<Item = MissingLadder> {
-        self.ladders.missing.iter().filter(move |missing| missing.ladder == kind).cloned()
+    /// The error of a rung that the frame may not have: in another resolution, as of the pixels that were asked for, each of which errs as it does.
+    pub fn error_like(&self, kind: LadderKind, settings: &RenderSettings) -> Option<ImageError> {
+        let own = || self.of(kind).find(|rung| rung.settings == *settings);
+        self.error(if kind == LadderKind::Resolution { self.asked } else { own()? })
     }
 
     fn of(&self, kind: LadderKind) -> impl Iterator<Item = &AccuracyRung> {
         self.ladders.rungs.iter().filter(move |rung| rung.ladder == kind)
     }
 
+    fn is_asked_for(&self, rung: &AccuracyRung) -> bool {
+        rung.settings == self.ladders.settings
+    }
+
     /// Of the frame itself, where the error of the job is not known as it was asked for.
     fn error(&self, rung: &AccuracyRung) -> Option<ImageError> {
         let own = rung.error?;
         match (self.asked.error, self.job.error) {
+            (_, Some(job)) if self.is_asked_for(rung) => Some(job),
             (Some(asked), Some(job)) if [asked.p50, own.p50, job.p50].iter().all(|&error| error >= LEAST) => {
                 let p50 = job.p50 * (own.p50 / asked.p50);
                 let at = |quantile: fn(&ImageError) -> f64, side: f64| {
-                    let spread = spread([quantile(&own) / own.p50, quantile(&job) / job.p50]);
-                    (p50 * (1.0 + side * spread)).max(0.0)
+                    let relative = [own, asked, job].map(|error| quantile(&error) / error.p50);
+                    (p50 * (1.0 + side * spread(relative))).max(0.0)
                 };
                 Some(ImageError {
                     p05: at(|error| error.p05, -1.0),
@@ -92,7 +100,7 @@ fn ratio(rung: &Quantiles, asked: &Quantiles, job: &Quantiles) -> Quantiles {
     let p50 = job.p50 * (rung.p50 / asked.p50);
     let at = |quantile: fn(&Quantiles) -> f64| {
         let relative = |of: &Quantiles| if of.p50 > 0.0 { quantile(of) / of.p50 } else { 1.0 };
-        p50 * (1.0 + spread([relative(rung), relative(job)]))
+        p50 * (1.0 + spread([rung, asked, job].map(relative)))
     };
     Quantiles {
         mean: job.mean * (rung.mean / asked.mean),
@@ -103,7 +111,7 @@ fn ratio(rung: &Quantiles, asked: &Quantiles, job: &Quantiles) -> Quantiles {
 }
 
 /// How far quantiles, over their medians, lie from these together; a number whatever they are.
-fn spread(relative: [f64; 2]) -> f64 {
+fn spread(relative: [f64; 3]) -> f64 {
     let squares = relative.map(|relative| (relative - 1.0).powi(2));
     squares.iter().sum::<f64>().sqrt().min(WIDEST)
 }
@@ -111,15 +119,19 @@ fn spread(relative: [f64; 2]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use forelight_protocol::RenderSettingsRequest;
+
+    fn quantiles(mean: f64, p50: f64, p80: f64, p95: f64) -> Quantiles {
+        Quantiles { mean, p50, p80, p95 }
+    }
 
     #[test]
     fn ratios_are_brought_over_and_uncertainties_add_up_as_squares() {
-        let quantiles = |mean, p50, p80, p95| Quantiles { mean, p50, p80, p95 };
-        let (asked, rung) = (quantiles(11.0, 10.0, 12.0, 14.0), quantiles(33.0, 20.0, 26.0, 32.0));
-        let found = ratio(&rung, &asked, &quantiles(110.0, 100.0, 140.0, 180.0));
+        // 0.1, 0.2 and 0.2 of the medians; twice that.
+        let (asked, rung) = (quantiles(11.0, 10.0, 11.0, 12.0), quantiles(33.0, 20.0, 24.0, 28.0));
+        let found = ratio(&rung, &asked, &quantiles(110.0, 100.0, 120.0, 140.0));
         assert!((found.mean - 330.0).abs() < 1e-9 && (found.p50 - 200.0).abs() < 1e-9, "{found:?}");
-        // 0.3 and 0.4, 0.6 and 0.8.
-        assert!((found.p80 - 300.0).abs() < 1e-9 && (found.p95 - 400.0).abs() < 1e-9, "{found:?}");
+        assert!((found.p80 - 260.0).abs() < 1e-9 && (found.p95 - 320.0).abs() < 1e-9, "{found:?}");
         let certain = quantiles(5.0, 5.0, 5.0, 5.0);
         assert_eq!(ratio(&certain, &certain, &certain), certain);
         let wild = ratio(&quantiles(1e30, 1e-300, 1e30, 1e30), &quantiles(1e-12, 1e-12, 0.0, 0.0), &certain);
@@ -127,5 +139,50 @@ mod tests {
             [wild.mean, wild.p50, wild.p80, wild.p95].iter().all(|number| number.is_finite()),
             "{wild:?}"
         );
+    }
+
+    #[test]
+    fn what_was_asked_for_is_what_the_job_says_and_nothing_wider() {
+        let settings =
+            RenderSettingsRequest { spp: Some(4), ..RenderSettingsRequest::default() }.complete((8, 8));
+        let error = |p50| ImageError { p05: 0.8 * p50, p50, p80: 1.1 * p50, p95: 1.3 * p50 };
+        let price = quantiles(11.0, 10.0, 12.0, 14.0);
+        let mut document = AccuracyDoc::missing(0, &settings, "");
+        document.rungs = LadderKind::Divisions
+            .rungs(&settings)
+            .unwrap()
+            .into_iter()
+            .map(|settings| AccuracyRung {
+                ladder: LadderKind::Divisions,
+                asked_for: false,
+                settings,
+                work: price,
+                cpu_seconds: price,
+                error: Some(error(0.1)),
+                worth_taking: false,
+                next: None,
+                measured: None,
+            })
+            .collect();
+        let job = quantiles(90.0, 80.0, 100.0, 120.0);
+        let frame = |error| OneFrame::new(&document, Job { work: job, cpu_seconds: job, error }).unwrap();
+        let known = frame(Some(error(0.2)));
+        let (asked, others): (Vec<_>, Vec<_>) =
+            known.rungs(LadderKind::Divisions).partition(|rung| rung.asked_for);
+        assert_eq!(asked.len(), 1);
+        assert_eq!((asked[0].work, asked[0].cpu_seconds, asked[0].error), (job, job, Some(error(0.2))));
+        for rung in others {
+            let found = rung.error.unwrap();
+            assert!(rung.work.p50 == job.p50 && rung.work.p95 > job.p95, "{:?}", rung.work);
+            assert!(
+                found.p50 == 0.2 && found.p05 < error(0.2).p05 && found.p95 > error(0.2).p95,
+                "{found:?}"
+            );
+        }
+        // Other resolutions err as what was asked for does, and not as the first of them that comes along.
+        let larger = RenderSettings { width: 16, ..settings.clone() };
+        assert_eq!(known.error_like(LadderKind::Resolution, &larger), Some(error(0.2)));
+        assert_eq!(frame(None).error_like(LadderKind::Resolution, &larger), Some(error(0.1)));
+        assert_eq!(known.error_like(LadderKind::Path, &settings), None);
     }
 }

@@ -390,6 +390,11 @@ fn ladders(pointer: &str, spec: &ProfileSpec, document: &AccuracyDoc) -> ApiResu
     if document.missing.len() > 100 || reasons.max().unwrap_or(0) > 4096 {
         return wrong(format!("{pointer}/missing"), "at most 100 entries, of at most 4096 bytes each");
     }
+    // No rung is profiled by more pixels than the image has.
+    let most = all.iter().map(|(_, rungs)| rungs.len() as u64).sum::<u64>() * spec.settings.pixels();
+    if document.profiled.pixels > most {
+        return wrong(format!("{pointer}/profiled/pixels"), format!("all rungs together have {most} pixels"));
+    }
     if document.spent.work > LARGEST {
         return wrong(format!("{pointer}/spent/work"), "a number is larger than 2⁶³ − 1");
     }

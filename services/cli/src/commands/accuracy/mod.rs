@@ -102,7 +102,8 @@ fn of_bundle(args: &Args, bundle: &Path, interrupt: &Interrupt) -> Result<()> {
     local.check_frame("--frame", args.frame)?;
     let options = AccuracyOptions { samples: args.samples, seed: args.phase_seed };
     let watcher = Watcher::new(&bars, "profiling", interrupt);
-    let predicted = local.pool.install(|| predict(&local.shot, args.frame, &settings, &options, &watcher));
+    let predict = || predict(&local.shot, args.frame, &settings, &LadderKind::ALL, &options, &watcher);
+    let predicted = local.pool.install(predict);
     let mut document = watcher.done(predicted, bundle)?;
     if args.measure {
         let options = MeasureOptions { reference_spp: args.reference_spp };
