@@ -1,6 +1,7 @@
 //! Nodes in nodes: mirrored, uneven, nested; against the same meshes put into place here.
 
 use crate::bundles::Files;
+use crate::similarity::{compare, judge, work};
 use forelight_bvh::{Bvh, Ray, Traversal};
 use forelight_scene::{Frame, Geometry};
 use forelight_tests::case::case;
@@ -92,6 +93,11 @@ fn chains() -> Vec<(&'static str, Vec<Place>)> {
 }
 
 fn bundle() -> Files {
+    bundle_at([0.0; 3])
+}
+
+/// All of it moved: what stands in it by a node around the others, as a georeferenced building is.
+fn bundle_at(offset: [f64; 3]) -> Files {
     let (positions, normals) = solid();
     let mut bin: Vec<u8> = Vec::new();
     for list in [&positions, &normals] {
@@ -113,10 +119,11 @@ fn bundle() -> Files {
             nodes.push(node);
         }
     }
+    nodes.push(json!({"translation": offset, "children": roots}));
     let low = positions.iter().copied().fold(Vec3::INFINITY, Vec3::min).to_array();
     let high = positions.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max).to_array();
     let document = json!({
-        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": roots}], "nodes": nodes,
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [nodes.len() - 1]}], "nodes": nodes,
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "NORMAL": 1}}]}],
         "accessors": [
             {"bufferView": 0, "componentType": 5126, "count": positions.len(), "type": "VEC3", "min": low, "max": high},
@@ -125,11 +132,12 @@ fn bundle() -> Files {
         "bufferViews": [{"buffer": 0, "byteLength": bytes}, {"buffer": 0, "byteOffset": bytes, "byteLength": bytes}],
         "buffers": [{"uri": "solid.bin", "byteLength": bin.len()}]
     });
+    let at = |x: f64, y: f64, z: f64| [x + offset[0], y + offset[1], z + offset[2]];
     let description = json!({
         "version": 1, "name": "instances", "geometry": ["solid.gltf"],
-        "camera": {"origin": [0, 1, 6], "target": [0, 0, 0], "up": [0, 1, 0], "fov_deg": 60, "width": 48, "height": 48},
+        "camera": {"origin": at(0.0, 1.0, 6.0), "target": at(0.0, 0.0, 0.0), "up": [0, 1, 0], "fov_deg": 60, "width": 48, "height": 48},
         "environment": {"type": "constant", "radiance": [0.3, 0.3, 0.3]},
-        "lights": [{"type": "point", "position": [2, 4, 5], "intensity": [20, 20, 20]}]
+        "lights": [{"type": "point", "position": at(2.0, 4.0, 5.0), "intensity": [20, 20, 20]}]
     });
     Files::default()
         .with("solid.bin", bin)
@@ -235,4 +243,28 @@ fn instances_are_where_the_same_meshes_are_when_baked() {
     // Other roundings send single paths elsewhere; a normal on the wrong side would darken a tenth of the image.
     case(14, "mean absolute difference of an image of instances from the baked one, relative")
         .worst(apart / total, 0.01);
+}
+
+#[test]
+fn scenes_moved_by_ten_million_times_their_size_look_and_cost_the_same() {
+    let settings = Settings {
+        width: 32,
+        height: 32,
+        spp: 8,
+        ambient_bounces: 1,
+        ambient_divisions: 8,
+        ..Settings::default()
+    };
+    let at = |offset: [f64; 3], settings: &Settings| {
+        let scene = bundle_at(offset).load().unwrap_or_else(|error| panic!("at {offset:?}: {error}"));
+        render(&scene.frame(0).expect("a frame"), settings)
+    };
+    let base = at([0.0; 3], &settings);
+    let reseeded = at([0.0; 3], &Settings { seed: 1, ..settings });
+    // Six metres of solids. glTF has numbers of 24 bits, so that the place is what it is when it is read.
+    let places = [1e4, 1e5, 1e6, 1e7].map(|times| {
+        let offset = [0.6, -0.5, 0.6244998].map(|x| f64::from((x * 6.0 * times) as f32));
+        (format!("moved by {times:e} times its size"), at(offset, &settings))
+    });
+    judge("nested solids moved by 10⁴ to 10⁷ times their size", compare(&base, &reseeded, places, work));
 }

@@ -52,7 +52,6 @@ fn differing(a: &Image, b: &Image) -> u64 {
 }
 
 #[test]
-
 fn scaled_by_powers_of_two_image_and_counters_have_the_same_bits() {
     let base = at(&Similarity::NONE);
     let powers = [-20, -10, -3, -1, 1, 3, 10, 20];
@@ -80,7 +79,7 @@ fn distance(a: &Image, b: &Image, cost: fn(&Image) -> f64) -> (f64, f64, f64) {
     (square.sqrt(), bias.abs() / error, (cost(b) / cost(a) - 1.0).abs())
 }
 
-fn work(image: &Image) -> f64 {
+pub fn work(image: &Image) -> f64 {
     image.totals().work as f64
 }
 
@@ -88,15 +87,17 @@ fn rays(image: &Image) -> f64 {
     image.totals().rays.iter().sum::<u64>() as f64
 }
 
-/// The worst over places of: pixels' difference as a share of what another seed makes, bias in standard errors, cost.
-fn compare(places: &[(String, Similarity)], count: fn(&Image) -> f64) -> (f64, f64, f64) {
-    let base = at(&Similarity::NONE);
-    let reseeded = render(&room().frame(VIEW), &Settings { seed: 1, ..settings() });
-    let noise = distance(&base, &reseeded, count).0;
+/// The worst over images of: pixels' difference as a share of what another seed makes, bias in standard errors, cost.
+pub fn compare(
+    base: &Image,
+    reseeded: &Image,
+    images: impl IntoIterator<Item = (String, Image)>,
+    count: fn(&Image) -> f64,
+) -> (f64, f64, f64) {
+    let noise = distance(base, reseeded, count).0;
     let mut worst = (0.0f64, 0.0f64, 0.0f64);
-    for (name, place) in places {
-        let image = at(place);
-        let (difference, bias, cost) = distance(&base, &image, count);
+    for (name, image) in images {
+        let (difference, bias, cost) = distance(base, &image, count);
         let broken = if unsound(&image) > 0 { f64::INFINITY } else { difference / noise };
         println!(
             "         {name}: {broken:.2} of the noise, bias {bias:.1} standard errors, cost off by {:.2} %",
@@ -107,7 +108,14 @@ fn compare(places: &[(String, Similarity)], count: fn(&Image) -> f64) -> (f64, f
     worst
 }
 
-fn judge(what: &str, (difference, bias, cost): (f64, f64, f64)) {
+/// The room in these places.
+fn rooms(places: &[(String, Similarity)], count: fn(&Image) -> f64) -> (f64, f64, f64) {
+    let reseeded = render(&room().frame(VIEW), &Settings { seed: 1, ..settings() });
+    let images = places.iter().map(|(name, place)| (name.clone(), at(place)));
+    compare(&at(&Similarity::NONE), &reseeded, images, count)
+}
+
+pub fn judge(what: &str, (difference, bias, cost): (f64, f64, f64)) {
     // Another seed changes pixels by 1; a rounding that sends paths elsewhere can do no more. A quarter of slack, as the ratio
     // of two root mean squares over 1024 pixels with bright outliers.
     case(7, format!("{what}: pixels' difference in units of another seed's")).worst(difference, 1.25);
@@ -122,13 +130,12 @@ fn scales(list: &[f64]) -> Vec<(String, Similarity)> {
 
 #[test]
 fn larger_scenes_look_and_cost_the_same() {
-    judge("a room scaled by 10 to 10⁶", compare(&scales(&[10.0, 1e3, 1e6]), work));
+    judge("a room scaled by 10 to 10⁶", rooms(&scales(&[10.0, 1e3, 1e6]), work));
 }
 
 #[test]
-
 fn smaller_scenes_look_and_cost_the_same() {
-    judge("a room scaled by 0.1 to 10⁻⁶", compare(&scales(&[0.1, 1e-3, 1e-6]), work));
+    judge("a room scaled by 0.1 to 10⁻⁶", rooms(&scales(&[0.1, 1e-3, 1e-6]), work));
 }
 
 #[test]
@@ -141,7 +148,7 @@ fn turned_scenes_look_and_cost_the_same() {
         })
         .collect();
     // Boxes of a tree fit a turned room worse, so its work is more; its rays are not.
-    judge("a room turned by odd angles (rays)", compare(&turns, rays));
+    judge("a room turned by odd angles (rays)", rooms(&turns, rays));
 }
 
 fn moved(distance: f64) -> (String, Similarity) {
@@ -151,7 +158,7 @@ fn moved(distance: f64) -> (String, Similarity) {
 
 #[test]
 fn scenes_moved_by_a_hundred_times_their_size_look_and_cost_the_same() {
-    judge("a room of 4 m moved by 40 and 400 m", compare(&[moved(40.0), moved(400.0)], work));
+    judge("a room of 4 m moved by 40 and 400 m", rooms(&[moved(40.0), moved(400.0)], work));
 }
 
 /// A closed room of side 1 with steps of a millimetre along a wall, far from the origin, as a bundle: everything in it glows, so
@@ -192,7 +199,7 @@ fn far_room(distance: f64) -> Files {
 
 #[test]
 fn scenes_scaled_down_to_a_hundredth_look_and_cost_the_same() {
-    judge("a room scaled by 0.1 and 0.01", compare(&scales(&[0.1, 0.01]), work));
+    judge("a room scaled by 0.1 and 0.01", rooms(&scales(&[0.1, 0.01]), work));
 }
 
 /// The worst deviation of a pixel from what it must be, or `None` where the bundle is refused with a reason.
