@@ -4,6 +4,7 @@ use crate::execute::{Assignment, Control, ExecuteError, Outcome};
 use crate::renderer::{RenderError, Renderer};
 use crate::shot_cache::{Filled, fill_part, plan_shared};
 use crate::tasks::Files;
+use bytes::Bytes;
 use forelight_protocol::{
     CacheFillResult, CacheFillSpec, CacheMergeResult, CacheMergeSpec, CachePlanSpec, LogLevel, Spent,
     TaskResult,
@@ -105,8 +106,13 @@ pub(crate) fn merge(
 
 /// The one cache that a task was given.
 pub(crate) fn only_cache(assignment: &Assignment) -> Result<Cache, ExecuteError> {
+    Cache::from_bytes(only_file(assignment)?).map_err(unusable)
+}
+
+/// The same as a file.
+pub(crate) fn only_file(assignment: &Assignment) -> Result<&Bytes, ExecuteError> {
     match assignment.caches.as_slice() {
-        [bytes] => Cache::from_bytes(bytes).map_err(unusable),
+        [bytes] => Ok(bytes),
         others => {
             Err(ExecuteError::Transient(format!("{} irradiance caches where one was expected", others.len())))
         }

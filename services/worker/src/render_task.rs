@@ -12,7 +12,7 @@ use bytes::Bytes;
 use forelight_protocol::{
     CacheMode, FinishedPixels, LogLevel, RenderArtifacts, RenderResult, RenderSpec, TaskResult,
 };
-use forelight_tracer::{Pixel, Profile, Totals};
+use forelight_tracer::{Cache, CacheError, Pixel, Profile, Totals};
 use std::cell::Cell;
 use std::sync::Once;
 use std::time::Instant;
@@ -29,13 +29,7 @@ pub(crate) fn render(
     let ready = &*ready;
     control.log(LogLevel::Info, format!("frame {} calls for: {}", spec.frame, ready.effects().join(", ")));
     if spec.cache.is_some() {
-        let cache = cache_tasks::only_cache(assignment)?;
-        let shared = ready.share(cache).map_err(cache_tasks::of_shared_cache)?;
-        let (kept, dropped) = (shared.kept.iter().sum::<u64>(), shared.dropped.iter().sum::<u64>());
-        control.log(
-            LogLevel::Info,
-            format!("of the shot's irradiance cache {kept} records hold in this frame, {dropped} do not"),
-        );
+        share(ready, cache_tasks::only_file(assignment)?, control)?;
     }
     let mut rendered = match spec.work {
         None => evenly(ready, spec, assignment, control)?,
@@ -73,13 +67,16 @@ fn evenly(
     assignment: &Assignment,
     control: &Control,
 ) -> Result<Rendered, ExecuteError> {
-    let profile = assignment.profile.as_ref();
-    let profile = profile.map(|bytes| Profile::from_bytes(bytes)).transpose().map_err(RenderError::from)?;
     let cached = spec.settings.cache == CacheMode::On;
-    let reuse = match (cached, &assignment.checkpoint) {
-        (false, Some(bytes)) => go_on_from(ready, bytes, profile, spec.settings.pixels(), control),
-        _ => profile,
-    };
+    // With an irradiance cache no pixels are kept.
+    let checkpoint = assignment.checkpoint.as_ref().filter(|_| !cached);
+    let finished = checkpoint.and_then(|bytes| usable("an earlier worker's tiles", bytes, ready, control));
+    if let Some(finished) = &finished {
+        let text = format!("goes on from {} pixels that an earlier worker finished", finished.pixels.len());
+        control.log(LogLevel::Info, text);
+    }
+    let profiled = || usable("the frame's profile", assignment.profile.as_ref()?, ready, control);
+    let reuse = finished.or_else(profiled);
     // With an irradiance cache the pixels are the lesser part, and worth little without it.
     let start_of_checkpoints = (!cached).then(|| reuse.clone().unwrap_or_else(|| ready.profile(&[])));
     let checkpoints = Checkpoints::new(control, start_of_checkpoints, spec.settings.pixels());
@@ -141,29 +138,37 @@ fn for_work(
     Ok(made.rendered(ready, &spec.settings, None, start.elapsed().as_secs_f64()).rendered)
 }
 
-/// What an earlier worker finished of the frame, the profile included; the profile alone, if that cannot be used: a checkpoint is a help,
-/// and no part of the task.
-fn go_on_from(
-    ready: &dyn FrameRenderer,
-    checkpoint: &Bytes,
-    profile: Option<Profile>,
-    pixels: u64,
-    control: &Control,
-) -> Option<Profile> {
-    match Profile::from_bytes(checkpoint) {
-        Ok(found)
-            if found.fingerprint == ready.profile(&[]).fingerprint
-                && found.cache.is_none()
-                && found.fits(usize::try_from(pixels).unwrap_or(usize::MAX)) =>
-        {
-            let text = format!("goes on from {} pixels that an earlier worker finished", found.pixels.len());
-            control.log(LogLevel::Info, text);
-            Some(found)
+/// Gives the frame the irradiance cache that it shares with others. One that another version of the renderer made, before workers were
+/// brought up to date, is of no use to this one: then the frame makes its own.
+fn share(ready: &dyn FrameRenderer, cache: &Bytes, control: &Control) -> Result<(), ExecuteError> {
+    let shared = Cache::from_bytes(cache).map_err(RenderError::from).and_then(|cache| ready.share(cache));
+    let (level, text) = match shared {
+        Ok(shared) => {
+            let (kept, dropped) = (shared.kept.iter().sum::<u64>(), shared.dropped.iter().sum::<u64>());
+            let text =
+                format!("of the shot's irradiance cache {kept} records hold in this frame, {dropped} do not");
+            (LogLevel::Info, text)
         }
-        found => {
-            let why = found.err().map_or("it belongs to another image".to_owned(), |error| error.to_string());
-            control.log(LogLevel::Warn, format!("an earlier worker's tiles cannot be used: {why}"));
-            profile
+        Err(RenderError::Cache(error @ (CacheError::Foreign | CacheError::OtherScene))) => {
+            let text =
+                format!("the frame makes its own irradiance cache; that of the shot cannot be used: {error}");
+            (LogLevel::Warn, text)
+        }
+        Err(error) => return Err(cache_tasks::of_shared_cache(error)),
+    };
+    control.log(level, text);
+    Ok(())
+}
+
+/// What was finished of the frame before, if that is of use here: it is a help, and no part of the task. Another version of the renderer may have
+/// made it.
+fn usable(what: &str, bytes: &Bytes, ready: &dyn FrameRenderer, control: &Control) -> Option<Profile> {
+    let found = Profile::from_bytes(bytes).map_err(RenderError::from);
+    match found.and_then(|found| ready.check(&found).map(|()| found)) {
+        Ok(found) => Some(found),
+        Err(why) => {
+            control.log(LogLevel::Warn, format!("{what} cannot be used: {why}"));
+            None
         }
     }
 }

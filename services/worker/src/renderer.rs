@@ -301,6 +301,9 @@ pub trait FrameRenderer: Send + Sync {
     /// What can be taken over by [`FrameRenderer::render`]: these pixels or, with an irradiance cache, that, as far as it was filled.
     fn profile(&self, pixels: &[(u32, Pixel)]) -> Profile;
 
+    /// Whether [`FrameRenderer::render`] can take over what a profile holds.
+    fn check(&self, profile: &Profile) -> Result<(), RenderError>;
+
     /// Gives the frame the cache of its shot: before anything is planned. Records whose light something that moved has changed are
     /// dropped; what the frame needs beyond the others will be planned anew. Says what became of them.
     fn share(&self, cache: Cache) -> Result<Shared, RenderError>;

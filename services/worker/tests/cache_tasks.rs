@@ -164,7 +164,7 @@ fn parts_that_are_filled_and_put_together_round_by_round_are_the_cache_that_one_
 }
 
 #[test]
-fn a_cache_that_is_damaged_fails_for_good_and_one_of_another_kind_is_left_to_another_worker() {
+fn a_cache_that_is_damaged_fails_for_good_and_one_of_another_kind_is_not_added_to() {
     let rig = Rig::new();
     let planned = rig.planned(&rig.settings);
     let other = rig.planned(&RenderSettings { seed: 9, ..rig.settings.clone() });
@@ -172,8 +172,7 @@ fn a_cache_that_is_damaged_fails_for_good_and_one_of_another_kind_is_left_to_ano
     let mut damaged = planned.to_vec();
     damaged[500] ^= 1;
     let damaged = Bytes::from(damaged);
-    let tasks = |rig: &Rig| [rig.fill(0, 0, 2), rig.render(), rig.merge(1)];
-    for spec in tasks(&rig) {
+    for spec in [rig.fill(0, 0, 2), rig.render(), rig.merge(1)] {
         for (bytes, why) in [(&truncated, "truncated"), (&damaged, "damaged")] {
             let error = rig.run(spec.clone(), vec![bytes.clone()]).unwrap_err();
             let ExecuteError::Permanent(text) = &error else { panic!("{error:?}") };
@@ -182,21 +181,39 @@ fn a_cache_that_is_damaged_fails_for_good_and_one_of_another_kind_is_left_to_ano
                 "{text}"
             );
         }
+        if matches!(spec, TaskSpec::Render(_)) {
+            continue;
+        }
         for bytes in [Bytes::from_static(b"PK\x03\x04 some zip file"), Bytes::new()] {
             let error = rig.run(spec.clone(), vec![bytes]).unwrap_err();
             let ExecuteError::Transient(text) = &error else { panic!("{error:?}") };
             assert!(text.contains("not an irradiance cache of this version"), "{text}");
         }
     }
-    for spec in [rig.fill(0, 0, 2), rig.render()] {
-        let error = rig.run(spec, vec![other.clone()]).unwrap_err();
-        assert!(
-            matches!(&error, ExecuteError::Transient(text) if text.contains("another scene")),
-            "{error:?}"
-        );
-    }
+    let error = rig.run(rig.fill(0, 0, 2), vec![other.clone()]).unwrap_err();
+    assert!(matches!(&error, ExecuteError::Transient(text) if text.contains("another scene")), "{error:?}");
     let error = rig.run(rig.merge(2), vec![planned, other]).unwrap_err();
     assert!(matches!(&error, ExecuteError::Transient(text) if text.contains("different plans")), "{error:?}");
+}
+
+/// As when workers were brought up to date after the cache was made.
+#[test]
+fn a_frame_whose_shared_cache_is_of_another_kind_makes_its_own() {
+    let rig = Rig::new();
+    let TaskSpec::Render(spec) = rig.render() else { panic!() };
+    let alone = rig.run(TaskSpec::Render(RenderSpec { cache: None, ..spec }), Vec::new()).unwrap();
+    let other = rig.planned(&RenderSettings { seed: 9, ..rig.settings.clone() });
+    for bytes in [Bytes::from_static(b"FLcach05 and so on"), other] {
+        let control = Control::default();
+        let made = rig.run_under(rig.render(), vec![bytes], &control).unwrap();
+        let (TaskResult::Render(alone), TaskResult::Render(made)) = (&alone.result, &made.result) else {
+            panic!("{alone:?} {made:?}")
+        };
+        assert_eq!(alone.artifacts.image_png, made.artifacts.image_png);
+        assert_eq!((alone.stats.work, &alone.stats.cache), (made.stats.work, &made.stats.cache));
+        let said = |text: &str| text.starts_with("the frame makes its own irradiance cache");
+        assert!(control.unsent().iter().any(|line| said(&line.text)), "{:?}", control.unsent());
+    }
 }
 
 #[test]

@@ -7,7 +7,7 @@
 use std::time::{Duration, Instant};
 
 use forelight_planner as planner;
-use forelight_planner::{Booking, Change};
+use forelight_planner::Change;
 use forelight_protocol::{
     AccuracyRung, AnswersDoc, BudgetAnswer, Money, MovedJob, OutlookLine, PlanEffect, PriceOffer, Timestamp,
 };

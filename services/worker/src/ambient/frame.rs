@@ -34,6 +34,15 @@ impl AmbientFrame<'_> {
         self.tracer.cache().map(|cache| CacheUse { all: cache.totals(), taken_over, shared: shared() })
     }
 
+    /// The cache of a profile of this image, if it holds one.
+    fn own_cache(&self, profile: &Profile) -> Result<Option<Cache>, RenderError> {
+        let pixels = self.tracer.frame().camera.pixels();
+        if profile.fingerprint != self.tracer.fingerprint() || !profile.fits(pixels) {
+            return Err(RenderError::ForeignProfile { frame: profile.frame });
+        }
+        Ok(profile.cache.as_deref().map(Cache::from_bytes).transpose()?)
+    }
+
     /// Takes the cache of the shot, as far as it holds here.
     fn take(&self, cache: Cache) -> Result<Shared, RenderError> {
         if cache.suits(&self.tracer) {
@@ -199,6 +208,10 @@ impl FrameRenderer for AmbientFrame<'_> {
         Profile { frame: self.tracer.frame().number, fingerprint: self.tracer.fingerprint(), pixels, cache }
     }
 
+    fn check(&self, profile: &Profile) -> Result<(), RenderError> {
+        Ok(self.own_cache(profile)?.iter().try_for_each(|cache| cache.check(&self.tracer))?)
+    }
+
     fn share(&self, cache: Cache) -> Result<Shared, RenderError> {
         let reading = cache.reading_nanos();
         let (shared, taking) = clocked(|| self.take(cache));
@@ -216,15 +229,9 @@ impl FrameRenderer for AmbientFrame<'_> {
     ) -> Result<Option<Finished>, RenderError> {
         let pixels = self.tracer.frame().camera.pixels();
         let mut taken_over = CacheTotals::default();
-        if let Some(profile) = reuse {
-            if profile.fingerprint != self.tracer.fingerprint() || !profile.fits(pixels) {
-                return Err(RenderError::ForeignProfile { frame: profile.frame });
-            }
-            if let Some(bytes) = &profile.cache {
-                let cache = Cache::from_bytes(bytes)?;
-                taken_over = cache.totals();
-                self.tracer.take_cache(cache)?;
-            }
+        if let Some(cache) = reuse.map(|profile| self.own_cache(profile)).transpose()?.flatten() {
+            taken_over = cache.totals();
+            self.tracer.take_cache(cache)?;
         }
         if !self.fill(progress, cancel) {
             return Ok(None);

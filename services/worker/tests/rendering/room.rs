@@ -2,8 +2,8 @@
 
 use forelight_preview::Choice;
 use forelight_protocol::{
-    BundleSource, CacheMode, JobId, ProfileSpec, RenderSettings, RenderSettingsRequest, RenderSpec,
-    SceneDigest, TaskSpec,
+    BundleSource, CacheMode, JobId, LogLine, ProfileSpec, RenderSettings, RenderSettingsRequest, RenderSpec,
+    SceneDigest, TaskResult, TaskSpec,
 };
 use forelight_worker::{
     Ambient, Assignment, Control, Execute, ExecuteError, Library, Observer, Outcome, TaskRunner,
@@ -112,6 +112,19 @@ impl Rig {
             &Assignment { spec, bundle: self.bundle(), profile, caches: Vec::new(), checkpoint },
             control,
         )
+    }
+
+    /// Whether a render that is given a profile that it cannot use says so, and makes what one without it does.
+    pub fn makes_the_same(&self, fresh: &Outcome, spec: TaskSpec, profile: bytes::Bytes) {
+        let control = Control::default();
+        let anyway = self.run_from(spec, Some(profile), None, &control).unwrap();
+        let (TaskResult::Render(fresh), TaskResult::Render(anyway)) = (&fresh.result, &anyway.result) else {
+            panic!("{fresh:?} {anyway:?}")
+        };
+        assert_eq!(fresh.artifacts.image_png, anyway.artifacts.image_png);
+        assert_eq!((fresh.stats.work, anyway.stats.reused_work), (anyway.stats.work, 0));
+        let said = |line: &LogLine| line.text.starts_with("the frame's profile cannot be used: ");
+        assert!(control.unsent().iter().any(said), "{:?}", control.unsent());
     }
 
     pub fn profile_spec(&self, frame: u32) -> TaskSpec {
