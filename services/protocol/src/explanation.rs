@@ -1,6 +1,6 @@
 //! Why frames are dear.
 
-use crate::{CacheMode, FixedCosts, Integrator, Rays, RenderSettings, StratumName};
+use crate::{CacheMode, FixedCosts, Integrator, Rays, RenderSettings, StratumName, UncoveredGathers};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -29,7 +29,7 @@ pub struct Explanation {
     pub objects: Vec<ObjectShare>,
     /// Rays by what sends them out, those that the most work is for first.
     pub rays: Vec<RayShare>,
-    /// Share of the whole that each camera sample of a pixel costs, 0 to 1.
+    /// Share of the whole that one camera sample more of every pixel costs.
     pub camera_sample: f64,
     /// Ways to halve the whole; none where what no pixel can help is more than half of it.
     pub halving: Vec<Halving>,
@@ -107,14 +107,36 @@ pub struct ShownWork {
     pub samples: u64,
     /// Their work.
     pub work: f64,
-    /// Work of those that were profiled by the ray that brought it about, in the order of [`Rays::NAMES`].
-    pub by_ray: [f64; 7],
+    /// What those that were profiled took.
+    pub profiled: ProfiledWork,
 }
 
-impl ShownWork {
-    /// Notes what a profiled one of them took, by the ray that brought it about.
-    pub fn note(&mut self, work_by_ray: &[u64; 7]) {
+/// What profiled pixels took, in parts: their proportions are what counts.
+#[derive(Clone, Copy, PartialEq, Debug, Default)]
+pub struct ProfiledWork {
+    /// By the ray that brought it about, in the order of [`Rays::NAMES`].
+    by_ray: [f64; 7],
+    /// All of it, and the part that is not in proportion to the camera samples, see [`UncoveredGathers`].
+    work: f64,
+    extra: f64,
+}
+
+impl ProfiledWork {
+    /// Notes what a pixel took by the ray that brought it about.
+    pub fn note_rays(&mut self, work_by_ray: &[u64; 7]) {
         self.by_ray.iter_mut().zip(work_by_ray).for_each(|(sum, &work)| *sum += work as f64);
+    }
+
+    /// Notes what a pixel took, and what of it is not in proportion to the camera samples.
+    pub fn note_extra(&mut self, work: u64, extra: u64) {
+        self.work += work as f64;
+        self.extra += extra as f64;
+    }
+
+    fn plus(self, other: Self) -> Self {
+        let mut by_ray = self.by_ray;
+        by_ray.iter_mut().zip(other.by_ray).for_each(|(sum, work)| *sum += work);
+        Self { by_ray, work: self.work + other.work, extra: self.extra + other.extra }
     }
 }
 
@@ -137,6 +159,8 @@ pub struct Amounts {
     pub shares_cache: bool,
     /// Rays by category, in the order of [`Rays::NAMES`].
     pub rays: [f64; 7],
+    /// Gathers at points that no record covers, if there is a cache.
+    pub uncovered: Option<UncoveredGathers>,
 }
 
 impl Explanation {
@@ -151,6 +175,7 @@ impl Explanation {
             fixed,
             shares_cache,
             rays,
+            uncovered,
         } = amounts;
         let pixel_work: f64 = pixels.iter().map(|shown| shown.work).sum();
         let records_work: f64 = levels.iter().sum();
@@ -159,6 +184,8 @@ impl Explanation {
         let part = |name: &str, work: f64| PartShare { part: name.into(), work, share: share(work) };
         let mut parts = vec![part("pixels", pixel_work), part("filling the irradiance cache", records_work)];
         let by_ray = work_by_ray(&pixels);
+        let samples =
+            Samples { work: pixel_work, extra: extra_work(&pixels), now: settings.spp.max(1), uncovered };
         let rest = (whole - pixel_work - records_work).max(0.0);
         let FixedCosts { load, build, plan, .. } = fixed.unwrap_or_default();
         let setting_up =
@@ -215,8 +242,8 @@ impl Explanation {
             parts,
             objects,
             rays,
-            camera_sample: share(pixel_work) / f64::from(settings.spp.max(1)),
-            halving: Dear { whole, pixels: pixel_work, ambient, levels }.halving(settings),
+            camera_sample: share(samples.with(samples.now.saturating_add(1)) - pixel_work).max(0.0),
+            halving: Dear { whole, samples, ambient, levels }.halving(settings),
         };
         explanation.words = explanation.in_words(settings, shares_cache);
         explanation
@@ -254,7 +281,7 @@ impl Explanation {
         }
         if self.camera_sample > 0.0 {
             words.push(format!(
-                "each camera sample of a pixel costs {} of the whole",
+                "one camera sample more per pixel costs {} of the whole",
                 percent(self.camera_sample)
             ));
         }
@@ -294,23 +321,57 @@ impl ObjectShare {
 /// The pixels' work by the ray that brings it about: in the proportions of those that were profiled of what a pixel shows, or of all of them. `None`
 /// if that is of none known.
 fn work_by_ray(pixels: &[ShownWork]) -> Option<[f64; 7]> {
-    let sum = |by_ray: &[f64; 7]| by_ray.iter().sum::<f64>();
-    let all = std::array::from_fn(|kind| pixels.iter().map(|shown| shown.by_ray[kind]).sum());
+    let sum = |of: &ProfiledWork| of.by_ray.iter().sum::<f64>();
+    let all = all_profiled(pixels);
     let mut work = [0.0; 7];
     for shown in pixels {
-        let known = if sum(&shown.by_ray) > 0.0 { &shown.by_ray } else { &all };
+        let known = if sum(&shown.profiled) > 0.0 { &shown.profiled } else { &all };
         let sum = sum(known);
         if sum > 0.0 {
-            work.iter_mut().zip(known).for_each(|(work, of_ray)| *work += shown.work * (of_ray / sum));
+            work.iter_mut().zip(known.by_ray).for_each(|(work, of_ray)| *work += shown.work * (of_ray / sum));
         }
     }
     (sum(&all) > 0.0).then_some(work)
 }
 
+/// What of the pixels' work is not in proportion to the camera samples, by the same proportions.
+fn extra_work(pixels: &[ShownWork]) -> f64 {
+    let all = all_profiled(pixels);
+    let of = |shown: &ShownWork| {
+        let known = if shown.profiled.work > 0.0 { &shown.profiled } else { &all };
+        if known.work > 0.0 { shown.work * (known.extra / known.work) } else { 0.0 }
+    };
+    pixels.iter().map(of).sum()
+}
+
+fn all_profiled(pixels: &[ShownWork]) -> ProfiledWork {
+    pixels.iter().map(|shown| shown.profiled).fold(ProfiledWork::default(), ProfiledWork::plus)
+}
+
+/// What the pixels take with other camera samples.
+#[derive(Clone, Copy, Debug)]
+struct Samples {
+    /// With those that there are now.
+    work: f64,
+    /// The part of it that is not in proportion to them.
+    extra: f64,
+    now: u32,
+    uncovered: Option<UncoveredGathers>,
+}
+
+impl Samples {
+    /// Work with so many.
+    fn with(&self, samples: u32) -> f64 {
+        let growth = self.uncovered.map_or(1.0, |gathers| gathers.growth(self.now, samples));
+        (self.work - self.extra) * (f64::from(samples) / f64::from(self.now)) + self.extra * growth
+    }
+}
+
 /// What of the work a setting would change.
 struct Dear {
     whole: f64,
-    pixels: f64,
+    /// The pixels.
+    samples: Samples,
     /// The part of the pixels that goes with the rays of a gather.
     ambient: f64,
     /// Filling an irradiance cache, by level.
@@ -327,7 +388,7 @@ const RECORDS_BY_PIXELS: f64 = 0.65;
 const RAYS_BY_LEVEL: f64 = 0.25;
 
 impl Dear {
-    /// The pixels' part goes with the camera samples and with the number of pixels, its ambient part with the rays of a gather; filling a cache
+    /// The pixels' part goes with the camera samples, but for gathers at points that no record covers, and with the number of pixels, its ambient part with the rays of a gather; filling a cache
     /// with the rays of a record, and with the number of records. What is left is taken to stay.
     fn halving(&self, settings: &RenderSettings) -> Vec<Halving> {
         if self.whole <= 0.0 {
@@ -337,11 +398,14 @@ impl Dear {
             to.map(|to| Halving { setting: setting.into(), from: f64::from(from), to })
         };
         // The largest number below the one that there is now, at which a part shrinks enough.
-        let most = |from: u32, left: &dyn Fn(f64) -> f64| {
-            (1..from).rev().map(f64::from).find(|&to| left(to / f64::from(from)) <= HALF * self.whole)
+        let most_at = |from: u32, left: &dyn Fn(u32) -> f64| {
+            (1..from).rev().find(|&to| left(to) <= HALF * self.whole).map(f64::from)
         };
+        let most =
+            |from: u32, left: &dyn Fn(f64) -> f64| most_at(from, &|to| left(f64::from(to) / f64::from(from)));
         let records: f64 = self.levels.iter().sum();
-        let of_pixels = |share: f64| self.whole - self.pixels * (1.0 - share);
+        let of_samples = |samples: u32| self.whole - self.samples.work + self.samples.with(samples);
+        let of_pixels = |share: f64| self.whole - self.samples.work * (1.0 - share);
         let of_ambient = |share: f64| self.whole - self.ambient * (1.0 - share);
         let of_width = |share: f64| {
             let (pixels, records_left) = (share * share, (share * share).powf(RECORDS_BY_PIXELS));
@@ -358,7 +422,7 @@ impl Dear {
         let sides = (1..=(now / 48.0).sqrt().ceil() as u32).rev();
         let fewer = sides.map(|side| 48.0 * f64::from(side * side)).filter(|&rays| rays < now);
         let ways = [
-            way("spp", settings.spp, most(settings.spp, &of_pixels)),
+            way("spp", settings.spp, most_at(settings.spp, &of_samples)),
             way("width", settings.width, most(settings.width, &of_width)),
             way(
                 "ambient-divisions",
@@ -393,7 +457,8 @@ mod tests {
         let (whole, pixels) = (100.0, 80.0);
         let ways =
             |whole, pixels, ambient, levels: &[f64], settings: &RenderSettings| -> Vec<(String, f64)> {
-                let dear = Dear { whole, pixels, ambient, levels: levels.to_vec() };
+                let samples = Samples { work: pixels, extra: 0.0, now: settings.spp, uncovered: None };
+                let dear = Dear { whole, samples, ambient, levels: levels.to_vec() };
                 dear.halving(settings).into_iter().map(|way| (way.setting, way.to)).collect()
             };
         let told = |ways: &[(&str, f64)]| -> Vec<(String, f64)> {
@@ -423,7 +488,10 @@ mod tests {
 
     #[test]
     fn the_work_of_rays_is_that_of_pixels_as_profiled_and_all_of_the_cache() {
-        let shown = |pixels, samples, work, by_ray| ShownWork { shows: None, pixels, samples, work, by_ray };
+        let shown = |pixels, samples, work, by_ray| {
+            let profiled = ProfiledWork { by_ray, ..ProfiledWork::default() };
+            ShownWork { shows: None, pixels, samples, work, profiled }
+        };
         let spent = |work| crate::Spent { work, cpu_nanos: 0 };
         let amounts = |by_ray: [f64; 7]| Amounts {
             frame: None,
@@ -440,6 +508,7 @@ mod tests {
             }),
             shares_cache: false,
             rays: [15.0, 20.0, 0.0, 0.0, 0.0, 30.0, 0.0],
+            uncovered: None,
         };
         let settings = RenderSettingsRequest::default().complete((10, 10));
         let explained = Explanation::new(amounts([1.0, 2.0, 0.0, 0.0, 0.0, 1.0, 0.0]), &settings);
@@ -458,5 +527,25 @@ mod tests {
         let expected = ["ambient", "shadow", "primary"].map(|name| (name.to_owned(), None));
         assert_eq!(told(&unknown), expected);
         assert!(unknown.words.iter().any(|line| line.starts_with("of the rays are 46.2 % ambient")));
+    }
+
+    #[test]
+    fn gathers_that_the_first_samples_of_a_pixel_have_are_in_no_further_one() {
+        // 24 rays in the first sample, 12 in the second, 8, 6, 4, and 4 in all others: 20, 28, 32, 34, 34 above those.
+        let uncovered = Some(UncoveredGathers { first: 24, least: 4 });
+        let samples = |now| Samples { work: 80.0, extra: 40.0, now, uncovered };
+        assert!((samples(1).with(2) - (80.0 + 56.0)).abs() < 1e-9);
+        assert!((samples(8).with(9) - 85.0).abs() < 1e-9, "one more is an eighth of what is in proportion");
+        let profiled = |work, extra| {
+            let mut profiled = ProfiledWork::default();
+            profiled.note_extra(work, extra);
+            profiled
+        };
+        let shown = |work, profiled| ShownWork { shows: None, pixels: 1, samples: 1, work, profiled };
+        // The last is like both others together.
+        let pixels =
+            [shown(10.0, profiled(4, 2)), shown(30.0, profiled(6, 0)), shown(20.0, ProfiledWork::default())];
+        assert!((extra_work(&pixels) - (5.0 + 4.0)).abs() < 1e-9);
+        assert_eq!(extra_work(&pixels[2..]), 0.0);
     }
 }

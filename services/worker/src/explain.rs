@@ -1,9 +1,10 @@
 //! Why frames are dear: a quote taken apart.
 
+use crate::ambient::uncovered_gathers;
 use crate::quote::Quote;
 use crate::renderer::StratumInfo;
 use forelight_forecast::StratumSum;
-use forelight_protocol::{Amounts, Explanation, RenderSettings, ShownWork};
+use forelight_protocol::{Amounts, Explanation, ProfiledWork, RenderSettings, ShownWork};
 
 impl Quote {
     /// What the quote's work goes into. `strata` are the shot's. Objects are told apart only if the pixels were chosen by them.
@@ -17,7 +18,7 @@ impl Quote {
             pixels: sum.pixels,
             samples: sum.samples,
             work: sum.work,
-            by_ray: [0.0; 7],
+            profiled: ProfiledWork::default(),
         };
         let told_apart = pixels.len() == strata.len() + 1;
         let mut pixels: Vec<ShownWork> = pixels.iter().enumerate().map(shown).collect();
@@ -25,7 +26,8 @@ impl Quote {
             self.profiled.iter().flat_map(|frame| frame.observations.iter().zip(&frame.traced))
         {
             if let Some(shown) = pixels.get_mut(observation.stratum as usize) {
-                shown.note(&pixel.work_by_ray);
+                shown.profiled.note_rays(&pixel.work_by_ray);
+                shown.profiled.note_extra(pixel.work, pixel.extra_work);
             }
         }
         let amounts = Amounts {
@@ -37,6 +39,7 @@ impl Quote {
             fixed: self.document.fixed,
             shares_cache: false,
             rays: self.forecast.total.rays.map(|rays| rays.mean),
+            uncovered: uncovered_gathers(settings),
         };
         Explanation::new(amounts, settings)
     }

@@ -2,7 +2,7 @@
 //! is traced for it.
 
 use forelight_forecast::StratumSum;
-use forelight_protocol::{Amounts, Explanation, PreviewResult, RenderSettings, ShownWork};
+use forelight_protocol::{Amounts, Explanation, PreviewResult, ProfiledWork, RenderSettings, ShownWork};
 use forelight_store::MeasuredProfile;
 
 use super::estimate::{Estimated, estimated, fixed_costs};
@@ -46,13 +46,17 @@ pub(super) fn explained(
         pixels: sum.pixels,
         samples: sum.samples,
         work: sum.work,
-        by_ray: [0.0; 7],
+        profiled: ProfiledWork::default(),
     };
     let mut pixels: Vec<ShownWork> = pixels.iter().enumerate().map(shown).collect();
     for MeasuredProfile { result, .. } in profiles {
-        for sample in &result.samples {
+        for (place, sample) in result.samples.iter().enumerate() {
             if let Some(shown) = pixels.get_mut(populations.shown_by(sample, result)) {
-                shown.note(&sample.work_by_ray);
+                shown.profiled.note_rays(&sample.work_by_ray);
+                match result.shared_samples.get(place).filter(|_| shared.is_some()) {
+                    Some(sample) => shown.profiled.note_extra(sample.work, sample.extra_work),
+                    None => shown.profiled.note_extra(sample.work, sample.extra_work),
+                }
             }
         }
     }
@@ -65,6 +69,7 @@ pub(super) fn explained(
         fixed: fixed_costs(profiles, shared, frame),
         shares_cache: shared.is_some(),
         rays: total.rays.map(|rays| rays.mean),
+        uncovered: profiles.iter().find_map(|profile| profile.result.uncovered),
     };
     Ok(Explanation::new(amounts, settings))
 }

@@ -2,8 +2,8 @@
 
 use crate::room::{Nobody, Rig};
 use forelight_preview::Choice;
-use forelight_protocol::{CacheMode, Quantiles, RenderSettingsRequest, TaskResult, TaskSpec};
-use forelight_worker::{Ambient, Given, QuoteOptions, quote, render_frame};
+use forelight_protocol::{CacheMode, Quantiles, RenderSettings, RenderSettingsRequest, TaskResult, TaskSpec};
+use forelight_worker::{Ambient, Given, QuoteOptions, Renderer, quote, render_frame};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
@@ -96,6 +96,30 @@ fn a_profiled_cache_that_is_of_no_use_is_left_and_the_image_is_what_it_would_be(
     profile.cache.as_mut().unwrap()[200] ^= 1;
     let fresh = rig.run(rig.render_spec(0), None).unwrap();
     rig.makes_the_same(&fresh, rig.render_spec(0), profile.to_bytes().into());
+}
+
+/// Of few samples the points that no record covers make much of a pixel's cost, and the more there are the less each adds.
+#[test]
+fn a_camera_sample_more_costs_what_the_explanation_says_of_it() {
+    let rig = Rig::cached(1);
+    let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
+    for spp in [1, 2, 8] {
+        let at = |spp| RenderSettings { spp, ..rig.settings.clone() };
+        let options = QuoteOptions { samples: 32 * 24, ..QuoteOptions::default() };
+        let quoted = quote(&shot, &[0], &at(spp), &options, &Nobody).unwrap();
+        let explained = quoted.explained(&shot.info().strata, &at(spp));
+        let work = |spp| {
+            let cancel = AtomicBool::new(false);
+            let given = Given::default();
+            render_frame(&shot, 0, &at(spp), given, &|_| (), &cancel).unwrap().unwrap().stats.work as f64
+        };
+        let (now, more) = (work(spp), work(spp + 1));
+        let off = explained.camera_sample * explained.work / (more - now) - 1.0;
+        println!("{spp} samples: one more {:.4}, off by {off:+.3}", (more - now) / now);
+        // All pixels were profiled: what is left is that another sample sees other things, and that the plan saw those of the first sample, so
+        // that records cover those of the second less often.
+        assert!(off.abs() < 0.15, "{spp} samples: {off}");
+    }
 }
 
 /// Bounds are those of one deterministic run with room for a change of samples, not of many.
