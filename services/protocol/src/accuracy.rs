@@ -32,8 +32,9 @@ pub enum Ladders {
     /// Those that the job's own profile speaks of: camera samples and, without a cache, resolutions.
     #[default]
     Own,
-    /// All of them: one frame is profiled with the other settings too, before the job is quoted. That takes about as much as rendering such a frame,
-    /// several times that of a small one, whatever the length of the shot; what it took is part of what the quote did.
+    /// All of them: one frame is profiled with the other settings too, before the job is quoted. That takes about as much as half a million camera
+    /// samples of it, whatever its size and the length of the shot: a few percent of a large frame, several times a small one. What it took is part
+    /// of what the quote did.
     All,
 }
 

@@ -84,7 +84,7 @@ pub struct Args {
     /// Frames to profile at most [default: 5, and up to 16 if that leaves the forecast unsure and more would cost less than 1 % of the shot]
     #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=1000))]
     profile_frames: Option<u32>,
-    /// Price all ladders of qualities in the quote, as `forelight accuracy` does, by profiling one frame with other settings too, which takes about as much as rendering it (several times that, if it is small): `forelight accuracy --job` shows them [default: those that the job's own profile speaks of]
+    /// Price all ladders of qualities in the quote, as `forelight accuracy` does, by profiling one frame with other settings too, which takes about as much as half a million camera samples of it, a few percent of a large frame and several times a small one: `forelight accuracy --job` shows them [default: those that the job's own profile speaks of]
     #[arg(long, conflicts_with = "limit")]
     ladders: bool,
     /// Whether the frames share one irradiance cache, with --cache on
