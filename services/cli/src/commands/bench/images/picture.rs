@@ -28,7 +28,7 @@ pub struct Distance {
     pub bias: f64,
 }
 
-/// A pixel this many times as bright as the median sees a light.
+/// A pixel this many times as bright as the median of those that are not black sees a light.
 const LIGHT: f32 = 10.0;
 
 impl Picture {
@@ -74,17 +74,18 @@ impl Picture {
         let pairs = || self.pixels.iter().zip(&reference.pixels);
         let lit = || pairs().zip(&lit).filter(|(_, lit)| **lit).map(|(pair, _)| pair);
         Ok(Distance {
-            rmse: root_mean_square(pairs()) / reference.mean(),
-            lit: root_mean_square(lit()) / mean(lit().map(|pair| pair.1)),
-            bias: self.mean() / reference.mean() - 1.0,
+            rmse: relative(root_mean_square(pairs()), reference.mean()),
+            lit: relative(root_mean_square(lit()), mean(lit().map(|pair| pair.1))),
+            bias: relative(self.mean() - reference.mean(), reference.mean()),
         })
     }
 
     /// Which pixels neither see a light nor lie beside one that does.
     fn lit(&self) -> Vec<bool> {
-        let mut sorted: Vec<f32> = self.pixels.iter().map(brightness).collect();
+        // Of a scene that fills less than half of the image the median is that of nothing.
+        let mut sorted: Vec<f32> = self.pixels.iter().map(brightness).filter(|&sum| sum > 0.0).collect();
         sorted.sort_unstable_by(f32::total_cmp);
-        let limit = LIGHT * sorted[sorted.len() / 2];
+        let limit = LIGHT * sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
         let (width, height) = (self.width, self.height);
         let around = |i: u32, size: u32| i.saturating_sub(1)..(i + 2).min(size);
         let dark = |x: u32, y: u32| {
@@ -96,7 +97,8 @@ impl Picture {
     /// The signed difference from a reference, for looking at: mid grey is none, black and white are −`range` and +`range`,
     /// relative to the reference's mean.
     pub fn difference(&self, reference: &Self, range: f64) -> RgbImage {
-        let scale = 127.5 / (range * reference.mean());
+        // In the dark nothing differs, whatever the scale.
+        let scale = 127.5 / (range * reference.mean()).max(1e-300);
         RgbImage::from_fn(self.width, self.height, |x, y| {
             let (own, known) = (self.at(x, y), reference.at(x, y));
             let shade = |c: usize| 127.5 + (f64::from(own[c]) - f64::from(known[c])) * scale;
@@ -117,7 +119,12 @@ fn mean<'a>(pixels: impl Iterator<Item = &'a [f32; 3]>) -> f64 {
     let (sum, count) = pixels.fold((0.0, 0u64), |(sum, count), pixel| {
         (sum + pixel.iter().map(|&v| f64::from(v)).sum::<f64>(), count + 3)
     });
-    sum / count as f64
+    sum / count.max(1) as f64
+}
+
+/// No distance is none, of whatever.
+fn relative(distance: f64, mean: f64) -> f64 {
+    if distance == 0.0 { 0.0 } else { distance / mean }
 }
 
 fn root_mean_square<'a>(pairs: impl Iterator<Item = (&'a [f32; 3], &'a [f32; 3])>) -> f64 {
@@ -125,7 +132,7 @@ fn root_mean_square<'a>(pairs: impl Iterator<Item = (&'a [f32; 3], &'a [f32; 3])
         let squares = a.iter().zip(b).map(|(&a, &b)| (f64::from(a) - f64::from(b)).powi(2));
         (sum + squares.sum::<f64>(), count + 3)
     });
-    (sum / count as f64).sqrt()
+    (sum / count.max(1) as f64).sqrt()
 }
 
 #[cfg(test)]
@@ -150,6 +157,18 @@ mod tests {
         // The light and its two neighbours are left out.
         assert!((distance.lit / (0.25f64 / 997.0).sqrt() - 1.0).abs() < 1e-6, "{distance:?}");
         assert!((distance.bias - (-98.7 / 2000.0)).abs() < 1e-6, "{distance:?}");
+    }
+
+    #[test]
+    fn a_scene_in_the_middle_of_nothing_has_lit_pixels_and_one_in_the_dark_no_distance() {
+        let mut values = vec![0.0; 1000];
+        values[400..600].fill(1.0);
+        let reference = grey(&values);
+        values[500] = 1.5;
+        let distance = grey(&values).distance(&reference).unwrap();
+        assert!((distance.lit / ((0.25f64 / 1000.0).sqrt() / 0.2) - 1.0).abs() < 1e-6, "{distance:?}");
+        let dark = grey(&[0.0; 9]);
+        assert_eq!(dark.distance(&dark).unwrap(), Distance { rmse: 0.0, lit: 0.0, bias: 0.0 });
     }
 
     #[test]
