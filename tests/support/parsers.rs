@@ -266,14 +266,20 @@ fn traced() -> Tracer {
 fn profile_seed() -> Vec<u8> {
     let tracer = traced();
     let pixels = (0..3).zip(tracer.profile(&[0, 1, 2])).collect();
-    Profile { frame: 7, fingerprint: tracer.fingerprint(), pixels, cache: None }.to_bytes()
+    Profile { origin: tracer.origin(), fingerprint: tracer.fingerprint(), pixels, cache: None }.to_bytes()
 }
 
 fn profile_with_cache_seed() -> Vec<u8> {
     let tracer = traced();
     tracer.plan();
     let cache = tracer.cache().expect("a cache was called for").to_bytes();
-    Profile { frame: 7, fingerprint: tracer.fingerprint(), pixels: Vec::new(), cache: Some(cache) }.to_bytes()
+    Profile {
+        origin: tracer.origin(),
+        fingerprint: tracer.fingerprint(),
+        pixels: Vec::new(),
+        cache: Some(cache),
+    }
+    .to_bytes()
 }
 
 /// An irradiance cache.

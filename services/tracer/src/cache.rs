@@ -56,6 +56,7 @@ pub use site::Site;
 
 use crate::bounds::Bounds;
 use crate::cost::{Cost, Rays, add_rays};
+use crate::origin::Origin;
 use crate::tracer::Tracer;
 use forelight_bvh::Hit;
 use glam::Vec3;
@@ -130,8 +131,8 @@ pub struct Level {
 pub struct Cache {
     /// What its records depend on, see [`crate::fingerprint`].
     fingerprint: [u8; 32],
-    /// Number of the frame whose world the records are in.
-    frame: u32,
+    /// The frame whose world the records are in, and the settings that they were planned for first.
+    origin: Origin,
     /// The images that it has been planned for, by their fingerprints.
     images: Vec<[u8; 32]>,
     /// Box around the world's vertices, metres: what the octrees are over.
@@ -206,7 +207,7 @@ impl Cache {
 
     /// Number of the frame whose world the records are in: it was planned for this one first.
     pub fn frame(&self) -> u32 {
-        self.frame
+        self.origin.frame()
     }
 
     /// Whether its records hold in the frame of a tracer as they are: same geometry, same light, same settings of light.

@@ -38,6 +38,7 @@ mod kernel;
 mod lights;
 mod media;
 pub mod microfacet;
+mod origin;
 mod passes;
 mod profile;
 mod random;
@@ -56,6 +57,7 @@ pub use cost::{
 pub use effects::Effects;
 pub use fingerprint::tracer_version;
 pub use image::{Image, ImageError, Totals, cost_color};
+pub use origin::Origin;
 pub use passes::{Grown, Passes, SoFar};
 pub use profile::{Profile, ProfileError};
 pub use reach::{Excluded, LeftOut, Reach, Reason, reachable};

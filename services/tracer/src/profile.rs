@@ -1,10 +1,10 @@
 //! What was finished while forecasting, as an artefact: traced once, taken over by the render.
 
-use crate::Pixel;
+use crate::{Origin, Pixel};
 
 /// Leading bytes of the format, with its version.
-const MAGIC: &[u8; 8] = b"FLprof05";
-const HEADER: usize = 8 + 4 + 32 + 4 + 8;
+const MAGIC: &[u8; 8] = b"FLprof06";
+const HEADER: usize = 8 + Origin::BYTES + 32 + 4 + 8;
 const PIXEL: usize = 4 + 12 + 28 + 8 + 56 + 8 + 8 + 4 + 4;
 const CHECKSUM: usize = 32;
 
@@ -12,8 +12,8 @@ const CHECKSUM: usize = 32;
 /// before the cache is filled.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Profile {
-    /// Frame number.
-    pub frame: u32,
+    /// The frame and the settings that it was made for.
+    pub origin: Origin,
     /// [`crate::Tracer::fingerprint`] of the image that the pixels belong to.
     pub fingerprint: [u8; 32],
     /// Row-major pixel index, and the pixel.
@@ -26,7 +26,7 @@ pub struct Profile {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ProfileError {
     /// The leading bytes are others.
-    #[error("not a profile of this version (it must begin with FLprof05)")]
+    #[error("not a profile of this version (it must begin with FLprof06)")]
     Foreign,
     /// Shorter or longer than its header says.
     #[error("cut short or continued: {found} bytes where a profile of its header has {expected}")]
@@ -42,13 +42,13 @@ pub enum ProfileError {
 }
 
 impl Profile {
-    /// Little-endian: magic, frame, fingerprint, count of pixels, bytes of the cache (0 without one), pixels (index, colour, rays, work,
+    /// Little-endian: magic, origin, fingerprint, count of pixels, bytes of the cache (0 without one), pixels (index, colour, rays, work,
     /// work by ray, extra work, CPU nanoseconds, uncovered, stratum), the cache, BLAKE3 of all before.
     pub fn to_bytes(&self) -> Vec<u8> {
         let cache = self.cache.as_deref().unwrap_or_default();
         let mut out = Vec::with_capacity(HEADER + self.pixels.len() * PIXEL + cache.len() + CHECKSUM);
         out.extend_from_slice(MAGIC);
-        out.extend_from_slice(&self.frame.to_le_bytes());
+        out.extend_from_slice(bytemuck::bytes_of(&self.origin));
         out.extend_from_slice(&self.fingerprint);
         out.extend_from_slice(&(self.pixels.len() as u32).to_le_bytes());
         out.extend_from_slice(&(cache.len() as u64).to_le_bytes());
@@ -79,7 +79,7 @@ impl Profile {
             return length(HEADER + CHECKSUM);
         }
         let mut reader = Reader { bytes: &bytes[8..] };
-        let frame = reader.u32();
+        let origin = bytemuck::pod_read_unaligned(&reader.take::<{ Origin::BYTES }>());
         let fingerprint = reader.take();
         let count = reader.u32() as usize;
         let cache = usize::try_from(reader.u64()).unwrap_or(usize::MAX);
@@ -104,7 +104,7 @@ impl Profile {
             })
             .collect();
         let cache = (cache > 0).then(|| body[body.len() - cache..].to_vec());
-        Ok(Self { frame, fingerprint, pixels, cache })
+        Ok(Self { origin, fingerprint, pixels, cache })
     }
 
     /// Bytes of a profile of so many pixels, without a cache.
@@ -155,7 +155,7 @@ mod tests {
             stratum: i,
         };
         let pixels = (0..5).map(|i| (i * 31, pixel(i))).collect();
-        Profile { frame: 7, fingerprint: [9; 32], pixels, cache: Some(b"records".to_vec()) }
+        Profile { origin: Origin::default(), fingerprint: [9; 32], pixels, cache: Some(b"records".to_vec()) }
     }
 
     #[test]

@@ -10,6 +10,7 @@ use crate::image::Image;
 use crate::kernel::{Trace, kernel};
 use crate::lights::{Lights, Looks, Luminaires};
 use crate::media::{Media, Ranks};
+use crate::origin::Origin;
 use crate::profile::Profile;
 use crate::reach::{LeftOut, Reach, reachable};
 use crate::tiling::Tiling;
@@ -309,6 +310,11 @@ impl Tracer {
     /// Hash of all that a pixel's value depends on: frame, settings, and the version of this tracer.
     pub fn fingerprint(&self) -> [u8; 32] {
         fingerprint(self.content(), &self.frame, &self.settings, self.samples.get())
+    }
+
+    /// What is made for this image says that it was.
+    pub fn origin(&self) -> Origin {
+        Origin::of(self.content(), &self.frame, &self.settings)
     }
 
     fn content(&self) -> &blake3::Hasher {

@@ -126,7 +126,8 @@ fn a_fill_in_parts_that_are_merged_is_the_fill_in_one() {
     other.plan();
     let foreign = other.cache().unwrap();
     assert_eq!(whole.cache().unwrap().clone().merge(foreign), Err(CacheError::OtherPlan));
-    assert_eq!(Tracer::new(&frame, &settings).take_cache(foreign.clone()), Err(CacheError::OtherScene));
+    let refused = Tracer::new(&frame, &settings).take_cache(foreign.clone());
+    assert_eq!(refused, Err(CacheError::OtherScene("seed 1, not 0".to_owned())));
 }
 
 #[test]
@@ -148,7 +149,7 @@ fn a_damaged_truncated_or_foreign_file_is_refused() {
     assert!(Cache::from_bytes(&longer).is_err());
     // A header that announces more than there can be must not make anyone allocate it.
     let mut greedy = bytes.clone();
-    greedy[8 + 32 + 8 + 8 + 56 + 4..][..4].copy_from_slice(&u32::MAX.to_le_bytes());
+    greedy[8 + 32 + 96 + 8 + 8 + 56..][..4].copy_from_slice(&u32::MAX.to_le_bytes());
     assert!(matches!(Cache::from_bytes(&greedy), Err(CacheError::Length { .. })));
 }
 

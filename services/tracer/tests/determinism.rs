@@ -51,7 +51,7 @@ fn profiled_pixels_taken_over_give_the_same_image_and_are_not_traced_again() {
     let tracer = Tracer::new(&everything(), &settings());
     let chosen: Vec<u32> = (0..40 * 28).filter(|i| i % 7 == 3).rev().collect();
     let pixels = chosen.iter().copied().zip(tracer.profile(&chosen)).collect();
-    let profile = Profile { frame: 0, fingerprint: tracer.fingerprint(), pixels, cache: None };
+    let profile = Profile { origin: tracer.origin(), fingerprint: tracer.fingerprint(), pixels, cache: None };
     let profile = Profile::from_bytes(&profile.to_bytes()).expect("reads back");
     let whole = with_threads(2, None);
     let with_reuse = with_threads(2, Some(&profile));

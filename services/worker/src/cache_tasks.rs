@@ -133,7 +133,9 @@ fn unusable(error: CacheError) -> ExecuteError {
     let text = format!("the shot's irradiance cache cannot be used: {error}");
     match error {
         CacheError::Length { .. } | CacheError::Damaged(_) => ExecuteError::Permanent(text),
-        CacheError::Foreign | CacheError::OtherScene | CacheError::OtherPlan => ExecuteError::Transient(text),
+        CacheError::Foreign | CacheError::OtherScene(_) | CacheError::OtherPlan => {
+            ExecuteError::Transient(text)
+        }
     }
 }
 

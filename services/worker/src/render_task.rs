@@ -149,7 +149,7 @@ fn share(ready: &dyn FrameRenderer, cache: &Bytes, control: &Control) -> Result<
                 format!("of the shot's irradiance cache {kept} records hold in this frame, {dropped} do not");
             (LogLevel::Info, text)
         }
-        Err(RenderError::Cache(error @ (CacheError::Foreign | CacheError::OtherScene))) => {
+        Err(RenderError::Cache(error @ (CacheError::Foreign | CacheError::OtherScene(_)))) => {
             let text =
                 format!("the frame makes its own irradiance cache; that of the shot cannot be used: {error}");
             (LogLevel::Warn, text)

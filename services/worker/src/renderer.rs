@@ -42,11 +42,11 @@ pub enum RenderError {
     Samples(#[from] SampleCountsError),
     /// The profile was made from another scene, another frame, at another quality, or by another version.
     #[error(
-        "profile: it is of frame {frame}, and was made of another scene, of another frame than this one, or with other settings; make it again with the bundle, frame and settings of this image"
+        "profile: it was made for another image ({differs}); make it again with the bundle, frame and settings of this one"
     )]
     ForeignProfile {
-        /// The frame that the profile says it is of.
-        frame: u32,
+        /// What is another there.
+        differs: String,
     },
 }
 

@@ -191,7 +191,7 @@ fn a_cache_that_is_damaged_fails_for_good_and_one_of_another_kind_is_not_added_t
         }
     }
     let error = rig.run(rig.fill(0, 0, 2), vec![other.clone()]).unwrap_err();
-    assert!(matches!(&error, ExecuteError::Transient(text) if text.contains("another scene")), "{error:?}");
+    assert!(matches!(&error, ExecuteError::Transient(text) if text.contains("(seed 9, not 0)")), "{error:?}");
     let error = rig.run(rig.merge(2), vec![planned, other]).unwrap_err();
     assert!(matches!(&error, ExecuteError::Transient(text) if text.contains("different plans")), "{error:?}");
 }

@@ -14,13 +14,14 @@ use super::smooth::Value;
 use super::{Cache, Level, Planned, Record, Site};
 use crate::bounds::Bounds;
 use crate::cost::{Cost, clocked};
+use crate::origin::Origin;
 use crate::tracer::Tracer;
 use bytemuck::{AnyBitPattern, NoUninit, Pod, Zeroable};
 use forelight_bvh::Hit;
 use glam::Vec3;
 use std::sync::OnceLock;
 
-const MAGIC: [u8; 8] = *b"FLcach06";
+const MAGIC: [u8; 8] = *b"FLcach07";
 
 /// A gather has no more strata, see [`crate::Settings::validate`].
 const MOST_RAYS: u32 = 66_000;
@@ -38,7 +39,7 @@ const SMOOTHED: u32 = 4;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CacheError {
     /// The leading bytes are others.
-    #[error("not an irradiance cache of this version (it must begin with FLcach06)")]
+    #[error("not an irradiance cache of this version (it must begin with FLcach07)")]
     Foreign,
     /// Shorter or longer than it says.
     #[error("truncated irradiance cache: {found} bytes where {expected} were expected")]
@@ -52,10 +53,11 @@ pub enum CacheError {
     #[error("damaged irradiance cache: {0}")]
     Damaged(&'static str),
     /// It belongs to another scene or other settings.
-    #[error(
-        "the irradiance cache belongs to another scene, to other light or to other settings: make it again"
-    )]
-    OtherScene,
+    #[error("the irradiance cache was made for other images ({0}): make it again")]
+    OtherScene(
+        /// What is another there.
+        String,
+    ),
     /// Parts of different plans cannot be put together.
     #[error("the irradiance caches have different plans: fill parts of one and the same plan")]
     OtherPlan,
@@ -66,13 +68,12 @@ pub enum CacheError {
 struct Header {
     magic: [u8; 8],
     fingerprint: [u8; 32],
+    origin: Origin,
     plan_work: u64,
     plan_nanos: u64,
     plan_rays: [u64; 7],
-    zero: u32,
     images: u32,
     levels: u32,
-    frame: u32,
     low: [f32; 3],
     high: [f32; 3],
 }
@@ -141,13 +142,12 @@ impl Cache {
             &Header {
                 magic: MAGIC,
                 fingerprint: self.fingerprint,
+                origin: self.origin,
                 plan_work: self.plan.work,
                 plan_nanos: self.plan.cpu_nanos,
                 plan_rays: self.plan_rays,
-                zero: 0,
                 images: self.images.len() as u32,
                 levels: self.levels.len() as u32,
-                frame: self.frame,
                 low: self.world.low.to_array(),
                 high: self.world.high.to_array(),
             },
@@ -192,7 +192,7 @@ impl Cache {
         let header: Header = reader.take()?;
         let mut cache = Self {
             fingerprint: header.fingerprint,
-            frame: header.frame,
+            origin: header.origin,
             plan: Cost { work: header.plan_work, cpu_nanos: header.plan_nanos },
             plan_rays: header.plan_rays,
             images: reader.list(u64::from(header.images))?,
@@ -222,7 +222,7 @@ impl Cache {
     /// Whether the cache is one for this frame: planned for this scene, light and settings, and with nothing in it that the scene has not.
     pub fn check(&self, tracer: &Tracer) -> Result<(), CacheError> {
         if !self.suits(tracer) {
-            return Err(CacheError::OtherScene);
+            return Err(CacheError::OtherScene(self.origin.unlike_light(&tracer.origin())));
         }
         let planned = !(self.levels.is_empty() && self.images.is_empty());
         if planned && self.levels.len() != tracer.settings.ambient_bounces as usize {

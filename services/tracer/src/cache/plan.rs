@@ -74,7 +74,7 @@ impl Cache {
         let mut planning = Planning { tracer, plan: PlanCost::default() };
         if self.levels.is_empty() {
             self.fingerprint = tracer.cache_fingerprint();
-            self.frame = tracer.frame.number;
+            self.origin = tracer.origin();
             self.world = world(tracer);
         }
         // Also where nothing was seen before by which lengths could be chosen.

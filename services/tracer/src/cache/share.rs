@@ -33,7 +33,7 @@ impl Cache {
         }
         let mut carried = Self {
             fingerprint: to.cache_fingerprint(),
-            frame: to.frame.number,
+            origin: to.origin(),
             world: world(to),
             reading: self.reading,
             ..Self::default()

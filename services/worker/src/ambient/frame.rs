@@ -38,7 +38,8 @@ impl AmbientFrame<'_> {
     fn own_cache(&self, profile: &Profile) -> Result<Option<Cache>, RenderError> {
         let pixels = self.tracer.frame().camera.pixels();
         if profile.fingerprint != self.tracer.fingerprint() || !profile.fits(pixels) {
-            return Err(RenderError::ForeignProfile { frame: profile.frame });
+            let differs = profile.origin.unlike_image(&self.tracer.origin());
+            return Err(RenderError::ForeignProfile { differs });
         }
         Ok(profile.cache.as_deref().map(Cache::from_bytes).transpose()?)
     }
@@ -205,7 +206,8 @@ impl FrameRenderer for AmbientFrame<'_> {
         let cache = self.tracer.cache().map(|cache| cache.to_bytes());
         // The colours of pixels that read a cache before it is filled are not the image's.
         let pixels = if cache.is_none() { pixels.to_vec() } else { Vec::new() };
-        Profile { frame: self.tracer.frame().number, fingerprint: self.tracer.fingerprint(), pixels, cache }
+        let (origin, fingerprint) = (self.tracer.origin(), self.tracer.fingerprint());
+        Profile { origin, fingerprint, pixels, cache }
     }
 
     fn check(&self, profile: &Profile) -> Result<(), RenderError> {
