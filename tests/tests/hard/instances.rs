@@ -1,7 +1,7 @@
 //! Nodes in nodes: mirrored, uneven, nested; against the same meshes put into place here.
 
 use crate::bundles::Files;
-use crate::similarity::{compare, judge, work};
+use crate::similarity::{self, compare, judge, work};
 use forelight_bvh::{Bvh, Ray, Traversal};
 use forelight_scene::{Frame, Geometry};
 use forelight_tests::case::case;
@@ -247,14 +247,7 @@ fn instances_are_where_the_same_meshes_are_when_baked() {
 
 #[test]
 fn scenes_moved_by_ten_million_times_their_size_look_and_cost_the_same() {
-    let settings = Settings {
-        width: 32,
-        height: 32,
-        spp: 8,
-        ambient_bounces: 1,
-        ambient_divisions: 8,
-        ..Settings::default()
-    };
+    let settings = similarity::settings();
     let at = |offset: [f64; 3], settings: &Settings| {
         let scene = bundle_at(offset).load().unwrap_or_else(|error| panic!("at {offset:?}: {error}"));
         render(&scene.frame(0).expect("a frame"), settings)

@@ -9,7 +9,7 @@ use forelight_tests::world::{
 use forelight_tracer::{Image, Settings};
 use glam::{DQuat, DVec3};
 
-fn settings() -> Settings {
+pub fn settings() -> Settings {
     Settings {
         width: 32,
         height: 32,
