@@ -1,0 +1,1 @@
+//! The benches behind `forelight bench`, and what only they need.

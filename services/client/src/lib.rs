@@ -1,0 +1,1 @@
+//! The service's REST API as a client sees it: requests, retries, events.

@@ -1,0 +1,1 @@
+//! From previews and profiles to a quote: pure functions, no I/O.

@@ -1,0 +1,1 @@
+//! What commands print: tables, units, progress bars, and the files that they write.
