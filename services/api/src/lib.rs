@@ -27,7 +27,6 @@ mod service;
 mod state;
 
 pub use clock::{Clock, ManualClock, SystemClock};
-pub use conductor::alone::{Measured, is_shared_cache_worth_planning, quote_alone};
 pub use config::{Config, Limits};
 pub use night::{NightError, budget_forecast};
 pub use openapi::openapi_yaml;

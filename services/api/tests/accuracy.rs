@@ -172,7 +172,7 @@ async fn a_job_that_asks_for_all_ladders_has_those_of_other_settings_by_one_of_i
     for kind in LadderKind::ALL {
         let rungs: Vec<_> = document.rungs.iter().filter(|rung| rung.ladder == kind).collect();
         let settings: Vec<_> = rungs.iter().map(|rung| rung.settings.clone()).collect();
-        assert_eq!(settings, kind.rungs(&job.settings).unwrap(), "{kind:?}");
+        assert_eq!(settings, forelight_quote::ladder(kind, &job.settings).unwrap(), "{kind:?}");
         if [LadderKind::Ambient, LadderKind::Resolution].contains(&kind) {
             continue;
         }
@@ -223,7 +223,7 @@ async fn ladders_that_could_not_be_laid_out_are_missing_for_that_reason() {
     let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
     let fail = |result: &mut ProfileResult| {
         let ladders = result.ladders.as_mut().unwrap();
-        **ladders = AccuracyDoc::missing(0, &ladders.settings, "no room");
+        **ladders = forelight_quote::without_ladders(0, &ladders.settings, "no room");
     };
     booked_after(&farm, &node, &job, fail).await;
     let document = document(&farm, &job).await;

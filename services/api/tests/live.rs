@@ -114,7 +114,7 @@ async fn a_quote_explains_itself_as_a_whole_and_frame_by_frame() {
     assert!((primary.work.unwrap() / pixels - 0.75).abs() < 0.01, "{whole:?}");
     let by_ray: f64 = whole.rays.iter().filter_map(|ray| ray.work).sum();
     assert!((by_ray / pixels - 1.0).abs() < 1e-9, "{whole:?}");
-    assert!(whole.words.last().unwrap().starts_with("half of it: "), "{:?}", whole.words);
+    assert!(whole.words.last().unwrap().starts_with("to halve the work: "), "{:?}", whole.words);
     let one: Explanation = farm.viewer.get(&format!("{path}?frame=3")).await.json_as(StatusCode::OK).await;
     assert_eq!((one.frame, one.objects[0].pixels), (Some(3), 48));
     assert!((one.work / quote.frames[3].work.mean - 1.0).abs() < 1e-12);

@@ -87,7 +87,7 @@ async fn too_little_fails_with_what_would_do_and_nonsense_is_refused() {
     assert_eq!(failed.state, JobState::Failed);
     let error = failed.error.unwrap();
     assert!(
-        error.contains("one camera sample") && error.contains("0.000005 CPU seconds were given"),
+        error.contains("one camera sample") && error.contains("the limit is 0.000005 CPU seconds"),
         "{error}"
     );
     // What it names does fit.

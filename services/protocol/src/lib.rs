@@ -69,9 +69,7 @@ pub use calendar::{
 pub use calibration::{ByClass, KernelTime, NodeCalibration};
 pub use dashboard::{Dashboard, DashboardCounts, DashboardJob, DashboardNode, NodeActivity, TaskCounts};
 pub use event::{Event, EventKind};
-pub use explanation::{
-    Amounts, Explanation, Halving, ObjectShare, PartShare, ProfiledWork, RayShare, ShownWork,
-};
+pub use explanation::{Explanation, Halving, ObjectShare, PartShare, RayShare};
 pub use forecast::{
     Confidence, ForecastDoc, ForecastTotals, FrameForecast, MoneyQuantiles, NodeSeconds, Profiled, Quantiles,
     QuotedShot, RayQuantiles, SpentOnForecast,

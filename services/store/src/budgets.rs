@@ -12,13 +12,14 @@ use forelight_protocol::{
     Budget, BudgetAction, BudgetForecast, BudgetRequest, BudgetThreshold, Event, EventKind, Job, JobId,
     JobState, LedgerLine, Money, NodeId, Timestamp,
 };
+use forelight_quote::JobForecast;
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::database::Write;
 use crate::decode::{corrupt, id, json, time, time_opt, to_json, word};
 use crate::events::{append, event};
-use crate::{JobForecast, Store, StoreError, jobs, leases, progress, replans};
+use crate::{Store, StoreError, jobs, leases, progress, replans};
 
 /// A job that is booked and not done, with what its forecast says.
 #[derive(Clone, PartialEq, Debug)]

@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 
 use forelight_forecast::{Experience, Past, residual};
 use forelight_protocol::{FrameForecast, JobId, Quantiles, Timestamp};
+use forelight_quote::{JobForecast, QuoteBasis, QuoteKind, Spreads};
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::database::Write;
 use crate::decode::{id, whole};
-use crate::{JobForecast, Store, StoreError};
+use crate::{Store, StoreError};
 
 /// Finished jobs that a quote learns from at most, the newest: renderers, scenes and machines change slowly, but they do.
 const WINDOW: u32 = 200;
@@ -18,35 +19,6 @@ const MOST_FRAMES: usize = 100;
 
 /// The number under which all frames together are kept.
 const ALL_FRAMES: i64 = -1;
-
-/// What quotes are compared within: neither may change how far forecasts are off.
-#[derive(Clone, PartialEq, Eq, Debug)]
-pub struct QuoteKind {
-    /// The renderer that measured the profiles, with its version.
-    pub renderer: String,
-    /// [`forelight_protocol::RenderSettings::feature_class`].
-    pub feature_class: String,
-}
-
-/// A quote's own idea of how sure it is: standard deviations of the logarithm, before past jobs corrected its quantiles.
-#[derive(Clone, Copy, PartialEq, Debug)]
-pub struct Spreads {
-    /// Of work.
-    pub work: f64,
-    /// Of CPU time.
-    pub cpu: f64,
-}
-
-/// What a quote has to remember so that it can be learnt from.
-#[derive(Clone, PartialEq, Debug)]
-pub struct QuoteBasis {
-    /// What it is compared within.
-    pub kind: QuoteKind,
-    /// Of all frames together.
-    pub total: Spreads,
-    /// Of each frame, in their order.
-    pub frames: Vec<Spreads>,
-}
 
 impl Store {
     /// The kinds of which jobs are finished, with how many.

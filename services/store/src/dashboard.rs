@@ -6,13 +6,14 @@ use forelight_protocol::{
     Dashboard, DashboardCounts, DashboardJob, DashboardNode, JobId, NodeActivity, NodeId, TaskCounts, TaskId,
     Timestamp,
 };
+use forelight_quote::JobForecast;
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::decode::{id, json_opt, time, whole, whole_opt, word};
 use crate::projection::{Projection, project};
 use crate::schedule::{as_it_is, silent_after};
 use crate::unattended::{Unattended, unattended};
-use crate::{JobForecast, Store, StoreError, bookings, events, jobs, nodes, progress, seeds, track_record};
+use crate::{Store, StoreError, bookings, events, jobs, nodes, progress, seeds, track_record};
 
 /// How much of everything the dashboard shows.
 const JOBS: u32 = 200;

@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 
 use forelight_protocol::{Job, JobId, Money, TaskKind, Timestamp};
+use forelight_quote::JobForecast;
 use sqlx::Row as _;
 use sqlx::sqlite::SqliteRow;
 
 use crate::budgets::{LINES_OF_JOB, line};
 use crate::decode::{id, json_opt, whole, word};
-use crate::{JobForecast, Store, StoreError, jobs, progress};
+use crate::{Store, StoreError, jobs, progress};
 
 /// A job that is booked and not over.
 #[derive(Clone, PartialEq, Debug)]

@@ -17,6 +17,7 @@ use forelight_protocol::{
     Booked, BookedQuantity, Confidence, Event, EventKind, JobId, JobVerdict, LiveFigure, LiveForecast, Money,
     OffForecast, PlanId, Quantiles, SeedProgress, Timestamp,
 };
+use forelight_quote::JobForecast;
 use sqlx::{Row as _, SqliteConnection};
 
 use self::frames::Frames;
@@ -26,7 +27,7 @@ use crate::decode::{id_opt, json_opt, word};
 use crate::events::{append, event};
 use crate::projection::{OpenBooking, project};
 use crate::replans::{self, is_news};
-use crate::{JobForecast, StoreError, bookings, budgets, seeds};
+use crate::{StoreError, bookings, budgets, seeds};
 
 #[cfg(test)]
 pub(crate) use self::frames::FRAMES;

@@ -5,12 +5,13 @@
 
 use forelight_forecast::log_ratio_millionths;
 use forelight_protocol::{Node, RenderStats};
+use forelight_quote::JobForecast;
 use sqlx::Row as _;
 
+use crate::StoreError;
 use crate::database::Write;
 use crate::decode::json_opt;
 use crate::leases::LeaseRow;
-use crate::{JobForecast, StoreError};
 
 /// Learns from a finished frame inside the write that keeps it.
 pub(crate) async fn learn(

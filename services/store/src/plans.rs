@@ -6,6 +6,7 @@ use forelight_protocol::{
     Booking, BookingId, Event, EventKind, FrameForecast, FrameSet, JobId, JobState, JobVerdict, NodeId, Plan,
     PlanId, PlanReason, PlanSummary, Promise, Timestamp, Waits,
 };
+use forelight_quote::{JobForecast, QuoteBasis};
 use serde::{Deserialize, Serialize};
 use sqlx::{Row as _, SqliteConnection};
 
@@ -17,9 +18,7 @@ use crate::events::{append, event, job_state};
 use crate::live::{self, Occasion};
 use crate::replans::{self, Wanted};
 use crate::tasks::Common;
-use crate::{
-    JobForecast, NewSeed, QuoteBasis, Store, StoreError, calibration, forecasts, jobs, nodes, seeds,
-};
+use crate::{NewSeed, Store, StoreError, calibration, forecasts, jobs, nodes, seeds};
 
 /// A plan to be kept.
 #[derive(Clone, PartialEq, Debug)]

@@ -3,9 +3,10 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    ArtifactHash, EventKind, JobId, JobState, LeaseId, Node, NodeId, PreviewResult, ProfileResult,
-    ProfileSpec, RenderResult, TaskId, TaskKind, TaskResult, TaskSpec, Timestamp,
+    ArtifactHash, EventKind, JobId, JobState, LeaseId, Node, NodeId, PreviewResult, ProfileSpec,
+    RenderResult, TaskId, TaskKind, TaskResult, TaskSpec, Timestamp,
 };
+use forelight_quote::MeasuredProfile;
 use sqlx::Row as _;
 
 use crate::database::Write;
@@ -29,17 +30,6 @@ pub struct Committed {
     pub kind: TaskKind,
     /// Where the job stands now.
     pub job_state: JobState,
-}
-
-/// A profile, and the speed of the node that measured it, for work of the profiled classes where the node is calibrated.
-#[derive(Clone, PartialEq, Debug)]
-pub struct MeasuredProfile {
-    /// The profile.
-    pub result: ProfileResult,
-    /// Speed of the node: a CPU second there is this many on a node of speed 1.
-    pub node_speed: f64,
-    /// Camera samples that its pixels were profiled with; the job may be rendered with others.
-    pub spp: u32,
 }
 
 impl Store {
@@ -134,7 +124,7 @@ impl Store {
                     let TaskSpec::Profile(ProfileSpec { settings, .. }) = json(row, "spec")? else {
                         return Err(corrupt("spec", "a profile task is asked for something else".to_owned()));
                     };
-                    profiles.push(MeasuredProfile { result, node_speed, spp: settings.spp });
+                    profiles.push(MeasuredProfile::new(result, node_speed, settings.spp));
                 }
                 Some(other) => {
                     return Err(corrupt("body", format!("a {} result of a profile task", other.kind())));

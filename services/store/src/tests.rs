@@ -11,9 +11,10 @@ use forelight_protocol::{
     RenewRequest, SceneDigest, SceneSummary, Spent, SpentOnForecast, Stratum, StratumName, TaskResult,
     TaskSpec, Timestamp, Verdict,
 };
+use forelight_quote::{JobForecast, QuoteBasis};
 use tempfile::TempDir;
 
-use crate::{Answered, JobForecast, NewBooking, NewJob, NewJobPlan, NewPlan, Store};
+use crate::{Answered, NewBooking, NewJob, NewJobPlan, NewPlan, Store};
 
 mod artifacts;
 mod calibration;
@@ -197,7 +198,7 @@ impl Farm {
         node: NodeId,
         start: Timestamp,
         forecast: &JobForecast,
-        basis: Option<&crate::QuoteBasis>,
+        basis: Option<&QuoteBasis>,
     ) -> JobId {
         let job = self.submit(request).await;
         let preview = self.claim(node, at(0)).await.expect("a preview");

@@ -27,11 +27,12 @@ use crate::render::seconds;
 use crate::renderer::{FrameRenderer, Renderer};
 use crate::shot::ShotError;
 use forelight_forecast::Calibration;
-use forelight_forecast::accuracy::{PixelNoise, front_of_known};
+use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{
     AccuracyDoc, AccuracyRung, CacheMode, Integrator, LadderKind, MissingLadder, Profiled, RenderSettings,
     Spent, SpentOnForecast,
 };
+use forelight_quote::{ladder, mark};
 use forelight_tracer::Pixel;
 use interpolation::Truth;
 use pilot::View;
@@ -83,7 +84,7 @@ pub fn predict(
     let mut missing = Vec::new();
     let mut wanted = Vec::new();
     for kind in LadderKind::ALL {
-        match (kind.rungs(asked), ladders.contains(&kind)) {
+        match (ladder(kind, asked), ladders.contains(&kind)) {
             (Ok(rungs), true) => wanted.push((kind, rungs)),
             (Err(reason), true) => missing.push(MissingLadder { ladder: kind, reason }),
             // What the others are held against.
@@ -98,11 +99,6 @@ pub fn predict(
         prediction.ladder(kind, &rungs)?;
     }
     Ok(prediction.document())
-}
-
-/// Marks the rungs that are worth taking.
-pub fn mark(document: &mut AccuracyDoc) {
-    document.mark(front_of_known(&document.points()));
 }
 
 struct Prediction<'a> {
@@ -326,7 +322,7 @@ mod tests {
     fn only_images_much_larger_than_usual_are_not_looked_at() {
         let of = |width, height| RenderSettingsRequest::default().complete((width, height));
         let left_out = |asked: &RenderSettings| {
-            let rungs = LadderKind::Resolution.rungs(asked).unwrap();
+            let rungs = ladder(LadderKind::Resolution, asked).unwrap();
             rungs.iter().filter_map(|rung| too_large(rung, asked)).collect::<Vec<String>>()
         };
         assert!(left_out(&of(4096, 2160)).is_empty());

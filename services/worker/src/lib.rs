@@ -5,7 +5,6 @@
 //! | `renderer` | the small door behind which the renderer stands |
 //! | `ambient` | our renderer behind it |
 //! | `shot`, `quote` | preview all frames, profile some, estimate all: the way to a quote |
-//! | `explain`, `pixel_costs` | why frames are dear, and where |
 //! | `accuracy` | what accuracy costs in time |
 //! | `allot` | a frame for so many seconds, or of so small an error |
 //! | `noise` | what profiled pixels say of the image's error |
@@ -42,12 +41,10 @@ mod checkpoint;
 mod classes;
 mod client;
 mod execute;
-mod explain;
 mod library;
 mod limits;
 mod noise;
 mod pictures;
-mod pixel_costs;
 mod quote;
 mod refine;
 mod render;

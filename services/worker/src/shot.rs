@@ -25,9 +25,12 @@ pub enum ShotError {
     /// The renderer's part.
     #[error(transparent)]
     Render(#[from] RenderError),
-    /// The statistics' part.
+    /// Pixels cannot be chosen.
     #[error(transparent)]
     Forecast(#[from] forelight_forecast::ForecastError),
+    /// There is no quote.
+    #[error(transparent)]
+    Quote(#[from] forelight_quote::QuoteError),
     /// It was told to stop.
     #[error("stopped")]
     Cancelled,
@@ -143,6 +146,8 @@ pub struct ProfiledFrame {
     /// Stratum (of those that the strategy distinguishes) and cost of each profiled pixel, in the order of `traced`; the times are those that it would have taken
     /// in a render (see `warm_clock`).
     pub observations: Vec<Observation>,
+    /// What each of the observed pixels shows, in the numbers of [`forecast_strata`].
+    pub shown: Vec<u32>,
     /// How they stand for all pixels.
     pub expansion: Expansion,
     /// The profiled pixels, then neighbours that were traced for their time.
@@ -184,11 +189,6 @@ impl ProfiledFrame {
         let gathered = self.records.iter().map(|record| spent(record.cost));
         let cache = gathered.fold(self.fixed.plan, Spent::plus);
         self.setup.plus(self.preview).plus(self.pixels).plus(cache)
-    }
-
-    /// Work of setting the frame up and tracing its pixels: all of it but what is done for its irradiance cache.
-    pub fn work_on_pixels(&self) -> u64 {
-        self.setup.plus(self.preview).plus(self.pixels).work
     }
 
     /// The part of it that a render does not get back. Without an irradiance cache the traced pixels are finished pixels. With one
@@ -252,6 +252,7 @@ pub(crate) fn profile_ready(
     let mut observations = Vec::with_capacity(samples as usize);
     let mut finished = Vec::with_capacity(samples as usize);
     let mut sampled = Vec::with_capacity(samples as usize);
+    let mut shown = Vec::with_capacity(samples as usize);
     let stop = || observer.is_cancelled();
     let trace = |pixels: &[u32]| ready.trace_unless(pixels, &stop).ok_or(ShotError::Cancelled);
     let mut observe = |picks: &[forelight_forecast::Pick], observations: &mut Vec<Observation>| {
@@ -260,6 +261,7 @@ pub(crate) fn profile_ready(
             observations.push(Observation { stratum: pick.stratum, cost: cost_of(&pixel) });
             finished.push((pick.pixel, pixel));
             sampled.push((pick.pixel, noise));
+            shown.push(ids[pick.pixel as usize]);
         }
         Ok::<(), ShotError>(())
     };
@@ -302,6 +304,7 @@ pub(crate) fn profile_ready(
             work_of_records(&ready.cache_records(), &records),
         ),
         observations,
+        shown,
         expansion: design.expansion().clone(),
         records,
         fixed: ready.fixed(),

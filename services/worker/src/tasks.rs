@@ -16,12 +16,14 @@ use crate::shot::{
 };
 use crate::shot_cache::{cache_sample, profile_shared};
 use bytes::Bytes;
+use forelight_forecast::Observation;
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{
     AccuracyDoc, ArtifactHash, FrameStrata, LadderKind, LogLevel, NoiseCell, NoiseSample, PreviewResult,
     PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, RenderSettings, Spent,
     SpentOnForecast, Stratum, TaskResult, TaskSpec,
 };
+use forelight_quote::{is_own, without_ladders};
 use forelight_tracer::Pixel;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -152,7 +154,7 @@ fn ladders(
 ) -> Result<AccuracyDoc, ExecuteError> {
     // Of resolutions that the profile can price, the error is that of what was asked for.
     let told =
-        |kind: LadderKind| kind.is_own(&spec.settings) && (knows_error || kind == LadderKind::Resolution);
+        |kind: LadderKind| is_own(kind, &spec.settings) && (knows_error || kind == LadderKind::Resolution);
     let wanted: Vec<LadderKind> = LadderKind::ALL.into_iter().filter(|kind| !told(*kind)).collect();
     let options = AccuracyOptions { samples: spec.samples, seed: spec.phase_seed };
     let reporting = Reporting { control, from: WITHOUT_LADDERS, to: 1.0 };
@@ -164,7 +166,7 @@ fn ladders(
         Err(ShotError::Cancelled) => Err(ExecuteError::Cancelled),
         Err(error) => {
             control.log(LogLevel::Warn, format!("no ladders of qualities: {error}"));
-            Ok(AccuracyDoc::missing(spec.frame, &spec.settings, &error.to_string()))
+            Ok(without_ladders(spec.frame, &spec.settings, &error.to_string()))
         }
     }
 }
@@ -176,13 +178,13 @@ pub fn profile_result(
     profiled: &ProfiledFrame,
     artifacts: ProfileArtifacts,
 ) -> ProfileResult {
-    let sampled = profiled.observations.iter().map(|observation| observation.stratum as usize);
+    let sampled = profiled.shown.iter().map(|&stratum| stratum as usize);
     let shown = Shown::new(info, settings, sampled.filter(|&stratum| stratum < info.strata.len()));
-    let sample = |(&(index, pixel), observation): (&(u32, Pixel), &forelight_forecast::Observation)| {
+    let sample = |((&(index, pixel), observation), &stratum): ((&(u32, Pixel), &Observation), &u32)| {
         let cost = observation.cost;
         ProfileSample {
             pixel: index,
-            stratum: shown.place(observation.stratum as usize),
+            stratum: shown.place(stratum as usize),
             work: cost.work,
             extra_work: pixel.extra_work,
             work_by_ray: pixel.work_by_ray,
@@ -191,7 +193,8 @@ pub fn profile_result(
         }
     };
     // The pixels after the observed ones are neighbours that were traced for their time alone.
-    let samples = profiled.traced.iter().zip(&profiled.observations).map(sample).collect();
+    let samples =
+        profiled.traced.iter().zip(&profiled.observations).zip(&profiled.shown).map(sample).collect();
     ProfileResult {
         frame: profiled.frame,
         samples,
@@ -264,6 +267,11 @@ impl Shown {
     }
 }
 
+/// The name of an artefact with this content.
+pub(crate) fn artifact_name(content: &[u8]) -> ArtifactHash {
+    ArtifactHash(*blake3::hash(content).as_bytes())
+}
+
 /// Files to be uploaded, named by their hash.
 #[derive(Default)]
 pub(crate) struct Files {
@@ -272,7 +280,7 @@ pub(crate) struct Files {
 
 impl Files {
     pub(crate) fn add(&mut self, content: Vec<u8>) -> ArtifactHash {
-        let hash = ArtifactHash(*blake3::hash(&content).as_bytes());
+        let hash = artifact_name(&content);
         self.contents.push(content.into());
         hash
     }
@@ -336,6 +344,7 @@ impl From<ShotError> for ExecuteError {
         match error {
             ShotError::Render(error) => error.into(),
             ShotError::Forecast(error) => Self::Permanent(error.to_string()),
+            ShotError::Quote(error) => Self::Permanent(error.to_string()),
             ShotError::Cancelled => Self::Cancelled,
         }
     }

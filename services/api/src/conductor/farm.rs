@@ -7,9 +7,10 @@ use forelight_planner::{self as planner, FixedBooking, Interval};
 use forelight_protocol::{
     CacheQuote, Confidence, Job, JobId, Money, Node, NodeId, PlanId, Quantiles, Timestamp,
 };
+use forelight_quote::JobForecast;
 use forelight_store::{
-    FarmJob, HALF_LIFE, JobForecast, LOST, Opening, ProjectUse, Projected, Projection, Store, StoreError,
-    Wanted, free_time_of, is_news, opening, project, silence,
+    FarmJob, HALF_LIFE, LOST, Opening, ProjectUse, Projected, Projection, Store, StoreError, Wanted,
+    free_time_of, is_news, opening, project, silence,
 };
 
 /// Nodes that a plan looks at.

@@ -4,9 +4,8 @@ use forelight_protocol::{
     Booking, BookingId, ByClass, ForecastTotals, FrameSet, Job, JobId, NodeId, PlanId, Profiled, Quantiles,
     RenderSettingsRequest, SceneDigest, SceneSummary, SeedBooking, SpentOnForecast,
 };
-use forelight_store::{
-    FarmFrame, FarmJob, Holder, JobForecast, OpenBooking, OpenJob, OpenSeed, Wanted, project,
-};
+use forelight_quote::JobForecast;
+use forelight_store::{FarmFrame, FarmJob, Holder, OpenBooking, OpenJob, OpenSeed, Wanted, project};
 use serde_json::json;
 use uuid::Uuid;
 

@@ -16,7 +16,7 @@ use utoipa::IntoParams;
 use crate::conductor::answers::{Question, answers, curve_svg};
 use crate::conductor::farm::{Farm, Snapshot};
 use crate::conductor::job_profile::JobProfile;
-use crate::conductor::{AdvanceError, accuracy, compute};
+use crate::conductor::{AdvanceError, compute};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
 use crate::openapi::FileContent;
@@ -153,7 +153,7 @@ fn refused(error: AdvanceError) -> ApiError {
 /// Other qualities of a job, as far as its profile knows any.
 async fn rungs(app: &App, job: &Job) -> ApiResult<Vec<AccuracyRung>> {
     let Some(measured) = JobProfile::read(&app.store, job).await? else { return Ok(Vec::new()) };
-    match accuracy::accuracy(job.settings.clone(), measured).await {
+    match measured.qualities().await {
         Ok(document) => Ok(document.rungs),
         Err(AdvanceError::Store(error)) => Err(error.into()),
         // The profile says nothing of other qualities: then there are none to be offered.

@@ -13,8 +13,6 @@ use forelight_protocol::{
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use crate::conductor::accuracy::accuracy;
-use crate::conductor::explain::explanation;
 use crate::conductor::job_profile::JobProfile;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
@@ -53,7 +51,7 @@ pub(crate) async fn accuracy_of_job(
 ) -> ApiResult<Json<AccuracyDoc>> {
     let job = app.store.job(id).await?;
     let measured = profile(&app, &job).await?;
-    match accuracy(job.settings, measured).await {
+    match measured.qualities().await {
         Ok(document) => Ok(Json(document)),
         Err(reason) => {
             Err(ApiError::new(ProblemKind::Conflict, format!("the profile says nothing: {reason}")))
@@ -87,7 +85,7 @@ pub(crate) async fn explanation_of_job(
         return Err(ApiError::new(ProblemKind::NotFound, format!("the job has no frame {frame}")));
     }
     let measured = profile(&app, &job).await?;
-    match explanation(job.settings, measured, frame).await {
+    match measured.explanation(frame).await {
         Ok(document) => Ok(Json(document)),
         Err(reason) => {
             Err(ApiError::new(ProblemKind::Conflict, format!("the profile says nothing: {reason}")))

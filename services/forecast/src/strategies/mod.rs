@@ -158,6 +158,15 @@ impl Strategy {
         }
     }
 
+    /// For each stratum that a preview can show, its place in [`Strategy::strata`].
+    pub fn places(self, strata: &[Stratum]) -> Vec<u32> {
+        match self {
+            Strategy::PaperSnapshot | Strategy::Snapshot => (0..strata.len() as u32).collect(),
+            Strategy::Systematic => systematic::classes(strata).1,
+            _ => vec![0; strata.len()],
+        }
+    }
+
     /// Pixels of what it distinguishes, from the pixels of all strata.
     pub fn counts(self, strata: &[Stratum], counts: &[u32]) -> Vec<u32> {
         match self {

@@ -3,7 +3,7 @@
 use super::{AccuracyObserver, AccuracyOptions};
 use crate::ambient::uncovered_gathers;
 use crate::noise::{FrameNoise, Zones, noise_strata};
-use crate::quote::{QuoteOptions, quantiles};
+use crate::quote::QuoteOptions;
 use crate::renderer::{FrameRenderer, RenderError, Renderer};
 use crate::shot::{Observer, ShotError, cost_of_record, forecast_strata, profile_ready, record_prior_cost};
 use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise};
@@ -13,6 +13,7 @@ use forelight_forecast::{
 };
 use forelight_preview::Preview;
 use forelight_protocol::{FixedCosts, ImageError, Quantiles, RenderSettings, Spent};
+use forelight_quote::quantiles;
 use forelight_tracer::{Pixel, RecordCost};
 use std::collections::BTreeMap;
 

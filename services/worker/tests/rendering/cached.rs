@@ -107,7 +107,7 @@ fn a_camera_sample_more_costs_what_the_explanation_says_of_it() {
         let at = |spp| RenderSettings { spp, ..rig.settings.clone() };
         let options = QuoteOptions { samples: 32 * 24, ..QuoteOptions::default() };
         let quoted = quote(&shot, &[0], &at(spp), &options, &Nobody).unwrap();
-        let explained = quoted.explained(&shot.info().strata, &at(spp));
+        let explained = quoted.measured().explain(&at(spp), None).unwrap();
         let work = |spp| {
             let cancel = AtomicBool::new(false);
             let given = Given::default();

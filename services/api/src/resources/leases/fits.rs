@@ -362,7 +362,7 @@ fn ladders(pointer: &str, spec: &ProfileSpec, document: &AccuracyDoc) -> ApiResu
     if document.settings != spec.settings {
         return wrong(format!("{pointer}/settings"), "they are not those of the task");
     }
-    let ladder = |kind: LadderKind| kind.rungs(&spec.settings).unwrap_or_default();
+    let ladder = |kind: LadderKind| forelight_quote::ladder(kind, &spec.settings).unwrap_or_default();
     let all = LadderKind::ALL.map(|kind| (kind, ladder(kind)));
     let mut seen = BTreeSet::new();
     for (i, rung) in document.rungs.iter().enumerate() {

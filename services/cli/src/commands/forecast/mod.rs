@@ -131,7 +131,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let mut quoted = watcher.quote(&local, &args.bundle, &frames, &settings, &options)?;
     let asker =
         sharing::Asker { local: &local, bundle: &args.bundle, settings: &settings, bars: &bars, interrupt };
-    if let Some(document) = asker.quote(args.cache_sharing, &frames, &quoted, &options)? {
+    if let Some(document) = asker.quote(args.cache_sharing, &frames, &quoted)? {
         quoted.document = document;
     }
     if let Some((name, other)) = other {
@@ -141,7 +141,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     if let Some(folder) = &args.save_profile {
         save_profiles(&quoted, folder)?;
     }
-    let explained = args.explain.then(|| quoted.explained(&local.shot.info().strata, &settings));
+    let explain = || quoted.measured().explain(&settings, None);
+    let explained = args.explain.then(explain).transpose()?;
     if args.json {
         output::json(&Explained { quote: &quoted.document, explanation: explained.as_ref() })?;
     } else {

@@ -5,16 +5,11 @@ use crate::interrupt::Interrupt;
 use crate::local::Local;
 use crate::options::{CacheSwitch, QualityOptions, Sharing};
 use crate::output::Bars;
-use anyhow::{Context, Result, anyhow};
-use forelight_api::{Measured, is_shared_cache_worth_planning, quote_alone};
+use anyhow::{Context, Result};
 use forelight_forecast::Strategy;
-use forelight_protocol::{
-    ArtifactHash, CachePlanResult, ForecastDoc, ProfileArtifacts, ProfileResult, QuotedShot, RenderSettings,
-};
-use forelight_worker::{
-    Quote, QuoteOptions, RenderError, Renderer, SharedPlan, plan_shared, preview_result, profile_result,
-    profile_shared,
-};
+use forelight_protocol::{ForecastDoc, RenderSettings};
+use forelight_quote::is_shared_cache_worth_planning;
+use forelight_worker::{Quote, SharedPlan, plan_shared};
 use std::path::Path;
 
 /// Whether the question can be asked of quotes that are made like this.
@@ -37,7 +32,7 @@ pub fn check(sharing: Sharing, strategy: Strategy, quality: &QualityOptions) -> 
     Err(BadInput::new(reason).hint("leave --strategy away, or ask for --cache-sharing private"))
 }
 
-/// A quote's shot, and who waits for it.
+/// Plans a shared cache for a quote, with progress on the terminal.
 pub struct Asker<'a> {
     pub local: &'a Local,
     pub bundle: &'a Path,
@@ -47,32 +42,19 @@ pub struct Asker<'a> {
 }
 
 impl Asker<'_> {
-    /// The quote as a farm would make it, of a job that asks for this. Nothing if there is no question: every frame makes its own then, as was quoted.
-    pub fn quote(
-        &self,
-        sharing: Sharing,
-        frames: &[u32],
-        quoted: &Quote,
-        options: &QuoteOptions,
-    ) -> Result<Option<ForecastDoc>> {
+    /// The quote with the irradiance caches built as asked. `None` for private caches: that quote is there already.
+    pub fn quote(&self, sharing: Sharing, frames: &[u32], quoted: &Quote) -> Result<Option<ForecastDoc>> {
         if sharing == Sharing::Private {
             return Ok(None);
         }
-        let info = self.local.shot.info();
-        let preview = preview_result(info, frames, self.settings, &quoted.counted);
         let asked = sharing.into();
-        let planned = match is_shared_cache_worth_planning(asked, &preview) {
+        let planned = match is_shared_cache_worth_planning(asked, quoted.preview()) {
             true => Some(self.plan(frames)?),
             false => None,
         };
-        let profiles = self.local.pool.install(|| self.profiles(quoted, options, planned.as_ref()));
-        let profiles = profiles.with_context(|| format!("bundle {}", self.bundle.display()))?;
-        let name = |bytes: Vec<u8>| ArtifactHash(*blake3::hash(&bytes).as_bytes());
-        let cache: Option<CachePlanResult> = planned.map(|plan| plan.result(name));
-        let measured = Measured { preview, profiles, cache };
-        let of = QuotedShot { scene: info.summary.digest, settings: self.settings.clone() };
-        let document = quote_alone(asked, of, measured, options.corrections.as_ref());
-        document.map(Some).map_err(|reason| anyhow!(reason))
+        let quote = || quoted.with_sharing(&self.local.shot, self.settings, asked, planned);
+        let document = self.local.pool.install(quote);
+        document.map(Some).with_context(|| format!("bundle {}", self.bundle.display()))
     }
 
     fn plan(&self, frames: &[u32]) -> Result<SharedPlan> {
@@ -85,27 +67,6 @@ impl Asker<'_> {
         let planned = planned.with_context(|| format!("bundle {}", self.bundle.display()))?;
         planned.ok_or_else(|| Interrupted.into())
     }
-
-    /// What the profiled frames took, beside the shared cache as well.
-    fn profiles(
-        &self,
-        quoted: &Quote,
-        options: &QuoteOptions,
-        planned: Option<&SharedPlan>,
-    ) -> Result<Vec<ProfileResult>, RenderError> {
-        // Nothing is kept here.
-        let artifacts = ProfileArtifacts { profile: ArtifactHash([0; 32]), preview_png: None };
-        let mut profiles = Vec::with_capacity(quoted.profiled.len());
-        for profiled in &quoted.profiled {
-            let mut result = profile_result(self.local.shot.info(), self.settings, profiled, artifacts);
-            if let Some(plan) = planned {
-                profile_shared(&self.local.shot, profiled, self.settings, options, plan.cache.clone())?
-                    .add_to(&mut result);
-            }
-            profiles.push(result);
-        }
-        Ok(profiles)
-    }
 }
 
 #[cfg(test)]
@@ -113,6 +74,7 @@ mod tests {
     use super::*;
     use crate::commands::forecast::{Args, Watcher, run};
     use crate::options::parsed;
+    use forelight_worker::QuoteOptions;
 
     #[test]
     fn both_ways_are_priced_as_a_farm_would_and_the_cheaper_one_is_quoted() {
@@ -137,16 +99,16 @@ mod tests {
             bars: &bars,
             interrupt: &interrupt,
         };
-        let ask = |sharing, options: &QuoteOptions| asker.quote(sharing, &frames, &quoted, options);
-        assert!(ask(Sharing::Private, &options).unwrap().is_none());
-        let document = ask(Sharing::Auto, &options).unwrap().unwrap();
+        let ask = |sharing| asker.quote(sharing, &frames, &quoted);
+        assert!(ask(Sharing::Private).unwrap().is_none());
+        let document = ask(Sharing::Auto).unwrap().unwrap();
         let cache = document.cache.as_ref().unwrap();
         let shared = cache.shared_price.unwrap();
         assert_eq!(cache.shared, shared.work < cache.private_price.work, "{}", cache.reason);
         assert_eq!(cache.shared, cache.seed.is_some());
         assert!((cache.private_price.work / quoted.document.total.work.mean - 1.0).abs() < 1e-9);
         assert!(document.spent.work > quoted.document.spent.work, "planning for all took something");
-        let forced = ask(Sharing::Shared, &options).unwrap().unwrap().cache.unwrap();
+        let forced = ask(Sharing::Shared).unwrap().unwrap().cache.unwrap();
         assert_eq!((forced.shared, forced.shared_price.unwrap().work), (true, shared.work));
 
         let refused = run(&args(&["--cache-sharing", "auto", "--strategy", "jittered"]), &interrupt);

@@ -13,7 +13,8 @@ use forelight_protocol::{
     Verdict,
 };
 use forelight_protocol::{Confidence, ForecastTotals, SpentOnForecast};
-use forelight_store::{Answered, JobForecast, NewBooking, NewJob, NewJobPlan, NewPlan, Store};
+use forelight_quote::JobForecast;
+use forelight_store::{Answered, NewBooking, NewJob, NewJobPlan, NewPlan, Store};
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;

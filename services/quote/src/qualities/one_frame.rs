@@ -1,37 +1,39 @@
-//! What the ladders of one frame say of all frames of its job.
+//! Ladders that were profiled in one frame of a job, brought to all of its frames.
 //!
-//! The settings that were asked for are priced twice: for the job, by all its profiles, and for the frame, as a rung. What another rung of the
-//! frame takes, and errs, beside that is brought to the job as a ratio (ratio estimator: Cochran, *Sampling Techniques*, 3rd edition
-//! 1977, section 6.2): the speed of the node that measured it falls out, and so does most of what sets the frame apart from the others.
-//! The three are taken as independent: relative distances of quantiles from their medians add up as squares. The frame's two rest in part on the
-//! same pixels, so that what their ratio errs is rather less; how much ratios differ between the job's frames is in no interval.
-//! What was asked for is what the job's profiles say of it.
+//! The settings that were asked for are priced twice: for the job, by all of its profiles, and for the frame, as a rung.
+//! The ratio of another rung to that one, in the frame, is applied to the job (ratio estimator: Cochran, *Sampling
+//! Techniques*, 3rd edition 1977, section 6.2). The speed of the node cancels, and so does most of what sets the frame
+//! apart from the others.
+//!
+//! The three uncertainties are taken as independent: relative distances of quantiles from their medians add up as
+//! squares. The two of the frame rest partly on the same pixels, so the true error of their ratio is smaller. How much
+//! ratios differ between frames is in no interval. For the settings that were asked for, the job's profiles are used.
 
 use forelight_protocol::{AccuracyDoc, AccuracyRung, ImageError, LadderKind, Quantiles, RenderSettings};
 
-/// What is held against others is at least this: operations, seconds or shares.
+/// Smaller amounts (operations, seconds or shares) are too small for a ratio.
 const LEAST: f64 = 1e-12;
 
-/// No quantile lies so many medians from its median.
+/// Quantiles lie at most this many medians from their median.
 const WIDEST: f64 = 1e12;
 
-/// The ladders of a frame, beside what is known of the job as it was asked for.
+/// The ladders of a frame, and what is known of the job with the settings that were asked for.
 pub(super) struct OneFrame<'a> {
     ladders: &'a AccuracyDoc,
     asked: &'a AccuracyRung,
     job: Job,
 }
 
-/// A job as it was asked for.
+/// A job with the settings that were asked for.
 pub(super) struct Job {
     pub work: Quantiles,
     pub cpu_seconds: Quantiles,
-    /// Unknown where its profiles cannot tell.
+    /// `None` where its profiles do not tell.
     pub error: Option<ImageError>,
 }
 
 impl<'a> OneFrame<'a> {
-    /// Nothing if the ladders do not price what was asked for, or next to nothing: there is nothing to hold the others against.
+    /// `None` if the ladders have no price for the settings that were asked for, or one that is too small.
     pub fn new(ladders: &'a AccuracyDoc, job: Job) -> Option<Self> {
         let asked = ladders.rungs.iter().find(|rung| rung.settings == ladders.settings)?;
         let prices = [asked.work.mean, asked.work.p50, asked.cpu_seconds.mean, asked.cpu_seconds.p50];
@@ -58,7 +60,7 @@ impl<'a> OneFrame<'a> {
         })
     }
 
-    /// The error of a rung that the frame may not have: in another resolution, as of the pixels that were asked for, each of which errs as it does.
+    /// The error of a rung. In another resolution each pixel has the error of the pixels that were asked for.
     pub fn error_like(&self, kind: LadderKind, settings: &RenderSettings) -> Option<ImageError> {
         let own = || self.of(kind).find(|rung| rung.settings == *settings);
         self.error(if kind == LadderKind::Resolution { self.asked } else { own()? })
@@ -72,7 +74,7 @@ impl<'a> OneFrame<'a> {
         rung.settings == self.ladders.settings
     }
 
-    /// Of the frame itself, where the error of the job is not known as it was asked for.
+    /// The error of a rung for the job; that of the frame where the job's error is not known.
     fn error(&self, rung: &AccuracyRung) -> Option<ImageError> {
         let own = rung.error?;
         match (self.asked.error, self.job.error) {
@@ -118,6 +120,7 @@ fn spread(relative: [f64; 3]) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::ladder::{ladder, without_ladders};
     use super::*;
     use forelight_protocol::RenderSettingsRequest;
 
@@ -147,9 +150,8 @@ mod tests {
             RenderSettingsRequest { spp: Some(4), ..RenderSettingsRequest::default() }.complete((8, 8));
         let error = |p50| ImageError { p05: 0.8 * p50, p50, p80: 1.1 * p50, p95: 1.3 * p50 };
         let price = quantiles(11.0, 10.0, 12.0, 14.0);
-        let mut document = AccuracyDoc::missing(0, &settings, "");
-        document.rungs = LadderKind::Divisions
-            .rungs(&settings)
+        let mut document = without_ladders(0, &settings, "");
+        document.rungs = ladder(LadderKind::Divisions, &settings)
             .unwrap()
             .into_iter()
             .map(|settings| AccuracyRung {

@@ -1,39 +1,32 @@
-//! Both ways of making irradiance caches, forecast and then done.
+//! Both ways of building irradiance caches, quoted and then rendered.
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-use forelight_forecast::LEAST_JOBS;
-use forelight_protocol::{Explanation, ProfileArtifacts, RenderSettingsRequest, RenderStats};
+use forelight_forecast::{Corrections, LEAST_JOBS};
+use forelight_protocol::{
+    ArtifactHash, CACHE_BYTES, CacheMode, CachePlanResult, CacheSharing, Explanation, RenderSettings,
+    RenderSettingsRequest, RenderStats,
+};
+use forelight_quote::{
+    Measured, MeasuredProfile, SharedCache, SharedCacheToBuild, is_shared_cache_worth_planning, quote,
+};
 use forelight_tracer::Cache;
 use forelight_worker::{
-    Ambient, AmbientShot, Given, Observer, QuoteOptions, fill_part, plan_shared, preview_result,
-    profile_result, profile_shared, render_frame,
+    Ambient, AmbientShot, Given, Quote, QuoteOptions, fill_part, plan_shared, profile_shared, render_frame,
 };
 
-use super::super::accuracy::ladders;
-use super::super::explain::explained;
-use super::*;
+use super::room::Nobody;
 
-/// An observer that looks away.
-struct Nobody;
-
-impl Observer for Nobody {
-    fn previewed(&self, _: usize, _: usize) {}
-    fn profiled(&self, _: usize, _: usize) {}
-    fn is_cancelled(&self) -> bool {
-        false
-    }
-}
-
-/// What a job of a shipped scene is quoted by, and done with.
+/// A shot of a shipped scene, and what its quotes rest on.
 struct Case {
     shot: AmbientShot,
     frames: Vec<u32>,
     settings: RenderSettings,
-    preview: PreviewResult,
+    quoted: Quote,
+    /// Measured beside the shared cache too.
     profiles: Vec<MeasuredProfile>,
-    planned: PlannedCache,
+    plan: Option<CachePlanResult>,
     cache: Cache,
 }
 
@@ -56,38 +49,41 @@ impl Case {
         let options =
             QuoteOptions { samples: 200, profile_frames: Some(3), seed: 3, ..QuoteOptions::default() };
         let quoted = forelight_worker::quote(&shot, frames, &settings, &options, &Nobody).unwrap();
-        let info = forelight_worker::Renderer::info(&shot);
-        let preview = preview_result(info, frames, &settings, &quoted.counted);
-        let artifacts = ProfileArtifacts { profile: ArtifactHash([0; 32]), preview_png: None };
         let never = AtomicBool::new(false);
         let plan = plan_shared(&shot, frames, &settings, &|_| (), &never).unwrap().expect("a cache");
-        let measured = |profiled| {
-            let mut result = profile_result(info, &settings, profiled, artifacts);
+        let mut profiles = quoted.measured().profiles.to_vec();
+        for (profile, profiled) in profiles.iter_mut().zip(&quoted.profiled) {
             let beside = profile_shared(&shot, profiled, &settings, &options, plan.cache.clone());
-            beside.unwrap().add_to(&mut result);
-            MeasuredProfile { result, node_speed: 1.0, spp: settings.spp }
-        };
-        let profiles = quoted.profiled.iter().map(measured).collect();
-        let planned = PlannedCache::There {
-            plan: Box::new(plan.clone().result(|_| ArtifactHash([1; 32]))),
-            node_speed: 1.0,
-        };
-        Self { shot, frames: frames.to_vec(), settings, preview, profiles, planned, cache: plan.cache }
+            beside.unwrap().add_to(&mut profile.result);
+        }
+        let cache = plan.cache.clone();
+        let plan = Some(plan.result(|_| ArtifactHash([1; 32])));
+        Self { shot, frames: frames.to_vec(), settings, quoted, profiles, plan, cache }
     }
 
-    fn quote(&self, asked: CacheSharing) -> Forecast {
-        quote(asked, &self.settings, &self.preview, &self.profiles, &self.planned, None).unwrap()
+    fn measured(&self) -> Measured<'_> {
+        let shared = self.plan.as_ref().map(|plan| SharedCache { plan, node_speed: 1.0 });
+        Measured { profiles: &self.profiles, shared, ..self.quoted.measured() }
     }
 
-    /// What frames take for indirect light, and for planning it, as the quote's explanation has it and as it was.
-    fn hold_explanation_against(&self, shared: bool, actual: &[RenderStats]) {
-        let PlannedCache::There { plan, node_speed } = &self.planned else { panic!("no plan") };
-        let way = shared.then_some(SharedWay { plan, node_speed: *node_speed });
-        let explained = |frame| {
-            explained(&self.settings, &self.preview, &self.profiles, way.as_ref(), frame)
-                .expect("an explanation")
-        };
-        let hold = |explanation: Explanation, stats: &[RenderStats], most: f64| {
+    fn quote(&self, asked: CacheSharing) -> forelight_quote::Quote {
+        self.corrected(asked, None)
+    }
+
+    fn corrected(&self, asked: CacheSharing, corrections: Option<&Corrections>) -> forelight_quote::Quote {
+        quote(asked, &self.settings, &self.measured(), corrections).unwrap()
+    }
+
+    /// The measurements with the shared cache, or without it.
+    fn way(&self, shared: bool) -> Measured<'_> {
+        let measured = self.measured();
+        measured.with_cache(measured.shared.filter(|_| shared))
+    }
+
+    /// Compares the explanation of indirect light, and of planning it, with what the frames cost.
+    fn compare_explanation(&self, shared: bool, actual: &[RenderStats]) {
+        let explained = |frame| self.way(shared).explain(&self.settings, frame).expect("an explanation");
+        let compare = |explanation: Explanation, stats: &[RenderStats], most: f64| {
             let ambient =
                 explanation.rays.iter().find(|ray| ray.category == "ambient").and_then(|ray| ray.work);
             let planning = explanation.parts.iter().find(|part| part.part.starts_with("planning"));
@@ -102,9 +98,9 @@ impl Case {
             assert!(error.abs() < most, "{taken} for ambient rays: {error}");
             assert!((planning.map_or(0.0, |part| part.work) - planned as f64).abs() < 0.1 * taken as f64);
         };
-        hold(explained(None), actual, 0.1);
+        compare(explained(None), actual, 0.1);
         for stats in actual {
-            hold(explained(Some(stats.frame)), std::slice::from_ref(stats), 0.25);
+            compare(explained(Some(stats.frame)), std::slice::from_ref(stats), 0.25);
         }
     }
 
@@ -144,7 +140,7 @@ fn what_is_quoted_for_either_way_is_what_it_takes_and_the_way_that_takes_less_is
                 (asked == CacheSharing::Shared, "the job asks for it")
             );
             let given = said.shared.then_some(&cache);
-            assert_eq!((quoted.seed.is_some(), said.seed.is_some()), (said.shared, said.shared));
+            assert_eq!((quoted.shared_cache.is_some(), said.seed.is_some()), (said.shared, said.shared));
             let actual = case.render(given);
             for (forecast, stats) in quoted.frames.iter().zip(&actual) {
                 let error = off(forecast.work.mean, stats.work);
@@ -162,10 +158,10 @@ fn what_is_quoted_for_either_way_is_what_it_takes_and_the_way_that_takes_less_is
             let frames_work: u64 = actual.iter().map(|stats| stats.work).sum();
             let error = off(quoted.job.total.work.mean, frames_work);
             assert!(error.abs() < 0.08, "{scene}, {asked:?}, all frames: {error}");
-            case.hold_explanation_against(said.shared, &actual);
+            case.compare_explanation(said.shared, &actual);
             let price = if said.shared { said.shared_price.unwrap() } else { said.private_price };
             taken[usize::from(said.shared)] = frames_work;
-            if let (Some(seed), PlannedCache::There { plan, .. }) = (&said.seed, &case.planned) {
+            if let (Some(seed), Some(plan)) = (&said.seed, &case.plan) {
                 let error = off(seed.work.mean, fill_work);
                 println!("{scene} seed: {:+.1} %", 100.0 * error);
                 assert!(error.abs() < 0.12, "{scene}, the seed: {error}");
@@ -202,8 +198,7 @@ fn other_camera_samples_are_priced_beside_the_shared_cache_where_there_is_one() 
     let finer = Case::with_samples("corridor", &[0, 8, 16], 1, 16);
     for asked in [CacheSharing::Private, CacheSharing::Shared] {
         let shared = asked == CacheSharing::Shared;
-        let way = SharedWay::of(&case.planned).filter(|_| shared);
-        let ladder = ladders(&case.settings, &case.preview, &case.profiles, way.as_ref()).unwrap();
+        let ladder = case.way(shared).qualities(&case.settings).unwrap();
         let of = |spp: u32| ladder.rungs.iter().find(|rung| rung.settings.spp == spp).unwrap();
         assert_eq!((of(4).asked_for, of(4).work), (true, case.quote(asked).job.total.work));
         let (cache, _) = finer.filled();
@@ -215,41 +210,40 @@ fn other_camera_samples_are_priced_beside_the_shared_cache_where_there_is_one() 
 }
 
 #[test]
-fn without_a_plan_or_with_one_that_is_too_large_frames_make_their_own_and_the_quote_says_why() {
+fn without_a_plan_or_with_one_that_is_too_large_frames_build_their_own_and_the_quote_says_why() {
     let mut case = Case::new("corridor", &[0], 1);
-    assert!(!is_worth_planning(CacheSharing::Auto, &case.preview), "one frame shares with none");
-    assert!(is_worth_planning(CacheSharing::Shared, &case.preview));
-    case.planned = PlannedCache::NotAsked;
+    assert!(
+        !is_shared_cache_worth_planning(CacheSharing::Auto, case.quoted.preview()),
+        "one frame shares with none"
+    );
+    assert!(is_shared_cache_worth_planning(CacheSharing::Shared, case.quoted.preview()));
+    case.plan = None;
     let quoted = case.quote(CacheSharing::Auto);
-    assert_eq!(quoted.job.cache.unwrap().reason, "there is but one frame");
-    case.planned = PlannedCache::There {
-        plan: Box::new(CachePlanResult {
-            cache: None,
-            bytes: CACHE_BYTES + 1,
-            records: vec![1],
-            frames: Vec::new(),
-            spent: Default::default(),
-        }),
-        node_speed: 1.0,
-    };
+    assert_eq!(quoted.job.cache.unwrap().reason, "there is only one frame");
+    case.plan = Some(CachePlanResult {
+        cache: None,
+        bytes: CACHE_BYTES + 1,
+        records: vec![1],
+        frames: Vec::new(),
+        spent: Default::default(),
+    });
     let quoted = case.quote(CacheSharing::Auto).job.cache.unwrap();
     assert!(!quoted.shared && quoted.reason.contains(&(CACHE_BYTES + 1).to_string()), "{}", quoted.reason);
-    let forced =
-        quote(CacheSharing::Shared, &case.settings, &case.preview, &case.profiles, &case.planned, None);
+    let forced = quote(CacheSharing::Shared, &case.settings, &case.measured(), None);
     assert!(forced.unwrap_err().to_string().contains("asks for a shared irradiance cache"));
     let off = RenderSettings { cache: CacheMode::Off, ..case.settings.clone() };
-    let quoted = quote(CacheSharing::Auto, &off, &case.preview, &case.profiles, &case.planned, None).unwrap();
+    let quoted = quote(CacheSharing::Auto, &off, &case.measured(), None).unwrap();
     assert_eq!(quoted.job.cache, None);
 }
 
 #[test]
 fn a_cache_has_a_part_for_each_node_as_long_as_parts_are_worth_it() {
-    let plan = |records, bytes| SeedPlan { cache: ArtifactHash([0; 32]), bytes, records };
+    let plan = |records, bytes| SharedCacheToBuild { cache: ArtifactHash([0; 32]), bytes, records };
     assert_eq!(plan(10_000, 10 << 20).parts(4), 4);
     assert_eq!(plan(10_000, 10 << 20).parts(0), 1, "on a farm without nodes someone may come");
     assert_eq!(plan(600, 1 << 20).parts(9), 2, "few records are filled by few");
     assert_eq!(plan(3, 1 << 10).parts(9), 1);
-    assert_eq!(plan(1 << 30, 1 << 30).parts(1000), 4, "whoever puts them together holds all of them");
+    assert_eq!(plan(1 << 30, 1 << 30).parts(1000), 4, "whoever merges them holds all of them");
     assert_eq!(plan(1 << 30, 1 << 20).parts(1000), 64);
 }
 
@@ -270,16 +264,12 @@ fn past_jobs_move_the_quantiles_of_a_shared_cache_too() {
     }
     let corrections = experience.corrections().unwrap();
     let plain = case.quote(CacheSharing::Shared);
-    let taught = quote(
-        CacheSharing::Shared,
-        &case.settings,
-        &case.preview,
-        &case.profiles,
-        &case.planned,
-        Some(&corrections),
-    )
-    .unwrap();
-    let seed = |forecast: &Forecast| forecast.job.cache.clone().unwrap().seed.unwrap();
+    let taught = case.corrected(CacheSharing::Shared, Some(&corrections));
+    let seed = |forecast: &forelight_quote::Quote| forecast.job.cache.clone().unwrap().seed.unwrap();
     assert_eq!(seed(&plain).work.mean, seed(&taught).work.mean);
     assert!(seed(&taught).work.p50 > seed(&plain).work.p50, "past jobs took more than they were quoted");
+}
+
+fn sum<'a>(records: impl IntoIterator<Item = &'a u32>) -> u64 {
+    records.into_iter().copied().map(u64::from).sum()
 }

@@ -1,10 +1,10 @@
 //! Quotes from previews and profiles as workers report them.
 
-use super::*;
-use forelight_forecast::Correction;
+use crate::*;
+use forelight_forecast::{Correction, Corrections, Strategy};
 use forelight_protocol::{
-    ArtifactHash, CacheSample, FrameStrata, PreviewBackend, ProcessCosts, ProfileArtifacts, ProfileResult,
-    ProfileSample, Stratum, StratumName,
+    ArtifactHash, CacheSample, FixedCosts, FrameStrata, LeftOut, PreviewBackend, PreviewResult, ProcessCosts,
+    ProfileArtifacts, ProfileResult, ProfileSample, Profiled, Quantiles, Spent, Stratum, StratumName,
 };
 
 fn stratum(object: u32) -> Stratum {
@@ -81,14 +81,14 @@ fn profile(frame: u32, strata: Vec<Stratum>, counts: &[usize]) -> MeasuredProfil
         spent: Spent { work: 50, cpu_nanos: 0 },
         artifacts,
     };
-    MeasuredProfile { result, node_speed: 2.0, spp: 4 }
+    MeasuredProfile::new(result, 2.0, 4)
 }
 
 #[test]
 fn counts_times_unit_costs_make_the_frames_whatever_the_order_of_the_strata_and_the_speed_of_the_node() {
     let preview = preview(&[(0, &[200, 40], 16), (3, &[100, 140], 16)]);
     let profile = profile(0, vec![stratum(1), stratum(0)], &[8, 16, 4]);
-    let forecast = calibrated(&preview, std::slice::from_ref(&profile), None, None).unwrap();
+    let forecast = Measured::new(&preview, std::slice::from_ref(&profile)).quote(None).unwrap();
     let means: Vec<f64> = forecast.frames.iter().map(|frame| frame.work.mean).collect();
     let expected = [20_000.0 + 36_000.0 + 160.0 + 7.0, 10_000.0 + 126_000.0 + 160.0 + 7.0];
     for (mean, expected) in means.iter().zip(expected) {
@@ -106,9 +106,9 @@ fn counts_times_unit_costs_make_the_frames_whatever_the_order_of_the_strata_and_
     // Workers of before say nothing of it, which is not that it was nothing.
     let mut silent = self::profile(3, vec![stratum(1), stratum(0)], &[8, 16, 4]);
     silent.result.once = None;
-    let of_both = calibrated(&preview, &[profile, silent.clone()], None, None).unwrap().job.once;
+    let of_both = Measured::new(&preview, &[profile, silent.clone()]).quote(None).unwrap().job.once;
     assert_eq!(of_both, forecast.job.once);
-    assert_eq!(calibrated(&preview, &[silent], None, None).unwrap().job.once, None);
+    assert_eq!(Measured::new(&preview, &[silent]).quote(None).unwrap().job.once, None);
 }
 
 #[test]
@@ -116,7 +116,7 @@ fn which_lights_shine_is_kept_where_they_change() {
     let mut preview = preview(&[(0, &[200, 40], 16), (3, &[100, 140], 16)]);
     let lights = |preview: &PreviewResult| {
         let profile = profile(0, vec![stratum(1), stratum(0)], &[8, 16, 4]);
-        calibrated(preview, &[profile], None, None).unwrap().job.lights
+        Measured::new(preview, &[profile]).quote(None).unwrap().job.lights
     };
     assert_eq!(lights(&preview), Vec::<u32>::new());
     preview.frames[1].lights = 3;
@@ -141,7 +141,7 @@ fn records_are_counted_by_the_preview_and_priced_by_those_that_were_gathered() {
     };
     profile.result.cache_samples =
         [0, 1].into_iter().flat_map(|level| vec![sample(level, [5000, 2000][level as usize]); 12]).collect();
-    let forecast = calibrated(&preview, &[profile], None, None).unwrap();
+    let forecast = Measured::new(&preview, &[profile]).quote(None).unwrap();
     let expected = [
         20_000.0 + 36_000.0 + 160.0 + 1007.0 + 900.0 * 5000.0 + 300.0 * 2000.0,
         10_000.0 + 126_000.0 + 160.0 + 1007.0 + 700.0 * 5000.0 + 100.0 * 2000.0,
@@ -162,14 +162,14 @@ fn records_are_counted_by_the_preview_and_priced_by_those_that_were_gathered() {
 fn a_stratum_that_only_the_profile_saw_does_not_sink_the_forecast() {
     let preview = preview(&[(0, &[200, 0], 56)]);
     let profile = profile(0, vec![stratum(0), stratum(1), stratum(2)], &[8, 1, 1, 4]);
-    let forecast = calibrated(&preview, &[profile], None, None).unwrap();
+    let forecast = Measured::new(&preview, &[profile]).quote(None).unwrap();
     assert!(forecast.frames[0].work.mean > 20_000.0);
 }
 
 #[test]
 fn frames_are_chosen_within_the_allowance_and_by_their_own_numbers() {
     let frames: Vec<(u32, &[u32], u32)> = (0..20).map(|i| (10 + 2 * i, &[200u32, 40][..], 16)).collect();
-    let chosen = super::super::choose::frames_to_profile(&preview(&frames), Some(3)).unwrap();
+    let chosen = frames_to_profile(&preview(&frames), Strategy::Snapshot, Some(3)).unwrap();
     assert_eq!(chosen.len(), 3);
     assert!(chosen.iter().all(|frame| frames.iter().any(|(number, ..)| number == frame)), "{chosen:?}");
 }
@@ -180,7 +180,7 @@ fn past_jobs_move_the_quantiles_and_neither_the_means_nor_what_will_be_learnt() 
     let mut profile = profile(0, vec![stratum(0), stratum(1)], &[16, 8, 4]);
     profile.result.samples.iter_mut().for_each(|sample| sample.work += u64::from(sample.pixel % 5));
     let profiles = [profile];
-    let plain = calibrated(&preview, &profiles, None, None).unwrap();
+    let plain = Measured::new(&preview, &profiles).quote(None).unwrap();
     let correction = Correction { p50: 1.0, p80: 2.0, p95: 4.0 };
     let corrections = Corrections {
         frame_work: correction,
@@ -188,7 +188,7 @@ fn past_jobs_move_the_quantiles_and_neither_the_means_nor_what_will_be_learnt() 
         job_work: correction,
         job_cpu: correction,
     };
-    let taught = calibrated(&preview, &profiles, None, Some(&corrections)).unwrap();
+    let taught = Measured::new(&preview, &profiles).quote(Some(&corrections)).unwrap();
     assert!(taught.job.calibrated && !plain.job.calibrated);
     assert_eq!(taught.spreads, plain.spreads);
     assert_eq!((taught.spreads.1.len(), plain.frames[1].work.mean), (2, taught.frames[1].work.mean));
@@ -208,9 +208,12 @@ fn profiles_of_several_renderers_are_of_no_kind() {
         profile.result.renderer = renderer.map(str::to_owned);
         profile
     };
-    let found = kind(&[of(Some("a 1")), of(Some("a 1"))], &settings).unwrap();
+    let found = QuoteKind::of(&[of(Some("a 1")), of(Some("a 1"))], &settings).unwrap();
     assert_eq!((found.renderer.as_str(), found.feature_class.as_str()), ("a 1", "gathered"));
-    assert_eq!(kind(&[of(Some("a 1")), of(Some("a 2"))], &settings), None);
-    assert_eq!((kind(&[of(Some("a 1")), of(None)], &settings), kind(&[of(None)], &settings)), (None, None));
-    assert_eq!(kind(&[], &settings), None);
+    assert_eq!(QuoteKind::of(&[of(Some("a 1")), of(Some("a 2"))], &settings), None);
+    assert_eq!(
+        (QuoteKind::of(&[of(Some("a 1")), of(None)], &settings), QuoteKind::of(&[of(None)], &settings)),
+        (None, None)
+    );
+    assert_eq!(QuoteKind::of(&[], &settings), None);
 }
