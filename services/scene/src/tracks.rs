@@ -1,4 +1,4 @@
-//! The animation tracks of `scene.json`: which value of what they move.
+//! The animation tracks of `scene.json`, and the properties that they animate.
 
 use crate::animation::{Animated, Curve, Interpolation};
 use crate::camera_source::LookAt;
@@ -34,7 +34,7 @@ struct RawKey {
     value: Vec<f64>,
 }
 
-/// A list of numbers, or one number alone.
+/// Deserialises a list of numbers, or a single number.
 fn numbers<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Error> {
     struct Numbers;
     impl<'de> serde::de::Visitor<'de> for Numbers {
@@ -62,7 +62,7 @@ fn numbers<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>
     deserializer.deserialize_any(Numbers)
 }
 
-/// One local property of an object or node over time.
+/// One animated local property of an object or node.
 #[derive(Debug, Clone)]
 pub(crate) enum Motion {
     Translation(Curve<DVec3>),
@@ -70,16 +70,16 @@ pub(crate) enum Motion {
     Scale(Curve<DVec3>),
 }
 
-/// A track whose target is found when the geometry is known.
+/// A track for an object. The object is looked up once the geometry is loaded.
 #[derive(Debug)]
 pub(crate) struct ObjectTrack {
-    /// JSON pointer of the track's target, for messages.
+    /// JSON pointer of the track's target, for error messages.
     pub(crate) pointer: String,
     pub(crate) object: String,
     pub(crate) motion: Motion,
 }
 
-/// Puts the tracks of camera and lights in place. Returns those of objects, and the frame of the last key.
+/// Applies the tracks of camera and lights. Returns the tracks of objects, and the frame of the last key.
 pub(crate) fn apply(
     check: &Checker<'_>,
     tracks: Vec<RawTrack>,
@@ -123,7 +123,7 @@ pub(crate) fn apply(
     Ok((objects, last_key))
 }
 
-/// Keys must be there and ascend. Returns the last key's frame.
+/// Checks that there are keys and that they ascend. Returns the frame of the last key.
 fn check_times(check: &Checker<'_>, at: &str, keys: &[RawKey]) -> Result<f64, SceneError> {
     let Some(last) = keys.last() else {
         return check.fail(&format!("{at}/keys"), "a track has at least one key");
@@ -191,7 +191,7 @@ fn motion(check: &Checker<'_>, at: &str, track: RawTrack) -> Result<Motion, Scen
     }
 }
 
-/// A quaternion x y z w, normalised.
+/// Checks a quaternion x y z w, and normalises it.
 fn rotation(check: &Checker<'_>, pointer: &str, value: [f64; 4]) -> Result<DQuat, SceneError> {
     let v = DVec4::from_array(value);
     match v.try_normalize() {
@@ -210,7 +210,7 @@ fn unknown_property<T>(
     check.fail(&format!("{at}/property"), format!("{what} has no property `{property}`; it has {known}"))
 }
 
-/// The curve through a track's keys, each of `N` numbers and understood by `convert`.
+/// The curve through a track's keys, each of `N` numbers. `convert` checks and converts a key's value.
 fn curve<const N: usize, T: crate::animation::Keyed>(
     check: &Checker<'_>,
     at: &str,

@@ -1,5 +1,7 @@
-//! Numbers in buffers. The `gltf` crate's iterators take an accessor's type on trust and panic where it is another; these
-//! readers check it, and the bounds of every access.
+//! Reads the numbers in glTF buffers, with all types and bounds checked.
+//!
+//! The iterators of the `gltf` crate cannot be used here. They trust the type that the caller asks for, and
+//! panic if the accessor has another one.
 
 use super::document::Opened;
 use crate::error::SceneError;
@@ -8,8 +10,10 @@ use gltf::accessor::sparse::IndexType;
 use gltf::accessor::{DataType, Dimensions};
 
 impl Opened {
-    /// All elements of an accessor of `N` components. Normalised integers become fractions, others keep their value, as
-    /// `KHR_mesh_quantization` allows. `most` bounds the number of elements, which a file may claim without holding them.
+    /// All elements of an accessor with `N` components.
+    ///
+    /// Normalised integers become fractions. Other integers keep their value, as `KHR_mesh_quantization`
+    /// allows. `most` limits the number of elements, because a file may claim more than it holds.
     pub(super) fn floats<const N: usize>(
         &self,
         accessor: &Accessor<'_>,
@@ -64,7 +68,7 @@ impl Opened {
         Ok(())
     }
 
-    /// The elements before sparse ones are put in their place.
+    /// The elements before sparse values replace some of them.
     fn elements<T: Copy>(
         &self,
         accessor: &Accessor<'_>,
@@ -140,12 +144,12 @@ fn size_of(kind: DataType) -> usize {
     }
 }
 
-/// A little-endian unsigned integer of any size up to four bytes.
+/// A little-endian unsigned integer of one to four bytes.
 fn unsigned(bytes: &[u8]) -> u32 {
     bytes.iter().rev().fold(0, |value, &byte| value << 8 | u32::from(byte))
 }
 
-/// One component; normalised integers by the glTF specification, section 3.6.2.2.
+/// One component. Normalised integers are converted by section 3.6.2.2 of the glTF 2.0 specification.
 fn component(bytes: &[u8], kind: DataType, normalised: bool) -> f32 {
     let value = unsigned(bytes);
     let (plain, largest) = match kind {

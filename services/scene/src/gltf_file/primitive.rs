@@ -1,4 +1,4 @@
-//! Triangles of a glTF primitive.
+//! Reads the triangles of a glTF primitive.
 
 use super::Reader;
 use crate::error::SceneError;
@@ -10,7 +10,7 @@ use gltf::mesh::Mode;
 use gltf::texture::TextureTransform;
 
 impl Reader<'_, '_> {
-    /// The local mesh of a primitive; `None` for points and lines.
+    /// The local mesh of a primitive. `None` for points and lines.
     pub(super) fn mesh(
         &mut self,
         primitive: &gltf::Primitive<'_>,
@@ -56,7 +56,8 @@ impl Reader<'_, '_> {
         Ok(Some(compact(Mesh { positions, normals, uvs, triangles })))
     }
 
-    /// Coordinates for the base colour's texture (else the emission's), with the texture's transform; v points up.
+    /// Texture coordinates for the base colour texture, or for the emission texture if there is no base
+    /// colour texture. The texture's transform is applied. v points up.
     fn texture_coordinates(
         &mut self,
         primitive: &gltf::Primitive<'_>,
@@ -91,8 +92,10 @@ impl Reader<'_, '_> {
     }
 }
 
-/// `KHR_texture_transform`: scale, then rotate counter-clockwise as seen with v downwards, then move. This is the sense of the
-/// extension's example, in which a quarter turn and offset (0, 1) map the unit square to itself.
+/// The function of a `KHR_texture_transform`: scale, rotate, then translate.
+///
+/// The rotation is counter-clockwise with v pointing down. In the extension's example, a quarter turn with
+/// offset (0, 1) maps the unit square to itself.
 fn affine(transform: &TextureTransform<'_>) -> impl Fn(Vec2) -> Vec2 + use<> {
     let (scale, offset) = (Vec2::from_array(transform.scale()), Vec2::from_array(transform.offset()));
     let (sine, cosine) = (
@@ -109,7 +112,7 @@ fn points(elements: Vec<[f32; 3]>) -> Vec<Vec3> {
     elements.into_iter().map(Vec3::from_array).collect()
 }
 
-/// Triangles in the order and winding of the glTF specification, section 3.7.2.1.
+/// Triangles in the order and winding of section 3.7.2.1 of the glTF 2.0 specification.
 fn triangles(mode: Mode, indices: &[u32]) -> Vec<[u32; 3]> {
     match mode {
         Mode::TriangleStrip => {
@@ -125,7 +128,7 @@ fn triangles(mode: Mode, indices: &[u32]) -> Vec<[u32; 3]> {
     }
 }
 
-/// Leaves out vertices that no triangle uses: exporters share one large vertex buffer between many primitives.
+/// Removes unused vertices. Exporters often share one large vertex buffer between many primitives.
 fn compact(mesh: Mesh) -> Mesh {
     let mut place = vec![u32::MAX; mesh.positions.len()];
     for &vertex in mesh.triangles.iter().flatten() {

@@ -1,4 +1,8 @@
-//! From a bundle to a scene.
+//! Loads a scene from a bundle.
+//!
+//! It reads `scene.json` and the geometry files into an [`Assembly`], adds defaults for what is missing, and
+//! bakes the geometry of frame 0. A scene far from the origin is moved to it, so that f32 coordinates keep
+//! their precision.
 
 use super::{Scene, light_at};
 use crate::animation::Animated;
@@ -18,18 +22,22 @@ use std::sync::{Arc, Mutex};
 const DESCRIPTION: &str = "scene.json";
 
 impl Scene {
-    /// Loads a bundle: a folder, a `.zip`, or one `.gltf` or `.glb` file (whose folder then is the bundle).
+    /// Loads a bundle: a folder, a `.zip`, or a single `.gltf` or `.glb` file. The folder of a single file is
+    /// the bundle.
     ///
-    /// A bundle without `scene.json` holds one glTF file, which is the scene. Where nothing says so otherwise:
-    /// - fps is 24, and the shot goes from the first to the last key of all animations (exporters count from frame 1 as often
-    ///   as from 0); under a `scene.json`, frame 0 is the file's time 0, and the last key or track ends the shot;
-    /// - without a camera, the view is from the front right and above onto the whole bounding box, 1280 × 720 pixels;
-    /// - without any light, a glTF scene stands in a white environment of radiance 1.
+    /// A bundle without `scene.json` must hold exactly one glTF file, which is the scene. The defaults are:
+    /// - The frame rate is 24 fps.
+    /// - Without `scene.json`, the shot runs from the first to the last key of all animations, because
+    ///   exporters count from frame 1 as often as from frame 0. With it, frame 0 is time 0 of the glTF files,
+    ///   and the shot ends at the last key or track.
+    /// - Without a camera, the view shows the whole bounding box from the front right and above, at 1280 ×
+    ///   720 pixels.
+    /// - A glTF scene without any light gets a white environment of radiance 1.
     ///
-    /// Each of the last two is told as a warning.
+    /// The last two defaults give a warning.
     ///
     /// # Errors
-    /// The first thing that is wrong with the bundle, with the file, the place in it and the reason.
+    /// The first error found, with the file, the place in it and the reason.
     pub fn load(path: &Path, limits: &Limits) -> Result<Self, SceneError> {
         let (root, single) = match single_file(path) {
             Some((folder, file)) => (folder, Some(file)),
@@ -107,7 +115,7 @@ impl Scene {
         Self::finish(assembly, said)
     }
 
-    /// Puts geometry files and description together, with the defaults for what neither says.
+    /// Combines geometry files and description, and adds defaults for what is missing.
     fn finish(mut assembly: Assembly<'_>, said: Said) -> Result<Self, SceneError> {
         let Said { file, name, described, camera, mut environment, lights, emission, frames } = said;
         for (material, radiance) in &emission {
@@ -198,12 +206,12 @@ impl Scene {
     }
 }
 
-/// What a description says about a scene; all defaults for a scene without one.
+/// The scene's description. For a scene without `scene.json`, most fields have their defaults.
 #[derive(Default)]
 struct Said {
     file: String,
     name: String,
-    /// Whether there is a description at all.
+    /// Whether the scene has a `scene.json`.
     described: bool,
     camera: Option<CameraSource>,
     environment: Environment,
@@ -212,7 +220,7 @@ struct Said {
     frames: Option<Frames>,
 }
 
-/// Folder and name, where `path` is a geometry file or a description by itself.
+/// Splits the path of a single geometry file or description into folder and name. `None` for other paths.
 fn single_file(path: &Path) -> Option<(&Path, String)> {
     let name = path.file_name()?.to_str()?;
     if !path.is_file() || !(is_gltf(name) || name == DESCRIPTION) {
@@ -230,7 +238,7 @@ fn is_gltf(path: &str) -> bool {
     matches!(extension(path).as_str(), "gltf" | "glb")
 }
 
-/// The glTF file that stands for the missing description.
+/// The glTF file of a bundle without `scene.json`.
 fn only_geometry(bundle: &Bundle) -> Result<String, SceneError> {
     let mut names = bundle.top_level()?;
     names.retain(|name| is_gltf(name) || extension(name) == "obj");
@@ -279,13 +287,16 @@ fn bounds(positions: &[Vec3]) -> (DVec3, DVec3) {
     (low.as_dvec3(), high.as_dvec3())
 }
 
-/// The middle of positions that are much farther from the origin than from each other, as a georeferenced building is. Seen from
-/// there, f32 coordinates tell small things apart again. What is not as far stays where it is, bit by bit.
+/// The centre of positions that are much farther from the origin than from each other, as in a georeferenced
+/// building.
+///
+/// Relative to that centre, f32 coordinates can resolve small details again. `None` for other scenes, whose
+/// coordinates then stay the same bit for bit.
 fn far_centre(positions: &[Vec3]) -> Option<DVec3> {
     let (low, high) = bounds(positions);
     let (centre, extent) = (0.5 * (low + high), (high - low).max_element());
     (extent > 0.0 && centre.abs().max_element() > FAR * extent).then_some(centre)
 }
 
-/// Distance from the origin, in units of its own extent, from which a scene is seen from its middle.
+/// A scene is re-centred if its distance from the origin is more than this many times its extent.
 const FAR: f64 = 16.0;
