@@ -107,7 +107,7 @@ impl Bundle {
     /// If the path leaves the bundle (also through a symbolic link), is not a file, or exceeds a limit.
     pub fn read(&self, path: &str) -> Result<Vec<u8>, SceneError> {
         if !is_inside(path) {
-            return Err(SceneError::file(path, "the path does not stay inside the bundle"));
+            return Err(SceneError::file(path, "the path is outside the bundle"));
         }
         let bytes = match &self.store {
             Store::Folder(root) => self.read_from_folder(root, path)?,
@@ -238,7 +238,7 @@ fn open_archive(shown: &str, file: File, limits: &Limits) -> Result<Store, Scene
             return Err(SceneError::file(file, "symbolic links are not allowed in an archive"));
         }
         if !is_inside(path.strip_suffix('/').unwrap_or(path)) {
-            return Err(SceneError::file(file, "the archive entry does not stay inside the bundle"));
+            return Err(SceneError::file(file, "the archive entry is outside the bundle"));
         }
         if entry.is_dir() {
             continue;

@@ -51,9 +51,7 @@ impl LookAt {
         };
         let fov = self.fov_deg.at(frame);
         if !(fov > 0.0 && fov < 180.0) {
-            return Err(format!(
-                "`fov_deg` is {fov} at frame {frame}; it must lie between 0 and 180 degrees"
-            ));
+            return Err(format!("`fov_deg` is {fov} at frame {frame}; it must be between 0 and 180 degrees"));
         }
         let tangent = libm::tan(fov.to_radians() / 2.0);
         let ratio = f64::from(self.height) / f64::from(self.width);

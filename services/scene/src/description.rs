@@ -163,12 +163,12 @@ fn check_version(file: &str, text: &[u8]) -> Result<(), SceneError> {
         Some(version) => Err(SceneError::pointer(
             file,
             "/version",
-            format!("version {version} is not understood; this program understands version {VERSION}"),
+            format!("version {version} is not supported; this program reads version {VERSION}"),
         )),
         None => Err(SceneError::pointer(
             file,
             "/version",
-            format!("is missing; this program understands version {VERSION}"),
+            format!("is missing; this program reads version {VERSION}"),
         )),
     }
 }
@@ -202,8 +202,7 @@ impl Checker<'_> {
     /// Checks the scene's name. It appears in tables, logs and the names of jobs.
     fn name(&self, name: String) -> Result<String, SceneError> {
         if !(1..=LONGEST_NAME).contains(&name.chars().count()) || name.contains(char::is_control) {
-            let reason =
-                format!("must have 1 to {LONGEST_NAME} characters, none of them a control character");
+            let reason = format!("must have 1 to {LONGEST_NAME} characters, and no control characters");
             return self.fail("/name", reason);
         }
         Ok(name)
@@ -220,13 +219,13 @@ impl Checker<'_> {
     /// Checks a direction, and returns it as a unit vector.
     fn direction(&self, pointer: &str, value: [f64; 3]) -> Result<DVec3, SceneError> {
         let direction = self.coordinates(pointer, value)?.try_normalize();
-        direction.map_or_else(|| self.fail(pointer, "the vector has no length"), Ok)
+        direction.map_or_else(|| self.fail(pointer, "the vector has zero length"), Ok)
     }
 
     /// Checks a radiance, intensity or irradiance.
     pub(crate) fn light(&self, pointer: &str, value: [f64; 3]) -> Result<DVec3, SceneError> {
         if value.iter().any(|c| !(0.0..=BRIGHTEST).contains(c)) {
-            return self.fail(pointer, format!("every channel must lie in 0 to {BRIGHTEST:e}"));
+            return self.fail(pointer, format!("every channel must be in the range 0 to {BRIGHTEST:e}"));
         }
         Ok(DVec3::from_array(value))
     }
@@ -235,14 +234,14 @@ impl Checker<'_> {
     pub(crate) fn field_of_view(&self, pointer: &str, value: f64) -> Result<f64, SceneError> {
         if !(value > 0.0 && value < 180.0) {
             return self
-                .fail(pointer, format!("{value}: the field of view must lie between 0 and 180 degrees"));
+                .fail(pointer, format!("{value}: the field of view must be between 0 and 180 degrees"));
         }
         Ok(value)
     }
 
     fn scene(&self, raw: RawScene, limits: &Limits) -> Result<Description, SceneError> {
         if raw.geometry.is_empty() {
-            return self.fail("/geometry", "names no file");
+            return self.fail("/geometry", "must name at least one file");
         }
         let mut geometry = Vec::new();
         for (i, reference) in raw.geometry.iter().enumerate() {
@@ -261,7 +260,7 @@ impl Checker<'_> {
         }
         let (object_tracks, last_key) = tracks::apply(self, animation.tracks, camera.as_mut(), &mut lights)?;
         let frames = match animation.frames {
-            Some(0) => return self.fail("/animation/frames", "a shot has at least one frame"),
+            Some(0) => return self.fail("/animation/frames", "a shot must have at least one frame"),
             Some(frames) if frames > limits.frames => {
                 let (found, limit) = (u64::from(frames), u64::from(limits.frames));
                 let file = format!("{}: /animation/frames", self.file);
@@ -282,7 +281,7 @@ impl Checker<'_> {
     fn camera(&self, raw: RawCamera, limits: &Limits) -> Result<LookAt, SceneError> {
         for (pointer, size) in [("/camera/width", raw.width), ("/camera/height", raw.height)] {
             if size == 0 {
-                return self.fail(pointer, "an image has at least one pixel");
+                return self.fail(pointer, "an image must have at least one pixel");
             }
         }
         let pixels = u64::from(raw.width) * u64::from(raw.height);
@@ -329,10 +328,11 @@ impl Checker<'_> {
                 let reference = self.required("/environment/path", raw.path)?;
                 let (scale, rotation_deg) = (raw.scale.unwrap_or(1.0), raw.rotation_deg.unwrap_or(0.0));
                 if !(0.0..=BRIGHTEST).contains(&scale) {
-                    return self.fail("/environment/scale", format!("must lie in 0 to {BRIGHTEST:e}"));
+                    return self
+                        .fail("/environment/scale", format!("must be in the range 0 to {BRIGHTEST:e}"));
                 }
                 if rotation_deg.abs() > 1e6 {
-                    return self.fail("/environment/rotation_deg", "must lie in -1e6 to 1e6");
+                    return self.fail("/environment/rotation_deg", "must be in the range -1e6 to 1e6");
                 }
                 let path = self.path("/environment/path", &reference)?;
                 Ok(EnvironmentSource::Image { path, scale, rotation_deg })
@@ -367,7 +367,7 @@ impl Checker<'_> {
                 // The sine of the angle between the edges. It is NaN if an edge has zero length.
                 let sine = edge_u.cross(edge_v).length() / (edge_u.length() * edge_v.length());
                 if sine.is_nan() || sine < 1e-6 {
-                    return self.fail(at, "`edge_u` and `edge_v` are parallel or have no length");
+                    return self.fail(at, "`edge_u` and `edge_v` are parallel or have zero length");
                 }
                 Ok(LightSource::Quad { corner, edge_u, edge_v, radiance: light("radiance", raw.radiance)? })
             }

@@ -45,10 +45,9 @@ impl<'a> TextureLibrary<'a> {
                 Some(
                     format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Hdr | ImageFormat::OpenExr),
                 ) => Ok((reader, format)),
-                _ => Err(SceneError::file(
-                    name,
-                    "is not an image that is understood (PNG, JPEG, Radiance HDR, OpenEXR)",
-                )),
+                _ => {
+                    Err(SceneError::file(name, "is not a supported image (PNG, JPEG, Radiance HDR, OpenEXR)"))
+                }
             }
         };
         let (width, height) = open()?.0.into_dimensions().map_err(refused)?;
@@ -63,7 +62,7 @@ impl<'a> TextureLibrary<'a> {
         }
         let (mut reader, format) = open()?;
         if format == ImageFormat::Jpeg && is_cut_short(bytes) {
-            return Err(SceneError::file(name, "is not a readable image: the JPEG file is cut short"));
+            return Err(SceneError::file(name, "is not a readable image: the JPEG file is truncated"));
         }
         // The image's size is known and allowed by now. Allow 16 bytes per pixel, and 64 MiB for the decoder
         // and for other data in the file.
@@ -99,8 +98,10 @@ impl<'a> TextureLibrary<'a> {
         let Texels::Linear(texels) = texels else { return Ok(()) };
         let Some(i) = texels.iter().position(|texel| texel.iter().any(|&c| c > 1.0)) else { return Ok(()) };
         let (x, y) = (i % *width as usize, i / *width as usize);
-        let why =
-            format!("the pixel in column {x}, row {y} is {:?}; a surface's colour lies in 0 to 1", texels[i]);
+        let why = format!(
+            "the pixel in column {x}, row {y} is {:?}; a surface's colour must be in the range 0 to 1",
+            texels[i]
+        );
         Err(SceneError::file(name, why))
     }
 

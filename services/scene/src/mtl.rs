@@ -35,7 +35,7 @@ pub(crate) fn check(file: &str, bytes: &[u8]) -> Result<(String, BTreeMap<String
         if key == "newmtl" {
             in_material = true;
         } else if !in_material {
-            return Err(SceneError::line(file, i + 1, format!("`{key}` stands before the first `newmtl`")));
+            return Err(SceneError::line(file, i + 1, format!("`{key}` comes before the first `newmtl`")));
         }
         match value(key, rest).map_err(|reason| SceneError::line(file, i + 1, reason))? {
             Some(value) => {
@@ -51,9 +51,9 @@ pub(crate) fn check(file: &str, bytes: &[u8]) -> Result<(String, BTreeMap<String
 /// The canonical value of a key. `None` if the key is not supported.
 fn value(key: &str, rest: &str) -> Result<Option<String>, String> {
     let value = match key {
-        "newmtl" | "map_Kd" if rest.is_empty() => return Err(format!("`{key}` names nothing")),
+        "newmtl" | "map_Kd" if rest.is_empty() => return Err(format!("`{key}` needs a name")),
         "map_Kd" if rest.starts_with('-') => {
-            return Err(format!("`map_Kd {rest}`: texture options are not understood"));
+            return Err(format!("`map_Kd {rest}`: texture options are not supported"));
         }
         "newmtl" | "map_Kd" => rest.to_owned(),
         "Kd" | "Ks" | "Tf" => colour(key, rest, 1.0)?,
@@ -62,7 +62,7 @@ fn value(key: &str, rest: &str) -> Result<Option<String>, String> {
         "Pr" | "d" => number(key, rest, 0.0, 1.0)?.to_string(),
         "priority" => match rest.parse::<NonZeroU8>() {
             Ok(priority) => priority.to_string(),
-            Err(_) => return Err(format!("`priority {rest}` is no whole number from 1 to 255")),
+            Err(_) => return Err(format!("`priority {rest}` is not a whole number from 1 to 255")),
         },
         "illum" => match rest.parse::<u8>() {
             Ok(model) if MODELS.contains(&model) => model.to_string(),
@@ -76,7 +76,7 @@ fn value(key: &str, rest: &str) -> Result<Option<String>, String> {
 fn number(key: &str, text: &str, lowest: f32, highest: f32) -> Result<f32, String> {
     let value: f32 = text.parse().map_err(|_| format!("`{key}`: `{text}` is not a number"))?;
     if !(lowest..=highest).contains(&value) {
-        return Err(format!("`{key}`: {value} does not lie in {lowest} to {highest}"));
+        return Err(format!("`{key}`: {value} is not in the range {lowest} to {highest}"));
     }
     Ok(value)
 }

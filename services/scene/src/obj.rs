@@ -140,7 +140,7 @@ fn place(
         let material = match mesh.material_id {
             Some(id) => first_material + id as u32,
             None => *grey.get_or_insert_with(|| {
-                assembly.warn(format!("{path}: faces of `{name}` have no material and are shown in grey"));
+                assembly.warn(format!("{path}: faces of `{name}` have no material and are rendered grey"));
                 let albedo = Color::plain(Vec3::splat(0.5));
                 assembly.add_material(plain_material("(no material)", Surface::Lambert { albedo }))
             }),
@@ -297,7 +297,7 @@ impl<'a> Check<'a> {
                 self.format = None;
                 self.write(&["o ", self.name]);
             }
-            "usemtl" | "mtllib" if rest.is_empty() => return Err(format!("`{key}` names nothing")),
+            "usemtl" | "mtllib" if rest.is_empty() => return Err(format!("`{key}` needs a name")),
             "usemtl" => {
                 self.materials.entry(rest.to_owned()).or_insert(number);
                 self.write(&["usemtl ", rest]);
@@ -350,7 +350,7 @@ impl<'a> Check<'a> {
             };
             let has = (has[1].is_some(), has[2].is_some());
             if *format.get_or_insert(has) != has {
-                return Err("`f`: the corners have not all the same attributes".into());
+                return Err("`f`: all corners must have the same attributes".into());
             }
             corners.push(position);
         }
@@ -386,7 +386,7 @@ impl<'a> Check<'a> {
         self.cutting = self.cutting.saturating_add(corners_squared);
         if self.cutting > MOST_CUTTING {
             return Err(
-                "`f`: the faces that are not convex have too many corners to be cut into triangles here; let the exporter do it".into()
+                "`f`: the non-convex faces have too many corners to triangulate here; triangulate them in the exporter".into()
             );
         }
         Ok(polygon::ears(&corners))

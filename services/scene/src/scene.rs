@@ -125,7 +125,7 @@ impl Scene {
         let mut camera = self.camera_at(number, &world)?;
         if let Some((width, height)) = size {
             if width == 0 || height == 0 {
-                return Err(SceneError::file(&self.file, "an image has at least one pixel"));
+                return Err(SceneError::file(&self.file, "an image must have at least one pixel"));
             }
             camera = camera.resized(width, height);
         }

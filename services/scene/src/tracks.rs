@@ -100,7 +100,7 @@ pub(crate) fn apply(
         if track.target == "camera" {
             match camera.as_deref_mut() {
                 Some(camera) => camera_track(check, &at, track, camera)?,
-                None => return check.fail(&target_pointer, "the scene has no `camera` that could move"),
+                None => return check.fail(&target_pointer, "the scene has no `camera` to animate"),
             }
         } else if let Some(index) = track.target.strip_prefix("light:") {
             let light = index.parse::<usize>().ok().and_then(|i| lights.get_mut(i));
@@ -126,7 +126,7 @@ pub(crate) fn apply(
 /// Checks that there are keys and that they ascend. Returns the frame of the last key.
 fn check_times(check: &Checker<'_>, at: &str, keys: &[RawKey]) -> Result<f64, SceneError> {
     let Some(last) = keys.last() else {
-        return check.fail(&format!("{at}/keys"), "a track has at least one key");
+        return check.fail(&format!("{at}/keys"), "a track must have at least one key");
     };
     for (k, pair) in keys.windows(2).enumerate() {
         if pair[1].frame <= pair[0].frame {
@@ -136,7 +136,8 @@ fn check_times(check: &Checker<'_>, at: &str, keys: &[RawKey]) -> Result<f64, Sc
     }
     for (k, key) in keys.iter().enumerate() {
         if key.frame.abs() > 1e9 {
-            return check.fail(&format!("{at}/keys/{k}/frame"), "a frame number must lie in -1e9 to 1e9");
+            return check
+                .fail(&format!("{at}/keys/{k}/frame"), "a frame number must be in the range -1e9 to 1e9");
         }
     }
     Ok(last.frame)
@@ -196,7 +197,7 @@ fn rotation(check: &Checker<'_>, pointer: &str, value: [f64; 4]) -> Result<DQuat
     let v = DVec4::from_array(value);
     match v.try_normalize() {
         Some(unit) if v.abs().max_element() <= LARGEST_COORDINATE => Ok(DQuat::from_vec4(unit)),
-        _ => check.fail(pointer, "a rotation is a unit quaternion x y z w"),
+        _ => check.fail(pointer, "a rotation must be a unit quaternion x y z w"),
     }
 }
 
@@ -233,5 +234,5 @@ fn curve<const N: usize, T: crate::animation::Keyed>(
         RawInterpolation::CatmullRom => Interpolation::CatmullRom,
     };
     let curve = Curve::new(times, values, interpolation);
-    curve.map_or_else(|| check.fail(&format!("{at}/keys"), "a track has at least one key"), Ok)
+    curve.map_or_else(|| check.fail(&format!("{at}/keys"), "a track must have at least one key"), Ok)
 }

@@ -138,15 +138,16 @@ fn split_binary(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), String> {
         Some(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
     };
     let (Some(version), Some(length)) = (word(4), word(8)) else {
-        return Err("the header of the binary glTF is cut off".into());
+        return Err("the header of the binary glTF is truncated".into());
     };
     if version != 2 {
-        return Err(format!(
-            "binary glTF version {version} is not understood; this program understands version 2"
-        ));
+        return Err(format!("binary glTF version {version} is not supported; this program reads version 2"));
     }
     if length as usize > bytes.len() {
-        return Err(format!("the file is cut off: it says {length} bytes and has {}", bytes.len()));
+        return Err(format!(
+            "the file is truncated: its header says {length} bytes, but it has {}",
+            bytes.len()
+        ));
     }
     let chunk = |at: usize, kind: &[u8; 4]| -> Result<Option<(&[u8], usize)>, String> {
         let Some(size) = word(at).filter(|_| bytes.get(at + 4..at + 8) == Some(kind)) else {
@@ -167,13 +168,12 @@ fn check(root: &Root) -> Result<(), (String, String)> {
     let fail = |pointer: String, reason: &str| Err((pointer, reason.to_owned()));
     let version = root.asset.min_version.as_ref().unwrap_or(&root.asset.version);
     if version != "2.0" {
-        let reason =
-            format!("glTF version {version} is not understood; this program understands version 2.0");
+        let reason = format!("glTF version {version} is not supported; this program reads version 2.0");
         return Err(("/asset/version".into(), reason));
     }
     for (i, extension) in root.extensions_required.iter().enumerate() {
         if !UNDERSTOOD.contains(&extension.as_str()) {
-            let reason = format!("`{extension}` is required and not understood");
+            let reason = format!("`{extension}` is required but not supported");
             return Err((format!("/extensionsRequired/{i}"), reason));
         }
     }

@@ -46,7 +46,7 @@ pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneE
     reader.note_unknown_extensions();
     let ignored: Vec<&str> = reader.ignored.iter().map(Cow::as_ref).collect();
     if !ignored.is_empty() {
-        let warning = format!("{path}: not shown as the file has it: {}", ignored.join("; "));
+        let warning = format!("{path}: not fully supported: {}", ignored.join("; "));
         reader.assembly.warn(warning);
     }
     Ok(())
@@ -147,9 +147,7 @@ impl Reader<'_, '_> {
                     return self.opened.fail(&format!("{at}/matrix"), "a number is not finite or too large");
                 }
                 if matrix.row(3) != glam::DVec4::W {
-                    return self
-                        .opened
-                        .fail(&format!("{at}/matrix"), "the last row of an affine matrix is 0 0 0 1");
+                    return self.opened.fail(&format!("{at}/matrix"), "the last row must be 0 0 0 1");
                 }
                 Ok(Placement::Matrix(matrix))
             }
@@ -160,7 +158,9 @@ impl Reader<'_, '_> {
                 let vector = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
                 let rotation = DQuat::from_array(rotation.map(f64::from));
                 if rotation.length_squared() < 1e-12 {
-                    return self.opened.fail(&format!("{at}/rotation"), "a rotation is a unit quaternion");
+                    return self
+                        .opened
+                        .fail(&format!("{at}/rotation"), "a rotation must be a unit quaternion");
                 }
                 let (translation, scale) = (vector(translation), vector(scale));
                 Ok(Placement::Parts { translation, rotation: rotation.normalize(), scale })
@@ -212,13 +212,13 @@ impl Reader<'_, '_> {
         };
         let yfov = f64::from(perspective.yfov());
         if !(yfov > 0.0 && yfov < std::f64::consts::PI) {
-            return self.opened.fail(&format!("{at}/perspective/yfov"), "must lie between 0 and pi");
+            return self.opened.fail(&format!("{at}/perspective/yfov"), "must be between 0 and pi");
         }
         let aspect = perspective.aspect_ratio().map_or(DEFAULT_ASPECT, f64::from);
         let width = (aspect * f64::from(DEFAULT_HEIGHT)).round();
         let most = self.assembly.bundle.limits().image_pixels as f64 / f64::from(DEFAULT_HEIGHT);
         if !(width >= 1.0 && width <= most.min(f64::from(u32::MAX))) {
-            let reason = format!("an aspect ratio of {aspect} gives no image");
+            let reason = format!("an aspect ratio of {aspect} gives an image that is empty or too large");
             return self.opened.fail(&format!("{at}/perspective/aspectRatio"), reason);
         }
         self.assembly.cameras.push(NodeCamera { node, yfov, width: width as u32, height: DEFAULT_HEIGHT });

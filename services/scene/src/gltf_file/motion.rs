@@ -87,7 +87,7 @@ impl Reader<'_, '_> {
         }
         let ascending = times.windows(2).all(|pair| pair[0] < pair[1]);
         if !ascending || times[0] < 0.0 {
-            return self.opened.fail(at, "the key times are negative or do not ascend");
+            return self.opened.fail(at, "the key times are negative or not ascending");
         }
         Ok(times)
     }
@@ -102,7 +102,7 @@ impl Reader<'_, '_> {
     ) -> Result<Curve<T>, SceneError> {
         let checked = |values: Vec<T>| match values.into_iter().map(&valid).collect::<Option<Vec<T>>>() {
             Some(values) => Ok(values),
-            None => self.opened.fail(at, "a rotation is a unit quaternion"),
+            None => self.opened.fail(at, "a rotation must be a unit quaternion"),
         };
         let per_key = if between == Between::CubicSpline { 3 } else { 1 };
         if raw.len() != times.len() * per_key {

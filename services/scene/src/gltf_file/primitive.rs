@@ -51,7 +51,7 @@ impl Reader<'_, '_> {
         }
         let uvs = self.texture_coordinates(primitive, count, most)?;
         if normals.len() != count || uvs.len() != count {
-            return self.opened.fail(at, "the attributes have not all the same number of elements");
+            return self.opened.fail(at, "all attributes must have the same number of elements");
         }
         Ok(Some(compact(Mesh { positions, normals, uvs, triangles })))
     }
@@ -72,7 +72,7 @@ impl Reader<'_, '_> {
         let set = own_set.or(info.as_ref().map(|info| info.tex_coord())).unwrap_or(0);
         let Some(accessor) = primitive.get(&Semantic::TexCoords(set)) else {
             if info.is_some() {
-                self.ignore("textures on faces without texture coordinates, which show one texel");
+                self.ignore("textures on faces without texture coordinates (rendered with one texel)");
             }
             return Ok(vec![Vec2::ZERO; count]);
         };

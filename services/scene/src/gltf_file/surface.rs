@@ -35,7 +35,7 @@ impl Reader<'_, '_> {
         let material = match source.index() {
             Some(index) => self.read_material(source, index)?,
             None => {
-                self.ignore("faces without a material are shown in grey");
+                self.ignore("faces without a material (rendered grey)");
                 let albedo = Color::plain(Vec3::splat(0.5));
                 plain_material("(no material)", Surface::Lambert { albedo })
             }
@@ -54,7 +54,7 @@ impl Reader<'_, '_> {
         if ![r, g, b, alpha, pbr.roughness_factor(), pbr.metallic_factor()].into_iter().all(unit) {
             return self
                 .opened
-                .fail(&at, "a base colour, roughness or metallic factor does not lie in 0 to 1");
+                .fail(&at, "a base colour, roughness or metallic factor is not in the range 0 to 1");
         }
         let texture = pbr.base_color_texture().map(|info| self.texture(&info.texture())).transpose()?;
         if let Some(texture) = texture {
@@ -74,7 +74,7 @@ impl Reader<'_, '_> {
             AlphaMode::Blend => {
                 material.opacity = alpha;
                 if let Some(texture) = texture.filter(|&t| self.assembly.textures.has_alpha(t)) {
-                    self.ignore("blending by a texture's alpha is a cut-out at one half");
+                    self.ignore("blending by a texture's alpha (rendered as a cut-out at one half)");
                     material.mask = Some(AlphaMask { texture, cutoff: 0.5 });
                 }
             }
@@ -94,12 +94,12 @@ impl Reader<'_, '_> {
             Some(ior) => {
                 return self
                     .opened
-                    .fail(at, format!("an index of refraction of {ior} does not lie in 1 to 10"));
+                    .fail(at, format!("an index of refraction of {ior} is not in the range 1 to 10"));
             }
         };
         let transmission = source.transmission().map_or(0.0, |t| t.transmission_factor());
         if !(0.0..=1.0).contains(&transmission) {
-            return self.opened.fail(at, "the transmission factor does not lie in 0 to 1");
+            return self.opened.fail(at, "the transmission factor is not in the range 0 to 1");
         }
         let no_coat = source.specular().is_some_and(|specular| {
             specular.specular_factor() == 0.0 || specular.specular_color_factor() == [0.0; 3]
@@ -138,7 +138,7 @@ impl Reader<'_, '_> {
             Some(number) => Ok(Some(number)),
             None => {
                 let at = format!("{at}/extras/priority");
-                self.opened.fail(&at, format!("{priority} is no whole number from 1 to 255"))
+                self.opened.fail(&at, format!("{priority} is not a whole number from 1 to 255"))
             }
         }
     }
@@ -148,7 +148,7 @@ impl Reader<'_, '_> {
         let strength = source.emissive_strength().unwrap_or(1.0);
         let factor = Vec3::from_array(source.emissive_factor()) * strength;
         if !factor.is_finite() || factor.min_element() < 0.0 || factor.max_element() > 1e12 {
-            return self.opened.fail(at, "the emission does not lie in 0 to 1e12");
+            return self.opened.fail(at, "the emission is not in the range 0 to 1e12");
         }
         let texture = match source.emissive_texture() {
             Some(info) if factor != Vec3::ZERO => {

@@ -163,7 +163,7 @@ impl Scene {
             if described {
                 assembly.warn(format!("{file}: the scene has no light"));
             } else {
-                assembly.warn(format!("{file}: the scene has no light; a white environment lights it"));
+                assembly.warn(format!("{file}: the scene has no light; a white environment is added"));
                 environment = Environment::Constant(Vec3::ONE);
             }
         }
@@ -171,7 +171,7 @@ impl Scene {
             (Some(camera), _) => camera,
             (None, Some(camera)) => CameraSource::Node(camera.clone()),
             (None, None) => {
-                assembly.warn(format!("{file}: the scene has no camera; the view shows all of it"));
+                assembly.warn(format!("{file}: the scene has no camera; a default view shows all of it"));
                 let (low, high) = bounds(&still.geometry.positions);
                 let origin = assembly.shot.origin;
                 CameraSource::LookAt(Box::new(default_view(low + origin, high + origin)))
@@ -247,7 +247,7 @@ fn only_geometry(bundle: &Bundle) -> Result<String, SceneError> {
         [] => Err(SceneError::file(bundle.name(), "has neither a `scene.json` nor a glTF file")),
         _ => {
             let reason =
-                format!("has no `scene.json`, which says which of {} is the scene", names.join(", "));
+                format!("needs a `scene.json` that lists its geometry files; it has {}", names.join(", "));
             Err(SceneError::file(bundle.name(), reason))
         }
     }
@@ -257,7 +257,7 @@ fn load_geometry(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneErr
     match extension(path).as_str() {
         "obj" => crate::obj::load(assembly, path),
         "gltf" | "glb" => crate::gltf_file::load(assembly, path),
-        _ => Err(SceneError::file(path, "is not geometry that is understood (.obj, .gltf, .glb)")),
+        _ => Err(SceneError::file(path, "is not a supported geometry file (.obj, .gltf, .glb)")),
     }
 }
 
