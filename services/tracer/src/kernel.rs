@@ -1,10 +1,11 @@
-//! The code that traces a frame, put together once from the effects that the frame calls for.
+//! Kernels: the code that traces a frame, composed once from the effects that the frame needs.
 //!
-//! What decides inside the innermost loops (how rays are intersected, which lobes there are, whether colours are looked up) is
-//! a constant parameter of the kernel: each of the 32 combinations is compiled for itself. What is called once a vertex or
-//! less (camera, kinds of light, indirect light, integrator) is a function of the kernel, chosen or left out. A frame pays
-//! for nothing that it does not hold; and since an effect that is forced on only meets data that it has nothing to do for,
-//! a larger kernel computes the same bits.
+//! Decisions in the innermost loops (ray intersection, lobes, texture lookups) are a const parameter. Each of
+//! its 32 values is compiled separately. Functions that are called at most once per path vertex (camera,
+//! kinds of light, indirect light, integrator) are function pointers, which are set or left out.
+//!
+//! A frame therefore pays only for the effects that it needs. A kernel with more effects than needed computes
+//! the same bits, because the additional effects find no data to work on.
 
 use crate::Integrator;
 use crate::cache::{Irradiance, Keyed, PLAN_RAYS, Planned, Site, Strata};
@@ -20,56 +21,58 @@ use forelight_bvh::{Hit, Ray};
 use glam::Vec3;
 use std::time::Instant;
 
-/// Constant parameters of a kernel, as bits.
+/// Bits of a kernel's const parameter.
 pub mod has {
     /// Rough reflections are followed.
     pub const GLOSSY: u32 = 1;
     /// Mirrors, panes and solid glass are followed.
     pub const SPECULAR: u32 = 1 << 1;
-    /// Light passes some surfaces straight: panes, partial opacity.
+    /// Some surfaces let light pass straight through: panes and partial opacity.
     pub const PASSING: u32 = 1 << 2;
-    /// Some surfaces are cut out by a texture: every hit has to be looked at.
+    /// Some surfaces have a cut-out texture, so every hit must be checked.
     pub const CUT_OUTS: u32 = 1 << 3;
-    /// Colours may come from images.
+    /// Colours may come from textures.
     pub const TEXTURES: u32 = 1 << 4;
 }
 
-/// Light that reaches a point from one kind of light; the last argument is the path's vertex.
+/// Light that reaches a point from one kind of light. The last argument is the path vertex.
 pub type Light<const K: u32> = fn(&mut Pixels<'_, K>, &Point, &Response, u32) -> Vec3;
 
-/// Indirect diffuse light at a point, without the lights that are sampled.
+/// Indirect diffuse light at a point, without the lights that are sampled directly.
 pub type Ambient<const K: u32> = fn(&mut Pixels<'_, K>, &Segment, &Point, &Response) -> Vec3;
 
-/// What a ray meets at the face of a solid dielectric.
+/// The interface that a ray meets at the face of a solid dielectric.
 pub type AtInterface<const K: u32> = fn(&mut Pixels<'_, K>, &Ray, &Hit, &Point) -> Interface;
 
 /// The functions of a frame's kernel.
 #[derive(Clone)]
 pub struct Kernel<const K: u32> {
-    /// The ray of a camera sample of a pixel.
+    /// Creates the ray of a camera sample, from the pixel's column and row.
     pub camera: fn(&mut Pixels<'_, K>, u32, u32) -> Ray,
-    /// Lights with a position or a direction, by kind, at points that the camera sees.
+    /// Light from each kind of point, area or distant light, at points seen from the camera.
     pub lights: Vec<Light<K>>,
-    /// The same at points that gathered rays meet.
+    /// The same, at points met by gathered rays.
     pub gathered_lights: Vec<Light<K>>,
-    /// What surrounds the scene.
+    /// Light from the environment.
     pub sky: Option<Light<K>>,
-    /// Indirect light.
+    /// Indirect diffuse light.
     pub ambient: Option<Ambient<K>>,
-    /// Solid dielectrics, alone or among others.
+    /// Interfaces of solid dielectrics, with or without priorities.
     pub interface: AtInterface<K>,
     /// Radiance along a camera ray.
     pub integrate: fn(&mut Pixels<'_, K>, Ray) -> Vec3,
-    /// The same without light, for finding out where the cache will be read.
+    /// A kernel without lights that finds the points at which the cache will be read.
     pub probe: Option<Box<Kernel<K>>>,
 }
 
-/// A kernel, whatever its parameters.
+/// A kernel with any const parameter.
 pub trait Trace: Send + Sync {
-    /// One finished pixel by its row-major index; `each` is told the radiance of every camera sample, in order.
+    /// Traces one pixel, given by its row-major index. `each` receives the radiance of every camera sample,
+    /// in order.
     fn pixel(&self, tracer: &Tracer, index: u32, each: &mut dyn FnMut([f32; 3])) -> Pixel;
 
-    /// A pixel that has some samples, brought to `samples` of them; `each` is told those that are new.
+    /// Adds camera samples to a pixel until it has `samples` of them. `each` receives the radiance of each
+    /// new one.
     fn go_on(
         &self,
         tracer: &Tracer,
@@ -79,7 +82,8 @@ pub trait Trace: Send + Sync {
         each: &mut dyn FnMut([f32; 3]),
     );
 
-    /// The places at which the first `samples` samples of a pixel read the first level of the cache.
+    /// Finds the sites at which the first `samples` camera samples of a pixel read the first level of the
+    /// cache.
     fn sites(
         &self,
         tracer: &Tracer,
@@ -89,7 +93,7 @@ pub trait Trace: Send + Sync {
         counters: &mut Counters,
     );
 
-    /// The places of level `level` that the plan's rays of a record of the level before meet.
+    /// Finds the sites of level `level` that the plan rays of a record on the level before meet.
     fn sites_beyond(
         &self,
         tracer: &Tracer,
@@ -98,7 +102,7 @@ pub trait Trace: Send + Sync {
         planned: &Planned,
     ) -> (Vec<Keyed>, Counters);
 
-    /// What rays from a site meet.
+    /// Traces rays from a site and returns their hits.
     fn plan_rays(
         &self,
         tracer: &Tracer,
@@ -106,7 +110,7 @@ pub trait Trace: Send + Sync {
         directions: &[Vec3; PLAN_RAYS],
     ) -> ([Option<Hit>; PLAN_RAYS], Counters);
 
-    /// What the hemisphere above a planned record of a level sends.
+    /// Gathers the irradiance at a planned record of a level.
     fn gather(
         &self,
         tracer: &Tracer,
@@ -117,7 +121,7 @@ pub trait Trace: Send + Sync {
 }
 
 impl<const K: u32> Kernel<K> {
-    /// Adds samples to a pixel, up to so many.
+    /// Adds camera samples to a pixel until it has `samples` of them.
     fn trace<'a>(
         &'a self,
         tracer: &'a Tracer,
@@ -196,7 +200,7 @@ impl<const K: u32> Kernel<K> {
     }
 }
 
-/// The kinds of light that a point after `level` diffuse bounces looks at.
+/// The functions that sample lights at a point after `level` diffuse bounces.
 fn lights<const K: u32>(effects: Effects, level: u32, looks: Looks) -> Vec<Light<K>> {
     let mut lights: Vec<Light<K>> = Vec::new();
     match (looks.at(level), level) {
@@ -294,7 +298,7 @@ impl<const K: u32> Trace for Kernel<K> {
     }
 }
 
-/// The kernel for these effects.
+/// The kernel for a set of effects.
 pub fn kernel(effects: Effects, integrator: Integrator, looks: Looks) -> Box<dyn Trace> {
     let parameters = [
         (has::GLOSSY, Effects::GLOSSY),

@@ -1,4 +1,7 @@
 //! A frame, ready to be traced.
+//!
+//! [`Tracer::new`] builds the tree, collects the lights and composes the kernel. Pixels can then be traced
+//! one by one, as a profile, or as a whole image. Tracers can be shared between threads.
 
 use crate::cache::{Cache, CacheError, RecordCost};
 use crate::cost::{Cost, Tally, WorkByClass, WorkByRay, build_work, clocked};
@@ -24,7 +27,7 @@ use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
-/// Edge of the square tiles in which an image is worked off, pixels.
+/// Edge of the square tiles into which an image is divided, pixels.
 pub(crate) const TILE: u32 = 16;
 
 /// One finished pixel.
@@ -36,20 +39,20 @@ pub struct Pixel {
     pub rays: [u32; 7],
     /// Deterministic work.
     pub work: u64,
-    /// The same by the ray that brought it about.
+    /// Work by the category of the ray that caused it.
     pub work_by_ray: WorkByRay,
-    /// The part of `work` that is in the rays above the least of gathers where the irradiance cache had no record: later samples have fewer of them
-    /// ([`crate::UncoveredGathers`]). All other work is in proportion to the samples.
+    /// The part of `work` that later samples do not have: the rays beyond the minimum at points that no cache
+    /// record covers ([`crate::UncoveredGathers`]). All other work is proportional to the number of samples.
     pub extra_work: u64,
     /// CPU time, nanoseconds.
     pub cpu_nanos: u64,
-    /// Samples and gathers that asked the irradiance cache where it had no record, and gathered for themselves.
+    /// Number of cache reads at points that no record covers, where the sample gathered for itself.
     pub uncovered: u32,
     /// Stratum that the first camera sample met, or [`Pixel::NOTHING`].
     pub stratum: u32,
 }
 
-/// Is given pixels of an image, by their row-major index, as soon as they are finished.
+/// Callback for finished pixels, each with its row-major index.
 pub type PixelsFinished<'a> = dyn Fn(&[(u32, Pixel)]) + Sync + 'a;
 
 impl Pixel {
@@ -57,61 +60,67 @@ impl Pixel {
     pub const NOTHING: u32 = u32::MAX;
 }
 
-/// Everything that tracing a frame needs. Cheap to share between threads.
+/// Everything needed to trace a frame. Threads can share it.
 pub struct Tracer {
     pub(crate) frame: Frame,
     pub(crate) settings: Settings,
     pub(crate) bvh: Arc<Tree>,
     pub(crate) materials: Vec<Material>,
-    /// What matters to the picture.
+    /// What can affect the image.
     reach: Reach,
     pub(crate) luminaires: Luminaires,
-    /// Lights without surface that are looked at, by their indices in the frame.
+    /// Indices of the point lights that are sampled.
     pub(crate) points: Vec<usize>,
-    /// The same of distant lights.
+    /// Indices of the suns that are sampled.
     pub(crate) suns: Vec<usize>,
-    /// Everything that shines, for choosing one light out of it; empty where the integrator does not choose so.
+    /// All lights, for choosing one of them. Empty if the integrator never chooses.
     pub(crate) lights: Lights,
-    /// How many of the lights with a position a point looks at.
+    /// Number of lights with a position that each point samples.
     pub(crate) looks: Looks,
     pub(crate) sky: Sky,
     /// Internal diffuse reflectance of each coated material.
     pub(crate) internal: Vec<f32>,
-    /// Solid dielectrics that may overlap.
+    /// Priorities of solid dielectrics.
     pub(crate) ranks: Ranks,
-    /// Those that the camera is inside of.
+    /// The solids that contain the camera.
     pub(crate) camera_media: Media,
-    /// Planned or taken over when it is first needed; never set if the settings ask for none.
+    /// Planned or taken over when first needed. Never set if the settings have no cache.
     cache: OnceLock<Cache>,
-    /// From which to plan.
+    /// A cache from which planning starts.
     given: Mutex<Option<Cache>>,
     effects: Effects,
     pub(crate) kernel: Box<dyn Trace>,
     build: Cost,
-    /// Work of all pixels that were traced so far, and of all gathers.
+    /// Work of all pixels traced so far, and of all gathers.
     pub(crate) pixel_work: Tally,
     pub(crate) gather_work: Tally,
-    /// Camera samples by pixel, where they differ.
+    /// Camera samples by pixel, if they differ.
     samples: OnceLock<SampleCounts>,
-    /// What the frame holds, hashed when it is first asked for.
+    /// Hash state of the frame's content, computed when first needed.
     content: OnceLock<blake3::Hasher>,
 }
 
 impl Tracer {
-    /// Builds the tree and finds the lights. The camera is resized to the settings' width and height. What cannot matter to the picture
-    /// is left out: see [`Self::left_out`].
+    /// Builds the tree and collects the lights.
+    ///
+    /// The camera is resized to the settings' width and height. Objects and lights that cannot affect the
+    /// image are left out; see [`Self::left_out`].
     pub fn new(frame: &Frame, settings: &Settings) -> Self {
         Self::build(frame, settings, None, false)
     }
 
-    /// The same with a tree that was built for the same geometry. If this frame sees other triangles of it, it gets a tree of its own
-    /// nevertheless.
+    /// Like [`Self::new`], with a tree built earlier for the same geometry.
+    ///
+    /// If other triangles can affect this frame's image, a new tree is built.
     pub fn with_bvh(frame: &Frame, settings: &Settings, bvh: Arc<Tree>) -> Self {
         Self::build(frame, settings, Some(bvh), false)
     }
 
-    /// The same with everything left in, whether it matters or not: for showing what leaving it out saves. Images keep their bits.
-    /// (Lights that cannot matter are looked at, if all lights are; they are never among some that are chosen out of many.)
+    /// Like [`Self::new`], but leaves nothing out. It shows what leaving things out saves; images have the
+    /// same bits.
+    ///
+    /// Lights that cannot affect the image are sampled only if all lights are. They never take part in a
+    /// choice among many.
     pub fn complete(frame: &Frame, settings: &Settings) -> Self {
         Self::build(frame, settings, None, true)
     }
@@ -140,7 +149,7 @@ impl Tracer {
         let sky = if included.environment() { Sky::new(&frame) } else { Sky::Black };
         let points: Vec<usize> = (0..frame.points.len()).filter(|&i| included.point_light(i)).collect();
         let suns: Vec<usize> = (0..frame.suns.len()).filter(|&i| included.sun(i)).collect();
-        // Of those that are put back, none is ever among the chosen.
+        // Lights that cannot affect the image are never chosen, so they do not count.
         let choice =
             luminaires.reaching() + (0..frame.points.len()).filter(|&i| reach.point_light(i)).count();
         let looks = Looks::new(choice);
@@ -188,22 +197,24 @@ impl Tracer {
         tracer
     }
 
-    /// Gives every pixel a number of camera samples of its own, in place of [`Settings::spp`]; once. A pixel's first samples are the same
-    /// whatever their number. What was planned or filled before stays as it is.
+    /// Sets the number of camera samples of each pixel, in place of [`Settings::spp`]. It can be called once.
+    ///
+    /// A pixel's first samples are the same whatever their number. A cache that is already planned or filled
+    /// stays unchanged.
     ///
     /// # Errors
-    /// If the numbers are not those of this image's pixels, or others were given before.
+    /// If there is not one number per pixel of this image, or if sample counts were set before.
     pub fn allot(&self, samples: SampleCounts) -> Result<(), SampleCountsError> {
         samples.for_pixels(self.frame.camera.pixels())?;
         self.samples.set(samples).map_err(|_| SampleCountsError::Late)
     }
 
-    /// Camera samples of a pixel.
+    /// Number of camera samples of a pixel.
     pub(crate) fn samples_of(&self, pixel: u32) -> u32 {
         self.samples.get().map_or(self.settings.spp, |samples| u32::from(samples.as_slice()[pixel as usize]))
     }
 
-    /// Plans the irradiance cache, on the current thread pool, if one is called for and there is none.
+    /// Plans the irradiance cache on the current thread pool, if the frame needs one and has none.
     pub fn plan(&self) {
         if let Some(settings) = self.settings.cache.filter(|_| self.effects.has(Effects::CACHE)) {
             self.cache.get_or_init(|| {
@@ -214,52 +225,59 @@ impl Tracer {
         }
     }
 
-    /// Starts the plan from a cache that was planned, and perhaps filled, for this image or for others of the same scene and light;
-    /// call it before [`Self::plan`]. What the image needs beyond it will be planned anew.
+    /// Sets a cache from which planning starts. Call it before [`Self::plan`].
+    ///
+    /// The cache may be planned or filled, for this image or for others with the same scene and light.
+    /// Records that this image also needs are then planned in addition.
+    ///
+    /// # Errors
+    /// If the cache belongs to another scene, other light or other settings.
     pub fn take_cache(&self, cache: Cache) -> Result<(), CacheError> {
         cache.check(self)?;
         *lock(&self.given) = Some(cache);
         Ok(())
     }
 
-    /// Takes a cache as it is, without planning what this image needs beyond it: for filling it.
+    /// Uses a cache as it is, without planning more records for this image. It serves to fill the cache.
     ///
     /// # Errors
-    /// If it belongs to another scene, other light or other settings.
+    /// If the cache belongs to another scene, other light or other settings.
     pub fn hold_cache(&self, cache: Cache) -> Result<&Cache, CacheError> {
         cache.check(self)?;
         Ok(self.cache.get_or_init(|| cache))
     }
 
-    /// The frame's irradiance cache, planned and filled as far as it was.
+    /// The frame's irradiance cache in its current state.
     pub fn into_cache(self) -> Option<Cache> {
         self.cache.into_inner()
     }
 
-    /// Hash of all that the records of a cache depend on.
+    /// Hash of everything that the records of a cache depend on.
     pub fn cache_fingerprint(&self) -> [u8; 32] {
         light_fingerprint(self.content(), &self.settings, &self.reach)
     }
 
-    /// The frame's irradiance cache, if it is called for and planned.
+    /// The frame's irradiance cache, if it is needed and planned.
     pub fn cache(&self) -> Option<&Cache> {
         self.cache.get()
     }
 
-    /// The cache in a kernel that reads one.
+    /// The cache, for kernels that read one.
     pub(crate) fn planned(&self) -> &Cache {
         self.cache.get().expect("what traces a frame plans its cache first")
     }
 
-    /// Gathers the records that the cache lacks, on the current thread pool, having planned it if need be. `progress` is told the
-    /// records done, and all records; `false` if `cancel` was set.
+    /// Gathers the missing records of the cache on the current thread pool. Plans the cache first if
+    /// necessary.
+    ///
+    /// `progress` receives the number of records done and the total. Returns `false` if `cancel` was set.
     pub fn fill(&self, progress: &(dyn Fn(u64, u64) + Sync), cancel: &AtomicBool) -> bool {
         self.plan();
         let Some(cache) = self.cache.get() else { return true };
         let records = cache.records();
         let all = records.iter().sum();
         let mut before = 0;
-        // A level's gathers read the next one.
+        // The gathers of a level read the next level.
         for (level, &count) in records.iter().enumerate().rev() {
             if !cache.fill(self, level, 0..count as usize, &|done| progress(before + done, all), cancel) {
                 return false;
@@ -269,8 +287,10 @@ impl Tracer {
         true
     }
 
-    /// What gathering a few records takes, `each` of every level that has as many, spread evenly over space and begun as `seed` says:
-    /// every record has the same chance. Those of the deepest level, whose values depend on no other record, are filled by it.
+    /// Gathers a few records to measure their cost: `each` records of every level, or all if there are fewer.
+    ///
+    /// The records are spread evenly over space, and every record has the same probability. `seed` selects
+    /// the start. Records of the deepest level depend on no other record, so they are kept.
     pub fn sample_records(&self, each: usize, seed: u64) -> Vec<RecordCost> {
         self.plan();
         self.cache.get().map_or_else(Vec::new, |cache| cache.sample(self, each, seed))
@@ -281,38 +301,39 @@ impl Tracer {
         &self.bvh
     }
 
-    /// Lights and objects that cannot matter to the picture, and why. Unless the tracer is [`Self::complete`], they take no rays, no
-    /// memory and no time.
+    /// Lights and objects that cannot affect the image, with the reason for each.
+    ///
+    /// They cost no rays, memory or time, unless the tracer is [`Self::complete`].
     pub fn left_out(&self) -> &[LeftOut] {
         self.reach.left_out()
     }
 
-    /// What was asked of it.
+    /// The settings of the image.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// The frame as it is traced.
+    /// The frame as it is traced, with the resized camera.
     pub fn frame(&self) -> &Frame {
         &self.frame
     }
 
-    /// What building the tree took, and finding out what belongs into it; nothing if it existed.
+    /// Cost of building the tree, and of finding what can affect the image. Zero for a shared tree.
     pub fn build_cost(&self) -> Cost {
         self.build
     }
 
-    /// Work by class of all that was traced so far: of pixels, and of the irradiance cache's gathers, without planning them.
+    /// Work by class so far: of all pixels, and of the cache's gathers. Planning is not included.
     pub fn work_by_class(&self) -> (WorkByClass, WorkByClass) {
         (self.pixel_work.sum(), self.gather_work.sum())
     }
 
-    /// Hash of all that a pixel's value depends on: frame, settings, and the version of this tracer.
+    /// Hash of everything that a pixel depends on: frame, settings, and the version of this tracer.
     pub fn fingerprint(&self) -> [u8; 32] {
         fingerprint(self.content(), &self.frame, &self.settings, self.samples.get())
     }
 
-    /// What is made for this image says that it was.
+    /// The origin to store in files made for this image.
     pub fn origin(&self) -> Origin {
         Origin::of(self.content(), &self.frame, &self.settings)
     }
@@ -321,26 +342,30 @@ impl Tracer {
         self.content.get_or_init(|| of_content(&self.frame))
     }
 
-    /// The effects that this frame calls for.
+    /// The effects that this frame needs.
     pub fn effects(&self) -> Effects {
         self.effects
     }
 
-    /// The same, traced by a kernel that also holds code for effects that are not called for: for showing what leaving them out
-    /// saves. Images and counters keep their bits.
+    /// Uses a kernel with additional effects. It shows what leaving effects out saves; images and counters
+    /// have the same bits.
     pub fn with_kernel_for(self, effects: Effects) -> Self {
         Self { kernel: kernel(self.effects | effects.bits(), self.settings.integrator, self.looks), ..self }
     }
 
-    /// One finished pixel by its row-major index. Its colour, rays and work depend on nothing but frame, settings and index.
-    /// With a cache that is not filled, all but the colour is.
+    /// Traces one pixel, given by its row-major index.
+    ///
+    /// Its colour, rays and work depend only on frame, settings and index. If there is a cache that is not
+    /// filled, its colour is not valid.
     pub fn pixel(&self, index: u32) -> Pixel {
         self.plan();
         self.kernel.pixel(self, index, &mut |_| ())
     }
 
-    /// The same as [`Self::profile`], with the radiance of every camera sample told to `each`, after the place of its pixel in `pixels`, in
-    /// the order of the samples. Before each pixel `stop` is asked whether they are not wanted any more: then there are none.
+    /// Like [`Self::profile`], and reports each camera sample.
+    ///
+    /// `each` receives the position of the pixel in `pixels` and the radiance, in the order of the samples.
+    /// `stop` is called before each pixel; if it returns `true`, the result is `None`.
     pub fn profile_samples(
         &self,
         pixels: &[u32],
@@ -355,27 +380,34 @@ impl Tracer {
         (traced.len() == pixels.len()).then_some(traced)
     }
 
-    /// Gathers what the cache lacks for the colours of these pixels: the records of the first level that they read. The colours are then
-    /// nearly those of the image: fewer records are averaged, so they are a little noisier, and deeper levels are followed by single rays. Once, and
-    /// for these pixels alone: an image is not to be rendered by this tracer any more. On the current thread pool; says what
-    /// that took, nothing without a cache. `None` if `stop` said on the way that they are not wanted any more.
+    /// Gathers the records of the first level that these pixels read, on the current thread pool. Returns the
+    /// cost.
+    ///
+    /// The pixels' colours are then close to those of the image. They are slightly noisier, because fewer
+    /// records are averaged, and deeper levels are followed by single rays. Call it once, and only for these
+    /// pixels; the tracer can no longer render an image. Without a cache the cost is zero. Returns `None` if
+    /// `stop` returned `true`.
     pub fn fill_for(&self, pixels: &[u32], stop: &(dyn Fn() -> bool + Sync)) -> Option<Cost> {
         self.plan();
         self.cache.get().map_or(Some(Cost::default()), |cache| cache.fill_for(self, pixels, stop))
     }
 
-    /// Finished pixels by index, in the order given; see [`Self::pixel`] for their colours. With a cache, call [`Self::plan`] before
-    /// calling this from several threads of a pool.
+    /// Traces pixels, given by their row-major indices, in the given order. See [`Self::pixel`] for their
+    /// colours.
+    ///
+    /// With a cache, call [`Self::plan`] before calling this from several threads of a pool.
     pub fn profile(&self, pixels: &[u32]) -> Vec<Pixel> {
         self.plan();
         timed(|| pixels.iter().map(|&i| self.kernel.pixel(self, i, &mut |_| ())).collect())
     }
 
-    /// The whole image, on the current rayon pool: pixels of `reuse` are taken over, the others traced. `progress` is told the
-    /// number of pixels done, now and then; `None` is the answer when `cancel` was set.
+    /// Renders the whole image on the current thread pool. Pixels in `reuse` are taken over, the others are
+    /// traced.
+    ///
+    /// `progress` receives the number of pixels done. Returns `None` if `cancel` was set.
     ///
     /// # Panics
-    /// If `reuse` was made for another image: compare fingerprints first.
+    /// If `reuse` was made for another image. Compare fingerprints first.
     pub fn render(
         &self,
         reuse: Option<&Profile>,
@@ -385,11 +417,13 @@ impl Tracer {
         self.render_watched(reuse, progress, &|_| (), cancel)
     }
 
-    /// The same; `finished` is given the pixels of every tile as soon as they are traced, also those of a tile in which the
-    /// work was stopped.
+    /// Like [`Self::render`], and reports finished pixels.
+    ///
+    /// `finished` receives the pixels of each tile as soon as they are traced, including those of an
+    /// interrupted tile.
     ///
     /// # Panics
-    /// As [`Self::render`].
+    /// Like [`Self::render`].
     pub fn render_watched(
         &self,
         reuse: Option<&Profile>,
@@ -445,7 +479,7 @@ impl Tracer {
         Some(Image { width, height, pixels: pixels?, reused })
     }
 
-    /// Whether a surface is there at a hit, or cut out by its texture.
+    /// Returns `true` if the surface exists at a hit, `false` if its texture cuts it out.
     pub(crate) fn present(&self, hit: &Hit, texels: &Cell<u64>) -> bool {
         let geometry = &self.frame.geometry;
         match self.materials[geometry.material(hit.primitive) as usize].mask {
@@ -459,7 +493,7 @@ impl Tracer {
     }
 }
 
-/// Traces a batch of pixels and turns their wall-clock times into CPU time: see [`share_cpu_time`].
+/// Traces a batch of pixels, and converts their wall-clock times to CPU times; see [`share_cpu_time`].
 fn timed(trace: impl FnOnce() -> Vec<Pixel>) -> Vec<Pixel> {
     let mut pixels = Vec::new();
     share_cpu_time(|| {
@@ -469,9 +503,12 @@ fn timed(trace: impl FnOnce() -> Vec<Pixel>) -> Vec<Pixel> {
     pixels
 }
 
-/// Runs what traces some pixels and turns the wall-clock time that it has added to each, from what was there before, into CPU time. A pixel's
-/// clock is cheap but counts what other processes took; the thread's CPU clock is exact but too dear to read twice a pixel. So each
-/// pixel gets the share of the batch's CPU time that it had of the batch's wall time.
+/// Runs `trace`, and converts the wall-clock time of each traced pixel to CPU time.
+///
+/// `trace` returns each pixel's time before, and a reference to its time now. Wall-clock time is cheap to
+/// read, but includes time spent in other processes. The thread's CPU clock is exact, but too slow to read
+/// twice per pixel. So each pixel gets its share of the batch's CPU time, in proportion to its wall-clock
+/// time.
 pub(crate) fn share_cpu_time<'a>(trace: impl FnOnce() -> Vec<(u64, &'a mut u64)>) {
     let (pixels, cpu) = clocked(trace);
     let wall: u64 = pixels.iter().map(|(before, now)| **now - before).sum();
@@ -483,7 +520,8 @@ pub(crate) fn share_cpu_time<'a>(trace: impl FnOnce() -> Vec<(u64, &'a mut u64)>
     }
 }
 
-/// The material as two-sided Lambert: its diffuse colour or texture, 0.5 grey for metals and glass. Emission stays.
+/// The material as two-sided Lambertian: its diffuse colour or texture, or 0.5 grey for metals and glass.
+/// Emission is kept.
 fn as_lambert(material: &Material) -> Material {
     let albedo = match material.surface {
         Surface::Lambert { albedo } | Surface::Plastic { albedo, .. } => albedo,
@@ -492,7 +530,7 @@ fn as_lambert(material: &Material) -> Material {
     Material { surface: Surface::Lambert { albedo }, ..material.clone() }
 }
 
-/// The data behind the lock is whole after every statement, so a panic elsewhere does not spoil it.
+/// Locks a mutex. Its data are valid after every statement, so a panic of another thread does no harm.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
