@@ -1,13 +1,13 @@
-//! The cache as an artefact.
+//! The cache's file format.
 //!
-//! Little-endian, all arrays at multiples of eight bytes, so that a mapped file can be read where it lies:
+//! Numbers are little-endian, and all arrays start at multiples of eight bytes:
 //!
 //! | part | bytes |
 //! | --- | --- |
 //! | header | see [`Header`] |
 //! | fingerprints of the images that it was planned for | 32 each |
-//! | for each level: its header, its records as planned, their values | see [`LevelHeader`], [`PlannedRow`], [`RecordRow`] |
-//! | BLAKE3 of all before | 32 |
+//! | per level: header, planned records, gathered records | see [`LevelHeader`], [`PlannedRow`], [`RecordRow`] |
+//! | BLAKE3 hash of everything before | 32 |
 
 use super::hemisphere::{PLAN_RAYS, SECTORS, Strata};
 use super::smooth::Value;
@@ -23,42 +23,42 @@ use std::sync::OnceLock;
 
 const MAGIC: [u8; 8] = *b"FLcach07";
 
-/// A gather has no more strata, see [`crate::Settings::validate`].
+/// A gather has at most this many strata; see [`crate::Settings::validate`].
 const MOST_RAYS: u32 = 66_000;
 
 const CHECKSUM: usize = 32;
 
-/// The triangle of a ray that met nothing.
+/// Triangle index of a ray that hit nothing.
 const NOTHING: u32 = u32::MAX;
 
 const FILLED: u32 = 1;
 const REJECTED: u32 = 2;
 const SMOOTHED: u32 = 4;
 
-/// Why bytes are not a cache, or not the right one.
+/// Why bytes are not a valid cache, or not one for this frame.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CacheError {
-    /// The leading bytes are others.
+    /// The magic bytes are wrong.
     #[error("not an irradiance cache of this version (it must begin with FLcach07)")]
     Foreign,
-    /// Shorter or longer than it says.
+    /// The length differs from what the headers say.
     #[error("truncated irradiance cache: {found} bytes where {expected} were expected")]
     Length {
-        /// Bytes given.
+        /// Actual number of bytes.
         found: u64,
-        /// Bytes that the header announces.
+        /// Number of bytes according to the headers.
         expected: u64,
     },
-    /// The checksum differs, or numbers are outside what a cache can hold.
+    /// The checksum is wrong, or a value is out of range.
     #[error("damaged irradiance cache: {0}")]
     Damaged(&'static str),
-    /// It belongs to another scene or other settings.
+    /// It was made for another scene or with other settings.
     #[error("the irradiance cache was made for other images ({0}): make it again")]
     OtherScene(
-        /// What is another there.
+        /// The differences, in words.
         String,
     ),
-    /// Parts of different plans cannot be put together.
+    /// Parts of different plans cannot be merged.
     #[error("the irradiance caches have different plans: fill parts of one and the same plan")]
     OtherPlan,
 }
@@ -134,7 +134,7 @@ struct LightRow {
 }
 
 impl Cache {
-    /// The cache as a file.
+    /// Serialises the cache.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut out = Vec::new();
         put(
@@ -175,7 +175,10 @@ impl Cache {
         out
     }
 
-    /// Reads what [`Self::to_bytes`] wrote.
+    /// Parses the output of [`Self::to_bytes`].
+    ///
+    /// # Errors
+    /// If the bytes are not a cache of this version, have the wrong length, or are damaged.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CacheError> {
         let (cache, reading) = clocked(|| Self::read_from(bytes));
         Ok(Self { reading, ..cache? })
@@ -209,7 +212,7 @@ impl Cache {
         if !reader.rest.is_empty() {
             return Err(too_short(bytes.len(), (reader.read + CHECKSUM) as u64));
         }
-        // Last, since hashing takes longer than finding out that the length is wrong.
+        // Hashing takes longer than finding a wrong length, so it comes last.
         if blake3::hash(body).as_bytes() != checksum {
             return Err(CacheError::Damaged("the checksum does not match"));
         }
@@ -219,7 +222,11 @@ impl Cache {
         Ok(cache)
     }
 
-    /// Whether the cache is one for this frame: planned for this scene, light and settings, and with nothing in it that the scene has not.
+    /// Checks that the cache fits this frame: same scene, light and settings, and no reference to a missing
+    /// triangle.
+    ///
+    /// # Errors
+    /// What does not fit.
     pub fn check(&self, tracer: &Tracer) -> Result<(), CacheError> {
         if !self.suits(tracer) {
             return Err(CacheError::OtherScene(self.origin.unlike_light(&tracer.origin())));
@@ -237,8 +244,11 @@ impl Cache {
         Ok(())
     }
 
-    /// Takes over the records that another part of the same plan has filled. Levels that are full then want to be smoothed: see
-    /// [`Self::smooth_full`].
+    /// Takes over the filled records of another part of the same plan. Levels that become full must then be
+    /// smoothed; see [`Self::smooth_full`].
+    ///
+    /// # Errors
+    /// If the plans differ.
     pub fn merge(&mut self, other: &Self) -> Result<(), CacheError> {
         let same = |(a, b): (&Level, &Level)| a.planned == b.planned;
         if self.fingerprint != other.fingerprint
@@ -311,7 +321,7 @@ fn planned_row(planned: &Planned) -> PlannedRow {
     }
 }
 
-/// `None` if it could not be used without doing harm.
+/// `None` if a value is out of range and could do harm.
 fn planned_of(row: &PlannedRow) -> Option<Planned> {
     let site = Site {
         position: row.position.into(),
@@ -376,7 +386,7 @@ fn record_of(row: &RecordRow) -> Option<Record> {
     (row.flags & FILLED != 0).then_some(record)
 }
 
-/// `None` if the record is not smoothed, or not finite: it is then smoothed anew.
+/// `None` if the record is not smoothed or not finite. It is then smoothed again.
 fn value_of(row: &RecordRow, record: &Record) -> Option<Value> {
     let LightRow { irradiance, rotation, translation } = row.smoothed;
     let value = Value {
@@ -396,7 +406,7 @@ fn too_short(found: usize, expected: u64) -> CacheError {
     CacheError::Length { found: found as u64, expected }
 }
 
-/// Reads rows, and never more than there are.
+/// Reads rows, with bounds checks.
 struct Reader<'a> {
     rest: &'a [u8],
     read: usize,
@@ -416,7 +426,7 @@ impl Reader<'_> {
         (0..count).map(|_| self.take()).collect()
     }
 
-    /// Before anything is allocated.
+    /// Checks the remaining length before anything is allocated.
     fn require(&self, count: u64, size: usize) -> Result<(), CacheError> {
         let wanted = count.saturating_mul(size as u64);
         if wanted <= self.rest.len() as u64 {

@@ -1,4 +1,4 @@
-//! Filling: what the hemisphere above a planned record sends.
+//! Fill: gathers the irradiance at planned records.
 
 use super::hemisphere::Irradiance;
 use super::smooth::Value;
@@ -10,9 +10,10 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 impl Cache {
-    /// Gathers a range of a level's records, on the current thread pool; those that are filled already stay. `progress` is told the
-    /// number done, now and then. The next deeper level has to be filled: a gather reads it. A level that is full now is smoothed. `false`
-    /// if `cancel` was set.
+    /// Gathers a range of a level's records, on the current thread pool. Filled records stay unchanged.
+    ///
+    /// The next deeper level must be filled, because gathers read it. If the level is then full, it is
+    /// smoothed. `progress` receives the number of records done. Returns `false` if `cancel` was set.
     pub fn fill(
         &self,
         tracer: &Tracer,
@@ -33,7 +34,7 @@ impl Cache {
         !cancel.load(Ordering::Relaxed)
     }
 
-    /// What the hemisphere above a record sends, and what gathering that takes.
+    /// Gathers the irradiance at a record. The result includes its cost.
     pub(super) fn gathered(&self, tracer: &Tracer, level: usize, index: usize) -> Record {
         let here = &self.levels[level];
         let planned = &here.planned[index];
@@ -50,8 +51,11 @@ impl Cache {
 }
 
 impl Record {
-    /// The record of a gather. Gradients that would change the irradiance by all of itself within the trusted radius are cut back
-    /// (Křivánek et al. 2006): a steeper one says that the record is valid for a shorter way than its surroundings made believe.
+    /// The record for a gather. Its gradients are limited (Křivánek et al. 2006).
+    ///
+    /// A gradient that would change the irradiance by its full value within a distance shows that the record
+    /// is valid for that distance at most. The trusted radius is reduced to it. If the distance is below the
+    /// smallest radius, the gradient itself is reduced.
     fn new(planned: &Planned, irradiance: &Irradiance, smallest: f32) -> Self {
         let (value, mut translation) = (irradiance.value, irradiance.translation);
         let mut trusted = planned.radius;
@@ -77,7 +81,7 @@ impl Record {
         record
     }
 
-    /// Whether every number is finite.
+    /// Returns `true` if every value is finite.
     pub fn is_finite(&self) -> bool {
         Value::of(self).is_finite() && self.noise.is_finite()
     }
