@@ -21,7 +21,7 @@
 //! | --- | --- |
 //! | `site` | points where irradiance is needed, and the error of using a record at one |
 //! | `index` | finds the records that may cover a site, by position and orientation |
-//! | `spheres`, `octree`, `loose` | sphere queries: spheres that contain a point, spheres that touch another |
+//! | `spheres`, `octree`, `loose` | queries for spheres that contain a point or touch another sphere |
 //! | `coverage` | the records of a level while it is planned |
 //! | `places` | finds records near a point; space-filling order |
 //! | `hemisphere` | strata of a gather; irradiance and its gradients |

@@ -6,7 +6,7 @@
 //! | --- | --- |
 //! | header | see [`Header`] |
 //! | fingerprints of the images that it was planned for | 32 each |
-//! | per level: header, planned records, gathered records | see [`LevelHeader`], [`PlannedRow`], [`RecordRow`] |
+//! | per level: header, planned rows, record rows | see [`LevelHeader`], [`PlannedRow`], [`RecordRow`] |
 //! | BLAKE3 hash of everything before | 32 |
 
 use super::hemisphere::{PLAN_RAYS, SECTORS, Strata};
