@@ -29,7 +29,7 @@ impl Planned {
     /// + √(1 − n·nᵢ) (Ward, Rubinstein and Clear 1988, equation 5).
     ///
     /// Returns `None` if the error is not below `allowed`, or if the record must not be used. It must not be
-    /// used if it has another coat, faces away, is in front of or behind the surface, or is beyond an obstacle.
+    /// used if it has another coat, faces away, is in front of or behind the surface, or beyond an obstacle.
     pub fn error(&self, place: &Site, allowed: f32) -> Option<f32> {
         let difference = place.position - self.site.position;
         let distance2 = difference.length_squared();
