@@ -69,14 +69,14 @@ impl Origin {
         let mut words = self.other_frame(image, true);
         words.extend(self.view.iter().zip(image.view).zip(VIEW).filter_map(other));
         words.extend(self.other_light(image));
-        told(words, "another camera, or other camera samples by pixel")
+        told(words, "different camera, or different sample counts by pixel")
     }
 
     /// The differences between this origin and a frame in which its cache records are not valid, in words.
     pub(crate) fn unlike_light(&self, frame: &Self) -> String {
         let mut words = self.other_frame(frame, false);
         words.extend(self.other_light(frame));
-        told(words, "other lights that reach what is seen")
+        told(words, "different lights reach the visible surfaces")
     }
 
     fn other_frame(&self, other: &Self, always: bool) -> Vec<String> {
@@ -86,7 +86,7 @@ impl Origin {
         let same = self.content == other.content;
         match self.frame == other.frame {
             false if always || !same => vec![format!("frame {}, not {}", self.frame, other.frame)],
-            true if !same => vec!["another scene".to_owned()],
+            true if !same => vec!["different scene".to_owned()],
             _ => Vec::new(),
         }
     }
@@ -150,7 +150,7 @@ mod tests {
         let (_, light) = of(&|other| (other.frame, other.content) = (8, [1; 32]));
         assert_eq!(light, "frame 7, not 8");
         let (image, light) = of(&|other| other.content = [1; 32]);
-        assert_eq!((&*image, &*light), ("another scene", "another scene"));
+        assert_eq!((&*image, &*light), ("different scene", "different scene"));
         // After a version difference, nothing else is reported.
         let (image, _) = of(&|other| (other.version, other.content) = (4, [1; 32]));
         assert_eq!(image, "version 3 of the tracer, not 4");

@@ -30,7 +30,7 @@ pub enum ProfileError {
     #[error("not a profile of this version (it must begin with FLprof06)")]
     Foreign,
     /// The length differs from what the header says.
-    #[error("cut short or continued: {found} bytes where a profile of its header has {expected}")]
+    #[error("damaged profile: it has {found} bytes instead of {expected}")]
     Length {
         /// Actual number of bytes.
         found: usize,

@@ -10,7 +10,7 @@ pub struct SampleCounts(Arc<[u16]>);
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SampleCountsError {
     /// Their number differs from the number of pixels.
-    #[error("{found} numbers of camera samples for {expected} pixels")]
+    #[error("{found} sample counts for {expected} pixels; one per pixel is needed")]
     Length {
         /// Number of counts.
         found: usize,
@@ -18,10 +18,10 @@ pub enum SampleCountsError {
         expected: usize,
     },
     /// A pixel has no samples, and therefore no colour.
-    #[error("pixel {0} is given no camera sample")]
+    #[error("pixel {0} has a sample count of 0; it must be at least 1")]
     None(usize),
     /// The image already has other sample counts.
-    #[error("the image's camera samples have been laid down already")]
+    #[error("the sample counts of this image were already set")]
     Late,
 }
 

@@ -123,7 +123,7 @@ impl Default for Settings {
 
 /// A setting outside its range.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{name} is {value}, but must lie in {lowest} … {highest}")]
+#[error("{name} is {value}; it must be in the range {lowest} to {highest}")]
 pub struct SettingsError {
     /// Name of the setting.
     pub name: &'static str,

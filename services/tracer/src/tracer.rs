@@ -264,7 +264,7 @@ impl Tracer {
 
     /// The cache, for kernels that read one.
     pub(crate) fn planned(&self) -> &Cache {
-        self.cache.get().expect("what traces a frame plans its cache first")
+        self.cache.get().expect("the cache is planned before a kernel reads it")
     }
 
     /// Gathers the missing records of the cache on the current thread pool. Plans the cache first if

@@ -42,7 +42,7 @@ pub enum CacheError {
     #[error("not an irradiance cache of this version (it must begin with FLcach07)")]
     Foreign,
     /// The length differs from what the headers say.
-    #[error("truncated irradiance cache: {found} bytes where {expected} were expected")]
+    #[error("damaged irradiance cache: it has {found} bytes instead of {expected}")]
     Length {
         /// Actual number of bytes.
         found: u64,
@@ -53,13 +53,13 @@ pub enum CacheError {
     #[error("damaged irradiance cache: {0}")]
     Damaged(&'static str),
     /// It was made for another scene or with other settings.
-    #[error("the irradiance cache was made for other images ({0}): make it again")]
+    #[error("the irradiance cache was made for other images ({0}); make it again")]
     OtherScene(
         /// The differences, in words.
         String,
     ),
     /// Parts of different plans cannot be merged.
-    #[error("the irradiance caches have different plans: fill parts of one and the same plan")]
+    #[error("the irradiance caches have different plans; only parts of the same plan can be merged")]
     OtherPlan,
 }
 
@@ -204,7 +204,7 @@ impl Cache {
         };
         let sized = cache.world.low.is_finite() && cache.world.high.is_finite();
         if header.levels > 8 || !(sized || cache.world == Bounds::EMPTY) {
-            return Err(CacheError::Damaged("its header holds numbers that no cache has"));
+            return Err(CacheError::Damaged("a value in its header is out of range"));
         }
         for _ in 0..header.levels {
             cache.levels.push(read_level(&mut reader)?);
@@ -233,13 +233,13 @@ impl Cache {
         }
         let planned = !(self.levels.is_empty() && self.images.is_empty());
         if planned && self.levels.len() != tracer.settings.ambient_bounces as usize {
-            return Err(CacheError::Damaged("it has not a level for each bounce"));
+            return Err(CacheError::Damaged("its number of levels differs from the number of bounces"));
         }
         let triangles = tracer.frame.geometry.triangles.len();
         let exists =
             |planned: &Planned| planned.hits.iter().flatten().all(|hit| (hit.primitive as usize) < triangles);
         if !self.levels.iter().flat_map(|level| &level.planned).all(exists) {
-            return Err(CacheError::Damaged("a record names a triangle that the scene does not have"));
+            return Err(CacheError::Damaged("a record refers to a triangle that the scene does not have"));
         }
         Ok(())
     }
@@ -283,10 +283,10 @@ fn read_level(reader: &mut Reader<'_>) -> Result<Level, CacheError> {
         || !(ordered && (positive || planned.is_empty()))
         || strata.len() != header.rays as usize
     {
-        return Err(CacheError::Damaged("a level holds numbers that no cache has"));
+        return Err(CacheError::Damaged("a value in the header of a level is out of range"));
     }
     let planned: Option<Vec<Planned>> = planned.iter().map(planned_of).collect();
-    let planned = planned.ok_or(CacheError::Damaged("a record holds numbers that no record has"))?;
+    let planned = planned.ok_or(CacheError::Damaged("a value in a record is out of range"))?;
     let gathered: Vec<Option<Record>> = records.iter().map(record_of).collect();
     let known = records.iter().zip(&gathered).map(|(row, record)| value_of(row, record.as_ref()?)).collect();
     let filled = |record: Option<Record>| record.map_or_else(OnceLock::new, OnceLock::from);
