@@ -5,7 +5,9 @@
 
 use crate::animation::Animated;
 use crate::camera_source::{FovAxis, LookAt};
+use crate::checker::{BRIGHTEST, Checker};
 use crate::error::SceneError;
+use crate::light_source::LightSource;
 use crate::limits::{LARGEST_COORDINATE, Limits};
 use crate::tracks::{self, ObjectTrack, RawTrack};
 use glam::DVec3;
@@ -16,9 +18,6 @@ const VERSION: u64 = 1;
 
 /// Frames per second of a scene that does not specify it.
 pub(crate) const DEFAULT_FPS: f64 = 24.0;
-
-/// Largest accepted radiance, intensity or irradiance, in its own unit.
-const BRIGHTEST: f64 = 1e12;
 
 /// Longest accepted name, in characters. Job names have the same limit.
 const LONGEST_NAME: usize = 200;
@@ -51,14 +50,6 @@ pub(crate) enum EnvironmentSource {
     Black,
     Constant(DVec3),
     Image { path: String, scale: f64, rotation_deg: f64 },
-}
-
-/// A light from `scene.json`.
-#[derive(Debug)]
-pub(crate) enum LightSource {
-    Quad { corner: DVec3, edge_u: DVec3, edge_v: DVec3, radiance: Animated<DVec3> },
-    Point { position: DVec3, intensity: Animated<DVec3> },
-    Sun { direction: DVec3, irradiance: Animated<DVec3>, angle_deg: f64 },
 }
 
 #[derive(Deserialize)]
@@ -189,16 +180,7 @@ pub(crate) fn json_pointer(path: &serde_path_to_error::Path) -> String {
     pointer
 }
 
-/// Checks values. `file` is the file's path in error messages.
-pub(crate) struct Checker<'a> {
-    pub(crate) file: &'a str,
-}
-
 impl Checker<'_> {
-    pub(crate) fn fail<T>(&self, pointer: &str, reason: impl Into<String>) -> Result<T, SceneError> {
-        Err(SceneError::pointer(self.file, pointer, reason))
-    }
-
     /// Checks the scene's name. It appears in tables, logs and the names of jobs.
     fn name(&self, name: String) -> Result<String, SceneError> {
         if !(1..=LONGEST_NAME).contains(&name.chars().count()) || name.contains(char::is_control) {
@@ -206,37 +188,6 @@ impl Checker<'_> {
             return self.fail("/name", reason);
         }
         Ok(name)
-    }
-
-    /// Checks a position or an edge, in metres.
-    pub(crate) fn coordinates(&self, pointer: &str, value: [f64; 3]) -> Result<DVec3, SceneError> {
-        if value.iter().any(|c| c.abs() > LARGEST_COORDINATE) {
-            return self.fail(pointer, format!("a coordinate is larger than {LARGEST_COORDINATE:e} m"));
-        }
-        Ok(DVec3::from_array(value))
-    }
-
-    /// Checks a direction, and returns it as a unit vector.
-    fn direction(&self, pointer: &str, value: [f64; 3]) -> Result<DVec3, SceneError> {
-        let direction = self.coordinates(pointer, value)?.try_normalize();
-        direction.map_or_else(|| self.fail(pointer, "the vector has zero length"), Ok)
-    }
-
-    /// Checks a radiance, intensity or irradiance.
-    pub(crate) fn light(&self, pointer: &str, value: [f64; 3]) -> Result<DVec3, SceneError> {
-        if value.iter().any(|c| !(0.0..=BRIGHTEST).contains(c)) {
-            return self.fail(pointer, format!("every channel must be in the range 0 to {BRIGHTEST:e}"));
-        }
-        Ok(DVec3::from_array(value))
-    }
-
-    /// Checks an angle of view, in degrees.
-    pub(crate) fn field_of_view(&self, pointer: &str, value: f64) -> Result<f64, SceneError> {
-        if !(value > 0.0 && value < 180.0) {
-            return self
-                .fail(pointer, format!("{value}: the field of view must be between 0 and 180 degrees"));
-        }
-        Ok(value)
     }
 
     fn scene(&self, raw: RawScene, limits: &Limits) -> Result<Description, SceneError> {
@@ -391,18 +342,6 @@ impl Checker<'_> {
                 })
             }
             other => self.fail(&pointer("type"), format!("`{other}` is not one of `quad`, `point`, `sun`")),
-        }
-    }
-
-    fn required<T>(&self, pointer: &str, value: Option<T>) -> Result<T, SceneError> {
-        value.map_or_else(|| self.fail(pointer, "is missing"), Ok)
-    }
-
-    /// Rejects keys that belong to another kind of light or environment.
-    fn only(&self, at: &str, what: &str, allowed: &[&str], keys: &[(&str, bool)]) -> Result<(), SceneError> {
-        match keys.iter().find(|(key, given)| *given && !allowed.contains(key)) {
-            Some((key, _)) => self.fail(&format!("{at}/{key}"), format!("{what} has no key `{key}`")),
-            None => Ok(()),
         }
     }
 }

@@ -2,8 +2,9 @@
 
 use crate::animation::{Animated, Curve, Interpolation};
 use crate::camera_source::LookAt;
-use crate::description::{Checker, LightSource};
+use crate::checker::Checker;
 use crate::error::SceneError;
+use crate::light_source::LightSource;
 use crate::limits::LARGEST_COORDINATE;
 use glam::{DQuat, DVec3, DVec4};
 use serde::Deserialize;
