@@ -22,6 +22,7 @@ mod limits;
 mod material;
 mod mtl;
 mod obj;
+mod obj_text;
 mod polygon;
 mod scene;
 mod shot;

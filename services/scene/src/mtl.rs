@@ -6,7 +6,7 @@
 
 use crate::assembly::{Assembly, plain_material};
 use crate::error::{Place, SceneError};
-use crate::obj::without_comment;
+use crate::obj_text::{text, without_comment};
 use crate::{Color, Material, Surface};
 use glam::Vec3;
 use std::collections::BTreeMap;
@@ -21,7 +21,7 @@ const MODELS: [u8; 6] = [0, 1, 2, 3, 4, 7];
 /// Checks a `.mtl` file. Returns its supported keys in canonical form, and the number of times that each
 /// other key occurs.
 pub(crate) fn check(file: &str, bytes: &[u8]) -> Result<(String, BTreeMap<String, usize>), SceneError> {
-    let text = crate::obj::text(file, bytes)?;
+    let text = text(file, bytes)?;
     let (mut canonical, mut ignored) = (String::new(), BTreeMap::new());
     let mut in_material = false;
     for (i, line) in text.lines().enumerate() {

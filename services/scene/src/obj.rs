@@ -13,11 +13,11 @@
 
 use crate::assembly::{Assembly, plain_material};
 use crate::error::{Place, SceneError};
+use crate::obj_text::{text, without_comment};
 use crate::polygon;
-use crate::shot::{Mesh, Node, Part, Placement};
+use crate::shot::{Mesh, Node, Part, Placement, unit_or_zero};
 use crate::{Color, Surface};
 use glam::{DVec3, Vec2, Vec3};
-use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -166,62 +166,12 @@ fn local_mesh(mesh: &tobj::Mesh) -> Mesh {
     Mesh { positions, normals, uvs, triangles }
 }
 
-/// The unit vector along `v`, or zero if `v` is zero. It is computed in `f64`, because squares of small
-/// numbers underflow in `f32`.
-pub(crate) fn unit_or_zero(v: Vec3) -> Vec3 {
-    v.as_dvec3().normalize_or_zero().as_vec3()
-}
-
 /// Gives one warning for all ignored keys of a file.
 fn warn_ignored(assembly: &mut Assembly<'_>, file: &str, ignored: &BTreeMap<String, usize>) {
     if !ignored.is_empty() {
         let keys: Vec<String> = ignored.iter().map(|(key, count)| format!("`{key}` ({count}×)")).collect();
         assembly.warn(format!("{file}: these keys are ignored: {}", keys.join(", ")));
     }
-}
-
-/// The text of a file, with continued lines joined.
-///
-/// # Errors
-/// If the file is not UTF-8, with the line of the first wrong byte.
-pub(crate) fn text<'a>(file: &str, bytes: &'a [u8]) -> Result<Cow<'a, str>, SceneError> {
-    let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
-    let text = std::str::from_utf8(bytes).map_err(|e| {
-        let line = 1 + bytes[..e.valid_up_to()].iter().filter(|&&b| b == b'\n').count();
-        SceneError::line(file, line, "is not UTF-8 text")
-    })?;
-    let goes_on = text.contains("\\\n") || text.contains("\\\r\n");
-    Ok(if goes_on { Cow::Owned(joined(text)) } else { Cow::Borrowed(text) })
-}
-
-/// Joins each line that ends in `\` with the next one. Empty lines are added after it, so that later lines
-/// keep their numbers.
-fn joined(text: &str) -> String {
-    let mut joined = String::with_capacity(text.len());
-    let (mut owed, mut is_comment) = (0, false);
-    for line in text.lines() {
-        if owed == 0 {
-            is_comment = line.trim_start().starts_with('#');
-        }
-        match line.strip_suffix('\\').filter(|_| !is_comment) {
-            Some(part) => {
-                joined += part;
-                joined.push(' ');
-                owed += 1;
-            }
-            None => {
-                joined += line;
-                joined.extend(std::iter::repeat_n('\n', owed + 1));
-                owed = 0;
-            }
-        }
-    }
-    joined
-}
-
-/// Removes a comment after numbers.
-pub(crate) fn without_comment(numbers: &str) -> &str {
-    numbers.split_once('#').map_or(numbers, |(numbers, _)| numbers.trim_end())
 }
 
 fn check(file: &str, bytes: &[u8], triangle_limit: u64) -> Result<Checked, SceneError> {

@@ -24,6 +24,12 @@ pub(crate) struct Mesh {
     pub(crate) triangles: Vec<[u32; 3]>,
 }
 
+/// The unit vector along `v`, or zero if `v` is zero. It is computed in `f64`, because squares of small
+/// numbers underflow in `f32`.
+pub(crate) fn unit_or_zero(v: Vec3) -> Vec3 {
+    v.as_dvec3().normalize_or_zero().as_vec3()
+}
+
 /// A node's transform relative to its parent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Placement {

@@ -2,8 +2,7 @@
 
 use super::Reader;
 use crate::error::SceneError;
-use crate::obj::unit_or_zero;
-use crate::shot::Mesh;
+use crate::shot::{Mesh, unit_or_zero};
 use glam::{Vec2, Vec3};
 use gltf::Semantic;
 use gltf::mesh::Mode;
