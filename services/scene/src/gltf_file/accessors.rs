@@ -79,7 +79,9 @@ impl Opened {
         let Some(view) = accessor.view() else { return Ok(vec![zero; accessor.count()]) };
         let pointer = format!("/accessors/{}", accessor.index());
         let stride = view.stride().unwrap_or(size);
-        self.strided(&pointer, view.index(), accessor.offset(), stride, size, accessor.count(), read)
+        let place =
+            Strided { view: view.index(), offset: accessor.offset(), stride, size, count: accessor.count() };
+        self.strided(&pointer, place, read)
     }
 
     fn apply_sparse<T: Copy>(
@@ -101,11 +103,11 @@ impl Opened {
             IndexType::U16 => 2,
             IndexType::U32 => 4,
         };
-        let view = indices.view().index();
-        let places =
-            self.strided(&pointer, view, indices.offset(), index_size, index_size, count, &unsigned)?;
-        let values =
-            self.strided(&pointer, values.view().index(), values.offset(), size, size, count, read)?;
+        let packed = |view, offset, size| Strided { view, offset, stride: size, size, count };
+        let (view, offset) = (indices.view().index(), indices.offset());
+        let places = self.strided(&pointer, packed(view, offset, index_size), &unsigned)?;
+        let (view, offset) = (values.view().index(), values.offset());
+        let values = self.strided(&pointer, packed(view, offset, size), read)?;
         for (place, value) in places.into_iter().zip(values) {
             match elements.get_mut(place as usize) {
                 Some(element) => *element = value,
@@ -115,17 +117,13 @@ impl Opened {
         Ok(())
     }
 
-    #[expect(clippy::too_many_arguments, reason = "the seven numbers that say where strided elements lie")]
     fn strided<T>(
         &self,
         pointer: &str,
-        view: usize,
-        offset: usize,
-        stride: usize,
-        size: usize,
-        count: usize,
+        place: Strided,
         read: &impl Fn(&[u8]) -> T,
     ) -> Result<Vec<T>, SceneError> {
+        let Strided { view, offset, stride, size, count } = place;
         let bytes = self.view(view)?;
         let last = count.saturating_sub(1).checked_mul(stride).and_then(|o| o.checked_add(offset));
         let end = last.and_then(|o| o.checked_add(size));
@@ -134,6 +132,15 @@ impl Opened {
         }
         Ok((0..count).map(|i| read(&bytes[offset + i * stride..offset + i * stride + size])).collect())
     }
+}
+
+/// Where the elements of an accessor are in a buffer view. Lengths are in bytes.
+struct Strided {
+    view: usize,
+    offset: usize,
+    stride: usize,
+    size: usize,
+    count: usize,
 }
 
 fn size_of(kind: DataType) -> usize {

@@ -125,16 +125,7 @@ impl Scene {
         let (first_key, last_key) = assembly.keys.unwrap_or((0.0, 0.0));
         let start = if described { 0.0 } else { first_key };
         let keyed = ((last_key - start).round() as u32).saturating_add(1);
-        let frames = match frames {
-            Some(Frames::Said(frames)) => frames,
-            Some(Frames::Keyed(frames)) => frames.max(keyed),
-            None => keyed,
-        };
-        let limit = assembly.bundle.limits().frames;
-        if frames > limit {
-            let (found, limit) = (u64::from(frames), u64::from(limit));
-            return Err(SceneError::Limit { file, what: "frames", found, limit });
-        }
+        let frames = frame_count(frames, keyed, &file, assembly.bundle.limits())?;
         let mut still_world = assembly.shot.world(start);
         let mut still = assembly.shot.bake(&still_world)?;
         if let Some(centre) = far_centre(&still.geometry.positions) {
@@ -155,12 +146,7 @@ impl Scene {
         if still.dropped > 0 {
             assembly.warn(format!("{file}: {} triangles have no area and are left out", still.dropped));
         }
-        let emits = |part: &Part| {
-            let (_, material) = assembly.shot.strata.pairs[part.stratum as usize];
-            assembly.materials[material as usize].is_emissive()
-        };
-        let lit = !lights.is_empty() || !assembly.lights.is_empty() || assembly.shot.parts.iter().any(emits);
-        if !lit && environment == Environment::Black {
+        if lights.is_empty() && !is_lit(&assembly) && environment == Environment::Black {
             if described {
                 assembly.warn(format!("{file}: the scene has no light"));
             } else {
@@ -219,6 +205,29 @@ struct Said {
     lights: Vec<LightSource>,
     emission: Vec<(usize, Animated<DVec3>)>,
     frames: Option<Frames>,
+}
+
+/// The number of frames. `keyed` is the number up to the last key in geometry files.
+fn frame_count(said: Option<Frames>, keyed: u32, file: &str, limits: &Limits) -> Result<u32, SceneError> {
+    let frames = match said {
+        Some(Frames::Said(frames)) => frames,
+        Some(Frames::Keyed(frames)) => frames.max(keyed),
+        None => keyed,
+    };
+    if frames > limits.frames {
+        let (found, limit) = (u64::from(frames), u64::from(limits.frames));
+        return Err(SceneError::Limit { file: file.to_owned(), what: "frames", found, limit });
+    }
+    Ok(frames)
+}
+
+/// Returns `true` if geometry files bring any light: a light on a node, or a surface that emits.
+fn is_lit(assembly: &Assembly<'_>) -> bool {
+    let emits = |part: &Part| {
+        let (_, material) = assembly.shot.strata.pairs[part.stratum as usize];
+        assembly.materials[material as usize].is_emissive()
+    };
+    !assembly.lights.is_empty() || assembly.shot.parts.iter().any(emits)
 }
 
 /// Splits the path of a single geometry file or description into folder and name. `None` for other paths.
