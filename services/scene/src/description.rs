@@ -40,7 +40,8 @@ pub(crate) struct Description {
 /// Number of frames of a shot.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Frames {
-    Said(u32),
+    /// Given in `scene.json`.
+    Given(u32),
     /// Not specified: the shot ends at the last key of a track.
     Keyed(u32),
 }
@@ -217,7 +218,7 @@ impl Checker<'_> {
                 let file = format!("{}: /animation/frames", self.file);
                 return Err(SceneError::Limit { file, what: "frames", found, limit });
             }
-            Some(frames) => Some(Frames::Said(frames)),
+            Some(frames) => Some(Frames::Given(frames)),
             // The cast saturates. `Scene::load` checks the result against the limit.
             None => last_key.map(|frame| Frames::Keyed((frame.ceil().max(0.0) as u32).saturating_add(1))),
         };

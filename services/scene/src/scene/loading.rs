@@ -56,8 +56,8 @@ impl Scene {
         let mut assembly = Assembly::new(bundle, DEFAULT_FPS);
         load_geometry(&mut assembly, path)?;
         let name = path.rsplit_once('.').map_or(path, |(stem, _)| stem).to_owned();
-        let said = Said { file: path.to_owned(), name, ..Said::default() };
-        Self::finish(assembly, said)
+        let specification = Specification { file: path.to_owned(), name, ..Specification::default() };
+        Self::finish(assembly, specification)
     }
 
     fn of_description(bundle: &Bundle) -> Result<Self, SceneError> {
@@ -103,7 +103,7 @@ impl Scene {
                 Environment::Image { texture, scale: scale as f32, rotation_deg: rotation_deg as f32 }
             }
         };
-        let said = Said {
+        let specification = Specification {
             file: DESCRIPTION.to_owned(),
             name: description.name.unwrap_or_else(|| bundle.name().to_owned()),
             described: true,
@@ -113,12 +113,13 @@ impl Scene {
             emission,
             frames: description.frames,
         };
-        Self::finish(assembly, said)
+        Self::finish(assembly, specification)
     }
 
     /// Combines geometry files and description, and adds defaults for what is missing.
-    fn finish(mut assembly: Assembly<'_>, said: Said) -> Result<Self, SceneError> {
-        let Said { file, name, described, camera, mut environment, lights, emission, frames } = said;
+    fn finish(mut assembly: Assembly<'_>, specification: Specification) -> Result<Self, SceneError> {
+        let Specification { file, name, described, camera, mut environment, lights, emission, frames } =
+            specification;
         for (material, radiance) in &emission {
             assembly.materials[*material].emission.factor = light_at(radiance, 0.0);
         }
@@ -195,7 +196,7 @@ impl Scene {
 
 /// The scene's description. For a scene without `scene.json`, most fields have their defaults.
 #[derive(Default)]
-struct Said {
+struct Specification {
     file: String,
     name: String,
     /// Whether the scene has a `scene.json`.
@@ -208,9 +209,9 @@ struct Said {
 }
 
 /// The number of frames. `keyed` is the number up to the last key in geometry files.
-fn frame_count(said: Option<Frames>, keyed: u32, file: &str, limits: &Limits) -> Result<u32, SceneError> {
-    let frames = match said {
-        Some(Frames::Said(frames)) => frames,
+fn frame_count(given: Option<Frames>, keyed: u32, file: &str, limits: &Limits) -> Result<u32, SceneError> {
+    let frames = match given {
+        Some(Frames::Given(frames)) => frames,
         Some(Frames::Keyed(frames)) => frames.max(keyed),
         None => keyed,
     };
