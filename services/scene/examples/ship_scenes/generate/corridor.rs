@@ -288,7 +288,24 @@ fn side_doors(scene: &mut Scene) {
 }
 
 fn furniture(scene: &mut Scene) {
-    // The bench in the niche: an oak seat on steel legs, with two leather cushions.
+    bench(scene);
+    pictures(scene);
+    // A runner on the floor.
+    let mut rug = rounded_cuboid([-0.5, 0.001, -2.6], [0.5, 0.009, 1.4], 0.003, 1);
+    for vertex in &mut rug.vertices {
+        vertex.uv = glam::dvec2(vertex.position.x + 0.5, (1.4 - vertex.position.z) / 2.0);
+    }
+    scene.add("runner", "runner", rug);
+
+    // One plant at the far end, and one in front of the glass doors.
+    for (i, (x, z)) in [(-0.95, -9.2), (0.98, -2.8)].into_iter().enumerate() {
+        plant(scene, i, x, z);
+    }
+    console(scene);
+}
+
+/// The bench in the niche: an oak seat on steel legs, with two leather cushions.
+fn bench(scene: &mut Scene) {
     let z = (NICHE.0 + NICHE.1) / 2.0;
     let seat = rounded_cuboid([-1.64, 0.4, z - 1.0], [-1.22, 0.44, z + 1.0], 0.006, 2);
     let leg = |z: f64| {
@@ -303,8 +320,10 @@ fn furniture(scene: &mut Scene) {
         ("leather", cushion(z - 0.48).with(cushion(z + 0.48))),
     ];
     scene.add_parts("bench", parts);
+}
 
-    // Pictures: a large one between the doors on the right, and a small one in the niche.
+/// Two pictures: a large one between the doors on the right, and a small one in the niche.
+fn pictures(scene: &mut Scene) {
     let picture = |half: [f64; 2]| {
         let (w, h) = (half[0], half[1]);
         let border = frame([-w, -h], [w, h], [-w + 0.035, -h + 0.035], [w - 0.035, h - 0.035], 0.04);
@@ -328,23 +347,14 @@ fn furniture(scene: &mut Scene) {
         (material, hang(material, mesh).turned(Axis::Y, -90.0).at(HALF_WIDTH - 0.035, 1.55, -1.3))
     });
     scene.add_parts("picture_large", large.to_vec());
+    let z = (NICHE.0 + NICHE.1) / 2.0;
     let small = picture([0.48, 0.38])
         .map(|(material, mesh)| (material, hang(material, mesh).turned(Axis::Y, 90.0).at(-1.625, 1.5, z)));
     scene.add_parts("picture_small", small.to_vec());
+}
 
-    // A runner on the floor.
-    let mut rug = rounded_cuboid([-0.5, 0.001, -2.6], [0.5, 0.009, 1.4], 0.003, 1);
-    for vertex in &mut rug.vertices {
-        vertex.uv = glam::dvec2(vertex.position.x + 0.5, (1.4 - vertex.position.z) / 2.0);
-    }
-    scene.add("runner", "runner", rug);
-
-    // One plant at the far end, and one in front of the glass doors.
-    for (i, (x, z)) in [(-0.95, -9.2), (0.98, -2.8)].into_iter().enumerate() {
-        plant(scene, i, x, z);
-    }
-
-    // On the left wall near the camera: a console table with a vase, and a round mirror above it.
+/// On the left wall near the camera: a console table with a vase, and a round mirror above it.
+fn console(scene: &mut Scene) {
     let (z, x) = (1.15, -HALF_WIDTH);
     let top = rounded_cuboid([x + 0.003, 0.8, z - 0.5], [x + 0.3, 0.83, z + 0.5], 0.005, 2);
     let legs = [(0.03, -0.47), (0.27, -0.47), (0.03, 0.47), (0.27, 0.47)].map(|(dx, dz)| {
