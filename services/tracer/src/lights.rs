@@ -13,10 +13,11 @@ mod luminaires;
 mod selection;
 mod tree;
 
+pub use bounds::Receiver;
 pub use emitters::Emitter;
 pub use luminaires::Luminaires;
 pub use selection::{Light, Lights};
-pub use tree::{Choice, Receiver};
+pub use tree::Choice;
 
 use crate::bounds::Bounds;
 use crate::geometry;

@@ -1,10 +1,18 @@
 //! Bounds of a set of lights: its position, the directions that it emits to, and how much light it can bring
 //! to a point.
 
-use super::tree::Receiver;
 use crate::bounds::Bounds as Place;
 use glam::{DVec3, Vec3};
 use std::f64::consts::{FRAC_PI_2, PI};
+
+/// The point that is lit.
+#[derive(Debug, Clone, Copy)]
+pub struct Receiver {
+    pub position: Vec3,
+    /// Light from below the plane of this normal does not count. `None` means that light counts from all
+    /// directions.
+    pub normal: Option<Vec3>,
+}
 
 /// Bounds of one or more lights.
 ///

@@ -2,8 +2,8 @@
 //!
 //! A patch is sampled uniformly by area. Which emitter is sampled is chosen by a light tree.
 
-use super::bounds::Bounds as LightBounds;
-use super::tree::{Choice, LightTree, Receiver};
+use super::bounds::{Bounds as LightBounds, Receiver};
+use super::tree::{Choice, LightTree};
 use super::{LightPoint, Surface, cumulative, is_near, part};
 use crate::Reach;
 use crate::bounds::Bounds;

@@ -3,8 +3,9 @@
 //! First the kind of light is chosen, then a light of that kind: emitters by their tree, suns by their
 //! irradiance, or the environment's image.
 
+use super::bounds::Receiver;
 use super::emitters::{Emitter, Emitters};
-use super::tree::{BELOW_ONE, Choice, Receiver};
+use super::tree::{BELOW_ONE, Choice};
 use crate::Reach;
 use crate::environment::Sky;
 use forelight_scene::{Frame, Material, Sun};

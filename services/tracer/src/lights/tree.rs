@@ -8,7 +8,7 @@
 //! A node's importance is zero only if none of its lights can reach the point. So no light that matters is
 //! ever left out.
 
-use super::bounds::{Bounds, Shine};
+use super::bounds::{Bounds, Receiver, Shine};
 use glam::Vec3;
 
 /// Number of bins along each axis when a set of lights is split.
@@ -17,15 +17,6 @@ const BINS: usize = 12;
 /// Larger sets of lights are split only along the longest axis. It is by far the best one for so many, and
 /// each further axis costs as much again.
 const ALL_AXES: usize = 4096;
-
-/// The point that is lit.
-#[derive(Debug, Clone, Copy)]
-pub struct Receiver {
-    pub position: Vec3,
-    /// Light from below the plane of this normal does not count. `None` means that light counts from all
-    /// directions.
-    pub normal: Option<Vec3>,
-}
 
 #[derive(Debug, Clone, Copy)]
 struct Node {
