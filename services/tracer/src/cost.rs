@@ -198,6 +198,23 @@ pub fn clocked<T>(work: impl FnOnce() -> T) -> (T, u64) {
     (given, now() - start)
 }
 
+/// Runs `trace`, and converts the wall-clock time of each traced pixel to CPU time.
+///
+/// `trace` returns each pixel's time before, and a reference to its time now. Wall-clock time is cheap to
+/// read, but includes time spent in other processes. The thread's CPU clock is exact, but too slow to read
+/// twice per pixel. So each pixel gets its share of the batch's CPU time, in proportion to its wall-clock
+/// time.
+pub(crate) fn share_cpu_time<'a>(trace: impl FnOnce() -> Vec<(u64, &'a mut u64)>) {
+    let (pixels, cpu) = clocked(trace);
+    let wall: u64 = pixels.iter().map(|(before, now)| **now - before).sum();
+    if wall > 0 {
+        let share = cpu as f64 / wall as f64;
+        for (before, now) in pixels {
+            *now = before + ((*now - before) as f64 * share).round() as u64;
+        }
+    }
+}
+
 /// CPU time of all threads of this process, nanoseconds.
 pub fn process_cpu_nanos() -> u64 {
     nanos(rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime))

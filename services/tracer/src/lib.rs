@@ -22,7 +22,8 @@
 //! | `reach` | lights and objects that cannot affect the image |
 //! | `cost` | counters, work, clocks |
 //! | `tree` | the BVH over the triangles that can affect the image |
-//! | `tracer`, `profile`, `image` | a frame ready to be traced; finished pixels as a file; whole images |
+//! | `tracer` | a frame, ready to be traced |
+//! | `pixel`, `profile`, `image` | one finished pixel; finished pixels as a file; whole images |
 //! | `samples`, `passes` | camera samples that differ by pixel; images refined in passes |
 //! | `fingerprint`, `origin` | what an image or a file was made for: as a hash, and in words |
 //! | `tiling` | square tiles of an image |
@@ -44,6 +45,7 @@ mod media;
 pub mod microfacet;
 mod origin;
 mod passes;
+mod pixel;
 mod profile;
 mod random;
 mod reach;
@@ -63,10 +65,11 @@ pub use fingerprint::tracer_version;
 pub use image::{Image, ImageError, Totals, cost_color};
 pub use origin::Origin;
 pub use passes::{Grown, Passes, SoFar};
+pub use pixel::{Pixel, PixelsFinished};
 pub use profile::{Profile, ProfileError};
 pub use reach::{Excluded, LeftOut, Reach, Reason, reachable};
 pub use samples::{SampleCounts, SampleCountsError};
 pub use settings::{CacheSettings, Integrator, MaterialOverride, Settings, SettingsError, UncoveredGathers};
 pub use tiling::Tiling;
-pub use tracer::{Pixel, PixelsFinished, Tracer};
+pub use tracer::Tracer;
 pub use tree::Tree;

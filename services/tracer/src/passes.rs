@@ -9,67 +9,19 @@
 //! earlier sample counts, which shows how it converges. That is about 150 bytes per pixel for the `ambient`
 //! integrator and several hundred for `path`.
 
+use crate::cost::share_cpu_time;
 use crate::image::{Image, Totals};
-use crate::random::Drawn;
+use crate::pixel::Underway;
 use crate::samples::{SampleCounts, SampleCountsError};
-use crate::tiling::Tiling;
-use crate::tracer::{Pixel, TILE, Tracer, share_cpu_time};
-use glam::{DVec3, Vec3};
+use crate::tiling::{TILE, Tiling};
+use crate::tracer::Tracer;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Number of samples between two checks whether to stop. They take a few milliseconds.
 const RUN: u32 = 32;
 
-/// A pixel that can receive more samples.
-#[derive(Debug, Clone)]
-pub(crate) struct Underway {
-    /// How far its random sequences are drawn.
-    pub drawn: Drawn,
-    /// Sum of its samples' radiance, in order.
-    pub sum: DVec3,
-    /// Sum of the squared radiance, averaged over the channels.
-    pub squares: f64,
-    pub samples: u32,
-    /// The sum at the last two sample counts that were powers of two.
-    pub before: [(u32, DVec3); 2],
-    /// Cost of its samples. The colour is only valid after [`Self::finished`].
-    pub pixel: Pixel,
-}
-
-impl Default for Underway {
-    fn default() -> Self {
-        let pixel = Pixel {
-            color: [0.0; 3],
-            rays: [0; 7],
-            work: 0,
-            work_by_ray: [0; 7],
-            extra_work: 0,
-            cpu_nanos: 0,
-            uncovered: 0,
-            stratum: Pixel::NOTHING,
-        };
-        let before = [(0, DVec3::ZERO); 2];
-        Self { drawn: Drawn::default(), sum: DVec3::ZERO, squares: 0.0, samples: 0, before, pixel }
-    }
-}
-
 impl Underway {
-    /// Adds the radiance of one sample.
-    pub fn add(&mut self, sample: Vec3) {
-        self.sum += sample.as_dvec3();
-        self.samples += 1;
-        if self.samples.is_power_of_two() {
-            self.before = [self.before[1], (self.samples, self.sum)];
-        }
-    }
-
-    /// The finished pixel. It is black if there are no samples.
-    pub fn finished(&self) -> Pixel {
-        let color = (self.sum / f64::from(self.samples.max(1))).as_vec3().to_array();
-        Pixel { color, ..self.pixel }
-    }
-
     fn so_far(&self) -> SoFar {
         let samples = f64::from(self.samples);
         let mean = self.sum / samples.max(1.0);

@@ -1,5 +1,8 @@
 //! Square tiles of an image.
 
+/// Edge of the square tiles into which an image is divided, pixels.
+pub(crate) const TILE: u32 = 16;
+
 /// The tiles of an image, in row-major order. Tiles at the right and lower edges may be smaller.
 #[derive(Debug, Clone, Copy)]
 pub struct Tiling {

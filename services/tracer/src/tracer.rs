@@ -4,7 +4,7 @@
 //! one by one, as a profile, or as a whole image. Tracers can be shared between threads.
 
 use crate::cache::{Cache, CacheError, RecordCost};
-use crate::cost::{Cost, Tally, WorkByClass, WorkByRay, build_work, clocked};
+use crate::cost::{Cost, Tally, WorkByClass, build_work, clocked, share_cpu_time};
 use crate::effects::{CalledFor, Effects};
 use crate::environment::Sky;
 use crate::fingerprint::{fingerprint, light_fingerprint, of_content};
@@ -14,9 +14,10 @@ use crate::kernel::{Trace, kernel};
 use crate::lights::{Lights, Looks, Luminaires};
 use crate::media::{Media, Ranks};
 use crate::origin::Origin;
+use crate::pixel::{Pixel, PixelsFinished};
 use crate::profile::Profile;
 use crate::reach::{LeftOut, Reach, reachable};
-use crate::tiling::Tiling;
+use crate::tiling::{TILE, Tiling};
 use crate::tree::Tree;
 use crate::{Integrator, MaterialOverride, SampleCounts, SampleCountsError, Settings};
 use forelight_bvh::Hit;
@@ -26,39 +27,6 @@ use rayon::prelude::*;
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
-
-/// Edge of the square tiles into which an image is divided, pixels.
-pub(crate) const TILE: u32 = 16;
-
-/// One finished pixel.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pixel {
-    /// Linear Rec. 709 radiance, the mean over the samples.
-    pub color: [f32; 3],
-    /// Rays by category, in the order of [`crate::RAY_NAMES`].
-    pub rays: [u32; 7],
-    /// Deterministic work.
-    pub work: u64,
-    /// Work by the category of the ray that caused it.
-    pub work_by_ray: WorkByRay,
-    /// The part of `work` that later samples do not have: the rays beyond the minimum at points that no cache
-    /// record covers ([`crate::UncoveredGathers`]). All other work is proportional to the number of samples.
-    pub extra_work: u64,
-    /// CPU time, nanoseconds.
-    pub cpu_nanos: u64,
-    /// Number of cache reads at points that no record covers, where the sample gathered for itself.
-    pub uncovered: u32,
-    /// Stratum that the first camera sample met, or [`Pixel::NOTHING`].
-    pub stratum: u32,
-}
-
-/// Callback for finished pixels, each with its row-major index.
-pub type PixelsFinished<'a> = dyn Fn(&[(u32, Pixel)]) + Sync + 'a;
-
-impl Pixel {
-    /// Stratum of a pixel whose first sample met no surface.
-    pub const NOTHING: u32 = u32::MAX;
-}
 
 /// Everything needed to trace a frame. Threads can share it.
 pub struct Tracer {
@@ -501,23 +469,6 @@ fn timed(trace: impl FnOnce() -> Vec<Pixel>) -> Vec<Pixel> {
         pixels.iter_mut().map(|pixel| (0, &mut pixel.cpu_nanos)).collect()
     });
     pixels
-}
-
-/// Runs `trace`, and converts the wall-clock time of each traced pixel to CPU time.
-///
-/// `trace` returns each pixel's time before, and a reference to its time now. Wall-clock time is cheap to
-/// read, but includes time spent in other processes. The thread's CPU clock is exact, but too slow to read
-/// twice per pixel. So each pixel gets its share of the batch's CPU time, in proportion to its wall-clock
-/// time.
-pub(crate) fn share_cpu_time<'a>(trace: impl FnOnce() -> Vec<(u64, &'a mut u64)>) {
-    let (pixels, cpu) = clocked(trace);
-    let wall: u64 = pixels.iter().map(|(before, now)| **now - before).sum();
-    if wall > 0 {
-        let share = cpu as f64 / wall as f64;
-        for (before, now) in pixels {
-            *now = before + ((*now - before) as f64 * share).round() as u64;
-        }
-    }
 }
 
 /// The material as two-sided Lambertian: its diffuse colour or texture, or 0.5 grey for metals and glass.
