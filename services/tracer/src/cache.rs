@@ -58,7 +58,6 @@ pub use site::Site;
 use crate::bounds::Bounds;
 use crate::cost::{Cost, Rays, add_rays};
 use crate::origin::Origin;
-use crate::tracer::Tracer;
 use forelight_bvh::Hit;
 use glam::Vec3;
 use index::Index;
@@ -211,12 +210,6 @@ impl Cache {
     /// Number of the frame that the cache was first planned for.
     pub fn frame(&self) -> u32 {
         self.origin.frame()
-    }
-
-    /// Returns `true` if the records are valid in the tracer's frame: same geometry, same light, same light
-    /// settings.
-    pub fn suits(&self, tracer: &Tracer) -> bool {
-        self.fingerprint == tracer.cache_fingerprint()
     }
 
     /// A copy without CPU times. Two caches with the same plan are then equal byte by byte.

@@ -2,11 +2,12 @@
 //!
 //! | file | subject |
 //! | --- | --- |
-//! | `ambient` | distribution ray tracing with gathered indirect light |
+//! | `ambient`, `segment` | distribution ray tracing with gathered indirect light; its rays |
 //! | `cached` | indirect light from the irradiance cache; the rays that plan and fill it |
 //! | `direct` | direct light |
 //! | `path` | unbiased path tracing |
 //! | `interface` | the two sides of a solid dielectric's face |
+//! | `table` | the functions of a kernel, which the integrators call |
 //! | `occlusion` | shadow rays: what is between a point and a light |
 
 mod ambient;
@@ -15,14 +16,16 @@ mod direct;
 mod interface;
 mod occlusion;
 mod path;
+mod segment;
+mod table;
 
-pub use ambient::Segment;
 pub use interface::Interface;
+pub use segment::Segment;
+pub use table::{Ambient, Kernel, Light, has};
 
 use crate::cache::Site;
 use crate::cost::{Category, Counters};
 use crate::geometry::{self, Basis};
-use crate::kernel::{Kernel, has};
 use crate::lights::Receiver;
 use crate::media::Media;
 use crate::random::{Drawn, Purpose, Sampler};

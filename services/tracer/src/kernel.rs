@@ -11,114 +11,14 @@ use crate::Integrator;
 use crate::cache::{Irradiance, Keyed, PLAN_RAYS, Planned, Site, Strata};
 use crate::cost::{Counters, add_rays};
 use crate::effects::Effects;
-use crate::integrator::{Interface, Pixels, Point, Segment};
+use crate::integrator::{Ambient, Kernel, Light, Pixels, has};
 use crate::lights::Looks;
 use crate::pixel::{Pixel, Underway};
 use crate::random::{Sampler, hash};
-use crate::response::Response;
-use crate::tracer::Tracer;
-use forelight_bvh::{Hit, Ray};
+use crate::tracer::{Trace, Tracer};
+use forelight_bvh::Hit;
 use glam::Vec3;
 use std::time::Instant;
-
-/// Bits of a kernel's const parameter.
-pub mod has {
-    /// Rough reflections are followed.
-    pub const GLOSSY: u32 = 1;
-    /// Mirrors, panes and solid glass are followed.
-    pub const SPECULAR: u32 = 1 << 1;
-    /// Some surfaces let light pass straight through: panes and partial opacity.
-    pub const PASSING: u32 = 1 << 2;
-    /// Some surfaces have a cut-out texture, so every hit must be checked.
-    pub const CUT_OUTS: u32 = 1 << 3;
-    /// Colours may come from textures.
-    pub const TEXTURES: u32 = 1 << 4;
-}
-
-/// Light that reaches a point from one kind of light. The last argument is the path vertex.
-pub type Light<const K: u32> = fn(&mut Pixels<'_, K>, &Point, &Response, u32) -> Vec3;
-
-/// Indirect diffuse light at a point, without the lights that are sampled directly.
-pub type Ambient<const K: u32> = fn(&mut Pixels<'_, K>, &Segment, &Point, &Response) -> Vec3;
-
-/// The interface that a ray meets at the face of a solid dielectric.
-pub type AtInterface<const K: u32> = fn(&mut Pixels<'_, K>, &Ray, &Hit, &Point) -> Interface;
-
-/// The functions of a frame's kernel.
-#[derive(Clone)]
-pub struct Kernel<const K: u32> {
-    /// Creates the ray of a camera sample, from the pixel's column and row.
-    pub camera: fn(&mut Pixels<'_, K>, u32, u32) -> Ray,
-    /// Light from each kind of point, area or distant light, at points seen from the camera.
-    pub lights: Vec<Light<K>>,
-    /// The same, at points met by gathered rays.
-    pub gathered_lights: Vec<Light<K>>,
-    /// Light from the environment.
-    pub sky: Option<Light<K>>,
-    /// Indirect diffuse light.
-    pub ambient: Option<Ambient<K>>,
-    /// Interfaces of solid dielectrics, with or without priorities.
-    pub interface: AtInterface<K>,
-    /// Radiance along a camera ray.
-    pub integrate: fn(&mut Pixels<'_, K>, Ray) -> Vec3,
-    /// A kernel without lights that finds the points at which the cache will be read.
-    pub probe: Option<Box<Kernel<K>>>,
-}
-
-/// A kernel with any const parameter.
-pub trait Trace: Send + Sync {
-    /// Traces one pixel, given by its row-major index. `each` receives the radiance of every camera sample,
-    /// in order.
-    fn pixel(&self, tracer: &Tracer, index: u32, each: &mut dyn FnMut([f32; 3])) -> Pixel;
-
-    /// Adds camera samples to a pixel until it has `samples` of them. `each` receives the radiance of each
-    /// new one.
-    fn go_on(
-        &self,
-        tracer: &Tracer,
-        index: u32,
-        underway: &mut Underway,
-        samples: u32,
-        each: &mut dyn FnMut([f32; 3]),
-    );
-
-    /// Finds the sites at which the first `samples` camera samples of a pixel read the first level of the
-    /// cache.
-    fn sites(
-        &self,
-        tracer: &Tracer,
-        pixel: u32,
-        samples: u32,
-        found: &mut Vec<Keyed>,
-        counters: &mut Counters,
-    );
-
-    /// Finds the sites of level `level` that the plan rays of a record on the level before meet.
-    fn sites_beyond(
-        &self,
-        tracer: &Tracer,
-        strata: &Strata,
-        level: u32,
-        planned: &Planned,
-    ) -> (Vec<Keyed>, Counters);
-
-    /// Traces rays from a site and returns their hits.
-    fn plan_rays(
-        &self,
-        tracer: &Tracer,
-        site: &Site,
-        directions: &[Vec3; PLAN_RAYS],
-    ) -> ([Option<Hit>; PLAN_RAYS], Counters);
-
-    /// Gathers the irradiance at a planned record of a level.
-    fn gather(
-        &self,
-        tracer: &Tracer,
-        strata: &Strata,
-        level: u32,
-        planned: &Planned,
-    ) -> (Irradiance, Counters);
-}
 
 impl<const K: u32> Kernel<K> {
     /// Adds camera samples to a pixel until it has `samples` of them.

@@ -3,30 +3,85 @@
 //! [`Tracer::new`] builds the tree, collects the lights and composes the kernel. Pixels can then be traced
 //! one by one, as a profile, or as a whole image. Tracers can be shared between threads.
 
-use crate::cache::{Cache, CacheError, RecordCost};
-use crate::cost::{Cost, Tally, WorkByClass, build_work, clocked, share_cpu_time};
-use crate::effects::{CalledFor, Effects};
+mod prepare;
+
+use crate::cache::{Cache, CacheError, Irradiance, Keyed, PLAN_RAYS, Planned, RecordCost, Site, Strata};
+use crate::cost::{Cost, Counters, Tally, WorkByClass, share_cpu_time};
+use crate::effects::Effects;
 use crate::environment::Sky;
 use crate::fingerprint::{fingerprint, light_fingerprint, of_content};
-use crate::fresnel;
 use crate::image::Image;
-use crate::kernel::{Trace, kernel};
 use crate::lights::{Lights, Looks, Luminaires};
 use crate::media::{Media, Ranks};
 use crate::origin::Origin;
-use crate::pixel::{Pixel, PixelsFinished};
+use crate::pixel::{Pixel, PixelsFinished, Underway};
 use crate::profile::Profile;
-use crate::reach::{LeftOut, Reach, reachable};
+use crate::reach::{LeftOut, Reach};
 use crate::tiling::{TILE, Tiling};
 use crate::tree::Tree;
-use crate::{Integrator, MaterialOverride, SampleCounts, SampleCountsError, Settings};
+use crate::{SampleCounts, SampleCountsError, Settings};
 use forelight_bvh::Hit;
-use forelight_scene::{Color, Frame, Material, Sun, Surface};
+use forelight_scene::{Frame, Material};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+
+/// The kernel of a frame: traces its pixels, and the rays that plan and fill its irradiance cache.
+pub trait Trace: Send + Sync {
+    /// Traces one pixel, given by its row-major index. `each` receives the radiance of every camera sample,
+    /// in order.
+    fn pixel(&self, tracer: &Tracer, index: u32, each: &mut dyn FnMut([f32; 3])) -> Pixel;
+
+    /// Adds camera samples to a pixel until it has `samples` of them. `each` receives the radiance of each
+    /// new one.
+    fn go_on(
+        &self,
+        tracer: &Tracer,
+        index: u32,
+        underway: &mut Underway,
+        samples: u32,
+        each: &mut dyn FnMut([f32; 3]),
+    );
+
+    /// Finds the sites at which the first `samples` camera samples of a pixel read the first level of the
+    /// cache.
+    fn sites(
+        &self,
+        tracer: &Tracer,
+        pixel: u32,
+        samples: u32,
+        found: &mut Vec<Keyed>,
+        counters: &mut Counters,
+    );
+
+    /// Finds the sites of level `level` that the plan rays of a record on the level before meet.
+    fn sites_beyond(
+        &self,
+        tracer: &Tracer,
+        strata: &Strata,
+        level: u32,
+        planned: &Planned,
+    ) -> (Vec<Keyed>, Counters);
+
+    /// Traces rays from a site and returns their hits.
+    fn plan_rays(
+        &self,
+        tracer: &Tracer,
+        site: &Site,
+        directions: &[Vec3; PLAN_RAYS],
+    ) -> ([Option<Hit>; PLAN_RAYS], Counters);
+
+    /// Gathers the irradiance at a planned record of a level.
+    fn gather(
+        &self,
+        tracer: &Tracer,
+        strata: &Strata,
+        level: u32,
+        planned: &Planned,
+    ) -> (Irradiance, Counters);
+}
 
 /// Everything needed to trace a frame. Threads can share it.
 pub struct Tracer {
@@ -69,102 +124,6 @@ pub struct Tracer {
 }
 
 impl Tracer {
-    /// Builds the tree and collects the lights.
-    ///
-    /// The camera is resized to the settings' width and height. Objects and lights that cannot affect the
-    /// image are left out; see [`Self::left_out`].
-    pub fn new(frame: &Frame, settings: &Settings) -> Self {
-        Self::build(frame, settings, None, false)
-    }
-
-    /// Like [`Self::new`], with a tree built earlier for the same geometry.
-    ///
-    /// If other triangles can affect this frame's image, a new tree is built.
-    pub fn with_bvh(frame: &Frame, settings: &Settings, bvh: Arc<Tree>) -> Self {
-        Self::build(frame, settings, Some(bvh), false)
-    }
-
-    /// Like [`Self::new`], but leaves nothing out. It shows what leaving things out saves; images have the
-    /// same bits.
-    ///
-    /// Lights that cannot affect the image are sampled only if all lights are. They never take part in a
-    /// choice among many.
-    pub fn complete(frame: &Frame, settings: &Settings) -> Self {
-        Self::build(frame, settings, None, true)
-    }
-
-    fn build(frame: &Frame, settings: &Settings, bvh: Option<Arc<Tree>>, complete: bool) -> Self {
-        let mut frame = frame.clone();
-        frame.camera = frame.camera.resized(settings.width, settings.height);
-        let materials: Vec<Material> = match settings.materials {
-            MaterialOverride::Full => frame.materials.to_vec(),
-            MaterialOverride::Lambert => frame.materials.iter().map(as_lambert).collect(),
-        };
-        let internal = materials.iter().map(|m| match m.surface {
-            Surface::Plastic { ior, .. } => fresnel::internal_diffuse(ior),
-            _ => 0.0,
-        });
-        let (reach, finding) = clocked(|| reachable(&frame, &materials));
-        let everything = Reach::everything(&frame);
-        let included = if complete { &everything } else { &reach };
-        let known = bvh.filter(|bvh| bvh.is_over(&frame.geometry, included));
-        let (bvh, build) = known.map(|bvh| (bvh, Cost::default())).unwrap_or_else(|| {
-            let (tree, building) = clocked(|| Tree::new(&frame.geometry, included));
-            let work = build_work(tree.triangles(frame.geometry.triangles.len()), tree.size().0);
-            (Arc::new(tree), Cost { work, cpu_nanos: finding + building })
-        });
-        let luminaires = Luminaires::new(&frame, &reach, complete);
-        let sky = if included.environment() { Sky::new(&frame) } else { Sky::Black };
-        let points: Vec<usize> = (0..frame.points.len()).filter(|&i| included.point_light(i)).collect();
-        let suns: Vec<usize> = (0..frame.suns.len()).filter(|&i| included.sun(i)).collect();
-        // Lights that cannot affect the image are never chosen, so they do not count.
-        let choice =
-            luminaires.reaching() + (0..frame.points.len()).filter(|&i| reach.point_light(i)).count();
-        let looks = Looks::new(choice);
-        let called_for = CalledFor {
-            materials: &included.materials(&frame.geometry, &materials),
-            area_lights: luminaires.all.len(),
-            points: points.len(),
-            suns: &suns.iter().map(|&i| frame.suns[i]).collect::<Vec<Sun>>(),
-            looks,
-            sky: &sky,
-            camera: &frame.camera,
-            settings,
-        };
-        let effects = called_for.effects();
-        let chosen = settings.integrator == Integrator::Path || effects.has(Effects::LIGHT_CHOICE);
-        let lights = if chosen { Lights::new(&frame, &materials, &sky, &reach) } else { Lights::default() };
-        let mut tracer = Self {
-            internal: internal.collect(),
-            ranks: Ranks::new(&materials),
-            camera_media: Media::default(),
-            cache: OnceLock::new(),
-            given: Mutex::default(),
-            reach,
-            luminaires,
-            points,
-            suns,
-            lights,
-            sky,
-            effects,
-            looks,
-            kernel: kernel(effects, settings.integrator, looks),
-            materials,
-            settings: settings.clone(),
-            bvh,
-            frame,
-            build,
-            pixel_work: Tally::default(),
-            gather_work: Tally::default(),
-            samples: OnceLock::new(),
-            content: OnceLock::new(),
-        };
-        if !tracer.ranks.is_empty() {
-            tracer.camera_media = tracer.media_at(tracer.frame.camera.origin);
-        }
-        tracer
-    }
-
     /// Sets the number of camera samples of each pixel, in place of [`Settings::spp`]. It can be called once.
     ///
     /// A pixel's first samples are the same whatever their number. A cache that is already planned or filled
@@ -315,12 +274,6 @@ impl Tracer {
         self.effects
     }
 
-    /// Uses a kernel with additional effects. It shows what leaving effects out saves; images and counters
-    /// have the same bits.
-    pub fn with_kernel_for(self, effects: Effects) -> Self {
-        Self { kernel: kernel(self.effects | effects.bits(), self.settings.integrator, self.looks), ..self }
-    }
-
     /// Traces one pixel, given by its row-major index.
     ///
     /// Its colour, rays and work depend only on frame, settings and index. If there is a cache that is not
@@ -469,16 +422,6 @@ fn timed(trace: impl FnOnce() -> Vec<Pixel>) -> Vec<Pixel> {
         pixels.iter_mut().map(|pixel| (0, &mut pixel.cpu_nanos)).collect()
     });
     pixels
-}
-
-/// The material as two-sided Lambertian: its diffuse colour or texture, or 0.5 grey for metals and glass.
-/// Emission is kept.
-fn as_lambert(material: &Material) -> Material {
-    let albedo = match material.surface {
-        Surface::Lambert { albedo } | Surface::Plastic { albedo, .. } => albedo,
-        _ => Color::plain(Vec3::splat(0.5)),
-    };
-    Material { surface: Surface::Lambert { albedo }, ..material.clone() }
 }
 
 /// Locks a mutex. Its data are valid after every statement, so a panic of another thread does no harm.

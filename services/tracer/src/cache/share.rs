@@ -28,6 +28,12 @@ pub struct Shared {
 }
 
 impl Cache {
+    /// Returns `true` if the records are valid in the tracer's frame: same geometry, same light, same light
+    /// settings.
+    pub fn suits(&self, tracer: &Tracer) -> bool {
+        self.fingerprint == tracer.cache_fingerprint()
+    }
+
     /// The records of this cache that are valid in the frame of `to`. The cache must be planned for `from`.
     pub fn carried(&self, from: &Tracer, to: &Tracer) -> (Self, Shared) {
         let counts = |levels: &[Level]| levels.iter().map(|level| level.planned.len() as u64).collect();

@@ -1,7 +1,6 @@
 //! Indirect light from the irradiance cache, and the rays that plan and fill it.
 
-use super::ambient::Segment;
-use super::{Pixels, Point, off_surface};
+use super::{Pixels, Point, Segment, off_surface};
 use crate::cache::{Irradiance, Planned, Sample, Site, Strata};
 use crate::cost::Category;
 use crate::geometry::Basis;

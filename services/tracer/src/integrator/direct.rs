@@ -3,11 +3,10 @@
 //! Lights near a diffuse surface are sampled in two ways, combined by multiple importance sampling: by a
 //! point on the light, and by a cosine-weighted direction from the surface.
 
-use super::{Passed, Pixels, Point, cap_height, fluence, leaving};
+use super::{Passed, Pixels, Point, cap_height, fluence, has, leaving};
 use crate::cost::Category;
 use crate::environment::Sky;
 use crate::geometry::{self, Basis};
-use crate::kernel::has;
 use crate::lights::{Choice, Emitter, LightPoint, MOST_LOOKS, Receiver};
 use crate::random::Purpose;
 use crate::response::Response;

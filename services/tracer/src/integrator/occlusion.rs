@@ -2,10 +2,9 @@
 //!
 //! Opaque surfaces block the light; panes and partial opacity attenuate it.
 
-use super::{Passed, Pixels, Point, leaving};
+use super::{Passed, Pixels, Point, has, leaving};
 use crate::cost::Category;
 use crate::fresnel;
-use crate::kernel::has;
 use forelight_bvh::{Hit, Ray};
 use forelight_scene::Surface;
 use glam::Vec3;

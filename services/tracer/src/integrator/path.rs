@@ -13,12 +13,11 @@
 //! that contribute little; it does not change the mean.
 
 use super::direct::{LAST_BIT, falloff, fine};
-use super::{Interface, Pixels, Point, cap_height, fluence, leaving};
+use super::{Interface, Pixels, Point, cap_height, fluence, has, leaving};
 use crate::bsdf::{Bsdf, Coat, Lobe, Scattering};
 use crate::cost::Category;
 use crate::environment::Sky;
 use crate::geometry::{self, Basis};
-use crate::kernel::has;
 use crate::lights::{Light, Receiver};
 use crate::random::Purpose;
 use forelight_bvh::{Ray, offset_origin};
