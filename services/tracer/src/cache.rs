@@ -19,7 +19,7 @@
 //!
 //! | file | subject |
 //! | --- | --- |
-//! | `site` | points where irradiance is needed, and the error of using a record at one |
+//! | `site`, `record` | points where irradiance is needed; records, and the error of using one at a site |
 //! | `index` | finds the records that may cover a site, by position and orientation |
 //! | `spheres`, `octree`, `loose` | queries for spheres that contain a point or touch another sphere |
 //! | `coverage` | the records of a level while it is planned |
@@ -29,9 +29,10 @@
 //! | `sample` | gathers a few records to measure their cost |
 //! | `partial` | fills only the records that some pixels read |
 //! | `share` | records of one frame that are valid in another |
-//! | `file` | the file format |
+//! | `file`, `error` | the file format and its errors |
 
 mod coverage;
+mod error;
 mod file;
 mod gather;
 mod hemisphere;
@@ -42,67 +43,29 @@ mod partial;
 mod places;
 mod plan;
 mod read;
+mod record;
 mod sample;
 mod share;
 mod site;
 mod smooth;
 mod spheres;
 
-pub use file::CacheError;
+pub use error::CacheError;
 pub use hemisphere::{Irradiance, PLAN_RAYS, Sample, Strata};
-pub use plan::Keyed;
-pub use sample::RecordCost;
+pub use record::{Planned, Record, RecordCost};
 pub use share::Shared;
-pub use site::Site;
+pub use site::{Keyed, Site};
 
 use crate::bounds::Bounds;
 use crate::cost::{Cost, Rays, add_rays};
 use crate::origin::Origin;
-use forelight_bvh::Hit;
-use glam::Vec3;
 use index::Index;
-use smooth::{Smoothed, Value};
+use record::{Smoothed, Value};
 use std::sync::OnceLock;
 
 /// Records are read up to this many times farther than they were planned to cover. Several records then blend
 /// at every point, and samples between the planned sites are covered too.
 const READ_RELAXED: f32 = 1.6;
-
-/// A planned record.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Planned {
-    /// Random key of its gather.
-    pub key: u64,
-    /// Its position and orientation.
-    pub site: Site,
-    /// Radius of validity before it is scaled by the allowed error, metres.
-    pub radius: f32,
-    /// Distance along the surface to the nearest obstacle, for each sector of azimuth, metres.
-    pub corral: [f32; hemisphere::SECTORS],
-    /// Hits of the plan's rays. They are boxed, because reading accesses the other fields millions of times.
-    pub hits: Box<[Option<Hit>; PLAN_RAYS]>,
-}
-
-/// The result of a gather at a record.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Record {
-    /// Irradiance that reaches the base under the surface's coat, W/m² per channel.
-    pub irradiance: Vec3,
-    /// Rotational gradient of each channel's irradiance, per radian.
-    pub rotation: [Vec3; 3],
-    /// Translational gradient of each channel's irradiance, per metre.
-    pub translation: [Vec3; 3],
-    /// Radius within which the gradients can be trusted, metres. At most the planned radius.
-    pub trusted: f32,
-    /// Standard error of the irradiance due to the finite number of rays, mean over the channels, W/m².
-    pub noise: f32,
-    /// Set if a value is not finite. Such a record is never used.
-    pub rejected: bool,
-    /// Cost of the gather.
-    pub cost: Cost,
-    /// Rays of the gather, by category.
-    pub rays: [u32; 7],
-}
 
 /// The records of one bounce.
 #[derive(Debug, Default, Clone)]

@@ -1,8 +1,6 @@
 //! Fill: gathers the irradiance at planned records.
 
-use super::hemisphere::Irradiance;
-use super::smooth::Value;
-use super::{Cache, Planned, Record};
+use super::{Cache, Record};
 use crate::cost::{Cost, SMOOTHING, SMOOTHING_WORK, clocked};
 use crate::tracer::Tracer;
 use rayon::prelude::*;
@@ -47,42 +45,5 @@ impl Cache {
         tracer.gather_work.add(SMOOTHING);
         let cost = Cost { work: counters.work() + SMOOTHING_WORK, cpu_nanos };
         Record { cost, rays: counters.rays, ..record }
-    }
-}
-
-impl Record {
-    /// The record for a gather. Its gradients are limited (Křivánek et al. 2006).
-    ///
-    /// A gradient that would change the irradiance by its full value within a distance shows that the record
-    /// is valid for that distance at most. The trusted radius is reduced to it. If the distance is below the
-    /// smallest radius, the gradient itself is reduced.
-    fn new(planned: &Planned, irradiance: &Irradiance, smallest: f32) -> Self {
-        let (value, mut translation) = (irradiance.value, irradiance.translation);
-        let mut trusted = planned.radius;
-        for channel in 0..3 {
-            let slope = translation[channel].length();
-            let level_within = if slope > 0.0 { value[channel] / slope } else { f32::INFINITY };
-            trusted = trusted.min(level_within.max(smallest));
-            if level_within < smallest {
-                translation[channel] *= level_within / smallest;
-            }
-        }
-        let mut record = Self {
-            rejected: false,
-            irradiance: value,
-            rotation: irradiance.rotation,
-            translation,
-            trusted,
-            noise: irradiance.noise,
-            cost: Cost::default(),
-            rays: [0; 7],
-        };
-        record.rejected = !record.is_finite();
-        record
-    }
-
-    /// Returns `true` if every value is finite.
-    pub fn is_finite(&self) -> bool {
-        Value::of(self).is_finite() && self.noise.is_finite()
     }
 }

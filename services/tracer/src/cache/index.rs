@@ -5,8 +5,9 @@
 //! normal points mainly along it.
 
 use super::octree::{Cube, Octree};
+use super::record::Planned;
+use super::site::Site;
 use super::spheres::{SETS, Sphere};
-use super::{Planned, Site};
 use crate::bounds::Bounds;
 use glam::Vec3;
 

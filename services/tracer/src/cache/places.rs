@@ -1,6 +1,6 @@
 //! Finds records by distance, and orders them along a space-filling curve.
 
-use super::Planned;
+use super::record::Planned;
 use crate::bounds::Bounds;
 use glam::Vec3;
 

@@ -15,7 +15,9 @@
 
 use super::coverage::Coverage;
 use super::hemisphere::{PLAN_RAYS, RINGS, SECTORS, Strata};
-use super::{Cache, Level, Planned, Site};
+use super::record::Planned;
+use super::site::Keyed;
+use super::{Cache, Level};
 use crate::CacheSettings;
 use crate::bounds::Bounds;
 use crate::cost::{Cost, Counters, Rays, add_rays, clocked};
@@ -75,9 +77,6 @@ const COARSE: f32 = 0.6;
 /// For the same reason, each level gathers with this many times fewer rays than the one before. (96 × 96
 /// pixels, two bounces, rooms and kitchens: filling costs 20 to 30 % less, errors grow by 0 to 4 %.)
 const FEWER: u32 = 4;
-
-/// A site, with the random key of its gather.
-pub type Keyed = (u64, Site);
 
 impl Cache {
     /// Plans the additional records that the tracer's image needs, on the current thread pool.

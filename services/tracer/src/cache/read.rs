@@ -1,6 +1,6 @@
 //! Read: interpolates between the records around a point.
 
-use super::smooth::Value;
+use super::record::Value;
 use super::{Cache, READ_RELAXED, Site};
 use glam::Vec3;
 

@@ -2,24 +2,12 @@
 
 use super::index::direction_of;
 use super::places::{Cells, Places};
-use super::{Cache, Level, Planned};
+use super::record::{Planned, RecordCost};
+use super::{Cache, Level};
 use crate::cost::Cost;
 use crate::random::hash;
 use crate::tracer::Tracer;
 use rayon::prelude::*;
-
-/// Cost of gathering and smoothing one record.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct RecordCost {
-    /// Level of the record, from 0.
-    pub level: u32,
-    /// Index of the record in its level. Records taken over from another frame come first.
-    pub index: usize,
-    /// Work and CPU time.
-    pub cost: Cost,
-    /// Rays by category.
-    pub rays: [u32; 7],
-}
 
 impl Cache {
     /// See [`Tracer::sample_records`].

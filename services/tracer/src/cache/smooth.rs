@@ -10,7 +10,8 @@
 //! different light, and gets a lower weight.
 
 use super::places::Places;
-use super::{Cache, Level, Record};
+use super::record::{Record, Smoothed, Value};
+use super::{Cache, Level};
 use crate::cost::clocked;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -24,60 +25,6 @@ const WIDER: f32 = 6.0;
 /// of each record. A single difference d only gives the rough estimate b² = d² − 2σ², so it is taken into
 /// account in part. The image's error hardly changes between 0.25 and 1.
 const DISAGREEMENT: f32 = 0.25;
-
-/// The value of a record, as it is read.
-#[derive(Debug, Clone, Copy)]
-pub struct Value {
-    pub irradiance: Vec3,
-    /// See [`Record::rotation`].
-    pub rotation: [Vec3; 3],
-    /// See [`Record::translation`].
-    pub translation: [Vec3; 3],
-    /// See [`Record::trusted`].
-    pub trusted: f32,
-    /// See [`Record::noise`].
-    pub noise: f32,
-    /// Set if the record must not be used.
-    pub rejected: bool,
-}
-
-/// The smoothed values of a level.
-#[derive(Debug, Clone, Default)]
-pub struct Smoothed {
-    pub values: Vec<Value>,
-    /// CPU time of smoothing, nanoseconds. Its work is included in the records' work.
-    pub cpu_nanos: u64,
-    /// Whether all records were filled.
-    pub whole: bool,
-}
-
-impl Value {
-    /// The gathered value.
-    pub fn of(record: &Record) -> Self {
-        let Record { irradiance, rotation, translation, trusted, noise, rejected, .. } = *record;
-        Self { irradiance, rotation, translation, trusted, noise, rejected }
-    }
-
-    /// Returns `true` if irradiance and gradients are finite.
-    pub fn is_finite(&self) -> bool {
-        let mut gradients = self.rotation.iter().chain(&self.translation);
-        self.irradiance.is_finite() && gradients.all(|gradient| gradient.is_finite())
-    }
-
-    /// Irradiance at another site, extrapolated by the gradients.
-    ///
-    /// `difference` is the offset from the record in metres, and `turn` = nᵢ × n the rotation of the normal.
-    /// The result is limited to between `LEAST` and `MOST` times the record's irradiance.
-    pub fn at(&self, difference: Vec3, turn: Vec3) -> Vec3 {
-        const LEAST: f32 = 0.05;
-        const MOST: f32 = 3.0;
-        let change = Vec3::from(
-            [0, 1, 2]
-                .map(|channel| turn.dot(self.rotation[channel]) + difference.dot(self.translation[channel])),
-        );
-        (self.irradiance + change).clamp(self.irradiance * LEAST, self.irradiance * MOST)
-    }
-}
 
 impl Cache {
     /// Smooths a level on the current thread pool, if all its records are filled.
