@@ -27,8 +27,9 @@ pub struct Planned {
 const SLANT: f32 = 0.25;
 
 impl Planned {
-    /// The error of using this record at a site: the split-sphere bound without its constants, |p − pᵢ| / Rᵢ
-    /// + √(1 − n·nᵢ) (Ward, Rubinstein and Clear 1988, equation 5).
+    /// The error of using this record at a site: |p − pᵢ| / Rᵢ + √(1 − n·nᵢ).
+    ///
+    /// It is the split-sphere bound without its constants (Ward, Rubinstein and Clear 1988, equation 5).
     ///
     /// Returns `None` if the error is not below `allowed`, or if the record must not be used. It must not be
     /// used if it has another coat, faces away, is in front of or behind the surface, or beyond an obstacle.
