@@ -1,4 +1,4 @@
-//! What the user asks of a render.
+//! Settings: the quality and size of an image.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,18 +9,19 @@ pub enum MaterialOverride {
     /// The bundle's materials.
     #[default]
     Full,
-    /// Every material as two-sided Lambert with its diffuse colour or texture; metals and glass as 0.5 grey.
+    /// Every material becomes two-sided Lambertian with its diffuse colour or texture. Metals and glass
+    /// become 0.5 grey.
     Lambert,
 }
 
-/// How light is simulated.
+/// The light transport algorithm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Integrator {
     /// Distribution ray tracing with gathered indirect light, without caustics.
     #[default]
     Ambient,
-    /// Unbiased path tracing: one path a camera sample, caustics included.
+    /// Unbiased path tracing with one path per camera sample. Includes caustics.
     Path,
 }
 
@@ -31,19 +32,21 @@ pub struct Settings {
     pub width: u32,
     /// Image height, pixels.
     pub height: u32,
-    /// Camera samples a pixel.
+    /// Camera samples per pixel.
     pub spp: u32,
-    /// How light is simulated.
+    /// The light transport algorithm.
     pub integrator: Integrator,
-    /// Indirect diffuse bounces; 0 is direct light (and mirrors and glass) alone. For [`Integrator::Path`]: how often light is
-    /// spread (diffuse, glossy, rough glass) after the first time; the greatest value allowed is as good as no limit.
+    /// Number of indirect diffuse bounces. 0 gives direct light, mirrors and glass only.
+    ///
+    /// For [`Integrator::Path`], it limits how often light is spread (diffuse, glossy, rough glass) after the
+    /// first time. Its largest value has the effect of no limit.
     pub ambient_bounces: u32,
-    /// Rays of a hemisphere gather at the first diffuse hit of full weight. Hits of lower weight get fewer, in
-    /// proportion; each further bounce gets an eighth.
+    /// Rays of a hemisphere gather at the first diffuse hit with full weight. Hits with lower weight get
+    /// proportionally fewer. Each further bounce gets an eighth.
     pub ambient_divisions: u32,
     /// Longest chain of mirror, glass and glossy hits.
     pub max_depth: u32,
-    /// Irradiance cache, if indirect light is interpolated.
+    /// Irradiance cache. `None` gathers indirect light at every hit.
     pub cache: Option<CacheSettings>,
     /// Replacement of all materials.
     pub materials: MaterialOverride,
@@ -54,20 +57,23 @@ pub struct Settings {
 /// Quality of an irradiance cache.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CacheSettings {
-    /// Error that interpolation may make, in thousandths, by the split-sphere bound of Ward, Rubinstein and Clear 1988: a record
-    /// serves up to this share of the (harmonic) mean distance to its surroundings. Beyond 0.3 the densest records also lie farther apart, and
-    /// beyond 0.4 only they.
+    /// Allowed interpolation error in thousandths, by the split-sphere bound of Ward, Rubinstein and Clear
+    /// 1988.
+    ///
+    /// A record is used up to this fraction of the harmonic mean distance to its surroundings. Above 0.3, the
+    /// densest records also lie farther apart. Above 0.4, only they do.
     pub accuracy: u32,
-    /// Rays of a record's gather, about a quarter of them for each further bounce, at least 48; the nearest of 48, 192, 432, 768, 1200, … is taken.
+    /// Rays per record, rounded to the nearest of 48, 192, 432, 768, 1200, … Each further bounce uses about a
+    /// quarter, but at least 48.
     pub rays: u32,
 }
 
-/// Rays of the gathers at points that no record of the cache covers.
+/// Number of rays of the gathers at points that no cache record covers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct UncoveredGathers {
-    /// In the first camera sample of a pixel; in the n-th an n-th of them.
+    /// In the first camera sample of a pixel. The n-th sample uses an n-th of it.
     pub first: u32,
-    /// In any sample at least, 1 or more.
+    /// Minimum in every sample, at least 1.
     pub least: u32,
 }
 
@@ -79,10 +85,13 @@ impl UncoveredGathers {
 }
 
 impl CacheSettings {
-    /// In the first sample a quarter of a record's rays at the accuracy of 200 thousandths, and more in proportion for finer ones, which
-    /// leave more points uncovered; as many as a record at most. In an image of few samples these points would make most of what a good cache leaves
-    /// of error in indirect light. Where there are many samples, each shares its pixel with others that are noisy for other reasons:
-    /// whole images of 16 to 64 samples are most exact for their work with 2 to 8 rays.
+    /// Number of rays at uncovered points.
+    ///
+    /// The first sample uses a quarter of a record's rays at accuracy 200. Finer accuracies leave more points
+    /// uncovered and use proportionally more, up to the rays of a record. In an image with few samples, these
+    /// points would otherwise cause most of the error in indirect light. With many samples, each sample
+    /// shares its pixel with others that are noisy for other reasons. Images with 16 to 64 samples have the
+    /// smallest error for their work with 2 to 8 rays.
     pub fn uncovered(self) -> UncoveredGathers {
         let part = u64::from(self.rays) * 50 / u64::from(self.accuracy.max(1));
         UncoveredGathers { first: (part.min(u64::from(self.rays)) as u32).max(24), least: 4 }
@@ -114,20 +123,23 @@ impl Default for Settings {
 
 /// A setting outside its range.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{name} is {value}, but must lie in {lowest} … {highest}")]
+#[error("{name} is {value}; it must be in the range {lowest} to {highest}")]
 pub struct SettingsError {
     /// Name of the setting.
     pub name: &'static str,
-    /// What was asked.
+    /// The given value.
     pub value: u64,
-    /// Smallest value allowed.
+    /// Smallest allowed value.
     pub lowest: u64,
-    /// Largest value allowed.
+    /// Largest allowed value.
     pub highest: u64,
 }
 
 impl Settings {
-    /// Checks every range, in the order of the fields.
+    /// Checks every setting, in the order of the fields.
+    ///
+    /// # Errors
+    /// The first setting outside its range.
     pub fn validate(&self) -> Result<(), SettingsError> {
         let bounces = match self.integrator {
             Integrator::Ambient => 8,

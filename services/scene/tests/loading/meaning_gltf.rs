@@ -370,7 +370,7 @@ fn what_is_not_shown_is_told_in_one_warning() {
     let scene = gltf(&document, &triangle_bin()).scene();
     assert_eq!(
         scene.warnings()[0],
-        "tri.gltf: not shown as the file has it: colours of vertices; morph targets; points and lines; skins; \
+        "tri.gltf: not fully supported: colours of vertices; morph targets; points and lines; skins; \
          the extension `EXT_mesh_gpu_instancing`"
     );
 }
