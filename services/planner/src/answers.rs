@@ -379,13 +379,11 @@ fn others_fixed(input: &Input, job: u64) -> Result<Input, InputError> {
     let standing = plan(&without)?;
     let mut around = Input { movable: Vec::new(), ..input.clone() };
     for booking in &standing.bookings {
-        let uses = input.jobs.iter().find(|other| other.id == booking.job).map(|other| other.uses.clone());
         around.fixed.push(FixedBooking {
             node: booking.node,
             start: booking.start,
             end: booking.end,
             job: Some(booking.job),
-            uses: uses.unwrap_or_default(),
         });
     }
     around.jobs.retain(|other| other.id == job);

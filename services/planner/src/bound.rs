@@ -12,9 +12,6 @@ use crate::problem::{Problem, Work};
 pub(crate) fn bound(problem: &Problem, work: &Work) -> Bound {
     let job = work.job;
     let release = work.release(problem.input.now);
-    if work.is_hopeless && !(work.frames.is_empty() && work.seed.is_none()) {
-        return Bound::default();
-    }
     let earliest = |classes: &[usize], class: u32, from: i64, amount: u64| {
         let nodes = classes.iter().flat_map(|&class| &problem.classes[class]);
         nodes

@@ -129,7 +129,7 @@ fn elsewhere(state: &State) -> Vec<Option<(i64, u64)>> {
         let frame = work.frames.get(work.frames.len() / 2)?;
         let plain = plain_below(state, job, frame.work, i64::MAX);
         let search = search(state, job, frame.number, frame.work, &plain)?;
-        let (_, fit) = state.find(work, &search)?;
+        let (_, fit) = state.find(&search)?;
         Some((fit.added_cost, frame.work.max(1)))
     };
     state.problem.jobs.iter().enumerate().map(of_job).collect()
@@ -220,11 +220,10 @@ fn set(state: &mut State, board: &mut Board, piece: Piece) {
 /// everything is as it was.
 fn settle(state: &mut State, board: &mut Board, piece: Piece, below: i64, chain: usize) -> Option<i64> {
     let number = piece.placed.task.frame()?;
-    let work = &state.problem.jobs[piece.job];
     let classes = plain_below(state, piece.job, piece.work, below);
     let search = search(state, piece.job, number, piece.work, &classes)?;
     board.trials = board.trials.saturating_sub(1);
-    let free = state.find(work, &search).filter(|(_, fit)| fit.added_cost < below);
+    let free = state.find(&search).filter(|(_, fit)| fit.added_cost < below);
     let limit = free.map_or(below, |(_, fit)| fit.added_cost);
     if chain > 0 {
         for other in in_the_way(state, board, piece, &search, limit) {
@@ -294,13 +293,12 @@ fn push_out(
             release: search.release.max(from),
             latest_end: search.latest_end.min(until),
             duration: place.duration(piece.work, search.class_of_work)?,
-            uses: &problem.jobs[piece.job].job.uses,
         }
     };
     let back = saved(state, other.placed);
     let freed = state.lanes[node].freed;
     lift(state, board, other);
-    if let Some(fit) = state.lanes[node].fit(place, &wanted, &state.ledger, Prefer::Early, &Unwanted) {
+    if let Some(fit) = state.lanes[node].fit(place, &wanted, Prefer::Early, &Unwanted) {
         let placed = Placed { node, start: fit.start, end: fit.end, task: piece.placed.task };
         let own = fit.added_cost.saturating_sub(back);
         set(state, board, Piece { placed, ..piece });

@@ -31,8 +31,6 @@ pub(crate) struct Work<'a> {
     pub classes: Vec<usize>,
     /// The same for its seed.
     pub seed_classes: Vec<usize>,
-    /// The job asks for more of a limit than there is.
-    pub is_hopeless: bool,
 }
 
 /// A frame with its bought work.
@@ -67,7 +65,7 @@ impl<'a> Problem<'a> {
         }
         let mut jobs: Vec<&Job> = input.jobs.iter().collect();
         jobs.sort_unstable_by_key(|job| job.id);
-        let jobs = jobs.into_iter().map(|job| Work::new(job, input, &nodes, &classes)).collect();
+        let jobs = jobs.into_iter().map(|job| Work::new(job, &nodes, &classes)).collect();
         Problem { input, nodes, windows, classes, class_of, jobs }
     }
 
@@ -89,7 +87,7 @@ impl<'a> Problem<'a> {
 }
 
 impl<'a> Work<'a> {
-    fn new(job: &'a Job, input: &Input, nodes: &[&Node], classes: &[Vec<usize>]) -> Self {
+    fn new(job: &'a Job, nodes: &[&Node], classes: &[Vec<usize>]) -> Self {
         let open: BTreeMap<i64, u64> = job.open_work().collect();
         let mut frames: Vec<(&Frame, u64)> =
             job.frames.iter().filter_map(|frame| Some((frame, *open.get(&frame.number)?))).collect();
@@ -104,8 +102,6 @@ impl<'a> Work<'a> {
             };
             classes.iter().enumerate().filter(|(_, members)| can(members)).map(|(index, _)| index).collect()
         };
-        let count =
-            |limit: u64| input.limits.iter().find(|entry| entry.id == limit).map_or(0, |entry| entry.count);
         Work {
             job,
             seed: job.bought_seed(),
@@ -115,7 +111,6 @@ impl<'a> Work<'a> {
                 .collect(),
             classes: able(job.class),
             seed_classes: job.seed.map_or_else(Vec::new, |seed| able(seed.class)),
-            is_hopeless: job.uses.iter().any(|held| held.count > count(held.limit)),
         }
     }
 

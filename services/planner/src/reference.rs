@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use crate::chance::{between, bits, normal, uniform};
-use crate::model::{Confidence, Frame, Input, Interval, Job, Limit, LimitUse, Node, Seed, WorkTotal};
+use crate::model::{Confidence, Frame, Input, Interval, Job, Node, Seed, WorkTotal};
 
 const SECOND: i64 = 1_000_000;
 const MINUTE: i64 = 60 * SECOND;
@@ -36,13 +36,10 @@ impl Default for Size {
 }
 
 /// A studio's week. Two fifths of the classes are its own farm, three tenths are workstations at night, three tenths are
-/// rented by the hour with a set-up; a fifth has graphics processors. A fifth of the jobs have seeds, a tenth need
-/// licences, one in twenty graphics memory; half allow tiles. About a quarter of the farm's time is needed.
+/// rented by the hour with a set-up; a fifth has graphics processors. A fifth of the jobs have seeds, one in
+/// twenty needs graphics memory; half allow tiles. About a quarter of the farm's time is needed.
 pub fn studio(size: Size, seed: u64) -> Input {
-    let mut input = Input {
-        limits: vec![Limit { id: 0, name: "simulation licence".to_owned(), count: size.nodes / 8 + 1 }],
-        ..Input::default()
-    };
+    let mut input = Input::default();
     for id in 0..size.nodes {
         input.nodes.push(studio_node(size, seed, id, id % size.classes.max(1)));
     }
@@ -128,7 +125,6 @@ fn studio_job(size: Size, seed: u64, id: u64, frames: u64) -> Job {
         frames,
         memory: [16, 16, 32, 60, 100][pick(2, 5) as usize] * GIB,
         gpu_memory: if on_gpu { 16 * GIB } else { 0 },
-        uses: if pick(3, 10) == 0 { vec![LimitUse { limit: 0, count: 1 }] } else { Vec::new() },
         tiles: if pick(4, 2) == 0 { 8 } else { 1 },
         tile_overhead: typical as u64 / 100,
         ..Job::default()

@@ -178,11 +178,10 @@ fn after(input: &Input, old: &Plan, event: &Event) -> Result<(Input, Vec<(u64, T
                         old.bookings.iter().filter(of_frame).collect()
                     }
                 };
-                let uses = job.uses.clone();
                 for fact in &facts {
                     let end = if fact.task == *task { (*until).max(fact.start) } else { fact.end };
                     let (node, start, job) = (fact.node, fact.start, Some(fact.job));
-                    new.fixed.push(FixedBooking { node, start, end, job, uses: uses.clone() });
+                    new.fixed.push(FixedBooking { node, start, end, job });
                 }
                 taken = facts.iter().map(|fact| (fact.job, fact.task)).collect();
             }
@@ -305,9 +304,7 @@ fn make_way(state: &mut State, job: usize) -> bool {
         }
         // Those of the other whose place is still free go back to it; only the rest moves.
         for &placed in &lifted {
-            if trial.lanes[placed.node].is_free(placed.start, placed.end)
-                && trial.ledger.is_free(&problem.jobs[other].job.uses, placed.start, placed.end).is_ok()
-            {
+            if trial.lanes[placed.node].is_free(placed.start, placed.end) {
                 trial.book(other, placed);
             }
         }

@@ -262,8 +262,8 @@ pub(crate) fn place_all(
             for_others: state.for_others,
         };
         let allotted =
-            allotment.as_deref_mut().and_then(|allotment| find_allotted(state, work, &search, allotment));
-        let found = allotted.or_else(|| state.find(work, &search));
+            allotment.as_deref_mut().and_then(|allotment| find_allotted(state, &search, allotment));
+        let found = allotted.or_else(|| state.find(&search));
         match found {
             Some((node, fit)) => {
                 let (start, end) = (fit.start, fit.end);
@@ -277,12 +277,7 @@ pub(crate) fn place_all(
 }
 
 /// The best place within what a job was allotted, whose length is then used up. At least half of a frame must lie in the slot.
-fn find_allotted(
-    state: &State,
-    work: &Work,
-    search: &Search,
-    allotment: &mut [Allotted],
-) -> Option<(usize, Fit)> {
+fn find_allotted(state: &State, search: &Search, allotment: &mut [Allotted]) -> Option<(usize, Fit)> {
     let mut best: Option<(usize, usize, Fit)> = None;
     for (index, piece) in allotment.iter().enumerate().filter(|(_, piece)| piece.left > 0) {
         let node = state.problem.representative(piece.class);
@@ -293,7 +288,7 @@ fn find_allotted(
             latest_end: search.latest_end.min(piece.end.saturating_add(half)),
             ..*search
         };
-        if let Some((node, fit)) = state.find(work, &within)
+        if let Some((node, fit)) = state.find(&within)
             && best.is_none_or(|(_, _, least)| fit.rank(search.prefer) < least.rank(search.prefer))
         {
             best = Some((index, node, fit));
@@ -321,9 +316,9 @@ fn place_seed(state: &mut State, job: usize, latest_end: i64) -> bool {
         for_others,
     };
     for task in state.missing_seed(job) {
-        let Some((node, first)) = state.find(work, &search(latest_end, Prefer::Early)) else { return false };
+        let Some((node, first)) = state.find(&search(latest_end, Prefer::Early)) else { return false };
         let patience = first.end.saturating_add(first.end.saturating_sub(release)).min(latest_end);
-        let (node, fit) = state.find(work, &search(patience, Prefer::Cheap)).unwrap_or((node, first));
+        let (node, fit) = state.find(&search(patience, Prefer::Cheap)).unwrap_or((node, first));
         state.book(job, Placed { node, start: fit.start, end: fit.end, task });
     }
     true
@@ -346,7 +341,7 @@ fn place_tiles(state: &mut State, job: usize, number: i64, frame_work: u64, late
                 only: Only::ANY,
                 for_others: state.for_others,
             };
-            let Some((node, fit)) = state.find(work, &search) else { return false };
+            let Some((node, fit)) = state.find(&search) else { return false };
             let task = Task::Tile { frame: number, part, parts };
             state.book(job, Placed { node, start: fit.start, end: fit.end, task });
             true
@@ -375,9 +370,6 @@ pub(crate) fn as_early_as_possible(state: &mut State, job: usize) {
 /// Places a frame where it ends first, in tiles if it fits nowhere as a whole. Returns the nodes' time that it takes.
 fn place_early(state: &mut State, job: usize, number: i64, frame_work: u64) -> Option<i64> {
     let work = &state.problem.jobs[job];
-    if work.is_hopeless {
-        return None;
-    }
     let release = state.earliest(job, Task::Frame(number))?;
     let search = Search {
         class_of_work: work.job.class,
@@ -389,7 +381,7 @@ fn place_early(state: &mut State, job: usize, number: i64, frame_work: u64) -> O
         only: Only::ANY,
         for_others: state.for_others,
     };
-    if let Some((node, fit)) = state.find(work, &search) {
+    if let Some((node, fit)) = state.find(&search) {
         state.book(job, Placed { node, start: fit.start, end: fit.end, task: Task::Frame(number) });
         return Some(fit.end - fit.start);
     }
@@ -522,7 +514,7 @@ fn place_cheaply_by(state: &mut State, job: usize, by: i64) -> bool {
             only: Only::ANY,
             for_others: state.for_others,
         };
-        let Some((node, fit)) = state.find(work, &search) else { return false };
+        let Some((node, fit)) = state.find(&search) else { return false };
         state.book(job, Placed { node, start: fit.start, end: fit.end, task: Task::Frame(frame.number) });
         true
     })

@@ -1,9 +1,9 @@
 //! What people ask, on farms small enough to know the answer.
 
 use forelight_planner::{
-    Change, Confidence, Event, Frame, Input, Interval, Job, Limit, LimitUse, Node, Plan, Project, Reason,
-    Seed, Task, Usage, Verdict, WorkTotal, difference, earliest_for_budget, explain, gantt, outlook, plan,
-    price_curve, replan, simulate, verify, ways_out, what_if,
+    Change, Confidence, Event, Frame, Input, Interval, Job, Node, Plan, Project, Seed, Task, Usage, Verdict,
+    WorkTotal, difference, earliest_for_budget, explain, gantt, outlook, plan, price_curve, replan, simulate,
+    verify, ways_out, what_if,
 };
 
 const HOUR: i64 = 3_600_000_000;
@@ -78,18 +78,6 @@ fn frames_wait_for_their_seed_and_tiles_end_together_earlier() {
     let found = sound(&input(vec![node(1, 1, 0), node(2, 1, 0)], vec![tiled]));
     assert!(found.bookings.iter().all(|booking| matches!(booking.task, Task::Tile { parts: 2, .. })));
     assert!(found.jobs[0].verdict.is_kept());
-}
-
-#[test]
-fn no_more_frames_run_than_there_are_licences() {
-    let mut licensed = job(1, None, &[1; 6]);
-    licensed.uses = vec![LimitUse { limit: 5, count: 1 }];
-    let mut farm = input((0..4).map(|id| node(id, 1, 0)).collect(), vec![licensed]);
-    farm.limits = vec![Limit { id: 5, name: "simulator".into(), count: 2 }];
-    assert_eq!(sound(&farm).jobs[0].verdict.finish(), Some(3 * HOUR));
-    farm.limits[0].count = 0;
-    assert!(matches!(sound(&farm).jobs[0].verdict, Verdict::Unplaced { .. }));
-    assert_eq!(explain(&farm, &sound(&farm)).expect("reasons")[0].reason, Reason::NoNode);
 }
 
 #[test]

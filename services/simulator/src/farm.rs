@@ -46,9 +46,6 @@ pub enum Refusal {
     /// Too little memory, or the wrong class of work.
     #[error("the node cannot do it")]
     Unfit,
-    /// A licence or the like is missing.
-    #[error("a limit is reached")]
-    Limit,
     /// It is no frame, or its job does not allow as many tiles.
     #[error("the frame cannot be split like this")]
     NotSplit,
@@ -116,7 +113,6 @@ pub struct Farm<'w> {
     idle: BTreeSet<(usize, usize)>,
     /// Jobs that came in and are neither done nor withdrawn.
     open: BTreeSet<usize>,
-    limits_held: Vec<u64>,
     /// Place of job and task of every attempt.
     places: Vec<(usize, usize)>,
     events: BinaryHeap<Reverse<(i64, Event)>>,
@@ -231,7 +227,6 @@ impl<'w> Farm<'w> {
             jobs: jobs.collect(),
             idle: BTreeSet::new(),
             open: BTreeSet::new(),
-            limits_held: vec![0; input.limits.len()],
             places: Vec::new(),
             events,
             freed: Vec::new(),
@@ -349,7 +344,6 @@ impl<'w> Farm<'w> {
         entry.waiting.remove(&task);
         entry.running += 1;
         entry.running_speed = entry.running_speed.saturating_add(machine.speed_of(truth.class));
-        self.hold(job, true);
         self.events.push(Reverse((ready.saturating_add(length), Event::Finish { node, attempt })));
         Ok(())
     }
@@ -374,27 +368,7 @@ impl<'w> Farm<'w> {
         if !machine.fits(asked) || machine.speed_of(truth.class) == 0 {
             return Err(Refusal::Unfit);
         }
-        for held in &asked.uses {
-            let place = self.world.input.limits.iter().position(|limit| limit.id == held.limit);
-            let free = place.map_or(0, |place| {
-                self.world.input.limits[place].count.saturating_sub(self.limits_held[place])
-            });
-            if free < held.count {
-                return Err(Refusal::Limit);
-            }
-        }
         Ok(())
-    }
-
-    fn hold(&mut self, job: usize, takes: bool) {
-        let world = self.world;
-        for held in &world.input.jobs[job].uses {
-            if let Some(place) = world.input.limits.iter().position(|limit| limit.id == held.limit) {
-                let count = &mut self.limits_held[place];
-                *count =
-                    if takes { count.saturating_add(held.count) } else { count.saturating_sub(held.count) };
-            }
-        }
     }
 
     /// Whoever still works stops.

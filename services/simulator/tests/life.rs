@@ -2,9 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use forelight_planner::{
-    Confidence, Frame, Input, Interval, Job, Limit, LimitUse, Node, Seed, Task, WorkTotal,
-};
+use forelight_planner::{Confidence, Frame, Input, Interval, Job, Node, Seed, Task, WorkTotal};
 use forelight_simulator::{
     Attempt, Chances, Farm, Outcome, Policy, PolicyKind, Record, Refusal, Scenario, World, report, run,
     studio,
@@ -100,31 +98,13 @@ fn check(world: &World, record: &Record, may_leave: bool) {
         }
     }
     assert!(by_node.is_empty(), "attempts on nodes that do not exist");
-    for limit in &input.limits {
-        let mut changes: Vec<(i64, i64)> = Vec::new();
-        for attempt in &record.attempts {
-            let job = &input.jobs[input.jobs.iter().position(|job| job.id == attempt.job).unwrap()];
-            let held: u64 = job.uses.iter().filter(|u| u.limit == limit.id).map(|u| u.count).sum();
-            changes.push((attempt.end, -(held as i64)));
-            changes.push((attempt.start, held as i64));
-        }
-        // What ends at an instant goes before what starts.
-        changes.sort_unstable();
-        let mut now = 0;
-        for (_, change) in changes {
-            now += change;
-            assert!(now <= limit.count as i64, "{} is used {now} times at once", limit.name);
-        }
-    }
 }
 
 fn small(nodes: u64, jobs: u64, frames: u64, seed: u64, chances: Chances) -> World {
     let scenario = Scenario { nodes, jobs, frames, days: 3, frame_minutes: 120, confidence: None, parts: 4 };
     let mut input = studio(scenario, seed);
     // Something for every rule to refuse.
-    input.limits = vec![Limit { id: 0, name: "licence".into(), count: 2 }];
     for job in input.jobs.iter_mut().filter(|job| job.id % 3 == 0) {
-        job.uses = vec![LimitUse { limit: 0, count: 1 }];
         job.seed = Some(Seed { class: job.class, work: 1_000_000_000_000, parts: 1 + (job.id % 4) as u32 });
     }
     // Ten nodes need not have a graphics processor, nor all that memory.

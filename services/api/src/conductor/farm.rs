@@ -185,7 +185,6 @@ impl Farm {
                 start: booking.start,
                 end: booking.end,
                 job: Some(booking.job),
-                ..FixedBooking::default()
             }
         }));
         input.jobs.retain(|other| other.id == own);
@@ -337,7 +336,7 @@ fn under_way(
         let node = *nodes.get(&part.node_id)?;
         let (start, end) = (part.start.micros(), part.end.micros());
         let job = jobs.get(&part.booking.job_id).copied();
-        Some(FixedBooking { node, start, end: end.max(start), job, ..FixedBooking::default() })
+        Some(FixedBooking { node, start, end: end.max(start), job })
     });
     snapshot
         .projected
@@ -348,7 +347,7 @@ fn under_way(
             let node = *nodes.get(&frame.node_id)?;
             let (start, end) = (frame.start.micros(), frame.end.micros());
             let job = jobs.get(&frame.booking.job_id).copied();
-            Some(FixedBooking { node, start, end: end.max(start), job, ..FixedBooking::default() })
+            Some(FixedBooking { node, start, end: end.max(start), job })
         })
         .chain(parts)
         .collect()

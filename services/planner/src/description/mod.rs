@@ -16,8 +16,7 @@ pub use self::error::DescriptionError;
 use self::values::{duration, known, money, names, scaled};
 use crate::civil::{Weekly, expand};
 use crate::model::{
-    Confidence, FixedBooking, Frame, Input, Interval, Job, Limit, LimitUse, Node, Power, Project, Seed,
-    Usage, WorkTotal,
+    Confidence, FixedBooking, Frame, Input, Interval, Job, Node, Power, Project, Seed, Usage, WorkTotal,
 };
 
 /// Work of a second at speed one.
@@ -38,7 +37,6 @@ impl Description {
         let now = self.now.as_microsecond();
         let instants = self.jobs.iter().flat_map(|job| [job.release, job.deadline]).flatten();
         let horizon = instants.map(Timestamp::as_microsecond).fold(now, i64::max).saturating_add(BEYOND);
-        let limits = names("limit", self.limits.iter().map(|limit| &limit.name))?;
         let projects = names("project", self.projects.iter().map(|project| &project.name))?;
         names("job", self.jobs.iter().map(|job| &job.name))?;
         let classes = self.classes();
@@ -62,20 +60,12 @@ impl Description {
                 start: entry.start.as_microsecond(),
                 end: entry.end.as_microsecond(),
                 job: None,
-                uses: uses(&entry.limits, &limits, &at)?,
             })
         });
-        let jobs =
-            self.jobs.iter().zip(0..).map(|(entry, id)| job(entry, id, now, &classes, &limits, &projects));
+        let jobs = self.jobs.iter().zip(0..).map(|(entry, id)| job(entry, id, now, &classes, &projects));
         let half_life = self.half_life.as_ref().map_or(Ok(0), |text| duration(text, "half_life"))?;
         Ok(Input {
             now,
-            limits: self
-                .limits
-                .iter()
-                .zip(0..)
-                .map(|(limit, id)| Limit { id, name: limit.name.clone(), count: limit.count })
-                .collect(),
             projects: self
                 .projects
                 .iter()
@@ -182,7 +172,6 @@ fn job(
     id: u64,
     now: i64,
     classes: &BTreeMap<String, u32>,
-    limits: &BTreeMap<String, u64>,
     projects: &BTreeMap<String, u64>,
 ) -> Result<Job, DescriptionError> {
     let at = format!("job {:?}", entry.name);
@@ -244,19 +233,8 @@ fn job(
         memory: scaled(entry.memory_gib, GIB, &at, "memory_gib")?,
         gpu_memory: scaled(entry.gpu_memory_gib, GIB, &at, "gpu_memory_gib")?,
         cores: entry.cores,
-        uses: uses(&entry.limits, limits, &at)?,
         tiles: entry.tiles,
         tile_overhead: work(entry.tile_overhead_hours, "tile_overhead_hours")?,
         budget: entry.budget.map(|budget| money(budget, &at, "budget")).transpose()?,
     })
-}
-
-fn uses(
-    held: &BTreeMap<String, u64>,
-    limits: &BTreeMap<String, u64>,
-    at: &str,
-) -> Result<Vec<LimitUse>, DescriptionError> {
-    held.iter()
-        .map(|(name, &count)| Ok(LimitUse { limit: known(limits, "limit", name, at)?, count }))
-        .collect()
 }

@@ -78,29 +78,6 @@ pub struct FixedBooking {
     pub end: i64,
     /// The job it is for, where that is known: for explanations.
     pub job: Option<u64>,
-    /// What it holds meanwhile.
-    pub uses: Vec<LimitUse>,
-}
-
-/// Something that only so many frames may use at once: a licence, the bandwidth of a file server.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct Limit {
-    /// Identity.
-    pub id: u64,
-    /// Name for people.
-    pub name: String,
-    /// How many units there are.
-    pub count: u64,
-}
-
-/// How much of a limit a running frame holds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-pub struct LimitUse {
-    /// The limit.
-    pub limit: u64,
-    /// Units.
-    pub count: u64,
 }
 
 impl Node {

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{LimitUse, Task};
+use super::Task;
 
 /// z of 80 % and 95 %, one-sided.
 const Z80: f64 = 0.841_621_233_572_914_2;
@@ -46,8 +46,6 @@ pub struct Job {
     pub gpu_memory: u64,
     /// Cores that a node must have for it.
     pub cores: u32,
-    /// What each running frame, tile and seed holds.
-    pub uses: Vec<LimitUse>,
     /// Into how many tiles a frame may be split at most. One: it may not, but could be allowed to; zero: it cannot be split at all.
     pub tiles: u32,
     /// Work that each tile costs on top of its part of the frame.

@@ -253,14 +253,12 @@ pub struct Proof {
     pub slots: Vec<i64>,
     /// Prices of node time.
     pub nodes: Vec<Prices>,
-    /// Prices of a unit of a limit.
-    pub limits: Vec<Prices>,
 }
 
 /// What an hour is worth, slot by slot, on top of what it costs.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Prices {
-    /// The nodes or limits that have these prices.
+    /// The nodes that have these prices.
     pub of: Vec<u64>,
     /// Micro-units per hour by slot; not negative.
     pub per_hour: Vec<i64>,
@@ -283,8 +281,6 @@ pub struct Infeasible {
 pub struct Reserved {
     /// The nodes.
     pub nodes: Vec<u64>,
-    /// The limits.
-    pub limits: Vec<u64>,
     /// First instant.
     pub start: i64,
     /// The instant after the last.

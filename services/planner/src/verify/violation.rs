@@ -69,18 +69,6 @@ pub enum Violation {
         /// What is wrong with it.
         wrong: &'static str,
     },
-    /// More of a limit is held than there is.
-    #[error("limit {limit}: {held} are held at {instant}, but there are {count}")]
-    Limit {
-        /// The limit.
-        limit: u64,
-        /// When.
-        instant: i64,
-        /// Units held.
-        held: u64,
-        /// Units that there are.
-        count: u64,
-    },
     /// A job has no verdict, or more than one.
     #[error("job {job} has {verdicts} verdicts")]
     Verdicts {

@@ -138,7 +138,6 @@ impl Farm<'_> {
         let entry = &mut self.jobs[job];
         entry.running -= 1;
         entry.running_speed = entry.running_speed.saturating_sub(speed);
-        self.hold(job, false);
     }
 
     fn speed_of(&self, attempt: usize, task: usize) -> u64 {

@@ -165,27 +165,15 @@ impl Planned {
         self.learn(farm);
         let now = farm.now();
         let known = &farm.world.input;
-        let mut input = Input {
-            now,
-            limits: known.limits.clone(),
-            projects: known.projects.clone(),
-            half_life: known.half_life,
-            ..Input::default()
-        };
+        let mut input =
+            Input { now, projects: known.projects.clone(), half_life: known.half_life, ..Input::default() };
         let factors: BTreeMap<usize, f64> =
             farm.open().map(|job| (job, self.factor(farm, job, true))).collect();
         for node in 0..known.nodes.len() {
             if let Some((job, task, start)) = farm.running(node) {
                 let end = self.expected_end(farm, node, job, task, start);
-                let uses = farm.job(job).uses.clone();
                 let job = Some(farm.job(job).id);
-                input.fixed.push(FixedBooking {
-                    node: farm.node(node).id,
-                    start: start.min(now),
-                    end,
-                    job,
-                    uses,
-                });
+                input.fixed.push(FixedBooking { node: farm.node(node).id, start: start.min(now), end, job });
             }
         }
         // A window is planned as if it closed a little earlier: by what a frame may take more than it is bought.

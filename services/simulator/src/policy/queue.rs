@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::{Deserialize, Serialize};
 
 use super::Policy;
-use crate::farm::{Farm, Refusal};
+use crate::farm::Farm;
 use crate::world::World;
 
 /// Who comes first.
@@ -85,10 +85,8 @@ impl Queue {
             if farm.rank(node) >= self.pool && !self.needs_all[job] {
                 break;
             }
-            match farm.can_start(node, job, task) {
-                Ok(()) => {}
-                Err(Refusal::Limit) => return false,
-                Err(_) => continue,
+            if farm.can_start(node, job, task).is_err() {
+                continue;
             }
             let machine = farm.node(node);
             let length = expected.and_then(|work| machine.duration(work, class)).unwrap_or(0);
