@@ -277,8 +277,7 @@ pub fn ways_out(input: &Input, job: u64) -> Result<Vec<Effect>, InputError> {
 fn nodes_to_add(input: &Input, plan: &Plan, job: &Job) -> Vec<u64> {
     let short: Vec<u64> =
         plan.infeasible.iter().flat_map(|i| &i.short).flat_map(|s| s.nodes.iter().copied()).collect();
-    let mut able: Vec<&Node> =
-        input.nodes.iter().filter(|node| node.fits(job) && node.speed_of(job.class) > 0).collect();
+    let mut able: Vec<&Node> = input.nodes.iter().filter(|node| node.speed_of(job.class) > 0).collect();
     able.sort_by_key(|node| (!short.contains(&node.id), node.price_of_work(job.class), node.id));
     kinds(able, job.class, 3).iter().map(|node| node.id).collect()
 }

@@ -315,6 +315,8 @@ fn push_out(
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::{Board, InVain, dear, exchange};
     use crate::admission::Admission;
     use crate::model::{Confidence, Frame, Input, Interval, Job, Node, Task, WorkTotal};
@@ -326,17 +328,18 @@ mod tests {
     /// Where a small job on the cheap node and a large one on the dear node lie after exchanges, with another node at this price for
     /// the small one.
     fn nodes_after(price: i64, deadline: i64) -> Vec<u64> {
-        let node = |id: u64, memory: u64, price: i64| Node {
+        // Large jobs have a class of work that small nodes cannot do.
+        let node = |id: u64, large: u64, price: i64| Node {
             id,
-            memory,
             speed: 1,
+            speeds: BTreeMap::from([(1, large)]),
             price_per_hour: price,
             calendar: vec![Interval { start: 0, end: Some(2 * HOUR) }],
             ..Node::default()
         };
-        let job = |id: u64, memory: u64, deadline: i64| Job {
+        let job = |id: u64, class: u32, deadline: i64| Job {
             id,
-            memory,
+            class,
             deadline: Some(deadline),
             confidence: Confidence::P50,
             total: WorkTotal { p50: 7200, p80: 7200, p95: 7200 },
@@ -344,8 +347,8 @@ mod tests {
             ..Job::default()
         };
         let input = Input {
-            nodes: vec![node(1, 2, 1000), node(2, 1, price), node(3, 2, 9000)],
-            jobs: vec![job(0, 1, 2 * HOUR), job(1, 2, deadline)],
+            nodes: vec![node(1, 1, 1000), node(2, 0, price), node(3, 1, 9000)],
+            jobs: vec![job(0, 0, 2 * HOUR), job(1, 1, deadline)],
             ..Input::default()
         };
         let problem = Problem::new(&input);

@@ -27,7 +27,7 @@ pub struct Explanation {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Reason {
-    /// No node can ever render it: too little memory, no speed in its class, or no free time that is long enough.
+    /// No node can ever render it: none has a speed in its class, or free time that is long enough.
     NoNode,
     /// No node that can render it is in its calendar before this instant.
     Calendar {

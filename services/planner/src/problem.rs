@@ -27,7 +27,7 @@ pub(crate) struct Work<'a> {
     pub seed: Option<u64>,
     /// Frames, longest predicted P80 first, then by number.
     pub frames: Vec<FrameWork>,
-    /// Classes of nodes that its frames fit into and whose nodes can do its frames' work.
+    /// Classes of nodes that can do its frames' work.
     pub classes: Vec<usize>,
     /// The same for its seed.
     pub seed_classes: Vec<usize>,
@@ -53,7 +53,7 @@ impl<'a> Problem<'a> {
             nodes.iter().map(|node| windows(node, input.now, fixed.get(&node.id).unwrap_or(&none))).collect();
         let mut groups: BTreeMap<_, Vec<usize>> = BTreeMap::new();
         for (index, node) in nodes.iter().enumerate() {
-            let machine = (node.speed, &node.speeds, node.cores, node.memory, node.gpu_memory);
+            let machine = (node.speed, &node.speeds);
             let terms =
                 (node.price_per_hour, node.billing_step, node.minimum_booking, node.setup, node.setup_cost);
             groups.entry((machine, terms)).or_default().push(index);
@@ -96,11 +96,8 @@ impl<'a> Work<'a> {
             (std::cmp::Reverse(frame.work_p80.max(*work)), std::cmp::Reverse(*work), frame.number)
         });
         let able = |class: u32| -> Vec<usize> {
-            let can = |members: &&Vec<usize>| {
-                let node = nodes[members[0]];
-                node.fits(job) && node.speed_of(class) > 0
-            };
-            classes.iter().enumerate().filter(|(_, members)| can(members)).map(|(index, _)| index).collect()
+            let can = |members: &[usize]| nodes[members[0]].speed_of(class) > 0;
+            (0..classes.len()).filter(|&index| can(&classes[index])).collect()
         };
         Work {
             job,
@@ -116,9 +113,6 @@ impl<'a> Work<'a> {
 
     /// Microseconds that the node takes for a task of this job. None if it cannot do it at all.
     pub fn duration(&self, node: &Node, task: Task) -> Option<i64> {
-        if !node.fits(self.job) {
-            return None;
-        }
         match task {
             Task::Seed | Task::SeedPart { .. } => {
                 node.duration(self.job.seed_work(task)?, self.job.seed?.class)
@@ -142,7 +136,7 @@ impl<'a> Work<'a> {
         self.frames.iter().find(|frame| frame.number == number).map(|frame| frame.work)
     }
 
-    /// Whether there are nodes that its frames, and its seed, fit into.
+    /// Whether there are nodes that can do its frames, and its seed.
     pub fn has_nodes(&self) -> bool {
         let can = |is_wanted: bool, classes: &[usize]| !is_wanted || !classes.is_empty();
         can(!self.frames.is_empty(), &self.classes) && can(self.seed.is_some(), &self.seed_classes)

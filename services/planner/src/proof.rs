@@ -46,7 +46,7 @@ pub(crate) fn value(
                 .iter()
                 .filter_map(|group| {
                     let price = group.least_price(&slots, proof, start, end)?;
-                    group.least_cost(job, class, work, price, with_own_prices)
+                    group.least_cost(class, work, price, with_own_prices)
                 })
                 .min();
             value = value.saturating_add(least.unwrap_or(0));
@@ -109,8 +109,7 @@ impl<'a> Group<'a> {
             // Nodes that do the same at the same price need to be looked at once.
             group.nodes.sort_by_key(|node| node.id);
             group.nodes.dedup_by(|a, b| {
-                let machine = |n: &Node| (n.speed, n.price_per_hour, n.cores, n.memory, n.gpu_memory);
-                machine(a) == machine(b) && a.speeds == b.speeds
+                (a.speed, a.price_per_hour, &a.speeds) == (b.speed, b.price_per_hour, &b.speeds)
             });
         }
         groups
@@ -142,11 +141,11 @@ impl<'a> Group<'a> {
         (0..slots.len()).filter(|&index| usable(index)).map(|index| price_at(self.prices, index)).min()
     }
 
-    /// What this work costs the job at least, on the best of the group's nodes.
-    fn least_cost(&self, job: &Job, class: u32, work: u128, price: i128, with_own: bool) -> Option<i128> {
+    /// What this work costs at least, on the best of the group's nodes.
+    fn least_cost(&self, class: u32, work: u128, price: i128, with_own: bool) -> Option<i128> {
         self.nodes
             .iter()
-            .filter(|node| node.fits(job) && node.speed_of(class) > 0)
+            .filter(|node| node.speed_of(class) > 0)
             .map(|node| {
                 let own = if with_own { i128::from(node.price_per_hour) } else { 0 };
                 let time = in_millionths(work) / u128::from(node.speed_of(class));

@@ -352,8 +352,7 @@ fn late_by_fact(input: &Input, old: &Plan, new: &Plan, event: &Event) -> Option<
 fn rescue(input: &Input, new: &Plan, job: u64) -> Result<Option<(Change, i64)>, InputError> {
     let asked = find(input, job)?;
     let others: Vec<Booking> = new.bookings.iter().filter(|booking| booking.job != job).copied().collect();
-    let mut able: Vec<&Node> =
-        input.nodes.iter().filter(|node| node.fits(asked) && node.speed_of(asked.class) > 0).collect();
+    let mut able: Vec<&Node> = input.nodes.iter().filter(|node| node.speed_of(asked.class) > 0).collect();
     able.sort_by_key(|node| {
         (i128::from(node.price_per_hour) * 1_000_000_000 / i128::from(node.speed_of(asked.class)), node.id)
     });

@@ -81,11 +81,10 @@ fn frames_wait_for_their_seed_and_tiles_end_together_earlier() {
 }
 
 #[test]
-fn memory_and_class_of_work_choose_the_node() {
-    let large = Node { memory: 64, ..node(1, 1, 9_000_000) };
-    let fast = Node { speeds: [(7, 10)].into(), ..node(2, 1, 1_000_000) };
-    let mut heavy = job(1, Some(9), &[1]);
-    heavy.memory = 32;
+fn the_class_of_work_chooses_the_node() {
+    let large = node(1, 1, 9_000_000);
+    let fast = Node { speeds: [(3, 0), (7, 10)].into(), ..node(2, 1, 1_000_000) };
+    let heavy = Job { class: 3, ..job(1, Some(9), &[1]) };
     let special = Job { class: 7, ..job(2, Some(1), &[10]) };
     let found = sound(&input(vec![large, fast], vec![heavy, special]));
     let on: Vec<(u64, u64)> = found.bookings.iter().map(|booking| (booking.job, booking.node)).collect();
@@ -183,12 +182,12 @@ fn a_job_without_a_deadline_makes_way_for_one_that_would_be_late() {
 
 #[test]
 fn when_a_job_is_withdrawn_another_makes_way_for_one_that_was_late() {
-    let small = Node { cores: 2, memory: 1, ..node(1, 1, 1_000_000) };
-    let large = Node { cores: 1, memory: 2, ..node(2, 1, 2_000_000) };
+    let small = Node { speeds: [(3, 0)].into(), ..node(1, 1, 1_000_000) };
+    let large = Node { speeds: [(2, 0)].into(), ..node(2, 1, 2_000_000) };
     // The first goes anywhere, the second only to the small node, the third only to the large one.
     let anywhere = Job { weight: 3, ..job(1, Some(2), &[2]) };
-    let on_small = Job { cores: 2, ..job(2, Some(3), &[2]) };
-    let on_large = Job { memory: 2, weight: 3, ..job(3, Some(2), &[2]) };
+    let on_small = Job { class: 2, ..job(2, Some(3), &[2]) };
+    let on_large = Job { class: 3, weight: 3, ..job(3, Some(2), &[2]) };
     let farm = input(vec![small, large], vec![anywhere, on_small, on_large]);
     let old = sound(&farm);
     assert!(matches!(old.jobs[1].verdict, Verdict::Late { by: HOUR, .. }), "{:?}", old.jobs);

@@ -43,7 +43,7 @@ pub enum Refusal {
     /// The job's seed is not done.
     #[error("the job's seed is not done")]
     NoSeed,
-    /// Too little memory, or the wrong class of work.
+    /// The node cannot do work of this class.
     #[error("the node cannot do it")]
     Unfit,
     /// It is no frame, or its job does not allow as many tiles.
@@ -353,7 +353,7 @@ impl<'w> Farm<'w> {
     /// # Errors
     /// Why not.
     pub fn can_start(&self, node: usize, job: usize, task: usize) -> Result<(), Refusal> {
-        let (machine, asked) = (self.node(node), self.job(job));
+        let machine = self.node(node);
         let entry = &self.jobs[job];
         if !self.is_idle(node) {
             return Err(Refusal::NotIdle);
@@ -365,7 +365,7 @@ impl<'w> Farm<'w> {
         if !truth.task.is_seed() && !self.has_seed(job) {
             return Err(Refusal::NoSeed);
         }
-        if !machine.fits(asked) || machine.speed_of(truth.class) == 0 {
+        if machine.speed_of(truth.class) == 0 {
             return Err(Refusal::Unfit);
         }
         Ok(())

@@ -109,7 +109,7 @@ fn small(nodes: u64, jobs: u64, frames: u64, seed: u64, chances: Chances) -> Wor
     }
     // Ten nodes need not have a graphics processor, nor all that memory.
     for job in &mut input.jobs {
-        (job.class, job.gpu_memory, job.memory) = (0, 0, 0);
+        job.class = 0;
         job.seed = job.seed.map(|seed| Seed { class: 0, ..seed });
     }
     World::new(input, Chances { seed, ..chances }).unwrap()

@@ -257,7 +257,6 @@ fn planner_node(node: &Node, id: u64, now: Timestamp, horizon: Timestamp, spare:
         id,
         name: node.name.clone(),
         speed: speed(node),
-        cores: node.cores,
         price_per_hour: node.price_per_hour.micro_units(),
         billing_step: seconds(node.terms.billing_step_seconds),
         minimum_booking: seconds(node.terms.minimum_booking_seconds),

@@ -18,7 +18,8 @@ pub struct Job {
     pub name: String,
     /// The project that it belongs to.
     pub project: Option<u64>,
-    /// Class of its frames' work; see [`super::Node::speeds`].
+    /// Class of its frames' work: everything that decides which nodes can do it, and how fast. See
+    /// [`super::Node::speeds`].
     pub class: u32,
     /// Nothing may start before this instant.
     pub release: i64,
@@ -40,12 +41,6 @@ pub struct Job {
     pub frames: Vec<Frame>,
     /// Numbers of the frames that need no place any more: they are done, or run as fixed bookings.
     pub done: Vec<i64>,
-    /// Main memory that a frame needs, bytes.
-    pub memory: u64,
-    /// Graphics memory that a frame needs, bytes.
-    pub gpu_memory: u64,
-    /// Cores that a node must have for it.
-    pub cores: u32,
     /// Into how many tiles a frame may be split at most. One: it may not, but could be allowed to; zero: it cannot be split at all.
     pub tiles: u32,
     /// Work that each tile costs on top of its part of the frame.

@@ -54,7 +54,7 @@ pub(super) fn check_job(
             found.push(Violation::Precedence(booking));
         }
         if let Some(node) = nodes.get(&booking.node) {
-            if !node.fits(job) || node.speed_of(class) == 0 {
+            if node.speed_of(class) == 0 {
                 found.push(Violation::Unfit(booking));
             }
             let end = node.duration(work, class).and_then(|duration| booking.start.checked_add(duration));

@@ -135,9 +135,9 @@ impl Planned {
         let asked = farm.job(job);
         let own = asked.frames.first().map_or(0.0, |frame| asked.own_spread(frame)) * self.learned.widening();
         let Some(deadline) = asked.deadline.filter(|_| own > 0.0) else { return 0 };
-        let able = farm.world.input.nodes.iter().filter(|node| node.fits(asked));
+        let nodes = farm.world.input.nodes.iter();
         let speeds: Vec<u64> =
-            able.map(|node| node.speed_of(asked.class)).filter(|&speed| speed > 0).collect();
+            nodes.map(|node| node.speed_of(asked.class)).filter(|&speed| speed > 0).collect();
         let Some(&speed) = speeds.iter().min() else { return 0 };
         let last = farm.jobs[job].left.min(speeds.len()).max(1) as f64;
         let one = libm::pow(asked.confidence.probability(), 1.0 / last);
