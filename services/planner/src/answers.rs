@@ -77,13 +77,6 @@ pub enum Change {
         /// The job.
         job: u64,
     },
-    /// A job may split its frames.
-    Tiles {
-        /// The job.
-        job: u64,
-        /// Into so many tiles at most.
-        tiles: u32,
-    },
     /// Another job comes in.
     NewJob {
         /// The job.
@@ -256,9 +249,6 @@ pub fn ways_out(input: &Input, job: u64) -> Result<Vec<Effect>, InputError> {
             break;
         }
     }
-    if (1..8).contains(&asked.tiles) {
-        consider(Change::Tiles { job, tiles: 8 })?;
-    }
     for like in nodes_to_add(input, &before, asked) {
         let mut count = 1;
         while count <= MOST_NODES && !consider(Change::MoreNodes { like, count })? {
@@ -334,7 +324,6 @@ pub fn changed(input: &Input, change: &Change) -> Result<Input, InputError> {
         }
         Change::Confidence { job, confidence } => own_job(&mut new, *job)?.confidence = *confidence,
         Change::MakeWay { job } => own_job(&mut new, *job)?.deadline = None,
-        Change::Tiles { job, tiles } => own_job(&mut new, *job)?.tiles = *tiles,
         Change::NewJob { job } => new.jobs.push((**job).clone()),
     }
     Ok(new)

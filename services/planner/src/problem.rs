@@ -118,12 +118,6 @@ impl<'a> Work<'a> {
                 node.duration(self.job.seed_work(task)?, self.job.seed?.class)
             }
             Task::Frame(number) => node.duration(self.work_of(number)?, self.job.class),
-            Task::Tile { frame, part, parts } => {
-                if part >= parts || parts > self.job.tiles {
-                    return None;
-                }
-                node.duration(self.job.tile_work(self.work_of(frame)?, parts), self.job.class)
-            }
         }
     }
 

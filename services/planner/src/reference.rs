@@ -38,7 +38,7 @@ impl Default for Size {
 
 /// A studio's week. Two fifths of the classes are its own farm, three tenths are workstations at night, three tenths are
 /// rented by the hour with a set-up; a fifth has graphics processors. A fifth of the jobs have seeds, one in
-/// twenty needs a graphics processor; half allow tiles. About a quarter of the farm's time is needed.
+/// twenty needs a graphics processor. About a quarter of the farm's time is needed.
 pub fn studio(size: Size, seed: u64) -> Input {
     let mut input = Input::default();
     for id in 0..size.nodes {
@@ -133,8 +133,6 @@ fn studio_job(size: Size, seed: u64, id: u64, frames: u64) -> Job {
         total: WorkTotal { p50: total, p80: total + total / 8, p95: total + total / 4 },
         seed: (pick(1, 5) == 0).then_some(Seed { class, work: typical as u64 / 2, ..Seed::default() }),
         frames,
-        tiles: if pick(4, 2) == 0 { 8 } else { 1 },
-        tile_overhead: typical as u64 / 100,
         ..Job::default()
     }
 }

@@ -170,12 +170,9 @@ fn after(input: &Input, old: &Plan, event: &Event) -> Result<(Input, Vec<(u64, T
                         job.release = job.release.max(end);
                         parts
                     }
-                    // All tiles of a frame are, with the one.
                     Some(number) => {
                         job.done.push(number);
-                        let of_frame =
-                            |other: &&Booking| other.job == booking.job && other.task.frame() == Some(number);
-                        old.bookings.iter().filter(of_frame).collect()
+                        vec![booking]
                     }
                 };
                 for fact in &facts {
@@ -234,16 +231,11 @@ fn is_open(state: &State, job: usize) -> bool {
 /// Frees what a job has after its deadline, so that it can be placed anew; returns that.
 fn move_what_is_late(state: &mut State, job: usize) -> Vec<Placed> {
     let Some(deadline) = state.problem.jobs[job].job.deadline else { return Vec::new() };
-    let late: Vec<Placed> =
-        state.placed[job].iter().filter(|placed| placed.end > deadline).copied().collect();
-    let frames: Vec<Option<i64>> = late.iter().map(|placed| placed.task.frame()).collect();
-    // All tiles of a frame move together, and all frames with the seed.
-    let seed_moves = frames.contains(&None);
-    let moving: Vec<Placed> = state.placed[job]
-        .iter()
-        .filter(|placed| seed_moves || frames.contains(&placed.task.frame()))
-        .copied()
-        .collect();
+    let is_late = |placed: &Placed| placed.end > deadline;
+    // All frames move with the seed.
+    let seed_moves = state.placed[job].iter().any(|placed| placed.task.is_seed() && is_late(placed));
+    let placed = state.placed[job].iter();
+    let moving: Vec<Placed> = placed.filter(|placed| seed_moves || is_late(placed)).copied().collect();
     for &placed in &moving {
         state.unbook(job, placed);
     }

@@ -104,20 +104,18 @@ impl<'p, 'a> State<'p, 'a> {
         }
     }
 
-    /// Keeps what is right of these bookings; seeds come first, so that frames can be judged by them. The rest is
-    /// returned.
-    pub fn keep(&mut self, bookings: &[Booking]) -> Vec<Booking> {
+    /// Keeps what is right of these bookings; seeds come first, so that frames can be judged by them.
+    pub fn keep(&mut self, bookings: &[Booking]) {
         let mut sorted = bookings.to_vec();
         sorted.sort_unstable_by_key(|booking| (!booking.task.is_seed(), *booking));
         sorted.dedup();
-        let refused = sorted.into_iter().filter(|booking| !self.keep_one(booking)).collect();
-        self.drop_partial_frames(refused)
+        sorted.iter().for_each(|booking| self.keep_one(booking));
     }
 
-    fn keep_one(&mut self, booking: &Booking) -> bool {
+    fn keep_one(&mut self, booking: &Booking) {
         let problem = self.problem;
         let Some((job, node)) = problem.job(booking.job).zip(problem.node(booking.node)) else {
-            return false;
+            return;
         };
         let work = &problem.jobs[job];
         let duration = work.duration(problem.nodes[node], booking.task);
@@ -129,33 +127,6 @@ impl<'p, 'a> State<'p, 'a> {
             self.book(job, Placed { node, start: booking.start, end: booking.end, task: booking.task });
             self.kept[job] += 1;
         }
-        is_right
-    }
-
-    /// A frame of which some tiles have no place any more is placed anew as a whole.
-    fn drop_partial_frames(&mut self, mut refused: Vec<Booking>) -> Vec<Booking> {
-        for job in 0..self.placed.len() {
-            let tiles = |placed: &Placed| match placed.task {
-                Task::Tile { frame, parts, .. } => Some((frame, parts)),
-                _ => None,
-            };
-            let partial: Vec<Placed> = self.placed[job]
-                .iter()
-                .filter(|placed| {
-                    tiles(placed).is_some_and(|(frame, parts)| {
-                        let there = self.placed[job].iter().filter(|other| other.task.frame() == Some(frame));
-                        there.count() < parts as usize
-                    })
-                })
-                .copied()
-                .collect();
-            for placed in partial {
-                self.unbook(job, placed);
-                self.kept[job] -= 1;
-                refused.push(self.booking(job, &placed));
-            }
-        }
-        refused
     }
 
     pub fn booking(&self, job: usize, placed: &Placed) -> Booking {
@@ -308,9 +279,6 @@ impl<'p, 'a> State<'p, 'a> {
 /// Whether a frame that has the one cannot also have the other.
 fn excludes(one: Task, other: Task) -> bool {
     match (one, other) {
-        (Task::Tile { frame: a, part: p, parts: m }, Task::Tile { frame: b, part: q, parts: n }) => {
-            a == b && (p == q || m != n)
-        }
         (Task::SeedPart { part: p, parts: m }, Task::SeedPart { part: q, parts: n }) => p == q || m != n,
         _ => one.frame() == other.frame(),
     }

@@ -60,7 +60,7 @@ fn the_bound_of_a_plan_that_uses_all_cheap_time_is_its_cost() {
 }
 
 #[test]
-fn frames_wait_for_their_seed_and_tiles_end_together_earlier() {
+fn frames_wait_for_their_seed() {
     let seeded = Job { seed: Some(Seed { class: 0, work: 3600, parts: 1 }), ..job(1, None, &[2, 2]) };
     let found = sound(&input(vec![node(1, 1, 0), node(2, 1, 0)], vec![seeded]));
     assert_eq!(found.jobs[0].verdict, Verdict::NoDeadline { finish: 3 * HOUR });
@@ -74,10 +74,6 @@ fn frames_wait_for_their_seed_and_tiles_end_together_earlier() {
     assert!(
         seeds.iter().all(|booking| booking.end - booking.start == HOUR) && seeds[0].node != seeds[1].node
     );
-    let tiled = Job { tiles: 4, ..job(1, Some(2), &[4]) };
-    let found = sound(&input(vec![node(1, 1, 0), node(2, 1, 0)], vec![tiled]));
-    assert!(found.bookings.iter().all(|booking| matches!(booking.task, Task::Tile { parts: 2, .. })));
-    assert!(found.jobs[0].verdict.is_kept());
 }
 
 #[test]
@@ -196,16 +192,6 @@ fn when_a_job_is_withdrawn_another_makes_way_for_one_that_was_late() {
     assert!(new.plan.jobs.iter().all(|entry| entry.verdict.is_kept()) && new.at_risk.is_empty());
     let moved: Vec<(u64, u64)> = new.difference.moved.iter().map(|(_, now)| (now.job, now.node)).collect();
     assert_eq!(moved, [(1, 2), (2, 1)], "the first makes way, and keeps its own deadline");
-}
-
-#[test]
-fn a_frame_that_no_window_is_long_enough_for_is_split_though_it_has_no_deadline() {
-    let short = |id| Node { calendar: vec![Interval { start: 0, end: Some(2 * HOUR) }], ..node(id, 1, 0) };
-    let found = sound(&input(vec![short(1), short(2)], vec![Job { tiles: 4, ..job(1, None, &[3]) }]));
-    assert_eq!(found.jobs[0].verdict, Verdict::NoDeadline { finish: HOUR + HOUR / 2 });
-    let late = Job { tiles: 4, deadline: Some(HOUR), ..job(1, None, &[3]) };
-    let found = sound(&input(vec![short(1), short(2)], vec![late]));
-    assert!(matches!(found.jobs[0].verdict, Verdict::Late { by, .. } if by == HOUR / 2), "{:?}", found.jobs);
 }
 
 #[test]

@@ -2,17 +2,15 @@
 
 mod events;
 mod rentals;
-mod tiles;
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::collections::{BTreeSet, BinaryHeap};
 
 use forelight_planner::{Job, Node};
 
 use crate::policy::Policy;
 use crate::record::{Attempt, JobRecord, Outcome, Record};
 use crate::world::{TrueTask, World};
-use tiles::Tiles;
 
 /// Something that happens at an instant. Of what happens at the same instant, what is listed first comes first: a frame that ends when its
 /// node's window closes is done.
@@ -46,9 +44,6 @@ pub enum Refusal {
     /// The node cannot do work of this class.
     #[error("the node cannot do it")]
     Unfit,
-    /// It is no frame, or its job does not allow as many tiles.
-    #[error("the frame cannot be split like this")]
-    NotSplit,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,8 +51,6 @@ pub(crate) enum TaskState {
     Waiting,
     /// Leased under this token; the worker may be dead already.
     Held(usize),
-    /// Its tiles are tasks of their own.
-    Split,
     Done,
 }
 
@@ -84,13 +77,9 @@ struct NodeState {
 pub(crate) struct JobState {
     pub arrived: bool,
     pub withdrawn: bool,
-    /// Its tasks, the seed's first, then frames, then tiles of frames that were split.
+    /// Its tasks, the seed's first, then frames.
     pub truth: Vec<TrueTask>,
     pub tasks: Vec<TaskState>,
-    /// By place of a frame that was split.
-    pub tiles: BTreeMap<usize, Tiles>,
-    /// By place of a tile: the place of its frame.
-    pub whole_of: BTreeMap<usize, usize>,
     pub left: usize,
     /// Tasks that are not done are `left`; those that wait, by their place.
     pub waiting: BTreeSet<usize>,
@@ -197,8 +186,6 @@ impl<'w> Farm<'w> {
             left: truth.len(),
             waiting: (0..truth.len()).collect(),
             truth,
-            tiles: BTreeMap::new(),
-            whole_of: BTreeMap::new(),
             measured: Vec::new(),
             measured_work: 0,
             running: 0,

@@ -328,9 +328,6 @@ fn describe(input: &Input, effect: &Effect) -> String {
         }
         Change::Confidence { job, confidence } => format!("{} at {confidence:?}", job_name(input, *job)),
         Change::MakeWay { job } => format!("{} gives up its deadline", job_name(input, *job)),
-        Change::Tiles { job, tiles } => {
-            format!("frames of {} split into up to {tiles} tiles", job_name(input, *job))
-        }
         Change::NewJob { job } => format!("with {}", job.name),
     };
     let sign = if effect.added_cost < 0 { "" } else { "+" };

@@ -143,10 +143,6 @@ pub(super) struct JobEntry {
     pub(super) gpu_memory_gib: f64,
     #[serde(default)]
     pub(super) cores: u32,
-    #[serde(default = "one")]
-    pub(super) tiles: u32,
-    #[serde(default)]
-    pub(super) tile_overhead_hours: f64,
     pub(super) budget: Option<f64>,
 }
 

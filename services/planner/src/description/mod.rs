@@ -211,8 +211,6 @@ fn job(
         },
         frames,
         done: Vec::new(),
-        tiles: entry.tiles,
-        tile_overhead: work(entry.tile_overhead_hours, "tile_overhead_hours")?,
         budget: entry.budget.map(|budget| money(budget, &at, "budget")).transpose()?,
     })
 }

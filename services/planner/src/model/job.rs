@@ -41,10 +41,6 @@ pub struct Job {
     pub frames: Vec<Frame>,
     /// Numbers of the frames that need no place any more: they are done, or run as fixed bookings.
     pub done: Vec<i64>,
-    /// Into how many tiles a frame may be split at most. One: it may not, but could be allowed to; zero: it cannot be split at all.
-    pub tiles: u32,
-    /// Work that each tile costs on top of its part of the frame.
-    pub tile_overhead: u64,
     /// What the job may cost, in micro-units.
     pub budget: Option<i64>,
 }
@@ -227,11 +223,6 @@ impl Job {
         let seed = self.seed?;
         let work = self.bought_seed()?;
         seed.tasks().any(|own| own == task).then(|| work.div_ceil(u64::from(seed.parts.max(1))))
-    }
-
-    /// Work of each of so many tiles of a frame.
-    pub fn tile_work(&self, frame_work: u64, parts: u32) -> u64 {
-        frame_work.div_ceil(u64::from(parts.max(1))).saturating_add(self.tile_overhead)
     }
 
     fn medians(&self) -> u128 {

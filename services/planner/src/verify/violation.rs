@@ -36,9 +36,6 @@ pub enum Violation {
         /// The task.
         task: Task,
     },
-    /// A frame is split where the job does not allow it, or into parts that do not make it up.
-    #[error("job {}, {} on node {}: must not be split like this", .0.job, .0.task, .0.node)]
-    Split(Booking),
     /// A node cannot do work of this class.
     #[error("job {}, {} on node {}: the node cannot render it", .0.job, .0.task, .0.node)]
     Unfit(Booking),
