@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use crate::chance::{between, bits, normal, uniform};
-use crate::model::{Confidence, Frame, Input, Interval, Job, Limit, LimitUse, Node, Seed, WorkTotal};
+use crate::model::{Confidence, Frame, Input, Interval, Job, Node, Seed, WorkTotal};
 
 const SECOND: i64 = 1_000_000;
 const MINUTE: i64 = 60 * SECOND;
@@ -12,7 +12,8 @@ const HOUR: i64 = 60 * MINUTE;
 const DAY: i64 = 24 * HOUR;
 /// Work of an hour on a node of speed one.
 const WORK_OF_AN_HOUR: f64 = 3.6e12;
-const GIB: u64 = 1 << 30;
+/// Memory that a studio's jobs need, in GiB: each a class of work, first on processors, then on graphics processors.
+const NEEDS: [u64; 3] = [32, 60, 100];
 
 /// How large a farm to draw.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,13 +37,10 @@ impl Default for Size {
 }
 
 /// A studio's week. Two fifths of the classes are its own farm, three tenths are workstations at night, three tenths are
-/// rented by the hour with a set-up; a fifth has graphics processors. A fifth of the jobs have seeds, a tenth need
-/// licences, one in twenty graphics memory; half allow tiles. About a quarter of the farm's time is needed.
+/// rented by the hour with a set-up; a fifth has graphics processors. A fifth of the jobs have seeds, one in
+/// twenty needs a graphics processor. About a quarter of the farm's time is needed.
 pub fn studio(size: Size, seed: u64) -> Input {
-    let mut input = Input {
-        limits: vec![Limit { id: 0, name: "simulation licence".to_owned(), count: size.nodes / 8 + 1 }],
-        ..Input::default()
-    };
+    let mut input = Input::default();
     for id in 0..size.nodes {
         input.nodes.push(studio_node(size, seed, id, id % size.classes.max(1)));
     }
@@ -67,14 +65,20 @@ fn studio_node(size: Size, seed: u64, id: u64, class: u64) -> Node {
     let kind = class * 10 / size.classes.max(1);
     let price = speed * (0.9 + 0.4 * uniform(seed, &[2, class]));
     let has_gpu = class % 5 == 3;
+    let memory = [32, 64, 128, 256][(bits(seed, &[3, class]) % 4) as usize];
+    let speed_for = |on_gpu: bool, need: u64| {
+        let factor = if on_gpu { 8e9 } else { 1e9 };
+        let can = memory >= need && (has_gpu || !on_gpu);
+        (studio_class(on_gpu, need), if can { (speed * factor).round() as u64 } else { 0 })
+    };
     let mut node = Node {
         id,
         name: format!("class-{class}-{id}"),
         speed: (speed * 1e9).round() as u64,
-        speeds: BTreeMap::from([(1, if has_gpu { (speed * 8e9).round() as u64 } else { 0 })]),
-        cores: 32,
-        memory: [32, 64, 128, 256][(bits(seed, &[3, class]) % 4) as usize] * GIB,
-        gpu_memory: if has_gpu { 24 * GIB } else { 0 },
+        speeds: [false, true]
+            .into_iter()
+            .flat_map(|on_gpu| NEEDS.map(|need| speed_for(on_gpu, need)))
+            .collect(),
         price_per_hour: (price * 4e5).round() as i64,
         calendar: vec![Interval { start: 0, end: None }],
         ..Node::default()
@@ -96,6 +100,12 @@ fn studio_node(size: Size, seed: u64, id: u64, class: u64) -> Node {
     node
 }
 
+/// The class of work that needs so much memory.
+fn studio_class(on_gpu: bool, need: u64) -> u32 {
+    let place = NEEDS.iter().position(|&most| need <= most).unwrap_or(NEEDS.len() - 1);
+    (place + if on_gpu { NEEDS.len() } else { 0 }) as u32
+}
+
 fn studio_job(size: Size, seed: u64, id: u64, frames: u64) -> Job {
     let on_gpu = bits(seed, &[11, id]).is_multiple_of(20);
     let typical = 2.0 * libm::exp(0.4 * normal(seed, &[12, id])) * WORK_OF_AN_HOUR;
@@ -112,25 +122,17 @@ fn studio_job(size: Size, seed: u64, id: u64, frames: u64) -> Job {
         .min(horizon)
         .max(release + 16 * HOUR);
     let pick = |n: usize, of: u64| bits(seed, &[16 + n as u64, id]) % of;
+    let class = studio_class(on_gpu, [16, 16, 32, 60, 100][pick(2, 5) as usize]);
     Job {
         id,
         name: format!("job-{id}"),
-        class: u32::from(on_gpu),
+        class,
         release: release / MINUTE * MINUTE,
         deadline: Some(deadline / MINUTE * MINUTE),
         confidence: [Confidence::P50, Confidence::P80, Confidence::P95][pick(0, 3) as usize],
         total: WorkTotal { p50: total, p80: total + total / 8, p95: total + total / 4 },
-        seed: (pick(1, 5) == 0).then_some(Seed {
-            class: u32::from(on_gpu),
-            work: typical as u64 / 2,
-            ..Seed::default()
-        }),
+        seed: (pick(1, 5) == 0).then_some(Seed { class, work: typical as u64 / 2, ..Seed::default() }),
         frames,
-        memory: [16, 16, 32, 60, 100][pick(2, 5) as usize] * GIB,
-        gpu_memory: if on_gpu { 16 * GIB } else { 0 },
-        uses: if pick(3, 10) == 0 { vec![LimitUse { limit: 0, count: 1 }] } else { Vec::new() },
-        tiles: if pick(4, 2) == 0 { 8 } else { 1 },
-        tile_overhead: typical as u64 / 100,
         ..Job::default()
     }
 }
@@ -149,10 +151,12 @@ pub fn tiny(seed: u64, in_steps: bool) -> Input {
         let interval =
             |start: i64, length: i64| Interval { start: start * grid, end: Some((start + length) * grid) };
         let steps = in_steps && draw(3, 0, 1) == 1;
+        let speed = draw(4, 1, 2) as u64;
         Node {
             id,
-            speed: draw(4, 1, 2) as u64,
-            memory: draw(5, 1, 2) as u64,
+            speed,
+            // Half of the nodes are too small for work of class 1.
+            speeds: BTreeMap::from([(1, if draw(5, 1, 2) == 2 { speed } else { 0 })]),
             price_per_hour: draw(6, 1, 12) * 1_000_000,
             billing_step: if steps { HOUR } else { 0 },
             setup: if steps { draw(7, 0, 1) * grid } else { 0 },
@@ -178,7 +182,7 @@ pub fn tiny(seed: u64, in_steps: bool) -> Input {
             confidence: Confidence::P50,
             total: WorkTotal { p50: total, p80: total, p95: total },
             frames,
-            memory: draw(3, 1, 2) as u64,
+            class: draw(3, 0, 1) as u32,
             ..Job::default()
         }
     };
@@ -263,7 +267,7 @@ impl<'a> Tried<'a> {
         *known = closed;
         for (frame, &(job, work)) in self.works.iter().enumerate() {
             let job = &self.input.jobs[job];
-            let Some(duration) = node.duration(work, job.class).filter(|_| node.fits(job)) else { continue };
+            let Some(duration) = node.duration(work, job.class) else { continue };
             if set >> frame & 1 == 1 {
                 continue;
             }

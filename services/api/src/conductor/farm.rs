@@ -186,7 +186,6 @@ impl Farm {
                 start: booking.start,
                 end: booking.end,
                 job: Some(booking.job),
-                ..FixedBooking::default()
             }
         }));
         input.jobs.retain(|other| other.id == own);
@@ -259,7 +258,6 @@ fn planner_node(node: &Node, id: u64, now: Timestamp, horizon: Timestamp, spare:
         id,
         name: node.name.clone(),
         speed: speed(node),
-        cores: node.cores,
         price_per_hour: node.price_per_hour.micro_units(),
         billing_step: seconds(node.terms.billing_step_seconds),
         minimum_booking: seconds(node.terms.minimum_booking_seconds),
@@ -338,7 +336,7 @@ fn under_way(
         let node = *nodes.get(&part.node_id)?;
         let (start, end) = (part.start.micros(), part.end.micros());
         let job = jobs.get(&part.booking.job_id).copied();
-        Some(FixedBooking { node, start, end: end.max(start), job, ..FixedBooking::default() })
+        Some(FixedBooking { node, start, end: end.max(start), job })
     });
     snapshot
         .projected
@@ -349,7 +347,7 @@ fn under_way(
             let node = *nodes.get(&frame.node_id)?;
             let (start, end) = (frame.start.micros(), frame.end.micros());
             let job = jobs.get(&frame.booking.job_id).copied();
-            Some(FixedBooking { node, start, end: end.max(start), job, ..FixedBooking::default() })
+            Some(FixedBooking { node, start, end: end.max(start), job })
         })
         .chain(parts)
         .collect()

@@ -252,11 +252,9 @@ fn report(input: &Input, document: &Document) -> String {
         text += &infeasible.jobs.iter().map(|&job| job_name(input, job)).collect::<Vec<_>>().join(", ");
         text.push('\n');
         for short in &infeasible.short {
-            text += &format!("  {} to {}: all of", clock(short.start), clock(short.end));
-            for limit in input.limits.iter().filter(|limit| short.limits.contains(&limit.id)) {
-                text += &format!(" {},", limit.name);
-            }
-            text += &format!(" {} nodes needed\n", short.nodes.len());
+            let nodes = short.nodes.len();
+            text +=
+                &format!("  {} to {}: all of {nodes} nodes needed\n", clock(short.start), clock(short.end));
         }
     }
     if !document.explanations.is_empty() {
@@ -330,9 +328,6 @@ fn describe(input: &Input, effect: &Effect) -> String {
         }
         Change::Confidence { job, confidence } => format!("{} at {confidence:?}", job_name(input, *job)),
         Change::MakeWay { job } => format!("{} gives up its deadline", job_name(input, *job)),
-        Change::Tiles { job, tiles } => {
-            format!("frames of {} split into up to {tiles} tiles", job_name(input, *job))
-        }
         Change::NewJob { job } => format!("with {}", job.name),
     };
     let sign = if effect.added_cost < 0 { "" } else { "+" };

@@ -61,7 +61,7 @@ pub struct Args {
     /// How sure jobs want to be, in per cent: 50, 80 or 95; without it a third each
     #[arg(long, value_name = "PERCENT", value_parser = parse_confidence)]
     confidence: Option<Confidence>,
-    /// Into how many tiles half of the jobs let their frames be split, and in how many parts what comes before the frames may be done
+    /// In how many parts what comes before the frames may be done
     #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=64))]
     parts: u32,
     /// What comes before the frames of a job is an irradiance cache; each frame can fill one of its own for this share of the work, in per
@@ -113,7 +113,7 @@ enum Case {
     Month,
     /// 1,000 promises at 80 % and 1,000 at 95 %: how many are kept
     Promises,
-    /// Three weeks of frames of fifteen hours: what tiles and caches in parts are worth
+    /// Three weeks of frames of fifteen hours: what caches in parts are worth
     Shots,
 }
 
@@ -189,7 +189,7 @@ const PROMISES: [(Confidence, f64); 2] = [(Confidence::P80, 0.80 - 0.03), (Confi
 
 /// Of the case of long frames: work of a frame's own cache in relation to the one that all share, and how many more jobs have to be promised.
 const OWN_CACHE: f64 = 0.5;
-const SHOTS_MORE: f64 = 0.02;
+const SHOTS_MORE: f64 = 0.0;
 
 /// Everything that was found.
 #[derive(Debug, Serialize)]
@@ -381,7 +381,7 @@ fn shots(runner: &Runner) -> Result<Document> {
     let kept = parts.reports.first().map_or(0.0, Report::kept);
     let findings = vec![
         Finding {
-            what: "more jobs are promised with tiles and caches in parts".to_owned(),
+            what: "more jobs are promised with caches in parts".to_owned(),
             found: more,
             wanted: SHOTS_MORE,
             reached: more >= SHOTS_MORE,
