@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use exr::prelude::{FlatSamples, ReadChannels as _, ReadLayers as _};
+use forelight_client::{Client, Token};
 use forelight_preview::Choice;
 use forelight_protocol::{
     ArtifactHash, CacheSharing, Event, EventKind, ForecastDoc, FramePage, Job, JobState, NodeRegistration,
@@ -16,7 +17,7 @@ use forelight_protocol::{
 };
 use forelight_store::tokens;
 use forelight_worker::{
-    Agent, Ambient, Assignment, Client, Control, Execute, ExecuteError, Library, Outcome, TaskRunner, Token,
+    Agent, Ambient, Assignment, Control, Execute, ExecuteError, Library, Outcome, TaskRunner,
 };
 use reqwest::StatusCode;
 use serde_json::json;
