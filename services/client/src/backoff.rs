@@ -1,33 +1,34 @@
-//! How long to wait before asking again.
+//! How long to wait before the next attempt.
 
 use std::time::Duration;
 
-/// Exponential back-off with full jitter: before attempt *n* + 1 the wait is uniform in
-/// [0, min(`longest`, `first` · 2ⁿ)], so that many workers that lost the service at the same moment do not come back
-/// at the same moment.
+/// Exponential back-off with full jitter. The wait after failure *n* is uniform in [0, min(`longest`, `first` · 2ⁿ⁻¹)].
+/// So workers that lost the service at the same moment do not all come back at the same moment.
 #[derive(Debug, Clone)]
 pub struct Backoff {
     /// Upper end of the first wait.
     pub first: Duration,
-    /// Upper end that later waits never exceed.
+    /// Upper end of all later waits.
     pub longest: Duration,
-    /// Attempts in all, the first included; `None` never gives up.
+    /// Number of attempts, the first included. `None` never gives up.
     pub attempts: Option<u32>,
 }
 
 impl Backoff {
-    /// For a person who waits for an answer: gives up after about ten seconds.
+    /// For a person who waits for an answer. It gives up after about ten seconds.
     pub const PATIENT: Self =
         Self { first: Duration::from_millis(100), longest: Duration::from_secs(4), attempts: Some(7) };
 
-    /// For a worker with a result in its hands: the service will come back.
+    /// For a worker that has a result to deliver. It waits until the service is back.
     pub const FOREVER: Self =
         Self { first: Duration::from_millis(100), longest: Duration::from_secs(5), attempts: None };
 
-    /// The wait after `failures` failed attempts, or `None` when it is time to give up. `fraction` in [0, 1) is the
-    /// jitter; `asked` is what the server wanted (`Retry-After`), which is waited at least, within reason.
+    /// The wait after `failures` failed attempts; `None` when it is time to give up.
+    ///
+    /// `fraction` in [0, 1) is the jitter. `asked` is the wait that the service asked for in `Retry-After`; it is added to the
+    /// jittered wait, up to a minute.
     pub fn wait(&self, failures: u32, fraction: f64, asked: Option<Duration>) -> Option<Duration> {
-        /// No server may put its clients to sleep for longer than this.
+        /// A service cannot make its clients wait longer than this.
         const LONGEST_ASKED: Duration = Duration::from_secs(60);
         if self.attempts.is_some_and(|attempts| failures >= attempts) {
             return None;
@@ -38,7 +39,7 @@ impl Backoff {
         Some(asked.map_or(jittered, |asked| asked.min(LONGEST_ASKED) + jittered))
     }
 
-    /// As [`Backoff::wait`], with a jitter of its own.
+    /// The same with a random jitter.
     pub fn jittered(&self, failures: u32, asked: Option<Duration>) -> Option<Duration> {
         self.wait(failures, rand::random::<f64>(), asked)
     }
@@ -66,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_server_asks_is_waited_at_least_but_not_for_ever() {
+    fn the_wait_that_the_service_asks_for_is_kept_but_bounded() {
         let asked = |seconds| Backoff::PATIENT.wait(1, 0.5, Some(Duration::from_secs(seconds))).unwrap();
         assert!(asked(3) >= Duration::from_secs(3));
         assert!(asked(1_000_000) < Duration::from_secs(62));

@@ -1,17 +1,17 @@
-//! Server-sent events, as the HTML standard (section 9.2) frames them, cut out of a byte stream.
+//! Parses a stream of server-sent events (HTML standard, section 9.2).
 
 /// One event.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ServerEvent {
-    /// `id:` field, to be sent back as `Last-Event-ID`.
+    /// The `id:` field. A client that resumes the stream sends it back as `Last-Event-ID`.
     pub id: Option<String>,
-    /// `event:` field; empty is "message".
+    /// The `event:` field; empty if there is none.
     pub kind: String,
-    /// `data:` lines joined by a line feed.
+    /// The `data:` lines, joined by line feeds.
     pub data: String,
 }
 
-/// Collects bytes and hands out the events that are complete.
+/// Collects the bytes of a stream and returns the events that are complete.
 #[derive(Debug, Default)]
 pub struct EventParser {
     line: Vec<u8>,
@@ -20,11 +20,11 @@ pub struct EventParser {
     has_data: bool,
 }
 
-/// A line longer than this is not one of ours; its rest is dropped so that memory stays bounded.
+/// The rest of a longer line is dropped, so that memory stays bounded. The service writes no such lines. In bytes.
 const LONGEST_LINE: usize = 1 << 20;
 
 impl EventParser {
-    /// Feeds the next bytes of the stream, wherever they are cut, and returns the events that they complete.
+    /// Takes the next bytes of the stream, wherever it is cut, and returns the events that they complete.
     pub fn feed(&mut self, bytes: &[u8]) -> Vec<ServerEvent> {
         let mut events = Vec::new();
         for &byte in bytes {
@@ -64,7 +64,7 @@ impl EventParser {
             }
             "event" => self.event.kind = value.into(),
             "id" => self.event.id = Some(value.into()),
-            // An empty field name is a comment (keep-alive); `retry` is our own back-off's business.
+            // An empty field name is a comment (keep-alive). `retry` is ignored: the client has its own back-off.
             _ => {}
         }
     }

@@ -1,103 +1,33 @@
-//! Requests that are sent until they are answered.
+//! Sends a request until it is answered.
 //!
-//! Everything that this program asks of the service may be asked twice: results carry a fencing token, artefacts are
-//! named by their hash, and whatever creates something (a claim creates a lease) carries an idempotency key. So a request is sent again whenever no answer came (refused, reset, timed out), or when the answer was
-//! "not now" (429, 502, 503, 504, a full disk at the service (507), or an idempotency key whose first request is still being worked on).
+//! Every request of this crate may be sent twice. Results carry a fencing token, artefacts are named by their hash, and
+//! a request that creates something (a claim creates a lease) carries an idempotency key. A request is therefore sent
+//! again in two cases:
+//!
+//! * no answer came: the connection was refused or reset, or the attempt timed out;
+//! * the answer was "not now": 429, 502, 503, 504, 507 (the service's disk is full), or an idempotency key whose first
+//!   request is still running.
 
 use crate::backoff::Backoff;
+use crate::error::ClientError;
 use bytes::Bytes;
-use forelight_protocol::{Problem, ProblemKind};
-use reqwest::header::{CONTENT_TYPE, HeaderMap, RETRY_AFTER};
+use forelight_protocol::Problem;
+use reqwest::header::{CONTENT_LENGTH, CONTENT_TYPE, HeaderMap, HeaderName, HeaderValue, RETRY_AFTER};
 use reqwest::{Method, Response, StatusCode};
+use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::fmt;
 use std::path::PathBuf;
 use std::time::Duration;
+use tokio_util::io::ReaderStream;
+use uuid::Uuid;
 
-/// Why a request failed in the end.
-#[derive(Debug, thiserror::Error)]
-pub enum ClientError {
-    /// The address of the service is not one.
-    #[error("`{address}` is not the address of a service: {reason}")]
-    Address {
-        /// What was given.
-        address: String,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// No answer, however often it was asked.
-    #[error("no answer from {url}")]
-    Unreachable {
-        /// What was asked, without secrets.
-        url: String,
-        /// The last failure.
-        source: reqwest::Error,
-    },
-    /// The service said no, and why.
-    #[error("{0}")]
-    Refused(Box<Problem>),
-    /// The answer is not from a service of this kind.
-    #[error("{url} answered {status}, which forelight does not understand: {excerpt}")]
-    Unexpected {
-        /// What was asked.
-        url: String,
-        /// The HTTP status.
-        status: StatusCode,
-        /// The beginning of the answer, one line.
-        excerpt: String,
-    },
-    /// A file that was to be sent or received.
-    #[error("{}", path.display())]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// It is longer than anything of its kind.
-    #[error("{what} is longer than {most} bytes")]
-    TooLarge {
-        /// What was asked for.
-        what: String,
-        /// The most that is taken.
-        most: u64,
-    },
-    /// What arrived is not what was asked for.
-    #[error("{what} arrived with the wrong content: its hash is {received}")]
-    Corrupt {
-        /// What was fetched.
-        what: String,
-        /// The hash of what arrived.
-        received: String,
-    },
-}
-
-impl ClientError {
-    /// The service's own word on the matter, if it gave one.
-    pub fn problem(&self) -> Option<&Problem> {
-        match self {
-            Self::Refused(problem) => Some(problem),
-            _ => None,
-        }
-    }
-
-    /// Whether the same request may succeed when the service, or what stands behind it, is back.
-    pub fn is_passing(&self) -> bool {
-        matches!(self, Self::Unreachable { .. }) || is_not_now(self)
-    }
-
-    /// Whether the service refused for this reason.
-    pub fn is(&self, kind: ProblemKind) -> bool {
-        self.problem().and_then(Problem::known_kind) == Some(kind)
-    }
-}
-
-/// A bearer token that shows up in no log.
+/// A bearer token. Its debug form hides it, so no log shows it.
 #[derive(Clone)]
 pub struct Token(String);
 
 impl Token {
-    /// The token of this text; white space around it (a file's last line feed) does not count.
+    /// The token of this text. White space around it is dropped, such as the last line feed of a file.
     pub fn new(text: &str) -> Self {
         Self(text.trim().to_owned())
     }
@@ -109,27 +39,24 @@ impl fmt::Debug for Token {
     }
 }
 
-/// What goes with a request.
+/// The body of a request.
 #[derive(Debug, Clone)]
 pub(crate) enum Payload {
-    /// Nothing.
     Empty,
-    /// A JSON document.
     Json(Bytes),
-    /// Anything else.
     Bytes(Bytes),
     /// A file, streamed anew for each attempt, with its media type.
     File(PathBuf, &'static str),
 }
 
-/// One request, ready to be sent as often as needed.
+/// One request, which can be sent as often as needed.
 #[derive(Debug, Clone)]
 pub(crate) struct Request {
     pub method: Method,
     pub path: String,
     pub payload: Payload,
     pub headers: HeaderMap,
-    /// Limit of one attempt, for requests whose length is known to be short.
+    /// Limit of one attempt; `None` if the length of the transfer is not known.
     pub timeout: Option<Duration>,
 }
 
@@ -144,6 +71,17 @@ impl Request {
         }
     }
 
+    pub fn get(path: impl Into<String>) -> Self {
+        Self::new(Method::GET, path)
+    }
+
+    /// A request whose body is this document.
+    pub fn json<T: Serialize>(method: Method, path: impl Into<String>, body: &T) -> Self {
+        // The wire types have string keys and finite numbers only, so they always have a JSON form.
+        let body = serde_json::to_vec(body).unwrap_or_default();
+        Self::new(method, path).payload(Payload::Json(body.into()))
+    }
+
     pub fn payload(mut self, payload: Payload) -> Self {
         if matches!(payload, Payload::Bytes(_) | Payload::File(..)) {
             self.timeout = None;
@@ -156,18 +94,26 @@ impl Request {
         self.timeout = timeout;
         self
     }
+
+    /// The same request with an idempotency key: the service carries it out once, however often it is sent.
+    pub fn with_key(mut self, key: Uuid) -> Self {
+        if let Ok(key) = HeaderValue::from_str(&key.to_string()) {
+            self.headers.insert(HeaderName::from_static("idempotency-key"), key);
+        }
+        self
+    }
 }
 
-/// A JSON question is answered within this time, or asked again.
+/// Limit of one attempt at a short JSON request.
 const SHORT_REQUEST: Duration = Duration::from_secs(30);
-/// Silence in the middle of a transfer is taken for a lost connection after this time.
+/// A transfer that stays silent for this long has lost its connection.
 const SILENCE: Duration = Duration::from_secs(75);
 
 /// The connection to one service.
 #[derive(Debug, Clone)]
 pub(crate) struct Transport {
     http: reqwest::Client,
-    /// Address without a slash at its end.
+    /// The address, without a slash at its end.
     base: String,
     token: Option<Token>,
     backoff: Backoff,
@@ -184,7 +130,7 @@ impl Transport {
         let mut builder = reqwest::Client::builder()
             .connect_timeout(Duration::from_secs(5))
             .read_timeout(SILENCE)
-            // Only http:// is spoken here, so no certificates are needed, and machines without any will do.
+            // Only http:// is spoken here. No certificates are loaded, so machines without any work too.
             .tls_certs_only([])
             // A redirect could carry the token to another host.
             .redirect(reqwest::redirect::Policy::none())
@@ -202,12 +148,12 @@ impl Transport {
         &self.base
     }
 
-    /// The same connection with another patience.
+    /// The same connection with another back-off.
     pub fn with_backoff(&self, backoff: Backoff) -> Self {
         Self { backoff, ..self.clone() }
     }
 
-    /// Sends until there is an answer that is neither "not now" nor silence, and returns it if it is a success.
+    /// Sends until there is an answer other than "not now". Returns it if it is a success.
     pub async fn send(&self, request: &Request) -> Result<Response, ClientError> {
         let mut failures = 0;
         loop {
@@ -216,15 +162,12 @@ impl Transport {
                 Ok(response) => {
                     let asked = retry_after(response.headers());
                     let error = refusal(response).await;
-                    if !is_not_now(&error) {
+                    if !error.is_not_now() {
                         return Err(error);
                     }
                     (error, asked)
                 }
-                Err(source) => {
-                    let url = format!("{}{}", self.base, request.path);
-                    (ClientError::Unreachable { url, source: source.without_url() }, None)
-                }
+                Err(source) => (self.unreachable(request, source), None),
             };
             failures += 1;
             let Some(wait) = self.backoff.jittered(failures, asked) else { return Err(error) };
@@ -233,25 +176,18 @@ impl Transport {
         }
     }
 
-    /// Sends, and reads the answer as JSON.
+    /// Sends, and reads the answer as JSON. A connection that breaks in the middle of the answer is a failed attempt.
     pub async fn json<T: DeserializeOwned>(&self, request: &Request) -> Result<T, ClientError> {
         let mut failures = 0;
         loop {
             let response = self.send(request).await?;
-            let (status, url) = (response.status(), format!("{}{}", self.base, request.path));
+            let status = response.status();
             match response.bytes().await {
-                Ok(body) => {
-                    return serde_json::from_slice(&body).map_err(|error| ClientError::Unexpected {
-                        url,
-                        status,
-                        excerpt: error.to_string(),
-                    });
-                }
-                // The connection broke in the middle of the answer.
+                Ok(body) => return self.parse(request, status, &body),
                 Err(source) => {
                     failures += 1;
                     let Some(wait) = self.backoff.jittered(failures, None) else {
-                        return Err(ClientError::Unreachable { url, source: source.without_url() });
+                        return Err(self.unreachable(request, source));
                     };
                     tokio::time::sleep(wait).await;
                 }
@@ -259,9 +195,37 @@ impl Transport {
         }
     }
 
-    /// One attempt. The outer error is one that trying again cannot mend.
+    /// The whole body of an answer.
+    pub async fn body(&self, request: &Request, response: Response) -> Result<Bytes, ClientError> {
+        response.bytes().await.map_err(|source| self.unreachable(request, source))
+    }
+
+    /// The JSON document in an answer's body.
+    pub fn parse<T: DeserializeOwned>(
+        &self,
+        request: &Request,
+        status: StatusCode,
+        body: &[u8],
+    ) -> Result<T, ClientError> {
+        serde_json::from_slice(body).map_err(|error| ClientError::Unexpected {
+            url: self.url(request),
+            status,
+            excerpt: error.to_string(),
+        })
+    }
+
+    /// The error of a request whose answer did not come, or broke off.
+    pub fn unreachable(&self, request: &Request, source: reqwest::Error) -> ClientError {
+        ClientError::Unreachable { url: self.url(request), source: source.without_url() }
+    }
+
+    fn url(&self, request: &Request) -> String {
+        format!("{}{}", self.base, request.path)
+    }
+
+    /// One attempt. The outer error is one that another attempt cannot mend.
     async fn attempt(&self, request: &Request) -> Result<Result<Response, reqwest::Error>, ClientError> {
-        let mut builder = self.http.request(request.method.clone(), format!("{}{}", self.base, request.path));
+        let mut builder = self.http.request(request.method.clone(), self.url(request));
         if let Some(token) = &self.token {
             builder = builder.bearer_auth(&token.0);
         }
@@ -279,13 +243,8 @@ impl Transport {
                 let failed = |source| ClientError::File { path: path.clone(), source };
                 let file = tokio::fs::File::open(path).await.map_err(failed)?;
                 let length = file.metadata().await.map_err(failed)?.len();
-                builder
-                    .header(CONTENT_TYPE, *media_type)
-                    .header(reqwest::header::CONTENT_LENGTH, length)
-                    .body(reqwest::Body::wrap_stream(tokio_util::io::ReaderStream::with_capacity(
-                        file,
-                        1 << 16,
-                    )))
+                let stream = reqwest::Body::wrap_stream(ReaderStream::with_capacity(file, 1 << 16));
+                builder.header(CONTENT_TYPE, *media_type).header(CONTENT_LENGTH, length).body(stream)
             }
         };
         Ok(builder.send().await)
@@ -306,19 +265,8 @@ async fn refusal(response: Response) -> ClientError {
     }
 }
 
-/// Whether the same request may succeed a little later.
-fn is_not_now(error: &ClientError) -> bool {
-    let busy = |status: u16| matches!(status, 429 | 502 | 503 | 504 | 507);
-    match error {
-        ClientError::Refused(problem) => {
-            busy(problem.status) || problem.known_kind() == Some(ProblemKind::IdempotencyInFlight)
-        }
-        ClientError::Unexpected { status, .. } => busy(status.as_u16()),
-        _ => false,
-    }
-}
-
-/// `Retry-After` in its form as seconds; the form as a date is not used by the service.
-fn retry_after(headers: &HeaderMap) -> Option<Duration> {
+/// The wait that the service asks for in `Retry-After`, in whole seconds. The service does not use the header's other
+/// form, a date.
+pub(crate) fn retry_after(headers: &HeaderMap) -> Option<Duration> {
     headers.get(RETRY_AFTER)?.to_str().ok()?.trim().parse().ok().map(Duration::from_secs)
 }
