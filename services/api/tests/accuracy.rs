@@ -11,7 +11,7 @@ use serde_json::json;
 use support::{Answer, Farm, made_up_times};
 
 async fn document(farm: &Farm, job: &Job) -> AccuracyDoc {
-    farm.viewer.get(&format!("/v1/jobs/{}/accuracy", job.id)).await.json_as(StatusCode::OK).await
+    farm.viewer.get(&format!("/v1/jobs/{}/accuracy", job.id)).await.parsed(StatusCode::OK).await
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -47,7 +47,7 @@ async fn rungs_cost_in_proportion_and_err_by_the_profiled_variance() {
     farm.until_booked(&node, &job).await;
     let document = document(&farm, &job).await;
     let quote: ForecastDoc =
-        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.json_as(StatusCode::OK).await;
+        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
     assert_eq!((document.frames, &document.settings), (5, &job.settings));
     assert_eq!((&document.profiled, document.spent), (&quote.profiled, quote.spent));
 
@@ -101,7 +101,7 @@ async fn a_job_with_a_cache_has_its_times_and_no_errors_and_says_why() {
     request["profile_frames"] = json!(1);
     request["settings"] = json!({"cache": "on", "ambient_bounces": 1, "spp": 4});
     request["cache"] = json!("private");
-    let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
     let preview = farm.next_task(&node).await;
     let TaskResult::Preview(mut previewed) = farm.made_up_result(&preview).await else { panic!() };
     previewed.frames.iter_mut().for_each(|frame| frame.cache_records = vec![30]);
@@ -141,7 +141,7 @@ async fn booked_after(farm: &Farm, node: &Node, job: &Job, change: impl Fn(&mut 
         if let TaskResult::Profile(result) = &mut result {
             change(result);
         }
-        farm.report(&task, result).await.json_as::<serde_json::Value>(StatusCode::OK).await;
+        farm.report(&task, result).await.parsed::<serde_json::Value>(StatusCode::OK).await;
     }
     laid_out
 }
@@ -158,13 +158,13 @@ async fn a_job_that_asks_for_all_ladders_has_those_of_other_settings_by_one_of_i
     request["ladders"] = json!("all");
     request["profile_frames"] = json!(3);
     request["settings"] = json!({"ambient_bounces": 1, "spp": 16, "width": 8, "height": 8});
-    let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
     assert_eq!(job.ladders, Ladders::All);
     let laid_out = booked_with_ladders(&farm, &node, &job).await;
     assert_eq!(laid_out.len(), 1, "one frame stands for all");
     let document = document(&farm, &job).await;
     let quote: ForecastDoc =
-        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.json_as(StatusCode::OK).await;
+        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
     assert!(quote.profiled.frames.contains(&laid_out[0]) && quote.profiled.frames[0] < laid_out[0]);
     // Ladders of their own are as they were; the others have a ratio to what was asked for, of price and of error.
     let asked = document.rungs.iter().find(|rung| rung.asked_for).unwrap();
@@ -199,7 +199,7 @@ async fn other_resolutions_of_a_job_of_one_sample_err_as_what_was_asked_for_does
     let mut request = farm.job_request("0");
     request["ladders"] = json!("all");
     request["settings"] = json!({"ambient_bounces": 1, "spp": 1, "width": 8, "height": 8});
-    let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
     // One sample a pixel says nothing of its variance.
     booked_after(&farm, &node, &job, |result| result.noise.clear()).await;
     let document = document(&farm, &job).await;
@@ -220,7 +220,7 @@ async fn ladders_that_could_not_be_laid_out_are_missing_for_that_reason() {
     let mut request = farm.job_request("0");
     request["ladders"] = json!("all");
     request["settings"] = json!({"ambient_bounces": 1, "spp": 16, "width": 8, "height": 8});
-    let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
     let fail = |result: &mut ProfileResult| {
         let ladders = result.ladders.as_mut().unwrap();
         **ladders = AccuracyDoc::missing(0, &ladders.settings, "no room");
@@ -242,10 +242,10 @@ async fn a_job_that_is_late_is_offered_other_settings_that_would_be_in_time() {
     request["settings"] = json!({"ambient_bounces": 1, "spp": 16, "width": 8, "height": 8});
     // As asked for it takes four minutes.
     request["deadline"] = json!(Timestamp::from_micros(Timestamp::now().micros() + 120_000_000));
-    let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
     booked_with_ladders(&farm, &node, &job).await;
     let path = format!("/v1/jobs/{}/answers", job.id);
-    let answers: AnswersDoc = farm.submitter.get(&path).await.json_as(StatusCode::OK).await;
+    let answers: AnswersDoc = farm.submitter.get(&path).await.parsed(StatusCode::OK).await;
     let of = |has: &dyn Fn(&RenderSettings) -> bool| {
         answers.qualities.iter().filter(|offer| has(&offer.settings)).count()
     };
@@ -276,7 +276,7 @@ async fn ladders_that_make_no_sense_are_refused_with_the_place() {
     let answer = farm.submitter.post("/v1/jobs", &request).await;
     assert_eq!(answer.problem(ProblemKind::Invalid).await.pointer.as_deref(), Some("/ladders"));
     request.as_object_mut().unwrap().remove("within");
-    farm.submitter.post("/v1/jobs", &request).await.json_as::<Job>(StatusCode::CREATED).await;
+    farm.submitter.post("/v1/jobs", &request).await.parsed::<Job>(StatusCode::CREATED).await;
     let preview = farm.next_task(&node).await;
     farm.finish(&preview).await;
     let profile = farm.next_task(&node).await;
@@ -308,7 +308,7 @@ async fn ladders_that_make_no_sense_are_refused_with_the_place() {
     without.ladders = None;
     farm.report(&profile, TaskResult::Profile(without))
         .await
-        .json_as::<serde_json::Value>(StatusCode::OK)
+        .parsed::<serde_json::Value>(StatusCode::OK)
         .await;
 }
 
@@ -338,5 +338,5 @@ async fn noise_that_makes_no_sense_is_refused_with_the_place() {
         let problem = answer.problem(ProblemKind::Invalid).await;
         assert_eq!(problem.pointer.as_deref(), Some(pointer), "{}", problem.detail);
     }
-    farm.report(&profile, TaskResult::Profile(good)).await.json_as::<serde_json::Value>(StatusCode::OK).await;
+    farm.report(&profile, TaskResult::Profile(good)).await.parsed::<serde_json::Value>(StatusCode::OK).await;
 }

@@ -37,7 +37,7 @@ async fn job(farm: &Farm, node: &Node, project: &str, deadline: Option<&str>) ->
     if let Some(deadline) = deadline {
         request["deadline"] = json!(deadline);
     }
-    let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
     let booked = farm.until_booked(node, &job).await;
     assert!(matches!(booked.state, JobState::Booked | JobState::Rendering), "{booked:?}");
     booked
@@ -48,23 +48,23 @@ fn budget(project: &str, amount: i64, thresholds: Value) -> Value {
 }
 
 async fn set(farm: &Farm, budget: &Value) -> Budget {
-    farm.operator.post("/v1/budgets", budget).await.json_as(StatusCode::OK).await
+    farm.operator.post("/v1/budgets", budget).await.parsed(StatusCode::OK).await
 }
 
 async fn forecast(farm: &Farm, request: &Value) -> BudgetForecast {
-    farm.viewer.post("/v1/budget-forecasts", request).await.json_as(StatusCode::OK).await
+    farm.viewer.post("/v1/budget-forecasts", request).await.parsed(StatusCode::OK).await
 }
 
 async fn renew(farm: &Farm, lease: &Lease) -> Renewal {
     let path = format!("/v1/leases/{}", lease.lease_id);
     let request = farm.worker.request(reqwest::Method::PATCH, &path).json(&json!({"fence": lease.fence}));
-    request.send().await.unwrap().json_as(StatusCode::OK).await
+    request.send().await.unwrap().parsed(StatusCode::OK).await
 }
 
 /// The farm's only budget, after it was looked after: with this action in force.
 async fn in_force(farm: &Farm, clock: &ManualClock, action: Option<BudgetAction>) -> Budget {
     farm.service.store().enforce_budgets(clock.now()).await.unwrap();
-    let list: BudgetList = farm.viewer.get("/v1/budgets").await.json_as(StatusCode::OK).await;
+    let list: BudgetList = farm.viewer.get("/v1/budgets").await.parsed(StatusCode::OK).await;
     assert_eq!(list.items[0].action, action, "{list:?}");
     list.items[0].clone()
 }
@@ -72,7 +72,7 @@ async fn in_force(farm: &Farm, clock: &ManualClock, action: Option<BudgetAction>
 /// The same, by the service's own doing.
 async fn soon_in_force(farm: &Farm, action: Option<BudgetAction>) -> Budget {
     for _ in 0..200 {
-        let list: BudgetList = farm.viewer.get("/v1/budgets").await.json_as(StatusCode::OK).await;
+        let list: BudgetList = farm.viewer.get("/v1/budgets").await.parsed(StatusCode::OK).await;
         if list.items[0].action == action {
             return list.items[0].clone();
         }
@@ -159,7 +159,7 @@ async fn drain_finishes_what_runs_and_the_next_night_begins_anew() {
     let held: Job = {
         let mut request = farm.job_request("0-1");
         request["project"] = json!("film");
-        farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await
+        farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await
     };
     assert_eq!(farm.claim(&node).await, None);
     // Others are not.
@@ -226,7 +226,7 @@ async fn a_job_that_has_begun_says_that_a_budget_holds_it_and_not_when_it_is_rea
     assert!(waits.is_for_money() && waits.because.contains("budget of project film"), "{waits:?}");
     assert_eq!((held.eta, waits.until), (None, None));
     let path = format!("/v1/jobs/{}/answers", held.id);
-    let answers: AnswersDoc = farm.viewer.get(&path).await.json_as(StatusCode::OK).await;
+    let answers: AnswersDoc = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
     assert!(answers.why_not[0].contains("budget of project film is used up"), "{:?}", answers.why_not);
 }
 
@@ -302,6 +302,6 @@ async fn only_operators_set_budgets_and_every_wrong_field_is_named() {
         let answer = farm.viewer.post("/v1/budget-forecasts", &request).await;
         assert_eq!(answer.problem(ProblemKind::Invalid).await.pointer.as_deref(), Some(pointer), "{request}");
     }
-    let list: BudgetList = farm.viewer.get("/v1/budgets").await.json_as(StatusCode::OK).await;
+    let list: BudgetList = farm.viewer.get("/v1/budgets").await.parsed(StatusCode::OK).await;
     assert_eq!(list.items, []);
 }

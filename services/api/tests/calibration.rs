@@ -36,7 +36,7 @@ async fn run(farm: &Farm, node: &Node, renderer: &str, factor: f64) -> ForecastD
         let reported = farm.report(&lease, result).await;
         assert_eq!(reported.status(), StatusCode::OK);
     }
-    farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.json_as(StatusCode::OK).await
+    farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -65,7 +65,7 @@ async fn after_nineteen_jobs_quantiles_hold_and_another_version_starts_anew() {
     assert!(!other.calibrated && other.total.work.p50 == other.total.work.mean);
 
     let taught: CalibrationDoc =
-        farm.viewer.get("/v1/forecasts/calibration").await.json_as(StatusCode::OK).await;
+        farm.viewer.get("/v1/forecasts/calibration").await.parsed(StatusCode::OK).await;
     let jobs: Vec<(&str, u64, bool)> = taught
         .kinds
         .iter()
@@ -75,7 +75,7 @@ async fn after_nineteen_jobs_quantiles_hold_and_another_version_starts_anew() {
 
     let path = "/v1/forecasts/track-record";
     let record: TrackRecord =
-        farm.viewer.get(&format!("{path}?page_size=1")).await.json_as(StatusCode::OK).await;
+        farm.viewer.get(&format!("{path}?page_size=1")).await.parsed(StatusCode::OK).await;
     let kinds: Vec<(Option<&str>, bool, u64, u64)> = record
         .kinds
         .iter()

@@ -2,28 +2,18 @@
 
 mod support;
 
-use forelight_protocol::{Event, EventKind, JobState};
+use forelight_protocol::{EventKind, JobState};
 use reqwest::{Method, StatusCode};
-use support::{Answer, Farm};
+use std::time::Duration;
+use support::events::Events;
+use support::{Answer, Farm, Http};
 
-/// Reads whole events until there are `count`, or until the stream ends.
-async fn read(response: &mut reqwest::Response, count: usize) -> Vec<Event> {
-    let mut text = String::new();
-    let mut events = Vec::new();
-    while events.len() < count {
-        let Some(chunk) = response.chunk().await.unwrap() else { break };
-        text.push_str(std::str::from_utf8(&chunk).unwrap());
-        while let Some(end) = text.find("\n\n") {
-            let block: String = text.drain(..end + 2).collect();
-            let field = |name: &str| block.lines().find_map(|line| line.strip_prefix(name)).map(str::trim);
-            let Some(data) = field("data:") else { continue };
-            let event: Event = serde_json::from_str(data).unwrap();
-            assert_eq!(field("id:"), Some(event.id.to_string().as_str()));
-            assert_eq!(field("event:"), Some(event.kind.name()));
-            events.push(event);
-        }
-    }
-    events
+/// How long a stream may be silent.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A stream that has events to come.
+async fn open(http: &Http, path: &str, last: Option<i64>) -> Events {
+    Events::open(http, path, last).await.expect("events to come")
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -32,9 +22,8 @@ async fn a_job_can_be_followed_from_its_beginning_to_its_end_and_then_there_is_n
     let node = farm.node("a").await;
     let job = farm.submit("0-1").await;
     let path = format!("/v1/jobs/{}/events", job.id);
-    let mut stream = farm.viewer.get(&path).await;
-    assert_eq!(stream.headers()["content-type"], "text/event-stream");
-    let (events, done) = tokio::join!(read(&mut stream, usize::MAX), farm.work_off(&node, &job));
+    let stream = open(&farm.viewer, &path, None).await;
+    let (events, done) = tokio::join!(stream.rest(PATIENCE), farm.work_off(&node, &job));
     assert_eq!(done.state, JobState::Done);
     let states: Vec<_> = events
         .iter()
@@ -45,8 +34,7 @@ async fn a_job_can_be_followed_from_its_beginning_to_its_end_and_then_there_is_n
     assert_eq!(events[0].kind, EventKind::JobCreated);
     assert!(events.iter().all(|event| event.job_id == Some(job.id)));
     let last = events.last().unwrap().id;
-    let over = farm.viewer.request(Method::GET, &path).header("Last-Event-ID", last).send().await.unwrap();
-    assert_eq!(over.status(), StatusCode::NO_CONTENT);
+    assert!(Events::open(&farm.viewer, &path, Some(last)).await.is_none());
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -56,13 +44,12 @@ async fn a_stream_resumes_after_the_last_event_seen_even_after_a_restart() {
     let job = farm.submit("0-1").await;
     farm.until_booked(&node, &job).await;
     let path = format!("/v1/jobs/{}/events", job.id);
-    let all = read(&mut farm.viewer.get(&path).await, 6).await;
+    let all = open(&farm.viewer, &path, None).await.take(6, PATIENCE).await;
     let farm = farm.killed_and_restarted().await;
-    let mut resumed =
-        farm.viewer.request(Method::GET, &path).header("Last-Event-ID", all[2].id).send().await.unwrap();
-    assert_eq!(read(&mut resumed, 3).await, all[3..6]);
-    let mut by_query = farm.viewer.get(&format!("{path}?last_event_id={}", all[3].id)).await;
-    assert_eq!(read(&mut by_query, 2).await, all[4..6]);
+    let mut resumed = open(&farm.viewer, &path, Some(all[2].id)).await;
+    assert_eq!(resumed.take(3, PATIENCE).await, all[3..6]);
+    let mut by_query = open(&farm.viewer, &format!("{path}?last_event_id={}", all[3].id), None).await;
+    assert_eq!(by_query.take(2, PATIENCE).await, all[4..6]);
     let bad =
         farm.viewer.request(Method::GET, &path).header("Last-Event-ID", "yesterday").send().await.unwrap();
     bad.problem(forelight_protocol::ProblemKind::Malformed).await;
@@ -81,19 +68,19 @@ async fn a_stream_ends_with_its_job_even_if_a_worker_speaks_up_afterwards() {
     let late = farm.made_up_result(&lease).await;
     farm.report(&lease, late).await.problem(forelight_protocol::ProblemKind::LeaseLost).await;
     // From its beginning, and by a client that saw all but the last event.
-    let events = read(&mut farm.viewer.get(&format!("{path}/events")).await, usize::MAX).await;
+    let events = open(&farm.viewer, &format!("{path}/events"), None).await.rest(PATIENCE).await;
     let [.., end, last] = &events[..] else { panic!("{events:?}") };
     assert_eq!((end.job_state, last.kind), (Some(JobState::Cancelled), EventKind::LeaseLost));
-    let mut rest = farm.viewer.get(&format!("{path}/events?last_event_id={}", end.id)).await;
-    assert_eq!(read(&mut rest, usize::MAX).await, events[events.len() - 1..]);
+    let rest = open(&farm.viewer, &format!("{path}/events?last_event_id={}", end.id), None).await;
+    assert_eq!(rest.rest(PATIENCE).await, events[events.len() - 1..]);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_farms_stream_begins_now_and_brings_what_happens() {
     let farm = Farm::new().await;
     farm.submit("0").await;
-    let mut stream = farm.viewer.get("/v1/events").await;
+    let mut stream = open(&farm.viewer, "/v1/events", None).await;
     let job = farm.submit("0").await;
-    let events = read(&mut stream, 1).await;
+    let events = stream.take(1, PATIENCE).await;
     assert_eq!((events[0].kind, events[0].job_id), (EventKind::JobCreated, Some(job.id)));
 }

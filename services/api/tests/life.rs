@@ -20,7 +20,7 @@ async fn a_job_is_previewed_profiled_forecast_booked_rendered_and_done() {
     let mut request = farm.job_request("0-9");
     request["deadline"] = json!(deadline);
     request["budget"] = json!(10_000_000_000i64);
-    let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
     assert_eq!(
         (job.state, job.frames_total, job.settings.width, job.scene.triangles),
         (JobState::Previewing, 10, 8, 2)
@@ -44,7 +44,7 @@ async fn a_job_is_previewed_profiled_forecast_booked_rendered_and_done() {
     profiled.sort_unstable();
 
     let forecast: ForecastDoc =
-        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.json_as(StatusCode::OK).await;
+        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
     assert_eq!(
         (forecast.frames.len(), &forecast.profiled.frames, forecast.profiled.pixels),
         (10, &profiled, 32)
@@ -60,26 +60,22 @@ async fn a_job_is_previewed_profiled_forecast_booked_rendered_and_done() {
     let verdict = booked.verdict.unwrap();
     assert_eq!(verdict.verdict, Verdict::OnTime, "{:?}", verdict.reasons);
     assert!(booked.eta.unwrap() <= deadline);
-    let plan: Plan = farm
-        .viewer
-        .get(&format!("/v1/plans/{}", booked.plan_id.unwrap()))
-        .await
-        .json_as(StatusCode::OK)
-        .await;
+    let plan: Plan =
+        farm.viewer.get(&format!("/v1/plans/{}", booked.plan_id.unwrap())).await.parsed(StatusCode::OK).await;
     assert_eq!((plan.bookings.len(), plan.parent_id), (10, None));
     assert!(
         plan.bookings.windows(2).all(|pair| pair[0].end <= pair[1].start),
         "one node renders one frame at a time"
     );
     assert_eq!(first.spec.frame(), Some(plan.bookings[0].frame), "what is booked first is handed out first");
-    let page: BookingPage = farm.viewer.get("/v1/bookings?page_size=4").await.json_as(StatusCode::OK).await;
+    let page: BookingPage = farm.viewer.get("/v1/bookings?page_size=4").await.parsed(StatusCode::OK).await;
     assert_eq!(page.items, plan.bookings[..4]);
 
     farm.finish(&first).await;
     let done = farm.work_off(&node, &job).await;
     assert_eq!((done.state, done.frames_done, done.progress, done.eta), (JobState::Done, 10, 1.0, None));
     let page: FramePage =
-        farm.viewer.get(&format!("/v1/jobs/{}/frames", job.id)).await.json_as(StatusCode::OK).await;
+        farm.viewer.get(&format!("/v1/jobs/{}/frames", job.id)).await.parsed(StatusCode::OK).await;
     for row in &page.items {
         assert_eq!(row.state, FrameState::Done);
         let work = row.work.unwrap();
@@ -88,7 +84,7 @@ async fn a_job_is_previewed_profiled_forecast_booked_rendered_and_done() {
         assert!(cpu.error.unwrap().abs() < 0.06, "frame {}: {cpu:?}", row.frame);
         assert!(row.booked.is_some() && row.started.is_some() && row.finished.is_some());
     }
-    let open: BookingPage = farm.viewer.get("/v1/bookings").await.json_as(StatusCode::OK).await;
+    let open: BookingPage = farm.viewer.get("/v1/bookings").await.parsed(StatusCode::OK).await;
     assert!(open.items.is_empty(), "the job is done: {:?}", open.items);
     let image = farm.viewer.get(&format!("/v1/jobs/{}/frames/7/image.exr", job.id)).await;
     assert_eq!(image.headers()["content-type"], "image/x-exr");
@@ -104,9 +100,9 @@ async fn a_job_is_previewed_profiled_forecast_booked_rendered_and_done() {
     assert!(lost.detail.contains(&format!("{name}: its file is not there; bring it back")), "{lost:?}");
 
     let record: TrackRecord =
-        farm.viewer.get("/v1/forecasts/track-record?page_size=3").await.json_as(StatusCode::OK).await;
+        farm.viewer.get("/v1/forecasts/track-record?page_size=3").await.parsed(StatusCode::OK).await;
     assert_eq!((record.frames, record.items.len(), record.next_page_token.is_some()), (10, 3, true));
-    let dashboard: Dashboard = farm.viewer.get("/v1/dashboard").await.json_as(StatusCode::OK).await;
+    let dashboard: Dashboard = farm.viewer.get("/v1/dashboard").await.parsed(StatusCode::OK).await;
     assert_eq!((dashboard.counts.jobs_done, dashboard.bookings.len(), dashboard.track_frames), (1, 0, 10));
     let metrics = farm.viewer.get("/metrics").await.text().await.unwrap();
     assert!(metrics.contains("forelight_results_committed_total 13\n"), "{metrics}");
@@ -120,19 +116,15 @@ async fn the_second_job_is_booked_around_the_first() {
     farm.until_booked(&node, &first).await;
     let second = farm.submit("0-4").await;
     let second = farm.until_booked(&node, &second).await;
-    let plan: Plan = farm
-        .viewer
-        .get(&format!("/v1/plans/{}", second.plan_id.unwrap()))
-        .await
-        .json_as(StatusCode::OK)
-        .await;
+    let plan: Plan =
+        farm.viewer.get(&format!("/v1/plans/{}", second.plan_id.unwrap())).await.parsed(StatusCode::OK).await;
     assert!(plan.parent_id.is_some());
-    let page: BookingPage = farm.viewer.get("/v1/bookings").await.json_as(StatusCode::OK).await;
+    let page: BookingPage = farm.viewer.get("/v1/bookings").await.parsed(StatusCode::OK).await;
     let of = |job| page.items.iter().filter(|booking| booking.job_id == job).count();
     assert_eq!((of(first.id), of(second.id)), (5, 5), "{:?}", page.items);
     // By start, and all on the one node. Frames of the first that a worker had while the second was quoted, and gave back, are where they were.
     let frames: FramePage =
-        farm.viewer.get(&format!("/v1/jobs/{}/frames", first.id)).await.json_as(StatusCode::OK).await;
+        farm.viewer.get(&format!("/v1/jobs/{}/frames", first.id)).await.parsed(StatusCode::OK).await;
     let came_back =
         |booking: &Booking| booking.job_id == first.id && frames.items[booking.frame as usize].attempts > 0;
     let placed: Vec<&Booking> = page.items.iter().filter(|booking| !came_back(booking)).collect();
@@ -148,7 +140,7 @@ async fn an_impossible_deadline_and_a_small_budget_are_said_and_the_job_is_rende
     let node = farm.node("a").await;
     let mut late = farm.job_request("0-4");
     late["deadline"] = json!(forelight_protocol::Timestamp::now().plus_micros(30_000_000));
-    let late: Job = farm.submitter.post("/v1/jobs", &late).await.json_as(StatusCode::CREATED).await;
+    let late: Job = farm.submitter.post("/v1/jobs", &late).await.parsed(StatusCode::CREATED).await;
     let late = farm.until_booked(&node, &late).await;
     let verdict = late.verdict.unwrap();
     assert_eq!(verdict.verdict, Verdict::Late);
@@ -159,7 +151,7 @@ async fn an_impossible_deadline_and_a_small_budget_are_said_and_the_job_is_rende
     );
     let mut dear = farm.job_request("0-1");
     dear["budget"] = json!(1);
-    let dear: Job = farm.submitter.post("/v1/jobs", &dear).await.json_as(StatusCode::CREATED).await;
+    let dear: Job = farm.submitter.post("/v1/jobs", &dear).await.parsed(StatusCode::CREATED).await;
     let dear = farm.until_booked(&node, &dear).await;
     assert_eq!(dear.verdict.as_ref().unwrap().verdict, Verdict::OverBudget);
     assert_eq!(farm.work_off(&node, &dear).await.state, JobState::Done);
@@ -178,11 +170,11 @@ async fn a_service_that_dies_at_any_point_goes_on_where_it_was() {
         // Dies while the worker works, and again right after it acknowledged the result.
         farm = farm.killed_and_restarted().await;
         let answer: forelight_protocol::ResultAnswer =
-            farm.report(&lease, result.clone()).await.json_as(StatusCode::OK).await;
+            farm.report(&lease, result.clone()).await.parsed(StatusCode::OK).await;
         assert!(!answer.duplicate);
         farm = farm.killed_and_restarted().await;
         let answer: forelight_protocol::ResultAnswer =
-            farm.report(&lease, result).await.json_as(StatusCode::OK).await;
+            farm.report(&lease, result).await.parsed(StatusCode::OK).await;
         assert!(answer.duplicate, "an acknowledged result was lost");
     }
     use TaskKind::{Preview, Profile, Render};
@@ -218,7 +210,7 @@ async fn a_lost_worker_costs_one_lease_time_and_its_late_result_nothing() {
     let result = farm.made_up_result(&stale).await;
     farm.report(&stale, result.clone()).await.problem(forelight_protocol::ProblemKind::LeaseLost).await;
     let answer: forelight_protocol::ResultAnswer =
-        farm.report(&current, result).await.json_as(StatusCode::OK).await;
+        farm.report(&current, result).await.parsed(StatusCode::OK).await;
     assert!(!answer.duplicate);
     let metrics = farm.viewer.get("/metrics").await.text().await.unwrap();
     assert!(metrics.contains("forelight_leases_lost_total 1\n"), "{metrics}");
@@ -271,12 +263,12 @@ async fn a_cancelled_job_stops_its_workers_and_is_not_booked() {
         .submitter
         .post(&format!("/v1/jobs/{}/cancel", job.id), &json!({}))
         .await
-        .json_as(StatusCode::OK)
+        .parsed(StatusCode::OK)
         .await;
     assert_eq!(cancelled.state, JobState::Cancelled);
     let renewal = farm.worker.request(reqwest::Method::PATCH, &format!("/v1/leases/{}", lease.lease_id));
     let renewal = renewal.json(&json!({"fence": lease.fence, "progress": 0.5})).send().await.unwrap();
-    let renewal: serde_json::Value = renewal.json_as(StatusCode::OK).await;
+    let renewal: serde_json::Value = renewal.parsed(StatusCode::OK).await;
     assert_eq!(renewal["order"], "stop");
     assert!(farm.claim(&node).await.is_none());
 }

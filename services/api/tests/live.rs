@@ -23,7 +23,7 @@ async fn render(farm: &Farm, node: &Node, times: f64) -> Lease {
 }
 
 async fn history(farm: &Farm, job: &Job) -> ForecastHistory {
-    farm.viewer.get(&format!("/v1/jobs/{}/forecast/history", job.id)).await.json_as(StatusCode::OK).await
+    farm.viewer.get(&format!("/v1/jobs/{}/forecast/history", job.id)).await.parsed(StatusCode::OK).await
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -37,7 +37,7 @@ async fn a_dearer_job_is_seen_as_such_told_of_and_drawn_and_its_quote_stays() {
     }
     let booked = farm.until_booked(&node, &job).await;
     let quote_path = format!("/v1/jobs/{}/forecast", job.id);
-    let quote: ForecastDoc = farm.viewer.get(&quote_path).await.json_as(StatusCode::OK).await;
+    let quote: ForecastDoc = farm.viewer.get(&quote_path).await.parsed(StatusCode::OK).await;
     let begin = booked.live.unwrap();
     let close = |one: f64, other: f64| (one / other - 1.0).abs() < 1e-12;
     assert!(close(begin.work.whole.p80, quote.total.work.p80), "{begin:?}");
@@ -71,7 +71,7 @@ async fn a_dearer_job_is_seen_as_such_told_of_and_drawn_and_its_quote_stays() {
     let done = farm.job(&job).await;
     assert_eq!(history.now, done.live.unwrap());
     assert_eq!(history.now.cost.unwrap(), MoneyQuantiles::default().plus(done.spent.unwrap_or_default()));
-    let after: ForecastDoc = farm.viewer.get(&quote_path).await.json_as(StatusCode::OK).await;
+    let after: ForecastDoc = farm.viewer.get(&quote_path).await.parsed(StatusCode::OK).await;
     assert_eq!(after, quote, "a quote never changes");
 
     let store = farm.service.store();
@@ -96,8 +96,8 @@ async fn a_quote_explains_itself_as_a_whole_and_frame_by_frame() {
     farm.viewer.get(&path).await.problem(ProblemKind::Conflict).await;
     farm.until_booked(&node, &job).await;
     let quote: ForecastDoc =
-        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.json_as(StatusCode::OK).await;
-    let whole: Explanation = farm.viewer.get(&path).await.json_as(StatusCode::OK).await;
+        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
+    let whole: Explanation = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
     assert!((whole.work / quote.total.work.mean - 1.0).abs() < 1e-12);
     let shares: f64 = whole.parts.iter().map(|part| part.share).sum();
     assert!((shares - 1.0).abs() < 1e-9, "{whole:?}");
@@ -115,7 +115,7 @@ async fn a_quote_explains_itself_as_a_whole_and_frame_by_frame() {
     let by_ray: f64 = whole.rays.iter().filter_map(|ray| ray.work).sum();
     assert!((by_ray / pixels - 1.0).abs() < 1e-9, "{whole:?}");
     assert!(whole.words.last().unwrap().starts_with("half of it: "), "{:?}", whole.words);
-    let one: Explanation = farm.viewer.get(&format!("{path}?frame=3")).await.json_as(StatusCode::OK).await;
+    let one: Explanation = farm.viewer.get(&format!("{path}?frame=3")).await.parsed(StatusCode::OK).await;
     assert_eq!((one.frame, one.objects[0].pixels), (Some(3), 48));
     assert!((one.work / quote.frames[3].work.mean - 1.0).abs() < 1e-12);
     let problem: Problem =
@@ -129,13 +129,13 @@ async fn a_quote_whose_samples_were_chosen_for_a_time_is_explained_at_those() {
     let node = farm.node("a").await;
     let mut request = farm.job_request("0-3");
     request["within"] = json!({"cpu_micros": 2_000_000_000i64});
-    let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
     let booked = farm.until_booked(&node, &job).await;
     assert_ne!(booked.settings.spp, job.settings.spp);
     let path = format!("/v1/jobs/{}", job.id);
-    let quote: ForecastDoc = farm.viewer.get(&format!("{path}/forecast")).await.json_as(StatusCode::OK).await;
+    let quote: ForecastDoc = farm.viewer.get(&format!("{path}/forecast")).await.parsed(StatusCode::OK).await;
     let whole: Explanation =
-        farm.viewer.get(&format!("{path}/explanation")).await.json_as(StatusCode::OK).await;
+        farm.viewer.get(&format!("{path}/explanation")).await.parsed(StatusCode::OK).await;
     assert!((whole.work / quote.total.work.mean - 1.0).abs() < 1e-12, "{} {:?}", whole.work, quote.total);
     let spp = f64::from(booked.settings.spp);
     assert!(whole.halving.iter().any(|way| way.setting == "spp" && way.from == spp), "{whole:?}");

@@ -15,7 +15,7 @@ fn registration(name: &str, memory: u64) -> Value {
 }
 
 async fn register(farm: &Farm, registration: &Value) -> Node {
-    farm.worker.post("/v1/nodes", registration).await.json_as(StatusCode::CREATED).await
+    farm.worker.post("/v1/nodes", registration).await.parsed(StatusCode::CREATED).await
 }
 
 #[tokio::test]
@@ -27,7 +27,7 @@ async fn a_quote_says_what_it_takes_on_each_calibrated_node() {
     let job = farm.submit("0-3").await;
     let job = farm.until_booked(&quick, &job).await;
     let quote: ForecastDoc =
-        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.json_as(StatusCode::OK).await;
+        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
     // A fifth of the work waits for memory (see the results that are made up).
     let [NodeSeconds { node: first, speed: 1.0, cpu_seconds }, starved] = &quote.cpu_seconds_on[..] else {
         panic!("{:?}", quote.cpu_seconds_on)

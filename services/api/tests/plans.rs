@@ -21,22 +21,22 @@ const HOUR: i64 = 3600 * SECOND;
 impl Farm {
     async fn order(&self, node: &Node, order: Value) -> Node {
         let patch = self.operator.request(Method::PATCH, &format!("/v1/nodes/{}", node.id));
-        patch.json(&order).send().await.unwrap().json_as(StatusCode::OK).await
+        patch.json(&order).send().await.unwrap().parsed(StatusCode::OK).await
     }
 
     async fn asked(&self, change: impl FnOnce(&mut Value), frames: &str) -> Job {
         let mut request = self.job_request(frames);
         change(&mut request);
-        self.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await
+        self.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await
     }
 
     async fn plan(&self, job: &Job) -> Plan {
         let path = format!("/v1/plans/{}", job.plan_id.unwrap());
-        self.viewer.get(&path).await.json_as(StatusCode::OK).await
+        self.viewer.get(&path).await.parsed(StatusCode::OK).await
     }
 
     async fn answers(&self, job: &Job, query: &str) -> AnswersDoc {
-        self.viewer.get(&format!("/v1/jobs/{}/answers{query}", job.id)).await.json_as(StatusCode::OK).await
+        self.viewer.get(&format!("/v1/jobs/{}/answers{query}", job.id)).await.parsed(StatusCode::OK).await
     }
 
     /// Waits until the job looks as it should.
@@ -89,7 +89,7 @@ async fn a_drained_nodes_frames_move_to_another_node_and_no_others() {
         assert!(new.start.micros_since(old.start).abs() <= 60 * SECOND, "{old:?} {new:?}");
     }
     let path = format!("/v1/plans/{}/difference", after.id);
-    let difference: PlanDifference = farm.viewer.get(&path).await.json_as(StatusCode::OK).await;
+    let difference: PlanDifference = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
     let on_gone = before.bookings.iter().filter(|booking| booking.node_id == gone.id).count();
     assert_eq!(
         (difference.frames.len(), difference.unmoved),
@@ -104,12 +104,12 @@ async fn a_drained_nodes_frames_move_to_another_node_and_no_others() {
     );
     assert!(difference.words.iter().any(|line| line.contains(&format!("{} from", stays.name))));
     let first = format!("/v1/plans/{}/difference", before.id);
-    let first: PlanDifference = farm.viewer.get(&first).await.json_as(StatusCode::OK).await;
+    let first: PlanDifference = farm.viewer.get(&first).await.parsed(StatusCode::OK).await;
     assert!(first.frames.iter().all(|frame| frame.before.is_none()) && first.frames.len() == 8);
-    let page: PlanPage = farm.viewer.get("/v1/plans?page_size=1").await.json_as(StatusCode::OK).await;
+    let page: PlanPage = farm.viewer.get("/v1/plans?page_size=1").await.parsed(StatusCode::OK).await;
     assert_eq!((page.items[0].id, page.items[0].bookings), (after.id, 8));
     let next = format!("/v1/plans?page_size=1&page_token={}", page.next_page_token.unwrap().0);
-    let next: PlanPage = farm.viewer.get(&next).await.json_as(StatusCode::OK).await;
+    let next: PlanPage = farm.viewer.get(&next).await.parsed(StatusCode::OK).await;
     assert_eq!(next.items[0].id, before.id);
 }
 
@@ -205,7 +205,7 @@ async fn a_job_is_answered_by_when_for_how_much_and_what_would_change_it() {
     let farm = Farm::new().await;
     let node = farm.node("dear").await;
     let cheap = json!({"name": "cheap", "speed": 1.0, "price_per_hour": 360_000, "cores": 1});
-    let cheap: Node = farm.worker.post("/v1/nodes", &cheap).await.json_as(StatusCode::CREATED).await;
+    let cheap: Node = farm.worker.post("/v1/nodes", &cheap).await.parsed(StatusCode::CREATED).await;
     let job = farm.asked(|request| request["deadline"] = json!(in_hours(2)), "0-9").await;
     let path = format!("/v1/jobs/{}/answers", job.id);
     farm.viewer.get(&path).await.problem(ProblemKind::Conflict).await;
@@ -319,10 +319,10 @@ async fn projects_take_turns_by_their_shares_and_who_waits_is_told_why() {
     // Which of them is first hangs on how long a preview took.
     assert!(waits.because.contains(" for a share of 3"), "{waits:?}");
     assert!(waits.share.is_some() && waits.until.is_some());
-    let dashboard: Dashboard = farm.viewer.get("/v1/dashboard").await.json_as(StatusCode::OK).await;
+    let dashboard: Dashboard = farm.viewer.get("/v1/dashboard").await.parsed(StatusCode::OK).await;
     let shown = dashboard.jobs.iter().find(|job| job.id == waiting.id).unwrap();
     assert_eq!(shown.waits.as_ref(), Some(waits));
-    let projects: ProjectList = farm.viewer.get("/v1/projects").await.json_as(StatusCode::OK).await;
+    let projects: ProjectList = farm.viewer.get("/v1/projects").await.parsed(StatusCode::OK).await;
     let found: Vec<_> = projects.items.iter().map(|entry| (entry.project.as_str(), entry.share)).collect();
     assert_eq!((found, projects.half_life_hours), (vec![("advert", 1), ("film", 3)], 168));
 }
@@ -338,8 +338,8 @@ async fn a_node_that_sleeps_gets_nothing_and_is_told_until_when() {
     let farm = Farm::with(|config| config.clock = clock.clone()).await;
     let schedule = json!({"zone": "Europe/Berlin", "windows": [{"days": ["mon", "tue"], "from": "21:00", "until": "08:00"}]});
     let registration = json!({"name": "a", "speed": 2.0, "cores": 2, "schedule": schedule});
-    let node: Node = farm.worker.post("/v1/nodes", &registration).await.json_as(StatusCode::CREATED).await;
-    let node: Node = farm.viewer.get(&format!("/v1/nodes/{}", node.id)).await.json_as(StatusCode::OK).await;
+    let node: Node = farm.worker.post("/v1/nodes", &registration).await.parsed(StatusCode::CREATED).await;
+    let node: Node = farm.viewer.get(&format!("/v1/nodes/{}", node.id)).await.parsed(StatusCode::OK).await;
     let power = node.power.unwrap();
     assert_eq!((power.state, power.until), (PowerState::Asleep, Some(monday(20, 0, 0))));
     let job = farm.submit("0-3").await;
@@ -351,7 +351,7 @@ async fn a_node_that_sleeps_gets_nothing_and_is_told_until_when() {
     assert!(begun.elapsed() < Duration::from_secs(30), "who sleeps does not wait");
     clock.advance_micros(8 * HOUR);
     farm.until_booked(&node, &job).await;
-    let awake: Node = farm.viewer.get(&format!("/v1/nodes/{}", node.id)).await.json_as(StatusCode::OK).await;
+    let awake: Node = farm.viewer.get(&format!("/v1/nodes/{}", node.id)).await.parsed(StatusCode::OK).await;
     let power = awake.power.unwrap();
     assert_eq!((power.state, power.until), (PowerState::Awake, Some(monday(31, 0, 0))));
     // A frame takes 25 seconds: ten before the window's end none is handed out.
@@ -363,7 +363,7 @@ async fn a_node_that_sleeps_gets_nothing_and_is_told_until_when() {
     let longer = json!({"schedule": {"zone": "UTC", "windows": [{"from": "20:00", "until": "08:00"}]}, "terms": {"window_end": "stop"}});
     let node = farm.order(&node, longer).await;
     assert!(node.schedule_set);
-    let lease: Lease = farm.worker.post("/v1/leases", &claim).await.json_as(StatusCode::OK).await;
+    let lease: Lease = farm.worker.post("/v1/leases", &claim).await.parsed(StatusCode::OK).await;
     assert_eq!(lease.spec.kind(), TaskKind::Render);
     for wrong in [
         json!({"schedule": {"zone": "Mars/Olympus", "windows": [{"from": "20:00", "until": "08:00"}]}}),
@@ -403,7 +403,7 @@ async fn at_the_end_of_a_window_tasks_are_finished_or_stopped_as_the_nodes_terms
     for lease in &leases {
         let renewal = farm.worker.request(Method::PATCH, &format!("/v1/leases/{}", lease.lease_id));
         let renewal: Renewal =
-            renewal.json(&json!({"fence": lease.fence})).send().await.unwrap().json_as(StatusCode::OK).await;
+            renewal.json(&json!({"fence": lease.fence})).send().await.unwrap().parsed(StatusCode::OK).await;
         assert_eq!(renewal.sleep_until, Some(monday(20, 0, 0)));
         orders.push(renewal.order);
     }

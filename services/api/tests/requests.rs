@@ -94,7 +94,7 @@ async fn every_malformed_job_is_told_which_field_is_wrong_and_nothing_is_kept() 
             assert!(problem.detail.contains(text), "{request}: {}", problem.detail);
         }
     }
-    let page: JobPage = farm.viewer.get("/v1/jobs").await.json_as(StatusCode::OK).await;
+    let page: JobPage = farm.viewer.get("/v1/jobs").await.parsed(StatusCode::OK).await;
     assert_eq!(page.items.len(), 3, "only the good ones were kept");
 }
 
@@ -238,7 +238,7 @@ async fn every_role_may_do_what_it_is_for_and_nothing_else() {
             );
         }
     }
-    let stranger = support::Client::new(farm.service.local_addr(), Some("forelight_0000".into()));
+    let stranger = support::Http::new(&support::address(&farm.service), Some("forelight_0000".into()));
     let refused = stranger.get("/v1/jobs").await;
     assert!(refused.headers()["www-authenticate"].to_str().unwrap().contains("invalid_token"));
     refused.problem(ProblemKind::Unauthenticated).await;
@@ -250,27 +250,24 @@ async fn every_role_may_do_what_it_is_for_and_nothing_else() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_repeated_submission_is_one_job_and_a_reused_key_is_refused() {
     let farm = Farm::new().await;
-    let submit = |client: &support::Client, key: &str, body: Value| {
+    let submit = |client: &support::Http, key: &str, body: Value| {
         client.request(Method::POST, "/v1/jobs").header("Idempotency-Key", key).json(&body).send()
     };
     let first: Job = submit(&farm.submitter, "k", farm.job_request("0-3"))
         .await
         .unwrap()
-        .json_as(StatusCode::CREATED)
+        .parsed(StatusCode::CREATED)
         .await;
     let farm = farm.killed_and_restarted().await;
     let again = submit(&farm.submitter, "k", farm.job_request("0-3")).await.unwrap();
     assert_eq!(again.headers()["idempotency-replayed"], "true");
-    let again: Job = again.json_as(StatusCode::CREATED).await;
+    let again: Job = again.parsed(StatusCode::CREATED).await;
     assert_eq!(again, first);
     let problem = submit(&farm.submitter, "k", farm.job_request("0-4")).await.unwrap();
     let problem = problem.problem(ProblemKind::IdempotencyKeyReused).await;
     assert_eq!(problem.parameter.as_deref(), Some("Idempotency-Key"));
-    let other: Job = submit(&farm.operator, "k", farm.job_request("0-3"))
-        .await
-        .unwrap()
-        .json_as(StatusCode::CREATED)
-        .await;
+    let other: Job =
+        submit(&farm.operator, "k", farm.job_request("0-3")).await.unwrap().parsed(StatusCode::CREATED).await;
     assert_ne!(other.id, first.id, "keys of different tokens have nothing to do with each other");
     let problem = submit(&farm.submitter, &"k".repeat(256), farm.job_request("0")).await.unwrap();
     problem.problem(ProblemKind::Malformed).await;
@@ -279,7 +276,7 @@ async fn a_repeated_submission_is_one_job_and_a_reused_key_is_refused() {
     submit(&farm.submitter, "m", farm.job_request("0-9"))
         .await
         .unwrap()
-        .json_as::<Job>(StatusCode::CREATED)
+        .parsed::<Job>(StatusCode::CREATED)
         .await;
 }
 
@@ -299,8 +296,8 @@ async fn a_request_that_is_being_worked_on_is_not_begun_again() {
     });
     assert_eq!(second.headers()["retry-after"], "1");
     second.problem(ProblemKind::IdempotencyInFlight).await;
-    let lease: Value = waiting.unwrap().json_as(StatusCode::OK).await;
-    let repeated: Value = claim().await.unwrap().json_as(StatusCode::OK).await;
+    let lease: Value = waiting.unwrap().parsed(StatusCode::OK).await;
+    let repeated: Value = claim().await.unwrap().parsed(StatusCode::OK).await;
     assert_eq!(repeated, lease, "the same claim has the same lease");
 }
 
@@ -321,7 +318,7 @@ async fn a_process_that_was_started_twice_for_a_task_waits_for_the_first_and_is_
         let release = format!("/v1/leases/{}/release", first.lease_id);
         farm.worker.post(&release, &json!({"fence": first.fence})).await
     });
-    let second: Lease = second.json_as(StatusCode::OK).await;
+    let second: Lease = second.parsed(StatusCode::OK).await;
     assert_eq!((second.task_id, second.fence), (first.task_id, first.fence + 1));
     let failed = json!({"fence": second.fence, "error": {"message": "no such scene", "permanent": true}});
     farm.worker.post(&format!("/v1/leases/{}/result", second.lease_id), &failed).await;
@@ -339,12 +336,8 @@ async fn pages_of_jobs_lead_through_all_of_them_once() {
     ids.reverse();
     let (mut seen, mut query) = (Vec::new(), "page_size=2".to_owned());
     loop {
-        let page: JobPage = farm
-            .viewer
-            .get(&format!("/v1/jobs?{query}&state=previewing"))
-            .await
-            .json_as(StatusCode::OK)
-            .await;
+        let page: JobPage =
+            farm.viewer.get(&format!("/v1/jobs?{query}&state=previewing")).await.parsed(StatusCode::OK).await;
         assert!(page.items.len() <= 2);
         seen.extend(page.items.iter().map(|job| job.id));
         match page.next_page_token {
@@ -362,10 +355,10 @@ async fn checking_a_job_says_what_it_would_be_and_keeps_nothing() {
         .submitter
         .post("/v1/jobs/check", &farm.job_request("0,5,9-12"))
         .await
-        .json_as(StatusCode::OK)
+        .parsed(StatusCode::OK)
         .await;
     assert_eq!((check.frames_total, check.settings.width, check.scene.name.as_str()), (6, 8, "quad"));
-    let page: JobPage = farm.viewer.get("/v1/jobs").await.json_as(StatusCode::OK).await;
+    let page: JobPage = farm.viewer.get("/v1/jobs").await.parsed(StatusCode::OK).await;
     assert!(page.items.is_empty());
 }
 
@@ -402,9 +395,9 @@ async fn a_good_bundle_is_kept_and_rendered_from_and_a_bad_one_leaves_nothing() 
     assert_eq!(files(""), 0, "nothing of the refused uploads is kept");
 
     let bundle: Value =
-        upload("application/zip", scene_zip()).await.unwrap().json_as(StatusCode::CREATED).await;
+        upload("application/zip", scene_zip()).await.unwrap().parsed(StatusCode::CREATED).await;
     let again: Value =
-        upload("application/zip", scene_zip()).await.unwrap().json_as(StatusCode::CREATED).await;
+        upload("application/zip", scene_zip()).await.unwrap().parsed(StatusCode::CREATED).await;
     assert_eq!(again, bundle);
     assert_eq!(
         (bundle["scene"]["name"].as_str(), bundle["scene"]["frames"].as_u64()),
@@ -415,7 +408,7 @@ async fn a_good_bundle_is_kept_and_rendered_from_and_a_bad_one_leaves_nothing() 
     assert_eq!(content.bytes().await.unwrap(), scene_zip());
 
     let request = json!({"name": "from a zip", "bundle": {"id": bundle["id"]}, "frames": "0"});
-    farm.submitter.post("/v1/jobs", &request).await.json_as::<Job>(StatusCode::CREATED).await;
+    farm.submitter.post("/v1/jobs", &request).await.parsed::<Job>(StatusCode::CREATED).await;
     let node = farm.node("a").await;
     let lease = farm.next_task(&node).await;
     assert_eq!(serde_json::to_value(lease.spec.bundle()).unwrap(), json!({"artifact": bundle["hash"]}));
@@ -441,7 +434,7 @@ async fn links_and_dots_do_not_lead_out_of_the_bundle_roots() {
     let problem = farm.submitter.post("/v1/jobs", &request).await.problem(ProblemKind::InvalidBundle).await;
     assert_eq!(problem.pointer.as_deref(), Some("/bundle/path"));
     request["bundle"] = json!({"path": scenes.join("quad/../quad")});
-    farm.submitter.post("/v1/jobs", &request).await.json_as::<Job>(StatusCode::CREATED).await;
+    farm.submitter.post("/v1/jobs", &request).await.parsed::<Job>(StatusCode::CREATED).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -482,7 +475,7 @@ async fn nodes_are_the_same_by_name_and_their_numbers_have_bounds() {
         .operator
         .request(Method::PATCH, &format!("/v1/nodes/{}", first.id))
         .json(&json!({"drain": true}));
-    let drained: Value = patch.send().await.unwrap().json_as(StatusCode::OK).await;
+    let drained: Value = patch.send().await.unwrap().parsed(StatusCode::OK).await;
     assert_eq!((&drained["drain"], &drained["price_per_hour"]), (&json!(true), &json!(3_600_000)));
 }
 
@@ -494,10 +487,10 @@ async fn what_an_operator_sets_on_a_node_holds_when_it_registers_again_until_nul
         farm.operator.request(Method::PATCH, &format!("/v1/nodes/{}", node.id)).json(&change).send()
     };
     let set: Node =
-        patch(json!({"speed": 4.0, "price_per_hour": 5})).await.unwrap().json_as(StatusCode::OK).await;
+        patch(json!({"speed": 4.0, "price_per_hour": 5})).await.unwrap().parsed(StatusCode::OK).await;
     assert_eq!((set.speed, set.speed_set, set.price_per_hour.0, set.price_set), (4.0, true, 5, true));
     assert_eq!(Node { last_seen_at: set.last_seen_at, ..farm.node("rack 3").await }, set);
-    let reset: Node = patch(json!({"speed": null})).await.unwrap().json_as(StatusCode::OK).await;
+    let reset: Node = patch(json!({"speed": null})).await.unwrap().parsed(StatusCode::OK).await;
     assert_eq!((reset.speed, reset.speed_set, reset.price_per_hour.0), (2.0, false, 5));
     for (change, pointer) in [
         (json!({"speed": 0.0}), "/speed"),

@@ -148,7 +148,7 @@ async fn a_cache_that_two_workers_make_while_one_dies_at_it_gives_the_images_of_
         "settings": {"width": 64, "height": 36, "spp": 1, "ambient_bounces": 2, "cache": "on", "cache_rays": 48},
         "samples": 100, "profile_frames": 2,
     });
-    let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
     assert_eq!(job.cache, CacheSharing::Auto);
 
     until("its first part", async || doomed.executor.began.load(Ordering::SeqCst)).await;
@@ -178,7 +178,7 @@ async fn a_cache_that_two_workers_make_while_one_dies_at_it_gives_the_images_of_
 
     // The quote has both prices, and what it said came to pass.
     let quote: ForecastDoc =
-        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.json_as(StatusCode::OK).await;
+        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
     let cache = quote.cache.unwrap();
     let (shared, private) = (cache.shared_price.unwrap(), cache.private_price);
     assert!(cache.shared && shared.work < private.work && shared.records < private.records, "{cache:?}");
@@ -188,7 +188,7 @@ async fn a_cache_that_two_workers_make_while_one_dies_at_it_gives_the_images_of_
     let off = |forecast: f64, actual: u64| (forecast / actual as f64 - 1.0).abs();
     assert!(off(line.work.mean, seed.work) < 0.12, "{line:?}, it took {}", seed.work);
     let page: FramePage =
-        farm.viewer.get(&format!("/v1/jobs/{}/frames", job.id)).await.json_as(StatusCode::OK).await;
+        farm.viewer.get(&format!("/v1/jobs/{}/frames", job.id)).await.parsed(StatusCode::OK).await;
     let stats: Vec<_> = page.items.iter().map(|row| row.actual.clone().unwrap()).collect();
     let frames_work: u64 = stats.iter().map(|stats| stats.work).sum();
     assert!(off(quote.total.work.mean, frames_work) < 0.1, "{:?}, it took {frames_work}", quote.total.work);
@@ -198,7 +198,7 @@ async fn a_cache_that_two_workers_make_while_one_dies_at_it_gives_the_images_of_
         assert_eq!((cache.shared_records, cache.dropped_records, cache.own_records), (records, 0, 0));
     }
     let plan: Plan =
-        farm.viewer.get(&format!("/v1/plans/{}", done.plan_id.unwrap())).await.json_as(StatusCode::OK).await;
+        farm.viewer.get(&format!("/v1/plans/{}", done.plan_id.unwrap())).await.parsed(StatusCode::OK).await;
     let last = plan.seeds.iter().map(|part| part.end).max().unwrap();
     assert_eq!(plan.seeds.len(), 2);
     assert_ne!(plan.seeds[0].node_id, plan.seeds[1].node_id, "parts are booked side by side");
@@ -252,6 +252,6 @@ async fn a_cache_can_only_be_shared_where_there_is_one() {
     request["cache"] = json!("sometimes");
     farm.submitter.post("/v1/jobs", &request).await.problem(ProblemKind::Invalid).await;
     request["cache"] = json!("private");
-    let job: Job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
     assert_eq!((job.cache, job.seed), (CacheSharing::Private, None));
 }

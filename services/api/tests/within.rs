@@ -14,11 +14,11 @@ async fn submit(farm: &Farm, within: Value) -> Job {
     let mut request = farm.job_request("0-3");
     request["within"] = within;
     request["confidence"] = json!("p95");
-    farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await
+    farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await
 }
 
 async fn quote(farm: &Farm, job: &Job) -> ForecastDoc {
-    farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.json_as(StatusCode::OK).await
+    farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await
 }
 
 #[tokio::test]
@@ -42,7 +42,7 @@ async fn the_most_samples_that_fit_are_chosen_said_and_rendered() {
     assert!(quoted.total.cpu_seconds.p95 > 0.9 * given, "{:?} in {given}", quoted.total.cpu_seconds);
     // What is worked out from the profile later speaks of the images that are rendered.
     let path = format!("/v1/jobs/{}/accuracy", job.id);
-    let ladders: AccuracyDoc = farm.viewer.get(&path).await.json_as(StatusCode::OK).await;
+    let ladders: AccuracyDoc = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
     let own = ladders.rungs.iter().find(|rung| rung.asked_for).unwrap();
     assert!((own.cpu_seconds.mean / quoted.total.cpu_seconds.mean - 1.0).abs() < 1e-9, "{own:?}");
     let lease = farm.claim_waiting(&node, 5000).await.unwrap();

@@ -13,13 +13,13 @@ use forelight_protocol::{
 use forelight_store::{token_hash, tokens};
 use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
-use support::{Answer, Client, Farm};
+use support::{Answer, Farm, Http, address};
 use uuid::Uuid;
 
 impl Farm {
     async fn order(&self, node: &Node, order: Value) -> Node {
         let patch = self.operator.request(Method::PATCH, &format!("/v1/nodes/{}", node.id));
-        patch.json(&order).send().await.unwrap().json_as(StatusCode::OK).await
+        patch.json(&order).send().await.unwrap().parsed(StatusCode::OK).await
     }
 
     async fn renew(&self, lease: &Lease, more: Value) -> Response {
@@ -41,13 +41,13 @@ async fn of_two_workers_of_one_name_the_later_has_the_node_and_the_earlier_is_to
     let [first, second] = [Uuid::now_v7(), Uuid::now_v7()];
     let register = async |worker: Option<Uuid>| -> Node {
         let node = json!({"name": "rack-7", "cores": 4, "worker": worker});
-        farm.worker.post("/v1/nodes", &node).await.json_as(StatusCode::CREATED).await
+        farm.worker.post("/v1/nodes", &node).await.parsed(StatusCode::CREATED).await
     };
     let node = register(Some(first)).await;
     let claim = async |worker: Option<Uuid>| {
         farm.worker.post("/v1/leases", &json!({"node_id": node.id, "worker": worker})).await
     };
-    let lease: Lease = claim(Some(first)).await.json_as(StatusCode::OK).await;
+    let lease: Lease = claim(Some(first)).await.parsed(StatusCode::OK).await;
     // It registers again, as when the service forgot it, and so does a process of a moment: nothing changes.
     for worker in [Some(first), None] {
         assert_eq!(register(worker).await.task_id, Some(lease.task_id));
@@ -55,11 +55,11 @@ async fn of_two_workers_of_one_name_the_later_has_the_node_and_the_earlier_is_to
     assert_eq!(claim(Some(first)).await.status(), StatusCode::NO_CONTENT);
     // The other one takes the task over at once.
     assert_eq!((register(Some(second)).await.id, register(None).await.task_id), (node.id, None));
-    let again: Lease = claim(Some(second)).await.json_as(StatusCode::OK).await;
+    let again: Lease = claim(Some(second)).await.parsed(StatusCode::OK).await;
     assert_eq!((again.task_id, again.fence), (lease.task_id, lease.fence + 1));
     let told = claim(Some(first)).await.problem(ProblemKind::Conflict).await;
     assert!(told.detail.contains("another worker has registered as \"rack-7\""), "{told:?}");
-    let renewal: Renewal = farm.renew(&lease, json!({})).await.json_as(StatusCode::OK).await;
+    let renewal: Renewal = farm.renew(&lease, json!({})).await.parsed(StatusCode::OK).await;
     assert_eq!(renewal.order, LeaseOrder::Stop);
 }
 
@@ -68,20 +68,20 @@ async fn a_machine_joins_with_a_one_time_token_and_then_speaks_for_itself_alone(
     let farm = Farm::new().await;
     let asked = json!({"name": "rack 7", "valid_hours": 1});
     let made: JoinToken =
-        farm.operator.post("/v1/join-tokens", &asked).await.json_as(StatusCode::CREATED).await;
-    let joining = Client::new(farm.service.local_addr(), Some(made.token.clone()));
+        farm.operator.post("/v1/join-tokens", &asked).await.parsed(StatusCode::CREATED).await;
+    let joining = Http::new(&address(&farm.service), Some(made.token.clone()));
     let own = tokens::random();
     let request = json!({"node": node("rack-7"), "token_hash": token_hash(&own)});
     // A one-time token is good for nothing else.
     joining.get("/v1/nodes").await.problem(ProblemKind::Unauthenticated).await;
-    let joined: Node = joining.post("/v1/nodes/join", &request).await.json_as(StatusCode::CREATED).await;
+    let joined: Node = joining.post("/v1/nodes/join", &request).await.parsed(StatusCode::CREATED).await;
     assert_eq!((joined.capabilities.memory_bytes, joined.state), (Some(1 << 30), NodeState::Idle));
-    let again: Node = joining.post("/v1/nodes/join", &request).await.json_as(StatusCode::CREATED).await;
+    let again: Node = joining.post("/v1/nodes/join", &request).await.parsed(StatusCode::CREATED).await;
     assert_eq!(again.id, joined.id);
     let thief = json!({"node": node("other"), "token_hash": token_hash(&tokens::random())});
     let used = joining.post("/v1/nodes/join", &thief).await.problem(ProblemKind::Conflict).await;
     assert!(used.detail.contains("was used at"), "{}", used.detail);
-    let stranger = Client::new(farm.service.local_addr(), Some(tokens::random()));
+    let stranger = Http::new(&address(&farm.service), Some(tokens::random()));
     let refused = stranger.post("/v1/nodes/join", &request).await;
     assert!(refused.headers()["www-authenticate"].to_str().unwrap().contains("invalid_token"));
     refused.problem(ProblemKind::Unauthenticated).await;
@@ -89,19 +89,19 @@ async fn a_machine_joins_with_a_one_time_token_and_then_speaks_for_itself_alone(
     let wrong = joining.post("/v1/nodes/join", &wrong).await.problem(ProblemKind::Invalid).await;
     assert_eq!(wrong.pointer.as_deref(), Some("/node/cores"));
 
-    let itself = Client::new(farm.service.local_addr(), Some(own));
+    let itself = Http::new(&address(&farm.service), Some(own));
     let other = farm.node("other").await;
     farm.submit("0").await;
     let claim = |node: &Node| json!({"node_id": node.id});
-    itself.post("/v1/nodes", &node("rack-7")).await.json_as::<Node>(StatusCode::CREATED).await;
+    itself.post("/v1/nodes", &node("rack-7")).await.parsed::<Node>(StatusCode::CREATED).await;
     itself.post("/v1/nodes", &node("other")).await.problem(ProblemKind::Forbidden).await;
     itself.post("/v1/leases", &claim(&other)).await.problem(ProblemKind::Forbidden).await;
-    let lease: Lease = farm.worker.post("/v1/leases", &claim(&other)).await.json_as(StatusCode::OK).await;
+    let lease: Lease = farm.worker.post("/v1/leases", &claim(&other)).await.parsed(StatusCode::OK).await;
     let release = format!("/v1/leases/{}/release", lease.lease_id);
     itself.post(&release, &json!({"fence": lease.fence})).await.problem(ProblemKind::Forbidden).await;
     let released = farm.worker.post(&release, &json!({"fence": lease.fence})).await;
     assert_eq!(released.status(), StatusCode::NO_CONTENT);
-    let lease: Lease = itself.post("/v1/leases", &claim(&joined)).await.json_as(StatusCode::OK).await;
+    let lease: Lease = itself.post("/v1/leases", &claim(&joined)).await.parsed(StatusCode::OK).await;
     let patch = itself.request(Method::PATCH, &format!("/v1/leases/{}", lease.lease_id));
     let renewed = patch.json(&json!({"fence": lease.fence})).send().await.unwrap();
     assert_eq!(renewed.status(), StatusCode::OK);
@@ -118,7 +118,7 @@ async fn orders_travel_with_the_heartbeat_and_are_seen_to_be_obeyed() {
     farm.submit("0").await;
     let lease = farm.next_task(&node).await;
     let ordered = async |order: Value| farm.order(&node, order).await.state;
-    let heard = async |more: Value| -> Value { farm.renew(&lease, more).await.json_as(StatusCode::OK).await };
+    let heard = async |more: Value| -> Value { farm.renew(&lease, more).await.parsed(StatusCode::OK).await };
     assert_eq!(ordered(json!({"pause": true})).await, NodeState::Pausing);
     assert_eq!(heard(json!({})).await["order"], "pause");
     assert_eq!(heard(json!({"paused": true})).await["order"], "pause");
@@ -136,7 +136,7 @@ async fn orders_travel_with_the_heartbeat_and_are_seen_to_be_obeyed() {
 async fn a_job_that_no_node_would_quote_says_why_it_waits() {
     let farm = Farm::new().await;
     let job = farm.submit("0").await;
-    let listed: JobPage = farm.viewer.get("/v1/jobs").await.json_as(StatusCode::OK).await;
+    let listed: JobPage = farm.viewer.get("/v1/jobs").await.parsed(StatusCode::OK).await;
     let told = farm.job(&job).await.waits;
     assert!(
         told.as_ref().is_some_and(|waits| waits.because.contains("no worker has registered")),
@@ -160,12 +160,12 @@ async fn without_room_no_task_is_handed_out_and_every_job_says_so() {
     assert_eq!(farm.nobody.get("/readyz").await.problem(ProblemKind::StorageFull).await.detail, lack);
     let told = farm.job(&job).await.waits.expect("a reason");
     assert_eq!((told.kind, told.because.contains("MiB of room are left")), (WaitKind::Room, true));
-    let listed: JobPage = farm.viewer.get("/v1/jobs").await.json_as(StatusCode::OK).await;
+    let listed: JobPage = farm.viewer.get("/v1/jobs").await.parsed(StatusCode::OK).await;
     assert_eq!(listed.items[0].waits.as_ref().map(|waits| waits.kind), Some(WaitKind::Room));
-    let shown: Dashboard = farm.viewer.get("/v1/dashboard").await.json_as(StatusCode::OK).await;
+    let shown: Dashboard = farm.viewer.get("/v1/dashboard").await.parsed(StatusCode::OK).await;
     assert_eq!(shown.jobs[0].waits.as_ref().map(|waits| waits.kind), Some(WaitKind::Room));
     let cancel = farm.submitter.post(&format!("/v1/jobs/{}/cancel", job.id), &json!({})).await;
-    cancel.json_as::<Job>(StatusCode::OK).await;
+    cancel.parsed::<Job>(StatusCode::OK).await;
     assert_eq!(farm.job(&job).await.waits, None);
 }
 
@@ -177,12 +177,12 @@ async fn what_workers_say_can_be_read_while_they_work_and_after_they_failed() {
     let lease = farm.next_task(&node).await;
     let line = |number: u32, text: &str| json!({"number": number, "at": Timestamp::now(), "level": "info", "text": text});
     let read = async || -> TaskLog {
-        farm.viewer.get(&format!("/v1/tasks/{}/log", lease.task_id)).await.json_as(StatusCode::OK).await
+        farm.viewer.get(&format!("/v1/tasks/{}/log", lease.task_id)).await.parsed(StatusCode::OK).await
     };
     assert!(read().await.lines.is_empty());
     farm.renew(&lease, json!({"log": [line(0, "bundle fetched")]}))
         .await
-        .json_as::<Renewal>(StatusCode::OK)
+        .parsed::<Renewal>(StatusCode::OK)
         .await;
     assert_eq!(read().await.lines[0].text, "bundle fetched");
     let end = json!({"fence": lease.fence, "error": {"message": "no"}, "log": [line(1, "the disk is full")]});
@@ -262,7 +262,7 @@ async fn a_clock_that_is_set_by_hours_costs_no_lease_and_holds_none() {
         // Four sweeps later the clock has been followed.
         tokio::time::sleep(Duration::from_millis(600)).await;
         assert!(farm.claim(&b).await.is_none(), "the lease was taken for one that ran out");
-        let renewal: Renewal = farm.renew(&lease, json!({})).await.json_as(StatusCode::OK).await;
+        let renewal: Renewal = farm.renew(&lease, json!({})).await.parsed(StatusCode::OK).await;
         assert_eq!(renewal.expires_at, clock.now().plus_micros(400_000));
     }
     clock.advance_micros(400_000);
@@ -274,17 +274,17 @@ async fn a_dear_node_leaves_booked_frames_to_the_cheap_one_says_why_and_helps_wh
     let farm = Farm::new().await;
     let register = async |name: &str, price: i64| -> Node {
         let node = json!({"name": name, "speed": 2.0, "price_per_hour": price, "cores": 2});
-        farm.worker.post("/v1/nodes", &node).await.json_as(StatusCode::CREATED).await
+        farm.worker.post("/v1/nodes", &node).await.parsed(StatusCode::CREATED).await
     };
     let cheap = register("cheap", 3_600_000).await;
     let dear = register("dear", 36_000_000).await;
     let mut request = farm.job_request("0-3");
     request["deadline"] = json!(Timestamp::now().plus_micros(3_600_000_000));
-    let job = farm.submitter.post("/v1/jobs", &request).await.json_as(StatusCode::CREATED).await;
+    let job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
     let job = farm.until_booked(&cheap, &job).await;
     assert_eq!(farm.claim_waiting(&dear, 300).await, None);
     let seen = async |node: &Node| -> Node {
-        farm.viewer.get(&format!("/v1/nodes/{}", node.id)).await.json_as(StatusCode::OK).await
+        farm.viewer.get(&format!("/v1/nodes/{}", node.id)).await.parsed(StatusCode::OK).await
     };
     let reason = seen(&dear).await.idle_reason.expect("frames wait");
     let said =

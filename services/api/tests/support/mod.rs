@@ -10,32 +10,30 @@ use forelight_api::{Config, Service};
 use forelight_protocol::{
     AccuracyDoc, AccuracyRung, AllottedStats, ArtifactHash, ByClass, FixedCosts, FrameStrata, ImageError,
     Job, JobState, LadderKind, Lease, MissingLadder, Node, NoiseCell, NoiseSample, PreviewBackend,
-    PreviewResult, Problem, ProblemKind, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec,
-    Profiled, Quantiles, Rays, RenderArtifacts, RenderResult, RenderStats, ResultAnswer, ResultRequest, Role,
-    Spent, SpentOnForecast, Stratum, StratumName, TaskKind, TaskResult, TaskSpec, Timestamp,
+    PreviewResult, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, Profiled, Quantiles, Rays,
+    RenderArtifacts, RenderResult, RenderStats, ResultAnswer, ResultRequest, Role, Spent, SpentOnForecast,
+    Stratum, StratumName, TaskKind, TaskResult, TaskSpec, Timestamp,
 };
 use forelight_store::tokens;
-use reqwest::{Method, RequestBuilder, Response, StatusCode};
-use serde::Serialize;
-use serde::de::DeserializeOwned;
+use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
 use tempfile::TempDir;
+
+#[path = "../../../../tests/support/events.rs"]
+pub mod events;
+#[path = "../../../../tests/support/http.rs"]
+pub mod http;
+
+pub use http::{Answer, Http};
 
 pub struct Farm {
     pub folder: TempDir,
     pub service: Service,
-    pub operator: Client,
-    pub submitter: Client,
-    pub worker: Client,
-    pub viewer: Client,
-    pub nobody: Client,
-}
-
-#[derive(Clone)]
-pub struct Client {
-    http: reqwest::Client,
-    address: SocketAddr,
-    token: Option<String>,
+    pub operator: Http,
+    pub submitter: Http,
+    pub worker: Http,
+    pub viewer: Http,
+    pub nobody: Http,
 }
 
 /// A quad of 8 × 8 pixels, 20 frames.
@@ -89,6 +87,11 @@ pub async fn start(config: &Config) -> Service {
     panic!("the data folder stays locked");
 }
 
+/// Where a service can be reached.
+pub fn address(service: &Service) -> String {
+    format!("http://{}", service.local_addr())
+}
+
 impl Farm {
     pub async fn new() -> Self {
         Self::with(|_| {}).await
@@ -103,10 +106,10 @@ impl Farm {
         let mut clients = Vec::new();
         for role in Role::ALL {
             let token = tokens::create(service.store(), role, role.name(), Timestamp::now()).await.unwrap();
-            clients.push(Client::new(service.local_addr(), Some(token)));
+            clients.push(Http::new(&address(&service), Some(token)));
         }
         let [submitter, worker, operator, viewer] = clients.try_into().ok().unwrap();
-        let nobody = Client::new(service.local_addr(), None);
+        let nobody = Http::new(&address(&service), None);
         Self { folder, service, operator, submitter, worker, viewer, nobody }
     }
 
@@ -115,15 +118,14 @@ impl Farm {
         let Self { folder, service, operator, submitter, worker, viewer, nobody } = self;
         drop(service);
         let service = start(&config(folder.path())).await;
-        let moved =
-            |client: Client| Client { address: service.local_addr(), http: reqwest::Client::new(), ..client };
+        let address = address(&service);
         Self {
             folder,
-            operator: moved(operator),
-            submitter: moved(submitter),
-            worker: moved(worker),
-            viewer: moved(viewer),
-            nobody: moved(nobody),
+            operator: operator.at(&address),
+            submitter: submitter.at(&address),
+            worker: worker.at(&address),
+            viewer: viewer.at(&address),
+            nobody: nobody.at(&address),
             service,
         }
     }
@@ -137,16 +139,16 @@ impl Farm {
     }
 
     pub async fn submit(&self, frames: &str) -> Job {
-        self.submitter.post("/v1/jobs", &self.job_request(frames)).await.json_as(StatusCode::CREATED).await
+        self.submitter.post("/v1/jobs", &self.job_request(frames)).await.parsed(StatusCode::CREATED).await
     }
 
     pub async fn node(&self, name: &str) -> Node {
         let registration = json!({"name": name, "speed": 2.0, "price_per_hour": 3_600_000, "cores": 2});
-        self.worker.post("/v1/nodes", &registration).await.json_as(StatusCode::CREATED).await
+        self.worker.post("/v1/nodes", &registration).await.parsed(StatusCode::CREATED).await
     }
 
     pub async fn job(&self, job: &Job) -> Job {
-        self.viewer.get(&format!("/v1/jobs/{}", job.id)).await.json_as(StatusCode::OK).await
+        self.viewer.get(&format!("/v1/jobs/{}", job.id)).await.parsed(StatusCode::OK).await
     }
 
     pub async fn claim(&self, node: &Node) -> Option<Lease> {
@@ -158,7 +160,7 @@ impl Farm {
         if response.status() == StatusCode::NO_CONTENT {
             return None;
         }
-        Some(response.json_as(StatusCode::OK).await)
+        Some(response.parsed(StatusCode::OK).await)
     }
 
     /// Claims, waiting for the conductor to have made the task.
@@ -180,7 +182,7 @@ impl Farm {
 
     pub async fn finish(&self, lease: &Lease) -> ResultAnswer {
         let result = self.made_up_result(lease).await;
-        self.report(lease, result).await.json_as(StatusCode::OK).await
+        self.report(lease, result).await.parsed(StatusCode::OK).await
     }
 
     /// Works until the job is over.
@@ -393,55 +395,4 @@ fn pixel_work(frame: u32) -> u64 {
 fn stratum() -> Stratum {
     let name = StratumName { object: "quad".to_owned(), material: "paint".to_owned() };
     Stratum { name, object: 0, material: 0, prior_cost: 1.0 }
-}
-
-impl Client {
-    pub fn new(address: SocketAddr, token: Option<String>) -> Self {
-        Self { http: reqwest::Client::new(), address, token }
-    }
-
-    pub fn request(&self, method: Method, path: &str) -> RequestBuilder {
-        let request = self.http.request(method, format!("http://{}{path}", self.address));
-        match &self.token {
-            Some(token) => request.bearer_auth(token),
-            None => request,
-        }
-    }
-
-    pub async fn get(&self, path: &str) -> Response {
-        self.request(Method::GET, path).send().await.unwrap()
-    }
-
-    pub async fn post(&self, path: &str, body: &impl Serialize) -> Response {
-        self.request(Method::POST, path).json(body).send().await.unwrap()
-    }
-}
-
-pub trait Answer {
-    #[allow(async_fn_in_trait, reason = "used in these tests alone")]
-    async fn json_as<T: DeserializeOwned>(self, status: StatusCode) -> T;
-    #[allow(async_fn_in_trait, reason = "used in these tests alone")]
-    async fn problem(self, kind: ProblemKind) -> Problem;
-}
-
-impl Answer for Response {
-    async fn json_as<T: DeserializeOwned>(self, status: StatusCode) -> T {
-        let (url, got) = (self.url().clone(), self.status());
-        let text = self.text().await.unwrap();
-        assert_eq!(got, status, "{url}: {text}");
-        serde_json::from_str(&text).unwrap_or_else(|error| panic!("{url}: {error}: {text}"))
-    }
-
-    async fn problem(self, kind: ProblemKind) -> Problem {
-        let (url, status) = (self.url().clone(), self.status());
-        let media_type = self.headers().get("content-type").map(|value| value.to_str().unwrap().to_owned());
-        let text = self.text().await.unwrap();
-        assert_eq!(media_type.as_deref(), Some("application/problem+json"), "{url}: {status} {text}");
-        let problem: Problem = serde_json::from_str(&text).unwrap();
-        assert_eq!(problem.known_kind(), Some(kind), "{url}: {text}");
-        assert_eq!((problem.status, status.as_u16()), (kind.status(), kind.status()), "{url}");
-        assert_eq!(problem.instance.as_deref(), Some(url.path()));
-        assert!(!problem.detail.is_empty() && !problem.detail.contains('\n'), "{text}");
-        problem
-    }
 }
