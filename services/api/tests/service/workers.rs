@@ -1,10 +1,9 @@
 //! Workers that join, take orders and say what they do.
 
-mod support;
-
 use std::sync::Arc;
 use std::time::Duration;
 
+use crate::support::{Answer, Farm, Http, address};
 use forelight_api::{Clock as _, ManualClock};
 use forelight_protocol::{
     Dashboard, Job, JobPage, JoinToken, Lease, LeaseOrder, Node, NodeState, ProblemKind, Renewal, TaskLog,
@@ -13,15 +12,9 @@ use forelight_protocol::{
 use forelight_store::{token_hash, tokens};
 use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
-use support::{Answer, Farm, Http, address};
 use uuid::Uuid;
 
 impl Farm {
-    async fn order(&self, node: &Node, order: Value) -> Node {
-        let patch = self.operator.request(Method::PATCH, &format!("/v1/nodes/{}", node.id));
-        patch.json(&order).send().await.unwrap().parsed(StatusCode::OK).await
-    }
-
     async fn renew(&self, lease: &Lease, more: Value) -> Response {
         let mut body = json!({"fence": lease.fence, "progress": 0.5});
         body.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());

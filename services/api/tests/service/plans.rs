@@ -1,10 +1,9 @@
 //! Plans that are mended, what is said of promises and of waiting, answers, and nodes that sleep.
 
-mod support;
-
 use std::sync::Arc;
 use std::time::Duration;
 
+use crate::support::{Answer, Farm};
 use forelight_api::{Clock as _, ManualClock};
 use forelight_protocol::{
     AnswersDoc, Dashboard, Event, EventKind, Job, JobState, Lease, Node, Plan, PlanChange, PlanDifference,
@@ -13,17 +12,11 @@ use forelight_protocol::{
 };
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
-use support::{Answer, Farm};
 
 const SECOND: i64 = 1_000_000;
 const HOUR: i64 = 3600 * SECOND;
 
 impl Farm {
-    async fn order(&self, node: &Node, order: Value) -> Node {
-        let patch = self.operator.request(Method::PATCH, &format!("/v1/nodes/{}", node.id));
-        patch.json(&order).send().await.unwrap().parsed(StatusCode::OK).await
-    }
-
     async fn asked(&self, change: impl FnOnce(&mut Value), frames: &str) -> Job {
         let mut request = self.job_request(frames);
         change(&mut request);

@@ -1,16 +1,46 @@
 //! The life of a job, from its submission to its last picture, and what survives a service that dies.
 
-mod support;
-
 use std::time::Duration;
 
+use crate::support::{Answer, Farm};
 use forelight_protocol::{
-    ArtifactHash, Booking, BookingPage, CacheSample, Dashboard, ForecastDoc, FramePage, FrameState, Job,
-    JobState, Plan, ProblemKind, TaskKind, TaskResult, TrackRecord, Verdict,
+    Booking, BookingPage, Dashboard, ForecastDoc, FramePage, FrameState, Job, JobState, Plan, ProblemKind,
+    TaskKind, TrackRecord, Verdict,
 };
 use reqwest::StatusCode;
 use serde_json::json;
-use support::{Answer, Farm};
+
+/// The job's quote is near what its frames will cost, and rests on these frames.
+async fn assert_quoted(farm: &Farm, job: &Job, profiled: &[u32]) {
+    let forecast: ForecastDoc =
+        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
+    assert_eq!(
+        (forecast.frames.len(), &forecast.profiled.frames[..], forecast.profiled.pixels),
+        (10, profiled, 32)
+    );
+    let truth: f64 = (0..10).map(|frame| f64::from(48 * (1000 + 10 * frame) + 165)).sum();
+    let error = forecast.total.work.mean / truth - 1.0;
+    assert!(error.abs() < 0.05, "the total is off by {error}");
+    let total = forecast.total.work;
+    assert!(total.p50 <= total.p80 && total.p80 <= total.p95);
+    assert!(forecast.cost.unwrap().p95 >= forecast.cost.unwrap().p50);
+}
+
+/// Pictures are served with a tag, and one whose file is gone is reported as lost.
+async fn assert_pictures(farm: &Farm, job: &Job) {
+    let image = farm.viewer.get(&format!("/v1/jobs/{}/frames/7/image.exr", job.id)).await;
+    assert_eq!(image.headers()["content-type"], "image/x-exr");
+    let tag = image.headers()["etag"].clone();
+    assert_eq!(image.bytes().await.unwrap(), &b"image 7"[..]);
+    let again = farm.viewer.request(reqwest::Method::GET, &format!("/v1/jobs/{}/frames/7/image.exr", job.id));
+    assert_eq!(again.header("if-none-match", tag).send().await.unwrap().status(), StatusCode::NOT_MODIFIED);
+    let name = blake3::hash(b"image 6").to_hex().to_string();
+    let kept = farm.folder.path().join("data/artifacts/blake3").join(&name[..2]).join(&name);
+    std::fs::remove_file(kept).unwrap();
+    let path = format!("/v1/jobs/{}/frames/6/image.exr", job.id);
+    let lost = farm.viewer.get(&path).await.problem(ProblemKind::ArtifactLost).await;
+    assert!(lost.detail.contains(&format!("{name}: its file is not there; bring it back")), "{lost:?}");
+}
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_job_is_previewed_profiled_forecast_booked_rendered_and_done() {
@@ -43,19 +73,7 @@ async fn a_job_is_previewed_profiled_forecast_booked_rendered_and_done() {
     assert_eq!(farm.job(&job).await.state, JobState::Rendering);
     profiled.sort_unstable();
 
-    let forecast: ForecastDoc =
-        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
-    assert_eq!(
-        (forecast.frames.len(), &forecast.profiled.frames, forecast.profiled.pixels),
-        (10, &profiled, 32)
-    );
-    let truth: f64 = (0..10).map(|frame| f64::from(48 * (1000 + 10 * frame) + 165)).sum();
-    let error = forecast.total.work.mean / truth - 1.0;
-    assert!(error.abs() < 0.05, "the total is off by {error}");
-    let total = forecast.total.work;
-    assert!(total.p50 <= total.p80 && total.p80 <= total.p95);
-    assert!(forecast.cost.unwrap().p95 >= forecast.cost.unwrap().p50);
-
+    assert_quoted(&farm, &job, &profiled).await;
     let booked = farm.job(&job).await;
     let verdict = booked.verdict.unwrap();
     assert_eq!(verdict.verdict, Verdict::OnTime, "{:?}", verdict.reasons);
@@ -86,19 +104,7 @@ async fn a_job_is_previewed_profiled_forecast_booked_rendered_and_done() {
     }
     let open: BookingPage = farm.viewer.get("/v1/bookings").await.parsed(StatusCode::OK).await;
     assert!(open.items.is_empty(), "the job is done: {:?}", open.items);
-    let image = farm.viewer.get(&format!("/v1/jobs/{}/frames/7/image.exr", job.id)).await;
-    assert_eq!(image.headers()["content-type"], "image/x-exr");
-    let tag = image.headers()["etag"].clone();
-    assert_eq!(image.bytes().await.unwrap(), &b"image 7"[..]);
-    let again = farm.viewer.request(reqwest::Method::GET, &format!("/v1/jobs/{}/frames/7/image.exr", job.id));
-    assert_eq!(again.header("if-none-match", tag).send().await.unwrap().status(), StatusCode::NOT_MODIFIED);
-    let name = blake3::hash(b"image 6").to_hex().to_string();
-    let kept = farm.folder.path().join("data/artifacts/blake3").join(&name[..2]).join(&name);
-    std::fs::remove_file(kept).unwrap();
-    let path = format!("/v1/jobs/{}/frames/6/image.exr", job.id);
-    let lost = farm.viewer.get(&path).await.problem(ProblemKind::ArtifactLost).await;
-    assert!(lost.detail.contains(&format!("{name}: its file is not there; bring it back")), "{lost:?}");
-
+    assert_pictures(&farm, &job).await;
     let record: TrackRecord =
         farm.viewer.get("/v1/forecasts/track-record?page_size=3").await.parsed(StatusCode::OK).await;
     assert_eq!((record.frames, record.items.len(), record.next_page_token.is_some()), (10, 3, true));
@@ -271,88 +277,4 @@ async fn a_cancelled_job_stops_its_workers_and_is_not_booked() {
     let renewal: serde_json::Value = renewal.parsed(StatusCode::OK).await;
     assert_eq!(renewal["order"], "stop");
     assert!(farm.claim(&node).await.is_none());
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_result_that_does_not_fit_its_task_is_refused_with_the_place_and_the_lease_stays() {
-    let farm = Farm::new().await;
-    let node = farm.node("a").await;
-    farm.submit("0-3").await;
-    let lease = farm.next_task(&node).await;
-    let good = farm.made_up_result(&lease).await;
-    let TaskResult::Preview(preview) = &good else { panic!("{good:?}") };
-    let mut cases = Vec::new();
-    let mut few = preview.clone();
-    few.frames.pop();
-    cases.push((few, "/result/preview/frames"));
-    let mut other = preview.clone();
-    other.frames[2].frame = 19;
-    cases.push((other, "/result/preview/frames/2/frame"));
-    let mut short = preview.clone();
-    short.frames[1].pixels.clear();
-    cases.push((short, "/result/preview/frames/1/pixels"));
-    let mut many = preview.clone();
-    many.frames[3].background += 1;
-    cases.push((many, "/result/preview/frames/3/pixels"));
-    let mut twice = preview.clone();
-    twice.strata.push(twice.strata[0].clone());
-    cases.push((twice, "/result/preview/strata/1"));
-    for prior_cost in [0.0, -1.0, 1.1e6, f64::MIN_POSITIVE / -2.0] {
-        let mut priced = preview.clone();
-        priced.strata[0].prior_cost = prior_cost;
-        cases.push((priced, "/result/preview/strata/0/prior_cost"));
-        let mut empty = preview.clone();
-        empty.background_prior_cost = prior_cost;
-        cases.push((empty, "/result/preview/background_prior_cost"));
-    }
-    let mut cached = preview.clone();
-    cached.frames[1].cache_records = vec![100];
-    cases.push((cached, "/result/preview/frames/1/cache_records"));
-    let mut dear = preview.clone();
-    dear.record_prior_cost = Some(0.0);
-    cases.push((dear, "/result/preview/record_prior_cost"));
-    let mut nothing = preview.clone();
-    nothing.strata[0].object = u32::MAX;
-    cases.push((nothing, "/result/preview/strata/0/object"));
-    for (bad, pointer) in cases {
-        let problem = farm
-            .report(&lease, TaskResult::Preview(bad))
-            .await
-            .problem(forelight_protocol::ProblemKind::Invalid)
-            .await;
-        assert_eq!(problem.pointer.as_deref(), Some(pointer));
-    }
-    assert!(!farm.finish(&lease).await.duplicate);
-    let profile = farm.next_task(&node).await;
-    let TaskResult::Profile(good) = farm.made_up_result(&profile).await else { panic!() };
-    let mut missing = good.clone();
-    missing.artifacts.profile = ArtifactHash([9; 32]);
-    let problem = farm
-        .report(&profile, TaskResult::Profile(missing))
-        .await
-        .problem(forelight_protocol::ProblemKind::MissingArtifact)
-        .await;
-    assert!(problem.detail.contains("0909"), "{}", problem.detail);
-    let mut stray = good.clone();
-    stray.samples[5].pixel = 64;
-    let mut gathered = good.clone();
-    gathered.cache_samples = vec![CacheSample { level: 0, own: false, work: 1, cpu_nanos: 1, rays: [0; 7] }];
-    let mut endless = good.clone();
-    endless.fixed.plan.work = u64::MAX;
-    let mut short = good.clone();
-    short.samples[2].work_by_ray[0] -= 1;
-    let mut wordy = good;
-    wordy.effects = vec!["x".repeat(101)];
-    for (bad, pointer) in [
-        (stray, "/result/profile/samples/5/pixel"),
-        (gathered, "/result/profile/cache_samples/0/level"),
-        (endless, "/result/profile/fixed/plan"),
-        (short, "/result/profile/samples/2/work_by_ray"),
-        (wordy, "/result/profile/effects"),
-    ] {
-        let answer = farm.report(&profile, TaskResult::Profile(bad)).await;
-        let problem = answer.problem(forelight_protocol::ProblemKind::Invalid).await;
-        assert_eq!(problem.pointer.as_deref(), Some(pointer));
-    }
-    assert!(!farm.finish(&profile).await.duplicate);
 }

@@ -1,14 +1,13 @@
 //! What accuracy costs in time, of a job.
 
-mod support;
-
+use crate::support::made_up::made_up_times;
+use crate::support::{Answer, Farm};
 use forelight_protocol::{
     AccuracyDoc, AnswersDoc, CacheMode, CacheSample, ForecastDoc, Integrator, Job, LadderKind, Ladders, Node,
     PlanChange, ProblemKind, ProfileResult, RenderSettings, TaskKind, TaskResult, TaskSpec, Timestamp,
 };
 use reqwest::StatusCode;
 use serde_json::json;
-use support::{Answer, Farm, made_up_times};
 
 async fn document(farm: &Farm, job: &Job) -> AccuracyDoc {
     farm.viewer.get(&format!("/v1/jobs/{}/accuracy", job.id)).await.parsed(StatusCode::OK).await

@@ -12,8 +12,9 @@ use exr::prelude::{FlatSamples, ReadChannels as _, ReadLayers as _};
 use forelight_client::{Client, Token};
 use forelight_preview::Choice;
 use forelight_protocol::{
-    ArtifactHash, CacheSharing, Event, EventKind, ForecastDoc, FramePage, Job, JobState, NodeRegistration,
-    Plan, ProblemKind, RenderSpec, Role, TaskKind, TaskResult, TaskSpec, Timestamp,
+    ArtifactHash, CacheSharing, Event, EventKind, ForecastDoc, FramePage, FrameRow, Job, JobState,
+    NodeRegistration, Plan, ProblemKind, RenderSpec, Role, SeedForecast, TaskKind, TaskResult, TaskSpec,
+    Timestamp,
 };
 use forelight_store::tokens;
 use forelight_worker::{
@@ -61,7 +62,7 @@ struct Worker {
 impl Worker {
     async fn new(farm: &Farm, name: &str, mortal: bool) -> Self {
         let token = tokens::create(farm.service.store(), Role::Worker, name, Timestamp::now()).await.unwrap();
-        let address = format!("http://{}", farm.service.local_addr());
+        let address = support::address(&farm.service);
         let client = Client::new(&address, Some(Token::new(&token))).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let library = Arc::new(Library::new(folder.path(), Box::new(Ambient::new(Choice::Cpu))).unwrap());
@@ -134,6 +135,61 @@ async fn until(what: &str, mut done: impl AsyncFnMut() -> bool) {
     }
 }
 
+/// The shared cache's line of a quote, which has the prices of both ways and takes the cheaper one.
+fn quoted_cache(quote: &ForecastDoc) -> SeedForecast {
+    let cache = quote.cache.clone().unwrap();
+    let (shared, private) = (cache.shared_price.unwrap(), cache.private_price);
+    assert!(cache.shared && shared.work < private.work && shared.records < private.records, "{cache:?}");
+    assert!(shared.cost.unwrap() < private.cost.unwrap() && cache.reason.contains("less work"), "{cache:?}");
+    let line = cache.seed.unwrap();
+    assert_eq!(line.parts, 2);
+    line
+}
+
+/// One process that fills the cache into one file renders the same images at the same cost.
+async fn assert_offline_images_are_the_same(
+    farm: &Farm,
+    job: &Job,
+    frames: &[FrameRow],
+    runner: &TaskRunner,
+) {
+    let shot = Ambient::new(Choice::Cpu).open(&scenes().join("corridor")).unwrap();
+    let never = AtomicBool::new(false);
+    let planned = shot.plan_cache(&[0, 12, 24], &job.settings, &|_| (), &never).unwrap().unwrap();
+    let filled = shot.fill_cache(planned, &job.settings, (0, 1), &|_, _| (), &never).unwrap().unwrap();
+    let file = filled.to_bytes();
+    let name = ArtifactHash(*blake3::hash(&file).as_bytes());
+    for row in frames {
+        let spec = RenderSpec {
+            job_id: job.id,
+            bundle: forelight_protocol::BundleSource::Path(scenes().join("corridor").display().to_string()),
+            digest: job.scene.digest,
+            frame: row.frame,
+            settings: job.settings.clone(),
+            work: None,
+            profile: None,
+            cache: Some(name),
+        };
+        let assignment = Assignment {
+            spec: TaskSpec::Render(spec),
+            bundle: scenes().join("corridor"),
+            profile: None,
+            caches: vec![file.clone().into()],
+            checkpoint: None,
+        };
+        let outcome = runner.execute(&assignment, &Control::default()).unwrap();
+        let TaskResult::Render(offline) = outcome.result else { panic!() };
+        let made = farm.viewer.get(&format!("/v1/jobs/{}/frames/{}/image.exr", job.id, row.frame)).await;
+        let made = made.bytes().await.unwrap();
+        let offline_image = outcome
+            .artifacts
+            .iter()
+            .find(|file| ArtifactHash(*blake3::hash(file).as_bytes()) == offline.artifacts.image_exr);
+        assert!(channels(&made) == channels(offline_image.unwrap()), "frame {}", row.frame);
+        assert_eq!(offline.stats.work, row.actual.as_ref().unwrap().work);
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_cache_that_two_workers_make_while_one_dies_at_it_gives_the_images_of_one_that_is_made_offline() {
     let farm = Farm::with(|config| {
@@ -179,12 +235,7 @@ async fn a_cache_that_two_workers_make_while_one_dies_at_it_gives_the_images_of_
     // The quote has both prices, and what it said came to pass.
     let quote: ForecastDoc =
         farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
-    let cache = quote.cache.unwrap();
-    let (shared, private) = (cache.shared_price.unwrap(), cache.private_price);
-    assert!(cache.shared && shared.work < private.work && shared.records < private.records, "{cache:?}");
-    assert!(shared.cost.unwrap() < private.cost.unwrap() && cache.reason.contains("less work"), "{cache:?}");
-    let line = cache.seed.unwrap();
-    assert_eq!(line.parts, 2);
+    let line = quoted_cache(&quote);
     let off = |forecast: f64, actual: u64| (forecast / actual as f64 - 1.0).abs();
     assert!(off(line.work.mean, seed.work) < 0.12, "{line:?}, it took {}", seed.work);
     let page: FramePage =
@@ -204,42 +255,7 @@ async fn a_cache_that_two_workers_make_while_one_dies_at_it_gives_the_images_of_
     assert_ne!(plan.seeds[0].node_id, plan.seeds[1].node_id, "parts are booked side by side");
     assert!(plan.bookings.iter().all(|booking| booking.start >= last), "{plan:?}");
 
-    // One process, one file.
-    let shot = Ambient::new(Choice::Cpu).open(&scenes().join("corridor")).unwrap();
-    let never = AtomicBool::new(false);
-    let planned = shot.plan_cache(&[0, 12, 24], &job.settings, &|_| (), &never).unwrap().unwrap();
-    let filled = shot.fill_cache(planned, &job.settings, (0, 1), &|_, _| (), &never).unwrap().unwrap();
-    let file = filled.to_bytes();
-    let name = ArtifactHash(*blake3::hash(&file).as_bytes());
-    for row in &page.items {
-        let spec = RenderSpec {
-            job_id: job.id,
-            bundle: forelight_protocol::BundleSource::Path(scenes().join("corridor").display().to_string()),
-            digest: job.scene.digest,
-            frame: row.frame,
-            settings: job.settings.clone(),
-            work: None,
-            profile: None,
-            cache: Some(name),
-        };
-        let assignment = Assignment {
-            spec: TaskSpec::Render(spec),
-            bundle: scenes().join("corridor"),
-            profile: None,
-            caches: vec![file.clone().into()],
-            checkpoint: None,
-        };
-        let outcome = other.executor.runner.execute(&assignment, &Control::default()).unwrap();
-        let TaskResult::Render(offline) = outcome.result else { panic!() };
-        let made = farm.viewer.get(&format!("/v1/jobs/{}/frames/{}/image.exr", job.id, row.frame)).await;
-        let made = made.bytes().await.unwrap();
-        let offline_image = outcome
-            .artifacts
-            .iter()
-            .find(|file| ArtifactHash(*blake3::hash(file).as_bytes()) == offline.artifacts.image_exr);
-        assert!(channels(&made) == channels(offline_image.unwrap()), "frame {}", row.frame);
-        assert_eq!(offline.stats.work, row.actual.as_ref().unwrap().work);
-    }
+    assert_offline_images_are_the_same(&farm, &job, &page.items, &other.executor.runner).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,10 +1,9 @@
 //! Budgets, the ledger behind them, and forecasts of nights.
 
-mod support;
-
 use std::sync::Arc;
 use std::time::Duration;
 
+use crate::support::{Answer, Farm};
 use forelight_api::{Clock as _, ManualClock};
 use forelight_protocol::{
     AnswersDoc, Budget, BudgetAction, BudgetForecast, BudgetList, Job, JobState, Lease, LeaseOrder, Money,
@@ -12,7 +11,6 @@ use forelight_protocol::{
 };
 use reqwest::StatusCode;
 use serde_json::{Value, json};
-use support::{Answer, Farm};
 
 /// A farm whose clock stands at six in the evening.
 async fn farm() -> (Farm, Arc<ManualClock>) {

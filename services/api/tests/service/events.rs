@@ -1,12 +1,10 @@
 //! Server-sent events.
 
-mod support;
-
+use crate::support::events::Events;
+use crate::support::{Answer, Farm, Http};
 use forelight_protocol::{EventKind, JobState};
 use reqwest::{Method, StatusCode};
 use std::time::Duration;
-use support::events::Events;
-use support::{Answer, Farm, Http};
 
 /// How long a stream may be silent.
 const PATIENCE: Duration = Duration::from_secs(60);

@@ -1,19 +1,16 @@
 //! What the service says to requests that it does not like, to repeated ones, and to those of the wrong people.
 
-mod support;
-
 use std::time::Duration;
 
-use forelight_protocol::{Job, JobCheck, JobPage, Lease, Node, Problem, ProblemKind};
+use crate::support::{Answer, Farm, Http, address};
+use forelight_protocol::{Job, JobCheck, JobPage, Lease, Problem, ProblemKind};
 use reqwest::header::CONTENT_TYPE;
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
-use support::{Answer, Farm, scene_zip};
 
-#[tokio::test(flavor = "multi_thread")]
-async fn every_malformed_job_is_told_which_field_is_wrong_and_nothing_is_kept() {
-    let farm = Farm::new().await;
-    let good = farm.job_request("0-3");
+/// Variants of a good job request, with the field that is wrong in each and what is said of it; no text where the variant is
+/// good too.
+fn job_requests(good: &Value) -> Vec<(Value, &'static str, &'static str)> {
     let with = |pointer: &str, value: Value| {
         let mut request = good.clone();
         let (parent, key) = pointer.rsplit_once('/').unwrap();
@@ -30,7 +27,7 @@ async fn every_malformed_job_is_told_which_field_is_wrong_and_nothing_is_kept() 
         request
     };
     let together = |settings: Value| with("/settings", settings);
-    let cases = [
+    vec![
         (with("/name", json!("")), "/name", "1 to 200"),
         (with("/name", json!("a\u{7}")), "/name", "control"),
         (with("/name", json!("x".repeat(201))), "/name", "1 to 200"),
@@ -80,8 +77,13 @@ async fn every_malformed_job_is_told_which_field_is_wrong_and_nothing_is_kept() 
         (together(json!({"cache": "on", "integrator": "path"})), "/settings/cache", "`path`"),
         (together(json!({"cache": "on", "cache_accuracy": 100, "cache_rays": 192})), "", ""),
         (together(json!({"integrator": "path", "ambient_bounces": 65536})), "", ""),
-    ];
-    for (request, pointer, text) in cases {
+    ]
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_malformed_job_is_told_which_field_is_wrong_and_nothing_is_kept() {
+    let farm = Farm::new().await;
+    for (request, pointer, text) in job_requests(&farm.job_request("0-3")) {
         for path in ["/v1/jobs/check", "/v1/jobs"] {
             let response = farm.submitter.post(path, &request).await;
             if text.is_empty() {
@@ -238,7 +240,7 @@ async fn every_role_may_do_what_it_is_for_and_nothing_else() {
             );
         }
     }
-    let stranger = support::Http::new(&support::address(&farm.service), Some("forelight_0000".into()));
+    let stranger = Http::new(&address(&farm.service), Some("forelight_0000".into()));
     let refused = stranger.get("/v1/jobs").await;
     assert!(refused.headers()["www-authenticate"].to_str().unwrap().contains("invalid_token"));
     refused.problem(ProblemKind::Unauthenticated).await;
@@ -250,7 +252,7 @@ async fn every_role_may_do_what_it_is_for_and_nothing_else() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_repeated_submission_is_one_job_and_a_reused_key_is_refused() {
     let farm = Farm::new().await;
-    let submit = |client: &support::Http, key: &str, body: Value| {
+    let submit = |client: &Http, key: &str, body: Value| {
         client.request(Method::POST, "/v1/jobs").header("Idempotency-Key", key).json(&body).send()
     };
     let first: Job = submit(&farm.submitter, "k", farm.job_request("0-3"))
@@ -360,145 +362,4 @@ async fn checking_a_job_says_what_it_would_be_and_keeps_nothing() {
     assert_eq!((check.frames_total, check.settings.width, check.scene.name.as_str()), (6, 8, "quad"));
     let page: JobPage = farm.viewer.get("/v1/jobs").await.parsed(StatusCode::OK).await;
     assert!(page.items.is_empty());
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_good_bundle_is_kept_and_rendered_from_and_a_bad_one_leaves_nothing() {
-    let farm = Farm::with(|config| config.limits.bundle_bytes = 100_000).await;
-    let upload = |content_type: &'static str, body: Vec<u8>| {
-        let request = farm.submitter.request(Method::POST, "/v1/bundles").header("Idempotency-Key", "u");
-        request.header(CONTENT_TYPE, content_type).body(body).send()
-    };
-    let problem = upload("application/zip", b"not a zip".to_vec())
-        .await
-        .unwrap()
-        .problem(ProblemKind::InvalidBundle)
-        .await;
-    assert!(
-        problem.detail.contains("bundle.zip") && !problem.detail.contains("staging"),
-        "{}",
-        problem.detail
-    );
-    upload("application/zip", vec![0; 100_001]).await.unwrap().problem(ProblemKind::TooLarge).await;
-    upload("text/html", scene_zip()).await.unwrap().problem(ProblemKind::UnsupportedMediaType).await;
-    let files = |folder: &str| {
-        let mut count = 0;
-        let mut folders = vec![farm.folder.path().join("data/artifacts").join(folder)];
-        while let Some(folder) = folders.pop() {
-            let Ok(entries) = std::fs::read_dir(folder) else { continue };
-            for entry in entries.flatten() {
-                if entry.path().is_dir() { folders.push(entry.path()) } else { count += 1 }
-            }
-        }
-        count
-    };
-    assert_eq!(files(""), 0, "nothing of the refused uploads is kept");
-
-    let bundle: Value =
-        upload("application/zip", scene_zip()).await.unwrap().parsed(StatusCode::CREATED).await;
-    let again: Value =
-        upload("application/zip", scene_zip()).await.unwrap().parsed(StatusCode::CREATED).await;
-    assert_eq!(again, bundle);
-    assert_eq!(
-        (bundle["scene"]["name"].as_str(), bundle["scene"]["frames"].as_u64()),
-        (Some("quad"), Some(20))
-    );
-    assert_eq!((files("blake3"), files("staging")), (1, 0));
-    let content = farm.worker.get(&format!("/v1/artifacts/{}", bundle["hash"].as_str().unwrap())).await;
-    assert_eq!(content.bytes().await.unwrap(), scene_zip());
-
-    let request = json!({"name": "from a zip", "bundle": {"id": bundle["id"]}, "frames": "0"});
-    farm.submitter.post("/v1/jobs", &request).await.parsed::<Job>(StatusCode::CREATED).await;
-    let node = farm.node("a").await;
-    let lease = farm.next_task(&node).await;
-    assert_eq!(serde_json::to_value(lease.spec.bundle()).unwrap(), json!({"artifact": bundle["hash"]}));
-}
-
-#[cfg(unix)]
-#[tokio::test(flavor = "multi_thread")]
-async fn links_and_dots_do_not_lead_out_of_the_bundle_roots() {
-    let farm = Farm::new().await;
-    let outside = farm.folder.path().join("secret");
-    support::write_scene(&outside);
-    let scenes = farm.folder.path().join("scenes");
-    std::os::unix::fs::symlink(&outside, scenes.join("link")).unwrap();
-    std::fs::write(scenes.join("broken.zip"), "not a zip").unwrap();
-    for path in [scenes.join("link"), scenes.join("../secret"), outside, scenes.join("missing")] {
-        let mut request = farm.job_request("0");
-        request["bundle"] = json!({"path": path});
-        let problem = farm.submitter.post("/v1/jobs", &request).await.problem(ProblemKind::Invalid).await;
-        assert_eq!(problem.detail, "there is no such bundle under the service's bundle roots");
-    }
-    let mut request = farm.job_request("0");
-    request["bundle"] = json!({"path": scenes.join("broken.zip")});
-    let problem = farm.submitter.post("/v1/jobs", &request).await.problem(ProblemKind::InvalidBundle).await;
-    assert_eq!(problem.pointer.as_deref(), Some("/bundle/path"));
-    request["bundle"] = json!({"path": scenes.join("quad/../quad")});
-    farm.submitter.post("/v1/jobs", &request).await.parsed::<Job>(StatusCode::CREATED).await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn an_artefact_under_a_wrong_name_is_refused() {
-    let farm = Farm::with(|config| config.limits.artifact_bytes = 1000).await;
-    let put = |hash: String, body: Vec<u8>| {
-        farm.worker.request(Method::PUT, &format!("/v1/artifacts/{hash}")).body(body).send()
-    };
-    let wrong = put("1".repeat(64), b"content".to_vec()).await.unwrap();
-    wrong.problem(ProblemKind::HashMismatch).await;
-    let hash = blake3::hash(b"content").to_hex().to_string();
-    assert_eq!(put(hash.clone(), b"content".to_vec()).await.unwrap().status(), StatusCode::CREATED);
-    assert_eq!(put(hash.clone(), b"content".to_vec()).await.unwrap().status(), StatusCode::OK);
-    let long = vec![7; 1001];
-    put(blake3::hash(&long).to_hex().to_string(), long).await.unwrap().problem(ProblemKind::TooLarge).await;
-    let head = farm.viewer.request(Method::HEAD, &format!("/v1/artifacts/{hash}")).send().await.unwrap();
-    assert_eq!((head.status(), head.headers()["content-length"].to_str().unwrap()), (StatusCode::OK, "7"));
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn nodes_are_the_same_by_name_and_their_numbers_have_bounds() {
-    let farm = Farm::new().await;
-    let first = farm.node("rack 3").await;
-    let again = farm.node("rack 3").await;
-    assert_eq!(again.id, first.id);
-    for (body, pointer) in [
-        (json!({"name": ""}), "/name"),
-        (json!({"name": "a", "speed": 0.0}), "/speed"),
-        (json!({"name": "a", "speed": -1.0}), "/speed"),
-        (json!({"name": "a", "price_per_hour": -1}), "/price_per_hour"),
-        (json!({"name": "a", "cores": 0}), "/cores"),
-        (json!({"name": "a", "gpu": true}), "/gpu"),
-    ] {
-        let problem = farm.worker.post("/v1/nodes", &body).await.problem(ProblemKind::Invalid).await;
-        assert_eq!(problem.pointer.as_deref(), Some(pointer), "{body}");
-    }
-    let patch = farm
-        .operator
-        .request(Method::PATCH, &format!("/v1/nodes/{}", first.id))
-        .json(&json!({"drain": true}));
-    let drained: Value = patch.send().await.unwrap().parsed(StatusCode::OK).await;
-    assert_eq!((&drained["drain"], &drained["price_per_hour"]), (&json!(true), &json!(3_600_000)));
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn what_an_operator_sets_on_a_node_holds_when_it_registers_again_until_null_gives_it_up() {
-    let farm = Farm::new().await;
-    let node = farm.node("rack 3").await;
-    let patch = |change: Value| {
-        farm.operator.request(Method::PATCH, &format!("/v1/nodes/{}", node.id)).json(&change).send()
-    };
-    let set: Node =
-        patch(json!({"speed": 4.0, "price_per_hour": 5})).await.unwrap().parsed(StatusCode::OK).await;
-    assert_eq!((set.speed, set.speed_set, set.price_per_hour.0, set.price_set), (4.0, true, 5, true));
-    assert_eq!(Node { last_seen_at: set.last_seen_at, ..farm.node("rack 3").await }, set);
-    let reset: Node = patch(json!({"speed": null})).await.unwrap().parsed(StatusCode::OK).await;
-    assert_eq!((reset.speed, reset.speed_set, reset.price_per_hour.0), (2.0, false, 5));
-    for (change, pointer) in [
-        (json!({"speed": 0.0}), "/speed"),
-        (json!({"speed": "fast"}), "/speed"),
-        (json!({"price_per_hour": -1}), "/price_per_hour"),
-        (json!({"cores": 3}), "/cores"),
-    ] {
-        let problem = patch(change.clone()).await.unwrap().problem(ProblemKind::Invalid).await;
-        assert_eq!(problem.pointer.as_deref(), Some(pointer), "{change}");
-    }
 }

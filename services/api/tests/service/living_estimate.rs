@@ -1,7 +1,6 @@
 //! The living estimate and the explanation of a quote, over HTTP.
 
-mod support;
-
+use crate::support::{Answer, Farm};
 use forelight_protocol::{
     Event, EventKind, Explanation, ForecastDoc, ForecastHistory, Job, Lease, MoneyQuantiles, Node, Problem,
     ProblemKind, TaskResult,
@@ -9,7 +8,6 @@ use forelight_protocol::{
 use reqwest::StatusCode;
 use serde_json::json;
 use std::collections::BTreeSet;
-use support::{Answer, Farm};
 
 /// Renders the next frame so many times as dear as the profile had it.
 async fn render(farm: &Farm, node: &Node, times: f64) -> Lease {

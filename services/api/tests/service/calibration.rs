@@ -1,10 +1,8 @@
 //! What finished jobs teach later quotes: of the same renderer, and of no other.
 
-mod support;
-
+use crate::support::{Answer, Farm};
 use forelight_protocol::{CalibrationDoc, ForecastDoc, Job, JobState, Node, TaskResult, TrackRecord};
 use reqwest::StatusCode;
-use support::{Answer, Farm};
 
 /// Runs a job of two frames whose profiled pixels differ by up to a tenth, and whose renders take `factor` times what the profile says.
 async fn run(farm: &Farm, node: &Node, renderer: &str, factor: f64) -> ForecastDoc {

@@ -1,14 +1,12 @@
 //! Jobs that are given a time or an amount of money in place of a quality.
 
-mod support;
-
+use crate::support::{Answer, Farm};
 use forelight_protocol::{
     AccuracyDoc, AllottedStats, ForecastDoc, Job, JobState, ProblemKind, RenderResult, RenderStats,
     TaskResult, TaskSpec,
 };
 use reqwest::StatusCode;
 use serde_json::{Value, json};
-use support::{Answer, Farm};
 
 async fn submit(farm: &Farm, within: Value) -> Job {
     let mut request = farm.job_request("0-3");
