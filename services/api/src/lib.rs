@@ -23,6 +23,7 @@ mod resources;
 mod room;
 mod router;
 mod scenes;
+mod schema;
 mod service;
 mod state;
 
@@ -30,5 +31,5 @@ pub use clock::{Clock, ManualClock, SystemClock};
 pub use conductor::alone::{Measured, is_shared_cache_worth_planning, quote_alone};
 pub use config::{Config, Limits};
 pub use night::{NightError, budget_forecast};
-pub use openapi::openapi_yaml;
+pub use router::openapi_yaml;
 pub use service::{Service, ServiceError};

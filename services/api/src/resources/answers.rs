@@ -19,8 +19,8 @@ use crate::conductor::job_profile::JobProfile;
 use crate::conductor::{AdvanceError, accuracy, compute};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
-use crate::openapi::FileContent;
 use crate::resources::HIGHEST_SUM;
+use crate::schema::FileContent;
 use crate::state::App;
 
 /// Answers are seen from the minute that has begun, so that for a minute they are the same.

@@ -11,7 +11,7 @@ use forelight_protocol::{ArtifactHash, ArtifactStored};
 use super::file;
 use crate::error::{ApiResult, Problems};
 use crate::extract::{Anyone, Segment, WorkerToken, within_announced_length};
-use crate::openapi::FileContent;
+use crate::schema::FileContent;
 use crate::state::App;
 
 const MEDIA_TYPE: &str = "application/octet-stream";

@@ -18,9 +18,9 @@ use crate::conductor::explain::explanation;
 use crate::conductor::job_profile::JobProfile;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
-use crate::openapi::FileContent;
 use crate::page::{PageQuery, cut};
 use crate::plot;
+use crate::schema::FileContent;
 use crate::state::App;
 
 /// A job's quote. 409 until it is there.

@@ -10,8 +10,8 @@ use forelight_protocol::{ArtifactHash, FrameArtifacts, FramePage, FrameRow, JobI
 use super::file;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, Segments};
-use crate::openapi::FileContent;
 use crate::page::{PageQuery, cut};
+use crate::schema::FileContent;
 use crate::state::App;
 
 /// The frames of a job, ascending: forecast, actual, error, booking, times, pictures.

@@ -19,6 +19,7 @@ use self::claim::Claimed;
 use super::created;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, KeyHeader, Large, Segment, WorkerToken};
+use crate::schema::IdempotencyKeyHeader;
 use crate::state::App;
 
 /// Longest wait for a task, in milliseconds.
@@ -27,7 +28,7 @@ const LONGEST_WAIT: u32 = 60_000;
 /// Hands out a task. If there is none, waits for one up to `wait_ms`; 204 if there still is none then. A node that sleeps by its calendar is answered 204 at
 /// once, with `Retry-After`: it is not to ask again before it wakes up.
 #[utoipa::path(post, path = "/v1/leases", tag = "work", request_body = ClaimRequest,
-    params(("Idempotency-Key" = Option<String>, Header, description = "Makes repeating the request harmless", min_length = 1, max_length = 255, pattern = "^[ -~]+$")),
+    params(IdempotencyKeyHeader),
     responses((status = 200, description = "A task", body = Lease), (status = 204, description = "There is nothing to do; with `Retry-After`, not before so many seconds have passed"), Problems))]
 pub(crate) async fn claim(
     State(app): State<App>,

@@ -16,11 +16,12 @@ use crate::extract::{
     Anyone, JsonBody, KeyHeader, OneTimeToken, Operator, QueryParameters, Segment, WorkerToken,
 };
 use crate::page::{PageQuery, cut};
+use crate::schema::IdempotencyKeyHeader;
 use crate::state::App;
 
 /// A node announces itself; one of the same name is updated and keeps its id, and what was set by hand.
 #[utoipa::path(post, path = "/v1/nodes", tag = "work", request_body = NodeRegistration,
-    params(("Idempotency-Key" = Option<String>, Header, description = "Makes repeating the request harmless", min_length = 1, max_length = 255, pattern = "^[ -~]+$")),
+    params(IdempotencyKeyHeader),
     responses((status = 201, description = "The node", body = Node), Problems))]
 pub(crate) async fn register(
     State(app): State<App>,
