@@ -7,6 +7,7 @@
 //!
 //! Nothing that matters is kept in the process: whatever it was doing when it died is found in the store at the next start.
 
+mod answer_cache;
 mod clock;
 mod conductor;
 mod config;

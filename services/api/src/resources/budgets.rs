@@ -6,11 +6,10 @@ use forelight_protocol::{
     Budget, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetRequest, Money, Night, ProblemKind,
 };
 
-use super::nodes::check_name;
+use super::checks::{HIGHEST_SUM, check_name};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, Operator, Reader};
 use crate::night::{NightError, budget_forecast};
-use crate::resources::HIGHEST_SUM;
 use crate::state::App;
 
 /// Thresholds that a budget may have.

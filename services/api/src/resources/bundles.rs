@@ -8,7 +8,7 @@ use axum::response::Response;
 use forelight_protocol::{Bundle, BundleId, ProblemKind};
 use forelight_store::NewBundle;
 
-use super::{created, repeated};
+use super::responses::{created, repeated};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{Anyone, KeyHeader, Segment, Submitter, media_type, within_announced_length};
 use crate::scenes;

@@ -7,7 +7,7 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{ArtifactHash, FrameArtifacts, FramePage, FrameRow, JobId, ProblemKind};
 
-use super::file;
+use super::responses::file;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, Segments};
 use crate::page::{PageQuery, cut};

@@ -11,7 +11,7 @@ use forelight_store::{JobFilter, project};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use super::{created, repeated};
+use super::responses::{created, repeated};
 use crate::error::{ApiResult, Problems};
 use crate::extract::{JsonBody, KeyHeader, QueryParameters, Reader, Segment, Submitter, number_if_any};
 use crate::page::{LARGEST_PAGE, PageQuery, cut};

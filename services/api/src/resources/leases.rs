@@ -16,7 +16,7 @@ use forelight_protocol::{
 use forelight_store::StoreError;
 
 use self::claim::Claimed;
-use super::created;
+use super::responses::created;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, KeyHeader, Large, Segment, WorkerToken};
 use crate::schema::IdempotencyKeyHeader;
@@ -110,7 +110,11 @@ pub(crate) async fn result(
             let info = app.store.lease(lease).await?;
             fits::check(&info.spec, &result)?;
             let committed = app.store.commit_result(lease, request.fence, &result, app.now()).await;
-            let committed = counted(&app, committed).map_err(|error| error.or_at("/result"))?;
+            let at_result = |error: ApiError| match error.kind() {
+                Some(ProblemKind::MissingArtifact) => error.at("/result"),
+                _ => error,
+            };
+            let committed = counted(&app, committed).map_err(at_result)?;
             if committed.duplicate {
                 app.metrics.results_duplicate.add(1);
             } else {
@@ -154,11 +158,4 @@ fn counted<T>(app: &App, outcome: Result<T, StoreError>) -> ApiResult<T> {
         app.metrics.leases_lost.add(1);
     }
     outcome.map_err(ApiError::from)
-}
-
-impl ApiError {
-    /// The same error at this place, if it is about an artefact that the body names.
-    fn or_at(self, pointer: &str) -> Self {
-        if self.kind() == Some(ProblemKind::MissingArtifact) { self.at(pointer) } else { self }
-    }
 }
