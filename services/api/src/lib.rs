@@ -8,6 +8,7 @@
 //! Nothing that matters is kept in the process: whatever it was doing when it died is found in the store at the next start.
 
 mod answer_cache;
+mod budget_forecast;
 mod clock;
 mod conductor;
 mod config;
@@ -16,7 +17,6 @@ mod difference;
 mod error;
 mod extract;
 mod metrics;
-mod night;
 mod openapi;
 mod page;
 mod plot;
@@ -28,9 +28,9 @@ mod schema;
 mod service;
 mod state;
 
+pub use budget_forecast::{BudgetForecastError, budget_forecast};
 pub use clock::{Clock, ManualClock, SystemClock};
 pub use conductor::alone::{Measured, is_shared_cache_worth_planning, quote_alone};
 pub use config::{Config, Limits};
-pub use night::{NightError, budget_forecast};
 pub use router::openapi_yaml;
 pub use service::{Service, ServiceError};

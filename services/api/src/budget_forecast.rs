@@ -6,22 +6,26 @@
 //!
 //! Random numbers are hashes of scenario, job and frame: two runs of the same farm at the same instant say the same.
 
-mod booked;
-mod making;
+mod basis;
+mod error;
 mod money;
 mod periods;
+mod planner_input;
+mod scenarios;
 mod sums;
 
 use std::collections::BTreeMap;
 
-use forelight_planner as planner;
 use forelight_protocol::{
     BudgetChange, BudgetForecast, BudgetForecastRequest, JobId, Money, Night, NightRecord, Timestamp,
 };
 use forelight_store::{KeptNight, Store, StoreError};
 
-use self::making::Making;
+pub use self::error::BudgetForecastError;
+
+use self::basis::Basis;
 use self::money::sum;
+use self::scenarios::work_out;
 use crate::conductor::farm::Snapshot;
 
 /// Most nights that are looked at.
@@ -29,38 +33,19 @@ pub const MOST_NIGHTS: u32 = 60;
 /// Past nights that the track record looks at.
 const REMEMBERED: u32 = 400;
 
-/// Why a forecast cannot be had.
-#[derive(Debug, thiserror::Error)]
-pub enum NightError {
-    /// A field of the request that cannot be.
-    #[error("{reason}")]
-    Invalid {
-        /// JSON pointer to it.
-        pointer: &'static str,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// The database.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-    /// The planner.
-    #[error("what is booked cannot be carried out: {0}")]
-    Bookings(#[from] planner::InputError),
-    /// The computation panicked, or the service ends.
-    #[error("the computation was not finished: {0}")]
-    Unfinished(#[from] tokio::task::JoinError),
-}
-
 /// Works the forecast out, and keeps it as what was said of its first night. Asked again for the same night, it is kept in the same place until
 /// the middle of the night, and not at all after it: what is held against the night is what was known before.
 pub async fn budget_forecast(
     store: &Store,
     request: &BudgetForecastRequest,
     now: Timestamp,
-) -> Result<BudgetForecast, NightError> {
+) -> Result<BudgetForecast, BudgetForecastError> {
     let nights = nights(request, now)?;
     let (Some(first), Some(last)) = (nights.first(), nights.last()) else {
-        return Err(NightError::Invalid { pointer: "/days", reason: "there is no night".to_owned() });
+        return Err(BudgetForecastError::Invalid {
+            pointer: "/days",
+            reason: "there is no night".to_owned(),
+        });
     };
     let budgets = store.budgets(now).await?;
     let jobs = store.open_jobs().await?;
@@ -73,8 +58,8 @@ pub async fn budget_forecast(
     let past = store.budget_forecasts_before(&request.zone, first.from, REMEMBERED).await?;
     let track_record = track_record(store, &past, now).await?;
     let zone = request.zone.clone();
-    let made = Making { now, zone, nights: nights.clone(), nodes, jobs, ledger, budgets };
-    let mut forecast = tokio::task::spawn_blocking(move || made.work_out(&snapshot)).await??;
+    let basis = Basis { now, zone, nights: nights.clone(), nodes, jobs, ledger, budgets };
+    let mut forecast = tokio::task::spawn_blocking(move || work_out(&basis, &snapshot)).await??;
     forecast.track_record = track_record;
     if let Some(before) = past.first() {
         forecast.compared_with = Some(before.forecast.made_at);
@@ -87,8 +72,8 @@ pub async fn budget_forecast(
     Ok(forecast)
 }
 
-fn nights(request: &BudgetForecastRequest, now: Timestamp) -> Result<Vec<Night>, NightError> {
-    let invalid = |pointer, reason: String| NightError::Invalid { pointer, reason };
+fn nights(request: &BudgetForecastRequest, now: Timestamp) -> Result<Vec<Night>, BudgetForecastError> {
+    let invalid = |pointer, reason: String| BudgetForecastError::Invalid { pointer, reason };
     if !(1..=MOST_NIGHTS).contains(&request.days) {
         return Err(invalid("/days", format!("1 to {MOST_NIGHTS} nights can be forecast")));
     }

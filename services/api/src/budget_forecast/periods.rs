@@ -2,8 +2,11 @@
 
 use forelight_protocol::{Budget, BudgetOutlook, Money, Timestamp};
 
-use super::making::{Making, THREATENED};
+use super::basis::Basis;
 use super::money::{quantiles, sum};
+
+/// A budget or deadline is threatened if it is missed more often than this.
+pub(super) const THREATENED: f64 = 0.2;
 
 /// A period of a budget that the nights touch.
 pub(super) struct Period<'a> {
@@ -14,24 +17,22 @@ pub(super) struct Period<'a> {
     pub to_come: Vec<i64>,
 }
 
-impl Making {
-    /// Each budget's periods from the first night's begin to the last one's end.
-    pub(super) fn periods(&self, scenarios: usize) -> Vec<Period<'_>> {
-        let Some(last) = self.nights.last() else { return Vec::new() };
-        let mut periods = Vec::new();
-        for budget in &self.budgets {
-            let mut at = self.nights[0].from;
-            while at < last.until
-                && let Some((from, until)) = budget.period.bounds(&budget.zone, at)
-            {
-                let of_project = self.ledger.iter().filter(|line| line.project == budget.project);
-                let spent = sum(of_project.map(|line| line.cost_within(from, until.min(self.now))));
-                periods.push(Period { budget, from, until, spent: spent.0, to_come: vec![0; scenarios] });
-                at = until;
-            }
+/// Each budget's periods from the first night's begin to the last one's end.
+pub(super) fn periods(basis: &Basis, scenarios: usize) -> Vec<Period<'_>> {
+    let Some(last) = basis.nights.last() else { return Vec::new() };
+    let mut periods = Vec::new();
+    for budget in &basis.budgets {
+        let mut at = basis.nights[0].from;
+        while at < last.until
+            && let Some((from, until)) = budget.period.bounds(&budget.zone, at)
+        {
+            let of_project = basis.ledger.iter().filter(|line| line.project == budget.project);
+            let spent = sum(of_project.map(|line| line.cost_within(from, until.min(basis.now))));
+            periods.push(Period { budget, from, until, spent: spent.0, to_come: vec![0; scenarios] });
+            at = until;
         }
-        periods
     }
+    periods
 }
 
 /// A budget's period against what it will have cost by the end of the nights.

@@ -10,7 +10,7 @@ use crate::conductor::farm::{Farm, Snapshot};
 
 /// The farm and the bookings that are still to be done of jobs that are not held back. In it a node is known by its place in the snapshot, and a job by its
 /// place in `jobs`.
-pub(super) fn as_booked(snapshot: &Snapshot, jobs: &[JobId]) -> (planner::Input, planner::Plan) {
+pub(super) fn planner_input(snapshot: &Snapshot, jobs: &[JobId]) -> (planner::Input, planner::Plan) {
     let farm = Farm::new(snapshot);
     let nodes: BTreeMap<NodeId, u64> = snapshot.nodes.iter().map(|node| node.id).zip(0..).collect();
     let places: BTreeMap<JobId, u64> = farm.jobs.iter().map(|asked| asked.job.id).zip(0..).collect();

@@ -148,7 +148,7 @@ fn forecast_of(
         projected: project(bookings, seeds, now),
     };
     let request: BudgetForecastRequest = serde_json::from_value(json!({"days": 2})).unwrap();
-    let making = Making {
+    let basis = Basis {
         now,
         zone: "UTC".to_owned(),
         nights: nights(&request, now).unwrap(),
@@ -157,7 +157,7 @@ fn forecast_of(
         ledger: Vec::new(),
         budgets: Vec::new(),
     };
-    making.work_out(&snapshot).unwrap()
+    work_out(&basis, &snapshot).unwrap()
 }
 
 fn costs(forecast: &BudgetForecast) -> [i64; 2] {

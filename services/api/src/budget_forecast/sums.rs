@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use forelight_protocol::{CostLine, JobId, LedgerLine, Money, NightForecast, Node, NodeId};
 use forelight_store::OpenJob;
 
-use super::making::Making;
+use super::basis::Basis;
 use super::money::quantiles;
 
 /// What costs are added up by.
@@ -30,10 +30,10 @@ pub(super) struct Sums {
     pub all: Vec<i64>,
 }
 
-impl Making {
+impl Sums {
     /// All groups that there are, and what they spent.
-    pub(super) fn sums(&self, scenarios: usize) -> Sums {
-        let nodes: BTreeMap<NodeId, &Node> = self.nodes.iter().map(|node| (node.id, node)).collect();
+    pub(super) fn new(basis: &Basis, scenarios: usize) -> Self {
+        let nodes: BTreeMap<NodeId, &Node> = basis.nodes.iter().map(|node| (node.id, node)).collect();
         let of_line = |line: &LedgerLine| {
             let class =
                 nodes.get(&line.node_id).map_or_else(|| "nodes that are gone".to_owned(), |node| class(node));
@@ -41,20 +41,21 @@ impl Making {
         };
         let mut groups: Vec<Group> = vec![Group::Farm];
         groups.extend(
-            self.jobs
+            basis
+                .jobs
                 .iter()
                 .flat_map(|open| [Group::Project(open.job.project.clone()), Group::Job(open.job.id)]),
         );
-        groups.extend(self.nodes.iter().map(|node| Group::Class(class(node))));
-        groups.extend(self.ledger.iter().flat_map(of_line));
+        groups.extend(basis.nodes.iter().map(|node| Group::Class(class(node))));
+        groups.extend(basis.ledger.iter().flat_map(of_line));
         groups.sort_unstable();
         groups.dedup();
         // Every group is in the list; the farm is the first.
         let place = |group: Group| groups.binary_search(&group).unwrap_or(0);
-        let mut spent = vec![vec![0i64; groups.len()]; self.nights.len()];
-        for line in &self.ledger {
-            for (night, spent) in self.nights.iter().zip(&mut spent) {
-                let cost = line.cost_within(night.from, night.until.min(self.now)).0;
+        let mut spent = vec![vec![0i64; groups.len()]; basis.nights.len()];
+        for line in &basis.ledger {
+            for (night, spent) in basis.nights.iter().zip(&mut spent) {
+                let cost = line.cost_within(night.from, night.until.min(basis.now)).0;
                 if cost > 0 {
                     for group in of_line(line) {
                         let sum = &mut spent[place(group)];
@@ -66,37 +67,37 @@ impl Making {
         let of_job = |open: &OpenJob| {
             [place(Group::Project(open.job.project.clone())), place(Group::Job(open.job.id))]
         };
-        Sums {
-            of_jobs: self.jobs.iter().map(of_job).collect(),
-            of_nodes: self.nodes.iter().map(|node| place(Group::Class(class(node)))).collect(),
-            to_come: vec![vec![Vec::new(); groups.len()]; self.nights.len()],
+        Self {
+            of_jobs: basis.jobs.iter().map(of_job).collect(),
+            of_nodes: basis.nodes.iter().map(|node| place(Group::Class(class(node)))).collect(),
+            to_come: vec![vec![Vec::new(); groups.len()]; basis.nights.len()],
             all: vec![0; scenarios],
             spent,
             groups,
         }
     }
 
-    pub(super) fn night(&self, index: usize, sums: &Sums) -> NightForecast {
-        let night = &self.nights[index];
+    pub(super) fn night(&self, basis: &Basis, index: usize) -> NightForecast {
+        let night = &basis.nights[index];
         let line = |name: String, job_id: Option<JobId>, group: usize| {
-            let spent = sums.spent[index][group];
+            let spent = self.spent[index][group];
             CostLine {
                 name,
                 job_id,
                 spent: Money(spent),
-                cost: quantiles(&sums.to_come[index][group], spent),
+                cost: quantiles(&self.to_come[index][group], spent),
             }
         };
         let (mut projects, mut jobs, mut node_classes) = (Vec::new(), Vec::new(), Vec::new());
-        for (place, group) in sums.groups.iter().enumerate() {
-            if sums.spent[index][place] == 0 && sums.to_come[index][place].is_empty() {
+        for (place, group) in self.groups.iter().enumerate() {
+            if self.spent[index][place] == 0 && self.to_come[index][place].is_empty() {
                 continue;
             }
             match group {
                 Group::Farm => {}
                 Group::Project(name) => projects.push(line(name.clone(), None, place)),
                 Group::Job(id) => {
-                    let open = self.jobs.iter().find(|open| open.job.id == *id);
+                    let open = basis.jobs.iter().find(|open| open.job.id == *id);
                     // Of jobs that are done, only the cost is left.
                     let name = open.map_or_else(|| id.to_string(), |open| open.job.name.clone());
                     jobs.push(line(name, Some(*id), place));
