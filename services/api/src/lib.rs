@@ -7,6 +7,8 @@
 //!
 //! Nothing that matters is kept in the process: whatever it was doing when it died is found in the store at the next start.
 
+mod answer_cache;
+mod budget_forecast;
 mod clock;
 mod conductor;
 mod config;
@@ -15,7 +17,6 @@ mod difference;
 mod error;
 mod extract;
 mod metrics;
-mod night;
 mod openapi;
 mod page;
 mod plot;
@@ -23,11 +24,12 @@ mod resources;
 mod room;
 mod router;
 mod scenes;
+mod schema;
 mod service;
 mod state;
 
+pub use budget_forecast::{BudgetForecastError, budget_forecast};
 pub use clock::{Clock, ManualClock, SystemClock};
 pub use config::{Config, Limits};
-pub use night::{NightError, budget_forecast};
-pub use openapi::openapi_yaml;
+pub use router::openapi_yaml;
 pub use service::{Service, ServiceError};

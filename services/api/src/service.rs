@@ -19,8 +19,7 @@ use crate::conductor::Conductor;
 use crate::config::Config;
 use crate::connections::serve;
 use crate::metrics::Metrics;
-use crate::openapi::openapi_yaml;
-use crate::router::router;
+use crate::router::{openapi_yaml, router};
 use crate::state::{App, InFlight};
 
 /// How long requests that are being answered may take when the service stops.

@@ -3,7 +3,7 @@
 use crate::failure::BadInput;
 use crate::options::ConnectionOptions;
 use anyhow::{Context, Result};
-use forelight_worker::{Client, Token};
+use forelight_client::{Client, Token};
 use std::fs;
 use std::path::Path;
 

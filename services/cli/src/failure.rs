@@ -5,9 +5,10 @@
 //! delivered); 130 means that the user stopped it.
 
 use forelight_api::ServiceError;
+use forelight_client::ClientError;
 use forelight_protocol::Problem;
 use forelight_store::StoreError;
-use forelight_worker::{ClientError, RenderError};
+use forelight_worker::RenderError;
 use std::fmt;
 
 /// What the user gave is wrong: a flag, a file, a value. Ends the program with exit code 2.

@@ -18,13 +18,11 @@
 
 mod report;
 
-use crate::backoff::Backoff;
-use crate::client::{Claimed, Client};
 use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 use crate::library::Library;
 use crate::limits::gone_beyond;
-use crate::transport::ClientError;
 use bytes::Bytes;
+use forelight_client::{Backoff, Claimed, Client, ClientError};
 use forelight_protocol::{
     CACHE_BYTES, ClaimRequest, Lease, LeaseOrder, LogLevel, NodeId, NodeRegistration, ProblemKind,
     RenewRequest, Renewal, TaskId, TaskLimits, TaskSpec, Timestamp,

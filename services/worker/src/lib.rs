@@ -20,7 +20,6 @@
 //! | `calibrate`, `classes`, `capabilities` | how fast this machine is by class of work, what a frame's work is of, and what the machine has |
 //! | `checkpoint` | the finished tiles of a frame, for whoever has it next |
 //! | `limits` | what a task may use at most |
-//! | `client`, `transport`, `backoff`, `server_events` | the service's REST API |
 
 // What unit tests share with the others speaks of this crate by its name.
 #[cfg(test)]
@@ -33,13 +32,11 @@ mod accuracy;
 mod agent;
 mod allot;
 mod ambient;
-mod backoff;
 mod cache_tasks;
 mod calibrate;
 mod capabilities;
 mod checkpoint;
 mod classes;
-mod client;
 mod execute;
 mod library;
 mod limits;
@@ -50,13 +47,11 @@ mod refine;
 mod render;
 mod render_task;
 mod renderer;
-mod server_events;
 mod shot;
 mod shot_cache;
 mod spend;
 mod tasks;
 mod tiles;
-mod transport;
 mod warm_clock;
 mod within;
 
@@ -64,10 +59,8 @@ pub use accuracy::{AccuracyObserver, AccuracyOptions, MeasureOptions, measure, p
 pub use agent::{Agent, AgentError, Errand};
 pub use allot::{Aim, AllotError, AllotOptions, Allotted, render_allotted, render_as_allotted};
 pub use ambient::{Adapter, Ambient, AmbientShot, tracer_settings};
-pub use backoff::Backoff;
 pub use calibrate::{CALIBRATION_VERSION, REFERENCE_RATE, ROUNDS, calibrate, node_speed};
 pub use capabilities::capabilities;
-pub use client::{Claimed, Client, EventStream, FramePicture};
 pub use execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 pub use library::Library;
 pub use noise::FrameNoise;
@@ -79,12 +72,10 @@ pub use renderer::{
     CacheUse, Counted, Finished, FrameRenderer, OpenRenderer, Previewed, Progress, RenderError, Renderer,
     ShotInfo, Step, StratumInfo,
 };
-pub use server_events::{EventParser, ServerEvent};
 pub use shot::{
     CountedFrames, Observer, ProfiledFrame, ShotError, cost_of, cost_of_gather, cost_of_record, count_frames,
     forecast_strata, profile_frame, record_prior_cost, records_to_sample, stratum_ids,
 };
 pub use shot_cache::{Filled, SharedPlan, SharedProfile, fill_part, plan_shared, profile_shared};
 pub use tasks::{TaskRunner, preview_result, profile_result};
-pub use transport::{ClientError, Token};
 pub use within::{Budget, Stopwatch};

@@ -2,9 +2,8 @@
 //!
 //! One library serves all workers of a process, so that a bundle is fetched and loaded once however many there are.
 
-use crate::client::Client;
 use crate::renderer::{OpenRenderer, RenderError, Renderer};
-use crate::transport::ClientError;
+use forelight_client::{Client, ClientError};
 use forelight_protocol::{ArtifactHash, BundleSource};
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -2,8 +2,7 @@
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 use forelight_forecast::Correction;
 use forelight_protocol::{
     AccuracyDoc, CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Explanation, ForecastDoc,
@@ -16,9 +15,10 @@ use utoipa::IntoParams;
 use crate::conductor::job_profile::JobProfile;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
-use crate::openapi::FileContent;
 use crate::page::{PageQuery, cut};
 use crate::plot;
+use crate::resources::responses;
+use crate::schema::FileContent;
 use crate::state::App;
 
 /// A job's quote. 409 until it is there.
@@ -138,7 +138,7 @@ fn svg(drawn: Result<String, String>) -> ApiResult<Response> {
     let svg = drawn.map_err(|reason| {
         ApiError::new(ProblemKind::Internal, format!("the picture cannot be drawn: {reason}"))
     })?;
-    Ok(([(CONTENT_TYPE, "image/svg+xml"), (CACHE_CONTROL, "private, no-cache")], svg).into_response())
+    Ok(responses::svg(svg))
 }
 
 /// Forecast against actual over all finished frames, also by kind of quote, and the frames themselves, newest first.

@@ -11,15 +11,16 @@ use forelight_store::{JobFilter, project};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use super::{created, repeated};
+use super::responses::{created, repeated};
 use crate::error::{ApiResult, Problems};
 use crate::extract::{JsonBody, KeyHeader, QueryParameters, Reader, Segment, Submitter, number_if_any};
 use crate::page::{LARGEST_PAGE, PageQuery, cut};
+use crate::schema::IdempotencyKeyHeader;
 use crate::state::App;
 
 /// Submits a job. It is previewed, forecast, booked and rendered from here on.
 #[utoipa::path(post, path = "/v1/jobs", tag = "jobs", request_body = JobRequest,
-    params(("Idempotency-Key" = Option<String>, Header, description = "Makes repeating the request harmless", min_length = 1, max_length = 255, pattern = "^[ -~]+$")),
+    params(IdempotencyKeyHeader),
     responses((status = 201, description = "The job", body = Job), Problems))]
 pub(crate) async fn submit(
     State(app): State<App>,

@@ -8,8 +8,8 @@ use crate::output;
 use crate::quantities::{Deadline, clock, money, parse_deadline, parse_money};
 use crate::table::{Align, Table};
 use anyhow::{Context, Result};
+use forelight_client::Client;
 use forelight_protocol::{AnswersDoc, Job, JobId, Money, MovedJob, PlanEffect, PriceOffer, Timestamp};
-use forelight_worker::Client;
 use std::path::PathBuf;
 
 /// Ask about a job's plan: will it be ready, what does it cost sooner or later, what would help

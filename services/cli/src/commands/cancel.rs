@@ -5,8 +5,8 @@ use crate::failure::BadInput;
 use crate::options::ConnectionOptions;
 use crate::output;
 use anyhow::{Context, Result};
+use forelight_client::Client;
 use forelight_protocol::{Job, JobId};
-use forelight_worker::Client;
 
 /// Cancel jobs: their workers stop, and what was booked for them is free for others
 #[derive(Debug, clap::Args)]

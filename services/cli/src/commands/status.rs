@@ -7,8 +7,8 @@ use crate::options::{ConnectionOptions, duration};
 use crate::output;
 use crate::quantities::{clock, seconds};
 use anyhow::{Context, Result, bail};
+use forelight_client::Client;
 use forelight_protocol::{Job, JobId, JobState, Timestamp, Verdict};
-use forelight_worker::Client;
 use std::io::IsTerminal;
 use std::time::Duration;
 

@@ -10,12 +10,13 @@ use crate::options::{ConnectionOptions, PreviewBackend, duration};
 use crate::output;
 use crate::quantities::{parse_bytes, parse_money};
 use anyhow::{Context, Result};
+use forelight_client::Client;
 use forelight_protocol::{
     Capabilities, JoinRequest, Money, NodeCalendar, NodeCalibration, NodeRegistration, ProblemKind, TaskId,
     TaskLimits,
 };
 use forelight_store::{token_hash, tokens};
-use forelight_worker::{Agent, Ambient, Client, Errand, Library, TaskRunner, capabilities, node_speed};
+use forelight_worker::{Agent, Ambient, Errand, Library, TaskRunner, capabilities, node_speed};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;

@@ -1,7 +1,5 @@
 //! Whether a job can be taken: every field, with the place of what is wrong.
 
-use std::ops::RangeInclusive;
-
 use forelight_protocol::{
     BadSetting, BundleSource, CacheMode, CacheSharing, JobRequest, Ladders, Money, RenderSettings,
     RenderSettingsRequest, SceneSummary,
@@ -9,8 +7,7 @@ use forelight_protocol::{
 use forelight_store::{NewJob, StoreError};
 
 use crate::error::{ApiError, ApiResult};
-use crate::resources::HIGHEST_SUM;
-use crate::resources::nodes::check_name;
+use crate::resources::checks::{HIGHEST_SUM, check_name, within};
 use crate::scenes;
 use crate::state::App;
 
@@ -106,13 +103,6 @@ fn check_size(app: &App, settings: &RenderSettings) -> ApiResult<()> {
         return Err(ApiError::invalid("/settings/width", reason));
     }
     settings.check().map_err(bad_setting)
-}
-
-fn within(pointer: &str, value: i64, range: RangeInclusive<i64>) -> ApiResult<()> {
-    if range.contains(&value) {
-        return Ok(());
-    }
-    Err(ApiError::invalid(pointer, format!("{value} is not within {} to {}", range.start(), range.end())))
 }
 
 /// Where the bundle is and what is in it. A path is replaced by its canonical form.

@@ -157,7 +157,7 @@ async fn forecast(args: Args) -> Result<()> {
             let found = forelight_api::budget_forecast(&store, &request, Timestamp::now()).await;
             store.close().await;
             found.map_err(|error| match error {
-                forelight_api::NightError::Invalid { .. } => {
+                forelight_api::BudgetForecastError::Invalid { .. } => {
                     anyhow::Error::from(BadInput::new(error.to_string()))
                 }
                 other => other.into(),

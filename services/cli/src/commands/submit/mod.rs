@@ -14,11 +14,11 @@ use crate::options::{ConfidenceLevel, ConnectionOptions, QualityOptions, Sharing
 use crate::output::{self, Bars};
 use crate::quantities::{Deadline, parse_bytes, parse_deadline, parse_money, parse_seconds};
 use anyhow::{Context, Result, bail};
+use forelight_client::Client;
 use forelight_protocol::{
     BundleRef, CacheSharing, FrameSet, Job, JobId, JobRequest, JobState, Ladders, Money, Per,
     RenderSettingsRequest, SceneSummary, Timestamp, Within,
 };
-use forelight_worker::Client;
 use std::path::{Path, PathBuf};
 use uuid::Uuid;
 
