@@ -1,10 +1,10 @@
 //! The quote of a shot, made on this machine alone: the steps of a farm, one after the other.
 
-use crate::renderer::Renderer;
-use crate::shot::{
+use crate::profile::{
     CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, profile_frame, stratum_ids,
 };
-use crate::shot_cache::{SharedPlan, profile_shared};
+use crate::renderer::Renderer;
+use crate::shared_cache::{SharedPlan, profile_shared};
 use crate::tasks::{artifact_name, preview_result, profile_result};
 use forelight_forecast::{Corrections, Strategy};
 use forelight_protocol::{

@@ -2,7 +2,7 @@
 //!
 //! A [`Renderer`] is a bundle, opened; a [`FrameRenderer`] one frame of it at one quality, ready to be previewed, profiled and
 //! rendered, with what each took. Nothing else of the farm knows how light is traced: another renderer can be put behind this
-//! door. Ours, over `scene`, `preview` and `tracer`, is in [`crate::ambient`].
+//! door. Ours, over `scene`, `preview` and `tracer`, is in [`crate::own`].
 
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_preview::{Counts, Preview, PreviewError};

@@ -153,7 +153,7 @@ pub fn made_up_times(kind: LadderKind, place: u32) -> f64 {
 fn made_up_ladders(spec: &ProfileSpec) -> AccuracyDoc {
     let even = |value| Quantiles { mean: value, p50: value, p80: value, p95: value };
     let rungs = LadderKind::ALL.into_iter().flat_map(|kind| {
-        let rungs = kind.rungs(&spec.settings).unwrap_or_default();
+        let rungs = forelight_quote::ladder(kind, &spec.settings).unwrap_or_default();
         (1..).zip(rungs).map(move |(place, settings)| {
             let times = if settings == spec.settings { 1.0 } else { made_up_times(kind, place) };
             let error = times / 100.0;

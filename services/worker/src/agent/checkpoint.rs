@@ -1,6 +1,6 @@
 //! What is finished of a frame, set aside now and then: should this worker be lost, the next one goes on from there.
 
-use crate::execute::Control;
+use crate::agent::execute::Control;
 use bytes::Bytes;
 use forelight_protocol::CHECKPOINT_BYTES;
 use forelight_tracer::{Pixel, Profile};

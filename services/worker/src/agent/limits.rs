@@ -1,6 +1,6 @@
 //! What a task may use at most, enforced: a task that goes beyond is ended, and told by which limit.
 
-use crate::execute::{Control, ExecuteError};
+use crate::agent::execute::{Control, ExecuteError};
 use crate::render::resident_bytes;
 use forelight_protocol::{TaskLimit, TaskLimits};
 use std::time::{Duration, Instant};

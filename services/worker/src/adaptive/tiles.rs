@@ -1,8 +1,8 @@
 //! An image underway, tile by tile: what its own samples say of where more of them pay.
 
-use crate::allot::Allotment;
+use crate::adaptive::allocation::Allotment;
+use crate::profile::ShotError;
 use crate::renderer::RenderError;
-use crate::shot::ShotError;
 use forelight_forecast::accuracy::allot::{MOST_SAMPLES, whole};
 use forelight_forecast::accuracy::{SampledPixel, Survey};
 use forelight_tracer::{Passes, SampleCounts, SoFar, Tiling};
@@ -49,7 +49,8 @@ impl Tiles {
                 grown: pixel.grown.filter(|grown| grown.square.is_finite()).map(|g| (g.before, g.square)),
             }
         };
-        let tiles: Vec<Vec<SampledPixel>> = self.pixels.iter().map(|tile| tile.iter().map(seen).collect()).collect();
+        let tiles: Vec<Vec<SampledPixel>> =
+            self.pixels.iter().map(|tile| tile.iter().map(seen).collect()).collect();
         Ok(Survey::new(&tiles)?)
     }
 

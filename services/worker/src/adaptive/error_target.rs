@@ -1,13 +1,13 @@
 //! A render that goes on until its image is good enough.
 //!
 //! It goes in passes (`forelight_tracer::Passes`). The first gives every pixel a few samples, by what the profile says. Each of the others
-//! looks at what the image shows by then ([`crate::tiles`]), and gives every tile what it lacks for the error; but never many times what it has, for a
+//! looks at what the image shows by then ([`crate::adaptive::tiles`]), and gives every tile what it lacks for the error; but never many times what it has, for a
 //! tile's few samples may deceive; and as if it were sure how variance falls with samples, for what they change will show that. When the
 //! image vouches for the error, it is finished. All of that depends on the samples alone.
 
-use crate::allot::{AllotError, Allotment, Made, quantile};
+use crate::adaptive::allocation::{AllotError, Allotment, Made, quantile};
+use crate::adaptive::tiles::Tiles;
 use crate::renderer::{FrameRenderer, Progress, RenderError, Step};
-use crate::tiles::Tiles;
 use forelight_forecast::Calibration;
 use forelight_forecast::accuracy::ErrorQuantiles;
 use forelight_forecast::accuracy::allot::cost;

@@ -8,9 +8,9 @@
 
 use super::pilot::Pilot;
 use super::{AccuracyObserver, traced};
-use crate::noise::FrameNoise;
+use crate::profile::ShotError;
+use crate::profile::noise::FrameNoise;
 use crate::renderer::{FrameRenderer, Renderer};
-use crate::shot::ShotError;
 use forelight_forecast::accuracy::{ImageNoise, PixelNoise};
 use forelight_forecast::{ForecastError, Stratum};
 use forelight_protocol::{RenderSettings, Spent};

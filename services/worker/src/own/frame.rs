@@ -2,7 +2,7 @@
 
 use super::shot::{AmbientShot, records};
 use super::{backend, lock, preview_spent};
-use crate::classes::by_class;
+use crate::profile::work_classes::by_class;
 use crate::render::spent;
 use crate::renderer::{CacheUse, Finished, FrameRenderer, Previewed, Progress, RenderError, Step};
 use forelight_forecast::accuracy::{PixelNoise, PixelSamples};

@@ -3,17 +3,17 @@
 //! Some pixels are profiled with a few camera samples (see `accuracy::pilot`). They say, stratum by stratum and for the edges of lights
 //! apart, how variance falls with samples and what a sample costs: whether the least image fits a time, how many samples to begin with, and what an image
 //! with so many samples should take. A profile does not know which spot of a wall is the bright one; the image does, once its pixels have a few
-//! samples, and says which numbers of them make the least error for the time, or the least time for the error ([`crate::tiles`],
+//! samples, and says which numbers of them make the least error for the time, or the least time for the error ([`crate::adaptive::tiles`],
 //! `forelight_forecast::accuracy::allot`). With an irradiance cache that is filled first, for
-//! what is left of the time depends on it. How a render holds to its time is in [`crate::within`], to its error in [`crate::refine`].
+//! what is left of the time depends on it. How a render holds to its time is in [`crate::adaptive::time_limit`], to its error in [`crate::adaptive::error_target`].
 
 use crate::accuracy::{AccuracyObserver, AccuracyOptions, Pilot, piloted};
-use crate::refine::render_for_error;
+use crate::adaptive::error_target::render_for_error;
+use crate::adaptive::tiles::laid_out;
+use crate::adaptive::time_limit::{Budget, fits_the_cache, render_within};
+use crate::profile::ShotError;
 use crate::render::{Given, Rendered, render_ready, rendered, seconds};
 use crate::renderer::{Finished, FrameRenderer, Progress, RenderError, Renderer};
-use crate::shot::ShotError;
-use crate::tiles::laid_out;
-use crate::within::{Budget, fits_the_cache, render_within};
 use forelight_forecast::accuracy::allot::{Zone, cost, samples_for_variance};
 use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise, NoiseGroup, Survey, noise_groups};
 use forelight_forecast::{Calibration, ForecastError};

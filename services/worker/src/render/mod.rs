@@ -1,6 +1,8 @@
 //! One frame, rendered, with its true cost.
 
-use crate::classes::of_frame;
+pub(crate) mod pictures;
+
+use crate::profile::work_classes::of_frame;
 use crate::renderer::{CacheUse, Finished, FrameRenderer, Progress, RenderError, Renderer};
 use forelight_protocol::{CacheStats, Rays, RenderSettings, RenderStats, Spent};
 use forelight_scene::Frame;

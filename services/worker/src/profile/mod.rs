@@ -3,12 +3,15 @@
 //! The service does the same steps spread over workers: a preview task is [`count_frames`], a profile task [`profile_frame`],
 //! and choosing and estimating happen in the service. Offline, [`crate::quote`] does all of it.
 
-use crate::classes::of_frame;
-use crate::noise::{FrameNoise, Zones};
+pub(crate) mod noise;
+pub(crate) mod warm_clock;
+pub(crate) mod work_classes;
+
+use crate::profile::noise::{FrameNoise, Zones};
+use crate::profile::work_classes::of_frame;
 use crate::quote::QuoteOptions;
 use crate::render::spent;
 use crate::renderer::{Counted, FrameRenderer, Previewed, RenderError, Renderer, StratumInfo};
-use crate::warm_clock;
 use forelight_forecast::{Cost, Expansion, Observation, Stratum};
 use forelight_preview::{NOTHING, Preview};
 use forelight_protocol::{

@@ -3,13 +3,13 @@
 //! A farm books a frame for what equally many camera samples of every pixel would take. The same work makes less error where it goes to the
 //! pixels that vary. So the frame is rendered in passes (`forelight_tracer::Passes`): one sample of every pixel, which says what a sample takes; as many of
 //! all as an eighth of the work buys, rounded down to a number at which they lie evenly, but two if there is work for them; and then each pass doubles what was spent, by what the image shows by then
-//! ([`crate::tiles`]), until there is none left. Unlike in [`crate::within`], no clock is asked: all of that depends on the samples alone, and so does the image.
+//! ([`crate::adaptive::tiles`]), until there is none left. Unlike in [`crate::adaptive::time_limit`], no clock is asked: all of that depends on the samples alone, and so does the image.
 
-use crate::allot::Made;
-use crate::refine::pass;
+use crate::adaptive::allocation::Made;
+use crate::adaptive::error_target::pass;
+use crate::adaptive::tiles::Tiles;
+use crate::profile::ShotError;
 use crate::renderer::{FrameRenderer, Progress, RenderError};
-use crate::shot::ShotError;
-use crate::tiles::Tiles;
 use forelight_forecast::accuracy::allot::even_numbers;
 use forelight_tracer::{SampleCounts, Totals};
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,13 +1,13 @@
 //! The task that renders a frame: with equally many camera samples for every pixel, or for a given amount of work.
 
-use crate::cache_tasks;
-use crate::checkpoint::Checkpoints;
-use crate::execute::{Assignment, Control, ExecuteError, Outcome};
-use crate::pictures::{encode, write_cost};
+use crate::adaptive::work_budget::render_for_work;
+use crate::agent::checkpoint::Checkpoints;
+use crate::agent::execute::{Assignment, Control, ExecuteError, Outcome};
+use crate::render::pictures::{encode, write_cost};
 use crate::render::{Rendered, render_ready, seconds};
 use crate::renderer::{FrameRenderer, Progress, RenderError, Renderer, Step};
-use crate::spend::render_for_work;
 use crate::tasks::Files;
+use crate::tasks::cache;
 use bytes::Bytes;
 use forelight_protocol::{
     CacheMode, FinishedPixels, LogLevel, RenderArtifacts, RenderResult, RenderSpec, TaskResult,
@@ -29,7 +29,7 @@ pub(crate) fn render(
     let ready = &*ready;
     control.log(LogLevel::Info, format!("frame {} calls for: {}", spec.frame, ready.effects().join(", ")));
     if spec.cache.is_some() {
-        share(ready, cache_tasks::only_file(assignment)?, control)?;
+        share(ready, cache::only_file(assignment)?, control)?;
     }
     let mut rendered = match spec.work {
         None => evenly(ready, spec, assignment, control)?,
@@ -154,7 +154,7 @@ fn share(ready: &dyn FrameRenderer, cache: &Bytes, control: &Control) -> Result<
                 format!("the frame makes its own irradiance cache; that of the shot cannot be used: {error}");
             (LogLevel::Warn, text)
         }
-        Err(error) => return Err(cache_tasks::of_shared_cache(error)),
+        Err(error) => return Err(cache::of_shared_cache(error)),
     };
     control.log(level, text);
     Ok(())

@@ -3,16 +3,16 @@
 //! Forecasts of work hold to a few per cent, but what a unit of work takes differs between a short profile and the render, between
 //! busy and idle hours. So the render looks at its clock. It goes in passes (`forelight_tracer::Passes`): the first gives every
 //! pixel one sample; each of the others gives the samples that make the least error for a part of the time that is left, reckoned with
-//! the seconds that the pass before it took for a unit of work, by what the image shows by then ([`crate::tiles`]). The last ones take nearly all that is left, and whatever is not
+//! the seconds that the pass before it took for a unit of work, by what the image shows by then ([`crate::adaptive::tiles`]). The last ones take nearly all that is left, and whatever is not
 //! finished when the time is up stays with the samples that it has: pixels are complete at every number of samples, and a pass goes
 //! over the image in scattered tiles.
 //!
 //! The clock decides how many samples the pixels get, and nothing else.
 
-use crate::allot::{AllotError, Allotment, Made};
+use crate::adaptive::allocation::{AllotError, Allotment, Made};
+use crate::adaptive::tiles::Tiles;
 use crate::render::seconds;
 use crate::renderer::{FrameRenderer, Progress, RenderError, Step};
-use crate::tiles::Tiles;
 use forelight_protocol::{BudgetClock, Confidence, WithinStats};
 use forelight_scene::Frame;
 use forelight_tracer::{Image, Passes, SampleCounts, process_cpu_nanos};

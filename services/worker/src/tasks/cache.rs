@@ -1,8 +1,8 @@
 //! The tasks that make the irradiance cache which the frames of a job share: plan, fill a part, put parts together.
 
-use crate::execute::{Assignment, Control, ExecuteError, Outcome};
+use crate::agent::execute::{Assignment, Control, ExecuteError, Outcome};
 use crate::renderer::{RenderError, Renderer};
-use crate::shot_cache::{Filled, fill_part, plan_shared};
+use crate::shared_cache::{Filled, fill_part, plan_shared};
 use crate::tasks::Files;
 use bytes::Bytes;
 use forelight_protocol::{

@@ -8,8 +8,8 @@
 //! the rest of its stratum. So the blocks of neighbours that are traced for their time (see `warm_clock`) are asked too, four times as
 //! many pixels for nothing. They lie close together and are likelier where the work is; within a stratum that hardly matters.
 
+use crate::profile::forecast_strata;
 use crate::renderer::{FrameRenderer, StratumInfo};
-use crate::shot::forecast_strata;
 use forelight_forecast::accuracy::{NoiseCell, NoiseSample, PixelNoise, noise_cells};
 use forelight_forecast::{ForecastError, Stratum};
 use forelight_preview::{NOTHING, Preview};

@@ -5,11 +5,11 @@
 //! ([`crate::FrameRenderer::share`]). So a frame's image depends on the shot's cache and the frame alone, not on which frames were
 //! rendered before it, or where.
 
-use crate::ambient::{AmbientShot, tracer_settings};
+use crate::own::{AmbientShot, tracer_settings};
+use crate::profile::{ProfiledFrame, cost_of, records_to_sample};
 use crate::quote::QuoteOptions;
 use crate::render::{counts, own_records, spent};
 use crate::renderer::{RenderError, Renderer};
-use crate::shot::{ProfiledFrame, cost_of, records_to_sample};
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{
     ArtifactHash, CACHE_BYTES, CacheFrame, CachePlanResult, CacheSample, ProfileResult, RenderSettings,

@@ -3,8 +3,8 @@
 //! A frame of a few CPU seconds takes a good part of another one to be written. So a profile measures that too: it encodes an
 //! image of the frame's size that is made of the frame's finished pixels.
 
-use crate::execute::ExecuteError;
-use crate::shot::ProfiledFrame;
+use crate::agent::execute::ExecuteError;
+use crate::profile::ProfiledFrame;
 use forelight_protocol::Spent;
 use forelight_scene::Frame;
 use forelight_tracer::{Image, Pixel, clocked};

@@ -16,11 +16,17 @@
 //! * **This process is told to stop.** The work is stopped and the lease given back, so that another node can have the
 //!   task at once instead of after the lease's end.
 
+pub(crate) mod capabilities;
+pub(crate) mod checkpoint;
+pub(crate) mod execute;
+pub(crate) mod library;
+pub(crate) mod limits;
+
 mod report;
 
-use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
-use crate::library::Library;
-use crate::limits::gone_beyond;
+use crate::agent::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
+use crate::agent::library::Library;
+use crate::agent::limits::gone_beyond;
 use bytes::Bytes;
 use forelight_client::{Backoff, Claimed, Client, ClientError};
 use forelight_protocol::{

@@ -13,19 +13,19 @@
 //! interpolation adds, which does not fall with samples. Other resolutions share the pilot of the settings that were asked for: the
 //! preview counts the pixels of every stratum in each, and the plan the records.
 
+mod gathers;
 mod interpolation;
 mod measure;
 mod pilot;
-mod related;
 
 #[cfg(test)]
 pub(crate) use measure::Converged;
 pub use measure::{MeasureOptions, measure};
 pub(crate) use pilot::Pilot;
 
+use crate::profile::ShotError;
 use crate::render::seconds;
 use crate::renderer::{FrameRenderer, Renderer};
-use crate::shot::ShotError;
 use forelight_forecast::Calibration;
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{
@@ -34,9 +34,9 @@ use forelight_protocol::{
 };
 use forelight_quote::{ladder, mark};
 use forelight_tracer::Pixel;
+use gathers::{affordable, is_too_dear, relate};
 use interpolation::Truth;
 use pilot::View;
-use related::{affordable, is_too_dear, relate};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Camera samples of a profiled pixel: four doublings of them can be seen.

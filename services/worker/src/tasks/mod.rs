@@ -1,20 +1,23 @@
-//! The tasks, done by a renderer; those about the irradiance cache of a shot are in `cache_tasks`, renders in `render_task`.
+//! What each kind of task does with a renderer: previews and profiles here, the shared irradiance cache in `cache`, renders
+//! in `render`.
 
+pub(crate) mod cache;
+pub(crate) mod render;
+
+use self::render::render;
 use crate::accuracy::{AccuracyObserver, AccuracyOptions, predict};
-use crate::ambient::uncovered_gathers;
-use crate::cache_tasks;
-use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
-use crate::library::Library;
-use crate::noise::noise_strata;
-use crate::pictures::{encoding_nanos, png, write_cost};
-use crate::quote::QuoteOptions;
-use crate::render_task::render;
-use crate::renderer::{RenderError, Renderer, ShotInfo};
-use crate::shot::{
+use crate::agent::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
+use crate::agent::library::Library;
+use crate::own::uncovered_gathers;
+use crate::profile::noise::noise_strata;
+use crate::profile::{
     CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, forecast_strata, profile_frame,
     record_prior_cost,
 };
-use crate::shot_cache::{cache_sample, profile_shared};
+use crate::quote::QuoteOptions;
+use crate::render::pictures::{encoding_nanos, png, write_cost};
+use crate::renderer::{RenderError, Renderer, ShotInfo};
+use crate::shared_cache::{cache_sample, profile_shared};
 use bytes::Bytes;
 use forelight_forecast::Observation;
 use forelight_forecast::accuracy::PixelNoise;
@@ -62,9 +65,9 @@ impl Execute for TaskRunner {
         match &assignment.spec {
             TaskSpec::Preview(spec) => preview(renderer, spec, control),
             TaskSpec::Profile(spec) => profile(renderer, spec, assignment, control),
-            TaskSpec::CachePlan(spec) => cache_tasks::plan(renderer, spec, control),
-            TaskSpec::CacheFill(spec) => cache_tasks::fill(renderer, spec, assignment, control),
-            TaskSpec::CacheMerge(spec) => cache_tasks::merge(spec, assignment, control),
+            TaskSpec::CachePlan(spec) => cache::plan(renderer, spec, control),
+            TaskSpec::CacheFill(spec) => cache::fill(renderer, spec, assignment, control),
+            TaskSpec::CacheMerge(spec) => cache::merge(spec, assignment, control),
             TaskSpec::Render(spec) => render(renderer, spec, assignment, control),
         }
     }
@@ -128,9 +131,9 @@ fn profile(
     let mut result = profile_result(renderer.info(), &spec.settings, &profiled, artifacts);
     result.spent.cpu_nanos += encoding;
     if spec.cache.is_some() {
-        let cache = cache_tasks::only_cache(assignment)?;
+        let cache = cache::only_cache(assignment)?;
         profile_shared(renderer, &profiled, &spec.settings, &options, cache)
-            .map_err(cache_tasks::of_shared_cache)?
+            .map_err(cache::of_shared_cache)?
             .add_to(&mut result);
     }
     if spec.ladders {

@@ -1,6 +1,6 @@
 //! What this machine has.
 
-use crate::ambient::Ambient;
+use crate::own::Ambient;
 use forelight_preview::PreviewError;
 use forelight_protocol::Capabilities;
 use std::fs;
