@@ -75,7 +75,7 @@ pub(crate) fn closest<K: Kernel>(
     let mut best: Option<Hit> = None;
     let mut t_max = finite(ray.t_max);
     let mut cull = t_max * EXIT_SCALE;
-    let stack = room(&mut steps.stack, bvh.waiting());
+    let stack = grown(&mut steps.stack, bvh.waiting());
     stack[0] = Entry { near: f32::NEG_INFINITY, child: END };
     let mut top = 1;
     let mut current = 0;
@@ -98,7 +98,7 @@ pub(crate) fn closest<K: Kernel>(
             let candidates = shear.group(group, t_max);
             let mut mask = candidates.mask;
             while mask != 0 {
-                let hit = candidates.hit(group, take(&mut mask));
+                let hit = candidates.hit(group, pop_lowest_bit(&mut mask));
                 let closer = match best {
                     Some(b) => hit.t < b.t || (hit.t == b.t && hit.primitive < b.primitive),
                     None => true,
@@ -134,7 +134,7 @@ fn nearest<K: Kernel>(
     top: &mut usize,
 ) -> u32 {
     let mut next = || {
-        let slot = take(&mut mask);
+        let slot = pop_lowest_bit(&mut mask);
         (Entry { near: near[slot], child: node.children[slot] }, mask == 0)
     };
     let (first, last) = next();
@@ -142,8 +142,8 @@ fn nearest<K: Kernel>(
         return first.child;
     }
     let (second, mut last) = next();
-    fetch(bvh, kernel, first.child);
-    fetch(bvh, kernel, second.child);
+    prefetch_child(bvh, kernel, first.child);
+    prefetch_child(bvh, kernel, second.child);
     let (first, second) = if second.near <= first.near { (second, first) } else { (first, second) };
     let bottom = *top;
     stack[bottom] = second;
@@ -156,7 +156,7 @@ fn nearest<K: Kernel>(
     while !last {
         let entry;
         (entry, last) = next();
-        fetch(bvh, kernel, entry.child);
+        prefetch_child(bvh, kernel, entry.child);
         let mut at = *top;
         while at > bottom && stack[at - 1].near < entry.near {
             stack[at] = stack[at - 1];
@@ -178,7 +178,7 @@ fn finite(t_max: f32) -> f32 {
 
 /// Removes the lowest set bit and returns its index.
 #[inline(always)]
-fn take(mask: &mut u32) -> usize {
+fn pop_lowest_bit(mask: &mut u32) -> usize {
     let index = mask.trailing_zeros() as usize;
     *mask &= *mask - 1;
     index
@@ -186,7 +186,7 @@ fn take(mask: &mut u32) -> usize {
 
 /// Prefetches a child while the other children are still being sorted.
 #[inline(always)]
-fn fetch<K: Kernel>(bvh: &Bvh, kernel: K, child: u32) {
+fn prefetch_child<K: Kernel>(bvh: &Bvh, kernel: K, child: u32) {
     if child & LEAF == 0 {
         kernel.prefetch(bvh.nodes.get(child as usize));
     } else {
@@ -196,7 +196,7 @@ fn fetch<K: Kernel>(bvh: &Bvh, kernel: K, child: u32) {
 
 /// The scratch vector as a slice, grown to at least `length` entries.
 #[inline(always)]
-fn room<T: Copy + Default>(scratch: &mut Vec<T>, length: usize) -> &mut [T] {
+fn grown<T: Copy + Default>(scratch: &mut Vec<T>, length: usize) -> &mut [T] {
     if scratch.len() < length {
         scratch.resize(length, T::default());
     }
@@ -219,7 +219,7 @@ pub(crate) fn any<K: Kernel>(
     let (mut nodes, mut triangles) = (0, 0);
     let t_max = finite(ray.t_max);
     let cull = t_max * EXIT_SCALE;
-    let stack = room(&mut steps.children, bvh.waiting());
+    let stack = grown(&mut steps.children, bvh.waiting());
     stack[0] = END;
     let mut top = 1;
     let mut current = 0;
@@ -247,7 +247,7 @@ pub(crate) fn any<K: Kernel>(
             let mut mask = candidates.mask;
             let mut found = false;
             while mask != 0 {
-                found |= keep(&candidates.hit(group, take(&mut mask)));
+                found |= keep(&candidates.hit(group, pop_lowest_bit(&mut mask)));
             }
             if found {
                 break true;

@@ -67,16 +67,16 @@ impl Origin {
     /// The differences between this origin and an image that the file does not fit, in words.
     pub fn unlike_image(&self, image: &Self) -> String {
         let mut words = self.other_frame(image, true);
-        words.extend(self.view.iter().zip(image.view).zip(VIEW).filter_map(other));
+        words.extend(self.view.iter().zip(image.view).zip(VIEW).filter_map(difference));
         words.extend(self.other_light(image));
-        told(words, "different camera, or different sample counts by pixel")
+        joined_or(words, "different camera, or different sample counts by pixel")
     }
 
     /// The differences between this origin and a frame in which its cache records are not valid, in words.
     pub(crate) fn unlike_light(&self, frame: &Self) -> String {
         let mut words = self.other_frame(frame, false);
         words.extend(self.other_light(frame));
-        told(words, "different lights reach the visible surfaces")
+        joined_or(words, "different lights reach the visible surfaces")
     }
 
     fn other_frame(&self, other: &Self, always: bool) -> Vec<String> {
@@ -92,18 +92,18 @@ impl Origin {
     }
 
     fn other_light(&self, other: &Self) -> Vec<String> {
-        let settings = self.light.iter().zip(other.light).zip(LIGHT).filter_map(self::other);
+        let settings = self.light.iter().zip(other.light).zip(LIGHT).filter_map(difference);
         let seed = || format!("seed {}, not {}", self.seed, other.seed);
         settings.chain((self.seed != other.seed).then(seed)).collect()
     }
 }
 
-fn other(((own, other), name): ((&u32, u32), &str)) -> Option<String> {
-    (*own != other).then(|| format!("{name} {}, not {}", word(name, *own), word(name, other)))
+fn difference(((own, other), name): ((&u32, u32), &str)) -> Option<String> {
+    (*own != other).then(|| format!("{name} {}, not {}", shown(name, *own), shown(name, other)))
 }
 
 /// A setting's value, as the user enters it.
-fn word(name: &str, value: u32) -> String {
+fn shown(name: &str, value: u32) -> String {
     let of = |words: [&str; 2]| {
         words.get(value as usize).map_or_else(|| value.to_string(), |word| (*word).to_owned())
     };
@@ -116,7 +116,7 @@ fn word(name: &str, value: u32) -> String {
     }
 }
 
-fn told(words: Vec<String>, unknown: &str) -> String {
+fn joined_or(words: Vec<String>, unknown: &str) -> String {
     if words.is_empty() { unknown.to_owned() } else { words.join("; ") }
 }
 
@@ -157,6 +157,6 @@ mod tests {
         let (image, light) = of(&|_| ());
         assert!(image.contains("camera") && light.contains("lights"), "{image} {light}");
         // Values outside the known words can only come from a damaged file.
-        assert_eq!(word("integrator", 9), "9");
+        assert_eq!(shown("integrator", 9), "9");
     }
 }
