@@ -8,6 +8,7 @@
 //! Nothing that matters is kept in the process: whatever it was doing when it died is found in the store at the next start.
 
 mod answer_cache;
+mod background;
 mod budget_forecast;
 mod clock;
 mod conductor;
