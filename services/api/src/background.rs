@@ -91,7 +91,7 @@ async fn sweep(app: &App, clock: &SteadyClock) {
             () = app.stopping.cancelled() => return,
             _ = ticks.tick() => {}
         }
-        lacks_room = app.log_room(lacks_room);
+        lacks_room = app.log_disk_space(lacks_room);
         if let Err(error) = follow(&app.store, clock).await {
             tracing::warn!(%error, "the clock was set and could not be followed; the next sweep tries again");
         }
