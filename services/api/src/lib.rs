@@ -8,22 +8,23 @@
 //! Nothing that matters is kept in the process: whatever it was doing when it died is found in the store at the next start.
 
 mod answer_cache;
+mod background;
 mod budget_forecast;
+mod bundle_inspection;
 mod clock;
 mod conductor;
 mod config;
 mod connections;
-mod difference;
+mod disk_space;
 mod error;
 mod extract;
 mod metrics;
 mod openapi;
 mod page;
+mod plan_difference;
 mod plot;
 mod resources;
-mod room;
 mod router;
-mod scenes;
 mod schema;
 mod service;
 mod state;

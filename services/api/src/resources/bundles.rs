@@ -9,9 +9,9 @@ use forelight_protocol::{Bundle, BundleId, ProblemKind};
 use forelight_store::NewBundle;
 
 use super::responses::{created, repeated};
+use crate::bundle_inspection;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{Anyone, KeyHeader, Segment, Submitter, media_type, within_announced_length};
-use crate::scenes;
 use crate::schema::{FileContent, IdempotencyKeyHeader};
 use crate::state::App;
 
@@ -46,7 +46,7 @@ pub(crate) async fn upload(
     {
         return Ok(repeated(answer));
     }
-    let scene = scenes::inspect(&app, staged.path().to_owned(), "bundle.zip").await?;
+    let scene = bundle_inspection::inspect(&app, staged.path().to_owned(), "bundle.zip").await?;
     let stored = app.store.artifacts().keep(staged, app.now()).await?;
     app.metrics.bytes_received.add(stored.size);
     let answered = app.store.create_bundle(NewBundle { hash, scene }, key.as_ref(), app.now()).await?;

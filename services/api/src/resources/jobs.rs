@@ -1,6 +1,6 @@
 //! Jobs.
 
-mod check;
+mod request_checks;
 
 use axum::Json;
 use axum::extract::State;
@@ -35,7 +35,7 @@ pub(crate) async fn submit(
     {
         return Ok(repeated(answer));
     }
-    let new = check::checked(&app, request).await?;
+    let new = request_checks::checked(&app, request).await?;
     Ok(created(StatusCode::CREATED, app.store.create_job(&new, key.as_ref(), app.now()).await?))
 }
 
@@ -47,7 +47,7 @@ pub(crate) async fn check(
     _: Submitter,
     JsonBody { value: request, .. }: JsonBody<JobRequest>,
 ) -> ApiResult<Json<JobCheck>> {
-    let new = check::checked(&app, request).await?;
+    let new = request_checks::checked(&app, request).await?;
     let frames_total = u32::try_from(new.request.frames.count()).unwrap_or(u32::MAX);
     Ok(Json(JobCheck { scene: new.scene, frames: new.request.frames, frames_total, settings: new.settings }))
 }
@@ -130,6 +130,6 @@ async fn expect(app: &App, jobs: &mut [Job]) -> ApiResult<()> {
         jobs.iter_mut().for_each(|job| job.eta = projected.eta(job));
     }
     // What is expected hangs on what the plan says of waiting.
-    app.tell_lack_of_room(jobs.iter_mut().map(|job| (job.state, &mut job.waits)));
+    app.tell_disk_full(jobs.iter_mut().map(|job| (job.state, &mut job.waits)));
     Ok(())
 }

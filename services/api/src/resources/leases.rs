@@ -2,7 +2,7 @@
 
 pub(crate) mod checkpoint;
 mod claim;
-mod fits;
+mod result_checks;
 
 use axum::Json;
 use axum::extract::State;
@@ -108,7 +108,7 @@ pub(crate) async fn result(
     match (request.result, request.error) {
         (Some(result), None) => {
             let info = app.store.lease(lease).await?;
-            fits::check(&info.spec, &result)?;
+            result_checks::check(&info.spec, &result)?;
             let committed = app.store.commit_result(lease, request.fence, &result, app.now()).await;
             let at_result = |error: ApiError| match error.kind() {
                 Some(ProblemKind::MissingArtifact) => error.at("/result"),

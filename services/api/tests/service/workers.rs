@@ -144,7 +144,7 @@ async fn a_job_that_no_node_would_quote_says_why_it_waits() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn without_room_no_task_is_handed_out_and_every_job_says_so() {
-    let farm = Farm::with(|config| config.limits.least_room = u64::MAX).await;
+    let farm = Farm::with(|config| config.limits.least_disk_space = u64::MAX).await;
     let job = farm.submit("0").await;
     let node = farm.node("a").await;
     let claim = farm.worker.post("/v1/leases", &json!({"node_id": node.id, "wait_ms": 0})).await;

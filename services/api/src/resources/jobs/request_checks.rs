@@ -6,9 +6,9 @@ use forelight_protocol::{
 };
 use forelight_store::{NewJob, StoreError};
 
+use crate::bundle_inspection;
 use crate::error::{ApiError, ApiResult};
 use crate::resources::checks::{HIGHEST_SUM, check_name, within};
-use crate::scenes;
 use crate::state::App;
 
 /// No deadline is further away: ten years, in microseconds. A wrong digit in a year is told.
@@ -114,12 +114,13 @@ async fn find_bundle(app: &App, request: &mut JobRequest) -> ApiResult<(BundleSo
             Err(error) => Err(error.into()),
         },
         (None, Some(path)) => {
-            let canonical = scenes::resolve(app, path).await?;
+            let canonical = bundle_inspection::resolve(app, path).await?;
             let Some(text) = canonical.to_str().map(str::to_owned) else {
                 return Err(ApiError::invalid("/bundle/path", "the path of a bundle is UTF-8"));
             };
-            let scene =
-                scenes::inspect(app, canonical, path).await.map_err(|error| error.at("/bundle/path"))?;
+            let scene = bundle_inspection::inspect(app, canonical, path)
+                .await
+                .map_err(|error| error.at("/bundle/path"))?;
             request.bundle.path = Some(text.clone());
             Ok((BundleSource::Path(text), scene))
         }

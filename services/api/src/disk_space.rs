@@ -15,8 +15,8 @@ fn mebibytes(bytes: u64) -> String {
 
 impl App {
     /// Refuses what needs room, if there is too little for another task to begin.
-    pub fn check_room(&self) -> ApiResult<()> {
-        let (room, least) = (self.store.room()?, self.limits.least_room);
+    pub fn check_disk_space(&self) -> ApiResult<()> {
+        let (room, least) = (self.store.room()?, self.limits.least_disk_space);
         if room >= least {
             return Ok(());
         }
@@ -26,9 +26,9 @@ impl App {
     }
 
     /// Has jobs say that they wait for room, if they do: it comes before every other reason, of which the plan knows.
-    pub fn tell_lack_of_room<'a>(&self, jobs: impl IntoIterator<Item = (JobState, &'a mut Option<Waits>)>) {
-        let least = self.limits.least_room;
-        // Where that cannot be known the log says so, see [`Self::log_room`].
+    pub fn tell_disk_full<'a>(&self, jobs: impl IntoIterator<Item = (JobState, &'a mut Option<Waits>)>) {
+        let least = self.limits.least_disk_space;
+        // Where that cannot be known the log says so, see [`Self::log_disk_space`].
         if self.store.room().is_ok_and(|room| room < least) {
             let least = mebibytes(least);
             let because =
@@ -41,8 +41,8 @@ impl App {
 
     /// Says in the log when room begins to lack, and when there is some again: twice the least, so that it is not said all the time. Whether
     /// it lacks now.
-    pub fn log_room(&self, lacked: bool) -> bool {
-        let least = self.limits.least_room;
+    pub fn log_disk_space(&self, lacked: bool) -> bool {
+        let least = self.limits.least_disk_space;
         match self.store.room() {
             Ok(room) if room < least && !lacked => {
                 let [room, least] = [room, least].map(mebibytes);

@@ -19,7 +19,7 @@ pub enum Step {
 pub const UNKNOWN: &str = "unknown to Slurm";
 
 /// What is to be done about an element of which Slurm says this. `None`: it says nothing of it.
-pub fn judge(held: Holding, seen: Option<&SlurmJob>) -> Step {
+pub fn next_step(held: Holding, seen: Option<&SlurmJob>) -> Step {
     let Some(job) = seen else {
         return match held {
             // Somebody works on it, whatever Slurm knows. When the lease ends the task is over or ready.
@@ -60,27 +60,27 @@ mod tests {
     #[test]
     fn what_ended_is_not_handed_out_again_while_somebody_still_holds_its_task() {
         for state in ["NODE_FAIL", "CANCELLED", "TIMEOUT", "COMPLETED"] {
-            assert_eq!(judge(Holding::Leased, Some(&job(state))), Step::Leave, "{state}");
-            assert_eq!(judge(Holding::Ready, Some(&job(state))), Step::End(state.to_owned()), "{state}");
+            assert_eq!(next_step(Holding::Leased, Some(&job(state))), Step::Leave, "{state}");
+            assert_eq!(next_step(Holding::Ready, Some(&job(state))), Step::End(state.to_owned()), "{state}");
         }
-        assert_eq!(judge(Holding::Leased, None), Step::Leave);
-        assert_eq!(judge(Holding::Ready, None), Step::End(UNKNOWN.to_owned()));
+        assert_eq!(next_step(Holding::Leased, None), Step::Leave);
+        assert_eq!(next_step(Holding::Ready, None), Step::End(UNKNOWN.to_owned()));
     }
 
     #[test]
     fn what_nobody_wants_any_more_is_taken_back_and_what_is_just_ending_is_not() {
-        assert_eq!(judge(Holding::Withdrawn, Some(&job("RUNNING"))), Step::Cancel);
-        assert_eq!(judge(Holding::Withdrawn, Some(&job("PENDING"))), Step::Cancel);
-        assert_eq!(judge(Holding::Done, Some(&job("PENDING"))), Step::Cancel);
-        assert_eq!(judge(Holding::Done, Some(&job("RUNNING"))), Step::Leave);
-        assert_eq!(judge(Holding::Done, Some(&job("COMPLETED"))), Step::End("COMPLETED".to_owned()));
+        assert_eq!(next_step(Holding::Withdrawn, Some(&job("RUNNING"))), Step::Cancel);
+        assert_eq!(next_step(Holding::Withdrawn, Some(&job("PENDING"))), Step::Cancel);
+        assert_eq!(next_step(Holding::Done, Some(&job("PENDING"))), Step::Cancel);
+        assert_eq!(next_step(Holding::Done, Some(&job("RUNNING"))), Step::Leave);
+        assert_eq!(next_step(Holding::Done, Some(&job("COMPLETED"))), Step::End("COMPLETED".to_owned()));
     }
 
     #[test]
     fn what_slurm_put_back_into_the_queue_waits_there_for_its_turn() {
-        assert_eq!(judge(Holding::Ready, Some(&job("PENDING"))), Step::Leave);
-        assert_eq!(judge(Holding::Leased, Some(&job("PENDING"))), Step::Leave);
+        assert_eq!(next_step(Holding::Ready, Some(&job("PENDING"))), Step::Leave);
+        assert_eq!(next_step(Holding::Leased, Some(&job("PENDING"))), Step::Leave);
         let held = SlurmJob { reason: "launch_failed_requeued_held".to_owned(), ..job("PENDING") };
-        assert_eq!(judge(Holding::Ready, Some(&held)), Step::Cancel);
+        assert_eq!(next_step(Holding::Ready, Some(&held)), Step::Cancel);
     }
 }
