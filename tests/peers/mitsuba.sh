@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Mitsuba 3 (https://mitsuba-renderer.org), an independent path tracer: our images against its own, of bundles that
-# tests/peers/bundle.py reads by itself.
+# Mitsuba 3 (https://mitsuba-renderer.org), an independent path tracer: our images against its own, of bundles
+# that tests/peers/bundle.py reads by itself.
 #
 #   tests/peers/mitsuba.sh                    small images: their means, and those of 8 × 8 blocks, must agree
 #   tests/peers/mitsuba.sh --full BUNDLE…     what an equal error costs in CPU time (minutes a bundle), by `forelight bench images`
@@ -8,14 +8,16 @@
 #   FORELIGHT_BIN      the program (default: target/debug/forelight, which is built; with --full: target/release/forelight)
 #   FORELIGHT_SHARED   folder with test scenes (default: ../shared)
 #
-# Skips with a line that says why where Python, pip or the network is missing.
+# Needs Python with venv, and the network for pip. Where they are missing it is reported as not run; in CI it
+# fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 source tests/peers/support.bash
 
 python_with mitsuba mitsuba==3.9.1 'numpy>=2,<3' 'OpenEXR>=3.3,<4'
 
-# Mitsuba's vectorised renderer compiles with LLVM, of which it needs a recent one; without, it renders a ray at a time.
+# Mitsuba's vectorised renderer compiles with LLVM, of which it needs a recent one; without, it renders a ray
+# at a time.
 llvm() {
   local names=(/usr/lib/*/libLLVM.so.* /usr/lib/*/libLLVM-1[6-9].so*) name
   for name in "${names[@]}"; do [ -e "$name" ] && echo "$name" && return; done
@@ -52,8 +54,9 @@ fi
 
 need_forelight
 test_scenes kitchen cornell-box
-# From run to run Mitsuba's mean of the kitchen moves by 0.6 %, whatever the seed and the samples (slivers beside lamps); and at this size the
-# cache brightens by 0.3 %. What is right to a tenth of a percent is tested against references that say how noisy they are.
+# From run to run Mitsuba's mean of the kitchen moves by 0.6 %, whatever the seed and the samples (slivers
+# beside lamps); and at this size the cache brightens by 0.3 %. What is right to a tenth of a percent is
+# tested against references that say how noisy they are.
 mean_tolerance=0.01
 failed=0
 for scene in "${scenes[@]}"; do

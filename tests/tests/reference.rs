@@ -1,7 +1,8 @@
 //! Our images against those of an independent path tracer, pixel by pixel, with both variances.
 
+use forelight_test_needs::shared;
 use forelight_tests::reference::{self, Estimate};
-use forelight_tests::{shared, statistics::welch};
+use forelight_tests::statistics::welch;
 use forelight_tracer::{Integrator, MaterialOverride, Settings};
 
 /// Independent passes behind the reference's standard errors, at least.
@@ -23,11 +24,10 @@ struct Case {
 }
 
 fn compare(case: &Case) -> Option<()> {
-    let shared = shared()?;
-    let part = |suffix: &str| {
-        shared.join(format!("reference/{}.lambert.depth{}{suffix}.exr", case.scene, case.depth))
-    };
-    let theirs = reference::read(&part(""), &part(".stderr"), REFERENCE_PASSES);
+    let part =
+        |suffix: &str| shared(&format!("reference/{}.lambert.depth{}{suffix}.exr", case.scene, case.depth));
+    let theirs = reference::read(&part("")?, &part(".stderr")?, REFERENCE_PASSES);
+    let bundle = shared(&format!("scenes/{}", case.scene))?;
     let settings = Settings {
         integrator: case.integrator,
         width: theirs.width,
@@ -38,7 +38,7 @@ fn compare(case: &Case) -> Option<()> {
         materials: MaterialOverride::Lambert,
         ..Settings::default()
     };
-    let ours = reference::render(&shared.join("scenes").join(case.scene), 0, &settings, PASSES);
+    let ours = reference::render(&bundle, 0, &settings, PASSES);
     let (a, b) = (ours.mean(), theirs.mean());
     let error = a / b - 1.0;
     let (scene, depth, error_percent) = (case.scene, case.depth, error * 100.0);
@@ -119,9 +119,9 @@ cases! { Path:
 /// roughness of these floors and more at others, so that ours is brighter wherever one is seen or lights what is seen, and in
 /// the reference mirrors and glass count as scattering events.
 fn compare_full(scene: &str, lowest: f64, highest: f64) -> Option<()> {
-    let shared = shared()?;
-    let part = |suffix: &str| shared.join(format!("reference/{scene}.full.depth12{suffix}.exr"));
-    let theirs = reference::read(&part(""), &part(".stderr"), REFERENCE_PASSES);
+    let part = |suffix: &str| shared(&format!("reference/{scene}.full.depth12{suffix}.exr"));
+    let theirs = reference::read(&part("")?, &part(".stderr")?, REFERENCE_PASSES);
+    let bundle = shared(&format!("scenes/{scene}"))?;
     let settings = Settings {
         integrator: Integrator::Path,
         width: theirs.width,
@@ -130,7 +130,7 @@ fn compare_full(scene: &str, lowest: f64, highest: f64) -> Option<()> {
         ambient_bounces: 10,
         ..Settings::default()
     };
-    let ours = reference::render(&shared.join("scenes").join(scene), 0, &settings, 2);
+    let ours = reference::render(&bundle, 0, &settings, 2);
     let error = ours.mean() / theirs.mean() - 1.0;
     println!("{scene} full: mean {:.6} against {:.6} ({:+.3} %)", ours.mean(), theirs.mean(), error * 100.0);
     assert!((lowest..highest).contains(&error), "{scene}: image mean is off by {:.3} %", error * 100.0);

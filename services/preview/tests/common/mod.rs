@@ -5,6 +5,7 @@ use forelight_preview::{Choice, PreviewError, Previewer};
 use forelight_scene::{
     AlphaMask, Camera, Color, Environment, Frame, Geometry, Material, Surface, Texels, Texture, TextureId,
 };
+use forelight_test_needs::not_run;
 use glam::{Vec2, Vec3};
 use std::sync::Arc;
 
@@ -96,12 +97,12 @@ pub fn camera(width: u32, height: u32) -> Camera {
     }
 }
 
-/// The GPU, or none with a printed line where there is none. One that is there has to work.
+/// The GPU. Where there is none, the test counts as not run, in part at least. One that is there has to work.
 pub fn gpu() -> Option<Previewer> {
     match Previewer::new(Choice::Gpu) {
         Ok(gpu) => Some(gpu),
         Err(error @ PreviewError::NoDevice(_)) => {
-            println!("the GPU's part is skipped: {error}");
+            not_run(format_args!("no GPU preview: {error}"));
             None
         }
         Err(error) => panic!("the GPU cannot be used: {error}"),
