@@ -29,9 +29,9 @@ mod submit;
 mod token;
 mod worker;
 
-use crate::interrupt::Interrupt;
 use anyhow::Result;
 use clap::{ArgAction, Parser, Subcommand};
+use forelight_terminal::interrupt::Interrupt;
 
 /// Knows what a frame will cost before it is rendered.
 ///

@@ -1,16 +1,15 @@
 //! `forelight bench effects`: what it saves to simulate only what a scene calls for.
 
-use crate::commands::explain;
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::local::{settings_request, thread_pool};
-use crate::options::QualityOptions;
-use crate::output::{self, Bars};
-use crate::quantities::{count, percent, seconds};
-use crate::table::{Align, Table};
 use anyhow::Result;
 use forelight_protocol::LeftOut;
 use forelight_scene::{Frame, Limits, Scene};
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::{settings_request, thread_pool};
+use forelight_terminal::options::QualityOptions;
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::quantities::{count, percent, seconds};
+use forelight_terminal::table::{Align, Table};
 use forelight_tracer::{Effects, Image, Settings, Tracer};
 use forelight_worker::tracer_settings;
 use serde::Serialize;
@@ -220,7 +219,7 @@ fn report(measured: &Measured) -> String {
         "{bundle}: {width} x {height}, {spp} spp, {ambient_bounces} bounces, {} triangles\n",
         count(*triangles as f64)
     );
-    text += &format!("calls for  {}\n", explain::effects(&measured.effects));
+    text += &format!("calls for  {}\n", output::list(&measured.effects));
     for (index, LeftOut { what, reason }) in measured.left_out.iter().enumerate() {
         text += &format!("{:9}  {what}: {reason}\n", if index == 0 { "left out" } else { "" });
     }
@@ -289,7 +288,7 @@ mod tests {
                     "radiance": [9, 9, 9]}]}"#;
         std::fs::write(folder.path().join("scene.json"), scene).unwrap();
         let flags = ["effects", "bundle", "--width", "12", "--height", "8", "--spp", "1", "--repeats", "2"];
-        let args: Args = crate::options::parsed(flags);
+        let args: Args = forelight_terminal::options::parsed(flags);
         let pool = thread_pool(Some(1)).unwrap();
         let measured = measure(&args, folder.path(), &pool, &Interrupt::default()).unwrap();
         let left_out: Vec<&str> = measured.left_out.iter().map(|l| l.what.as_str()).collect();

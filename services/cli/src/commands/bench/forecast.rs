@@ -3,17 +3,17 @@
 //! more forecasts on costs that are traced once.
 
 use super::{PAPER_SIZE, bounces_to_try, mean_absolute, relative_error};
-use crate::atomic_file::{self, write_bytes};
-use crate::commands::forecast::Watcher;
-use crate::failure::Interrupted;
-use crate::interrupt::Interrupt;
-use crate::local::Local;
-use crate::options::{MachineOptions, QualityOptions};
-use crate::output::{self, Bars, RenderBar};
-use crate::quantities::{count, percent, seconds};
-use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use forelight_protocol::Rays;
+use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::failure::Interrupted;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::Local;
+use forelight_terminal::options::{MachineOptions, QualityOptions};
+use forelight_terminal::output::{self, Bars, RenderBar};
+use forelight_terminal::quantities::{count, percent, seconds};
+use forelight_terminal::table::{Align, Table};
+use forelight_terminal::watching::QuoteWatcher;
 use forelight_worker::{Given, QuoteOptions, Renderer, quote, render_frame};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -153,7 +153,7 @@ fn measure(args: &Args, local: &Local, bounces: u32, bars: &Bars, interrupt: &In
     for seed in 0..u64::from(args.seeds) {
         let options =
             QuoteOptions { samples: args.samples, profile_frames: Some(1), seed, ..QuoteOptions::default() };
-        let watcher = Watcher::new(&Bars::new(true), 1, interrupt);
+        let watcher = QuoteWatcher::new(&Bars::new(true), 1, interrupt);
         let quoted = local.pool.install(|| quote(&local.shot, &[args.frame], &settings, &options, &watcher));
         let total = match quoted {
             Err(forelight_worker::ShotError::Cancelled) => return Err(Interrupted.into()),

@@ -11,10 +11,10 @@ mod rays;
 mod seconds;
 mod shots;
 
-use crate::interrupt::Interrupt;
-use crate::options::QualityOptions;
 use anyhow::Result;
 use clap::Subcommand;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::options::QualityOptions;
 
 /// Measure how good forecasts are, and how much the farm bears
 #[derive(Debug, clap::Args)]
@@ -100,7 +100,7 @@ fn slug(place: usize, name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::options::parsed;
+    use forelight_terminal::options::parsed;
 
     #[test]
     fn names_of_files_are_plain_and_never_the_same() {

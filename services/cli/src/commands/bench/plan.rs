@@ -1,12 +1,12 @@
 //! `forelight bench plan`: how good and how fast plans are. A studio's week with hundreds of jobs, and small farms of which every plan
 //! can be tried.
 
-use crate::output;
-use crate::quantities::{percent, seconds};
-use crate::table::{Align, Table};
 use anyhow::{Result, anyhow};
 use forelight_planner::reference::{Size, cheapest_by_trying_everything, studio, tiny};
 use forelight_planner::{Event, Input, Plan, plan, replan, verify};
+use forelight_terminal::output;
+use forelight_terminal::quantities::{percent, seconds};
+use forelight_terminal::table::{Align, Table};
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 

@@ -5,20 +5,20 @@
 //! both programs say that the frames took. Each round does all of that in turns, for machines are now busy and now idle; the medians of the rounds count.
 
 use super::{bounces_to_try, mean_absolute, relative_error};
-use crate::atomic_file::{self, write_bytes};
-use crate::commands::forecast::{Watcher, on_another};
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::json_file;
-use crate::local::Local;
-use crate::options::{MachineOptions, QualityOptions};
-use crate::output::{self, Bars};
-use crate::quantities::{percent, seconds};
-use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use forelight_protocol::{
-    CacheMode, FrameSet, Integrator, MaterialMode, NodeCalibration, RenderSettings, RenderStats,
+    CacheMode, FrameSet, Integrator, MaterialMode, NodeCalibration, NodeSeconds, RenderSettings, RenderStats,
 };
+use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::json_file;
+use forelight_terminal::local::Local;
+use forelight_terminal::options::{MachineOptions, QualityOptions};
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::quantities::{percent, seconds};
+use forelight_terminal::table::{Align, Table};
+use forelight_terminal::watching::QuoteWatcher;
 use forelight_worker::{QuoteOptions, Renderer};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -214,9 +214,9 @@ impl Trial<'_> {
         let calibrations = Pair { here: calibration(programs.here)?, there: calibration(programs.there)? };
         spinner.finish_and_clear();
         let options = QuoteOptions { samples: args.samples, ..QuoteOptions::default() };
-        let watcher = Watcher::new(&bars, self.frames.len(), interrupt);
+        let watcher = QuoteWatcher::new(&bars, self.frames.len(), interrupt);
         let quote = watcher.quote(local, self.bundle, self.frames, self.settings, &options)?.document;
-        let there = on_another(&quote, "there".to_owned(), &calibrations.here, &calibrations.there);
+        let there = NodeSeconds::carried(&quote, "there".to_owned(), &calibrations.here, &calibrations.there);
         let there = there.context("the quote does not say of which classes its work is")?;
         Ok(Pair { here: quote.total.cpu_seconds.mean, there: there.cpu_seconds.mean })
     }
@@ -329,7 +329,7 @@ fn report(cases: &[Case]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::options::parsed;
+    use forelight_terminal::options::parsed;
 
     #[test]
     fn medians_and_ranges_are_those_of_the_values() {
@@ -352,7 +352,7 @@ mod tests {
         assert_eq!(&typed[..4], ["render", "b", "--frame", "4"]);
         // What render makes of these is what was quoted.
         let read = parsed::<QualityOptions>([&["render"], &typed[4..typed.len() - 2]].concat());
-        assert_eq!(crate::local::settings_request(&read, (4, 4)).complete((4, 4)), settings);
+        assert_eq!(forelight_terminal::local::settings_request(&read, (4, 4)).complete((4, 4)), settings);
     }
 
     #[test]

@@ -3,19 +3,19 @@
 mod openjd;
 mod template;
 
-use crate::atomic_file::write_bytes;
 use crate::commands::cache::NO_USE_FOR_A_CACHE;
-use crate::failure::BadInput;
-use crate::json_file;
-use crate::local::Local;
-use crate::options::{MachineOptions, PreviewBackend, QualityOptions, duration};
-use crate::output::{self, Bars};
-use crate::quantities::{money, seconds};
 use anyhow::Result;
 use clap::ValueEnum;
 use forelight_protocol::{
     CacheMode, ForecastDoc, FrameSet, ProcessCosts, QuotedShot, RenderSettings, RenderStats, SceneSummary,
 };
+use forelight_terminal::atomic_file::write_bytes;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::json_file;
+use forelight_terminal::local::Local;
+use forelight_terminal::options::{MachineOptions, PreviewBackend, QualityOptions, duration};
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::quantities::{money, seconds};
 use forelight_worker::Renderer;
 use openjd::ExportedShot;
 use std::path::{Path, PathBuf};

@@ -6,17 +6,17 @@ mod plot;
 mod scenes;
 mod share;
 
-use crate::atomic_file::{self, write_bytes};
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::local::Local;
-use crate::options::MachineOptions;
-use crate::output::{self, Bars};
-use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use case::{Case, Effort, Judged, Tally};
 use fields::Family;
 use forelight_forecast::Past;
+use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::Local;
+use forelight_terminal::options::MachineOptions;
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::table::{Align, Table};
 use forelight_worker::Renderer;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -228,7 +228,7 @@ fn synthetic(args: &Args, effort: Effort, bars: &Bars, interrupt: &Interrupt) ->
         let calibrates = (number as usize / Family::ALL.len()).is_multiple_of(2);
         Ok(Group { calibrates, family: family.title().to_owned(), cases: vec![case] })
     };
-    let pool = crate::local::thread_pool(args.machine.threads)?;
+    let pool = forelight_terminal::local::thread_pool(args.machine.threads)?;
     let groups = pool.install(|| (0..args.fields).into_par_iter().map(one).collect());
     bar.finish_and_clear();
     groups
@@ -354,7 +354,7 @@ fn text(report: &Report) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::options::parsed;
+    use forelight_terminal::options::parsed;
 
     #[test]
     fn calibrated_quantiles_of_shots_that_calibrated_none_hold_what_they_promise() {

@@ -1,8 +1,8 @@
 //! The reliability diagram: how often the truth stayed below a quantile, over how often it was promised to.
 
 use super::{Level, Report, Row};
-use crate::drawing::{self, Area, Drawn};
 use anyhow::Result;
+use forelight_terminal::drawing::{self, Area, Drawn};
 use plotters::prelude::*;
 
 /// Size of a panel, pixels.

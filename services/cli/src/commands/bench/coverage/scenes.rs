@@ -1,13 +1,13 @@
 //! Shots of real scenes, small, with the true cost of every pixel.
 
 use super::case::{Known, KnownFrame};
-use crate::failure::Interrupted;
-use crate::interrupt::Interrupt;
-use crate::local::Local;
-use crate::output::Bars;
 use anyhow::Result;
 use forelight_forecast::Cost;
 use forelight_protocol::{RenderSettings, RenderSettingsRequest};
+use forelight_terminal::failure::Interrupted;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::Local;
+use forelight_terminal::output::Bars;
 use forelight_worker::{Renderer, cost_of, forecast_strata, stratum_ids};
 
 /// A quality at which a scene is rendered: its name, camera samples and ambient bounces.

@@ -9,13 +9,13 @@
 
 use super::bare::Bare;
 use super::{ServiceProcess, fill, name_of, quantile, registration, rendered};
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::output::{self, Bars};
-use crate::table::{Align, Table};
 use anyhow::{Context, Result, anyhow, bail};
 use forelight_protocol::{ClaimRequest, Node, NodeId, RenewRequest, ResultRequest, TaskSpec};
 use forelight_store::{DATABASE, Store};
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::table::{Align, Table};
 use forelight_worker::{Client, Token};
 use serde::Serialize;
 use std::path::{Path, PathBuf};

@@ -5,13 +5,13 @@
 //! service is a process of its own; workers and service share the machine.
 
 use super::{ServiceProcess, fill, quantile};
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::options::duration;
-use crate::output::{self, Bars};
 use anyhow::{Result, anyhow, bail};
 use forelight_protocol::{Lease, LeaseOrder, RenewRequest, Timestamp};
 use forelight_store::{Answered, Store};
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::options::duration;
+use forelight_terminal::output::{self, Bars};
 use forelight_worker::{Backoff, Client, Token};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -80,7 +80,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
 
 async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
     // A connection at each worker; the service raises its own limit when it starts.
-    crate::open_files::allow(u64::from(args.workers) + 256)?;
+    forelight_terminal::open_files::allow(u64::from(args.workers) + 256)?;
     let folder = match &args.folder {
         Some(folder) => tempfile::tempdir_in(folder)
             .map_err(|error| BadInput::new(format!("--folder {}: {error}", folder.display())))?,

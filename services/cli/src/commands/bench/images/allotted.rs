@@ -2,12 +2,12 @@
 
 use super::measure::Rendered;
 use super::picture::Picture;
-use crate::commands::allot::{Stopping, failure};
-use crate::failure::Interrupted;
-use crate::interrupt::Interrupt;
 use anyhow::{Context, Result};
 use forelight_preview::Choice;
 use forelight_protocol::{Confidence, RenderSettings};
+use forelight_terminal::failure::Interrupted;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::watching::{Stopping, allotment_failure};
 use forelight_tracer::process_cpu_nanos;
 use forelight_worker::{Aim, AllotOptions, Ambient, AmbientShot, Given, Renderer, render_allotted};
 use std::path::Path;
@@ -39,7 +39,8 @@ impl Allotted {
         let stopping = Stopping(interrupt);
         let rendered =
             render_allotted(&self.shot, self.frame, settings, Given::default(), &options, &|_| (), &stopping);
-        let rendered = rendered.map_err(|error| failure("--error", error))?.ok_or(Interrupted)?.rendered;
+        let rendered =
+            rendered.map_err(|error| allotment_failure("--error", error))?.ok_or(Interrupted)?.rendered;
         let (cpu_nanos, wall_seconds) = (process_cpu_nanos() - used, start.elapsed().as_secs_f64());
         let stats = &rendered.stats;
         let forecast = stats.allotted.as_ref().and_then(|allotted| allotted.forecast.as_ref());

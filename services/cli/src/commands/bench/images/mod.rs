@@ -8,13 +8,13 @@ mod picture;
 mod quality;
 mod report;
 
-use crate::atomic_file::{self, write_bytes};
-use crate::failure::BadInput;
-use crate::interrupt::Interrupt;
-use crate::options::Materials;
-use crate::output::{self, Bars};
 use anyhow::Result;
 use forelight_protocol::{MaterialMode, RenderSettings, RenderSettingsRequest};
+use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::options::Materials;
+use forelight_terminal::output::{self, Bars};
 use peer::Peer;
 use quality::Quality;
 use std::path::PathBuf;

@@ -1,11 +1,11 @@
 //! Settings of a render as one line of flags, and the ladders of them that are measured.
 
-use crate::commands::allot::positive;
-use crate::failure::BadInput;
-use crate::local::settings_request;
-use crate::options::{CacheSwitch, IntegratorName, QualityOptions};
 use clap::Parser;
 use forelight_protocol::RenderSettings;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::local::settings_request;
+use forelight_terminal::options::positive;
+use forelight_terminal::options::{CacheSwitch, IntegratorName, QualityOptions};
 use forelight_tracer::Settings;
 use forelight_worker::tracer_settings;
 use std::fmt;

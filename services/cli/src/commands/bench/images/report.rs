@@ -1,8 +1,8 @@
 //! The measurements for people.
 
 use super::measure::{Measured, MeasuredPeer};
-use crate::quantities::{count, percent, seconds};
-use crate::table::{Align, Table};
+use forelight_terminal::quantities::{count, percent, seconds};
+use forelight_terminal::table::{Align, Table};
 
 /// All tables of a bundle.
 pub fn text(measured: &Measured) -> String {

@@ -1,10 +1,10 @@
 //! Error against the number of profiled pixels, both in logarithms.
 
 use super::{Curve, CurvePoint};
-use crate::drawing::{self, Area, Drawn};
-use crate::quantities::seconds;
 use anyhow::Result;
 use forelight_forecast::Strategy;
+use forelight_terminal::drawing::{self, Area, Drawn};
+use forelight_terminal::quantities::seconds;
 use plotters::prelude::*;
 
 /// Size of a panel, pixels.

@@ -1,13 +1,13 @@
 //! The paper's four ambient levels, each a full render with the cost of every pixel.
 
 use super::LADDER;
-use crate::failure::Interrupted;
-use crate::interrupt::Interrupt;
-use crate::local::Local;
-use crate::output::{Bars, RenderBar};
 use anyhow::Result;
 use forelight_forecast::{Cost, Costs, Stratum};
 use forelight_protocol::{CacheMode, RenderSettings, RenderSettingsRequest};
+use forelight_terminal::failure::Interrupted;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::Local;
+use forelight_terminal::output::{Bars, RenderBar};
 use forelight_tracer::{Cache, CacheTotals};
 use forelight_worker::{
     FrameRenderer, Renderer, cost_of, cost_of_gather, cost_of_record, forecast_strata, record_prior_cost,

@@ -9,15 +9,15 @@ mod report;
 mod trial;
 
 use super::{PAPER_SIZE, slug};
-use crate::atomic_file::write_bytes;
-use crate::failure::Interrupted;
-use crate::interrupt::Interrupt;
-use crate::local::Local;
-use crate::options::MachineOptions;
-use crate::output::{self, Bars};
 use anyhow::{Context, Result};
 use figures::File;
 use forelight_forecast::Strategy;
+use forelight_terminal::atomic_file::write_bytes;
+use forelight_terminal::failure::Interrupted;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::Local;
+use forelight_terminal::options::MachineOptions;
+use forelight_terminal::output::{self, Bars};
 use forelight_worker::Renderer;
 use level::{Level, Seen, Task, Truth};
 use rayon::prelude::*;
@@ -163,7 +163,7 @@ fn study(
     let &Args { frame, size, samples, seeds, repeats, gather_rays, .. } = args;
     for level in Level::ALL {
         level.settings(size, gather_rays).check().map_err(|wrong| {
-            crate::failure::BadInput::new(format!("--size or --gather-rays: {}", wrong.reason))
+            forelight_terminal::failure::BadInput::new(format!("--size or --gather-rays: {}", wrong.reason))
         })?;
     }
     let task = Task { local, frame, size, gather_rays, samples, seeds, repeats };
@@ -275,7 +275,7 @@ impl Trials<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::options::parsed;
+    use forelight_terminal::options::parsed;
 
     /// Runs the experiment on a floor with a block on it, under a lamp or in the dark; the report, and the measurements.
     fn experiment(lamp: &str, flags: &[&str]) -> (tempfile::TempDir, Vec<(String, Study)>) {

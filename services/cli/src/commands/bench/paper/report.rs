@@ -5,9 +5,9 @@ use super::level::Level;
 use super::trial::{Columns, Outcome, Score};
 use super::{LevelStudy, Study};
 use crate::commands::bench::relative_error;
-use crate::quantities::{count, percent, seconds};
-use crate::table::{Align, Table};
 use forelight_forecast::Strategy;
+use forelight_terminal::quantities::{count, percent, seconds};
+use forelight_terminal::table::{Align, Table};
 use std::fmt::Write;
 
 /// Pictures beside each other.

@@ -18,10 +18,10 @@
 //! sets of query 1 just 0, or 2³² − 1 if there is none; `t` is the distance of the closest hit, otherwise 0.
 
 use super::workload::{Query, RaySet};
-use crate::atomic_file::write_with;
-use crate::failure::BadInput;
 use anyhow::Result;
 use forelight_scene::Geometry;
+use forelight_terminal::atomic_file::write_with;
+use forelight_terminal::failure::BadInput;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;

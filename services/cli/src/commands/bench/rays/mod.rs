@@ -4,14 +4,14 @@ mod export;
 mod peer;
 mod workload;
 
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::output::{self, Bars};
-use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use export::Answer;
 use forelight_bvh::{Bvh, Traversal};
 use forelight_scene::{Geometry, Limits, Scene};
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::table::{Align, Table};
 use peer::Peer;
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;

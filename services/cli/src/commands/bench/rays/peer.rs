@@ -10,8 +10,8 @@
 //!
 //! It ends when its input does.
 
-use crate::failure::BadInput;
 use anyhow::{Context, Result, bail};
+use forelight_terminal::failure::BadInput;
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};

@@ -7,14 +7,14 @@ mod report;
 mod truth;
 
 use super::{mean_absolute, relative_error};
-use crate::atomic_file::{self, write_bytes};
-use crate::commands::forecast::Watcher;
-use crate::interrupt::Interrupt;
-use crate::local::Local;
-use crate::options::{MachineOptions, QualityOptions};
-use crate::output::{self, Bars};
 use anyhow::{Context, Result};
 use forelight_protocol::{CacheMode, FrameSet, Quantiles, RenderSettings, RenderStats, Spent};
+use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::Local;
+use forelight_terminal::options::{MachineOptions, QualityOptions};
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::watching::QuoteWatcher;
 use forelight_worker::{Quote, QuoteOptions, Renderer};
 use practice::Practice;
 use serde::Serialize;
@@ -222,7 +222,7 @@ fn measure(
             seed,
             ..QuoteOptions::default()
         };
-        let watcher = Watcher::new(bars, frames.len(), interrupt);
+        let watcher = QuoteWatcher::new(bars, frames.len(), interrupt);
         quotes.push((seed, watcher.quote(local, bundle, &frames, &settings, &options)?));
     }
     let actual = truth::of_frames(local, &frames, &settings, args.truth.as_deref(), bars, interrupt)?;
@@ -325,7 +325,7 @@ fn wape(forecast: &[f64], actual: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::options::parsed;
+    use forelight_terminal::options::parsed;
 
     const SCENE: &str = r#"{"version":1,"name":"a block","geometry":["t.obj"],
         "lights":[{"type":"point","position":[2,5,3],"intensity":[40,40,40]}],
@@ -373,7 +373,7 @@ mod tests {
     }
 
     fn json_file(path: &std::path::Path) -> RenderStats {
-        crate::json_file::read(path).unwrap()
+        forelight_terminal::json_file::read(path).unwrap()
     }
 
     #[test]

@@ -1,10 +1,10 @@
 //! Cost by frame: the forecast with its band, the truth, and what farms would have said.
 
 use super::{Measured, Practice};
-use crate::drawing::{self, Area, Drawn};
-use crate::quantities::count;
 use anyhow::Result;
 use forelight_protocol::Quantiles;
+use forelight_terminal::drawing::{self, Area, Drawn};
+use forelight_terminal::quantities::count;
 use plotters::prelude::*;
 
 const SIZE: (u32, u32) = (980, 460);

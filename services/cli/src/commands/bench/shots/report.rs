@@ -1,9 +1,9 @@
 //! The measurements as a table for people.
 
 use super::{Measured, Outcome};
-use crate::quantities::{count, seconds};
-use crate::table::{Align, Table};
 use forelight_protocol::CacheMode;
+use forelight_terminal::quantities::{count, seconds};
+use forelight_terminal::table::{Align, Table};
 
 /// All shots, each with its forecast and what farms do instead.
 pub fn text(shots: &[Measured]) -> String {

@@ -1,13 +1,13 @@
 //! The full render of every frame, whose costs can be kept for the next time.
 
-use crate::atomic_file::write_bytes;
-use crate::failure::Interrupted;
-use crate::interrupt::Interrupt;
-use crate::json_file;
-use crate::local::Local;
-use crate::output::{self, Bars};
 use anyhow::Result;
 use forelight_protocol::{RenderSettings, RenderStats};
+use forelight_terminal::atomic_file::write_bytes;
+use forelight_terminal::failure::Interrupted;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::json_file;
+use forelight_terminal::local::Local;
+use forelight_terminal::output::{self, Bars};
 use forelight_worker::{Renderer, render_ready};
 use std::path::{Path, PathBuf};
 

@@ -3,7 +3,6 @@
 use crate::failure::BadInput;
 use crate::quantities;
 use clap::{Args, ValueEnum};
-use std::path::PathBuf;
 
 /// Image size and quality of light transport.
 #[derive(Debug, Clone, Args)]
@@ -124,77 +123,16 @@ pub enum PreviewBackend {
     Cpu,
 }
 
-/// Where the service is, and who asks.
-#[derive(Debug, Clone, Args)]
-#[command(next_help_heading = "Connection")]
-pub struct ConnectionOptions {
-    /// Address of the service
-    #[arg(long, value_name = "URL", env = "FORELIGHT_SERVER", default_value = "http://127.0.0.1:7878")]
-    pub server: String,
-    /// File that holds the token
-    #[arg(long, value_name = "FILE")]
-    pub token_file: Option<PathBuf>,
-    /// The token itself; better given by the variable than on the command line
-    #[arg(long, value_name = "TOKEN", env = "FORELIGHT_TOKEN", hide_env_values = true)]
-    pub token: Option<String>,
-    /// Data folder of a farm on this machine: its operator token is used
-    #[arg(long, value_name = "DIR")]
-    pub data: Option<PathBuf>,
-}
-
-/// How sure a booking, or what a frame comes to, has to be.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ConfidenceLevel {
-    /// As likely missed as kept.
-    P50,
-    /// Kept four times out of five.
-    P80,
-    /// Kept nineteen times out of twenty.
-    P95,
-}
-
-impl From<ConfidenceLevel> for forelight_protocol::Confidence {
-    fn from(level: ConfidenceLevel) -> Self {
-        match level {
-            ConfidenceLevel::P50 => Self::P50,
-            ConfidenceLevel::P80 => Self::P80,
-            ConfidenceLevel::P95 => Self::P95,
-        }
-    }
-}
-
-/// Whether the frames of a job share one irradiance cache.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Sharing {
-    /// Whatever takes less work; the quote has both prices.
-    Auto,
-    /// One is made for all frames before any is rendered.
-    Shared,
-    /// Every frame makes its own.
-    Private,
-}
-
-impl From<Sharing> for forelight_protocol::CacheSharing {
-    fn from(sharing: Sharing) -> Self {
-        match sharing {
-            Sharing::Auto => Self::Auto,
-            Sharing::Shared => Self::Shared,
-            Sharing::Private => Self::Private,
-        }
-    }
-}
-
 /// A duration flag as the standard library's type.
 pub fn duration(text: &str) -> Result<std::time::Duration, String> {
     quantities::parse_duration(text)?.try_into().map_err(|_| "the duration is too long".to_string())
 }
 
-/// A picture to write.
-pub fn png_file(text: &str) -> Result<PathBuf, String> {
-    let path = PathBuf::from(text);
-    match path.extension() {
-        Some(end) if end.eq_ignore_ascii_case("png") => Ok(path),
-        _ => Err("it will be a PNG, so the name must end in .png".into()),
+/// A number above 0.
+pub fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        _ => Err("a number above 0 is wanted".into()),
     }
 }
 
@@ -210,7 +148,6 @@ fn accuracy(text: &str) -> Result<u32, String> {
 }
 
 /// The arguments of a command as its flags make them: what its tests run it with.
-#[cfg(test)]
 pub fn parsed<A: clap::Args>(words: impl IntoIterator<Item = impl Into<std::ffi::OsString> + Clone>) -> A {
     #[derive(clap::Parser)]
     struct Command<A: clap::Args> {

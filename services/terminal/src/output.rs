@@ -31,6 +31,12 @@ pub fn pretty<T: Serialize>(document: &T) -> Result<String> {
     serde_json::to_string_pretty(document).context("cannot write JSON")
 }
 
+/// Names one after the other, or `none`.
+pub fn list(names: &[impl AsRef<str>]) -> String {
+    let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
+    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+}
+
 /// Progress bars: shown on a terminal, unless the output is for a machine.
 #[derive(Debug, Clone)]
 pub struct Bars {
