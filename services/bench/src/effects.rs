@@ -1,5 +1,6 @@
 //! `forelight bench effects`: what it saves to simulate only what a scene calls for.
 
+use crate::statistics::{sorted, upper_median};
 use anyhow::Result;
 use forelight_protocol::LeftOut;
 use forelight_scene::{Frame, Limits, Scene};
@@ -207,10 +208,11 @@ fn bits(runner: &Runner) -> impl Iterator<Item = ([u32; 3], u32)> {
 }
 
 /// Median (of an even number the upper one), least and greatest; 0 of none.
-fn spread(mut values: Vec<f64>) -> Ratio {
-    values.sort_by(f64::total_cmp);
-    let at = |index: usize| values.get(index).copied().unwrap_or(0.0);
-    Ratio { median: at(values.len() / 2), lowest: at(0), highest: at(values.len().saturating_sub(1)) }
+fn spread(values: Vec<f64>) -> Ratio {
+    let values = sorted(values);
+    let end = |value: Option<&f64>| value.copied().unwrap_or(0.0);
+    let median = upper_median(&values).unwrap_or(0.0);
+    Ratio { median, lowest: end(values.first()), highest: end(values.last()) }
 }
 
 fn report(measured: &Measured) -> String {

@@ -2,7 +2,8 @@
 //! forecast is made from scratch, as `forelight forecast` makes it, with pixels that are traced for it; `bench paper` compares many
 //! more forecasts on costs that are traced once.
 
-use super::{PAPER_SIZE, bounces_to_try, mean_absolute, relative_error};
+use crate::conventions::{PAPER_SIZE, bounces_to_try};
+use crate::statistics::{mean_absolute, relative_error};
 use anyhow::{Context, Result};
 use forelight_protocol::Rays;
 use forelight_terminal::atomic_file::{self, write_bytes};

@@ -7,7 +7,7 @@ use forelight_planner::{Event, Input, Plan, plan, replan, verify};
 use forelight_terminal::output;
 use forelight_terminal::quantities::{percent, seconds};
 use forelight_terminal::table::{Align, Table};
-use rustix::time::{ClockId, clock_gettime};
+use forelight_tracer::clocked;
 use serde::Serialize;
 
 /// Measure plans: time, cost against the bound, and small ones against the optimum
@@ -97,15 +97,10 @@ pub fn run(args: &Args) -> Result<()> {
     if args.json { output::json(&document) } else { output::print(&report(&document)) }
 }
 
-/// CPU seconds of this thread that the work takes, and its result.
+/// The result of some work, and the CPU seconds of this thread that it took.
 fn timed<T>(work: impl FnOnce() -> T) -> (T, f64) {
-    let now = || {
-        let time = clock_gettime(ClockId::ThreadCPUTime);
-        time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
-    };
-    let start = now();
-    let done = work();
-    (done, now() - start)
+    let (done, nanos) = clocked(work);
+    (done, nanos as f64 * 1e-9)
 }
 
 fn checked(input: &Input, plan: &Plan) -> Result<()> {

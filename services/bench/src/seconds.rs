@@ -4,7 +4,8 @@
 //! both). It is calibrated as a user would; the quote is made here and carried over, as `forelight forecast --for-node` does. What is true is what
 //! both programs say that the frames took. Each round does all of that in turns, for machines are now busy and now idle; the medians of the rounds count.
 
-use super::{bounces_to_try, mean_absolute, relative_error};
+use crate::conventions::bounces_to_try;
+use crate::statistics::{mean_absolute, median, relative_error};
 use anyhow::{Context, Result};
 use forelight_protocol::{
     CacheMode, FrameSet, Integrator, MaterialMode, NodeCalibration, NodeSeconds, RenderSettings, RenderStats,
@@ -269,18 +270,6 @@ impl Trial<'_> {
     }
 }
 
-/// The middle value; of an even number, the mean of the two.
-fn median(values: &[f64]) -> f64 {
-    let mut values = values.to_vec();
-    values.sort_by(f64::total_cmp);
-    let half = values.len() / 2;
-    match values.len() {
-        0 => 0.0,
-        even if even % 2 == 0 => 0.5 * (values[half - 1] + values[half]),
-        _ => values[half],
-    }
-}
-
 /// Half of the range that the rounds have, as a share of their median.
 fn noise(values: &[f64]) -> f64 {
     let (low, high) = values.iter().fold((f64::MAX, 0.0f64), |(low, high), &v| (low.min(v), high.max(v)));
@@ -332,10 +321,7 @@ mod tests {
     use forelight_terminal::options::parsed;
 
     #[test]
-    fn medians_and_ranges_are_those_of_the_values() {
-        assert_eq!(median(&[3.0, 1.0, 2.0]), 2.0);
-        assert_eq!(median(&[4.0, 1.0, 2.0, 3.0]), 2.5);
-        assert_eq!(median(&[]), 0.0);
+    fn noise_is_half_of_the_range_over_the_median() {
         assert_eq!(noise(&[2.0, 1.0, 3.0]), 0.5);
     }
 

@@ -8,7 +8,8 @@
 //! machine does meets both; medians of the rounds are compared.
 
 use super::bare::Bare;
-use super::{ServiceProcess, fill, name_of, quantile, registration, rendered};
+use super::{ServiceProcess, fill, name_of, registration, rendered};
+use crate::statistics::{quantile, sorted, upper_median};
 use anyhow::{Context, Result, anyhow, bail};
 use forelight_protocol::{ClaimRequest, Node, NodeId, RenewRequest, ResultRequest, TaskSpec};
 use forelight_store::{DATABASE, Store};
@@ -138,12 +139,8 @@ async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let median = |rates: &[f64]| {
-        let mut sorted = rates.to_vec();
-        sorted.sort_by(f64::total_cmp);
-        quantile(&sorted, 0.5)
-    };
-    latencies.sort_by(f64::total_cmp);
+    let median = |rates: &[f64]| upper_median(&sorted(rates.to_vec())).unwrap_or(0.0);
+    let latencies = sorted(latencies);
     let (bare_median, http_median) = (median(&bare), median(&http));
     Ok(Document {
         workers: args.workers,

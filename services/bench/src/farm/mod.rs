@@ -288,9 +288,3 @@ fn frame_forecasts(job: &Job) -> Vec<FrameForecast> {
     };
     job.frames.iter().map(forecast).collect()
 }
-
-/// The value below which this share of the sorted values lies; 0 of none.
-pub fn quantile(sorted: &[f64], share: f64) -> f64 {
-    let last = sorted.len().saturating_sub(1);
-    sorted.get((share * last as f64).round() as usize).copied().unwrap_or(0.0)
-}

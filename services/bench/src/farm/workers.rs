@@ -4,7 +4,8 @@
 //! asked for, with progress: the heartbeat that brings orders back. They begin at even distances over the interval. The
 //! service is a process of its own; workers and service share the machine.
 
-use super::{ServiceProcess, fill, quantile};
+use super::{ServiceProcess, fill};
+use crate::statistics::quantile;
 use anyhow::{Result, anyhow, bail};
 use forelight_protocol::{Lease, LeaseOrder, RenewRequest, Timestamp};
 use forelight_store::{Answered, Store};

@@ -5,6 +5,7 @@ use super::ladder::{Cost, Rung, cost_at};
 use super::picture::{Distance, Picture};
 use super::quality::Quality;
 use super::{Args, base};
+use crate::statistics::median;
 use anyhow::{Context, Result};
 use forelight_protocol::RenderSettings;
 use forelight_scene::{Frame, Limits, Scene};
@@ -399,10 +400,4 @@ fn saved(rungs: &[MeasuredRung]) -> Vec<Saved> {
             })
         })
         .collect()
-}
-
-/// The middle of sorted values.
-fn median(sorted: &[f64]) -> f64 {
-    let middle = sorted.len() / 2;
-    if sorted.len() % 2 == 1 { sorted[middle] } else { (sorted[middle - 1] + sorted[middle]) / 2.0 }
 }

@@ -1,6 +1,7 @@
 //! The paper's four ambient levels, each a full render with the cost of every pixel.
 
 use super::LADDER;
+use crate::statistics::upper_median;
 use anyhow::Result;
 use forelight_forecast::{Cost, Costs, Stratum};
 use forelight_protocol::{CacheMode, RenderSettings, RenderSettingsRequest};
@@ -209,12 +210,6 @@ pub fn mean_record(sampled: &[Vec<(u32, Cost)>]) -> Costs<f64> {
     }
 }
 
-/// The middle one of several times, the upper middle one if they are even.
-fn median(mut nanos: Vec<u64>) -> u64 {
-    nanos.sort_unstable();
-    nanos.get(nanos.len() / 2).copied().unwrap_or(0)
-}
-
 /// What is to be traced.
 #[derive(Clone, Copy)]
 pub struct Task<'a> {
@@ -346,6 +341,10 @@ impl Times {
 
     /// Gives the pixels their median times, and returns the cache's.
     fn into_medians(self, pixels: &mut [Cost]) -> [u64; 2] {
+        let median = |mut nanos: Vec<u64>| {
+            nanos.sort_unstable();
+            upper_median(&nanos).unwrap_or(0)
+        };
         pixels.iter_mut().zip(self.pixels).for_each(|(cost, times)| cost.cpu_nanos = median(times));
         self.cache.map(median)
     }
@@ -402,6 +401,5 @@ mod tests {
         times.add(&costs(&[4, 8]), &[2, 90]);
         assert_eq!(times.into_medians(&mut pixels), [2, 2]);
         assert_eq!(pixels.iter().map(|cost| cost.cpu_nanos).collect::<Vec<_>>(), [5, 7]);
-        assert_eq!(median(Vec::new()), 0);
     }
 }

@@ -8,7 +8,7 @@ mod picture;
 mod report;
 mod trial;
 
-use super::{PAPER_SIZE, slug};
+use crate::conventions::{PAPER_SIZE, slug};
 use anyhow::{Context, Result};
 use figures::File;
 use forelight_forecast::Strategy;

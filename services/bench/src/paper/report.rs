@@ -4,7 +4,7 @@ use super::figures::{Shown, map_file, mapped, positions_file};
 use super::level::Level;
 use super::trial::{Columns, Outcome, Score};
 use super::{LevelStudy, Study};
-use crate::relative_error;
+use crate::statistics::relative_error;
 use forelight_forecast::Strategy;
 use forelight_terminal::quantities::{count, percent, seconds};
 use forelight_terminal::table::{Align, Table};

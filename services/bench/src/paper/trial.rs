@@ -1,7 +1,7 @@
 //! Forecasts from pixels whose cost is known, and how far they were off.
 
 use super::level::{Seen, Truth};
-use crate::{mean_absolute, relative_error};
+use crate::statistics::{mean_absolute, relative_error};
 use anyhow::Result;
 use forelight_forecast::{
     Calibration, Cost, Costs, FramePopulation, ProfiledFrame, Quantity, RecordStrata, Strategy, forecast_shot,

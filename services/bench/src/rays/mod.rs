@@ -4,6 +4,7 @@ mod export;
 mod peer;
 mod workload;
 
+use crate::statistics::{sorted, upper_median};
 use anyhow::{Context, Result};
 use export::Answer;
 use forelight_bvh::{Bvh, Traversal};
@@ -12,8 +13,8 @@ use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::table::{Align, Table};
+use forelight_tracer::clocked;
 use peer::Peer;
-use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use workload::{Query, RaySet, workload};
@@ -130,9 +131,7 @@ fn measure(
         .and_then(|scene| scene.frame(args.frame))
         .map_err(|error| BadInput::new(format!("bundle {}: {error}", bundle.display())))?;
     let geometry = &*frame.geometry;
-    let start = cpu_seconds();
-    let bvh = Bvh::build(&geometry.positions, &geometry.triangles);
-    let build_seconds = cpu_seconds() - start;
+    let (bvh, build_nanos) = clocked(|| Bvh::build(&geometry.positions, &geometry.triangles));
     let sets = workload(&frame, &bvh, args.rays, args.seed);
     let mut answers: Vec<Vec<Answer>> =
         sets.iter().map(|set| vec![Answer::NOTHING; set.rays.len()]).collect();
@@ -160,9 +159,9 @@ fn measure(
             if interrupt.is_set() {
                 return Err(Interrupted.into());
             }
-            let start = cpu_seconds();
-            steps = trace(&bvh, set, answers);
-            let own = cpu_seconds() - start;
+            let (traced, nanos) = clocked(|| trace(&bvh, set, answers));
+            steps = traced;
+            let own = nanos as f64 * 1e-9;
             ours.push(own);
             if let Some(peer) = &mut peer {
                 let other = peer.trace(index)?;
@@ -202,7 +201,7 @@ fn measure(
     Ok(MeasuredScene {
         bundle: bundle.display().to_string(),
         triangles,
-        build_seconds,
+        build_seconds: build_nanos as f64 * 1e-9,
         tree_nodes,
         tree_groups,
         tree_bytes_per_triangle: bvh.bytes() as f64 / triangles.max(1) as f64,
@@ -240,16 +239,9 @@ fn geometry_bytes(geometry: &Geometry) -> usize {
         + size_of_val(geometry.triangle_stratum.as_slice())
 }
 
-/// CPU time of this thread: what other programs do at the same time disturbs it little.
-fn cpu_seconds() -> f64 {
-    let time = clock_gettime(ClockId::ThreadCPUTime);
-    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
-}
-
-/// The median, of an even number the upper one; 0 of none.
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
+/// The upper median; 0 of none.
+fn median(values: Vec<f64>) -> f64 {
+    upper_median(&sorted(values)).unwrap_or(0.0)
 }
 
 fn report(measured: &Measured) -> String {
@@ -299,16 +291,4 @@ fn report(measured: &Measured) -> String {
         text.push('\n');
     }
     text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_median_is_the_value_in_the_middle() {
-        assert_eq!(median(vec![3.0, 1.0, 2.0]), 2.0);
-        assert_eq!(median(vec![4.0, 1.0, 2.0, 3.0]), 3.0);
-        assert_eq!(median(Vec::new()), 0.0);
-    }
 }

@@ -6,7 +6,8 @@ mod practice;
 mod report;
 mod truth;
 
-use super::{mean_absolute, relative_error};
+use crate::conventions::slug;
+use crate::statistics::{mean_absolute, relative_error};
 use anyhow::{Context, Result};
 use forelight_protocol::{CacheMode, FrameSet, Quantiles, RenderSettings, RenderStats, Spent};
 use forelight_terminal::atomic_file::{self, write_bytes};
@@ -186,7 +187,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     }
     if let Some(folder) = &args.svg {
         for (place, shot) in shots.iter().enumerate() {
-            let path = folder.join(format!("{}.svg", super::slug(place, &shot.bundle)));
+            let path = folder.join(format!("{}.svg", slug(place, &shot.bundle)));
             write_bytes(&path, plot::svg(shot)?.as_bytes())?;
         }
     }
