@@ -1,11 +1,13 @@
 //! One shot whose every pixel's cost is known, forecast, and held against it.
 
-use super::NOMINAL;
 use anyhow::Result;
 use forelight_forecast::{
     Calibration, Cost, Expansion, FrameDesign, FramePopulation, Measure, Observation, Pick, PixelCosts,
     ProfiledFrame, Quantity, Stratum, StratumEstimate, choose_frames, estimate, forecast_shot, residual,
 };
+
+/// Quantiles at which the diagram has points; those that quotes name are among them.
+pub const NOMINAL: [f64; 13] = [0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98];
 
 /// A shot with the true cost of every pixel.
 pub struct Known {

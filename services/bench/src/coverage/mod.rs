@@ -3,24 +3,23 @@
 mod case;
 mod fields;
 mod plot;
+mod report;
+mod rows;
 mod scenes;
 mod share;
 
 use anyhow::{Context, Result};
-use case::{Case, Effort, Judged, Tally};
+use case::Effort;
 use fields::Family;
-use forelight_forecast::Past;
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::Local;
 use forelight_terminal::options::MachineOptions;
 use forelight_terminal::output::{self, Bars};
-use forelight_terminal::table::{Align, Table};
 use forelight_worker::Renderer;
 use rayon::prelude::*;
-use serde::Serialize;
-use share::Share;
+use rows::{Group, Level, Report, row};
 use std::path::PathBuf;
 
 /// How often the truth stays below the quantiles that were promised, before calibration and after it
@@ -72,98 +71,6 @@ pub struct Args {
     machine: MachineOptions,
 }
 
-/// What a forecast is of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Level {
-    /// A pixel of a profiled frame that was not profiled.
-    Pixel,
-    /// The pixels of one surface in a profiled frame.
-    Stratum,
-    /// A frame.
-    Frame,
-    /// All frames.
-    Shot,
-}
-
-impl Level {
-    const ALL: [Level; 4] = [Level::Pixel, Level::Stratum, Level::Frame, Level::Shot];
-
-    const fn title(self) -> &'static str {
-        match self {
-            Level::Pixel => "pixel",
-            Level::Stratum => "stratum",
-            Level::Frame => "frame",
-            Level::Shot => "shot",
-        }
-    }
-
-    /// The forecasts of a case; of pixels there is but a tally.
-    fn of(self, case: &Case) -> &[Judged] {
-        match self {
-            Level::Pixel => &[],
-            Level::Stratum => &case.strata,
-            Level::Frame => &case.frames,
-            Level::Shot => &case.shot,
-        }
-    }
-}
-
-/// Quantiles at which the diagram has points; those that quotes name are among them.
-const NOMINAL: [f64; 13] = [0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98];
-
-/// The quantiles that quotes name.
-const NAMED: [f64; 3] = [0.50, 0.80, 0.95];
-
-/// The measurements.
-#[derive(Debug, Serialize)]
-pub struct Report {
-    samples: u32,
-    profile_frames: u32,
-    rows: Vec<Row>,
-}
-
-/// Forecasts of one level of one kind of shots.
-#[derive(Debug, Serialize)]
-pub struct Row {
-    shots: String,
-    level: Level,
-    /// Quotes.
-    cases: usize,
-    /// Different shots, of which each is a witness, whatever the number of its quotes.
-    independent: usize,
-    /// Forecasts.
-    forecasts: usize,
-    /// Jobs on which the calibrated quantiles rest.
-    calibrated_on: usize,
-    points: Vec<Point>,
-}
-
-/// A quantile.
-#[derive(Debug, Clone, Copy, Serialize)]
-pub struct Point {
-    /// Share of the truths that are promised to be at or below it.
-    nominal: f64,
-    /// Share that was, with quantiles as the formulas make them.
-    formulas: Share,
-    /// The same with quantiles calibrated on other cases; absent where these were too few.
-    calibrated: Option<Share>,
-}
-
-impl Row {
-    fn point(&self, nominal: f64) -> Option<&Point> {
-        self.points.iter().find(|point| point.nominal == nominal)
-    }
-}
-
-/// Cases of one shot, or of one scene at one quality.
-struct Group {
-    /// Whether it may calibrate the others of its kind, or is judged.
-    calibrates: bool,
-    family: String,
-    cases: Vec<Case>,
-}
-
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     atomic_file::check([args.svg.as_deref(), args.out.as_deref()])?;
@@ -179,7 +86,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     if let Some(path) = &args.out {
         write_bytes(path, (output::pretty(&report)? + "\n").as_bytes())?;
     }
-    if args.json { output::json(&report) } else { output::print(&text(&report)) }
+    if args.json { output::json(&report) } else { output::print(&report::text(&report)) }
 }
 
 fn measure(args: &Args, bars: &Bars, interrupt: &Interrupt) -> Result<Report> {
@@ -253,106 +160,9 @@ fn of_scene(
     Ok(groups)
 }
 
-fn row(shots: &str, level: Level, judged: &[&Group], teachers: &[&Group]) -> Row {
-    let mut past = Past::default();
-    for case in teachers.iter().flat_map(|group| &group.cases) {
-        past.push(level.of(case).iter().filter_map(Judged::residual).collect());
-    }
-    if level == Level::Pixel {
-        return row_of_pixels(shots, judged);
-    }
-    // Per group, the share of its forecasts that held.
-    let held = |holds: &dyn Fn(&Judged) -> bool| -> Vec<f64> {
-        let share = |group: &&Group| {
-            let all = || group.cases.iter().flat_map(|case| level.of(case));
-            let count = all().count();
-            (count > 0).then(|| all().filter(|judged| holds(judged)).count() as f64 / count as f64)
-        };
-        judged.iter().filter_map(share).collect()
-    };
-    let point = |&nominal: &f64| {
-        let limit = past.quantile(nominal);
-        let below = |judged: &Judged, limit: f64| judged.residual().is_none_or(|z| z <= limit);
-        Point {
-            nominal,
-            formulas: Share::of(&held(&|judged| judged.actual <= judged.forecast.at(nominal))),
-            calibrated: limit.map(|limit| Share::of(&held(&|judged| below(judged, limit)))),
-        }
-    };
-    let forecasts = |group: &&Group| group.cases.iter().map(|case| level.of(case).len()).sum::<usize>();
-    Row {
-        shots: shots.to_owned(),
-        level,
-        cases: judged.iter().map(|group| group.cases.len()).sum(),
-        independent: judged.len(),
-        forecasts: judged.iter().map(forecasts).sum(),
-        calibrated_on: past.jobs(),
-        points: NOMINAL.iter().map(point).collect(),
-    }
-}
-
-fn row_of_pixels(shots: &str, judged: &[&Group]) -> Row {
-    let pixels = |group: &Group| group.cases.iter().map(|case| case.pixels.pixels).sum::<u64>();
-    let point = |(place, &nominal): (usize, &f64)| {
-        let sum = |group: &Group, of: &dyn Fn(&Tally) -> u64| -> u64 {
-            group.cases.iter().map(|case| of(&case.pixels)).sum()
-        };
-        let share = |group: &&Group| {
-            let promised = sum(group, &|tally| tally.promised[place]);
-            (promised > 0).then(|| sum(group, &|tally| tally.held[place]) as f64 / promised as f64)
-        };
-        let shares: Vec<f64> = judged.iter().filter_map(share).collect();
-        Point { nominal, formulas: Share::of(&shares), calibrated: None }
-    };
-    Row {
-        shots: shots.to_owned(),
-        level: Level::Pixel,
-        cases: judged.iter().map(|group| group.cases.len()).sum(),
-        independent: judged.len(),
-        forecasts: judged.iter().map(|group| pixels(group) as usize).sum(),
-        calibrated_on: 0,
-        points: NOMINAL.iter().enumerate().map(point).collect(),
-    }
-}
-
-fn text(report: &Report) -> String {
-    let head = [
-        ("shots", Align::Left),
-        ("level", Align::Left),
-        ("quotes", Align::Right),
-        ("forecasts", Align::Right),
-        ("<=P50", Align::Right),
-        ("<=P80", Align::Right),
-        ("<=P95", Align::Right),
-        ("calibrated <=P50", Align::Right),
-        ("<=P80", Align::Right),
-        ("<=P95", Align::Right),
-    ];
-    let mut table = Table::new(&head);
-    for row in &report.rows {
-        let first = row.level == Level::ALL[0];
-        let name = if first { row.shots.clone() } else { String::new() };
-        let shares = |of: fn(&Point) -> Option<Share>| {
-            NAMED.map(|p| row.point(p).and_then(of).map_or("-".to_owned(), |share| share.to_string()))
-        };
-        table.row(
-            [name, row.level.title().to_owned(), row.cases.to_string(), row.forecasts.to_string()]
-                .into_iter()
-                .chain(shares(|point| Some(point.formulas)))
-                .chain(shares(|point| point.calibrated)),
-        );
-    }
-    let teachers = report.rows.iter().map(|row| row.calibrated_on).max().unwrap_or(0);
-    table.render()
-        + &format!(
-            "\nShares of truths at or below the quantile, with 95 % intervals. {} pixels in {} frames of a shot were profiled; calibrated: on up to {teachers} other quotes, \
-             of other shots.\n",
-            report.samples, report.profile_frames
-        )
-}
-
 #[cfg(test)]
 mod tests {
+    use super::rows::Row;
     use super::*;
     use forelight_terminal::options::parsed;
 
@@ -377,7 +187,7 @@ mod tests {
         }
         let plot = plot::svg(&report).unwrap();
         roxmltree::Document::parse(&plot).unwrap();
-        assert!(!plot.contains("NaN") && !text(&report).contains("NaN"));
+        assert!(!plot.contains("NaN") && !report::text(&report).contains("NaN"));
     }
 
     #[test]

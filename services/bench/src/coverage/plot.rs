@@ -1,6 +1,7 @@
 //! The reliability diagram: how often the truth stayed below a quantile, over how often it was promised to.
 
-use super::{Level, Report, Row};
+use super::rows::{Level, Report, Row};
+use super::share::Share;
 use anyhow::Result;
 use forelight_terminal::drawing::{self, Area, Drawn};
 use plotters::prelude::*;
@@ -48,7 +49,7 @@ fn panel(area: &Area<'_>, row: &Row) -> Drawn {
     for (name, colour, calibrated) in
         [(formulas, FORMULAS, false), ("calibrated on other shots", CALIBRATED, true)]
     {
-        let points: Vec<(f64, super::Share)> = row
+        let points: Vec<(f64, Share)> = row
             .points
             .iter()
             .filter_map(|p| Some((p.nominal, if calibrated { p.calibrated? } else { p.formulas })))

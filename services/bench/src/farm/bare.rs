@@ -11,8 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use uuid::Uuid;
 
-use super::leases::TTL;
-use super::{image, rendered};
+use super::filling::{LEASE, image, rendered};
 
 /// Numbers of threads that are tried.
 const THREADS: [u32; 3] = [1, 2, 4];
@@ -189,7 +188,7 @@ struct Held {
 
 /// When a lease of now ends.
 fn expiry(now: i64) -> i64 {
-    now.saturating_add(i64::try_from(TTL.as_micros()).unwrap_or(i64::MAX))
+    now.saturating_add(i64::try_from(LEASE.as_micros()).unwrap_or(i64::MAX))
 }
 
 /// A transaction that has the write lock from its beginning.
@@ -234,7 +233,7 @@ impl<'c> Write<'c> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::fill;
+    use super::super::filling::fill;
     use super::*;
     use forelight_protocol::JobState;
     use forelight_store::{Store, StoreError};

@@ -8,12 +8,13 @@
 //! machine does meets both; medians of the rounds are compared.
 
 use super::bare::Bare;
-use super::{ServiceProcess, fill, name_of, registration, rendered};
+use super::filling::{LEASE, fill, name_of, registration, rendered};
+use super::service::{ServiceProcess, temporary_folder};
 use crate::statistics::{quantile, sorted, upper_median};
 use anyhow::{Context, Result, anyhow, bail};
 use forelight_protocol::{ClaimRequest, Node, NodeId, RenewRequest, ResultRequest, TaskSpec};
 use forelight_store::{DATABASE, Store};
-use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::table::{Align, Table};
@@ -73,9 +74,6 @@ struct Document {
 /// Frames that a side can at most get through in a second, with room to spare.
 const FRAMES_A_SECOND: u32 = 4000;
 
-/// How long leases last.
-pub const TTL: Duration = Duration::from_secs(30);
-
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
@@ -97,11 +95,7 @@ async fn blocking<T: Send + 'static>(work: impl FnOnce() -> Result<T> + Send + '
 }
 
 async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
-    let folder = match &args.folder {
-        Some(folder) => tempfile::tempdir_in(folder)
-            .map_err(|error| BadInput::new(format!("--folder {}: {error}", folder.display())))?,
-        None => tempfile::tempdir()?,
-    };
+    let folder = temporary_folder(args.folder.as_deref())?;
     let bars = Bars::new(args.json);
     let frames =
         FRAMES_A_SECOND.saturating_mul(u32::from(args.rounds + 3) * u32::from(args.seconds)).min(80_000);
@@ -188,7 +182,7 @@ async fn frame(client: &Client, node: NodeId, took: &mut Vec<f64>) -> Result<()>
     let lease = lease.context("there are no frames left: fewer rounds, please")?;
     lap(took);
     let renewal = RenewRequest { fence: lease.fence, progress: 0.5, ..RenewRequest::default() };
-    client.renew(lease.lease_id, &renewal, TTL).await.context("renewal")?;
+    client.renew(lease.lease_id, &renewal, LEASE).await.context("renewal")?;
     lap(took);
     let result = Some(result_of(&lease.spec)?);
     let end = ResultRequest { fence: lease.fence, result, ..ResultRequest::default() };

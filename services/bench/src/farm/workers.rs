@@ -4,12 +4,13 @@
 //! asked for, with progress: the heartbeat that brings orders back. They begin at even distances over the interval. The
 //! service is a process of its own; workers and service share the machine.
 
-use super::{ServiceProcess, fill};
+use super::filling::{LEASE, fill};
+use super::service::{ServiceProcess, temporary_folder};
 use crate::statistics::quantile;
 use anyhow::{Result, anyhow, bail};
 use forelight_protocol::{Lease, LeaseOrder, RenewRequest, Timestamp};
 use forelight_store::{Answered, Store};
-use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::options::duration;
 use forelight_terminal::output::{self, Bars};
@@ -82,11 +83,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
 async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
     // A connection at each worker; the service raises its own limit when it starts.
     forelight_terminal::open_files::allow(u64::from(args.workers) + 256)?;
-    let folder = match &args.folder {
-        Some(folder) => tempfile::tempdir_in(folder)
-            .map_err(|error| BadInput::new(format!("--folder {}: {error}", folder.display())))?,
-        None => tempfile::tempdir()?,
-    };
+    let folder = temporary_folder(args.folder.as_deref())?;
     let bars = Bars::new(args.json);
     let data = folder.path().join("data");
     let leases = lease(&data, args.workers, &bars).await?;
@@ -165,7 +162,7 @@ async fn worker(client: &Client, lease: &Lease, first: Instant, end: Instant, he
         progress = (progress + STEP).min(1.0);
         let renewal = RenewRequest { fence: lease.fence, progress, ..RenewRequest::default() };
         let begun = Instant::now();
-        match client.renew(lease.lease_id, &renewal, Duration::from_secs(30)).await {
+        match client.renew(lease.lease_id, &renewal, LEASE).await {
             Ok(renewed) if renewed.order == LeaseOrder::Continue => {
                 seen.seconds.push(begun.elapsed().as_secs_f64());
             }

@@ -1,7 +1,7 @@
 //! Rungs whose camera samples follow from an error: all that `forelight render --error` does after a bundle is loaded.
 
-use super::measure::Rendered;
 use super::picture::Picture;
+use super::rendered::Rendered;
 use anyhow::{Context, Result};
 use forelight_preview::Choice;
 use forelight_protocol::{Confidence, RenderSettings};

@@ -1,6 +1,6 @@
 //! The measurements for people.
 
-use super::measure::{Measured, MeasuredPeer};
+use super::measured::{Measured, MeasuredPeer};
 use forelight_terminal::quantities::{count, percent, seconds};
 use forelight_terminal::table::{Align, Table};
 

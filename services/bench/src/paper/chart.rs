@@ -1,6 +1,6 @@
 //! Error against the number of profiled pixels, both in logarithms.
 
-use super::{Curve, CurvePoint};
+use super::study::{Curve, CurvePoint};
 use anyhow::Result;
 use forelight_forecast::Strategy;
 use forelight_terminal::drawing::{self, Area, Drawn};

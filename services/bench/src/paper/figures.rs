@@ -1,9 +1,10 @@
 //! The files of the paper's figures.
 
+use super::chart;
 use super::level::{Level, Seen, Truth, mean_record};
 use super::picture::positions;
+use super::study::Curve;
 use super::trial::Records;
-use super::{Curve, chart};
 use anyhow::Result;
 use forelight_forecast::{Cost, Costs, Strategy, predicted_map};
 use forelight_terminal::cost_picture::{Paint, Scale, key, map};

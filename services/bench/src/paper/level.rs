@@ -1,6 +1,5 @@
 //! The paper's four ambient levels, each a full render with the cost of every pixel.
 
-use super::LADDER;
 use crate::statistics::upper_median;
 use anyhow::Result;
 use forelight_forecast::{Cost, Costs, Stratum};
@@ -18,6 +17,9 @@ use glam::Vec3;
 use image::RgbImage;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
+
+/// Numbers of profiled pixels at which errors are compared.
+pub const LADDER: [u32; 5] = [16, 64, 256, 1024, 4096];
 
 /// How indirect light is simulated (the paper, section 5).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]

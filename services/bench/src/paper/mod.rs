@@ -1,29 +1,28 @@
 //! `forelight bench paper`: the paper's experiment, whole: seven strategies and two of ours, at four ambient levels, with many seeds.
 
 mod chart;
+mod experiment;
 mod figures;
 mod level;
 mod noise;
 mod picture;
 mod report;
+mod study;
 mod trial;
 
 use crate::conventions::{PAPER_SIZE, slug};
 use anyhow::{Context, Result};
+use experiment::study;
 use figures::File;
-use forelight_forecast::Strategy;
 use forelight_terminal::atomic_file::write_bytes;
-use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::Local;
 use forelight_terminal::options::MachineOptions;
 use forelight_terminal::output::{self, Bars};
 use forelight_worker::Renderer;
-use level::{Level, Seen, Task, Truth};
-use rayon::prelude::*;
-use serde::Serialize;
-use std::path::{Path, PathBuf};
-use trial::{Columns, Forecast, Outcome, Records, Score};
+use level::Task;
+use std::path::PathBuf;
+use study::Study;
 
 /// The paper's experiment: nine ways to forecast a frame, at four ambient levels, with many seeds
 #[derive(Debug, clap::Args)]
@@ -68,66 +67,6 @@ pub struct Args {
     machine: MachineOptions,
 }
 
-/// Numbers of profiled pixels at which errors are compared.
-const LADDER: [u32; 5] = [16, 64, 256, 1024, 4096];
-
-/// One bundle's frame.
-#[derive(Debug, Serialize)]
-pub struct Study {
-    bundle: String,
-    frame: u32,
-    size: u32,
-    samples: u32,
-    seeds: u32,
-    gather_rays: u32,
-    /// Pairs of object and material that the preview shows, the background among them.
-    strata_seen: usize,
-    levels: Vec<LevelStudy>,
-    curves: Vec<Curve>,
-}
-
-/// One ambient level.
-#[derive(Debug, Serialize)]
-pub struct LevelStudy {
-    level: Level,
-    actual: Columns<f64>,
-    /// The least root mean square error of work that pixels of known surfaces can have: see [`noise::floor`].
-    noise_floor: f64,
-    /// Records of the cache, by level.
-    records: Vec<u32>,
-    /// As the paper has its strategies; ours as it is.
-    outcomes: Vec<Outcome>,
-    /// All strategies with the cache's records planned; empty without a cache.
-    planned: Vec<Outcome>,
-}
-
-/// Errors of a strategy by number of profiled pixels. With a cache its records are planned, and more of them are gathered the more
-/// pixels are profiled.
-#[derive(Debug, Serialize)]
-pub struct Curve {
-    level: Level,
-    strategy: Strategy,
-    points: Vec<CurvePoint>,
-}
-
-/// A point of it.
-#[derive(Debug, Serialize)]
-pub struct CurvePoint {
-    /// Pixels profiled.
-    pixels: usize,
-    /// CPU seconds of profiling: of these pixels, and of the records that were gathered; the mean over the seeds.
-    cpu_seconds: f64,
-    /// Errors of work.
-    error: Score,
-}
-
-impl Curve {
-    /// Pixels profiled, and root mean square of the errors of work.
-    fn points(&self) -> impl Iterator<Item = (f64, f64)> {
-        self.points.iter().map(|point| (point.pixels as f64, point.error.root_mean_square))
-    }
-}
-
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let bars = Bars::new(args.json);
@@ -136,7 +75,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     for (place, bundle) in args.bundles.iter().enumerate() {
         let local = Local::open(bundle, &args.machine, &bars)?;
         let folder = slug(place, &local.shot.info().summary.name);
-        let study = study(args, &local, &folder, &mut files, &bars, interrupt);
+        let study = study(task(args, &local), &folder, &mut files, &bars, interrupt);
         studies.push((folder, study.with_context(|| format!("bundle {}", bundle.display()))?));
     }
     // Nothing is written before all is measured.
@@ -152,124 +91,9 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     output::line(format!("\nThe report is {}.", args.out.join("report.md").display()))
 }
 
-fn study(
-    args: &Args,
-    local: &Local,
-    folder: &str,
-    files: &mut Vec<File>,
-    bars: &Bars,
-    interrupt: &Interrupt,
-) -> Result<Study> {
+fn task<'a>(args: &Args, local: &'a Local) -> Task<'a> {
     let &Args { frame, size, samples, seeds, repeats, gather_rays, .. } = args;
-    for level in Level::ALL {
-        level.settings(size, gather_rays).check().map_err(|wrong| {
-            forelight_terminal::failure::BadInput::new(format!("--size or --gather-rays: {}", wrong.reason))
-        })?;
-    }
-    let task = Task { local, frame, size, gather_rays, samples, seeds, repeats };
-    let (seen, truths) = task.measure(bars, interrupt)?;
-    let trials = Trials { args, local, seen: &seen, interrupt };
-    let steps = 2 * truths.len();
-    let bar = bars.bar("forecasts", (steps * Strategy::ALL.len()) as u64);
-    let done = || bar.inc(1);
-    let mut levels = Vec::with_capacity(truths.len());
-    for truth in &truths {
-        levels.push(trials.at(truth, &done)?);
-    }
-    let mut curves = Vec::new();
-    for truth in &truths {
-        for strategy in Strategy::ALL {
-            curves.push(trials.curve(strategy, truth)?);
-            done();
-        }
-    }
-    bar.finish_and_clear();
-    files.extend(figures::of(Path::new(folder), &seen, &truths, &curves, size, samples)?);
-    let mut shown = seen.ids.clone();
-    shown.sort_unstable();
-    shown.dedup();
-    Ok(Study {
-        bundle: local.shot.info().summary.name.clone(),
-        frame,
-        size,
-        samples,
-        seeds,
-        gather_rays,
-        strata_seen: shown.len(),
-        levels,
-        curves,
-    })
-}
-
-/// Forecasts of one frame.
-struct Trials<'a> {
-    args: &'a Args,
-    local: &'a Local,
-    seen: &'a Seen,
-    interrupt: &'a Interrupt,
-}
-
-impl Trials<'_> {
-    /// All seeds, in their order.
-    fn all(
-        &self,
-        strategy: Strategy,
-        records: Records,
-        truth: &Truth,
-        samples: u32,
-    ) -> Result<Vec<Forecast>> {
-        let one = |seed: u32| {
-            if self.interrupt.is_set() {
-                return Err(Interrupted.into());
-            }
-            trial::forecast(strategy, records, (self.seen, truth), self.args.size, samples, seed.into())
-        };
-        self.local.pool.install(|| (0..self.args.seeds).into_par_iter().map(one).collect())
-    }
-
-    fn at(&self, truth: &Truth, done: &dyn Fn()) -> Result<LevelStudy> {
-        let actual = Columns::of(&truth.total());
-        let outcome = |strategy, records| -> Result<Outcome> {
-            let forecasts = self.all(strategy, records, truth, self.args.samples)?;
-            Ok(Outcome::new(strategy, records, &forecasts, actual))
-        };
-        let mut outcomes = Vec::with_capacity(Strategy::ALL.len());
-        let mut planned = Vec::new();
-        for strategy in Strategy::ALL {
-            outcomes.push(outcome(strategy, Records::of(strategy))?);
-            if truth.level.is_cached() {
-                planned.push(outcome(strategy, Records::Planned)?);
-            }
-            done();
-        }
-        let Args { size, samples, .. } = self.args;
-        let noise_floor = noise::floor(&self.seen.ids, *size, &truth.pixels, *samples, actual.work);
-        Ok(LevelStudy {
-            level: truth.level,
-            actual,
-            noise_floor,
-            records: truth.records.clone(),
-            outcomes,
-            planned,
-        })
-    }
-
-    fn curve(&self, strategy: Strategy, truth: &Truth) -> Result<Curve> {
-        let actual = truth.total().work as f64;
-        let pixels = self.seen.ids.len();
-        let mut points = Vec::with_capacity(LADDER.len());
-        for samples in LADDER.into_iter().filter(|&samples| samples as usize <= pixels) {
-            let records = if truth.level.is_cached() { Records::Planned } else { Records::Unknown };
-            let forecasts = self.all(strategy, records, truth, samples)?;
-            let seconds = forecasts.iter().map(|forecast| forecast.profiling_seconds).sum::<f64>();
-            points.push(CurvePoint {
-                pixels: forecasts.first().map_or(0, |forecast| forecast.picks),
-                cpu_seconds: seconds / forecasts.len().max(1) as f64,
-                error: Score::new(forecasts.iter().map(|f| f.mean.work), actual),
-            });
-        }
-        Ok(Curve { level: truth.level, strategy, points })
-    }
+    Task { local, frame, size, gather_rays, samples, seeds, repeats }
 }
 
 #[cfg(test)]
@@ -295,7 +119,7 @@ mod tests {
         let bars = Bars::new(true);
         let local = Local::open(folder.path(), &args.machine, &bars).unwrap();
         let mut files = Vec::new();
-        let study = study(&args, &local, "1-t", &mut files, &bars, &Interrupt::default()).unwrap();
+        let study = study(task(&args, &local), "1-t", &mut files, &bars, &Interrupt::default()).unwrap();
         let studies = vec![("1-t".to_owned(), study)];
         run(&args, &Interrupt::default()).unwrap();
         (folder, studies)

@@ -2,8 +2,8 @@
 
 use super::figures::{Shown, map_file, mapped, positions_file};
 use super::level::Level;
+use super::study::{LevelStudy, Study};
 use super::trial::{Columns, Outcome, Score};
-use super::{LevelStudy, Study};
 use crate::statistics::relative_error;
 use forelight_forecast::Strategy;
 use forelight_terminal::quantities::{count, percent, seconds};

@@ -1,6 +1,7 @@
 //! Cost by frame: the forecast with its band, the truth, and what farms would have said.
 
-use super::{Measured, Practice};
+use super::measured::{Frame, Measured};
+use super::practice::Practice;
 use anyhow::Result;
 use forelight_protocol::Quantiles;
 use forelight_terminal::drawing::{self, Area, Drawn};
@@ -71,7 +72,7 @@ fn draw(area: &Area<'_>, shot: &Measured) -> Drawn {
         ("P20 to P80", |q: &Quantiles| q.p80, 0.25),
     ] {
         let side = |edge: usize| {
-            move |(place, frame): (usize, &super::Frame)| {
+            move |(place, frame): (usize, &Frame)| {
                 let work = &frame.work.forecast;
                 (at(place), band(work, of(work))[edge])
             }

@@ -1,6 +1,6 @@
 //! The measurements as a table for people.
 
-use super::{Measured, Outcome};
+use super::measured::{Measured, Outcome};
 use forelight_protocol::CacheMode;
 use forelight_terminal::quantities::{count, seconds};
 use forelight_terminal::table::{Align, Table};
