@@ -2,8 +2,8 @@
 //! can be tried.
 
 use anyhow::{Result, anyhow};
-use forelight_planner::reference::{Size, cheapest_by_trying_everything, studio, tiny};
 use forelight_planner::{Event, Input, Plan, plan, replan, verify};
+use forelight_simulator::reference::{Size, cheapest_by_trying_everything, studio, tiny};
 use forelight_terminal::output;
 use forelight_terminal::quantities::{percent, seconds};
 use forelight_terminal::table::{Align, Table};

@@ -1,10 +1,10 @@
-//! Farms to measure plans on, and the answer for small ones by trying everything. For tests and for `forelight bench plan`;
-//! the method knows nothing of it.
+//! Farms to measure plans on, and the answer for small ones by trying everything. For scenarios, for the
+//! planner's tests and for `forelight bench plan`. The planner knows nothing of it.
 
 use std::collections::BTreeMap;
 
-use crate::chance::{between, bits, normal, uniform};
-use crate::model::{Confidence, Frame, Input, Interval, Job, Limit, LimitUse, Node, Seed, WorkTotal};
+use forelight_planner::chance::{between, bits, normal, uniform};
+use forelight_planner::{Confidence, Frame, Input, Interval, Job, Limit, LimitUse, Node, Seed, WorkTotal};
 
 const SECOND: i64 = 1_000_000;
 const MINUTE: i64 = 60 * SECOND;
