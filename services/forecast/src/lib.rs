@@ -132,10 +132,11 @@ pub use frames::{FIRST_FRAMES, FramePopulation, MOST_FRAMES, choose_frames, choo
 pub use interval::Calibration;
 pub use known::with_times;
 pub use live::{Band, Known, Live, LiveFrame, live, shot_times};
+pub use nearest::nearest;
 pub use pixel_costs::{PixelCosts, PixelQuantiles};
 pub use rates::{Timed, class_rates, learned_factor, log_ratio_millionths};
 pub use records::RecordStrata;
 pub use shot::{FrameForecast, ProfiledFrame, ShotForecast, forecast_shot};
 pub use strata::Stratum;
-pub use strategies::{Design, Strategy, predicted_map};
+pub use strategies::{Design, Strategy};
 pub use stratum_sum::StratumSum;

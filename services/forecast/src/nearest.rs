@@ -7,7 +7,7 @@
 /// The distance is exact: columns first, then along each row the lower envelope of the parabolas that the columns bring
 /// (Meijster, Roerdink, Hesselink 2000, "A general algorithm for computing distance transforms in linear time"). So the time is
 /// linear in the pixels, however few are marked.
-pub(crate) fn nearest(width: u32, pixels: usize, marked: &[u32]) -> Vec<u32> {
+pub fn nearest(width: u32, pixels: usize, marked: &[u32]) -> Vec<u32> {
     let row = width as usize;
     if row == 0 || !pixels.is_multiple_of(row) || marked.is_empty() {
         return Vec::new();

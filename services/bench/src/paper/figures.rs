@@ -3,10 +3,11 @@
 use super::chart;
 use super::level::{Level, Seen, Truth, mean_record};
 use super::picture::positions;
+use super::predicted;
 use super::study::Curve;
 use super::trial::Records;
 use anyhow::Result;
-use forelight_forecast::{Cost, Costs, Strategy, predicted_map};
+use forelight_forecast::{Costs, Strategy};
 use forelight_terminal::cost_picture::{Paint, Scale, key, map};
 use forelight_worker::png;
 use image::RgbImage;
@@ -98,9 +99,9 @@ pub fn of(
             |shown, costs: &Costs<f64>| if shown == Shown::Cost { costs.work } else { costs.all_rays };
         let truly = |shown| -> Vec<f64> {
             let mut values: Vec<f64> =
-                truth.pixels.iter().map(|cost| value(shown, &as_costs(cost))).collect();
+                truth.pixels.iter().map(|cost| value(shown, &Costs::from(*cost))).collect();
             for (pixel, record) in &truth.seen_records {
-                values[*pixel as usize] += value(shown, &as_costs(record));
+                values[*pixel as usize] += value(shown, &Costs::from(*record));
             }
             values
         };
@@ -115,8 +116,8 @@ pub fn of(
             let costs = if ours { &truth.pixels } else { &truth.cold };
             let design = strategy.design(&seen.strata, &seen.ids, size, samples, 0, 0)?;
             let (picks, observations) = design.profile(|pixel| costs[pixel as usize])?;
-            let predicted =
-                predicted_map(strategy, &design, &seen.strata, &seen.ids, size, &picks, &observations)?;
+            let shown = (&*seen.strata, &*seen.ids);
+            let predicted = predicted::map(strategy, &design, shown, size, &picks, &observations)?;
             for (shown, scale) in Shown::ALL.into_iter().zip(scales) {
                 let mut values: Vec<f64> = predicted.iter().map(|costs| value(shown, costs)).collect();
                 for (pixel, _) in truth.seen_records.iter().filter(|_| ours) {
@@ -136,13 +137,4 @@ pub fn of(
     }
     files.push(File { path: folder.join("samples.svg"), contents: chart::draw(&panels)?.into_bytes() });
     Ok(files)
-}
-
-fn as_costs(cost: &Cost) -> Costs<f64> {
-    Costs {
-        work: cost.work as f64,
-        cpu_nanos: cost.cpu_nanos as f64,
-        all_rays: cost.rays.iter().sum::<u64>() as f64,
-        rays: cost.rays.map(|rays| rays as f64),
-    }
 }

@@ -6,6 +6,7 @@ mod figures;
 mod level;
 mod noise;
 mod picture;
+mod predicted;
 mod report;
 mod study;
 mod trial;
