@@ -1,5 +1,6 @@
 //! `forelight bench effects`: what it saves to simulate only what a scene calls for.
 
+use crate::report::Report;
 use crate::statistics::{sorted, upper_median};
 use anyhow::Result;
 use forelight_protocol::LeftOut;
@@ -103,7 +104,7 @@ struct Runner {
 }
 
 /// Runs the command.
-pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     let bars = Bars::new(args.json);
     let pool = thread_pool(args.threads)?;
     let mut all = Vec::new();
@@ -112,15 +113,14 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         all.push(measure(args, bundle, &pool, interrupt)?);
         spinner.finish_and_clear();
     }
-    if args.json {
-        output::json(&all)?;
-    } else {
-        let reports: Vec<String> = all.iter().map(report).collect();
-        output::print(&reports.join("\n"))?;
-    }
+    let reports = all.iter().enumerate().map(|(place, measured)| {
+        let gap = if place == 0 { "" } else { "\n" };
+        Report::default().text(gap).then(report(measured))
+    });
+    let report = reports.fold(Report::default(), Report::then).printed(args.json, &all)?;
     let other = all.iter().flat_map(|m| m.variants.iter().map(move |v| (m, v))).find(|(_, v)| !v.same_image);
     match other {
-        None => Ok(()),
+        None => Ok(report),
         Some((measured, variant)) => {
             anyhow::bail!("bundle {}: the image of {:?} has other bits", measured.bundle, variant.name)
         }
@@ -215,7 +215,7 @@ fn spread(values: Vec<f64>) -> Ratio {
     Ratio { median, lowest: end(values.first()), highest: end(values.last()) }
 }
 
-fn report(measured: &Measured) -> String {
+fn report(measured: &Measured) -> Report {
     let Measured { bundle, width, height, spp, ambient_bounces, triangles, .. } = measured;
     let mut text = format!(
         "{bundle}: {width} x {height}, {spp} spp, {ambient_bounces} bounces, {} triangles\n",
@@ -253,7 +253,7 @@ fn report(measured: &Measured) -> String {
             percent(ratio.highest - 1.0),
         ]);
     }
-    text + &table.render()
+    Report::default().text(text).table(table)
 }
 
 #[cfg(test)]
@@ -300,7 +300,7 @@ mod tests {
         let (plain, complete) = (named("what it calls for"), named("+ what was left out"));
         assert!(plain.rays < complete.rays && plain.tree_bytes < complete.tree_bytes);
         assert_eq!(plain.rays, named("+ sun").rays, "code for suns without a sun casts no rays");
-        let text = report(&measured);
+        let text = report(&measured).for_terminal();
         assert!(text.contains("left out   sun 0: outside the closed room room"), "{text}");
         assert!(text.contains("same") && !text.contains("OTHER"), "{text}");
     }

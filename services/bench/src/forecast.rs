@@ -3,15 +3,17 @@
 //! more forecasts on costs that are traced once.
 
 use crate::conventions::{PAPER_SIZE, bounces_to_try};
+use crate::report::Report;
 use crate::statistics::{mean_absolute, relative_error};
 use anyhow::{Context, Result};
 use forelight_protocol::Rays;
-use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::atomic_file;
 use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::json_file;
 use forelight_terminal::local::Local;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
-use forelight_terminal::output::{self, Bars, RenderBar};
+use forelight_terminal::output::{Bars, RenderBar};
 use forelight_terminal::quantities::{count, percent, seconds};
 use forelight_terminal::table::{Align, Table};
 use forelight_terminal::watching::QuoteWatcher;
@@ -116,7 +118,7 @@ struct Trial {
 }
 
 /// Runs the command.
-pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     atomic_file::check([args.out.as_deref()])?;
     let bars = Bars::new(args.json);
     let mut cases = Vec::new();
@@ -127,10 +129,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
             cases.push(case.with_context(|| format!("bundle {}", bundle.display()))?);
         }
     }
-    if let Some(path) = &args.out {
-        write_bytes(path, (output::pretty(&cases)? + "\n").as_bytes())?;
-    }
-    if args.json { output::json(&cases) } else { output::print(&report(&cases)) }
+    json_file::write(args.out.as_deref(), &cases)?;
+    report(&cases).printed(args.json, &cases)
 }
 
 fn measure(args: &Args, local: &Local, bounces: u32, bars: &Bars, interrupt: &Interrupt) -> Result<Case> {
@@ -214,7 +214,7 @@ fn measure(args: &Args, local: &Local, bounces: u32, bars: &Bars, interrupt: &In
     })
 }
 
-fn report(cases: &[Case]) -> String {
+fn report(cases: &[Case]) -> Report {
     let head = [
         ("bundle", Align::Left),
         ("bounces", Align::Right),
@@ -253,5 +253,5 @@ fn report(cases: &[Case]) -> String {
             by_seed.join(" "),
         ]);
     }
-    table.render()
+    Report::default().table(table)
 }

@@ -9,13 +9,17 @@ mod images;
 mod paper;
 mod plan;
 mod rays;
+mod report;
 mod seconds;
 mod shots;
 mod statistics;
 
 use anyhow::Result;
 use clap::Subcommand;
+use forelight_terminal::atomic_file;
 use forelight_terminal::interrupt::Interrupt;
+use report::{Origin, page};
+use std::path::PathBuf;
 
 /// Measure how good forecasts are, and how much the farm bears
 #[derive(Debug, clap::Args)]
@@ -31,10 +35,15 @@ Examples:
   forelight bench workers --workers 5000
   forelight bench plan
   forelight bench seconds kitchen/ --other ./forelight-of-rack-7
-  forelight bench shots kitchen/ corridor/ --svg plots/")]
+  forelight bench shots kitchen/ corridor/ --svg plots/
+  forelight bench plan --write docs/")]
 pub struct Args {
     #[command(subcommand)]
     bench: Bench,
+    /// Also write the tables into this Markdown file, with the command, the date, the commit and the processor. They replace the
+    /// bench's section; other sections stay. A folder, such as docs/, stands for benchmarks.md in it
+    #[arg(long, global = true, value_name = "FILE.md")]
+    write: Option<PathBuf>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -54,17 +63,23 @@ enum Bench {
 
 /// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
-    match &args.bench {
-        Bench::Coverage(args) => coverage::run(args, interrupt),
-        Bench::Effects(args) => effects::run(args, interrupt),
-        Bench::Forecast(args) => forecast::run(args, interrupt),
-        Bench::Paper(args) => paper::run(args, interrupt),
-        Bench::Leases(args) => farm::leases::run(args, interrupt),
-        Bench::Workers(args) => farm::workers::run(args, interrupt),
-        Bench::Plan(args) => plan::run(args),
-        Bench::Images(args) => images::run(args, interrupt),
-        Bench::Rays(args) => rays::run(args, interrupt),
-        Bench::Seconds(args) => seconds::run(args, interrupt),
-        Bench::Shots(args) => shots::run(args, interrupt),
+    let file = args.write.as_deref().map(page::file).transpose()?;
+    atomic_file::check([file.as_deref()])?;
+    let (name, report) = match &args.bench {
+        Bench::Coverage(args) => ("coverage", coverage::run(args, interrupt)?),
+        Bench::Effects(args) => ("effects", effects::run(args, interrupt)?),
+        Bench::Forecast(args) => ("forecast", forecast::run(args, interrupt)?),
+        Bench::Paper(args) => ("paper", paper::run(args, interrupt)?),
+        Bench::Leases(args) => ("leases", farm::leases::run(args, interrupt)?),
+        Bench::Workers(args) => ("workers", farm::workers::run(args, interrupt)?),
+        Bench::Plan(args) => ("plan", plan::run(args)?),
+        Bench::Images(args) => ("images", images::run(args, interrupt)?),
+        Bench::Rays(args) => ("rays", rays::run(args, interrupt)?),
+        Bench::Seconds(args) => ("seconds", seconds::run(args, interrupt)?),
+        Bench::Shots(args) => ("shots", shots::run(args, interrupt)?),
+    };
+    match file {
+        Some(file) => page::write(&file, name, &Origin::of(&file)?, &report),
+        None => Ok(()),
     }
 }

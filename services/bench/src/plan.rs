@@ -1,10 +1,10 @@
 //! `forelight bench plan`: how good and how fast plans are. A studio's week with hundreds of jobs, and small farms of which every plan
 //! can be tried.
 
+use crate::report::Report;
 use anyhow::{Result, anyhow};
 use forelight_planner::{Event, Input, Plan, plan, replan, verify};
 use forelight_simulator::reference::{Size, cheapest_by_trying_everything, studio, tiny};
-use forelight_terminal::output;
 use forelight_terminal::quantities::{percent, seconds};
 use forelight_terminal::table::{Align, Table};
 use forelight_tracer::clocked;
@@ -86,7 +86,7 @@ struct Tiny {
 }
 
 /// Runs the command.
-pub fn run(args: &Args) -> Result<()> {
+pub fn run(args: &Args) -> Result<Report> {
     let size = Size { jobs: args.jobs, frames: args.frames, nodes: args.nodes, ..Size::default() };
     let studios = (1..=args.seeds).map(|seed| measure(size, seed)).collect::<Result<Vec<_>>>()?;
     let tiny = [false, true]
@@ -94,7 +94,7 @@ pub fn run(args: &Args) -> Result<()> {
         .map(|steps| try_everything(args.tiny, steps))
         .collect::<Result<Vec<_>>>()?;
     let document = Document { studios, tiny };
-    if args.json { output::json(&document) } else { output::print(&report(&document)) }
+    report(&document).printed(args.json, &document)
 }
 
 /// The result of some work, and the CPU seconds of this thread that it took.
@@ -198,7 +198,7 @@ fn try_everything(farms: u64, billed_in_steps: bool) -> Result<Tiny> {
     Ok(tried)
 }
 
-fn report(document: &Document) -> String {
+fn report(document: &Document) -> Report {
     let mut table = Table::new(&[
         ("seed", Align::Right),
         ("frames", Align::Right),
@@ -252,5 +252,5 @@ fn report(document: &Document) -> String {
             percent(tiny.worst_above_optimum),
         ]);
     }
-    format!("{}\n{}", table.render(), small.render())
+    Report::default().table(table).text("\n").table(small)
 }

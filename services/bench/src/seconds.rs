@@ -5,18 +5,19 @@
 //! both programs say that the frames took. Each round does all of that in turns, for machines are now busy and now idle; the medians of the rounds count.
 
 use crate::conventions::bounces_to_try;
+use crate::report::Report;
 use crate::statistics::{mean_absolute, median, relative_error};
 use anyhow::{Context, Result};
 use forelight_protocol::{
     CacheMode, FrameSet, Integrator, MaterialMode, NodeCalibration, NodeSeconds, RenderSettings, RenderStats,
 };
-use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::atomic_file;
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::json_file;
 use forelight_terminal::local::Local;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
-use forelight_terminal::output::{self, Bars};
+use forelight_terminal::output::Bars;
 use forelight_terminal::quantities::{percent, seconds};
 use forelight_terminal::table::{Align, Table};
 use forelight_terminal::watching::QuoteWatcher;
@@ -88,7 +89,7 @@ struct Pair<T> {
 }
 
 /// Runs the command.
-pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     atomic_file::check([args.out.as_deref()])?;
     let bars = Bars::new(args.json);
     let own = std::env::current_exe().context("cannot tell where this program is")?;
@@ -114,10 +115,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
             cases.push(case.with_context(|| format!("bundle {}", bundle.display()))?);
         }
     }
-    if let Some(path) = &args.out {
-        write_bytes(path, (output::pretty(&cases)? + "\n").as_bytes())?;
-    }
-    if args.json { output::json(&cases) } else { output::print(&report(&cases)) }
+    json_file::write(args.out.as_deref(), &cases)?;
+    report(&cases).printed(args.json, &cases)
 }
 
 /// What a program says of the machine that it runs on.
@@ -276,7 +275,7 @@ fn noise(values: &[f64]) -> f64 {
     0.5 * (high - low) / median(values).max(f64::MIN_POSITIVE)
 }
 
-fn report(cases: &[Case]) -> String {
+fn report(cases: &[Case]) -> Report {
     let mut table = Table::new(&[
         ("bundle", Align::Left),
         ("bounces", Align::Right),
@@ -306,13 +305,12 @@ fn report(cases: &[Case]) -> String {
         ]);
     }
     let mean = |error: fn(&Case) -> f64| 100.0 * mean_absolute(cases.iter().map(error));
-    table.render()
-        + &format!(
-            "\nmean absolute error: {:.1} % here, {:.1} % there, of which carrying it over makes {:.1} %\n",
-            mean(|case| case.error.here),
-            mean(|case| case.error.there),
-            mean(|case| case.carried),
-        )
+    Report::default().table(table).text(format!(
+        "\nmean absolute error: {:.1} % here, {:.1} % there, of which carrying it over makes {:.1} %\n",
+        mean(|case| case.error.here),
+        mean(|case| case.error.there),
+        mean(|case| case.carried),
+    ))
 }
 
 #[cfg(test)]

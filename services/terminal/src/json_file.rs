@@ -1,8 +1,11 @@
 //! JSON documents that the user names.
 
+use crate::atomic_file::write_bytes;
 use crate::bounded_file;
 use crate::failure::BadInput;
+use crate::output::pretty;
 use anyhow::Result;
+use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::path::Path;
 
@@ -20,6 +23,11 @@ pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T> {
 /// The same of what a command writes, which is named where the document is another one.
 pub fn read_written_by<T: DeserializeOwned>(command: &str, path: &Path) -> Result<T> {
     parse(path, |wrong| wrong.hint(format!("such a file is written by `{command}`")))
+}
+
+/// Writes a document, if a file is named.
+pub fn write(path: Option<&Path>, document: &impl Serialize) -> Result<()> {
+    path.map_or(Ok(()), |path| write_bytes(path, (pretty(document)? + "\n").as_bytes()))
 }
 
 fn parse<T: DeserializeOwned>(path: &Path, hinted: impl Fn(BadInput) -> BadInput) -> Result<T> {

@@ -8,18 +8,20 @@ mod rows;
 mod scenes;
 mod share;
 
+use crate::report::Report;
 use anyhow::{Context, Result};
 use case::Effort;
 use fields::Family;
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::json_file;
 use forelight_terminal::local::Local;
 use forelight_terminal::options::MachineOptions;
-use forelight_terminal::output::{self, Bars};
+use forelight_terminal::output::Bars;
 use forelight_worker::Renderer;
 use rayon::prelude::*;
-use rows::{Group, Level, Report, row};
+use rows::{Coverage, Group, Level, row};
 use std::path::PathBuf;
 
 /// How often the truth stays below the quantiles that were promised, before calibration and after it
@@ -72,7 +74,7 @@ pub struct Args {
 }
 
 /// Runs the command.
-pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     atomic_file::check([args.svg.as_deref(), args.out.as_deref()])?;
     let bars = Bars::new(args.json);
     let report = measure(args, &bars, interrupt)?;
@@ -83,13 +85,11 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     if let Some(path) = &args.svg {
         write_bytes(path, plot::svg(&report)?.as_bytes())?;
     }
-    if let Some(path) = &args.out {
-        write_bytes(path, (output::pretty(&report)? + "\n").as_bytes())?;
-    }
-    if args.json { output::json(&report) } else { output::print(&report::text(&report)) }
+    json_file::write(args.out.as_deref(), &report)?;
+    report::of(&report).printed(args.json, &report)
 }
 
-fn measure(args: &Args, bars: &Bars, interrupt: &Interrupt) -> Result<Report> {
+fn measure(args: &Args, bars: &Bars, interrupt: &Interrupt) -> Result<Coverage> {
     let effort = Effort { frames: args.profile_frames as usize, samples: args.samples };
     let synthetic = synthetic(args, effort, bars, interrupt)?;
     let mut scenes: Vec<(String, Vec<Group>)> = Vec::with_capacity(args.bundles.len());
@@ -119,7 +119,7 @@ fn measure(args: &Args, bars: &Bars, interrupt: &Interrupt) -> Result<Report> {
         let own: Vec<&Group> = groups.iter().collect();
         rows.extend(Level::ALL.map(|level| row(name, level, &own, &others)));
     }
-    Ok(Report { samples: args.samples, profile_frames: args.profile_frames, rows })
+    Ok(Coverage { samples: args.samples, profile_frames: args.profile_frames, rows })
 }
 
 fn synthetic(args: &Args, effort: Effort, bars: &Bars, interrupt: &Interrupt) -> Result<Vec<Group>> {
@@ -187,7 +187,7 @@ mod tests {
         }
         let plot = plot::svg(&report).unwrap();
         roxmltree::Document::parse(&plot).unwrap();
-        assert!(!plot.contains("NaN") && !report::text(&report).contains("NaN"));
+        assert!(!plot.contains("NaN") && !report::of(&report).for_terminal().contains("NaN"));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The reliability diagram: how often the truth stayed below a quantile, over how often it was promised to.
 
-use super::rows::{Level, Report, Row};
+use super::rows::{Coverage, Level, Row};
 use super::share::Share;
 use anyhow::Result;
 use forelight_terminal::drawing::{self, Area, Drawn};
@@ -13,7 +13,7 @@ const CALIBRATED: RGBColor = RGBColor(0, 114, 178);
 const GREY: RGBColor = RGBColor(215, 215, 215);
 
 /// A row of panels, by level, for each kind of shots.
-pub fn svg(report: &Report) -> Result<String> {
+pub fn svg(report: &Coverage) -> Result<String> {
     let columns = Level::ALL.len();
     let lines = report.rows.len().div_ceil(columns).max(1);
     drawing::svg((PANEL.0 * columns as u32, PANEL.1 * lines as u32), |root| {

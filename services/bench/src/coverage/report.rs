@@ -1,14 +1,15 @@
 //! The measurements as a table.
 
-use super::rows::{Level, Point, Report};
+use super::rows::{Coverage, Level, Point};
 use super::share::Share;
+use crate::report::Report;
 use forelight_terminal::table::{Align, Table};
 
 /// The quantiles that quotes name.
 const NAMED: [f64; 3] = [0.50, 0.80, 0.95];
 
 /// The table and what it rests on.
-pub fn text(report: &Report) -> String {
+pub fn of(report: &Coverage) -> Report {
     let head = [
         ("shots", Align::Left),
         ("level", Align::Left),
@@ -36,10 +37,9 @@ pub fn text(report: &Report) -> String {
         );
     }
     let teachers = report.rows.iter().map(|row| row.calibrated_on).max().unwrap_or(0);
-    table.render()
-        + &format!(
+    Report::default().table(table).text(format!(
             "\nShares of truths at or below the quantile, with 95 % intervals. {} pixels in {} frames of a shot were profiled; calibrated: on up to {teachers} other quotes, \
              of other shots.\n",
             report.samples, report.profile_frames
-        )
+        ))
 }

@@ -46,7 +46,7 @@ impl Level {
 
 /// The measurements.
 #[derive(Debug, Serialize)]
-pub struct Report {
+pub struct Coverage {
     pub samples: u32,
     pub profile_frames: u32,
     pub rows: Vec<Row>,

@@ -10,13 +10,14 @@
 use super::bare::Bare;
 use super::filling::{LEASE, fill, name_of, registration, rendered};
 use super::service::{ServiceProcess, temporary_folder};
+use crate::report::Report;
 use crate::statistics::{quantile, sorted, upper_median};
 use anyhow::{Context, Result, anyhow, bail};
 use forelight_protocol::{ClaimRequest, Node, NodeId, RenewRequest, ResultRequest, TaskSpec};
 use forelight_store::{DATABASE, Store};
 use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
-use forelight_terminal::output::{self, Bars};
+use forelight_terminal::output::Bars;
 use forelight_terminal::table::{Align, Table};
 use forelight_worker::{Client, Token};
 use serde::Serialize;
@@ -75,10 +76,10 @@ struct Document {
 const FRAMES_A_SECOND: u32 = 4000;
 
 /// Runs the command.
-pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let document = runtime.block_on(measure(args, interrupt))?;
-    if args.json { output::json(&document) } else { output::print(&report(&document)) }
+    report(&document).printed(args.json, &document)
 }
 
 /// A new farm in this folder.
@@ -198,7 +199,7 @@ fn result_of(spec: &TaskSpec) -> Result<forelight_protocol::TaskResult> {
     }
 }
 
-fn report(document: &Document) -> String {
+fn report(document: &Document) -> Report {
     let mut table = Table::new(&[
         ("round", Align::Right),
         ("bare calls/s", Align::Right),
@@ -216,12 +217,9 @@ fn report(document: &Document) -> String {
         format!("{:.0}", document.http_median),
         share(document.ratio),
     ]);
-    format!(
-        "{}{} workers, {} threads without the service; a call over HTTP took {:.1} ms (median), {:.1} ms (p99)\n",
-        table.render(),
-        document.workers,
-        document.bare_threads,
-        document.latency_p50_ms,
-        document.latency_p99_ms
-    )
+    let text = format!(
+        "{} workers, {} threads without the service; a call over HTTP took {:.1} ms (median), {:.1} ms (p99)\n",
+        document.workers, document.bare_threads, document.latency_p50_ms, document.latency_p99_ms
+    );
+    Report::default().table(table).text(text)
 }

@@ -6,6 +6,7 @@
 
 use super::filling::{LEASE, fill};
 use super::service::{ServiceProcess, temporary_folder};
+use crate::report::Report;
 use crate::statistics::quantile;
 use anyhow::{Result, anyhow, bail};
 use forelight_protocol::{Lease, LeaseOrder, RenewRequest, Timestamp};
@@ -13,7 +14,7 @@ use forelight_store::{Answered, Store};
 use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::options::duration;
-use forelight_terminal::output::{self, Bars};
+use forelight_terminal::output::Bars;
 use forelight_worker::{Backoff, Client, Token};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -74,10 +75,10 @@ struct Seen {
 }
 
 /// Runs the command.
-pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let document = runtime.block_on(measure(args, interrupt))?;
-    if args.json { output::json(&document) } else { output::print(&report(&document)) }
+    report(&document).printed(args.json, &document)
 }
 
 async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
@@ -175,9 +176,9 @@ async fn worker(client: &Client, lease: &Lease, first: Instant, end: Instant, he
     seen
 }
 
-fn report(document: &Document) -> String {
+fn report(document: &Document) -> Report {
     let error = document.first_error.as_ref().map_or(String::new(), |error| format!(", the first: {error}"));
-    format!(
+    Report::default().text(format!(
         "{} workers, a heartbeat every {} s, for {:.0} s: {} heartbeats, {:.0} a second\n\
          latency {:.1} ms (median), {:.1} ms (p99), {:.1} ms (longest)\n\
          errors {}{error}\n\
@@ -193,5 +194,5 @@ fn report(document: &Document) -> String {
         document.errors,
         document.server_peak_bytes as f64 * 1e-6,
         document.server_cores
-    )
+    ))
 }

@@ -13,31 +13,38 @@ mod report;
 
 pub use args::Args;
 
+use crate::report::Report;
 use anyhow::Result;
-use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::atomic_file;
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::json_file;
 use forelight_terminal::output::{self, Bars};
 
 /// Runs the command.
-pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     if args.bundles.len() > 1 && !args.peer.is_empty() {
         return Err(BadInput::new("--peer: an image belongs to one bundle, and there are several").into());
     }
     atomic_file::check([args.out.as_deref()])?;
     let bars = Bars::new(args.json);
     let rungs = if args.rung.is_empty() { quality::ladder() } else { args.rung.clone() };
+    let mut report = Report::default();
     let mut measured = Vec::with_capacity(args.bundles.len());
     for bundle in &args.bundles {
         let bench = measure::Bench::open(args, bundle, &rungs, &bars, interrupt)?;
         let scene = bench.measure(&rungs)?;
+        let own = report::of(&scene);
         if !args.json {
-            output::print(&report::text(&scene))?;
+            // The next bundle may take hours.
+            output::print(&own.for_terminal())?;
         }
+        report = report.then(own);
         measured.push(scene);
     }
-    if let Some(path) = &args.out {
-        write_bytes(path, (output::pretty(&measured)? + "\n").as_bytes())?;
+    json_file::write(args.out.as_deref(), &measured)?;
+    if args.json {
+        output::json(&measured)?;
     }
-    if args.json { output::json(&measured) } else { Ok(()) }
+    Ok(report)
 }

@@ -1,41 +1,42 @@
 //! The measurements for people.
 
 use super::measured::{Measured, MeasuredPeer};
+use crate::report::Report;
 use forelight_terminal::quantities::{count, percent, seconds};
 use forelight_terminal::table::{Align, Table};
 
 /// All tables of a bundle.
-pub fn text(measured: &Measured) -> String {
+pub fn of(measured: &Measured) -> Report {
     let Measured { bundle, size, ambient_bounces, threads, reference, .. } = measured;
-    let mut text = format!(
-        "{bundle}, {size} x {size}, {ambient_bounces} bounces, {threads} threads; converged: {}\n\n{}",
+    let mut report = Report::default().text(format!(
+        "{bundle}, {size} x {size}, {ambient_bounces} bounces, {threads} threads; converged: {}\n\n",
         reference.flags,
-        rungs(measured)
-    );
+    ));
+    report = report.table(rungs(measured));
     if let Some(gathered) = &reference.gathered {
-        text += &format!(
+        report = report.text(format!(
             "\nindirect: against {} on the same camera samples, whose own noise is at most {}\n",
             gathered.flags,
             share(gathered.noise)
-        );
+        ));
     }
     if !measured.cached.is_empty() {
-        text += &format!("\n{}", cached(measured));
+        report = report.text("\n").table(cached(measured));
     }
     for speed_up in &measured.second_thread {
-        text += &format!(
+        report = report.text(format!(
             "\na second thread: {:.2} times as fast ({:.2} to {:.2}), {}",
             speed_up.ratio, speed_up.lowest, speed_up.highest, speed_up.flags
-        );
+        ));
     }
-    text += "\n";
+    report = report.text("\n");
     if !measured.peers.is_empty() {
-        text += &format!("\n{}", peers(&measured.peers));
+        report = report.text("\n").table(peers(&measured.peers));
     }
-    text + "\n"
+    report.text("\n")
 }
 
-fn rungs(measured: &Measured) -> String {
+fn rungs(measured: &Measured) -> Table {
     let mut table = Table::new(&[
         ("settings", Align::Left),
         ("error", Align::Right),
@@ -65,10 +66,10 @@ fn rungs(measured: &Measured) -> String {
             percent(rung.cpu_spread),
         ]);
     }
-    table.render()
+    table
 }
 
-fn cached(measured: &Measured) -> String {
+fn cached(measured: &Measured) -> Table {
     let mut table = Table::new(&[
         ("cached, against gathering at an equal error", Align::Left),
         ("indirect", Align::Right),
@@ -83,10 +84,10 @@ fn cached(measured: &Measured) -> String {
             times(saved.cpu_seconds, ""),
         ]);
     }
-    table.render()
+    table
 }
 
-fn peers(peers: &[MeasuredPeer]) -> String {
+fn peers(peers: &[MeasuredPeer]) -> Table {
     let mut table = Table::new(&[
         ("other programs", Align::Left),
         ("error", Align::Right),
@@ -108,7 +109,7 @@ fn peers(peers: &[MeasuredPeer]) -> String {
             peer.reference.map_or(String::new(), |d| format!("{} {:+.2} %", share(d.lit), d.bias * 100.0)),
         ]);
     }
-    table.render()
+    table
 }
 
 /// `1.23 %`

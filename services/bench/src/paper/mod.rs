@@ -12,6 +12,7 @@ mod study;
 mod trial;
 
 use crate::conventions::{PAPER_SIZE, slug};
+use crate::report::Report;
 use anyhow::{Context, Result};
 use experiment::study;
 use figures::File;
@@ -69,7 +70,7 @@ pub struct Args {
 }
 
 /// Runs the command.
-pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     let bars = Bars::new(args.json);
     let mut studies = Vec::with_capacity(args.bundles.len());
     let mut files = Vec::new();
@@ -85,11 +86,11 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         write_bytes(&args.out.join(path), contents)?;
     }
     let studies: Vec<Study> = studies.into_iter().map(|(_, study)| study).collect();
-    if args.json {
-        return output::json(&studies);
+    let report = report::summary(&studies).printed(args.json, &studies)?;
+    if !args.json {
+        output::line(format!("\nThe report is {}.", args.out.join("report.md").display()))?;
     }
-    output::print(&report::summary(&studies))?;
-    output::line(format!("\nThe report is {}.", args.out.join("report.md").display()))
+    Ok(report)
 }
 
 fn task<'a>(args: &Args, local: &'a Local) -> Task<'a> {

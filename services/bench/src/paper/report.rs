@@ -4,6 +4,7 @@ use super::figures::{Shown, map_file, mapped, positions_file};
 use super::level::Level;
 use super::study::{LevelStudy, Study};
 use super::trial::{Columns, Outcome, Score};
+use crate::report::Report;
 use crate::statistics::relative_error;
 use forelight_forecast::Strategy;
 use forelight_terminal::quantities::{count, percent, seconds};
@@ -28,8 +29,8 @@ pub fn markdown(studies: &[(String, Study)]) -> String {
 }
 
 /// The short table for a terminal.
-pub fn summary(studies: &[Study]) -> String {
-    short(studies.iter()).render()
+pub fn summary(studies: &[Study]) -> Report {
+    Report::default().table(short(studies.iter()))
 }
 
 const INTRODUCTION: &str = "\

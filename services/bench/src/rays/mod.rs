@@ -4,6 +4,7 @@ mod export;
 mod peer;
 mod workload;
 
+use crate::report::Report;
 use crate::statistics::{sorted, upper_median};
 use anyhow::{Context, Result};
 use export::Answer;
@@ -11,7 +12,7 @@ use forelight_bvh::{Bvh, Traversal};
 use forelight_scene::{Geometry, Limits, Scene};
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::interrupt::Interrupt;
-use forelight_terminal::output::{self, Bars};
+use forelight_terminal::output::Bars;
 use forelight_terminal::table::{Align, Table};
 use forelight_tracer::clocked;
 use peer::Peer;
@@ -106,7 +107,7 @@ struct Beside {
 }
 
 /// Runs the command.
-pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     if args.export.is_some() && args.bundles.len() > 1 {
         return Err(BadInput::new("--export: one file holds the rays of one bundle; name one").into());
     }
@@ -118,7 +119,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         spinner.finish_and_clear();
         measured.scenes.push(scene);
     }
-    if args.json { output::json(&measured) } else { output::print(&report(&measured)) }
+    report(&measured).printed(args.json, &measured)
 }
 
 fn measure(
@@ -244,7 +245,7 @@ fn median(values: Vec<f64>) -> f64 {
     upper_median(&sorted(values)).unwrap_or(0.0)
 }
 
-fn report(measured: &Measured) -> String {
+fn report(measured: &Measured) -> Report {
     let mut head = vec![
         ("rays", Align::Left),
         ("asked", Align::Left),
@@ -257,9 +258,9 @@ fn report(measured: &Measured) -> String {
     if let Some(peer) = &measured.peer {
         head.extend([(peer.as_str(), Align::Right), ("ratio", Align::Right), ("differ", Align::Right)]);
     }
-    let mut text = String::new();
+    let mut report = Report::default();
     for scene in &measured.scenes {
-        text += &format!(
+        let text = format!(
             "{}: {} triangles; tree {:.1} and geometry {:.1} bytes a triangle; built in {:.2} s\n",
             scene.bundle,
             scene.triangles,
@@ -287,8 +288,7 @@ fn report(measured: &Measured) -> String {
             }
             table.row(cells);
         }
-        text += &table.render();
-        text.push('\n');
+        report = report.text(text).table(table).text("\n");
     }
-    text
+    report
 }

@@ -8,13 +8,15 @@ mod report;
 mod truth;
 
 use crate::conventions::slug;
+use crate::report::Report;
 use anyhow::{Context, Result};
 use forelight_protocol::FrameSet;
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::json_file;
 use forelight_terminal::local::Local;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
-use forelight_terminal::output::{self, Bars};
+use forelight_terminal::output::Bars;
 use forelight_terminal::watching::QuoteWatcher;
 use forelight_worker::{QuoteOptions, Renderer};
 use measured::{Measured, compare};
@@ -76,7 +78,7 @@ const SMALL: (u32, u32, u32) = (128, 4, 1);
 const FRAMES: usize = 48;
 
 /// Runs the command.
-pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     atomic_file::check([args.out.as_deref()])?;
     let bars = Bars::new(args.json);
     let mut shots = Vec::with_capacity(args.bundles.len());
@@ -91,10 +93,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
             write_bytes(&path, plot::svg(shot)?.as_bytes())?;
         }
     }
-    if let Some(path) = &args.out {
-        write_bytes(path, (output::pretty(&shots)? + "\n").as_bytes())?;
-    }
-    if args.json { output::json(&shots) } else { output::print(&report::text(&shots)) }
+    json_file::write(args.out.as_deref(), &shots)?;
+    report::of(&shots).printed(args.json, &shots)
 }
 
 fn measure(
@@ -171,7 +171,7 @@ mod tests {
         let files: Vec<_> = std::fs::read_dir(&kept).unwrap().map(|file| file.unwrap().path()).collect();
         assert_eq!(files.len(), 48);
         // Whoever changes what was kept is believed: so it was read.
-        let mut stats: RenderStats = json_file(&files[0]);
+        let mut stats: RenderStats = stats(&files[0]);
         stats.work *= 1000;
         std::fs::write(&files[0], serde_json::to_string(&stats).unwrap()).unwrap();
         let second = measured(folder.path(), &flags);
@@ -181,8 +181,8 @@ mod tests {
         assert!(!plot.contains("NaN"));
     }
 
-    fn json_file(path: &std::path::Path) -> RenderStats {
-        forelight_terminal::json_file::read(path).unwrap()
+    fn stats(path: &std::path::Path) -> RenderStats {
+        json_file::read(path).unwrap()
     }
 
     #[test]

@@ -1,12 +1,13 @@
 //! The measurements as a table for people.
 
 use super::measured::{Measured, Outcome};
+use crate::report::Report;
 use forelight_protocol::CacheMode;
 use forelight_terminal::quantities::{count, seconds};
 use forelight_terminal::table::{Align, Table};
 
 /// All shots, each with its forecast and what farms do instead.
-pub fn text(shots: &[Measured]) -> String {
+pub fn of(shots: &[Measured]) -> Report {
     let head = [
         ("shot", Align::Left),
         ("said by", Align::Left),
@@ -24,11 +25,12 @@ pub fn text(shots: &[Measured]) -> String {
             table.row(row("", other.practice.title(), &other.outcome, None));
         }
     }
-    let mut text = table.render() + "\n";
+    let mut text = String::from("\n");
     for shot in shots {
         text += &line(shot);
     }
-    text + "Errors are of work; of a frame: all frames' errors over all frames' work. f-m-l: the mean of the first, the middle and the last frame.\n"
+    text += "Errors are of work; of a frame: all frames' errors over all frames' work. f-m-l: the mean of the first, the middle and the last frame.\n";
+    Report::default().table(table).text(text)
 }
 
 fn row<'a>(

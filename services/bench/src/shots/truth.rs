@@ -2,12 +2,11 @@
 
 use anyhow::Result;
 use forelight_protocol::{RenderSettings, RenderStats};
-use forelight_terminal::atomic_file::write_bytes;
 use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::json_file;
 use forelight_terminal::local::Local;
-use forelight_terminal::output::{self, Bars};
+use forelight_terminal::output::Bars;
 use forelight_worker::{Renderer, render_ready};
 use std::path::{Path, PathBuf};
 
@@ -50,7 +49,7 @@ fn of_frame(
     let rendered =
         render_ready(&*ready, settings, None, &|_| (), &|_| (), interrupt.flag())?.ok_or(Interrupted)?;
     if let Some(path) = path {
-        write_bytes(&path, (output::pretty(&rendered.stats)? + "\n").as_bytes())?;
+        json_file::write(Some(&path), &rendered.stats)?;
     }
     Ok(rendered.stats)
 }
