@@ -44,9 +44,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     atomic_file::check([args.out.as_deref()])?;
     let calibration = measured(usize::from(args.rounds), &Bars::new(args.json));
-    if let Some(path) = &args.out {
-        write_bytes(path, (output::pretty(&calibration)? + "\n").as_bytes())?;
-    }
+    json_file::write(args.out.as_deref(), &calibration)?;
     if args.json { output::json(&calibration) } else { output::print(&report(&calibration)) }
 }
 

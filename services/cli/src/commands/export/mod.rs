@@ -9,7 +9,6 @@ use clap::ValueEnum;
 use forelight_protocol::{
     CacheMode, ForecastDoc, FrameSet, ProcessCosts, QuotedShot, RenderSettings, RenderStats, SceneSummary,
 };
-use forelight_terminal::atomic_file::write_bytes;
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::json_file;
 use forelight_terminal::local::Local;
@@ -107,7 +106,7 @@ pub fn run(args: &Args) -> Result<()> {
     let Some(out) = &args.out else {
         return output::json(&template);
     };
-    write_bytes(out, (output::pretty(&template)? + "\n").as_bytes())?;
+    json_file::write(Some(out), &template)?;
     let steps: Vec<&str> = template.steps.iter().map(|step| step.name.as_str()).collect();
     let mut report = format!("steps   {}\nframes  {}\n", steps.join(", "), shot.frames);
     if shot.bundle.is_none() {
