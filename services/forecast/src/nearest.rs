@@ -10,7 +10,7 @@
 /// lower envelope of the parabolas that the columns define (Meijster, Roerdink, Hesselink 2000, "A general
 /// algorithm for computing distance transforms in linear time"). The time is linear in the number of pixels,
 /// for any number of marks.
-pub(crate) fn nearest(width: u32, pixels: usize, marked: &[u32]) -> Vec<u32> {
+pub fn nearest(width: u32, pixels: usize, marked: &[u32]) -> Vec<u32> {
     let row = width as usize;
     if row == 0 || !pixels.is_multiple_of(row) || marked.is_empty() {
         return Vec::new();

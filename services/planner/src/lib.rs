@@ -53,7 +53,6 @@ mod model;
 mod outcome;
 mod problem;
 mod proof;
-pub mod reference;
 mod rental;
 mod replan;
 mod schedule;

@@ -1,10 +1,10 @@
 //! The wanted properties of the README, on random instances.
 
-use forelight_planner::reference::{Size, cheapest_by_trying_everything, studio, tiny};
 use forelight_planner::{
     Confidence, Event, FixedBooking, Frame, Input, Interval, Job, Node, Verdict, WorkTotal, curve, explain,
     mend, plan, replan, simulate, verify,
 };
+use forelight_simulator::reference::{Size, cheapest_by_trying_everything, studio, tiny};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 

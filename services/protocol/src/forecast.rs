@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    ByClass, CacheQuote, FixedCosts, LeftOut, MoneyQuantiles, ProcessCosts, Quantiles, RenderSettings,
-    SceneDigest,
+    ByClass, CacheQuote, FixedCosts, LeftOut, MoneyQuantiles, NodeCalibration, ProcessCosts, Quantiles,
+    RenderSettings, SceneDigest,
 };
 
 /// Forecast numbers of rays, by category.
@@ -202,5 +202,20 @@ impl NodeSeconds {
         let cpu_seconds =
             Quantiles { mean: mean / speed, p50: p50 / speed, p80: p80 / speed, p95: p95 / speed };
         Self { node, speed, cpu_seconds }
+    }
+
+    /// What a quote comes to on another machine, from the calibrations of the machine that made the quote (`here`) and of the other
+    /// one (`there`). `None` if the quote does not say of which classes its work is.
+    pub fn carried(
+        quote: &ForecastDoc,
+        node: String,
+        here: &NodeCalibration,
+        there: &NodeCalibration,
+    ) -> Option<Self> {
+        let work = quote.work_by_class?;
+        let (here, there) = (here.speed(&work)?, there.speed(&work)?);
+        let Quantiles { mean, p50, p80, p95 } = quote.total.cpu_seconds;
+        let at_one = Quantiles { mean: mean * here, p50: p50 * here, p80: p80 * here, p95: p95 * here };
+        Some(Self::new(node, there, &at_one))
     }
 }

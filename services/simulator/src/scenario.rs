@@ -1,10 +1,10 @@
 //! Worlds to simulate.
 
 use forelight_planner::chance::{between, bits};
-use forelight_planner::reference::{self, Size};
 use forelight_planner::{Confidence, Input, InputError, Interval, Project, Seed};
 use serde::{Deserialize, Serialize};
 
+use crate::reference::{self, Size};
 use crate::world::{Chances, World};
 
 const MINUTE: i64 = 60_000_000;

@@ -1,15 +1,15 @@
 //! `forelight ask`: what a farm's service knows of a job's plan.
 
-use crate::atomic_file::write_bytes;
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::failure::BadInput;
-use crate::options::ConnectionOptions;
-use crate::output;
-use crate::quantities::{Deadline, clock, money, parse_deadline, parse_money};
-use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use forelight_client::Client;
 use forelight_protocol::{AnswersDoc, Job, JobId, Money, MovedJob, PlanEffect, PriceOffer, Timestamp};
+use forelight_terminal::atomic_file::write_bytes;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::output;
+use forelight_terminal::quantities::{Deadline, clock, money, parse_deadline, parse_money};
+use forelight_terminal::table::{Align, Table};
 use std::path::PathBuf;
 
 /// Ask about a job's plan: will it be ready, what does it cost sooner or later, what would help
@@ -166,7 +166,7 @@ fn report(job: &Job, found: &AnswersDoc, now: Timestamp) -> String {
 }
 
 fn later(job: &MovedJob) -> String {
-    crate::quantities::seconds(job.later_ms as f64 / 1e3) + " later"
+    forelight_terminal::quantities::seconds(job.later_ms as f64 / 1e3) + " later"
 }
 
 fn listed(title: &str, effects: &[PlanEffect], at: impl Fn(Timestamp) -> String) -> String {

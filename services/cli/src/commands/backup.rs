@@ -1,9 +1,9 @@
 //! `forelight backup`: a copy of the farm's database, made while the service runs.
 
-use crate::failure::BadInput;
-use crate::output::{self, Bars};
 use anyhow::{Context, Result};
 use forelight_store::StoreError;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::output::{self, Bars};
 use serde::Serialize;
 use std::path::PathBuf;
 

@@ -1,16 +1,16 @@
 //! `forelight cache`: the irradiance cache of a shot, planned once for many frames and filled by many processes.
 
-use crate::atomic_file::{self, write_bytes};
-use crate::bounded_file;
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::local::Local;
-use crate::options::{MachineOptions, QualityOptions};
-use crate::output::{self, Bars};
-use crate::quantities::{count, seconds};
 use anyhow::{Context, Result};
 use clap::Subcommand;
 use forelight_protocol::{CACHE_BYTES, FrameSet};
+use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::bounded_file;
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::Local;
+use forelight_terminal::options::{MachineOptions, QualityOptions};
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::quantities::{count, seconds};
 use forelight_tracer::{Cache, CacheTotals};
 use forelight_worker::{RenderError, seconds as seconds_of};
 use serde::Serialize;

@@ -1,13 +1,13 @@
 //! `forelight calibrate`: how fast this machine is, by class of work.
 
-use crate::atomic_file::{self, write_bytes};
-use crate::failure::BadInput;
-use crate::json_file;
-use crate::output::{self, Bars};
-use crate::quantities::count;
-use crate::table::{Align, Table};
 use anyhow::Result;
 use forelight_protocol::{ByClass, NodeCalibration};
+use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::json_file;
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::quantities::count;
+use forelight_terminal::table::{Align, Table};
 use forelight_tracer::tracer_version;
 use forelight_worker::{CALIBRATION_VERSION, ROUNDS, calibrate, node_speed};
 use serde::{Deserialize, Serialize};
@@ -44,9 +44,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     atomic_file::check([args.out.as_deref()])?;
     let calibration = measured(usize::from(args.rounds), &Bars::new(args.json));
-    if let Some(path) = &args.out {
-        write_bytes(path, (output::pretty(&calibration)? + "\n").as_bytes())?;
-    }
+    json_file::write(args.out.as_deref(), &calibration)?;
     if args.json { output::json(&calibration) } else { output::print(&report(&calibration)) }
 }
 

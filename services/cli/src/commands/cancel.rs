@@ -1,12 +1,12 @@
 //! `forelight cancel`: jobs that nobody wants any more.
 
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::failure::BadInput;
-use crate::options::ConnectionOptions;
-use crate::output;
 use anyhow::{Context, Result};
 use forelight_client::Client;
 use forelight_protocol::{Job, JobId};
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::output;
 
 /// Cancel jobs: their workers stop, and what was booked for them is free for others
 #[derive(Debug, clap::Args)]

@@ -2,13 +2,13 @@
 
 use super::serve::{self, Executor, ServiceOptions};
 use super::worker::{library, measured};
-use crate::interrupt::Interrupt;
-use crate::options::PreviewBackend;
-use crate::output;
-use crate::quantities::parse_money;
 use anyhow::Result;
 use forelight_client::Client;
 use forelight_protocol::{Capabilities, Money, NodeRegistration};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::options::PreviewBackend;
+use forelight_terminal::output;
+use forelight_terminal::quantities::parse_money;
 use forelight_worker::{Agent, AgentError, TaskRunner, node_speed};
 use std::sync::Arc;
 use tokio::task::JoinSet;

@@ -1,14 +1,14 @@
 //! `forelight jobs`: the farm's jobs, newest first.
 
 use super::status::bar;
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::failure::BadInput;
-use crate::options::ConnectionOptions;
-use crate::output;
-use crate::quantities::clock;
-use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use forelight_protocol::{Job, JobState, Timestamp};
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::output;
+use forelight_terminal::quantities::clock;
+use forelight_terminal::table::{Align, Table};
 
 /// List jobs: how far each is, and when it will be ready
 #[derive(Debug, clap::Args)]

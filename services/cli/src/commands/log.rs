@@ -1,11 +1,11 @@
 //! `forelight log`: what the workers of a task had to say.
 
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::options::ConnectionOptions;
-use crate::output;
-use crate::quantities::clock;
 use anyhow::{Context, Result};
 use forelight_protocol::{TaskId, TaskLog, Timestamp};
+use forelight_terminal::output;
+use forelight_terminal::quantities::clock;
 
 /// Show the log of a task: all attempts, oldest first
 #[derive(Debug, clap::Args)]

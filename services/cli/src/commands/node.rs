@@ -1,16 +1,17 @@
 //! `forelight node`: what the farm's nodes do, and orders for them.
 
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::failure::BadInput;
-use crate::options::{ConnectionOptions, duration};
-use crate::output;
-use crate::quantities::{clock, parse_money};
-use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use forelight_protocol::{
     Money, Node, NodeCalendar, NodeChange, NodeState, PowerState, TimeSpan, Timestamp, WindowEnd,
 };
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::options::duration;
+use forelight_terminal::output;
+use forelight_terminal::quantities::{clock, parse_money};
+use forelight_terminal::table::{Align, Table};
 use std::time::Duration;
 
 /// List nodes and what they do, or give one an order

@@ -1,17 +1,17 @@
 //! `forelight plan`: a farm description in, a plan out, and what would change it.
 
-use crate::atomic_file::write_bytes;
-use crate::failure::BadInput;
-use crate::json_file;
-use crate::output;
-use crate::quantities::{money, parse_duration, parse_money, seconds};
-use crate::table::{Align, Table};
 use anyhow::{Result, anyhow};
 use forelight_planner::{
     Change, Confidence, Description, Effect, Explanation, Input, Offer, Outlook, Plan, Simulation, Verdict,
     curve, earliest_for_budget, explain, gantt, outlook, plan, price_curve, simulate, verify, ways_out,
     what_if,
 };
+use forelight_terminal::atomic_file::write_bytes;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::json_file;
+use forelight_terminal::output;
+use forelight_terminal::quantities::{money, parse_duration, parse_money, seconds};
+use forelight_terminal::table::{Align, Table};
 use serde::Serialize;
 use std::path::PathBuf;
 

@@ -1,12 +1,12 @@
 //! `forelight plans`: the farm's plans, and what each changed.
 
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::options::ConnectionOptions;
-use crate::output;
-use crate::quantities::clock;
-use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use forelight_protocol::{PlanId, PlanReason, PlanSummary, Timestamp};
+use forelight_terminal::output;
+use forelight_terminal::quantities::clock;
+use forelight_terminal::table::{Align, Table};
 
 /// List the farm's newest plans, or say what one of them changed
 #[derive(Debug, clap::Args)]

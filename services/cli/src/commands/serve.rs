@@ -1,10 +1,6 @@
 //! `forelight serve`: the service alone. What it shares with `forelight farm` is here too.
 
-use crate::atomic_file::write_secret;
 use crate::commands::slurm::SlurmOptions;
-use crate::interrupt::Interrupt;
-use crate::options::duration;
-use crate::output;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use forelight_api::{Config, Service};
@@ -12,6 +8,10 @@ use forelight_client::Token;
 use forelight_engine::slurm::Engine;
 use forelight_protocol::{Role, Timestamp};
 use forelight_store::{ArtifactPlace, Store, tokens};
+use forelight_terminal::atomic_file::write_secret;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::options::duration;
+use forelight_terminal::output;
 use std::fs;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -149,7 +149,7 @@ impl Running {
 pub async fn start(options: &ServiceOptions) -> Result<Running> {
     let data = options.data.display();
     // A connection for each worker, and what the service itself needs.
-    crate::open_files::allow(256)?;
+    forelight_terminal::open_files::allow(256)?;
     let service = Service::start(options.config())
         .await
         .with_context(|| format!("cannot start the service with data in {data}"))?;

@@ -1,11 +1,11 @@
 //! `forelight share`: whose turn it is among jobs without a deadline.
 
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::options::ConnectionOptions;
-use crate::output;
-use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use forelight_protocol::{ProjectList, ProjectRequest};
+use forelight_terminal::output;
+use forelight_terminal::table::{Align, Table};
 
 /// List projects with their shares of the farm, or set one
 #[derive(Debug, clap::Args)]

@@ -1,11 +1,11 @@
 //! How Slurm is used, for `forelight serve` and `forelight farm`.
 
-use crate::failure::BadInput;
-use crate::options::{PreviewBackend, duration};
-use crate::quantities::parse_money;
 use anyhow::{Context, Result};
 use forelight_engine::slurm::{Options, Submitting};
 use forelight_protocol::Money;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::options::{PreviewBackend, duration};
+use forelight_terminal::quantities::parse_money;
 use std::path::{Path, PathBuf, absolute};
 use std::time::Duration;
 

@@ -1,14 +1,15 @@
 //! `forelight status`: how a job stands.
 
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::options::{ConnectionOptions, duration};
-use crate::output;
-use crate::quantities::{clock, seconds};
 use anyhow::{Context, Result, bail};
 use forelight_client::Client;
 use forelight_protocol::{Job, JobId, JobState, Timestamp, Verdict};
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::options::duration;
+use forelight_terminal::output;
+use forelight_terminal::quantities::{clock, seconds};
 use std::io::IsTerminal;
 use std::time::Duration;
 

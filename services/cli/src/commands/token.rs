@@ -1,12 +1,12 @@
 //! `forelight token`: a new bearer token.
 
-use crate::atomic_file;
-use crate::failure::BadInput;
-use crate::options::duration;
-use crate::output;
 use anyhow::{Context, Result};
 use forelight_protocol::{Role, Timestamp};
 use forelight_store::{Store, tokens};
+use forelight_terminal::atomic_file;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::options::duration;
+use forelight_terminal::output;
 use std::path::PathBuf;
 use std::time::Duration;
 

@@ -1,14 +1,8 @@
 //! `forelight worker`: a worker process on this machine, for a service anywhere.
 
 use super::calibrate;
-use crate::atomic_file::write_secret;
+use crate::connection::ConnectionOptions;
 use crate::connection::{connect, read_token};
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::local::preview_choice;
-use crate::options::{ConnectionOptions, PreviewBackend, duration};
-use crate::output;
-use crate::quantities::{parse_bytes, parse_money};
 use anyhow::{Context, Result};
 use forelight_client::Client;
 use forelight_protocol::{
@@ -16,6 +10,13 @@ use forelight_protocol::{
     TaskLimits,
 };
 use forelight_store::{token_hash, tokens};
+use forelight_terminal::atomic_file::write_secret;
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::preview_choice;
+use forelight_terminal::options::{PreviewBackend, duration};
+use forelight_terminal::output;
+use forelight_terminal::quantities::{parse_bytes, parse_money};
 use forelight_worker::{Agent, Ambient, Errand, Library, TaskRunner, capabilities, node_speed};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -43,7 +43,7 @@ mod uniform;
 
 use serde::{Deserialize, Serialize};
 
-use crate::cost::{Cost, Costs, Observation};
+use crate::cost::{Cost, Observation};
 use crate::error::ForecastError;
 use crate::estimate::{FrameEstimate, FrameFit, estimate_fit};
 use crate::expansion::Expansion;
@@ -337,46 +337,6 @@ impl Design {
         let fit = FrameFit::new(&self.strata, 0, &self.counts, observations, &self.expansion)?;
         Ok(estimate_fit(fit, observations.len(), calibration))
     }
-}
-
-/// The predicted cost of each pixel in row order, for a cost map.
-///
-/// A strategy that uses the preview predicts the mean of the pixel's stratum. A blind one predicts the cost
-/// of the nearest profiled pixel. `strata`, `stratum_ids` and `width` must be those that `design` was made
-/// for.
-///
-/// # Errors
-/// As for [`Design::estimate`].
-pub fn predicted_map(
-    strategy: Strategy,
-    design: &Design,
-    strata: &[Stratum],
-    stratum_ids: &[u32],
-    width: u32,
-    picks: &[Pick],
-    observations: &[Observation],
-) -> Result<Vec<Costs<f64>>, ForecastError> {
-    if strategy.is_blind() {
-        let pixels: Vec<u32> = picks.iter().map(|pick| pick.pixel).collect();
-        let cost = |index: u32| {
-            let columns = observations[index as usize].cost.columns();
-            Costs::from(columns.map(|value| value as f64))
-        };
-        return Ok(nearest(width, stratum_ids.len(), &pixels).into_iter().map(cost).collect());
-    }
-    let means = if strategy == Strategy::Systematic {
-        // This strategy expands by class, but its picks also have a stratum of the preview.
-        let counts = count_pixels(strata, stratum_ids, width, 0)?;
-        let shown: Vec<Observation> = picks
-            .iter()
-            .zip(observations)
-            .map(|(pick, observed)| Observation { stratum: stratum_ids[pick.pixel as usize], ..*observed })
-            .collect();
-        FrameFit::new(strata, 0, &counts, &shown, &Expansion::Groups)?.strata
-    } else {
-        design.estimate(observations, Calibration::NONE)?.strata
-    };
-    Ok(stratum_ids.iter().map(|&stratum| means[stratum as usize].mean).collect())
 }
 
 #[cfg(test)]

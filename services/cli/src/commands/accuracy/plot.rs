@@ -1,11 +1,11 @@
 //! The ladders as a picture: error over CPU time, both logarithmic.
 
 use super::value;
-use crate::drawing::{self, Area, Drawn};
-use crate::quantities::seconds;
 use anyhow::Result;
 use forelight_protocol::{AccuracyDoc, AccuracyRung, ImageError, LadderKind};
 use forelight_quote::points;
+use forelight_terminal::drawing::{self, Area, Drawn};
+use forelight_terminal::quantities::seconds;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};

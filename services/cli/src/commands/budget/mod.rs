@@ -3,12 +3,9 @@
 mod page;
 mod table;
 
-use crate::atomic_file::write_bytes;
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::failure::{BadInput, Threatened};
-use crate::options::ConnectionOptions;
-use crate::output;
-use crate::quantities::parse_money;
+use crate::failure::Threatened;
 use anyhow::{Context, Result};
 use clap::{Subcommand, ValueEnum};
 use forelight_protocol::{
@@ -16,6 +13,10 @@ use forelight_protocol::{
     BudgetThreshold, Money, Night, Timestamp,
 };
 use forelight_store::{DATABASE, Store};
+use forelight_terminal::atomic_file::write_bytes;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::output;
+use forelight_terminal::quantities::parse_money;
 use std::path::{Path, PathBuf};
 
 /// What tonight and the nights after it will cost, against budgets; sets budgets

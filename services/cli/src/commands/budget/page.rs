@@ -1,8 +1,8 @@
 //! A forecast of nights as a page: one file, without scripts, and without anything from elsewhere.
 
 use super::table::{chance, clock, expected, parts, period, record};
-use crate::quantities::money;
 use forelight_protocol::{BudgetForecast, Money, MoneyForecast};
+use forelight_terminal::quantities::money;
 use std::fmt::Write as _;
 
 const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;max-width:62rem;margin:2rem auto;padding:0 1rem;color:#222;background:#fff}\

@@ -1,10 +1,10 @@
 //! A forecast of nights as text and as comma-separated values.
 
-use crate::quantities::money;
-use crate::table::{Align, Table};
 use forelight_protocol::{
     Budget, BudgetForecast, BudgetOutlook, CostLine, Money, MoneyForecast, NightForecast, NotReady, Timestamp,
 };
+use forelight_terminal::quantities::money;
+use forelight_terminal::table::{Align, Table};
 
 const AMOUNTS: [(&str, Align); 4] =
     [("spent", Align::Right), ("P50", Align::Right), ("P80", Align::Right), ("P95", Align::Right)];

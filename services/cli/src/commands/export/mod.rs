@@ -3,19 +3,18 @@
 mod openjd;
 mod template;
 
-use crate::atomic_file::write_bytes;
 use crate::commands::cache::NO_USE_FOR_A_CACHE;
-use crate::failure::BadInput;
-use crate::json_file;
-use crate::local::Local;
-use crate::options::{MachineOptions, PreviewBackend, QualityOptions, duration};
-use crate::output::{self, Bars};
-use crate::quantities::{money, seconds};
 use anyhow::Result;
 use clap::ValueEnum;
 use forelight_protocol::{
     CacheMode, ForecastDoc, FrameSet, ProcessCosts, QuotedShot, RenderSettings, RenderStats, SceneSummary,
 };
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::json_file;
+use forelight_terminal::local::Local;
+use forelight_terminal::options::{MachineOptions, PreviewBackend, QualityOptions, duration};
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::quantities::{money, seconds};
 use forelight_worker::Renderer;
 use openjd::ExportedShot;
 use std::path::{Path, PathBuf};
@@ -107,7 +106,7 @@ pub fn run(args: &Args) -> Result<()> {
     let Some(out) = &args.out else {
         return output::json(&template);
     };
-    write_bytes(out, (output::pretty(&template)? + "\n").as_bytes())?;
+    json_file::write(Some(out), &template)?;
     let steps: Vec<&str> = template.steps.iter().map(|step| step.name.as_str()).collect();
     let mut report = format!("steps   {}\nframes  {}\n", steps.join(", "), shot.frames);
     if shot.bundle.is_none() {

@@ -5,9 +5,9 @@ use super::template::{
     Action, Actions, Amount, Attribute, Cancelation, DataFlow, Dependency, HostRequirements, JobTemplate,
     LONGEST_JOB_NAME, ObjectType, Parameter, ParameterSpace, ParameterType, Script, Step, TaskParameter,
 };
-use crate::options::{IntegratorName, Materials, PreviewBackend};
 use clap::ValueEnum;
 use forelight_protocol::{CacheMode, FrameSet, Integrator, MaterialMode, RenderSettings};
+use forelight_terminal::options::{IntegratorName, Materials, PreviewBackend};
 
 /// What is exported.
 #[derive(Debug, Clone)]

@@ -1,14 +1,15 @@
 //! What one irradiance cache for all frames would take, beside one for each.
 
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::local::Local;
-use crate::options::{CacheSwitch, QualityOptions, Sharing};
-use crate::output::Bars;
+use crate::job_options::Sharing;
 use anyhow::{Context, Result};
 use forelight_forecast::Strategy;
 use forelight_protocol::{ForecastDoc, RenderSettings};
 use forelight_quote::is_shared_cache_worth_planning;
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::Local;
+use forelight_terminal::options::{CacheSwitch, QualityOptions};
+use forelight_terminal::output::Bars;
 use forelight_worker::{Quote, SharedPlan, plan_shared};
 use std::path::Path;
 
@@ -72,8 +73,9 @@ impl Asker<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::commands::forecast::{Args, Watcher, run};
-    use crate::options::parsed;
+    use crate::commands::forecast::{Args, run};
+    use forelight_terminal::options::parsed;
+    use forelight_terminal::watching::QuoteWatcher;
     use forelight_worker::QuoteOptions;
 
     #[test]
@@ -90,7 +92,7 @@ mod tests {
         let settings = local.settings(&wanted.quality).unwrap();
         let options = QuoteOptions { samples: 64, profile_frames: Some(2), ..QuoteOptions::default() };
         let frames = [0, 8, 16];
-        let watcher = Watcher::new(&bars, frames.len(), &interrupt);
+        let watcher = QuoteWatcher::new(&bars, frames.len(), &interrupt);
         let quoted = watcher.quote(&local, Path::new(bundle), &frames, &settings, &options).unwrap();
         let asker = Asker {
             local: &local,

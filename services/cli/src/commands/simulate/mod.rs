@@ -2,17 +2,17 @@
 
 mod plot;
 
-use crate::atomic_file::{self, write_bytes};
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::json_file;
-use crate::output::{self, Bars};
-use crate::quantities::{money, parse_duration};
-use crate::table::{Align, Table};
 use anyhow::Result;
 use clap::ValueEnum;
 use forelight_planner::{Confidence, Description};
 use forelight_simulator::{Chances, PolicyKind, Report, Scenario, World, report, run as simulate};
+use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::json_file;
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::quantities::{money, parse_duration};
+use forelight_terminal::table::{Align, Table};
 use serde::Serialize;
 use std::path::PathBuf;
 

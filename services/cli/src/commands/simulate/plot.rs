@@ -1,8 +1,8 @@
 //! A simulation as a picture: how busy the farm was, and what being in time cost.
 
-use crate::drawing::{self, Area, Drawn};
 use anyhow::Result;
 use forelight_simulator::{PolicyKind, Report};
+use forelight_terminal::drawing::{self, Area, Drawn};
 use plotters::prelude::*;
 
 const WIDTH: u32 = 1100;

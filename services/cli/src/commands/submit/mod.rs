@@ -6,19 +6,21 @@ mod report;
 
 use super::worker::task_limits;
 use crate::archive;
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::failure::BadInput;
-use crate::interrupt::Interrupt;
-use crate::local::settings_request;
-use crate::options::{ConfidenceLevel, ConnectionOptions, QualityOptions, Sharing, duration};
-use crate::output::{self, Bars};
-use crate::quantities::{Deadline, parse_bytes, parse_deadline, parse_money, parse_seconds};
+use crate::job_options::{ConfidenceLevel, Sharing};
 use anyhow::{Context, Result, bail};
 use forelight_client::Client;
 use forelight_protocol::{
     BundleRef, CacheSharing, FrameSet, Job, JobId, JobRequest, JobState, Ladders, Money, Per,
     RenderSettingsRequest, SceneSummary, Timestamp, Within,
 };
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::settings_request;
+use forelight_terminal::options::{QualityOptions, duration};
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::quantities::{Deadline, parse_bytes, parse_deadline, parse_money, parse_seconds};
 use std::path::{Path, PathBuf};
 use uuid::Uuid;
 
