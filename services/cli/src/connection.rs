@@ -2,6 +2,7 @@
 
 use anyhow::{Context, Result};
 use clap::Args;
+use forelight_client::{Client, Token};
 use forelight_terminal::failure::BadInput;
 use std::fs;
 use std::path::{Path, PathBuf};
