@@ -7,7 +7,7 @@ pub enum CacheError {
     #[error("not an irradiance cache of this version (it must begin with FLcach07)")]
     Foreign,
     /// The length differs from what the headers say.
-    #[error("damaged irradiance cache: it has {found} bytes instead of {expected}")]
+    #[error("truncated irradiance cache: it has {found} bytes instead of {expected}")]
     Length {
         /// Actual number of bytes.
         found: u64,
