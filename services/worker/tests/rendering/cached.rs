@@ -3,7 +3,7 @@
 use crate::room::{Nobody, Rig};
 use forelight_preview::Choice;
 use forelight_protocol::{CacheMode, Quantiles, RenderSettings, RenderSettingsRequest, TaskResult, TaskSpec};
-use forelight_worker::{Ambient, Given, QuoteOptions, Renderer, quote, render_frame};
+use forelight_worker::{Ambient, Given, QuoteOptions, quote, render_frame};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 

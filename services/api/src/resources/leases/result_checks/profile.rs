@@ -141,7 +141,8 @@ fn ladders(pointer: &str, spec: &ProfileSpec, document: &AccuracyDoc) -> ApiResu
     if document.settings != spec.settings {
         return wrong(format!("{pointer}/settings"), "these are not the settings of the task");
     }
-    let all = LadderKind::ALL.map(|kind| (kind, forelight_quote::ladder(kind, &spec.settings).unwrap_or_default()));
+    let all =
+        LadderKind::ALL.map(|kind| (kind, forelight_quote::ladder(kind, &spec.settings).unwrap_or_default()));
     let mut seen = BTreeSet::new();
     for (i, rung) in document.rungs.iter().enumerate() {
         let at = format!("{pointer}/rungs/{i}");
