@@ -36,7 +36,7 @@ fn job_requests(good: &Value) -> Vec<(Value, &'static str, &'static str)> {
         (with("/confidence", json!(0.8)), "/confidence", "none of the values"),
         (with("/project", json!(" ")), "/project", "1 to 200"),
         (with("/frames", json!("0-x")), "/frames", "`0-x`"),
-        (with("/frames", json!("3-1")), "/frames", "backwards"),
+        (with("/frames", json!("3-1")), "/frames", "ends before"),
         (with("/frames", json!("0-20")), "/frames", "frames 0 to 19"),
         (with("/frames", json!("0-4294967295")), "/frames", "at most 10000"),
         (without_frames, "", "missing field `frames`"),
