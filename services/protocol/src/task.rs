@@ -185,9 +185,9 @@ pub struct PreviewSpec {
 pub struct ProfileSpec {
     /// The job.
     pub job_id: JobId,
-    /// Expected hash of the scene's files. A worker that finds other files fails the task permanently.
+    /// Its bundle.
     pub bundle: BundleSource,
-    /// What the bundle has to hold: a worker that finds something else there fails the task for good.
+    /// Expected hash of the scene's files. A worker that finds other files fails the task permanently.
     pub digest: SceneDigest,
     /// The frame.
     pub frame: u32,

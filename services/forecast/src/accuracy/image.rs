@@ -107,6 +107,7 @@ pub struct ImageNoise {
     levels: usize,
     /// Mean brightness of the image.
     mean: f64,
+    /// Variance of `mean`, relative to its square.
     mean_variance: f64,
     fit: Fit,
 }
