@@ -1,4 +1,8 @@
-//! Which pixels of a frame to profile.
+//! Chooses which pixels of a frame to profile.
+//!
+//! A stratified design in two phases: the first phase spends half of the samples by expected cost, the second
+//! spends the rest by the spread of the costs that the first one measured. Within a group of strata the
+//! pixels are a quasi-random sequence along a Hilbert curve, so they are spread evenly over every object.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,41 +19,42 @@ use crate::strata::{Grouping, Stratum, check};
 pub struct Pick {
     /// Index of the pixel in row order.
     pub pixel: u32,
-    /// What the preview sees there.
+    /// Index of the stratum that the preview shows there.
     pub stratum: u32,
 }
 
-/// Least number of samples in each group: two give a variance.
+/// Least number of samples in each group. Two are needed for a variance.
 const FLOOR: u64 = 2;
 
-/// Degrees of freedom at which a material's own spread counts as much as the spread of everything.
+/// Degrees of freedom at which a material's own spread gets the same weight as the overall spread.
 const HALF_TRUSTED_FREEDOM: f64 = 8.0;
 
 /// The sampling design of one frame, in two phases.
 ///
-/// Each group of strata has its pixels in the order of a Hilbert curve, strata of a joined group one after
-/// the other. The group's picks are the terms of a Kronecker sequence along that order: place i is the
-/// fraction (u + i φ) mod 1, with the golden ratio φ and a start u drawn from the seed, the frame and the
-/// group. Three things follow.
+/// The pixels of each group of strata are ordered along a Hilbert curve; strata that were joined follow one
+/// another. The picks of a group are the terms of a Kronecker sequence along that order: pick i is at the
+/// fraction (u + i φ) mod 1. Here φ is the golden ratio, and u is a start drawn from the seed, the frame and
+/// the group. This has three consequences.
 ///
-/// * Every single pick falls on every pixel with the same probability (u is uniform), so the mean of a fixed
-///   number of picks is unbiased.
-/// * Every prefix of the sequence is spread evenly (three-distance theorem), so the picks of the second phase
-///   fall into the gaps that the first one left, whatever their number turns out to be, and the two phases
-///   together work like one systematic sample.
-/// * A pixel that comes up again is passed over, so none is picked twice, and a full sample is every pixel
+/// * Every single pick hits each pixel with the same probability, because u is uniform. So the mean of a
+///   fixed number of picks is unbiased.
+/// * Every prefix of the sequence is spread evenly (three-distance theorem). The picks of the second phase
+///   fall into the gaps that the first one left, however many they are. Both phases together work like one
+///   systematic sample.
+/// * A pixel that was picked before is skipped. So no pixel is picked twice, and a full sample is every pixel
 ///   once.
 ///
-/// The one bias is that the *number* of picks of a group depends on the costs seen in its first phase:
-/// pooling both phases gives a first phase that saw a costly pixel less weight. Half of the samples go to the
-/// first phase, by expected cost, and the second goes by shrunk spreads of materials, which keeps this small;
-/// a test on synthetic populations measures it.
+/// One bias remains: the *number* of picks of a group depends on the costs seen in its first phase. If the
+/// first phase saw a costly pixel, the group gets more picks, and pooling both phases gives the first one
+/// less weight. Two measures keep the bias small. Half of the samples go to the first phase, by expected
+/// cost. The second phase goes by the spreads of materials, shrunk towards the overall spread. A test on
+/// synthetic populations measures the bias that is left.
 #[derive(Clone, Debug)]
 pub struct FrameDesign {
     counts: Vec<u32>,
     stratum_ids: Vec<u32>,
     grouping: Grouping,
-    /// Pixels of each group in the order of the curve.
+    /// Pixels of each group, in the order of the curve.
     orders: Vec<Vec<u32>>,
     starts: Vec<u64>,
     first: Vec<u64>,
@@ -57,13 +62,14 @@ pub struct FrameDesign {
 }
 
 impl FrameDesign {
-    /// A design of `samples` picks (or all pixels, if these are fewer) for a frame whose preview shows stratum
-    /// `stratum_ids[pixel]`, in rows of `width` pixels.
+    /// A design of `samples` picks for a frame whose preview shows stratum `stratum_ids[pixel]`, in rows of
+    /// `width` pixels. If there are fewer pixels than `samples`, all are picked.
     ///
-    /// Strata that stand apart have no pixels and change nothing.
+    /// Strata without pixels, such as those of cache records ([`Stratum::apart`]), get no picks.
     ///
     /// # Errors
-    /// If an id has no stratum, the pixels are not whole rows, or a prior cost is not positive.
+    /// If an id has no stratum, the pixels do not fill whole rows, or a prior cost is not positive and
+    /// finite.
     pub fn new(
         strata: &[Stratum],
         stratum_ids: &[u32],
@@ -113,24 +119,26 @@ impl FrameDesign {
         })
     }
 
-    /// Pixels of each stratum, N_h.
+    /// Number of pixels of each stratum, N_h.
     pub fn counts(&self) -> &[u32] {
         &self.counts
     }
 
-    /// The first picks: two in each group, then in proportion to expected cost, up to half of all samples.
+    /// The picks of the first phase: two in each group, then in proportion to expected cost. They are half of
+    /// all samples, or more if the floors need more.
     pub fn first_phase(&self) -> Vec<Pick> {
         self.picks(&vec![0; self.first.len()], &self.first)
     }
 
-    /// The other picks, placed by what the first ones cost in work (observations may come in any order).
+    /// The picks of the second phase, allocated by the work that the first picks cost. The order of the
+    /// observations does not matter.
     ///
-    /// The spread of a group is taken as S_material^λ S_all^(1−λ) with λ = ν / (ν + 8), where ν are the
-    /// degrees of freedom behind the material's: two values alone say little about a spread, and a group
-    /// whose own few picks decide how many more it gets is biased (see the type's documentation).
+    /// The spread of a group is taken as S_material^λ S_all^(1−λ) with λ = ν / (ν + 8), where ν is the number
+    /// of degrees of freedom behind the material's spread. A material with few picks is thus mostly like all
+    /// others. A group's own spread is not used, because that would bias the estimate (see [`FrameDesign`]).
     ///
     /// # Errors
-    /// If an observation names an unknown stratum.
+    /// [`ForecastError::UnknownStratum`] if an observation names a stratum that the frame does not show.
     pub fn second_phase(&self, first: &[Observation]) -> Result<Vec<Pick>, ForecastError> {
         let mut moments = vec![Moments::default(); self.grouping.groups.len()];
         for observation in first {
@@ -162,7 +170,7 @@ impl FrameDesign {
         Ok(self.picks(&self.first, &allocate(&cells, self.samples)))
     }
 
-    /// Terms `from` to `to` of each group's sequence.
+    /// Terms `from[g]` to `to[g]` of the sequence of each group g.
     fn picks(&self, from: &[u64], to: &[u64]) -> Vec<Pick> {
         let mut picks = Vec::new();
         for (group, order) in self.orders.iter().enumerate() {
@@ -177,10 +185,10 @@ impl FrameDesign {
     }
 }
 
-/// Pixels of each stratum of an image; checks what every design needs.
+/// Number of pixels of each stratum of an image. Checks what every design requires.
 ///
 /// # Errors
-/// As of [`FrameDesign::new`].
+/// As for [`FrameDesign::new`].
 pub(crate) fn count_pixels(
     strata: &[Stratum],
     stratum_ids: &[u32],
@@ -201,13 +209,14 @@ pub(crate) fn count_pixels(
     Ok(counts)
 }
 
-/// The first `wanted` distinct places among `size` of the Kronecker sequence that starts at `start` (all in
-/// units of 2^-64 of the whole order, so that nothing is rounded).
+/// The first `wanted` distinct places, out of `size`, of the Kronecker sequence that starts at `start`.
+///
+/// Fractions of the order are in units of 2^−64, so that nothing is rounded.
 fn distinct_places(start: u64, size: usize, wanted: usize) -> Vec<usize> {
     let mut taken = vec![false; size];
     let mut places = Vec::with_capacity(wanted);
     let mut fraction = start;
-    // The gaps of n terms are below 3 / n, so 3 · size terms reach every place.
+    // The gaps between n terms are below 3 / n, so 3 · size terms reach every place.
     for _ in 0..3 * size {
         if places.len() >= wanted {
             break;
@@ -228,8 +237,8 @@ struct Spread {
     freedom: f64,
 }
 
-/// The pooled coefficient of variation √( Σ (n−1) s² / Σ (n−1) ȳ² ) of all groups of two or more picks, times
-/// the mean of all these picks. Zero where there is no such group.
+/// The pooled coefficient of variation √( Σ (n−1) s² / Σ (n−1) ȳ² ) over all groups with two or more picks,
+/// times the mean of all their picks. Zero if there is no such group.
 fn pooled_spread<'a>(moments: impl Iterator<Item = &'a Moments>) -> Spread {
     let (mut deviations, mut squares, mut freedom) = (0.0, 0.0, 0.0);
     let mut all = Moments::default();

@@ -1,34 +1,45 @@
 //! The shot's own clock, which runs faster where the picture changes faster.
+//!
+//! Unit costs are carried from profiled frames to others that are near in time. Near a cut, neighbouring
+//! frame numbers say nothing about similar costs. So time is stretched by how much of the picture changes
+//! from one frame to the next.
 
 use crate::frames::FramePopulation;
 use crate::strata::Stratum;
 
-/// When each frame is, for everything that is carried over time.
+/// The time of each frame, for everything that is carried over time.
 ///
-/// What a stratum costs follows from where the camera is, what is near and what is lit; none of that is known of the frames that are
-/// not profiled, but the preview shows how much of the picture has changed from one to the next: D = ½ Σ_h |w_h(t) − w_h(t−1)|, the
-/// part of the expected cost that is in other strata now (0 nothing, 1 everything). What appears where the camera does not look may be
-/// seen in a mirror, or light what is seen: of that the preview knows the triangles alone, so D is at least the part of them that has
-/// come or gone. If unit costs change as much as the picture does, the variance that they pick up goes with D². So a step takes, in
-/// frames,
+/// The cost of a stratum depends on where the camera is, what is near and what is lit. None of that is known
+/// of frames that are not profiled. But the preview shows how much of the picture changes from one frame to
+/// the next:
+///
+/// ```text
+/// D = ½ Σ_h |w_h(t) − w_h(t−1)|
+/// ```
+///
+/// where w_h is the share of stratum h in the expected cost. D is the share of the cost that moves to other
+/// strata: 0 is nothing, 1 is everything. Something that appears outside the view may be reflected in a
+/// mirror, or light what is in view. The preview knows only its triangles, so D is at least the share of
+/// triangles that appear or vanish. If unit costs change as much as the picture does, the variance that they
+/// gain grows with D². So a step takes, in frames,
 ///
 /// ```text
 /// Δτ = Δn + L D² ,     n the frames' numbers, L the length of the shot
 /// ```
 ///
-/// and a cut, where D is near one, sets the frames on both sides of it a whole shot apart: they take their unit costs from their own
-/// side, a brief scene is worth a profiled frame of its own, and the quote is not sure across the cut. A smooth move of the camera,
-/// with a D of a few hundredths, changes next to nothing.
+/// At a cut, D is near one. The frames on its two sides are then a whole shot apart. They take their unit
+/// costs from their own side, a short scene gets a profiled frame of its own, and the quote's interval widens
+/// across the cut. A smooth camera move has a D of a few hundredths and changes next to nothing.
 #[derive(Clone, Debug)]
 pub(crate) struct ShotClock {
-    /// From zero, strictly increasing.
+    /// In frames: from zero, strictly increasing.
     times: Vec<f64>,
-    /// From the first frame to the last by their numbers.
+    /// The last frame's number less the first one's.
     frames: f64,
 }
 
 impl ShotClock {
-    /// The clock of these frames, which are in order and have a count for every stratum.
+    /// The clock of these frames. They must be in order and have a count for every stratum.
     pub fn new(strata: &[Stratum], frames: &[FramePopulation]) -> Self {
         let length = match frames {
             [first, .., last] => apart(first.number, last.number),
@@ -45,38 +56,38 @@ impl ShotClock {
         Self { times, frames: length }
     }
 
-    /// When frame number `t` of the shot is.
+    /// Time of the frame with index `t`, in frames.
     pub fn at(&self, t: usize) -> f64 {
         self.times[t]
     }
 
-    /// When all frames are.
+    /// Times of all frames, in frames.
     pub fn times(&self) -> &[f64] {
         &self.times
     }
 
-    /// By how many frames numbers go from the first to the last: what a cut is worth.
+    /// Length of the shot by frame numbers: the last less the first. It is what a full cut adds to the clock.
     pub fn frames(&self) -> f64 {
         self.frames
     }
 
-    /// From the first frame to the last; one if there is but one.
+    /// Time from the first frame to the last. One for a single frame.
     pub fn length(&self) -> f64 {
         self.times.last().copied().filter(|&length| length > 0.0).unwrap_or(1.0)
     }
 
-    /// Between two frames.
+    /// Time between two frames, given by index.
     pub fn between(&self, one: usize, other: usize) -> f64 {
         (self.times[one] - self.times[other]).abs()
     }
 }
 
-/// Frames from `early` to `late` as a number that neither overflows nor rounds for any sensible shot.
+/// Number of frames from `early` to `late`, as a float: free of overflow, and exact for any sensible shot.
 fn apart(early: i64, late: i64) -> f64 {
     late.abs_diff(early) as f64
 }
 
-/// The part of the expected cost of pixels that is in other strata in the second frame, 0 to 1.
+/// Share of the pixels' expected cost that is in other strata in the second frame, 0 to 1.
 fn changed(strata: &[Stratum], before: &[u32], after: &[u32]) -> f64 {
     let weight = |counts: &[u32], h: usize| {
         if strata[h].apart { 0.0 } else { f64::from(counts[h]) * strata[h].prior_cost }
@@ -91,7 +102,7 @@ fn changed(strata: &[Stratum], before: &[u32], after: &[u32]) -> f64 {
     (0.5 * moved.sum::<f64>()).min(1.0)
 }
 
-/// The part of the triangles that one of the frames has and the other has not, 0 to 1.
+/// Share of the triangles that only one of the two frames has, 0 to 1.
 fn come_or_gone(before: &FramePopulation, after: &FramePopulation) -> f64 {
     let (fewer, more) =
         (before.triangles.min(after.triangles) as f64, before.triangles.max(after.triangles) as f64);

@@ -1,4 +1,9 @@
-//! Which frames of a shot to profile.
+//! Chooses which frames of a shot to profile.
+//!
+//! Every frame takes its unit costs from profiled frames near in time that show the same strata. The choice
+//! minimises the cost-weighted distance to these frames: a k-median problem, solved greedily and by local
+//! search. After the first frames are profiled, more are added if the forecast is uncertain and they are
+//! cheap.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,24 +14,25 @@ use crate::error::ForecastError;
 use crate::shot::ShotForecast;
 use crate::strata::{Stratum, check};
 
-/// What the preview saw in one frame.
+/// The preview of one frame, as pixel counts.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FramePopulation {
-    /// The frame's number, which is also its time. Numbers increase strictly from frame to frame, with or
-    /// without gaps.
+    /// The frame's number, which is also its time. Numbers increase strictly from frame to frame. Gaps are
+    /// allowed.
     pub number: i64,
-    /// Pixels of each stratum, N_h.
+    /// Number of pixels of each stratum, N_h.
     pub counts: Vec<u32>,
-    /// Which lights shine, as a number that frames with the same ones share. What a surface costs depends on them, and no preview
-    /// shows it.
+    /// The set of shining lights, as a number. Frames with the same set have the same number. The cost of a
+    /// surface depends on the lights, and no preview shows them.
     pub lights: u32,
-    /// How many of them: what costs something under one light is more like what it costs under another than like what it costs in the dark.
+    /// Number of shining lights. A unit cost under one set of lights is closer to that under another set than
+    /// to that in the dark.
     pub shining: u32,
-    /// Triangles of the frame, seen or not: what it takes to build a tree over them. 0 if nobody counted.
+    /// Triangles of the frame, visible or not. They determine the cost of building the tree. 0 if unknown.
     pub triangles: u64,
 }
 
-/// Checks frames and counts against the strata.
+/// Checks that frames are in order, and that their counts match the strata.
 pub(crate) fn check_frames(strata: &[Stratum], frames: &[FramePopulation]) -> Result<(), ForecastError> {
     for frame in frames {
         check(strata, frame.number, &frame.counts)?;
@@ -37,38 +43,40 @@ pub(crate) fn check_frames(strata: &[Stratum], frames: &[FramePopulation]) -> Re
     }
 }
 
-/// At most so many frames can be chosen; in a longer shot each stands for those around it.
+/// Largest number of candidates to choose from. In a longer shot, each candidate stands for frames around it.
 const MOST_CANDIDATES: usize = 256;
 
-/// So many sets of lights are told apart when frames are chosen. Of more, only by how many lights shine, and what is left are one.
+/// Number of sets of lights that the choice distinguishes. If there are more, frames are only distinguished
+/// by how many lights shine, and the numbers beyond this limit are treated as one.
 const MOST_LIGHTS: usize = 8;
 
-/// Passes over the chosen frames in which each may move to a better place.
+/// Largest number of passes of the local search over the chosen frames.
 const MOST_PASSES: usize = 8;
 
-/// In a frame that shows less than this part of the most that any frame shows of a stratum, the stratum is
-/// too small to be sampled well.
+/// A frame can sample a stratum well if it shows at least this share of the most that any frame shows of it.
 const ENOUGH_PIXELS: f64 = 0.25;
 
-/// Cost of having a stratum in no profiled frame, in shot lengths; being a whole shot away costs one.
+/// Distance of a stratum that no profiled frame shows, in shot lengths.
 const NEVER_SEEN: f64 = 2.0;
 
-/// Cost of taking a unit cost from a frame in which other lights shine, in shot lengths.
+/// Distance added for taking unit costs from a frame with other lights, in shot lengths.
 const OTHER_LIGHTS: f64 = 1.0;
 
 /// Chooses at most `at_most` frames to profile, as indices in increasing order.
 ///
-/// A stratum in a frame must take its unit cost from the nearest profiled frame that shows enough of it; that
-/// is the worse the further away the frame is, and worst if there is none. The sum over all frames and
-/// strata, weighted by pixels times prior cost, is made small greedily, frame by frame, and then by moving
-/// one frame at a time as long as that helps (the k-median problem; Arya et al. 2004, local search). Equal
-/// sums are settled for the earlier frame, so the choice is a function of the previews alone. Frames come out
-/// spread over time, drawn to where strata that matter appear. Time is the shot's own (`clock`), in which a cut is as long as the
-/// shot: so each side of it gets frames of its own. A frame in which other lights shine is a shot's length further away.
-/// [`choose_more_frames`] adds to them once they have been profiled.
+/// In each frame, a stratum takes its unit cost from the nearest profiled frame that shows enough of it. The
+/// loss is the sum of these distances over all frames and strata, weighted by pixels times prior cost. A
+/// stratum that no profiled frame shows has the largest distance. The loss is minimised greedily, frame by
+/// frame, then by moving one frame at a time while that helps: local search for the k-median problem (Arya et
+/// al. 2004). Ties go to the earlier frame, so the choice is a function of the previews only.
+///
+/// The chosen frames are spread over time, and drawn to where expensive strata appear. Time is the shot's own
+/// (`clock`). There a cut is as long as the shot, so each side of it gets frames of its own. A frame with
+/// other lights is one shot length further away. [`choose_more_frames`] adds frames once these have been
+/// profiled.
 ///
 /// # Errors
-/// If frames are out of order, or counts and strata do not fit together.
+/// If frames are out of order, or counts and strata do not match.
 pub fn choose_frames(
     strata: &[Stratum],
     frames: &[FramePopulation],
@@ -102,27 +110,30 @@ pub fn choose_frames(
     Ok(chosen)
 }
 
-/// So many frames are profiled before it is seen whether more pay.
+/// Number of frames that are profiled before more are considered.
 pub const FIRST_FRAMES: usize = 5;
 
-/// No more frames are profiled than this unless somebody asks for more.
+/// Largest number of frames that are profiled by default.
 pub const MOST_FRAMES: usize = 16;
 
-/// What profiling may take, as a part of the work that is forecast, for more frames to be profiled.
+/// Largest share of the forecast work that profiling may cost, for more frames to be profiled.
 const LARGEST_SHARE: f64 = 0.01;
 
-/// A forecast is sure enough if the work of all frames is at most this far above its median with a probability of 95 %, relative.
+/// A forecast is certain enough if P95 of the work of all frames is at most this far above P50, as a share of
+/// P50.
 const SURE: f64 = 0.02;
 
-/// Whether more frames than the [`FIRST_FRAMES`] should be profiled, and which, as indices in increasing order: as many as can be paid with a
-/// hundredth of the work that is forecast, and at most [`MOST_FRAMES`] in all. Nothing if the forecast is sure enough, or if others than so
-/// many were profiled: so it is asked once. `spent` is the work that profiling these took.
+/// Which further frames to profile after the first [`FIRST_FRAMES`], as indices in increasing order.
 ///
-/// They are chosen as the first ones were ([`choose_frames`]), but weighted by what strata were found to cost, and beside those that
-/// are profiled already.
+/// There are as many as one percent of the forecast work pays for, and at most [`MOST_FRAMES`] in all. The
+/// result is empty if the forecast is certain enough. It is also empty if the number of profiled frames is
+/// not [`FIRST_FRAMES`], so frames are added only once. `spent` is the work that profiling these frames cost.
+///
+/// The frames are chosen as in [`choose_frames`], in addition to the profiled ones, and weighted by the costs
+/// that the forecast gives to the strata.
 ///
 /// # Errors
-/// If frames are out of order, or counts and strata do not fit together.
+/// If frames are out of order, or counts and strata do not match.
 pub fn choose_more_frames(
     strata: &[Stratum],
     frames: &[FramePopulation],
@@ -135,7 +146,7 @@ pub fn choose_more_frames(
     if profiled.len() != FIRST_FRAMES || work.p95 <= (1.0 + SURE) * work.p50 {
         return Ok(Vec::new());
     }
-    // As many as would take the same share each; all of them are paid by what is forecast.
+    // The affordable number of profiled frames in all, if each costs as much as those so far.
     let each = spent as f64 / profiled.len() as f64;
     let affordable = (LARGEST_SHARE * work.mean / each.max(1.0)) as usize;
     let cover = Cover::new(strata, frames, |h, t| {
@@ -151,22 +162,22 @@ pub fn choose_more_frames(
     Ok(more)
 }
 
-/// A frame that may be chosen, and stands for its neighbours in a long shot.
+/// A frame that may be chosen. In a long shot it also stands for its neighbours.
 struct Candidate {
     index: usize,
-    /// Time from 0 to 1.
+    /// Time on the shot's clock, scaled to 0 to 1.
     time: f64,
     lights: usize,
     /// Whether any light shines.
     is_lit: bool,
-    /// Strata shown by it or a frame that it stands for, with their weight.
+    /// Strata shown by it or by a frame that it stands for, with their weight.
     shown: Vec<(usize, f64)>,
-    /// Whether it shows enough of a stratum for it to be sampled.
+    /// For each stratum, whether the frame shows enough of it to sample it well.
     enough: Vec<bool>,
 }
 
 impl Candidate {
-    /// How far it is, in shot lengths, from this frame to one that takes its unit costs from it.
+    /// Distance from this frame to one that takes its unit costs from it, in shot lengths.
     fn away(&self, other: &Self) -> f64 {
         let lights = match () {
             () if self.is_lit != other.is_lit => NEVER_SEEN,
@@ -181,16 +192,16 @@ struct Cover {
     frames: Vec<Candidate>,
 }
 
-/// How far it is from every stratum of every candidate to the nearest chosen frame.
+/// Distance from every stratum of every candidate to the nearest chosen frame.
 struct Distances {
-    /// In the order of the candidates and of the strata that they show.
+    /// In the order of the candidates, and of the strata that they show.
     nearest: Vec<Vec<f64>>,
-    /// Their weighted sum.
+    /// The weighted sum of the distances.
     loss: f64,
 }
 
 impl Cover {
-    /// `weight` is what a stratum is thought to cost in a frame.
+    /// `weight(h, t)` is the estimated cost of stratum h in frame t.
     fn new(strata: &[Stratum], frames: &[FramePopulation], weight: impl Fn(usize, usize) -> f64) -> Self {
         let clock = ShotClock::new(strata, frames);
         let most: Vec<u32> = (0..strata.len())
@@ -215,7 +226,7 @@ impl Cover {
         Cover { frames: slices(&clock, &lights).into_iter().map(candidate).collect() }
     }
 
-    /// Adds to the chosen candidates one by one, until so many are.
+    /// Greedily adds candidates to the chosen ones, until there are `until`.
     fn add(&self, chosen: &mut Vec<usize>, until: usize) {
         while chosen.len() < until.min(self.frames.len()) {
             let Some((_, best)) = self.best(chosen) else { break };
@@ -239,7 +250,8 @@ impl Cover {
         Distances { nearest, loss }
     }
 
-    /// The least loss that one more candidate leaves beside `others`, and the candidate; the earliest among equals.
+    /// The candidate that reduces the loss most when added to `others`, with the loss that it leaves. The
+    /// earliest one among equals.
     fn best(&self, others: &[usize]) -> Option<(f64, usize)> {
         let without = self.distances(others).nearest;
         let with = |candidate: &Candidate| -> f64 {
@@ -263,7 +275,7 @@ impl Cover {
     }
 }
 
-/// Which lights shine in each frame, in numbers from 0 by first appearance.
+/// The set of shining lights in each frame, as numbers from 0 in the order of first appearance.
 fn told_apart(frames: &[FramePopulation]) -> Vec<usize> {
     let sets: BTreeSet<u32> = frames.iter().map(|frame| frame.lights).collect();
     let few = sets.len() <= MOST_LIGHTS;
@@ -281,8 +293,11 @@ fn told_apart(frames: &[FramePopulation]) -> Vec<usize> {
     frames.iter().map(number).collect()
 }
 
-/// The frames in runs of equal length on the shot's clock, each split by which lights shine, so that what is there for a few frames of
-/// a long shot only, and changes the picture or its light, is in a run of its own. Of a shot that is not too long each frame is a run.
+/// Divides the frames into runs that get one candidate each.
+///
+/// A shot with few frames has one run per frame. In a longer one, runs have equal length on the shot's clock,
+/// and are split by the set of shining lights. So something that is there for a few frames only, and changes
+/// the picture or its light, gets a run of its own.
 fn slices(clock: &ShotClock, lights: &[usize]) -> Vec<Vec<usize>> {
     if lights.len() <= MOST_CANDIDATES {
         return (0..lights.len()).map(|t| vec![t]).collect();

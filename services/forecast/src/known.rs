@@ -1,12 +1,18 @@
-//! What is known of frames beyond what was profiled.
+//! Adds costs that are known without profiling to a forecast.
+//!
+//! Examples are the records of an irradiance cache that are shared between frames. Means shift by the known
+//! cost; variances stay.
 
 use crate::cost::{Cost, Costs, Quantity};
 use crate::interval::{Calibration, Part, log_deviation, quantity};
 use crate::shot::ShotForecast;
 
 impl ShotForecast {
-    /// The same with what is known for certain of each frame's cost on top, in the order of the frames: less than nothing where something
-    /// was counted that the frame has not. Means move, variances stay. For a forecast that `calibration` made, before past jobs correct it.
+    /// Adds the known cost of each frame, in the order of the frames.
+    ///
+    /// A known cost may be negative, for something that was counted but does not occur in the frame. Means
+    /// shift and variances stay. `calibration` must be the one that made this forecast. Call this before
+    /// [`ShotForecast::corrected`].
     #[must_use]
     pub fn with_known(mut self, known: &[Costs<f64>], calibration: Calibration) -> Self {
         let mut all = Costs::default();
@@ -21,8 +27,10 @@ impl ShotForecast {
     }
 }
 
-/// Costs of which work and rays were counted beforehand, with their times: in proportion to work, as in what was `taken` of their kind, given as work and
-/// nanoseconds.
+/// Adds times to costs whose work and rays were counted beforehand.
+///
+/// Times are proportional to work. The rate is that of `taken`: pairs of work and nanoseconds, measured for
+/// costs of the same kind.
 pub fn with_times(
     counted: impl IntoIterator<Item = Cost>,
     taken: impl IntoIterator<Item = (u64, u64)>,
@@ -31,7 +39,7 @@ pub fn with_times(
     let (work, nanos) = taken.into_iter().fold((0.0, 0.0), sum);
     let rate = if work > 0.0 { nanos / work } else { 0.0 };
     let timed = |cost: Cost| {
-        // Saturates at the end of the range, as float to integer does.
+        // The conversion saturates at the end of the range.
         Costs::from(Cost { cpu_nanos: (cost.work as f64 * rate).round() as u64, ..cost })
     };
     counted.into_iter().map(timed).collect()
@@ -51,7 +59,7 @@ fn shifted(costs: &Costs<Quantity>, known: &Costs<f64>, calibration: Calibration
 }
 
 impl Costs<f64> {
-    /// Both together.
+    /// The sum of both.
     #[must_use]
     pub fn plus(&self, other: &Self) -> Self {
         Self {
@@ -62,7 +70,7 @@ impl Costs<f64> {
         }
     }
 
-    /// So many times the cost.
+    /// This cost times `factor`.
     #[must_use]
     pub fn times(&self, factor: f64) -> Self {
         Self {
@@ -115,7 +123,7 @@ mod tests {
         let above = |q: &Quantity| q.p95 - q.mean;
         assert!((above(&more.total.work) / above(&plain.total.work) - 1.0).abs() < 0.05);
         assert!(more.job_sigma < plain.job_sigma);
-        // More than there is cannot be taken away.
+        // A total does not fall below zero.
         let less = plain.clone().with_known(&[known[0].times(-10.0), known[1]], Calibration::NONE);
         assert_eq!((less.frames[0].total.work.mean, less.frames[0].total.work.p95), (0.0, 0.0));
     }

@@ -1,22 +1,24 @@
-//! Records of an irradiance cache, as strata that stand apart.
+//! The records of an irradiance cache, as strata.
 //!
-//! How many records a frame's cache has is known once it is planned; what gathering one takes is learnt from a few. So the
-//! records of each level are a stratum whose size is exact, beside those of the pixels.
+//! The number of records is known once the cache is planned. The cost of gathering one is learnt from a few.
+//! So the records of each level are a stratum of exactly known size, beside the strata of pixels.
 
 use crate::cost::{Cost, Observation};
 use crate::frames::FramePopulation;
 use crate::strata::Stratum;
 
-/// Where the records stand in a list of strata.
+/// The position of the cache records in a list of strata.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RecordStrata {
     first: u32,
 }
 
 impl RecordStrata {
-    /// Adds the records after the last stratum, which is the background: to `strata` a stratum for each level that any frame
-    /// has, of `prior_cost` a record, and to every frame's counts its numbers of records. `records` are these numbers, by
-    /// frame and level.
+    /// Adds strata for the cache records after the last stratum, which must be the background.
+    ///
+    /// `records[t][level]` is the number of records of a level in frame t. There is one stratum per level
+    /// that any frame has, each with `prior_cost` per record. The numbers of records are added to the counts
+    /// of every frame.
     pub fn add(
         strata: &mut Vec<Stratum>,
         frames: &mut [FramePopulation],
@@ -33,7 +35,7 @@ impl RecordStrata {
         Self { first: first as u32 }
     }
 
-    /// What gathering a record of a level cost.
+    /// The observation that gathering one record of `level` cost `cost`.
     pub fn observation(self, level: u32, cost: Cost) -> Observation {
         Observation { stratum: self.first.saturating_add(level), cost }
     }

@@ -1,9 +1,11 @@
-//! How an image settles, as it shows itself.
+//! Corrects the variance curve that a profile suggests by what the unfinished image shows.
 //!
-//! How the variance of a pixel falls with its samples is guessed from a profile: few pixels, with fewer samples than the image has by now.
-//! From n to m samples the mean of a pixel moves by V(n) − V(m) in the mean square, for the later mean has the earlier one's samples in
-//! it. So all pixels together show how far that guess is off where the image has come to. Tiles that were given many samples are others than
-//! those with few (edges of lamps, what shines), and show it apart.
+//! The profile says how the variance of a pixel falls with its samples. But it is a guess: it rests on few
+//! pixels, with fewer samples than the image has by now. When a pixel goes from n to m samples, its mean
+//! moves by V(n) − V(m) in the mean square, because the later mean contains the earlier samples. So all
+//! pixels together show how far the guess is off at the present number of samples. Tiles that were given many
+//! samples show edges of lamps and glossy things, and differ from those with few. So tiles are grouped by
+//! their number of samples, and each group is corrected by its own pixels.
 
 use super::allot::Zone;
 use super::law::powers_of_pixel;
@@ -11,32 +13,32 @@ use super::survey::Seen;
 use crate::interval::Part;
 use crate::moments::sum;
 
-/// The guess is thought to be off by this factor at most, either way.
+/// Bound on the correction factor, in both directions.
 const MOST_OFF: f64 = 4.0;
-/// Tiles of equally many samples are believed like so many of all tiles.
+/// Weight of all tiles in the correction of a group of tiles, as a number of tiles.
 const ALL_COUNT: f64 = 4.0;
 
-/// How far the variances of tiles are off that were guessed.
+/// Correction factors of the guessed variances of an image's tiles.
 #[derive(Clone, Debug)]
 pub(super) struct Settling {
-    /// Of tiles with less than 2, 4, 8 … samples, where these say enough of themselves.
+    /// Entry k is for tiles with 2ᵏ up to 2ᵏ⁺¹ samples per pixel. `None` where these show too little.
     octaves: Vec<Option<Octave>>,
-    /// Of all tiles.
+    /// For all tiles together.
     all: Octave,
-    /// The octave of each tile.
+    /// The octave of each tile, as an index into `octaves`.
     of_tiles: Vec<usize>,
 }
 
-/// Of tiles with about equally many samples.
+/// The correction of tiles whose numbers of samples lie within a factor of two.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Octave {
-    /// Their variance in units of what was guessed.
+    /// The variance of the tiles, over the guess.
     pub off: f64,
-    /// How sure that is, as a share of it.
+    /// Variance of `off`, relative to its square.
     pub doubt: Part,
 }
 
-/// What a tile's pixels moved by, and what they were thought to; sums of squares.
+/// Sums over a tile's pixels of the squared movement of their means: as observed, and as guessed.
 #[derive(Clone, Copy)]
 struct Moved {
     is: f64,
@@ -44,7 +46,8 @@ struct Moved {
 }
 
 impl Settling {
-    /// Of tiles that were guessed to be such zones and have so many samples in the mean.
+    /// Builds the corrections for `tiles`, whose guessed variances are those of `zones`. `samples` are the
+    /// mean numbers of samples per pixel of each tile.
     pub fn new(tiles: &[Vec<Seen>], zones: &[Zone], samples: &[f64]) -> Self {
         let of_tiles: Vec<usize> = samples.iter().map(|n| (n.max(1.0) as u32).ilog2() as usize).collect();
         let moved: Vec<Moved> = tiles.iter().zip(zones).map(|(tile, zone)| Moved::of(tile, zone)).collect();
@@ -59,14 +62,14 @@ impl Settling {
         Self { octaves, all, of_tiles }
     }
 
-    /// What there is to say of each tile.
+    /// The correction of each tile, in the order of the tiles.
     pub fn of_tiles(&self) -> impl Iterator<Item = &Octave> {
         self.of_tiles.iter().map(|&of| self.octaves[of].as_ref().unwrap_or(&self.all))
     }
 
-    /// How sure the sum of the tiles' errors is of that.
+    /// Variance that the corrections cause in the sum of the tiles' errors, as independent parts.
     pub fn doubts(&self, errors: &[f64]) -> Vec<Part> {
-        // Those that say nothing of themselves are off together.
+        // Octaves without a correction of their own share one correction, and so one error.
         let mut sums = vec![0.0; self.octaves.len()];
         let mut of_all = 0.0;
         for (&of, error) in self.of_tiles.iter().zip(errors) {
@@ -80,7 +83,7 @@ impl Settling {
         own.chain([part(&self.all, of_all)]).collect()
     }
 
-    /// The same as if all of it were sure.
+    /// The same corrections, taken as certain.
     pub fn undoubted(mut self) -> Self {
         let octaves = self.octaves.iter_mut().flatten();
         octaves.chain([&mut self.all]).for_each(|octave| octave.doubt = SURE);
@@ -88,7 +91,7 @@ impl Settling {
     }
 }
 
-/// Nothing speaks against it.
+/// No uncertainty.
 const SURE: Part = Part { variance: 0.0, degrees_of_freedom: f64::INFINITY };
 
 impl Moved {
@@ -106,7 +109,8 @@ impl Moved {
 }
 
 impl Octave {
-    /// What these tiles say together: a ratio of sums, and its variance as a share of its square.
+    /// The correction from all these tiles together: a ratio of sums, with the variance of a ratio estimator
+    /// (Cochran 1977, section 6.4) relative to its square.
     fn of_all(tiles: &[Moved]) -> Self {
         let [is, guess] = [sum(tiles.iter().map(|tile| tile.is)), sum(tiles.iter().map(|tile| tile.guess))];
         if tiles.len() < 2 || is <= 0.0 || !(is / guess).is_finite() {
@@ -120,7 +124,8 @@ impl Octave {
         Self { off: off.clamp(1.0 / MOST_OFF, MOST_OFF), doubt }
     }
 
-    /// What some of the tiles that this is of say of themselves: a few of them are believed a little. Nothing, if they show nothing.
+    /// The correction of some of the tiles that `self` covers, shrunk towards `self` if they are few. `None`
+    /// if they show nothing.
     fn corrected(&self, some: &[Moved]) -> Option<Self> {
         let own = Self::of_all(some);
         if own.doubt == SURE {
@@ -138,7 +143,8 @@ impl Octave {
 mod tests {
     use super::*;
 
-    /// Tiles of 64 pixels that went from two samples to four and moved by `factor` times what was guessed.
+    /// A tile of 64 pixels that went from two samples to four. Their means moved by `factor` times the guess,
+    /// in the mean square.
     fn tile(factor: f64) -> Vec<Seen> {
         let guess = 3.0 * (1.0 / 8f64.sqrt() - 1.0 / 8.0) + (1.0 / 2.0 - 1.0 / 4.0);
         let pixel = |i: usize| Seen {
@@ -165,7 +171,7 @@ mod tests {
             assert!((octave.off / taken - 1.0).abs() < 0.02, "{factor}: {found:?}");
             assert!(octave.doubt.variance < 1e-3 && octave.doubt.degrees_of_freedom == 19.0);
         }
-        // Where nothing is known the guess stands.
+        // Where nothing is known, the guess stands.
         for tiles in [vec![], vec![tile(2.0)], vec![tile(0.0); 9]] {
             let found = settling(&tiles, &vec![4.0; tiles.len()]);
             assert!(found.of_tiles().all(|octave| *octave == Octave { off: 1.0, doubt: SURE }));

@@ -1,4 +1,8 @@
-//! A job as pieces that are finished or are not, and what the ones say of the others.
+//! Divides a job into finished and unfinished pieces, and predicts the unfinished ones.
+//!
+//! A piece is a frame, or the finished or unfinished part of one. Several models of the residuals, with
+//! different lengths, nuggets and common variances, are filtered over the pieces and averaged by their
+//! marginal likelihood.
 
 use super::state::{
     COMMON, COMPONENTS, Evidence, LIGHTS, Model, SETS, SLOPE, SMOOTH, SUM, State, Transition, Update,
@@ -7,75 +11,79 @@ use super::{Band, Known, LiveFrame, log_ratio, usable};
 use crate::conformal::{FARTHEST, Measure};
 use crate::moments::sum;
 
-/// Frames that the quote's own idea of its spread counts for.
+/// Weight of the quote's own spread, as a number of frames.
 pub(super) const SCALE_FREEDOM: f64 = 4.0;
 
-/// With fewer finished frames than this neither length nor nugget is estimated.
+/// Least number of finished frames for estimating the process length and the nugget.
 pub(super) const FEW: usize = 5;
 
-/// Lengths of the process that are weighed against each other, as parts of the shot; the first is used while there are few frames.
+/// Candidate lengths of the process, as shares of the shot. The first is used while few frames are finished.
 const LENGTHS: [f64; 3] = [1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0];
 
-/// Shares of the nugget in what frames do not have in common; the first is used while there are few frames.
+/// Candidate shares of the nugget in the variance that frames do not share. The first is used while few
+/// frames are finished.
 const NUGGETS: [f64; 3] = [0.5, 0.1, 0.9];
 
-/// What frames have in common may be more than the quote knows of: this times the variance of a frame. Weighed against each other from the first frame on.
+/// Candidate additions to the variance that all frames share, as multiples of a frame's variance. The quote
+/// may underestimate it, so these are compared from the first finished frame on.
 const MORE_COMMON: [f64; 3] = [0.0, 1.0, 3.0];
 
-/// Share of what frames have in common that is apart for each set of lights, where there are several: as likely the one as the other.
+/// Share of the common variance that belongs to the sets of lights, if there are several. A half makes both
+/// explanations equally likely.
 const OF_LIGHTS: f64 = 0.5;
 
-/// What frames have in common is at least this share of their variance, and so is what they do not: no quote knows either to be nothing.
+/// The variance that frames share is at least this share of a frame's variance. So is the variance that they
+/// do not share. No quote knows either of them to be zero.
 const LEAST_SHARE: f64 = 0.1;
 
-/// Models of less than this posterior weight are left out.
+/// Models with less than this weight, relative to the best, are left out.
 const LEAST_WEIGHT: f64 = 0.01;
 
-/// Log-standard deviation between the cost of a pixel in one half of a frame and in the other: tiles differ.
+/// Log-standard deviation between the costs per pixel of two halves of a frame, since tiles differ.
 const BETWEEN_HALVES: f64 = 0.5;
 
-/// A frame, or the part of one that is finished or is not: a part is a frame of its own, at the same time.
+/// A frame, or the finished or unfinished part of one. Both parts of a frame are at the same time.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
-    /// Since the piece before.
+    /// Time since the previous piece.
     step: f64,
-    /// Median as quoted, positive.
+    /// Quoted median, positive.
     quoted: f64,
-    /// Variance of its nugget over that of the mean frame.
+    /// Variance of its nugget, relative to that of the average frame.
     nugget: f64,
-    /// Place of its lights among those of the job; the last is of all that are not told apart.
+    /// Index of its set of lights. The last index collects all sets that are not distinguished.
     lights: usize,
-    /// What is known of it: its residual, and a variance that it has beside the nugget.
+    /// For a finished piece: its residual, and a variance in addition to the nugget's.
     seen: Option<(f64, f64)>,
 }
 
-/// A job as what is finished of it, and what is not.
+/// A job as a list of finished and unfinished pieces.
 pub(super) struct Pieces {
     list: Vec<Piece>,
-    /// Of the shot's clock.
+    /// Length of the shot on its clock.
     length: f64,
-    /// Mean variance of a frame's logarithm, weighted by medians.
+    /// Mean variance of the logarithm of a frame's cost, weighted by medians.
     variance: f64,
     /// Sum of the medians of all pieces.
     quoted: f64,
-    /// Sum of the squared shares of the sets of lights in these medians; 1 if the same ones shine in all frames.
+    /// Sum of squares of the sets of lights' shares in these medians. 1 if all frames have the same lights.
     lights: f64,
 }
 
-/// What is known of the logarithm of the remainder.
+/// Distribution of the logarithm of the remaining cost.
 pub(super) struct Posterior {
-    /// Its median.
+    /// Median.
     pub log_median: f64,
-    /// Its standard deviation, in those of the quote's total.
+    /// Standard deviation, in units of that of the quote's total.
     pub deviations: f64,
-    /// Degrees of freedom of that, infinite where the quote is taken at its word.
+    /// Degrees of freedom of the standard deviation. Infinite while the quote's own spread is used.
     pub freedom: f64,
 }
 
 impl Pieces {
-    /// Those of a job that was quoted at `total`.
+    /// The pieces of a job that was quoted at `total`.
     pub fn new(total: &Band, frames: &[LiveFrame], measure: Measure) -> Self {
-        // Medians that add up to the job's.
+        // Scales the frames' means to medians that add up to the job's.
         let to_median = libm::exp(log_ratio(total.p50, total.mean));
         let median = |frame: &LiveFrame| usable(frame.quote.mean) * to_median;
         let variance_of = |frame: &LiveFrame| frame.quote.spread(measure).powi(2);
@@ -88,7 +96,7 @@ impl Pieces {
         for frame in frames {
             let quoted = median(frame);
             if quoted <= 0.0 {
-                // It says nothing of the others.
+                // A frame that was quoted at zero tells nothing about the others.
                 continue;
             }
             let mut step = before.map_or(0.0, |before: f64| usable(frame.time - before));
@@ -114,7 +122,7 @@ impl Pieces {
                 step = 0.0;
             };
             if done > 0.0 {
-                // Of what took nothing a logarithm says nothing: it is a piece that is neither seen nor left.
+                // A cost of zero has no logarithm. Such a part counts neither as observed nor as remaining.
                 let residual = log_ratio(cost, done * quoted).clamp(-FARTHEST, FARTHEST);
                 let of_part = BETWEEN_HALVES * BETWEEN_HALVES * (1.0 - done) / done;
                 if cost > 0.0 {
@@ -129,12 +137,13 @@ impl Pieces {
         Self { list, length: if length > 0.0 { length } else { 1.0 }, variance, quoted: all, lights }
     }
 
-    /// Median of what remains, as quoted.
+    /// Quoted median of the remainder.
     pub fn quoted_remainder(&self) -> f64 {
         sum(self.list.iter().filter(|piece| piece.seen.is_none()).map(|piece| piece.quoted))
     }
 
-    /// What all models together say of what remains, if the job's own spread is `of_job`.
+    /// The average of all models' predictions of the remainder. `of_job` is the standard deviation of the
+    /// logarithm of the quoted total.
     pub fn posterior(&self, of_job: f64) -> Posterior {
         let seen = self.list.iter().filter(|piece| piece.seen.is_some()).count();
         let few = seen < FEW;
@@ -152,7 +161,7 @@ impl Pieces {
                 }
             }
         }
-        // Integrated over the scale; what all models share is left out.
+        // Log-likelihood, integrated over the scale, without the constant that all models share.
         let freedom = SCALE_FREEDOM + seen as f64;
         let log_likelihood = |evidence: &Evidence| {
             -0.5 * evidence.log_variances - 0.5 * freedom * libm::log(SCALE_FREEDOM + evidence.surprise)
@@ -180,8 +189,11 @@ impl Pieces {
         Posterior { log_median, deviations: libm::sqrt(variance.max(0.0)), freedom }
     }
 
-    /// The variances that the quote's own spreads call for: frames have `self.variance`, the job has `of_job`², of which the process keeps the
-    /// part `averaged` when it is averaged over the job; and `more` variances of a frame in common, of which the quote knows nothing.
+    /// The model whose variances match the spreads of the quote.
+    ///
+    /// A frame has the variance `self.variance`, and the job `of_job`². `averaged` is the share of the
+    /// process's variance that is left when it is averaged over the job. `more` is added to the common
+    /// variance, as a multiple of a frame's variance.
     fn model(&self, decay: f64, averaged: f64, nugget: f64, of_job: f64, more: f64) -> Model {
         let squares = sum(self.list.iter().map(|piece| {
             let weight = piece.quoted / self.quoted;
@@ -204,7 +216,7 @@ impl Pieces {
         }
     }
 
-    /// Variance of the process of variance one, averaged over all pieces.
+    /// Variance of the average over all pieces of a process with variance one.
     fn variance_of_mean(&self, decay: f64) -> f64 {
         let model = Model { decay, common: 0.0, lights: 0.0, smooth: 1.0, nugget: 0.0, of_job: 1.0 };
         let mut state = State::new(&model);
@@ -215,7 +227,7 @@ impl Pieces {
         state.variance[SUM][SUM].max(0.0)
     }
 
-    /// Filters the pieces; `each` is told what the filter knew after each of them.
+    /// Runs the Kalman filter over the pieces. Calls `each` after every piece with the state of the filter.
     fn filter(&self, model: &Model, mut each: impl FnMut(&Piece, &State, Option<Update>)) -> Evidence {
         let mut state = State::new(model);
         let mut evidence = Evidence { surprise: 0.0, log_variances: 0.0 };
@@ -233,13 +245,13 @@ impl Pieces {
         evidence
     }
 
-    /// The expected residual c + l + g of every piece, given all that is seen.
+    /// The expected residual c + l + g of every piece, given all finished pieces.
     fn smoothed(&self, model: &Model) -> Vec<f64> {
         let mut steps = Vec::with_capacity(self.list.len());
         self.filter(model, |piece, state, update| {
             steps.push((state.expected(piece.lights), state.signal(piece.lights), update));
         });
-        // The adjoint of what follows; zero behind the last piece.
+        // The adjoint state of the later pieces. Zero after the last one.
         let mut adjoint = [0.0; COMPONENTS];
         let mut smoothed = vec![0.0; steps.len()];
         for (at, (mean, signal, update)) in steps.iter().enumerate().rev() {
@@ -260,11 +272,11 @@ impl Pieces {
         smoothed
     }
 
-    /// Logarithm of the median of what remains, and the variance of that logarithm.
+    /// Logarithm of the median of the remaining cost, and the variance of that logarithm.
     fn remainder(&self, model: &Model) -> (f64, f64) {
         let residuals = self.smoothed(model);
         let left = || self.list.iter().zip(&residuals).filter(|(piece, _)| piece.seen.is_none());
-        // As parts of what was quoted for the rest, so that no job is too large and no rest too small.
+        // Relative to the quoted remainder, so that the size of the job causes no overflow or underflow.
         let quoted = self.quoted_remainder();
         let expected = |piece: &Piece, residual: f64| piece.quoted / quoted * libm::exp(residual);
         let median = sum(left().map(|(piece, &residual)| expected(piece, residual)));

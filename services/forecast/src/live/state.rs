@@ -1,6 +1,7 @@
-//! The state-space form of the residuals' model: how the state goes from frame to frame, and what a frame says of it.
+//! The state-space model of the residuals: how the state moves from frame to frame, and how an observed frame
+//! updates it (Kalman filter).
 
-/// What the residuals are made of.
+/// Variances of the parts of the residuals.
 pub(super) struct Model {
     /// √3 over the length of the process.
     pub decay: f64,
@@ -10,13 +11,13 @@ pub(super) struct Model {
     pub lights: f64,
     /// Variance of the process.
     pub smooth: f64,
-    /// Variance of the mean frame's nugget.
+    /// Variance of the average frame's nugget.
     pub nugget: f64,
-    /// Variance of the job's logarithm before anything is seen, as the quote has it.
+    /// Variance of the logarithm of the job's cost before any observation, according to the quote.
     pub of_job: f64,
 }
 
-/// How surprising what was seen is to a model.
+/// How well a model explains the observations.
 pub(super) struct Evidence {
     /// Sum of squared innovations over their variances.
     pub surprise: f64,
@@ -24,29 +25,31 @@ pub(super) struct Evidence {
     pub log_variances: f64,
 }
 
-/// Sets of lights that are told apart; all further ones count as the last of them.
+/// Number of sets of lights that are distinguished. All further sets count as the last one.
 pub(super) const SETS: usize = 4;
 
-/// Places in the state: the common factor, the process, its slope, the factors of the sets of lights from here on, and the sum over what remains.
+/// Indices of the state's components: the common factor, the process, its slope, the factors of the sets of
+/// lights, and the sum over the remaining pieces.
 pub(super) const COMMON: usize = 0;
 pub(super) const SMOOTH: usize = 1;
 pub(super) const SLOPE: usize = 2;
 pub(super) const LIGHTS: usize = 3;
 pub(super) const SUM: usize = LIGHTS + SETS;
-/// Without the sum, and with it.
+/// Number of components without the sum; `ALL` includes it.
 pub(super) const COMPONENTS: usize = SUM;
 const ALL: usize = SUM + 1;
 
-/// How process and slope go on: the matrix, and the covariance that comes in anew.
+/// Movement of process and slope: the matrix, and the covariance of the process noise.
 pub(super) struct Transition {
     pub matrix: [[f64; 2]; 2],
     noise: [[f64; 2]; 2],
 }
 
 impl Model {
-    /// Over a step of the clock: exp(F Δ) = e^(−λΔ) [1 + λΔ, Δ; −λ²Δ, 1 − λΔ], and P∞ − A P∞ Aᵀ with P∞ = σ² diag(1, λ²).
+    /// Transition over a step Δ of the clock: exp(F Δ) = e^(−λΔ) [1 + λΔ, Δ; −λ²Δ, 1 − λΔ], with the noise P∞
+    /// − A P∞ Aᵀ and P∞ = σ² diag(1, λ²).
     ///
-    /// The slope is counted in units of λ, so that no length of a shot makes the state's components differ in size.
+    /// The slope is in units of λ, so that the components have the same size for shots of any length.
     pub fn transition(&self, step: f64) -> Transition {
         let x = self.decay * step;
         let fall = libm::exp(-x);
@@ -58,21 +61,21 @@ impl Model {
     }
 }
 
-/// What an observation did to the state.
+/// The effect of an observation on the state.
 pub(super) struct Update {
     pub innovation: f64,
     pub variance: f64,
     pub gain: [f64; COMPONENTS],
 }
 
-/// Mean and covariance of the state, given what was seen so far.
+/// Mean and covariance of the state, given the observations so far.
 pub(super) struct State {
     mean: [f64; ALL],
     pub variance: [[f64; ALL]; ALL],
 }
 
 impl State {
-    /// Before the first frame.
+    /// The state before the first frame.
     pub fn new(model: &Model) -> Self {
         let mut variance = [[0.0; ALL]; ALL];
         variance[COMMON][COMMON] = model.common;
@@ -82,7 +85,7 @@ impl State {
         Self { mean: [0.0; ALL], variance }
     }
 
-    /// Goes on by a step of the clock.
+    /// Moves on by a step of the clock.
     pub fn advance(&mut self, model: &Model, step: f64) {
         if step <= 0.0 {
             return;
@@ -110,7 +113,7 @@ impl State {
         self.mean[COMMON] + self.mean[SMOOTH] + self.mean[LIGHTS + lights]
     }
 
-    /// Covariance of it with all components but the sum.
+    /// Covariance of c + l + g with all components but the sum.
     pub fn signal(&self, lights: usize) -> [f64; COMPONENTS] {
         let all = self.covariance(lights);
         std::array::from_fn(|i| all[i])
@@ -120,7 +123,7 @@ impl State {
         self.variance.map(|row| row[COMMON] + row[SMOOTH] + row[LIGHTS + lights])
     }
 
-    /// Takes in that c + l + g of a frame with these lights is `residual`, give or take a `noise`.
+    /// Observes that c + l + g of a frame with these lights is `residual`, with the error variance `noise`.
     pub fn update(&mut self, lights: usize, residual: f64, noise: f64) -> Update {
         let signal = self.covariance(lights);
         let variance = signal[COMMON] + signal[SMOOTH] + signal[LIGHTS + lights] + noise;
@@ -136,7 +139,7 @@ impl State {
         Update { innovation, variance, gain: std::array::from_fn(|i| signal[i] / variance) }
     }
 
-    /// Adds c + l + g of a frame with these lights, so many times, to the sum.
+    /// Adds c + l + g of a frame with these lights, times `weight`, to the sum.
     pub fn accumulate(&mut self, lights: usize, weight: f64) {
         self.mean[SUM] += weight * self.expected(lights);
         let row = self.covariance(lights).map(|covariance| weight * covariance);

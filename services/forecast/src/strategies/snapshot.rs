@@ -1,12 +1,14 @@
-//! Snapshot as the paper states it: pixels spread over the objects of the ID preview.
+//! The paper's Snapshot strategy: pixels spread over the objects of the ID preview.
 
 use super::uniform::choose;
 use crate::allocate::{Cell, allocate};
 use crate::choose::Pick;
 
-/// The paper wants "as many different object and material pairs as possible" to have a profiled pixel and says no more. So every
-/// pair gets one (the largest ones, if there are more pairs than samples), the rest goes by their sizes, and within a pair every
-/// pixel has the same chance.
+/// The picks of the paper's strategy 7.
+///
+/// The paper wants "as many different object and material pairs as possible" to have a profiled pixel, and
+/// says no more. So every pair gets one pixel, or the largest pairs do if there are more pairs than samples.
+/// The rest is divided by size. Within a pair, every pixel has the same probability.
 pub(super) fn as_stated(
     counts: &[u32],
     stratum_ids: &[u32],
