@@ -1,4 +1,4 @@
-//! The CPU twin: one ray through the centre of every pixel.
+//! The CPU twin of the GPU preview: one ray through the centre of every pixel.
 
 use crate::clock::ThreadClock;
 use crate::cost::Cost;
@@ -10,8 +10,9 @@ use forelight_scene::{Frame, Geometry};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// The preview of a frame over the caller's tree, which must be that of `frame.geometry`; and what it took. The image
-/// does not depend on the number of threads.
+/// The preview of a frame, and its cost. `bvh` must be the tree of `frame.geometry`.
+///
+/// The result does not depend on the number of threads.
 ///
 /// # Errors
 /// [`PreviewError::EmptyImage`], [`PreviewError::ImageTooLarge`] or [`PreviewError::Camera`].
@@ -28,10 +29,10 @@ pub fn cpu_preview_with(bvh: &Bvh, frame: &Frame) -> Result<(Preview, Cost), Pre
     Ok((resolve(frame, &triangles, &mut cost), cost))
 }
 
-/// As [`cpu_preview_with`], for the pixel counts alone.
+/// Like [`cpu_preview_with`], but returns only the pixel counts.
 ///
 /// # Errors
-/// As [`cpu_preview_with`].
+/// As for [`cpu_preview_with`].
 pub fn cpu_counts_with(bvh: &Bvh, frame: &Frame) -> Result<(Counts, Cost), PreviewError> {
     check(&frame.camera)?;
     let eye = Eye::new(bvh, frame);
@@ -51,7 +52,7 @@ pub fn cpu_counts_with(bvh: &Bvh, frame: &Frame) -> Result<(Counts, Cost), Previ
         .reduce(|| (none(), Cost::default()), |(a, cost_a), (b, cost_b)| (a.plus(&b), cost_a + cost_b)))
 }
 
-/// The camera of a frame, ready to look.
+/// A frame with everything needed to trace its camera rays.
 struct Eye<'a> {
     bvh: &'a Bvh,
     frame: &'a Frame,
@@ -64,13 +65,14 @@ impl<'a> Eye<'a> {
         Self { bvh, frame, cutouts: Cutouts::of(frame), near: near_distance(&frame.geometry) }
     }
 
-    /// Calls `see` with the column and the triangle ([`NOTHING`]: none) of every pixel of row `y`.
+    /// Calls `see` with the column and the triangle of every pixel of row `y`. The triangle is [`NOTHING`]
+    /// where no surface is.
     fn row(&self, y: u32, mut see: impl FnMut(usize, u32)) -> Cost {
         let clock = ThreadClock::start();
         let camera = &self.frame.camera;
         let mut steps = Traversal::default();
         for x in 0..camera.width {
-            // The direction's component along the view is 1, so that the near distance is the ray's parameter.
+            // The direction's component along the view axis is 1, so the near distance is a ray parameter.
             let direction = camera.direction(centre(x, y));
             let ray = Ray { t_min: self.near, ..Ray::new(camera.origin, direction) };
             let hit = if self.cutouts.any {
@@ -86,7 +88,7 @@ impl<'a> Eye<'a> {
     }
 }
 
-/// The twin with the tree of the last geometry that it saw.
+/// The CPU twin, with the tree of the last geometry.
 #[derive(Default)]
 pub(crate) struct Cpu {
     tree: Option<(Arc<Geometry>, Bvh)>,
