@@ -1,14 +1,18 @@
-//! The words on the wire: every type of forelight's REST API, once, for server, worker and command line.
+//! All types of forelight's REST API, defined once for server, worker and command line.
 //!
-//! Conventions that hold everywhere:
+//! The doc comments of these types are the descriptions in `openapi.yaml`. These conventions hold everywhere:
+//!
 //! * **Time** is [`Timestamp`]: integer microseconds UTC in memory and in the database, RFC 3339 with six
-//!   fractional digits in JSON. Durations are integers that carry their unit in the name (`_nanos`, `_micros`, `_ms`).
+//!   fractional digits in JSON. Durations are integers with the unit in their name (`_nanos`, `_micros`,
+//!   `_ms`).
 //! * **Money** is [`Money`]: integer micro-units of the farm's one currency.
-//! * **Work** is the renderer's deterministic count of operations, an integer on which two runs agree.
-//! * **Ids** are UUIDs of version 7, so that they sort by age, each with a type of its own.
+//! * **Work** is the renderer's deterministic count of operations. It is an integer, and the same in every
+//!   run.
+//! * **Ids** are UUIDs of version 7, so they sort by age. Each kind of id has its own type.
 //! * **Enumerations** are snake_case strings. An enumeration that carries data is an object with one key, the
-//!   variant's name (`{"render": {…}}`), because only then can an error in it be pointed at.
-//! * Types that a client sends refuse unknown fields: a misspelt option is an error, not a silent default.
+//!   name of the variant (`{"render": {…}}`). So an error can point to a place inside of it.
+//! * **Absent values** are omitted or `null`. Clients should treat both alike.
+//! * **Unknown fields** are errors in types that a client sends. A misspelt option is never silently ignored.
 
 mod accuracy;
 mod answers;
