@@ -11,6 +11,7 @@
 //! | `law` | how the variance of a pixel falls with the number of its samples |
 //! | `image` | the error of the whole image, from some pixels |
 //! | `allot` | how many camera samples each part of an image gets, for a budget or an error |
+//! | `sampled_pixel` | a pixel of an unfinished image |
 //! | `survey` | where further samples reduce the error most, judged by an unfinished image |
 //! | `settling` | corrects the profile's variance curve by what the unfinished image shows |
 //! | `front` | which qualities of a ladder are Pareto optimal, and which is the next better one |
@@ -26,6 +27,7 @@ mod front;
 mod image;
 mod law;
 mod pixel;
+mod sampled_pixel;
 mod settling;
 mod survey;
 
@@ -34,4 +36,5 @@ pub use image::{
     ErrorQuantiles, ImageNoise, MeanSquare, NoiseCell, NoiseGroup, NoiseSample, noise_cells, noise_groups,
 };
 pub use pixel::{PixelNoise, PixelSamples};
-pub use survey::{Seen, Survey};
+pub use sampled_pixel::SampledPixel;
+pub use survey::Survey;

@@ -4,7 +4,7 @@
 //! frame numbers say nothing about similar costs. So time is stretched by how much of the picture changes
 //! from one frame to the next.
 
-use crate::frames::FramePopulation;
+use crate::population::FramePopulation;
 use crate::strata::Stratum;
 
 /// The time of each frame, for everything that is carried over time.
@@ -112,7 +112,7 @@ fn come_or_gone(before: &FramePopulation, after: &FramePopulation) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::ShotClock;
-    use crate::frames::FramePopulation;
+    use crate::population::FramePopulation;
     use crate::strata::Stratum;
 
     fn clock(counts: &[[u32; 2]]) -> ShotClock {

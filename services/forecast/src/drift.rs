@@ -6,9 +6,9 @@
 use std::collections::BTreeSet;
 
 use crate::clock::ShotClock;
-use crate::frames::FramePopulation;
 use crate::interval::Part;
 use crate::moments::sum;
+use crate::population::FramePopulation;
 
 /// Variance for frames whose lights no profiled frame has, in shot lengths of the walk.
 const UNKNOWN_LIGHTS: f64 = 4.0;
@@ -185,7 +185,7 @@ impl Drift {
 mod tests {
     use super::Drift;
     use crate::clock::ShotClock;
-    use crate::frames::FramePopulation;
+    use crate::population::FramePopulation;
 
     /// A shot of every third frame. `lights` are the sets of shining lights.
     fn lit(lights: impl IntoIterator<Item = u32>) -> (ShotClock, Vec<FramePopulation>) {

@@ -41,16 +41,22 @@
 //! deviations now and at the start. Where the scale was learnt, they are also widened by the ratio of
 //! Student's t quantiles to normal ones.
 
+mod band;
+mod frame;
 mod pieces;
 mod state;
 
 use crate::clock::ShotClock;
 use crate::conformal::{FARTHEST, Measure, NORMAL_95};
 use crate::error::ForecastError;
-use crate::frames::{FramePopulation, check_frames};
 use crate::moments::sum;
+use crate::population::{FramePopulation, check_frames};
 use crate::strata::Stratum;
+use band::{log_ratio, usable};
 use pieces::{Pieces, Posterior};
+
+pub use band::Band;
+pub use frame::{Known, LiveFrame};
 
 /// 0.80 quantile of the standard normal distribution.
 const NORMAL_80: f64 = 0.841_621_233_572_914_2;
@@ -58,65 +64,6 @@ const NORMAL_80: f64 = 0.841_621_233_572_914_2;
 /// Bound on the absolute logarithm of a median, so that the median and its quantiles stay in the range of a
 /// float.
 const FARTHEST_MEDIAN: f64 = 600.0;
-
-/// A forecast of one number: its mean and three quantiles. All are non-negative, and the quantiles ascend.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Band {
-    /// Expected value.
-    pub mean: f64,
-    /// Median.
-    pub p50: f64,
-    /// 80 % quantile.
-    pub p80: f64,
-    /// 95 % quantile.
-    pub p95: f64,
-}
-
-impl Band {
-    /// A known number: all four are `value`.
-    pub const fn known(value: f64) -> Self {
-        Self { mean: value, p50: value, p80: value, p95: value }
-    }
-
-    fn plus(self, spent: f64) -> Self {
-        let Self { mean, p50, p80, p95 } = self;
-        Self { mean: mean + spent, p50: p50 + spent, p80: p80 + spent, p95: p95 + spent }
-    }
-
-    /// Standard deviation of the logarithm that the quantiles imply, combined with the measure's constant.
-    fn spread(&self, measure: Measure) -> f64 {
-        libm::hypot(log_ratio(self.p95, self.p50) / NORMAL_95, measure.unknown())
-    }
-}
-
-/// What is known of a frame's true cost.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Known {
-    /// Nothing is finished.
-    Nothing,
-    /// A part of the frame is finished.
-    Part {
-        /// Finished pixels over all pixels, 0 to 1.
-        share: f64,
-        /// Cost of the finished pixels.
-        cost: f64,
-    },
-    /// The frame is finished, at this cost.
-    All(f64),
-}
-
-/// A frame of the job.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LiveFrame {
-    /// Time on the shot's own clock, from [`shot_times`].
-    pub time: f64,
-    /// The set of shining lights, as a number. Frames with the same set have the same number.
-    pub lights: u32,
-    /// The quoted cost.
-    pub quote: Band,
-    /// What is known of the true cost.
-    pub known: Known,
-}
 
 /// The present estimate of a job.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -194,15 +141,4 @@ pub fn live(total: &Band, frames: &[LiveFrame], measure: Measure) -> Live {
 /// Ratio of a quantile of Student's t to the normal quantile, to first order (Abramowitz and Stegun, 26.7.5).
 fn student(normal: f64, freedom: f64) -> f64 {
     1.0 + (normal * normal + 1.0) / (4.0 * freedom)
-}
-
-/// The value, or zero if it is negative or not finite.
-fn usable(value: f64) -> f64 {
-    if value.is_finite() && value > 0.0 { value } else { 0.0 }
-}
-
-/// ln(a / b). Zero if either is not positive and finite.
-fn log_ratio(a: f64, b: f64) -> f64 {
-    let (a, b) = (usable(a), usable(b));
-    if a > 0.0 && b > 0.0 { libm::log(a) - libm::log(b) } else { 0.0 }
 }

@@ -4,7 +4,7 @@
 //! So the records of each level are a stratum of exactly known size, beside the strata of pixels.
 
 use crate::cost::{Cost, Observation};
-use crate::frames::FramePopulation;
+use crate::population::FramePopulation;
 use crate::strata::Stratum;
 
 /// The position of the cache records in a list of strata.

@@ -12,9 +12,9 @@ use crate::drift::Drift;
 use crate::error::ForecastError;
 use crate::estimate::{BORROWED_FREEDOM, BORROWED_VARIATION, FrameFit, StratumEstimate, Uncertainty};
 use crate::expansion::Expansion;
-use crate::frames::{FramePopulation, check_frames};
 use crate::interval::{Calibration, Part, log_deviation, quantity};
 use crate::moments::sum;
+use crate::population::{FramePopulation, check_frames};
 use crate::strata::Stratum;
 
 /// The result of profiling one frame.

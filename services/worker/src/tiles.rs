@@ -4,7 +4,7 @@ use crate::allot::Allotment;
 use crate::renderer::RenderError;
 use crate::shot::ShotError;
 use forelight_forecast::accuracy::allot::{MOST_SAMPLES, whole};
-use forelight_forecast::accuracy::{Seen, Survey};
+use forelight_forecast::accuracy::{SampledPixel, Survey};
 use forelight_tracer::{Passes, SampleCounts, SoFar, Tiling};
 
 /// Width and height of a tile in pixels: of 64 pixels a few samples each show well enough how they vary, and a bright spot on a wall is wider.
@@ -13,7 +13,7 @@ const TILE: u32 = 8;
 /// The pixels of a frame by tile, with what the profile says of them.
 pub(crate) struct Tiles {
     pixels: Vec<Vec<u32>>,
-    /// By pixel: how the variance of those like it falls, see [`Seen::profiled`]; without it they are all thought to be like the image.
+    /// By pixel: how the variance of those like it falls, see [`SampledPixel::profiled`]; without it they are all thought to be like the image.
     profiled: Option<Vec<[f64; 2]>>,
     count: usize,
 }
@@ -39,7 +39,7 @@ impl Tiles {
         let seen = |&pixel: &u32| {
             let profiled = self.profiled.as_ref().map_or([half; 2], |profiled| profiled[pixel as usize]);
             let pixel = so_far[pixel as usize];
-            Seen {
+            SampledPixel {
                 samples: pixel.samples,
                 // A pixel that has no colour says nothing.
                 brightness: if pixel.brightness.is_finite() { pixel.brightness } else { 0.0 },
@@ -49,7 +49,7 @@ impl Tiles {
                 grown: pixel.grown.filter(|grown| grown.square.is_finite()).map(|g| (g.before, g.square)),
             }
         };
-        let tiles: Vec<Vec<Seen>> = self.pixels.iter().map(|tile| tile.iter().map(seen).collect()).collect();
+        let tiles: Vec<Vec<SampledPixel>> = self.pixels.iter().map(|tile| tile.iter().map(seen).collect()).collect();
         Ok(Survey::new(&tiles)?)
     }
 

@@ -9,7 +9,7 @@
 
 use super::allot::Zone;
 use super::law::powers_of_pixel;
-use super::survey::Seen;
+use super::sampled_pixel::SampledPixel;
 use crate::interval::Part;
 use crate::moments::sum;
 
@@ -48,7 +48,7 @@ struct Moved {
 impl Settling {
     /// Builds the corrections for `tiles`, whose guessed variances are those of `zones`. `samples` are the
     /// mean numbers of samples per pixel of each tile.
-    pub fn new(tiles: &[Vec<Seen>], zones: &[Zone], samples: &[f64]) -> Self {
+    pub fn new(tiles: &[Vec<SampledPixel>], zones: &[Zone], samples: &[f64]) -> Self {
         let of_tiles: Vec<usize> = samples.iter().map(|n| (n.max(1.0) as u32).ilog2() as usize).collect();
         let moved: Vec<Moved> = tiles.iter().zip(zones).map(|(tile, zone)| Moved::of(tile, zone)).collect();
         let known = |octave: Option<usize>| -> Vec<Moved> {
@@ -95,8 +95,8 @@ impl Settling {
 const SURE: Part = Part { variance: 0.0, degrees_of_freedom: f64::INFINITY };
 
 impl Moved {
-    fn of(tile: &[Seen], zone: &Zone) -> Self {
-        let guess = |pixel: &Seen, before: u32| {
+    fn of(tile: &[SampledPixel], zone: &Zone) -> Self {
+        let guess = |pixel: &SampledPixel, before: u32| {
             let [then, now] = [before, pixel.samples].map(powers_of_pixel);
             sum((0..2).map(|k| zone.variance[k] * (then[k] - now[k])))
         };
@@ -145,9 +145,9 @@ mod tests {
 
     /// A tile of 64 pixels that went from two samples to four. Their means moved by `factor` times the guess,
     /// in the mean square.
-    fn tile(factor: f64) -> Vec<Seen> {
+    fn tile(factor: f64) -> Vec<SampledPixel> {
         let guess = 3.0 * (1.0 / 8f64.sqrt() - 1.0 / 8.0) + (1.0 / 2.0 - 1.0 / 4.0);
-        let pixel = |i: usize| Seen {
+        let pixel = |i: usize| SampledPixel {
             samples: 4,
             brightness: 2.0,
             variance: None,
@@ -158,7 +158,7 @@ mod tests {
         (0..64).map(pixel).collect()
     }
 
-    fn settling(tiles: &[Vec<Seen>], samples: &[f64]) -> Settling {
+    fn settling(tiles: &[Vec<SampledPixel>], samples: &[f64]) -> Settling {
         let zone = Zone { pixels: 64.0, variance: [3.0, 1.0], cost: 2.0 };
         Settling::new(tiles, &vec![zone; tiles.len()], samples)
     }
@@ -180,7 +180,8 @@ mod tests {
 
     #[test]
     fn tiles_of_many_samples_speak_for_themselves_where_they_are_many() {
-        let tiles: Vec<Vec<Seen>> = [vec![tile(1.0); 40], vec![tile(3.0); 12], vec![tile(4.0); 1]].concat();
+        let tiles: Vec<Vec<SampledPixel>> =
+            [vec![tile(1.0); 40], vec![tile(3.0); 12], vec![tile(4.0); 1]].concat();
         let samples: Vec<f64> = [vec![5.0; 40], vec![70.0; 12], vec![300.0; 1]].concat();
         let found = settling(&tiles, &samples);
         let offs: Vec<f64> = found.of_tiles().map(|octave| octave.off).collect();

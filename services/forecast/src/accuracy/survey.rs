@@ -8,6 +8,7 @@
 
 use super::allot::{Zone, samples_for_budget, samples_for_variance};
 use super::law::{powers, powers_of_pixel};
+use super::sampled_pixel::SampledPixel;
 use super::settling::Settling;
 use super::{ErrorQuantiles, MeanSquare};
 use crate::error::ForecastError;
@@ -16,25 +17,6 @@ use crate::moments::sum;
 
 /// Weight of the profile's variance in the variance of a tile, as a number of pixels.
 const PROFILE_COUNTS: f64 = 0.1;
-
-/// A pixel of an unfinished image.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Seen {
-    /// Number of samples so far.
-    pub samples: u32,
-    /// Mean of the samples, over the three channels.
-    pub brightness: f64,
-    /// Variance of one sample, mean over the channels. `None` for a pixel with a single sample.
-    pub variance: Option<f64>,
-    /// Total cost of the samples, in any unit that all pixels share.
-    pub cost: f64,
-    /// The profile's variance curve of pixels like this one: `[A, B]` of A / n^1.5 + B / n.
-    pub profiled: [f64; 2],
-    /// The effect of the later samples, which are half to three quarters of all. First the number of samples
-    /// before them; then the squared change of the mean that they brought, mean over the channels. `None` for
-    /// a pixel with a single sample.
-    pub grown: Option<(u32, f64)>,
-}
 
 /// The state of an unfinished image, tile by tile.
 #[derive(Clone, Debug)]
@@ -55,7 +37,7 @@ impl Survey {
     ///
     /// # Errors
     /// [`ForecastError::NoSamples`] if a tile has no pixels, or a pixel no samples.
-    pub fn new(tiles: &[Vec<Seen>]) -> Result<Self, ForecastError> {
+    pub fn new(tiles: &[Vec<SampledPixel>]) -> Result<Self, ForecastError> {
         if tiles.iter().any(|tile| tile.is_empty() || tile.iter().any(|pixel| pixel.samples == 0)) {
             return Err(ForecastError::NoSamples);
         }
@@ -63,8 +45,9 @@ impl Survey {
         let brightness = sum(tiles.iter().map(|tile| sum(tile.iter().map(|pixel| pixel.brightness))));
         let of_tiles: Vec<(Zone, Part)> = tiles.iter().map(|tile| surveyed(tile)).collect();
         let (mut zones, doubts): (Vec<Zone>, Vec<Part>) = of_tiles.into_iter().unzip();
-        let samples =
-            |tile: &Vec<Seen>| sum(tile.iter().map(|pixel| f64::from(pixel.samples))) / tile.len() as f64;
+        let samples = |tile: &Vec<SampledPixel>| {
+            sum(tile.iter().map(|pixel| f64::from(pixel.samples))) / tile.len() as f64
+        };
         let samples: Vec<f64> = tiles.iter().map(samples).collect();
         let settling = Settling::new(tiles, &zones, &samples);
         for ((zone, octave), (tile, samples)) in
@@ -154,7 +137,7 @@ impl Survey {
 
 /// The mean variance of a tile's pixels at their own numbers of samples, over their variance if all had the
 /// mean number.
-fn unevenness(tile: &[Seen], zone: &Zone, samples: f64) -> f64 {
+fn unevenness(tile: &[SampledPixel], zone: &Zone, samples: f64) -> f64 {
     let variance = |powers: [f64; 2]| sum((0..2).map(|k| zone.variance[k] * powers[k]));
     let are = sum(tile.iter().map(|pixel| variance(powers_of_pixel(pixel.samples)))) / tile.len() as f64;
     let even = variance(powers(samples));
@@ -162,14 +145,14 @@ fn unevenness(tile: &[Seen], zone: &Zone, samples: f64) -> f64 {
 }
 
 /// A tile as a zone, with the variance of its error relative to the square.
-fn surveyed(tile: &[Seen]) -> (Zone, Part) {
+fn surveyed(tile: &[SampledPixel]) -> (Zone, Part) {
     let pixels = tile.len() as f64;
     let profiled = [0, 1].map(|k| sum(tile.iter().map(|pixel| pixel.profiled[k].max(0.0))) / pixels);
     let expected = profiled[0] + profiled[1];
     let shape = if expected > 0.0 { profiled.map(|part| part / expected) } else { [0.0, 1.0] };
     // The samples of a pixel are spread more evenly than random ones. So the expected spread of n of them is
     // V(1) − V(n), not V(1) (1 − 1 / n).
-    let unbiased = |pixel: &Seen| {
+    let unbiased = |pixel: &SampledPixel| {
         let samples = f64::from(pixel.samples);
         let seen =
             1.0 - sum(shape.iter().zip(powers_of_pixel(pixel.samples)).map(|(share, power)| share * power));
@@ -201,7 +184,7 @@ fn surveyed(tile: &[Seen]) -> (Zone, Part) {
 }
 
 /// Variance of the brightness over a tile's pixels. `None` for fewer than two.
-fn spread(tile: &[Seen]) -> Option<f64> {
+fn spread(tile: &[SampledPixel]) -> Option<f64> {
     let count = tile.len() as f64;
     let mean = sum(tile.iter().map(|pixel| pixel.brightness)) / count;
     let squares = sum(tile.iter().map(|pixel| (pixel.brightness - mean) * (pixel.brightness - mean)));
@@ -212,8 +195,8 @@ fn spread(tile: &[Seen]) -> Option<f64> {
 mod tests {
     use super::*;
 
-    fn pixel(variance: Option<f64>) -> Seen {
-        Seen { samples: 4, brightness: 2.0, variance, cost: 8.0, profiled: [3.0, 1.0], grown: None }
+    fn pixel(variance: Option<f64>) -> SampledPixel {
+        SampledPixel { samples: 4, brightness: 2.0, variance, cost: 8.0, profiled: [3.0, 1.0], grown: None }
     }
 
     #[test]
@@ -222,7 +205,7 @@ mod tests {
         let wild = vec![pixel(Some(0.5)), pixel(Some(1.5))];
         let unknown = vec![pixel(None)];
         // Two pixels with a single sample each, one of them very bright.
-        let once = |brightness| Seen { samples: 1, brightness, cost: 2.0, ..pixel(None) };
+        let once = |brightness| SampledPixel { samples: 1, brightness, cost: 2.0, ..pixel(None) };
         let spot = vec![once(2.0), once(102.0)];
         let survey = Survey::new(&[calm, wild, unknown, spot]).unwrap();
         let [calm, wild, unknown, spot] = survey.zones() else { panic!() };
@@ -240,7 +223,7 @@ mod tests {
         }
         assert_eq!(survey.samples(), [4.0, 4.0, 4.0, 1.0]);
         // Without a profile, the variance falls as for random samples.
-        let still = Seen { profiled: [0.0; 2], ..pixel(Some(1.0)) };
+        let still = SampledPixel { profiled: [0.0; 2], ..pixel(Some(1.0)) };
         assert_eq!(Survey::new(&[vec![still]]).unwrap().zones()[0].variance[0], 0.0);
     }
 
@@ -261,14 +244,14 @@ mod tests {
 
     #[test]
     fn black_images_and_single_samples_have_an_answer_and_empty_ones_an_error() {
-        let black = Seen { brightness: 0.0, variance: Some(0.0), profiled: [0.0; 2], ..pixel(None) };
+        let black = SampledPixel { brightness: 0.0, variance: Some(0.0), profiled: [0.0; 2], ..pixel(None) };
         let survey = Survey::new(&[vec![black; 5]]).unwrap();
         assert_eq!(survey.samples_for_error(0.01, |e| e.p50, Calibration::NONE), [1.0]);
         assert_eq!(survey.error(&[1.0], Calibration::NONE).p95, 0.0);
         let single = Survey::new(&[vec![pixel(None)]]).unwrap();
         assert!(single.error(&[4.0], Calibration::NONE).p95.is_finite());
         assert!(Survey::new(&[vec![]]).is_err());
-        assert!(Survey::new(&[vec![Seen { samples: 0, ..black }]]).is_err());
+        assert!(Survey::new(&[vec![SampledPixel { samples: 0, ..black }]]).is_err());
         assert!(Survey::new(&[]).is_ok());
     }
 }

@@ -4,10 +4,11 @@
 //! different lengths, nuggets and common variances, are filtered over the pieces and averaged by their
 //! marginal likelihood.
 
+use super::band::{Band, log_ratio, usable};
+use super::frame::{Known, LiveFrame};
 use super::state::{
     COMMON, COMPONENTS, Evidence, LIGHTS, Model, SETS, SLOPE, SMOOTH, SUM, State, Transition, Update,
 };
-use super::{Band, Known, LiveFrame, log_ratio, usable};
 use crate::conformal::{FARTHEST, Measure};
 use crate::moments::sum;
 

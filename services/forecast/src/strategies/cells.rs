@@ -1,6 +1,6 @@
 //! One pixel in each cell of a grid: at its centre, or at random.
 
-use super::Image;
+use super::image::Image;
 use crate::random::{below, hash};
 
 /// Largest aspect ratio of a cell.

@@ -35,6 +35,7 @@
 //! | `systematic` | every k-th pixel of an order |
 
 mod cells;
+mod image;
 mod sequence;
 mod snapshot;
 mod systematic;
@@ -51,6 +52,7 @@ use crate::interval::Calibration;
 use crate::nearest::nearest;
 use crate::random::hash;
 use crate::strata::Stratum;
+use image::Image;
 
 /// Which pixels are profiled, and how their costs are expanded. See the table of the module.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -242,19 +244,6 @@ impl Strategy {
             picks: Picks::Known(picks),
             expansion,
         })
-    }
-}
-
-/// Width and height of an image, in pixels.
-#[derive(Clone, Copy, Debug)]
-struct Image {
-    width: u32,
-    height: u32,
-}
-
-impl Image {
-    fn pixels(self) -> u32 {
-        self.width * self.height
     }
 }
 

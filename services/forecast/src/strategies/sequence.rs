@@ -1,7 +1,7 @@
 //! Quasi-random point sets: Halton and Hammersley, constructed as in Wong, Luk and Heng 1997, "Sampling with
 //! Hammersley and Halton points" (the paper's reference 22).
 
-use super::Image;
+use super::image::Image;
 
 /// Φ_b(k): the digits of `k` in the given base, mirrored at the point. From 0 up to, but not including, 1.
 fn radical_inverse(base: u32, mut k: u32) -> f64 {

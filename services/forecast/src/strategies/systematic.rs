@@ -6,7 +6,7 @@
 //! the order its share to within one pixel (implicit stratification: Cochran 1977, chapter 8). The only
 //! strata are the few classes of expected cost, which set the density of the sample.
 
-use super::Image;
+use super::image::Image;
 use crate::allocate::{Cell, allocate};
 use crate::choose::Pick;
 use crate::curve::{hilbert, order_for};
