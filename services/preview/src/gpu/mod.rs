@@ -19,9 +19,6 @@ use resident::{Drawable, Resident};
 /// every device. Ids, depth and read-back take at most 64 MiB each.
 const LARGEST_TILE: u32 = 4096;
 
-/// Side of the block of pixels that one workgroup of `histogram.wgsl` counts (`BLOCK`), in pixels.
-const BLOCK: u32 = 64;
-
 /// Alignment of rows in texture copies, in bytes.
 const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
 

@@ -1,6 +1,5 @@
 //! Shaders, their bindings, and the small buffers that are written for every frame.
 
-use super::BLOCK;
 use super::device::Device;
 use super::resident::Drawable;
 use glam::Vec4;
@@ -12,6 +11,9 @@ pub(crate) const ID_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
 pub(crate) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 /// Number of counters that `histogram.wgsl` keeps in workgroup memory (`LOCAL_COUNTERS`).
 const LOCAL_COUNTERS: u32 = 2048;
+
+/// Side of the block of pixels that one workgroup of `histogram.wgsl` counts (`BLOCK`), in pixels.
+const BLOCK: u32 = 64;
 
 /// `View` of `visibility.wgsl`.
 #[repr(C)]
