@@ -22,15 +22,19 @@ mod bundle;
 mod cache;
 mod calendar;
 mod calibration;
+mod confidence;
 mod dashboard;
 mod event;
 mod explanation;
+mod fixed_costs;
 mod forecast;
 mod frames;
 mod hash;
 mod ids;
 mod job;
+mod job_state;
 mod lease;
+mod left_out;
 mod live;
 mod log;
 mod money;
@@ -39,10 +43,13 @@ mod page;
 mod plan;
 mod problem;
 mod profile;
+mod quantiles;
 mod result;
 mod role;
 mod settings;
+mod spent;
 mod stats;
+mod stratum;
 mod task;
 mod time;
 mod track_record;
@@ -71,26 +78,30 @@ pub use calendar::{
     TimeSpan, WindowEnd,
 };
 pub use calibration::{ByClass, KernelTime, NodeCalibration};
+pub use confidence::Confidence;
 pub use dashboard::{Dashboard, DashboardCounts, DashboardJob, DashboardNode, NodeActivity, TaskCounts};
 pub use event::{Event, EventKind};
 pub use explanation::{
     Amounts, Explanation, Halving, ObjectShare, PartShare, ProfiledWork, RayShare, ShownWork,
 };
+pub use fixed_costs::{FixedCosts, ProcessCosts};
 pub use forecast::{
-    Confidence, ForecastDoc, ForecastTotals, FrameForecast, MoneyQuantiles, NodeSeconds, Profiled, Quantiles,
-    QuotedShot, RayQuantiles, SpentOnForecast,
+    ForecastDoc, ForecastTotals, FrameForecast, NodeSeconds, Profiled, QuotedShot, RayQuantiles,
+    SpentOnForecast,
 };
 pub use frames::{FrameSet, MalformedFrames};
 pub use hash::{ArtifactHash, MalformedHash, SceneDigest};
 pub use ids::{BookingId, BundleId, EventId, JobId, LeaseId, NodeId, PlanId, TaskId};
 pub use job::{
     FrameArtifacts, FrameBooking, FrameFigure, FramePage, FrameRow, FrameState, Job, JobCheck, JobPage,
-    JobRequest, JobState, Per, Within,
+    JobRequest, Per, Within,
 };
+pub use job_state::JobState;
 pub use lease::{
     CHECKPOINT_BYTES, ClaimRequest, FinishedPixels, Lease, LeaseOrder, ReleaseRequest, RenewRequest, Renewal,
     ResultAnswer, ResultRequest, TaskError, TaskLimit, TaskLimits,
 };
+pub use left_out::LeftOut;
 pub use live::{
     Booked, BookedQuantity, ForecastHistory, HistoryPoint, LiveFigure, LiveForecast, OffForecast,
 };
@@ -107,18 +118,16 @@ pub use plan::{
 };
 pub use problem::{Problem, ProblemKind};
 pub use profile::{
-    CacheSample, FixedCosts, NoiseCell, NoiseSample, ProcessCosts, ProfileArtifacts, ProfileResult,
-    ProfileSample, SharedSample, UncoveredGathers, at_speed_one,
+    CacheSample, NoiseCell, NoiseSample, ProfileArtifacts, ProfileResult, ProfileSample, SharedSample,
+    UncoveredGathers,
 };
-pub use result::{
-    FrameStrata, PreviewBackend, PreviewResult, RenderArtifacts, RenderResult, Spent, Stratum, StratumName,
-    TaskResult,
-};
+pub use quantiles::{MoneyQuantiles, Quantiles};
+pub use result::{FrameStrata, PreviewBackend, PreviewResult, RenderArtifacts, RenderResult, TaskResult};
 pub use role::{Role, UnknownRole};
 pub use settings::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest};
-pub use stats::{
-    AllottedForecast, AllottedStats, BudgetClock, CacheStats, LeftOut, Rays, RenderStats, WithinStats,
-};
+pub use spent::{Spent, at_speed_one};
+pub use stats::{AllottedForecast, AllottedStats, BudgetClock, CacheStats, Rays, RenderStats, WithinStats};
+pub use stratum::{Stratum, StratumName};
 pub use task::{PreviewSpec, ProfileSpec, RenderSpec, TaskKind, TaskSpec};
 pub use time::{MalformedTime, Timestamp};
 pub use track_record::{

@@ -6,7 +6,7 @@ use utoipa::ToSchema;
 
 use crate::{
     ArtifactHash, CacheFillResult, CacheMergeResult, CachePlanResult, PlanCount, ProfileResult, RenderStats,
-    TaskKind,
+    Spent, Stratum, TaskKind,
 };
 
 /// Result of a task. In JSON an object with one key: `{"preview": {…}}`.
@@ -57,78 +57,6 @@ impl TaskResult {
                 [image_exr, image_png, cost_map_png].into_iter().chain(preview_png).collect()
             }
         }
-    }
-}
-
-/// Cost in work and CPU time.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Spent {
-    /// Deterministic count of operations.
-    pub work: u64,
-    /// CPU time over all threads in nanoseconds.
-    pub cpu_nanos: u64,
-}
-
-impl Spent {
-    /// The sum of both. Saturating.
-    #[must_use]
-    pub const fn plus(self, other: Self) -> Self {
-        Self {
-            work: self.work.saturating_add(other.work),
-            cpu_nanos: self.cpu_nanos.saturating_add(other.cpu_nanos),
-        }
-    }
-
-    /// The mean. `None` if there are none.
-    pub fn mean(all: impl ExactSizeIterator<Item = Self>) -> Option<Self> {
-        let count = u64::try_from(all.len()).ok().filter(|&count| count > 0)?;
-        let sum = all.fold(Self::default(), Self::plus);
-        Some(Self { work: sum.work / count, cpu_nanos: sum.cpu_nanos / count })
-    }
-
-    /// Converts a cost that a node of this speed measured to a node of speed 1.
-    #[must_use]
-    pub fn at_speed_one(self, speed: f64) -> Self {
-        Self { cpu_nanos: crate::at_speed_one(self.cpu_nanos, speed), ..self }
-    }
-}
-
-/// Names of a stratum: the pixels that show one material of one object.
-#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct StratumName {
-    /// Name of the object.
-    pub object: String,
-    /// Name of the material.
-    pub material: String,
-}
-
-/// A stratum. Its identity is the pair of `object` and `material`. The names are for display, and may occur
-/// more than once in a scene. All tasks of a job number objects and materials alike.
-#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Stratum {
-    /// Names for display.
-    pub name: StratumName,
-    /// Number of the object in the scene, below 2³² − 1.
-    pub object: u32,
-    /// Number of the material in the scene, below 2³² − 1. Small strata of one material are sampled together.
-    pub material: u32,
-    /// Expected cost of one pixel before anything is measured, relative to a plain diffuse pixel (1): above
-    /// 0, up to 1,000,000. It also decides which small strata are joined, so sampling and estimation must use
-    /// the same value.
-    #[schema(exclusive_minimum = 0, maximum = 1_000_000)]
-    pub prior_cost: f64,
-}
-
-impl Stratum {
-    /// The largest prior cost. With it, no sum over an image's pixels comes near the limits of a float.
-    pub const HIGHEST_PRIOR_COST: f64 = 1e6;
-
-    /// The pair of object and material.
-    pub const fn identity(&self) -> (u32, u32) {
-        (self.object, self.material)
     }
 }
 

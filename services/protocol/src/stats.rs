@@ -1,6 +1,6 @@
 //! Actual cost of rendered frames.
 
-use crate::{ByClass, ImageError, Money, ProcessCosts, Quantiles};
+use crate::{ByClass, ImageError, LeftOut, Money, ProcessCosts, Quantiles};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -51,30 +51,6 @@ impl Rays {
     /// Sum over all categories. Saturating.
     pub fn total(self) -> u64 {
         self.to_array().into_iter().fold(0, u64::saturating_add)
-    }
-}
-
-/// A light or an object that provably does not affect an image.
-#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct LeftOut {
-    /// Name or number of it.
-    pub what: String,
-    /// Why it has no effect.
-    pub reason: String,
-}
-
-impl LeftOut {
-    /// Largest number of entries per frame. The last of them stands for all that follow.
-    pub const MOST: usize = 100;
-
-    /// The entries that all frames have in common, in the order of the first frame.
-    pub fn of_all<'a>(frames: impl IntoIterator<Item = &'a [Self]>) -> Vec<Self> {
-        let mut frames = frames.into_iter();
-        let Some(first) = frames.next() else { return Vec::new() };
-        frames.fold(first.to_vec(), |kept, frame| {
-            kept.into_iter().filter(|left| frame.contains(left)).collect()
-        })
     }
 }
 
