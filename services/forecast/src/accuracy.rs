@@ -8,12 +8,12 @@
 //! | file | subject |
 //! | --- | --- |
 //! | `pixel` | the variance of one pixel at any number of samples, from its own camera samples |
-//! | `law` | how the variance of a pixel falls with the number of its samples |
+//! | `variance_curve` | how the variance of a pixel falls with the number of its samples |
 //! | `image` | the error of the whole image, from some pixels |
 //! | `allot` | how many camera samples each part of an image gets, for a budget or an error |
 //! | `sampled_pixel` | a pixel of an unfinished image |
 //! | `survey` | where further samples reduce the error most, judged by an unfinished image |
-//! | `settling` | corrects the profile's variance curve by what the unfinished image shows |
+//! | `curve_correction` | corrects the profile's variance curve by what the unfinished image shows |
 //! | `front` | which qualities of a ladder are Pareto optimal, and which is the next better one |
 //!
 //! # Why not the sample variance
@@ -23,13 +23,13 @@
 //! samples, see [`PixelSamples`].
 
 pub mod allot;
+mod curve_correction;
 mod front;
 mod image;
-mod law;
 mod pixel;
 mod sampled_pixel;
-mod settling;
 mod survey;
+mod variance_curve;
 
 pub use front::{Point, Step, front, front_of_known};
 pub use image::{

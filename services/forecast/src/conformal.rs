@@ -46,7 +46,7 @@ impl Measure {
     /// A forecast can be very sure of itself and still be off by what no sample shows: noise of clocks, or a
     /// tree that takes longer to build. Without this constant its residual would be hundreds of its spreads,
     /// and the next, less certain forecast would be stretched by as many of its own.
-    pub(crate) const fn unknown(self) -> f64 {
+    pub(crate) const fn extra_deviation(self) -> f64 {
         match self {
             Measure::Work => 0.001,
             Measure::CpuTime => 0.05,
@@ -59,7 +59,7 @@ impl Quantity {
     /// constant. It is that of a normal distribution with the same 95 % quantile. Never zero.
     pub fn spread(&self, measure: Measure) -> f64 {
         let own = log_deviation(self.mean, self.variance) * student::quantile(0.95, self.degrees_of_freedom);
-        libm::hypot(own / NORMAL_95, measure.unknown())
+        libm::hypot(own / NORMAL_95, measure.extra_deviation())
     }
 
     /// The quantile at any `p` between 0 and 1, of the log-t distribution that p50 and p95 belong to.
@@ -83,7 +83,7 @@ pub fn residual(mean: f64, spread: f64, actual: f64) -> Option<f64> {
 }
 
 /// Bound on the logarithm of quantile over mean, so that every quantile is finite.
-pub(crate) const FARTHEST: f64 = 50.0;
+pub(crate) const MAX_LOG_RATIO: f64 = 50.0;
 
 /// Residuals of past forecasts, grouped by job.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -142,7 +142,7 @@ impl Correction {
     /// The quantity with its quantiles moved to these positions. Mean and variance stay.
     pub fn apply(&self, quantity: &Quantity, measure: Measure) -> Quantity {
         let spread = quantity.spread(measure);
-        let at = |z: f64| quantity.mean * libm::exp((spread * z).clamp(-FARTHEST, FARTHEST));
+        let at = |z: f64| quantity.mean * libm::exp((spread * z).clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO));
         Quantity { p50: at(self.p50), p80: at(self.p80), p95: at(self.p95), ..*quantity }
     }
 }

@@ -5,10 +5,10 @@
 
 use std::collections::BTreeSet;
 
-use crate::clock::ShotClock;
 use crate::interval::Part;
 use crate::moments::sum;
 use crate::population::FramePopulation;
+use crate::shot_clock::ShotClock;
 
 /// Variance for frames whose lights no profiled frame has, in shot lengths of the walk.
 const UNKNOWN_LIGHTS: f64 = 4.0;
@@ -70,7 +70,7 @@ impl Drift {
     }
 
     /// The same for a cost that does not drift: the prior rate is zero.
-    pub fn standing_still(self) -> Self {
+    pub fn without_drift(self) -> Self {
         Self { prior: 0.0, ..self }
     }
 
@@ -184,8 +184,8 @@ impl Drift {
 #[cfg(test)]
 mod tests {
     use super::Drift;
-    use crate::clock::ShotClock;
     use crate::population::FramePopulation;
+    use crate::shot_clock::ShotClock;
 
     /// A shot of every third frame. `lights` are the sets of shining lights.
     fn lit(lights: impl IntoIterator<Item = u32>) -> (ShotClock, Vec<FramePopulation>) {

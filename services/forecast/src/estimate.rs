@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::cost::{COLUMNS, Costs, Observation, Quantity, Row};
 use crate::error::ForecastError;
 use crate::expansion::Expansion;
-use crate::interval::{Calibration, Part, quantity, together};
+use crate::interval::{Calibration, Part, combined, quantity};
 use crate::moments::{Moments, sum};
 use crate::strata::{Group, Grouping, Stratum, check};
 
@@ -79,7 +79,7 @@ pub(crate) fn estimate_fit(fit: FrameFit, observations: usize, calibration: Cali
     let total = std::array::from_fn(|column| {
         let mut uncertainty = Uncertainty::default();
         fit.groups.iter().for_each(|group| uncertainty.add(group, group.pixels as f64, column));
-        quantity(fit.total(column), uncertainty.together(), calibration)
+        quantity(fit.total(column), uncertainty.combined(), calibration)
     });
     FrameEstimate {
         total: Costs::from(total),
@@ -158,10 +158,10 @@ impl Uncertainty {
     }
 
     /// The variance of the total, with its tail allowance.
-    pub fn together(mut self) -> Part {
+    pub fn combined(mut self) -> Part {
         self.parts
             .push(Part { variance: self.influence * self.influence, degrees_of_freedom: f64::INFINITY });
-        together(&self.parts)
+        combined(&self.parts)
     }
 }
 
@@ -226,7 +226,7 @@ impl FrameFit {
                 // With successive differences, every stratum is a group of its own.
                 let stratum = grouping.of.iter().position(|of| *of == Some(g));
                 let variance = stratum.and_then(|h| variances.get(h).copied().flatten());
-                fit.as_in_textbooks(own, &alike, total.filter(|_| expansion.is_of_all()), variance);
+                fit.apply_expansion(own, &alike, total.filter(|_| expansion.is_one_group()), variance);
             }
         }
         let means = unit_costs(counts, &moments, &grouping, &groups);
@@ -265,7 +265,7 @@ impl GroupFit {
     /// There is no tail allowance, and means are not shrunk towards those of other groups. `total` replaces
     /// the total of all columns, and `variance` the variance of one observation, where the expansion provides
     /// them. `alike` are the groups to borrow from.
-    fn as_in_textbooks(
+    fn apply_expansion(
         &mut self,
         own: &Moments,
         alike: &[Moments],

@@ -10,7 +10,7 @@ use crate::error::ForecastError;
 /// It applies to pixels only. Cache records are always expanded stratum by stratum.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Expansion {
-    /// By groups of strata, see [`crate::estimate`]. Strata that are too small are joined, and groups with
+    /// By groups of strata, see [`crate::estimate()`]. Strata that are too small are joined, and groups with
     /// too few samples borrow. The order of the observations does not matter.
     #[default]
     Groups,
@@ -32,7 +32,7 @@ pub enum Expansion {
 
 impl Expansion {
     /// Whether it treats all pixels as one group.
-    pub(crate) fn is_of_all(&self) -> bool {
+    pub(crate) fn is_one_group(&self) -> bool {
         matches!(self, Expansion::Flat | Expansion::Areas(_))
     }
 

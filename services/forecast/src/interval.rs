@@ -30,7 +30,7 @@ pub(crate) struct Part {
 
 /// The variance of a sum of independent parts, with the degrees of freedom v² / Σ (v_i² / df_i)
 /// (Satterthwaite 1946).
-pub(crate) fn together(parts: &[Part]) -> Part {
+pub(crate) fn combined(parts: &[Part]) -> Part {
     let variance = sum(parts.iter().map(|part| part.variance));
     let denominator = sum(parts
         .iter()

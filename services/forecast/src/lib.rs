@@ -11,7 +11,7 @@
 //! can have two samples. The joined pixels are sampled together with equal probability, so small objects
 //! cause no bias (collapsed strata: Cochran, *Sampling Techniques*, 3rd edition 1977, section 5A.12).
 //!
-//! **How many samples** ([`allocate`]). The variance of a stratified total is Σ N_h² (1 − n_h/N_h) S_h² /
+//! **How many samples** ([`allocate()`]). The variance of a stratified total is Σ N_h² (1 − n_h/N_h) S_h² /
 //! n_h. For a fixed number of samples it is least for n_h ∝ N_h S_h (Neyman 1934). In whole numbers, each
 //! further sample goes to the stratum with the greatest N_h S_h / √(n_h (n_h + 1)) (Wright 2012).
 //!
@@ -20,9 +20,9 @@
 //! extensible. There are two phases. The first spends half of the samples by expected cost, the second the
 //! rest by measured spread.
 //!
-//! **One frame** ([`estimate`]). The total is Ŷ = Σ N_g ȳ_g. Its variance v is as above, with s_g² for S_g²,
-//! and with degrees of freedom after Satterthwaite (1946). Quantiles are Ŷ exp(t_p σ) with σ² = ln(1 + v /
-//! Ŷ²), a log-t interval. The variance includes a tail allowance: the squared influence of the most
+//! **One frame** ([`estimate()`]). The total is Ŷ = Σ N_g ȳ_g. Its variance v is as above, with s_g² for
+//! S_g², and with degrees of freedom after Satterthwaite (1946). Quantiles are Ŷ exp(t_p σ) with σ² = ln(1 +
+//! v / Ŷ²), a log-t interval. The variance includes a tail allowance: the squared influence of the most
 //! influential pixel. Groups with fewer than two samples borrow from related groups, with the weight λ = τ² /
 //! (τ² + σ² / n) for their own mean. Such groups are counted.
 //!
@@ -30,12 +30,12 @@
 //! every important stratum is near in time to a profiled frame that shows it (k-median). Other frames have
 //! the estimate ŷ_t = Σ N_h,t ĉ_h(t), with unit costs carried over time. All frames depend on the same
 //! samples, so their errors are added before they are squared. The drift of unit costs between profiled
-//! frames is a random walk that is pinned at each of them. Its time (`clock`) runs faster where the picture
-//! changes faster, so that nothing is carried across a cut. If the forecast of the shot is uncertain and
-//! profiling is cheap, more frames are profiled ([`choose_more_frames`]). The error that the frames of a job
-//! share is [`ShotForecast::job_sigma`].
+//! frames is a random walk that is pinned at each of them. Its time (`shot_clock`) runs faster where the
+//! picture changes faster, so that nothing is carried across a cut. If the forecast of the shot is uncertain
+//! and profiling is cheap, more frames are profiled ([`choose_more_frames`]). The error that the frames of a
+//! job share is [`ShotForecast::job_sigma`].
 //!
-//! **While a job is rendered** ([`live`]). Finished frames have known costs, and tell how far the quote of
+//! **While a job is rendered** ([`live()`]). Finished frames have known costs, and tell how far the quote of
 //! the others is off. The model is a Gaussian process over the shot's clock, with a common factor and a
 //! nugget. It takes time linear in the number of frames.
 //!
@@ -115,18 +115,17 @@
 pub mod accuracy;
 mod allocate;
 mod binomial;
-mod choose;
-mod clock;
 mod conformal;
 mod cost;
-mod curve;
 mod drift;
 mod error;
 mod estimate;
 mod expansion;
-mod frames;
+mod frame_choice;
+mod frame_design;
+mod hilbert;
 mod interval;
-mod known;
+mod known_costs;
 mod live;
 mod moments;
 mod nearest;
@@ -134,8 +133,9 @@ mod pixel_costs;
 mod population;
 mod random;
 mod rates;
-mod records;
+mod record_strata;
 mod shot;
+mod shot_clock;
 mod strata;
 mod strategies;
 mod stratum_sum;
@@ -143,20 +143,20 @@ mod student;
 
 pub use allocate::{Cell, allocate};
 pub use binomial::share_interval;
-pub use choose::{FrameDesign, Pick};
 pub use conformal::{Correction, Corrections, Experience, LEAST_JOBS, Measure, Past, residual};
 pub use cost::{Cost, Costs, Observation, Quantity, RAY_KINDS};
 pub use error::ForecastError;
 pub use estimate::{FrameEstimate, StratumEstimate, estimate};
 pub use expansion::Expansion;
-pub use frames::{FIRST_FRAMES, MOST_FRAMES, choose_frames, choose_more_frames};
+pub use frame_choice::{FIRST_FRAMES, MOST_FRAMES, choose_frames, choose_more_frames};
+pub use frame_design::{FrameDesign, Pick};
 pub use interval::Calibration;
-pub use known::with_times;
+pub use known_costs::with_times;
 pub use live::{Band, Known, Live, LiveFrame, live, shot_times};
 pub use pixel_costs::{PixelCosts, PixelQuantiles};
 pub use population::FramePopulation;
 pub use rates::{Timed, class_rates, learned_factor, log_ratio_millionths};
-pub use records::RecordStrata;
+pub use record_strata::RecordStrata;
 pub use shot::{FrameForecast, ProfiledFrame, ShotForecast, forecast_shot};
 pub use strata::Stratum;
 pub use strategies::{Design, Strategy, predicted_map};

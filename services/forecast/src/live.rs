@@ -22,10 +22,10 @@
 //! *The scale of the variances* is uncertain too. All of them share an unknown factor. It starts at one, with
 //! the weight of [`pieces::SCALE_FREEDOM`] frames, and learns from how surprising each finished frame is
 //! given those before it. This is the conjugate prior of a normal model (Gelman et al., *Bayesian Data
-//! Analysis*, 3rd edition 2013, section 3.3). With fewer than [`pieces::FEW`] finished frames, neither the
-//! length of g nor the nugget's share is estimated: the length is a third of the shot, and the scale does not
-//! fall below one. So no interval shrinks by luck. From there on, a few lengths and shares are averaged by
-//! their marginal likelihood. A larger variance of c than the quote suggests is always one of the
+//! Analysis*, 3rd edition 2013, section 3.3). With fewer than [`pieces::MIN_FINISHED`] finished frames,
+//! neither the length of g nor the nugget's share is estimated: the length is a third of the shot, and the
+//! scale does not fall below one. So no interval shrinks by luck. From there on, a few lengths and shares are
+//! averaged by their marginal likelihood. A larger variance of c than the quote suggests is always one of the
 //! alternatives.
 //!
 //! *Linear time.* g has a state-space form (Hartikainen, Särkkä 2010). Its state is (c, g, g′) and one l for
@@ -43,16 +43,16 @@
 
 mod band;
 mod frame;
+mod kalman;
 mod pieces;
-mod state;
 
-use crate::clock::ShotClock;
-use crate::conformal::{FARTHEST, Measure, NORMAL_95};
+use crate::conformal::{MAX_LOG_RATIO, Measure, NORMAL_95};
 use crate::error::ForecastError;
 use crate::moments::sum;
 use crate::population::{FramePopulation, check_frames};
+use crate::shot_clock::ShotClock;
 use crate::strata::Stratum;
-use band::{log_ratio, usable};
+use band::{log_ratio, positive};
 use pieces::{Pieces, Posterior};
 
 pub use band::Band;
@@ -63,7 +63,7 @@ const NORMAL_80: f64 = 0.841_621_233_572_914_2;
 
 /// Bound on the absolute logarithm of a median, so that the median and its quantiles stay in the range of a
 /// float.
-const FARTHEST_MEDIAN: f64 = 600.0;
+const MAX_LOG_MEDIAN: f64 = 600.0;
 
 /// The present estimate of a job.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -105,7 +105,7 @@ pub fn shot_times(strata: &[Stratum], frames: &[FramePopulation]) -> Result<Vec<
 pub fn live(total: &Band, frames: &[LiveFrame], measure: Measure) -> Live {
     let spent = sum(frames.iter().map(|frame| match frame.known {
         Known::Nothing => 0.0,
-        Known::Part { cost, .. } | Known::All(cost) => usable(cost),
+        Known::Part { cost, .. } | Known::All(cost) => positive(cost),
     }));
     if frames.iter().all(|frame| matches!(frame.known, Known::All(_))) && !frames.is_empty() {
         return Live { spent, remaining: Band::default(), whole: Band::known(spent), factor: 1.0 };
@@ -121,14 +121,15 @@ pub fn live(total: &Band, frames: &[LiveFrame], measure: Measure) -> Live {
         return Live { spent, remaining: Band::default(), whole: Band::known(spent), factor: 1.0 };
     }
     let Posterior { log_median, deviations, freedom } = pieces.posterior(total.spread(measure));
-    let median = libm::exp(log_median.clamp(-FARTHEST_MEDIAN, FARTHEST_MEDIAN));
+    let median = libm::exp(log_median.clamp(-MAX_LOG_MEDIAN, MAX_LOG_MEDIAN));
     let width = |quantile: f64, normal: f64| {
-        let quoted = log_ratio(quantile, total.p50).max(normal * measure.unknown());
-        (student(normal, freedom) * deviations * quoted).min(FARTHEST)
+        let quoted = log_ratio(quantile, total.p50).max(normal * measure.extra_deviation());
+        (student(normal, freedom) * deviations * quoted).min(MAX_LOG_RATIO)
     };
     let to_80 = width(total.p80, NORMAL_80);
     // For a lognormal distribution, ln(mean / median) is proportional to the variance of the logarithm.
-    let to_mean = (log_ratio(total.mean, total.p50) * deviations * deviations).clamp(-FARTHEST, FARTHEST);
+    let to_mean =
+        (log_ratio(total.mean, total.p50) * deviations * deviations).clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO);
     let remaining = Band {
         mean: median * libm::exp(to_mean),
         p50: median,

@@ -23,7 +23,7 @@ use std::collections::BTreeMap;
 /// The profiled pixels of a frame, as evidence on the pixels that were not profiled.
 #[derive(Clone, Debug)]
 pub struct PixelCosts {
-    strata: Vec<OfStratum>,
+    strata: Vec<StratumPixels>,
 }
 
 /// One quantile of the work of pixels that were not profiled.
@@ -32,7 +32,7 @@ pub struct PixelQuantiles {
     /// Work by stratum, from its own pixels alone.
     own: Vec<Option<f64>>,
     /// For the other strata: a multiple of their mean.
-    together: Option<f64>,
+    pooled: Option<f64>,
 }
 
 impl PixelQuantiles {
@@ -44,14 +44,14 @@ impl PixelQuantiles {
         match self.own.get(stratum)? {
             Some(own) if there > 0.0 => Some(own * (here / there)),
             Some(own) if here == there => Some(*own),
-            _ => self.together.map(|times| times * here),
+            _ => self.pooled.map(|times| times * here),
         }
     }
 }
 
 /// The profiled pixels of one stratum.
 #[derive(Clone, Debug, Default)]
-struct OfStratum {
+struct StratumPixels {
     /// Work of the pixels, ascending.
     works: Vec<f64>,
     /// Scores, in the order in which the pixels were profiled.
@@ -60,7 +60,7 @@ struct OfStratum {
     weight: f64,
 }
 
-impl OfStratum {
+impl StratumPixels {
     /// The quantile from its own pixels alone.
     fn own(&self, probability: f64) -> Option<f64> {
         quantile(self.works.iter().map(|&work| (work, 1.0)), 1.0, probability)
@@ -97,7 +97,7 @@ impl PixelCosts {
             of_material.entry(strata[stratum].material).or_default().add(work);
             of_all.add(work);
         }
-        let mut found = vec![OfStratum::default(); strata.len()];
+        let mut found = vec![StratumPixels::default(); strata.len()];
         for pixel in &pixels {
             let (work, stratum) = (work(pixel), pixel.stratum as usize);
             // A pixel that is alone in its stratum is compared with its material, or else with all pixels.
@@ -116,9 +116,9 @@ impl PixelCosts {
     /// The quantile at this probability.
     pub fn at(&self, probability: f64) -> PixelQuantiles {
         let own: Vec<Option<f64>> = self.strata.iter().map(|stratum| stratum.own(probability)).collect();
-        let together = |of: &dyn Fn(&Option<f64>) -> bool| {
+        let pooled = |of: &dyn Fn(&Option<f64>) -> bool| {
             let those = self.strata.iter().zip(&own).filter(|(_, own)| of(own));
-            let scores = |(one, _): (&OfStratum, _)| {
+            let scores = |(one, _): (&StratumPixels, _)| {
                 one.scores.iter().map(|&score| (score, one.weight)).collect::<Vec<_>>()
             };
             let mut weighted: Vec<(f64, f64)> = those.flat_map(scores).collect();
@@ -126,8 +126,8 @@ impl PixelCosts {
             let next = weighted.iter().map(|(_, weight)| weight).sum::<f64>() / weighted.len().max(1) as f64;
             quantile(weighted.into_iter(), next, probability)
         };
-        let together = together(&|own| own.is_none()).or_else(|| together(&|_| true));
-        PixelQuantiles { own, together }
+        let pooled = pooled(&|own| own.is_none()).or_else(|| pooled(&|_| true));
+        PixelQuantiles { own, pooled }
     }
 }
 

@@ -29,10 +29,10 @@ use crate::moments::sum;
 const RIDGE: f64 = 0.3;
 
 /// Bound on the factors x_c, in both directions.
-const WIDEST: f64 = 20.0;
+const MAX_PROPORTION: f64 = 20.0;
 
 /// Bound on the absolute logarithm of a frame's ratio: a factor of two.
-const MOST: f64 = std::f64::consts::LN_2;
+const MAX_LOG_RATIO: f64 = std::f64::consts::LN_2;
 
 /// Logarithms are stored in millionths.
 const MILLIONTHS: f64 = 1e6;
@@ -75,7 +75,7 @@ pub fn class_rates<const CLASSES: usize>(
     }
     let proportions = solved(matrix, right);
     Some(std::array::from_fn(|class| {
-        mean * reference[class] * proportions[class].clamp(1.0 / WIDEST, WIDEST)
+        mean * reference[class] * proportions[class].clamp(1.0 / MAX_PROPORTION, MAX_PROPORTION)
     }))
 }
 
@@ -101,7 +101,7 @@ fn solved<const N: usize>(mut matrix: [[f64; N]; N], mut right: [f64; N]) -> [f6
 pub fn log_ratio_millionths(took: f64, forecast: f64) -> Option<i64> {
     let log = libm::log(took / forecast);
     (took > 0.0 && forecast > 0.0 && log.is_finite())
-        .then(|| (log.clamp(-MOST, MOST) * MILLIONTHS).round() as i64)
+        .then(|| (log.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO) * MILLIONTHS).round() as i64)
 }
 
 /// The factor by which a machine is slower than its kernels say.

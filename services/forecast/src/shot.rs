@@ -6,7 +6,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::clock::ShotClock;
 use crate::cost::{COLUMNS, Cost, Costs, Observation, Quantity, Row, WORK, add_scaled};
 use crate::drift::Drift;
 use crate::error::ForecastError;
@@ -15,6 +14,7 @@ use crate::expansion::Expansion;
 use crate::interval::{Calibration, Part, log_deviation, quantity};
 use crate::moments::sum;
 use crate::population::{FramePopulation, check_frames};
+use crate::shot_clock::ShotClock;
 use crate::strata::Stratum;
 
 /// The result of profiling one frame.
@@ -63,12 +63,12 @@ pub struct ShotForecast {
 
 /// Forecasts every frame from the profiled ones.
 ///
-/// A profiled frame is estimated as by [`crate::estimate`]. Every other frame t has the estimate ŷ_t = Σ_h
+/// A profiled frame is estimated as by [`crate::estimate()`]. Every other frame t has the estimate ŷ_t = Σ_h
 /// N_h,t ĉ_h(t) + fixed(t). The preview knows all N_h,t. The unit cost of a stratum comes from the nearest
 /// profiled frames before and after it that sampled the stratum. Each has the weight 1 / (CV² / n_h + q Δτ),
 /// which balances samples against distance in time; q is the prior drift of unit costs. Time is the shot's
-/// own (`clock`), in which a cut is as long as the shot. So frames beyond a cut have little weight. Profiled
-/// frames with the same lights are preferred to all others.
+/// own (`shot_clock`), in which a cut is as long as the shot. So frames beyond a cut have little weight.
+/// Profiled frames with the same lights are preferred to all others.
 ///
 /// The variance of a frame and of the total has three parts.
 ///
@@ -113,7 +113,7 @@ pub fn forecast_shot(
                 let mut uncertainty = carrier.uncertainty(&prediction.weights, borrowed, column);
                 uncertainty.add_part(drifts[column].of_frame(t, prediction.total[column]));
                 let mean = prediction.total[column] + prediction.fixed[column];
-                quantity(mean, uncertainty.together(), calibration)
+                quantity(mean, uncertainty.combined(), calibration)
             });
             FrameForecast {
                 number: frames[t].number,
@@ -130,7 +130,7 @@ pub fn forecast_shot(
         let traced: Vec<f64> = predictions.iter().map(|p| p.total[column]).collect();
         uncertainty.add_part(drifts[column].of_total(&traced));
         let mean = sum(traced) + sum(predictions.iter().map(|p| p.fixed[column]));
-        quantity(mean, uncertainty.together(), calibration)
+        quantity(mean, uncertainty.combined(), calibration)
     });
     let mut never_seen: Vec<usize> = predictions.iter().flat_map(|p| p.unseen.iter().copied()).collect();
     never_seen.sort_unstable();
@@ -173,7 +173,7 @@ struct Source {
 
 /// How much the lights of two frames differ: first whether only one frame has any, then by how many. Numbers
 /// that differ by up to a third count as equal.
-fn unlike(one: &FramePopulation, other: &FramePopulation) -> (bool, u32) {
+fn light_difference(one: &FramePopulation, other: &FramePopulation) -> (bool, u32) {
     let (fewer, more) = (one.shining.min(other.shining), one.shining.max(other.shining));
     let differ = more - fewer;
     ((fewer == 0) != (more == 0), if differ <= more / 3 { 0 } else { differ })
@@ -307,8 +307,9 @@ impl<'a> Carrier<'a> {
         };
         let nearest = match nearest(&same) {
             [None, None] => {
-                let closest = (0..self.sources.len()).filter(usable).map(|k| unlike(own, of(k))).min();
-                nearest(&|k: &usize| usable(k) && Some(unlike(own, of(*k))) == closest)
+                let closest =
+                    (0..self.sources.len()).filter(usable).map(|k| light_difference(own, of(k))).min();
+                nearest(&|k: &usize| usable(k) && Some(light_difference(own, of(*k))) == closest)
             }
             found => found,
         };
@@ -378,7 +379,7 @@ impl<'a> Carrier<'a> {
 
     /// Whether all pixels of all profiled frames have exactly the same cost in this column, and cache records
     /// have none. This is the case for camera rays.
-    fn is_the_same_everywhere(&self, column: usize) -> bool {
+    fn is_constant(&self, column: usize) -> bool {
         let mut groups = self.sources.iter().flat_map(|source| &source.fit.groups);
         let pixels = self.sources[0].fit.groups.iter().find(|group| !group.is_apart());
         let constant = pixels.and_then(|group| group.constant(column));
@@ -394,8 +395,8 @@ impl<'a> Carrier<'a> {
         if self.sources.len() < 2 {
             return drift;
         }
-        if column > WORK && self.is_the_same_everywhere(column) {
-            return drift.standing_still();
+        if column > WORK && self.is_constant(column) {
+            return drift.without_drift();
         }
         for (k, source) in self.sources.iter().enumerate() {
             let measured = source.fit.total(column);
@@ -407,9 +408,9 @@ impl<'a> Carrier<'a> {
                     .iter()
                     .map(|&h| f64::from(self.frames[source.frame].counts[h]) * prediction.means[h][column]);
                 let of_prediction =
-                    self.uncertainty(&prediction.weights, borrowed, column).together().variance;
+                    self.uncertainty(&prediction.weights, borrowed, column).combined().variance;
                 let own = self.predict(source.frame, None);
-                let of_frame = self.uncertainty(&own.weights, std::iter::empty(), column).together().variance;
+                let of_frame = self.uncertainty(&own.weights, std::iter::empty(), column).combined().variance;
                 let noise = of_prediction / predicted / predicted + of_frame / measured / measured;
                 drift.learn(k, libm::log(measured / predicted), noise);
             }

@@ -18,13 +18,13 @@ use std::sync::Arc;
 /// [`PreviewError::EmptyImage`], [`PreviewError::ImageTooLarge`] or [`PreviewError::Camera`].
 pub fn cpu_preview_with(bvh: &Bvh, frame: &Frame) -> Result<(Preview, Cost), PreviewError> {
     check(&frame.camera)?;
-    let eye = Eye::new(bvh, frame);
+    let rays = CameraRays::new(bvh, frame);
     let width = frame.camera.width as usize;
     let mut triangles = vec![NOTHING; frame.camera.pixels()];
     let mut cost = triangles
         .par_chunks_mut(width)
         .enumerate()
-        .map(|(y, row)| eye.row(y as u32, |x, triangle| row[x] = triangle))
+        .map(|(y, row)| rays.row(y as u32, |x, triangle| row[x] = triangle))
         .sum();
     Ok((resolve(frame, &triangles, &mut cost), cost))
 }
@@ -35,7 +35,7 @@ pub fn cpu_preview_with(bvh: &Bvh, frame: &Frame) -> Result<(Preview, Cost), Pre
 /// As for [`cpu_preview_with`].
 pub fn cpu_counts_with(bvh: &Bvh, frame: &Frame) -> Result<(Counts, Cost), PreviewError> {
     check(&frame.camera)?;
-    let eye = Eye::new(bvh, frame);
+    let rays = CameraRays::new(bvh, frame);
     let geometry = &*frame.geometry;
     let none = || Counts::none(geometry.strata.len());
     Ok((0..frame.camera.height)
@@ -43,7 +43,7 @@ pub fn cpu_counts_with(bvh: &Bvh, frame: &Frame) -> Result<(Counts, Cost), Previ
         .fold(
             || (none(), Cost::default()),
             |(mut counts, cost), y| {
-                let row = eye.row(y, |_, triangle| {
+                let row = rays.row(y, |_, triangle| {
                     counts.add(geometry.triangle_stratum.get(triangle as usize).copied().unwrap_or(NOTHING));
                 });
                 (counts, cost + row)
@@ -53,14 +53,14 @@ pub fn cpu_counts_with(bvh: &Bvh, frame: &Frame) -> Result<(Counts, Cost), Previ
 }
 
 /// A frame with everything needed to trace its camera rays.
-struct Eye<'a> {
+struct CameraRays<'a> {
     bvh: &'a Bvh,
     frame: &'a Frame,
     cutouts: Cutouts,
     near: f32,
 }
 
-impl<'a> Eye<'a> {
+impl<'a> CameraRays<'a> {
     fn new(bvh: &'a Bvh, frame: &'a Frame) -> Self {
         Self { bvh, frame, cutouts: Cutouts::of(frame), near: near_distance(&frame.geometry) }
     }

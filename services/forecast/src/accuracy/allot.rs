@@ -18,7 +18,7 @@
 //! larger error than a mixture of pixels with 32 and 48. The error at 46 samples is 6 % smaller than at 40,
 //! and at 48 it is 16 % smaller. So [`whole`] mixes only such numbers.
 
-use super::law::{EXPONENTS, powers};
+use super::variance_curve::{EXPONENTS, powers};
 use crate::error::ForecastError;
 use crate::moments::sum;
 
@@ -26,7 +26,7 @@ use crate::moments::sum;
 pub const MOST_SAMPLES: f64 = 65_535.0;
 
 /// Weight of the whole image's curve in the curve of a zone, as a number of sampled pixels.
-const IMAGE_COUNTS: f64 = 2.0;
+const IMAGE_WEIGHT: f64 = 2.0;
 
 /// A set of pixels that all get the same number of camera samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,7 +61,7 @@ impl Zone {
         let count = samples.len() as f64;
         let variance = [0, 1].map(|which| {
             let own = sum(samples.iter().map(|(curve, _)| curve[which]));
-            ((own + IMAGE_COUNTS * of_image[which]) / (count + IMAGE_COUNTS)).max(0.0)
+            ((own + IMAGE_WEIGHT * of_image[which]) / (count + IMAGE_WEIGHT)).max(0.0)
         });
         let cost = sum(samples.iter().map(|(_, cost)| *cost)) / count / f64::from(spp);
         Ok(Self { pixels: pixels as f64, variance, cost })

@@ -6,9 +6,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::PixelNoise;
-use super::law::{EXPONENTS, between, powers, powers_of_pixel};
+use super::variance_curve::{EXPONENTS, between, powers, powers_of_pixel};
 use crate::error::ForecastError;
-use crate::interval::{Calibration, Part, quantity, together};
+use crate::interval::{Calibration, Part, combined, quantity};
 use crate::moments::sum;
 use crate::strata::Stratum;
 
@@ -58,7 +58,7 @@ impl MeanSquare {
     /// The mean square of the sum of two independent errors.
     #[must_use]
     pub fn plus(self, other: Self) -> Self {
-        let Part { variance, degrees_of_freedom } = together(&[self.part(), other.part()]);
+        let Part { variance, degrees_of_freedom } = combined(&[self.part(), other.part()]);
         Self { value: self.value + other.value, variance, degrees_of_freedom }
     }
 
@@ -94,7 +94,7 @@ impl MeanSquare {
 ///
 /// A few drops of a few pixels may well suggest that there is no such part. On the test scenes that was never
 /// true, and it halved the error forecast for sixteen times as many samples.
-const LEAST_RANDOM: f64 = 1.0 / 3.0;
+const MIN_INDEPENDENT_SHARE: f64 = 1.0 / 3.0;
 
 /// The most doublings of the number of samples that are considered, since that number has 32 bits.
 const MOST_LEVELS: usize = 31;
@@ -118,7 +118,7 @@ struct Fit {
     /// Weight of each drop in A and in B.
     weights: [Vec<f64>; 2],
     /// Weights for the largest plausible B: all of the variance falls as B / n. Only set where the fit gave B
-    /// a smaller share than [`LEAST_RANDOM`].
+    /// a smaller share than [`MIN_INDEPENDENT_SHARE`].
     at_most: Option<Vec<f64>>,
 }
 
@@ -181,9 +181,9 @@ impl ImageNoise {
     ///
     /// At a sampled power of two it is the sum of all further drops, plus the variance left after the last
     /// drop. The latter follows the curve A / n^1.5 + B / n, as do numbers beyond it. Between powers of two,
-    /// see `law::between`. The variance of the result has two parts: that of the estimate, and that of the
-    /// error of a single image. A few pixels of an image may by chance be very good or bad. Each adds 2 V²,
-    /// as for a normally distributed number.
+    /// see `variance_curve::between`. The variance of the result has two parts: that of the estimate, and
+    /// that of the error of a single image. A few pixels of an image may by chance be very good or bad. Each
+    /// adds 2 V², as for a normally distributed number.
     pub fn noise_at(&self, spp: u32) -> MeanSquare {
         let spp = spp.max(1);
         let below = spp.ilog2() as usize;
@@ -244,7 +244,7 @@ impl ImageNoise {
     }
 
     /// The stratified mean over the image, Σ N_g ȳ_g / N, of a value of the sampled pixels, with its variance
-    /// (see [`crate::estimate`]).
+    /// (see [`crate::estimate()`]).
     ///
     /// The variance includes a tail allowance: the squared change of the mean if one more pixel were as
     /// extreme as the most extreme sample.
@@ -270,7 +270,7 @@ impl ImageNoise {
             parts.push(Part { variance: weight * weight * unseen * variance, degrees_of_freedom: freedom });
         }
         parts.push(Part { variance: influence * influence, degrees_of_freedom: f64::INFINITY });
-        (sum(means), together(&parts))
+        (sum(means), combined(&parts))
     }
 }
 
@@ -312,14 +312,14 @@ impl Fit {
         let powers = powers(samples);
         let fitted = if value(&both[1]) > 0.0 { both } else { [alone(0), none] };
         let [of_edges, of_rest] = [0, 1].map(|which| value(&fitted[which]) * powers[which]);
-        if of_rest >= LEAST_RANDOM * (of_edges + of_rest) {
+        if of_rest >= MIN_INDEPENDENT_SHARE * (of_edges + of_rest) {
             return Self { weights: fitted, at_most: None };
         }
         // The variance at that number of samples stays. Only its division between A and B changes.
         let left = |k: usize| fitted[0][k] * powers[0] + fitted[1][k] * powers[1];
         let share = |part: f64, power: f64| levels.clone().map(|k| part * left(k) / power).collect();
         Self {
-            weights: [share(1.0 - LEAST_RANDOM, powers[0]), share(LEAST_RANDOM, powers[1])],
+            weights: [share(1.0 - MIN_INDEPENDENT_SHARE, powers[0]), share(MIN_INDEPENDENT_SHARE, powers[1])],
             at_most: Some(alone(1)),
         }
     }

@@ -4,28 +4,28 @@
 //! beside a lamp. Once every pixel has some samples, the image itself shows it. Each tile becomes a zone (see
 //! [`super::allot`]) whose variance is the mean of the sample variances of its pixels. How that variance
 //! falls with samples is taken from the profile of the same materials, because the few samples of a pixel do
-//! not show it. `settling` then corrects that guess by the later half of all pixels' samples.
+//! not show it. `curve_correction` then corrects that guess by the later half of all pixels' samples.
 
 use super::allot::{Zone, samples_for_budget, samples_for_variance};
-use super::law::{powers, powers_of_pixel};
+use super::curve_correction::CurveCorrection;
 use super::sampled_pixel::SampledPixel;
-use super::settling::Settling;
+use super::variance_curve::{powers, powers_of_pixel};
 use super::{ErrorQuantiles, MeanSquare};
 use crate::error::ForecastError;
-use crate::interval::{Calibration, Part, together};
+use crate::interval::{Calibration, Part, combined};
 use crate::moments::sum;
 
 /// Weight of the profile's variance in the variance of a tile, as a number of pixels.
-const PROFILE_COUNTS: f64 = 0.1;
+const PROFILE_WEIGHT: f64 = 0.1;
 
 /// The state of an unfinished image, tile by tile.
 #[derive(Clone, Debug)]
 pub struct Survey {
     zones: Vec<Zone>,
     /// Variance of the error of each tile, relative to its square.
-    doubts: Vec<Part>,
+    uncertainties: Vec<Part>,
     /// Corrections of the tiles' guessed variances, with their common uncertainty.
-    settling: Settling,
+    correction: CurveCorrection,
     /// Mean number of samples per pixel of each tile.
     samples: Vec<f64>,
     /// Mean brightness of the image.
@@ -43,20 +43,20 @@ impl Survey {
         }
         let pixels = sum(tiles.iter().map(|tile| tile.len() as f64));
         let brightness = sum(tiles.iter().map(|tile| sum(tile.iter().map(|pixel| pixel.brightness))));
-        let of_tiles: Vec<(Zone, Part)> = tiles.iter().map(|tile| surveyed(tile)).collect();
-        let (mut zones, doubts): (Vec<Zone>, Vec<Part>) = of_tiles.into_iter().unzip();
+        let of_tiles: Vec<(Zone, Part)> = tiles.iter().map(|tile| zone_of_tile(tile)).collect();
+        let (mut zones, uncertainties): (Vec<Zone>, Vec<Part>) = of_tiles.into_iter().unzip();
         let samples = |tile: &Vec<SampledPixel>| {
             sum(tile.iter().map(|pixel| f64::from(pixel.samples))) / tile.len() as f64
         };
         let samples: Vec<f64> = tiles.iter().map(samples).collect();
-        let settling = Settling::new(tiles, &zones, &samples);
+        let correction = CurveCorrection::new(tiles, &zones, &samples);
         for ((zone, octave), (tile, samples)) in
-            zones.iter_mut().zip(settling.of_tiles()).zip(tiles.iter().zip(&samples))
+            zones.iter_mut().zip(correction.of_tiles()).zip(tiles.iter().zip(&samples))
         {
-            let factor = octave.off * unevenness(tile, zone, *samples);
+            let factor = octave.factor * unevenness(tile, zone, *samples);
             zone.variance = zone.variance.map(|part| part * factor);
         }
-        Ok(Self { zones, doubts, settling, samples, mean: brightness / pixels.max(1.0) })
+        Ok(Self { zones, uncertainties, correction, samples, mean: brightness / pixels.max(1.0) })
     }
 
     /// One zone for each tile, in the order of the tiles.
@@ -86,7 +86,11 @@ impl Survey {
         calibration: Calibration,
     ) -> Vec<f64> {
         let sure = self.clone();
-        Self { settling: sure.settling.undoubted(), ..sure }.samples_for_error(wanted, quantile, calibration)
+        Self { correction: sure.correction.without_uncertainty(), ..sure }.samples_for_error(
+            wanted,
+            quantile,
+            calibration,
+        )
     }
 
     /// Samples per pixel of each tile that reach the error `wanted`, as a share of the image's mean, at the
@@ -126,11 +130,13 @@ impl Survey {
         // The error of a tile is proportional to its variance, and so has the same relative uncertainty.
         let error = |(zone, samples): (&Zone, &f64)| zone.error(*samples) / pixels / square;
         let errors: Vec<f64> = self.zones.iter().zip(samples).map(error).collect();
-        let mut parts = self.settling.doubts(&errors);
-        let doubts = self.doubts.iter().zip(&errors);
-        parts
-            .extend(doubts.map(|(doubt, error)| Part { variance: doubt.variance * error * error, ..*doubt }));
-        let Part { variance, degrees_of_freedom } = together(&parts);
+        let mut parts = self.correction.uncertainties(&errors);
+        let uncertainties = self.uncertainties.iter().zip(&errors);
+        parts.extend(uncertainties.map(|(uncertainty, error)| Part {
+            variance: uncertainty.variance * error * error,
+            ..*uncertainty
+        }));
+        let Part { variance, degrees_of_freedom } = combined(&parts);
         MeanSquare { value: sum(errors), variance, degrees_of_freedom }
     }
 }
@@ -145,7 +151,7 @@ fn unevenness(tile: &[SampledPixel], zone: &Zone, samples: f64) -> f64 {
 }
 
 /// A tile as a zone, with the variance of its error relative to the square.
-fn surveyed(tile: &[SampledPixel]) -> (Zone, Part) {
+fn zone_of_tile(tile: &[SampledPixel]) -> (Zone, Part) {
     let pixels = tile.len() as f64;
     let profiled = [0, 1].map(|k| sum(tile.iter().map(|pixel| pixel.profiled[k].max(0.0))) / pixels);
     let expected = profiled[0] + profiled[1];
@@ -166,21 +172,21 @@ fn surveyed(tile: &[SampledPixel]) -> (Zone, Part) {
     }
     let count = known.len() as f64;
     let own = sum(known.iter().copied());
-    let variance = (own + PROFILE_COUNTS * expected) / (count + PROFILE_COUNTS);
+    let variance = (own + PROFILE_WEIGHT * expected) / (count + PROFILE_WEIGHT);
     let cost = sum(tile.iter().map(|pixel| pixel.cost)) / sum(tile.iter().map(|p| f64::from(p.samples)));
-    let doubt = if count > 1.0 && variance > 0.0 {
+    let uncertainty = if count > 1.0 && variance > 0.0 {
         let mean = own / count;
         let squares = sum(known.iter().map(|v| (v - mean) / variance * ((v - mean) / variance)));
-        let doubt = squares / (count - 1.0) / count;
+        let uncertainty = squares / (count - 1.0) / count;
         // A few pixels of a single image may by chance be very good or bad. Each pixel's error has the
         // variance 2 V², as for a normal distribution, given here relative to the square of their sum.
-        let luck = 2.0 * (doubt + 1.0 / count);
-        Part { variance: doubt + luck, degrees_of_freedom: count - 1.0 }
+        let luck = 2.0 * (uncertainty + 1.0 / count);
+        Part { variance: uncertainty + luck, degrees_of_freedom: count - 1.0 }
     } else {
         // Nothing shows how the pixels differ, so the standard error is the whole value.
         Part { variance: 1.0, degrees_of_freedom: 1.0 }
     };
-    (Zone { pixels, variance: shape.map(|share| share * variance), cost }, doubt)
+    (Zone { pixels, variance: shape.map(|share| share * variance), cost }, uncertainty)
 }
 
 /// Variance of the brightness over a tile's pixels. `None` for fewer than two.

@@ -29,17 +29,17 @@ impl Band {
 
     /// Standard deviation of the logarithm that the quantiles imply, combined with the measure's constant.
     pub(super) fn spread(&self, measure: Measure) -> f64 {
-        libm::hypot(log_ratio(self.p95, self.p50) / NORMAL_95, measure.unknown())
+        libm::hypot(log_ratio(self.p95, self.p50) / NORMAL_95, measure.extra_deviation())
     }
 }
 
 /// The value, or zero if it is negative or not finite.
-pub(super) fn usable(value: f64) -> f64 {
+pub(super) fn positive(value: f64) -> f64 {
     if value.is_finite() && value > 0.0 { value } else { 0.0 }
 }
 
 /// ln(a / b). Zero if either is not positive and finite.
 pub(super) fn log_ratio(a: f64, b: f64) -> f64 {
-    let (a, b) = (usable(a), usable(b));
+    let (a, b) = (positive(a), positive(b));
     if a > 0.0 && b > 0.0 { libm::log(a) - libm::log(b) } else { 0.0 }
 }

@@ -4,19 +4,19 @@
 //! different lengths, nuggets and common variances, are filtered over the pieces and averaged by their
 //! marginal likelihood.
 
-use super::band::{Band, log_ratio, usable};
+use super::band::{Band, log_ratio, positive};
 use super::frame::{Known, LiveFrame};
-use super::state::{
+use super::kalman::{
     COMMON, COMPONENTS, Evidence, LIGHTS, Model, SETS, SLOPE, SMOOTH, SUM, State, Transition, Update,
 };
-use crate::conformal::{FARTHEST, Measure};
+use crate::conformal::{MAX_LOG_RATIO, Measure};
 use crate::moments::sum;
 
 /// Weight of the quote's own spread, as a number of frames.
 pub(super) const SCALE_FREEDOM: f64 = 4.0;
 
 /// Least number of finished frames for estimating the process length and the nugget.
-pub(super) const FEW: usize = 5;
+pub(super) const MIN_FINISHED: usize = 5;
 
 /// Candidate lengths of the process, as shares of the shot. The first is used while few frames are finished.
 const LENGTHS: [f64; 3] = [1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0];
@@ -27,11 +27,11 @@ const NUGGETS: [f64; 3] = [0.5, 0.1, 0.9];
 
 /// Candidate additions to the variance that all frames share, as multiples of a frame's variance. The quote
 /// may underestimate it, so these are compared from the first finished frame on.
-const MORE_COMMON: [f64; 3] = [0.0, 1.0, 3.0];
+const EXTRA_COMMON: [f64; 3] = [0.0, 1.0, 3.0];
 
 /// Share of the common variance that belongs to the sets of lights, if there are several. A half makes both
 /// explanations equally likely.
-const OF_LIGHTS: f64 = 0.5;
+const LIGHTS_SHARE: f64 = 0.5;
 
 /// The variance that frames share is at least this share of a frame's variance. So is the variance that they
 /// do not share. No quote knows either of them to be zero.
@@ -86,11 +86,11 @@ impl Pieces {
     pub fn new(total: &Band, frames: &[LiveFrame], measure: Measure) -> Self {
         // Scales the frames' means to medians that add up to the job's.
         let to_median = libm::exp(log_ratio(total.p50, total.mean));
-        let median = |frame: &LiveFrame| usable(frame.quote.mean) * to_median;
+        let median = |frame: &LiveFrame| positive(frame.quote.mean) * to_median;
         let variance_of = |frame: &LiveFrame| frame.quote.spread(measure).powi(2);
         let all = sum(frames.iter().map(median));
         let variance = sum(frames.iter().map(|frame| median(frame) * variance_of(frame)));
-        let variance = if all > 0.0 { variance / all } else { measure.unknown().powi(2) };
+        let variance = if all > 0.0 { variance / all } else { measure.extra_deviation().powi(2) };
         let mut list = Vec::with_capacity(frames.len());
         let (mut before, mut length) = (None, 0.0);
         let (mut sets, mut of_set): (Vec<u32>, [f64; SETS]) = (Vec::with_capacity(SETS), [0.0; SETS]);
@@ -100,7 +100,7 @@ impl Pieces {
                 // A frame that was quoted at zero tells nothing about the others.
                 continue;
             }
-            let mut step = before.map_or(0.0, |before: f64| usable(frame.time - before));
+            let mut step = before.map_or(0.0, |before: f64| positive(frame.time - before));
             if frame.time.is_finite() {
                 before = Some(frame.time);
             }
@@ -115,8 +115,8 @@ impl Pieces {
             let nugget = variance_of(frame) / variance;
             let (done, cost) = match frame.known {
                 Known::Nothing => (0.0, 0.0),
-                Known::Part { share, cost } => (usable(share).min(1.0), usable(cost)),
-                Known::All(cost) => (1.0, usable(cost)),
+                Known::Part { share, cost } => (positive(share).min(1.0), positive(cost)),
+                Known::All(cost) => (1.0, positive(cost)),
             };
             let mut push = |share: f64, seen| {
                 list.push(Piece { step, quoted: share * quoted, nugget, lights, seen });
@@ -124,7 +124,7 @@ impl Pieces {
             };
             if done > 0.0 {
                 // A cost of zero has no logarithm. Such a part counts neither as observed nor as remaining.
-                let residual = log_ratio(cost, done * quoted).clamp(-FARTHEST, FARTHEST);
+                let residual = log_ratio(cost, done * quoted).clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO);
                 let of_part = BETWEEN_HALVES * BETWEEN_HALVES * (1.0 - done) / done;
                 if cost > 0.0 {
                     push(done, Some((residual, of_part)));
@@ -147,7 +147,7 @@ impl Pieces {
     /// logarithm of the quoted total.
     pub fn posterior(&self, of_job: f64) -> Posterior {
         let seen = self.list.iter().filter(|piece| piece.seen.is_some()).count();
-        let few = seen < FEW;
+        let few = seen < MIN_FINISHED;
         let lengths = if few { &LENGTHS[..1] } else { &LENGTHS[..] };
         let nuggets = if few { &NUGGETS[..1] } else { &NUGGETS[..] };
         let mut models = Vec::with_capacity(lengths.len() * nuggets.len());
@@ -155,7 +155,7 @@ impl Pieces {
             let decay = 3.0f64.sqrt() / (length * self.length);
             let averaged = self.variance_of_mean(decay);
             for &nugget in nuggets {
-                for more in MORE_COMMON {
+                for more in EXTRA_COMMON {
                     let model = self.model(decay, averaged, nugget, of_job, more);
                     let evidence = self.filter(&model, |_, _, _| {});
                     models.push((model, evidence));
@@ -206,7 +206,7 @@ impl Pieces {
         let least = LEAST_SHARE * self.variance;
         let own = own.clamp(least, self.variance - least);
         let common = (of_job - kept * own).max(least);
-        let of_lights = if self.lights < 1.0 { OF_LIGHTS * common } else { 0.0 };
+        let of_lights = if self.lights < 1.0 { LIGHTS_SHARE * common } else { 0.0 };
         Model {
             decay,
             common: common - of_lights + more * self.variance,
@@ -257,7 +257,7 @@ impl Pieces {
         let mut smoothed = vec![0.0; steps.len()];
         for (at, (mean, signal, update)) in steps.iter().enumerate().rev() {
             let correction: f64 = signal.iter().zip(&adjoint).map(|(s, a)| s * a).sum();
-            smoothed[at] = (mean - correction).clamp(-FARTHEST, FARTHEST);
+            smoothed[at] = (mean - correction).clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO);
             if let Some(Update { innovation, variance, gain }) = update {
                 let through: f64 = gain.iter().zip(&adjoint).map(|(g, a)| g * a).sum();
                 let change = innovation / variance + through;

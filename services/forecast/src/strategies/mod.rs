@@ -31,23 +31,23 @@
 //! | `cells` | grid, jittered |
 //! | `sequence` | Halton, Hammersley |
 //! | `uniform` | random |
-//! | `snapshot` | the paper's Snapshot |
+//! | `paper_snapshot` | the paper's Snapshot |
 //! | `systematic` | every k-th pixel of an order |
 
 mod cells;
 mod image;
+mod paper_snapshot;
 mod sequence;
-mod snapshot;
 mod systematic;
 mod uniform;
 
 use serde::{Deserialize, Serialize};
 
-use crate::choose::{FrameDesign, Pick, count_pixels};
 use crate::cost::{Cost, Costs, Observation};
 use crate::error::ForecastError;
 use crate::estimate::{FrameEstimate, FrameFit, estimate_fit};
 use crate::expansion::Expansion;
+use crate::frame_design::{FrameDesign, Pick, count_pixels};
 use crate::interval::Calibration;
 use crate::nearest::nearest;
 use crate::random::hash;
@@ -220,7 +220,7 @@ impl Strategy {
                 (pixels, Expansion::Areas(areas))
             }
             Strategy::PaperSnapshot => {
-                let picks = snapshot::as_stated(&counts, stratum_ids, samples, counters);
+                let picks = paper_snapshot::picks(&counts, stratum_ids, samples, counters);
                 return Ok(by_preview(Picks::Known(picks), Expansion::EachStratum));
             }
             Strategy::Systematic => {
@@ -319,7 +319,7 @@ impl Design {
     /// The estimate of the frame from the observations of both phases.
     ///
     /// # Errors
-    /// As for [`crate::estimate`], and if the observations are not those of all picks.
+    /// As for [`crate::estimate()`], and if the observations are not those of all picks.
     pub fn estimate(
         &self,
         observations: &[Observation],

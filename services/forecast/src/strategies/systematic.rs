@@ -8,8 +8,8 @@
 
 use super::image::Image;
 use crate::allocate::{Cell, allocate};
-use crate::choose::Pick;
-use crate::curve::{hilbert, order_for};
+use crate::frame_design::Pick;
+use crate::hilbert::{hilbert, order_for};
 use crate::random::hash;
 use crate::strata::Stratum;
 

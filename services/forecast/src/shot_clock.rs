@@ -42,15 +42,15 @@ impl ShotClock {
     /// The clock of these frames. They must be in order and have a count for every stratum.
     pub fn new(strata: &[Stratum], frames: &[FramePopulation]) -> Self {
         let length = match frames {
-            [first, .., last] => apart(first.number, last.number),
+            [first, .., last] => frames_between(first.number, last.number),
             _ => 0.0,
         };
         let mut time = 0.0;
         let mut times: Vec<f64> = frames.first().map(|_| time).into_iter().collect();
         times.extend(frames.windows(2).map(|pair| {
-            let changed =
-                changed(strata, &pair[0].counts, &pair[1].counts).max(come_or_gone(&pair[0], &pair[1]));
-            time += apart(pair[0].number, pair[1].number) + length * changed * changed;
+            let changed = pixel_change(strata, &pair[0].counts, &pair[1].counts)
+                .max(triangle_change(&pair[0], &pair[1]));
+            time += frames_between(pair[0].number, pair[1].number) + length * changed * changed;
             time
         }));
         Self { times, frames: length }
@@ -83,12 +83,12 @@ impl ShotClock {
 }
 
 /// Number of frames from `early` to `late`, as a float: free of overflow, and exact for any sensible shot.
-fn apart(early: i64, late: i64) -> f64 {
+fn frames_between(early: i64, late: i64) -> f64 {
     late.abs_diff(early) as f64
 }
 
 /// Share of the pixels' expected cost that is in other strata in the second frame, 0 to 1.
-fn changed(strata: &[Stratum], before: &[u32], after: &[u32]) -> f64 {
+fn pixel_change(strata: &[Stratum], before: &[u32], after: &[u32]) -> f64 {
     let weight = |counts: &[u32], h: usize| {
         if strata[h].apart { 0.0 } else { f64::from(counts[h]) * strata[h].prior_cost }
     };
@@ -103,7 +103,7 @@ fn changed(strata: &[Stratum], before: &[u32], after: &[u32]) -> f64 {
 }
 
 /// Share of the triangles that only one of the two frames has, 0 to 1.
-fn come_or_gone(before: &FramePopulation, after: &FramePopulation) -> f64 {
+fn triangle_change(before: &FramePopulation, after: &FramePopulation) -> f64 {
     let (fewer, more) =
         (before.triangles.min(after.triangles) as f64, before.triangles.max(after.triangles) as f64);
     if more > 0.0 { (more - fewer) / more } else { 0.0 }

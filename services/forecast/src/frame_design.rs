@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::allocate::{Cell, allocate};
 use crate::cost::{Observation, WORK};
-use crate::curve::{hilbert, order_for};
 use crate::error::ForecastError;
+use crate::hilbert::{hilbert, order_for};
 use crate::moments::Moments;
 use crate::random::{GOLDEN_STEP, hash};
 use crate::strata::{Grouping, Stratum, check};

@@ -7,10 +7,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::clock::ShotClock;
 use crate::error::ForecastError;
 use crate::population::{FramePopulation, check_frames};
 use crate::shot::ShotForecast;
+use crate::shot_clock::ShotClock;
 use crate::strata::Stratum;
 
 /// Largest number of candidates to choose from. In a longer shot, each candidate stands for frames around it.
@@ -41,8 +41,8 @@ const OTHER_LIGHTS: f64 = 1.0;
 /// al. 2004). Ties go to the earlier frame, so the choice is a function of the previews only.
 ///
 /// The chosen frames are spread over time, and drawn to where expensive strata appear. Time is the shot's own
-/// (`clock`). There a cut is as long as the shot, so each side of it gets frames of its own. A frame with
-/// other lights is one shot length further away. [`choose_more_frames`] adds frames once these have been
+/// (`shot_clock`). There a cut is as long as the shot, so each side of it gets frames of its own. A frame
+/// with other lights is one shot length further away. [`choose_more_frames`] adds frames once these have been
 /// profiled.
 ///
 /// # Errors
@@ -91,7 +91,7 @@ const LARGEST_SHARE: f64 = 0.01;
 
 /// A forecast is certain enough if P95 of the work of all frames is at most this far above P50, as a share of
 /// P50.
-const SURE: f64 = 0.02;
+const CERTAIN_ENOUGH: f64 = 0.02;
 
 /// Which further frames to profile after the first [`FIRST_FRAMES`], as indices in increasing order.
 ///
@@ -113,7 +113,7 @@ pub fn choose_more_frames(
     check_frames(strata, frames)?;
     let profiled: Vec<usize> = (0..frames.len()).filter(|&t| forecast.frames[t].profiled).collect();
     let work = &forecast.total.work;
-    if profiled.len() != FIRST_FRAMES || work.p95 <= (1.0 + SURE) * work.p50 {
+    if profiled.len() != FIRST_FRAMES || work.p95 <= (1.0 + CERTAIN_ENOUGH) * work.p50 {
         return Ok(Vec::new());
     }
     // The affordable number of profiled frames in all, if each costs as much as those so far.
@@ -148,7 +148,7 @@ struct Candidate {
 
 impl Candidate {
     /// Distance from this frame to one that takes its unit costs from it, in shot lengths.
-    fn away(&self, other: &Self) -> f64 {
+    fn distance_to(&self, other: &Self) -> f64 {
         let lights = match () {
             () if self.is_lit != other.is_lit => NEVER_SEEN,
             () if self.lights != other.lights => OTHER_LIGHTS,
@@ -177,7 +177,7 @@ impl Cover {
         let most: Vec<u32> = (0..strata.len())
             .map(|h| frames.iter().map(|frame| frame.counts[h]).max().unwrap_or(0))
             .collect();
-        let lights = told_apart(frames);
+        let lights = light_sets(frames);
         let candidate = |stands_for: Vec<usize>| {
             let index = stands_for[stands_for.len() / 2];
             let counts = &frames[index].counts;
@@ -193,7 +193,7 @@ impl Cover {
                 enough: (0..strata.len()).map(enough).collect(),
             }
         };
-        Cover { frames: slices(&clock, &lights).into_iter().map(candidate).collect() }
+        Cover { frames: runs_of_frames(&clock, &lights).into_iter().map(candidate).collect() }
     }
 
     /// Greedily adds candidates to the chosen ones, until there are `until`.
@@ -208,7 +208,7 @@ impl Cover {
         let nearest = |frame: &Candidate| -> Vec<f64> {
             let to = |h: usize| {
                 let seen = chosen.iter().map(|&c| &self.frames[c]).filter(|c| c.enough[h]);
-                seen.map(|c| c.away(frame)).fold(NEVER_SEEN, f64::min)
+                seen.map(|c| c.distance_to(frame)).fold(NEVER_SEEN, f64::min)
             };
             frame.shown.iter().map(|&(h, _)| to(h)).collect()
         };
@@ -226,7 +226,7 @@ impl Cover {
         let without = self.distances(others).nearest;
         let with = |candidate: &Candidate| -> f64 {
             let of_frame = |(frame, nearest): (&Candidate, &Vec<f64>)| -> f64 {
-                let distance = candidate.away(frame);
+                let distance = candidate.distance_to(frame);
                 let term = |(&(h, weight), &nearest): (&(usize, f64), &f64)| {
                     weight * if candidate.enough[h] { nearest.min(distance) } else { nearest }
                 };
@@ -246,7 +246,7 @@ impl Cover {
 }
 
 /// The set of shining lights in each frame, as numbers from 0 in the order of first appearance.
-fn told_apart(frames: &[FramePopulation]) -> Vec<usize> {
+fn light_sets(frames: &[FramePopulation]) -> Vec<usize> {
     let sets: BTreeSet<u32> = frames.iter().map(|frame| frame.lights).collect();
     let few = sets.len() <= MOST_LIGHTS;
     let mut known = Vec::new();
@@ -268,7 +268,7 @@ fn told_apart(frames: &[FramePopulation]) -> Vec<usize> {
 /// A shot with few frames has one run per frame. In a longer one, runs have equal length on the shot's clock,
 /// and are split by the set of shining lights. So something that is there for a few frames only, and changes
 /// the picture or its light, gets a run of its own.
-fn slices(clock: &ShotClock, lights: &[usize]) -> Vec<Vec<usize>> {
+fn runs_of_frames(clock: &ShotClock, lights: &[usize]) -> Vec<Vec<usize>> {
     if lights.len() <= MOST_CANDIDATES {
         return (0..lights.len()).map(|t| vec![t]).collect();
     }

@@ -58,36 +58,6 @@ fn shifted(costs: &Costs<Quantity>, known: &Costs<f64>, calibration: Calibration
     }
 }
 
-impl Costs<f64> {
-    /// The sum of both.
-    #[must_use]
-    pub fn plus(&self, other: &Self) -> Self {
-        Self {
-            work: self.work + other.work,
-            cpu_nanos: self.cpu_nanos + other.cpu_nanos,
-            all_rays: self.all_rays + other.all_rays,
-            rays: std::array::from_fn(|kind| self.rays[kind] + other.rays[kind]),
-        }
-    }
-
-    /// This cost times `factor`.
-    #[must_use]
-    pub fn times(&self, factor: f64) -> Self {
-        Self {
-            work: self.work * factor,
-            cpu_nanos: self.cpu_nanos * factor,
-            all_rays: self.all_rays * factor,
-            rays: self.rays.map(|rays| rays * factor),
-        }
-    }
-}
-
-impl From<crate::cost::Cost> for Costs<f64> {
-    fn from(cost: crate::cost::Cost) -> Self {
-        Self::from(cost.columns().map(|value| value as f64))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
