@@ -1,9 +1,10 @@
 //! Our images against those of an independent path tracer, pixel by pixel, with both variances.
 
+use forelight_protocol::{Integrator, MaterialMode};
 use forelight_test_needs::shared;
 use forelight_tests::reference::{self, Estimate};
 use forelight_tests::statistics::welch;
-use forelight_tracer::{Integrator, MaterialOverride, Settings};
+use forelight_tracer::Settings;
 
 /// Independent passes behind the reference's standard errors, at least.
 const REFERENCE_PASSES: u32 = 16;
@@ -35,7 +36,7 @@ fn compare(case: &Case) -> Option<()> {
         spp: case.spp,
         ambient_bounces: case.depth - 2,
         ambient_divisions: 4,
-        materials: MaterialOverride::Lambert,
+        materials: MaterialMode::Lambert,
         ..Settings::default()
     };
     let ours = reference::render(&bundle, 0, &settings, PASSES);

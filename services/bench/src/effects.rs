@@ -13,7 +13,6 @@ use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::{count, percent, seconds};
 use forelight_terminal::table::{Align, Table};
 use forelight_tracer::{Effects, Image, Settings, Tracer};
-use forelight_worker::tracer_settings;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -131,7 +130,7 @@ fn measure(args: &Args, bundle: &Path, pool: &rayon::ThreadPool, interrupt: &Int
     let bad = |error: &dyn std::fmt::Display| BadInput::new(format!("bundle {}: {error}", bundle.display()));
     let scene = Scene::load(bundle, &Limits::default()).map_err(|error| bad(&error))?;
     args.quality.check()?;
-    let settings = tracer_settings(&settings_request(&args.quality, (SIZE, SIZE)).complete((SIZE, SIZE)));
+    let settings = Settings::from(&settings_request(&args.quality, (SIZE, SIZE)).complete((SIZE, SIZE)));
     settings.validate().map_err(|error| BadInput::new(error.to_string()))?;
     let size = Some((settings.width, settings.height));
     let frame = scene.frame_with(args.frame, size).map_err(|error| bad(&error))?;

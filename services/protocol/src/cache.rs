@@ -25,6 +25,7 @@ pub const CACHE_ROUNDS: u32 = 8;
 
 /// Whether the frames of a job share one irradiance cache. Has no effect on a job without caches.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[serde(rename_all = "snake_case")]
 pub enum CacheSharing {
     /// Whichever needs less work in total, for all frames and the shared cache.

@@ -1,15 +1,11 @@
 //! Work on this machine: a bundle opened, settings completed, a thread pool.
 
 use crate::failure::BadInput;
-use crate::options::{
-    CacheSwitch, IntegratorName, MachineOptions, Materials, PreviewBackend, QualityOptions,
-};
+use crate::options::{MachineOptions, PreviewBackend, QualityOptions};
 use crate::output::Bars;
 use anyhow::{Context, Result};
 use forelight_preview::Choice;
-use forelight_protocol::{
-    CacheMode, FrameSet, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest,
-};
+use forelight_protocol::{FrameSet, RenderSettings, RenderSettingsRequest};
 use forelight_worker::{Ambient, AmbientShot, Renderer};
 use std::path::Path;
 
@@ -99,23 +95,14 @@ pub fn settings_request(quality: &QualityOptions, camera: (u32, u32)) -> RenderS
         width,
         height,
         spp: quality.spp,
-        integrator: quality.integrator.map(|integrator| match integrator {
-            IntegratorName::Ambient => Integrator::Ambient,
-            IntegratorName::Path => Integrator::Path,
-        }),
+        integrator: quality.integrator,
         ambient_bounces: quality.ambient_bounces,
         ambient_divisions: quality.ambient_divisions,
         max_depth: quality.max_depth,
-        cache: quality.cache.map(|cache| match cache {
-            CacheSwitch::On => CacheMode::On,
-            CacheSwitch::Off => CacheMode::Off,
-        }),
+        cache: quality.cache,
         cache_accuracy: quality.cache_accuracy,
         cache_rays: quality.cache_rays,
-        materials: quality.materials.map(|materials| match materials {
-            Materials::Full => MaterialMode::Full,
-            Materials::Lambert => MaterialMode::Lambert,
-        }),
+        materials: quality.materials,
         seed: quality.seed,
     }
 }

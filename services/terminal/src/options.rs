@@ -3,6 +3,7 @@
 use crate::failure::BadInput;
 use crate::quantities;
 use clap::{Args, ValueEnum};
+use forelight_protocol::{CacheMode, Integrator, MaterialMode};
 
 /// Image size and quality of light transport.
 #[derive(Debug, Clone, Args)]
@@ -19,7 +20,7 @@ pub struct QualityOptions {
     pub spp: Option<u32>,
     /// How light is simulated [default: ambient]
     #[arg(long, value_name = "NAME")]
-    pub integrator: Option<IntegratorName>,
+    pub integrator: Option<Integrator>,
     /// Diffuse bounces of indirect light, 0 to 8; 0 is direct light only. With a cache at most 2. With the path integrator, how often
     /// a path may be spread after the first time
     #[arg(long, value_name = "BOUNCES")]
@@ -32,7 +33,7 @@ pub struct QualityOptions {
     pub max_depth: Option<u32>,
     /// Irradiance cache: gather indirect light at few places, and interpolate between them [default: off]
     #[arg(long, value_name = "MODE")]
-    pub cache: Option<CacheSwitch>,
+    pub cache: Option<CacheMode>,
     /// Error that the cache may make, 0.01 to 1 in steps of 0.001: a gathered place serves up to this share of the mean distance to its
     /// surroundings; beyond 0.3 the closest places also lie farther apart [default: 0.2]
     #[arg(long, value_name = "ERROR", value_parser = accuracy)]
@@ -43,7 +44,7 @@ pub struct QualityOptions {
     pub cache_rays: Option<u32>,
     /// Materials as they are, or every surface as Lambert of its base colour
     #[arg(long, value_name = "KIND")]
-    pub materials: Option<Materials>,
+    pub materials: Option<MaterialMode>,
     /// Seed of all random numbers: the same seed gives the same bits
     #[arg(long, value_name = "NUMBER")]
     pub seed: Option<u64>,
@@ -63,41 +64,14 @@ impl QualityOptions {
 
     /// The same with an irradiance cache, whether or not that was said.
     pub fn cached(&self) -> Result<Self, BadInput> {
-        if self.cache == Some(CacheSwitch::Off) {
+        if self.cache == Some(CacheMode::Off) {
             return Err(BadInput::new("--cache off: here an irradiance cache is used"));
         }
-        if self.integrator == Some(IntegratorName::Path) {
+        if self.integrator == Some(Integrator::Path) {
             return Err(BadInput::new("--integrator path: it has no use for an irradiance cache"));
         }
-        Ok(Self { cache: Some(CacheSwitch::On), ..self.clone() })
+        Ok(Self { cache: Some(CacheMode::On), ..self.clone() })
     }
-}
-
-/// Ways to simulate light.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum IntegratorName {
-    /// Gathered indirect light, without caustics; little noise, or none to be seen with a cache.
-    Ambient,
-    /// Paths: unbiased, with caustics, and noisier.
-    Path,
-}
-
-/// Use of an irradiance cache.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum CacheSwitch {
-    /// Indirect light is interpolated.
-    On,
-    /// Every point gathers its own.
-    Off,
-}
-
-/// Which materials are rendered.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Materials {
-    /// The scene's own.
-    Full,
-    /// Every surface diffuse.
-    Lambert,
 }
 
 /// How this machine does the work.
@@ -169,7 +143,7 @@ mod tests {
         {
             assert!(quality(words).check().unwrap_err().to_string().contains(flag), "{words}");
             let cached = quality(words).cached().unwrap();
-            assert!(cached.check().is_ok() && cached.cache == Some(CacheSwitch::On), "{words}");
+            assert!(cached.check().is_ok() && cached.cache == Some(CacheMode::On), "{words}");
         }
         for words in ["", "--cache on --cache-rays 192", "--cache off --cache-rays 192"] {
             assert!(quality(words).check().is_ok(), "{words}");

@@ -4,10 +4,11 @@
 //! frame is composed from it (see `kernel`). An effect that is not in the set costs nothing: no code in the
 //! path, no rays, no memory.
 
+use crate::Settings;
 use crate::environment::Sky;
 use crate::lights::Looks;
 use crate::microfacet::SMOOTH;
-use crate::{Integrator, Settings};
+use forelight_protocol::Integrator;
 use forelight_scene::{Camera, Color, Material, Sun, Surface};
 use std::fmt;
 use std::ops::BitOr;

@@ -7,7 +7,6 @@
 //! A frame therefore pays only for the effects that it needs. A kernel with more effects than needed computes
 //! the same bits, because the additional effects find no data to work on.
 
-use crate::Integrator;
 use crate::cache::{Irradiance, Keyed, PLAN_RAYS, Planned, Site, Strata};
 use crate::cost::{Counters, add_rays};
 use crate::effects::Effects;
@@ -17,6 +16,7 @@ use crate::pixel::{Pixel, Underway};
 use crate::random::{Sampler, hash};
 use crate::tracer::{Trace, Tracer};
 use forelight_bvh::Hit;
+use forelight_protocol::Integrator;
 use glam::Vec3;
 use std::time::Instant;
 

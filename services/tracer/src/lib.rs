@@ -69,7 +69,7 @@ pub use pixel::{Pixel, PixelsFinished};
 pub use profile::{Profile, ProfileError};
 pub use reach::{Excluded, LeftOut, Reach, Reason, reachable};
 pub use samples::{SampleCounts, SampleCountsError};
-pub use settings::{CacheSettings, Integrator, MaterialOverride, Settings, SettingsError, UncoveredGathers};
+pub use settings::{CacheSettings, Settings, UncoveredGathers};
 pub use tiling::Tiling;
 pub use tracer::Tracer;
 pub use tree::Tree;

@@ -2,10 +2,11 @@
 //!
 //! When a profile or cache does not fit an image, the error lists which settings differ.
 
+use crate::Settings;
 use crate::fingerprint::tracer_version;
-use crate::{Integrator, MaterialOverride, Settings};
 use blake3::Hasher;
 use bytemuck::{Pod, Zeroable};
+use forelight_protocol::{Integrator, MaterialMode};
 use forelight_scene::Frame;
 
 /// Settings that only affect the view. The records of an irradiance cache do not depend on them.
@@ -43,8 +44,8 @@ impl Origin {
             Integrator::Path => 1,
         };
         let materials = match settings.materials {
-            MaterialOverride::Full => 0,
-            MaterialOverride::Lambert => 1,
+            MaterialMode::Full => 0,
+            MaterialMode::Lambert => 1,
         };
         let Settings { ambient_bounces, max_depth, .. } = *settings;
         let cached = u32::from(settings.cache.is_some());

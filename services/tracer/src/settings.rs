@@ -1,29 +1,7 @@
 //! Settings: the quality and size of an image.
 
+use forelight_protocol::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings};
 use serde::{Deserialize, Serialize};
-
-/// Replacement of all materials, for comparisons with other renderers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum MaterialOverride {
-    /// The bundle's materials.
-    #[default]
-    Full,
-    /// Every material becomes two-sided Lambertian with its diffuse colour or texture. Metals and glass
-    /// become 0.5 grey.
-    Lambert,
-}
-
-/// The light transport algorithm.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Integrator {
-    /// Distribution ray tracing with gathered indirect light, without caustics.
-    #[default]
-    Ambient,
-    /// Unbiased path tracing with one path per camera sample. Includes caustics.
-    Path,
-}
 
 /// Quality and size of an image. Two renders of one frame with equal settings have equal bits.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -49,7 +27,7 @@ pub struct Settings {
     /// Irradiance cache. `None` gathers indirect light at every hit.
     pub cache: Option<CacheSettings>,
     /// Replacement of all materials.
-    pub materials: MaterialOverride,
+    pub materials: MaterialMode,
     /// Seed of all random numbers.
     pub seed: u64,
 }
@@ -115,69 +93,56 @@ impl Default for Settings {
             ambient_divisions: 32,
             max_depth: 12,
             cache: None,
-            materials: MaterialOverride::Full,
+            materials: MaterialMode::Full,
             seed: 0,
         }
     }
 }
 
-/// A setting outside its range.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{name} is {value}; it must be in the range {lowest} to {highest}")]
-pub struct SettingsError {
-    /// Name of the setting.
-    pub name: &'static str,
-    /// The given value.
-    pub value: u64,
-    /// Smallest allowed value.
-    pub lowest: u64,
-    /// Largest allowed value.
-    pub highest: u64,
+impl From<&RenderSettings> for Settings {
+    fn from(settings: &RenderSettings) -> Self {
+        let &RenderSettings { cache_accuracy: accuracy, cache_rays: rays, .. } = settings;
+        Self {
+            width: settings.width,
+            height: settings.height,
+            spp: settings.spp,
+            integrator: settings.integrator,
+            ambient_bounces: settings.ambient_bounces,
+            ambient_divisions: settings.ambient_divisions,
+            max_depth: settings.max_depth,
+            cache: (settings.cache == CacheMode::On).then_some(CacheSettings { accuracy, rays }),
+            materials: settings.materials,
+            seed: settings.seed,
+        }
+    }
+}
+
+impl From<&Settings> for RenderSettings {
+    fn from(settings: &Settings) -> Self {
+        let CacheSettings { accuracy, rays } = settings.cache.unwrap_or_default();
+        Self {
+            width: settings.width,
+            height: settings.height,
+            spp: settings.spp,
+            integrator: settings.integrator,
+            ambient_bounces: settings.ambient_bounces,
+            ambient_divisions: settings.ambient_divisions,
+            max_depth: settings.max_depth,
+            cache: if settings.cache.is_some() { CacheMode::On } else { CacheMode::Off },
+            cache_accuracy: accuracy,
+            cache_rays: rays,
+            materials: settings.materials,
+            seed: settings.seed,
+        }
+    }
 }
 
 impl Settings {
-    /// Checks every setting, in the order of the fields.
+    /// Checks every setting: see [`RenderSettings::check`].
     ///
     /// # Errors
     /// The first setting outside its range.
-    pub fn validate(&self) -> Result<(), SettingsError> {
-        let bounces = match self.integrator {
-            Integrator::Ambient => 8,
-            Integrator::Path => 65_536,
-        };
-        let ranges = [
-            ("width", self.width, 1, 65_536),
-            ("height", self.height, 1, 65_536),
-            ("spp", self.spp, 1, 65_536),
-            ("ambient_bounces", self.ambient_bounces, 0, bounces),
-            ("ambient_divisions", self.ambient_divisions, 1, 65_536),
-            ("max_depth", self.max_depth, 1, 64),
-        ];
-        let cache = self.cache.unwrap_or_default();
-        let cache = [
-            ("cache_accuracy", cache.accuracy, 10, 1000),
-            ("cache_rays", cache.rays, 48, 65_536),
-            // Deeper levels would be planned from ever fewer samples.
-            (
-                "ambient_bounces with a cache",
-                if self.cache.is_some() { self.ambient_bounces } else { 0 },
-                0,
-                2,
-            ),
-        ];
-        let pixels = ("width × height", u64::from(self.width) * u64::from(self.height), 1, 1 << 28);
-        let check = |(name, value, lowest, highest): (&'static str, u64, u64, u64)| {
-            if (lowest..=highest).contains(&value) {
-                Ok(())
-            } else {
-                Err(SettingsError { name, value, lowest, highest })
-            }
-        };
-        ranges
-            .into_iter()
-            .chain(cache)
-            .map(|(n, v, l, h)| (n, v.into(), l, h))
-            .chain([pixels])
-            .try_for_each(check)
+    pub fn validate(&self) -> Result<(), BadSetting> {
+        RenderSettings::from(self).check()
     }
 }

@@ -2,8 +2,9 @@
 
 mod support;
 
+use forelight_protocol::Integrator;
 use forelight_scene::{Color, Environment, Frame, PointLight, Sun, Surface, Texels, Texture, TextureId};
-use forelight_tracer::{Image, Integrator, Settings, Tracer};
+use forelight_tracer::{Image, Settings, Tracer};
 use glam::Vec3;
 use std::sync::atomic::AtomicBool;
 use support::{Builder, lambert, material};

@@ -2,8 +2,9 @@
 
 mod support;
 
+use forelight_protocol::Integrator;
 use forelight_scene::{Color, Environment, Frame, PointLight, Sun, Surface};
-use forelight_tracer::{CacheSettings, Image, Integrator, Settings, Tracer};
+use forelight_tracer::{CacheSettings, Image, Settings, Tracer};
 use glam::Vec3;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;

@@ -2,8 +2,9 @@
 
 mod support;
 
+use forelight_protocol::Integrator;
 use forelight_scene::{Environment, Frame};
-use forelight_tracer::{CacheSettings, Integrator, RAY_NAMES, Settings, Totals, Tracer};
+use forelight_tracer::{CacheSettings, RAY_NAMES, Settings, Totals, Tracer};
 use std::sync::atomic::AtomicBool;
 use support::everything;
 

@@ -45,7 +45,7 @@ pub use agent::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 pub use agent::library::Library;
 pub use agent::{Agent, AgentError, Errand};
 pub use calibration::{CALIBRATION_VERSION, REFERENCE_RATE, ROUNDS, calibrate, node_speed};
-pub use own::{Adapter, Ambient, AmbientShot, tracer_settings};
+pub use own::{Adapter, Ambient, AmbientShot};
 pub use profile::noise::FrameNoise;
 pub use profile::{
     CountedFrames, Observer, ProfiledFrame, ShotError, cost_of, cost_of_gather, cost_of_record, count_frames,

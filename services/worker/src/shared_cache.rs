@@ -5,7 +5,7 @@
 //! ([`crate::FrameRenderer::share`]). So a frame's image depends on the shot's cache and the frame alone, not on which frames were
 //! rendered before it, or where.
 
-use crate::own::{AmbientShot, tracer_settings};
+use crate::own::AmbientShot;
 use crate::profile::{ProfiledFrame, cost_of, records_to_sample};
 use crate::quote::QuoteOptions;
 use crate::render::{counts, own_records, spent};
@@ -16,7 +16,7 @@ use forelight_protocol::{
     SharedSample, Spent,
 };
 use forelight_scene::Frame;
-use forelight_tracer::{Cache, Cost, Effects, Pixel, RecordCost};
+use forelight_tracer::{Cache, Cost, Effects, Pixel, RecordCost, Settings};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// A shot's cache as planned, and what each frame would make of it.
@@ -204,7 +204,7 @@ impl AmbientShot {
         progress: &dyn Fn(u64),
         cancel: &AtomicBool,
     ) -> Result<Option<Cache>, RenderError> {
-        let settings = tracer_settings(settings);
+        let settings = Settings::from(settings);
         let mut world: Option<Frame> = None;
         let mut planned: Option<Cache> = None;
         for (&frame, done) in frames.iter().zip(1..) {
@@ -250,7 +250,7 @@ impl AmbientShot {
         progress: &(dyn Fn(u64, u64) + Sync),
         cancel: &AtomicBool,
     ) -> Result<Option<Cache>, RenderError> {
-        let settings = tracer_settings(settings);
+        let settings = Settings::from(settings);
         let tracer = self.tracer(&self.frame_of(cache.frame(), &settings)?, &settings).tracer;
         let cache = tracer.hold_cache(cache)?;
         for (level, count) in cache.records().into_iter().enumerate().rev() {

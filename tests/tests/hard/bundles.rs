@@ -1,10 +1,11 @@
 //! Nasty bundles, through the loader: what has no meaning is refused in one line, what has little is shown.
 
+use forelight_protocol::Integrator;
 use forelight_scene::{Limits, Scene, SceneError};
 use forelight_tests::case::case;
 use forelight_tests::repository;
 use forelight_tests::world::{render, unsound};
-use forelight_tracer::{CacheSettings, Integrator, Settings};
+use forelight_tracer::{CacheSettings, Settings};
 use std::collections::BTreeMap;
 use tempfile::TempDir;
 

@@ -3,7 +3,6 @@
 use super::peer::Peer;
 use super::quality::Quality;
 use forelight_protocol::{MaterialMode, RenderSettings, RenderSettingsRequest};
-use forelight_terminal::options::Materials;
 use std::path::PathBuf;
 
 /// What an image error costs: with an irradiance cache, without one, and in other programs
@@ -34,7 +33,7 @@ pub struct Args {
     pub ambient_bounces: u32,
     /// Materials as they are, or every surface as Lambert of its base colour
     #[arg(long, value_name = "KIND", default_value = "full")]
-    pub materials: Materials,
+    pub materials: MaterialMode,
     /// Settings to measure, as flags of `forelight render`; may be repeated [default: a ladder from quick to good]
     #[arg(long, value_name = "FLAGS", allow_hyphen_values = true)]
     pub rung: Vec<Quality>,
@@ -83,10 +82,7 @@ pub struct Args {
 /// What all rungs have in common.
 pub fn base(args: &Args) -> RenderSettings {
     let size = (args.size, args.size);
-    let materials = match args.materials {
-        Materials::Full => MaterialMode::Full,
-        Materials::Lambert => MaterialMode::Lambert,
-    };
+    let materials = args.materials;
     RenderSettings {
         ambient_bounces: args.ambient_bounces,
         materials,

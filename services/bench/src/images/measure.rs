@@ -16,7 +16,7 @@ use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::thread_pool;
 use forelight_terminal::output::Bars;
 use forelight_tracer::{Settings, Tracer, process_cpu_nanos};
-use forelight_worker::{RenderError, tracer_settings};
+use forelight_worker::RenderError;
 use std::fs;
 use std::path::Path;
 use std::time::Instant;
@@ -64,7 +64,7 @@ impl<'a> Bench<'a> {
         let (name, frame) =
             loaded.map_err(RenderError::from).with_context(|| format!("bundle {}", bundle.display()))?;
         let pool = thread_pool(args.threads)?;
-        let tracer = pool.install(|| Tracer::new(&frame, &tracer_settings(&base)));
+        let tracer = pool.install(|| Tracer::new(&frame, &Settings::from(&base)));
         let open = || pool.install(|| Allotted::open(bundle, args.frame, &base));
         let allotted = rungs.iter().any(|rung| rung.error().is_some()).then(open).transpose()?;
         spinner.finish_and_clear();

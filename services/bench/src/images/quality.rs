@@ -1,13 +1,12 @@
 //! Settings of a render as one line of flags, and the ladders of them that are measured.
 
 use clap::Parser;
-use forelight_protocol::RenderSettings;
+use forelight_protocol::{CacheMode, Integrator, RenderSettings};
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::local::settings_request;
+use forelight_terminal::options::QualityOptions;
 use forelight_terminal::options::positive;
-use forelight_terminal::options::{CacheSwitch, IntegratorName, QualityOptions};
 use forelight_tracer::Settings;
-use forelight_worker::tracer_settings;
 use std::fmt;
 use std::str::FromStr;
 
@@ -55,7 +54,7 @@ impl fmt::Display for Quality {
 impl Quality {
     /// Whether indirect light is interpolated.
     pub fn is_cached(&self) -> bool {
-        self.options.cache == Some(CacheSwitch::On)
+        self.options.cache == Some(CacheMode::On)
     }
 
     /// Whether it takes this many camera samples, and gathers indirect light at them or interpolates it: another rung of which this
@@ -63,7 +62,7 @@ impl Quality {
     pub fn samples_like(&self, spp: u32) -> bool {
         self.error.is_none()
             && self.options.spp == Some(spp)
-            && self.options.integrator != Some(IntegratorName::Path)
+            && self.options.integrator != Some(Integrator::Path)
     }
 
     /// The noise that camera samples are allotted for, as a share of the image's mean; `None` if all pixels have the same number.
@@ -78,7 +77,7 @@ impl Quality {
 
     /// The whole settings as the tracer takes them.
     pub fn settings(&self, base: &RenderSettings) -> Result<Settings, BadInput> {
-        Ok(tracer_settings(&self.asked(base)?))
+        Ok(Settings::from(&self.asked(base)?))
     }
 
     /// The whole settings. What the flags leave open is as in `base`.
@@ -140,7 +139,6 @@ pub fn ladder() -> Vec<Quality> {
 mod tests {
     use super::*;
     use forelight_protocol::{MaterialMode, RenderSettingsRequest};
-    use forelight_tracer::MaterialOverride;
 
     fn base() -> RenderSettings {
         let size = (64, 64);
@@ -153,7 +151,7 @@ mod tests {
         let rung: Quality = "--spp  3 --cache on --cache-accuracy 0.15".parse().unwrap();
         let settings = rung.settings(&base()).unwrap();
         assert_eq!((settings.width, settings.spp, settings.seed), (64, 3, 9));
-        assert_eq!((settings.ambient_bounces, settings.materials), (1, MaterialOverride::Lambert));
+        assert_eq!((settings.ambient_bounces, settings.materials), (1, MaterialMode::Lambert));
         assert_eq!(settings.cache.unwrap().accuracy, 150);
         assert_eq!(rung.to_string(), "--spp 3 --cache on --cache-accuracy 0.15");
         let other: Quality = "--ambient-bounces 2 --seed 1".parse().unwrap();

@@ -1,9 +1,9 @@
 //! `forelight render --within` and `--error`: the camera samples follow from what the frame is to come to.
 
-use crate::job_options::{ConfidenceLevel, png_file};
+use crate::job_options::png_file;
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
-use forelight_protocol::{AllottedForecast, AllottedStats, BudgetClock, Money, WithinStats};
+use forelight_protocol::{AllottedForecast, AllottedStats, BudgetClock, Confidence, Money, WithinStats};
 use forelight_scene::Frame;
 use forelight_terminal::atomic_file::write_bytes;
 use forelight_terminal::failure::BadInput;
@@ -40,7 +40,7 @@ pub struct AllotArgs {
     error: Option<f64>,
     /// How sure an error is to be kept; of a time, how sure the least image must fit for the render to begin
     #[arg(long, value_name = "QUANTILE", default_value = "p80", requires = "aim")]
-    confidence: ConfidenceLevel,
+    confidence: Confidence,
     /// Pixels to profile for it, 16 to a million
     #[arg(long, value_name = "PIXELS", default_value_t = 256, requires = "aim", value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
     samples: u32,
@@ -130,7 +130,7 @@ impl Wish<'_> {
             _ => return Ok(None),
         };
         let AllotArgs { confidence, samples, .. } = *self.args;
-        Ok(Some(AllotOptions { aim, confidence: confidence.into(), samples, seed: 0 }))
+        Ok(Some(AllotOptions { aim, confidence, samples, seed: 0 }))
     }
 
     /// Seconds that an amount of money buys.
@@ -147,7 +147,7 @@ impl Wish<'_> {
     /// If it is not, though its pixels have as many samples as they can.
     pub fn check_error(&self, allotted: &AllottedStats) -> Result<()> {
         let Some(percent) = self.args.error else { return Ok(()) };
-        let reached = 100.0 * allotted.error.at(self.args.confidence.into());
+        let reached = 100.0 * allotted.error.at(self.args.confidence);
         if reached <= percent * (1.0 + NEAR_ENOUGH) || allotted.most < u32::from(u16::MAX) {
             return Ok(());
         }

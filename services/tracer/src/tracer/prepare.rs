@@ -1,6 +1,7 @@
 //! Prepares a frame for tracing: builds the tree, collects the lights, and composes the kernel.
 
 use super::Tracer;
+use crate::Settings;
 use crate::cost::{Cost, Tally, build_work, clocked};
 use crate::effects::{CalledFor, Effects};
 use crate::environment::Sky;
@@ -10,7 +11,7 @@ use crate::lights::{Lights, Looks, Luminaires};
 use crate::media::{Media, Ranks};
 use crate::reach::{Reach, reachable};
 use crate::tree::Tree;
-use crate::{Integrator, MaterialOverride, Settings};
+use forelight_protocol::{Integrator, MaterialMode};
 use forelight_scene::{Color, Frame, Material, Sun, Surface};
 use glam::Vec3;
 use std::sync::{Arc, Mutex, OnceLock};
@@ -44,8 +45,8 @@ impl Tracer {
         let mut frame = frame.clone();
         frame.camera = frame.camera.resized(settings.width, settings.height);
         let materials: Vec<Material> = match settings.materials {
-            MaterialOverride::Full => frame.materials.to_vec(),
-            MaterialOverride::Lambert => frame.materials.iter().map(as_lambert).collect(),
+            MaterialMode::Full => frame.materials.to_vec(),
+            MaterialMode::Lambert => frame.materials.iter().map(as_lambert).collect(),
         };
         let internal = materials.iter().map(|m| match m.surface {
             Surface::Plastic { ior, .. } => fresnel::internal_diffuse(ior),

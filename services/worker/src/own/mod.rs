@@ -12,11 +12,9 @@ pub use shot::AmbientShot;
 
 use crate::renderer::{OpenRenderer, RenderError, Renderer};
 use forelight_preview::{Choice, PreviewError, Previewer};
-use forelight_protocol::{
-    CacheMode, Integrator, MaterialMode, PreviewBackend, RenderSettings, Spent, UncoveredGathers,
-};
+use forelight_protocol::{PreviewBackend, RenderSettings, Spent, UncoveredGathers};
 use forelight_scene::{Frame, Limits};
-use forelight_tracer::{CacheSettings, MaterialOverride, Settings};
+use forelight_tracer::Settings;
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -90,36 +88,9 @@ impl OpenRenderer for Ambient {
     }
 }
 
-/// The tracer's settings of a job's.
-pub fn tracer_settings(settings: &RenderSettings) -> Settings {
-    Settings {
-        width: settings.width,
-        height: settings.height,
-        spp: settings.spp,
-        integrator: match settings.integrator {
-            Integrator::Ambient => forelight_tracer::Integrator::Ambient,
-            Integrator::Path => forelight_tracer::Integrator::Path,
-        },
-        ambient_bounces: settings.ambient_bounces,
-        ambient_divisions: settings.ambient_divisions,
-        max_depth: settings.max_depth,
-        cache: match settings.cache {
-            CacheMode::On => {
-                Some(CacheSettings { accuracy: settings.cache_accuracy, rays: settings.cache_rays })
-            }
-            CacheMode::Off => None,
-        },
-        materials: match settings.materials {
-            MaterialMode::Full => MaterialOverride::Full,
-            MaterialMode::Lambert => MaterialOverride::Lambert,
-        },
-        seed: settings.seed,
-    }
-}
-
 /// How a frame of a job gathers where its irradiance cache has no record; nothing without a cache.
 pub(crate) fn uncovered_gathers(settings: &RenderSettings) -> Option<UncoveredGathers> {
-    let forelight_tracer::UncoveredGathers { first, least } = tracer_settings(settings).cache?.uncovered();
+    let forelight_tracer::UncoveredGathers { first, least } = Settings::from(settings).cache?.uncovered();
     Some(UncoveredGathers { first, least })
 }
 
@@ -148,6 +119,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use forelight_protocol::CacheMode;
     use forelight_protocol::RenderSettingsRequest;
     use forelight_scene::Scene;
 
@@ -161,53 +133,13 @@ mod tests {
         };
         let settings = request.complete((64, 36));
         let said = uncovered_gathers(&settings).unwrap();
-        let done = tracer_settings(&settings).cache.unwrap().uncovered();
+        let done = Settings::from(&settings).cache.unwrap().uncovered();
         let above =
             |samples: u32| (1..=samples).map(|n| f64::from(done.of_sample(n) - done.least)).sum::<f64>();
         for (from, to) in [(1, 2), (4, 16), (16, 4), (64, 1000)] {
             assert_eq!(said.growth(from, to), above(to) / above(from));
         }
         assert_eq!(uncovered_gathers(&RenderSettings { cache: CacheMode::Off, ..settings }), None);
-    }
-
-    #[test]
-    fn the_service_takes_exactly_the_settings_that_the_tracer_takes() {
-        let plain = RenderSettingsRequest::default();
-        let path = RenderSettingsRequest { integrator: Some(Integrator::Path), ..plain.clone() };
-        let cached = RenderSettingsRequest { cache: Some(CacheMode::On), ..plain.clone() };
-        let set: [fn(&mut RenderSettings, u32); 8] = [
-            |settings, value| settings.width = value,
-            |settings, value| settings.height = value,
-            |settings, value| settings.spp = value,
-            |settings, value| settings.ambient_bounces = value,
-            |settings, value| settings.ambient_divisions = value,
-            |settings, value| settings.max_depth = value,
-            |settings, value| settings.cache_accuracy = value,
-            |settings, value| settings.cache_rays = value,
-        ];
-        let mut refused = 0;
-        for base in [plain, path, cached].map(|request| request.complete((64, 36))) {
-            for (name, set) in set.iter().enumerate() {
-                // What is not used without a cache is the service's to refuse, so that a mistake is not hidden.
-                if name >= 6 && base.cache == CacheMode::Off {
-                    continue;
-                }
-                for value in
-                    (0..100).chain((9..17).flat_map(|bit| [(1 << bit) - 1, 1 << bit, (1 << bit) + 1]))
-                {
-                    let mut settings = base.clone();
-                    set(&mut settings, value);
-                    let (service, tracer) = (settings.check(), tracer_settings(&settings).validate());
-                    assert_eq!(service.is_ok(), tracer.is_ok(), "{settings:?}: {service:?} {tracer:?}");
-                    refused += u32::from(service.is_err());
-                }
-            }
-        }
-        assert!(refused > 100);
-        let large =
-            RenderSettingsRequest { width: Some(1 << 15), height: Some(1 << 14), ..Default::default() };
-        let large = large.complete((1, 1));
-        assert!(large.check().is_err() && tracer_settings(&large).validate().is_err());
     }
 
     #[test]

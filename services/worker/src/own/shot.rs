@@ -1,7 +1,7 @@
 //! A bundle, opened by our renderer.
 
 use super::frame::AmbientFrame;
-use super::{SharedPreviewer, backend, lock, preview_spent, tracer_settings};
+use super::{SharedPreviewer, backend, lock, preview_spent};
 use crate::render::{counts, spent};
 use crate::renderer::{Counted, FrameRenderer, RenderError, Renderer, ShotInfo, StratumInfo};
 use forelight_protocol::{
@@ -196,7 +196,7 @@ impl Renderer for AmbientShot {
     }
 
     fn count(&self, frame: u32, settings: &RenderSettings) -> Result<Counted, RenderError> {
-        let settings = tracer_settings(settings);
+        let settings = Settings::from(settings);
         let (frame, setup) = clocked(|| self.frame_of(frame, &settings));
         let frame = frame?;
         let (cache_records, cache_plan, planning) = self.planned_records(&frame, &settings);
@@ -219,7 +219,7 @@ impl Renderer for AmbientShot {
         frame: u32,
         settings: &RenderSettings,
     ) -> Result<Box<dyn FrameRenderer + '_>, RenderError> {
-        let settings = tracer_settings(settings);
+        let settings = Settings::from(settings);
         let (frame, moved) = clocked(|| self.frame_of(frame, &settings));
         let frame = frame?;
         let Ready { tracer, own_tree, built_now } = self.tracer(&frame, &settings);

@@ -7,7 +7,7 @@ use super::template::{
 };
 use clap::ValueEnum;
 use forelight_protocol::{CacheMode, FrameSet, Integrator, MaterialMode, RenderSettings};
-use forelight_terminal::options::{IntegratorName, Materials, PreviewBackend};
+use forelight_terminal::options::PreviewBackend;
 
 /// The shot to export.
 #[derive(Debug, Clone)]
@@ -101,14 +101,8 @@ impl ExportedShot {
             flag,
             parameter: Parameter::new(name, ParameterType::String, what).default(value).one_of(values),
         };
-        let integrator = match settings.integrator {
-            Integrator::Ambient => "ambient",
-            Integrator::Path => "path",
-        };
-        let materials = match settings.materials {
-            MaterialMode::Full => "full",
-            MaterialMode::Lambert => "lambert",
-        };
+        let integrator = settings.integrator.name();
+        let materials = settings.materials.name();
         let mut bounces = whole(
             "--ambient-bounces",
             "AmbientBounces",
@@ -121,8 +115,7 @@ impl ExportedShot {
         }
         let seed = Parameter::new("Seed", ParameterType::Int, "Seed of all random numbers");
         // Only `ambient` reads a cache.
-        let integrators =
-            if self.is_cached() { vec![integrator.to_owned()] } else { names::<IntegratorName>() };
+        let integrators = if self.is_cached() { vec![integrator.to_owned()] } else { names::<Integrator>() };
         let mut flags = vec![
             whole("--width", "Width", settings.width, "Image width in pixels"),
             whole("--height", "Height", settings.height, "Image height in pixels"),
@@ -140,7 +133,7 @@ impl ExportedShot {
                 "--materials",
                 "Materials",
                 materials,
-                names::<Materials>(),
+                names::<MaterialMode>(),
                 "The scene's materials (full), or every surface diffuse (lambert)",
             ),
             Flag { flag: "--seed", parameter: seed.default(settings.seed) },

@@ -5,13 +5,13 @@ mod sharing;
 
 use super::{calibrate, explain};
 use crate::caches;
-use crate::job_options::{Sharing, png_file};
+use crate::job_options::png_file;
 use anyhow::Result;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use forelight_forecast::{Correction, Corrections, LEAST_JOBS, Strategy};
 use forelight_protocol::{
-    CalibratedQuantiles, CalibrationDoc, Explanation, FixedCosts, ForecastDoc, FrameSet, LeftOut,
-    NodeSeconds, ProcessCosts, Quantiles, RenderSettings, Spent,
+    CacheSharing, CalibratedQuantiles, CalibrationDoc, Explanation, FixedCosts, ForecastDoc, FrameSet,
+    LeftOut, NodeSeconds, ProcessCosts, Quantiles, RenderSettings, Spent,
 };
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::failure::BadInput;
@@ -76,8 +76,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     for_node: Option<PathBuf>,
     /// Whether the frames share one irradiance cache (`forelight cache`). To see what that takes it is planned for all of them
-    #[arg(long, value_name = "HOW", value_enum, default_value_t = Sharing::Private)]
-    cache_sharing: Sharing,
+    #[arg(long, value_name = "HOW", value_enum, default_value_t = CacheSharing::Private)]
+    cache_sharing: CacheSharing,
     /// Write a picture of what each pixel of the first of the frames will cost, in the colours of the cost maps of renders
     #[arg(long, value_name = "FILE.png", value_parser = png_file)]
     cost_map: Option<PathBuf>,

@@ -1,14 +1,13 @@
 //! What one irradiance cache for all frames would take, beside one for each.
 
-use crate::job_options::Sharing;
 use anyhow::{Context, Result};
 use forelight_forecast::Strategy;
-use forelight_protocol::{ForecastDoc, RenderSettings};
+use forelight_protocol::{CacheMode, CacheSharing, ForecastDoc, RenderSettings};
 use forelight_quote::is_shared_cache_worth_planning;
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::Local;
-use forelight_terminal::options::{CacheSwitch, QualityOptions};
+use forelight_terminal::options::QualityOptions;
 use forelight_terminal::output::Bars;
 use forelight_worker::{Quote, SharedPlan, plan_shared};
 use std::path::Path;
@@ -17,11 +16,11 @@ use std::path::Path;
 ///
 /// # Errors
 /// If not, before anything was traced.
-pub fn check(sharing: Sharing, strategy: Strategy, quality: &QualityOptions) -> Result<(), BadInput> {
-    if sharing == Sharing::Private {
+pub fn check(sharing: CacheSharing, strategy: Strategy, quality: &QualityOptions) -> Result<(), BadInput> {
+    if sharing == CacheSharing::Private {
         return Ok(());
     }
-    if quality.cache != Some(CacheSwitch::On) {
+    if quality.cache != Some(CacheMode::On) {
         let reason = "--cache-sharing: there is no irradiance cache to be shared";
         return Err(BadInput::new(reason).hint("add --cache on"));
     }
@@ -44,16 +43,20 @@ pub struct Asker<'a> {
 
 impl Asker<'_> {
     /// The quote with the irradiance caches built as asked. `None` for private caches: that quote is there already.
-    pub fn quote(&self, sharing: Sharing, frames: &[u32], quoted: &Quote) -> Result<Option<ForecastDoc>> {
-        if sharing == Sharing::Private {
+    pub fn quote(
+        &self,
+        sharing: CacheSharing,
+        frames: &[u32],
+        quoted: &Quote,
+    ) -> Result<Option<ForecastDoc>> {
+        if sharing == CacheSharing::Private {
             return Ok(None);
         }
-        let asked = sharing.into();
-        let planned = match is_shared_cache_worth_planning(asked, quoted.preview()) {
+        let planned = match is_shared_cache_worth_planning(sharing, quoted.preview()) {
             true => Some(self.plan(frames)?),
             false => None,
         };
-        let quote = || quoted.with_sharing(&self.local.shot, self.settings, asked, planned);
+        let quote = || quoted.with_sharing(&self.local.shot, self.settings, sharing, planned);
         let document = self.local.pool.install(quote);
         document.map(Some).with_context(|| format!("bundle {}", self.bundle.display()))
     }
@@ -102,15 +105,15 @@ mod tests {
             interrupt: &interrupt,
         };
         let ask = |sharing| asker.quote(sharing, &frames, &quoted);
-        assert!(ask(Sharing::Private).unwrap().is_none());
-        let document = ask(Sharing::Auto).unwrap().unwrap();
+        assert!(ask(CacheSharing::Private).unwrap().is_none());
+        let document = ask(CacheSharing::Auto).unwrap().unwrap();
         let cache = document.cache.as_ref().unwrap();
         let shared = cache.shared_price.unwrap();
         assert_eq!(cache.shared, shared.work < cache.private_price.work, "{}", cache.reason);
         assert_eq!(cache.shared, cache.seed.is_some());
         assert!((cache.private_price.work / quoted.document.total.work.mean - 1.0).abs() < 1e-9);
         assert!(document.spent.work > quoted.document.spent.work, "planning for all took something");
-        let forced = ask(Sharing::Shared).unwrap().unwrap().cache.unwrap();
+        let forced = ask(CacheSharing::Shared).unwrap().unwrap().cache.unwrap();
         assert_eq!((forced.shared, forced.shared_price.unwrap().work), (true, shared.work));
 
         let refused = run(&args(&["--cache-sharing", "auto", "--strategy", "jittered"]), &interrupt);

@@ -8,11 +8,10 @@ use super::worker::task_limits;
 use crate::archive;
 use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::job_options::{ConfidenceLevel, Sharing};
 use anyhow::{Context, Result, bail};
 use forelight_client::Client;
 use forelight_protocol::{
-    BundleRef, CacheSharing, FrameSet, Job, JobId, JobRequest, JobState, Ladders, Money, Per,
+    BundleRef, CacheSharing, Confidence, FrameSet, Job, JobId, JobRequest, JobState, Ladders, Money, Per,
     RenderSettingsRequest, SceneSummary, Timestamp, Within,
 };
 use forelight_terminal::failure::BadInput;
@@ -67,7 +66,7 @@ pub struct Args {
     per_frame: bool,
     /// How sure the booking, and the choice of samples, has to be
     #[arg(long, value_name = "LEVEL", default_value = "p80")]
-    confidence: ConfidenceLevel,
+    confidence: Confidence,
     /// Name of the job [default: the bundle's]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
@@ -91,7 +90,7 @@ pub struct Args {
     ladders: bool,
     /// Whether the frames share one irradiance cache, with --cache on
     #[arg(long, value_name = "WAY", default_value = "auto")]
-    cache_sharing: Sharing,
+    cache_sharing: CacheSharing,
     /// Most memory that a worker may use for one of the tasks, such as 8GiB; beyond it the task is ended [default: no limit]
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     task_memory: Option<u64>,
@@ -191,14 +190,14 @@ fn request(
         bundle,
         frames,
         settings,
-        cache: args.cache_sharing.into(),
+        cache: args.cache_sharing,
         samples: args.samples,
         profile_frames: args.profile_frames,
         ladders: if args.ladders { Ladders::All } else { Ladders::Own },
         within: within(args),
         deadline,
         budget: args.budget.map(Money),
-        confidence: args.confidence.into(),
+        confidence: args.confidence,
         priority: args.priority,
         weight: args.weight,
         limits: task_limits(args.task_memory, args.task_time),
