@@ -5,7 +5,7 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::decode::{id, id_opt, time, time_opt, whole};
-use crate::projection::{Holder, OpenBooking};
+use crate::policy::projection::{Holder, OpenBooking};
 use crate::{Store, StoreError};
 
 macro_rules! select_open {

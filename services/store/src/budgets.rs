@@ -6,11 +6,11 @@
 //! An action, once in force, stays so until its period is over or the budget is set again. Without that, stopping what runs would free what was
 //! committed for it, and so start it again.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    Budget, BudgetAction, BudgetForecast, BudgetRequest, BudgetThreshold, Event, EventKind, Job, JobId,
-    JobState, LedgerLine, Money, NodeId, Timestamp,
+    Budget, BudgetAction, BudgetForecast, BudgetRequest, Event, EventKind, Job, JobId, JobState, LedgerLine,
+    Money, NodeId, Timestamp,
 };
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
@@ -18,6 +18,7 @@ use sqlx::{Row as _, SqliteConnection};
 use crate::database::Write;
 use crate::decode::{corrupt, id, json, time, time_opt, to_json, word};
 use crate::events::{append, event};
+use crate::policy::budgets as policy;
 use crate::{JobForecast, Store, StoreError, jobs, leases, progress, replans};
 
 /// A job that is booked and not done, with what its forecast says.
@@ -104,7 +105,7 @@ impl Store {
     pub async fn ledger(&self, from: Timestamp, until: Timestamp) -> Result<Vec<LedgerLine>, StoreError> {
         let rows = sqlx::query(concat!(
             "SELECT ",
-            lines!(),
+            line_columns!(),
             " FROM ledger d JOIN leases l ON l.id = d.lease_id \
              WHERE d.from_at < ? AND (d.until_at IS NULL OR d.until_at > ?) ORDER BY d.from_at, d.lease_id"
         ))
@@ -112,7 +113,7 @@ impl Store {
         .bind(from.micros())
         .fetch_all(self.readers())
         .await?;
-        rows.iter().map(line).collect()
+        lines(&rows)
     }
 
     /// What a job's leases have cost so far, those that end at `now` and those that go on.
@@ -209,17 +210,17 @@ impl Store {
 
 /// Columns of a line of the ledger. A worker that was not heard of since the service began again is paid until then, and no other longer than its
 /// lease goes, unless it is renewed.
-macro_rules! lines {
+macro_rules! line_columns {
     () => {
         "d.*, coalesce(l.paid_until, CASE l.state WHEN 'active' THEN l.expires_at END) AS paid_until"
     };
 }
-use lines;
+use line_columns;
 
 /// All lines of a job, each with what was done.
 pub(crate) const LINES_OF_JOB: &str = concat!(
     "SELECT ",
-    lines!(),
+    line_columns!(),
     ", t.kind, t.frame, l.state = 'active' AS is_active FROM tasks t JOIN leases l ON l.task_id = t.id JOIN ledger d ON d.lease_id = l.id WHERE t.job_id = ?"
 );
 
@@ -296,7 +297,7 @@ pub(crate) async fn spent_on(
     now: Timestamp,
 ) -> Result<Money, StoreError> {
     let rows = sqlx::query(LINES_OF_JOB).bind(job.0).fetch_all(connection).await?;
-    cost_since(&rows, Timestamp::from_micros(i64::MIN), now)
+    Ok(policy::cost_since(&lines(&rows)?, Timestamp::from_micros(i64::MIN), now))
 }
 
 /// What a project's leases cost since an instant; those that run, up to now.
@@ -308,7 +309,7 @@ async fn spent(
 ) -> Result<Money, StoreError> {
     let rows = sqlx::query(concat!(
         "SELECT ",
-        lines!(),
+        line_columns!(),
         " FROM ledger d JOIN leases l ON l.id = d.lease_id \
          WHERE d.project = ? AND (d.until_at IS NULL OR d.until_at > ?)"
     ))
@@ -316,12 +317,11 @@ async fn spent(
     .bind(from.micros())
     .fetch_all(connection)
     .await?;
-    cost_since(&rows, from, now)
+    Ok(policy::cost_since(&lines(&rows)?, from, now))
 }
 
-fn cost_since(rows: &[SqliteRow], from: Timestamp, now: Timestamp) -> Result<Money, StoreError> {
-    rows.iter()
-        .try_fold(Money(0), |sum, row| Ok(Money(sum.0.saturating_add(line(row)?.cost_within(from, now).0))))
+fn lines(rows: &[SqliteRow]) -> Result<Vec<LedgerLine>, StoreError> {
+    rows.iter().map(line).collect()
 }
 
 /// What the frames that a project has running are expected to cost from now on, at the median of their forecasts.
@@ -331,7 +331,7 @@ async fn committed(
     now: Timestamp,
 ) -> Result<Money, StoreError> {
     let rows = sqlx::query(
-        concat!("SELECT ", lines!(), ", f.cpu_p50, l.node_speed * n.cores AS rate FROM ledger d \
+        concat!("SELECT ", line_columns!(), ", f.cpu_p50, l.node_speed * n.cores AS rate FROM ledger d \
          JOIN leases l ON l.id = d.lease_id JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = d.node_id \
          JOIN frames f ON f.job_id = d.job_id AND f.frame = t.frame \
          WHERE d.project = ? AND d.until_at IS NULL AND t.kind = 'render' AND f.cpu_p50 IS NOT NULL"),
@@ -341,35 +341,23 @@ async fn committed(
     .await?;
     let mut sum = 0i64;
     for row in &rows {
-        let line = line(row)?;
-        let (cpu, rate): (f64, f64) = (row.try_get("cpu_p50")?, row.try_get("rate")?);
-        let whole = (cpu / rate * 1e6) as i64;
-        let left = whole.saturating_sub(now.micros_since(line.from)).max(0);
-        sum = sum.saturating_add(line.price_per_hour.for_micros_at_hourly_rate(left).0);
+        let (cpu, speed) = (row.try_get("cpu_p50")?, row.try_get("rate")?);
+        sum = sum.saturating_add(policy::committed(&line(row)?, cpu, speed, now).0);
     }
     Ok(Money(sum))
 }
 
-/// The strongest action that so much spending calls for.
-fn called_for(thresholds: &[BudgetThreshold], amount: Money, used: Money) -> Option<BudgetAction> {
-    let reached =
-        |percent: u32| used.0 > 0 && i128::from(used.0) * 100 >= i128::from(amount.0) * i128::from(percent);
-    thresholds.iter().filter(|threshold| reached(threshold.percent)).map(|threshold| threshold.action).max()
-}
-
-/// Budgets of which something has to change: the budget as it stands, and the action that comes into force.
+/// The budgets of which something has to be written, as they stand, with the action that comes into force.
 async fn due(
     connection: &mut SqliteConnection,
     now: Timestamp,
 ) -> Result<Vec<(Budget, Option<BudgetAction>)>, StoreError> {
     let mut due = Vec::new();
     for kept in kept(connection).await? {
-        let (had, period_at) = (kept.action, kept.period_at);
+        let written = (kept.action, kept.period_at);
         let budget = as_it_stands(connection, kept, now).await?;
-        let used = Money(budget.spent.0.saturating_add(budget.committed.0));
-        // In force stays what is in force in this period.
-        let action = called_for(&budget.thresholds, budget.amount, used).max(budget.action);
-        if action != had || (had.is_some() && period_at != Some(budget.from)) {
+        let action = policy::action(&budget);
+        if policy::is_news(&budget, action, written) {
             due.push((budget, action));
         }
     }
@@ -386,30 +374,12 @@ async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
             .bind(budget.period.name())
             .execute(write.connection().await?)
             .await?;
-        let message = match action {
-            Some(action) => format!(
-                "{}: {} spent and {} committed of {} a {}: {}",
-                budget.project,
-                budget.spent,
-                budget.committed,
-                budget.amount,
-                budget.period.name(),
-                match action {
-                    BudgetAction::Warn => "warning",
-                    BudgetAction::Drain => "nothing new is started",
-                    BudgetAction::Stop => "what runs is stopped",
-                }
-            ),
-            None => format!("{}: the budget's new {} begins", budget.project, budget.period.name()),
-        };
+        let message = policy::message(budget, *action);
         append(write, Event { message: Some(message), ..event(EventKind::Budget, now) })?;
     }
-    // Of all budgets of a project, the strongest action counts. A budget that was just set again has none, and may have had one.
-    let mut in_force: BTreeMap<String, Option<BudgetAction>> = BTreeMap::new();
-    for kept in kept(write.connection().await?).await? {
-        let action = in_force.entry(kept.request.project).or_default();
-        *action = (*action).max(kept.action);
-    }
+    // A budget that was just set again has no action in force, and may have had one.
+    let kept = kept(write.connection().await?).await?;
+    let in_force = policy::strongest(kept.into_iter().map(|kept| (kept.request.project, kept.action)));
     let held: Vec<String> = sqlx::query_scalar(
         "SELECT DISTINCT j.project FROM tasks t JOIN jobs j ON j.id = t.job_id WHERE t.held = 1",
     )
@@ -471,25 +441,4 @@ async fn stop(write: &mut Write, project: &str, now: Timestamp) -> Result<(), St
     .fetch_all(write.connection().await?)
     .await?;
     leases::take_back(write, running, now).await
-}
-
-#[cfg(test)]
-mod tests {
-    use super::called_for;
-    use forelight_protocol::{BudgetAction, BudgetThreshold, Money};
-
-    #[test]
-    fn the_strongest_action_whose_share_is_reached_is_called_for() {
-        let at = |percent, action| BudgetThreshold { percent, action };
-        let thresholds =
-            [at(120, BudgetAction::Stop), at(80, BudgetAction::Warn), at(100, BudgetAction::Drain)];
-        let found = |used| called_for(&thresholds, Money(1000), Money(used));
-        assert_eq!(found(799), None);
-        assert_eq!(found(800), Some(BudgetAction::Warn));
-        assert_eq!(found(1000), Some(BudgetAction::Drain));
-        assert_eq!(found(1_000_000), Some(BudgetAction::Stop));
-        // Of nothing, everything is too much, but nothing is not.
-        assert_eq!(called_for(&thresholds, Money(0), Money(0)), None);
-        assert_eq!(called_for(&thresholds, Money(0), Money(1)), Some(BudgetAction::Stop));
-    }
 }

@@ -1,23 +1,17 @@
 //! What finished jobs teach about quotes: how far each was off, by renderer and class of features.
 
-use std::collections::BTreeMap;
-
-use forelight_forecast::{Experience, Past, residual};
+use forelight_forecast::{Experience, residual};
 use forelight_protocol::{FrameForecast, JobId, Quantiles, Timestamp};
+use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::database::Write;
 use crate::decode::{id, whole};
+use crate::policy::learning::{ALL_FRAMES, Residuals, experience, is_learnt_from};
 use crate::{JobForecast, Store, StoreError};
 
 /// Finished jobs that a quote learns from at most, the newest: renderers, scenes and machines change slowly, but they do.
 const WINDOW: u32 = 200;
-
-/// Frames of a job that are learnt from at most, evenly spaced: the others say next to nothing new, for they share its errors.
-const MOST_FRAMES: usize = 100;
-
-/// The number under which all frames together are kept.
-const ALL_FRAMES: i64 = -1;
 
 /// What quotes are compared within: neither may change how far forecasts are off.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -56,7 +50,7 @@ impl Store {
         )
         .fetch_all(self.readers())
         .await?;
-        let kind = |row: &sqlx::sqlite::SqliteRow| {
+        let kind = |row: &SqliteRow| {
             let kind = QuoteKind {
                 renderer: row.try_get("renderer")?,
                 feature_class: row.try_get("feature_class")?,
@@ -79,25 +73,16 @@ impl Store {
         .bind(WINDOW)
         .fetch_all(self.readers())
         .await?;
-        let mut experience = Experience::default();
-        let mut frames: BTreeMap<uuid::Uuid, [Vec<f64>; 2]> = BTreeMap::new();
-        for row in &rows {
-            let residuals: [Option<f64>; 2] = [row.try_get("work_residual")?, row.try_get("cpu_residual")?];
-            if whole::<i64>(row, "frame")? == ALL_FRAMES {
-                let learn =
-                    |past: &mut Past, residual: Option<f64>| past.push(residual.into_iter().collect());
-                learn(&mut experience.job_work, residuals[0]);
-                learn(&mut experience.job_cpu, residuals[1]);
-            } else {
-                let own = frames.entry(id(row, "job_id")?).or_default();
-                own.iter_mut().zip(residuals).for_each(|(own, residual)| own.extend(residual));
-            }
-        }
-        for [work, cpu] in frames.into_values() {
-            experience.frame_work.push(work);
-            experience.frame_cpu.push(cpu);
-        }
-        Ok(experience)
+        let residuals = |row: &SqliteRow| {
+            Ok(Residuals {
+                job: JobId(id(row, "job_id")?),
+                frame: row.try_get("frame")?,
+                work: row.try_get("work_residual")?,
+                cpu: row.try_get("cpu_residual")?,
+            })
+        };
+        let rows: Vec<Residuals> = rows.iter().map(residuals).collect::<Result<_, StoreError>>()?;
+        Ok(experience(rows))
     }
 }
 
@@ -158,10 +143,9 @@ pub(crate) async fn learn(write: &mut Write, job: JobId, now: Timestamp) -> Resu
     .fetch_all(write.connection().await?)
     .await?;
     // The first row is that of all frames.
-    let stride = rows.len().div_ceil(MOST_FRAMES).max(1);
     for (place, row) in rows.iter().enumerate() {
         let frame: i64 = row.try_get("frame")?;
-        if frame != ALL_FRAMES && place % stride != stride / 2 {
+        if !is_learnt_from(frame, place, rows.len()) {
             continue;
         }
         let off = |mean: &str, spread: &str, actual: &str| -> Result<Option<f64>, StoreError> {

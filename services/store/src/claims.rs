@@ -13,11 +13,11 @@ use crate::database::Write;
 use crate::decode::{id, json, json_opt, to_json, whole, word};
 use crate::elsewhere;
 use crate::events::{append, event, job_state};
-use crate::failures::HEAD_START;
 use crate::idempotency::{Answered, IdempotencyKey, RecordedAnswer, earlier_answer, record};
 use crate::leases::{has_calendar, sleep_of, sweep, touch};
 use crate::nodes::{self, select_nodes};
-use crate::schedule::{Opening, opening};
+use crate::policy::availability::{Opening, forecast_seconds_within, opening};
+use crate::policy::retries::HEAD_START;
 use crate::{Store, StoreError};
 
 impl Store {
@@ -349,13 +349,12 @@ async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) ->
     )
     .fetch_all(connection)
     .await?;
-    let seconds = micros.max(0) as f64 * 1e-6 * f64::from(node.cores);
     let limits: Result<BTreeMap<String, f64>, StoreError> = rows
         .iter()
         .map(|row| {
             let work: Option<ByClass> = json_opt(row, "work_by_class")?;
             let factor: f64 = row.try_get("factor")?;
-            Ok((row.try_get("name")?, seconds * node.speed_for(work.as_ref()) / factor))
+            Ok((row.try_get("name")?, forecast_seconds_within(micros, node, work.as_ref(), factor)))
         })
         .collect();
     to_json(&limits?)

@@ -9,8 +9,8 @@ use forelight_protocol::{
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::decode::{id, json_opt, time, whole, whole_opt, word};
-use crate::projection::{Projection, project};
-use crate::schedule::{as_it_is, silent_after};
+use crate::policy::availability::{as_it_is, silent_after};
+use crate::policy::projection::{Projection, project};
 use crate::unattended::{Unattended, unattended};
 use crate::{JobForecast, Store, StoreError, bookings, events, jobs, nodes, progress, seeds, track_record};
 

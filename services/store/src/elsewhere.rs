@@ -1,55 +1,35 @@
-//! What an idle node may take of what is booked on others.
+//! Finds a task for an idle node among those that are booked on other nodes. Which of them it may take is in
+//! [`crate::policy::work_stealing`].
 //!
-//! The plan has put each frame where it costs least while the deadlines are kept. A node that stands idle beside it may cost more, so it takes a frame
-//! from the node that has it booked only if the money that the plan meant to spend is not exceeded, or if there is a reason:
-//!
-//! * the job has neither a deadline nor a budget: nothing was weighed against the money, and sooner is better;
-//! * the plan does not keep the job's deadline, or will not any more;
-//! * the idle node is no dearer for an hour of such work than the node where the frame is booked;
-//! * the frame should have begun [`OVERDUE`] ago, or is booked nowhere;
-//! * the frame has failed on another node;
-//! * the node where it is booked gets no tasks, or is lost.
-//!
-//! Otherwise the node waits, and says for what. Each question is a step into an index for each booked job, whatever number of frames it has;
-//! the last one reads the farm's nodes once.
+//! Each question is one step into an index for each booked job, however many frames it has. The last one reads the
+//! farm's nodes once.
 
-use forelight_protocol::{ByClass, JobId, JobVerdict, Money, Node, NodeId, Timestamp, Verdict};
+use forelight_protocol::{ByClass, JobId, JobVerdict, Money, Node, NodeId, Timestamp};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::StoreError;
 use crate::claims::{Asking, NEXT_BOOKED, Offer, Query, next_task, task_columns};
 use crate::decode::{id, json, json_opt, time_opt, whole};
-use crate::nodes::{SAME_SPEED, gone};
+use crate::nodes::gone;
 use crate::plans::JobOutlook;
+use crate::policy::work_stealing::{
+    OVERDUE, Rates, is_at_risk, is_bounded, least_rate, rate, reason_to_wait,
+};
 
-/// A frame that has not begun so long after its planned start is for whoever is idle: a minute, in microseconds. Its node is late; plans are made of
-/// longer stretches.
-pub const OVERDUE: i64 = 60_000_000;
-
-/// Thousandths of a micro-unit in a micro-unit.
-const THOUSANDTHS: f64 = 1e3;
-
-/// What an hour of a core of speed 1 of such work costs on the node, in thousandths of a micro-unit.
-pub(crate) fn rate(node: &Node, work: Option<&ByClass>) -> i64 {
-    let speed = node.speed_for(work) * f64::from(node.cores);
-    // Speeds are above zero; what is beyond the range becomes its end.
-    (node.price_per_hour.micro_units() as f64 * THOUSANDTHS / speed).round() as i64
-}
-
-/// A booked job that an idle node looks at.
-struct Looked {
+/// A booked job, as an idle node sees it.
+struct BookedJob {
     id: JobId,
     name: String,
     due: i64,
     priority: i64,
-    /// Whether any node may have any of its tasks.
+    /// Whether any node may take any of its tasks.
     for_everybody: bool,
-    /// What an hour of its work costs on the node that asks.
+    /// Rate of its work on the idle node.
     rate: i64,
 }
 
-/// What the node may take of what is booked elsewhere, or why it takes nothing.
+/// A task that is booked elsewhere and that the node may take, or why it takes none.
 pub(crate) async fn offer(
     connection: &mut SqliteConnection,
     asking: &Asking<'_>,
@@ -61,7 +41,7 @@ pub(crate) async fn offer(
             asking.first(connection, NEXT_OF_JOB, of_job).await?
         } else {
             let overdue = asking.now.plus_micros(-OVERDUE).micros();
-            let of_job = |query: Query| query.bind(job.id.0).bind(job.least_rate()).bind(overdue);
+            let of_job = |query: Query| query.bind(job.id.0).bind(least_rate(job.rate)).bind(overdue);
             asking.first(connection, NEXT_NO_DEARER, of_job).await?
         };
         if found.is_some() {
@@ -83,13 +63,8 @@ pub(crate) async fn offer(
     Ok(Offer::default())
 }
 
-impl Looked {
-    /// The node may have what is booked at this rate or a higher one. Measured speeds are never quite the same: two equal machines must help each other.
-    fn least_rate(&self) -> i64 {
-        (self.rate as f64 / (1.0 + SAME_SPEED)) as i64
-    }
-
-    /// Where a frame of the job is booked for less, in words.
+impl BookedJob {
+    /// Why the node leaves the job to others: where the next of its frames is booked for less; `None` if none is.
     async fn why_not(&self, connection: &mut SqliteConnection) -> Result<Option<String>, StoreError> {
         let row = sqlx::query(
             "SELECT t.booked_rate, n.name FROM tasks t INDEXED BY tasks_ready_starts JOIN nodes n ON n.id = t.booked_node \
@@ -97,30 +72,19 @@ impl Looked {
              ORDER BY t.booked_at, t.frame, t.part LIMIT 1",
         )
         .bind(self.id.0)
-        .bind(self.least_rate())
+        .bind(least_rate(self.rate))
         .fetch_optional(connection)
         .await?;
         row.map(|row| {
             let there: i64 = whole(&row, "booked_rate")?;
-            let name: String = row.try_get("name")?;
-            Ok(self.in_words(&name, there))
+            Ok(reason_to_wait(&self.name, row.try_get("name")?, there, self.rate))
         })
         .transpose()
-    }
-
-    fn in_words(&self, node: &str, there: i64) -> String {
-        let money = |rate: i64| Money((rate as f64 / THOUSANDTHS).round() as i64);
-        format!(
-            "cheaper to wait for {node}: an hour of a core of speed 1 of job {} costs {} there and {} here",
-            self.name,
-            money(there),
-            money(self.rate)
-        )
     }
 }
 
 /// The booked jobs in the order in which nodes help out: by deadline, then priority, then age.
-async fn booked_jobs(connection: &mut SqliteConnection, node: &Node) -> Result<Vec<Looked>, StoreError> {
+async fn booked_jobs(connection: &mut SqliteConnection, node: &Node) -> Result<Vec<BookedJob>, StoreError> {
     let rows = sqlx::query(
         "SELECT id, name, deadline_at, budget, priority, verdict, outlook, work_by_class FROM jobs \
          WHERE state IN ('booked', 'rendering') ORDER BY coalesce(deadline_at, 9223372036854775807), priority DESC, id",
@@ -130,35 +94,29 @@ async fn booked_jobs(connection: &mut SqliteConnection, node: &Node) -> Result<V
     rows.iter().map(|row| decode(row, node)).collect()
 }
 
-fn decode(row: &SqliteRow, node: &Node) -> Result<Looked, StoreError> {
+fn decode(row: &SqliteRow, node: &Node) -> Result<BookedJob, StoreError> {
     let deadline = time_opt(row, "deadline_at")?;
     let work: Option<ByClass> = json_opt(row, "work_by_class")?;
-    Ok(Looked {
+    let outlook: JobOutlook = json(row, "outlook")?;
+    let verdict: Option<JobVerdict> = json_opt(row, "verdict")?;
+    let is_at_risk = is_at_risk(outlook.promise.as_ref(), verdict.as_ref());
+    Ok(BookedJob {
         id: JobId(id(row, "id")?),
         name: row.try_get("name")?,
         due: deadline.map_or(i64::MAX, Timestamp::micros),
         priority: row.try_get("priority")?,
-        for_everybody: !is_bounded(row)? || is_at_risk(row)?,
+        for_everybody: !is_bounded_job(row)? || is_at_risk,
         rate: rate(node, work.as_ref()),
     })
 }
 
-/// Whether anything was weighed against the money of a job, by its row.
-pub(crate) fn is_bounded(row: &SqliteRow) -> Result<bool, StoreError> {
-    Ok(time_opt(row, "deadline_at")?.is_some() || row.try_get::<Option<i64>, _>("budget")?.is_some())
+/// Whether the job of this row is bounded.
+fn is_bounded_job(row: &SqliteRow) -> Result<bool, StoreError> {
+    let budget: Option<i64> = row.try_get("budget")?;
+    Ok(is_bounded(time_opt(row, "deadline_at")?, budget.map(Money)))
 }
 
-/// Whether the plan does not keep the job's deadline, or will not any more.
-fn is_at_risk(row: &SqliteRow) -> Result<bool, StoreError> {
-    let outlook: JobOutlook = json(row, "outlook")?;
-    if let Some(promise) = outlook.promise {
-        return Ok(!promise.kept);
-    }
-    let verdict: Option<JobVerdict> = json_opt(row, "verdict")?;
-    Ok(verdict.is_some_and(|verdict| matches!(verdict.verdict, Verdict::Late | Verdict::Impossible)))
-}
-
-/// Where a task is booked: node, planned start, and what the plan pays there; see `0010_idle_nodes.sql`.
+/// Where a task is booked: node, planned start, and what the plan pays there (see `0010_idle_nodes.sql`).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Slot {
     pub node: NodeId,
@@ -166,34 +124,17 @@ pub(crate) struct Slot {
     pub rate: Option<i64>,
 }
 
-/// What plans pay for the work of one job, node by node.
-pub(crate) struct Rates {
-    work: Option<ByClass>,
-    is_bounded: bool,
+/// What plans pay for the work of a job.
+pub(crate) async fn rates(connection: &mut SqliteConnection, job: JobId) -> Result<Rates, StoreError> {
+    let row = sqlx::query("SELECT deadline_at, budget, work_by_class FROM jobs WHERE id = ?")
+        .bind(job.0)
+        .fetch_optional(connection)
+        .await?;
+    let row = row.ok_or(StoreError::NotFound("job"))?;
+    Ok(Rates { work: json_opt(&row, "work_by_class")?, is_bounded: is_bounded_job(&row)? })
 }
 
-impl Rates {
-    /// By the job's row.
-    pub(crate) fn of(row: &SqliteRow) -> Result<Self, StoreError> {
-        Ok(Self { work: json_opt(row, "work_by_class")?, is_bounded: is_bounded(row)? })
-    }
-
-    /// Read from the database.
-    pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Self, StoreError> {
-        let row = sqlx::query("SELECT deadline_at, budget, work_by_class FROM jobs WHERE id = ?")
-            .bind(job.0)
-            .fetch_optional(connection)
-            .await?;
-        Self::of(&row.ok_or(StoreError::NotFound("job"))?)
-    }
-
-    /// What is paid on this node; nothing that counts if the job is not bounded.
-    pub(crate) fn on(&self, node: &Node) -> Option<i64> {
-        self.is_bounded.then(|| rate(node, self.work.as_ref()))
-    }
-}
-
-/// A job's first task: of any node, with its due time, priority and id as `?5` to `?7`.
+/// A job's first task, wherever it is booked. `?5` to `?7` are the job's due time, priority and id.
 pub(crate) const NEXT_OF_JOB: &str = next_task!(
     task_columns!(),
     "tasks_ready_any",
@@ -201,7 +142,8 @@ pub(crate) const NEXT_OF_JOB: &str = next_task!(
     "frame, part"
 );
 
-/// Of the job `?5`: what is booked dearest, if for `?6` or more; what should have begun by `?7`; what is booked nowhere; what has failed.
+/// A task of the job `?5`, the first of these that there is: the one that is booked at the highest rate, if that is at
+/// least `?6`; one that should have begun by `?7`; one that is booked nowhere; one that has failed.
 pub(crate) const NEXT_NO_DEARER: &str = concat!(
     "SELECT ",
     task_columns!(),

@@ -1,51 +1,12 @@
-//! Tasks that fail: when they are tried again, when no more, and when it is the node that is at fault.
-//!
-//! * A task that failed waits before it is handed out again, twice as long each time, and longer before the node that it failed on gets
-//!   it again: another node is the better experiment.
-//! * A task that failed on three nodes is the task's fault: it fails its job, and its log says why. Where there are fewer nodes, the
-//!   sixth failure does.
-//! * A node on which tasks of three jobs failed within a day is at fault, if none of these tasks failed for good elsewhere. It is set
-//!   aside: it gets no tasks until an operator brings it back. So a job that fails everywhere does not take the farm with it.
+//! Tasks that fail: what follows is in [`crate::policy::retries`].
 
 use forelight_protocol::{Event, EventKind, JobState, LeaseId, NodeId, TaskError, TaskId, Timestamp};
 
 use crate::database::Write;
 use crate::events::{append, event};
 use crate::leases::{LeaseState, back_to_ready, end, fail_for_good, read_in, touch};
+use crate::policy::retries::{HEAD_START, HELD_AGAINST, is_blameless, job_error, reason_to_set_aside, wait};
 use crate::{Store, StoreError, jobs, nodes, replans};
-
-/// Nodes on which a task fails before it fails its job.
-pub const FAILED_NODES: u32 = 3;
-
-/// Failures of a task, on however few nodes, before it fails its job.
-pub const MAX_FAILURES: u32 = 6;
-
-/// Jobs that fail on a node before it is set aside.
-pub const FAILED_JOBS: u32 = 3;
-
-/// For how long a failure is held against a node: a day, in microseconds.
-const HELD_AGAINST: i64 = 24 * 3_600_000_000;
-
-/// The first wait of a task that failed: a second, in microseconds.
-const FIRST_WAIT: i64 = 1_000_000;
-
-/// The longest wait of a task that failed: a minute, in microseconds.
-pub(crate) const LONGEST_WAIT: i64 = 60_000_000;
-
-/// For how long after its wait a task is kept for nodes on which it has not failed: ten seconds, in microseconds.
-pub(crate) const HEAD_START: i64 = 10_000_000;
-
-/// How long a task waits after its failure number `failures` (from 1), in microseconds: between half and the whole of a ceiling that
-/// doubles from a second to a minute. The jitter is a hash of task and number, so that the tasks of a job do not come back at once, and
-/// two runs of the same story agree.
-pub(crate) fn wait(task: TaskId, failures: u32) -> i64 {
-    let doublings = failures.saturating_sub(1).min(16);
-    let half = FIRST_WAIT.saturating_mul(1 << doublings).min(LONGEST_WAIT) / 2;
-    let mut hasher = blake3::Hasher::new();
-    hasher.update(task.0.as_bytes()).update(&failures.to_le_bytes());
-    let [a, b, c, d, ..] = *hasher.finalize().as_bytes();
-    half + i64::from(u32::from_le_bytes([a, b, c, d])) * half / i64::from(u32::MAX)
-}
 
 impl Store {
     /// A worker could not do its task. Says whether this had been reported before, and where the job stands now.
@@ -66,8 +27,7 @@ impl Store {
         }
         end(&mut write, &row, "failed", now);
         touch(&mut write, row.node_id, now);
-        // What anyone would have met says nothing about the node; neither does a limit that the job set.
-        let blameless = error.permanent || error.limit.is_some();
+        let blameless = is_blameless(error);
         if blameless {
             sqlx::query("UPDATE leases SET blameless = 1 WHERE id = ?")
                 .bind(lease.0)
@@ -86,18 +46,9 @@ impl Store {
             .execute(write.connection().await?)
             .await?;
         let failed_on = nodes_that_failed(&mut write, row.task_id).await?;
-        if error.permanent {
-            fail_for_good(&mut write, &row, &error.message, now).await?;
-        } else if failed_on.len() >= FAILED_NODES as usize || failures >= MAX_FAILURES {
-            let times = match failed_on.as_slice() {
-                [one] => format!("{failures} times on {one}"),
-                several => format!("on {}", several.join(", ")),
-            };
-            let error =
-                format!("{} (it failed {times}; the log of task {} says more)", error.message, row.task_id);
-            fail_for_good(&mut write, &row, &error, now).await?;
-        } else {
-            back_to_ready(&mut write, &row, Some(&error.message));
+        match job_error(error, row.task_id, failures, &failed_on) {
+            Some(job_error) => fail_for_good(&mut write, &row, &job_error, now).await?,
+            None => back_to_ready(&mut write, &row, Some(&error.message)),
         }
         if !blameless {
             set_aside_if_at_fault(&mut write, row.node_id, &error.message, now).await?;
@@ -148,10 +99,7 @@ async fn set_aside_if_at_fault(
     .bind(now.plus_micros(-HELD_AGAINST).micros())
     .fetch_one(write.connection().await?)
     .await?;
-    if jobs < i64::from(FAILED_JOBS) {
-        return Ok(());
-    }
-    let reason = format!("tasks of {jobs} jobs failed on it within a day, the last one with: {error}");
+    let Some(reason) = reason_to_set_aside(jobs, error) else { return Ok(()) };
     let set = sqlx::query("UPDATE nodes SET set_aside = ? WHERE id = ? AND set_aside IS NULL")
         .bind(&reason)
         .bind(node.0)

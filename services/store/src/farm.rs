@@ -2,12 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use forelight_protocol::{Job, JobId, Money, TaskKind, Timestamp};
+use forelight_protocol::{Job, JobId, Money, Timestamp};
 use sqlx::Row as _;
 use sqlx::sqlite::SqliteRow;
 
 use crate::budgets::{LINES_OF_JOB, line};
-use crate::decode::{id, json_opt, whole, word};
+use crate::decode::{id, json_opt, whole, whole_opt, word};
+use crate::policy::budgets::{Payment, spent_and_under_way};
 use crate::{JobForecast, Store, StoreError, jobs, progress};
 
 /// A job that is booked and not over.
@@ -95,7 +96,8 @@ impl Store {
                 .iter()
                 .try_fold(0i64, |sum, row| Ok::<_, StoreError>(sum.saturating_add(booked_cost(row)?)))?;
             let lines = sqlx::query(LINES_OF_JOB).bind(job_id.0).fetch_all(&mut *transaction).await?;
-            let spent = spent(&lines, &booked, booked_cache, now)?;
+            let payments: Vec<Payment> = lines.iter().map(payment).collect::<Result<_, _>>()?;
+            let spent = spent_and_under_way(&payments, &booked, booked_cache, now);
             found.push(FarmJob {
                 job: jobs::decode(row, done)?,
                 forecast: json_opt(row, "forecast")?,
@@ -109,29 +111,14 @@ impl Store {
     }
 }
 
-/// What was paid by these lines of the ledger, and what is left of what is booked for frames that are with a worker and for the shared cache.
-fn spent(
-    lines: &[SqliteRow],
-    booked: &BTreeMap<u32, i64>,
-    booked_cache: i64,
-    now: Timestamp,
-) -> Result<Money, StoreError> {
-    let (mut spent, mut of_cache, mut left) = (0i64, 0i64, 0i64);
-    for row in lines {
-        let line = line(row)?;
-        let paid = line.cost_within(line.from, now).0;
-        spent = spent.saturating_add(paid);
-        match word(row, "kind")? {
-            TaskKind::CacheFill | TaskKind::CacheMerge => of_cache = of_cache.saturating_add(paid),
-            TaskKind::Render if row.try_get("is_active")? => {
-                let booked = booked.get(&whole(row, "frame")?).copied().unwrap_or_default();
-                left = left.saturating_add(booked.saturating_sub(paid).max(0));
-            }
-            _ => {}
-        }
-    }
-    left = left.saturating_add(booked_cache.saturating_sub(of_cache).max(0));
-    Ok(Money(spent.saturating_add(left)))
+/// A line of the ledger with the task that it paid for.
+fn payment(row: &SqliteRow) -> Result<Payment, StoreError> {
+    Ok(Payment {
+        line: line(row)?,
+        kind: word(row, "kind")?,
+        frame: whole_opt(row, "frame")?,
+        is_active: row.try_get("is_active")?,
+    })
 }
 
 fn booked_cost(row: &SqliteRow) -> Result<i64, StoreError> {

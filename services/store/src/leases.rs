@@ -39,15 +39,12 @@ use sqlx::{Row as _, SqliteConnection};
 use crate::database::Write;
 use crate::decode::{id, json, whole, whole_opt, word};
 use crate::events::{append, event, forget_old_progress};
-use crate::failures::LONGEST_WAIT;
 use crate::idempotency::forget_old;
 use crate::live::{self, Occasion};
 use crate::logs::forget_old_logs;
-use crate::schedule::{Opening, opening};
+use crate::policy::availability::{Opening, opening};
+use crate::policy::retries::{LONGEST_WAIT, job_error_of_lost_workers};
 use crate::{Store, StoreError, jobs, logs, nodes};
-
-/// Lost workers of a task that its job survives, plus one. More than errors: machines are switched off at night.
-pub const MAX_EXPIRIES: u32 = 10;
 
 /// Progress is recorded as an event in steps of a hundredth: a worker that renews twice a second must not fill the disk.
 const PROGRESS_STEP: f64 = 0.01;
@@ -339,12 +336,12 @@ pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept, St
             .bind(row.task_id.0)
             .execute(write.connection().await?)
             .await?;
-        if expiries >= MAX_EXPIRIES {
-            let error = format!("{expiries} workers were lost on this task");
-            fail_for_good(write, &row, &error, now).await?;
-            swept.jobs_failed += 1;
-        } else {
-            back_to_ready(write, &row, None);
+        match job_error_of_lost_workers(expiries) {
+            Some(error) => {
+                fail_for_good(write, &row, &error, now).await?;
+                swept.jobs_failed += 1;
+            }
+            None => back_to_ready(write, &row, None),
         }
     }
     Ok(swept)

@@ -3,13 +3,13 @@
 //! Only frames of jobs that were profiled on other nodes say something: on its own node a profile's seconds are the node's. The jobs' means are added
 //! up in whole millionths, so that what is learnt does not depend on the order in which frames are finished.
 
-use forelight_forecast::log_ratio_millionths;
 use forelight_protocol::{Node, RenderStats};
 use sqlx::Row as _;
 
 use crate::database::Write;
 use crate::decode::json_opt;
 use crate::leases::LeaseRow;
+use crate::policy::learning::{is_lesson, lesson_of_frame, moved_mean};
 use crate::{JobForecast, StoreError};
 
 /// Learns from a finished frame inside the write that keeps it.
@@ -20,8 +20,7 @@ pub(crate) async fn learn(
     stats: &RenderStats,
 ) -> Result<(), StoreError> {
     let Some(speed) = node.speed_by_class(stats.work_by_class.as_ref()) else { return Ok(()) };
-    // What was taken over was made elsewhere, and its seconds are those of there.
-    if stats.reused_work > 0 {
+    if !is_lesson(stats) {
         return Ok(());
     }
     let job = sqlx::query(
@@ -34,9 +33,7 @@ pub(crate) async fn learn(
     .await?;
     let forecast: Option<JobForecast> = json_opt(&job, "forecast")?;
     let (Some(forecast), false) = (forecast, job.try_get("profiled_here")?) else { return Ok(()) };
-    // Of the work that the frame really was, so that only time is judged.
-    let seconds_at_one = forecast.total.cpu_seconds.mean / forecast.total.work.mean * stats.work as f64;
-    let Some(log) = log_ratio_millionths(stats.cpu_seconds, seconds_at_one / speed) else { return Ok(()) };
+    let Some(log) = lesson_of_frame(stats, speed, &forecast.total) else { return Ok(()) };
     let (frames, sum): (i64, i64) = sqlx::query_as(
         "INSERT INTO node_learning (node_id, job_id, frames, log_millionths) VALUES (?, ?, 1, ?) \
          ON CONFLICT (node_id, job_id) DO UPDATE SET frames = frames + 1, log_millionths = log_millionths + excluded.log_millionths \
@@ -47,11 +44,10 @@ pub(crate) async fn learn(
     .bind(log)
     .fetch_one(write.connection().await?)
     .await?;
-    let before = if frames == 1 { 0 } else { (sum - log) / (frames - 1) };
     sqlx::query(
         "UPDATE nodes SET learned_millionths = learned_millionths + ?, learned_jobs = learned_jobs + ? WHERE id = ?",
     )
-    .bind(sum / frames - before)
+    .bind(moved_mean(frames, sum, log))
     .bind(i64::from(frames == 1))
     .bind(row.node_id.0)
     .execute(write.connection().await?)

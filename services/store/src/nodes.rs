@@ -2,8 +2,7 @@
 
 use forelight_forecast::learned_factor;
 use forelight_protocol::{
-    ByClass, Event, EventKind, Money, Node, NodeCalendar, NodeChange, NodeId, NodeRegistration, NodeState,
-    TaskId, Timestamp,
+    Event, EventKind, Money, Node, NodeCalendar, NodeChange, NodeId, NodeRegistration, TaskId, Timestamp,
 };
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
@@ -12,15 +11,13 @@ use crate::database::Write;
 use crate::decode::{id, id_opt, json, json_opt, time, to_json, whole};
 use crate::events::{append, event};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
-use crate::schedule::{Opening, opening, silence, with_power};
+use crate::policy::availability::{Opening, opening, silence, with_power};
+use crate::policy::nodes::{Switches, cause_of, is_same_machine, may_take_tasks_again, state};
 use crate::{Store, StoreError, leases, replans};
 
 /// A node that was not heard of for this long while it should have been awake is lost to plans: five minutes, in microseconds. Longer than a
 /// worker takes to be started again, and much shorter than a night.
 pub const LOST: i64 = 300_000_000;
-
-/// A measured speed is never quite the same: less than a tenth is nobody's business.
-pub(crate) const SAME_SPEED: f64 = 0.1;
 
 /// Nodes, with what they work on and what else is asked of each.
 macro_rules! select_nodes {
@@ -108,10 +105,8 @@ impl Store {
                 ..event(EventKind::NodeChanged, now)
             },
         )?;
-        // Whoever waits on behalf of a node that may be given tasks again should look again.
-        write.made_work |= [change.drain, change.pause, change.set_aside].contains(&Some(false))
-            || change.schedule.is_some()
-            || change.terms.is_some();
+        // Claims that wait should look again.
+        write.made_work |= may_take_tasks_again(change);
         if let Some(cause) = cause_of(change) {
             replans::want(&mut write, &format!("node {} {cause}", changed.name)).await?;
         }
@@ -141,25 +136,6 @@ impl Store {
     pub async fn nodes(&self, after: Option<NodeId>, limit: u32) -> Result<Vec<Node>, StoreError> {
         let mut connection = self.readers().acquire().await?;
         list(&mut connection, after, limit).await
-    }
-}
-
-/// What a change means for plans, in words; nothing, if it is none that they know.
-fn cause_of(change: &NodeChange) -> Option<&'static str> {
-    if change.drain == Some(true) {
-        Some("is drained")
-    } else if change.set_aside == Some(true) {
-        Some("is set aside")
-    } else if change.pause == Some(true) {
-        Some("is paused")
-    } else if [change.drain, change.pause, change.set_aside].contains(&Some(false)) {
-        Some("is back")
-    } else if change.schedule.is_some() || change.terms.is_some() {
-        Some("has another calendar or other terms")
-    } else if change.speed.is_some() || change.price_per_hour.is_some() {
-        Some("has another speed or price")
-    } else {
-        None
     }
 }
 
@@ -201,7 +177,7 @@ pub(crate) async fn upsert(
     let node = read(write.connection().await?, NodeId(node_id)).await?;
     match before {
         None => replans::want(write, &format!("node {} joined", node.name)).await?,
-        Some(before) if !same_machine(&before, &node) || silence(&before, now) > LOST => {
+        Some(before) if !is_same_machine(&before, &node) || silence(&before, now) > LOST => {
             replans::want(write, &format!("node {} came back", node.name)).await?;
         }
         Some(_) => {}
@@ -229,21 +205,6 @@ async fn has_another_worker(
         .fetch_optional(connection)
         .await?;
     found.ok_or(StoreError::NotFound("node"))
-}
-
-/// Whether plans see the same node in both.
-fn same_machine(one: &Node, other: &Node) -> bool {
-    let terms = |node: &Node| (node.price_per_hour, node.cores, node.schedule.clone());
-    let alike = |one: f64, other: f64| (one / other - 1.0).abs() < SAME_SPEED;
-    // For work of every class by itself, as far as they are calibrated.
-    let classes = (0..ByClass::CLASSES).all(|class| {
-        let work = ByClass::from_array(std::array::from_fn(|each| u64::from(each == class)));
-        match (one.speed_by_class(Some(&work)), other.speed_by_class(Some(&work))) {
-            (Some(one), Some(other)) => alike(one, other),
-            (one, other) => one.is_none() && other.is_none(),
-        }
-    });
-    terms(one) == terms(other) && alike(one.speed, other.speed) && classes
 }
 
 /// Takes the tasks away that a node has: they are ready for another, and the node's next renewal brings the order to stop.
@@ -338,15 +299,7 @@ pub(crate) fn decode(row: &SqliteRow) -> Result<Node, StoreError> {
     let (drain, pause, paused): (bool, bool, bool) =
         (row.try_get("drain")?, row.try_get("pause")?, row.try_get("paused")?);
     let set_aside: Option<String> = row.try_get("set_aside")?;
-    let state = match (&set_aside, task_id) {
-        (Some(_), _) => NodeState::SetAside,
-        (None, Some(_)) if pause && !paused => NodeState::Pausing,
-        (None, _) if pause => NodeState::Paused,
-        (None, Some(_)) if drain => NodeState::Draining,
-        (None, None) if drain => NodeState::Drained,
-        (None, Some(_)) => NodeState::Working,
-        (None, None) => NodeState::Idle,
-    };
+    let switches = Switches { drain, pause, paused, is_set_aside: set_aside.is_some() };
     Ok(Node {
         id: NodeId(id(row, "id")?),
         name: row.try_get("name")?,
@@ -361,7 +314,7 @@ pub(crate) fn decode(row: &SqliteRow) -> Result<Node, StoreError> {
         schedule: schedule_set.map_or_else(|| json_opt(row, "schedule"), |set| Ok(Some(set)))?,
         terms: json(row, "terms")?,
         power: None,
-        state,
+        state: state(switches, task_id),
         drain,
         pause,
         set_aside,

@@ -12,9 +12,10 @@ use sqlx::{Row as _, SqliteConnection};
 use crate::bookings::decode_booking;
 use crate::database::Write;
 use crate::decode::{corrupt, id, id_opt, json, time, to_json, whole, word};
-use crate::elsewhere::{Rates, Slot};
+use crate::elsewhere::{Slot, rates};
 use crate::events::{append, event, job_state};
 use crate::live::{self, Occasion};
+use crate::policy::rebooking::{NewBooking, Rebooked, promise_news, rebook};
 use crate::replans::{self, Wanted};
 use crate::tasks::Common;
 use crate::{
@@ -60,19 +61,6 @@ pub struct JobOutlook {
     /// What is left of its promise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub promise: Option<Promise>,
-}
-
-/// A booking of a plan to be kept.
-#[derive(Clone, PartialEq, Eq, Debug)]
-pub struct NewBooking {
-    /// The frame.
-    pub frame: u32,
-    /// The node.
-    pub node: NodeId,
-    /// From when.
-    pub start: Timestamp,
-    /// Until when (exclusive).
-    pub end: Timestamp,
 }
 
 impl Store {
@@ -330,29 +318,22 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
         let Booking { frame, node_id: node, start, end, .. } = decode_booking(row)?;
         booked.insert(frame, NewBooking { frame, node, start, end });
     }
-    let waits: Vec<i64> = sqlx::query_scalar(
+    let waiting: Vec<u32> = sqlx::query_scalar(
         "SELECT frame FROM tasks WHERE job_id = ? AND kind = 'render' AND state NOT IN ('leased', 'done') AND frame IS NOT NULL",
     )
     .bind(job_id.0)
     .fetch_all(write.connection().await?)
     .await?;
-    let planned: BTreeMap<u32, &NewBooking> =
-        job.bookings.iter().map(|booking| (booking.frame, booking)).collect();
-    let slots = Rates::read(write.connection().await?, job_id).await?;
+    let Rebooked { bookings, tasks } = rebook(booked, &waiting, &job.bookings, &job.begun);
+    let of_job = rates(write.connection().await?, job_id).await?;
     let mut rates: BTreeMap<NodeId, Option<i64>> = BTreeMap::new();
-    for frame in waits {
-        let frame = u32::try_from(frame).map_err(|_| corrupt("frame", frame))?;
-        match planned.get(&frame) {
-            Some(&booking) => booked.insert(frame, booking.clone()),
-            None if job.begun.contains(&frame) => continue,
-            None => booked.remove(&frame),
-        };
+    for (frame, booking) in tasks {
         let mut slot = None;
-        if let Some(&&NewBooking { node, start, .. }) = planned.get(&frame) {
+        if let Some(NewBooking { node, start, .. }) = booking {
             let rate = match rates.get(&node) {
                 Some(&rate) => rate,
                 None => {
-                    let rate = slots.on(&nodes::read(write.connection().await?, node).await?);
+                    let rate = of_job.on(&nodes::read(write.connection().await?, node).await?);
                     rates.insert(node, rate);
                     rate
                 }
@@ -368,7 +349,7 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
             .execute(write.connection().await?)
             .await?;
     }
-    for booking in booked.values() {
+    for booking in bookings.values() {
         sqlx::query("INSERT INTO bookings (id, plan_id, job_id, frame, node_id, start_at, end_at) VALUES (?, ?, ?, ?, ?, ?, ?)")
             .bind(BookingId::new().0)
             .bind(plan_id.0)
@@ -421,27 +402,11 @@ async fn keep_outlooks(
             .bind(job.0)
             .execute(write.connection().await?)
             .await?;
-        let Some(promise) = &outlook.promise else { continue };
-        let was_kept = before.promise.as_ref().is_none_or(|promise| promise.kept);
-        if promise.kept == was_kept {
+        let Some((kind, message)) = promise_news(before.promise.as_ref(), outlook.promise.as_ref()) else {
             continue;
-        }
-        let kind = if promise.kept { EventKind::JobPromiseSafe } else { EventKind::JobPromiseAtRisk };
-        let message = Some(promise_in_words(promise));
-        let promise = Some(promise.clone());
+        };
+        let (promise, message) = (outlook.promise.clone(), Some(message));
         append(write, Event { job_id: Some(*job), promise, message, ..event(kind, now) })?;
     }
     Ok(())
-}
-
-fn promise_in_words(promise: &Promise) -> String {
-    let sure = promise.probability * 100.0;
-    if promise.kept {
-        return format!("ready in time after all, with a probability of {sure:.0} %");
-    }
-    let rescue = match &promise.rescue {
-        Some(rescue) => format!("the cheapest rescue: {}", rescue.words),
-        None => "no rescue was found".to_owned(),
-    };
-    format!("ready in time with a probability of {sure:.0} % only; {rescue}")
 }

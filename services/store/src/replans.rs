@@ -8,18 +8,8 @@ use sqlx::{Row as _, SqliteConnection};
 
 use crate::database::Write;
 use crate::decode::{json, to_json};
+use crate::policy::replans::{add_cause, causes_left};
 use crate::{Store, StoreError};
-
-/// Causes that are kept in words; of a burst, the rest is one line.
-const MOST_CAUSES: usize = 20;
-
-/// A job's living estimate calls for a new plan once it is off what the plan goes by by more than this: a tenth.
-const NEWS: f64 = 0.1;
-
-/// Whether a factor on a job's forecast is so far from the one that its plan was made with that the plan should know.
-pub fn is_news(found: f64, planned: f64) -> bool {
-    found > 0.0 && planned > 0.0 && (found / planned).ln().abs() > NEWS
-}
 
 /// What a plan would have to take into account.
 #[derive(Clone, PartialEq, Eq, Debug, Default)]
@@ -63,13 +53,7 @@ async fn read(connection: &mut SqliteConnection) -> Result<Wanted, StoreError> {
 /// Says inside a write that the newest plan does not know of this. The same cause is said once.
 pub(crate) async fn want(write: &mut Write, cause: &str) -> Result<(), StoreError> {
     let mut causes = read(write.connection().await?).await?.causes;
-    if !causes.iter().any(|known| known == cause) {
-        match causes.len() {
-            0..MOST_CAUSES => causes.push(cause.to_owned()),
-            MOST_CAUSES => causes.push("and more".to_owned()),
-            _ => {}
-        }
-    }
+    add_cause(&mut causes, cause);
     sqlx::query("UPDATE replans SET wanted = wanted + 1, causes = ?")
         .bind(to_json(&causes)?)
         .execute(write.connection().await?)
@@ -81,12 +65,7 @@ pub(crate) async fn want(write: &mut Write, cause: &str) -> Result<(), StoreErro
 /// Says inside a write that everything up to this has been taken into account.
 pub(crate) async fn planned(write: &mut Write, wanted: &Wanted) -> Result<(), StoreError> {
     let now = read(write.connection().await?).await?;
-    // What came in meanwhile is at the end of the list, or was said before.
-    let rest: &[String] = if now.count == wanted.count {
-        &[]
-    } else {
-        now.causes.get(wanted.causes.len()..).unwrap_or_default()
-    };
+    let rest = causes_left(&now.causes, now.count, wanted.count, wanted.causes.len());
     sqlx::query("UPDATE replans SET planned = max(planned, ?), causes = ?")
         .bind(wanted.count)
         .bind(to_json(&rest)?)

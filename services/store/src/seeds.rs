@@ -14,17 +14,18 @@
 //! anywhere goes on where it was, and a worker that brings the same result twice changes nothing.
 
 use forelight_protocol::{
-    ArtifactHash, ByClass, CACHE_ROUNDS, CacheFillResult, CacheMergeResult, CachePlanResult, JobId, NodeId,
-    SeedBooking, SeedForecast, SeedProgress, TaskId, TaskResult, TaskSpec, Timestamp,
+    ArtifactHash, ByClass, CacheFillResult, CacheMergeResult, CachePlanResult, JobId, NodeId, SeedBooking,
+    SeedForecast, SeedProgress, TaskId, TaskResult, TaskSpec, Timestamp,
 };
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::database::Write;
 use crate::decode::{corrupt, id, id_opt, json, json_opt, time, time_opt, whole, whole_opt};
-use crate::elsewhere::{Rates, Slot};
+use crate::elsewhere::{Slot, rates};
 use crate::leases::{LeaseRow, fail_for_good};
-use crate::projection::{Holder, OpenSeed};
+use crate::policy::projection::{Holder, OpenSeed};
+use crate::policy::shared_cache::{self, Filled, Next, PartDone, after_round, part_done};
 use crate::tasks::Common;
 use crate::{Store, StoreError, nodes};
 
@@ -132,23 +133,17 @@ pub(crate) async fn open_of(
 }
 
 fn decode_open(row: &SqliteRow) -> Result<OpenSeed, StoreError> {
-    let rounds = f64::from(rounds(whole(row, "parts")?, whole(row, "levels")?));
     let (round, state): (u32, &str) = (whole(row, "round")?, row.try_get("state")?);
     let (leased, filled) = (state == "leased", state == "done");
-    let done = (f64::from(round + u32::from(filled)) / rounds).min(1.0);
+    let of_cache = (whole(row, "parts")?, whole(row, "levels")?);
+    let PartDone { done, with_worker } = part_done(of_cache, round, filled, row.try_get("progress")?);
     let holder = match (leased, id_opt(row, "holder")?, time_opt(row, "started_at")?) {
         (true, Some(node), Some(started)) => {
-            let progress = (done + row.try_get::<f64, _>("progress")? / rounds).min(1.0);
-            Some(Holder { node_id: NodeId(node), started, progress })
+            Some(Holder { node_id: NodeId(node), started, progress: with_worker })
         }
         _ => None,
     };
     Ok(OpenSeed { booking: decode_booking(row)?, done, holder })
-}
-
-/// In how many rounds a cache is filled: one task fills all levels; several fill one after the other, and those that have no records are full.
-fn rounds(parts: u32, levels: u32) -> u32 {
-    if parts > 1 { levels.max(1) } else { 1 }
 }
 
 /// The bookings of a plan, by start.
@@ -198,7 +193,7 @@ pub(crate) async fn keep_bookings(
 
 /// Makes the tasks of the first round.
 pub(crate) async fn begin(write: &mut Write, common: &Common, seed: &NewSeed) -> Result<(), StoreError> {
-    let rates = Rates::read(write.connection().await?, common.job).await?;
+    let rates = rates(write.connection().await?, common.job).await?;
     for part in 0..seed.parts {
         let booked = match seed.bookings.iter().find(|booking| booking.part == part) {
             Some(&NewSeedBooking { node, start, .. }) => {
@@ -300,13 +295,13 @@ async fn go_on(
     full: bool,
     now: Timestamp,
 ) -> Result<(), StoreError> {
-    if full {
-        return make_ready(write, row.job_id, ("render", "$.render.cache"), Some(cache)).await;
-    }
-    if round + 1 >= CACHE_ROUNDS {
-        let error = format!("the irradiance cache is not full after {CACHE_ROUNDS} rounds of filling it");
-        return fail_for_good(write, row, &error, now).await;
-    }
+    let next = match after_round(round, full) {
+        Next::Frames => {
+            return make_ready(write, row.job_id, ("render", "$.render.cache"), Some(cache)).await;
+        }
+        Next::GiveUp(error) => return fail_for_good(write, row, &error, now).await,
+        Next::Round(next) => next,
+    };
     let common = Common::read(write.connection().await?, row.job_id).await?;
     let before = sqlx::query(
         "SELECT part, booked_node, booked_at, booked_rate FROM tasks WHERE job_id = ? AND kind = 'cache_fill' AND round = ? ORDER BY part",
@@ -320,7 +315,7 @@ async fn go_on(
         let rate = whole_opt(row, "booked_rate")?;
         let booked = id_opt(row, "booked_node")?.map(NodeId).zip(time_opt(row, "booked_at")?);
         let booked = booked.map(|(node, start)| Slot { node, start, rate });
-        common.cache_fill(write, cache, round + 1, (whole(row, "part")?, parts), booked).await?;
+        common.cache_fill(write, cache, next, (whole(row, "part")?, parts), booked).await?;
     }
     Ok(())
 }
@@ -358,17 +353,12 @@ pub(crate) async fn progress(
     .bind(job.0)
     .fetch_one(connection)
     .await?;
-    let levels = seed.records.iter().filter(|&&records| records > 0).count();
-    let levels = u32::try_from(levels).unwrap_or(u32::MAX);
-    let parts = seed.parts.saturating_mul(rounds(seed.parts, levels)).max(1);
-    let reached: f64 = row.try_get("reached")?;
-    Ok(Some(SeedProgress {
-        parts,
+    let filled = Filled {
         parts_done: whole(&row, "done")?,
-        progress: (reached / f64::from(parts)).clamp(0.0, 1.0),
-        ready: row.try_get("ready")?,
-        // Saturates at the end of the range, as float to integer does.
-        work: row.try_get::<f64, _>("work")? as u64,
-        cpu_seconds: row.try_get::<f64, _>("cpu_nanos")? * 1e-9,
-    }))
+        reached: row.try_get("reached")?,
+        is_ready: row.try_get("ready")?,
+        work: row.try_get("work")?,
+        cpu_nanos: row.try_get("cpu_nanos")?,
+    };
+    Ok(Some(shared_cache::progress(&seed, &filled)))
 }

@@ -3,15 +3,16 @@
 //! Plans say why a booked job waits. A job has no plan before it is quoted, and whoever forgot to start a worker would wait for ever
 //! without a word.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::time::Duration;
 
-use forelight_protocol::{Job, JobId, Node, NodePower, NodeState, PowerState, Timestamp, WaitKind, Waits};
+use forelight_protocol::{Job, JobId, Timestamp, Waits};
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::decode::id;
 use crate::nodes::closed;
-use crate::schedule::{as_it_is, silent_after};
+use crate::policy::availability::{as_it_is, silent_after};
+use crate::policy::unattended::why_nobody_works;
 use crate::{Store, StoreError, nodes};
 
 /// The quotes that nobody works on and nobody will, as things stand.
@@ -58,7 +59,7 @@ pub(crate) async fn unattended(
     }
     let jobs = rows.iter().map(|row| Ok(JobId(id(row, "id")?))).collect::<Result<_, StoreError>>()?;
     let nodes = nodes::list(connection, None, u32::MAX).await?;
-    Ok(Unattended { jobs, why: nobody(nodes.into_iter().map(|node| as_it_is(node, ttl, now))) })
+    Ok(Unattended { jobs, why: why_nobody_works(nodes.into_iter().map(|node| as_it_is(node, ttl, now))) })
 }
 
 /// Whether some node surely takes tasks: a look without calendars, which is enough on most farms at most times.
@@ -77,33 +78,4 @@ async fn somebody_is_there(
     .fetch_one(connection)
     .await?;
     Ok(row.try_get("there")?)
-}
-
-/// Why none of the nodes, as they are now, takes tasks; `None` if one does.
-fn nobody(nodes: impl Iterator<Item = Node>) -> Option<Waits> {
-    let mut kept_by: BTreeMap<&'static str, usize> = BTreeMap::new();
-    let mut until: Option<Timestamp> = None;
-    for node in nodes {
-        let sleeps = node.power.filter(|power| power.state == PowerState::Asleep);
-        let by = match (node.state, sleeps) {
-            (NodeState::Silent, _) => "silent",
-            (NodeState::SetAside, _) => "set aside",
-            (NodeState::Draining | NodeState::Drained, _) => "drained",
-            (NodeState::Pausing | NodeState::Paused, _) => "paused",
-            (NodeState::Idle | NodeState::Working, Some(NodePower { until: wakes, .. })) => {
-                until = until.into_iter().chain(wakes).min();
-                "asleep"
-            }
-            (NodeState::Idle | NodeState::Working, None) => return None,
-        };
-        *kept_by.entry(by).or_default() += 1;
-    }
-    let because = if kept_by.is_empty() {
-        "waits because no worker has registered; `forelight worker` starts one".to_owned()
-    } else {
-        let counts: Vec<String> = kept_by.iter().map(|(by, count)| format!("{count} {by}")).collect();
-        format!("waits because no node takes tasks: {}", counts.join(", "))
-    };
-    let kind = if kept_by.contains_key("asleep") { WaitKind::Calendar } else { WaitKind::Node };
-    Some(Waits { kind, because, until, behind: Vec::new(), share: None })
 }

@@ -1,20 +1,22 @@
-//! What is kept of living estimates: the newest of each job, and how they moved.
+//! What is kept of living estimates: the newest of each job, and its history.
 //!
-//! *History.* Each estimate is kept beside those before it, at most [`MOST_POINTS`]; once there are as many, every second one goes, the first (which is
-//! the quote) excepted. So what is long ago is known coarsely, what was just now finely, and the room that a job takes is bounded.
+//! The history holds at most [`MOST_POINTS`] estimates of a job. Once it is full, every second one is deleted, except
+//! the first, which is the quote. So the distant past is known coarsely and the recent past finely, and the disk space
+//! of a job is bounded.
 
-use forelight_protocol::{ForecastHistory, HistoryPoint, JobId, JobState, LiveForecast, PlanId, Timestamp};
+use forelight_protocol::{ForecastHistory, HistoryPoint, JobId, JobState, LiveFigure, LiveForecast, PlanId};
+use forelight_quote::living::{Baseline, Last, Off};
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::database::Write;
 use crate::decode::{id_opt, json, json_opt, time, to_json, whole, word};
 use crate::{Store, StoreError};
 
-/// Estimates of a job that are kept at most.
+/// Most estimates of a job that are kept.
 const MOST_POINTS: i64 = 512;
 
 impl Store {
-    /// How the job's estimate moved; `None` before it is booked.
+    /// How the job's estimate moved; `None` before the job is booked.
     pub async fn forecast_history(&self, job: JobId) -> Result<Option<ForecastHistory>, StoreError> {
         let mut transaction = self.read().await?;
         let row = sqlx::query(
@@ -53,29 +55,23 @@ pub(crate) async fn newest(
 
 /// What is kept beside an estimate.
 pub(super) struct Kept {
-    pub frames_total: u32,
+    /// The plan that it was compared with.
     pub plan: PlanId,
-    pub booked_cpu: f64,
-    pub booked_rest: f64,
-    pub booked_share: f64,
-    pub frames_done: u32,
-    /// Finished after those.
-    pub frames_since: u32,
-    pub cost_is_off: bool,
-    pub finish_is_off: bool,
-    pub updated_at: Timestamp,
-    pub body: LiveForecast,
+    pub baseline: Baseline,
+    pub last: Last,
+    pub was_off: Off,
+    pub cpu_seconds: LiveFigure,
 }
 
 /// What there is before an estimate is made.
 pub(crate) struct Before {
-    /// The one before, if there is one.
+    /// The estimate before, if there is one.
     pub(super) estimate: Option<Kept>,
-    /// Where the job stands.
+    /// The job's state.
     pub job_state: JobState,
 }
 
-/// Asks for it.
+/// Reads what there is before an estimate is made.
 pub(crate) async fn before(write: &mut Write, job: JobId) -> Result<Before, StoreError> {
     let row = write
         .ask("SELECT l.*, j.frames_total, j.state FROM jobs j LEFT JOIN live_forecasts l ON l.job_id = j.id WHERE j.id = ?")
@@ -86,23 +82,26 @@ pub(crate) async fn before(write: &mut Write, job: JobId) -> Result<Before, Stor
     let estimate = match id_opt(&row, "plan_id")? {
         None => None,
         Some(plan) => Some(Kept {
-            frames_total: whole(&row, "frames_total")?,
             plan: PlanId(plan),
-            booked_cpu: row.try_get("booked_cpu")?,
-            booked_rest: row.try_get("booked_rest")?,
-            booked_share: row.try_get("booked_share")?,
-            frames_done: whole(&row, "frames_done")?,
-            frames_since: whole(&row, "frames_since")?,
-            cost_is_off: row.try_get("cost_is_off")?,
-            finish_is_off: row.try_get("finish_is_off")?,
-            updated_at: time(&row, "updated_at")?,
-            body: json(&row, "body")?,
+            baseline: Baseline {
+                cpu_seconds: row.try_get("booked_cpu")?,
+                rest: row.try_get("booked_rest")?,
+                share: row.try_get("booked_share")?,
+            },
+            last: Last {
+                at: time(&row, "updated_at")?,
+                frames_done: whole(&row, "frames_done")?,
+                frames_since: whole(&row, "frames_since")?,
+                frames_total: whole(&row, "frames_total")?,
+            },
+            was_off: Off { cost: row.try_get("cost_is_off")?, finish: row.try_get("finish_is_off")? },
+            cpu_seconds: json::<LiveForecast>(&row, "body")?.cpu_seconds,
         }),
     };
     Ok(Before { estimate, job_state: word(&row, "state")? })
 }
 
-/// A frame was finished that is left for the next estimate.
+/// Counts a finished frame that is left for the next estimate.
 pub(super) fn count_frame(write: &mut Write, job: JobId) {
     write.later("UPDATE live_forecasts SET frames_since = frames_since + 1 WHERE job_id = ?").bind(job.0);
 }
@@ -112,7 +111,7 @@ pub(super) async fn keep(
     write: &mut Write,
     job: JobId,
     plan: PlanId,
-    [booked_cpu, booked_rest, booked_share]: [f64; 3],
+    baseline: &Baseline,
     live: &LiveForecast,
 ) -> Result<(), StoreError> {
     sqlx::query(
@@ -124,9 +123,9 @@ pub(super) async fn keep(
     )
     .bind(job.0)
     .bind(plan.0)
-    .bind(booked_cpu)
-    .bind(booked_rest)
-    .bind(booked_share)
+    .bind(baseline.cpu_seconds)
+    .bind(baseline.rest)
+    .bind(baseline.share)
     .bind(live.frames_done)
     .bind(live.cost_is_off)
     .bind(live.finish_is_off)

@@ -191,6 +191,16 @@ pub fn project(open: &[OpenBooking], seeds: &[OpenSeed], now: Timestamp) -> Proj
     projection
 }
 
+/// The bookings, with their lengths multiplied by this factor.
+pub(crate) fn stretched(bookings: &[OpenBooking], by: f64) -> Vec<OpenBooking> {
+    let mut bookings = bookings.to_vec();
+    for OpenBooking { booking, .. } in &mut bookings {
+        let length = booking.end.micros_since(booking.start) as f64 * by;
+        booking.end = booking.start.plus_micros((length as i64).max(1));
+    }
+    bookings
+}
+
 impl Projection {
     /// When the last of a job's frames, and parts of its cache, is expected; `None` if none is open.
     pub fn finish_of(&self, job: JobId) -> Option<Timestamp> {
