@@ -18,19 +18,19 @@ use crate::{Answered, JobForecast, NewBooking, NewJob, NewJobPlan, NewPlan, Stor
 mod artifacts;
 mod calibration;
 mod claims;
-mod elsewhere;
 mod failures;
 mod fencing;
 mod jobs;
 mod joining;
-mod live;
+mod living;
 mod node_learning;
 mod opening;
 mod orders;
 mod plans;
 mod records;
-mod seeds;
+mod shared_cache;
 mod unattended;
+mod work_stealing;
 mod writing;
 
 const TTL: Duration = Duration::from_secs(30);

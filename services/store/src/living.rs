@@ -8,7 +8,7 @@
 //! know of calls for a new one.
 
 mod frames;
-mod kept;
+mod rows;
 
 use forelight_protocol::{
     Booked, Confidence, Event, EventKind, JobId, JobVerdict, LiveForecast, MoneyQuantiles, PlanId, Quantiles,
@@ -17,16 +17,21 @@ use forelight_protocol::{
 use forelight_quote::living::{self, Baseline, Comparison, Estimate, Frames, Off, is_due};
 use sqlx::{Row as _, SqliteConnection};
 
-use self::kept::{Before, Kept, count_frame, keep};
+use self::rows::{Before, Kept, count_frame, keep};
+use crate::budgets::ledger;
 use crate::database::Write;
 use crate::decode::{id_opt, json_opt, word};
+use crate::error::StoreError;
 use crate::events::{append, event};
+use crate::plans::bookings;
+use crate::plans::replans;
 use crate::policy::projection::{project, stretched};
-use crate::{JobForecast, StoreError, bookings, budgets, replans, seeds};
+use crate::quotes::JobForecast;
+use crate::shared_cache::parts;
 
 #[cfg(test)]
 pub(crate) use self::frames::FRAMES;
-pub(crate) use self::kept::{before, newest};
+pub(crate) use self::rows::{before, newest};
 pub(crate) use forelight_quote::living::Occasion;
 
 /// Makes the estimate again inside a write, if it is due.
@@ -162,7 +167,7 @@ async fn expected_finish(
     if bookings.len() + (frames.done as usize) < frames.count() {
         return Ok(None);
     }
-    let parts = seeds::open_of(connection, job).await?;
+    let parts = parts::open_of(connection, job).await?;
     Ok(project(&stretched(&bookings, stretch), &parts, now).finish_of(job))
 }
 
@@ -177,13 +182,13 @@ async fn cost(
 ) -> Result<Option<MoneyQuantiles>, StoreError> {
     let Some(price) = quote.cost else { return Ok(None) };
     let for_cache = quote.shared_cache_seconds();
-    let cache = match seeds::progress(connection, job).await? {
+    let cache = match parts::progress(connection, job).await? {
         _ if is_given_up => Quantiles::default(),
         None => for_cache,
         Some(SeedProgress { ready: true, .. }) => Quantiles::default(),
         Some(SeedProgress { cpu_seconds, .. }) => for_cache.less(cpu_seconds),
     };
-    let spent = budgets::spent_on(connection, job, now).await?;
+    let spent = ledger::spent_on(connection, job, now).await?;
     let quoted = quote.total.cpu_seconds.mean + for_cache.mean;
     Ok(living::cost(&estimate.cpu_seconds.remaining, &cache, (price, quoted), spent))
 }

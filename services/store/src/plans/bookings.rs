@@ -4,9 +4,10 @@ use forelight_protocol::{Booking, BookingId, JobId, NodeId, PlanId, Timestamp};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
+use crate::database::Store;
 use crate::decode::{id, id_opt, time, time_opt, whole};
+use crate::error::StoreError;
 use crate::policy::projection::{Holder, OpenBooking};
-use crate::{Store, StoreError};
 
 macro_rules! select_open {
     ($rest:literal) => {

@@ -8,9 +8,10 @@ use forelight_protocol::{ForecastHistory, HistoryPoint, JobId, JobState, LiveFig
 use forelight_quote::living::{Baseline, Last, Off};
 use sqlx::{Row as _, SqliteConnection};
 
+use crate::database::Store;
 use crate::database::Write;
 use crate::decode::{id_opt, json, json_opt, time, to_json, whole, word};
-use crate::{Store, StoreError};
+use crate::error::StoreError;
 
 /// Most estimates of a job that are kept.
 const MOST_POINTS: i64 = 512;

@@ -11,8 +11,9 @@ use bytes::Bytes;
 use forelight_protocol::{LeaseId, TaskId, TaskKind};
 use uuid::Uuid;
 
+use crate::database::Store;
+use crate::error::StoreError;
 use crate::leases::{LeaseState, read};
-use crate::{Store, StoreError};
 
 /// Name of their folder in the data folder.
 const FOLDER: &str = "checkpoints";

@@ -4,18 +4,17 @@
 //! Each question is one step into an index for each booked job, however many frames it has. The last one reads the
 //! farm's nodes once.
 
-use forelight_protocol::{ByClass, JobId, JobVerdict, Money, Node, NodeId, Timestamp};
+use forelight_protocol::{ByClass, JobId, JobVerdict, Node, Timestamp};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
-use crate::StoreError;
-use crate::claims::{Asking, NEXT_BOOKED, Offer, Query, next_task, task_columns};
+use crate::claims::asking::{Asking, NEXT_BOOKED, Offer, Query, next_task, task_columns};
 use crate::decode::{id, json, json_opt, time_opt, whole};
+use crate::error::StoreError;
+use crate::jobs::outlooks::JobOutlook;
 use crate::nodes::gone;
-use crate::plans::JobOutlook;
-use crate::policy::work_stealing::{
-    OVERDUE, Rates, is_at_risk, is_bounded, least_rate, rate, reason_to_wait,
-};
+use crate::policy::work_stealing::{OVERDUE, is_at_risk, least_rate, rate, reason_to_wait};
+use crate::tasks::is_bounded_job;
 
 /// A booked job, as an idle node sees it.
 struct BookedJob {
@@ -108,30 +107,6 @@ fn decode(row: &SqliteRow, node: &Node) -> Result<BookedJob, StoreError> {
         for_everybody: !is_bounded_job(row)? || is_at_risk,
         rate: rate(node, work.as_ref()),
     })
-}
-
-/// Whether the job of this row is bounded.
-fn is_bounded_job(row: &SqliteRow) -> Result<bool, StoreError> {
-    let budget: Option<i64> = row.try_get("budget")?;
-    Ok(is_bounded(time_opt(row, "deadline_at")?, budget.map(Money)))
-}
-
-/// Where a task is booked: node, planned start, and what the plan pays there (see `0010_idle_nodes.sql`).
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Slot {
-    pub node: NodeId,
-    pub start: Timestamp,
-    pub rate: Option<i64>,
-}
-
-/// What plans pay for the work of a job.
-pub(crate) async fn rates(connection: &mut SqliteConnection, job: JobId) -> Result<Rates, StoreError> {
-    let row = sqlx::query("SELECT deadline_at, budget, work_by_class FROM jobs WHERE id = ?")
-        .bind(job.0)
-        .fetch_optional(connection)
-        .await?;
-    let row = row.ok_or(StoreError::NotFound("job"))?;
-    Ok(Rates { work: json_opt(&row, "work_by_class")?, is_bounded: is_bounded_job(&row)? })
 }
 
 /// A job's first task, wherever it is booked. `?5` to `?7` are the job's due time, priority and id.

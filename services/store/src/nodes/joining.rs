@@ -8,8 +8,10 @@
 use forelight_protocol::{ArtifactHash, JoinRequest, JoinToken, Node, NodeId, Timestamp};
 use sqlx::Row as _;
 
+use crate::database::Store;
 use crate::decode::{hash_opt, id_opt, time};
-use crate::{Store, StoreError, nodes, tokens};
+use crate::error::StoreError;
+use crate::{nodes, tokens};
 
 impl Store {
     /// Makes a one-time token that is valid for so many microseconds from `now`.
@@ -81,7 +83,7 @@ impl Store {
                 request.node.name
             )));
         }
-        let node = nodes::upsert(&mut write, &request.node, now).await?;
+        let node = nodes::changing::upsert(&mut write, &request.node, now).await?;
         sqlx::query("UPDATE join_tokens SET used_at = ?, used_for = ?, node_id = ? WHERE hash = ?")
             .bind(now.micros())
             .bind(&request.token_hash.0[..])
@@ -108,16 +110,6 @@ impl Store {
         }
         self.commit(write).await?;
         Ok(node)
-    }
-
-    /// The node that holds or held a lease.
-    pub async fn lease_holder(&self, lease: forelight_protocol::LeaseId) -> Result<NodeId, StoreError> {
-        let row = sqlx::query("SELECT node_id FROM leases WHERE id = ?")
-            .bind(lease.0)
-            .fetch_optional(self.readers())
-            .await?
-            .ok_or(StoreError::NotFound("lease"))?;
-        Ok(NodeId(row.try_get("node_id")?))
     }
 }
 

@@ -2,11 +2,16 @@
 
 use forelight_protocol::{Event, EventKind, JobState, LeaseId, NodeId, TaskError, TaskId, Timestamp};
 
+use crate::database::Store;
 use crate::database::Write;
+use crate::error::StoreError;
 use crate::events::{append, event};
-use crate::leases::{LeaseState, back_to_ready, end, fail_for_good, read_in, touch};
+use crate::jobs;
+use crate::jobs::ending::fail_task_and_job;
+use crate::leases::{LeaseState, back_to_ready, end, read_in, touch};
+use crate::nodes;
+use crate::plans::replans;
 use crate::policy::retries::{HEAD_START, HELD_AGAINST, is_blameless, job_error, reason_to_set_aside, wait};
-use crate::{Store, StoreError, jobs, nodes, replans};
 
 impl Store {
     /// A worker could not do its task. Says whether this had been reported before, and where the job stands now.
@@ -47,7 +52,7 @@ impl Store {
             .await?;
         let failed_on = nodes_that_failed(&mut write, row.task_id).await?;
         match job_error(error, row.task_id, failures, &failed_on) {
-            Some(job_error) => fail_for_good(&mut write, &row, &job_error, now).await?,
+            Some(job_error) => fail_task_and_job(&mut write, &row, &job_error, now).await?,
             None => back_to_ready(&mut write, &row, Some(&error.message)),
         }
         if !blameless {

@@ -9,11 +9,13 @@ use std::time::Duration;
 use forelight_protocol::{Job, JobId, Timestamp, Waits};
 use sqlx::{Row as _, SqliteConnection};
 
+use crate::database::Store;
 use crate::decode::id;
+use crate::error::StoreError;
+use crate::nodes;
 use crate::nodes::closed;
 use crate::policy::availability::{as_it_is, silent_after};
 use crate::policy::unattended::why_nobody_works;
-use crate::{Store, StoreError, nodes};
 
 /// The quotes that nobody works on and nobody will, as things stand.
 #[derive(Clone, PartialEq, Debug, Default)]

@@ -6,10 +6,11 @@
 
 use sqlx::{Row as _, SqliteConnection};
 
+use crate::database::Store;
 use crate::database::Write;
 use crate::decode::{json, to_json};
+use crate::error::StoreError;
 use crate::policy::replans::{add_cause, causes_left};
-use crate::{Store, StoreError};
 
 /// What a plan would have to take into account.
 #[derive(Clone, PartialEq, Eq, Debug, Default)]

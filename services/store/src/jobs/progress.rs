@@ -4,7 +4,9 @@ use forelight_protocol::{JobId, LiveForecast, SeedProgress};
 use sqlx::{Row as _, SqliteConnection};
 
 use crate::decode::whole;
-use crate::{StoreError, live, seeds};
+use crate::error::StoreError;
+use crate::living;
+use crate::shared_cache::parts;
 
 /// How far a job is.
 #[derive(Clone, PartialEq, Debug)]
@@ -35,7 +37,7 @@ pub(crate) async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Res
     let weight: f64 = row.try_get("weight")?;
     let reached: f64 = row.try_get("reached")?;
     let fraction = if weight > 0.0 { (reached / weight).clamp(0.0, 1.0) } else { 0.0 };
-    let live = live::newest(connection, job).await?;
-    let seed = seeds::progress(connection, job).await?;
+    let live = living::newest(connection, job).await?;
+    let seed = parts::progress(connection, job).await?;
     Ok(Progress { frames_done: whole(&row, "done")?, fraction, begun: row.try_get("begun")?, live, seed })
 }

@@ -5,10 +5,12 @@ use forelight_protocol::{FrameForecast, JobId, Quantiles, Timestamp};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
+use crate::database::Store;
 use crate::database::Write;
 use crate::decode::{id, whole};
+use crate::error::StoreError;
 use crate::policy::learning::{ALL_FRAMES, Residuals, experience, is_learnt_from};
-use crate::{JobForecast, Store, StoreError};
+use crate::quotes::JobForecast;
 
 /// Finished jobs that a quote learns from at most, the newest: renderers, scenes and machines change slowly, but they do.
 const WINDOW: u32 = 200;

@@ -5,8 +5,8 @@ use forelight_quote::living::{FrameCost, FrameState, Frames};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
-use crate::StoreError;
 use crate::decode::whole;
+use crate::error::StoreError;
 
 /// A job's frames, and the finished pixels of those under way.
 pub const FRAMES: &str = "SELECT f.frame, f.clock, f.work_mean, f.work_p50, f.work_p80, f.work_p95, f.cpu_mean, f.cpu_p50, f.cpu_p80, f.cpu_p95, \

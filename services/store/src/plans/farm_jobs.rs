@@ -6,10 +6,14 @@ use forelight_protocol::{Job, JobId, Money, Timestamp};
 use sqlx::Row as _;
 use sqlx::sqlite::SqliteRow;
 
-use crate::budgets::{LINES_OF_JOB, line};
+use crate::budgets::ledger::{LINES_OF_JOB, line};
+use crate::database::Store;
 use crate::decode::{id, json_opt, whole, whole_opt, word};
+use crate::error::StoreError;
+use crate::jobs;
+use crate::jobs::progress;
 use crate::policy::budgets::{Payment, spent_and_under_way};
-use crate::{JobForecast, Store, StoreError, jobs, progress};
+use crate::quotes::JobForecast;
 
 /// A job that is booked and not over.
 #[derive(Clone, PartialEq, Debug)]

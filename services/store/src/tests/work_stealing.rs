@@ -211,7 +211,7 @@ async fn what_is_found_out_too_late_about_a_job_that_is_over_changes_nothing() {
 #[tokio::test]
 async fn looking_at_a_bounded_job_is_a_few_steps_into_indexes_however_many_frames_it_has() {
     let farm = Farm::new().await;
-    for query in [crate::elsewhere::NEXT_OF_JOB, crate::elsewhere::NEXT_NO_DEARER] {
+    for query in [crate::claims::work_stealing::NEXT_OF_JOB, crate::claims::work_stealing::NEXT_NO_DEARER] {
         let steps = super::claims::steps_of(&farm, query).await;
         let slow = |step: &String| step.starts_with("SCAN") || step.contains("TEMP B-TREE");
         assert!(!steps.iter().any(slow), "{query}: {steps:?}");
@@ -220,7 +220,7 @@ async fn looking_at_a_bounded_job_is_a_few_steps_into_indexes_however_many_frame
         }
     }
     // The dearest booking is found by the rate, the most overdue by its start.
-    let steps = super::claims::steps_of(&farm, crate::elsewhere::NEXT_NO_DEARER).await;
+    let steps = super::claims::steps_of(&farm, crate::claims::work_stealing::NEXT_NO_DEARER).await;
     for bound in
         ["tasks_ready_rates (job_id=? AND booked_rate>?)", "tasks_ready_starts (job_id=? AND booked_at<?)"]
     {

@@ -3,10 +3,11 @@
 use forelight_protocol::{LOG_LINES, LeaseId, LogLine, TaskId, TaskLog, TaskLogLine, Timestamp};
 use sqlx::Row as _;
 
+use crate::database::Store;
 use crate::database::Write;
 use crate::decode::{time, whole, word};
+use crate::error::StoreError;
 use crate::leases::{LeaseRow, LeaseState, read_in};
-use crate::{Store, StoreError};
 
 /// For how long logs are kept: thirty days, in microseconds.
 const KEPT: i64 = 30 * 24 * 3_600_000_000;

@@ -8,8 +8,9 @@ use forelight_protocol::{
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
+use crate::database::Store;
 use crate::decode::{id, time, whole};
-use crate::{Store, StoreError};
+use crate::error::StoreError;
 
 /// What hits and errors are counted over: frames or jobs, with forecast and actual.
 macro_rules! coverage_columns {

@@ -8,9 +8,10 @@ use sqlx::Row as _;
 
 use crate::database::Write;
 use crate::decode::json_opt;
+use crate::error::StoreError;
 use crate::leases::LeaseRow;
 use crate::policy::learning::{is_lesson, lesson_of_frame, moved_mean};
-use crate::{JobForecast, StoreError};
+use crate::quotes::JobForecast;
 
 /// Learns from a finished frame inside the write that keeps it.
 pub(crate) async fn learn(

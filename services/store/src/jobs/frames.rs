@@ -7,8 +7,10 @@ use forelight_protocol::{
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
+use crate::database::Store;
 use crate::decode::{corrupt, hash_opt, id_opt, json_opt, time, time_opt, whole};
-use crate::{Store, StoreError, jobs};
+use crate::error::StoreError;
+use crate::jobs;
 
 macro_rules! select_frames {
     ($rest:literal) => {
