@@ -24,6 +24,7 @@
 //! | `limit` | the most samples for a time or a sum of money |
 //! | `samples` | what profiled pixels cost with other numbers of camera samples |
 //! | `pixel_costs` | what single pixels will cost |
+//! | `living` | the estimate of a job under way: when it is made again, and when it leaves the plan |
 //! | `price` | CPU time in money |
 //! | `explanation/` | why a quote is what it is, in numbers and words |
 //! | `qualities/` | what other qualities cost, and how far their images are from converged |
@@ -34,6 +35,7 @@ mod estimate;
 mod explanation;
 mod job_forecast;
 mod limit;
+pub mod living;
 mod measured;
 mod pixel_costs;
 mod populations;

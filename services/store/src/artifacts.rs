@@ -6,13 +6,13 @@
 //! one object ([`ArtifactPlace`]). Either way the row is written after the file is durable.
 
 mod place;
+mod reader;
 mod remote;
 
 use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
 use forelight_protocol::{ArtifactHash, ArtifactStored, Timestamp};
-use futures::stream::BoxStream;
 use futures::{Stream, StreamExt as _, TryStreamExt as _};
 use object_store::local::LocalFileSystem;
 use object_store::{ObjectStoreExt as _, WriteMultipart};
@@ -20,10 +20,11 @@ use sqlx::SqlitePool;
 use uuid::Uuid;
 
 use self::remote::Remote;
-use crate::StoreError;
+use crate::error::StoreError;
 use crate::writing::Writer;
 
 pub use self::place::{ArtifactPlace, BadPlace};
+pub use self::reader::ArtifactReader;
 
 /// Bytes per write to disk.
 const CHUNK: usize = 1 << 20;
@@ -70,14 +71,6 @@ impl Drop for Staged {
             tracing::warn!(path = %self.path.display(), %error, "an upload that nobody keeps could not be deleted");
         }
     }
-}
-
-/// An artefact's content.
-pub struct ArtifactReader {
-    /// Length in bytes.
-    pub size: u64,
-    /// The bytes.
-    pub stream: BoxStream<'static, Result<Bytes, StoreError>>,
 }
 
 impl Artifacts {

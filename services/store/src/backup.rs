@@ -6,8 +6,8 @@ use std::str::FromStr;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{Connection as _, Row as _};
 
-use crate::StoreError;
 use crate::database::{DATABASE, find_damage, restrict_to_owner};
+use crate::error::StoreError;
 
 /// What a backup holds.
 #[derive(Clone, PartialEq, Eq, Debug)]

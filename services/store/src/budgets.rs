@@ -6,44 +6,23 @@
 //! An action, once in force, stays so until its period is over or the budget is set again. Without that, stopping what runs would free what was
 //! committed for it, and so start it again.
 
-use std::collections::{BTreeMap, BTreeSet};
+pub(crate) mod ledger;
+pub(crate) mod nights;
 
-use forelight_protocol::{
-    Budget, BudgetAction, BudgetForecast, BudgetRequest, BudgetThreshold, Event, EventKind, Job, JobId,
-    JobState, LedgerLine, Money, NodeId, Timestamp,
-};
-use forelight_quote::JobForecast;
+use std::collections::BTreeSet;
+
+use forelight_protocol::{Budget, BudgetAction, BudgetRequest, Event, EventKind, Money, Timestamp};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
-use crate::database::Write;
-use crate::decode::{corrupt, id, json, time, time_opt, to_json, word};
+use crate::budgets::ledger::{committed, spent};
+use crate::database::{Store, Write};
+use crate::decode::{corrupt, json, time, time_opt, to_json, word};
+use crate::error::StoreError;
 use crate::events::{append, event};
-use crate::{Store, StoreError, jobs, leases, progress, replans};
-
-/// A job that is booked and not done, with what its forecast says.
-#[derive(Clone, PartialEq, Debug)]
-pub struct OpenJob {
-    /// The job.
-    pub job: Job,
-    /// Its forecast; none before it is booked.
-    pub forecast: Option<JobForecast>,
-    /// CPU seconds of its frames that are not there yet, at P50 and P80.
-    pub frames: Vec<(u32, f64, f64)>,
-    /// Its project's budget holds it back.
-    pub held: bool,
-}
-
-/// A night that was forecast.
-#[derive(Clone, PartialEq, Debug)]
-pub struct KeptNight {
-    /// First instant.
-    pub from: Timestamp,
-    /// The instant after the last.
-    pub until: Timestamp,
-    /// What was said.
-    pub forecast: BudgetForecast,
-}
+use crate::leases;
+use crate::plans::replans;
+use crate::policy::budgets as policy;
 
 /// A budget as it is kept.
 struct Kept {
@@ -100,139 +79,6 @@ impl Store {
         self.commit(write).await?;
         Ok(changed)
     }
-
-    /// What was paid for between two instants, in the order of leases.
-    pub async fn ledger(&self, from: Timestamp, until: Timestamp) -> Result<Vec<LedgerLine>, StoreError> {
-        let rows = sqlx::query(concat!(
-            "SELECT ",
-            lines!(),
-            " FROM ledger d JOIN leases l ON l.id = d.lease_id \
-             WHERE d.from_at < ? AND (d.until_at IS NULL OR d.until_at > ?) ORDER BY d.from_at, d.lease_id"
-        ))
-        .bind(until.micros())
-        .bind(from.micros())
-        .fetch_all(self.readers())
-        .await?;
-        rows.iter().map(line).collect()
-    }
-
-    /// What a job's leases have cost so far, those that end at `now` and those that go on.
-    pub async fn spent_on(&self, job: JobId, now: Timestamp) -> Result<Money, StoreError> {
-        spent_on(&mut *self.readers().acquire().await?, job, now).await
-    }
-
-    /// The jobs that are neither done, failed nor cancelled, oldest first.
-    pub async fn open_jobs(&self) -> Result<Vec<OpenJob>, StoreError> {
-        let mut transaction = self.read().await?;
-        let rows = sqlx::query(
-            "SELECT * FROM jobs WHERE state IN ('previewing', 'profiling', 'booked', 'rendering') ORDER BY id",
-        )
-        .fetch_all(&mut *transaction)
-        .await?;
-        let mut open = Vec::with_capacity(rows.len());
-        for row in &rows {
-            let job_id = JobId(id(row, "id")?);
-            let done = progress::of_job(&mut transaction, job_id).await?;
-            let job = jobs::decode(row, done)?;
-            let frames = sqlx::query(
-                "SELECT frame, cpu_p50, cpu_p80 FROM frames WHERE job_id = ? AND finished_at IS NULL AND cpu_p50 IS NOT NULL \
-                 ORDER BY frame",
-            )
-            .bind(job_id.0)
-            .fetch_all(&mut *transaction)
-            .await?;
-            let held: bool =
-                sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM tasks WHERE job_id = ? AND held = 1)")
-                    .bind(job_id.0)
-                    .fetch_one(&mut *transaction)
-                    .await?;
-            let is_booked = matches!(job.state, JobState::Booked | JobState::Rendering);
-            open.push(OpenJob {
-                forecast: if is_booked { crate::decode::json_opt(row, "forecast")? } else { None },
-                frames: frames
-                    .iter()
-                    .map(|row| Ok((crate::decode::whole(row, "frame")?, row.try_get(1)?, row.try_get(2)?)))
-                    .collect::<Result<_, StoreError>>()?,
-                job,
-                held,
-            });
-        }
-        Ok(open)
-    }
-
-    /// Keeps what is said of a night, unless something was said before and the night is past its middle. One row a night, however often
-    /// this is called.
-    pub async fn keep_budget_forecast(&self, night: &KeptNight) -> Result<(), StoreError> {
-        let mut write = self.write().await?;
-        let middle = night.from.plus_micros(night.until.micros_since(night.from) / 2);
-        sqlx::query(
-            "INSERT INTO budget_forecasts (date, zone, begin_at, end_at, made_at, body) VALUES (?1, ?2, ?3, ?4, ?5, ?6) \
-             ON CONFLICT (date, zone) DO UPDATE SET made_at = excluded.made_at, body = excluded.body WHERE ?5 < ?7",
-        )
-        .bind(night.forecast.date.to_string())
-        .bind(&night.forecast.zone)
-        .bind(night.from.micros())
-        .bind(night.until.micros())
-        .bind(night.forecast.made_at.micros())
-        .bind(to_json(&night.forecast)?)
-        .bind(middle.micros())
-        .execute(write.connection().await?)
-        .await?;
-        self.commit(write).await
-    }
-
-    /// The nights of a zone that were forecast and begin before an instant, newest first, at most `limit`.
-    pub async fn budget_forecasts_before(
-        &self,
-        zone: &str,
-        before: Timestamp,
-        limit: u32,
-    ) -> Result<Vec<KeptNight>, StoreError> {
-        let rows = sqlx::query(
-            "SELECT * FROM budget_forecasts WHERE zone = ? AND begin_at < ? ORDER BY begin_at DESC LIMIT ?",
-        )
-        .bind(zone)
-        .bind(before.micros())
-        .bind(limit)
-        .fetch_all(self.readers())
-        .await?;
-        rows.iter()
-            .map(|row| {
-                Ok(KeptNight {
-                    from: time(row, "begin_at")?,
-                    until: time(row, "end_at")?,
-                    forecast: json(row, "body")?,
-                })
-            })
-            .collect()
-    }
-}
-
-/// Columns of a line of the ledger. A worker that was not heard of since the service began again is paid until then, and no other longer than its
-/// lease goes, unless it is renewed.
-macro_rules! lines {
-    () => {
-        "d.*, coalesce(l.paid_until, CASE l.state WHEN 'active' THEN l.expires_at END) AS paid_until"
-    };
-}
-use lines;
-
-/// All lines of a job, each with what was done.
-pub(crate) const LINES_OF_JOB: &str = concat!(
-    "SELECT ",
-    lines!(),
-    ", t.kind, t.frame, l.state = 'active' AS is_active FROM tasks t JOIN leases l ON l.task_id = t.id JOIN ledger d ON d.lease_id = l.id WHERE t.job_id = ?"
-);
-
-pub(crate) fn line(row: &SqliteRow) -> Result<LedgerLine, StoreError> {
-    Ok(LedgerLine {
-        project: row.try_get("project")?,
-        job_id: JobId(id(row, "job_id")?),
-        node_id: NodeId(id(row, "node_id")?),
-        price_per_hour: Money(row.try_get("price_per_hour")?),
-        from: time(row, "from_at")?,
-        until: time_opt(row, "until_at")?.or(time_opt(row, "paid_until")?),
-    })
 }
 
 async fn kept(connection: &mut SqliteConnection) -> Result<Vec<Kept>, StoreError> {
@@ -290,87 +136,17 @@ async fn as_it_stands(
     })
 }
 
-/// What a job's leases cost, those that run up to now: its quote, its frames, and what was lost.
-pub(crate) async fn spent_on(
-    connection: &mut SqliteConnection,
-    job: JobId,
-    now: Timestamp,
-) -> Result<Money, StoreError> {
-    let rows = sqlx::query(LINES_OF_JOB).bind(job.0).fetch_all(connection).await?;
-    cost_since(&rows, Timestamp::from_micros(i64::MIN), now)
-}
-
-/// What a project's leases cost since an instant; those that run, up to now.
-async fn spent(
-    connection: &mut SqliteConnection,
-    project: &str,
-    from: Timestamp,
-    now: Timestamp,
-) -> Result<Money, StoreError> {
-    let rows = sqlx::query(concat!(
-        "SELECT ",
-        lines!(),
-        " FROM ledger d JOIN leases l ON l.id = d.lease_id \
-         WHERE d.project = ? AND (d.until_at IS NULL OR d.until_at > ?)"
-    ))
-    .bind(project)
-    .bind(from.micros())
-    .fetch_all(connection)
-    .await?;
-    cost_since(&rows, from, now)
-}
-
-fn cost_since(rows: &[SqliteRow], from: Timestamp, now: Timestamp) -> Result<Money, StoreError> {
-    rows.iter()
-        .try_fold(Money(0), |sum, row| Ok(Money(sum.0.saturating_add(line(row)?.cost_within(from, now).0))))
-}
-
-/// What the frames that a project has running are expected to cost from now on, at the median of their forecasts.
-async fn committed(
-    connection: &mut SqliteConnection,
-    project: &str,
-    now: Timestamp,
-) -> Result<Money, StoreError> {
-    let rows = sqlx::query(
-        concat!("SELECT ", lines!(), ", f.cpu_p50, l.node_speed * n.cores AS rate FROM ledger d \
-         JOIN leases l ON l.id = d.lease_id JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = d.node_id \
-         JOIN frames f ON f.job_id = d.job_id AND f.frame = t.frame \
-         WHERE d.project = ? AND d.until_at IS NULL AND t.kind = 'render' AND f.cpu_p50 IS NOT NULL"),
-    )
-    .bind(project)
-    .fetch_all(connection)
-    .await?;
-    let mut sum = 0i64;
-    for row in &rows {
-        let line = line(row)?;
-        let (cpu, rate): (f64, f64) = (row.try_get("cpu_p50")?, row.try_get("rate")?);
-        let whole = (cpu / rate * 1e6) as i64;
-        let left = whole.saturating_sub(now.micros_since(line.from)).max(0);
-        sum = sum.saturating_add(line.price_per_hour.for_micros_at_hourly_rate(left).0);
-    }
-    Ok(Money(sum))
-}
-
-/// The strongest action that so much spending calls for.
-fn called_for(thresholds: &[BudgetThreshold], amount: Money, used: Money) -> Option<BudgetAction> {
-    let reached =
-        |percent: u32| used.0 > 0 && i128::from(used.0) * 100 >= i128::from(amount.0) * i128::from(percent);
-    thresholds.iter().filter(|threshold| reached(threshold.percent)).map(|threshold| threshold.action).max()
-}
-
-/// Budgets of which something has to change: the budget as it stands, and the action that comes into force.
+/// The budgets of which something has to be written, as they stand, with the action that comes into force.
 async fn due(
     connection: &mut SqliteConnection,
     now: Timestamp,
 ) -> Result<Vec<(Budget, Option<BudgetAction>)>, StoreError> {
     let mut due = Vec::new();
     for kept in kept(connection).await? {
-        let (had, period_at) = (kept.action, kept.period_at);
+        let written = (kept.action, kept.period_at);
         let budget = as_it_stands(connection, kept, now).await?;
-        let used = Money(budget.spent.0.saturating_add(budget.committed.0));
-        // In force stays what is in force in this period.
-        let action = called_for(&budget.thresholds, budget.amount, used).max(budget.action);
-        if action != had || (had.is_some() && period_at != Some(budget.from)) {
+        let action = policy::action(&budget);
+        if policy::is_news(&budget, action, written) {
             due.push((budget, action));
         }
     }
@@ -387,30 +163,12 @@ async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
             .bind(budget.period.name())
             .execute(write.connection().await?)
             .await?;
-        let message = match action {
-            Some(action) => format!(
-                "{}: {} spent and {} committed of {} a {}: {}",
-                budget.project,
-                budget.spent,
-                budget.committed,
-                budget.amount,
-                budget.period.name(),
-                match action {
-                    BudgetAction::Warn => "warning",
-                    BudgetAction::Drain => "nothing new is started",
-                    BudgetAction::Stop => "what runs is stopped",
-                }
-            ),
-            None => format!("{}: the budget's new {} begins", budget.project, budget.period.name()),
-        };
+        let message = policy::message(budget, *action);
         append(write, Event { message: Some(message), ..event(EventKind::Budget, now) })?;
     }
-    // Of all budgets of a project, the strongest action counts. A budget that was just set again has none, and may have had one.
-    let mut in_force: BTreeMap<String, Option<BudgetAction>> = BTreeMap::new();
-    for kept in kept(write.connection().await?).await? {
-        let action = in_force.entry(kept.request.project).or_default();
-        *action = (*action).max(kept.action);
-    }
+    // A budget that was just set again has no action in force, and may have had one.
+    let kept = kept(write.connection().await?).await?;
+    let in_force = policy::strongest(kept.into_iter().map(|kept| (kept.request.project, kept.action)));
     let held: Vec<String> = sqlx::query_scalar(
         "SELECT DISTINCT j.project FROM tasks t JOIN jobs j ON j.id = t.job_id WHERE t.held = 1",
     )
@@ -472,25 +230,4 @@ async fn stop(write: &mut Write, project: &str, now: Timestamp) -> Result<(), St
     .fetch_all(write.connection().await?)
     .await?;
     leases::take_back(write, running, now).await
-}
-
-#[cfg(test)]
-mod tests {
-    use super::called_for;
-    use forelight_protocol::{BudgetAction, BudgetThreshold, Money};
-
-    #[test]
-    fn the_strongest_action_whose_share_is_reached_is_called_for() {
-        let at = |percent, action| BudgetThreshold { percent, action };
-        let thresholds =
-            [at(120, BudgetAction::Stop), at(80, BudgetAction::Warn), at(100, BudgetAction::Drain)];
-        let found = |used| called_for(&thresholds, Money(1000), Money(used));
-        assert_eq!(found(799), None);
-        assert_eq!(found(800), Some(BudgetAction::Warn));
-        assert_eq!(found(1000), Some(BudgetAction::Drain));
-        assert_eq!(found(1_000_000), Some(BudgetAction::Stop));
-        // Of nothing, everything is too much, but nothing is not.
-        assert_eq!(called_for(&thresholds, Money(0), Money(0)), None);
-        assert_eq!(called_for(&thresholds, Money(0), Money(1)), Some(BudgetAction::Stop));
-    }
 }

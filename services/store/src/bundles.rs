@@ -3,9 +3,10 @@
 use forelight_protocol::{ArtifactHash, Bundle, BundleId, SceneSummary, Timestamp};
 use sqlx::sqlite::SqliteRow;
 
+use crate::database::Store;
 use crate::decode::{hash, id, json, time, to_json, whole};
+use crate::error::StoreError;
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
-use crate::{Store, StoreError};
 
 /// A bundle that was uploaded and found to be a scene.
 #[derive(Clone, PartialEq, Debug)]

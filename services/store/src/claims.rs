@@ -1,5 +1,8 @@
 //! Claims: which task a node is given next.
 
+pub(crate) mod asking;
+pub(crate) mod work_stealing;
+
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -9,16 +12,17 @@ use forelight_protocol::{
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
+use self::asking::{Asking, Offer, next_task, task_columns};
+use crate::database::Store;
 use crate::database::Write;
 use crate::decode::{id, json, json_opt, to_json, whole, word};
-use crate::elsewhere;
+use crate::error::StoreError;
 use crate::events::{append, event, job_state};
-use crate::failures::HEAD_START;
 use crate::idempotency::{Answered, IdempotencyKey, RecordedAnswer, earlier_answer, record};
-use crate::leases::{has_calendar, sleep_of, sweep, touch};
-use crate::nodes::{self, select_nodes};
-use crate::schedule::{Opening, opening};
-use crate::{Store, StoreError};
+use crate::leases::sweeping::sweep;
+use crate::leases::touch;
+use crate::nodes::{self, has_calendar, select_nodes, sleep_of};
+use crate::policy::availability::{Opening, forecast_seconds_within, opening};
 
 impl Store {
     /// Hands the node its next task, if there is one and the node is not draining. Sweeps first, so that a task whose
@@ -234,58 +238,13 @@ macro_rules! some_ran_out {
 }
 use some_ran_out;
 
-/// What a node is given, or why it is given nothing though there is something.
-#[derive(Default)]
-pub(crate) struct Offer {
-    pub task: Option<SqliteRow>,
-    /// For people; nothing if there is a task, or none for anybody.
-    pub idle_reason: Option<String>,
-}
-
-impl From<Option<SqliteRow>> for Offer {
-    fn from(task: Option<SqliteRow>) -> Self {
-        Self { task, idle_reason: None }
-    }
-}
-
-/// Who asks, and when: what the steps of a claim have in common.
-pub(crate) struct Asking<'a> {
-    pub node: &'a Node,
-    pub now: Timestamp,
-    /// Since when nodes can be heard of: the service was not there before.
-    pub up_since: Timestamp,
-    /// What this node does of each booked job until its window ends, see [`at_most`].
-    at_most: Option<String>,
-}
-
-impl Asking<'_> {
-    /// The first task of a query that takes these four: the node, now, since when a node that failed may have the task again, and what fits
-    /// into the node's window; and whatever `more` binds.
-    pub(crate) async fn first(
-        &self,
-        connection: &mut SqliteConnection,
-        query: &'static str,
-        more: impl FnOnce(Query) -> Query,
-    ) -> Result<Option<SqliteRow>, StoreError> {
-        let common = sqlx::query(query)
-            .bind(self.node.id.0)
-            .bind(self.now.micros())
-            .bind(self.now.plus_micros(-HEAD_START).micros())
-            .bind(self.at_most.clone());
-        Ok(more(common).fetch_optional(connection).await?)
-    }
-}
-
-/// A query under way.
-pub(crate) type Query = sqlx::query::Query<'static, sqlx::Sqlite, sqlx::sqlite::SqliteArguments>;
-
 /// The task that the node should do next, if it may be given any.
 ///
 /// 1. Previews and profiles of any job, and plans and merges of irradiance caches: they are short, and every quote, and with it every
 ///    booking, waits for them. By priority, then deadline, then age of the job.
 /// 2. The node's own bookings, earliest planned start first: frames, and parts of irradiance caches.
 /// 3. Any of these, by the job's deadline, then priority, then age of the job, then frame, as far as that is not against what the plan
-///    wanted: see `elsewhere`.
+///    wanted: see [`work_stealing`].
 ///
 /// Each of the three is one step into an index made for it, which is named because SQLite, left alone, prefers the index of
 /// all ready tasks and sorts them; later ones are taken only if those before found nothing. Only if the first of the third kind is not for everybody, the
@@ -314,7 +273,7 @@ async fn offer(
         return Ok(Offer::default());
     };
     if first.try_get("is_booked_elsewhere")? {
-        return elsewhere::offer(connection, &asking).await;
+        return work_stealing::offer(connection, &asking).await;
     }
     Ok(Some(first).into())
 }
@@ -349,50 +308,16 @@ async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) ->
     )
     .fetch_all(connection)
     .await?;
-    let seconds = micros.max(0) as f64 * 1e-6 * f64::from(node.cores);
     let limits: Result<BTreeMap<String, f64>, StoreError> = rows
         .iter()
         .map(|row| {
             let work: Option<ByClass> = json_opt(row, "work_by_class")?;
             let factor: f64 = row.try_get("factor")?;
-            Ok((row.try_get("name")?, seconds * node.speed_for(work.as_ref()) / factor))
+            Ok((row.try_get("name")?, forecast_seconds_within(micros, node, work.as_ref(), factor)))
         })
         .collect();
     to_json(&limits?)
 }
-
-/// The first task by an index of which these hold and which the node, `?1`, may have now.
-macro_rules! next_task {
-    ($index:literal, $which:literal, $order:literal) => {
-        $crate::claims::next_task!("id", $index, $which, $order)
-    };
-    ($columns:expr, $index:literal, $which:literal, $order:literal) => {
-        concat!(
-            "SELECT ",
-            $columns,
-            " FROM tasks INDEXED BY ",
-            $index,
-            " WHERE state = 'ready' AND ",
-            $which,
-            " AND held = 0 AND not_before <= ?2 AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS (SELECT 1 FROM leases f \
-              WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1)) \
-              AND (?4 IS NULL OR (SELECT cpu_p95 FROM frames WHERE job_id = tasks.job_id AND frame = tasks.frame) \
-              > ?4 ->> ('$.\"' || hex(tasks.job_id) || '\"') IS NOT TRUE) ORDER BY ",
-            $order,
-            " LIMIT 1"
-        )
-    };
-}
-pub(crate) use next_task;
-
-/// What an offer needs of a task.
-macro_rules! task_columns {
-    () => {
-        "id, job_id, spec, limits, fence, (SELECT j.state FROM jobs j WHERE j.id = tasks.job_id) AS job_state, \
-         (SELECT j.work_by_class FROM jobs j WHERE j.id = tasks.job_id) AS work_by_class"
-    };
-}
-pub(crate) use task_columns;
 
 /// What the node is given if nothing is against it; and whether there may be.
 pub(crate) const NEXT: &str = concat!(
@@ -417,12 +342,4 @@ pub(crate) const NEXT: &str = concat!(
         "due_at, priority DESC, job_id, frame, part"
     ),
     "))"
-);
-
-/// What is booked on the node `?5`.
-pub(crate) const NEXT_BOOKED: &str = next_task!(
-    task_columns!(),
-    "tasks_ready_booked",
-    "kind IN ('cache_fill', 'render') AND booked_node = ?5",
-    "booked_at, job_id, frame, part"
 );

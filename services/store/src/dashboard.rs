@@ -9,11 +9,19 @@ use forelight_protocol::{
 use forelight_quote::JobForecast;
 use sqlx::{Row as _, SqliteConnection};
 
+use crate::database::Store;
 use crate::decode::{id, json_opt, time, whole, whole_opt, word};
-use crate::projection::{Projection, project};
-use crate::schedule::{as_it_is, silent_after};
-use crate::unattended::{Unattended, unattended};
-use crate::{Store, StoreError, bookings, events, jobs, nodes, progress, seeds, track_record};
+use crate::error::StoreError;
+use crate::events;
+use crate::jobs;
+use crate::jobs::progress;
+use crate::nodes;
+use crate::nodes::unattended::{Unattended, unattended};
+use crate::plans::bookings;
+use crate::policy::availability::{as_it_is, silent_after};
+use crate::policy::projection::{Projection, project};
+use crate::quotes::track_record;
+use crate::shared_cache::parts;
 
 /// How much of everything the dashboard shows.
 const JOBS: u32 = 200;
@@ -29,7 +37,7 @@ impl Store {
         let mut transaction = self.read().await?;
         let connection = &mut *transaction;
         let open = bookings::open(connection).await?;
-        let projected = project(&open, &seeds::open(connection).await?, now);
+        let projected = project(&open, &parts::open(connection).await?, now);
         let unattended = unattended(connection, ttl, now).await?;
         let record = track_record::totals(connection).await?;
         let rows = sqlx::query("SELECT id, body FROM events ORDER BY id DESC LIMIT ?")

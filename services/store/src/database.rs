@@ -15,9 +15,11 @@ use sqlx::sqlite::{
 use sqlx::{ConnectOptions as _, Sqlite, Transaction};
 use tokio::sync::watch;
 
+use crate::artifacts::ArtifactPlace;
+use crate::artifacts::Artifacts;
+use crate::error::StoreError;
 pub(crate) use crate::writing::Write;
 use crate::writing::{WRITE_TURN, Writer};
-use crate::{ArtifactPlace, Artifacts, StoreError};
 
 /// How long SQLite waits for a lock that another process holds (`forelight token` beside a running service).
 const LOCK_WAIT: Duration = Duration::from_secs(5);

@@ -7,7 +7,7 @@ use sqlx::Row as _;
 use sqlx::sqlite::SqliteRow;
 use uuid::Uuid;
 
-use crate::StoreError;
+use crate::error::StoreError;
 
 /// A column holds something that was never written there by this program.
 pub(crate) fn corrupt(column: &str, reason: impl std::fmt::Display) -> StoreError {

@@ -4,9 +4,10 @@ use forelight_protocol::{Event, EventId, EventKind, JobId, JobState, Timestamp};
 use sqlx::Row as _;
 use sqlx::sqlite::SqliteRow;
 
+use crate::database::Store;
 use crate::database::Write;
 use crate::decode::{json, to_json};
-use crate::{Store, StoreError};
+use crate::error::StoreError;
 
 /// For how long reports of progress are kept: an hour, in microseconds. All other events are kept for good.
 const PROGRESS_KEPT: i64 = 3_600_000_000;

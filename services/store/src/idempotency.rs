@@ -10,9 +10,10 @@ use sqlx::{Row as _, SqliteConnection};
 
 use forelight_protocol::Timestamp;
 
+use crate::database::Store;
 use crate::database::Write;
 use crate::decode::{to_json, whole};
-use crate::{Store, StoreError};
+use crate::error::StoreError;
 
 /// For how long an answer is remembered: a day, in microseconds.
 const REMEMBERED: i64 = 24 * 3_600_000_000;

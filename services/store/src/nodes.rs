@@ -1,26 +1,24 @@
 //! Nodes.
 
+pub(crate) mod changing;
+pub(crate) mod joining;
+pub(crate) mod learning;
+pub(crate) mod unattended;
+
 use forelight_forecast::learned_factor;
-use forelight_protocol::{
-    ByClass, Event, EventKind, Money, Node, NodeCalendar, NodeChange, NodeId, NodeRegistration, NodeState,
-    TaskId, Timestamp,
-};
+use forelight_protocol::{Money, Node, NodeCalendar, NodeId, TaskId, Timestamp};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row as _, SqliteConnection};
 
-use crate::database::Write;
-use crate::decode::{id, id_opt, json, json_opt, time, to_json, whole};
-use crate::events::{append, event};
-use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
-use crate::schedule::{Opening, opening, silence, with_power};
-use crate::{Store, StoreError, leases, replans};
+use crate::database::Store;
+use crate::decode::{id, id_opt, json, json_opt, time, whole};
+use crate::error::StoreError;
+use crate::policy::availability::{Opening, opening, silence};
+use crate::policy::nodes::{Switches, state};
 
 /// A node that was not heard of for this long while it should have been awake is lost to plans: five minutes, in microseconds. Longer than a
 /// worker takes to be started again, and much shorter than a night.
 pub const LOST: i64 = 300_000_000;
-
-/// A measured speed is never quite the same: less than a tenth is nobody's business.
-pub(crate) const SAME_SPEED: f64 = 0.1;
 
 /// Nodes, with what they work on and what else is asked of each.
 macro_rules! select_nodes {
@@ -47,78 +45,15 @@ macro_rules! closed {
 }
 pub(crate) use closed;
 
+/// Whether there is anything by which a node, `n`, might sleep.
+macro_rules! has_calendar {
+    () => {
+        "(coalesce(n.schedule_set, n.schedule) IS NOT NULL OR n.terms <> '{}') AS has_calendar"
+    };
+}
+pub(crate) use has_calendar;
+
 impl Store {
-    /// Registers a node. One of the same name is updated and keeps its id: a worker that starts again is the same node.
-    /// A speed or price that was set by hand stays in force.
-    pub async fn register_node(
-        &self,
-        registration: &NodeRegistration,
-        key: Option<&IdempotencyKey>,
-        now: Timestamp,
-    ) -> Result<Answered<Node>, StoreError> {
-        let mut write = self.write().await?;
-        if let Some(answer) = earlier_answer(&mut write, key).await? {
-            return Ok(Answered::Repeated(answer));
-        }
-        let node = upsert(&mut write, registration, now).await?;
-        record(&mut write, key, 201, &node, now)?;
-        self.commit(write).await?;
-        Ok(Answered::Fresh(node))
-    }
-
-    /// Changes a node. A speed or price that is set here stays in force until it is set again, or given up with `None`
-    /// inside `Some`: then what the node said of itself last holds.
-    pub async fn change_node(
-        &self,
-        node: NodeId,
-        change: &NodeChange,
-        now: Timestamp,
-    ) -> Result<Node, StoreError> {
-        let mut write = self.write().await?;
-        sqlx::query(
-            "UPDATE nodes SET drain = coalesce(?1, drain), pause = coalesce(?2, pause), \
-             speed_set = CASE WHEN ?3 THEN ?4 ELSE speed_set END, price_set = CASE WHEN ?5 THEN ?6 ELSE price_set END, \
-             set_aside = CASE ?7 WHEN 1 THEN coalesce(set_aside, 'by hand') WHEN 0 THEN NULL ELSE set_aside END, \
-             trusted_since = CASE ?7 WHEN 0 THEN ?8 ELSE trusted_since END, \
-             schedule_set = CASE WHEN ?10 THEN ?11 ELSE schedule_set END, terms = coalesce(?12, terms) WHERE id = ?9",
-        )
-        .bind(change.drain)
-        .bind(change.pause)
-        .bind(change.speed.is_some())
-        .bind(change.speed.flatten())
-        .bind(change.price_per_hour.is_some())
-        .bind(change.price_per_hour.flatten().map(Money::micro_units))
-        .bind(change.set_aside)
-        .bind(now.micros())
-        .bind(node.0)
-        .bind(change.schedule.is_some())
-        .bind(change.schedule.as_ref().and_then(Option::as_ref).map(to_json).transpose()?)
-        .bind(change.terms.as_ref().map(to_json).transpose()?)
-        .execute(write.connection().await?)
-        .await?;
-        if change.cancel_task == Some(true) {
-            take_tasks_away(&mut write, node, now).await?;
-        }
-        let changed = read(write.connection().await?, node).await?;
-        append(
-            &mut write,
-            Event {
-                node_id: Some(node),
-                message: Some(changed.name.clone()),
-                ..event(EventKind::NodeChanged, now)
-            },
-        )?;
-        // Whoever waits on behalf of a node that may be given tasks again should look again.
-        write.made_work |= [change.drain, change.pause, change.set_aside].contains(&Some(false))
-            || change.schedule.is_some()
-            || change.terms.is_some();
-        if let Some(cause) = cause_of(change) {
-            replans::want(&mut write, &format!("node {} {cause}", changed.name)).await?;
-        }
-        self.commit(write).await?;
-        Ok(changed)
-    }
-
     /// Refuses a process whose node was taken over by another.
     pub async fn check_worker(&self, node: NodeId, worker: uuid::Uuid) -> Result<(), StoreError> {
         let mut connection = self.readers().acquire().await?;
@@ -144,81 +79,8 @@ impl Store {
     }
 }
 
-/// What a change means for plans, in words; nothing, if it is none that they know.
-fn cause_of(change: &NodeChange) -> Option<&'static str> {
-    if change.drain == Some(true) {
-        Some("is drained")
-    } else if change.set_aside == Some(true) {
-        Some("is set aside")
-    } else if change.pause == Some(true) {
-        Some("is paused")
-    } else if [change.drain, change.pause, change.set_aside].contains(&Some(false)) {
-        Some("is back")
-    } else if change.schedule.is_some() || change.terms.is_some() {
-        Some("has another calendar or other terms")
-    } else if change.speed.is_some() || change.price_per_hour.is_some() {
-        Some("has another speed or price")
-    } else {
-        None
-    }
-}
-
-/// Makes a node, or updates the one of the same name. If it is new, or not as it was, plans are due.
-pub(crate) async fn upsert(
-    write: &mut Write,
-    registration: &NodeRegistration,
-    now: Timestamp,
-) -> Result<Node, StoreError> {
-    let before = by_name(write.connection().await?, &registration.name).await?;
-    let is_replaced = match (&before, registration.worker) {
-        (Some(before), Some(worker)) => {
-            has_another_worker(write.connection().await?, before.id, worker).await?
-        }
-        _ => false,
-    };
-    let node_id: uuid::Uuid = sqlx::query_scalar(
-        "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at, capabilities, schedule, worker) \
-         VALUES (?, ?, ?, ?, ?, ?6, ?6, ?7, ?8, ?9) ON CONFLICT (name) DO UPDATE SET speed = excluded.speed, \
-         price_per_hour = excluded.price_per_hour, cores = excluded.cores, last_seen_at = excluded.last_seen_at, \
-         capabilities = excluded.capabilities, schedule = excluded.schedule, \
-         worker = coalesce(excluded.worker, worker), paused = 0 RETURNING id",
-    )
-    .bind(NodeId::new().0)
-    .bind(&registration.name)
-    .bind(registration.speed)
-    .bind(registration.price_per_hour.0)
-    .bind(i64::from(registration.cores))
-    .bind(now.micros())
-    .bind(to_json(&registration.capabilities)?)
-    .bind(registration.schedule.as_ref().map(to_json).transpose()?)
-    .bind(registration.worker)
-    .fetch_one(write.connection().await?)
-    .await?;
-    if is_replaced {
-        // Who had it is dead, or is about to be told.
-        take_tasks_away(write, NodeId(node_id), now).await?;
-    }
-    let node = read(write.connection().await?, NodeId(node_id)).await?;
-    match before {
-        None => replans::want(write, &format!("node {} joined", node.name)).await?,
-        Some(before) if !same_machine(&before, &node) || silence(&before, now) > LOST => {
-            replans::want(write, &format!("node {} came back", node.name)).await?;
-        }
-        Some(_) => {}
-    }
-    append(
-        write,
-        Event {
-            node_id: Some(node.id),
-            message: Some(node.name.clone()),
-            ..event(EventKind::NodeRegistered, now)
-        },
-    )?;
-    Ok(with_power(node, now))
-}
-
 /// Whether the node was registered last by another process than this one.
-async fn has_another_worker(
+pub(crate) async fn has_another_worker(
     connection: &mut SqliteConnection,
     node: NodeId,
     worker: uuid::Uuid,
@@ -229,35 +91,6 @@ async fn has_another_worker(
         .fetch_optional(connection)
         .await?;
     found.ok_or(StoreError::NotFound("node"))
-}
-
-/// Whether plans see the same node in both.
-fn same_machine(one: &Node, other: &Node) -> bool {
-    let terms = |node: &Node| (node.price_per_hour, node.cores, node.schedule.clone());
-    let alike = |one: f64, other: f64| (one / other - 1.0).abs() < SAME_SPEED;
-    // For work of every class by itself, as far as they are calibrated.
-    let classes = (0..ByClass::CLASSES).all(|class| {
-        let work = ByClass::from_array(std::array::from_fn(|each| u64::from(each == class)));
-        match (one.speed_by_class(Some(&work)), other.speed_by_class(Some(&work))) {
-            (Some(one), Some(other)) => alike(one, other),
-            (one, other) => one.is_none() && other.is_none(),
-        }
-    });
-    terms(one) == terms(other) && alike(one.speed, other.speed) && classes
-}
-
-/// Takes the tasks away that a node has: they are ready for another, and the node's next renewal brings the order to stop.
-pub(crate) async fn take_tasks_away(
-    write: &mut Write,
-    node: NodeId,
-    now: Timestamp,
-) -> Result<(), StoreError> {
-    let held: Vec<uuid::Uuid> =
-        sqlx::query_scalar("SELECT id FROM leases WHERE node_id = ? AND state = 'active' ORDER BY id")
-            .bind(node.0)
-            .fetch_all(write.connection().await?)
-            .await?;
-    leases::take_back(write, held, now).await
 }
 
 pub(crate) async fn read(connection: &mut SqliteConnection, node: NodeId) -> Result<Node, StoreError> {
@@ -271,24 +104,6 @@ pub(crate) async fn by_name(
 ) -> Result<Option<Node>, StoreError> {
     let row = sqlx::query(select_nodes!("WHERE n.name = ?")).bind(name).fetch_optional(connection).await?;
     row.as_ref().map(decode).transpose()
-}
-
-/// Takes the tasks from nodes whose window has ended, if that is what their terms say. Says how many nodes that were.
-pub(crate) async fn stop_after_windows(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
-    let rows = sqlx::query(select_nodes!(
-        "WHERE n.terms ->> 'window_end' = 'stop' AND EXISTS (SELECT 1 FROM leases l WHERE l.node_id = n.id AND l.state = 'active') ORDER BY n.id"
-    ))
-    .fetch_all(write.connection().await?)
-    .await?;
-    let mut stopped = 0;
-    for row in &rows {
-        let node = decode(row)?;
-        if matches!(opening(&node, now), Opening::Asleep(_)) {
-            take_tasks_away(write, node.id, now).await?;
-            stopped += 1;
-        }
-    }
-    Ok(stopped)
 }
 
 /// The nodes that have frames booked that wait, and get no tasks, or were not heard of for too long since the service is up.
@@ -317,6 +132,25 @@ pub(crate) async fn gone(
     Ok(gone)
 }
 
+/// A node of which nobody knows when it wakes up asks again after a day.
+const ASLEEP_FOR_LONG: i64 = 24 * 3_600_000_000;
+
+/// Until when a node sleeps. One without a calendar, as most are, is not read for it: every heartbeat asks.
+pub(crate) async fn sleep_of(
+    connection: &mut SqliteConnection,
+    node: NodeId,
+    has_calendar: bool,
+    now: Timestamp,
+) -> Result<Option<Timestamp>, StoreError> {
+    if !has_calendar {
+        return Ok(None);
+    }
+    Ok(match opening(&read(connection, node).await?, now) {
+        Opening::Awake(_) => None,
+        Opening::Asleep(until) => Some(until.unwrap_or(now.plus_micros(ASLEEP_FOR_LONG))),
+    })
+}
+
 pub(crate) async fn list(
     connection: &mut SqliteConnection,
     after: Option<NodeId>,
@@ -338,15 +172,7 @@ pub(crate) fn decode(row: &SqliteRow) -> Result<Node, StoreError> {
     let (drain, pause, paused): (bool, bool, bool) =
         (row.try_get("drain")?, row.try_get("pause")?, row.try_get("paused")?);
     let set_aside: Option<String> = row.try_get("set_aside")?;
-    let state = match (&set_aside, task_id) {
-        (Some(_), _) => NodeState::SetAside,
-        (None, Some(_)) if pause && !paused => NodeState::Pausing,
-        (None, _) if pause => NodeState::Paused,
-        (None, Some(_)) if drain => NodeState::Draining,
-        (None, None) if drain => NodeState::Drained,
-        (None, Some(_)) => NodeState::Working,
-        (None, None) => NodeState::Idle,
-    };
+    let switches = Switches { drain, pause, paused, is_set_aside: set_aside.is_some() };
     Ok(Node {
         id: NodeId(id(row, "id")?),
         name: row.try_get("name")?,
@@ -361,7 +187,7 @@ pub(crate) fn decode(row: &SqliteRow) -> Result<Node, StoreError> {
         schedule: schedule_set.map_or_else(|| json_opt(row, "schedule"), |set| Ok(Some(set)))?,
         terms: json(row, "terms")?,
         power: None,
-        state,
+        state: state(switches, task_id),
         drain,
         pause,
         set_aside,

@@ -1,24 +1,34 @@
-//! Plans and bookings.
+//! Plans: keeping them, and booking the jobs that they name.
+
+pub(crate) mod bookings;
+pub(crate) mod farm_jobs;
+pub(crate) mod reading;
+pub(crate) mod replans;
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_protocol::{
-    Booking, BookingId, Event, EventKind, FrameForecast, FrameSet, JobId, JobState, JobVerdict, NodeId, Plan,
-    PlanId, PlanReason, PlanSummary, Promise, Timestamp, Waits,
+    Booking, BookingId, Event, EventKind, FrameForecast, FrameSet, JobId, JobState, JobVerdict, NodeId,
+    PlanId, PlanReason, Timestamp,
 };
 use forelight_quote::{JobForecast, QuoteBasis};
-use serde::{Deserialize, Serialize};
-use sqlx::{Row as _, SqliteConnection};
+use sqlx::Row as _;
 
-use crate::bookings::decode_booking;
-use crate::database::Write;
-use crate::decode::{corrupt, id, id_opt, json, time, to_json, whole, word};
-use crate::elsewhere::{Rates, Slot};
+use crate::database::{Store, Write};
+use crate::decode::{corrupt, to_json, word};
+use crate::error::StoreError;
 use crate::events::{append, event, job_state};
-use crate::live::{self, Occasion};
-use crate::replans::{self, Wanted};
-use crate::tasks::Common;
-use crate::{NewSeed, Store, StoreError, calibration, forecasts, jobs, nodes, seeds};
+use crate::jobs::outlooks::{self, JobOutlook};
+use crate::living::{self, Occasion};
+use crate::plans::bookings::decode_booking;
+use crate::plans::reading::newest;
+use crate::plans::replans::Wanted;
+use crate::policy::rebooking::{NewBooking, Rebooked, rebook};
+use crate::quotes;
+use crate::quotes::calibration;
+use crate::shared_cache::{self, NewSeed, parts};
+use crate::tasks::{Common, Slot, rates};
+use crate::{jobs, nodes};
 
 /// A plan to be kept.
 #[derive(Clone, PartialEq, Debug)]
@@ -50,30 +60,6 @@ pub struct NewJobPlan {
     pub factor: f64,
 }
 
-/// Why a job waits, and what is left of its promise.
-#[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize)]
-pub struct JobOutlook {
-    /// Why it has not begun.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub waits: Option<Waits>,
-    /// What is left of its promise.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub promise: Option<Promise>,
-}
-
-/// A booking of a plan to be kept.
-#[derive(Clone, PartialEq, Eq, Debug)]
-pub struct NewBooking {
-    /// The frame.
-    pub frame: u32,
-    /// The node.
-    pub node: NodeId,
-    /// From when.
-    pub start: Timestamp,
-    /// Until when (exclusive).
-    pub end: Timestamp,
-}
-
 impl Store {
     /// Keeps a job's forecast and the plan that books it, and makes its render tasks: all of it or nothing. The plan may book other
     /// jobs anew, too. Without a `basis` nothing will be learnt from the forecast once the job is finished.
@@ -95,7 +81,7 @@ impl Store {
         if state != JobState::Profiling {
             return Err(StoreError::Conflict(format!("the job is {state}, not profiling")));
         }
-        forecasts::keep_frames(&mut write, job, frames, &forecast.clock).await?;
+        quotes::keep_frames(&mut write, job, frames, &forecast.clock).await?;
         if let Some(basis) = basis {
             calibration::keep(&mut write, job, forecast, frames, basis).await?;
         }
@@ -134,8 +120,8 @@ impl Store {
         append(&mut write, Event { job_id: Some(job), ..event(EventKind::ForecastReady, now) })?;
         let plan_id = keep(&mut write, plan, Some(job), now).await?;
         if let Some(seed) = &plan.seed {
-            seeds::keep_bookings(&mut write, plan_id.0, job, &seed.bookings).await?;
-            seeds::begin(&mut write, &common, seed).await?;
+            parts::keep_bookings(&mut write, plan_id.0, job, &seed.bookings).await?;
+            shared_cache::begin(&mut write, &common, seed).await?;
         }
         let booked = sqlx::query("UPDATE jobs SET state = 'booked' WHERE id = ? AND plan_id = ?")
             .bind(job.0)
@@ -145,7 +131,7 @@ impl Store {
         if booked.rows_affected() != 1 {
             return Err(StoreError::Conflict("the plan does not book the job".to_owned()));
         }
-        live::update(&mut write, job, Occasion::Booked, now).await?;
+        living::update(&mut write, job, Occasion::Booked, now).await?;
         job_state(&mut write, job, JobState::Booked, None, now)?;
         self.commit(write).await?;
         Ok(plan_id)
@@ -166,107 +152,10 @@ impl Store {
         if newest(write.connection().await?).await? != plan.parent {
             return Err(StoreError::Conflict("another plan was kept in the meantime".to_owned()));
         }
-        keep_outlooks(&mut write, &plan.outlooks, now).await?;
+        outlooks::keep(&mut write, &plan.outlooks, now).await?;
         replans::planned(&mut write, &plan.wanted).await?;
         self.commit(write).await
     }
-
-    /// The plans, newest first, after the one that `before` names, at most `limit`.
-    pub async fn plans(&self, before: Option<PlanId>, limit: u32) -> Result<Vec<PlanSummary>, StoreError> {
-        let rows = sqlx::query(
-            "SELECT p.*, (SELECT count(*) FROM bookings b WHERE b.plan_id = p.id) AS bookings FROM plans p \
-             WHERE p.rowid < coalesce((SELECT rowid FROM plans WHERE id = ?1), 9223372036854775807) ORDER BY p.rowid DESC LIMIT ?2",
-        )
-        .bind(before.map(|plan| plan.0))
-        .bind(limit)
-        .fetch_all(self.readers())
-        .await?;
-        rows.iter()
-            .map(|row| {
-                Ok(PlanSummary {
-                    id: PlanId(id(row, "id")?),
-                    parent_id: id_opt(row, "parent_id")?.map(PlanId),
-                    reason: word(row, "reason")?,
-                    causes: json(row, "causes")?,
-                    created_at: time(row, "created_at")?,
-                    bookings: whole(row, "bookings")?,
-                })
-            })
-            .collect()
-    }
-
-    /// What the plans before this one booked last for each of its jobs, and said of it.
-    pub async fn booked_before(&self, plan: PlanId) -> Result<(Vec<Booking>, Vec<JobVerdict>), StoreError> {
-        let mut transaction = self.read().await?;
-        let rows = sqlx::query(
-            "SELECT j.job_id, (SELECT p.id FROM plans p WHERE p.rowid < (SELECT rowid FROM plans WHERE id = ?1) \
-             AND EXISTS (SELECT 1 FROM json_each(p.verdicts) v WHERE v.value ->> 'job_id' = j.job_id) \
-             ORDER BY p.rowid DESC LIMIT 1) AS before FROM (SELECT value ->> 'job_id' AS job_id FROM plans, json_each(plans.verdicts) WHERE plans.id = ?1) j",
-        )
-        .bind(plan.0)
-        .fetch_all(&mut *transaction)
-        .await?;
-        let (mut bookings, mut verdicts) = (Vec::new(), Vec::new());
-        for row in &rows {
-            let Some(before) = id_opt(row, "before")? else { continue };
-            let job: JobId =
-                row.try_get::<&str, _>("job_id")?.parse().map_err(|error| corrupt("verdicts", error))?;
-            let said = sqlx::query("SELECT verdicts FROM plans WHERE id = ?")
-                .bind(before)
-                .fetch_one(&mut *transaction)
-                .await?;
-            let said: Vec<JobVerdict> = json(&said, "verdicts")?;
-            verdicts.extend(said.into_iter().filter(|verdict| verdict.job_id == job));
-            let rows = sqlx::query("SELECT * FROM bookings WHERE plan_id = ? AND job_id = ?")
-                .bind(before)
-                .bind(job.0)
-                .fetch_all(&mut *transaction)
-                .await?;
-            for row in &rows {
-                bookings.push(decode_booking(row)?);
-            }
-        }
-        Ok((bookings, verdicts))
-    }
-
-    /// The newest plan; `None` before the first.
-    pub async fn newest_plan(&self) -> Result<Option<PlanId>, StoreError> {
-        let mut connection = self.readers().acquire().await?;
-        newest(&mut connection).await
-    }
-
-    /// A plan.
-    pub async fn plan(&self, plan: PlanId) -> Result<Plan, StoreError> {
-        let mut transaction = self.read().await?;
-        let row = sqlx::query("SELECT * FROM plans WHERE id = ?")
-            .bind(plan.0)
-            .fetch_optional(&mut *transaction)
-            .await?;
-        let row = row.ok_or(StoreError::NotFound("plan"))?;
-        let bookings = sqlx::query("SELECT * FROM bookings WHERE plan_id = ? ORDER BY start_at, id")
-            .bind(plan.0)
-            .fetch_all(&mut *transaction)
-            .await?;
-        let seeds = seeds::of_plan(&mut transaction, plan.0).await?;
-        Ok(Plan {
-            id: plan,
-            parent_id: id_opt(&row, "parent_id")?.map(PlanId),
-            reason: word(&row, "reason")?,
-            causes: json(&row, "causes")?,
-            created_at: time(&row, "created_at")?,
-            verdicts: json(&row, "verdicts")?,
-            bookings: bookings.iter().map(decode_booking).collect::<Result<_, _>>()?,
-            seeds,
-        })
-    }
-}
-
-async fn newest(connection: &mut SqliteConnection) -> Result<Option<PlanId>, StoreError> {
-    // By row number, not by id: ids sort by the clock, and the clock may have been set back.
-    let id = sqlx::query_scalar("SELECT id FROM plans ORDER BY rowid DESC LIMIT 1")
-        .fetch_optional(connection)
-        .await?;
-    Ok(id.map(PlanId))
 }
 
 /// Keeps a plan inside a write: its bookings become those of its jobs, and their tasks know where they are booked. `fresh` is a job
@@ -303,14 +192,14 @@ async fn keep(
         }
         keep_job(write, plan_id, job).await?;
         if fresh != Some(job_id) {
-            live::update(write, job_id, Occasion::Booked, now).await?;
+            living::update(write, job_id, Occasion::Booked, now).await?;
         }
         let told =
             Event { job_id: Some(job_id), plan_id: Some(plan_id), ..event(EventKind::PlanStored, now) };
         let message = (!plan.wanted.causes.is_empty()).then(|| plan.wanted.causes.join("; "));
         append(write, Event { message, ..told })?;
     }
-    keep_outlooks(write, &plan.outlooks, now).await?;
+    outlooks::keep(write, &plan.outlooks, now).await?;
     replans::planned(write, &plan.wanted).await?;
     Ok(plan_id)
 }
@@ -329,29 +218,22 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
         let Booking { frame, node_id: node, start, end, .. } = decode_booking(row)?;
         booked.insert(frame, NewBooking { frame, node, start, end });
     }
-    let waits: Vec<i64> = sqlx::query_scalar(
+    let waiting: Vec<u32> = sqlx::query_scalar(
         "SELECT frame FROM tasks WHERE job_id = ? AND kind = 'render' AND state NOT IN ('leased', 'done') AND frame IS NOT NULL",
     )
     .bind(job_id.0)
     .fetch_all(write.connection().await?)
     .await?;
-    let planned: BTreeMap<u32, &NewBooking> =
-        job.bookings.iter().map(|booking| (booking.frame, booking)).collect();
-    let slots = Rates::read(write.connection().await?, job_id).await?;
+    let Rebooked { bookings, tasks } = rebook(booked, &waiting, &job.bookings, &job.begun);
+    let of_job = rates(write.connection().await?, job_id).await?;
     let mut rates: BTreeMap<NodeId, Option<i64>> = BTreeMap::new();
-    for frame in waits {
-        let frame = u32::try_from(frame).map_err(|_| corrupt("frame", frame))?;
-        match planned.get(&frame) {
-            Some(&booking) => booked.insert(frame, booking.clone()),
-            None if job.begun.contains(&frame) => continue,
-            None => booked.remove(&frame),
-        };
+    for (frame, booking) in tasks {
         let mut slot = None;
-        if let Some(&&NewBooking { node, start, .. }) = planned.get(&frame) {
+        if let Some(NewBooking { node, start, .. }) = booking {
             let rate = match rates.get(&node) {
                 Some(&rate) => rate,
                 None => {
-                    let rate = slots.on(&nodes::read(write.connection().await?, node).await?);
+                    let rate = of_job.on(&nodes::read(write.connection().await?, node).await?);
                     rates.insert(node, rate);
                     rate
                 }
@@ -367,7 +249,7 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
             .execute(write.connection().await?)
             .await?;
     }
-    for booking in booked.values() {
+    for booking in bookings.values() {
         sqlx::query("INSERT INTO bookings (id, plan_id, job_id, frame, node_id, start_at, end_at) VALUES (?, ?, ?, ?, ?, ?, ?)")
             .bind(BookingId::new().0)
             .bind(plan_id.0)
@@ -396,51 +278,4 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
         .execute(write.connection().await?)
         .await?;
     Ok(())
-}
-
-/// Keeps what is said of jobs, and tells of promises that broke or were mended.
-async fn keep_outlooks(
-    write: &mut Write,
-    outlooks: &[(JobId, JobOutlook)],
-    now: Timestamp,
-) -> Result<(), StoreError> {
-    for (job, outlook) in outlooks {
-        let row = sqlx::query("SELECT outlook, state FROM jobs WHERE id = ?")
-            .bind(job.0)
-            .fetch_optional(write.connection().await?)
-            .await?;
-        let row = row.ok_or(StoreError::NotFound("job"))?;
-        let before: JobOutlook = json(&row, "outlook")?;
-        // A job that was over before this was found out has no outlook any more.
-        if before == *outlook || word::<JobState>(&row, "state")?.is_final() {
-            continue;
-        }
-        sqlx::query("UPDATE jobs SET outlook = ? WHERE id = ?")
-            .bind(to_json(outlook)?)
-            .bind(job.0)
-            .execute(write.connection().await?)
-            .await?;
-        let Some(promise) = &outlook.promise else { continue };
-        let was_kept = before.promise.as_ref().is_none_or(|promise| promise.kept);
-        if promise.kept == was_kept {
-            continue;
-        }
-        let kind = if promise.kept { EventKind::JobPromiseSafe } else { EventKind::JobPromiseAtRisk };
-        let message = Some(promise_in_words(promise));
-        let promise = Some(promise.clone());
-        append(write, Event { job_id: Some(*job), promise, message, ..event(kind, now) })?;
-    }
-    Ok(())
-}
-
-fn promise_in_words(promise: &Promise) -> String {
-    let sure = promise.probability * 100.0;
-    if promise.kept {
-        return format!("ready in time after all, with a probability of {sure:.0} %");
-    }
-    let rescue = match &promise.rescue {
-        Some(rescue) => format!("the cheapest rescue: {}", rescue.words),
-        None => "no rescue was found".to_owned(),
-    };
-    format!("ready in time with a probability of {sure:.0} % only; {rescue}")
 }

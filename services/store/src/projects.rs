@@ -5,9 +5,11 @@ use std::collections::BTreeMap;
 use forelight_protocol::{ProjectRequest, Timestamp};
 use sqlx::{Row as _, SqliteConnection};
 
+use crate::database::Store;
 use crate::decode::whole;
+use crate::error::StoreError;
 use crate::leases::paid_until;
-use crate::{Store, StoreError};
+use crate::plans::replans;
 
 /// After this many microseconds, what a project used counts half: a week.
 pub const HALF_LIFE: i64 = 7 * 24 * HOUR;
@@ -42,7 +44,7 @@ impl Store {
         .execute(write.connection().await?)
         .await?;
         let cause = format!("the share of project {} is {}", request.project, request.share);
-        crate::replans::want(&mut write, &cause).await?;
+        replans::want(&mut write, &cause).await?;
         self.commit(write).await
     }
 

@@ -9,13 +9,18 @@ use forelight_protocol::{
 use forelight_quote::MeasuredProfile;
 use sqlx::Row as _;
 
+use crate::database::Store;
 use crate::database::Write;
 use crate::decode::{corrupt, id, json, to_json, whole};
+use crate::error::StoreError;
 use crate::events::{append, job_state};
+use crate::jobs;
 use crate::leases::{LeaseRow, LeaseState, end, read_in, touch};
-use crate::live::{self, Occasion};
+use crate::living::{self, Occasion};
+use crate::nodes::learning;
 use crate::nodes::{self, select_nodes};
-use crate::{Store, StoreError, calibration, jobs, node_learning, seeds};
+use crate::quotes::calibration;
+use crate::shared_cache;
 
 /// What became of a result.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -204,14 +209,14 @@ async fn keep(
         TaskResult::Profile(profile) => {
             show_preview(write, row.job_id, profile.frame, profile.artifacts.preview_png);
         }
-        TaskResult::CachePlan(planned) => seeds::planned(write, row, planned).await?,
+        TaskResult::CachePlan(planned) => shared_cache::planned(write, row, planned).await?,
         TaskResult::CacheFill(filled) => {
-            seeds::part_filled(write, row, filled, now).await?;
-            live::update(write, row.job_id, Occasion::Meanwhile, now).await?;
+            shared_cache::part_filled(write, row, filled, now).await?;
+            living::update(write, row.job_id, Occasion::Meanwhile, now).await?;
         }
         TaskResult::CacheMerge(merged) => {
-            seeds::merged(write, row, merged, now).await?;
-            live::update(write, row.job_id, Occasion::Meanwhile, now).await?;
+            shared_cache::merged(write, row, merged, now).await?;
+            living::update(write, row.job_id, Occasion::Meanwhile, now).await?;
         }
         TaskResult::Render(render) => {
             let is_last = keep_render(write, row, node, render, now).await?;
@@ -243,7 +248,7 @@ async fn keep_render(
     // CPU seconds spent here, brought to a node of speed 1. What was taken over from the profile is counted at this
     // node's speed as well: the profile does not say per pixel where it was made.
     let cpu_at_speed_one = stats.cpu_seconds * speed;
-    node_learning::learn(write, row, node, stats).await?;
+    learning::learn(write, row, node, stats).await?;
     let (body, artifacts) = (to_json(stats)?, to_json(&render.artifacts)?);
     write
         .later(
@@ -265,12 +270,12 @@ async fn keep_render(
         )
         .bind(now.micros())
         .bind(row.job_id.0);
-    let before = live::before(write, row.job_id).await?;
+    let before = living::before(write, row.job_id).await?;
     let is_last = before.job_state == JobState::Done && row.job_state != JobState::Done;
     if is_last {
         calibration::learn(write, row.job_id, now).await?;
         job_state(write, row.job_id, JobState::Done, None, now)?;
     }
-    live::update_after(before, write, row.job_id, Occasion::Frame, now).await?;
+    living::update_after(before, write, row.job_id, Occasion::Frame, now).await?;
     Ok(is_last)
 }

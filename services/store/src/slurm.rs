@@ -16,10 +16,12 @@ use sqlx::Row as _;
 use sqlx::sqlite::SqliteRow;
 use uuid::Uuid;
 
+use crate::database::Store;
 use crate::decode::{id, json_opt, time, time_opt, whole, whole_opt, word};
+use crate::error::StoreError;
 use crate::events::{append, event};
+use crate::jobs::ending;
 use crate::nodes::closed;
-use crate::{Store, StoreError, jobs};
 
 /// A task that waits to be handed to Slurm.
 #[derive(Clone, PartialEq, Debug)]
@@ -340,7 +342,7 @@ impl Store {
             .await?;
         if let Some(row) = row {
             let of = (word::<TaskKind>(&row, "kind")?, whole_opt(&row, "frame")?);
-            jobs::fail_for_task(&mut write, JobId(id(&row, "job_id")?), of, reason, now).await?;
+            ending::fail_for_task(&mut write, JobId(id(&row, "job_id")?), of, reason, now).await?;
         }
         self.commit(write).await
     }

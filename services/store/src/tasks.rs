@@ -1,23 +1,32 @@
 //! A job's tasks: making them, and taking them all back.
 
 use forelight_protocol::{
-    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, JobId, PreviewSpec,
-    ProfileSpec, RenderSettings, RenderSpec, SceneDigest, TaskId, TaskLimits, TaskSpec, Timestamp,
+    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, JobId, Money, NodeId,
+    PreviewSpec, ProfileSpec, RenderSettings, RenderSpec, SceneDigest, TaskId, TaskLimits, TaskSpec,
+    Timestamp,
 };
-
-use sqlx::SqliteConnection;
 use sqlx::sqlite::SqliteRow;
+use sqlx::{Row as _, SqliteConnection};
 
 use crate::database::Write;
-use crate::decode::{json, time_opt, to_json, whole};
-use crate::elsewhere::Slot;
+use crate::decode::{json, json_opt, time_opt, to_json, whole};
+use crate::error::StoreError;
+use crate::jobs;
 use crate::leases::paid_until;
-use crate::{StoreError, jobs};
+use crate::policy::work_stealing::{Rates, is_bounded};
 
 /// To be handed out.
 const READY: &str = "ready";
 /// Not before what it waits for is done.
 const WAITING: &str = "waiting";
+
+/// Where a task is booked: node, planned start, and what the plan pays there (see `0010_idle_nodes.sql`).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Slot {
+    pub node: NodeId,
+    pub start: Timestamp,
+    pub rate: Option<i64>,
+}
 
 /// What all tasks of a job have in common.
 pub(crate) struct Common {
@@ -215,4 +224,20 @@ pub(crate) async fn withdraw(write: &mut Write, job: JobId, now: Timestamp) -> R
         .execute(write.connection().await?)
         .await?;
     Ok(())
+}
+
+/// What plans pay for the work of a job.
+pub(crate) async fn rates(connection: &mut SqliteConnection, job: JobId) -> Result<Rates, StoreError> {
+    let row = sqlx::query("SELECT deadline_at, budget, work_by_class FROM jobs WHERE id = ?")
+        .bind(job.0)
+        .fetch_optional(connection)
+        .await?;
+    let row = row.ok_or(StoreError::NotFound("job"))?;
+    Ok(Rates { work: json_opt(&row, "work_by_class")?, is_bounded: is_bounded_job(&row)? })
+}
+
+/// Whether the job of this row is bounded.
+pub(crate) fn is_bounded_job(row: &SqliteRow) -> Result<bool, StoreError> {
+    let budget: Option<i64> = row.try_get("budget")?;
+    Ok(is_bounded(time_opt(row, "deadline_at")?, budget.map(Money)))
 }

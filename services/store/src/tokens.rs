@@ -4,8 +4,9 @@ use forelight_protocol::{NodeId, Role, Timestamp};
 use sqlx::Row as _;
 use uuid::Uuid;
 
+use crate::database::Store;
 use crate::decode::{id_opt, word};
-use crate::{Store, StoreError};
+use crate::error::StoreError;
 
 /// Who is asking.
 #[derive(Clone, PartialEq, Eq, Debug)]

@@ -24,12 +24,12 @@ mod statements;
 use std::sync::Arc;
 use std::time::Duration;
 
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
-use sqlx::{ConnectOptions as _, Connection as _, Executor as _};
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection, SqliteRow};
+use sqlx::{ConnectOptions as _, Connection as _, Encode, Executor as _, Sqlite, Type};
 use tokio::sync::{Mutex, OwnedMappedMutexGuard, OwnedMutexGuard, watch};
 
-use self::statements::{Later, Question, Statements};
-use crate::StoreError;
+use self::statements::Statements;
+use crate::error::StoreError;
 
 /// How long a writer waits for its turn before the caller is told that the database is busy.
 pub(crate) const WRITE_TURN: Duration = Duration::from_secs(5);
@@ -173,6 +173,45 @@ impl Write {
         batch.begun = true;
         batch.abandoned = true;
         Ok((&mut batch.connection, &mut self.statements))
+    }
+}
+
+/// Binds what a statement that is left for later needs.
+pub(crate) struct Later<'w>(&'w mut Write);
+
+impl Later<'_> {
+    pub fn bind<'t>(self, value: impl Encode<'t, Sqlite> + Type<Sqlite> + 't) -> Self {
+        self.0.statements.bind(value);
+        self
+    }
+}
+
+/// A question under way. What was left for later goes before it, and with it.
+#[must_use = "a question that nobody sends is left for later"]
+pub(crate) struct Question<'w>(&'w mut Write);
+
+impl Question<'_> {
+    pub fn bind<'t>(self, value: impl Encode<'t, Sqlite> + Type<Sqlite> + 't) -> Self {
+        self.0.statements.bind(value);
+        self
+    }
+
+    /// The first row of the answer, if it has any.
+    pub async fn first_row(self) -> Result<Option<SqliteRow>, StoreError> {
+        let (connection, statements) = self.0.open()?;
+        match statements.send_but_the_last(connection).await? {
+            Some(last) => Ok(connection.fetch_optional(last.together()).await?),
+            None => Ok(None),
+        }
+    }
+
+    /// All rows of the answer.
+    pub async fn rows(self) -> Result<Vec<SqliteRow>, StoreError> {
+        let (connection, statements) = self.0.open()?;
+        match statements.send_but_the_last(connection).await? {
+            Some(last) => Ok(connection.fetch_all(last.together()).await?),
+            None => Ok(Vec::new()),
+        }
     }
 }
 

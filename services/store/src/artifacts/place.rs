@@ -14,7 +14,7 @@ use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
 use object_store::path::Path;
 use object_store::{BackoffConfig, ClientOptions, ObjectStore, RetryConfig};
 
-use crate::StoreError;
+use crate::error::StoreError;
 
 /// Bytes of a prefix: a name has 68 more, and S3 takes names of up to 1024.
 const LONGEST_PREFIX: usize = 512;

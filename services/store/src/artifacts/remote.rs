@@ -8,8 +8,8 @@ use object_store::path::Path;
 use object_store::{MultipartUpload, ObjectStore, ObjectStoreExt as _, PutPayload};
 use tokio::io::AsyncReadExt as _;
 
-use super::ArtifactReader;
-use crate::StoreError;
+use super::reader::ArtifactReader;
+use crate::error::StoreError;
 
 /// Bytes of a part. S3 takes at most 10,000 parts of at least 5 MiB (the last may be shorter): 80 GB with this.
 const PART: usize = 8 << 20;

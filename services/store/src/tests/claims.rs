@@ -203,7 +203,7 @@ pub(super) async fn steps_of(farm: &Farm, query: &str) -> Vec<String> {
 #[tokio::test]
 async fn a_claim_finds_its_task_by_index_alone_however_many_there_are() {
     let farm = Farm::new().await;
-    for (query, looks) in [(crate::claims::NEXT, 3), (crate::claims::NEXT_BOOKED, 1)] {
+    for (query, looks) in [(crate::claims::NEXT, 3), (crate::claims::asking::NEXT_BOOKED, 1)] {
         let steps = steps_of(&farm, query).await;
         // The other steps look at a task's failures, by index too, if it has any.
         let by_index = steps.iter().filter(|step| step.contains("USING INDEX tasks_ready")).count();
@@ -217,11 +217,11 @@ async fn a_claim_finds_its_task_by_index_alone_however_many_there_are() {
 async fn frames_find_their_tasks_one_by_one_however_many_the_job_has() {
     let farm = Farm::new().await;
     for query in [
-        crate::bookings::OPEN_OF,
-        crate::farm::FRAMES,
-        crate::frames::PAGE,
-        crate::live::FRAMES,
-        crate::progress::FRAMES,
+        crate::plans::bookings::OPEN_OF,
+        crate::plans::farm_jobs::FRAMES,
+        crate::jobs::frames::PAGE,
+        crate::living::FRAMES,
+        crate::jobs::progress::FRAMES,
     ] {
         let steps = steps_of(&farm, query).await;
         let task = steps.iter().find(|step| step.starts_with("SEARCH t "));

@@ -5,7 +5,6 @@ use forelight_protocol::{
 };
 
 use super::*;
-use crate::failures::wait;
 use crate::{FAILED_JOBS, MAX_FAILURES};
 
 fn error(message: &str) -> TaskError {
@@ -16,18 +15,6 @@ impl Farm {
     async fn fail(&self, lease: &Lease, error: &TaskError, now: Timestamp) -> JobState {
         self.store.fail_task(lease.lease_id, lease.fence, error, now).await.unwrap().1
     }
-}
-
-#[test]
-fn waits_double_to_a_minute_and_two_runs_agree() {
-    let task = TaskId::new();
-    for (failures, ceiling) in [(1, 1), (2, 2), (3, 4), (6, 32), (7, 60), (40, 60), (u32::MAX, 60)] {
-        let micros = wait(task, failures);
-        assert!((ceiling * SECOND / 2..=ceiling * SECOND).contains(&micros), "{failures}: {micros}");
-        assert_eq!(micros, wait(task, failures));
-    }
-    let others: std::collections::BTreeSet<i64> = (0..20).map(|_| wait(TaskId::new(), 5)).collect();
-    assert!(others.len() > 10, "tasks that failed together come back together: {others:?}");
 }
 
 #[tokio::test]

@@ -4,11 +4,10 @@
 //! needs no answer is kept, and goes with the next question, or with the end of the write, as one text and in its order.
 
 use sqlx::error::BoxDynError;
-use sqlx::sqlite::{SqliteArguments, SqliteConnection, SqliteRow};
+use sqlx::sqlite::{SqliteArguments, SqliteConnection};
 use sqlx::{Arguments as _, AssertSqlSafe, Encode, Executor as _, Sqlite, Type};
 
-use super::Write;
-use crate::StoreError;
+use crate::error::StoreError;
 
 /// Statements that go together, at most: together they are one prepared text, which is worth keeping only if it comes again. A write may leave
 /// thousands, one for each frame of a job.
@@ -24,13 +23,13 @@ pub(super) struct Statements {
 
 /// Statements that go together, and what is bound to them.
 #[derive(Default)]
-struct Group {
+pub(super) struct Group {
     statements: Vec<&'static str>,
     arguments: SqliteArguments,
 }
 
 impl Group {
-    fn together(self) -> sqlx::query::Query<'static, Sqlite, SqliteArguments> {
+    pub fn together(self) -> sqlx::query::Query<'static, Sqlite, SqliteArguments> {
         // Put together of texts of this crate.
         sqlx::query_with(AssertSqlSafe(self.statements.join("; ")), self.arguments)
     }
@@ -74,7 +73,7 @@ impl Statements {
     }
 
     /// Sends all but the last that go together.
-    async fn send_but_the_last(
+    pub async fn send_but_the_last(
         &mut self,
         connection: &mut SqliteConnection,
     ) -> Result<Option<Group>, sqlx::Error> {
@@ -84,44 +83,5 @@ impl Statements {
             connection.execute(group.together()).await?;
         }
         Ok(last)
-    }
-}
-
-/// Binds what a statement that is left for later needs.
-pub(crate) struct Later<'w>(pub(super) &'w mut Write);
-
-impl Later<'_> {
-    pub fn bind<'t>(self, value: impl Encode<'t, Sqlite> + Type<Sqlite> + 't) -> Self {
-        self.0.statements.bind(value);
-        self
-    }
-}
-
-/// A question under way. What was left for later goes before it, and with it.
-#[must_use = "a question that nobody sends is left for later"]
-pub(crate) struct Question<'w>(pub(super) &'w mut Write);
-
-impl Question<'_> {
-    pub fn bind<'t>(self, value: impl Encode<'t, Sqlite> + Type<Sqlite> + 't) -> Self {
-        self.0.statements.bind(value);
-        self
-    }
-
-    /// The first row of the answer, if it has any.
-    pub async fn first_row(self) -> Result<Option<SqliteRow>, StoreError> {
-        let (connection, statements) = self.0.open()?;
-        match statements.send_but_the_last(connection).await? {
-            Some(last) => Ok(connection.fetch_optional(last.together()).await?),
-            None => Ok(None),
-        }
-    }
-
-    /// All rows of the answer.
-    pub async fn rows(self) -> Result<Vec<SqliteRow>, StoreError> {
-        let (connection, statements) = self.0.open()?;
-        match statements.send_but_the_last(connection).await? {
-            Some(last) => Ok(connection.fetch_all(last.together()).await?),
-            None => Ok(Vec::new()),
-        }
     }
 }

@@ -1,0 +1,94 @@
+//! What the steps of a claim have in common: the node that asks, and how a statement finds a task for it.
+
+use forelight_protocol::{Node, Timestamp};
+use sqlx::SqliteConnection;
+use sqlx::sqlite::SqliteRow;
+
+use crate::error::StoreError;
+use crate::policy::retries::HEAD_START;
+
+/// What a node is given, or why it is given nothing though there is something.
+#[derive(Default)]
+pub(crate) struct Offer {
+    pub task: Option<SqliteRow>,
+    /// For people; nothing if there is a task, or none for anybody.
+    pub idle_reason: Option<String>,
+}
+
+impl From<Option<SqliteRow>> for Offer {
+    fn from(task: Option<SqliteRow>) -> Self {
+        Self { task, idle_reason: None }
+    }
+}
+
+/// Who asks, and when: what the steps of a claim have in common.
+pub(crate) struct Asking<'a> {
+    pub node: &'a Node,
+    pub now: Timestamp,
+    /// Since when nodes can be heard of: the service was not there before.
+    pub up_since: Timestamp,
+    /// What this node does of each booked job until its window ends, see [`at_most`].
+    pub at_most: Option<String>,
+}
+
+impl Asking<'_> {
+    /// The first task of a query that takes these four: the node, now, since when a node that failed may have the task again, and what fits
+    /// into the node's window; and whatever `more` binds.
+    pub(crate) async fn first(
+        &self,
+        connection: &mut SqliteConnection,
+        query: &'static str,
+        more: impl FnOnce(Query) -> Query,
+    ) -> Result<Option<SqliteRow>, StoreError> {
+        let common = sqlx::query(query)
+            .bind(self.node.id.0)
+            .bind(self.now.micros())
+            .bind(self.now.plus_micros(-HEAD_START).micros())
+            .bind(self.at_most.clone());
+        Ok(more(common).fetch_optional(connection).await?)
+    }
+}
+
+/// A query under way.
+pub(crate) type Query = sqlx::query::Query<'static, sqlx::Sqlite, sqlx::sqlite::SqliteArguments>;
+
+/// The first task by an index of which these hold and which the node, `?1`, may have now.
+macro_rules! next_task {
+    ($index:literal, $which:literal, $order:literal) => {
+        $crate::claims::asking::next_task!("id", $index, $which, $order)
+    };
+    ($columns:expr, $index:literal, $which:literal, $order:literal) => {
+        concat!(
+            "SELECT ",
+            $columns,
+            " FROM tasks INDEXED BY ",
+            $index,
+            " WHERE state = 'ready' AND ",
+            $which,
+            " AND held = 0 AND not_before <= ?2 AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS (SELECT 1 FROM leases f \
+              WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1)) \
+              AND (?4 IS NULL OR (SELECT cpu_p95 FROM frames WHERE job_id = tasks.job_id AND frame = tasks.frame) \
+              > ?4 ->> ('$.\"' || hex(tasks.job_id) || '\"') IS NOT TRUE) ORDER BY ",
+            $order,
+            " LIMIT 1"
+        )
+    };
+}
+pub(crate) use next_task;
+
+/// What an offer needs of a task.
+macro_rules! task_columns {
+    () => {
+        "id, job_id, spec, limits, fence, (SELECT j.state FROM jobs j WHERE j.id = tasks.job_id) AS job_state, \
+         (SELECT j.work_by_class FROM jobs j WHERE j.id = tasks.job_id) AS work_by_class"
+    };
+}
+pub(crate) use task_columns;
+
+/// What is booked on the node `?5`.
+pub(crate) const NEXT_BOOKED: &str = next_task!(
+    task_columns!(),
+    "tasks_ready_booked",
+    "kind IN ('cache_fill', 'render') AND booked_node = ?5",
+    "booked_at, job_id, frame, part"
+);

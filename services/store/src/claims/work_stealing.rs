@@ -1,0 +1,150 @@
+//! Finds a task for an idle node among those that are booked on other nodes. Which of them it may take is in
+//! [`crate::policy::work_stealing`].
+//!
+//! Each question is one step into an index for each booked job, however many frames it has. The last one reads the
+//! farm's nodes once.
+
+use forelight_protocol::{ByClass, JobId, JobVerdict, Node, Timestamp};
+use sqlx::sqlite::SqliteRow;
+use sqlx::{Row as _, SqliteConnection};
+
+use crate::claims::asking::{Asking, NEXT_BOOKED, Offer, Query, next_task, task_columns};
+use crate::decode::{id, json, json_opt, time_opt, whole};
+use crate::error::StoreError;
+use crate::jobs::outlooks::JobOutlook;
+use crate::nodes::gone;
+use crate::policy::work_stealing::{OVERDUE, is_at_risk, least_rate, rate, reason_to_wait};
+use crate::tasks::is_bounded_job;
+
+/// A booked job, as an idle node sees it.
+struct BookedJob {
+    id: JobId,
+    name: String,
+    due: i64,
+    priority: i64,
+    /// Whether any node may take any of its tasks.
+    for_everybody: bool,
+    /// Rate of its work on the idle node.
+    rate: i64,
+}
+
+/// A task that is booked elsewhere and that the node may take, or why it takes none.
+pub(crate) async fn offer(
+    connection: &mut SqliteConnection,
+    asking: &Asking<'_>,
+) -> Result<Offer, StoreError> {
+    let jobs = booked_jobs(connection, asking.node).await?;
+    for job in &jobs {
+        let found = if job.for_everybody {
+            let of_job = |query: Query| query.bind(job.due).bind(job.priority).bind(job.id.0);
+            asking.first(connection, NEXT_OF_JOB, of_job).await?
+        } else {
+            let overdue = asking.now.plus_micros(-OVERDUE).micros();
+            let of_job = |query: Query| query.bind(job.id.0).bind(least_rate(job.rate)).bind(overdue);
+            asking.first(connection, NEXT_NO_DEARER, of_job).await?
+        };
+        if found.is_some() {
+            return Ok(found.into());
+        }
+    }
+    for node in gone(connection, asking.up_since, asking.now).await? {
+        let found = asking.first(connection, NEXT_BOOKED, |query| query.bind(node.0)).await?;
+        if found.is_some() {
+            return Ok(found.into());
+        }
+    }
+    for job in jobs.iter().filter(|job| !job.for_everybody) {
+        let idle_reason = job.why_not(connection).await?;
+        if idle_reason.is_some() {
+            return Ok(Offer { task: None, idle_reason });
+        }
+    }
+    Ok(Offer::default())
+}
+
+impl BookedJob {
+    /// Why the node leaves the job to others: where the next of its frames is booked for less; `None` if none is.
+    async fn why_not(&self, connection: &mut SqliteConnection) -> Result<Option<String>, StoreError> {
+        let row = sqlx::query(
+            "SELECT t.booked_rate, n.name FROM tasks t INDEXED BY tasks_ready_starts JOIN nodes n ON n.id = t.booked_node \
+             WHERE t.state = 'ready' AND t.booked_rate IS NOT NULL AND t.job_id = ? AND t.held = 0 AND t.booked_rate < ? \
+             ORDER BY t.booked_at, t.frame, t.part LIMIT 1",
+        )
+        .bind(self.id.0)
+        .bind(least_rate(self.rate))
+        .fetch_optional(connection)
+        .await?;
+        row.map(|row| {
+            let there: i64 = whole(&row, "booked_rate")?;
+            Ok(reason_to_wait(&self.name, row.try_get("name")?, there, self.rate))
+        })
+        .transpose()
+    }
+}
+
+/// The booked jobs in the order in which nodes help out: by deadline, then priority, then age.
+async fn booked_jobs(connection: &mut SqliteConnection, node: &Node) -> Result<Vec<BookedJob>, StoreError> {
+    let rows = sqlx::query(
+        "SELECT id, name, deadline_at, budget, priority, verdict, outlook, work_by_class FROM jobs \
+         WHERE state IN ('booked', 'rendering') ORDER BY coalesce(deadline_at, 9223372036854775807), priority DESC, id",
+    )
+    .fetch_all(connection)
+    .await?;
+    rows.iter().map(|row| decode(row, node)).collect()
+}
+
+fn decode(row: &SqliteRow, node: &Node) -> Result<BookedJob, StoreError> {
+    let deadline = time_opt(row, "deadline_at")?;
+    let work: Option<ByClass> = json_opt(row, "work_by_class")?;
+    let outlook: JobOutlook = json(row, "outlook")?;
+    let verdict: Option<JobVerdict> = json_opt(row, "verdict")?;
+    let is_at_risk = is_at_risk(outlook.promise.as_ref(), verdict.as_ref());
+    Ok(BookedJob {
+        id: JobId(id(row, "id")?),
+        name: row.try_get("name")?,
+        due: deadline.map_or(i64::MAX, Timestamp::micros),
+        priority: row.try_get("priority")?,
+        for_everybody: !is_bounded_job(row)? || is_at_risk,
+        rate: rate(node, work.as_ref()),
+    })
+}
+
+/// A job's first task, wherever it is booked. `?5` to `?7` are the job's due time, priority and id.
+pub(crate) const NEXT_OF_JOB: &str = next_task!(
+    task_columns!(),
+    "tasks_ready_any",
+    "kind IN ('cache_fill', 'render') AND due_at = ?5 AND priority = ?6 AND job_id = ?7",
+    "frame, part"
+);
+
+/// A task of the job `?5`, the first of these that there is: the one that is booked at the highest rate, if that is at
+/// least `?6`; one that should have begun by `?7`; one that is booked nowhere; one that has failed.
+pub(crate) const NEXT_NO_DEARER: &str = concat!(
+    "SELECT ",
+    task_columns!(),
+    " FROM tasks WHERE id = coalesce((",
+    next_task!(
+        "tasks_ready_rates",
+        "booked_rate IS NOT NULL AND job_id = ?5 AND booked_rate >= ?6",
+        "booked_rate DESC, frame, part"
+    ),
+    "), (",
+    next_task!(
+        "tasks_ready_starts",
+        "booked_rate IS NOT NULL AND job_id = ?5 AND booked_at <= ?7",
+        "booked_at, frame, part"
+    ),
+    "), (",
+    next_task!(
+        "tasks_ready_booked",
+        "kind IN ('cache_fill', 'render') AND booked_node IS NULL AND booked_at IS NULL AND job_id = ?5",
+        "frame, part"
+    ),
+    "), (",
+    next_task!(
+        "tasks_backing_off",
+        "not_before > 0 AND kind IN ('cache_fill', 'render') AND failures > 0 AND job_id = ?5",
+        "not_before"
+    ),
+    "))"
+);

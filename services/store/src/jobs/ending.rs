@@ -1,0 +1,106 @@
+//! The ends of jobs other than their last frame: they are cancelled, or fail.
+
+use forelight_protocol::{Job, JobId, JobState, TaskKind, Timestamp};
+
+use crate::database::{Store, Write};
+use crate::error::StoreError;
+use crate::events::job_state;
+use crate::jobs::read;
+use crate::leases::LeaseRow;
+use crate::living::{self, Occasion};
+use crate::plans::replans;
+use crate::tasks::withdraw;
+
+impl Store {
+    /// Cancels a job: its workers are told to stop at their next renewal. Cancelling it twice is one cancelling;
+    /// a job that is done or failed stays so, and that is a conflict.
+    pub async fn cancel_job(&self, job: JobId, now: Timestamp) -> Result<Job, StoreError> {
+        let mut write = self.write().await?;
+        let current = read(write.connection().await?, job).await?;
+        match current.state {
+            JobState::Cancelled => return Ok(current),
+            JobState::Done | JobState::Failed => {
+                return Err(StoreError::Conflict(format!(
+                    "the job is {} and cannot be cancelled",
+                    current.state
+                )));
+            }
+            JobState::Previewing | JobState::Profiling | JobState::Booked | JobState::Rendering => {}
+        }
+        withdraw(&mut write, job, now).await?;
+        sqlx::query("UPDATE jobs SET state = 'cancelled', finished_at = ? WHERE id = ?")
+            .bind(now.micros())
+            .bind(job.0)
+            .execute(write.connection().await?)
+            .await?;
+        job_state(&mut write, job, JobState::Cancelled, None, now)?;
+        living::update(&mut write, job, Occasion::Ended, now).await?;
+        if current.plan_id.is_some() {
+            replans::want(&mut write, &format!("job {} was cancelled", current.name)).await?;
+        }
+        let cancelled = read(write.connection().await?, job).await?;
+        self.commit(write).await?;
+        Ok(cancelled)
+    }
+
+    /// Fails a job for a reason that lies in the job; nothing if it is final already.
+    pub async fn fail_job(&self, job: JobId, error: &str, now: Timestamp) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        fail(&mut write, job, error, now).await?;
+        self.commit(write).await
+    }
+}
+
+pub(crate) async fn fail_task_and_job(
+    write: &mut Write,
+    row: &LeaseRow,
+    error: &str,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    sqlx::query("UPDATE tasks SET state = 'failed', error = ?, finished_at = ? WHERE id = ?")
+        .bind(error)
+        .bind(now.micros())
+        .bind(row.task_id.0)
+        .execute(write.connection().await?)
+        .await?;
+    fail_for_task(write, row.job_id, (row.kind, row.frame), error, now).await
+}
+
+/// Fails a job inside a write for what became of one of its tasks.
+pub(crate) async fn fail_for_task(
+    write: &mut Write,
+    job: JobId,
+    (kind, frame): (TaskKind, Option<u32>),
+    error: &str,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let of_frame = frame.map_or(String::new(), |frame| format!(" of frame {frame}"));
+    fail(write, job, &format!("{kind}{of_frame}: {error}"), now).await
+}
+
+/// Fails a job inside a write; nothing if it is final already.
+pub(crate) async fn fail(
+    write: &mut Write,
+    job: JobId,
+    error: &str,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let failed = sqlx::query(
+        "UPDATE jobs SET state = 'failed', error = ?, finished_at = ? WHERE id = ? AND state IN ('previewing', 'profiling', 'booked', 'rendering')",
+    )
+    .bind(error)
+    .bind(now.micros())
+    .bind(job.0)
+    .execute(write.connection().await?)
+    .await?;
+    if failed.rows_affected() == 0 {
+        return Ok(());
+    }
+    withdraw(write, job, now).await?;
+    living::update(write, job, Occasion::Ended, now).await?;
+    let failed = read(write.connection().await?, job).await?;
+    if failed.plan_id.is_some() {
+        replans::want(write, &format!("job {} failed", failed.name)).await?;
+    }
+    job_state(write, job, JobState::Failed, Some(error.to_owned()), now)
+}

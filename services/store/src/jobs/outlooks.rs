@@ -1,0 +1,52 @@
+//! What is said of booked jobs between plans: why they wait, and what is left of their promises.
+
+use forelight_protocol::{Event, JobId, JobState, Promise, Timestamp, Waits};
+use serde::{Deserialize, Serialize};
+
+use crate::database::Write;
+use crate::decode::{json, to_json, word};
+use crate::error::StoreError;
+use crate::events::{append, event};
+use crate::policy::rebooking::promise_news;
+
+/// Why a job waits, and what is left of its promise.
+#[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize)]
+pub struct JobOutlook {
+    /// Why it has not begun.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub waits: Option<Waits>,
+    /// What is left of its promise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub promise: Option<Promise>,
+}
+
+/// Keeps what is said of jobs, and tells of promises that broke or were mended.
+pub(crate) async fn keep(
+    write: &mut Write,
+    outlooks: &[(JobId, JobOutlook)],
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    for (job, outlook) in outlooks {
+        let row = sqlx::query("SELECT outlook, state FROM jobs WHERE id = ?")
+            .bind(job.0)
+            .fetch_optional(write.connection().await?)
+            .await?;
+        let row = row.ok_or(StoreError::NotFound("job"))?;
+        let before: JobOutlook = json(&row, "outlook")?;
+        // A job that was over before this was found out has no outlook any more.
+        if before == *outlook || word::<JobState>(&row, "state")?.is_final() {
+            continue;
+        }
+        sqlx::query("UPDATE jobs SET outlook = ? WHERE id = ?")
+            .bind(to_json(outlook)?)
+            .bind(job.0)
+            .execute(write.connection().await?)
+            .await?;
+        let Some((kind, message)) = promise_news(before.promise.as_ref(), outlook.promise.as_ref()) else {
+            continue;
+        };
+        let (promise, message) = (outlook.promise.clone(), Some(message));
+        append(write, Event { job_id: Some(*job), promise, message, ..event(kind, now) })?;
+    }
+    Ok(())
+}

@@ -1,0 +1,105 @@
+//! Submitting jobs.
+
+use forelight_forecast::FIRST_FRAMES;
+use forelight_protocol::{
+    BundleSource, Event, EventKind, Job, JobId, JobRequest, JobState, Money, RenderSettings, SceneSummary,
+    Timestamp,
+};
+
+use crate::database::Store;
+use crate::decode::to_json;
+use crate::error::StoreError;
+use crate::events::{append, event};
+use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
+use crate::jobs::read;
+use crate::tasks::Common;
+
+/// A job that has been checked.
+#[derive(Clone, PartialEq, Debug)]
+pub struct NewJob {
+    /// What was asked for.
+    pub request: JobRequest,
+    /// What is in the bundle.
+    pub scene: SceneSummary,
+    /// Where workers find the bundle.
+    pub source: BundleSource,
+    /// The settings with all defaults filled in.
+    pub settings: RenderSettings,
+}
+
+impl Store {
+    /// Remembers a job with its frames and its first task, the preview.
+    pub async fn create_job(
+        &self,
+        new: &NewJob,
+        key: Option<&IdempotencyKey>,
+        now: Timestamp,
+    ) -> Result<Answered<Job>, StoreError> {
+        let NewJob { request, scene, source, settings } = new;
+        let mut write = self.write().await?;
+        if let Some(answer) = earlier_answer(&mut write, key).await? {
+            return Ok(Answered::Repeated(answer));
+        }
+        let job_id = JobId::new();
+        sqlx::query(
+            "INSERT INTO jobs (id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, frames_total, \
+             settings, samples, profile_frames, deadline_at, budget, confidence, priority, created_at, limits, within, cache, weight, \
+             profiles_more, ladders) VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        )
+        .bind(job_id.0)
+        .bind(&request.name)
+        .bind(&request.project)
+        .bind(request.bundle.id.map(|bundle| bundle.0))
+        .bind(&request.bundle.path)
+        .bind(to_json(source)?)
+        .bind(to_json(scene)?)
+        .bind(request.frames.to_string())
+        .bind(i64::try_from(request.frames.count()).unwrap_or(i64::MAX))
+        .bind(to_json(settings)?)
+        .bind(i64::from(request.samples))
+        .bind(request.profile_frames.map_or(FIRST_FRAMES as i64, i64::from))
+        .bind(request.deadline.map(Timestamp::micros))
+        .bind(request.budget.map(Money::micro_units))
+        .bind(request.confidence.name())
+        .bind(i64::from(request.priority))
+        .bind(now.micros())
+        .bind(to_json(&request.limits)?)
+        .bind(request.within.as_ref().map(to_json).transpose()?)
+        .bind(request.cache.name())
+        .bind(i64::from(request.weight))
+        .bind(request.profile_frames.is_none())
+        .bind(request.ladders.name())
+        .execute(write.connection().await?)
+        .await?;
+        for frame in request.frames.iter() {
+            sqlx::query("INSERT INTO frames (job_id, frame) VALUES (?, ?)")
+                .bind(job_id.0)
+                .bind(i64::from(frame))
+                .execute(write.connection().await?)
+                .await?;
+        }
+        let common = Common {
+            job: job_id,
+            bundle: source.clone(),
+            digest: scene.digest,
+            settings: settings.clone(),
+            deadline: request.deadline,
+            priority: request.priority,
+            limits: request.limits,
+        };
+        common.preview(&mut write, request.frames.iter().collect()).await?;
+        append(
+            &mut write,
+            Event {
+                job_id: Some(job_id),
+                job_state: Some(JobState::Previewing),
+                message: Some(request.name.clone()),
+                ..event(EventKind::JobCreated, now)
+            },
+        )?;
+        let job = read(write.connection().await?, job_id).await?;
+        record(&mut write, key, 201, &job, now)?;
+        self.commit(write).await?;
+        Ok(Answered::Fresh(job))
+    }
+}

@@ -1,0 +1,117 @@
+//! The finished tiles of frames whose workers may be lost any moment: a file for each task, replaced as the work goes on, and gone when
+//! it ends.
+//!
+//! They are no artefacts: nothing refers to them, nothing depends on them, and the service never looks into them. A pixel has the same
+//! bits whoever traced it, so it does not matter whose checkpoint of a task is there, nor how old it is; one that is lost costs time,
+//! one that is damaged is found out by its checksum, on the worker, and not used.
+
+use std::path::{Path, PathBuf};
+
+use bytes::Bytes;
+use forelight_protocol::{LeaseId, TaskId, TaskKind};
+use uuid::Uuid;
+
+use crate::database::Store;
+use crate::error::StoreError;
+use crate::leases::{LeaseState, read};
+
+/// Name of their folder in the data folder.
+const FOLDER: &str = "checkpoints";
+
+impl Store {
+    /// Keeps the finished tiles of the frame that a lease is about. [`StoreError::LeaseLost`] if the lease is not the sender's.
+    pub async fn put_checkpoint(&self, lease: LeaseId, fence: u64, bytes: Bytes) -> Result<(), StoreError> {
+        let row = read(&mut *self.readers().acquire().await?, lease).await?;
+        if row.fence != fence || row.state != LeaseState::Active {
+            return Err(StoreError::LeaseLost);
+        }
+        if row.kind != TaskKind::Render {
+            return Err(StoreError::Conflict(format!("a {} has no tiles", row.kind)));
+        }
+        let (folder, task) = (self.checkpoints(), row.task_id);
+        blocking(move || {
+            std::fs::create_dir_all(&folder).map_err(|error| StoreError::file(&folder, error))?;
+            // A name of its own, then a rename: whoever reads sees the old one or the new one, whole.
+            let unfinished = folder.join(format!("{}.unfinished", Uuid::now_v7().simple()));
+            let written = std::fs::write(&unfinished, &bytes)
+                .and_then(|()| std::fs::rename(&unfinished, place(&folder, task)));
+            written.map_err(|error| {
+                // What was written of it is of no use to anyone.
+                let _ = std::fs::remove_file(&unfinished);
+                StoreError::file(&unfinished, error)
+            })
+        })
+        .await
+    }
+
+    /// The tiles of a lease's frame that an earlier worker finished.
+    pub async fn checkpoint(&self, lease: LeaseId) -> Result<Vec<u8>, StoreError> {
+        let row = read(&mut *self.readers().acquire().await?, lease).await?;
+        let path = place(&self.checkpoints(), row.task_id);
+        blocking(move || match std::fs::read(&path) {
+            Ok(bytes) => Ok(bytes),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                Err(StoreError::NotFound("checkpoint"))
+            }
+            Err(error) => Err(StoreError::file(&path, error)),
+        })
+        .await
+    }
+
+    fn checkpoints(&self) -> PathBuf {
+        self.data().join(FOLDER)
+    }
+
+    /// Deletes the checkpoints of tasks that have ended, and what was left half-written.
+    pub(crate) async fn forget_checkpoints(&self) -> Result<(), StoreError> {
+        let folder = self.checkpoints();
+        let found: Vec<(PathBuf, Option<TaskId>)> = blocking(move || match std::fs::read_dir(&folder) {
+            Ok(entries) => {
+                Ok(entries.flatten().map(|entry| (entry.path(), task_of(&entry.path()))).collect())
+            }
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Vec::new()),
+            Err(error) => Err(StoreError::file(&folder, error)),
+        })
+        .await?;
+        for (path, task) in found {
+            let wanted =
+                match task {
+                    Some(task) => sqlx::query_scalar(
+                        "SELECT EXISTS (SELECT 1 FROM tasks WHERE id = ? AND state IN ('ready', 'leased'))",
+                    )
+                    .bind(task.0)
+                    .fetch_one(self.readers())
+                    .await?,
+                    // Being written, unless it is old.
+                    None => is_recent(&path),
+                };
+            if !wanted {
+                // If it cannot be deleted now, the next sweep tries again.
+                let _ = std::fs::remove_file(&path);
+            }
+        }
+        Ok(())
+    }
+}
+
+fn place(folder: &Path, task: TaskId) -> PathBuf {
+    folder.join(format!("{task}.profile"))
+}
+
+fn task_of(path: &Path) -> Option<TaskId> {
+    path.file_name()?.to_str()?.strip_suffix(".profile")?.parse().ok()
+}
+
+/// Whether a file was written to within the last minutes; the clock of the file system is the one that counts.
+fn is_recent(path: &Path) -> bool {
+    const MINUTES: std::time::Duration = std::time::Duration::from_secs(600);
+    let modified = std::fs::metadata(path).and_then(|metadata| metadata.modified());
+    modified.is_ok_and(|modified| modified.elapsed().is_ok_and(|age| age < MINUTES))
+}
+
+async fn blocking<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, StoreError> + Send + 'static,
+) -> Result<T, StoreError> {
+    // It fails only when the runtime ends.
+    tokio::task::spawn_blocking(work).await.unwrap_or(Err(StoreError::Busy))
+}

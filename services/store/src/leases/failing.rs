@@ -1,0 +1,126 @@
+//! Tasks that fail: what follows is in [`crate::policy::retries`].
+
+use forelight_protocol::{Event, EventKind, JobState, LeaseId, NodeId, TaskError, TaskId, Timestamp};
+
+use crate::database::Store;
+use crate::database::Write;
+use crate::error::StoreError;
+use crate::events::{append, event};
+use crate::jobs;
+use crate::jobs::ending::fail_task_and_job;
+use crate::leases::{LeaseState, back_to_ready, end, read_in, touch};
+use crate::nodes;
+use crate::plans::replans;
+use crate::policy::retries::{HEAD_START, HELD_AGAINST, is_blameless, job_error, reason_to_set_aside, wait};
+
+impl Store {
+    /// A worker could not do its task. Says whether this had been reported before, and where the job stands now.
+    pub async fn fail_task(
+        &self,
+        lease: LeaseId,
+        fence: u64,
+        error: &TaskError,
+        now: Timestamp,
+    ) -> Result<(bool, JobState), StoreError> {
+        let mut write = self.write().await?;
+        let row = read_in(&mut write, lease).await?;
+        if row.fence == fence && row.state == LeaseState::Failed {
+            return Ok((true, jobs::state(write.connection().await?, row.job_id).await?));
+        }
+        if row.fence != fence || row.state != LeaseState::Active {
+            return self.refuse(write, &row, now).await;
+        }
+        end(&mut write, &row, "failed", now);
+        touch(&mut write, row.node_id, now);
+        let blameless = is_blameless(error);
+        if blameless {
+            sqlx::query("UPDATE leases SET blameless = 1 WHERE id = ?")
+                .bind(lease.0)
+                .execute(write.connection().await?)
+                .await?;
+        }
+        append(
+            &mut write,
+            Event { message: Some(error.message.clone()), ..row.event(EventKind::TaskFailed, now) },
+        )?;
+        let failures = row.failures + 1;
+        sqlx::query("UPDATE tasks SET failures = ?, not_before = ? WHERE id = ?")
+            .bind(failures)
+            .bind(now.plus_micros(wait(row.task_id, failures)).micros())
+            .bind(row.task_id.0)
+            .execute(write.connection().await?)
+            .await?;
+        let failed_on = nodes_that_failed(&mut write, row.task_id).await?;
+        match job_error(error, row.task_id, failures, &failed_on) {
+            Some(job_error) => fail_task_and_job(&mut write, &row, &job_error, now).await?,
+            None => back_to_ready(&mut write, &row, Some(&error.message)),
+        }
+        if !blameless {
+            set_aside_if_at_fault(&mut write, row.node_id, &error.message, now).await?;
+        }
+        let state = jobs::state(write.connection().await?, row.job_id).await?;
+        self.commit(write).await?;
+        Ok((false, state))
+    }
+
+    /// When the next task that waits after a failure may be handed out, to whom it failed on or to others; `None` if none waits.
+    pub async fn next_retry(&self, now: Timestamp) -> Result<Option<Timestamp>, StoreError> {
+        let at: Option<i64> = sqlx::query_scalar(
+            "SELECT min(CASE WHEN not_before > ?1 THEN not_before ELSE not_before + ?2 END) FROM tasks INDEXED BY tasks_backing_off \
+             WHERE state = 'ready' AND not_before > 0 AND not_before + ?2 > ?1",
+        )
+        .bind(now.micros())
+        .bind(HEAD_START)
+        .fetch_one(self.readers())
+        .await?;
+        Ok(at.map(Timestamp::from_micros))
+    }
+}
+
+/// Names of the nodes on which a task failed, sorted.
+async fn nodes_that_failed(write: &mut Write, task: TaskId) -> Result<Vec<String>, StoreError> {
+    Ok(sqlx::query_scalar(
+        "SELECT DISTINCT n.name FROM leases l JOIN nodes n ON n.id = l.node_id \
+         WHERE l.task_id = ? AND l.state = 'failed' ORDER BY n.name",
+    )
+    .bind(task.0)
+    .fetch_all(write.connection().await?)
+    .await?)
+}
+
+/// Sets a node aside on which too many jobs failed. Failures of tasks that failed for good are not held against it.
+async fn set_aside_if_at_fault(
+    write: &mut Write,
+    node: NodeId,
+    error: &str,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let jobs: i64 = sqlx::query_scalar(
+        "SELECT count(DISTINCT t.job_id) FROM leases l INDEXED BY leases_failed_on_node JOIN tasks t ON t.id = l.task_id \
+         WHERE l.node_id = ?1 AND l.state = 'failed' AND NOT l.blameless AND t.state <> 'failed' \
+         AND l.ended_at > max(?2, (SELECT trusted_since FROM nodes WHERE id = ?1))",
+    )
+    .bind(node.0)
+    .bind(now.plus_micros(-HELD_AGAINST).micros())
+    .fetch_one(write.connection().await?)
+    .await?;
+    let Some(reason) = reason_to_set_aside(jobs, error) else { return Ok(()) };
+    let set = sqlx::query("UPDATE nodes SET set_aside = ? WHERE id = ? AND set_aside IS NULL")
+        .bind(&reason)
+        .bind(node.0)
+        .execute(write.connection().await?)
+        .await?;
+    if set.rows_affected() == 1 {
+        let name = nodes::read(write.connection().await?, node).await?.name;
+        replans::want(write, &format!("node {name} is set aside")).await?;
+        append(
+            write,
+            Event {
+                node_id: Some(node),
+                message: Some(format!("{name}: {reason}")),
+                ..event(EventKind::NodeSetAside, now)
+            },
+        )?;
+    }
+    Ok(())
+}

@@ -1,0 +1,85 @@
+//! What workers had to say about tasks.
+
+use forelight_protocol::{LOG_LINES, LeaseId, LogLine, TaskId, TaskLog, TaskLogLine, Timestamp};
+use sqlx::Row as _;
+
+use crate::database::Store;
+use crate::database::Write;
+use crate::decode::{time, whole, word};
+use crate::error::StoreError;
+use crate::leases::{LeaseRow, LeaseState, read_in};
+
+/// For how long logs are kept: thirty days, in microseconds.
+const KEPT: i64 = 30 * 24 * 3_600_000_000;
+
+impl Store {
+    /// Keeps what a worker says at the end of its task, before it is told how that ended. Of a lease that is not the worker's nothing is
+    /// kept, and nothing is said: what follows will be refused.
+    pub async fn keep_log(&self, lease: LeaseId, fence: u64, lines: &[LogLine]) -> Result<(), StoreError> {
+        if lines.is_empty() {
+            return Ok(());
+        }
+        let mut write = self.write().await?;
+        let row = read_in(&mut write, lease).await?;
+        if row.fence == fence && row.state == LeaseState::Active {
+            keep(&mut write, &row, lines).await?;
+            self.commit(write).await?;
+        }
+        Ok(())
+    }
+
+    /// The log of a task: all attempts, oldest first.
+    pub async fn task_log(&self, task: TaskId) -> Result<TaskLog, StoreError> {
+        let mut read = self.read().await?;
+        let there: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM tasks WHERE id = ?)")
+            .bind(task.0)
+            .fetch_one(&mut *read)
+            .await?;
+        if !there {
+            return Err(StoreError::NotFound("task"));
+        }
+        let rows = sqlx::query(
+            "SELECT fence, number, at, level, line FROM task_logs WHERE task_id = ? ORDER BY fence, number",
+        )
+        .bind(task.0)
+        .fetch_all(&mut *read)
+        .await?;
+        let line = |row: &sqlx::sqlite::SqliteRow| -> Result<TaskLogLine, StoreError> {
+            Ok(TaskLogLine {
+                attempt: whole(row, "fence")?,
+                number: whole(row, "number")?,
+                at: time(row, "at")?,
+                level: word(row, "level")?,
+                text: row.try_get("line")?,
+            })
+        };
+        Ok(TaskLog { task_id: task, lines: rows.iter().map(line).collect::<Result<_, _>>()? })
+    }
+}
+
+/// Keeps lines of a lease; those that were kept before, and those beyond the bound, are dropped.
+pub(crate) async fn keep(write: &mut Write, row: &LeaseRow, lines: &[LogLine]) -> Result<(), StoreError> {
+    for line in lines.iter().filter(|line| line.number < LOG_LINES) {
+        let line = line.clone().cleaned();
+        sqlx::query(
+            "INSERT INTO task_logs (task_id, fence, number, at, level, line) VALUES (?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
+        )
+        .bind(row.task_id.0)
+        .bind(i64::try_from(row.fence).unwrap_or(i64::MAX))
+        .bind(i64::from(line.number))
+        .bind(line.at.micros())
+        .bind(line.level.name())
+        .bind(line.text)
+        .execute(write.connection().await?)
+        .await?;
+    }
+    Ok(())
+}
+
+pub(crate) async fn forget_old_logs(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
+    sqlx::query("DELETE FROM task_logs WHERE at < ?")
+        .bind(now.plus_micros(-KEPT).micros())
+        .execute(write.connection().await?)
+        .await?;
+    Ok(())
+}

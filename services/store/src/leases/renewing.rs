@@ -1,0 +1,87 @@
+//! What a worker says while it holds a lease: that it goes on, or that it gives the task back.
+
+use std::time::Duration;
+
+use forelight_protocol::{
+    Event, EventKind, FinishedPixels, LeaseId, LeaseOrder, RenewRequest, Renewal, Timestamp,
+};
+
+use crate::database::Store;
+use crate::error::StoreError;
+use crate::events::append;
+use crate::leases::logs;
+use crate::leases::{LeaseState, back_to_ready, end, read_in};
+use crate::living::{self, Occasion};
+use crate::nodes::sleep_of;
+
+/// Progress is recorded as an event in steps of a hundredth: a worker that renews twice a second must not fill the disk.
+const PROGRESS_STEP: f64 = 0.01;
+
+impl Store {
+    /// A worker is still at it: its lease ends `ttl` from now. What it says is kept, and it is told what its operator wants.
+    pub async fn renew(
+        &self,
+        lease: LeaseId,
+        renewal: &RenewRequest,
+        ttl: Duration,
+        now: Timestamp,
+    ) -> Result<Renewal, StoreError> {
+        let &RenewRequest { fence, progress, pixels, paused, ref log } = renewal;
+        let mut write = self.write().await?;
+        let row = read_in(&mut write, lease).await?;
+        let sleep_until = sleep_of(write.connection().await?, row.node_id, row.has_calendar, now).await?;
+        if row.fence == fence && row.state == LeaseState::Revoked {
+            return Ok(Renewal { expires_at: now, order: LeaseOrder::Stop, drain: row.drain, sleep_until });
+        }
+        if row.fence != fence || row.state != LeaseState::Active {
+            return self.refuse(write, &row, now).await;
+        }
+        let expires_at = now.plus_micros(i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX));
+        write
+            .later("UPDATE leases SET expires_at = ?, paid_until = NULL WHERE id = ?")
+            .bind(expires_at.micros())
+            .bind(lease.0);
+        write
+            .later("UPDATE nodes SET last_seen_at = max(last_seen_at, ?), paused = ? WHERE id = ?")
+            .bind(now.micros())
+            .bind(paused)
+            .bind(row.node_id.0);
+        if progress >= row.progress + PROGRESS_STEP || (progress == 1.0 && row.progress < 1.0) {
+            write.later("UPDATE tasks SET progress = ? WHERE id = ?").bind(progress).bind(row.task_id.0);
+            append(
+                &mut write,
+                Event { progress: Some(progress), ..row.event(EventKind::TaskProgress, now) },
+            )?;
+        }
+        if let Some(FinishedPixels { done, all, work, cpu_nanos }) = pixels.filter(|pixels| pixels.all > 0) {
+            write
+                .later("UPDATE tasks SET pixels_share = ?, pixels_work = ?, pixels_cpu = ? WHERE id = ?")
+                .bind((done as f64 / all as f64).min(1.0))
+                .bind(work as f64)
+                .bind(cpu_nanos as f64 * 1e-9 * row.node_speed)
+                .bind(row.task_id.0);
+            living::update(&mut write, row.job_id, Occasion::Meanwhile, now).await?;
+        }
+        logs::keep(&mut write, &row, log).await?;
+        self.commit(write).await?;
+        let order = if row.pause { LeaseOrder::Pause } else { LeaseOrder::Continue };
+        Ok(Renewal { expires_at, order, drain: row.drain, sleep_until })
+    }
+
+    /// A worker gives its task back unfinished. Counts neither as an error nor as an expiry. A lease that was released
+    /// or revoked before is a lease given back: nothing to do.
+    pub async fn release(&self, lease: LeaseId, fence: u64, now: Timestamp) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        let row = read_in(&mut write, lease).await?;
+        if row.fence == fence && matches!(row.state, LeaseState::Released | LeaseState::Revoked) {
+            return Ok(());
+        }
+        if row.fence != fence || row.state != LeaseState::Active {
+            return self.refuse(write, &row, now).await;
+        }
+        end(&mut write, &row, "released", now);
+        back_to_ready(&mut write, &row, None);
+        append(&mut write, row.event(EventKind::LeaseReleased, now))?;
+        self.commit(write).await
+    }
+}

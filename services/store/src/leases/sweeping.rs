@@ -1,0 +1,112 @@
+//! What the service does for leases from time to time: tasks of lost workers are taken back, clocks that were set are
+//! corrected.
+
+use std::time::Duration;
+
+use forelight_protocol::{EventKind, Timestamp};
+
+use crate::database::{Store, Write};
+use crate::error::StoreError;
+use crate::events::{append, forget_old_progress};
+use crate::idempotency::forget_old;
+use crate::jobs::ending::fail_task_and_job;
+use crate::leases::logs::forget_old_logs;
+use crate::leases::{LeaseState, back_to_ready, end, ran_out, read_in};
+use crate::living;
+use crate::nodes::changing::stop_after_windows;
+use crate::policy::retries::{LONGEST_WAIT, job_error_of_lost_workers};
+
+/// What a sweep did.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub struct Swept {
+    /// Leases that had run out.
+    pub expired: u32,
+    /// Jobs that failed because a task lost its worker too often.
+    pub jobs_failed: u32,
+}
+
+impl Store {
+    /// Takes back the tasks whose leases have run out, makes estimates again that do not know of all frames, and forgets what is kept for a
+    /// limited time only.
+    pub async fn sweep(&self, now: Timestamp) -> Result<Swept, StoreError> {
+        let mut write = self.write().await?;
+        let swept = sweep(&mut write, now).await?;
+        stop_after_windows(&mut write, now).await?;
+        living::catch_up(&mut write, now).await?;
+        forget_old(&mut write, now).await?;
+        forget_old_progress(&mut write, now).await?;
+        forget_old_logs(&mut write, now).await?;
+        self.commit(write).await?;
+        self.forget_checkpoints().await?;
+        Ok(swept)
+    }
+
+    /// Gives every active lease one more term, from now. Called once when a service starts, before anything is swept:
+    /// that nobody could renew while it was down is not the workers' fault. Nor does a lease last any longer because the clock was set
+    /// back in the meantime; tasks that wait after a failure wait no longer than they would at most. A worker that is not heard of any more is
+    /// paid until its lease would have run out.
+    pub async fn extend_leases_after_start(&self, ttl: Duration, now: Timestamp) -> Result<u64, StoreError> {
+        let until = now.plus_micros(i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX));
+        self.set_up_since(now);
+        let mut write = self.write().await?;
+        let extended = sqlx::query(
+            "UPDATE leases SET paid_until = min(coalesce(paid_until, expires_at), ?1), expires_at = ?2 WHERE state = 'active'",
+        )
+        .bind(now.micros())
+        .bind(until.micros())
+        .execute(write.connection().await?)
+        .await?;
+        sqlx::query("UPDATE tasks SET not_before = ?1 WHERE state = 'ready' AND not_before > ?1")
+            .bind(now.plus_micros(LONGEST_WAIT).micros())
+            .execute(write.connection().await?)
+            .await?;
+        self.commit(write).await?;
+        Ok(extended.rows_affected())
+    }
+
+    /// The clock was set forward by so many microseconds (back, if negative): what was to end in a minute still does.
+    pub async fn clock_was_set(&self, micros: i64) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        for moved in [
+            "UPDATE leases SET expires_at = expires_at + ?1, paid_until = paid_until + ?1 WHERE state = 'active'",
+            "UPDATE tasks SET not_before = max(1, not_before + ?) WHERE state = 'ready' AND not_before > 0",
+            // A node that was heard of in what is now the future would look alive for as long.
+            "UPDATE nodes SET last_seen_at = last_seen_at + ?1 WHERE ?1 < 0",
+            // What runs is paid for the time that it took, not for that which the clock went.
+            "UPDATE ledger SET from_at = from_at + ? WHERE until_at IS NULL",
+            "UPDATE tasks SET started_at = started_at + ? WHERE state = 'leased'",
+        ] {
+            sqlx::query(moved).bind(micros).execute(write.connection().await?).await?;
+        }
+        self.set_up_since(self.up_since().plus_micros(micros));
+        self.commit(write).await
+    }
+}
+
+/// Takes back the tasks whose leases have run out.
+pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept, StoreError> {
+    let mut swept = Swept::default();
+    for row in ran_out(write, now).await? {
+        // An earlier row of this sweep may have failed the job, and with it revoked this lease.
+        if read_in(write, row.id).await?.state != LeaseState::Active {
+            continue;
+        }
+        end(write, &row, "expired", now);
+        append(write, row.event(EventKind::LeaseExpired, now))?;
+        swept.expired += 1;
+        let expiries = row.expiries + 1;
+        sqlx::query("UPDATE tasks SET expiries = ? WHERE id = ?")
+            .bind(expiries)
+            .bind(row.task_id.0)
+            .execute(write.connection().await?)
+            .await?;
+        match job_error_of_lost_workers(expiries) {
+            Some(error) => {
+                fail_task_and_job(write, &row, &error, now).await?;
+                swept.jobs_failed += 1;
+            }
+            None => back_to_ready(write, &row, None),
+        }
+    }
+    Ok(swept)
+}

@@ -1,0 +1,234 @@
+//! The living estimate of a job: made again as its frames are finished, in the transaction that keeps what they took.
+//!
+//! What it says and when it is due is in [`forelight_quote::living`]. Here it is read from the database, compared with
+//! what is booked, and kept.
+//!
+//! Whether the estimate has left what is booked is kept with it. So leaving and coming back are each one event, in the
+//! same transaction. A new plan for the job books what was expected when it was made. An estimate that plans should
+//! know of calls for a new one.
+
+mod frames;
+mod rows;
+
+use forelight_protocol::{
+    Booked, Confidence, Event, EventKind, JobId, JobVerdict, LiveForecast, MoneyQuantiles, PlanId, Quantiles,
+    SeedProgress, Timestamp,
+};
+use forelight_quote::living::{self, Baseline, Comparison, Estimate, Frames, Off, is_due};
+use sqlx::{Row as _, SqliteConnection};
+
+use self::rows::{Before, Kept, count_frame, keep};
+use crate::budgets::ledger;
+use crate::database::Write;
+use crate::decode::{id_opt, json_opt, word};
+use crate::error::StoreError;
+use crate::events::{append, event};
+use crate::plans::bookings;
+use crate::plans::replans;
+use crate::policy::projection::{project, stretched};
+use crate::shared_cache::parts;
+use forelight_quote::JobForecast;
+
+#[cfg(test)]
+pub(crate) use self::frames::FRAMES;
+pub(crate) use self::rows::{before, newest};
+pub(crate) use forelight_quote::living::Occasion;
+
+/// Makes the estimate again inside a write, if it is due.
+pub(crate) async fn update(
+    write: &mut Write,
+    job: JobId,
+    occasion: Occasion,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let before = before(write, job).await?;
+    update_after(before, write, job, occasion, now).await
+}
+
+/// As [`update`], for a caller that has read what there was before.
+pub(crate) async fn update_after(
+    before: Before,
+    write: &mut Write,
+    job: JobId,
+    occasion: Occasion,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    if let Some(kept) = &before.estimate
+        && !is_due(&kept.last, occasion, now)
+    {
+        if occasion == Occasion::Frame {
+            count_frame(write, job);
+        }
+        return Ok(());
+    }
+    let Some(quoted) = Quoted::read(write.connection().await?, job).await? else { return Ok(()) };
+    let frames = frames::read(write.connection().await?, job, &quoted.forecast.lights).await?;
+    let is_over = before.job_state.is_final();
+    let is_given_up = is_over && !frames.all_done;
+    let estimate = Estimate::new(&quoted.forecast.total, &frames, is_given_up);
+    let baseline = baseline(before.estimate.as_ref(), &quoted, &estimate);
+    let finish = if frames.all_done || is_over {
+        Some(now)
+    } else {
+        let expected = estimate.cpu_seconds.remaining.at(quoted.confidence);
+        let stretch = baseline.stretch(frames.share_left, expected);
+        expected_finish(write.connection().await?, job, &frames, stretch, now).await?
+    };
+    let was_off = before.estimate.filter(|kept| kept.plan == quoted.plan).map(|kept| kept.was_off);
+    let was_off = was_off.unwrap_or_default();
+    let booked = quoted.booked(&baseline);
+    let delay = delay_that_counts(write.connection().await?, quoted.plan, job, booked.finish).await?;
+    let cost = cost(write.connection().await?, job, &quoted.forecast, &estimate, is_given_up, now).await?;
+    let frames_done = frames.done;
+    let live = Comparison { at: now, frames_done, estimate, cost, finish, booked, delay, was_off }.live();
+    if !is_given_up {
+        tell(write, job, quoted.plan, &live, was_off)?;
+    }
+    if !is_over && let Some(cause) = living::cause_of_plan(&live, was_off, quoted.factor, &quoted.job_name) {
+        replans::want(write, &cause).await?;
+    }
+    keep(write, job, quoted.plan, &baseline, &live).await
+}
+
+/// Makes estimates again that have not taken a finished frame into account for a while.
+pub(crate) async fn catch_up(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
+    let behind: Vec<uuid::Uuid> = sqlx::query_scalar(
+        "SELECT job_id FROM live_forecasts INDEXED BY live_forecasts_behind WHERE frames_since > 0 AND updated_at <= ? ORDER BY updated_at, job_id",
+    )
+    .bind(now.plus_micros(-living::BETWEEN_PIXELS).micros())
+    .fetch_all(write.connection().await?)
+    .await?;
+    for job in behind {
+        update(write, JobId(job), Occasion::Meanwhile, now).await?;
+    }
+    Ok(())
+}
+
+/// What was quoted and is booked for a job.
+struct Quoted {
+    job_name: String,
+    /// The factor on the forecast that its plan was made with.
+    factor: f64,
+    forecast: JobForecast,
+    plan: PlanId,
+    verdict: Option<JobVerdict>,
+    confidence: Confidence,
+}
+
+impl Quoted {
+    /// `None` for a job that is not booked.
+    async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Option<Self>, StoreError> {
+        let row =
+            sqlx::query("SELECT name, factor, forecast, verdict, confidence, plan_id FROM jobs WHERE id = ?")
+                .bind(job.0)
+                .fetch_one(connection)
+                .await?;
+        let (Some(forecast), Some(plan)) = (json_opt(&row, "forecast")?, id_opt(&row, "plan_id")?) else {
+            return Ok(None);
+        };
+        Ok(Some(Self {
+            job_name: row.try_get("name")?,
+            factor: row.try_get("factor")?,
+            forecast,
+            plan: PlanId(plan),
+            verdict: json_opt(&row, "verdict")?,
+            confidence: word(&row, "confidence")?,
+        }))
+    }
+
+    fn booked(&self, baseline: &Baseline) -> Booked {
+        Booked {
+            confidence: self.confidence,
+            cpu_seconds: baseline.cpu_seconds,
+            cost: self.verdict.as_ref().and_then(|verdict| verdict.cost),
+            finish: self.verdict.as_ref().and_then(|verdict| verdict.finish),
+        }
+    }
+}
+
+/// What the job's plan was made for: the quote, if there was no estimate before it.
+fn baseline(before: Option<&Kept>, quoted: &Quoted, estimate: &Estimate) -> Baseline {
+    match before {
+        Some(kept) if kept.plan == quoted.plan => kept.baseline,
+        Some(kept) => Baseline::of_estimate(&kept.cpu_seconds, quoted.confidence),
+        None => Baseline::of_quote(&estimate.cpu_seconds.quote, quoted.confidence),
+    }
+}
+
+/// When the job's last frame is expected if bookings are longer by this factor; `None` if frames are booked nowhere.
+async fn expected_finish(
+    connection: &mut SqliteConnection,
+    job: JobId,
+    frames: &Frames,
+    stretch: f64,
+    now: Timestamp,
+) -> Result<Option<Timestamp>, StoreError> {
+    let bookings = bookings::open_of(connection, job).await?;
+    if bookings.len() + (frames.done as usize) < frames.count() {
+        return Ok(None);
+    }
+    let parts = parts::open_of(connection, job).await?;
+    Ok(project(&stretched(&bookings, stretch), &parts, now).finish_of(job))
+}
+
+/// The job in money; `None` if it was quoted without a price.
+async fn cost(
+    connection: &mut SqliteConnection,
+    job: JobId,
+    quote: &JobForecast,
+    estimate: &Estimate,
+    is_given_up: bool,
+    now: Timestamp,
+) -> Result<Option<MoneyQuantiles>, StoreError> {
+    let Some(price) = quote.cost else { return Ok(None) };
+    let for_cache = quote.shared_cache_seconds();
+    let cache = match parts::progress(connection, job).await? {
+        _ if is_given_up => Quantiles::default(),
+        None => for_cache,
+        Some(SeedProgress { ready: true, .. }) => Quantiles::default(),
+        Some(SeedProgress { cpu_seconds, .. }) => for_cache.less(cpu_seconds),
+    };
+    let spent = ledger::spent_on(connection, job, now).await?;
+    let quoted = quote.total.cpu_seconds.mean + for_cache.mean;
+    Ok(living::cost(&estimate.cpu_seconds.remaining, &cache, (price, quoted), spent))
+}
+
+/// By how many microseconds the job must end later than booked to count as late.
+async fn delay_that_counts(
+    connection: &mut SqliteConnection,
+    plan: PlanId,
+    job: JobId,
+    finish: Option<Timestamp>,
+) -> Result<i64, StoreError> {
+    let begin: Option<i64> =
+        sqlx::query_scalar("SELECT min(start_at) FROM bookings WHERE plan_id = ? AND job_id = ?")
+            .bind(plan.0)
+            .bind(job.0)
+            .fetch_one(connection)
+            .await?;
+    Ok(living::delay_that_counts(begin.map(Timestamp::from_micros), finish))
+}
+
+/// Writes an event for what left the booking, and for what came back to it.
+fn tell(
+    write: &mut Write,
+    job: JobId,
+    plan: PlanId,
+    live: &LiveForecast,
+    was_off: Off,
+) -> Result<(), StoreError> {
+    for living::News { is_off, message, off } in living::news(live, was_off) {
+        let kind = if is_off { EventKind::JobOffForecast } else { EventKind::JobOnForecast };
+        append(
+            write,
+            Event {
+                job_id: Some(job),
+                plan_id: Some(plan),
+                off_forecast: Some(off),
+                message: Some(message),
+                ..event(kind, live.at)
+            },
+        )?;
+    }
+    Ok(())
+}

@@ -1,0 +1,171 @@
+//! Registering nodes and changing them.
+
+use forelight_protocol::{Event, EventKind, Money, Node, NodeChange, NodeId, NodeRegistration, Timestamp};
+
+use crate::database::{Store, Write};
+use crate::decode::to_json;
+use crate::error::StoreError;
+use crate::events::{append, event};
+use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
+use crate::leases;
+use crate::nodes::{LOST, by_name, decode, has_another_worker, read, select_nodes};
+use crate::plans::replans;
+use crate::policy::availability::{Opening, opening, silence, with_power};
+use crate::policy::nodes::{cause_of, is_same_machine, may_take_tasks_again};
+
+impl Store {
+    /// Registers a node. One of the same name is updated and keeps its id: a worker that starts again is the same node.
+    /// A speed or price that was set by hand stays in force.
+    pub async fn register_node(
+        &self,
+        registration: &NodeRegistration,
+        key: Option<&IdempotencyKey>,
+        now: Timestamp,
+    ) -> Result<Answered<Node>, StoreError> {
+        let mut write = self.write().await?;
+        if let Some(answer) = earlier_answer(&mut write, key).await? {
+            return Ok(Answered::Repeated(answer));
+        }
+        let node = upsert(&mut write, registration, now).await?;
+        record(&mut write, key, 201, &node, now)?;
+        self.commit(write).await?;
+        Ok(Answered::Fresh(node))
+    }
+
+    /// Changes a node. A speed or price that is set here stays in force until it is set again, or given up with `None`
+    /// inside `Some`: then what the node said of itself last holds.
+    pub async fn change_node(
+        &self,
+        node: NodeId,
+        change: &NodeChange,
+        now: Timestamp,
+    ) -> Result<Node, StoreError> {
+        let mut write = self.write().await?;
+        sqlx::query(
+            "UPDATE nodes SET drain = coalesce(?1, drain), pause = coalesce(?2, pause), \
+             speed_set = CASE WHEN ?3 THEN ?4 ELSE speed_set END, price_set = CASE WHEN ?5 THEN ?6 ELSE price_set END, \
+             set_aside = CASE ?7 WHEN 1 THEN coalesce(set_aside, 'by hand') WHEN 0 THEN NULL ELSE set_aside END, \
+             trusted_since = CASE ?7 WHEN 0 THEN ?8 ELSE trusted_since END, \
+             schedule_set = CASE WHEN ?10 THEN ?11 ELSE schedule_set END, terms = coalesce(?12, terms) WHERE id = ?9",
+        )
+        .bind(change.drain)
+        .bind(change.pause)
+        .bind(change.speed.is_some())
+        .bind(change.speed.flatten())
+        .bind(change.price_per_hour.is_some())
+        .bind(change.price_per_hour.flatten().map(Money::micro_units))
+        .bind(change.set_aside)
+        .bind(now.micros())
+        .bind(node.0)
+        .bind(change.schedule.is_some())
+        .bind(change.schedule.as_ref().and_then(Option::as_ref).map(to_json).transpose()?)
+        .bind(change.terms.as_ref().map(to_json).transpose()?)
+        .execute(write.connection().await?)
+        .await?;
+        if change.cancel_task == Some(true) {
+            take_tasks_away(&mut write, node, now).await?;
+        }
+        let changed = read(write.connection().await?, node).await?;
+        append(
+            &mut write,
+            Event {
+                node_id: Some(node),
+                message: Some(changed.name.clone()),
+                ..event(EventKind::NodeChanged, now)
+            },
+        )?;
+        // Claims that wait should look again.
+        write.made_work |= may_take_tasks_again(change);
+        if let Some(cause) = cause_of(change) {
+            replans::want(&mut write, &format!("node {} {cause}", changed.name)).await?;
+        }
+        self.commit(write).await?;
+        Ok(changed)
+    }
+}
+
+/// Makes a node, or updates the one of the same name. If it is new, or not as it was, plans are due.
+pub(crate) async fn upsert(
+    write: &mut Write,
+    registration: &NodeRegistration,
+    now: Timestamp,
+) -> Result<Node, StoreError> {
+    let before = by_name(write.connection().await?, &registration.name).await?;
+    let is_replaced = match (&before, registration.worker) {
+        (Some(before), Some(worker)) => {
+            has_another_worker(write.connection().await?, before.id, worker).await?
+        }
+        _ => false,
+    };
+    let node_id: uuid::Uuid = sqlx::query_scalar(
+        "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at, capabilities, schedule, worker) \
+         VALUES (?, ?, ?, ?, ?, ?6, ?6, ?7, ?8, ?9) ON CONFLICT (name) DO UPDATE SET speed = excluded.speed, \
+         price_per_hour = excluded.price_per_hour, cores = excluded.cores, last_seen_at = excluded.last_seen_at, \
+         capabilities = excluded.capabilities, schedule = excluded.schedule, \
+         worker = coalesce(excluded.worker, worker), paused = 0 RETURNING id",
+    )
+    .bind(NodeId::new().0)
+    .bind(&registration.name)
+    .bind(registration.speed)
+    .bind(registration.price_per_hour.0)
+    .bind(i64::from(registration.cores))
+    .bind(now.micros())
+    .bind(to_json(&registration.capabilities)?)
+    .bind(registration.schedule.as_ref().map(to_json).transpose()?)
+    .bind(registration.worker)
+    .fetch_one(write.connection().await?)
+    .await?;
+    if is_replaced {
+        // Who had it is dead, or is about to be told.
+        take_tasks_away(write, NodeId(node_id), now).await?;
+    }
+    let node = read(write.connection().await?, NodeId(node_id)).await?;
+    match before {
+        None => replans::want(write, &format!("node {} joined", node.name)).await?,
+        Some(before) if !is_same_machine(&before, &node) || silence(&before, now) > LOST => {
+            replans::want(write, &format!("node {} came back", node.name)).await?;
+        }
+        Some(_) => {}
+    }
+    append(
+        write,
+        Event {
+            node_id: Some(node.id),
+            message: Some(node.name.clone()),
+            ..event(EventKind::NodeRegistered, now)
+        },
+    )?;
+    Ok(with_power(node, now))
+}
+
+/// Takes the tasks away that a node has: they are ready for another, and the node's next renewal brings the order to stop.
+pub(crate) async fn take_tasks_away(
+    write: &mut Write,
+    node: NodeId,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let held: Vec<uuid::Uuid> =
+        sqlx::query_scalar("SELECT id FROM leases WHERE node_id = ? AND state = 'active' ORDER BY id")
+            .bind(node.0)
+            .fetch_all(write.connection().await?)
+            .await?;
+    leases::take_back(write, held, now).await
+}
+
+/// Takes the tasks from nodes whose window has ended, if that is what their terms say. Says how many nodes that were.
+pub(crate) async fn stop_after_windows(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
+    let rows = sqlx::query(select_nodes!(
+        "WHERE n.terms ->> 'window_end' = 'stop' AND EXISTS (SELECT 1 FROM leases l WHERE l.node_id = n.id AND l.state = 'active') ORDER BY n.id"
+    ))
+    .fetch_all(write.connection().await?)
+    .await?;
+    let mut stopped = 0;
+    for row in &rows {
+        let node = decode(row)?;
+        if matches!(opening(&node, now), Opening::Asleep(_)) {
+            take_tasks_away(write, node.id, now).await?;
+            stopped += 1;
+        }
+    }
+    Ok(stopped)
+}

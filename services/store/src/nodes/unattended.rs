@@ -1,0 +1,83 @@
+//! Quotes that do not go on because no node takes tasks.
+//!
+//! Plans say why a booked job waits. A job has no plan before it is quoted, and whoever forgot to start a worker would wait for ever
+//! without a word.
+
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+use forelight_protocol::{Job, JobId, Timestamp, Waits};
+use sqlx::{Row as _, SqliteConnection};
+
+use crate::database::Store;
+use crate::decode::id;
+use crate::error::StoreError;
+use crate::nodes;
+use crate::nodes::closed;
+use crate::policy::availability::{as_it_is, silent_after};
+use crate::policy::unattended::why_nobody_works;
+
+/// The quotes that nobody works on and nobody will, as things stand.
+#[derive(Clone, PartialEq, Debug, Default)]
+pub struct Unattended {
+    jobs: BTreeSet<JobId>,
+    why: Option<Waits>,
+}
+
+impl Unattended {
+    /// Why the job does not go on, if this is why.
+    pub fn waits(&self, job: JobId) -> Option<Waits> {
+        self.why.clone().filter(|_| self.jobs.contains(&job))
+    }
+
+    /// Has the jobs say so.
+    pub fn tell<'a>(&self, jobs: impl IntoIterator<Item = &'a mut Job>) {
+        for job in jobs {
+            job.waits = job.waits.take().or_else(|| self.waits(job.id));
+        }
+    }
+}
+
+impl Store {
+    /// The quotes that nobody works on because no node takes tasks. A node is silent after three lease times.
+    pub async fn unattended(&self, ttl: Duration, now: Timestamp) -> Result<Unattended, StoreError> {
+        unattended(&mut *self.read().await?, ttl, now).await
+    }
+}
+
+pub(crate) async fn unattended(
+    connection: &mut SqliteConnection,
+    ttl: Duration,
+    now: Timestamp,
+) -> Result<Unattended, StoreError> {
+    let rows = sqlx::query(
+        "SELECT j.id FROM jobs j WHERE j.state IN ('previewing', 'profiling') \
+         AND NOT EXISTS (SELECT 1 FROM tasks t WHERE t.job_id = j.id AND t.state = 'leased')",
+    )
+    .fetch_all(&mut *connection)
+    .await?;
+    if rows.is_empty() || somebody_is_there(connection, ttl, now).await? {
+        return Ok(Unattended::default());
+    }
+    let jobs = rows.iter().map(|row| Ok(JobId(id(row, "id")?))).collect::<Result<_, StoreError>>()?;
+    let nodes = nodes::list(connection, None, u32::MAX).await?;
+    Ok(Unattended { jobs, why: why_nobody_works(nodes.into_iter().map(|node| as_it_is(node, ttl, now))) })
+}
+
+/// Whether some node surely takes tasks: a look without calendars, which is enough on most farms at most times.
+async fn somebody_is_there(
+    connection: &mut SqliteConnection,
+    ttl: Duration,
+    now: Timestamp,
+) -> Result<bool, StoreError> {
+    let row = sqlx::query(concat!(
+        "SELECT EXISTS (SELECT 1 FROM nodes WHERE NOT ",
+        closed!(),
+        " AND last_seen_at >= ? \
+         AND coalesce(schedule_set, schedule) IS NULL AND coalesce(json_array_length(terms, '$.maintenance'), 0) = 0) AS there"
+    ))
+    .bind(now.plus_micros(-silent_after(ttl)).micros())
+    .fetch_one(connection)
+    .await?;
+    Ok(row.try_get("there")?)
+}

@@ -1,0 +1,89 @@
+//! Having frames profiled for a quote.
+
+use forelight_protocol::{FrameSet, JobId, JobState, Ladders, Timestamp};
+use sqlx::Row as _;
+
+use crate::database::Store;
+use crate::decode::{corrupt, whole, word};
+use crate::error::StoreError;
+use crate::events::job_state;
+use crate::jobs;
+use crate::shared_cache::PlannedCache;
+use crate::tasks::{Common, ProfileAsked};
+
+impl Store {
+    /// Has these frames of the job profiled, and the cache planned that all of its frames could share, if that is wanted. Nothing if the job is not, or no longer, being previewed, so that doing
+    /// it again after a crash is harmless.
+    pub async fn start_profiling(
+        &self,
+        job: JobId,
+        frames: &[u32],
+        plan_cache: bool,
+        now: Timestamp,
+    ) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        let row = jobs::row(write.connection().await?, job).await?;
+        if word::<JobState>(&row, "state")? != JobState::Previewing {
+            return Ok(());
+        }
+        let common = Common::of(job, &row)?;
+        // The frame in their middle stands for all where other qualities are asked for.
+        let with_ladders = match word::<Ladders>(&row, "ladders")? {
+            Ladders::All => frames.get(frames.len() / 2),
+            Ladders::Own => None,
+        };
+        for frame in frames {
+            let asked = ProfileAsked {
+                frame: *frame,
+                samples: whole(&row, "samples")?,
+                ladders: with_ladders == Some(frame),
+                cache: None,
+            };
+            common.profile(&mut write, asked, plan_cache).await?;
+        }
+        if plan_cache {
+            let all: FrameSet =
+                row.try_get::<&str, _>("frames")?.parse().map_err(|error| corrupt("frames", error))?;
+            common.cache_plan(&mut write, all.iter().collect()).await?;
+        }
+        sqlx::query("UPDATE jobs SET state = 'profiling' WHERE id = ?")
+            .bind(job.0)
+            .execute(write.connection().await?)
+            .await?;
+        job_state(&mut write, job, JobState::Profiling, None, now)?;
+        self.commit(write).await
+    }
+
+    /// Has more frames of the job profiled, with the cache that all of its frames could share if one was planned. Nothing if the job is not, or no
+    /// longer, being profiled, or if one of the frames was asked for already, so that doing it again after a crash is harmless.
+    pub async fn profile_more(
+        &self,
+        job: JobId,
+        frames: &[u32],
+        planned: &PlannedCache,
+    ) -> Result<(), StoreError> {
+        let mut write = self.write().await?;
+        let row = jobs::row(write.connection().await?, job).await?;
+        let asked: Vec<u32> =
+            sqlx::query_scalar("SELECT frame FROM tasks WHERE job_id = ? AND kind = 'profile'")
+                .bind(job.0)
+                .fetch_all(write.connection().await?)
+                .await?;
+        if word::<JobState>(&row, "state")? != JobState::Profiling
+            || frames.iter().any(|frame| asked.contains(frame))
+        {
+            return Ok(());
+        }
+        let common = Common::of(job, &row)?;
+        let cache = match planned {
+            PlannedCache::There { plan, .. } => plan.cache,
+            PlannedCache::NotAsked | PlannedCache::Pending => None,
+        };
+        for &frame in frames {
+            let samples = whole(&row, "samples")?;
+            let asked = ProfileAsked { frame, samples, ladders: false, cache };
+            common.profile(&mut write, asked, false).await?;
+        }
+        self.commit(write).await
+    }
+}

@@ -1,0 +1,232 @@
+//! The irradiance cache that a job's frames share: it is planned with the quote, filled in parts, put together, and then the frames that
+//! waited for it are ready.
+//!
+//! ```text
+//! start of profiling ──► plan (ready), profiles (waiting)
+//! plan ──► profiles (ready), with the plan's name in what they are told
+//! book ──► parts of round 0 (ready), frames (waiting)
+//! last part of a round ──► merge                 a cache that is filled by one task needs none
+//! merge, not full ──► parts of the next round    each round fills one level, the deepest first
+//! merge, full ──► frames (ready), with the cache's name in what they are told
+//! ```
+//!
+//! Every arrow is part of the transaction that commits the result before it, and a job has each task once: a service that dies
+//! anywhere goes on where it was, and a worker that brings the same result twice changes nothing.
+
+pub(crate) mod parts;
+
+use forelight_protocol::{
+    ArtifactHash, ByClass, CacheFillResult, CacheMergeResult, CachePlanResult, JobId, NodeId, TaskId,
+    TaskResult, TaskSpec, Timestamp,
+};
+use forelight_quote::SharedCache;
+use sqlx::SqliteConnection;
+
+use self::parts::NewSeedBooking;
+use crate::database::{Store, Write};
+use crate::decode::{corrupt, id, id_opt, json, json_opt, time_opt, whole, whole_opt};
+use crate::error::StoreError;
+use crate::jobs::ending::fail_task_and_job;
+use crate::leases::LeaseRow;
+use crate::nodes;
+use crate::policy::shared_cache::{Next, after_round};
+use crate::tasks::{Common, Slot, rates};
+
+/// A cache that a job's frames share, to be made before them.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct NewSeed {
+    /// The cache as planned.
+    pub cache: ArtifactHash,
+    /// Into how many parts it is split.
+    pub parts: u32,
+    /// Where and when parts are to be filled; those without a booking are for whoever is idle.
+    pub bookings: Vec<NewSeedBooking>,
+}
+
+/// The plan of the cache that a job's frames could share.
+#[derive(Clone, PartialEq, Debug)]
+pub enum PlannedCache {
+    /// None was asked for.
+    NotAsked,
+    /// A worker has yet to bring it.
+    Pending,
+    /// It is there.
+    There {
+        /// The plan.
+        plan: Box<CachePlanResult>,
+        /// Speed of the node that made it: a CPU second there is this many on a node of speed 1.
+        node_speed: f64,
+    },
+}
+
+impl PlannedCache {
+    /// The plan, once it is there.
+    pub fn plan(&self) -> Option<SharedCache<'_>> {
+        match self {
+            PlannedCache::There { plan, node_speed } => Some(SharedCache { plan, node_speed: *node_speed }),
+            PlannedCache::NotAsked | PlannedCache::Pending => None,
+        }
+    }
+}
+
+impl Store {
+    /// The plan of the cache that the job's frames could share.
+    pub async fn planned_cache(&self, job: JobId) -> Result<PlannedCache, StoreError> {
+        let row = sqlx::query(
+            "SELECT r.body, l.node_id, (SELECT json_extract(p.body, '$.profile.work_by_class') FROM tasks o JOIN results p ON p.task_id = o.id \
+             WHERE o.job_id = t.job_id AND o.kind = 'profile' ORDER BY o.frame LIMIT 1) AS work_by_class \
+             FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id \
+             WHERE t.job_id = ? AND t.kind = 'cache_plan'",
+        )
+        .bind(job.0)
+        .fetch_optional(self.readers())
+        .await?;
+        let Some(row) = row else { return Ok(PlannedCache::NotAsked) };
+        match json_opt(&row, "body")? {
+            None => Ok(PlannedCache::Pending),
+            Some(TaskResult::CachePlan(plan)) => {
+                // As the profiles' times are: by the work that the job is.
+                let work: Option<ByClass> = json_opt(&row, "work_by_class")?;
+                let node = self.node(NodeId(id(&row, "node_id")?)).await?;
+                Ok(PlannedCache::There { plan: Box::new(plan), node_speed: node.speed_for(work.as_ref()) })
+            }
+            Some(other) => Err(corrupt("body", format!("a {} result of a cache_plan task", other.kind()))),
+        }
+    }
+}
+
+/// Makes the tasks of the first round.
+pub(crate) async fn begin(write: &mut Write, common: &Common, seed: &NewSeed) -> Result<(), StoreError> {
+    let rates = rates(write.connection().await?, common.job).await?;
+    for part in 0..seed.parts {
+        let booked = match seed.bookings.iter().find(|booking| booking.part == part) {
+            Some(&NewSeedBooking { node, start, .. }) => {
+                let rate = rates.on(&nodes::read(write.connection().await?, node).await?);
+                Some(Slot { node, start, rate })
+            }
+            None => None,
+        };
+        common.cache_fill(write, seed.cache, 0, (part, seed.parts), booked).await?;
+    }
+    Ok(())
+}
+
+/// What follows from a plan: profiles measure pixels with it as well, if there is a cache.
+pub(crate) async fn planned(
+    write: &mut Write,
+    row: &LeaseRow,
+    planned: &CachePlanResult,
+) -> Result<(), StoreError> {
+    make_ready(write, row.job_id, ("profile", "$.profile.cache"), planned.cache).await
+}
+
+/// Hands out what waited for a cache, with its name at this place in what it is told.
+async fn make_ready(
+    write: &mut Write,
+    job: JobId,
+    (kind, place): (&'static str, &'static str),
+    cache: Option<ArtifactHash>,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE tasks SET state = 'ready', spec = iif(?1 IS NULL, spec, json_set(spec, ?2, ?1)) \
+         WHERE job_id = ?3 AND kind = ?4 AND state = 'waiting'",
+    )
+    .bind(cache.map(|cache| cache.to_string()))
+    .bind(place)
+    .bind(job.0)
+    .bind(kind)
+    .execute(write.connection().await?)
+    .await?;
+    write.made_work = true;
+    Ok(())
+}
+
+/// What follows from a part that was filled.
+pub(crate) async fn part_filled(
+    write: &mut Write,
+    row: &LeaseRow,
+    filled: &CacheFillResult,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let TaskSpec::CacheFill(spec) = spec(write.connection().await?, row.task_id).await? else {
+        return Err(corrupt("spec", "not that of a cache_fill task"));
+    };
+    if spec.parts == 1 {
+        return go_on(write, row, (spec.round, 1), filled.cache, filled.full, now).await;
+    }
+    let rows = sqlx::query(
+        "SELECT r.body FROM tasks t LEFT JOIN results r ON r.task_id = t.id \
+         WHERE t.job_id = ? AND t.kind = 'cache_fill' AND t.round = ? ORDER BY t.part",
+    )
+    .bind(row.job_id.0)
+    .bind(i64::from(spec.round))
+    .fetch_all(write.connection().await?)
+    .await?;
+    let mut parts = Vec::with_capacity(rows.len());
+    for row in &rows {
+        match json_opt(row, "body")? {
+            None => return Ok(()),
+            Some(TaskResult::CacheFill(part)) => parts.push(part.cache),
+            Some(other) => {
+                return Err(corrupt("body", format!("a {} result of a cache_fill task", other.kind())));
+            }
+        }
+    }
+    let common = Common::read(write.connection().await?, row.job_id).await?;
+    common.cache_merge(write, spec.round, parts).await
+}
+
+/// What follows from parts that were put together.
+pub(crate) async fn merged(
+    write: &mut Write,
+    row: &LeaseRow,
+    merged: &CacheMergeResult,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let TaskSpec::CacheMerge(spec) = spec(write.connection().await?, row.task_id).await? else {
+        return Err(corrupt("spec", "not that of a cache_merge task"));
+    };
+    let parts = u32::try_from(spec.parts.len()).unwrap_or(u32::MAX);
+    go_on(write, row, (spec.round, parts), merged.cache, merged.full, now).await
+}
+
+/// A round is over: the next one, or the frames.
+async fn go_on(
+    write: &mut Write,
+    row: &LeaseRow,
+    (round, parts): (u32, u32),
+    cache: ArtifactHash,
+    full: bool,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let next = match after_round(round, full) {
+        Next::Frames => {
+            return make_ready(write, row.job_id, ("render", "$.render.cache"), Some(cache)).await;
+        }
+        Next::GiveUp(error) => return fail_task_and_job(write, row, &error, now).await,
+        Next::Round(next) => next,
+    };
+    let common = Common::read(write.connection().await?, row.job_id).await?;
+    let before = sqlx::query(
+        "SELECT part, booked_node, booked_at, booked_rate FROM tasks WHERE job_id = ? AND kind = 'cache_fill' AND round = ? ORDER BY part",
+    )
+    .bind(row.job_id.0)
+    .bind(i64::from(round))
+    .fetch_all(write.connection().await?)
+    .await?;
+    for row in &before {
+        // Each round is done where the one before was.
+        let rate = whole_opt(row, "booked_rate")?;
+        let booked = id_opt(row, "booked_node")?.map(NodeId).zip(time_opt(row, "booked_at")?);
+        let booked = booked.map(|(node, start)| Slot { node, start, rate });
+        common.cache_fill(write, cache, next, (whole(row, "part")?, parts), booked).await?;
+    }
+    Ok(())
+}
+
+/// What a task was told.
+async fn spec(connection: &mut SqliteConnection, task: TaskId) -> Result<TaskSpec, StoreError> {
+    let row =
+        sqlx::query("SELECT spec FROM tasks WHERE id = ?").bind(task.0).fetch_optional(connection).await?;
+    json(&row.ok_or(StoreError::NotFound("task"))?, "spec")
+}
