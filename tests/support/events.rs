@@ -14,7 +14,8 @@ pub struct Events {
 }
 
 impl Events {
-    /// Follows `path` from the event after `last`. `None` if the service answers that there is nothing to come (204).
+    /// Follows `path` from the event after `last`. `None` if the service answers that there is nothing to
+    /// come (204).
     pub async fn open(http: &Http, path: &str, last: Option<i64>) -> Option<Self> {
         let mut request = http.request(Method::GET, path).header("accept", "text/event-stream");
         if let Some(last) = last {
@@ -29,8 +30,8 @@ impl Events {
         Some(Self { response, text: Vec::new(), ready: VecDeque::new() })
     }
 
-    /// The next event; `None` when the service ended the stream. Panics if nothing comes for `patience`, and if id and kind beside
-    /// an event are not those inside.
+    /// The next event; `None` when the service ended the stream. Panics if nothing comes for `patience`, and
+    /// if id and kind beside an event are not those inside.
     pub async fn next(&mut self, patience: Duration) -> Option<Event> {
         loop {
             if let Some(event) = self.ready.pop_front() {

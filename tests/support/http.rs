@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::time::Duration;
 
-/// Who asks, and where.
+/// A client: the address it asks, and its token.
 #[derive(Clone)]
 pub struct Http {
     client: reqwest::Client,
@@ -15,8 +15,8 @@ pub struct Http {
 }
 
 impl Http {
-    /// A client of the service at `base` (`http://host:port`). It keeps no connection open, so that one to a service that was
-    /// killed meanwhile is never used.
+    /// A client of the service at `base` (`http://host:port`). It keeps no connection open, so that one to a
+    /// service that was killed meanwhile is never used.
     pub fn new(base: &str, token: Option<String>) -> Self {
         let client = reqwest::Client::builder()
             .no_proxy()

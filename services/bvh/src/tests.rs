@@ -161,7 +161,8 @@ fn an_empty_tree_is_never_hit() {
 
 #[test]
 fn a_tree_as_deep_as_its_triangles_are_many_has_room_for_what_waits() {
-    // Boxes nested in each other: the same corner, sizes by powers of two over the whole range that squares leave.
+    // Boxes nested in each other: the same corner, sizes by powers of two over the whole range that squares
+    // leave.
     let sizes = (-58..58).map(|i| (i as f32).exp2());
     let positions: Vec<Vec3> = sizes
         .flat_map(|s| [Vec3::ZERO, s * Vec3::new(1.0, 0.9, 0.1), s * Vec3::new(0.2, 1.0, 1.0)])
@@ -267,8 +268,9 @@ proptest! {
                 // What the tree finds is a hit: none is nearer than the nearest.
                 let nearest = expected.map_or(f32::INFINITY, |hit| hit.t);
                 prop_assert!(found.is_none_or(|hit| hit.t >= nearest), "{:?} {:?} {:?}", ray, found, expected);
-                // And it finds every hit but for rounding: at the border of a triangle its box may say no where the triangle says yes,
-                // and of two triangles that are equally far either may be nearer.
+                // It finds every hit, but for rounding. At the border of a triangle, its box may be missed
+                // where the triangle is met. Of two triangles that are equally far, either may come out
+                // nearer.
                 if expected.is_some_and(|hit| hit.u.min(hit.v).min(1.0 - hit.u - hit.v) > 1e-5) {
                     let far = nearest * (1.0 + 1e-5);
                     prop_assert!(found.is_some_and(|hit| hit.t <= far), "{:?} {:?} {:?}", ray, found, expected);
