@@ -1,8 +1,5 @@
 #!/usr/bin/env bash
-# The systemd units and the crontab line of deploy/ are what they should be: systemd finds nothing wrong with
-# the units, and the very command lines that they hold are run against a live service, twice each: exit code 0
-# on a fine night, 3 when a budget is threatened, the same files each time, and on standard error nothing on
-# the fine night and one line on the other, which is what cron mails.
+# The systemd units and the crontab line of deploy/. systemd finds nothing wrong with the units, and their command lines are run against a live service, twice each. On a fine night the exit code is 0 and standard error is empty. When a budget is threatened, the exit code is 3 and standard error has one line, which cron mails. The files are the same each time.
 #
 #   FORELIGHT_BIN   the program (default: target/debug/forelight, which is built)
 #

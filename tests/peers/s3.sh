@@ -38,8 +38,7 @@ wait_for() { # SECONDS COMMAND…
     sleep 0.1
   done
 }
-# The server keeps its objects in memory. So that it can be taken away and come back with them, it stays, and
-# a door in front of it is shut: a process that hands connections on, listening at a port of its own.
+# The server keeps its objects in memory, so it must not be ended to make it unreachable. A process in front of it hands connections on, at a port of its own; that process is ended and started again.
 behind=$(free_port)
 port=$(free_port)
 open_door() {

@@ -1,4 +1,5 @@
-//! A clock that can be set and a disk that can be full, for a service that knows nothing of either: see `shim.c`.
+//! A clock that can be set and a disk that can be full, for a service that knows nothing of either: see
+//! `shim.c`.
 
 use forelight_test_needs::not_run;
 use std::fs::File;
@@ -6,7 +7,7 @@ use std::os::unix::fs::FileExt as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// What is loaded into the service, and the file by which it is told what to do.
+/// The library that is loaded into the service, and the file by which it is told what to do.
 pub struct Shim {
     library: PathBuf,
     path: PathBuf,
@@ -14,7 +15,8 @@ pub struct Shim {
 }
 
 impl Shim {
-    /// Compiles it into this folder. `None` where there is no C compiler; that part of the test counts as not run.
+    /// Compiles it into this folder. `None` where there is no C compiler; that part of the test counts as not
+    /// run.
     pub fn compile(folder: &Path) -> Option<Self> {
         let (library, path) = (folder.join("shim.so"), folder.join("shim.control"));
         let source = concat!(env!("CARGO_MANIFEST_DIR"), "/support/shim.c");

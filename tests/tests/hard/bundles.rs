@@ -65,7 +65,8 @@ fn settings() -> Settings {
     }
 }
 
-/// Renders all frames of a scene in every way and returns the number of pixels that are not sound, and of all.
+/// Renders all frames of a scene in every way and returns the number of pixels that are not sound, and of
+/// all.
 fn rendered(scene: &Scene) -> (u64, u64) {
     let ways = [
         settings(),
@@ -124,7 +125,8 @@ fn degenerate_triangles_are_counted_left_out_and_reported() {
 
 #[test]
 fn a_million_lights_without_area_are_no_lights() {
-    // Against a single one: both have the same objects and materials, whose numbers random choices may depend on.
+    // Against a single one: both have the same objects and materials, whose numbers random choices may depend
+    // on.
     let lamps = |count: usize| {
         let text =
             format!("{FLOOR}o lamps\nusemtl glow\nv 0 0.5 0\nv 1 0.5 0\n{}", "f -1 -2 -1\n".repeat(count));

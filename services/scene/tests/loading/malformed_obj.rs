@@ -1,4 +1,5 @@
-//! Every malformed geometry, material or texture gets one clear line that names the file, the place in it and the reason.
+//! Every malformed geometry, material or texture gets one clear line that names the file, the place in it and
+//! the reason.
 
 use crate::made::{Files, OBJ, encoded, line, png};
 use forelight_scene::Limits;
