@@ -45,8 +45,13 @@ need_forelight() {
 # scene that is missing is reported.
 test_scenes() {
   scenes=("$PWD/deploy/scenes/$1")
+  shared_scenes "${@:2}"
+}
+
+# shared_scenes NAME…: adds shared scenes to `scenes`.
+shared_scenes() {
   local name
-  for name in "${@:2}"; do
+  for name in "$@"; do
     if [ -d "$shared/scenes/$name" ]; then
       scenes+=("$shared/scenes/$name")
     else
