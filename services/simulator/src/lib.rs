@@ -8,7 +8,7 @@
 //!   calendar; no frame starts before its seed; a lost worker's frame goes back when its lease expires; rented time is paid.
 //! * [`Policy`]: who renders what. [`Planned`] is this project's; [`Queue`] is what farm managers do today.
 //! * [`Report`]: what came of it.
-//! * [`reference`]: farms to measure plans on, and the optimum of small ones.
+//! * [`mod@reference`]: farms to measure plans on, and the optimum of small ones.
 
 mod farm;
 mod policy;

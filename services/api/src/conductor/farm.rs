@@ -246,7 +246,6 @@ fn planner_job(
             .collect(),
         done: farm_job.frames.iter().filter(|each| !each.waits).map(|each| i64::from(each.number)).collect(),
         budget: job.budget.map(|budget| budget.micro_units().saturating_sub(asked.spent)),
-        ..planner::Job::default()
     }
 }
 
