@@ -160,5 +160,5 @@ pub use rates::{Timed, class_rates, learned_factor, log_ratio_millionths};
 pub use record_strata::RecordStrata;
 pub use shot::{FrameForecast, ProfiledFrame, ShotForecast, forecast_shot};
 pub use strata::Stratum;
-pub use strategies::{Design, Strategy};
+pub use strategies::{Classes, Design, Strategy};
 pub use stratum_sum::StratumSum;

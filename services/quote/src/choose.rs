@@ -4,6 +4,7 @@ use forelight_forecast::{FIRST_FRAMES, Strategy, choose_frames, choose_more_fram
 use forelight_protocol::PreviewResult;
 
 use crate::error::QuoteError;
+use crate::estimate::Estimate;
 use crate::measured::Measured;
 use crate::populations::Populations;
 
@@ -33,10 +34,10 @@ impl Measured<'_> {
     /// # Errors
     /// As of [`Measured::estimate`].
     pub fn more_to_profile(&self) -> Result<Vec<u32>, QuoteError> {
-        let estimate = self.estimate()?;
+        let Estimate { shot, populations, .. } = self.estimate()?;
         let work = self.profiles.iter().map(|profile| profile.result.work_on_pixels());
         let spent = work.fold(0, u64::saturating_add);
-        let more = choose_more_frames(&estimate.strata, &estimate.frames, &estimate.shot, spent)
+        let more = choose_more_frames(&populations.strata, &populations.frames, &shot, spent)
             .map_err(QuoteError::Choice)?;
         Ok(more.into_iter().map(|index| self.preview.frames[index].frame).collect())
     }

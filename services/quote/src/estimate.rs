@@ -7,8 +7,7 @@ use forelight_forecast::{
     Stratum, forecast_shot, with_times,
 };
 use forelight_protocol::{
-    CacheSample, FixedCosts, PlanCount, ProfileResult, ProfileSample, SharedSample, Spent, StratumName,
-    at_speed_one,
+    CacheSample, FixedCosts, PlanCount, ProfileResult, ProfileSample, SharedSample, Spent, at_speed_one,
 };
 
 use crate::error::QuoteError;
@@ -20,16 +19,10 @@ use crate::populations::Populations;
 pub struct Estimate {
     /// The forecast of every frame and of all frames together. CPU time is that of a node of speed 1.
     pub shot: ShotForecast,
-    /// Strata of pixels, with the background as the last of them, then strata of records.
-    pub strata: Vec<Stratum>,
-    /// Every frame's pixels and records by stratum.
-    pub frames: Vec<FramePopulation>,
-    /// Names of the strata of pixels, without the background.
-    pub names: Vec<StratumName>,
-    /// How many strata of pixels there are.
-    pub pixel_strata: usize,
+    /// Strata and frames that the forecast is of.
+    pub(crate) populations: Populations,
     /// The stratum of each profiled pixel, profile by profile.
-    pub sampled: Vec<Vec<u32>>,
+    pub(crate) sampled: Vec<Vec<u32>>,
 }
 
 /// Frames that were profiled, as the statistics want them.
@@ -98,8 +91,7 @@ impl Measured<'_> {
             pixels.map(|observation| observation.stratum).collect()
         };
         let sampled = self.profiles.iter().zip(&observed).map(pixels).collect();
-        let Populations { strata, frames, names, pixel_strata, .. } = populations;
-        Ok(Estimate { shot, strata, frames, names, pixel_strata, sampled })
+        Ok(Estimate { shot, populations, sampled })
     }
 
     /// Reads one profile, and makes room in the populations for what it observed.

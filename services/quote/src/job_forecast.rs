@@ -13,9 +13,10 @@ use serde::{Deserialize, Serialize};
 use crate::error::QuoteError;
 use crate::estimate::Estimate;
 use crate::measured::{Measured, MeasuredProfile};
+use crate::populations::Populations;
 
 /// A quote without its frames, as the store keeps it with the job.
-#[derive(Clone, PartialEq, Debug, Serialize, Deserialize)]
+#[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize)]
 pub struct JobForecast {
     /// All frames together.
     pub total: ForecastTotals,
@@ -185,7 +186,8 @@ impl Measured<'_> {
     /// # Errors
     /// As of [`Measured::estimate`].
     pub fn quote(&self, corrections: Option<&Corrections>) -> Result<Quote, QuoteError> {
-        let Estimate { shot, strata, frames: populations, .. } = self.estimate()?;
+        let Estimate { shot, populations: Populations { strata, frames: populations, .. }, .. } =
+            self.estimate()?;
         let clock = shot_times(&strata, &populations).map_err(QuoteError::Forecast)?;
         let shot = match corrections {
             Some(corrections) => shot.corrected(corrections),

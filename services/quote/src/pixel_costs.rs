@@ -37,7 +37,8 @@ impl Measured<'_> {
         let place = |number: u32| self.preview.frames.iter().position(|frame| frame.frame == number);
         let Some(at) = place(frame) else { return Ok(None) };
         let estimate = self.estimate()?;
-        let strata = &estimate.strata[..estimate.pixel_strata];
+        let populations = &estimate.populations;
+        let strata = &populations.strata[..populations.pixel_strata];
         let means = |at: usize| -> Vec<f64> {
             let known = estimate.shot.frames[at].strata.iter().take(strata.len());
             known.map(|stratum| stratum.mean.work).collect()
@@ -60,7 +61,7 @@ impl Measured<'_> {
                         Observation { stratum, cost }
                     })
                     .collect();
-                let counts = |at: usize| &estimate.frames[at].counts[..strata.len()];
+                let counts = |at: usize| &populations.frames[at].counts[..strata.len()];
                 let known = PixelCosts::new(strata, counts(there), &seen).at(probability);
                 let cost = |(stratum, (here, there)): (usize, (f64, f64))| match counts(at)[stratum] {
                     // A stratum that no pixel shows needs no price.

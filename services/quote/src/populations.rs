@@ -10,6 +10,7 @@ use forelight_protocol::{self as protocol, PreviewResult, StratumName};
 ///
 /// Workers join small strata by material, pixel count and prior cost before they choose pixels. An estimate that joined
 /// other strata would be biased. So objects, materials, prior costs and their order are those that workers report.
+#[derive(Clone, Debug)]
 pub(crate) struct Populations {
     /// What the strategy tells apart, then the records.
     pub strata: Vec<Stratum>,
@@ -48,7 +49,8 @@ impl Populations {
             });
         }
         shown.push(Stratum::background(preview.background_prior_cost));
-        let mut strata = strategy.strata(&shown);
+        let classes = strategy.classes(&shown);
+        let mut strata = classes.strata.clone();
         let pixel_strata = strata.len();
         let mut frames: Vec<FramePopulation> = preview
             .frames
@@ -59,7 +61,7 @@ impl Populations {
                 counts[names.len()] = frame.background;
                 FramePopulation {
                     number: i64::from(frame.frame),
-                    counts: strategy.counts(&shown, &counts),
+                    counts: classes.counts(&counts),
                     lights: frame.lights,
                     shining: frame.shining,
                     triangles: frame.triangles,
@@ -68,8 +70,7 @@ impl Populations {
             .collect();
         let prior_cost = preview.record_prior_cost.unwrap_or(1.0);
         let records = RecordStrata::add(&mut strata, &mut frames, records, prior_cost);
-        let places = strategy.places(&shown);
-        Self { strata, frames, names, index, places, records, pixel_strata }
+        Self { strata, frames, names, index, places: classes.of, records, pixel_strata }
     }
 
     /// The stratum of a profiled pixel.

@@ -47,7 +47,6 @@ pub use budgets::nights::KeptNight;
 pub use bundles::NewBundle;
 pub use database::{DATABASE, Store};
 pub use error::StoreError;
-pub use forelight_quote::living::is_news;
 pub use idempotency::{Answered, IdempotencyKey, RecordedAnswer};
 pub use jobs::JobFilter;
 pub use jobs::open_jobs::OpenJob;

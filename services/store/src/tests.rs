@@ -8,8 +8,8 @@ use forelight_protocol::{
     FixedCosts, ForecastTotals, FrameForecast, FrameStrata, Job, JobId, JobRequest, JobVerdict, Lease, Node,
     NodeId, NodeRegistration, PlanReason, PreviewBackend, PreviewResult, ProfileArtifacts, ProfileResult,
     ProfileSample, Profiled, Quantiles, RayQuantiles, Rays, RenderArtifacts, RenderResult, RenderStats,
-    RenewRequest, SceneDigest, SceneSummary, Spent, SpentOnForecast, Stratum, StratumName, TaskResult,
-    TaskSpec, Timestamp, Verdict,
+    RenewRequest, SceneDigest, SceneSummary, Spent, Stratum, StratumName, TaskResult, TaskSpec, Timestamp,
+    Verdict,
 };
 use forelight_quote::{JobForecast, QuoteBasis};
 use tempfile::TempDir;
@@ -345,21 +345,9 @@ fn verdict(job_id: JobId) -> JobVerdict {
 
 fn job_forecast() -> JobForecast {
     JobForecast {
-        total: ForecastTotals::default(),
         profiled: Profiled { frames: vec![0], pixels: 1 },
-        spent: SpentOnForecast::default(),
-        calibrated: false,
         effects: vec!["ambient".to_owned()],
-        left_out: Vec::new(),
-        chosen_spp: None,
-        fixed: None,
-        once: None,
-        work_by_class: None,
-        cpu_seconds_on: Vec::new(),
-        cache: None,
-        cost: None,
-        lights: Vec::new(),
-        clock: Vec::new(),
+        ..JobForecast::default()
     }
 }
 

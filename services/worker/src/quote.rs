@@ -1,8 +1,6 @@
 //! The quote of a shot, made on this machine alone: the steps of a farm, one after the other.
 
-use crate::profile::{
-    CountedFrames, Observer, ProfiledFrame, ShotError, count_frames, profile_frame, stratum_ids,
-};
+use crate::profile::{Observer, ProfiledFrame, ShotError, count_frames, profile_frame, stratum_ids};
 use crate::renderer::Renderer;
 use crate::shared_cache::{SharedPlan, profile_shared};
 use crate::tasks::{artifact_name, preview_result, profile_result};
@@ -38,8 +36,6 @@ impl Default for QuoteOptions {
 pub struct Quote {
     /// The quote.
     pub document: ForecastDoc,
-    /// What every frame shows.
-    pub counted: CountedFrames,
     /// The profiled frames, ascending. Renders can take over their pixels.
     pub profiled: Vec<ProfiledFrame>,
     /// How the quote was made.
@@ -56,13 +52,13 @@ impl Quote {
 
     /// The cost of making the quote.
     pub fn spent(&self) -> Spent {
-        self.profiled.iter().map(ProfiledFrame::spent).fold(self.counted.spent, Spent::plus)
+        self.profiled.iter().map(ProfiledFrame::spent).fold(self.preview.spent, Spent::plus)
     }
 
     /// The part of [`Quote::spent`] that later renders cannot take over: previews, with the plans of irradiance caches,
     /// and setting up the profiled frames; see [`ProfiledFrame::spent_for_good`].
     pub fn spent_for_good(&self) -> Spent {
-        self.profiled.iter().map(ProfiledFrame::spent_for_good).fold(self.counted.spent, Spent::plus)
+        self.profiled.iter().map(ProfiledFrame::spent_for_good).fold(self.preview.spent, Spent::plus)
     }
 
     /// The quote with the irradiance caches built as `asked`. `planned` is the shared cache's plan, if it was planned. The
@@ -122,32 +118,30 @@ pub fn quote(
     let counted = count_frames(renderer, frames, settings, observer)?;
     let preview = preview_result(info, frames, settings, &counted);
     let mut chosen = frames_to_profile(&preview, options.strategy, options.profile_frames)?;
-    let mut frames: Vec<(MeasuredProfile, ProfiledFrame)> = Vec::with_capacity(chosen.len());
+    let mut profiles: Vec<MeasuredProfile> = Vec::with_capacity(chosen.len());
+    let mut profiled: Vec<ProfiledFrame> = Vec::with_capacity(chosen.len());
     while !chosen.is_empty() {
-        let all = frames.len() + chosen.len();
+        let all = profiled.len() + chosen.len();
         for frame in chosen {
-            let profiled = profile_frame(renderer, frame, settings, options, observer)?;
-            let profile = artifact_name(&profiled.profile.to_bytes());
+            let found = profile_frame(renderer, frame, settings, options, observer)?;
+            let profile = artifact_name(&found.profile.to_bytes());
             let artifacts = ProfileArtifacts { profile, preview_png: None };
-            let result = profile_result(info, settings, &profiled, artifacts);
+            let result = profile_result(info, settings, &found, artifacts);
             let measured = MeasuredProfile::new(result, 1.0, settings.spp);
-            frames.push((MeasuredProfile { expansion: profiled.expansion.clone(), ..measured }, profiled));
-            observer.profiled(frames.len(), all);
+            profiles.push(MeasuredProfile { expansion: found.expansion.clone(), ..measured });
+            profiled.push(found);
+            observer.profiled(profiled.len(), all);
         }
-        frames.sort_by_key(|(_, profiled)| profiled.frame);
+        profiles.sort_by_key(|profile| profile.result.frame);
+        profiled.sort_by_key(|profiled| profiled.frame);
         chosen = match options.profile_frames {
             Some(_) => Vec::new(),
-            None => {
-                let profiles: Vec<MeasuredProfile> =
-                    frames.iter().map(|(profile, _)| profile.clone()).collect();
-                measured(&preview, &profiles, options).more_to_profile()?
-            }
+            None => measured(&preview, &profiles, options).more_to_profile()?,
         };
     }
-    let (profiles, profiled): (Vec<_>, Vec<_>) = frames.into_iter().unzip();
     let forecast = measured(&preview, &profiles, options).quote(options.corrections.as_ref())?;
     let document = forecast.job.document(quoted_shot(renderer, settings), forecast.frames);
-    Ok(Quote { document, counted, profiled, options: *options, preview, profiles })
+    Ok(Quote { document, profiled, options: *options, preview, profiles })
 }
 
 fn measured<'a>(

@@ -1,8 +1,8 @@
 //! Nights whose cost can be worked out by hand: what is forecast has no spread, so every quantile is the sum itself.
 
 use forelight_protocol::{
-    Booking, BookingId, ByClass, ForecastTotals, FrameSet, Job, JobId, NodeId, PlanId, Profiled, Quantiles,
-    RenderSettingsRequest, SceneDigest, SceneSummary, SeedBooking, SpentOnForecast,
+    Booking, BookingId, ByClass, ForecastTotals, FrameSet, Job, JobId, NodeId, PlanId, Quantiles,
+    RenderSettingsRequest, SceneDigest, SceneSummary, SeedBooking,
 };
 use forelight_quote::JobForecast;
 use forelight_store::{FarmFrame, FarmJob, Holder, OpenBooking, OpenJob, OpenSeed, Wanted, project};
@@ -78,20 +78,8 @@ fn forecast(frames: usize) -> JobForecast {
         ForecastTotals { cpu_seconds: Quantiles::known(FRAME * frames as f64), ..ForecastTotals::default() };
     JobForecast {
         total,
-        lights: Vec::new(),
-        profiled: Profiled::default(),
-        spent: SpentOnForecast::default(),
-        calibrated: false,
-        effects: Vec::new(),
-        left_out: Vec::new(),
-        chosen_spp: None,
-        fixed: None,
-        once: None,
         work_by_class: Some(ByClass { memory: 100, ..ByClass::default() }),
-        cpu_seconds_on: Vec::new(),
-        cache: None,
-        cost: None,
-        clock: Vec::new(),
+        ..JobForecast::default()
     }
 }
 

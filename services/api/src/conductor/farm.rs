@@ -8,9 +8,10 @@ use forelight_protocol::{
     CacheQuote, Confidence, Job, JobId, Money, Node, NodeId, PlanId, Quantiles, Timestamp,
 };
 use forelight_quote::JobForecast;
+use forelight_quote::living::is_news;
 use forelight_store::{
     FarmJob, HALF_LIFE, LOST, Opening, ProjectUse, Projected, Projection, Store, StoreError, Wanted,
-    free_time_of, is_news, opening, project, silence,
+    free_time_of, opening, project, silence,
 };
 
 /// Nodes that a plan looks at.

@@ -3,11 +3,10 @@
 use anyhow::{Result, anyhow, bail};
 use bytes::Bytes;
 use forelight_protocol::{
-    ArtifactHash, BundleSource, Capabilities, FrameForecast, FrameSet, Job, JobRequest, JobVerdict, Money,
-    Node, NodeRegistration, PlanReason, Profiled, Quantiles, RayQuantiles, Rays, RenderArtifacts,
+    ArtifactHash, BundleSource, Capabilities, Confidence, FrameForecast, FrameSet, Job, JobRequest,
+    JobVerdict, Money, Node, NodeRegistration, PlanReason, Quantiles, RayQuantiles, Rays, RenderArtifacts,
     RenderResult, RenderStats, SceneDigest, SceneSummary, TaskKind, TaskResult, TaskSpec, Timestamp, Verdict,
 };
-use forelight_protocol::{Confidence, ForecastTotals, SpentOnForecast};
 use forelight_quote::JobForecast;
 use forelight_store::{Answered, NewBooking, NewJob, NewJobPlan, NewPlan, Store};
 use std::collections::BTreeSet;
@@ -77,7 +76,7 @@ pub async fn fill(store: &Store, frames: u32, workers: u32) -> Result<Vec<Node>>
             jobs: vec![NewJobPlan { verdict, bookings, begun: BTreeSet::new(), factor: 1.0 }],
             outlooks: Vec::new(),
         };
-        store.book(job.id, &forecast(), &frame_forecasts(&job), None, &plan, now).await?;
+        store.book(job.id, &JobForecast::default(), &frame_forecasts(&job), None, &plan, now).await?;
     }
     Ok(nodes)
 }
@@ -177,26 +176,6 @@ pub fn rendered(frame: u32, spp: u32) -> TaskResult {
             preview_png: None,
         },
     })
-}
-
-fn forecast() -> JobForecast {
-    JobForecast {
-        total: ForecastTotals::default(),
-        profiled: Profiled { frames: Vec::new(), pixels: 0 },
-        spent: SpentOnForecast::default(),
-        calibrated: false,
-        effects: Vec::new(),
-        left_out: Vec::new(),
-        chosen_spp: None,
-        fixed: None,
-        once: None,
-        work_by_class: None,
-        cpu_seconds_on: Vec::new(),
-        cache: None,
-        cost: None,
-        lights: Vec::new(),
-        clock: Vec::new(),
-    }
 }
 
 fn frame_forecasts(job: &Job) -> Vec<FrameForecast> {

@@ -28,6 +28,7 @@
 //!
 //! | file | strategies |
 //! | --- | --- |
+//! | `classes` | what a strategy tells apart |
 //! | `cells` | grid, jittered |
 //! | `sequence` | Halton, Hammersley |
 //! | `uniform` | random |
@@ -35,6 +36,7 @@
 //! | `systematic` | every k-th pixel of an order |
 
 mod cells;
+mod classes;
 mod image;
 mod paper_snapshot;
 mod sequence;
@@ -52,6 +54,7 @@ use crate::interval::Calibration;
 use crate::nearest::nearest;
 use crate::random::hash;
 use crate::strata::Stratum;
+pub use classes::Classes;
 use image::Image;
 
 /// Which pixels are profiled, and how their costs are expanded. See the table of the module.
@@ -157,38 +160,6 @@ impl Strategy {
         !matches!(self, Strategy::Halton | Strategy::Hammersley | Strategy::RandomArea)
     }
 
-    /// The strata that it distinguishes, given those of the preview. These must be strata of pixels.
-    pub fn strata(self, strata: &[Stratum]) -> Vec<Stratum> {
-        match self {
-            Strategy::PaperSnapshot | Strategy::Snapshot => strata.to_vec(),
-            Strategy::Systematic => systematic::classes(strata).0,
-            _ => vec![Stratum::background(1.0)],
-        }
-    }
-
-    /// For each stratum that a preview can show, its place in [`Strategy::strata`].
-    pub fn places(self, strata: &[Stratum]) -> Vec<u32> {
-        match self {
-            Strategy::PaperSnapshot | Strategy::Snapshot => (0..strata.len() as u32).collect(),
-            Strategy::Systematic => systematic::classes(strata).1,
-            _ => vec![0; strata.len()],
-        }
-    }
-
-    /// Pixels of each stratum that it distinguishes, given the pixels of each stratum of the preview.
-    pub fn counts(self, strata: &[Stratum], counts: &[u32]) -> Vec<u32> {
-        match self {
-            Strategy::PaperSnapshot | Strategy::Snapshot => counts.to_vec(),
-            Strategy::Systematic => {
-                let (classes, of) = systematic::classes(strata);
-                let mut sums = vec![0u32; classes.len()];
-                of.iter().zip(counts).for_each(|(&class, &n)| sums[class as usize] += n);
-                sums
-            }
-            _ => vec![counts.iter().fold(0, |sum, &n| sum.saturating_add(n))],
-        }
-    }
-
     /// The design for one frame: `samples` pixels at most. A grid may have a few less. The arguments are
     /// those of [`FrameDesign::new`].
     ///
@@ -234,9 +205,10 @@ impl Strategy {
             }
             Strategy::Systematic => {
                 let picks = systematic::picks(strata, &counts, stratum_ids, image, samples, counters);
+                let classes = self.classes(strata);
                 return Ok(Design {
-                    strata: self.strata(strata),
-                    counts: self.counts(strata, &counts),
+                    counts: classes.counts(&counts),
+                    strata: classes.strata,
                     picks: Picks::Known(picks),
                     expansion: Expansion::Neighbours,
                 });
@@ -247,9 +219,10 @@ impl Strategy {
             }
         };
         let picks = pixels.into_iter().map(|pixel| Pick { pixel, stratum: 0 }).collect();
+        let classes = self.classes(strata);
         Ok(Design {
-            strata: self.strata(strata),
-            counts: self.counts(strata, &counts),
+            counts: classes.counts(&counts),
+            strata: classes.strata,
             picks: Picks::Known(picks),
             expansion,
         })

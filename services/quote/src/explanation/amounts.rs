@@ -64,6 +64,11 @@ pub(super) struct Amounts {
 }
 
 impl Amounts {
+    /// A part of the work as a share of all of it, 0 to 1.
+    pub fn share(&self, part: f64) -> f64 {
+        if self.work > 0.0 { part / self.work } else { 0.0 }
+    }
+
     /// Work of all pixels.
     pub fn pixel_work(&self) -> f64 {
         self.pixels.iter().map(|shown| shown.work).sum()
@@ -87,9 +92,9 @@ impl Measured<'_> {
         };
         let told_apart = matches!(self.strategy, Strategy::PaperSnapshot | Strategy::Snapshot);
         // Objects come first, then the background, then the records.
-        let (pixels, records) = sums.split_at(estimate.pixel_strata.min(sums.len()));
+        let (pixels, records) = sums.split_at(estimate.populations.pixel_strata.min(sums.len()));
         let shown = |(place, sum): (usize, &StratumSum)| ShownWork {
-            shows: estimate.names.get(place).filter(|_| told_apart).cloned(),
+            shows: estimate.populations.names.get(place).filter(|_| told_apart).cloned(),
             pixels: sum.pixels,
             samples: sum.samples,
             work: sum.work,

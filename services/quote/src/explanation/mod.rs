@@ -40,8 +40,6 @@ impl Measured<'_> {
 
 /// Explains the work of a quote at these settings.
 fn explain(amounts: Amounts, settings: &RenderSettings) -> Explanation {
-    let whole = amounts.work;
-    let share = |part: f64| if whole > 0.0 { part / whole } else { 0.0 };
     let by_ray = work_by_ray(&amounts.pixels);
     let samples = Samples {
         work: amounts.pixel_work(),
@@ -55,15 +53,15 @@ fn explain(amounts: Amounts, settings: &RenderSettings) -> Explanation {
     let ambient = by_ray.filter(|_| gathers).map_or(0.0, |by_ray| by_ray[AMBIENT]);
     let of_cache = amounts.records_work.iter().sum::<f64>() + planning;
     let more = samples.with(samples.now.saturating_add(1)) - samples.work;
-    let work = Work { whole, samples, ambient, levels: amounts.records_work.clone() };
+    let work = Work { whole: amounts.work, samples, ambient, levels: amounts.records_work.clone() };
     let mut explanation = Explanation {
         words: Vec::new(),
         frame: amounts.frame,
-        work: whole,
+        work: amounts.work,
         parts,
         objects: objects(&amounts),
         rays: rays(&amounts, by_ray, of_cache),
-        camera_sample: share(more).max(0.0),
+        camera_sample: amounts.share(more).max(0.0),
         halving: work.halving(settings),
     };
     explanation.words = words::sentences(&explanation, settings, amounts.shares_cache);
@@ -72,12 +70,10 @@ fn explain(amounts: Amounts, settings: &RenderSettings) -> Explanation {
 
 /// The kinds of work, the largest first, and the work of planning the irradiance cache.
 fn parts(amounts: &Amounts) -> (Vec<PartShare>, f64) {
-    let whole = amounts.work;
-    let share = |part: f64| if whole > 0.0 { part / whole } else { 0.0 };
-    let part = |name: &str, work: f64| PartShare { part: name.into(), work, share: share(work) };
+    let part = |name: &str, work: f64| PartShare { part: name.into(), work, share: amounts.share(work) };
     let pixels = amounts.pixel_work();
     let records: f64 = amounts.records_work.iter().sum();
-    let rest = (whole - pixels - records).max(0.0);
+    let rest = (amounts.work - pixels - records).max(0.0);
     let mut parts = vec![part("pixels", pixels), part("filling the irradiance cache", records)];
     let FixedCosts { load, build, plan, .. } = amounts.fixed.unwrap_or_default();
     let setting_up =
@@ -100,7 +96,6 @@ fn objects(amounts: &Amounts) -> Vec<ObjectShare> {
     if !amounts.told_apart {
         return Vec::new();
     }
-    let share = |part: f64| if amounts.work > 0.0 { part / amounts.work } else { 0.0 };
     let pixel_work = amounts.pixel_work();
     let pixel_count = amounts.pixels.iter().map(|shown| shown.pixels).sum::<u64>().max(1) as f64;
     let object = |&ShownWork { ref shows, pixels, samples, work, .. }: &ShownWork| ObjectShare {
@@ -108,10 +103,10 @@ fn objects(amounts: &Amounts) -> Vec<ObjectShare> {
         pixels,
         share_of_pixels: pixels as f64 / pixel_count,
         work,
-        share: share(work),
+        share: amounts.share(work),
         times_mean_pixel: work / pixels.max(1) as f64 / (pixel_work / pixel_count),
         samples,
-        share_per_sample: (samples > 0).then(|| share(work) / samples as f64),
+        share_per_sample: (samples > 0).then(|| amounts.share(work) / samples as f64),
     };
     let listed = |shown: &&ShownWork| shown.work >= LEAST_SHARE * pixel_work && shown.work > 0.0;
     let mut objects: Vec<ObjectShare> = amounts.pixels.iter().filter(listed).map(object).collect();
@@ -122,7 +117,6 @@ fn objects(amounts: &Amounts) -> Vec<ObjectShare> {
 /// Rays by category, those that cause the most work first. `of_cache` is the work of planning and filling the
 /// irradiance cache, which is the work of ambient rays.
 fn rays(amounts: &Amounts, by_ray: Option<[f64; 7]>, of_cache: f64) -> Vec<RayShare> {
-    let share = |part: f64| if amounts.work > 0.0 { part / amounts.work } else { 0.0 };
     let all_rays: f64 = amounts.rays.iter().sum();
     let ray_share = |(kind, (name, rays)): (usize, (&&str, f64))| {
         let cache = if kind == AMBIENT { of_cache } else { 0.0 };
@@ -132,7 +126,7 @@ fn rays(amounts: &Amounts, by_ray: Option<[f64; 7]>, of_cache: f64) -> Vec<RaySh
             rays,
             share: if all_rays > 0.0 { rays / all_rays } else { 0.0 },
             work,
-            share_of_work: work.map(share),
+            share_of_work: work.map(|work| amounts.share(work)),
         }
     };
     let all = Rays::NAMES.iter().zip(amounts.rays).enumerate().map(ray_share);

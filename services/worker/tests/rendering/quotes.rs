@@ -170,7 +170,8 @@ fn a_frame_in_the_dark_is_forecast_from_one_in_the_dark() {
             ..QuoteOptions::default()
         };
         let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
-        assert_eq!(quoted.counted.lights, [0, 1, 0]);
+        let lights: Vec<u32> = quoted.preview().frames.iter().map(|frame| frame.lights).collect();
+        assert_eq!(lights, [0, 1, 0]);
         let render = |frame| {
             let given = Given::default();
             let rendered = render_frame(&shot, frame, &rig.settings, given, &|_| (), &AtomicBool::new(false));
