@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use forelight_planner as planner;
 use forelight_planner::{Interval, Weekly};
-use forelight_protocol::{Day, Node, NodeCalendar, NodePower, NodeState, PowerState, Timestamp};
-use jiff::civil::{Time, Weekday};
+use forelight_protocol::{Node, NodeCalendar, NodePower, NodeState, NodeWindow, PowerState, Timestamp};
+use jiff::tz::TimeZone;
 
 const DAY: i64 = 86_400_000_000;
 
@@ -27,8 +27,11 @@ pub fn free_time_of(node: &Node, from: Timestamp, until: Timestamp) -> Vec<Inter
     let (from, until) = (from.micros(), until.micros());
     let calendar = match &node.schedule {
         None => vec![Interval { start: from, end: None }],
-        // A calendar that was checked when it came in can be expanded; the years that it does not know are far away.
-        Some(calendar) => planner::expand(&weekly(calendar), from, until).unwrap_or_default(),
+        // A calendar was checked when it came in, so its zone is known. The years for which it cannot be expanded are
+        // far away.
+        Some(calendar) => weekly(calendar)
+            .and_then(|windows| planner::expand(&windows, from, until).ok())
+            .unwrap_or_default(),
     };
     let maintenance = node
         .terms
@@ -39,31 +42,16 @@ pub fn free_time_of(node: &Node, from: Timestamp, until: Timestamp) -> Vec<Inter
     planner::free_time(&node, from, &[])
 }
 
-/// The calendar in the planner's words.
-fn weekly(calendar: &NodeCalendar) -> Vec<Weekly> {
-    let time = |clock: forelight_protocol::ClockTime| {
-        // Hours and minutes are in range.
-        Time::new(clock.hour() as i8, clock.minute() as i8, 0, 0).unwrap_or(Time::midnight())
+/// The calendar in the planner's words; `None` if its time zone is not known.
+fn weekly(calendar: &NodeCalendar) -> Option<Vec<Weekly>> {
+    let zone = TimeZone::get(&calendar.zone).ok()?;
+    let weekly = |window: &NodeWindow| Weekly {
+        zone: zone.clone(),
+        days: window.days.clone(),
+        from: window.from,
+        until: window.until,
     };
-    let day = |day: &Day| match day {
-        Day::Mon => Weekday::Monday,
-        Day::Tue => Weekday::Tuesday,
-        Day::Wed => Weekday::Wednesday,
-        Day::Thu => Weekday::Thursday,
-        Day::Fri => Weekday::Friday,
-        Day::Sat => Weekday::Saturday,
-        Day::Sun => Weekday::Sunday,
-    };
-    calendar
-        .windows
-        .iter()
-        .map(|window| Weekly {
-            zone: calendar.zone.clone(),
-            days: if window.days.is_empty() { &Day::ALL[..] } else { &window.days }.iter().map(day).collect(),
-            from: time(window.from),
-            until: time(window.until),
-        })
-        .collect()
+    Some(calendar.windows.iter().map(weekly).collect())
 }
 
 /// Whether the node is awake now, and until when that is so.

@@ -340,7 +340,7 @@ fn nights_in_which_clocks_change_lose_and_gain_their_hour() {
     use jiff::civil::{Weekday, time};
     // From 22:00 to 06:00 in Vienna: seven hours in the night to 29 March 2026, nine in that to 25 October, eight in others.
     let night = Weekly {
-        zone: "Europe/Vienna".into(),
+        zone: jiff::tz::TimeZone::get("Europe/Vienna").expect("a time zone"),
         days: vec![Weekday::Saturday],
         from: time(22, 0, 0, 0),
         until: time(6, 0, 0, 0),

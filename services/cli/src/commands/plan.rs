@@ -138,7 +138,9 @@ pub fn run(args: &Args) -> Result<()> {
 
 fn read(path: &std::path::Path) -> Result<Input> {
     let description: Description = json_file::read(path)?;
-    Ok(description.input().map_err(|error| BadInput::new(format!("{}: {error}", path.display())))?)
+    Ok(description
+        .input(jiff::tz::db())
+        .map_err(|error| BadInput::new(format!("{}: {error}", path.display())))?)
 }
 
 fn job_id(input: &Input, name: &str) -> Result<u64> {
