@@ -5,9 +5,9 @@ mod history;
 pub(crate) use history::forecast_history;
 
 use forelight_forecast::share_interval;
+use forelight_plots::{Area, Drawn, PlotError, svg};
 use forelight_protocol::{Coverage, QuantileHits, TrackRecord};
 use forelight_store::FinishedJob;
-use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
@@ -22,27 +22,9 @@ const LARGEST_ERROR: f64 = 1.0;
 /// The axis of errors reaches at least so far, so that good forecasts look like it.
 const LEAST_RANGE: f64 = 0.1;
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Drawn = Result<(), Box<dyn std::error::Error>>;
-
-/// A white picture with what is drawn on it.
-fn svg(draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<String, String> {
-    let mut text = String::new();
-    {
-        let area = SVGBackend::with_string(&mut text, SIZE).into_drawing_area();
-        let draw = || -> Drawn {
-            area.fill(&WHITE)?;
-            draw(&area)?;
-            Ok(area.present()?)
-        };
-        draw().map_err(|error| error.to_string())?;
-    }
-    Ok(text)
-}
-
 /// The reliability diagram of all finished frames and jobs, and beside it the errors of `jobs`, the oldest first.
-pub(crate) fn track_record(record: &TrackRecord, jobs: &[FinishedJob]) -> Result<String, String> {
-    svg(|area| {
+pub(crate) fn track_record(record: &TrackRecord, jobs: &[FinishedJob]) -> Result<String, PlotError> {
+    svg(SIZE, |area| {
         let (left, right) = area.split_horizontally(SIZE.1 as i32);
         reliability(&left, record)?;
         errors(&right, jobs)

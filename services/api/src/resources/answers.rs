@@ -6,8 +6,7 @@ use std::time::Duration;
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 use forelight_protocol::{AccuracyRung, AnswersDoc, Job, JobId, JobState, Money, ProblemKind, Timestamp};
 use serde::Deserialize;
 use tokio::sync::Semaphore;
@@ -21,6 +20,7 @@ use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
 use crate::openapi::FileContent;
 use crate::resources::HIGHEST_SUM;
+use crate::resources::forecasts::svg;
 use crate::state::App;
 
 /// Answers are seen from the minute that has begun, so that for a minute they are the same.
@@ -94,8 +94,7 @@ pub(crate) async fn price_curve(
     _: Reader,
     Segment(job): Segment<JobId>,
 ) -> ApiResult<Response> {
-    let svg = curve_svg(&*found(&app, job, &AnswersQuery::default()).await?);
-    Ok(([(CONTENT_TYPE, "image/svg+xml"), (CACHE_CONTROL, "private, no-cache")], svg).into_response())
+    svg(curve_svg(&*found(&app, job, &AnswersQuery::default()).await?))
 }
 
 async fn found(app: &App, job: JobId, query: &AnswersQuery) -> ApiResult<Arc<AnswersDoc>> {

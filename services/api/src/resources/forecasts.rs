@@ -5,6 +5,7 @@ use axum::extract::State;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
 use forelight_forecast::Correction;
+use forelight_plots::PlotError;
 use forelight_protocol::{
     AccuracyDoc, CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Explanation, ForecastDoc,
     ForecastHistory, Job, JobId, ProblemKind, Timestamp, TrackRecord,
@@ -136,10 +137,8 @@ async fn history(app: &App, job: JobId) -> ApiResult<ForecastHistory> {
 }
 
 /// A picture, or why it cannot be drawn.
-fn svg(drawn: Result<String, String>) -> ApiResult<Response> {
-    let svg = drawn.map_err(|reason| {
-        ApiError::new(ProblemKind::Internal, format!("the picture cannot be drawn: {reason}"))
-    })?;
+pub(super) fn svg(drawn: Result<String, PlotError>) -> ApiResult<Response> {
+    let svg = drawn.map_err(|error| ApiError::new(ProblemKind::Internal, error.to_string()))?;
     Ok(([(CONTENT_TYPE, "image/svg+xml"), (CACHE_CONTROL, "private, no-cache")], svg).into_response())
 }
 

@@ -1,5 +1,8 @@
 //! `forelight plan`: a farm description in, a plan out, and what would change it.
 
+mod gantt;
+
+use self::gantt::gantt;
 use crate::atomic_file::write_bytes;
 use crate::failure::BadInput;
 use crate::json_file;
@@ -9,9 +12,9 @@ use crate::table::{Align, Table};
 use anyhow::{Result, anyhow};
 use forelight_planner::{
     Change, Confidence, Description, Effect, Explanation, Input, Offer, Outlook, Plan, Simulation, Verdict,
-    curve, earliest_for_budget, explain, gantt, outlook, plan, price_curve, simulate, verify, ways_out,
-    what_if,
+    curve, earliest_for_budget, explain, outlook, plan, simulate, verify, ways_out, what_if,
 };
+use forelight_plots as plots;
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -118,10 +121,10 @@ pub fn run(args: &Args) -> Result<()> {
         effects.push(what_if(&input, &change)?);
     }
     if let Some(path) = &args.svg {
-        write_bytes(path, gantt(&input, &found).as_bytes())?;
+        write_bytes(path, gantt(&input, &found)?.as_bytes())?;
     }
     if let (Some(path), Some(answers)) = (&args.curve, &job) {
-        write_bytes(path, price_curve(&answers.curve, money).as_bytes())?;
+        write_bytes(path, price_curve(&answers.curve)?.as_bytes())?;
     }
     let document = Document {
         plan_id: found.id().to_string(),
@@ -134,6 +137,12 @@ pub fn run(args: &Args) -> Result<()> {
         nodes: input.nodes.iter().map(|node| (node.id, node.name.clone())).collect(),
     };
     if args.json { output::json(&document) } else { output::print(&report(&input, &document)) }
+}
+
+fn price_curve(offers: &[Offer]) -> Result<String> {
+    let offer =
+        |&Offer { deadline, cost, cost_bound, .. }: &Offer| plots::Offer { deadline, cost, cost_bound };
+    Ok(plots::price_curve(&offers.iter().map(offer).collect::<Vec<_>>(), money)?)
 }
 
 fn read(path: &std::path::Path) -> Result<Input> {
