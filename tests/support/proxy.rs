@@ -3,7 +3,7 @@
 //! One request a connection: what a client sends is read whole (head, and as many bytes as it announces), then passed on or not; the
 //! answer is passed back as it comes. A message that is lost ends its connection without an answer, which is what a network does.
 
-use crate::random::Random;
+use forelight_random::Random;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

@@ -5,15 +5,8 @@
 //! scrambling (Owen 1995) by hashing (Laine and Karras 2011), with the order of points scrambled in the same way
 //! (Burley 2020, "Practical Hash-based Owen Scrambling"), so that dimensions do not correlate.
 
+pub use forelight_random::hash;
 use glam::Vec2;
-
-/// Finaliser of SplitMix64 (Steele, Lea, Flood 2014): mixes all bits of its input.
-pub fn hash(value: u64) -> u64 {
-    let mut z = value.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
-}
 
 /// What a random point is used for. Together with the vertex of the path it makes a dimension.
 #[derive(Debug, Clone, Copy)]

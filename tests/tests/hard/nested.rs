@@ -1,9 +1,9 @@
 //! Solid dielectrics with priorities: overlap, faces in the same place, a camera inside, equal priorities.
 
 use crate::media::{from, glass};
+use forelight_random::Random;
 use forelight_scene::{Material, Surface};
 use forelight_tests::case::case;
-use forelight_tests::random::Random;
 use forelight_tests::statistics::Moments;
 use forelight_tests::world::{View, World, grey, lambert, material, render, unsound, values};
 use forelight_tracer::{Integrator, Settings};

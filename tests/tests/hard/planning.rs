@@ -388,7 +388,7 @@ fn cheapest(nodes: &[(u64, u64)], loads: &mut Vec<u64>, works: &[u64], deadline:
 fn on_tiny_farms_a_plan_is_found_whenever_there_is_one_and_none_is_cheaper() {
     let (mut missed, mut wrong, mut tried, mut dearest) = (0, 0, 0, 1.0f64);
     for i in 0..2000u64 {
-        let mut stream = crate::meshes::Stream(i);
+        let mut stream = crate::meshes::Stream::new(i);
         let mut draw = |below: usize| stream.below(below) as u64;
         let nodes: Vec<(u64, u64)> = (0..1 + draw(3)).map(|_| (1 + draw(3), 1 + draw(5))).collect();
         let works: Vec<u64> = (0..1 + draw(6)).map(|_| 1 + draw(30)).collect();
