@@ -11,7 +11,8 @@ use crate::limits::LARGEST_COORDINATE;
 use crate::shot::{Baked, Shot};
 use crate::{Camera, Environment, Frame, Geometry, Material, PointLight, Strata, Sun, Texture};
 use glam::{DMat4, DVec3, Vec3};
-use std::sync::{Arc, Mutex, PoisonError};
+use parking_lot::Mutex;
+use std::sync::Arc;
 
 /// Everything that a bundle says, ready to be looked at frame by frame.
 ///
@@ -163,7 +164,7 @@ impl Scene {
             return Ok(self.still.geometry.clone());
         }
         // The lock is not held while vertices are computed, so frames of several threads do not wait for each other.
-        let recent = || self.recent.lock().unwrap_or_else(PoisonError::into_inner);
+        let recent = || self.recent.lock();
         if let Some((_, geometry)) = recent().as_ref().filter(|(known, _)| self.same_places(known, &world)) {
             return Ok(geometry.clone());
         }

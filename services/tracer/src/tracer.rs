@@ -19,10 +19,11 @@ use crate::{Integrator, MaterialOverride, SampleCounts, SampleCountsError, Setti
 use forelight_bvh::Hit;
 use forelight_scene::{Color, Frame, Material, Sun, Surface};
 use glam::Vec3;
+use parking_lot::Mutex;
 use rayon::prelude::*;
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 
 /// Edge of the square tiles in which an image is worked off, pixels.
 pub(crate) const TILE: u32 = 16;
@@ -207,7 +208,7 @@ impl Tracer {
     pub fn plan(&self) {
         if let Some(settings) = self.settings.cache.filter(|_| self.effects.has(Effects::CACHE)) {
             self.cache.get_or_init(|| {
-                let mut cache = lock(&self.given).take().unwrap_or_default();
+                let mut cache = self.given.lock().take().unwrap_or_default();
                 cache.plan(self, &settings);
                 cache
             });
@@ -218,7 +219,7 @@ impl Tracer {
     /// call it before [`Self::plan`]. What the image needs beyond it will be planned anew.
     pub fn take_cache(&self, cache: Cache) -> Result<(), CacheError> {
         cache.check(self)?;
-        *lock(&self.given) = Some(cache);
+        *self.given.lock() = Some(cache);
         Ok(())
     }
 
@@ -490,9 +491,4 @@ fn as_lambert(material: &Material) -> Material {
         _ => Color::plain(Vec3::splat(0.5)),
     };
     Material { surface: Surface::Lambert { albedo }, ..material.clone() }
-}
-
-/// The data behind the lock is whole after every statement, so a panic elsewhere does not spoil it.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
