@@ -139,3 +139,4 @@ pub use shot::{FrameForecast, ProfiledFrame, ShotForecast, forecast_shot};
 pub use strata::Stratum;
 pub use strategies::{Design, Strategy, predicted_map};
 pub use stratum_sum::StratumSum;
+pub use student::student_two_sided;
