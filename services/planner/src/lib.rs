@@ -56,6 +56,7 @@ pub mod reference;
 mod rental;
 mod replan;
 mod schedule;
+mod score;
 mod simplex;
 mod simulate;
 mod state;

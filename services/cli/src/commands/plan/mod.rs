@@ -199,8 +199,8 @@ fn is_beyond((late, scenarios): (f64, u32), confidence: Confidence) -> bool {
     late > allowed + 3.0 * (allowed * (1.0 - allowed) / f64::from(scenarios.max(1))).sqrt()
 }
 
-fn report(input: &Input, document: &Document) -> String {
-    let found = &document.plan;
+/// A row for each job: whether and when it is ready, and what it costs.
+fn jobs(input: &Input, document: &Document) -> Table {
     let mut table = Table::new(&[
         ("job", Align::Left),
         ("ready by", Align::Left),
@@ -210,7 +210,7 @@ fn report(input: &Input, document: &Document) -> String {
         ("late", Align::Right),
         ("", Align::Left),
     ]);
-    for entry in &found.jobs {
+    for entry in &document.plan.jobs {
         let Some(job) = input.jobs.iter().find(|job| job.id == entry.job) else { continue };
         let risk = document.simulation.as_ref().and_then(|simulation| {
             let risk = simulation.jobs.iter().find(|risk| risk.job == entry.job)?;
@@ -244,7 +244,12 @@ fn report(input: &Input, document: &Document) -> String {
             word,
         ]);
     }
-    let mut text = table.render();
+    table
+}
+
+fn report(input: &Input, document: &Document) -> String {
+    let found = &document.plan;
+    let mut text = jobs(input, document).render();
     text += &format!(
         "\nplan {}: {} bookings on {} rentals for {}; no plan can cost less than {}\n",
         document.plan_id,
