@@ -19,4 +19,4 @@ pub use plan::{
 };
 
 pub(crate) use farm::price_of;
-pub(crate) use units::{MICROSECONDS_PER_HOUR, MICROSECONDS_PER_SECOND, in_millionths};
+pub(crate) use units::{MICROSECONDS_PER_HOUR, in_millionths};
