@@ -4,7 +4,7 @@
 //!
 //! | file | subject |
 //! | --- | --- |
-//! | `allocation` | from a profile to the first samples, and what the frame will come to |
+//! | `allocation` | the first samples, from a profile, and the forecast of the frame |
 //! | `tiles` | what the unfinished image says of each tile |
 //! | `time_limit` | passes until the time is up |
 //! | `error_target` | passes until the error is small enough |
