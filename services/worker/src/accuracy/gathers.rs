@@ -1,11 +1,10 @@
 //! Errors of similar settings, estimated on the same pixels.
 //!
 //! A rung with more gather rays, or with interpolation, has nearly the error of the settings that were asked
-//! for. On other pixels, the difference would be lost in sampling noise: rare samples that meet a lamp make
-//! most of an image's error. So the scattered pixels of the first pilot are traced again with the other
-//! settings, from the same camera samples. The ratios that they show then scale the drops of all its pixels
-//! (two-phase sampling with a ratio estimator: Cochran, *Sampling Techniques*, 3rd edition 1977, section
-//! 12.8).
+//! for. On other pixels, the difference would be lost in sampling noise. So the scattered pixels of the first
+//! pilot are traced again with the other settings, from the same camera samples. The ratios that they show
+//! scale the drops of all its pixels (two-phase sampling with a ratio estimator: Cochran, *Sampling
+//! Techniques*, 3rd edition 1977, section 12.8).
 
 use super::pilot::Pilot;
 use super::{AccuracyObserver, traced};
@@ -100,7 +99,6 @@ pub fn affordable(count: u32, least: u32, first: &RenderSettings, other: &Render
     affordable.max(least.min(count))
 }
 
-/// Whether even `least` pixels of other gathers are too expensive compared to `count` of the first pilot.
 pub fn is_too_dear(count: u32, least: u32, first: &RenderSettings, other: &RenderSettings) -> bool {
     let count = count.min(first.width.saturating_mul(first.height));
     let rays = |pixels: u32, settings: &RenderSettings| f64::from(pixels) * gathered_rays(settings);
@@ -112,8 +110,7 @@ pub fn times_the_rays(first: &RenderSettings, other: &RenderSettings) -> f64 {
     gathered_rays(other) / gathered_rays(first)
 }
 
-/// Rays that a pixel gathers without a cache, over all levels. Each level after the first has an eighth of
-/// the divisions of the one before.
+/// Rays per pixel, over all levels. Each level has an eighth of the divisions of the one before.
 fn gathered_rays(settings: &RenderSettings) -> f64 {
     let divisions = f64::from(settings.ambient_divisions);
     let mut rays = 1.0;
@@ -125,7 +122,6 @@ fn gathered_rays(settings: &RenderSettings) -> f64 {
     rays
 }
 
-/// Cost of tracing these pixels.
 pub fn cost(traced: &[(Pixel, PixelNoise)]) -> Spent {
     let spent = |pixel: &Pixel| Spent { work: pixel.work, cpu_nanos: pixel.cpu_nanos };
     traced.iter().map(|(pixel, _)| spent(pixel)).fold(Spent::default(), Spent::plus)

@@ -1,18 +1,17 @@
 //! The error that an irradiance cache adds: by interpolation, and by the noise of its records. It does not
 //! fall with camera samples, since all of them read the same records.
 //!
-//! It is estimated on the profiled pixels. The records that they read are filled, so a pixel's value `c` is
-//! close to the image's. Only the averaging of similar records is missing, which needs more of them: the
-//! result is an upper estimate. `c` is compared to two values of the same pixel, gathered without a cache and
-//! with more divisions: `g` from the *same* camera samples, `h` from independent ones. With e the error of
-//! the camera samples that c and g share, b that of the cache, and u and v the remaining noise of g and h,
+//! The records that the profiled pixels read are filled, so a pixel's value `c` is close to the image's. Only
+//! the averaging of similar records is missing, so the result is an upper estimate. `c` is compared to two
+//! values of the same pixel, gathered with more divisions: `g` from the *same* camera samples, `h` from
+//! independent ones. With e the error of the camera samples that c and g share, b that of the cache, and u
+//! and v the remaining noise of g and h,
 //!
 //! ```text
 //! E[(c − g)(c − h)] = E[(b − u)(e + b − v)] = E[b²] :
 //! ```
 //!
-//! This is an unbiased estimate of the cache's part alone. It may be negative for a pixel, but hardly for the
-//! mean over the image.
+//! This is an unbiased estimate of the cache's part alone. It may be negative for a single pixel.
 
 use super::gathers::{LESS_NOISY, cost, scaled, times_the_rays};
 use super::pilot::Pilot;
@@ -23,15 +22,12 @@ use crate::renderer::{FrameRenderer, Renderer};
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{RenderSettings, Spent};
 
-/// The reference gathers have this many times the divisions that were asked for, so that their noise is
-/// small. The first factor that needs at most [`MOST_TIMES`] the rays is used, else none: with several
-/// bounces, rays grow with a power of the divisions.
+/// Candidate factors on the divisions of reference gathers, to keep their noise small. The first that needs
+/// at most [`MOST_TIMES`] the rays is used.
 const FINER: [u32; 2] = [4, 2];
 
-/// See [`FINER`].
 const MOST_TIMES: f64 = 8.0;
 
-/// Most divisions that settings may have.
 const MOST_DIVISIONS: u32 = 65_536;
 
 /// The image's seed with these bits flipped is the seed of the independent values.
@@ -46,12 +42,10 @@ pub struct Truth {
     gathered: FrameNoise,
     same: Vec<[f32; 3]>,
     independent: Vec<[f32; 3]>,
-    /// Cost of the reference values.
     pub spent: Spent,
 }
 
 impl Truth {
-    /// For the scattered pixels of a pilot without a cache.
     pub fn new(
         renderer: &dyn Renderer,
         frame: u32,

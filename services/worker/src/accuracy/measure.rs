@@ -101,7 +101,6 @@ fn image(
 }
 
 impl Converged {
-    /// Renders both halves.
     pub(crate) fn new(
         renderer: &dyn Renderer,
         frame: u32,

@@ -8,11 +8,10 @@
 //! | `measure` | measured errors: rungs rendered and compared to converged images |
 //!
 //! Every kind of setting (an integrator, a number of divisions, an accuracy of the cache) is profiled once,
-//! by a *pilot*, with a few camera samples per pixel. A rung's cost follows as in a quote, with the cost of
-//! pixels in proportion to its samples. Its error follows from the spectrum of its variance
-//! (`forelight_forecast::accuracy`) and, with a cache, from the interpolation error, which does not fall with
-//! samples. Other resolutions share the pilot of the settings that were asked for: the preview counts the
-//! pixels of every stratum in each, and the cache plan counts the records.
+//! by a *pilot*, with a few camera samples per pixel. A rung's cost follows as in a quote. Its error follows
+//! from the spectrum of its variance (`forelight_forecast::accuracy`) and, with a cache, from the
+//! interpolation error, which does not fall with samples. Other resolutions share the pilot of the settings
+//! that were asked for.
 
 mod gathers;
 mod interpolation;
@@ -43,12 +42,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Camera samples of a profiled pixel: enough for four doublings.
 const PILOT_SPP: u32 = 16;
 
-/// Gather rays of a profiled pixel, over all its camera samples. More if these would be fewer than
-/// [`LEAST_SPP`].
+/// Gather rays of a profiled pixel, over all its camera samples. May be more, see [`LEAST_SPP`].
 const PILOT_RAYS: u32 = 256;
 
-/// Least number of pixels to profile with many gather rays. The usual number would take longer than
-/// everything else.
+/// Least pixels to profile where gathers have many rays, instead of the usual number.
 const LEAST_SAMPLES: u32 = 48;
 
 /// Least camera samples of a profiled pixel: two doublings.
@@ -110,7 +107,6 @@ struct Prediction<'a> {
     asked: &'a RenderSettings,
     options: &'a AccuracyOptions,
     observer: &'a dyn AccuracyObserver,
-    /// One for each kind of setting.
     pilots: Vec<Pilot>,
     truth: Option<Truth>,
     rungs: Vec<AccuracyRung>,
@@ -195,7 +191,6 @@ impl<'a> Prediction<'a> {
         Ok(())
     }
 
-    /// Index of the pilot for a kind of setting. Makes it if it does not exist.
     fn pilot(&mut self, settings: &RenderSettings) -> Result<usize, ShotError> {
         let settings = piloted(settings);
         if let Some(known) = self.pilots.iter().position(|pilot| pilot.settings == settings) {
@@ -280,7 +275,6 @@ impl<'a> Prediction<'a> {
     }
 }
 
-/// Why an image of this size is left out.
 fn too_large(settings: &RenderSettings, asked: &RenderSettings) -> Option<String> {
     let RenderSettings { width, height, .. } = settings;
     let why = || format!("{width} × {height}: a preview of this many pixels takes too much memory");
@@ -291,7 +285,6 @@ fn is_cancelled(observer: &dyn AccuracyObserver) -> bool {
     observer.cancel().load(Ordering::Relaxed)
 }
 
-/// Traces these pixels, unless the observer cancels.
 fn traced(
     ready: &dyn FrameRenderer,
     pixels: &[u32],
@@ -300,8 +293,7 @@ fn traced(
     ready.trace_unless(pixels, &|| is_cancelled(observer)).ok_or(ShotError::Cancelled)
 }
 
-/// The settings of the pilot that serves these settings. Settings that make no difference to it are
-/// normalised, so that one pilot serves many rungs.
+/// The settings of the pilot for these settings. Those that it does not depend on are normalised.
 pub(crate) fn piloted(settings: &RenderSettings) -> RenderSettings {
     let plain = forelight_protocol::RenderSettingsRequest::default().complete((1, 1));
     let mut piloted = settings.clone();

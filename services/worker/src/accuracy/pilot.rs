@@ -24,14 +24,12 @@ use std::collections::BTreeMap;
 pub struct View {
     /// Pixels by stratum of cost, the background last.
     counts: Vec<u32>,
-    /// Pixels by stratum of error.
     pub noise_counts: Vec<u32>,
     cache_records: Vec<u32>,
     fixed: FixedCosts,
 }
 
 impl View {
-    /// Counts of a frame, and their cost.
     pub fn of(ready: &dyn FrameRenderer) -> Result<(Self, Spent), RenderError> {
         let seen = ready.preview()?;
         let view = Self::new(ready, &seen.preview, &Zones::new(ready, &seen.preview));
@@ -54,12 +52,9 @@ impl View {
 
 /// Profiled pixels of one kind of setting.
 pub struct Pilot {
-    /// With the pilot's camera samples.
     pub settings: RenderSettings,
-    /// At the resolution of `settings`.
     pub view: View,
     strata: Vec<Stratum>,
-    /// Strata of the error.
     pub noise_strata: Vec<Stratum>,
     observations: Vec<Observation>,
     /// For each observation, the part of its work that does not grow with camera samples.
@@ -74,14 +69,12 @@ pub struct Pilot {
     pub zones: Zones,
     /// For each pixel of `noise`, the part of its work that grows with camera samples.
     pub pixel_work: Vec<u64>,
-    /// Cost of the pilot.
     pub spent: Spent,
     /// The part of `spent` that a render of the frame would not need: pixels and preview.
     pub overhead: Spent,
 }
 
 impl Pilot {
-    /// Profiles a frame.
     pub fn new(
         renderer: &dyn Renderer,
         ready: &dyn FrameRenderer,
@@ -123,7 +116,6 @@ impl Pilot {
         })
     }
 
-    /// Number of profiled pixels.
     pub fn profiled(&self) -> u64 {
         self.observations.len() as u64
     }
@@ -152,8 +144,8 @@ impl Pilot {
             cost: seen.cost.with_samples(factor, extra, growth),
         });
         let mut observations = of_view(&view.counts, of_pixels.collect());
-        // A stratum may have fewer pixels in a smaller image than were profiled. The forecast is then of
-        // several copies of that image.
+        // A smaller image may have fewer pixels of a stratum than were profiled: the forecast is of copies of
+        // it.
         let copies = copies(&view.counts, &observations);
         let of_copies = |counts: &[u32]| counts.iter().map(|count| count * copies).collect::<Vec<u32>>();
         let records = of_copies(&view.cache_records);
@@ -213,7 +205,6 @@ fn copies(counts: &[u32], observations: &[Observation]) -> u32 {
     counts.iter().zip(seen).map(times).max().unwrap_or(1).max(1)
 }
 
-/// Passes cancellation on to the profile.
 struct Watching<'a>(&'a dyn AccuracyObserver);
 
 impl Observer for Watching<'_> {
@@ -248,8 +239,8 @@ mod tests {
             let (work, _) = pilot.cost(&view, settings.spp).unwrap();
             let off = work.mean / rendered.stats.work as f64 - 1.0;
             println!("{width} x {height}: {off:+.3}");
-            // Forty pixels differ from their neighbours. The test rules out that a sixteenth of the pixels
-            // costs half.
+            // Rules out that a sixteenth of the pixels costs half. Forty pixels do differ from their
+            // neighbours.
             assert!(off.abs() < 0.25, "{width} x {height}: {off}");
         }
     }
@@ -297,8 +288,7 @@ mod tests {
         };
         let settings = request.complete((32, 18));
         let ready = shot.frame(0, &settings).unwrap();
-        // All pixels are profiled. The remaining error is that of few records and of samples beyond the
-        // pilot's.
+        // All pixels: what remains is the error of few records and of later samples.
         let options = AccuracyOptions { samples: 32 * 18, seed: 2 };
         let pilot = Pilot::new(&shot, &*ready, settings.clone(), &options, &nobody).unwrap();
         assert!(pilot.extra_work.iter().sum::<u64>() > 0);
@@ -310,7 +300,7 @@ mod tests {
             let (work, _) = pilot.cost(&pilot.view, spp).unwrap();
             let off = work.mean / rendered.stats.work as f64 - 1.0;
             println!("{spp} samples: {off:+.3}");
-            // The plan saw the points of the first samples. Points of later samples are covered less often.
+            // The plan saw the points of the first samples. Later ones are covered less often.
             assert!(off.abs() < 0.05, "{spp} samples: {off}");
         }
     }

@@ -1,12 +1,9 @@
 //! Distributes the camera samples of a frame with a time limit or an error target.
 //!
 //! Some pixels are profiled with a few camera samples (see `accuracy::pilot`). For each stratum, and for the
-//! edges of lights, they show the cost of a sample and how variance falls with samples. From that follow:
-//! whether the least image fits the time, the samples of the first pass, and the forecast of the frame. A
-//! profile does not know which spot of a wall is bright. The image does, once its pixels have a few samples.
-//! Later passes follow the image ([`crate::adaptive::tiles`], `forelight_forecast::accuracy::allot`). An
-//! irradiance cache is filled first, since the time left depends on it. See [`crate::adaptive::time_limit`]
-//! and [`crate::adaptive::error_target`].
+//! edges of lights, they show the cost of a sample and how variance falls with samples. That gives the first
+//! pass and the forecast. Later passes follow the image, which shows where on a wall the bright spot is
+//! ([`crate::adaptive::tiles`]). An irradiance cache is filled first, since the time left depends on it.
 
 use crate::accuracy::{AccuracyObserver, AccuracyOptions, Pilot, piloted};
 use crate::adaptive::error_target::render_for_error;
@@ -38,8 +35,7 @@ pub enum Aim<'a> {
 pub struct AllotOptions<'a> {
     /// What to reach.
     pub aim: Aim<'a>,
-    /// Probability that the error is met or, for a time, that the least image fits before the first pixel is
-    /// rendered.
+    /// Of meeting the error, or of fitting the least image into the time before a pixel is rendered.
     pub confidence: Confidence,
     /// Pixels to profile.
     pub samples: u32,
@@ -165,7 +161,6 @@ pub fn render_as_allotted(
     }))
 }
 
-/// Result of an aim.
 pub(crate) struct Made {
     pub finished: Finished,
     pub samples: SampleCounts,
@@ -206,8 +201,7 @@ pub(crate) struct Allotment<'a> {
     profiled: Vec<Vec<usize>>,
     /// Of the frame with the pilot's camera samples.
     cpu_seconds: Quantiles,
-    /// Work of the pixels per unit of the zones' cost. Strata of cost are finer, so their estimate of the
-    /// total is better.
+    /// Work of the pixels per unit of the zones' cost, as strata of cost are finer than zones.
     scale: f64,
     /// CPU seconds per unit of work, as measured by the pilot.
     pub seconds_per_work: f64,
@@ -249,12 +243,10 @@ impl<'a> Allotment<'a> {
         ratio(self.cpu_seconds.at(confidence), self.cpu_seconds.mean)
     }
 
-    /// Work of all pixels with these samples in each zone.
     fn work_of(&self, samples: &[f64]) -> f64 {
         self.scale * cost(&self.zones, samples)
     }
 
-    /// Work of one sample per pixel.
     pub fn least_work(&self) -> f64 {
         self.work_of(&vec![1.0; self.zones.len()])
     }
@@ -265,12 +257,10 @@ impl<'a> Allotment<'a> {
         samples_for_variance(&self.zones, wanted * wanted)
     }
 
-    /// The samples of each zone, pixel by pixel.
     pub fn laid_out(&self, samples: &[f64]) -> Result<SampleCounts, RenderError> {
         laid_out(self.pilot.settings.pixels() as usize, &self.pixels, samples)
     }
 
-    /// Width and height of the image in pixels.
     pub fn size(&self) -> (u32, u32) {
         (self.pilot.settings.width, self.pilot.settings.height)
     }
@@ -284,9 +274,9 @@ impl<'a> Allotment<'a> {
         variance
     }
 
-    /// Mean number of samples in each zone, weighted by the cost of a sample of each pixel. Samples go by
-    /// tiles, and tiles that need more of them may have more or less expensive pixels. The plain mean is
-    /// known, and the profiled pixels estimate the difference (a difference estimator).
+    /// Mean samples of each zone, weighted by the cost of a sample of each pixel. Costly tiles may get more
+    /// samples or fewer. The profiled pixels estimate the difference to the plain mean (a difference
+    /// estimator).
     fn means(&self, counts: &SampleCounts) -> Vec<f64> {
         let of_pixel = |pixel: u32| f64::from(counts.as_slice()[pixel as usize]);
         let mean = |(pixels, profiled): (&Vec<u32>, &Vec<usize>)| {
@@ -302,8 +292,7 @@ impl<'a> Allotment<'a> {
         self.pixels.iter().zip(&self.profiled).map(mean).collect()
     }
 
-    /// Forecast of a frame with these samples: that of a frame with the same mean everywhere, corrected for
-    /// their distribution.
+    /// Forecast of a frame with the same mean everywhere, corrected for the distribution of samples.
     fn forecast(&self, counts: &SampleCounts) -> Result<AllottedForecast, ShotError> {
         let even = (counts.range().2.round() as u32).max(1);
         let (work, cpu_seconds) = self.pilot.cost(&self.pilot.view, even)?;
@@ -330,7 +319,6 @@ fn zones(pilot: &Pilot, image: &ImageNoise, groups: &[NoiseGroup]) -> Result<Vec
     groups.iter().map(zone).collect()
 }
 
-/// The error at a confidence.
 pub(crate) fn quantile(error: &ErrorQuantiles, confidence: Confidence) -> f64 {
     match confidence {
         Confidence::P50 => error.p50,
@@ -344,7 +332,6 @@ fn ratio(part: f64, whole: f64) -> f64 {
     if part > 0.0 && whole > 0.0 { part / whole } else { 1.0 }
 }
 
-/// These quantiles with their mean changed by `change`, all in proportion.
 fn moved(quantiles: &Quantiles, change: f64) -> Quantiles {
     let factor = ratio((quantiles.mean + change).max(0.0), quantiles.mean);
     let Quantiles { mean, p50, p80, p95 } = *quantiles;

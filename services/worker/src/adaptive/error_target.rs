@@ -1,10 +1,9 @@
 //! A render that continues until its image is accurate enough.
 //!
-//! It goes in passes (`forelight_tracer::Passes`). The first pass gives every pixel a few samples, as the
-//! profile suggests. Each later pass looks at the image ([`crate::adaptive::tiles`]) and gives every tile the
-//! samples that it lacks for the error. It never multiplies a tile's samples by more than `GROWTH`, since few
-//! samples may mislead. It treats the law by which variance falls as certain, since the new samples will test
-//! it. The image is finished when its own estimate meets the error. All of this depends on the samples alone.
+//! The first pass gives every pixel a few samples, as the profile suggests. Each later pass gives every tile
+//! the samples that it lacks for the error, as the image shows by then ([`crate::adaptive::tiles`]). A pass
+//! at most multiplies a tile's samples by `GROWTH`, since few samples may mislead. It takes the law of the
+//! variance as certain, since the new samples will test it. The image depends on the samples alone.
 
 use crate::adaptive::allocation::{AllotError, Allotment, Made, quantile};
 use crate::adaptive::tiles::Tiles;
@@ -25,8 +24,8 @@ const FIRST: f64 = 4.0;
 const GROWTH: f64 = 4.0;
 /// An error that exceeds the target by this share is accepted.
 pub const NEAR_ENOUGH: f64 = 0.01;
-/// A pass that tests how variance falls adds at least this share of the cost so far. If it would add less,
-/// the pass adds all that certainty needs.
+/// Least growth in cost for a pass that takes the law of the variance as certain. Otherwise the pass adds all
+/// that the confidence needs.
 const WORTHWHILE: f64 = 0.02;
 
 /// Renders a frame, whose cache is filled, until its error is below `wanted`, a share of the image's mean.
@@ -79,8 +78,8 @@ pub(crate) fn render_for_error(
     Ok(Some(Made { finished: ready.finished(&passes), samples, survey, within: None }))
 }
 
-/// At least these samples, pixel by pixel, and more than `has` if that is possible. In tiles of few pixels, a
-/// mean between two evenly spread numbers may not reach the next one.
+/// At least these samples, and more than `has` if possible. In a tile of few pixels, a mean between two
+/// evenly spread numbers may not reach the next.
 fn more(tiles: &Tiles, samples: &[f64], has: &SampleCounts) -> Result<SampleCounts, RenderError> {
     let mut scale = 1.0;
     loop {

@@ -1,6 +1,6 @@
 //! Adaptive sampling: a frame for a time, for an error, or for an amount of work.
 //!
-//! Such a frame is rendered in passes. After each pass the image shows where more camera samples lower its error most.
+//! The frame is rendered in passes. After each, the image shows where more samples lower its error most.
 //!
 //! | file | subject |
 //! | --- | --- |

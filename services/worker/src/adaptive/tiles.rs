@@ -7,8 +7,7 @@ use forelight_forecast::accuracy::allot::{MOST_SAMPLES, whole};
 use forelight_forecast::accuracy::{SampledPixel, Survey};
 use forelight_tracer::{Passes, SampleCounts, SoFar, Tiling};
 
-/// Edge of a tile in pixels. A few samples of each of 64 pixels show well how they vary, and a bright spot on
-/// a wall is wider.
+/// Edge of a tile in pixels. The samples of 64 pixels show how they vary; bright spots are wider.
 const TILE: u32 = 8;
 
 /// The pixels of a frame by tile, with their noise from the profile.
@@ -56,18 +55,15 @@ impl Tiles {
         Ok(Survey::new(&tiles)?)
     }
 
-    /// The samples of each tile, pixel by pixel.
     pub fn laid_out(&self, samples: &[f64]) -> Result<SampleCounts, RenderError> {
         laid_out(self.count, &self.pixels, samples)
     }
 }
 
-/// Variance of one sample of a pixel, if it is known and finite.
 fn known_variance(pixel: &SoFar) -> Option<f64> {
     pixel.variance.filter(|variance| variance.is_finite())
 }
 
-/// Mean of the known variances, 0 if there are none.
 fn mean_variance(pixels: &[SoFar]) -> f64 {
     let (sum, count) = pixels
         .iter()
@@ -85,7 +81,6 @@ pub(crate) fn laid_out(
     let mut counts = vec![1u16; pixels];
     for (set, &samples) in sets.iter().zip(samples) {
         for (&pixel, n) in set.iter().zip(whole(samples, set.len())) {
-            // At most `MOST_SAMPLES`, which fits.
             counts[pixel as usize] = n.min(MOST_SAMPLES as u32) as u16;
         }
     }

@@ -1,12 +1,9 @@
 //! A render that keeps to a time limit.
 //!
-//! Forecasts of work are right to within a few per cent. The time per unit of work is less stable: it differs
-//! between a short profile and the render, and between busy and idle hours. So the render watches its clock.
-//! It goes in passes (`forelight_tracer::Passes`). The first pass gives every pixel one sample. Each later
-//! pass spends a share of the time left on the samples that lower the error most, as the image shows by then
-//! ([`crate::adaptive::tiles`]). It converts time to work at the rate of the pass before. The last passes use
-//! nearly all of the time left. Tiles that are not reached in time keep the samples that they have: pixels
-//! are complete at every number of samples, and a pass visits tiles in scattered order.
+//! Forecasts of work are right to a few per cent. The time per unit of work is less stable, so the render
+//! watches its clock. The first pass gives every pixel one sample. Each later pass spends a share of the time
+//! left where it lowers the error most ([`crate::adaptive::tiles`]), at the rate of the pass before. Tiles
+//! that are not reached in time keep their samples. A pass visits tiles in scattered order.
 //!
 //! The clock decides only how many samples the pixels get.
 
@@ -20,22 +17,19 @@ use forelight_tracer::{Image, Passes, SampleCounts, process_cpu_nanos};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 
-/// Share of the time left for the second and third pass. The time per unit of work is better known after
-/// each.
+/// Share of the time left for the second and third pass, before the time per unit of work is well known.
 const CAREFUL: [f64; 2] = [0.25, 0.5];
 /// Share of the time left for each later pass.
 const BOLD: f64 = 0.9;
 /// Least share of the whole time that is worth another pass.
 const WORTHWHILE: f64 = 0.01;
-/// Share of the whole time that is reserved for the pixels under way when the time is up, and for assembling
-/// the image on a busy machine.
+/// Share of the whole time reserved for the pixels under way at its end and for assembling the image.
 const MARGIN: f64 = 0.015;
-/// Reserve for writing, as a multiple of its measured time, for the same reason.
+/// Reserve for writing, as a multiple of its measured time.
 const WRITING: f64 = 1.5;
 /// Share of the first pass that must be done before it can be abandoned as late.
 const SEEN: f64 = 0.1;
-/// The least image may take this many times the given time. Discarding it for a smaller delay would be a
-/// waste.
+/// The least image may take this many times the given time rather than be discarded.
 const LATE: f64 = 1.03;
 /// A refusal names this many times the time that was found, since run times vary.
 const ENOUGH: f64 = 1.1;
@@ -171,7 +165,6 @@ pub(crate) fn render_within(
     Ok(Some(Made { finished, samples: counts, survey, within: Some(within) }))
 }
 
-/// Passes over a frame.
 struct Run<'a> {
     ready: &'a dyn FrameRenderer,
     budget: &'a Budget<'a>,
@@ -207,9 +200,8 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Gives every pixel its first sample, without which there is no image. Returns when the pass was done on
-    /// the clock, or would have been. A pass that would be too late is abandoned early. A pass that is
-    /// slightly late is finished.
+    /// Gives every pixel its first sample, without which there is no image. Gives up early if it would be too
+    /// late; a slight delay is accepted. Returns when the pass ended, or would have.
     fn first_pass(&mut self, wanted: &SampleCounts) -> Result<f64, RenderError> {
         let (clock, began, parts) = (self.budget.clock, self.began, self.passes.parts() as f64);
         let (end, latest) = (self.end, LATE * self.budget.seconds);
@@ -265,7 +257,6 @@ impl<'a> Run<'a> {
 
     fn keep_back_for_writing(&mut self) {
         let start = self.budget.clock.elapsed();
-        // If no other pass fits, there is nothing to reserve.
         if self.end - start < WORTHWHILE * self.budget.seconds {
             return;
         }

@@ -1,15 +1,14 @@
 //! A render that spends a given amount of work.
 //!
-//! A farm books a frame for the work of equally many camera samples per pixel. The same work gives a smaller
-//! error if it goes to the pixels that vary. So the frame is rendered in passes (`forelight_tracer::Passes`):
+//! The same work gives a smaller error if it goes to the pixels that vary. So the frame is rendered in
+//! passes:
 //!
 //! 1. One sample for every pixel, which shows the cost of a sample.
 //! 2. As many for every pixel as an eighth of the work buys, rounded down to a number at which they lie
 //!    evenly. Two, if there is work for them.
-//! 3. Further passes, each at most doubling the work spent, where the image shows that samples pay
-//!    ([`crate::adaptive::tiles`]), until no work is left.
+//! 3. Further passes where samples pay ([`crate::adaptive::tiles`]), each at most doubling the work.
 //!
-//! There is no clock, unlike in [`crate::adaptive::time_limit`]: samples and image depend on the work alone.
+//! There is no clock, unlike in [`crate::adaptive::time_limit`]: the image depends on the work alone.
 
 use crate::adaptive::allocation::Made;
 use crate::adaptive::error_target::pass;
@@ -20,8 +19,7 @@ use forelight_forecast::accuracy::allot::even_numbers;
 use forelight_tracer::{SampleCounts, Totals};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Share of the work that is spread evenly. Features that the first samples of a tile miss would get no
-/// further samples.
+/// Share of the work that is spread evenly, for features that the first samples of a tile miss.
 const EVEN: f64 = 0.125;
 /// Samples per pixel that show whether it varies.
 const TELLING: f64 = 2.0;
@@ -30,9 +28,8 @@ const GROWTH: f64 = 2.0;
 /// Share of the work that may be left over: whole samples do not come out even.
 const NEAR: f64 = 0.005;
 
-/// Renders a frame, whose cache is filled, with `work` in all, or with one sample per pixel if that costs
-/// more. `passed` gets the work of the pixels so far, and its share of what they may cost. `None` if `cancel`
-/// was set.
+/// Renders a frame, whose cache is filled, with `work` in all, but at least one sample per pixel. `passed`
+/// gets the work of the pixels so far and its share of their budget. `None` if `cancel` was set.
 pub(crate) fn render_for_work(
     ready: &dyn FrameRenderer,
     work: u64,
@@ -81,7 +78,6 @@ pub(crate) fn render_for_work(
     Ok(Some(Made { finished: ready.finished(&passes), samples, survey, within: None }))
 }
 
-/// Work of the frame beside its pixels.
 fn before_pixels(ready: &dyn FrameRenderer) -> u64 {
     let fixed = ready.fixed();
     let fill = ready.spent_on_cache().work.saturating_sub(fixed.plan.work);
