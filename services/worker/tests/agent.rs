@@ -417,7 +417,7 @@ async fn a_paused_worker_stands_still_says_so_and_goes_on() {
         let renewed = farm.renewals.iter().flat_map(|renewal| &renewal.log);
         renewed.chain(&farm.reports[0].log).map(|line| line.text.clone()).collect()
     };
-    for line in ["paused by order", "goes on by order"] {
+    for line in ["paused by the operator", "resumed by the operator"] {
         assert_eq!(said.iter().filter(|said| *said == line).count(), 1, "{said:?}");
     }
     rig.end().await;
