@@ -177,7 +177,7 @@ fn a_cache_that_is_damaged_fails_for_good_and_one_of_another_kind_is_not_added_t
             let error = rig.run(spec.clone(), vec![bytes.clone()]).unwrap_err();
             let ExecuteError::Permanent(text) = &error else { panic!("{error:?}") };
             assert!(
-                text.starts_with("the shot's irradiance cache cannot be used: ") && text.contains(why),
+                text.starts_with("the shared irradiance cache cannot be used: ") && text.contains(why),
                 "{text}"
             );
         }
@@ -211,7 +211,7 @@ fn a_frame_whose_shared_cache_is_of_another_kind_makes_its_own() {
         };
         assert_eq!(alone.artifacts.image_png, made.artifacts.image_png);
         assert_eq!((alone.stats.work, &alone.stats.cache), (made.stats.work, &made.stats.cache));
-        let said = |text: &str| text.starts_with("the frame makes its own irradiance cache");
+        let said = |text: &str| text.starts_with("the frame builds its own irradiance cache");
         assert!(control.unsent().iter().any(|line| said(&line.text)), "{:?}", control.unsent());
     }
 }

@@ -140,7 +140,7 @@ fn a_frame_that_was_broken_off_goes_on_from_its_finished_tiles_to_the_same_bits(
     assert_eq!(before.artifacts.cost_map_png, after.artifacts.cost_map_png);
     assert_eq!((before.stats.work, before.stats.rays), (after.stats.work, after.stats.rays));
     assert!(after.stats.reused_pixels > before.stats.reused_pixels, "nothing was gone on from");
-    assert!(control.unsent().iter().any(|line| line.text.starts_with("goes on from")));
+    assert!(control.unsent().iter().any(|line| line.text.starts_with("continuing from")));
     // What is told of the frame's finished pixels while it is rendered ends as all of them, whoever traced them.
     let told = control.pixels().unwrap();
     assert_eq!((told.done, told.all), (32 * 24, 32 * 24));
