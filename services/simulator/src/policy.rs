@@ -1,4 +1,4 @@
-//! Who renders what.
+//! Policies: which node renders what.
 
 pub mod planned;
 pub mod queue;
@@ -10,29 +10,28 @@ use crate::world::World;
 use planned::Planned;
 use queue::{Queue, QueueRule};
 
-/// Decides what a farm does. It is told of every instant at which something happens.
+/// Decides what a farm does. It is called at every instant at which something happens.
 pub trait Policy {
-    /// A job came in: is its deadline promised?
+    /// A job came in. Returns whether its deadline is promised.
     fn arrived(&mut self, farm: &mut Farm, job: usize) -> bool;
 
-    /// Starts what should start now ([`Farm::start`]). Returns when it wants to be asked again at the latest, if nothing
-    /// happens before.
+    /// Starts tasks ([`Farm::start`]). Returns the latest time of the next call, if nothing happens before.
     fn act(&mut self, farm: &mut Farm) -> Option<i64>;
 
-    /// Whether the frames of a job, by its place, share a cache that is filled before them. Otherwise each fills one of its own, as they do where
-    /// nobody knows beforehand what it holds. What is no cache always comes first.
+    /// Whether a job's frames use a shared cache, rather than one of their own each. Has no effect where
+    /// frames cannot do without the shared cache.
     fn shares_cache(&self, world: &World, job: usize) -> bool {
         let _ = job;
         world.chances.own_cache == 0.0
     }
 
-    /// How many plans it made.
+    /// Number of plans made.
     fn plans(&self) -> u64 {
         0
     }
 }
 
-/// The policies that there are.
+/// All policies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PolicyKind {
@@ -40,11 +39,11 @@ pub enum PolicyKind {
     Planned,
     /// The oldest job of the highest priority first.
     Fifo,
-    /// The project that has least of its share first.
+    /// The project furthest below its share first.
     FairShare,
-    /// The earliest deadline first, on whatever is free.
+    /// The earliest deadline first, on any idle node.
     Deadline,
-    /// The earliest deadline first, on as many nodes as three frames' cost says that it needs.
+    /// The earliest deadline first, on as many nodes as the cost of three frames suggests.
     ThreeFrames,
 }
 
@@ -58,7 +57,7 @@ impl PolicyKind {
         PolicyKind::Fifo,
     ];
 
-    /// For people.
+    /// Name for people.
     pub fn name(self) -> &'static str {
         match self {
             PolicyKind::Planned => "forelight",
@@ -69,8 +68,9 @@ impl PolicyKind {
         }
     }
 
-    /// The policy for a world. `every`: microseconds between two plans at most. `pool`: per cent of the nodes, the cheapest first, that
-    /// policies without plans may use; jobs that fit on none of them may use all.
+    /// The policy for a world. `every`: longest time between plans, in microseconds. `pool`: share of the
+    /// nodes, in per cent and cheapest first, for policies without plans. Jobs that fit on none of them may
+    /// use all.
     pub fn policy(self, world: &World, every: i64, pool: u32) -> Box<dyn Policy> {
         let queue = |rule| -> Box<dyn Policy> { Box::new(Queue::new(world, rule, pool)) };
         match self {

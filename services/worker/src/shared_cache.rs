@@ -157,6 +157,7 @@ pub(crate) fn cache_sample(record: &RecordCost) -> CacheSample {
     CacheSample { level: record.level, own: false, work, cpu_nanos, rays: record.rays.map(u64::from) }
 }
 
+/// A partly filled cache.
 #[derive(Debug, Clone)]
 pub struct Filled {
     /// The cache.

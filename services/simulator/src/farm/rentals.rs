@@ -1,4 +1,5 @@
-//! What is paid: a node from the start of its first task on, until it has had nothing to do for as long as is billed anyway.
+//! Rentals. A rental begins with a node's first task. It ends once the node has been idle to the end of the
+//! time that is billed anyway.
 
 use std::cmp::Reverse;
 
@@ -6,7 +7,7 @@ use super::{Event, Farm, OpenRental};
 use crate::record::Rented;
 
 impl Farm<'_> {
-    /// Nodes that got nothing new are paid to the end of the time that is billed anyway.
+    /// Idle nodes stay rented to the end of the time that is billed anyway.
     pub(super) fn settle(&mut self) {
         for node in std::mem::take(&mut self.freed) {
             if self.nodes[node].running.is_some() {
