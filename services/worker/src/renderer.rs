@@ -215,8 +215,8 @@ pub trait FrameRenderer: Send + Sync {
     fn preview(&self) -> Result<Previewed, RenderError>;
 
     /// Costs of every render of this frame that do not depend on its pixels: set-up (`load`), its cache plan
-    /// (`plan`) and, if something moves in the shot, its acceleration structure (`build`). The plan is made now
-    /// if needed. A frame's cost does not depend on what was done before, so reusing a structure changes nothing.
+    /// (`plan`, made now if needed) and, if something moves in the shot, its acceleration structure (`build`).
+    /// A frame's cost does not depend on what was done before, so reusing a structure changes nothing.
     fn fixed(&self) -> FixedCosts;
 
     /// What this process has paid once for the shot: loading, and a shared acceleration structure.
