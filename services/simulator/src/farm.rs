@@ -12,8 +12,7 @@ use crate::policy::Policy;
 use crate::record::{Attempt, JobRecord, Outcome, Record};
 use crate::world::{TrueTask, World};
 
-/// An event. At the same instant, events happen in the order listed here, so a frame that ends when its
-/// node's window closes is done.
+/// An event. Events at the same instant happen in this order: a frame that ends as its window closes is done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Event {
     Finish { node: usize, attempt: usize },
@@ -371,8 +370,7 @@ impl<'w> Farm<'w> {
     }
 }
 
-/// Price of a unit of work on a node, for comparison: micro-units per 10¹⁸ units, at the node's greatest
-/// speed.
+/// Price of work on a node at its greatest speed, for comparison: micro-units per 10¹⁸ units of work.
 pub(crate) fn price_of_work(node: &Node) -> i128 {
     let speed = node.speeds.values().copied().fold(node.speed, u64::max).max(1);
     i128::from(node.price_per_hour) * 1_000_000_000_000_000_000 / i128::from(speed)

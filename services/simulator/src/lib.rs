@@ -1,14 +1,11 @@
-//! A simulated farm: jobs come in, nodes fail and recover, forecasts are wrong, and a policy decides which
-//! node renders what.
+//! A simulated farm: jobs, failures, wrong forecasts, and a policy that decides which node renders what.
 //!
 //! It is a pure simulation of discrete events, with integer time and money and hashes as random numbers. The
 //! same world and policy give the same bits. Two policies meet the same jobs, true costs and failures.
 //!
-//! * [`World`]: nodes and jobs as the planner sees them, and what only the simulator knows: true work,
-//!   failures, withdrawals.
+//! * [`World`]: nodes and jobs as the planner sees them, and the truth that only the simulator knows.
 //! * [`Farm`]: the events. It enforces the rules of every farm, whatever the policy.
-//! * [`Policy`]: decides which node renders what. [`Planned`] is this project's, [`Queue`] is today's farm
-//!   managers.
+//! * [`Policy`]: which node renders what. [`Planned`] is this project's, [`Queue`] is today's farm managers.
 //! * [`Report`]: the results.
 //! * [`mod@reference`]: farms to measure plans on, and the optimum of small ones.
 

@@ -18,8 +18,7 @@ pub trait Policy {
     /// Starts tasks ([`Farm::start`]). Returns the latest time of the next call, if nothing happens before.
     fn act(&mut self, farm: &mut Farm) -> Option<i64>;
 
-    /// Whether a job's frames use a shared cache, rather than one of their own each. Has no effect where
-    /// frames cannot do without the shared cache.
+    /// Whether a job's frames use a shared cache, rather than their own, where they have the choice.
     fn shares_cache(&self, world: &World, job: usize) -> bool {
         let _ = job;
         world.chances.own_cache == 0.0
@@ -68,9 +67,8 @@ impl PolicyKind {
         }
     }
 
-    /// The policy for a world. `every`: longest time between plans, in microseconds. `pool`: share of the
-    /// nodes, in per cent and cheapest first, for policies without plans. Jobs that fit on none of them may
-    /// use all.
+    /// The policy for a world. `every`: longest time between plans, in microseconds. `pool`: cheapest nodes
+    /// that policies without plans may use, in per cent. Jobs that fit on none of them may use all.
     pub fn policy(self, world: &World, every: i64, pool: u32) -> Box<dyn Policy> {
         let queue = |rule| -> Box<dyn Policy> { Box::new(Queue::new(world, rule, pool)) };
         match self {

@@ -193,10 +193,9 @@ pub fn tiny(seed: u64, in_steps: bool) -> Input {
     }
 }
 
-/// The least cost of a plan for a [`tiny`] farm that keeps all deadlines. `None` if there is no such plan.
-/// Tries every assignment of frames to nodes and every order on each node. A frame starts as early as it can
-/// or, where nodes are billed in steps, at any later quarter of an hour. All times are quarters, so no other
-/// start is cheaper.
+/// The least cost of a plan that keeps all deadlines of a [`tiny`] farm. `None` if there is no such plan.
+/// Tries every assignment of frames to nodes, and every order. A frame starts as early as it can or, where
+/// nodes are billed in steps, at any later quarter of an hour. All times are quarters, so this is exact.
 pub fn cheapest_by_trying_everything(input: &Input) -> Option<i64> {
     let works: Vec<(usize, u64)> = input
         .jobs

@@ -75,8 +75,7 @@ impl Scenario {
     }
 }
 
-/// A studio's nodes and jobs, as [`reference::studio`] draws them. Jobs come in at any time, with deadlines
-/// 16 to 72 hours later.
+/// A studio as [`reference::studio`] draws it. Jobs come in at any time, with deadlines 16 to 72 hours later.
 pub fn studio(scenario: Scenario, seed: u64) -> Input {
     let size = Size {
         jobs: scenario.jobs,

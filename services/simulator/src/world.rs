@@ -29,8 +29,7 @@ pub struct Chances {
     pub hours_of_repair: f64,
     /// Seconds from a worker's last renewal until its lease expires.
     pub lease_seconds: f64,
-    /// Work of a frame's own irradiance cache, as a share of the job's shared cache. 0: frames cannot do
-    /// without the shared one.
+    /// Work of a frame's own cache, as a share of the job's shared one. 0: frames need the shared one.
     pub own_cache: f64,
     /// Share of jobs that are withdrawn before their deadline.
     pub withdrawn: f64,
@@ -82,8 +81,7 @@ pub(crate) struct TrueTask {
 const PATIENCE: i64 = 60 * 24 * 3_600_000_000;
 
 impl World {
-    /// Draws the truth. The order of nodes and jobs in the input does not matter. Movable bookings are
-    /// ignored.
+    /// Draws the truth. The order of nodes and jobs does not matter. Movable bookings are ignored.
     ///
     /// # Errors
     /// If the input is invalid.
@@ -199,8 +197,7 @@ impl World {
         least_cost(&known)
     }
 
-    /// Microseconds from a node's n-th repair (from the start for n = 0) to its next failure. `None` without
-    /// failures.
+    /// Microseconds from a node's n-th repair (0: the start) to its next failure. `None` without failures.
     pub(crate) fn until_failure(&self, node: usize, n: u64) -> Option<i64> {
         let mean = self.chances.hours_between_failures;
         (mean > 0.0).then(|| self.exponential(FAILURE, node, n, mean))

@@ -1,5 +1,4 @@
-//! The worker: leases a task, executes it, reports the result. It talks to the service over HTTP only. The
-//! command line uses the same steps offline.
+//! The worker: leases a task over HTTP, executes it, reports the result. Offline commands use the same steps.
 //!
 //! | folder or file | subject |
 //! | --- | --- |

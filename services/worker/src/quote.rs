@@ -61,8 +61,7 @@ impl Quote {
         self.profiled.iter().map(ProfiledFrame::spent_for_good).fold(self.preview.spent, Spent::plus)
     }
 
-    /// The quote with irradiance caches built as `asked`. If `planned` holds a shared cache's plan, the
-    /// profiled pixels are measured again with it.
+    /// The quote with caches built as `asked`. A `planned` shared cache means measuring the pixels again.
     pub fn with_sharing(
         &self,
         renderer: &dyn Renderer,

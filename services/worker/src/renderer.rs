@@ -214,9 +214,9 @@ pub trait FrameRenderer: Send + Sync {
     /// What each pixel shows.
     fn preview(&self) -> Result<Previewed, RenderError>;
 
-    /// Costs of every render of this frame that do not depend on its pixels: set-up (`load`), its cache plan
-    /// (`plan`, made now if needed) and, if something moves in the shot, its acceleration structure (`build`).
-    /// A frame's cost does not depend on what was done before, so reusing a structure changes nothing.
+    /// Costs of every render of this frame that do not depend on its pixels: set-up (`load`), the cache plan
+    /// (`plan`, made now if needed) and, if something moves in the shot, an acceleration structure (`build`). It
+    /// makes no difference whether a structure is reused: a frame's cost does not depend on earlier work.
     fn fixed(&self) -> FixedCosts;
 
     /// What this process has paid once for the shot: loading, and a shared acceleration structure.
@@ -238,9 +238,8 @@ pub trait FrameRenderer: Send + Sync {
     /// Work by class of everything traced so far: of pixels, and of gathering records.
     fn work_by_class(&self) -> (ByClass, ByClass);
 
-    /// Traces pixels by index, in the order given, on the current thread pool. Returns them with their noise.
-    /// With an irradiance cache that is planned but not filled, colours are not final. See
-    /// [`FrameRenderer::fill_for`].
+    /// Traces pixels by index, in order, on the current thread pool. Returns them with their noise. Their
+    /// colours are final once the irradiance cache, if there is one, is filled ([`FrameRenderer::fill_for`]).
     fn trace(&self, pixels: &[u32]) -> Vec<(Pixel, PixelNoise)> {
         self.trace_unless(pixels, &|| false).unwrap_or_default()
     }
@@ -252,13 +251,11 @@ pub trait FrameRenderer: Send + Sync {
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Option<Vec<(Pixel, PixelNoise)>>;
 
-    /// Fills the irradiance cache as far as these pixels need, on the current thread pool, and returns the
-    /// cost. Colours are then close to the image's: a full cache is a little less noisy, as its records are
-    /// averaged. `None` if `stop` returned true.
+    /// Fills the irradiance cache as far as these pixels need, on the current thread pool. Colours are then
+    /// nearly final: a full cache averages its records. `None` if `stop` returned true.
     fn fill_for(&self, pixels: &[u32], stop: &(dyn Fn() -> bool + Sync)) -> Option<Spent>;
 
-    /// Plans and fills the irradiance cache, if there is one, on the current thread pool. `false` if `cancel`
-    /// was set.
+    /// Plans and fills any irradiance cache, on the current thread pool. `false` if `cancel` was set.
     fn fill(&self, progress: &(dyn Fn(Progress) + Sync), cancel: &AtomicBool) -> bool;
 
     /// Cost of the irradiance cache so far: planning and gathering. Zero without one.
@@ -273,9 +270,8 @@ pub trait FrameRenderer: Send + Sync {
     /// Starts an image in passes, without samples.
     fn begin(&self) -> Passes;
 
-    /// Brings its pixels to these numbers of camera samples, on the current thread pool, and returns the
-    /// cost. The irradiance cache must be filled. `stop` is checked before each pixel. `progress` is called
-    /// [`Passes::parts`] times.
+    /// Brings pixels to these camera samples, on the current thread pool. Any irradiance cache must be
+    /// filled. `stop` is checked before each pixel. `progress` is called [`Passes::parts`] times.
     fn go_on(
         &self,
         passes: &mut Passes,
@@ -294,8 +290,7 @@ pub trait FrameRenderer: Send + Sync {
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Option<Vec<Vec<(Pixel, PixelNoise)>>>;
 
-    /// Costs of gathering `each` records of every level, chosen uniformly by `seed`, on the current thread
-    /// pool. Empty without an irradiance cache.
+    /// Costs of gathering `each` records of every level, chosen uniformly, on the current thread pool.
     fn sample_records(&self, each: usize, seed: u64) -> Vec<RecordCost>;
 
     /// A profile for [`FrameRenderer::render`]: these pixels or, with an irradiance cache, the cache so far.
@@ -308,8 +303,7 @@ pub trait FrameRenderer: Send + Sync {
     /// dropped, and the frame plans what it lacks. Returns both counts.
     fn share(&self, cache: Cache) -> Result<Shared, RenderError>;
 
-    /// Renders the image on the current thread pool, taking over `reuse`. `finished` receives pixels as they
-    /// are finished. `None` if `cancel` was set.
+    /// Renders the image on the current thread pool, taking over `reuse`. `None` if `cancel` was set.
     fn render(
         &self,
         reuse: Option<&Profile>,

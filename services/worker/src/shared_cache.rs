@@ -30,8 +30,7 @@ pub struct SharedPlan {
 }
 
 impl SharedPlan {
-    /// The task's result. `keep` stores the cache and returns its name, unless the cache is too large to be
-    /// sent.
+    /// The task's result. `keep` stores a cache that is small enough to be sent, and returns its name.
     pub fn result(self, keep: impl FnOnce(Vec<u8>) -> ArtifactHash) -> CachePlanResult {
         let bytes = self.cache.to_bytes();
         let size = bytes.len() as u64;
@@ -57,8 +56,7 @@ pub fn plan_shared(
     progress: &dyn Fn(f64),
     cancel: &AtomicBool,
 ) -> Result<Option<SharedPlan>, RenderError> {
-    // The first half is planning. The second half counts each frame, which reads the cache from a file as its
-    // render will.
+    // Half is planning. The rest counts each frame, which reads the cache from a file as its render will.
     let steps = 2.0 * frames.len().max(1) as f64;
     let planned = renderer.plan_cache(frames, settings, &|done| progress(done as f64 / steps), cancel)?;
     let Some(cache) = planned else { return Ok(None) };
@@ -191,9 +189,8 @@ pub fn fill_part(
 }
 
 impl AmbientShot {
-    /// Plans a cache for these frames on the current thread pool. Records depend on the order of frames.
-    /// `progress` receives the frames done. `None` if `cancel` was set, without frames, and if no cache is
-    /// needed.
+    /// Plans a cache for these frames, in order, on the current thread pool. `progress` receives the frames
+    /// done. `None` if `cancel` was set or no cache is needed.
     ///
     /// # Errors
     /// If a frame is outside the shot, or a setting out of its range.

@@ -1,5 +1,4 @@
-//! Rentals. A rental begins with a node's first task. It ends once the node has been idle to the end of the
-//! time that is billed anyway.
+//! Rentals: from a node's first task until it is idle at the end of the time that is billed anyway.
 
 use std::cmp::Reverse;
 

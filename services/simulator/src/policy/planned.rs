@@ -5,8 +5,7 @@
 //! * Finished frames correct the forecast of their job ([`Learned`]). Finished jobs correct all forecasts.
 //! * Frames have noise of their own, which capacity does not average out for the last ones. Plans use an
 //!   earlier deadline, by the possible overrun of the longest of them ([`Planned::margin`]).
-//! * A new plan is made when a job comes in, when a lost frame must move, and at intervals. In between, nodes
-//!   follow the order of their bookings.
+//! * New jobs, lost frames and intervals cause a new plan. In between, nodes follow their bookings.
 
 mod learned;
 
@@ -103,8 +102,7 @@ impl Planned {
         libm::exp(mean + z * libm::sqrt(variance))
     }
 
-    /// For the finished frames of a job: sum of log(work / median), their number, and the standard deviation
-    /// of one frame.
+    /// For finished frames: sum of log(work / median), their number, and the standard deviation of one frame.
     fn measured(&self, farm: &Farm, job: usize, widening: f64) -> (f64, f64, f64) {
         let asked = farm.job(job);
         let own = asked.frames.first().map_or(0.0, |frame| asked.own_spread(frame)) * widening;
@@ -319,8 +317,7 @@ impl Planned {
         self.next = farm.now().saturating_add(self.every);
     }
 
-    /// A late job aims at its earliest end, rather than at being less late at any price. A job that is in
-    /// time again aims at its deadline.
+    /// Sets a late job's target to its earliest end, and back to its deadline once it is in time again.
     fn aim(&mut self, farm: &Farm, made: &Plan) {
         for entry in &made.jobs {
             let Some(job) = farm.place_of(entry.job) else { continue };

@@ -22,8 +22,7 @@ use crate::renderer::{FrameRenderer, Renderer};
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{RenderSettings, Spent};
 
-/// Candidate factors on the divisions of reference gathers, to keep their noise small. The first that needs
-/// at most [`MOST_TIMES`] the rays is used.
+/// Factors on the divisions of reference gathers. The first with at most [`MOST_TIMES`] the rays is used.
 const FINER: [u32; 2] = [4, 2];
 
 const MOST_TIMES: f64 = 8.0;

@@ -1,8 +1,7 @@
 //! Measured errors: every rung is rendered and compared to converged images.
 //!
 //! The converged image is rendered in two independent halves, a and b. For an image x that is independent of
-//! both, E[(x − a)(x − b)] = E[(x − t)²], with t what both converge to. The noise of the halves drops out, so
-//! it need not be small.
+//! both, E[(x − a)(x − b)] = E[(x − t)²], with t what both converge to. Their own noise drops out.
 
 use super::AccuracyObserver;
 use crate::profile::ShotError;
@@ -28,8 +27,7 @@ pub(crate) struct Converged {
     mean: f64,
 }
 
-/// Renders every rung of a one-frame document, once for each distinct setting, and records its cost and
-/// error. `observer` is told of finished rungs.
+/// Renders every distinct rung of a one-frame document, and records its cost and error.
 pub fn measure(
     renderer: &dyn Renderer,
     frame: u32,

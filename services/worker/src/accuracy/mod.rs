@@ -71,8 +71,7 @@ pub trait AccuracyObserver: Sync {
 /// Larger images are left out, unless a larger one was asked for: a preview needs 32 bytes per pixel.
 const MOST_PIXELS: u64 = 1 << 26;
 
-/// Predicts these ladders around the settings that were asked for. Of the other ladders, only the rung that
-/// was asked for.
+/// Predicts these ladders. Of the other ladders, only the rung that was asked for.
 pub fn predict(
     renderer: &dyn Renderer,
     frame: u32,

@@ -144,8 +144,7 @@ impl Pilot {
             cost: seen.cost.with_samples(factor, extra, growth),
         });
         let mut observations = of_view(&view.counts, of_pixels.collect());
-        // A smaller image may have fewer pixels of a stratum than were profiled: the forecast is of copies of
-        // it.
+        // A smaller image may have fewer pixels of a stratum than were profiled: forecast copies of it.
         let copies = copies(&view.counts, &observations);
         let of_copies = |counts: &[u32]| counts.iter().map(|count| count * copies).collect::<Vec<u32>>();
         let records = of_copies(&view.cache_records);
@@ -239,8 +238,7 @@ mod tests {
             let (work, _) = pilot.cost(&view, settings.spp).unwrap();
             let off = work.mean / rendered.stats.work as f64 - 1.0;
             println!("{width} x {height}: {off:+.3}");
-            // Rules out that a sixteenth of the pixels costs half. Forty pixels do differ from their
-            // neighbours.
+            // Forty pixels differ from their neighbours, but a sixteenth of all must not cost half.
             assert!(off.abs() < 0.25, "{width} x {height}: {off}");
         }
     }

@@ -274,9 +274,9 @@ impl<'a> Allotment<'a> {
         variance
     }
 
-    /// Mean samples of each zone, weighted by the cost of a sample of each pixel. Costly tiles may get more
-    /// samples or fewer. The profiled pixels estimate the difference to the plain mean (a difference
-    /// estimator).
+    /// Mean samples of each zone, weighted by the cost of a sample of each pixel. The profiled pixels
+    /// estimate the difference to the plain mean (a difference estimator), since costly tiles may get more
+    /// samples.
     fn means(&self, counts: &SampleCounts) -> Vec<f64> {
         let of_pixel = |pixel: u32| f64::from(counts.as_slice()[pixel as usize]);
         let mean = |(pixels, profiled): (&Vec<u32>, &Vec<usize>)| {

@@ -24,8 +24,7 @@ const FIRST: f64 = 4.0;
 const GROWTH: f64 = 4.0;
 /// An error that exceeds the target by this share is accepted.
 pub const NEAR_ENOUGH: f64 = 0.01;
-/// Least growth in cost for a pass that takes the law of the variance as certain. Otherwise the pass adds all
-/// that the confidence needs.
+/// Least growth in cost for a pass that takes the law of the variance as certain.
 const WORTHWHILE: f64 = 0.02;
 
 /// Renders a frame, whose cache is filled, until its error is below `wanted`, a share of the image's mean.

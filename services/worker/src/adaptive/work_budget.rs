@@ -1,11 +1,9 @@
 //! A render that spends a given amount of work.
 //!
-//! The same work gives a smaller error if it goes to the pixels that vary. So the frame is rendered in
-//! passes:
+//! The same work gives a smaller error where pixels vary. So the frame is rendered in passes:
 //!
 //! 1. One sample for every pixel, which shows the cost of a sample.
-//! 2. As many for every pixel as an eighth of the work buys, rounded down to a number at which they lie
-//!    evenly. Two, if there is work for them.
+//! 2. An eighth of the work, spread evenly: at least two samples for every pixel, if there is work for them.
 //! 3. Further passes where samples pay ([`crate::adaptive::tiles`]), each at most doubling the work.
 //!
 //! There is no clock, unlike in [`crate::adaptive::time_limit`]: the image depends on the work alone.

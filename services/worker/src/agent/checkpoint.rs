@@ -15,8 +15,7 @@ pub(crate) struct Checkpoints<'a> {
 }
 
 struct State {
-    /// Content of a checkpoint. `None` if the frame is too large, or has an irradiance cache: its pixels are
-    /// then the smaller part of the work.
+    /// `None` if the frame is too large, or has an irradiance cache, without which pixels are worth little.
     profile: Option<Profile>,
     last: Instant,
 }

@@ -187,8 +187,7 @@ impl Control {
         &self.cancelled
     }
 
-    /// Adds a line to the task's log. The next renewal sends it. Lines beyond the limit are dropped, and a
-    /// last line says so.
+    /// Adds a line to the task's log, for the next renewal. Lines beyond the limit are dropped.
     pub fn log(&self, level: LogLevel, text: impl Into<String>) {
         let text = text.into();
         let mut book = lock(&self.log);

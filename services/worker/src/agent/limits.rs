@@ -8,8 +8,7 @@ use std::time::{Duration, Instant};
 /// Time between two checks.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// Returns an error when the task of `control` exceeds a limit, and never otherwise. Paused time does not
-/// count.
+/// Returns an error once the task of `control` exceeds a limit. Paused time does not count.
 pub(crate) async fn gone_beyond(limits: TaskLimits, control: &Control) -> ExecuteError {
     if limits.are_none() {
         return std::future::pending().await;

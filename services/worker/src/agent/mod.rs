@@ -14,8 +14,7 @@
 //! * **The node should sleep.** The service knows the node's calendar. A renewal, or the answer to a claim,
 //!   says until when the node sleeps. Until then this worker sends nothing. It follows the wall clock, so the
 //!   machine may be suspended.
-//! * **This process is told to stop.** The work is stopped and the lease given back, so that another node can
-//!   have the task at once.
+//! * **This process is told to stop.** The work is stopped and the lease given back, for another node.
 
 pub(crate) mod capabilities;
 pub(crate) mod checkpoint;
@@ -183,9 +182,8 @@ impl Agent {
         Ok(())
     }
 
-    /// Executes one task and ends. Waits while another worker holds the task. A process that was started
-    /// twice is thus harmless, and takes over when the first one dies. The outcome is reported to the
-    /// service, and is no error here.
+    /// Executes one task and ends. Waits while another worker holds the task, so a second process is harmless
+    /// and takes over when the first one dies. The outcome is reported to the service, and is no error here.
     pub async fn run_task(&self, task: TaskId, stop: CancellationToken) -> Result<Errand, AgentError> {
         let Some(node) = self.register(None, &stop).await? else { return Ok(Errand::Stopped) };
         let patient = self.client.with_backoff(Backoff::FOREVER);
@@ -234,8 +232,7 @@ impl Agent {
         *self.asleep.lock().unwrap_or_else(PoisonError::into_inner) = Some(until);
     }
 
-    /// Follows the sleep order of a renewal. Its instants are by the service's clock, which follows from the
-    /// end of the lease.
+    /// Follows the sleep order of a renewal. Its times are by the service's clock.
     fn heed(&self, renewed: &Renewal, lease: &Lease) {
         let ttl = if renewed.order == LeaseOrder::Stop { 0 } else { lease.ttl_ms };
         let there =
@@ -286,8 +283,7 @@ impl Agent {
             if !matches!(ending, Ending::Finished(_)) {
                 control.cancel();
                 given_up.cancel();
-                // Wait until the threads are free. Meanwhile the lease is held if possible, so that the error
-                // can be reported.
+                // Wait until the threads are free. Hold the lease if possible, to report the error.
                 tokio::select! {
                     _ = &mut work => {}
                     () = self.hold(&lease, &control), if !matches!(ending, Ending::Lost) => {
@@ -357,8 +353,7 @@ impl Agent {
         };
         control.log(LogLevel::Info, "bundle fetched");
         let checkpoint = match &lease.spec {
-            // Only an earlier attempt can have left a checkpoint. Without it, the frame starts from the
-            // beginning.
+            // Only an earlier attempt can have left a checkpoint. It is optional.
             TaskSpec::Render(_) if lease.fence > 1 => {
                 self.client.checkpoint(lease.lease_id).await.unwrap_or_default()
             }
@@ -385,8 +380,7 @@ impl Agent {
         Ok((bundle, profile, caches))
     }
 
-    /// Renews the lease three times per lifetime and passes orders on to the work. Returns when the lease is
-    /// lost or no longer wanted.
+    /// Renews the lease three times per lifetime and passes orders on. Returns when the lease is lost.
     async fn hold(&self, lease: &Lease, control: &Control) {
         let interval = Duration::from_millis((lease.ttl_ms / 3).max(50));
         let once = self.client.with_backoff(Backoff { attempts: Some(1), ..Backoff::PATIENT });

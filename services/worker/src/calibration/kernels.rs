@@ -47,8 +47,7 @@ const TEXELS: u32 = 2048;
 /// Something to run and to time.
 pub struct Kernel {
     pub name: &'static str,
-    /// Time on the reference core over the time that the rates of whole frames predict. Kernels are more
-    /// coherent or less coherent than frames.
+    /// Its time on the reference core, relative to what rates of whole frames predict.
     pub beyond: f64,
     does: Does,
 }

@@ -28,8 +28,7 @@ const REFERENCE_RATES: [f64; ByClass::CLASSES] =
 /// Default number of rounds, about four seconds.
 pub const ROUNDS: usize = 16;
 
-/// Measures one core, on the calling thread, in `rounds` rounds after one to warm up. `done` receives the
-/// runs so far, and all.
+/// Measures one core, on the calling thread, after a round to warm up. `done` receives runs so far, and all.
 pub fn calibrate(rounds: usize, done: &dyn Fn(usize, usize)) -> NodeCalibration {
     let kernels = kernels::all();
     let mut times = vec![

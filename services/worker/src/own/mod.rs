@@ -97,9 +97,8 @@ fn backend(previewer: &Previewer) -> PreviewBackend {
     if previewer.backend() == "gpu" { PreviewBackend::Gpu } else { PreviewBackend::Cpu }
 }
 
-/// Cost of the last preview. Work is in the tracer's weights on the CPU. On the GPU, where no nodes are
-/// visited, it is one operation per pixel and triangle. Time includes the device's, since a software driver
-/// runs on the same processor.
+/// Cost of the last preview. CPU work is in the tracer's weights. GPU work is one operation per pixel and
+/// triangle. Time includes the device's, since a software driver runs on the same processor.
 fn preview_spent(previewer: &Previewer, frame: &Frame, setup_nanos: u64) -> Spent {
     let cost = previewer.cost();
     let (pixels, triangles) = (frame.camera.pixels() as u64, frame.geometry.triangles.len() as u64);

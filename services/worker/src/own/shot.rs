@@ -24,7 +24,6 @@ pub struct AmbientShot {
     everything: bool,
     /// Geometry of frame 0. Frames in which nothing has moved share it.
     still: Arc<Geometry>,
-    /// Cost of reading the bundle.
     load: Spent,
     still_tree: Mutex<Still>,
     /// Tree of the last frame in which something had moved.
@@ -38,7 +37,6 @@ struct Tree {
     build: Spent,
 }
 
-/// The tree of the shared geometry.
 #[derive(Default)]
 struct Still {
     tree: Option<Tree>,
@@ -82,8 +80,7 @@ impl AmbientShot {
         })
     }
 
-    /// Traces with code for all effects and with everything left in, to measure what leaving things out
-    /// saves. Images stay the same, bit by bit.
+    /// Leaves nothing out, to measure what leaving out saves. Images stay the same, bit by bit.
     pub fn with_everything(self) -> Self {
         Self { everything: true, ..self }
     }
@@ -99,15 +96,13 @@ impl AmbientShot {
         Ok(self.scene.frame_with(frame, Some((settings.width, settings.height)))?)
     }
 
-    /// The view of one frame onto the world of another.
     pub(crate) fn view_of(&self, frame: u32, world: &Frame) -> Result<Frame, RenderError> {
         let camera = self.scene.camera(frame)?.resized(world.camera.width, world.camera.height);
         Ok(Frame { number: frame, camera, ..world.clone() })
     }
 
     pub(crate) fn tracer(&self, frame: &Frame, settings: &Settings) -> Ready {
-        // If something moves in the shot, every frame is charged for a tree. Otherwise the cost of a frame
-        // would depend on the frames before it.
+        // If something moves, every frame is charged for a tree. Its cost must not depend on earlier frames.
         let own = |build: Spent| if self.moves { build } else { Spent::default() };
         let ready = |known: Option<&Tree>| {
             let known = known.filter(|tree| Arc::ptr_eq(&tree.geometry, &frame.geometry));
@@ -139,8 +134,7 @@ impl AmbientShot {
         ready
     }
 
-    /// Records of a frame's irradiance cache by level, and the cost of planning them, including trees built
-    /// for it.
+    /// Planned records of a frame by level, and the cost of planning, with any trees built for it.
     fn planned_records(&self, frame: &Frame, settings: &Settings) -> (Vec<u32>, Option<PlanCount>, Spent) {
         if settings.cache.is_none() {
             return (Vec::new(), None, Spent::default());

@@ -51,8 +51,7 @@ pub trait Observer: Sync {
 
 /// The shot's strata for the forecast, the background last.
 ///
-/// Prior costs only steer the first samples: a pixel of glass sends out several times the rays of a wall's,
-/// an empty one hardly any.
+/// Prior costs only steer the first samples. Glass sends out several times the rays of a wall.
 pub fn forecast_strata(strata: &[StratumInfo], settings: &RenderSettings) -> Vec<Stratum> {
     const TRANSPARENT: f64 = 3.0;
     const SPECULAR: f64 = 2.0;
@@ -72,8 +71,7 @@ pub fn forecast_strata(strata: &[StratumInfo], settings: &RenderSettings) -> Vec
     known.chain([Stratum::background(BACKGROUND)]).collect()
 }
 
-/// Prior cost of gathering a record of the irradiance cache, relative to a plain diffuse pixel. `None`
-/// without a cache.
+/// Prior cost of gathering a record, relative to a plain diffuse pixel. `None` without a cache.
 pub fn record_prior_cost(settings: &RenderSettings) -> Option<f64> {
     let cost = f64::from(settings.cache_rays) / f64::from(settings.spp);
     (settings.cache == CacheMode::On).then_some(cost)
@@ -145,8 +143,7 @@ pub fn count_frames(
 pub struct ProfiledFrame {
     /// Frame number.
     pub frame: u32,
-    /// Cost of each profiled pixel, in the order of `traced`, by the strategy's strata. Times are as in a
-    /// render (see `warm_clock`).
+    /// Stratum and cost of each profiled pixel, in the order of `traced`. Times are as in a render.
     pub observations: Vec<Observation>,
     /// Stratum of [`forecast_strata`] that each observed pixel shows.
     pub shown: Vec<u32>,
@@ -156,8 +153,7 @@ pub struct ProfiledFrame {
     pub traced: Vec<(u32, Pixel)>,
     /// Sampled records of every level of the irradiance cache. Empty without a cache.
     pub records: Vec<RecordCost>,
-    /// For the render to take over: the traced pixels or, with an irradiance cache, its plan and the gathered
-    /// records of the deepest level.
+    /// Traced pixels or, with an irradiance cache, its plan and the gathered records of the deepest level.
     pub profile: Profile,
     /// Costs of every render of the frame that do not depend on its pixels, without writing its files.
     pub fixed: FixedCosts,
@@ -175,8 +171,7 @@ pub struct ProfiledFrame {
     pub preview: Spent,
     /// Cost of all traced pixels.
     pub pixels: Spent,
-    /// Noise of the profiled pixels, and of some at the edges of lights. `None` with an irradiance cache that
-    /// was not filled.
+    /// Noise of profiled pixels and edges of lights. `None` with an irradiance cache that was not filled.
     pub noise: Option<FrameNoise>,
     /// The preview as a picture.
     pub picture: image::RgbImage,
@@ -222,10 +217,9 @@ pub fn stratum_ids(preview: &Preview) -> Vec<u32> {
     preview.stratum.iter().map(|&s| if s == NOTHING { background } else { s }).collect()
 }
 
-/// Profiles the pixels of one frame that the strategy chooses, and records of every level of an irradiance
-/// cache. Snapshot has two phases: the first spreads pixels by strata, the second goes where the first found
-/// cost and variation. The seed of `options` makes both choices. The pixels' own random numbers are those of
-/// the render.
+/// Profiles pixels of one frame, and records of every level of an irradiance cache. Snapshot has two phases:
+/// the first spreads pixels by strata, the second goes where the first found cost and variation. The seed of
+/// `options` chooses pixels and records. Random numbers of the pixels are those of the render.
 pub fn profile_frame(
     renderer: &dyn Renderer,
     frame: u32,
@@ -325,8 +319,7 @@ pub(crate) fn profile_ready(
     Ok((profiled, seen))
 }
 
-/// Work of all pixels, at the mean of the profiled pixels of each stratum, or of all. A rough estimate, to
-/// weigh pixels against records.
+/// Rough work of all pixels, at the mean of the profiled pixels of each stratum, or of all.
 fn work_of_pixels(counts: &[u32], observations: &[Observation]) -> f64 {
     let mut seen = vec![(0u64, 0u64); counts.len()];
     for observation in observations {

@@ -1,9 +1,8 @@
 //! The image's error by stratum, from profiled pixels.
 //!
 //! The strata are those of cost, and one more: pixels where a light, or the bright outside, borders on
-//! something else. Their samples are now the lamp and now the wall behind it. Such pixels are few, and may
-//! hold most of the error of an image of few samples. The preview knows where they are, so some more of them
-//! are traced.
+//! something else. They are few, and may hold most of the error of an image of few samples. The preview knows
+//! where they are, so some more of them are traced.
 //!
 //! Errors have heavier tails than costs: one sample in ten thousand that meets a lamp via rough steel may
 //! outweigh the rest of its stratum. So the blocks of neighbours that are traced for their time (see

@@ -5,10 +5,9 @@
 //! hundred thousand triangles, scattered pixels of direct light take 1.6 to 1.9 times as long. (Sampled
 //! simulation of processors has the same bias and remedy: functional warming, Wunderlich et al. 2003.)
 //!
-//! So a block of neighbours around some profiled pixels is traced too, in one run. The first pixels of a
-//! block warm the caches, the rest show the time per unit of work. Blocks are drawn in proportion to the work
-//! that their profiled pixel represents, so the mean of their rates estimates the frame's time over its work.
-//! All profiled times are scaled by one factor,
+//! So some blocks of neighbours are traced too, each in one run. The first pixels of a block warm the caches,
+//! the rest show the time per unit of work. Blocks are drawn in proportion to the work that their profiled
+//! pixel represents, so the mean of their rates estimates that of the frame. All profiled times are scaled by
 //! ```text
 //! ρ = mean of the middle half of the blocks' (time / work)  /  ( Σ w_i time_i / Σ w_i work_i )
 //! w_i = pixels that pixel i stands for
@@ -76,8 +75,7 @@ fn sites(picks: usize) -> usize {
     (picks / PICKS_PER_SITE).min(picks.isqrt())
 }
 
-/// Mean of the middle half of the values, NaN if there are none. Leaves out blocks whose thread lost its
-/// processor or its caches.
+/// Mean of the middle half, NaN if empty. Leaves out blocks whose thread was interrupted.
 fn middle_mean(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let quarter = values.len() / 4;

@@ -32,10 +32,9 @@ pub struct Given<'a> {
 
 /// Renders one frame on the current thread pool, taking over what is given. `None` if `cancel` was set.
 ///
-/// Its cost is that of pixels, set-up, its own irradiance cache and, if something moves in the shot, its
-/// acceleration structure. Parts that were done before, by profiling or for another frame, count too: this is
-/// the cost that forecasts predict. It excludes what a process pays once (loading, a structure that all
-/// frames share) and the shared cache.
+/// Its cost is the cost that forecasts predict: pixels, set-up, its own irradiance cache and, if something
+/// moves in the shot, its acceleration structure, even if some of it was computed before. It excludes what a
+/// process pays once (loading, a structure that all frames share) and the shared cache.
 pub fn render_frame(
     renderer: &dyn Renderer,
     frame: u32,
@@ -68,7 +67,6 @@ pub fn render_ready(
     Ok(Some(rendered(ready, finished, settings, start.elapsed().as_secs_f64())))
 }
 
-/// A finished frame with its cost.
 pub(crate) fn rendered(
     ready: &dyn FrameRenderer,
     finished: Finished,

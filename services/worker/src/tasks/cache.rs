@@ -12,7 +12,6 @@ use forelight_protocol::{
 use forelight_tracer::{Cache, CacheError, clocked};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Plans the shared cache and its use in each frame.
 pub(crate) fn plan(
     renderer: &dyn Renderer,
     spec: &CachePlanSpec,
@@ -40,7 +39,6 @@ pub(crate) fn plan(
     Ok(Outcome { result: TaskResult::CachePlan(result), artifacts: files.contents })
 }
 
-/// Fills a part of the shared cache.
 pub(crate) fn fill(
     renderer: &dyn Renderer,
     spec: &CacheFillSpec,
@@ -124,8 +122,7 @@ pub(crate) fn of_shared_cache(error: RenderError) -> ExecuteError {
     }
 }
 
-/// A damaged file is damaged for everyone, as its hash matched. A file from another version of the renderer
-/// may suit another worker.
+/// A damaged file is damaged for all workers. One of another renderer version may suit another worker.
 fn unusable(error: CacheError) -> ExecuteError {
     let text = format!("the shared irradiance cache cannot be used: {error}");
     match error {

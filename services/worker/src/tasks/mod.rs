@@ -49,8 +49,7 @@ impl Execute for TaskRunner {
     fn execute(&self, assignment: &Assignment, control: &Control) -> Result<Outcome, ExecuteError> {
         let renderer = self.library.open(&assignment.bundle)?;
         let renderer = &*renderer;
-        // Shared storage may hold a newer bundle. Its cost would differ from the quote, and its frames from
-        // the shot.
+        // A bundle on shared storage may have changed. The quote would be wrong, and frames would not match.
         let (submitted, found) = (assignment.spec.digest(), renderer.info().summary.digest);
         if found != submitted {
             return Err(ExecuteError::Permanent(format!(
@@ -240,12 +239,9 @@ fn noise_cells(info: &ShotInfo, settings: &RenderSettings, profiled: &ProfiledFr
         .collect()
 }
 
-/// The strata in a result, in the order of the shot. Estimates are summed in this order, which makes them
-/// reproducible to the last bit.
+/// The strata in a result, in the order of the shot. Estimates add up in this order, for the same bits.
 struct Shown {
-    /// Indices into the shot's strata, ascending, each once.
     strata: Vec<usize>,
-    /// The same, as protocol data.
     list: Vec<Stratum>,
     background_prior_cost: f64,
 }
@@ -275,7 +271,6 @@ pub(crate) fn artifact_name(content: &[u8]) -> ArtifactHash {
     ArtifactHash(*blake3::hash(content).as_bytes())
 }
 
-/// Files to upload, named by their hash.
 #[derive(Default)]
 pub(crate) struct Files {
     pub(crate) contents: Vec<Bytes>,

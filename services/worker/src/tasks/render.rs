@@ -17,7 +17,6 @@ use std::cell::Cell;
 use std::sync::Once;
 use std::time::Instant;
 
-/// Renders a frame and writes its files.
 pub(crate) fn render(
     renderer: &dyn Renderer,
     spec: &RenderSpec,
@@ -104,8 +103,7 @@ fn evenly(
         .ok_or(ExecuteError::Cancelled)
 }
 
-/// Renders with `work` in all, spent where samples pay. Checkpoints do not help: the samples of a pixel are
-/// only known in the last pass.
+/// Renders with `work` in all. Checkpoints do not help: only the last pass decides a pixel's samples.
 fn for_work(
     ready: &dyn FrameRenderer,
     spec: &RenderSpec,

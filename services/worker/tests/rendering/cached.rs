@@ -118,8 +118,7 @@ fn a_camera_sample_more_costs_what_the_explanation_says_of_it() {
         let (now, more) = (work(spp), work(spp + 1));
         let off = explained.camera_sample * explained.work / (more - now) - 1.0;
         println!("{spp} samples: one more {:.4}, off by {off:+.3}", (more - now) / now);
-        // All pixels were profiled. What remains: other samples see other things, and records cover them less
-        // often, since the plan saw the first samples.
+        // All pixels were profiled. The plan saw the first samples, so records cover later ones less often.
         assert!(off.abs() < 0.15, "{spp} samples: {off}");
     }
 }

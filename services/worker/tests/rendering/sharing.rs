@@ -127,8 +127,7 @@ fn off(forecast: f64, actual: u64) -> f64 {
 
 #[test]
 fn what_is_quoted_for_either_way_is_what_it_takes_and_the_way_that_takes_less_is_taken() {
-    // In the corridor only the camera moves, in the kitchen objects do. Two bounces have two levels of
-    // records.
+    // Only the camera moves in the corridor, objects move in the kitchen. Each bounce has a level of records.
     for (scene, frames, bounces) in [("corridor", [0, 8, 16, 24], 2), ("kitchen", [0, 12, 24, 40], 1)] {
         let case = Case::new(scene, &frames, bounces);
         let (cache, fill_work) = case.filled();
