@@ -214,9 +214,9 @@ pub trait FrameRenderer: Send + Sync {
     /// What each pixel shows.
     fn preview(&self) -> Result<Previewed, RenderError>;
 
-    /// Costs of every render of this frame that do not depend on its pixels: set-up (`load`), the cache plan
-    /// (`plan`, made now if needed) and, if something moves in the shot, an acceleration structure (`build`). It
-    /// makes no difference whether a structure is reused: a frame's cost does not depend on earlier work.
+    /// Costs of every render of this frame that do not depend on its pixels: set-up (`load`), the cache
+    /// plan (`plan`, made now if needed) and, if something moves in the shot, an acceleration structure
+    /// (`build`). Reusing a structure changes nothing: the cost does not depend on earlier work.
     fn fixed(&self) -> FixedCosts;
 
     /// What this process has paid once for the shot: loading, and a shared acceleration structure.
