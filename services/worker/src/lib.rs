@@ -1,21 +1,20 @@
-//! The worker: leases a task, runs it, reports the result. It knows no SQL and talks to the service by HTTP alone. The
-//! command line uses the same steps offline, without a service.
+//! The worker: leases a task over HTTP, executes it, reports the result. Offline commands use the same steps.
 //!
 //! | folder or file | subject |
 //! | --- | --- |
 //! | `agent/` | the life of a task between lease and result; bundles, limits, checkpoints |
 //! | `tasks/` | what each kind of task does |
-//! | `renderer` | what a renderer can be asked: a trait |
-//! | `own/` | our renderer behind it |
-//! | `profile/` | counting what frames show, and profiling some of their pixels |
+//! | `renderer` | the trait of a renderer |
+//! | `own/` | our renderer, which implements it |
+//! | `profile/` | counting what frames show, and profiling some pixels |
 //! | `quote` | an offline quote: preview, profile, estimate |
 //! | `render/` | one frame with its true cost, and its files |
 //! | `adaptive/` | a frame for a time, an error or an amount of work |
-//! | `accuracy/` | what other qualities of a frame cost, and how far their images are from converged |
+//! | `accuracy/` | cost and error of other qualities of a frame |
 //! | `shared_cache` | the irradiance cache that the frames of a shot share |
-//! | `calibration/` | how fast this machine is, by class of work |
+//! | `calibration/` | speed of this machine, by class of work |
 
-// What unit tests share with the others speaks of this crate by its name.
+// Code shared by unit and integration tests refers to this crate by its name.
 #[cfg(test)]
 extern crate self as forelight_worker;
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! The quote of a shot, made on this machine alone: the steps of a farm, one after the other.
+//! An offline quote: the steps of a farm, on this machine alone.
 
 use crate::profile::{Observer, ProfiledFrame, ShotError, count_frames, profile_frame, stratum_ids};
 use crate::renderer::Renderer;
@@ -15,13 +15,13 @@ use forelight_quote::{Measured, MeasuredProfile, SharedCache, frames_to_profile}
 pub struct QuoteOptions {
     /// Pixels to profile per profiled frame.
     pub samples: u32,
-    /// Frames to profile at most, at least 1. `None`: as many as pay ([`Measured::more_to_profile`]).
+    /// Most frames to profile, at least 1. `None`: as many as pay ([`Measured::more_to_profile`]).
     pub profile_frames: Option<usize>,
     /// Seed of the choice of pixels.
     pub seed: u64,
     /// How pixels are chosen, and how their costs are expanded to the frame.
     pub strategy: Strategy,
-    /// What past jobs of the same renderer and class of features teach of the quantiles.
+    /// Corrections of the quantiles from past jobs with the same renderer and class of features.
     pub corrections: Option<Corrections>,
 }
 
@@ -31,7 +31,7 @@ impl Default for QuoteOptions {
     }
 }
 
-/// A quote, and what it was made from.
+/// A quote, and the measurements behind it.
 #[derive(Debug, Clone)]
 pub struct Quote {
     /// The quote.
@@ -45,7 +45,7 @@ pub struct Quote {
 }
 
 impl Quote {
-    /// What the quote rests on, with an irradiance cache for each frame.
+    /// The measurements behind the quote, with an irradiance cache for each frame.
     pub fn measured(&self) -> Measured<'_> {
         measured(&self.preview, &self.profiles, &self.options)
     }
@@ -55,14 +55,13 @@ impl Quote {
         self.profiled.iter().map(ProfiledFrame::spent).fold(self.preview.spent, Spent::plus)
     }
 
-    /// The part of [`Quote::spent`] that later renders cannot take over: previews, with the plans of irradiance caches,
-    /// and setting up the profiled frames; see [`ProfiledFrame::spent_for_good`].
+    /// The part of [`Quote::spent`] that renders cannot reuse: previews, cache plans, and setting up the
+    /// profiled frames. See [`ProfiledFrame::spent_for_good`].
     pub fn spent_for_good(&self) -> Spent {
         self.profiled.iter().map(ProfiledFrame::spent_for_good).fold(self.preview.spent, Spent::plus)
     }
 
-    /// The quote with the irradiance caches built as `asked`. `planned` is the shared cache's plan, if it was planned. The
-    /// profiled pixels are then measured again beside it.
+    /// The quote with caches built as `asked`. A `planned` shared cache means measuring the pixels again.
     pub fn with_sharing(
         &self,
         renderer: &dyn Renderer,
@@ -85,12 +84,12 @@ impl Quote {
         Ok(quote.job.document(quoted_shot(renderer, settings), quote.frames))
     }
 
-    /// The preview of the frames, in the terms of the wire.
+    /// The preview of the frames, as protocol data.
     pub fn preview(&self) -> &PreviewResult {
         &self.preview
     }
 
-    /// Work of each pixel of one of the quote's frames, in row order: see [`Measured::pixel_work`].
+    /// Work of each pixel of one of the quote's frames, in row order. See [`Measured::pixel_work`].
     pub fn pixel_work(
         &self,
         renderer: &dyn Renderer,
@@ -106,7 +105,7 @@ impl Quote {
     }
 }
 
-/// Makes the quote of these frames (ascending): previews all of them, profiles a few, estimates all.
+/// Makes the quote of these frames (ascending): previews all, profiles a few, estimates all.
 pub fn quote(
     renderer: &dyn Renderer,
     frames: &[u32],

@@ -1,8 +1,7 @@
-//! The small door behind which the renderer stands.
+//! The interface of a renderer. Other renderers can implement it; ours is [`crate::own`].
 //!
-//! A [`Renderer`] is a bundle, opened; a [`FrameRenderer`] one frame of it at one quality, ready to be previewed, profiled and
-//! rendered, with what each took. Nothing else of the farm knows how light is traced: another renderer can be put behind this
-//! door. Ours, over `scene`, `preview` and `tracer`, is in [`crate::own`].
+//! A [`Renderer`] is an opened bundle. A [`FrameRenderer`] is one frame of it at one quality, ready to be
+//! previewed, profiled and rendered, each with its cost.
 
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_preview::{Counts, Preview, PreviewError};
@@ -22,7 +21,7 @@ use std::sync::atomic::AtomicBool;
 /// Why a bundle cannot be rendered as asked.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
-    /// The bundle, or a frame of it, cannot be had.
+    /// The bundle, or a frame of it, cannot be loaded.
     #[error(transparent)]
     Scene(#[from] SceneError),
     /// The frame cannot be previewed.
@@ -37,24 +36,24 @@ pub enum RenderError {
     /// An irradiance cache cannot be used.
     #[error("{0}")]
     Cache(#[from] CacheError),
-    /// Numbers of camera samples do not fit the image.
+    /// The numbers of camera samples do not fit the image.
     #[error("camera samples: {0}")]
     Samples(#[from] SampleCountsError),
-    /// The profile was made from another scene, another frame, at another quality, or by another version.
+    /// The profile belongs to another scene, frame, quality or version.
     #[error(
-        "profile: it was made for another image ({differs}); make it again with the bundle, frame and settings of this one"
+        "profile: made for another image ({differs}); make it again with this bundle, frame and settings"
     )]
     ForeignProfile {
-        /// What is another there.
+        /// What differs.
         differs: String,
     },
 }
 
 impl RenderError {
-    /// Whether trying again with the same input would give the same error.
+    /// Whether the same input would always give this error.
     pub fn is_permanent(&self) -> bool {
         match self {
-            // Storage may be away for a moment.
+            // Storage may be temporarily unavailable.
             Self::Scene(SceneError::Io { .. }) => false,
             Self::Preview(PreviewError::EmptyImage { .. } | PreviewError::ImageTooLarge { .. }) => true,
             Self::Preview(error) => matches!(error, PreviewError::Camera(_)),
@@ -81,64 +80,64 @@ pub struct StratumInfo {
     pub class: MaterialClass,
 }
 
-/// What a bundle holds.
+/// Contents of a bundle.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ShotInfo {
-    /// What there is.
+    /// Its summary.
     pub summary: SceneSummary,
-    /// The renderer, with all versions that costs or their forecasts may depend on.
+    /// The renderer, with all versions that costs or forecasts may depend on.
     pub renderer: String,
     /// All (object, material) pairs; the same for every frame of the shot.
     pub strata: Vec<StratumInfo>,
 }
 
-/// What a frame shows, in numbers.
+/// Counts of a frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Counted {
     /// Pixels per stratum, and of the background.
     pub counts: Counts,
-    /// Records of the frame's irradiance cache by level, as planned; empty without a cache.
+    /// Planned records of the frame's irradiance cache by level. Empty without a cache.
     pub cache_records: Vec<u32>,
-    /// What planning it takes; nothing without a cache.
+    /// Cost of that plan. `None` without a cache.
     pub cache_plan: Option<PlanCount>,
-    /// Whether each of the scene's lights shines.
+    /// For each light of the scene, whether it shines.
     pub shining: Vec<bool>,
     /// Triangles, seen or not.
     pub triangles: u64,
-    /// Who counted.
+    /// The previewer that counted.
     pub backend: PreviewBackend,
-    /// What it took.
+    /// Cost of counting.
     pub spent: Spent,
 }
 
-/// What a frame shows, pixel by pixel.
+/// The preview of a frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Previewed {
     /// Stratum, position and normal per pixel.
     pub preview: Preview,
-    /// Who made it.
+    /// The previewer that made it.
     pub backend: PreviewBackend,
-    /// What it took.
+    /// Cost of the preview.
     pub spent: Spent,
 }
 
 /// The steps of a render.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Step {
-    /// Finding out where the irradiance cache needs records. It is all one step.
+    /// Planning the irradiance cache, as one step.
     Planning,
-    /// Gathering these records.
+    /// Gathering its records.
     Filling,
     /// Tracing the pixels.
     Tracing,
 }
 
-/// How far a render is: `done` of `all` parts of a step. Without an irradiance cache there is but one step.
+/// Progress of a render: `done` of `all` parts of a step. Without an irradiance cache there is only one step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Progress {
     /// The step.
     pub step: Step,
-    /// Records or pixels that are done.
+    /// Records or pixels done.
     pub done: u64,
     /// All of them.
     pub all: u64,
@@ -153,14 +152,14 @@ pub struct Finished {
     pub cache: Option<CacheUse>,
 }
 
-/// What an irradiance cache came to.
+/// Totals of an irradiance cache.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CacheUse {
-    /// All of it.
+    /// The whole cache.
     pub all: CacheTotals,
-    /// The part of it that was taken over from a profile.
+    /// The part that was taken over from a profile.
     pub taken_over: CacheTotals,
-    /// Records of the shot's cache that it was given, and those that do not hold in this frame; their cost is the shot's.
+    /// Records of the shared cache, valid and invalid here. Their cost is the shot's.
     pub shared: Shared,
 }
 
@@ -172,21 +171,21 @@ pub trait OpenRenderer: Send + Sync {
 
 /// A bundle, opened.
 pub trait Renderer: Send + Sync {
-    /// What it holds.
+    /// Contents of the bundle.
     fn info(&self) -> &ShotInfo;
 
-    /// How many pixels of a frame show each stratum, and how many records its irradiance cache has. On the current thread pool.
+    /// Counts a frame's pixels by stratum, and its planned records. On the current thread pool.
     fn count(&self, frame: u32, settings: &RenderSettings) -> Result<Counted, RenderError>;
 
-    /// One frame, ready for everything else.
+    /// Sets up one frame.
     fn frame(
         &self,
         frame: u32,
         settings: &RenderSettings,
     ) -> Result<Box<dyn FrameRenderer + '_>, RenderError>;
 
-    /// Plans an irradiance cache for all of these frames, in their order, on the current thread pool; `progress` is told the frames done.
-    /// `None` if `cancel` was set, and where there is no use for one.
+    /// Plans a shared cache for these frames, in their order, on the current thread pool. `progress` receives
+    /// the frames done. `None` if `cancel` was set or no cache is needed.
     fn plan_cache(
         &self,
         frames: &[u32],
@@ -195,8 +194,8 @@ pub trait Renderer: Send + Sync {
         cancel: &AtomicBool,
     ) -> Result<Option<Cache>, RenderError>;
 
-    /// Fills a part of such a cache, from 0, of its deepest level that is not full; all levels, if there is but one part. `progress` is told
-    /// the records done, and all records of the level. `None` if `cancel` was set.
+    /// Fills a part, from 0, of the cache's deepest level that is not full, or all levels if there is one
+    /// part. `progress` receives the level's records: done, and all. `None` if `cancel` was set.
     fn fill_cache(
         &self,
         cache: Cache,
@@ -215,66 +214,64 @@ pub trait FrameRenderer: Send + Sync {
     /// What each pixel shows.
     fn preview(&self) -> Result<Previewed, RenderError>;
 
-    /// What every render of this frame costs whatever its pixels show: setting it up (`load`), building its acceleration
-    /// structure (`build`), if something moves in the shot so that its frames cannot share one, and planning its irradiance cache
-    /// (`plan`), which is done now if it was not. Whether a structure was kept from before makes no difference: a frame's cost does
-    /// not depend on what was done before it.
+    /// Costs of every render of this frame that do not depend on its pixels: set-up (`load`), the cache
+    /// plan (`plan`, made now if needed) and, if something moves in the shot, an acceleration structure
+    /// (`build`). Reusing a structure changes nothing: the cost does not depend on earlier work.
     fn fixed(&self) -> FixedCosts;
 
-    /// What this process has paid once for the shot: reading it, and building the acceleration structure that its frames share.
+    /// What this process has paid once for the shot: loading, and a shared acceleration structure.
     fn once(&self) -> ProcessCosts;
 
-    /// Records of the frame's irradiance cache by level, which is planned now if it was not; none without a cache.
+    /// Records of the irradiance cache by level, which is planned now if needed. Empty without a cache.
     fn cache_records(&self) -> Vec<u32>;
 
-    /// What setting the frame up took this time, without the plan of its irradiance cache, with any acceleration structure that had to be built for it: also that of the
-    /// shot, which is in no frame's cost, for it is built once per process.
+    /// Cost of setting the frame up this time, without the cache plan. Includes any acceleration structure
+    /// that was built, even the shot's, which is in no frame's cost.
     fn spent_on_setup(&self) -> Spent;
 
-    /// The effects that the frame calls for, by name, sorted.
+    /// Effects of the frame by name, sorted.
     fn effects(&self) -> Vec<String>;
 
-    /// Lights and objects that cannot matter to the frame's image, and why.
+    /// Lights and objects that cannot matter to the image, and why.
     fn left_out(&self) -> Vec<LeftOut>;
 
-    /// Work by class of all that was traced of it so far: of pixels, and of gathering records.
+    /// Work by class of everything traced so far: of pixels, and of gathering records.
     fn work_by_class(&self) -> (ByClass, ByClass);
 
-    /// Finished pixels by index, in the order given, on the current thread pool, with what their camera samples say of their error. With an
-    /// irradiance cache all but their colours is final: the cache is planned, but not filled; see [`FrameRenderer::fill_for`].
+    /// Traces pixels by index, in order, on the current thread pool. Returns them with their noise. Their
+    /// colours are final once the irradiance cache, if there is one, is filled ([`FrameRenderer::fill_for`]).
     fn trace(&self, pixels: &[u32]) -> Vec<(Pixel, PixelNoise)> {
         self.trace_unless(pixels, &|| false).unwrap_or_default()
     }
 
-    /// The same, unless `stop` says at some time on the way that it is not wanted any more: then nothing.
+    /// The same. `None` if `stop` returned true.
     fn trace_unless(
         &self,
         pixels: &[u32],
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Option<Vec<(Pixel, PixelNoise)>>;
 
-    /// Fills the irradiance cache as far as the colours of these pixels need it, on the current thread pool, and says what that took. The
-    /// colours are then close to the image's: a whole cache is a little less noisy, for its records are averaged. Nothing if `stop` says on the way
-    /// that they are not wanted any more.
+    /// Fills the irradiance cache as far as these pixels need, on the current thread pool. Colours are then
+    /// nearly final: a full cache averages its records. `None` if `stop` returned true.
     fn fill_for(&self, pixels: &[u32], stop: &(dyn Fn() -> bool + Sync)) -> Option<Spent>;
 
-    /// Plans and fills the irradiance cache, if there is one, on the current thread pool. `false` if `cancel` was set.
+    /// Plans and fills any irradiance cache, on the current thread pool. `false` if `cancel` was set.
     fn fill(&self, progress: &(dyn Fn(Progress) + Sync), cancel: &AtomicBool) -> bool;
 
-    /// What planning the irradiance cache, and gathering as much of it as is gathered, takes; nothing without one.
+    /// Cost of the irradiance cache so far: planning and gathering. Zero without one.
     fn spent_on_cache(&self) -> Spent;
 
-    /// Whether pixels that are traced have the image's colours: without an irradiance cache, or once it is filled.
+    /// Whether traced pixels have the image's colours: without an irradiance cache, or once it is filled.
     fn has_final_colours(&self) -> bool;
 
-    /// Gives every pixel a number of camera samples of its own; once.
+    /// Sets the camera samples of every pixel. Can be called once.
     fn allot(&self, samples: SampleCounts) -> Result<(), RenderError>;
 
-    /// An image that is made in passes, with no sample yet.
+    /// Starts an image in passes, without samples.
     fn begin(&self) -> Passes;
 
-    /// Brings its pixels to these numbers of camera samples, on the current thread pool, and says what that took; the irradiance cache has to be filled. Before
-    /// each pixel `stop` is asked whether to leave the others as they are; `progress` is called [`Passes::parts`] times.
+    /// Brings pixels to these camera samples, on the current thread pool. Any irradiance cache must be
+    /// filled. `stop` is checked before each pixel. `progress` is called [`Passes::parts`] times.
     fn go_on(
         &self,
         passes: &mut Passes,
@@ -283,33 +280,30 @@ pub trait FrameRenderer: Send + Sync {
         progress: &(dyn Fn() + Sync),
     ) -> Result<Totals, RenderError>;
 
-    /// The image, as far as it has come.
+    /// The image so far.
     fn finished(&self, passes: &Passes) -> Finished;
 
-    /// The same as [`FrameRenderer::trace_unless`] for runs of pixels: those of a run are traced one after the other by one thread, as a
-    /// tile's are in a render.
+    /// As [`FrameRenderer::trace_unless`] for runs of pixels. One thread traces a run in order, like a tile.
     fn trace_runs(
         &self,
         runs: &[Vec<u32>],
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Option<Vec<Vec<(Pixel, PixelNoise)>>>;
 
-    /// What gathering records of the irradiance cache takes: of `each` of every level, chosen by `seed` so that all have the same
-    /// chance, on the current thread pool. None without a cache.
+    /// Costs of gathering `each` records of every level, chosen uniformly, on the current thread pool.
     fn sample_records(&self, each: usize, seed: u64) -> Vec<RecordCost>;
 
-    /// What can be taken over by [`FrameRenderer::render`]: these pixels or, with an irradiance cache, that, as far as it was filled.
+    /// A profile for [`FrameRenderer::render`]: these pixels or, with an irradiance cache, the cache so far.
     fn profile(&self, pixels: &[(u32, Pixel)]) -> Profile;
 
-    /// Whether [`FrameRenderer::render`] can take over what a profile holds.
+    /// Checks that [`FrameRenderer::render`] can take over a profile.
     fn check(&self, profile: &Profile) -> Result<(), RenderError>;
 
-    /// Gives the frame the cache of its shot: before anything is planned. Records whose light something that moved has changed are
-    /// dropped; what the frame needs beyond the others will be planned anew. Says what became of them.
+    /// Gives the frame the shared cache, before anything is planned. Records whose light has changed here are
+    /// dropped, and the frame plans what it lacks. Returns both counts.
     fn share(&self, cache: Cache) -> Result<Shared, RenderError>;
 
-    /// The image, on the current thread pool; what `reuse` holds is taken over. `finished` is given pixels as they are finished. `None` if
-    /// `cancel` was set.
+    /// Renders the image on the current thread pool, taking over `reuse`. `None` if `cancel` was set.
     fn render(
         &self,
         reuse: Option<&Profile>,

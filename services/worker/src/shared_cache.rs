@@ -1,9 +1,8 @@
-//! The irradiance cache of a shot: planned for the views of many frames, filled in parts, given to every frame.
+//! The shared cache of a shot: planned for the views of many frames, filled in parts, given to every frame.
 //!
-//! Its records are in the world of one frame, the first that it was planned for; what other frames see of this world is covered
-//! as well. Where something has moved in another frame, the records whose light it changes are dropped there and planned anew
-//! ([`crate::FrameRenderer::share`]). So a frame's image depends on the shot's cache and the frame alone, not on which frames were
-//! rendered before it, or where.
+//! Its records lie in the world of the first frame that it was planned for, and cover what other frames see
+//! of it. Records whose light has changed in another frame are dropped there and planned anew
+//! ([`crate::FrameRenderer::share`]). A frame's image depends on the shared cache and the frame alone.
 
 use crate::own::AmbientShot;
 use crate::profile::{ProfiledFrame, cost_of, records_to_sample};
@@ -19,20 +18,19 @@ use forelight_scene::Frame;
 use forelight_tracer::{Cache, Cost, Effects, Pixel, RecordCost, Settings};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// A shot's cache as planned, and what each frame would make of it.
+/// A planned shared cache, and its use in each frame.
 #[derive(Debug, Clone)]
 pub struct SharedPlan {
     /// The cache.
     pub cache: Cache,
-    /// One entry a frame, in their order.
+    /// One entry per frame, in order.
     pub frames: Vec<CacheFrame>,
-    /// What finding all this out took.
+    /// Cost of planning.
     pub spent: Spent,
 }
 
 impl SharedPlan {
-    /// As it is told to who decides, with the cache kept under the name that `keep` gives its bytes, unless it is larger than one that can be sent
-    /// around.
+    /// The task's result. `keep` stores a cache that is small enough to be sent, and returns its name.
     pub fn result(self, keep: impl FnOnce(Vec<u8>) -> ArtifactHash) -> CachePlanResult {
         let bytes = self.cache.to_bytes();
         let size = bytes.len() as u64;
@@ -46,8 +44,8 @@ impl SharedPlan {
     }
 }
 
-/// Plans a cache for all of these frames, and finds out by planning what each of them needs beyond it; on the current thread pool.
-/// `progress` is told how much is done, 0 to 1. `None` if `cancel` was set, if there are no frames, and where there is no use for a cache.
+/// Plans a cache for these frames and what each needs beyond it, on the current thread pool. `progress` goes
+/// from 0 to 1. `None` if `cancel` was set, without frames, and if no cache is needed.
 ///
 /// # Errors
 /// If a frame is outside the shot, or a setting out of its range.
@@ -58,7 +56,7 @@ pub fn plan_shared(
     progress: &dyn Fn(f64),
     cancel: &AtomicBool,
 ) -> Result<Option<SharedPlan>, RenderError> {
-    // Half of it is planning for all, half looking at each, which gets it as a file, as its render will.
+    // Half is planning. The rest counts each frame, which reads the cache from a file as its render will.
     let steps = 2.0 * frames.len().max(1) as f64;
     let planned = renderer.plan_cache(frames, settings, &|done| progress(done as f64 / steps), cancel)?;
     let Some(cache) = planned else { return Ok(None) };
@@ -89,27 +87,27 @@ pub fn plan_shared(
     Ok(Some(plan))
 }
 
-/// What a profiled frame costs with the cache of its shot.
+/// Costs of a profiled frame with the shared cache.
 #[derive(Debug, Clone)]
 pub struct SharedProfile {
-    /// Its profiled pixels, in the order of the observations. Times are brought to those in a render as the profile's were.
+    /// Its profiled pixels, in the order of the observations. Times are as in a render.
     pub pixels: Vec<SharedSample>,
-    /// Records of the cache that were gathered, some of every level.
+    /// Sampled records of every level of the cache.
     pub records: Vec<CacheSample>,
-    /// What finding out took.
+    /// Cost of measuring.
     pub spent: Spent,
 }
 
 impl SharedProfile {
-    /// Puts it beside what the frame costs with a cache of its own.
+    /// Adds this to the profile of the frame with its own cache.
     pub fn add_to(self, result: &mut ProfileResult) {
         result.spent = result.spent.plus(self.spent);
         (result.shared_samples, result.shared_cache_samples) = (self.pixels, self.records);
     }
 }
 
-/// Measures the pixels of a profiled frame once more, with the cache of its shot, which need not be filled for that, and gathers a few of that
-/// cache's records: half as many as the profile did, for all profiled frames have the same ones.
+/// Measures a profiled frame's pixels again with the shared cache, which need not be filled. Also gathers
+/// half as many records as the profile did, since all profiled frames share them.
 ///
 /// # Errors
 /// If the cache belongs to another scene or other settings.
@@ -122,7 +120,7 @@ pub fn profile_shared(
 ) -> Result<SharedProfile, RenderError> {
     let ready = renderer.frame(profiled.frame, settings)?;
     let shared = ready.share(cache)?;
-    // The pixels after the observed ones were traced for their time alone.
+    // Pixels after the observed ones were traced for their time only.
     let observed = profiled.traced.iter().zip(&profiled.observations);
     let (measured, warm) =
         observed.clone().fold((0u64, 0u64), |(measured, warm), ((_, pixel), observation)| {
@@ -151,24 +149,24 @@ pub fn profile_shared(
     Ok(SharedProfile { pixels, records, spent })
 }
 
-/// A record that was gathered, in the words of the wire.
+/// A gathered record, as protocol data.
 pub(crate) fn cache_sample(record: &RecordCost) -> CacheSample {
     let Cost { work, cpu_nanos } = record.cost;
     CacheSample { level: record.level, own: false, work, cpu_nanos, rays: record.rays.map(u64::from) }
 }
 
-/// A cache with a part of it filled.
+/// A partly filled cache.
 #[derive(Debug, Clone)]
 pub struct Filled {
     /// The cache.
     pub cache: Cache,
-    /// Records that were filled just now.
+    /// Records that were filled by this call.
     pub filled: u64,
-    /// What gathering these took.
+    /// Their cost.
     pub spent: Spent,
 }
 
-/// As [`Renderer::fill_cache`], with what it took.
+/// As [`Renderer::fill_cache`], with its cost.
 ///
 /// # Errors
 /// If the cache belongs to another scene or other settings.
@@ -191,9 +189,8 @@ pub fn fill_part(
 }
 
 impl AmbientShot {
-    /// Plans a cache for all of these frames, on the current thread pool: in their order, which the records depend on. `progress` is told
-    /// the frames done. `None` if `cancel` was set, if there are no frames, and where the settings or the scene have no use for a
-    /// cache.
+    /// Plans a cache for these frames, in order, on the current thread pool. `progress` receives the frames
+    /// done. `None` if `cancel` was set or no cache is needed.
     ///
     /// # Errors
     /// If a frame is outside the shot, or a setting out of its range.
@@ -213,7 +210,7 @@ impl AmbientShot {
                 None => self.frame_of(frame, &settings)?,
             };
             let tracer = self.tracer(&seen, &settings).tracer;
-            // A frame in which no light gets anywhere but straight needs no records.
+            // A frame without indirect light needs no records.
             if tracer.effects().has(Effects::CACHE) {
                 let world = world.get_or_insert(seen);
                 if let Some(cache) = planned {
@@ -236,9 +233,9 @@ impl AmbientShot {
         Ok(planned)
     }
 
-    /// Fills one of `parts` equal parts of a shot's cache, counted from 0, on the current thread pool: of its deepest level that is not
-    /// full, since the others read it; of all levels, if there is but one part. `progress` is told the records done, and all records
-    /// of the level. `None` if `cancel` was set.
+    /// Fills one of `parts` equal parts, from 0, of the deepest level that is not full, since the others read
+    /// it. Fills all levels if there is one part. `progress` receives the level's records: done, and all.
+    /// `None` if `cancel` was set.
     ///
     /// # Errors
     /// If the cache belongs to another scene or other settings.

@@ -1,4 +1,4 @@
-//! What is predicted of a frame's error and work, against the frame rendered, on the kitchen that ships with the project.
+//! Predicted errors and costs of a frame against the rendered frame, on the shipped kitchen.
 
 mod common;
 
@@ -22,16 +22,16 @@ fn of(document: &AccuracyDoc, kind: LadderKind) -> impl Iterator<Item = &forelig
     document.rungs.iter().filter(move |rung| rung.ladder == kind)
 }
 
-/// At this size four samples of a pixel are a lottery: one that meets a lamp by way of steel makes a tenth of the image's error, and
-/// of the 1296 pixels some 320 are looked at. So the measured error may lie outside the interval by a quarter, and the
-/// median off by a factor of two. Both are fixed by the seeds.
+/// At this size, four samples per pixel vary greatly: one that meets a lamp via steel makes a tenth of the
+/// image's error. About 320 of the 1296 pixels are profiled. So the measured error may lie outside the
+/// interval by a quarter, and the median may be off by a factor of two. Seeds fix both.
 #[test]
 fn predicted_errors_and_work_are_those_of_the_rendered_image() {
     let (shot, observer, asked) = (kitchen(), Nobody::default(), tiny());
     let options = AccuracyOptions { samples: 128, seed: 1 };
     let mut document = predict(&shot, 0, &asked, &LadderKind::ALL, &options, &observer).unwrap();
     assert!(document.missing.is_empty() && !document.calibrated);
-    // The dear ends of the ladders say no more than their middles.
+    // The expensive ends of the ladders show no more than their middles.
     document.rungs.retain(|rung| rung.settings.spp <= 64 && rung.settings.ambient_divisions <= 64);
     measure(&shot, 0, &mut document, &MeasureOptions { reference_spp: 256 }, &observer).unwrap();
     for rung in &document.rungs {
@@ -40,7 +40,7 @@ fn predicted_errors_and_work_are_those_of_the_rendered_image() {
         let work = rung.work.p50 / truth.work as f64 - 1.0;
         assert!(work.abs() < 0.1, "{name}: work is off by {work}");
         if rung.ladder == LadderKind::Resolution {
-            // A quarter of the pixels: a handful of them decides.
+            // A quarter of the pixels: a few of them decide the error.
             continue;
         }
         assert!((0.5..2.0).contains(&(error.p50 / truth.error)), "{name}");
@@ -51,7 +51,7 @@ fn predicted_errors_and_work_are_those_of_the_rendered_image() {
     for kind in [LadderKind::Ambient, LadderKind::Path] {
         assert!(errors(kind).is_sorted_by(|a, b| a > b), "{:?}", errors(kind));
     }
-    // The first is what was asked for, which more rays never make worse.
+    // The first is what was asked for. More rays never make it worse.
     let divisions = errors(LadderKind::Divisions);
     assert!(divisions.iter().all(|error| *error <= divisions[0]), "{divisions:?}");
 }
@@ -81,7 +81,7 @@ fn gathers_whose_rays_grow_beyond_measure_are_left_out_and_said_to_be() {
     let document = predict(&kitchen(), 0, &asked, &LadderKind::ALL, &options, &Nobody::default()).unwrap();
     let divisions: Vec<u32> =
         of(&document, LadderKind::Divisions).map(|rung| rung.settings.ambient_divisions).collect();
-    // Each of 256 rays goes on with 32, and each of these with 4: two million for 48 pixels of one sample.
+    // Each of 256 rays continues with 32, and each of these with 4: two million for 48 pixels of one sample.
     assert_eq!(divisions, [4, 16, 64]);
     let dear: Vec<&String> = document
         .missing

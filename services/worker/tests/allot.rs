@@ -1,4 +1,4 @@
-//! Camera samples by what they come to, on the kitchen that ships with the project.
+//! Renders to an error, on the shipped kitchen.
 
 mod common;
 
@@ -55,14 +55,14 @@ fn an_error_that_is_asked_for_is_made_with_less_work_than_equally_many_samples_e
     let image = allotted(Aim::Error(0.04)).unwrap().rendered;
     let made = error(&image, &reference);
     let samples = image.stats.allotted.clone().unwrap();
-    // An error that is a hundredth above is near enough.
+    // An error up to a hundredth above the target is accepted.
     assert!(samples.error.p50 > 0.035 && samples.error.p50 < 1.01 * 0.04, "{samples:?}");
     assert!(made > 0.02 && made < 0.06, "asked for 4 %, made {made}");
     assert!(samples.most > 4 * samples.least, "edges of lamps need more than walls: {samples:?}");
     let work = image.stats.work as f64;
     let forecast = samples.forecast.unwrap().work;
     assert!((forecast.p50 / work - 1.0).abs() < 0.1, "forecast {forecast:?}, took {work}");
-    // Uniform images on both sides of that work.
+    // Uniform images of less and of more work.
     let at_equal_work = [64, 128, 256, 512].map(|spp| uniform(spp, 1));
     let worse = at_equal_work.iter().rfind(|other| (other.stats.work as f64) < work).unwrap();
     let better = at_equal_work.iter().find(|other| (other.stats.work as f64) >= work).unwrap();
@@ -72,8 +72,8 @@ fn an_error_that_is_asked_for_is_made_with_less_work_than_equally_many_samples_e
 
 #[test]
 fn what_a_frame_takes_whose_samples_are_where_dear_pixels_are_is_forecast_too() {
-    // In the corridor the tiles that need most samples have the cheapest pixels of their zones; and with a cache the first samples of a pixel
-    // are dearer than the hundredth.
+    // In the corridor, the tiles that need most samples have the cheapest pixels of their zones. With a
+    // cache, the first samples of a pixel cost more than later ones.
     let settings = RenderSettings { ambient_bounces: 1, cache: CacheMode::On, ..settings(1) };
     for (profiled, tolerance) in [(256, 0.06), (64 * 36, 0.015)] {
         let options =

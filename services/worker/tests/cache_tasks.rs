@@ -1,4 +1,4 @@
-//! The tasks that make the irradiance cache of a shot, and what becomes of one that cannot be used.
+//! Tasks of the shared cache, and what happens if it cannot be used.
 
 use bytes::Bytes;
 use forelight_preview::Choice;
@@ -22,7 +22,7 @@ fn corridor() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/scenes/corridor")
 }
 
-/// A name: what it stands for comes with the task.
+/// A placeholder: the content comes with the task.
 const CACHE: ArtifactHash = ArtifactHash([7; 32]);
 
 impl Rig {
@@ -114,7 +114,7 @@ impl Rig {
     }
 }
 
-/// The one artefact of a task.
+/// The only artefact of a task.
 fn file(outcome: &Outcome) -> Bytes {
     let [file] = outcome.artifacts.as_slice() else { panic!("{} artefacts", outcome.artifacts.len()) };
     assert_eq!(outcome.result.artifacts(), [ArtifactHash(*blake3::hash(file).as_bytes())]);
@@ -158,7 +158,7 @@ fn parts_that_are_filled_and_put_together_round_by_round_are_the_cache_that_one_
     assert_eq!((work, records), (filled.spent.work, all), "every record was gathered once, by one");
     let without_times = |bytes: &Bytes| Cache::from_bytes(bytes).unwrap().without_times().to_bytes();
     assert!(without_times(&merged) == without_times(&whole));
-    // The picture: beside the colours, the linear image holds the times of its pixels.
+    // The PNG image. The EXR image also holds the times of its pixels.
     let image = |cache| rig.run(rig.render(), vec![cache]).unwrap().artifacts[1].clone();
     assert!(image(merged) == image(whole));
 }
@@ -177,7 +177,7 @@ fn a_cache_that_is_damaged_fails_for_good_and_one_of_another_kind_is_not_added_t
             let error = rig.run(spec.clone(), vec![bytes.clone()]).unwrap_err();
             let ExecuteError::Permanent(text) = &error else { panic!("{error:?}") };
             assert!(
-                text.starts_with("the shot's irradiance cache cannot be used: ") && text.contains(why),
+                text.starts_with("the shared irradiance cache cannot be used: ") && text.contains(why),
                 "{text}"
             );
         }
@@ -196,7 +196,7 @@ fn a_cache_that_is_damaged_fails_for_good_and_one_of_another_kind_is_not_added_t
     assert!(matches!(&error, ExecuteError::Transient(text) if text.contains("different plans")), "{error:?}");
 }
 
-/// As when workers were brought up to date after the cache was made.
+/// As when workers were updated after the cache was made.
 #[test]
 fn a_frame_whose_shared_cache_is_of_another_kind_makes_its_own() {
     let rig = Rig::new();
@@ -211,7 +211,7 @@ fn a_frame_whose_shared_cache_is_of_another_kind_makes_its_own() {
         };
         assert_eq!(alone.artifacts.image_png, made.artifacts.image_png);
         assert_eq!((alone.stats.work, &alone.stats.cache), (made.stats.work, &made.stats.cache));
-        let said = |text: &str| text.starts_with("the frame makes its own irradiance cache");
+        let said = |text: &str| text.starts_with("the frame builds its own irradiance cache");
         assert!(control.unsent().iter().any(|line| said(&line.text)), "{:?}", control.unsent());
     }
 }

@@ -1,4 +1,4 @@
-//! The irradiance cache of a shot, shared by its frames.
+//! The shared cache of a shot.
 
 use forelight_preview::Choice;
 use forelight_protocol::{CacheMode, CacheStats, RenderSettings, RenderSettingsRequest};
@@ -102,7 +102,7 @@ fn records_whose_light_has_moved_are_dropped_and_made_anew() {
     assert!(use_of.shared_records > 0 && use_of.dropped_records > 0, "{use_of:?}");
     assert_eq!(use_of.shared_records + use_of.dropped_records, cache.records().iter().sum::<u64>());
     assert!(moved.stats.cache_records.iter().sum::<u64>() > use_of.shared_records, "some are made anew");
-    // The light is the same as that of a frame which makes all its records itself, but for the noise of 48 rays.
+    // The light matches a frame that makes all its records itself, except for the noise of 48 rays.
     let alone = render(&shot, 40, &settings, None);
     let mean = |r: &Rendered| {
         let sum: f64 = r.image.pixels.iter().flat_map(|p| p.color).map(f64::from).sum();
@@ -111,7 +111,7 @@ fn records_whose_light_has_moved_are_dropped_and_made_anew() {
     assert!((mean(&moved) / mean(&alone) - 1.0).abs() < 0.01, "{} and {}", mean(&moved), mean(&alone));
 }
 
-/// A closed room with a lamp; in frame 1 the camera is outside of it, where no light gets.
+/// A closed room with a lamp. In frame 1 the camera is outside, where there is no light.
 fn in_and_out() -> (AmbientShot, tempfile::TempDir) {
     let folder = tempfile::tempdir().unwrap();
     let step = |property: &str, [inside, outside]: [[f64; 3]; 2]| {
@@ -170,7 +170,7 @@ fn a_cache_of_other_settings_or_another_scene_is_refused() {
     ] {
         assert!(matches!(refused(shot, &settings), RenderError::Cache(_)), "{settings:?}");
     }
-    // The size of the image and its samples are no matter of the light.
+    // The size of the image and its samples do not affect the light.
     let larger = RenderSettings { width: 50, spp: 1, ..made_for };
     render(&kitchen, 0, &larger, Some(&cache));
 }

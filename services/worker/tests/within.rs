@@ -1,4 +1,4 @@
-//! A frame for a time, on the kitchen that ships with the project. One test, for the clock counts what the whole process does.
+//! A frame with a time limit, on the shipped kitchen. One test only, as the clock counts the whole process.
 
 mod common;
 
@@ -15,7 +15,7 @@ fn settings() -> RenderSettings {
     request.complete((64, 36))
 }
 
-/// Rendered in so many CPU seconds from now on.
+/// Renders in this many CPU seconds from now.
 fn within(seconds: f64) -> Result<Allotted, AllotError> {
     let clock = Stopwatch::Cpu(process_cpu_nanos());
     let aim = Aim::Within(Budget { seconds, clock, rehearse: &|_, _| () });
@@ -31,12 +31,12 @@ fn a_longer_time_buys_more_and_what_the_clock_decided_is_made_again_to_the_last_
     let AllotError::TooLittle { given, least } = refused else { panic!("{refused}") };
     assert!(given < least && least < 60.0, "{least}");
 
-    // How many samples there are depends on the machine's speed while it rendered, how they lie does not.
+    // The machine's speed decides the number of samples, not their distribution.
     let [few, many] = [3.0, 9.0].map(|times| within(times * least).unwrap());
     let [few_stats, many_stats] = [&few, &many].map(|made| made.rendered.stats.allotted.clone().unwrap());
     assert!(many_stats.mean > 1.3 * few_stats.mean, "{few_stats:?} {many_stats:?}");
     assert!(many_stats.error.p50 < few_stats.error.p50);
-    // How well a time is kept hangs on the machine too.
+    // How well a time is kept depends on the machine too.
     let (little, kept) = (few_stats.within.unwrap(), many_stats.within.unwrap());
     assert!(kept.passes > 2 && kept.spent_seconds > little.spent_seconds, "{little:?} {kept:?}");
 

@@ -1,10 +1,10 @@
-//! Errors of settings that are close to others, by the same pixels with both.
+//! Errors of similar settings, estimated on the same pixels.
 //!
-//! A rung that gathers with more rays, or interpolates, errs as the settings that were asked for do, a little less or more. Seen on pixels of
-//! its own, that little would be lost in the chance of which pixels these are: rare samples that meet a lamp make most of an
-//! image's error. So the scattered pixels of the first pilot are traced with the other settings too, from the same camera samples,
-//! and the drops of all of its pixels scaled by the ratios that these show (two-phase sampling with a ratio estimator: Cochran,
-//! *Sampling Techniques*, 3rd edition 1977, section 12.8).
+//! A rung with more gather rays, or with interpolation, has nearly the error of the settings that were asked
+//! for. On other pixels, the difference would be lost in sampling noise. So the scattered pixels of the first
+//! pilot are traced again with the other settings, from the same camera samples. The ratios that they show
+//! scale the drops of all its pixels (two-phase sampling with a ratio estimator: Cochran, *Sampling
+//! Techniques*, 3rd edition 1977, section 12.8).
 
 use super::pilot::Pilot;
 use super::{AccuracyObserver, traced};
@@ -17,16 +17,16 @@ use forelight_protocol::{RenderSettings, Spent};
 use forelight_tracer::Pixel;
 use std::ops::RangeInclusive;
 
-/// So many pixels at least are traced with both settings, of gathers however large.
+/// Least number of pixels that are traced with both settings, however expensive the gathers are.
 const LEAST_PIXELS: u32 = 32;
 
-/// The fewest pixels of other gathers may have so many times the rays of the first pilot.
+/// The pixels of other gathers may cost at most this many times the rays of the first pilot.
 const MOST_TIMES: f64 = 4.0;
 
-/// Or so many rays, which take a few seconds.
+/// Or this many rays, which take a few seconds.
 const MOST_RAYS: f64 = 2e6;
 
-/// Replaces what a pilot without a cache says of the error by what the first one says, scaled.
+/// Replaces the noise of a pilot without a cache by the first pilot's noise, scaled.
 pub fn relate(
     renderer: &dyn Renderer,
     ready: &dyn FrameRenderer,
@@ -43,7 +43,7 @@ pub fn relate(
     let known = if pilot.settings.spp == first.settings.spp {
         few
     } else {
-        // Ratios are of the same camera samples, or what some of them met by chance would be in one part alone.
+        // Ratios need the same camera samples. Otherwise a rare sample may be in one part alone.
         let alike = RenderSettings { spp: pilot.settings.spp, ..first.settings.clone() };
         let again = renderer.frame(ready.frame().number, &alike)?;
         let with_first = traced(&*again, pixels, observer)?;
@@ -56,13 +56,13 @@ pub fn relate(
     Ok(())
 }
 
-/// More rays of a gather, and interpolation of gathers, never add to the variance between camera samples.
+/// More rays per gather, and interpolation, never add to the variance between camera samples.
 pub const LESS_NOISY: RangeInclusive<f64> = 0.0..=1.0;
 const MORE_NOISY: RangeInclusive<f64> = 1.0..=f64::MAX;
 
-/// `first` with its drops scaled by the ratios of the image's drops that `own` has to those that `known`, the same settings as `first`,
-/// has on the same pixels; ratios that cannot be, which chance has made, are brought within their bounds. Where the two were traced
-/// with fewer camera samples than `first`, the last ratio holds for all further doublings.
+/// `first`, with its drops scaled by the ratios of `own` to `known` on the same pixels. `known` has the
+/// settings of `first`. Ratios outside `bounds` are chance and are clamped. If `known` and `own` have fewer
+/// camera samples than `first`, the last ratio holds for all further doublings.
 pub fn scaled(
     strata: &[Stratum],
     first: &FrameNoise,
@@ -91,27 +91,26 @@ pub fn scaled(
     Ok(scaled)
 }
 
-/// How many pixels of other gathers may be traced for about the price of `count` pixels of the first pilot's; `least`, or all, however
-/// dear they are.
+/// How many pixels of other gathers can be traced at about the cost of `count` pixels of the first pilot. At
+/// least `least`, or all of them, whatever they cost.
 pub fn affordable(count: u32, least: u32, first: &RenderSettings, other: &RenderSettings) -> u32 {
     let times = times_the_rays(first, other);
     let affordable = if times > 1.0 { (f64::from(count) / times) as u32 } else { count };
     affordable.max(least.min(count))
 }
 
-/// Whether even `least` pixels of other gathers are too dear beside `count` of the first pilot's.
 pub fn is_too_dear(count: u32, least: u32, first: &RenderSettings, other: &RenderSettings) -> bool {
     let count = count.min(first.width.saturating_mul(first.height));
     let rays = |pixels: u32, settings: &RenderSettings| f64::from(pixels) * gathered_rays(settings);
     rays(least.min(count), other) > f64::max(MOST_TIMES * rays(count, first), MOST_RAYS)
 }
 
-/// How many times the rays of a pixel with the first settings one with the others has, without a cache.
+/// Rays per pixel with the settings `other`, relative to `first`, without a cache.
 pub fn times_the_rays(first: &RenderSettings, other: &RenderSettings) -> f64 {
     gathered_rays(other) / gathered_rays(first)
 }
 
-/// Rays that a pixel gathers without a cache, of all levels: every level but the first has an eighth of the rays of the one before.
+/// Rays per pixel, over all levels. Each level has an eighth of the divisions of the one before.
 fn gathered_rays(settings: &RenderSettings) -> f64 {
     let divisions = f64::from(settings.ambient_divisions);
     let mut rays = 1.0;
@@ -123,7 +122,6 @@ fn gathered_rays(settings: &RenderSettings) -> f64 {
     rays
 }
 
-/// What tracing took.
 pub fn cost(traced: &[(Pixel, PixelNoise)]) -> Spent {
     let spent = |pixel: &Pixel| Spent { work: pixel.work, cpu_nanos: pixel.cpu_nanos };
     traced.iter().map(|(pixel, _)| spent(pixel)).fold(Spent::default(), Spent::plus)

@@ -1,17 +1,17 @@
-//! What an irradiance cache adds to the error: that of interpolation, and that of the records themselves. It does not fall with
-//! camera samples, for all of them read the same records.
+//! The error that an irradiance cache adds: by interpolation, and by the noise of its records. It does not
+//! fall with camera samples, since all of them read the same records.
 //!
-//! It is found out on the profiled pixels. The records that they read are gathered, so that their values `c` are those that they
-//! would have in the image, but for the averaging of records that agree, which takes more of them: what is found is an upper
-//! estimate. Against them are held two gathered values of the same pixels without a cache, of more divisions: `g`
-//! from the *same* camera samples, `h` from independent ones. With t for the converged pixel, e for the error of the camera samples
-//! that c and g share, b for that of the cache, and u and v for what else is random in g and h,
+//! The records that the profiled pixels read are filled, so a pixel's value `c` is close to the image's. Only
+//! the averaging of similar records is missing, so the result is an upper estimate. `c` is compared to two
+//! values of the same pixel, gathered with more divisions: `g` from the *same* camera samples, `h` from
+//! independent ones. With e the error of the camera samples that c and g share, b that of the cache, and u
+//! and v the remaining noise of g and h,
 //!
 //! ```text
 //! E[(c − g)(c − h)] = E[(b − u)(e + b − v)] = E[b²] :
 //! ```
 //!
-//! an unbiased estimate of the cache's part alone. That of a single pixel may be negative; the mean over the image is hardly.
+//! This is an unbiased estimate of the cache's part alone. It may be negative for a single pixel.
 
 use super::gathers::{LESS_NOISY, cost, scaled, times_the_rays};
 use super::pilot::Pilot;
@@ -22,34 +22,29 @@ use crate::renderer::{FrameRenderer, Renderer};
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{RenderSettings, Spent};
 
-/// Gathers of the truth have that many times the divisions that were asked for, that their noise does not hide what is looked for; the first of
-/// these with which they have at most [`MOST_TIMES`] the rays, or as many: with several bounces rays grow with a power of the divisions.
+/// Factors on the divisions of reference gathers. The first with at most [`MOST_TIMES`] the rays is used.
 const FINER: [u32; 2] = [4, 2];
 
-/// See [`FINER`].
 const MOST_TIMES: f64 = 8.0;
 
-/// Most divisions that settings may have.
 const MOST_DIVISIONS: u32 = 65_536;
 
-/// The seed of the independent values is the image's with these bits flipped.
+/// The image's seed with these bits flipped is the seed of the independent values.
 const OTHER_SEED: u64 = 0x7275_7468;
 
-/// Pixels at most on which a cache is held against gathers: each of them reads dozens of records.
+/// Most pixels on which a cache is compared to gathers. Each of them reads dozens of records.
 const PIXELS: usize = 64;
 
-/// Values of scattered pixels without a cache.
+/// Reference values of scattered pixels, without a cache.
 pub struct Truth {
-    /// These pixels, with what gathers say of them.
+    /// These pixels, with the noise of their gathers.
     gathered: FrameNoise,
     same: Vec<[f32; 3]>,
     independent: Vec<[f32; 3]>,
-    /// What finding them out took.
     pub spent: Spent,
 }
 
 impl Truth {
-    /// Of the scattered pixels of a pilot without a cache.
     pub fn new(
         renderer: &dyn Renderer,
         frame: u32,
@@ -79,8 +74,8 @@ impl Truth {
         Ok(Self { gathered, same, independent, spent })
     }
 
-    /// Completes a pilot with a cache by the pixels of the pilot without one that the truth is of: what its camera samples say, and what
-    /// interpolation adds.
+    /// Completes a pilot with a cache: the noise of its camera samples, and the error that interpolation
+    /// adds. Both come from the pixels of these reference values.
     pub fn interpolated(
         &self,
         ready: &dyn FrameRenderer,

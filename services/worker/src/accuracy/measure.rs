@@ -1,7 +1,7 @@
-//! The truth: every rung rendered, and held against converged images.
+//! Measured errors: every rung is rendered and compared to converged images.
 //!
-//! The converged image is rendered in two independent halves, a and b. For an image x that has nothing to do with either,
-//! E[(x − a)(x − b)] = E[(x − t)²] with t what both converge to: the halves' own noise drops out, and need not be small.
+//! The converged image is rendered in two independent halves, a and b. For an image x that is independent of
+//! both, E[(x − a)(x − b)] = E[(x − t)²], with t what both converge to. Their own noise drops out.
 
 use super::AccuracyObserver;
 use crate::profile::ShotError;
@@ -13,11 +13,11 @@ use forelight_tracer::Image;
 /// How rungs are measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MeasureOptions {
-    /// Camera samples a pixel of a converged image, both halves together, at least 2.
+    /// Camera samples per pixel of a converged image, both halves together, at least 2.
     pub reference_spp: u32,
 }
 
-/// Seeds of the two halves are the image's with these bits flipped.
+/// The image's seed with these bits flipped is the seed of each half.
 const HALVES: [u64; 2] = [0x6861_6c66, 0x6f74_6865];
 
 /// Two independent images of what a rung converges to.
@@ -27,8 +27,7 @@ pub(crate) struct Converged {
     mean: f64,
 }
 
-/// Renders every rung of a document of one frame, once for each different setting, and writes what it took and came to into it.
-/// `observer` is told of rungs.
+/// Renders every distinct rung of a one-frame document, and records its cost and error.
 pub fn measure(
     renderer: &dyn Renderer,
     frame: u32,
@@ -64,14 +63,14 @@ pub fn measure(
     Ok(())
 }
 
-/// Gathers of a converged image have few rays: it is the camera samples that are many, and each of them gathers.
+/// Gathers of a converged image have few rays: each of its many camera samples gathers.
 const DIVISIONS: u32 = 4;
 
-/// A half of a converged image that serves a single rung has this many times the rung's camera samples at most.
+/// Most camera samples of a half that serves a single rung, as a multiple of the rung's.
 const TIMES_SAMPLES: u32 = 4;
 
-/// Settings of a half of what a rung converges to. What makes no difference to that is brought to one value, so that one image
-/// serves many rungs.
+/// Settings of a converged half for a rung. Settings that do not change what a rung converges to are
+/// normalised, so that one image serves many rungs.
 fn truth(settings: &RenderSettings, asked: &RenderSettings, options: &MeasureOptions) -> RenderSettings {
     let plain = RenderSettingsRequest::default().complete((1, 1));
     let mut spp = (options.reference_spp / 2).max(1);
@@ -100,7 +99,6 @@ fn image(
 }
 
 impl Converged {
-    /// Renders both.
     pub(crate) fn new(
         renderer: &dyn Renderer,
         frame: u32,
@@ -139,7 +137,7 @@ impl Converged {
         }
         let scale = 1.0 / (self.mean * self.mean);
         let square = (mean * scale).max(0.0);
-        // To first order where there is an error to speak of; where there is none, as much as would show.
+        // First-order propagation if the error is significant, else the smallest error that would show.
         let square_deviation = deviation * scale;
         let error = square.sqrt();
         let error_deviation = if square > square_deviation {

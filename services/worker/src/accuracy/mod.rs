@@ -1,17 +1,17 @@
-//! What accuracy costs in time, of one frame, on this machine alone.
+//! What accuracy costs in time, for one frame, on this machine alone.
 //!
 //! | file | subject |
 //! | --- | --- |
-//! | `pilot` | profiled pixels of one kind of setting: what they take and how far off they are |
-//! | `related` | what other gathers do to the error of the same pixels |
-//! | `interpolation` | what an irradiance cache adds to the error |
-//! | `measure` | the truth: rungs rendered, and held against converged images |
+//! | `pilot` | profiled pixels of one kind of setting: their cost and their error |
+//! | `gathers` | how other gathers change the error of the same pixels |
+//! | `interpolation` | the error that an irradiance cache adds |
+//! | `measure` | measured errors: rungs rendered and compared to converged images |
 //!
-//! Every kind of setting (an integrator, a number of divisions, an accuracy of the cache) is profiled once, by a *pilot*, with
-//! a few camera samples a pixel. What a rung takes follows as in a quote, the pixels' part in proportion to its samples;
-//! how far off it will be, from the spectrum of its variance (`forelight_forecast::accuracy`) and, with a cache, from what
-//! interpolation adds, which does not fall with samples. Other resolutions share the pilot of the settings that were asked for: the
-//! preview counts the pixels of every stratum in each, and the plan the records.
+//! Every kind of setting (an integrator, a number of divisions, an accuracy of the cache) is profiled once,
+//! by a *pilot*, with a few camera samples per pixel. A rung's cost follows as in a quote. Its error follows
+//! from the spectrum of its variance (`forelight_forecast::accuracy`) and, with a cache, from the
+//! interpolation error, which does not fall with samples. Other resolutions share the pilot of the settings
+//! that were asked for.
 
 mod gathers;
 mod interpolation;
@@ -39,40 +39,39 @@ use interpolation::Truth;
 use pilot::View;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Camera samples of a profiled pixel: four doublings of them can be seen.
+/// Camera samples of a profiled pixel: enough for four doublings.
 const PILOT_SPP: u32 = 16;
 
-/// A profiled pixel gathers with this many rays, over all its camera samples, unless these would be fewer than [`LEAST_SPP`].
+/// Gather rays of a profiled pixel, over all its camera samples. May be more, see [`LEAST_SPP`].
 const PILOT_RAYS: u32 = 256;
 
-/// Pixels that are profiled at least of gathers with many rays, of which as many as of the others would take longer than all else.
+/// Least pixels to profile where gathers have many rays, instead of the usual number.
 const LEAST_SAMPLES: u32 = 48;
 
-/// Two doublings of camera samples.
+/// Least camera samples of a profiled pixel: two doublings.
 const LEAST_SPP: u32 = 4;
 
 /// How accuracy is predicted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct AccuracyOptions {
-    /// Pixels to profile of every kind of setting.
+    /// Pixels to profile for every kind of setting.
     pub samples: u32,
     /// Seed of the choice of pixels.
     pub seed: u64,
 }
 
-/// Told how far it is; says whether to go on.
+/// Receives progress, and can cancel.
 pub trait AccuracyObserver: Sync {
-    /// So many of all steps of the prediction are done.
+    /// `done` of `all` steps of the prediction are finished.
     fn predicted(&self, done: usize, all: usize);
-    /// The flag that ends it.
+    /// Set to cancel.
     fn cancel(&self) -> &AtomicBool;
 }
 
-/// An image of more pixels than this, and than was asked for, is not looked at to see what it would take: its preview alone
-/// has 32 bytes a pixel.
+/// Larger images are left out, unless a larger one was asked for: a preview needs 32 bytes per pixel.
 const MOST_PIXELS: u64 = 1 << 26;
 
-/// Predicts these ladders around the settings that were asked for; of others the rung that was asked for.
+/// Predicts these ladders. Of the other ladders, only the rung that was asked for.
 pub fn predict(
     renderer: &dyn Renderer,
     frame: u32,
@@ -87,7 +86,7 @@ pub fn predict(
         match (ladder(kind, asked), ladders.contains(&kind)) {
             (Ok(rungs), true) => wanted.push((kind, rungs)),
             (Err(reason), true) => missing.push(MissingLadder { ladder: kind, reason }),
-            // What the others are held against.
+            // The rung that the others are compared to.
             (Ok(rungs), false) if rungs.contains(asked) => wanted.push((kind, vec![asked.clone()])),
             (_, false) => {}
         }
@@ -107,12 +106,11 @@ struct Prediction<'a> {
     asked: &'a RenderSettings,
     options: &'a AccuracyOptions,
     observer: &'a dyn AccuracyObserver,
-    /// By the settings that they were made with.
     pilots: Vec<Pilot>,
     truth: Option<Truth>,
     rungs: Vec<AccuracyRung>,
     missing: Vec<MissingLadder>,
-    /// Beside the pilots.
+    /// Cost beside the pilots.
     spent: Spent,
     done: usize,
     all: usize,
@@ -154,7 +152,7 @@ impl<'a> Prediction<'a> {
             };
             let left_out = match kind {
                 LadderKind::Divisions if is_dear() => Some(format!(
-                    "{} rays with {} bounces: a few pixels of them take longer than all else here",
+                    "{} rays with {} bounces: profiling a few pixels would take longer than everything else",
                     settings.ambient_divisions, settings.ambient_bounces
                 )),
                 LadderKind::Resolution => too_large(settings, self.asked),
@@ -192,13 +190,12 @@ impl<'a> Prediction<'a> {
         Ok(())
     }
 
-    /// Index of the pilot of a kind of setting, which is made if there is none.
     fn pilot(&mut self, settings: &RenderSettings) -> Result<usize, ShotError> {
         let settings = piloted(settings);
         if let Some(known) = self.pilots.iter().position(|pilot| pilot.settings == settings) {
             return Ok(known);
         }
-        // What is close to the gathers that were asked for is held against these on the same pixels.
+        // Settings close to the gathers that were asked for are compared to these on the same pixels.
         let first = self.gathers_asked_for();
         let known = match settings.integrator {
             Integrator::Ambient if settings != first => Some(self.pilot(&first)?),
@@ -232,14 +229,14 @@ impl<'a> Prediction<'a> {
         Ok(self.pilots.len() - 1)
     }
 
-    /// The pilot's settings of gathers as they were asked for, without a cache.
+    /// The pilot's settings for gathers as they were asked for, without a cache.
     fn gathers_asked_for(&self) -> RenderSettings {
         let gathered =
             RenderSettings { integrator: Integrator::Ambient, cache: CacheMode::Off, ..self.asked.clone() };
         piloted(&gathered)
     }
 
-    /// What the frame shows in another resolution than the pilot's.
+    /// What the frame shows at another resolution than the pilot's.
     fn view(&mut self, settings: &RenderSettings, pilot: usize) -> Result<View, ShotError> {
         let pilot = &self.pilots[pilot];
         let own = &pilot.settings;
@@ -277,10 +274,9 @@ impl<'a> Prediction<'a> {
     }
 }
 
-/// Why an image is not looked at in passing.
 fn too_large(settings: &RenderSettings, asked: &RenderSettings) -> Option<String> {
     let RenderSettings { width, height, .. } = settings;
-    let why = || format!("{width} × {height}: looking at so many pixels takes more memory than it is worth");
+    let why = || format!("{width} × {height}: a preview of this many pixels takes too much memory");
     (settings.pixels() > MOST_PIXELS.max(asked.pixels())).then(why)
 }
 
@@ -288,7 +284,6 @@ fn is_cancelled(observer: &dyn AccuracyObserver) -> bool {
     observer.cancel().load(Ordering::Relaxed)
 }
 
-/// These pixels, unless the observer wants it to end on the way.
 fn traced(
     ready: &dyn FrameRenderer,
     pixels: &[u32],
@@ -297,8 +292,7 @@ fn traced(
     ready.trace_unless(pixels, &|| is_cancelled(observer)).ok_or(ShotError::Cancelled)
 }
 
-/// The settings of the pilot for these settings. What makes no difference to them is brought to one value, so that one
-/// pilot serves many rungs.
+/// The settings of the pilot for these settings. Those that it does not depend on are normalised.
 pub(crate) fn piloted(settings: &RenderSettings) -> RenderSettings {
     let plain = forelight_protocol::RenderSettingsRequest::default().complete((1, 1));
     let mut piloted = settings.clone();

@@ -19,19 +19,17 @@ use forelight_quote::quantiles;
 use forelight_tracer::{Pixel, RecordCost};
 use std::collections::BTreeMap;
 
-/// What a frame shows at one size, in numbers.
+/// Counts of a frame at one resolution.
 #[derive(Debug, Clone)]
 pub struct View {
-    /// Pixels by stratum of cost, the background as the last.
+    /// Pixels by stratum of cost, the background last.
     counts: Vec<u32>,
-    /// Pixels by stratum of error.
     pub noise_counts: Vec<u32>,
     cache_records: Vec<u32>,
     fixed: FixedCosts,
 }
 
 impl View {
-    /// Of a frame, and what looking took.
     pub fn of(ready: &dyn FrameRenderer) -> Result<(Self, Spent), RenderError> {
         let seen = ready.preview()?;
         let view = Self::new(ready, &seen.preview, &Zones::new(ready, &seen.preview));
@@ -54,34 +52,29 @@ impl View {
 
 /// Profiled pixels of one kind of setting.
 pub struct Pilot {
-    /// With the pilots' camera samples.
     pub settings: RenderSettings,
-    /// At the size of its settings.
     pub view: View,
     strata: Vec<Stratum>,
-    /// Strata of the error.
     pub noise_strata: Vec<Stratum>,
     observations: Vec<Observation>,
-    /// Of the work of each of them, what is not in proportion to the camera samples.
+    /// For each observation, the part of its work that does not grow with camera samples.
     extra_work: Vec<u64>,
     records: Vec<RecordCost>,
-    /// What its pixels say of the error. Without what interpolation adds, and with an irradiance cache of no pixels, until
-    /// [`super::interpolation::Truth::interpolated`] has seen to it.
+    /// Noise of the pixels. With an irradiance cache it is empty until
+    /// [`super::interpolation::Truth::interpolated`] fills it in. Without the interpolation error.
     pub noise: FrameNoise,
-    /// What interpolation adds at some of its pixels; without an irradiance cache nothing.
+    /// Interpolation error at some of the pixels. `None` without an irradiance cache.
     pub interpolation: Option<FrameNoise>,
-    /// Which pixel is in which of these strata.
+    /// Which pixel is in which of `noise_strata`.
     pub zones: Zones,
-    /// Of the work of the pixels of `noise`, in their order, what is in proportion to the camera samples.
+    /// For each pixel of `noise`, the part of its work that grows with camera samples.
     pub pixel_work: Vec<u64>,
-    /// What it took.
     pub spent: Spent,
-    /// The part of it that a render of the frame does not take anyway: its pixels and the preview.
+    /// The part of `spent` that a render of the frame would not need: pixels and preview.
     pub overhead: Spent,
 }
 
 impl Pilot {
-    /// Profiles a frame.
     pub fn new(
         renderer: &dyn Renderer,
         ready: &dyn FrameRenderer,
@@ -123,12 +116,11 @@ impl Pilot {
         })
     }
 
-    /// Number of profiled pixels.
     pub fn profiled(&self) -> u64 {
         self.observations.len() as u64
     }
 
-    /// Error of a frame with so many camera samples a pixel that shows what `view` says.
+    /// Error of a frame with `spp` camera samples per pixel and the counts of `view`.
     pub fn error(&self, view: &View, spp: u32) -> Result<ImageError, ShotError> {
         let image = |noise: &FrameNoise| -> Result<ImageNoise, ForecastError> {
             ImageNoise::new(noise.cells(&self.noise_strata, &view.noise_counts)?)
@@ -141,7 +133,7 @@ impl Pilot {
         Ok(ImageError { p05, p50, p80, p95 })
     }
 
-    /// Work and CPU seconds of a frame with so many camera samples a pixel that shows what `view` says.
+    /// Work and CPU seconds of a frame with `spp` camera samples per pixel and the counts of `view`.
     pub fn cost(&self, view: &View, spp: u32) -> Result<(Quantiles, Quantiles), ShotError> {
         let had = self.settings.spp;
         let factor = f64::from(spp) / f64::from(had);
@@ -152,7 +144,7 @@ impl Pilot {
             cost: seen.cost.with_samples(factor, extra, growth),
         });
         let mut observations = of_view(&view.counts, of_pixels.collect());
-        // In a smaller image a stratum may have fewer pixels than were profiled of it in this one: the forecast is then of several such images.
+        // A smaller image may have fewer pixels of a stratum than were profiled: forecast copies of it.
         let copies = copies(&view.counts, &observations);
         let of_copies = |counts: &[u32]| counts.iter().map(|count| count * copies).collect::<Vec<u32>>();
         let records = of_copies(&view.cache_records);
@@ -162,7 +154,6 @@ impl Pilot {
         let apart = RecordStrata::add(&mut strata, &mut frame, &[&records], prior_cost);
         let mut room = vec![0; records.len()];
         for record in &self.records {
-            // The same for records.
             if let Some(room) = room.get_mut(record.level as usize)
                 && *room < records[record.level as usize]
             {
@@ -192,7 +183,7 @@ impl Pilot {
     }
 }
 
-/// The observations that speak for what a view shows; where nothing that it shows was profiled, what all cost on average.
+/// The observations of strata that a view shows. If there are none, the average cost of all observations.
 fn of_view(counts: &[u32], observations: Vec<Observation>) -> Vec<Observation> {
     let shown = |seen: &&Observation| counts[seen.stratum as usize] > 0;
     let own: Vec<Observation> = observations.iter().filter(shown).copied().collect();
@@ -205,7 +196,7 @@ fn of_view(counts: &[u32], observations: Vec<Observation>) -> Vec<Observation> {
     }
 }
 
-/// How many times a view has to be laid side by side, so that it has as many pixels of each stratum as were observed.
+/// How many copies of a view are needed to have as many pixels of each stratum as were observed.
 fn copies(counts: &[u32], observations: &[Observation]) -> u32 {
     let mut seen = vec![0u32; counts.len()];
     observations.iter().for_each(|observation| seen[observation.stratum as usize] += 1);
@@ -213,7 +204,6 @@ fn copies(counts: &[u32], observations: &[Observation]) -> u32 {
     counts.iter().zip(seen).map(times).max().unwrap_or(1).max(1)
 }
 
-/// Profiling as a part of it.
 struct Watching<'a>(&'a dyn AccuracyObserver);
 
 impl Observer for Watching<'_> {
@@ -248,7 +238,7 @@ mod tests {
             let (work, _) = pilot.cost(&view, settings.spp).unwrap();
             let off = work.mean / rendered.stats.work as f64 - 1.0;
             println!("{width} x {height}: {off:+.3}");
-            // Forty pixels see other things than those beside them: what is ruled out is that a sixteenth of the pixels costs a half.
+            // Forty pixels differ from their neighbours, but a sixteenth of all must not cost half.
             assert!(off.abs() < 0.25, "{width} x {height}: {off}");
         }
     }
@@ -296,7 +286,7 @@ mod tests {
         };
         let settings = request.complete((32, 18));
         let ready = shot.frame(0, &settings).unwrap();
-        // All pixels: what is left of error is that of few records, and of samples that are not those of the pilot.
+        // All pixels: what remains is the error of few records and of later samples.
         let options = AccuracyOptions { samples: 32 * 18, seed: 2 };
         let pilot = Pilot::new(&shot, &*ready, settings.clone(), &options, &nobody).unwrap();
         assert!(pilot.extra_work.iter().sum::<u64>() > 0);
@@ -308,7 +298,7 @@ mod tests {
             let (work, _) = pilot.cost(&pilot.view, spp).unwrap();
             let off = work.mean / rendered.stats.work as f64 - 1.0;
             println!("{spp} samples: {off:+.3}");
-            // The plan saw the points of the first samples: those of later ones are covered less often.
+            // The plan saw the points of the first samples. Later ones are covered less often.
             assert!(off.abs() < 0.05, "{spp} samples: {off}");
         }
     }

@@ -1,11 +1,9 @@
-//! A frame for so many seconds, or of so small an error: the camera samples that each part of it gets.
+//! Distributes the camera samples of a frame with a time limit or an error target.
 //!
-//! Some pixels are profiled with a few camera samples (see `accuracy::pilot`). They say, stratum by stratum and for the edges of lights
-//! apart, how variance falls with samples and what a sample costs: whether the least image fits a time, how many samples to begin with, and what an image
-//! with so many samples should take. A profile does not know which spot of a wall is the bright one; the image does, once its pixels have a few
-//! samples, and says which numbers of them make the least error for the time, or the least time for the error ([`crate::adaptive::tiles`],
-//! `forelight_forecast::accuracy::allot`). With an irradiance cache that is filled first, for
-//! what is left of the time depends on it. How a render holds to its time is in [`crate::adaptive::time_limit`], to its error in [`crate::adaptive::error_target`].
+//! Some pixels are profiled with a few camera samples (see `accuracy::pilot`). For each stratum, and for the
+//! edges of lights, they show the cost of a sample and how variance falls with samples. That gives the first
+//! pass and the forecast. Later passes follow the image, which shows where on a wall the bright spot is
+//! ([`crate::adaptive::tiles`]). An irradiance cache is filled first, since the time left depends on it.
 
 use crate::accuracy::{AccuracyObserver, AccuracyOptions, Pilot, piloted};
 use crate::adaptive::error_target::render_for_error;
@@ -23,7 +21,7 @@ use forelight_protocol::{
 use forelight_tracer::SampleCounts;
 use std::time::Instant;
 
-/// What a frame is to come to.
+/// What a frame should reach.
 #[derive(Clone, Copy)]
 pub enum Aim<'a> {
     /// The best image for a time.
@@ -37,35 +35,35 @@ pub enum Aim<'a> {
 pub struct AllotOptions<'a> {
     /// What to reach.
     pub aim: Aim<'a>,
-    /// How sure: of an error, that it is kept; of a time, that the least image fits before the first pixel is rendered.
+    /// Of meeting the error, or of fitting the least image into the time before a pixel is rendered.
     pub confidence: Confidence,
     /// Pixels to profile.
     pub samples: u32,
-    /// Seed of their choice.
+    /// Seed of the choice of pixels.
     pub seed: u64,
 }
 
-/// Why no samples can be allotted.
+/// Why samples cannot be distributed.
 #[derive(Debug, thiserror::Error)]
 pub enum AllotError {
-    /// One camera sample a pixel takes longer.
+    /// One camera sample per pixel takes longer.
     #[error(
-        "{given:.3} s are too few: with one camera sample per pixel, the least there is, the frame takes about {least:.3} s"
+        "{given:.3} s is too short: the frame takes about {least:.3} s with one camera sample per pixel; allow at least that"
     )]
     TooLittle {
         /// Seconds given.
         given: f64,
-        /// Seconds that the least image takes, of the same clock.
+        /// Seconds of the least image, on the same clock.
         least: f64,
     },
-    /// Not even the irradiance cache is filled by then.
+    /// Filling the irradiance cache alone takes longer.
     #[error(
-        "{given:.3} s are too few: until the frame's irradiance cache is filled alone about {filled:.3} s pass"
+        "{given:.3} s is too short: filling the frame's irradiance cache takes until about {filled:.3} s; allow more or use no cache"
     )]
     TooLittleForCache {
         /// Seconds given.
         given: f64,
-        /// When it is filled, in seconds of the same clock.
+        /// When the cache is filled, in seconds on the same clock.
         filled: f64,
     },
     /// The frame cannot be profiled.
@@ -90,14 +88,14 @@ impl From<ForecastError> for AllotError {
 pub struct Allotted {
     /// The image.
     pub rendered: Rendered,
-    /// With which [`render_as_allotted`] makes it again, bit by bit.
+    /// Samples per pixel. [`render_as_allotted`] makes the same image from them, bit by bit.
     pub samples: SampleCounts,
 }
 
 /// Renders one frame with the camera samples that reach an aim. `None` if the observer's flag was set.
 ///
-/// The image depends on the settings, the aim and, if that is a time, on how fast this machine was: that decides how many samples the
-/// pixels got, and nothing else.
+/// The image depends on the settings and the aim. With a time limit, the speed of the machine decides how
+/// many samples the pixels get, and nothing else.
 ///
 /// # Errors
 /// If the time is too short for any image.
@@ -136,11 +134,11 @@ pub fn render_allotted(
     Ok(Some(made.rendered(&*ready, &settings, Some(forecast), start.elapsed().as_secs_f64())))
 }
 
-/// Renders one frame with camera samples that were allotted before: with the same settings the same image, bit by bit. `None` if the
-/// observer's flag was set.
+/// Renders one frame with camera samples that were distributed before. The same settings give the same image,
+/// bit by bit. `None` if the observer's flag was set.
 ///
 /// # Errors
-/// If there are not as many numbers as pixels.
+/// If `samples` does not have one number per pixel.
 pub fn render_as_allotted(
     renderer: &dyn Renderer,
     frame: u32,
@@ -163,17 +161,16 @@ pub fn render_as_allotted(
     }))
 }
 
-/// What came of an aim.
 pub(crate) struct Made {
     pub finished: Finished,
     pub samples: SampleCounts,
-    /// What the image says of its own error.
+    /// The image's own estimate of its error.
     pub survey: Survey,
     pub within: Option<WithinStats>,
 }
 
 impl Made {
-    /// The frame with what it took, what was forecast of it, and what its pixels say of their error.
+    /// The frame with its cost, its forecast, and its estimated error.
     pub fn rendered(
         self,
         ready: &dyn FrameRenderer,
@@ -193,20 +190,20 @@ impl Made {
     }
 }
 
-/// What samples cost and bring, part by part of a frame.
+/// Cost and benefit of samples, by zone of a frame.
 pub(crate) struct Allotment<'a> {
     pilot: &'a Pilot,
     image: ImageNoise,
     zones: Vec<Zone>,
     /// Of each zone, ascending.
     pixels: Vec<Vec<u32>>,
-    /// Those of the pilot's scattered samples that speak for each zone.
+    /// Indices of the pilot's scattered samples in each zone.
     profiled: Vec<Vec<usize>>,
     /// Of the frame with the pilot's camera samples.
     cpu_seconds: Quantiles,
-    /// Work of the pixels for a unit of the zones' cost: the strata of cost are finer, and their estimate of the whole is the better one.
+    /// Work of the pixels per unit of the zones' cost, as strata of cost are finer than zones.
     scale: f64,
-    /// CPU seconds of a unit of work, by what the pilot took.
+    /// CPU seconds per unit of work, as measured by the pilot.
     pub seconds_per_work: f64,
     /// Error with the pilot's camera samples, and its root mean square.
     spread: ErrorQuantiles,
@@ -241,38 +238,34 @@ impl<'a> Allotment<'a> {
         })
     }
 
-    /// How much more than its mean the time may be, at a confidence.
+    /// Ratio of the CPU time at a confidence to its mean.
     pub fn surety(&self, confidence: Confidence) -> f64 {
         ratio(self.cpu_seconds.at(confidence), self.cpu_seconds.mean)
     }
 
-    /// Work of all pixels with so many samples in each zone.
     fn work_of(&self, samples: &[f64]) -> f64 {
         self.scale * cost(&self.zones, samples)
     }
 
-    /// The same of one sample in each.
     pub fn least_work(&self) -> f64 {
         self.work_of(&vec![1.0; self.zones.len()])
     }
 
-    /// Samples of each zone for an error, as a share of the image's mean, with the least work.
+    /// Samples of each zone that reach an error, as a share of the image's mean, with the least work.
     pub fn for_error(&self, wanted: f64, confidence: Confidence) -> Vec<f64> {
         let wanted = wanted / ratio(quantile(&self.spread, confidence), self.rms) * self.image.mean();
         samples_for_variance(&self.zones, wanted * wanted)
     }
 
-    /// The samples of each zone, pixel by pixel.
     pub fn laid_out(&self, samples: &[f64]) -> Result<SampleCounts, RenderError> {
         laid_out(self.pilot.settings.pixels() as usize, &self.pixels, samples)
     }
 
-    /// Width and height of the image in pixels.
     pub fn size(&self) -> (u32, u32) {
         (self.pilot.settings.width, self.pilot.settings.height)
     }
 
-    /// How the variance of each pixel's zone falls with samples, see [`Zone::variance`].
+    /// For each pixel, how the variance of its zone falls with samples, see [`Zone::variance`].
     pub fn profiled_variance(&self) -> Vec<[f64; 2]> {
         let mut variance = vec![self.image.curve(); self.pilot.settings.pixels() as usize];
         for (pixels, zone) in self.pixels.iter().zip(&self.zones) {
@@ -281,9 +274,9 @@ impl<'a> Allotment<'a> {
         variance
     }
 
-    /// Mean number of samples in each zone, weighted by what a sample of each pixel takes: samples go by tiles in the end, and the tiles of a
-    /// zone that need more of them may have the dearer pixels, or the cheaper. The plain mean is known, and the profiled pixels say how far the
-    /// weighted one is from it (a difference estimator).
+    /// Mean samples of each zone, weighted by the cost of a sample of each pixel. The profiled pixels
+    /// estimate the difference to the plain mean (a difference estimator), since costly tiles may get more
+    /// samples.
     fn means(&self, counts: &SampleCounts) -> Vec<f64> {
         let of_pixel = |pixel: u32| f64::from(counts.as_slice()[pixel as usize]);
         let mean = |(pixels, profiled): (&Vec<u32>, &Vec<usize>)| {
@@ -299,9 +292,7 @@ impl<'a> Allotment<'a> {
         self.pixels.iter().zip(&self.profiled).map(mean).collect()
     }
 
-    /// What a frame with these samples is to take.
-    ///
-    /// It is that of a frame with as many samples everywhere as these are on average, moved by what it changes where they are.
+    /// Forecast of a frame with the same mean everywhere, corrected for the distribution of samples.
     fn forecast(&self, counts: &SampleCounts) -> Result<AllottedForecast, ShotError> {
         let even = (counts.range().2.round() as u32).max(1);
         let (work, cpu_seconds) = self.pilot.cost(&self.pilot.view, even)?;
@@ -328,7 +319,6 @@ fn zones(pilot: &Pilot, image: &ImageNoise, groups: &[NoiseGroup]) -> Result<Vec
     groups.iter().map(zone).collect()
 }
 
-/// An error at a confidence.
 pub(crate) fn quantile(error: &ErrorQuantiles, confidence: Confidence) -> f64 {
     match confidence {
         Confidence::P50 => error.p50,
@@ -337,12 +327,11 @@ pub(crate) fn quantile(error: &ErrorQuantiles, confidence: Confidence) -> f64 {
     }
 }
 
-/// 1 for nothing of nothing.
+/// 1 if either is 0.
 fn ratio(part: f64, whole: f64) -> f64 {
     if part > 0.0 && whole > 0.0 { part / whole } else { 1.0 }
 }
 
-/// The quantiles of what takes so much more, as sure in proportion.
 fn moved(quantiles: &Quantiles, change: f64) -> Quantiles {
     let factor = ratio((quantiles.mean + change).max(0.0), quantiles.mean);
     let Quantiles { mean, p50, p80, p95 } = *quantiles;

@@ -1,9 +1,9 @@
-//! A render that goes on until its image is good enough.
+//! A render that continues until its image is accurate enough.
 //!
-//! It goes in passes (`forelight_tracer::Passes`). The first gives every pixel a few samples, by what the profile says. Each of the others
-//! looks at what the image shows by then ([`crate::adaptive::tiles`]), and gives every tile what it lacks for the error; but never many times what it has, for a
-//! tile's few samples may deceive; and as if it were sure how variance falls with samples, for what they change will show that. When the
-//! image vouches for the error, it is finished. All of that depends on the samples alone.
+//! The first pass gives every pixel a few samples, as the profile suggests. Each later pass gives every tile
+//! the samples that it lacks for the error, as the image shows by then ([`crate::adaptive::tiles`]). A pass
+//! at most multiplies a tile's samples by `GROWTH`, since few samples may mislead. It takes the law of the
+//! variance as certain, since the new samples will test it. The image depends on the samples alone.
 
 use crate::adaptive::allocation::{AllotError, Allotment, Made, quantile};
 use crate::adaptive::tiles::Tiles;
@@ -16,18 +16,19 @@ use forelight_tracer::{Passes, SampleCounts};
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-/// Fewest samples of a pixel in the first pass: as many as show that they differ.
+/// Fewest samples of a pixel in the first pass: enough to show that they differ.
 const LEAST: f64 = 2.0;
 /// Most samples of a pixel in the first pass.
 const FIRST: f64 = 4.0;
-/// A pass gives a tile at most so many times the samples that it has.
+/// A pass multiplies the samples of a tile by at most this.
 const GROWTH: f64 = 4.0;
-/// An error that is above the one that was asked for by this share of it is near enough.
+/// An error that exceeds the target by this share is accepted.
 pub const NEAR_ENOUGH: f64 = 0.01;
-/// A pass that is to show how variance falls adds at least this share of what was done; if less is lacking, all of it is made sure.
+/// Least growth in cost for a pass that takes the law of the variance as certain.
 const WORTHWHILE: f64 = 0.02;
 
-/// Renders a frame whose cache is filled until its error is below `wanted`, a share of the image's mean. `None` if `cancel` was set.
+/// Renders a frame, whose cache is filled, until its error is below `wanted`, a share of the image's mean.
+/// `None` if `cancel` was set.
 pub(crate) fn render_for_error(
     ready: &dyn FrameRenderer,
     allotment: &Allotment<'_>,
@@ -67,7 +68,7 @@ pub(crate) fn render_for_error(
         let capped: Vec<f64> = lacking.iter().zip(has).map(|(n, has)| n.min(GROWTH * has)).collect();
         next = more(&tiles, &capped, &counts)?;
         if next == counts {
-            // No pixel may have more samples.
+            // Every pixel has the most samples allowed.
             break (counts, survey);
         }
         let rest = (cost_of(&capped) - done) / (cost_of(&sure) - done).max(f64::MIN_POSITIVE);
@@ -76,8 +77,8 @@ pub(crate) fn render_for_error(
     Ok(Some(Made { finished: ready.finished(&passes), samples, survey, within: None }))
 }
 
-/// At least so many samples, pixel by pixel, and more than they have if there may be more: in few pixels, means between the numbers at which samples lie
-/// evenly may not come to the next of them.
+/// At least these samples, and more than `has` if possible. In a tile of few pixels, a mean between two
+/// evenly spread numbers may not reach the next.
 fn more(tiles: &Tiles, samples: &[f64], has: &SampleCounts) -> Result<SampleCounts, RenderError> {
     let mut scale = 1.0;
     loop {
@@ -90,7 +91,7 @@ fn more(tiles: &Tiles, samples: &[f64], has: &SampleCounts) -> Result<SampleCoun
     }
 }
 
-/// Brings the pixels to so many samples, while progress goes from one share of all to another.
+/// Brings the pixels to these numbers of samples. Progress goes from `shown.start` to `shown.end`.
 pub(crate) fn pass(
     ready: &dyn FrameRenderer,
     passes: &mut Passes,

@@ -1,10 +1,10 @@
 //! Adaptive sampling: a frame for a time, for an error, or for an amount of work.
 //!
-//! Such a frame is rendered in passes. After each pass the image shows where more camera samples lower its error most.
+//! The frame is rendered in passes. After each, the image shows where more samples lower its error most.
 //!
 //! | file | subject |
 //! | --- | --- |
-//! | `allocation` | from a profile to the first samples, and what the frame will come to |
+//! | `allocation` | the first samples, from a profile, and the forecast of the frame |
 //! | `tiles` | what the unfinished image says of each tile |
 //! | `time_limit` | passes until the time is up |
 //! | `error_target` | passes until the error is small enough |

@@ -1,13 +1,11 @@
-//! A render that holds to its time.
+//! A render that keeps to a time limit.
 //!
-//! Forecasts of work hold to a few per cent, but what a unit of work takes differs between a short profile and the render, between
-//! busy and idle hours. So the render looks at its clock. It goes in passes (`forelight_tracer::Passes`): the first gives every
-//! pixel one sample; each of the others gives the samples that make the least error for a part of the time that is left, reckoned with
-//! the seconds that the pass before it took for a unit of work, by what the image shows by then ([`crate::adaptive::tiles`]). The last ones take nearly all that is left, and whatever is not
-//! finished when the time is up stays with the samples that it has: pixels are complete at every number of samples, and a pass goes
-//! over the image in scattered tiles.
+//! Forecasts of work are right to a few per cent. The time per unit of work is less stable, so the render
+//! watches its clock. The first pass gives every pixel one sample. Each later pass spends a share of the time
+//! left where it lowers the error most ([`crate::adaptive::tiles`]), at the rate of the pass before. Tiles
+//! that are not reached in time keep their samples. A pass visits tiles in scattered order.
 //!
-//! The clock decides how many samples the pixels get, and nothing else.
+//! The clock decides only how many samples the pixels get.
 
 use crate::adaptive::allocation::{AllotError, Allotment, Made};
 use crate::adaptive::tiles::Tiles;
@@ -19,37 +17,36 @@ use forelight_tracer::{Image, Passes, SampleCounts, process_cpu_nanos};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 
-/// Share of the time left that the second and the third pass are given: what a unit of work takes is better known after each.
+/// Share of the time left for the second and third pass, before the time per unit of work is well known.
 const CAREFUL: [f64; 2] = [0.25, 0.5];
-/// The same of all later ones.
+/// Share of the time left for each later pass.
 const BOLD: f64 = 0.9;
-/// A pass is worth its while if so much of the whole time is left for it.
+/// Least share of the whole time that is worth another pass.
 const WORTHWHILE: f64 = 0.01;
-/// Share of the whole time that is kept back: for the pixels that are being traced when the time is up, and for putting the image together
-/// on a machine that is busy with other things.
+/// Share of the whole time reserved for the pixels under way at its end and for assembling the image.
 const MARGIN: f64 = 0.015;
-/// Writing is kept back so many times, for the same reason.
+/// Reserve for writing, as a multiple of its measured time.
 const WRITING: f64 = 1.5;
-/// Of the first pass so much is to be done before it is given up for being late.
+/// Share of the first pass that must be done before it can be abandoned as late.
 const SEEN: f64 = 0.1;
-/// The least image may take so many times the time that was given: it would be a pity to throw it away for less.
+/// The least image may take this many times the given time rather than be discarded.
 const LATE: f64 = 1.03;
-/// What a refusal says would do is so much more than what was found: no two runs take the same.
+/// A refusal names this many times the time that was found, since run times vary.
 const ENOUGH: f64 = 1.1;
-/// Records that are gathered of each level, to see how long all of them take.
+/// Records to gather per level, to estimate the time of all.
 const RECORDS: usize = 16;
 
-/// A clock that is running.
+/// A running clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Stopwatch {
     /// Wall time since an instant.
     Wall(Instant),
-    /// CPU time of all threads of this process, since it had used so many nanoseconds.
+    /// CPU time of all threads of this process, since it had used this many nanoseconds.
     Cpu(u64),
 }
 
 impl Stopwatch {
-    /// Seconds so far.
+    /// Seconds since the start.
     pub fn elapsed(&self) -> f64 {
         match self {
             Self::Wall(start) => start.elapsed().as_secs_f64(),
@@ -57,7 +54,7 @@ impl Stopwatch {
         }
     }
 
-    /// Which seconds these are.
+    /// The kind of clock.
     pub fn kind(&self) -> BudgetClock {
         match self {
             Self::Wall(_) => BudgetClock::Wall,
@@ -65,7 +62,7 @@ impl Stopwatch {
         }
     }
 
-    /// So many CPU seconds of work that all threads of the current pool can share, on this clock.
+    /// Time on this clock for CPU seconds that all threads of the current pool share.
     fn of_cpu(&self, cpu_seconds: f64) -> f64 {
         match self {
             Self::Wall(_) => cpu_seconds / rayon::current_num_threads() as f64,
@@ -77,11 +74,11 @@ impl Stopwatch {
 /// A time that a render must not exceed.
 #[derive(Clone, Copy)]
 pub struct Budget<'a> {
-    /// From the clock's beginning until the image is written.
+    /// From the clock's start until the image is written.
     pub seconds: f64,
-    /// What it has shown so far counts too.
+    /// The time that it has already measured counts too.
     pub clock: Stopwatch,
-    /// Writes an image as the finished one will be written: for finding out how long that takes, which is kept back.
+    /// Writes an image as the finished one will be written. The measured time is reserved for that.
     pub rehearse: &'a (dyn Fn(&Image, &Frame) + Sync),
 }
 
@@ -91,10 +88,10 @@ impl Budget<'_> {
     }
 }
 
-/// Plans the frame's irradiance cache and sees by a few of its records whether filling it fits.
+/// Plans the frame's irradiance cache and estimates from a few of its records whether filling it fits.
 ///
 /// # Errors
-/// If it does not.
+/// If it does not fit.
 pub(crate) fn fits_the_cache(
     ready: &dyn FrameRenderer,
     budget: &Budget<'_>,
@@ -111,7 +108,7 @@ pub(crate) fn fits_the_cache(
     if fill > 0.0 && filled > given { Err(AllotError::TooLittleForCache { given, filled }) } else { Ok(()) }
 }
 
-/// Renders a frame whose cache is filled in what is left of the time. `None` if `cancel` was set.
+/// Renders a frame, whose cache is filled, in the time that is left. `None` if `cancel` was set.
 pub(crate) fn render_within(
     ready: &dyn FrameRenderer,
     allotment: &Allotment<'_>,
@@ -168,7 +165,6 @@ pub(crate) fn render_within(
     Ok(Some(Made { finished, samples: counts, survey, within: Some(within) }))
 }
 
-/// Passes over a frame.
 struct Run<'a> {
     ready: &'a dyn FrameRenderer,
     budget: &'a Budget<'a>,
@@ -178,7 +174,7 @@ struct Run<'a> {
     number: u32,
     /// When to stop tracing, on the clock.
     end: f64,
-    /// Seconds of the clock for a unit of work, in the pass before.
+    /// Seconds of the clock per unit of work, in the last pass.
     rate: f64,
     /// When tracing began.
     began: f64,
@@ -204,8 +200,8 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Gives every pixel its first sample, and returns when that is done on the clock, or would have been: without these there is no image.
-    /// So it does not wait for the time to be up if that would be too late, and takes a little longer if that is all that is missing.
+    /// Gives every pixel its first sample, without which there is no image. Gives up early if it would be too
+    /// late; a slight delay is accepted. Returns when the pass ended, or would have.
     fn first_pass(&mut self, wanted: &SampleCounts) -> Result<f64, RenderError> {
         let (clock, began, parts) = (self.budget.clock, self.began, self.passes.parts() as f64);
         let (end, latest) = (self.end, LATE * self.budget.seconds);
@@ -215,11 +211,11 @@ impl<'a> Run<'a> {
             let now = clock.elapsed();
             (share, if share > 0.0 { began + (now - began) / share } else { now })
         };
-        // Who has been late once does not go on: a hole anywhere is no image.
+        // Once late, the pass never goes on: an image with holes is useless.
         let late = AtomicBool::new(false);
         let told = || {
             done.fetch_add(1, Ordering::Relaxed);
-            // The more is done the surer the projection is, and the more would be lost.
+            // As more is done, the projection is surer and abandoning loses more.
             let (share, at) = projected();
             if share >= SEEN && at > end + (latest - end) * share {
                 late.store(true, Ordering::Relaxed);
@@ -230,13 +226,13 @@ impl<'a> Run<'a> {
         Ok(projected().1)
     }
 
-    /// Brings the pixels to so many samples, as far as there is time.
+    /// Brings the pixels to these numbers of samples, until the time is up.
     fn pass(&mut self, wanted: &SampleCounts) -> Result<(), RenderError> {
         let (clock, end) = (self.budget.clock, self.end);
         self.pass_until(wanted, &|| clock.elapsed() >= end, &|| ())
     }
 
-    /// The same until something is so; told of every part that is done.
+    /// The same until `is_over`. `done` is called after every part.
     fn pass_until(
         &mut self,
         wanted: &SampleCounts,
@@ -261,7 +257,6 @@ impl<'a> Run<'a> {
 
     fn keep_back_for_writing(&mut self) {
         let start = self.budget.clock.elapsed();
-        // Where no other pass fits anyway there is nothing to keep back.
         if self.end - start < WORTHWHILE * self.budget.seconds {
             return;
         }

@@ -1,9 +1,12 @@
-//! A render that takes a given amount of work.
+//! A render that spends a given amount of work.
 //!
-//! A farm books a frame for what equally many camera samples of every pixel would take. The same work makes less error where it goes to the
-//! pixels that vary. So the frame is rendered in passes (`forelight_tracer::Passes`): one sample of every pixel, which says what a sample takes; as many of
-//! all as an eighth of the work buys, rounded down to a number at which they lie evenly, but two if there is work for them; and then each pass doubles what was spent, by what the image shows by then
-//! ([`crate::adaptive::tiles`]), until there is none left. Unlike in [`crate::adaptive::time_limit`], no clock is asked: all of that depends on the samples alone, and so does the image.
+//! The same work gives a smaller error where pixels vary. So the frame is rendered in passes:
+//!
+//! 1. One sample for every pixel, which shows the cost of a sample.
+//! 2. An eighth of the work, spread evenly: at least two samples for every pixel, if there is work for them.
+//! 3. Further passes where samples pay ([`crate::adaptive::tiles`]), each at most doubling the work.
+//!
+//! There is no clock, unlike in [`crate::adaptive::time_limit`]: the image depends on the work alone.
 
 use crate::adaptive::allocation::Made;
 use crate::adaptive::error_target::pass;
@@ -14,17 +17,17 @@ use forelight_forecast::accuracy::allot::even_numbers;
 use forelight_tracer::{SampleCounts, Totals};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Share of the work that is the same for all pixels: what the first samples of a tile do not show, no sample would be given for.
+/// Share of the work that is spread evenly, for features that the first samples of a tile miss.
 const EVEN: f64 = 0.125;
-/// Samples of every pixel that show that it varies.
+/// Samples per pixel that show whether it varies.
 const TELLING: f64 = 2.0;
-/// A pass brings what was spent to at most so many times as much.
+/// A pass multiplies the work spent by at most this.
 const GROWTH: f64 = 2.0;
-/// So much of the work may be left: whole samples do not come out even.
+/// Share of the work that may be left over: whole samples do not come out even.
 const NEAR: f64 = 0.005;
 
-/// Renders a frame whose cache is filled so that it takes `work` all together, or as much as one sample of every pixel takes. `passed` is told what the
-/// pixels took so far and how large a part of what they may take that is. `None` if `cancel` was set.
+/// Renders a frame, whose cache is filled, with `work` in all, but at least one sample per pixel. `passed`
+/// gets the work of the pixels so far and its share of their budget. `None` if `cancel` was set.
 pub(crate) fn render_for_work(
     ready: &dyn FrameRenderer,
     work: u64,
@@ -73,7 +76,6 @@ pub(crate) fn render_for_work(
     Ok(Some(Made { finished: ready.finished(&passes), samples, survey, within: None }))
 }
 
-/// What the frame takes beside its pixels.
 fn before_pixels(ready: &dyn FrameRenderer) -> u64 {
     let fixed = ready.fixed();
     let fill = ready.spent_on_cache().work.saturating_sub(fixed.plan.work);

@@ -1,14 +1,14 @@
-//! What this machine has.
+//! What this machine offers to the farm.
 
 use crate::own::Ambient;
 use forelight_preview::PreviewError;
 use forelight_protocol::Capabilities;
 use std::fs;
 
-/// Most characters of a name on the wire.
+/// Longest name that the protocol accepts, in characters.
 const LONGEST_NAME: usize = 200;
 
-/// Finds out what this machine has. Opens the graphics device, if previews are to be made with one.
+/// Detects what this machine offers. Opens the graphics device if previews use one.
 pub fn capabilities(renderer: &Ambient) -> Result<Capabilities, PreviewError> {
     let adapter = renderer.adapter()?;
     Ok(Capabilities {
@@ -20,20 +20,20 @@ pub fn capabilities(renderer: &Ambient) -> Result<Capabilities, PreviewError> {
     })
 }
 
-/// `MemTotal` of Linux.
+/// `MemTotal` from `/proc/meminfo` on Linux.
 fn memory_bytes(meminfo: &str) -> Option<u64> {
     let line = meminfo.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
     let kibibytes: u64 = line.split_whitespace().next()?.parse().ok()?;
     kibibytes.checked_mul(1024)
 }
 
-/// `model name` of Linux on x86; other machines say other things, or nothing.
+/// `model name` from `/proc/cpuinfo`. Linux gives it on x86, other systems may not.
 fn processor(cpuinfo: &str) -> Option<String> {
     let line = cpuinfo.lines().find(|line| line.starts_with("model name"))?;
     name(line.split_once(':')?.1)
 }
 
-/// A name as the wire takes it: one line of 1 to 200 characters.
+/// A name that the protocol accepts: one line of 1 to 200 characters.
 fn name(text: &str) -> Option<String> {
     let line = text.split_whitespace().collect::<Vec<_>>().join(" ");
     let short: String = line.chars().filter(|c| !c.is_control()).take(LONGEST_NAME).collect();

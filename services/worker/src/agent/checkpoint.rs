@@ -1,4 +1,4 @@
-//! What is finished of a frame, set aside now and then: should this worker be lost, the next one goes on from there.
+//! Checkpoints: finished tiles of a frame, kept so that another worker can continue if this one is lost.
 
 use crate::agent::execute::Control;
 use bytes::Bytes;
@@ -7,7 +7,7 @@ use forelight_tracer::{Pixel, Profile};
 use parking_lot::Mutex;
 use std::time::{Duration, Instant};
 
-/// The pixels of a frame as they are finished, with those that were taken over.
+/// Collects finished pixels of a frame, including those taken over.
 pub(crate) struct Checkpoints<'a> {
     control: &'a Control,
     interval: Duration,
@@ -15,13 +15,13 @@ pub(crate) struct Checkpoints<'a> {
 }
 
 struct State {
-    /// What a checkpoint holds; `None` if the frame is too large for one, or has an irradiance cache, whose pixels are worth little.
+    /// `None` if the frame is too large, or has an irradiance cache, without which pixels are worth little.
     profile: Option<Profile>,
     last: Instant,
 }
 
 impl<'a> Checkpoints<'a> {
-    /// Begins with what is taken over (an empty profile, if nothing is) of an image of so many pixels, if it can have checkpoints.
+    /// Begins with the profile that is taken over, or an empty one. `pixels` is the size of the image.
     pub fn new(control: &'a Control, start: Option<Profile>, pixels: u64) -> Self {
         let bytes = Profile::bytes_of(pixels);
         let profile = start.filter(|_| bytes <= CHECKPOINT_BYTES as u64);
@@ -29,7 +29,7 @@ impl<'a> Checkpoints<'a> {
         Self { control, interval: control.checkpoint_interval(), state }
     }
 
-    /// These pixels are finished. If the last checkpoint is old enough, there is a new one.
+    /// Adds finished pixels. Offers a new checkpoint if the last one is old enough.
     pub fn finished(&self, pixels: &[(u32, Pixel)]) {
         let mut state = self.state.lock();
         let due = state.last.elapsed() >= self.interval;

@@ -1,4 +1,4 @@
-//! What an agent asks of whoever does the work: a task in, a result and its files out.
+//! The interface between the agent and task execution: a task in, a result and its files out.
 
 use bytes::Bytes;
 use forelight_protocol::{
@@ -10,55 +10,55 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
 
-/// A task with everything that it needs on this machine.
+/// A task with its inputs on this machine.
 #[derive(Debug, Clone)]
 pub struct Assignment {
     /// What to do.
     pub spec: TaskSpec,
-    /// Where the bundle lies.
+    /// Path of the bundle.
     pub bundle: PathBuf,
-    /// The profile whose pixels are to be taken over, if the task names one.
+    /// The profile to take over pixels from, if the task names one.
     pub profile: Option<Bytes>,
     /// The irradiance caches that the task names, in its order.
     pub caches: Vec<Bytes>,
-    /// The tiles of the frame that an earlier worker finished before it was lost, if there are any.
+    /// Tiles that an earlier worker finished before it was lost.
     pub checkpoint: Option<Bytes>,
 }
 
-/// What came of a task.
+/// Result of a task.
 #[derive(Debug, Clone)]
 pub struct Outcome {
-    /// The result, which names artefacts by their hash.
+    /// Names artefacts by their hash.
     pub result: TaskResult,
-    /// These artefacts.
+    /// Contents of these artefacts.
     pub artifacts: Vec<Bytes>,
 }
 
-/// Why nothing came of a task.
+/// Why a task has no result.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ExecuteError {
-    /// It was told to stop.
+    /// The task was told to stop.
     #[error("stopped")]
     Cancelled,
-    /// The task cannot be done, by anyone.
+    /// The task cannot succeed on any worker.
     #[error("{0}")]
     Permanent(String),
-    /// It went wrong here and now.
+    /// The task failed on this attempt. Another one may succeed.
     #[error("{0}")]
     Transient(String),
-    /// It went beyond a limit that was set for it.
+    /// The task exceeded one of its limits.
     #[error("{1}")]
     Limit(TaskLimit, String),
 }
 
-/// Progress, orders and what there is to say, shared between the threads that work and the task that talks to the service.
+/// Progress, orders and log of a task, shared between its threads and the connection to the service.
 #[derive(Debug, Default)]
 pub struct Control {
     progress: AtomicU64,
     cancelled: AtomicBool,
     pause: Mutex<bool>,
     resumed: Condvar,
-    /// Threads that stand still.
+    /// Threads that are paused.
     standing: AtomicUsize,
     log: Mutex<Book>,
     checkpoint_interval: Duration,
@@ -67,40 +67,40 @@ pub struct Control {
     before_pixels: Mutex<Spent>,
 }
 
-/// The lines of one attempt at a task.
+/// Log lines of one attempt at a task.
 #[derive(Debug, Default)]
 struct Book {
-    /// Those that the service has not acknowledged yet.
+    /// Lines that the service has not acknowledged.
     unsent: VecDeque<LogLine>,
-    /// The number of the next line.
+    /// Number of the next line.
     next: u32,
 }
 
 impl Control {
-    /// Most lines that one message takes.
+    /// Most lines in one message.
     const LINES_AT_ONCE: usize = 100;
 
-    /// Of a task whose finished parts are wanted at this interval.
+    /// For a task that should offer checkpoints at this interval.
     pub fn with_checkpoints(interval: Duration) -> Self {
         Self { checkpoint_interval: interval, ..Self::default() }
     }
 
-    /// How often finished parts are wanted.
+    /// How often checkpoints are wanted.
     pub fn checkpoint_interval(&self) -> Duration {
         self.checkpoint_interval
     }
 
-    /// All parts that are finished so far. Those that were offered before, and not fetched, are out of date.
+    /// Offers all parts that are finished so far. Replaces an earlier offer that was not taken.
     pub fn offer_checkpoint(&self, bytes: Bytes) {
         *self.checkpoint.lock() = Some(bytes);
     }
 
-    /// The parts that were offered since the last time.
+    /// Takes the checkpoint that was offered since the last call.
     pub fn take_checkpoint(&self) -> Option<Bytes> {
         self.checkpoint.lock().take()
     }
 
-    /// Pixels of the frame are finished, and took this much, beside those that were named before. The first call says of how many.
+    /// Adds finished pixels and their cost. The first call sets the number of all pixels.
     pub fn finished_pixels(&self, finished: FinishedPixels) {
         let mut pixels = self.pixels.lock();
         let FinishedPixels { done, all, work, cpu_nanos } = pixels.unwrap_or_default();
@@ -112,15 +112,15 @@ impl Control {
         });
     }
 
-    /// What the frame took before any of its pixels was begun: its irradiance cache.
+    /// Sets the cost of the frame before its first pixel: its irradiance cache.
     pub fn spent_before_pixels(&self, spent: Spent) {
         *self.before_pixels.lock() = spent;
     }
 
-    /// What is finished of the frame; none of other tasks.
+    /// How much of the frame is finished. `None` for other tasks.
     ///
-    /// What a frame took before its pixels, F, is finished as a whole, and what its pixels will take, P in all, is known from those that are finished: together they
-    /// are as large a part of the frame as so many pixels, (F + P done / all) / (F + P) of all.
+    /// With F the cost before pixels, and P the cost of all pixels as the finished ones suggest, the frame is
+    /// (F + P done / all) / (F + P) finished. The result is that share of all pixels.
     pub fn pixels(&self) -> Option<FinishedPixels> {
         let finished = (*self.pixels.lock())?;
         let before = *self.before_pixels.lock();
@@ -139,8 +139,7 @@ impl Control {
         })
     }
 
-    /// Says how far the work is, 0 to 1. Does not return while the work is to stand still, so that whoever works calls it often, on every
-    /// thread.
+    /// Reports progress, 0 to 1. Blocks while the task is paused, so every thread should call it often.
     pub fn set_progress(&self, fraction: f64) {
         let fraction = if fraction.is_finite() { fraction.clamp(0.0, 1.0) } else { 0.0 };
         self.progress.store(fraction.to_bits(), Ordering::Relaxed);
@@ -154,51 +153,51 @@ impl Control {
         }
     }
 
-    /// How far the work is, 0 to 1.
+    /// Progress, 0 to 1.
     pub fn progress(&self) -> f64 {
         f64::from_bits(self.progress.load(Ordering::Relaxed))
     }
 
-    /// Orders the work to stand still, or to go on.
+    /// Pauses or resumes the work.
     pub fn pause(&self, pause: bool) {
         *self.pause.lock() = pause;
         self.resumed.notify_all();
     }
 
-    /// Whether the work stands still: at least one of its threads does, and the others will at their next report of progress.
+    /// Whether the work is paused: at least one thread is, and the others will be at their next report.
     pub fn stands_still(&self) -> bool {
         self.standing.load(Ordering::Relaxed) > 0
     }
 
-    /// Orders the work to stop.
+    /// Tells the work to stop.
     pub fn cancel(&self) {
         self.cancelled.store(true, Ordering::Relaxed);
-        // Under the lock, so that nobody falls asleep between looking and waiting.
+        // Under the lock, so that no thread misses this between its check and its wait.
         drop(self.pause.lock());
         self.resumed.notify_all();
     }
 
-    /// Whether the work was ordered to stop.
+    /// Whether the work was told to stop.
     pub fn is_cancelled(&self) -> bool {
         self.cancelled.load(Ordering::Relaxed)
     }
 
-    /// The order to stop, as renderers take it.
+    /// The flag to stop, as renderers take it.
     pub fn cancelled(&self) -> &AtomicBool {
         &self.cancelled
     }
 
-    /// Adds a line to the task's log. It is sent with the next renewal. What is too much is left out, which the last line says.
+    /// Adds a line to the task's log, for the next renewal. Lines beyond the limit are dropped.
     pub fn log(&self, level: LogLevel, text: impl Into<String>) {
         let text = text.into();
         let mut book = self.log.lock();
         let number = book.next;
-        // An error is the reason why people read a log at all: there is always room for the one that ends it.
+        // Errors explain how a task ended, so one place is always left for them.
         let (level, text) = match LOG_LINES - number.min(LOG_LINES) {
             0 => return,
             1 if level != LogLevel::Error => return,
             2 if level != LogLevel::Error => {
-                (LogLevel::Warn, "there was more to say than is kept".to_owned())
+                (LogLevel::Warn, "log limit reached: further lines are dropped".to_owned())
             }
             _ => (level, text),
         };
@@ -206,21 +205,21 @@ impl Control {
         book.unsent.push_back(LogLine { number, at: Timestamp::now(), level, text }.cleaned());
     }
 
-    /// The next lines to be sent.
+    /// The next lines to send.
     pub fn unsent(&self) -> Vec<LogLine> {
         self.log.lock().unsent.iter().take(Self::LINES_AT_ONCE).cloned().collect()
     }
 
-    /// The service has these lines.
+    /// Marks these lines as received by the service.
     pub fn sent(&self, lines: &[LogLine]) {
         let Some(last) = lines.last() else { return };
         self.log.lock().unsent.retain(|line| line.number > last.number);
     }
 }
 
-/// Does tasks. Called on a thread pool that it may use all of; looks at `control` often.
+/// Executes tasks. Runs on a thread pool of its own, and checks `control` often.
 pub trait Execute: Send + Sync + 'static {
-    /// Does one task.
+    /// Executes one task.
     fn execute(&self, assignment: &Assignment, control: &Control) -> Result<Outcome, ExecuteError>;
 }
 
@@ -262,7 +261,7 @@ mod tests {
         control.finished_pixels(finished(0, 0));
         assert_eq!(control.pixels(), Some(finished(0, 0)), "nothing is known of its pixels");
         control.finished_pixels(finished(10, 10));
-        // All pixels will take 100, and the frame 400: 310 of that are there.
+        // Its pixels will cost 100 in all, and the frame 400: 310 of that are done.
         assert_eq!(control.pixels(), Some(finished(78, 310)));
         control.finished_pixels(finished(90, 100));
         assert_eq!(control.pixels(), Some(finished(100, 410)));

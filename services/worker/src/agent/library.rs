@@ -1,6 +1,6 @@
-//! Bundles at hand: fetched from the service once, kept on disk by their hash, and kept open in memory.
+//! Bundles, fetched from the service once, kept on disk by their hash, and kept open in memory.
 //!
-//! One library serves all workers of a process, so that a bundle is fetched and loaded once however many there are.
+//! All workers of a process share one library, so each bundle is fetched and loaded once.
 
 use crate::renderer::{OpenRenderer, RenderError, Renderer};
 use forelight_client::{Client, ClientError};
@@ -11,24 +11,24 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::SystemTime;
 
-/// Opened bundles that are kept: a worker goes from job to job, rarely between more than two at once.
+/// Opened bundles to keep. A worker rarely alternates between more than two jobs.
 const OPEN_BUNDLES: usize = 3;
-/// Fetched bundles are thrown away, the longest unused first, when they take more bytes than this.
+/// Fetched bundles are deleted, least recently used first, when they exceed this many bytes.
 const DISK_BYTES: u64 = 16 << 30;
 
-/// Bundles at hand.
+/// Bundles on disk and in memory.
 pub struct Library {
     folder: PathBuf,
     opener: Box<dyn OpenRenderer>,
-    /// The most recently used last.
+    /// Most recently used last.
     open: Mutex<Vec<(Stamp, Slot)>>,
     fetching: tokio::sync::Mutex<()>,
 }
 
-/// A place for an opened bundle, locked while it is being opened.
+/// An opened bundle. Locked while it is being opened.
 type Slot = Arc<Mutex<Option<Arc<dyn Renderer>>>>;
 
-/// Which content of which path: a bundle on shared storage may be another one tomorrow.
+/// Identifies the content at a path: a bundle on shared storage may change.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Stamp {
     path: PathBuf,
@@ -42,14 +42,14 @@ impl std::fmt::Debug for Library {
 }
 
 impl Library {
-    /// A library that keeps fetched bundles in `folder`, which is made if it is not there.
+    /// A library that keeps fetched bundles in `folder`, which is created if it is missing.
     pub fn new(folder: &Path, opener: Box<dyn OpenRenderer>) -> Result<Self, std::io::Error> {
         fs::create_dir_all(folder)?;
         let folder = folder.to_owned();
         Ok(Self { folder, opener, open: Mutex::default(), fetching: tokio::sync::Mutex::default() })
     }
 
-    /// Where the bundle of a task lies on this machine; fetches it if need be.
+    /// Path of a task's bundle on this machine. Fetches the bundle if needed.
     pub async fn locate(&self, client: &Client, source: &BundleSource) -> Result<PathBuf, ClientError> {
         let hash = match source {
             BundleSource::Path(path) => return Ok(path.into()),
@@ -59,7 +59,7 @@ impl Library {
         let path = self.folder.join(format!("{hash}.zip"));
         let failed = |source| ClientError::File { path: path.clone(), source };
         if path.exists() {
-            // The time of last use decides what is thrown away.
+            // The time of last use decides which bundles are deleted.
             if let Ok(file) = fs::File::options().append(true).open(&path) {
                 let _ = file.set_modified(SystemTime::now());
             }
@@ -76,9 +76,9 @@ impl Library {
         Ok(path)
     }
 
-    /// The opened bundle at `path`, loaded now or before.
+    /// The opened bundle at `path`. Loads it if needed.
     pub fn open(&self, path: &Path) -> Result<Arc<dyn Renderer>, RenderError> {
-        // What was fetched is named by its hash and never changes.
+        // Fetched bundles are named by their hash and never change.
         let stamp = if path.starts_with(&self.folder) {
             Stamp { path: path.to_owned(), files: Vec::new() }
         } else {
@@ -107,7 +107,8 @@ impl Library {
         slot
     }
 
-    /// Throws away fetched bundles, the longest unused first, until the rest takes at most `limit` bytes; `keep` stays.
+    /// Deletes fetched bundles, least recently used first, until the rest fits in `limit` bytes. Keeps
+    /// `keep`.
     fn make_room(&self, keep: ArtifactHash, limit: u64) {
         let keep = format!("{keep}.zip");
         let Ok(entries) = fs::read_dir(&self.folder) else { return };
@@ -128,7 +129,7 @@ impl Library {
             if path.file_name().is_some_and(|name| *name == *keep) {
                 continue;
             }
-            // A bundle that is being read stays readable until it is closed; one that cannot be removed only takes room.
+            // A bundle in use stays readable until it is closed. One that cannot be removed only takes space.
             if fs::remove_file(&path).is_ok() {
                 bytes -= size;
             }
@@ -145,7 +146,7 @@ impl Stamp {
     }
 }
 
-/// Names, sizes and times of the files at and below a path. What cannot be read is left to the loader to complain about.
+/// Names, sizes and times of the files at and below a path. The loader reports what cannot be read.
 fn list(path: &Path, files: &mut Vec<(PathBuf, u64, Option<SystemTime>)>) {
     let Ok(about) = fs::symlink_metadata(path) else { return };
     if about.is_dir() {
@@ -163,7 +164,7 @@ mod tests {
     use std::sync::atomic::{AtomicU32, Ordering};
     use std::time::Duration;
 
-    /// Counts how often it was asked, and opens nothing.
+    /// Counts calls, and opens nothing.
     struct Counting(Arc<AtomicU32>);
 
     impl OpenRenderer for Counting {
@@ -208,7 +209,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let opened = Arc::new(AtomicU32::new(0));
         let library = Library::new(folder.path(), Box::new(Counting(opened.clone()))).unwrap();
-        // Stands for a zip: what is inside the library's folder is what was fetched.
+        // Stands for a zip file: everything in the library's folder counts as fetched.
         let fetched = folder.path().join("hash.zip");
         bundle(&fetched);
         library.open(&fetched).map(drop).unwrap();

@@ -1,15 +1,14 @@
-//! What a task may use at most, enforced: a task that goes beyond is ended, and told by which limit.
+//! Limits of a task. A task that exceeds one is stopped with an error that names the limit.
 
 use crate::agent::execute::{Control, ExecuteError};
 use crate::render::resident_bytes;
 use forelight_protocol::{TaskLimit, TaskLimits};
 use std::time::{Duration, Instant};
 
-/// Time between two looks.
+/// Time between two checks.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// Returns when the task that `control` belongs to goes beyond a limit, with the error that says so; never, if it does not. Time that
-/// the task stands still by order does not count.
+/// Returns an error once the task of `control` exceeds a limit. Paused time does not count.
 pub(crate) async fn gone_beyond(limits: TaskLimits, control: &Control) -> ExecuteError {
     if limits.are_none() {
         return std::future::pending().await;
@@ -29,19 +28,19 @@ pub(crate) async fn gone_beyond(limits: TaskLimits, control: &Control) -> Execut
     }
 }
 
-/// The error of a task that has worked for so long and uses so much memory, if that is beyond a limit.
+/// The error of a task that exceeds a limit, given its working time and memory in bytes.
 fn beyond(limits: TaskLimits, worked: Duration, memory: u64) -> Option<ExecuteError> {
     let mebibytes = |bytes: u64| bytes.div_ceil(1 << 20);
     if let Some(limit) = limits.wall_ms.filter(|&limit| worked.as_millis() > u128::from(limit)) {
         let message = format!(
-            "the task was ended by its time limit of {} s (limits.wall_ms = {limit})",
+            "the task exceeded its time limit of {} s (limits.wall_ms = {limit}); raise it or lower the quality",
             limit as f64 / 1000.0
         );
         return Some(ExecuteError::Limit(TaskLimit::WallTime, message));
     }
     let limit = limits.memory_bytes.filter(|&limit| memory > limit)?;
     let message = format!(
-        "the task was ended by its memory limit of {} MiB (limits.memory_bytes = {limit}): the worker used {} MiB",
+        "the task exceeded its memory limit of {} MiB (limits.memory_bytes = {limit}): the worker used {} MiB",
         mebibytes(limit),
         mebibytes(memory)
     );

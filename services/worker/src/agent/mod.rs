@@ -1,20 +1,20 @@
-//! A worker: leases a task, does it, reports, and starts over.
+//! A worker: leases a task, executes it, reports the result, and repeats.
 //!
-//! # What can go wrong, and what happens then
+//! # Failures
 //!
-//! * **The lease is lost** (it ran out while this process was paused or cut off, or the job was cancelled). The next
-//!   renewal says so; the work is stopped at once and dropped. Should the result already be on its way, its fencing token is
-//!   stale: the service refuses it, nothing is overwritten, and the refusal is not an error here.
-//! * **The service is silent.** It may be restarting. The work goes on and renewals are tried at each interval: if the lease
-//!   is still ours when the service is back, nothing was lost; if it is not, the fencing token protects whoever has it
-//!   now. A finished result is offered until it is answered.
-//! * **The work fails or panics.** The error is reported with what there was to say, and the service decides whether to try again.
-//! * **The work goes beyond a limit.** It is stopped, and the limit reported as the error.
-//! * **The operator has other plans.** Renewals bring orders: to stand still, to go on, to drop the task.
-//! * **It is time to sleep.** The node's calendar is the service's to know. A renewal, or the answer to a claim, says until when the node
-//!   sleeps: until then this worker asks for nothing, by the clock on the wall, so that a machine may be suspended meanwhile.
-//! * **This process is told to stop.** The work is stopped and the lease given back, so that another node can have the
-//!   task at once instead of after the lease's end.
+//! * **The lease is lost.** It expired while this process was paused or cut off, or the job was cancelled.
+//!   The next renewal says so, and the work is stopped. A result that is already on its way has a stale
+//!   fencing token: the service refuses it, and the refusal is not an error here.
+//! * **The service does not answer.** The work continues, and renewals are retried at each interval. If the
+//!   lease expires meanwhile, the fencing token protects its next holder. A finished result is sent until it
+//!   is answered.
+//! * **The work fails or panics.** The error is reported with the log. The service decides whether to retry.
+//! * **The work exceeds a limit.** It is stopped, and the limit is reported as the error.
+//! * **The operator intervenes.** Renewals bring orders: to pause, to resume, to drop the task.
+//! * **The node should sleep.** The service knows the node's calendar. A renewal, or the answer to a claim,
+//!   says until when the node sleeps. Until then this worker sends nothing. It follows the wall clock, so the
+//!   machine may be suspended.
+//! * **This process is told to stop.** The work is stopped and the lease given back, for another node.
 
 pub(crate) mod capabilities;
 pub(crate) mod checkpoint;
@@ -40,15 +40,15 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
 
-/// How long one claim waits for a task at the service.
+/// How long a claim waits for a task at the service.
 const CLAIM_WAIT_MS: u32 = 20_000;
-/// Pause after a refusal that is nobody's plan, so that it does not become a flood.
+/// Pause after an unexpected refusal, to limit the rate of requests.
 const AFTER_REFUSAL: Duration = Duration::from_secs(2);
 
-/// How often a sleeping worker looks at the clock.
+/// How often a sleeping worker checks the clock.
 const GLANCE: Duration = Duration::from_secs(30);
 
-/// How often what is finished of a frame is sent to the service, so that the next worker goes on from there should this one be lost.
+/// How often checkpoints are sent to the service.
 const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(60);
 
 /// A worker.
@@ -58,21 +58,21 @@ pub struct Agent {
     executor: Arc<dyn Execute>,
     pool: Arc<rayon::ThreadPool>,
     registration: NodeRegistration,
-    /// What tells this process from others that may register under the same name.
+    /// Distinguishes this process from others that register under the same name.
     worker: Uuid,
     limits: TaskLimits,
     checkpoints: Duration,
-    /// Until when the service wants this worker to sleep, by this machine's clock.
+    /// Until when this worker sleeps, by this machine's clock.
     asleep: Mutex<Option<Timestamp>>,
 }
 
-/// Why a worker ended without being told to.
+/// Why a worker ended by itself.
 #[derive(Debug, thiserror::Error)]
 pub enum AgentError {
-    /// The service does not want it: wrong token, or a registration that it refuses.
-    #[error("the service at {address} does not take this worker")]
+    /// The service refused the token or the registration.
+    #[error("the service at {address} refused this worker: check its token and registration")]
     Refused {
-        /// The service.
+        /// Address of the service.
         address: String,
         /// Its reason.
         source: ClientError,
@@ -80,38 +80,38 @@ pub enum AgentError {
     /// The threads could not be started.
     #[error("cannot start {threads} threads: {reason}")]
     Threads {
-        /// How many were wanted.
+        /// Threads wanted.
         threads: u32,
-        /// What the system said.
+        /// Error of the operating system.
         reason: String,
     },
 }
 
-/// What became of a process that was started for one task.
+/// How a process ended that was started for one task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Errand {
-    /// It had the task, and the service knows how that ended.
+    /// It executed the task, and the service knows the outcome.
     Ended,
-    /// The task was over before it had it.
+    /// The task was over before this process could lease it.
     Needless,
-    /// It was told to stop; if it had the task, it has given it back.
+    /// It was told to stop. If it held the task, it gave the lease back.
     Stopped,
 }
 
 /// How the work on a lease ended.
 enum Ending {
-    /// With a result or an error, to be reported.
+    /// With a result or an error to report.
     Finished(Box<Result<Outcome, ExecuteError>>),
-    /// Without: nobody waits for it any more.
+    /// The lease was lost.
     Lost,
-    /// Without: this process is to stop.
+    /// This process must stop.
     Stopped,
-    /// With this error: it went beyond a limit, and has to be stopped first.
+    /// The task exceeded a limit and must be stopped first.
     Beyond(ExecuteError),
 }
 
 impl Agent {
-    /// A worker that registers as `registration` says, and works on as many threads as that has cores.
+    /// A worker with this registration, and as many threads as it has cores.
     pub fn new(
         client: Client,
         library: Arc<Library>,
@@ -131,17 +131,17 @@ impl Agent {
         Ok(Self { client, library, executor, pool, registration, worker, limits, checkpoints, asleep })
     }
 
-    /// The same worker with limits of its own for every task; where a job sets its own, the stricter holds.
+    /// Sets limits for every task. If a job has limits too, the stricter ones hold.
     pub fn with_limits(self, limits: TaskLimits) -> Self {
         Self { limits, ..self }
     }
 
-    /// The same worker, which sends what is finished of a frame to the service at this interval; a minute, if this is not called.
+    /// Sets how often checkpoints are sent to the service. Default: once a minute.
     pub fn with_checkpoints(self, interval: Duration) -> Self {
         Self { checkpoints: interval, ..self }
     }
 
-    /// Works until `stop` is cancelled, or until the service does not want this worker.
+    /// Works until `stop` is cancelled or the service refuses this worker.
     pub async fn run(&self, stop: CancellationToken) -> Result<(), AgentError> {
         let Some(mut node) = self.register(Some(self.worker), &stop).await? else { return Ok(()) };
         let patient = self.client.with_backoff(Backoff::FOREVER);
@@ -163,11 +163,11 @@ impl Agent {
                 Ok(Claimed::Asleep(time)) => {
                     self.go_to_sleep(i64::try_from(time.as_micros()).unwrap_or(i64::MAX))
                 }
-                // It does not want this worker, or another has taken its node over.
+                // The worker is refused, or another process has taken its node over.
                 Err(error) if is_unwanted(&error) || error.is(ProblemKind::Conflict) => {
                     return Err(self.refused(error));
                 }
-                // A service that lost its memory does not know the node any more.
+                // The service lost its data and does not know the node.
                 Err(error) if error.is(ProblemKind::NotFound) => {
                     match self.register(Some(self.worker), &stop).await? {
                         Some(again) => node = again,
@@ -175,7 +175,7 @@ impl Agent {
                     }
                 }
                 Err(error) => {
-                    tracing::warn!(node = self.registration.name, %error, "no task was handed out");
+                    tracing::warn!(node = self.registration.name, %error, "the service refused the claim");
                     pause(AFTER_REFUSAL, &stop).await;
                 }
             }
@@ -183,9 +183,8 @@ impl Agent {
         Ok(())
     }
 
-    /// Does one task, which this process was started for, and ends. It waits while another worker holds the task, as long as that one
-    /// renews; so a process that was started twice is harmless, and takes over when the first one dies. What became of it is told to
-    /// the service, and is no error here.
+    /// Executes one task and ends. Waits while another worker holds the task, so a second process is harmless
+    /// and takes over when the first one dies. The outcome is reported to the service, and is no error here.
     pub async fn run_task(&self, task: TaskId, stop: CancellationToken) -> Result<Errand, AgentError> {
         let Some(node) = self.register(None, &stop).await? else { return Ok(Errand::Stopped) };
         let patient = self.client.with_backoff(Backoff::FOREVER);
@@ -201,8 +200,8 @@ impl Agent {
                     self.work(*lease, &stop).await;
                     return Ok(if stop.is_cancelled() { Errand::Stopped } else { Errand::Ended });
                 }
-                // Whoever placed the task here has decided that this node does it, whatever its calendar.
-                Ok(Claimed::Nothing | Claimed::Asleep(_)) => tracing::info!(%task, "another worker has it"),
+                // A task that was placed on this node runs whatever its calendar says.
+                Ok(Claimed::Nothing | Claimed::Asleep(_)) => tracing::info!(%task, "task already leased"),
                 Err(error) if error.is(ProblemKind::Conflict) => return Ok(Errand::Needless),
                 Err(error) => return Err(self.refused(error)),
             }
@@ -210,7 +209,7 @@ impl Agent {
         Ok(Errand::Stopped)
     }
 
-    /// Announces the node until the service answers; `None` if `stop` came first.
+    /// Registers the node. Retries until the service answers. `None` if `stop` came first.
     async fn register(
         &self,
         worker: Option<Uuid>,
@@ -218,7 +217,7 @@ impl Agent {
     ) -> Result<Option<NodeId>, AgentError> {
         let client = self.client.with_backoff(Backoff::FOREVER);
         let registration = NodeRegistration { worker, ..self.registration.clone() };
-        // Registering is an update by name: each time is a request of its own.
+        // Registering is an update by name, so each attempt is a request of its own.
         let registered = tokio::select! {
             () = stop.cancelled() => return Ok(None),
             registered = client.register(&registration, Uuid::now_v7()) => registered,
@@ -228,13 +227,13 @@ impl Agent {
         Ok(Some(node.id))
     }
 
-    /// From now on, and for so many microseconds, this worker is to ask for nothing.
+    /// Sets this worker to sleep for this many microseconds.
     fn go_to_sleep(&self, micros: i64) {
         let until = Timestamp::now().plus_micros(micros.max(0));
         *self.asleep.lock() = Some(until);
     }
 
-    /// Follows what a renewal says of sleep. Its instants are those of the service's clock, which says when it is by when the lease ends.
+    /// Follows the sleep order of a renewal. Its times are by the service's clock.
     fn heed(&self, renewed: &Renewal, lease: &Lease) {
         let ttl = if renewed.order == LeaseOrder::Stop { 0 } else { lease.ttl_ms };
         let there =
@@ -245,7 +244,7 @@ impl Agent {
         }
     }
 
-    /// Sleeps if it is to. The clock is looked at once in a while: a timer stands still while the machine is suspended.
+    /// Sleeps if ordered. Checks the clock regularly, since timers stop while the machine is suspended.
     async fn sleep(&self, stop: &CancellationToken) {
         let until = self.asleep.lock().take();
         let Some(until) = until else { return };
@@ -264,13 +263,13 @@ impl Agent {
         AgentError::Refused { address: self.client.address().into(), source }
     }
 
-    /// Does one leased task from beginning to end.
+    /// Executes one leased task.
     async fn work(&self, lease: Lease, stop: &CancellationToken) {
         let kind = lease.spec.kind();
         tracing::info!(task = %lease.task_id, %kind, frame = lease.spec.frame(), fence = lease.fence, "leased");
         let control = Arc::new(Control::with_checkpoints(self.checkpoints));
         let name = &self.registration.name;
-        control.log(LogLevel::Info, format!("{kind} begun on {name}, attempt {}", lease.fence));
+        control.log(LogLevel::Info, format!("{kind} started on {name}, attempt {}", lease.fence));
         let limits = lease.limits.and(self.limits);
         let ending = {
             let given_up = CancellationToken::new();
@@ -285,7 +284,7 @@ impl Agent {
             if !matches!(ending, Ending::Finished(_)) {
                 control.cancel();
                 given_up.cancel();
-                // The threads are free again when the work has noticed. Until then the lease is held, if it still is: its end is to be told.
+                // Wait until the threads are free. Hold the lease if possible, to report the error.
                 tokio::select! {
                     _ = &mut work => {}
                     () = self.hold(&lease, &control), if !matches!(ending, Ending::Lost) => {
@@ -303,7 +302,7 @@ impl Agent {
                 tokio::select! {
                     () = self.report(&lease, *done, &control) => {}
                     () = self.hold(&lease, &control) => {
-                        tracing::info!(task = %lease.task_id, "the lease was lost; its result is dropped");
+                        tracing::info!(task = %lease.task_id, "the lease was lost; the result is dropped");
                     }
                     () = stop.cancelled() => self.give_back(&lease).await,
                 }
@@ -315,7 +314,7 @@ impl Agent {
         }
     }
 
-    /// Fetches what the task needs, unless it is given up meanwhile, and does it on this worker's threads.
+    /// Fetches the inputs of the task, unless it is cancelled, and executes it on this worker's threads.
     async fn perform(
         &self,
         lease: &Lease,
@@ -334,28 +333,28 @@ impl Agent {
         }
     }
 
-    /// Everything that a task needs to be begun.
+    /// Prepares the inputs of a task.
     async fn prepare(&self, lease: &Lease, control: &Control) -> Result<Assignment, ExecuteError> {
         let failed = |error: ClientError| {
             let message = describe(&error);
-            // What the service does not have, it will not have later.
+            // What the service does not have now, it will not have later.
             let missing = error.is(ProblemKind::NotFound);
             if missing { ExecuteError::Permanent(message) } else { ExecuteError::Transient(message) }
         };
         let (bundle, profile, caches) = loop {
             match self.fetch(lease).await {
                 Ok(fetched) => break fetched,
-                // That the service or its artefact store is away for a while is not the task's fault.
+                // A short outage of the service or its artefact store is not the task's fault.
                 Err(error) if error.is_passing() => {
-                    tracing::warn!(task = %lease.task_id, %error, "what the task needs cannot be fetched yet");
+                    tracing::warn!(task = %lease.task_id, %error, "task inputs not available yet; retrying");
                     tokio::time::sleep(AFTER_REFUSAL).await;
                 }
                 Err(error) => return Err(failed(error)),
             }
         };
-        control.log(LogLevel::Info, "the bundle is here");
+        control.log(LogLevel::Info, "bundle fetched");
         let checkpoint = match &lease.spec {
-            // Only another attempt can have left something behind. Without it, the frame is done from the beginning.
+            // Only an earlier attempt can have left a checkpoint. It is optional.
             TaskSpec::Render(_) if lease.fence > 1 => {
                 self.client.checkpoint(lease.lease_id).await.unwrap_or_default()
             }
@@ -364,7 +363,7 @@ impl Agent {
         Ok(Assignment { spec: lease.spec.clone(), bundle, profile, caches, checkpoint })
     }
 
-    /// The bundle, the profile and the irradiance caches that a task needs.
+    /// Fetches the bundle, the profile and the irradiance caches of a task.
     async fn fetch(&self, lease: &Lease) -> Result<(PathBuf, Option<Bytes>, Vec<Bytes>), ClientError> {
         let bundle = self.library.locate(&self.client, lease.spec.bundle()).await?;
         let profile = match &lease.spec {
@@ -382,8 +381,7 @@ impl Agent {
         Ok((bundle, profile, caches))
     }
 
-    /// Renews the lease three times in its life, passes orders on to the work, and returns when the service says that the lease is lost
-    /// or not wanted.
+    /// Renews the lease three times per lifetime and passes orders on. Returns when the lease is lost.
     async fn hold(&self, lease: &Lease, control: &Control) {
         let interval = Duration::from_millis((lease.ttl_ms / 3).max(50));
         let once = self.client.with_backoff(Backoff { attempts: Some(1), ..Backoff::PATIENT });
@@ -391,15 +389,15 @@ impl Agent {
         loop {
             tokio::time::sleep(interval).await;
             if let Some(tiles) = control.take_checkpoint() {
-                // The renewal comes first: what does not get through in a part of the lease's time is given up.
+                // Renewals come first: an upload that takes too long is given up.
                 let sent = once.put_checkpoint(lease.lease_id, lease.fence, tiles);
                 match tokio::time::timeout(interval / 2, sent).await {
                     Ok(Ok(())) => {}
                     Ok(Err(error)) => {
-                        tracing::warn!(task = %lease.task_id, %error, "finished tiles were not taken")
+                        tracing::warn!(task = %lease.task_id, %error, "the service did not accept the checkpoint")
                     }
                     Err(_) => {
-                        tracing::warn!(task = %lease.task_id, "finished tiles take too long to be sent")
+                        tracing::warn!(task = %lease.task_id, "checkpoint upload too slow; dropped")
                     }
                 }
             }
@@ -421,8 +419,10 @@ impl Agent {
                     if renewed.order != order {
                         order = renewed.order;
                         let paused = order == LeaseOrder::Pause;
-                        control
-                            .log(LogLevel::Info, if paused { "paused by order" } else { "goes on by order" });
+                        control.log(
+                            LogLevel::Info,
+                            if paused { "paused by the operator" } else { "resumed by the operator" },
+                        );
                         control.pause(paused);
                     }
                 }
@@ -436,12 +436,12 @@ impl Agent {
     }
 }
 
-/// Whether the service said that the lease is not ours any more.
+/// Whether the error means that the lease is lost.
 fn is_lost(error: &ClientError) -> bool {
     error.is(ProblemKind::LeaseLost) || error.is(ProblemKind::NotFound) || error.is(ProblemKind::Conflict)
 }
 
-/// Whether asking again with this token cannot help.
+/// Whether repeating the request with this token cannot help.
 fn is_unwanted(error: &ClientError) -> bool {
     error.is(ProblemKind::Unauthenticated) || error.is(ProblemKind::Forbidden)
 }

@@ -1,4 +1,4 @@
-//! How a task ends: with its result, with an error, or given back.
+//! The end of a task: its result, an error, or giving the lease back.
 
 use super::{Agent, describe, is_lost};
 use crate::agent::execute::{Control, ExecuteError, Outcome};
@@ -9,7 +9,7 @@ use forelight_protocol::{
 use std::time::Duration;
 
 impl Agent {
-    /// Stores the artefacts and reports the end of the task, as often as it takes to be answered.
+    /// Uploads the artefacts and reports the end of the task. Retries until the service answers.
     pub(super) async fn report(&self, lease: &Lease, done: Result<Outcome, ExecuteError>, control: &Control) {
         let client = self.client.with_backoff(Backoff::FOREVER);
         let failed = |message, permanent, limit| TaskError { message, permanent, limit };
@@ -17,7 +17,7 @@ impl Agent {
             Ok(outcome) => match self.deliver(&client, lease, outcome, control).await {
                 Ok(()) => return,
                 Err(error) if is_lost(&error) => Err(error),
-                // Nothing but another attempt at the task can help: say so rather than let the lease run out.
+                // Only another attempt can help. Report it rather than let the lease expire.
                 Err(error) => {
                     let message = format!("the result was refused: {}", describe(&error));
                     tracing::error!(task = %lease.task_id, %message);
@@ -38,9 +38,9 @@ impl Agent {
         match ended {
             Ok(()) => {}
             Err(error) if is_lost(&error) => {
-                tracing::info!(task = %lease.task_id, "the lease was lost; its result is dropped");
+                tracing::info!(task = %lease.task_id, "the lease was lost; the result is dropped");
             }
-            Err(error) => tracing::error!(task = %lease.task_id, %error, "the end of the task was not taken"),
+            Err(error) => tracing::error!(task = %lease.task_id, %error, "task outcome not accepted"),
         }
     }
 
@@ -66,7 +66,7 @@ impl Agent {
                     tracing::info!(task = %lease.task_id, duplicate = answer.duplicate, "committed");
                     return Ok(());
                 }
-                // The store lost an artefact between the upload and the result.
+                // The service lost an artefact between upload and result: upload again.
                 Err(error) if error.is(ProblemKind::MissingArtifact) && !last_attempt => {}
                 Err(error) => return Err(error),
             }
@@ -102,21 +102,21 @@ impl Agent {
         client.report(lease.lease_id, &end).await.map(drop)
     }
 
-    /// Gives the lease back; if the service does not answer soon, the lease runs out by itself.
+    /// Gives the lease back. If the service does not answer soon, the lease expires by itself.
     pub(super) async fn give_back(&self, lease: &Lease) {
         let hurried = self.client.with_backoff(Backoff { attempts: Some(2), ..Backoff::PATIENT });
         let release = hurried.release(lease.lease_id, lease.fence);
         match tokio::time::timeout(Duration::from_secs(3), release).await {
-            Ok(Ok(())) => tracing::info!(task = %lease.task_id, "given back"),
-            Ok(Err(error)) => tracing::info!(task = %lease.task_id, %error, "could not be given back"),
-            Err(_) => tracing::info!(task = %lease.task_id, "could not be given back in time"),
+            Ok(Ok(())) => tracing::info!(task = %lease.task_id, "gave the lease back"),
+            Ok(Err(error)) => tracing::info!(task = %lease.task_id, %error, "lease not given back"),
+            Err(_) => tracing::info!(task = %lease.task_id, "lease not given back in time"),
         }
     }
 }
 
-/// The wire wants one line of 1 to 2000 characters.
+/// The protocol accepts one line of 1 to 2000 characters.
 fn one_line(message: &str) -> String {
     let line = without_secrets(&message.split_whitespace().collect::<Vec<_>>().join(" "));
     let line: String = line.chars().take(2000).collect();
-    if line.is_empty() { "the task failed without a word".into() } else { line }
+    if line.is_empty() { "the task failed without a message".into() } else { line }
 }

@@ -2,13 +2,13 @@
 //!
 //! | kernel | most of its work |
 //! | --- | --- |
-//! | `coherent` | rays from the camera, one beside the other, through a small tree |
-//! | `incoherent` | rays gathered from all directions, in a room of boxes in matt, mirror and glass: most like a frame |
-//! | `traversal` | the same in a closed room with balls of six thousand triangles, which caches hold |
-//! | `memory` | the same of half a million triangles, which they do not |
-//! | `lights` | a glossy floor under a lamp, with next to nothing in between: rays that meet nothing |
-//! | `surfaces` | a floor without any light: the surface that each ray from the camera meets |
-//! | `texture` | sheets that an image cuts out: one is looked up for each that a ray passes |
+//! | `coherent` | neighbouring camera rays through a small tree |
+//! | `incoherent` | gather rays in a room of matt, mirror and glass boxes: most like a frame |
+//! | `traversal` | the same in a closed room with six thousand triangles, which fit into CPU caches |
+//! | `memory` | the same with half a million triangles, which do not fit |
+//! | `lights` | a glossy floor under a lamp: rays that meet nothing |
+//! | `surfaces` | a floor without light: the surface that each camera ray meets |
+//! | `texture` | sheets cut out by an image: one lookup for each that a ray passes |
 //! | `records` | the room again, read from an irradiance cache |
 //! | `build` | the tree of hills of fifty thousand triangles |
 
@@ -26,29 +26,28 @@ use std::sync::atomic::AtomicBool;
 /// The kernel that is most like a frame.
 pub const REFERENCE: &str = "incoherent";
 
-/// Edge of the kernels' images, pixels.
+/// Edge of the images in pixels.
 const SIZE: u32 = 48;
 
-/// Boxes along an edge of the room: 6916 triangles in all, which caches hold.
+/// Boxes along an edge of the room: 6916 triangles in all, which fit into CPU caches.
 const BOXES: u32 = 24;
 
-/// Balls in the closed room, and rings of each where there are few triangles and where there are many: of n rings a ball has 4 n (n − 1) triangles.
+/// Balls in the closed room, and rings per ball. A ball of n rings has 4 n (n − 1) triangles.
 const BALLS: u32 = 256;
 const FEW: u32 = 3;
 const MANY: u32 = 23;
 
-/// Squares along an edge of the hills of which the tree is built: twice its square of triangles.
+/// Squares along an edge of the hills, with two triangles each.
 const BUILT: u32 = 160;
 
-/// Sheets of the kernel of textures, and the edge of their image in texels: 16 MiB.
+/// Sheets of the texture kernel, and the edge of their image in texels: 16 MiB.
 const SHEETS: u32 = 24;
 const TEXELS: u32 = 2048;
 
-/// Something to do and to time.
+/// Something to run and to time.
 pub struct Kernel {
     pub name: &'static str,
-    /// What it takes on the reference core over what the classes' rates there, which are those of whole frames, make of its work: each kernel is more, or less,
-    /// coherent than a frame.
+    /// Its time on the reference core, relative to what rates of whole frames predict.
     pub beyond: f64,
     does: Does,
 }
@@ -61,7 +60,7 @@ enum Does {
 }
 
 impl Kernel {
-    /// What it did, and how many nanoseconds that took this time.
+    /// Runs the kernel. Returns its work and its nanoseconds.
     pub fn run(&self) -> (ByClass, u64) {
         match &self.does {
             Does::Trace(tracer, pixels) => {
@@ -79,7 +78,6 @@ impl Kernel {
     }
 }
 
-/// All kernels, ready.
 pub fn all() -> Vec<Kernel> {
     let settings = Settings { width: SIZE, height: SIZE, ambient_bounces: 0, ..Settings::default() };
     let with =
@@ -87,7 +85,7 @@ pub fn all() -> Vec<Kernel> {
     let cached = Settings { cache: Some(CacheSettings { accuracy: 400, rays: 48 }), ..with(8, 1) };
     let kernel = |name, beyond, frame: &Frame, settings: &Settings, every: usize| {
         let tracer = Tracer::new(frame, settings);
-        // Only the kernel of records has any to fill.
+        // Only the `records` kernel has records to fill.
         tracer.fill(&|_, _| (), &AtomicBool::new(false));
         let pixels = (0..SIZE * SIZE).step_by(every).collect();
         Kernel { name, beyond, does: Does::Trace(Box::new(tracer), pixels) }
@@ -106,7 +104,7 @@ pub fn all() -> Vec<Kernel> {
     ]
 }
 
-/// Things of one stratum each.
+/// A scene under construction. Each object has a stratum of its own.
 #[derive(Default)]
 struct Builder {
     geometry: Geometry,
@@ -115,7 +113,7 @@ struct Builder {
 }
 
 impl Builder {
-    /// Adds a material, and the object that is made of it.
+    /// Adds a material and an object of it.
     fn object(&mut self, name: &str, surface: Surface, emission: f32) -> u32 {
         let stratum = self.materials.len() as u32;
         self.materials.push(Material {
@@ -163,7 +161,7 @@ fn matt(albedo: f32) -> Surface {
     Surface::Lambert { albedo: Color::plain(Vec3::splat(albedo)) }
 }
 
-/// A square of so many metres to each side at a height, facing up.
+/// A square facing up, `half` metres to each side.
 fn square(half: f32, height: f32) -> [Vec3; 4] {
     [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)].map(|(x, z)| Vec3::new(half * x, height, half * z))
 }
@@ -175,7 +173,7 @@ fn lamp(half: f32, height: f32) -> [Vec3; 4] {
     corners
 }
 
-/// A floor, a light above it, and boxes of heights that follow no pattern.
+/// A floor, a light above it, and boxes of irregular heights.
 fn room() -> Frame {
     let mut scene = Builder::default();
     let ground = scene.object("floor", matt(0.6), 0.0);
@@ -200,7 +198,7 @@ fn room() -> Frame {
     scene.frame()
 }
 
-/// A closed room around the camera with three lamps under its ceiling, and balls of so many rings.
+/// A closed room around the camera, with three lamps under its ceiling and balls.
 fn interior(rings: u32) -> Frame {
     const HALF: f32 = 10.0;
     const HEIGHT: f32 = 7.0;
@@ -235,7 +233,7 @@ fn interior(rings: u32) -> Frame {
     Frame { environment: Environment::Constant(Vec3::ZERO), ..scene.frame() }
 }
 
-/// A ball of so many rings, each of twice as many squares.
+/// A ball of rings, each of twice as many squares.
 fn ball(geometry: &mut Geometry, centre: Vec3, radius: f32, rings: u32, stratum: u32) {
     let around = 2 * rings;
     let first = geometry.positions.len() as u32;
@@ -256,14 +254,14 @@ fn ball(geometry: &mut Geometry, centre: Vec3, radius: f32, rings: u32, stratum:
         let corner = |down: u32, turn: u32| first + down * around + turn % around;
         let [a, b, c, d] =
             [corner(down, turn), corner(down, turn + 1), corner(down + 1, turn + 1), corner(down + 1, turn)];
-        // At the poles a square has no more than three corners.
+        // At the poles a square has three corners.
         geometry.triangles.extend((down > 0).then_some([a, b, c]));
         geometry.triangles.extend((down < rings - 1).then_some([a, c, d]));
     }
     geometry.triangle_stratum.resize(geometry.triangles.len(), stratum);
 }
 
-/// Ground of so many squares to each side whose height follows no pattern.
+/// Ground of irregular height.
 fn hills(squares: u32) -> Frame {
     let mut scene = Builder::default();
     let ground = scene.object("hills", matt(0.6), 0.0);
@@ -272,7 +270,7 @@ fn hills(squares: u32) -> Frame {
     for i in 0..side * side {
         let (column, row) = (i % side, i / side);
         let at = |place: u32| 12.0 * (place as f32 / squares as f32 - 0.5);
-        // The high bits of a product with the golden section.
+        // The high bits of a product with the golden ratio.
         let height = (i.wrapping_mul(2_654_435_769) >> 22) as f32 / 1024.0;
         geometry.positions.push(Vec3::new(at(column), 0.3 * height, at(row)));
         geometry.normals.push(Vec3::ZERO);
@@ -287,7 +285,6 @@ fn hills(squares: u32) -> Frame {
     scene.frame()
 }
 
-/// A glossy floor, a lamp.
 fn lit_floor() -> Frame {
     let mut scene = Builder::default();
     let plastic = Surface::Plastic { albedo: Color::plain(Vec3::splat(0.4)), ior: 1.5, alpha: 0.3 };
@@ -298,7 +295,6 @@ fn lit_floor() -> Frame {
     scene.frame()
 }
 
-/// A floor, and no light.
 fn dark_floor() -> Frame {
     let mut scene = Builder::default();
     let ground = scene.object("floor", matt(0.6), 0.0);
@@ -306,7 +302,7 @@ fn dark_floor() -> Frame {
     Frame { environment: Environment::Constant(Vec3::ZERO), ..scene.frame() }
 }
 
-/// A floor under sheets that their image cuts away altogether.
+/// A floor under sheets that their image cuts out entirely.
 fn sheets() -> Frame {
     let mut scene = Builder::default();
     let ground = scene.object("floor", matt(0.6), 0.0);
@@ -325,7 +321,7 @@ fn sheets() -> Frame {
     scene.frame()
 }
 
-/// A box on the ground, `half` wide to each side and `half.y` high.
+/// A box on the ground, with half widths `half.x` and `half.z`, and height `half.y`.
 fn cuboid(geometry: &mut Geometry, base: Vec3, half: Vec3, stratum: u32) {
     let corner = |i: u32| {
         let side = |bit: u32| if i >> bit & 1 == 1 { 1.0 } else { -1.0 };
@@ -351,7 +347,7 @@ fn quad(geometry: &mut Geometry, corners: [Vec3; 4], stratum: u32) {
 mod tests {
     use super::*;
 
-    /// How far a triangle faces away from a point; negative if towards it.
+    /// How far a triangle faces away from a point. Negative if it faces towards it.
     fn away(geometry: &Geometry, triangle: u32, from: Vec3) -> f32 {
         let [a, b, c] = geometry.corners(triangle);
         geometry.geometric_normal(triangle).dot(((a + b + c) / 3.0 - from).normalize())

@@ -1,10 +1,10 @@
 //! How fast this machine is, by class of work.
 //!
-//! A fixed set of kernels is run: small scenes that are built in code, so that every machine does exactly the same operations. Each is
-//! mostly of one class of work (see `kernels`). They are timed in rounds, one after the other within each, so that whatever
-//! else the machine does meanwhile meets them all. Of a kernel's rounds the shortest counts: what else a machine does can only make
-//! a round longer, and does so for seconds on end, through all of a median (Chen and Revels, *Robust benchmarking in noisy environments*, 2016). What the kernels took
-//! together says how long a unit of each class takes (`forelight_forecast::class_rates`).
+//! A fixed set of kernels is run: small scenes built in code, so that every machine does the same operations.
+//! Each is mostly of one class of work (see `kernels`). They are timed in rounds, so that other load on the
+//! machine meets all of them. The shortest round of a kernel counts: other load can only lengthen a round,
+//! often for seconds (Chen and Revels, *Robust benchmarking in noisy environments*, 2016). From all kernels
+//! follows the time per unit of each class (`forelight_forecast::class_rates`).
 
 mod kernels;
 
@@ -16,20 +16,19 @@ use kernels::REFERENCE;
 /// Work units per CPU second of the reference core.
 pub const REFERENCE_RATE: f64 = 1e9;
 
-/// Raised whenever kernels, or what is made of their times, change: calibrations that were kept are then made again.
+/// Increase this when kernels or their evaluation change. Older calibrations are then repeated.
 pub const CALIBRATION_VERSION: u32 = 5;
 
-/// Seconds for a unit of work of each class on the reference core, in the order of [`ByClass::NAMES`]: the least squares fit of relative errors to whole
-/// frames of eight scenes, each with direct light, one bounce, and one bounce from a cache. It explains them to within 4 % (root mean square), and
-/// each to within 9 %.
+/// Seconds per unit of work of each class on the reference core, in the order of [`ByClass::NAMES`]. A
+/// least-squares fit of relative errors to whole frames of eight scenes, each with direct light, one bounce,
+/// and one bounce from a cache. Its error is 4 % (root mean square), and at most 9 %.
 const REFERENCE_RATES: [f64; ByClass::CLASSES] =
     [0.94e-9, 1.31e-9, 2.0e-9, 0.65e-9, 1.37e-9, 1.0e-9, 0.66e-9];
 
-/// Times that every kernel is run unless more is asked for: some four seconds.
+/// Default number of rounds, about four seconds.
 pub const ROUNDS: usize = 16;
 
-/// Measures one core, on the calling thread, by running every kernel so many times, and once before to fetch what is needed. `done` is told the
-/// runs so far, and all.
+/// Measures one core, on the calling thread, after a round to warm up. `done` receives runs so far, and all.
 pub fn calibrate(rounds: usize, done: &dyn Fn(usize, usize)) -> NodeCalibration {
     let kernels = kernels::all();
     let mut times = vec![
@@ -52,18 +51,18 @@ pub fn calibrate(rounds: usize, done: &dyn Fn(usize, usize)) -> NodeCalibration 
             (time.work.to_array().map(|work| kernel.beyond * work as f64), seconds(time.cpu_nanos))
         })
         .collect();
-    // Every kernel does some work, which takes some time.
+    // Every kernel has work and takes time.
     let rates = class_rates(&timed, &REFERENCE_RATES).unwrap_or(REFERENCE_RATES);
     let picos = |rate: f64| ((rate * 1e12).round() as u64).max(1);
     NodeCalibration { picos_per_work: ByClass::from_array(rates.map(picos)), kernels: times }
 }
 
-/// The speed of one core against the reference, by the kernel that is most like a frame: for work whose classes are not known.
+/// Speed of one core relative to the reference, by the kernel most like a frame. For work of unknown classes.
 pub fn node_speed(calibration: &NodeCalibration) -> f64 {
     let kernel = calibration.kernels.iter().find(|kernel| kernel.name == REFERENCE);
     let rate = |kernel: &KernelTime| kernel.work.total() as f64 / seconds(kernel.cpu_nanos.max(1));
     let speed = kernel.map_or(1.0, |kernel| rate(kernel) / REFERENCE_RATE);
-    // The service takes speeds of this range; three digits are more than a measurement of this length can say.
+    // The range that the service accepts, to three digits, which is all that the measurement supports.
     (speed.clamp(0.001, 1000.0) * 1000.0).round() / 1000.0
 }
 
@@ -80,7 +79,7 @@ mod tests {
         let share = |class: usize| {
             first.iter().map(|work| work.to_array()[class] as f64 / work.total() as f64).fold(0.0, f64::max)
         };
-        // What comes with every ray cannot be had without what the ray does.
+        // Classes that come with every ray cannot be isolated from the ray's own work.
         let least = [0.4, 0.45, 0.5, 0.4, 0.5, 0.1, 0.9];
         for (class, least) in least.into_iter().enumerate() {
             assert!(share(class) > least, "{}: {:.2} of {first:?}", ByClass::NAMES[class], share(class));

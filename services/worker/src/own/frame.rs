@@ -16,25 +16,24 @@ use parking_lot::Mutex;
 use rayon::prelude::*;
 use std::sync::atomic::AtomicBool;
 
-/// One frame, ready.
 pub(super) struct AmbientFrame<'a> {
     pub(super) shot: &'a AmbientShot,
     pub(super) tracer: Tracer,
-    /// What became of the shot's cache, if it was given one, and the CPU time that taking it took, nanoseconds.
+    /// What remains of the shared cache here, if there is one, and the CPU time of taking it, in nanoseconds.
     pub(super) shared: Mutex<(Shared, u64)>,
-    /// Without the plan of its irradiance cache.
+    /// Without the cache plan.
     pub(super) fixed: FixedCosts,
     pub(super) built_now: Spent,
 }
 
 impl AmbientFrame<'_> {
-    /// What the irradiance cache came to, if there is one.
+    /// Totals of the irradiance cache, if there is one.
     fn cache_use(&self, taken_over: CacheTotals) -> Option<CacheUse> {
         let shared = || self.shared.lock().0.clone();
         self.tracer.cache().map(|cache| CacheUse { all: cache.totals(), taken_over, shared: shared() })
     }
 
-    /// The cache of a profile of this image, if it holds one.
+    /// The cache in a profile of this image, if it holds one.
     fn own_cache(&self, profile: &Profile) -> Result<Option<Cache>, RenderError> {
         let pixels = self.tracer.frame().camera.pixels();
         if profile.fingerprint != self.tracer.fingerprint() || !profile.fits(pixels) {
@@ -44,7 +43,7 @@ impl AmbientFrame<'_> {
         Ok(profile.cache.as_deref().map(Cache::from_bytes).transpose()?)
     }
 
-    /// Takes the cache of the shot, as far as it holds here.
+    /// Takes the shared cache, as far as it is valid here.
     fn take(&self, cache: Cache) -> Result<Shared, RenderError> {
         if cache.suits(&self.tracer) {
             let kept = cache.records();
@@ -59,8 +58,7 @@ impl AmbientFrame<'_> {
         Ok(shared)
     }
 
-    /// Finished pixels on the current thread, with what their camera samples say; nothing if `stop` says on the way that they are not
-    /// wanted any more.
+    /// Finished pixels on the current thread, with their noise. `None` if `stop` returned true.
     fn traced(&self, pixels: &[u32], stop: &dyn Fn() -> bool) -> Option<Vec<(Pixel, PixelNoise)>> {
         let mut samples = vec![PixelSamples::default(); pixels.len()];
         let mut each = |place: usize, sample| samples[place].push(sample);
@@ -69,7 +67,7 @@ impl AmbientFrame<'_> {
     }
 }
 
-/// Pixels that are traced in one go, so that a thread's clock is read seldom and every thread has work.
+/// Pixels per batch: thread clocks are read rarely, and every thread has work.
 const BATCH: usize = 16;
 
 impl FrameRenderer for AmbientFrame<'_> {
@@ -111,7 +109,7 @@ impl FrameRenderer for AmbientFrame<'_> {
     }
 
     fn effects(&self) -> Vec<String> {
-        // Not a matter of how it is traced, but frames of such a shot cannot share an acceleration structure.
+        // Not a matter of tracing, but frames of such a shot cannot share an acceleration structure.
         let motion = self.shot.moves.then_some("motion");
         let mut effects: Vec<String> =
             self.tracer.effects().names().chain(motion).map(str::to_owned).collect();
@@ -204,7 +202,7 @@ impl FrameRenderer for AmbientFrame<'_> {
 
     fn profile(&self, pixels: &[(u32, Pixel)]) -> Profile {
         let cache = self.tracer.cache().map(|cache| cache.to_bytes());
-        // The colours of pixels that read a cache before it is filled are not the image's.
+        // Pixels that read an unfilled cache do not have the image's colours.
         let pixels = if cache.is_none() { pixels.to_vec() } else { Vec::new() };
         let (origin, fingerprint) = (self.tracer.origin(), self.tracer.fingerprint());
         Profile { origin, fingerprint, pixels, cache }

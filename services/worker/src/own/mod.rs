@@ -1,4 +1,4 @@
-//! Our renderer: `scene`, `preview` and the integrators of `tracer`.
+//! Our renderer, over `scene`, `preview` and `tracer`.
 //!
 //! | file | subject |
 //! | --- | --- |
@@ -19,7 +19,7 @@ use parking_lot::Mutex;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Opens bundles for our renderer. One previewer serves them all: a process has one device.
+/// Opens bundles with our renderer. They share one previewer, as a process has one graphics device.
 #[derive(Clone)]
 pub struct Ambient {
     previewer: Arc<SharedPreviewer>,
@@ -29,13 +29,13 @@ pub struct Ambient {
 /// A graphics device.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Adapter {
-    /// Its name, kind and driver.
+    /// Name, kind and driver.
     pub name: String,
-    /// Whether it is a graphics processor, and no program that does its work.
+    /// Whether it is a graphics processor rather than software.
     pub is_hardware: bool,
 }
 
-/// The previewer, made when it is first wanted: opening a graphics device takes longer than many a render.
+/// The previewer, created on first use: opening a graphics device takes longer than many renders.
 struct SharedPreviewer {
     choice: Choice,
     made: Mutex<Option<Previewer>>,
@@ -62,13 +62,12 @@ impl Ambient {
         Self { previewer: Arc::new(previewer), limits: Limits::default() }
     }
 
-    /// Opens the graphics device now, if one is wanted, for a process that would rather not start than find out later that
-    /// there is none.
+    /// Opens the graphics device now, if previews use one, to fail at start rather than later.
     pub fn ready(&self) -> Result<(), PreviewError> {
         self.previewer.with(|_| Ok(()))
     }
 
-    /// The graphics device that previews are made with; `None` if they are made on the processor.
+    /// The graphics device for previews. `None` if previews are made on the CPU.
     pub fn adapter(&self) -> Result<Option<Adapter>, PreviewError> {
         self.previewer.with(|previewer| {
             let adapter =
@@ -89,7 +88,7 @@ impl OpenRenderer for Ambient {
     }
 }
 
-/// How a frame of a job gathers where its irradiance cache has no record; nothing without a cache.
+/// How a frame gathers at uncovered points. `None` without an irradiance cache.
 pub(crate) fn uncovered_gathers(settings: &RenderSettings) -> Option<UncoveredGathers> {
     let forelight_tracer::UncoveredGathers { first, least } = Settings::from(settings).cache?.uncovered();
     Some(UncoveredGathers { first, least })
@@ -99,9 +98,8 @@ fn backend(previewer: &Previewer) -> PreviewBackend {
     if previewer.backend() == "gpu" { PreviewBackend::Gpu } else { PreviewBackend::Cpu }
 }
 
-/// What the last preview took. Its work: on the CPU in the tracer's weights, on the GPU, where no node is visited, one
-/// operation for each pixel and each triangle. Its time: this process's, and the device's, for a driver that renders in
-/// software uses the same processor.
+/// Cost of the last preview. CPU work is in the tracer's weights. GPU work is one operation per pixel and
+/// triangle. Time includes the device's, since a software driver runs on the same processor.
 fn preview_spent(previewer: &Previewer, frame: &Frame, setup_nanos: u64) -> Spent {
     let cost = previewer.cost();
     let (pixels, triangles) = (frame.camera.pixels() as u64, frame.geometry.triangles.len() as u64);

@@ -21,14 +21,13 @@ pub struct AmbientShot {
     pub(super) previewer: Arc<SharedPreviewer>,
     /// Whether anything but the camera and the lights moves in the shot.
     pub(super) moves: bool,
-    /// Whether everything is traced, also what cannot matter.
+    /// Whether to trace everything, even what cannot matter.
     everything: bool,
-    /// The geometry of frame 0, which frames in which nothing has moved share.
+    /// Geometry of frame 0. Frames in which nothing has moved share it.
     still: Arc<Geometry>,
-    /// Reading the bundle.
     load: Spent,
     still_tree: Mutex<Still>,
-    /// The tree of the last frame in which something had moved.
+    /// Tree of the last frame in which something had moved.
     moved_tree: Mutex<Option<Tree>>,
 }
 
@@ -39,20 +38,19 @@ struct Tree {
     build: Spent,
 }
 
-/// The tree of the geometry that frames share.
 #[derive(Default)]
 struct Still {
     tree: Option<Tree>,
-    /// Building it, and others before it: a camera that leaves a closed room sees another scene.
+    /// Cost of this tree and earlier ones: a camera that leaves a closed room sees another scene.
     built: Spent,
 }
 
-/// A tracer, and what its tree took.
+/// A tracer, and the cost of its tree.
 pub(crate) struct Ready {
     pub(crate) tracer: Tracer,
-    /// Building the tree, whenever that was, if the shot's frames cannot all share one.
+    /// Cost of the tree whenever it was built, if the shot's frames cannot share one.
     own_tree: Spent,
-    /// Building the tree, if that was done just now.
+    /// Cost of the tree if it was built by this call.
     built_now: Spent,
 }
 
@@ -83,13 +81,12 @@ impl AmbientShot {
         })
     }
 
-    /// The same with code for all effects in the path, and with everything left in: for showing what leaving it out saves. Images
-    /// keep their bits.
+    /// Leaves nothing out, to measure what leaving out saves. Images stay the same, bit by bit.
     pub fn with_everything(self) -> Self {
         Self { everything: true, ..self }
     }
 
-    /// What this process has paid once for the shot, as far as it has.
+    /// What this process has paid once for the shot so far.
     pub(super) fn once(&self) -> ProcessCosts {
         let build = if self.moves { Spent::default() } else { self.still_tree.lock().built };
         ProcessCosts { load: self.load, build }
@@ -100,15 +97,13 @@ impl AmbientShot {
         Ok(self.scene.frame_with(frame, Some((settings.width, settings.height)))?)
     }
 
-    /// The view of a frame onto the world of another.
     pub(crate) fn view_of(&self, frame: u32, world: &Frame) -> Result<Frame, RenderError> {
         let camera = self.scene.camera(frame)?.resized(world.camera.width, world.camera.height);
         Ok(Frame { number: frame, camera, ..world.clone() })
     }
 
     pub(crate) fn tracer(&self, frame: &Frame, settings: &Settings) -> Ready {
-        // In a shot in which something moves every frame is charged for a tree, so that what stands still for a while, or comes
-        // back to where it was, does not make one frame cheaper than the next.
+        // If something moves, every frame is charged for a tree. Its cost must not depend on earlier frames.
         let own = |build: Spent| if self.moves { build } else { Spent::default() };
         let ready = |known: Option<&Tree>| {
             let known = known.filter(|tree| Arc::ptr_eq(&tree.geometry, &frame.geometry));
@@ -119,7 +114,7 @@ impl AmbientShot {
                 Some(tree) => Tracer::with_bvh(frame, settings, tree.bvh.clone()),
                 None => Tracer::new(frame, settings),
             };
-            // A frame that sees other parts of the scene has built a tree of its own.
+            // A frame that sees other parts of the scene has built its own tree.
             let shared = known.filter(|tree| Arc::ptr_eq(&tree.bvh, tracer.bvh()));
             let build = shared.map_or_else(|| spent(tracer.build_cost()), |tree| tree.build);
             let built_now = if shared.is_some() { Spent::default() } else { build };
@@ -127,21 +122,20 @@ impl AmbientShot {
             (Ready { tracer, own_tree: own(build), built_now }, tree)
         };
         if Arc::ptr_eq(&frame.geometry, &self.still) {
-            // Held while the tree is built, so that workers that share this shot wait for one build instead of doing two.
+            // Locked while the tree is built, so that workers wait for one build instead of doing two.
             let mut still = self.still_tree.lock();
             let (ready, tree) = ready(still.tree.as_ref());
             *still = Still { tree: Some(tree), built: still.built.plus(ready.built_now) };
             return ready;
         }
-        // Not held: workers on different frames build different trees, at the same time.
+        // Not locked: workers on different frames build different trees at the same time.
         let known = self.moved_tree.lock().clone();
         let (ready, tree) = ready(known.as_ref());
         *self.moved_tree.lock() = Some(tree);
         ready
     }
 
-    /// Records of a frame's irradiance cache by level, none without one, and what planning them took, with any tree that had
-    /// to be built for it.
+    /// Planned records of a frame by level, and the cost of planning, with any trees built for it.
     fn planned_records(&self, frame: &Frame, settings: &Settings) -> (Vec<u32>, Option<PlanCount>, Spent) {
         if settings.cache.is_none() {
             return (Vec::new(), None, Spent::default());
@@ -154,8 +148,7 @@ impl AmbientShot {
     }
 }
 
-/// Records of the irradiance cache by level, once it is planned: one number for each level that the settings have, whether the frame
-/// calls for it or not.
+/// Records of the planned irradiance cache, one number for each level of the settings, used or not.
 pub(super) fn records(tracer: &Tracer) -> Vec<u32> {
     let settings = tracer.settings();
     let levels = if settings.cache.is_some() { settings.ambient_bounces as usize } else { 0 };

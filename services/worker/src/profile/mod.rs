@@ -1,7 +1,7 @@
 //! From a shot to its quote: preview all frames, choose some, profile these, estimate all.
 //!
-//! The service does the same steps spread over workers: a preview task is [`count_frames`], a profile task [`profile_frame`],
-//! and choosing and estimating happen in the service. Offline, [`crate::quote`] does all of it.
+//! On a farm, a preview task is [`count_frames`] and a profile task [`profile_frame`]; the service chooses
+//! and estimates. Offline, [`crate::quote`] does all of it.
 
 pub(crate) mod noise;
 pub(crate) mod warm_clock;
@@ -22,24 +22,24 @@ use forelight_scene::{Frame, MaterialClass};
 use forelight_tracer::{Pixel, Profile, RecordCost};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// What can go wrong on the way to a quote.
+/// Why a quote cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum ShotError {
-    /// The renderer's part.
+    /// The renderer failed.
     #[error(transparent)]
     Render(#[from] RenderError),
     /// Pixels cannot be chosen.
     #[error(transparent)]
     Forecast(#[from] forelight_forecast::ForecastError),
-    /// There is no quote.
+    /// The quote cannot be computed.
     #[error(transparent)]
     Quote(#[from] forelight_quote::QuoteError),
-    /// It was told to stop.
+    /// The caller cancelled.
     #[error("stopped")]
     Cancelled,
 }
 
-/// Told how far a step is; says whether to go on.
+/// Receives progress, and can cancel.
 pub trait Observer: Sync {
     /// `done` of `all` frames have been previewed.
     fn previewed(&self, done: usize, all: usize);
@@ -49,10 +49,9 @@ pub trait Observer: Sync {
     fn is_cancelled(&self) -> bool;
 }
 
-/// The shot's strata as the forecast wants them, the background as the last.
+/// The shot's strata for the forecast, the background last.
 ///
-/// The prior costs only steer where the first samples go: a pixel of glass sends out several times the rays of a wall's pixel, an
-/// empty one next to none.
+/// Prior costs only steer the first samples. Glass sends out several times the rays of a wall.
 pub fn forecast_strata(strata: &[StratumInfo], settings: &RenderSettings) -> Vec<Stratum> {
     const TRANSPARENT: f64 = 3.0;
     const SPECULAR: f64 = 2.0;
@@ -72,32 +71,30 @@ pub fn forecast_strata(strata: &[StratumInfo], settings: &RenderSettings) -> Vec
     known.chain([Stratum::background(BACKGROUND)]).collect()
 }
 
-/// What gathering a record of the irradiance cache is thought to cost, relative to a plain diffuse pixel; `None` without a cache.
-///
-/// A ray of a gather and a sample of a pixel both meet a surface that is then lit.
+/// Prior cost of gathering a record, relative to a plain diffuse pixel. `None` without a cache.
 pub fn record_prior_cost(settings: &RenderSettings) -> Option<f64> {
     let cost = f64::from(settings.cache_rays) / f64::from(settings.spp);
     (settings.cache == CacheMode::On).then_some(cost)
 }
 
-/// What all frames show, in the order of `frames`.
+/// Counts of all frames, in the order of `frames`.
 #[derive(Debug, Clone)]
 pub struct CountedFrames {
-    /// Per frame, pixels by stratum, the background as the last: one number for each of [`forecast_strata`].
+    /// Per frame, pixels by stratum of [`forecast_strata`], the background last.
     pub counts: Vec<Vec<u32>>,
-    /// Per frame, the records of its irradiance cache by level, as planned; empty without a cache.
+    /// Per frame, planned records of its irradiance cache by level. Empty without a cache.
     pub cache_records: Vec<Vec<u32>>,
-    /// Per frame, what planning that takes; nothing without a cache.
+    /// Per frame, the cost of that plan. `None` without a cache.
     pub cache_plans: Vec<Option<PlanCount>>,
-    /// Per frame, which lights shine, in numbers from 0 by first appearance.
+    /// Per frame, which set of lights shines, numbered from 0 by first appearance.
     pub lights: Vec<u32>,
     /// Per frame, how many lights shine.
     pub shining: Vec<u32>,
     /// Per frame, its triangles, seen or not.
     pub triangles: Vec<u64>,
-    /// Who counted the last frame.
+    /// The previewer that counted the last frame.
     pub backend: PreviewBackend,
-    /// What it took.
+    /// Cost of counting.
     pub spent: Spent,
 }
 
@@ -146,39 +143,35 @@ pub fn count_frames(
 pub struct ProfiledFrame {
     /// Frame number.
     pub frame: u32,
-    /// Stratum (of those that the strategy distinguishes) and cost of each profiled pixel, in the order of `traced`; the times are those that it would have taken
-    /// in a render (see `warm_clock`).
+    /// Stratum and cost of each profiled pixel, in the order of `traced`. Times are as in a render.
     pub observations: Vec<Observation>,
-    /// What each of the observed pixels shows, in the numbers of [`forecast_strata`].
+    /// Stratum of [`forecast_strata`] that each observed pixel shows.
     pub shown: Vec<u32>,
-    /// How they stand for all pixels.
+    /// How the observations represent all pixels.
     pub expansion: Expansion,
     /// The profiled pixels, then neighbours that were traced for their time.
     pub traced: Vec<(u32, Pixel)>,
-    /// The records of the irradiance cache that were gathered, some of every level; none without a cache.
+    /// Sampled records of every level of the irradiance cache. Empty without a cache.
     pub records: Vec<RecordCost>,
-    /// What the render can take over: the traced pixels or, with an irradiance cache, its plan and those of the gathered records
-    /// that depend on no others.
+    /// Traced pixels or, with an irradiance cache, its plan and the gathered records of the deepest level.
     pub profile: Profile,
-    /// What every render of the frame costs whatever its pixels show; without writing its files, which is for those who write
-    /// them to add.
+    /// Costs of every render of the frame that do not depend on its pixels, without writing its files.
     pub fixed: FixedCosts,
     /// What this process had paid once for the shot.
     pub once: ProcessCosts,
-    /// The effects that the frame calls for, by name, sorted.
+    /// Effects of the frame by name, sorted.
     pub effects: Vec<String>,
-    /// Lights and objects that cannot matter to the frame's image.
+    /// Lights and objects that cannot matter to the image.
     pub left_out: Vec<LeftOut>,
-    /// What setting the frame up took this time.
+    /// Cost of setting the frame up this time.
     pub setup: Spent,
-    /// What all of the frame's work is thought to be, by class.
+    /// Estimated work of the whole frame, by class.
     pub work_by_class: Option<ByClass>,
-    /// The frame's preview.
+    /// Cost of the frame's preview.
     pub preview: Spent,
-    /// What was spent on all traced pixels.
+    /// Cost of all traced pixels.
     pub pixels: Spent,
-    /// What the camera samples of the profiled pixels, and of some at the edges of lights, say of the image's error. With an irradiance
-    /// cache nothing, unless it was filled before.
+    /// Noise of profiled pixels and edges of lights. `None` with an irradiance cache that was not filled.
     pub noise: Option<FrameNoise>,
     /// The preview as a picture.
     pub picture: image::RgbImage,
@@ -187,15 +180,15 @@ pub struct ProfiledFrame {
 }
 
 impl ProfiledFrame {
-    /// Everything that profiling this frame took.
+    /// Cost of profiling this frame.
     pub fn spent(&self) -> Spent {
         let gathered = self.records.iter().map(|record| spent(record.cost));
         let cache = gathered.fold(self.fixed.plan, Spent::plus);
         self.setup.plus(self.preview).plus(self.pixels).plus(cache)
     }
 
-    /// The part of it that a render does not get back. Without an irradiance cache the traced pixels are finished pixels. With one
-    /// they are not, but the plan is taken over, and of the gathered records those of the deepest level.
+    /// The part of it that a render cannot reuse. Traced pixels can be reused without an irradiance cache.
+    /// With one, its plan and the gathered records of the deepest level can.
     pub fn spent_for_good(&self) -> Spent {
         let again = self.setup.plus(self.preview);
         if self.profile.cache.is_none() {
@@ -207,26 +200,26 @@ impl ProfiledFrame {
     }
 }
 
-/// A record is gathered of every level for so many pixels that are profiled, 96 for 256, and this many at least. Records of a level
-/// differ by a fifth to a half in cost (standard deviation over mean), more the more bounces they gather, and with two bounces
+/// Profiled pixels per sampled record of each level, at least [`LEAST_RECORDS`] records: 96 for 256 pixels.
+/// Costs of a level's records vary by a fifth to a half (standard deviation over mean). With two bounces,
 /// nearly all of a frame's cost is in the first level.
 const SAMPLES_PER_RECORD: f64 = 256.0 / 96.0;
 const LEAST_RECORDS: usize = 16;
 
-/// How many records of every level are gathered for so many profiled pixels.
+/// Records to sample of every level.
 pub fn records_to_sample(samples: u32) -> usize {
     ((f64::from(samples) / SAMPLES_PER_RECORD) as usize).max(LEAST_RECORDS)
 }
 
-/// What each pixel of a preview shows, in the numbers of [`forecast_strata`]: the background is the last stratum.
+/// Stratum of [`forecast_strata`] that each pixel of a preview shows.
 pub fn stratum_ids(preview: &Preview) -> Vec<u32> {
     let background = preview.pairs.len() as u32;
     preview.stratum.iter().map(|&s| if s == NOTHING { background } else { s }).collect()
 }
 
-/// Profiles the pixels of one frame that the strategy of `options` picks; Snapshot does so in two phases, the first spread by strata,
-/// the second where the first found cost and variation. With an irradiance cache also some records of every level. The seed of
-/// `options` chooses both; the pixels' own random numbers come from the settings, as in the render.
+/// Profiles pixels of one frame, and records of every level of an irradiance cache. Snapshot has two phases:
+/// the first spreads pixels by strata, the second goes where the first found cost and variation. The seed of
+/// `options` chooses pixels and records. Random numbers of the pixels are those of the render.
 pub fn profile_frame(
     renderer: &dyn Renderer,
     frame: u32,
@@ -238,7 +231,7 @@ pub fn profile_frame(
     Ok(profile_ready(&*ready, &renderer.info().strata, settings, options, observer)?.0)
 }
 
-/// The same of a frame that was set up before, and what it shows; `shot` are the shot's strata.
+/// The same for a frame that is set up, with its preview. `shot` holds the shot's strata.
 pub(crate) fn profile_ready(
     ready: &dyn FrameRenderer,
     shot: &[StratumInfo],
@@ -326,8 +319,7 @@ pub(crate) fn profile_ready(
     Ok((profiled, seen))
 }
 
-/// Work of all pixels, thought to be in each stratum what was profiled of it on average, and of others what all were: good enough for knowing
-/// which part of a frame it is.
+/// Rough work of all pixels, at the mean of the profiled pixels of each stratum, or of all.
 fn work_of_pixels(counts: &[u32], observations: &[Observation]) -> f64 {
     let mut seen = vec![(0u64, 0u64); counts.len()];
     for observation in observations {
@@ -340,7 +332,7 @@ fn work_of_pixels(counts: &[u32], observations: &[Observation]) -> f64 {
     strata.map(|(&count, own)| f64::from(count) * if own.0 > 0 { mean(own) } else { mean((all, work)) }).sum()
 }
 
-/// The same of all records, level by level.
+/// The same for records, by level.
 fn work_of_records(counts: &[u32], records: &[RecordCost]) -> f64 {
     let of_level = |(level, &count): (usize, &u32)| {
         let own = records.iter().filter(|record| record.level as usize == level);
@@ -350,17 +342,17 @@ fn work_of_records(counts: &[u32], records: &[RecordCost]) -> f64 {
     counts.iter().enumerate().map(of_level).sum()
 }
 
-/// What a pixel cost, as the forecast wants it.
+/// Cost of a pixel, for the forecast.
 pub fn cost_of(pixel: &Pixel) -> Cost {
     Cost { work: pixel.work, cpu_nanos: pixel.cpu_nanos, rays: pixel.rays.map(u64::from) }
 }
 
-/// What gathering a record cost, as the forecast wants it.
+/// Cost of gathering a record, for the forecast.
 pub fn cost_of_record(record: &RecordCost) -> Cost {
     cost_of_gather(record.cost, record.rays)
 }
 
-/// The same of its parts.
+/// The same, from cost and rays by kind.
 pub fn cost_of_gather(cost: forelight_tracer::Cost, rays: [u32; 7]) -> Cost {
     Cost { work: cost.work, cpu_nanos: cost.cpu_nanos, rays: rays.map(u64::from) }
 }

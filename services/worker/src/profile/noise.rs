@@ -1,12 +1,12 @@
-//! What profiled pixels say of the image's error, stratum by stratum.
+//! The image's error by stratum, from profiled pixels.
 //!
-//! The strata of cost serve for the error too, but for one thing: where a light, or the bright outside, borders on something else, a
-//! pixel's samples are now the lamp and now the wall behind it. Such pixels are few, and may hold most of the error of an image of few
-//! samples. The preview knows where they are; so they are a stratum of their own, of which some pixels are traced in addition.
+//! The strata are those of cost, and one more: pixels where a light, or the bright outside, borders on
+//! something else. They are few, and may hold most of the error of an image of few samples. The preview knows
+//! where they are, so some more of them are traced.
 //!
-//! Errors have heavier tails than costs: one sample in ten thousand that meets a lamp by way of some rough steel may weigh more than
-//! the rest of its stratum. So the blocks of neighbours that are traced for their time (see `warm_clock`) are asked too, four times as
-//! many pixels for nothing. They lie close together and are likelier where the work is; within a stratum that hardly matters.
+//! Errors have heavier tails than costs: one sample in ten thousand that meets a lamp via rough steel may
+//! outweigh the rest of its stratum. So the blocks of neighbours that are traced for their time (see
+//! `warm_clock`) are used too, which gives four times as many pixels.
 
 use crate::profile::forecast_strata;
 use crate::renderer::{FrameRenderer, StratumInfo};
@@ -16,19 +16,19 @@ use forelight_preview::{NOTHING, Preview};
 use forelight_protocol::RenderSettings;
 use std::collections::BTreeSet;
 
-/// One pixel at the edge of a light for so many that are profiled.
+/// Profiled pixels per pixel at the edge of a light.
 const SAMPLES_PER_EDGE: usize = 4;
 
-/// The profiled pixels of a frame with what their samples say.
+/// The profiled pixels of a frame, with their noise.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameNoise {
-    /// All pixels by stratum: one number for each of [`forecast_strata`], without the edges of lights, and these.
+    /// All pixels by stratum of [`forecast_strata`], without edges of lights, and then these edges.
     pub counts: Vec<u32>,
     /// The profiled pixels.
     pub pixels: Vec<u32>,
-    /// What their samples say, in the same order.
+    /// Their noise, in the same order.
     pub samples: Vec<NoiseSample>,
-    /// So many of them, the first ones, are scattered over the image; the others are blocks of neighbours.
+    /// The first pixels, this many, are scattered over the image. The others are blocks of neighbours.
     pub scattered: usize,
 }
 
@@ -40,10 +40,10 @@ pub fn noise_strata(strata: &[StratumInfo], settings: &RenderSettings) -> Vec<St
 }
 
 impl FrameNoise {
-    /// Cells of the frame, or of one of which `counts` pixels show each stratum.
+    /// Noise cells of a frame of which `counts` pixels show each stratum.
     ///
     /// # Errors
-    /// If the strata are not those of the frame.
+    /// If the strata do not match the frame.
     pub fn cells(&self, strata: &[Stratum], counts: &[u32]) -> Result<Vec<NoiseCell>, ForecastError> {
         noise_cells(strata, counts, &self.samples)
     }
@@ -53,17 +53,17 @@ impl FrameNoise {
         &self.pixels[..self.scattered]
     }
 
-    /// At most so many of the scattered pixels, every so many-th, with what they said.
+    /// At most `most` of the scattered pixels, evenly chosen.
     #[must_use]
     pub fn thinned(&self, most: usize) -> Self {
         let count = most.min(self.scattered);
-        // The middle of each of so many equal parts.
+        // The middle of each of `count` equal parts.
         let picks = (0..count).map(|i| (2 * i + 1) * self.scattered / (2 * count));
         let (pixels, samples) = picks.map(|i| (self.pixels[i], self.samples[i].clone())).unzip();
         Self { counts: self.counts.clone(), pixels, samples, scattered: count }
     }
 
-    /// The scattered pixels alone, with what they said another time, in their order.
+    /// The scattered pixels alone, with other noise, in their order.
     #[must_use]
     pub fn with_scattered(&self, noise: impl IntoIterator<Item = PixelNoise>) -> Self {
         let samples = self.samples[..self.scattered].iter().zip(noise);
@@ -76,7 +76,7 @@ impl FrameNoise {
         }
     }
 
-    /// Whether it says anything: not where the pixels were traced with a single camera sample.
+    /// Whether noise is known: not with a single camera sample per pixel.
     pub fn is_known(&self) -> bool {
         !self.samples.is_empty() && self.samples.iter().all(|sample| !sample.noise.drops.is_empty())
     }
@@ -84,15 +84,15 @@ impl FrameNoise {
 
 /// Strata of a frame's pixels, with the edges of lights apart.
 pub struct Zones {
-    /// Stratum of every pixel: of [`noise_strata`].
+    /// Stratum of [`noise_strata`] of every pixel.
     stratum: Vec<u32>,
     /// Pixels of each.
     pub counts: Vec<u32>,
 }
 
 impl Zones {
-    /// Of a previewed frame. A pixel is at the edge of a light if it and the pixels around it do not all show the same, and one of
-    /// them shows something that shines, or nothing.
+    /// For a previewed frame. A pixel is at the edge of a light if it and its neighbours show different
+    /// things, one of which shines or is the background.
     pub fn new(ready: &dyn FrameRenderer, preview: &Preview) -> Self {
         let materials = &ready.frame().materials;
         let shines: Vec<bool> =
@@ -119,7 +119,7 @@ impl Zones {
         Self { stratum, counts }
     }
 
-    /// Pixels at the edges of lights that are to be traced in addition to `profiled` ones, evenly spread; none of `taken`.
+    /// Additional pixels at the edges of lights, evenly spread, none of `taken`.
     pub fn edges(&self, profiled: usize, taken: &BTreeSet<u32>) -> Vec<u32> {
         let edges = self.counts.len() as u32 - 1;
         let free: Vec<u32> = (0u32..)
@@ -128,7 +128,7 @@ impl Zones {
             .map(|p| p.0)
             .collect();
         let wanted = (profiled / SAMPLES_PER_EDGE).min(free.len());
-        // The middle of each of so many equal parts.
+        // The middle of each of `wanted` equal parts.
         (0..wanted).map(|i| free[(2 * i + 1) * free.len() / (2 * wanted)]).collect()
     }
 
@@ -138,7 +138,7 @@ impl Zones {
         shown.map(|(pixel, _)| pixel).collect()
     }
 
-    /// What pixels of this frame said.
+    /// Noise of traced pixels of this frame.
     pub fn noise(&self, traced: impl IntoIterator<Item = (u32, PixelNoise)>, scattered: usize) -> FrameNoise {
         let (pixels, samples) = traced
             .into_iter()

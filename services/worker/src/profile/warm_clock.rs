@@ -1,20 +1,19 @@
-//! What a scattered pixel would have taken among its neighbours.
+//! The time that a scattered pixel would take among its neighbours.
 //!
-//! Profiled pixels lie far apart. Each one finds the tree, the triangles and the textures that it needs out of reach of the
-//! processor's caches, while in a render its neighbours have just used the same. Its *work* is the same in both; its *time* is not:
-//! on scenes of some hundred thousand triangles, scattered pixels of direct light take 1.6 to 1.9 times as long. (Sampled simulation
-//! of processors has the same bias and the same cure; see Wunderlich et al. 2003 on functional warming.)
+//! A scattered pixel finds its tree, triangles and textures outside the processor's caches. In a render, its
+//! neighbours have just used the same data. Its *work* is the same in both, its *time* is not: with some
+//! hundred thousand triangles, scattered pixels of direct light take 1.6 to 1.9 times as long. (Sampled
+//! simulation of processors has the same bias and remedy: functional warming, Wunderlich et al. 2003.)
 //!
-//! So around a few of the profiled pixels the block of neighbours is traced too, in one run. The first of them fetch what is needed; the
-//! rest show how long a unit of work takes once it is there. These blocks are drawn with a probability in proportion to the work that
-//! their profiled pixel stands for, so that the mean of their rates is an estimate of the frame's time over the frame's work. All
-//! profiled times are then scaled by one factor,
-//!
+//! So some blocks of neighbours are traced too, each in one run. The first pixels of a block warm the caches,
+//! the rest show the time per unit of work. Blocks are drawn in proportion to the work that their profiled
+//! pixel represents, so the mean of their rates estimates that of the frame. All profiled times are scaled by
 //! ```text
-//! ρ = mean of the middle half of the blocks' (time / work)  /  ( Σ w_i time_i / Σ w_i work_i ) ,     w_i = pixels that pixel i stands for
+//! ρ = mean of the middle half of the blocks' (time / work)  /  ( Σ w_i time_i / Σ w_i work_i )
+//! w_i = pixels that pixel i stands for
 //! ```
 //!
-//! The neighbours are finished pixels, which the render takes over like any other; the forecast of work does not look at them.
+//! The neighbours are finished pixels, which the render takes over. The forecast of work ignores them.
 
 use crate::renderer::FrameRenderer;
 use forelight_forecast::Observation;
@@ -22,24 +21,24 @@ use forelight_forecast::accuracy::PixelNoise;
 use forelight_tracer::Pixel;
 use std::collections::BTreeSet;
 
-/// One block for so many profiled pixels as long as these are few; from the square of this on, the number of blocks grows with the root of
-/// theirs. A dozen or two make the mean of their rates sure enough, and they are the dearest part of a profile.
+/// Profiled pixels per block. Beyond the square of this, the number of blocks grows with the square root of
+/// pixels. A dozen blocks give a reliable mean, and they are the most expensive part of a profile.
 const PICKS_PER_SITE: usize = 16;
 /// Edge of the block of neighbours, pixels.
 const BLOCK: u32 = 8;
-/// Share of a block's pixels that only fetch what is needed; the time of the rest counts.
+/// Share of a block's pixels that only warm the caches.
 const WARMING_SHARE: f64 = 0.5;
 
-/// What the neighbours said.
+/// Result of the neighbours.
 pub struct Warmth {
-    /// Factor on the time of scattered pixels; 1 where nothing could be measured.
+    /// Factor on the time of scattered pixels, 1 if nothing could be measured.
     pub factor: f64,
-    /// The neighbours, finished, with what their camera samples say.
+    /// The neighbours, finished, with their noise.
     pub pixels: Vec<(u32, (Pixel, PixelNoise))>,
 }
 
-/// Traces neighbours of some of the profiled pixels, unless `stop` says that they are not wanted any more. `counts` are the frame's pixels by
-/// stratum; `profiled` are the pixels that belong to `observations`, in the same order.
+/// Traces neighbours of some profiled pixels, unless `stop` returns true. `counts` are the frame's pixels by
+/// stratum. `profiled` are the pixels of `observations`, in the same order.
 pub fn measure(
     ready: &dyn FrameRenderer,
     counts: &[u32],
@@ -66,19 +65,17 @@ pub fn measure(
     let traced = ready.trace_runs(&runs, stop)?;
     let warm = middle_mean(traced.iter().filter_map(|run| warm_rate(run)).collect());
     let scattered = time / work.iter().sum::<f64>();
-    // Nothing may have been measured: no blocks, or a clock that did not move.
+    // There may be no blocks, or the clock may not have advanced.
     let factor = if warm > 0.0 && scattered > 0.0 { warm / scattered } else { 1.0 };
     let pixels = runs.into_iter().flatten().zip(traced.into_iter().flatten()).collect();
     Some(Warmth { factor, pixels })
 }
 
-/// Blocks for so many profiled pixels.
 fn sites(picks: usize) -> usize {
     (picks / PICKS_PER_SITE).min(picks.isqrt())
 }
 
-/// Mean of the middle half of the values, NaN of none: a block in which the thread lost its processor, and its caches, is not what
-/// a block takes.
+/// Mean of the middle half, NaN if empty. Leaves out blocks whose thread was interrupted.
 fn middle_mean(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let quarter = values.len() / 4;
@@ -94,7 +91,7 @@ fn warm_rate(run: &[(Pixel, PixelNoise)]) -> Option<f64> {
     (work > 0).then(|| nanos as f64 / work as f64)
 }
 
-/// Indices drawn systematically in proportion to `sizes`, ascending; one that is large enough to be drawn twice is drawn once.
+/// Indices drawn systematically in proportion to `sizes`, ascending and distinct.
 fn proportional_sites(sizes: &[f64], wanted: usize) -> Vec<usize> {
     let step = sizes.iter().sum::<f64>() / wanted as f64;
     let mut sites = Vec::with_capacity(wanted);
@@ -109,7 +106,7 @@ fn proportional_sites(sizes: &[f64], wanted: usize) -> Vec<usize> {
     sites
 }
 
-/// The pixels of the block around a pixel, row by row as a render goes through them, that are not finished yet.
+/// Unfinished pixels of the block around a pixel, row by row.
 fn free_neighbours(pixel: u32, width: u32, height: u32, taken: &BTreeSet<u32>) -> Vec<u32> {
     let first = |at: u32, size: u32| (at / BLOCK * BLOCK).min(size.saturating_sub(BLOCK));
     let (x0, y0) = (first(pixel % width, width), first(pixel / width, height));

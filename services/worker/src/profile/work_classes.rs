@@ -1,34 +1,34 @@
-//! Work by class: what a frame's operations are, for seconds on other machines.
+//! Work by class, to convert a frame's operations to seconds on other machines.
 
 use crate::renderer::FrameRenderer;
 use forelight_protocol::{ByClass, FixedCosts};
 use forelight_tracer::WorkByClass;
 
-/// Triangles of which tree and corners still fit into the caches of a core, and of which next to nothing does. In between, the share
-/// of going through the tree that waits for memory grows with the logarithm of their number.
+/// Numbers of triangles that fit entirely, or hardly at all, into a core's caches. In between, the share of
+/// traversal that waits for memory grows with the logarithm of the number.
 const CACHED: f64 = 8192.0;
 const UNCACHED: f64 = 524_288.0;
 
-/// The tracer's classes of work in a scene of so many triangles.
+/// Classes of the tracer's work in a scene of this many triangles.
 pub fn by_class([rays, traversal, shading, texture, records]: WorkByClass, triangles: usize) -> ByClass {
     let share = ((triangles as f64 / CACHED).ln() / (UNCACHED / CACHED).ln()).clamp(0.0, 1.0);
     let memory = (traversal as f64 * share).round() as u64;
     ByClass { rays, traversal: traversal - memory, memory, shading, texture, records, build: 0 }
 }
 
-/// Work of a frame of which so much is that of pixels and of gathering records: of the classes of what was traced of it so far, with planning these
-/// and with its tree, where it has one of its own. `None` if there is none.
+/// Work of a frame by class, including its plan and its own tree. `pixels` and `gathers` are the work of
+/// pixels and records, which have the classes of what was traced so far. `None` if there is none.
 pub fn of_frame(ready: &dyn FrameRenderer, pixels: f64, gathers: f64) -> Option<ByClass> {
     let (of_pixels, of_gathers) = ready.work_by_class();
     let FixedCosts { build, plan, .. } = ready.fixed();
-    // A plan is rays and the way through the tree.
+    // A plan is rays and traversal.
     let plan = by_class([0, plan.work, 0, 0, 0], ready.frame().geometry.triangles.len());
     let build = ByClass { build: build.work, ..ByClass::default() };
     let all = scaled(of_pixels, pixels).plus(scaled(of_gathers, gathers)).plus(plan).plus(build);
     (all.total() > 0).then_some(all)
 }
 
-/// As much work as `total`, of the same classes. Sums are rounded, not their parts, so that these add up.
+/// The same classes, scaled to `total`. Running sums are rounded, so that the parts add up.
 fn scaled(work: ByClass, total: f64) -> ByClass {
     let factor = total / (work.total() as f64).max(1.0);
     let (mut sum, mut given) = (0, 0);

@@ -15,26 +15,26 @@ use std::time::Instant;
 pub struct Rendered {
     /// The image.
     pub image: Image,
-    /// What it took.
+    /// Its cost.
     pub stats: RenderStats,
-    /// The frame, for what is written beside the colours.
+    /// The frame, for the data written beside the colours.
     pub frame: Frame,
 }
 
-/// What was done for a frame before it is rendered.
+/// What was computed for a frame before its render.
 #[derive(Debug, Default)]
 pub struct Given<'a> {
     /// Its profile: finished pixels, or its cache.
     pub profile: Option<&'a Profile>,
-    /// The cache of its shot.
+    /// The shared cache.
     pub cache: Option<Cache>,
 }
 
-/// Renders one frame on the current thread pool, taking over what it is given. `None` if `cancel` was set.
+/// Renders one frame on the current thread pool, taking over what is given. `None` if `cancel` was set.
 ///
-/// The cost of a frame is that of its pixels, of setting it up, of its irradiance cache, planned and filled, and of building its
-/// acceleration structure in a shot in which something moves, whether or not some of it was done before, by profiling or for another frame: it is what a forecast forecasts. Loading the
-/// bundle and building the structure that all frames share, both paid once per process, are not in it, nor is the shot's cache.
+/// Its cost is the cost that forecasts predict: pixels, set-up, its own irradiance cache and, if something
+/// moves in the shot, its acceleration structure, even if some of it was computed before. It excludes what a
+/// process pays once (loading, a structure that all frames share) and the shared cache.
 pub fn render_frame(
     renderer: &dyn Renderer,
     frame: u32,
@@ -53,7 +53,7 @@ pub fn render_frame(
     }))
 }
 
-/// The same for a frame that was set up before, whose pixels are given to `finished` as they are; its wall time is that of tracing alone.
+/// The same for a frame that is set up. `finished` receives pixels. Wall time is that of tracing alone.
 pub fn render_ready(
     ready: &dyn FrameRenderer,
     settings: &RenderSettings,
@@ -67,7 +67,6 @@ pub fn render_ready(
     Ok(Some(rendered(ready, finished, settings, start.elapsed().as_secs_f64())))
 }
 
-/// A finished frame with what it took.
 pub(crate) fn rendered(
     ready: &dyn FrameRenderer,
     finished: Finished,
@@ -137,19 +136,18 @@ fn cache_stats(cache: &CacheUse, image: &Image) -> CacheStats {
     }
 }
 
-/// Records of a frame's cache beyond those of the shot's cache that hold in it, one number a level.
+/// A frame's own records by level, beyond the records of the shared cache that are valid in it.
 pub(crate) fn own_records(all: &[u64], shared: &Shared) -> Vec<u64> {
     let kept = shared.kept.iter().copied().chain(std::iter::repeat(0));
     all.iter().zip(kept).map(|(&all, kept)| all.saturating_sub(kept)).collect()
 }
 
-/// Numbers of records in the words of the wire.
 pub(crate) fn counts(records: Vec<u64>) -> Vec<u32> {
-    // There are fewer than the plan's rays, of which a frame cannot have 2³².
+    // A plan has fewer than 2³² rays, and fewer records than that.
     records.into_iter().map(|count| u32::try_from(count).unwrap_or(u32::MAX)).collect()
 }
 
-/// A cost of the tracer's in the words of the wire.
+/// A cost of the tracer, as protocol data.
 pub fn spent(cost: Cost) -> Spent {
     Spent { work: cost.work, cpu_nanos: cost.cpu_nanos }
 }
@@ -159,12 +157,12 @@ pub fn seconds(nanos: u64) -> f64 {
     nanos as f64 * 1e-9
 }
 
-/// Largest resident memory of this process so far, in bytes (`VmHWM` of Linux); 0 where the system does not say.
+/// Peak resident memory of this process in bytes (`VmHWM` on Linux), 0 if unknown.
 pub fn peak_rss_bytes() -> u64 {
     status_bytes("VmHWM:")
 }
 
-/// Resident memory of this process, in bytes (`VmRSS` of Linux); 0 where the system does not say.
+/// Resident memory of this process in bytes (`VmRSS` on Linux), 0 if unknown.
 pub(crate) fn resident_bytes() -> u64 {
     status_bytes("VmRSS:")
 }

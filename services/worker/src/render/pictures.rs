@@ -1,7 +1,7 @@
-//! The files of a finished frame, and what making them takes.
+//! The files of a finished frame, and the cost of making them.
 //!
-//! A frame of a few CPU seconds takes a good part of another one to be written. So a profile measures that too: it encodes an
-//! image of the frame's size that is made of the frame's finished pixels.
+//! For a frame of a few CPU seconds, writing takes a considerable part of another second. So a profile
+//! measures it on an image of the same size, made of the finished pixels.
 
 use crate::agent::execute::ExecuteError;
 use crate::profile::ProfiledFrame;
@@ -15,7 +15,7 @@ use std::io::Cursor;
 pub struct Pictures {
     /// The image, linear, with identities and cost.
     pub image_exr: Vec<u8>,
-    /// The image, for looking at.
+    /// The image for viewing.
     pub image_png: Vec<u8>,
     /// Cost of each pixel in colour.
     pub cost_map_png: Vec<u8>,
@@ -23,7 +23,7 @@ pub struct Pictures {
     pub preview_png: Vec<u8>,
 }
 
-/// Encodes a frame's files, all on this thread. Also the CPU time that it took, in nanoseconds.
+/// Encodes a frame's files on this thread. Also returns the CPU time in nanoseconds.
 pub fn encode(image: &Image, frame: &Frame, preview: &RgbImage) -> Result<(Pictures, u64), ExecuteError> {
     let (pictures, nanos) = clocked(|| {
         Ok::<_, ExecuteError>(Pictures {
@@ -36,22 +36,21 @@ pub fn encode(image: &Image, frame: &Frame, preview: &RgbImage) -> Result<(Pictu
     Ok((pictures?, nanos))
 }
 
-/// What a frame's files take beside tracing: making the preview, and encoding. In time alone, since work counts tracing.
+/// Cost of a frame's files: preview and encoding. It is time only, since work counts tracing.
 pub fn write_cost(encoding_nanos: u64, preview: Spent) -> Spent {
     Spent { work: 0, cpu_nanos: encoding_nanos.saturating_add(preview.cpu_nanos) }
 }
 
-/// CPU time that encoding the files of a profiled frame takes, in nanoseconds: measured on a stand-in for its image.
+/// CPU time of encoding the files of a profiled frame, in nanoseconds, measured on a stand-in.
 pub fn encoding_nanos(profiled: &ProfiledFrame) -> Result<u64, ExecuteError> {
     let Some(image) = stand_in(profiled) else { return Ok(0) };
     encode(&image, &profiled.scene, &profiled.picture).map(|(_, nanos)| nanos)
 }
 
-/// An image of the size of the profiled frame, of its traced pixels: with its values and its noise, though not in its order.
-/// `None` if there are no such pixels.
+/// An image of the frame's size made of its traced pixels. `None` if there are none.
 ///
-/// Copies would be encoded a third sooner than a real image, in which hardly any value comes twice. So each pixel is a mixture
-/// of two traced ones of the same stratum, in a proportion of its own.
+/// Copies of pixels would encode a third faster than a real image, whose values hardly repeat. So each pixel
+/// is a mixture of two traced ones of the same stratum, in its own proportion.
 fn stand_in(profiled: &ProfiledFrame) -> Option<Image> {
     let camera = &profiled.scene.camera;
     let count = camera.width as usize * camera.height as usize;
@@ -86,7 +85,7 @@ pub fn png(picture: &RgbImage) -> Result<Vec<u8>, ExecuteError> {
     Ok(bytes)
 }
 
-/// The image as an OpenEXR file; the writer wants a real one.
+/// The image as an OpenEXR file. The writer needs a file on disk.
 fn exr(image: &Image, frame: &Frame) -> Result<Vec<u8>, ExecuteError> {
     let failed =
         |error: &dyn std::fmt::Display| ExecuteError::Transient(format!("cannot write the image: {error}"));

@@ -1,4 +1,4 @@
-//! The tasks that make the irradiance cache which the frames of a job share: plan, fill a part, put parts together.
+//! Tasks of the shared cache: plan, fill a part, merge parts.
 
 use crate::agent::execute::{Assignment, Control, ExecuteError, Outcome};
 use crate::renderer::{RenderError, Renderer};
@@ -12,7 +12,6 @@ use forelight_protocol::{
 use forelight_tracer::{Cache, CacheError, clocked};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Plans the cache of a shot, and what each frame makes of it.
 pub(crate) fn plan(
     renderer: &dyn Renderer,
     spec: &CachePlanSpec,
@@ -24,7 +23,7 @@ pub(crate) fn plan(
         return Err(ExecuteError::Cancelled);
     }
     let Some(planned) = planned else {
-        return Err(ExecuteError::Permanent("these settings have no use for an irradiance cache".into()));
+        return Err(ExecuteError::Permanent("these settings need no irradiance cache".into()));
     };
     let mut files = Files::default();
     let result = planned.result(|bytes| files.add(bytes));
@@ -40,7 +39,6 @@ pub(crate) fn plan(
     Ok(Outcome { result: TaskResult::CachePlan(result), artifacts: files.contents })
 }
 
-/// Fills a part of the cache of a shot.
 pub(crate) fn fill(
     renderer: &dyn Renderer,
     spec: &CacheFillSpec,
@@ -69,7 +67,7 @@ pub(crate) fn fill(
     Ok(Outcome { result: TaskResult::CacheFill(result), artifacts: files.contents })
 }
 
-/// Puts the parts of a round together, and smooths what is full. No light is traced.
+/// Merges the parts of a round and smooths full levels. Traces no light.
 pub(crate) fn merge(
     spec: &CacheMergeSpec,
     assignment: &Assignment,
@@ -88,7 +86,7 @@ pub(crate) fn merge(
             }
             control.set_progress(f64::from(done) / spec.parts.len() as f64);
         }
-        whole.ok_or_else(|| ExecuteError::Permanent("there are no parts to put together".into()))
+        whole.ok_or_else(|| ExecuteError::Permanent("the task names no cache parts to merge".into()))
     };
     let (whole, merging) = clocked(put_together);
     let whole = whole?;
@@ -97,19 +95,17 @@ pub(crate) fn merge(
     let smoothing = whole.totals().fill.cpu_nanos - before;
     let ((full, bytes), writing) = clocked(|| (whole.is_complete(), whole.to_bytes()));
     let size = bytes.len() as u64;
-    control.log(LogLevel::Info, format!("{} parts put together: {size} bytes", spec.parts.len()));
+    control.log(LogLevel::Info, format!("merged {} parts: {size} bytes", spec.parts.len()));
     let mut files = Files::default();
     let spent = Spent { work: 0, cpu_nanos: merging + smoothing + writing };
     let result = CacheMergeResult { cache: files.add(bytes), bytes: size, full, spent };
     Ok(Outcome { result: TaskResult::CacheMerge(result), artifacts: files.contents })
 }
 
-/// The one cache that a task was given.
 pub(crate) fn only_cache(assignment: &Assignment) -> Result<Cache, ExecuteError> {
     Cache::from_bytes(only_file(assignment)?).map_err(unusable)
 }
 
-/// The same as a file.
 pub(crate) fn only_file(assignment: &Assignment) -> Result<&Bytes, ExecuteError> {
     match assignment.caches.as_slice() {
         [bytes] => Ok(bytes),
@@ -119,7 +115,6 @@ pub(crate) fn only_file(assignment: &Assignment) -> Result<&Bytes, ExecuteError>
     }
 }
 
-/// What goes wrong with a cache that is shared.
 pub(crate) fn of_shared_cache(error: RenderError) -> ExecuteError {
     match error {
         RenderError::Cache(error) => unusable(error),
@@ -127,10 +122,9 @@ pub(crate) fn of_shared_cache(error: RenderError) -> ExecuteError {
     }
 }
 
-/// A file that is damaged is damaged for everyone: it came under its own hash. One that another version of the renderer made may be right
-/// for another worker.
+/// A damaged file is damaged for all workers. One of another renderer version may suit another worker.
 fn unusable(error: CacheError) -> ExecuteError {
-    let text = format!("the shot's irradiance cache cannot be used: {error}");
+    let text = format!("the shared irradiance cache cannot be used: {error}");
     match error {
         CacheError::Length { .. } | CacheError::Damaged(_) => ExecuteError::Permanent(text),
         CacheError::Foreign | CacheError::OtherScene(_) | CacheError::OtherPlan => {

@@ -1,5 +1,5 @@
-//! What each kind of task does with a renderer: previews and profiles here, the shared irradiance cache in `cache`, renders
-//! in `render`.
+//! Execution of each kind of task: previews and profiles here, the shared cache in `cache`, renders in
+//! `render`.
 
 pub(crate) mod cache;
 pub(crate) mod render;
@@ -32,7 +32,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-/// Does tasks with the bundles of a library.
+/// Executes tasks with the bundles of a library.
 #[derive(Debug, Clone)]
 pub struct TaskRunner {
     library: Arc<Library>,
@@ -49,12 +49,11 @@ impl Execute for TaskRunner {
     fn execute(&self, assignment: &Assignment, control: &Control) -> Result<Outcome, ExecuteError> {
         let renderer = self.library.open(&assignment.bundle)?;
         let renderer = &*renderer;
-        // Shared storage may hold another version of the bundle by now. What was forecast and booked is not what it would take,
-        // and frames of two versions make no shot.
+        // A bundle on shared storage may have changed. The quote would be wrong, and frames would not match.
         let (submitted, found) = (assignment.spec.digest(), renderer.info().summary.digest);
         if found != submitted {
             return Err(ExecuteError::Permanent(format!(
-                "the bundle has changed since the job was submitted (its digest was {submitted} and is {found}): submit the job again"
+                "the bundle has changed since the job was submitted (digest {submitted}, now {found}): submit the job again"
             )));
         }
         let scene = &renderer.info().summary;
@@ -80,7 +79,7 @@ fn preview(renderer: &dyn Renderer, spec: &PreviewSpec, control: &Control) -> Re
     Ok(Outcome { result: TaskResult::Preview(result), artifacts: Vec::new() })
 }
 
-/// What frames show, in the words of the wire: of the shot's strata those that any of the frames shows.
+/// Counts of frames as protocol data, with the strata that any of them shows.
 pub fn preview_result(
     info: &ShotInfo,
     frames: &[u32],
@@ -145,17 +144,17 @@ fn profile(
     Ok(Outcome { result: TaskResult::Profile(result), artifacts: files.contents })
 }
 
-/// The part of a task that profiles, in its progress, where it lays out ladders too, which take longer.
+/// Share of a profile task's progress before its ladders, which take longer.
 const WITHOUT_LADDERS: f64 = 0.2;
 
-/// The ladders that the frame's profile does not tell by itself. What keeps them from being laid out is no reason to lose the profile.
+/// The ladders that the frame's profile does not give by itself. If they fail, the profile is still valid.
 fn ladders(
     renderer: &dyn Renderer,
     spec: &ProfileSpec,
     knows_error: bool,
     control: &Control,
 ) -> Result<AccuracyDoc, ExecuteError> {
-    // Of resolutions that the profile can price, the error is that of what was asked for.
+    // At resolutions that the profile can price, the error is that of the settings asked for.
     let told =
         |kind: LadderKind| is_own(kind, &spec.settings) && (knows_error || kind == LadderKind::Resolution);
     let wanted: Vec<LadderKind> = LadderKind::ALL.into_iter().filter(|kind| !told(*kind)).collect();
@@ -163,18 +162,18 @@ fn ladders(
     let reporting = Reporting { control, from: WITHOUT_LADDERS, to: 1.0 };
     match predict(renderer, spec.frame, &spec.settings, &wanted, &options, &reporting) {
         Ok(ladders) => {
-            control.log(LogLevel::Info, format!("laid out ladders of {} qualities", ladders.rungs.len()));
+            control.log(LogLevel::Info, format!("predicted ladders of {} qualities", ladders.rungs.len()));
             Ok(ladders)
         }
         Err(ShotError::Cancelled) => Err(ExecuteError::Cancelled),
         Err(error) => {
-            control.log(LogLevel::Warn, format!("no ladders of qualities: {error}"));
+            control.log(LogLevel::Warn, format!("ladders of qualities cannot be predicted: {error}"));
             Ok(without_ladders(spec.frame, &spec.settings, &error.to_string()))
         }
     }
 }
 
-/// A profiled frame in the words of the wire: of the shot's strata those that were sampled.
+/// A profiled frame as protocol data, with the strata that were sampled.
 pub fn profile_result(
     info: &ShotInfo,
     settings: &RenderSettings,
@@ -195,7 +194,7 @@ pub fn profile_result(
             rays: cost.rays,
         }
     };
-    // The pixels after the observed ones are neighbours that were traced for their time alone.
+    // Pixels after the observed ones were traced for their time only.
     let samples =
         profiled.traced.iter().zip(&profiled.observations).zip(&profiled.shown).map(sample).collect();
     ProfileResult {
@@ -219,13 +218,13 @@ pub fn profile_result(
     }
 }
 
-/// What the profiled pixels say of the image's error.
+/// Noise of the profiled pixels, as protocol data.
 fn noise_cells(info: &ShotInfo, settings: &RenderSettings, profiled: &ProfiledFrame) -> Vec<NoiseCell> {
     let Some(noise) = profiled.noise.as_ref().filter(|noise| noise.is_known()) else { return Vec::new() };
     let strata = noise_strata(&info.strata, settings);
-    // The strata are the frame's own, so they fit.
+    // The strata are the frame's own, so they match.
     let cells = noise.cells(&strata, &noise.counts).unwrap_or_default();
-    // Seven digits of a number that is estimated from few pixels are plenty.
+    // Seven digits are enough for an estimate from few pixels.
     let sample = |sample: PixelNoise| NoiseSample {
         brightness: sample.brightness as f32,
         drops: sample.drops.into_iter().map(|drop| drop as f32).collect(),
@@ -240,12 +239,9 @@ fn noise_cells(info: &ShotInfo, settings: &RenderSettings, profiled: &ProfiledFr
         .collect()
 }
 
-/// The strata of a shot that a result speaks of, in the order of the shot. The order matters: whoever estimates from the result
-/// adds up in it, and so finds to the last bit what an estimate made here would be.
+/// The strata in a result, in the order of the shot. Estimates add up in this order, for the same bits.
 struct Shown {
-    /// Indices into the shot's strata, ascending, each once.
     strata: Vec<usize>,
-    /// The same in the words of the wire.
     list: Vec<Stratum>,
     background_prior_cost: f64,
 }
@@ -264,18 +260,17 @@ impl Shown {
         Self { strata, list, background_prior_cost: all[info.strata.len()].prior_cost }
     }
 
-    /// Place of one of the shot's strata in the list; of any other, which is the background, the place after the last.
+    /// Index of a stratum in the list. The background, or any other stratum, comes after the last.
     fn place(&self, stratum: usize) -> u32 {
         self.strata.binary_search(&stratum).unwrap_or(self.strata.len()) as u32
     }
 }
 
-/// The name of an artefact with this content.
+/// Name of an artefact with this content.
 pub(crate) fn artifact_name(content: &[u8]) -> ArtifactHash {
     ArtifactHash(*blake3::hash(content).as_bytes())
 }
 
-/// Files to be uploaded, named by their hash.
 #[derive(Default)]
 pub(crate) struct Files {
     pub(crate) contents: Vec<Bytes>,
@@ -289,10 +284,10 @@ impl Files {
     }
 }
 
-/// Progress of the steps of a quote, as the lease's progress.
+/// Reports the steps of a quote as progress of the task.
 struct Reporting<'a> {
     control: &'a Control,
-    /// The part of the task's progress that this is, 0 to 1.
+    /// The range of the task's progress that this covers, 0 to 1.
     from: f64,
     to: f64,
 }

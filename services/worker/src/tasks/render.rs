@@ -1,4 +1,4 @@
-//! The task that renders a frame: with equally many camera samples for every pixel, or for a given amount of work.
+//! The render task: equally many camera samples for every pixel, or a given amount of work.
 
 use crate::adaptive::work_budget::render_for_work;
 use crate::agent::checkpoint::Checkpoints;
@@ -17,7 +17,6 @@ use std::cell::Cell;
 use std::sync::Once;
 use std::time::Instant;
 
-/// Renders a frame and writes its pictures.
 pub(crate) fn render(
     renderer: &dyn Renderer,
     spec: &RenderSpec,
@@ -27,7 +26,7 @@ pub(crate) fn render(
     let start = Instant::now();
     let ready = renderer.frame(spec.frame, &spec.settings)?;
     let ready = &*ready;
-    control.log(LogLevel::Info, format!("frame {} calls for: {}", spec.frame, ready.effects().join(", ")));
+    control.log(LogLevel::Info, format!("effects of frame {}: {}", spec.frame, ready.effects().join(", ")));
     if spec.cache.is_some() {
         share(ready, cache::only_file(assignment)?, control)?;
     }
@@ -45,7 +44,7 @@ pub(crate) fn render(
     control.log(
         LogLevel::Info,
         format!(
-            "rendered {} × {} pixels, {} of them taken over: {:.1} CPU seconds, {} operations",
+            "rendered {} × {} pixels, {} of them taken over: {:.1} CPU seconds, {} units of work",
             stats.width, stats.height, stats.reused_pixels, stats.cpu_seconds, stats.work
         ),
     );
@@ -60,7 +59,7 @@ pub(crate) fn render(
     Ok(Outcome { result: TaskResult::Render(result), artifacts: files.contents })
 }
 
-/// With the camera samples of the settings for every pixel, taking over what was profiled, or what an earlier worker finished.
+/// Renders with the camera samples of the settings, taking over profiled pixels or a checkpoint.
 fn evenly(
     ready: &dyn FrameRenderer,
     spec: &RenderSpec,
@@ -68,16 +67,16 @@ fn evenly(
     control: &Control,
 ) -> Result<Rendered, ExecuteError> {
     let cached = spec.settings.cache == CacheMode::On;
-    // With an irradiance cache no pixels are kept.
+    // Frames with an irradiance cache have no checkpoints: their pixels are worth little without it.
     let checkpoint = assignment.checkpoint.as_ref().filter(|_| !cached);
     let finished = checkpoint.and_then(|bytes| usable("an earlier worker's tiles", bytes, ready, control));
     if let Some(finished) = &finished {
-        let text = format!("goes on from {} pixels that an earlier worker finished", finished.pixels.len());
+        let text =
+            format!("continuing from {} pixels that an earlier worker finished", finished.pixels.len());
         control.log(LogLevel::Info, text);
     }
     let profiled = || usable("the frame's profile", assignment.profile.as_ref()?, ready, control);
     let reuse = finished.or_else(profiled);
-    // With an irradiance cache the pixels are the lesser part, and worth little without it.
     let start_of_checkpoints = (!cached).then(|| reuse.clone().unwrap_or_else(|| ready.profile(&[])));
     let checkpoints = Checkpoints::new(control, start_of_checkpoints, spec.settings.pixels());
     let count = |pixels: &[(u32, Pixel)]| {
@@ -94,7 +93,7 @@ fn evenly(
     }
     let begun = Once::new();
     let finished = |pixels: &[_]| {
-        // Pixels are begun once the irradiance cache is there. Before, nothing is known of them, nor how much the cache is in comparison.
+        // Pixels start once the irradiance cache is filled. Only then is its share of the frame known.
         begun.call_once(|| control.spent_before_pixels(ready.spent_on_cache()));
         count(pixels);
         checkpoints.finished(pixels);
@@ -104,8 +103,7 @@ fn evenly(
         .ok_or(ExecuteError::Cancelled)
 }
 
-/// With camera samples where they pay, for so much work all together. What other workers began of it is of no use: which samples a pixel gets is
-/// known with its last pass.
+/// Renders with `work` in all. Checkpoints do not help: only the last pass decides a pixel's samples.
 fn for_work(
     ready: &dyn FrameRenderer,
     spec: &RenderSpec,
@@ -138,20 +136,20 @@ fn for_work(
     Ok(made.rendered(ready, &spec.settings, None, start.elapsed().as_secs_f64()).rendered)
 }
 
-/// Gives the frame the irradiance cache that it shares with others. One that another version of the renderer made, before workers were
-/// brought up to date, is of no use to this one: then the frame makes its own.
+/// Gives the frame the shared cache. If another version of the renderer made it, the frame builds its own.
 fn share(ready: &dyn FrameRenderer, cache: &Bytes, control: &Control) -> Result<(), ExecuteError> {
     let shared = Cache::from_bytes(cache).map_err(RenderError::from).and_then(|cache| ready.share(cache));
     let (level, text) = match shared {
         Ok(shared) => {
             let (kept, dropped) = (shared.kept.iter().sum::<u64>(), shared.dropped.iter().sum::<u64>());
-            let text =
-                format!("of the shot's irradiance cache {kept} records hold in this frame, {dropped} do not");
+            let text = format!(
+                "{kept} records of the shared irradiance cache are valid in this frame, {dropped} are not"
+            );
             (LogLevel::Info, text)
         }
         Err(RenderError::Cache(error @ (CacheError::Foreign | CacheError::OtherScene(_)))) => {
             let text =
-                format!("the frame makes its own irradiance cache; that of the shot cannot be used: {error}");
+                format!("the frame builds its own irradiance cache; the shared one cannot be used: {error}");
             (LogLevel::Warn, text)
         }
         Err(error) => return Err(cache::of_shared_cache(error)),
@@ -160,8 +158,7 @@ fn share(ready: &dyn FrameRenderer, cache: &Bytes, control: &Control) -> Result<
     Ok(())
 }
 
-/// What was finished of the frame before, if that is of use here: it is a help, and no part of the task. Another version of the renderer may have
-/// made it.
+/// A checkpoint or profile, if it fits this frame. It may come from another version of the renderer.
 fn usable(what: &str, bytes: &Bytes, ready: &dyn FrameRenderer, control: &Control) -> Option<Profile> {
     let found = Profile::from_bytes(bytes).map_err(RenderError::from);
     match found.and_then(|found| ready.check(&found).map(|()| found)) {
@@ -173,7 +170,7 @@ fn usable(what: &str, bytes: &Bytes, ready: &dyn FrameRenderer, control: &Contro
     }
 }
 
-/// How much of a render is done, 0 to 1. An irradiance cache is given the first half: it takes about that.
+/// Progress of a render, 0 to 1. Filling an irradiance cache takes about half of it.
 fn fraction(Progress { step, done, all }: Progress, cached: bool) -> f64 {
     let part = done as f64 / all.max(1) as f64;
     match (step, cached) {

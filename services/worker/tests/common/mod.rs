@@ -1,11 +1,11 @@
-//! What tests of qualities share.
+//! Shared by tests of qualities.
 
 use forelight_preview::Choice;
 use forelight_worker::{AccuracyObserver, Ambient, AmbientShot};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-/// Watches; stops everything if its flag is set.
+/// Cancels if its flag is set.
 #[derive(Default)]
 pub struct Nobody(pub AtomicBool);
 
@@ -16,12 +16,12 @@ impl AccuracyObserver for Nobody {
     }
 }
 
-/// The kitchen that ships with the project.
+/// The shipped kitchen.
 pub fn kitchen() -> AmbientShot {
     scene("kitchen")
 }
 
-/// One of the scenes that ship with it.
+/// One of the shipped scenes.
 pub fn scene(name: &str) -> AmbientShot {
     let scenes = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/scenes"));
     Ambient::new(Choice::Cpu).open(&scenes.join(name)).unwrap()

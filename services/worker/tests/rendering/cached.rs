@@ -56,7 +56,7 @@ fn a_profiled_cache_is_taken_over_with_its_plan_and_the_records_that_depend_on_n
         for level in 0..bounces {
             assert_eq!(of_level(level), 37, "100 pixels go with 37 records");
         }
-        // A deeper level has the fewest rays that there are, all of which its plan has traced.
+        // A deeper level has the fewest rays possible, all of which its plan has traced.
         assert!(profile.cache_samples.iter().all(|s| s.work > 0 && (s.rays[5] > 0 || s.level > 0)));
 
         let bytes =
@@ -93,14 +93,14 @@ fn a_profiled_cache_that_is_of_no_use_is_left_and_the_image_is_what_it_would_be(
     for spec in [rig.render_spec(1), other] {
         rig.makes_the_same(&rig.run(spec.clone(), None).unwrap(), spec, bytes.clone());
     }
-    // A profile that is whole, but holds a cache that is not.
+    // An intact profile that holds a damaged cache.
     let mut profile = forelight_tracer::Profile::from_bytes(&bytes).unwrap();
     profile.cache.as_mut().unwrap()[200] ^= 1;
     let fresh = rig.run(rig.render_spec(0), None).unwrap();
     rig.makes_the_same(&fresh, rig.render_spec(0), profile.to_bytes().into());
 }
 
-/// Of few samples the points that no record covers make much of a pixel's cost, and the more there are the less each adds.
+/// With few samples, uncovered points make much of a pixel's cost. The more there are, the less each adds.
 #[test]
 fn a_camera_sample_more_costs_what_the_explanation_says_of_it() {
     let rig = Rig::cached(1);
@@ -118,13 +118,12 @@ fn a_camera_sample_more_costs_what_the_explanation_says_of_it() {
         let (now, more) = (work(spp), work(spp + 1));
         let off = explained.camera_sample * explained.work / (more - now) - 1.0;
         println!("{spp} samples: one more {:.4}, off by {off:+.3}", (more - now) / now);
-        // All pixels were profiled: what is left is that another sample sees other things, and that the plan saw those of the first sample, so
-        // that records cover those of the second less often.
+        // All pixels were profiled. The plan saw the first samples, so records cover later ones less often.
         assert!(off.abs() < 0.15, "{spp} samples: {off}");
     }
 }
 
-/// Bounds are those of one deterministic run with room for a change of samples, not of many.
+/// Bounds fit one deterministic run, with room for a change of samples.
 #[test]
 fn with_a_cache_the_quote_of_the_kitchen_is_within_a_few_percent_of_its_render() {
     let kitchen = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/scenes/kitchen");

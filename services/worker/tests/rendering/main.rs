@@ -1,4 +1,4 @@
-//! The tasks and quotes of our renderer.
+//! Tasks and quotes of our renderer.
 
 mod cached;
 mod quotes;

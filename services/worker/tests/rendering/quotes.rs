@@ -1,4 +1,4 @@
-//! Quotes of shots, against renders of them.
+//! Quotes of shots against renders of them.
 
 use crate::room::{Nobody, Rig};
 use forelight_forecast::Strategy;
@@ -55,7 +55,7 @@ fn pixels_cost_what_the_quote_says_of_each() {
         assert!((mean.iter().sum::<f64>() / total - 1.0).abs() < 1e-9);
         let below = truth.iter().zip(&p80).filter(|(pixel, most)| pixel.work as f64 <= **most).count();
         let share = below as f64 / truth.len() as f64;
-        // Four standard errors of an order statistic of 160 pixels, of which half may vary in common.
+        // Four standard errors of an order statistic of 160 pixels, half of which may vary in common.
         let noise = 4.0 * (0.8f64 * 0.2 / 80.0).sqrt();
         println!("frame {frame}: {share:.3} of its pixels cost at most their P80");
         assert!((share - 0.8).abs() < noise, "frame {frame}: {share}");
@@ -63,7 +63,7 @@ fn pixels_cost_what_the_quote_says_of_each() {
     assert!(quoted.pixel_work(&shot, &rig.settings, 2, None).unwrap().is_none(), "it is not in the quote");
 }
 
-/// A farm quotes from documents that workers sent as JSON.
+/// A farm makes quotes from JSON that workers send.
 #[test]
 fn measurements_that_went_through_json_give_the_same_quote_and_explanation_to_the_last_bit() {
     for rig in [Rig::new(), Rig::cached(2)] {
@@ -131,7 +131,7 @@ fn building_the_tree_is_in_a_frames_cost_only_where_something_moves_and_motion_i
     let rig = Rig::new();
     let rendered = || {
         let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
-        // Frame 0 of the moving shot has the geometry that it would have without the motion.
+        // Frame 0 of the moving shot has the same geometry as without the motion.
         let cancel = AtomicBool::new(false);
         render_frame(&shot, 0, &rig.settings, Given::default(), &|_| (), &cancel).unwrap().unwrap().stats
     };
@@ -151,7 +151,7 @@ fn building_the_tree_is_in_a_frames_cost_only_where_something_moves_and_motion_i
 
 #[test]
 fn a_frame_in_the_dark_is_forecast_from_one_in_the_dark() {
-    // With a cache, of which a frame in the dark has no records, all three are profiled: two others would be worth more.
+    // With a cache, a dark frame has no records, so all three frames are profiled.
     for (rig, profile_frames) in [(Rig::new(), 2), (Rig::cached(1), 3)] {
         rig.animate(serde_json::json!({
             "target": "light:0", "property": "radiance", "interpolation": "step",
@@ -162,7 +162,7 @@ fn a_frame_in_the_dark_is_forecast_from_one_in_the_dark() {
             ],
         }));
         let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
-        // Half of all pixels: what is left of error is that of carrying.
+        // Half of all pixels: the remaining error is that of carrying costs to other frames.
         let options = QuoteOptions {
             samples: 384,
             profile_frames: Some(profile_frames),
@@ -190,7 +190,7 @@ fn a_frame_in_the_dark_is_forecast_from_one_in_the_dark() {
     }
 }
 
-/// Says after so many questions that it is enough.
+/// Cancels after a number of checks.
 struct Patience(AtomicUsize);
 
 impl Observer for Patience {
@@ -209,7 +209,7 @@ fn a_profile_is_broken_off_in_the_middle_of_its_pixels() {
     let profile = |questions: usize| {
         profile_frame(&shot, 0, &rig.settings, &options, &Patience(AtomicUsize::new(questions)))
     };
-    // It asks before every one of 768 pixels.
+    // It checks before every one of 768 pixels.
     assert!(matches!(profile(8), Err(ShotError::Cancelled)));
     assert_eq!(profile(10_000).unwrap().observations.len(), 32 * 24);
 }

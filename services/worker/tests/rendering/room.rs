@@ -1,4 +1,4 @@
-//! A room that is written here, and tasks in it.
+//! A room written by the test, and tasks in it.
 
 use forelight_preview::Choice;
 use forelight_protocol::{
@@ -12,7 +12,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
-/// A floor, a mirror, and a pane; the camera moves to the right over three frames.
+/// A floor, a mirror, and a pane. The camera moves to the right over three frames.
 fn write_bundle(folder: &Path) {
     let scene = serde_json::json!({
         "version": 1,
@@ -52,7 +52,7 @@ pub struct Rig {
 }
 
 impl Rig {
-    /// With an irradiance cache of so many levels, and a side wall for the floor to be lit by.
+    /// With an irradiance cache of this many levels, and a side wall to light the floor.
     pub fn cached(bounces: u32) -> Self {
         let mut rig = Self::new();
         let side = "o side\nusemtl wood\nv -3 0 3\nv -3 0 -3\nv -3 2 -3\nv -3 2 3\nf -4 -3 -2 -1\n";
@@ -91,7 +91,7 @@ impl Rig {
         BundleSource::Path(self.bundle().display().to_string())
     }
 
-    /// Of what the bundle holds now, if that is a scene.
+    /// The digest of the current bundle, if that is a scene.
     pub fn digest(&self) -> SceneDigest {
         let scene = forelight_scene::Scene::load(&self.bundle(), &forelight_scene::Limits::default());
         SceneDigest(scene.map_or([0; 32], |scene| scene.digest()))
@@ -114,7 +114,7 @@ impl Rig {
         )
     }
 
-    /// Whether a render that is given a profile that it cannot use says so, and makes what one without it does.
+    /// Checks that a render with an unusable profile says so, and makes the same image as without it.
     pub fn makes_the_same(&self, fresh: &Outcome, spec: TaskSpec, profile: bytes::Bytes) {
         let control = Control::default();
         let anyway = self.run_from(spec, Some(profile), None, &control).unwrap();
@@ -155,7 +155,7 @@ impl Rig {
     }
 }
 
-/// An observer that looks away.
+/// An observer that ignores progress.
 pub struct Nobody;
 
 impl Observer for Nobody {

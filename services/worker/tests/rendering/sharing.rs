@@ -1,4 +1,4 @@
-//! Both ways of building irradiance caches, quoted and then rendered.
+//! Own and shared irradiance caches, quoted and then rendered.
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -18,13 +18,13 @@ use forelight_worker::{
 
 use super::room::Nobody;
 
-/// A shot of a shipped scene, and what its quotes rest on.
+/// A shot of a shipped scene, and the measurements behind its quotes.
 struct Case {
     shot: AmbientShot,
     frames: Vec<u32>,
     settings: RenderSettings,
     quoted: Quote,
-    /// Measured beside the shared cache too.
+    /// Measured with the shared cache too.
     profiles: Vec<MeasuredProfile>,
     plan: Option<CachePlanResult>,
     cache: Cache,
@@ -80,7 +80,7 @@ impl Case {
         measured.with_cache(measured.shared.filter(|_| shared))
     }
 
-    /// Compares the explanation of indirect light, and of planning it, with what the frames cost.
+    /// Compares the explanation of indirect light, and of its plan, with the frames' true costs.
     fn compare_explanation(&self, shared: bool, actual: &[RenderStats]) {
         let explained = |frame| self.way(shared).explain(&self.settings, frame).expect("an explanation");
         let compare = |explanation: Explanation, stats: &[RenderStats], most: f64| {
@@ -127,7 +127,7 @@ fn off(forecast: f64, actual: u64) -> f64 {
 
 #[test]
 fn what_is_quoted_for_either_way_is_what_it_takes_and_the_way_that_takes_less_is_taken() {
-    // In the one only the camera moves, in the other things do; two bounces have two levels of records.
+    // Only the camera moves in the corridor, objects move in the kitchen. Each bounce has a level of records.
     for (scene, frames, bounces) in [("corridor", [0, 8, 16, 24], 2), ("kitchen", [0, 12, 24, 40], 1)] {
         let case = Case::new(scene, &frames, bounces);
         let (cache, fill_work) = case.filled();
@@ -164,7 +164,7 @@ fn what_is_quoted_for_either_way_is_what_it_takes_and_the_way_that_takes_less_is
             if let (Some(seed), Some(plan)) = (&said.seed, &case.plan) {
                 let error = off(seed.work.mean, fill_work);
                 println!("{scene} seed: {:+.1} %", 100.0 * error);
-                assert!(error.abs() < 0.12, "{scene}, the seed: {error}");
+                assert!(error.abs() < 0.12, "{scene}, the shared cache: {error}");
                 assert!(seed.work.p80 > seed.work.mean && seed.cpu_seconds.mean > 0.0);
                 taken[1] += fill_work;
                 for (planned, stats) in plan.frames.iter().zip(&actual) {
@@ -240,10 +240,10 @@ fn without_a_plan_or_with_one_that_is_too_large_frames_build_their_own_and_the_q
 fn a_cache_has_a_part_for_each_node_as_long_as_parts_are_worth_it() {
     let plan = |records, bytes| SharedCacheToBuild { cache: ArtifactHash([0; 32]), bytes, records };
     assert_eq!(plan(10_000, 10 << 20).parts(4), 4);
-    assert_eq!(plan(10_000, 10 << 20).parts(0), 1, "on a farm without nodes someone may come");
-    assert_eq!(plan(600, 1 << 20).parts(9), 2, "few records are filled by few");
+    assert_eq!(plan(10_000, 10 << 20).parts(0), 1, "a node may join a farm without nodes");
+    assert_eq!(plan(600, 1 << 20).parts(9), 2, "few records need few parts");
     assert_eq!(plan(3, 1 << 10).parts(9), 1);
-    assert_eq!(plan(1 << 30, 1 << 30).parts(1000), 4, "whoever merges them holds all of them");
+    assert_eq!(plan(1 << 30, 1 << 30).parts(1000), 4, "a merge holds all parts in memory");
     assert_eq!(plan(1 << 30, 1 << 20).parts(1000), 64);
 }
 

@@ -1,4 +1,4 @@
-//! Tasks: previews, profiles and renders, broken off, cancelled, and of bundles that are not what they were.
+//! Tasks: previews, profiles and renders, interrupted, cancelled, and with changed bundles.
 
 use crate::room::{Nobody, Rig};
 use forelight_preview::Choice;
@@ -65,7 +65,7 @@ fn a_profiled_pixel_is_a_finished_pixel() {
     assert_eq!(fresh_result.artifacts.cost_map_png, reused_result.artifacts.cost_map_png);
     let (fresh, reused) = (&fresh_result.stats, &reused_result.stats);
     assert_eq!((fresh.work, fresh.rays), (reused.work, reused.rays));
-    // The samples, and neighbours of some of them that were traced to see how long warm caches make them take.
+    // The samples, and neighbours that were traced for their time.
     assert_eq!(fresh.reused_pixels, 0);
     assert!((101..=100 + 100 / 16 * 64).contains(&reused.reused_pixels), "{}", reused.reused_pixels);
     assert!(reused.reused_work > profile.samples.iter().map(|sample| sample.work).sum::<u64>());
@@ -94,12 +94,12 @@ fn a_profile_that_is_asked_for_ladders_lays_them_out_beside_the_same_pixels() {
     for kind in LadderKind::ALL {
         let rungs = ladders.rungs.iter().filter(|rung| rung.ladder == kind);
         let found: Vec<_> = rungs.map(|rung| rung.settings.clone()).collect();
-        // What the profile tells by itself is not laid out again, but for what the others are held against.
+        // Ladders that the profile gives by itself are not predicted again, except for the rung asked for.
         let all = forelight_quote::ladder(kind, &settings).unwrap();
         let expected = if forelight_quote::is_own(kind, &settings) { vec![settings.clone()] } else { all };
         assert_eq!(found, expected, "{kind:?}");
     }
-    // What they took is in the task's account, and not in that of its pixels.
+    // Their cost counts for the task, not for its pixels.
     assert_eq!(laid_out.spent.work, plain.spent.work + ladders.spent.work);
     assert_eq!(laid_out.work_on_pixels(), plain.work_on_pixels());
     let works =
@@ -127,7 +127,7 @@ fn a_frame_that_was_broken_off_goes_on_from_its_finished_tiles_to_the_same_bits(
         control.cancel();
         let ended = work.join().unwrap();
         assert!(matches!(ended, Err(ExecuteError::Cancelled) | Ok(_)), "{ended:?}");
-        // What was finished while it was stopped counts, too.
+        // Pixels that were finished while it was stopped count too.
         control.take_checkpoint().unwrap_or(tiles)
     });
     let control = Control::default();
@@ -139,14 +139,14 @@ fn a_frame_that_was_broken_off_goes_on_from_its_finished_tiles_to_the_same_bits(
     assert_eq!(before.artifacts.image_png, after.artifacts.image_png);
     assert_eq!(before.artifacts.cost_map_png, after.artifacts.cost_map_png);
     assert_eq!((before.stats.work, before.stats.rays), (after.stats.work, after.stats.rays));
-    assert!(after.stats.reused_pixels > before.stats.reused_pixels, "nothing was gone on from");
-    assert!(control.unsent().iter().any(|line| line.text.starts_with("goes on from")));
-    // What is told of the frame's finished pixels while it is rendered ends as all of them, whoever traced them.
+    assert!(after.stats.reused_pixels > before.stats.reused_pixels, "the checkpoint was not used");
+    assert!(control.unsent().iter().any(|line| line.text.starts_with("continuing from")));
+    // Reported pixels add up to all pixels, whichever worker traced them.
     let told = control.pixels().unwrap();
     assert_eq!((told.done, told.all), (32 * 24, 32 * 24));
     assert!(told.work <= after.stats.work && told.work * 10 > after.stats.work * 9, "{told:?}");
     assert!(told.cpu_nanos > 0);
-    // Tiles of another frame, and damaged ones, are no reason to fail.
+    // Tiles of another frame and damaged tiles do not fail the task.
     let mut damaged = tiles.to_vec();
     damaged[100] ^= 1;
     for (frame, tiles) in [(0, tiles), (1, damaged.into())] {
@@ -185,7 +185,7 @@ fn a_frames_time_holds_that_of_writing_its_files_and_the_profile_measures_it() {
         profile.fixed.total().cpu_nanos,
         profile.fixed.load.cpu_nanos + profile.fixed.build.cpu_nanos + write.cpu_nanos
     );
-    // With every pixel taken over, what is left of the frame's time is setting it up and writing it.
+    // With every pixel taken over, what remains is set-up and writing.
     let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
     let all = QuoteOptions { samples: 32 * 24, profile_frames: Some(1), seed: 1, ..QuoteOptions::default() };
     let quoted = quote(&shot, &[1], &rig.settings, &all, &Nobody).unwrap();
@@ -205,7 +205,7 @@ fn a_profile_that_is_of_no_use_is_left_and_the_image_is_what_it_would_be() {
     let rig = Rig::new();
     let profiled = rig.run(rig.profile_spec(0), None).unwrap();
     let fresh = rig.run(rig.render_spec(1), None).unwrap();
-    // Of another frame, and by a version that is no more.
+    // From another frame, and from an obsolete version.
     for bytes in [profiled.artifacts[0].clone(), bytes::Bytes::from_static(b"FLprof01 but no more")] {
         rig.makes_the_same(&fresh, rig.render_spec(1), bytes);
     }
@@ -286,7 +286,7 @@ fn a_frame_that_is_given_its_work_takes_that_and_has_the_same_bits_on_any_number
             (result, control.pixels().unwrap())
         };
         let ((one, told), (three, _)) = (made(1), made(3));
-        // The other file has times in it.
+        // The other file contains times.
         assert_eq!(one.artifacts.image_png, three.artifacts.image_png);
         assert_eq!(one.artifacts.cost_map_png, three.artifacts.cost_map_png);
         assert_eq!((one.stats.work, one.stats.rays), (three.stats.work, three.stats.rays));
