@@ -13,10 +13,8 @@ use forelight_protocol::{
     RenderSettingsRequest, RenewRequest, Renewal, ResultRequest, SceneDigest, Spent, TaskId, TaskLimit,
     TaskLimits, TaskResult, TaskSpec, Timestamp,
 };
-use forelight_worker::{
-    Agent, AgentError, Assignment, Control, Errand, Execute, ExecuteError, Library, OpenRenderer, Outcome,
-    RenderError, Renderer,
-};
+use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome};
+use forelight_worker::{Agent, AgentError, Bundles, Errand};
 use parking_lot::Mutex;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -224,14 +222,6 @@ impl Execute for Slow {
     }
 }
 
-struct NoRenderer;
-
-impl OpenRenderer for NoRenderer {
-    fn open(&self, _: &std::path::Path) -> Result<Arc<dyn Renderer>, RenderError> {
-        unreachable!("the executor of these tests opens nothing")
-    }
-}
-
 struct Rig {
     farm: Shared,
     executor: Arc<Slow>,
@@ -242,8 +232,8 @@ struct Rig {
 
 /// A worker, and the folder of its bundles.
 fn agent(address: &str, executor: Arc<Slow>) -> (Agent, tempfile::TempDir) {
-    let bundles = tempfile::tempdir().unwrap();
-    let library = Arc::new(Library::new(bundles.path(), Box::new(NoRenderer)).unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let bundles = Arc::new(Bundles::new(folder.path()).unwrap());
     let registration = NodeRegistration {
         name: "node-1".into(),
         speed: 1.0,
@@ -254,7 +244,7 @@ fn agent(address: &str, executor: Arc<Slow>) -> (Agent, tempfile::TempDir) {
         worker: None,
     };
     let client = Client::new(address, None).unwrap();
-    (Agent::new(client, library, executor, registration).unwrap(), bundles)
+    (Agent::new(client, bundles, executor, registration).unwrap(), folder)
 }
 
 impl Rig {
