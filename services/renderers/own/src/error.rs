@@ -53,3 +53,20 @@ impl RenderError {
         }
     }
 }
+
+/// Why a quote cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum ShotError {
+    /// The renderer failed.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// Pixels cannot be chosen.
+    #[error(transparent)]
+    Forecast(#[from] forelight_forecast::ForecastError),
+    /// The quote cannot be computed.
+    #[error(transparent)]
+    Quote(#[from] forelight_quote::QuoteError),
+    /// The caller cancelled.
+    #[error("stopped")]
+    Cancelled,
+}

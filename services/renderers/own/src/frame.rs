@@ -1,17 +1,18 @@
 //! One frame, ready to be traced.
 
 use crate::answers::{CacheUse, Finished, Previewed, Progress, Step};
+use crate::costs::by_class;
+use crate::costs::spent;
 use crate::error::RenderError;
-use crate::opening::{backend, preview_spent};
-use crate::profile::work_classes::by_class;
-use crate::render::spent;
-use crate::shot::{OwnShot, records};
+use crate::previewer::{backend, preview_spent};
+use crate::shot::{OwnShot, Ready, records};
 use forelight_forecast::accuracy::{PixelNoise, PixelSamples};
+use forelight_protocol::RenderSettings;
 use forelight_protocol::{ByClass, FixedCosts, LeftOut, ProcessCosts, Spent};
 use forelight_scene::Frame;
 use forelight_tracer::{
-    Cache, CacheTotals, Effects, Passes, Pixel, PixelsFinished, Profile, RecordCost, SampleCounts, Shared,
-    Totals, Tracer, clocked,
+    Cache, CacheTotals, Effects, Passes, Pixel, PixelsFinished, Profile, RecordCost, SampleCounts, Settings,
+    Shared, Totals, Tracer, clocked,
 };
 use parking_lot::Mutex;
 use rayon::prelude::*;
@@ -26,6 +27,27 @@ pub struct OwnFrame<'a> {
     /// Without the cache plan.
     pub(crate) fixed: FixedCosts,
     pub(crate) built_now: Spent,
+}
+
+impl OwnShot {
+    /// Sets up one frame.
+    pub fn frame(&self, frame: u32, settings: &RenderSettings) -> Result<OwnFrame<'_>, RenderError> {
+        let settings = Settings::from(settings);
+        let (frame, moved) = clocked(|| self.frame_of(frame, &settings));
+        let frame = frame?;
+        let Ready { tracer, own_tree, built_now } = self.tracer(&frame, &settings);
+        Ok(OwnFrame {
+            shot: self,
+            tracer,
+            shared: Mutex::default(),
+            fixed: FixedCosts {
+                load: Spent { work: 0, cpu_nanos: moved },
+                build: own_tree,
+                ..FixedCosts::default()
+            },
+            built_now,
+        })
+    }
 }
 
 impl OwnFrame<'_> {

@@ -3,11 +3,12 @@
 //!
 //! | folder or file | subject |
 //! | --- | --- |
-//! | `opening`, `open_shots` | bundles become shots; the last few stay open |
+//! | `opening`, `open_shots`, `previewer` | bundles become shots; the last few stay open; they share one previewer |
 //! | `shot`, `frame` | a shot; one frame, ready to be traced; `answers` and `error` are what they return |
 //! | `tasks/` | what each kind of task does |
 //! | `profile/` | counting what frames show, and profiling some of their pixels |
-//! | `quote` | an offline quote: preview, profile, estimate |
+//! | `quote`, `quote_options` | an offline quote: preview, profile, estimate |
+//! | `results`, `costs` | previews, profiles and costs in the terms of the wire |
 //! | `render/` | one frame with its true cost, and its files |
 //! | `adaptive/` | a frame for a time, an error or an amount of work |
 //! | `accuracy/` | what other qualities of a frame cost, and how far their images are from converged |
@@ -25,36 +26,39 @@ mod accuracy;
 mod adaptive;
 mod answers;
 mod calibration;
+mod costs;
 mod error;
 mod frame;
 mod open_shots;
 mod opening;
+mod previewer;
 mod profile;
 mod quote;
+mod quote_options;
 mod render;
+mod results;
 mod shared_cache;
 mod shot;
 mod tasks;
 
 pub use accuracy::{AccuracyObserver, AccuracyOptions, MeasureOptions, measure, predict};
-pub use adaptive::allocation::{
-    Aim, AllotError, AllotOptions, Allotted, render_allotted, render_as_allotted,
-};
+pub use adaptive::allocation::{Aim, AllotOptions, render_allotted, render_as_allotted};
 pub use adaptive::error_target::NEAR_ENOUGH;
+pub use adaptive::made::{AllotError, Allotted};
 pub use adaptive::time_limit::{Budget, Stopwatch};
 pub use answers::{CacheUse, Counted, Finished, Previewed, Progress, ShotInfo, Step, StratumInfo};
-pub use calibration::{CALIBRATION_VERSION, REFERENCE_RATE, ROUNDS, calibrate, node_speed};
-pub use error::RenderError;
+pub use calibration::{CALIBRATION_VERSION, ROUNDS, calibrate, node_speed};
+pub use costs::{cost_of, cost_of_gather, cost_of_record, seconds};
+pub use error::{RenderError, ShotError};
 pub use frame::OwnFrame;
 pub use opening::OwnRenderer;
 pub use profile::noise::FrameNoise;
-pub use profile::{
-    CountedFrames, Observer, ProfiledFrame, ShotError, cost_of, cost_of_gather, cost_of_record, count_frames,
-    forecast_strata, profile_frame, record_prior_cost, records_to_sample, stratum_ids,
-};
-pub use quote::{Quote, QuoteOptions, quote};
+pub use profile::strata::{forecast_strata, record_prior_cost};
+pub use profile::{CountedFrames, Observer, ProfiledFrame, profile_frame, records_to_sample, stratum_ids};
+pub use quote::{Quote, quote};
+pub use quote_options::QuoteOptions;
 pub use render::pictures::png;
-pub use render::{Given, Rendered, render_frame, render_ready, seconds};
+pub use render::{Given, Rendered, render_frame, render_ready};
 pub use shared_cache::{Filled, SharedPlan, SharedProfile, fill_part, plan_shared, profile_shared};
 pub use shot::OwnShot;
-pub use tasks::{TaskRunner, preview_result, profile_result};
+pub use tasks::TaskRunner;

@@ -1,35 +1,15 @@
 //! An offline quote: the steps of a farm, on this machine alone.
 
-use crate::profile::{Observer, ProfiledFrame, ShotError, count_frames, profile_frame, stratum_ids};
+use crate::error::ShotError;
+use crate::profile::{Observer, ProfiledFrame, count_frames, profile_frame, stratum_ids};
+use crate::quote_options::QuoteOptions;
+use crate::results::{artifact_name, preview_result, profile_result};
 use crate::shared_cache::{SharedPlan, profile_shared};
 use crate::shot::OwnShot;
-use crate::tasks::{artifact_name, preview_result, profile_result};
-use forelight_forecast::{Corrections, Strategy};
 use forelight_protocol::{
     CacheSharing, ForecastDoc, PreviewResult, ProfileArtifacts, QuotedShot, RenderSettings, Spent,
 };
 use forelight_quote::{Measured, MeasuredProfile, SharedCache, frames_to_profile};
-
-/// How a quote is made.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct QuoteOptions {
-    /// Pixels to profile per profiled frame.
-    pub samples: u32,
-    /// Most frames to profile, at least 1. `None`: as many as pay ([`Measured::more_to_profile`]).
-    pub profile_frames: Option<usize>,
-    /// Seed of the choice of pixels.
-    pub seed: u64,
-    /// How pixels are chosen, and how their costs are expanded to the frame.
-    pub strategy: Strategy,
-    /// Corrections of the quantiles from past jobs with the same renderer and class of features.
-    pub corrections: Option<Corrections>,
-}
-
-impl Default for QuoteOptions {
-    fn default() -> Self {
-        Self { samples: 256, profile_frames: None, seed: 0, strategy: Strategy::Snapshot, corrections: None }
-    }
-}
 
 /// A quote, and the measurements behind it.
 #[derive(Debug, Clone)]

@@ -1,12 +1,11 @@
 //! A bundle, opened by our renderer.
 
 use crate::answers::{Counted, ShotInfo, StratumInfo};
+use crate::costs::{counts, spent};
 use crate::error::RenderError;
-use crate::frame::OwnFrame;
-use crate::opening::{SharedPreviewer, backend, preview_spent};
-use crate::render::{counts, spent};
+use crate::previewer::{SharedPreviewer, backend, preview_spent};
 use forelight_protocol::{
-    FixedCosts, PlanCount, ProcessCosts, RenderSettings, SceneDigest, SceneSummary, Spent, StratumName,
+    PlanCount, ProcessCosts, RenderSettings, SceneDigest, SceneSummary, Spent, StratumName,
 };
 use forelight_scene::{Frame, Geometry, Limits, Scene};
 use forelight_tracer::{Cache, CacheTotals, Effects, Settings, Tracer, clocked, tracer_version};
@@ -49,9 +48,9 @@ struct Still {
 pub(crate) struct Ready {
     pub(crate) tracer: Tracer,
     /// Cost of the tree whenever it was built, if the shot's frames cannot share one.
-    own_tree: Spent,
+    pub(crate) own_tree: Spent,
     /// Cost of the tree if it was built by this call.
-    built_now: Spent,
+    pub(crate) built_now: Spent,
 }
 
 impl OwnShot {
@@ -208,24 +207,5 @@ impl OwnShot {
                 spent: preview_spent(previewer, &frame, setup).plus(planning),
             })
         })?)
-    }
-
-    /// Sets up one frame.
-    pub fn frame(&self, frame: u32, settings: &RenderSettings) -> Result<OwnFrame<'_>, RenderError> {
-        let settings = Settings::from(settings);
-        let (frame, moved) = clocked(|| self.frame_of(frame, &settings));
-        let frame = frame?;
-        let Ready { tracer, own_tree, built_now } = self.tracer(&frame, &settings);
-        Ok(OwnFrame {
-            shot: self,
-            tracer,
-            shared: Mutex::default(),
-            fixed: FixedCosts {
-                load: Spent { work: 0, cpu_nanos: moved },
-                build: own_tree,
-                ..FixedCosts::default()
-            },
-            built_now,
-        })
     }
 }

@@ -19,7 +19,7 @@ struct Rig {
 }
 
 fn corridor() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/scenes/corridor")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../deploy/scenes/corridor")
 }
 
 /// A placeholder: the content comes with the task.

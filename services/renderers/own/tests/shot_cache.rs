@@ -9,7 +9,7 @@ use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
 fn open(name: &str) -> OwnShot {
-    let bundle = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/scenes").join(name);
+    let bundle = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../deploy/scenes").join(name);
     OwnRenderer::new(Choice::Cpu).open(&bundle).unwrap()
 }
 

@@ -7,9 +7,9 @@
 //! Techniques*, 3rd edition 1977, section 12.8).
 
 use super::pilot::Pilot;
-use super::{AccuracyObserver, traced};
+use crate::accuracy::observer::{AccuracyObserver, traced};
+use crate::error::ShotError;
 use crate::frame::OwnFrame;
-use crate::profile::ShotError;
 use crate::profile::noise::FrameNoise;
 use crate::shot::OwnShot;
 use forelight_forecast::accuracy::{ImageNoise, PixelNoise};

@@ -15,9 +15,9 @@
 
 use super::gathers::{LESS_NOISY, cost, scaled, times_the_rays};
 use super::pilot::Pilot;
-use super::{AccuracyObserver, is_cancelled, traced};
+use crate::accuracy::observer::{AccuracyObserver, is_cancelled, traced};
+use crate::error::ShotError;
 use crate::frame::OwnFrame;
-use crate::profile::ShotError;
 use crate::profile::noise::FrameNoise;
 use crate::shot::OwnShot;
 use forelight_forecast::accuracy::PixelNoise;

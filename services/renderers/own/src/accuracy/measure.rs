@@ -3,8 +3,8 @@
 //! The converged image is rendered in two independent halves, a and b. For an image x that is independent of
 //! both, E[(x − a)(x − b)] = E[(x − t)²], with t what both converge to. Their own noise drops out.
 
-use super::AccuracyObserver;
-use crate::profile::ShotError;
+use crate::accuracy::observer::AccuracyObserver;
+use crate::error::ShotError;
 use crate::render::{Given, render_frame};
 use crate::shot::OwnShot;
 use forelight_protocol::{AccuracyDoc, CacheMode, MeasuredRung, RenderSettings, RenderSettingsRequest};

@@ -16,29 +16,29 @@
 mod gathers;
 mod interpolation;
 mod measure;
+mod observer;
 mod pilot;
 
 #[cfg(test)]
 pub(crate) use measure::Converged;
 pub use measure::{MeasureOptions, measure};
+use observer::is_cancelled;
+pub use observer::{AccuracyObserver, AccuracyOptions};
 pub(crate) use pilot::Pilot;
 
+use crate::costs::seconds;
+use crate::error::ShotError;
 use crate::frame::OwnFrame;
-use crate::profile::ShotError;
-use crate::render::seconds;
 use crate::shot::OwnShot;
 use forelight_forecast::Calibration;
-use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{
     AccuracyDoc, AccuracyRung, CacheMode, Integrator, LadderKind, MissingLadder, Profiled, RenderSettings,
     Spent, SpentOnForecast,
 };
 use forelight_quote::{ladder, mark};
-use forelight_tracer::Pixel;
 use gathers::{affordable, is_too_dear, relate};
 use interpolation::Truth;
 use pilot::View;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Camera samples of a profiled pixel: enough for four doublings.
 const PILOT_SPP: u32 = 16;
@@ -51,23 +51,6 @@ const LEAST_SAMPLES: u32 = 48;
 
 /// Least camera samples of a profiled pixel: two doublings.
 const LEAST_SPP: u32 = 4;
-
-/// How accuracy is predicted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct AccuracyOptions {
-    /// Pixels to profile for every kind of setting.
-    pub samples: u32,
-    /// Seed of the choice of pixels.
-    pub seed: u64,
-}
-
-/// Receives progress, and can cancel.
-pub trait AccuracyObserver: Sync {
-    /// `done` of `all` steps of the prediction are finished.
-    fn predicted(&self, done: usize, all: usize);
-    /// Set to cancel.
-    fn cancel(&self) -> &AtomicBool;
-}
 
 /// Larger images are left out, unless a larger one was asked for: a preview needs 32 bytes per pixel.
 const MOST_PIXELS: u64 = 1 << 26;
@@ -279,18 +262,6 @@ fn too_large(settings: &RenderSettings, asked: &RenderSettings) -> Option<String
     let RenderSettings { width, height, .. } = settings;
     let why = || format!("{width} × {height}: a preview of this many pixels takes too much memory");
     (settings.pixels() > MOST_PIXELS.max(asked.pixels())).then(why)
-}
-
-fn is_cancelled(observer: &dyn AccuracyObserver) -> bool {
-    observer.cancel().load(Ordering::Relaxed)
-}
-
-fn traced(
-    ready: &OwnFrame<'_>,
-    pixels: &[u32],
-    observer: &dyn AccuracyObserver,
-) -> Result<Vec<(Pixel, PixelNoise)>, ShotError> {
-    ready.trace_unless(pixels, &|| is_cancelled(observer)).ok_or(ShotError::Cancelled)
 }
 
 /// The settings of the pilot for these settings. Those that it does not depend on are normalised.

@@ -1,14 +1,15 @@
 //! A pilot: profiled pixels of one kind of setting.
 
-use super::{AccuracyObserver, AccuracyOptions};
+use crate::accuracy::observer::{AccuracyObserver, AccuracyOptions, is_cancelled};
+use crate::costs::cost_of_record;
 use crate::error::RenderError;
+use crate::error::ShotError;
 use crate::frame::OwnFrame;
 use crate::opening::uncovered_gathers;
 use crate::profile::noise::{FrameNoise, Zones, noise_strata};
-use crate::profile::{
-    Observer, ShotError, cost_of_record, forecast_strata, profile_ready, record_prior_cost,
-};
-use crate::quote::QuoteOptions;
+use crate::profile::strata::{forecast_strata, record_prior_cost};
+use crate::profile::{Observer, profile_ready};
+use crate::quote_options::QuoteOptions;
 use crate::shot::OwnShot;
 use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise};
 use forelight_forecast::{
@@ -212,7 +213,7 @@ impl Observer for Watching<'_> {
     fn previewed(&self, _: usize, _: usize) {}
     fn profiled(&self, _: usize, _: usize) {}
     fn is_cancelled(&self) -> bool {
-        super::is_cancelled(self.0)
+        is_cancelled(self.0)
     }
 }
 

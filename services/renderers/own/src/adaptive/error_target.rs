@@ -5,7 +5,8 @@
 //! at most multiplies a tile's samples by `GROWTH`, since few samples may mislead. It takes the law of the
 //! variance as certain, since the new samples will test it. The image depends on the samples alone.
 
-use crate::adaptive::allocation::{AllotError, Allotment, Made, quantile};
+use crate::adaptive::allotment::{Allotment, quantile};
+use crate::adaptive::made::{AllotError, Made};
 use crate::adaptive::tiles::Tiles;
 use crate::answers::{Progress, Step};
 use crate::error::RenderError;

@@ -11,7 +11,9 @@
 //! | `work_budget` | passes until the work is spent |
 
 pub(crate) mod allocation;
+pub(crate) mod allotment;
 pub(crate) mod error_target;
+pub(crate) mod made;
 pub(crate) mod tiles;
 pub(crate) mod time_limit;
 pub(crate) mod work_budget;

@@ -1,9 +1,9 @@
 //! An unfinished image, tile by tile: its own samples show where more of them pay.
 
-use crate::adaptive::allocation::Allotment;
+use crate::adaptive::allotment::Allotment;
+use crate::adaptive::allotment::laid_out;
 use crate::error::RenderError;
-use crate::profile::ShotError;
-use forelight_forecast::accuracy::allot::{MOST_SAMPLES, whole};
+use crate::error::ShotError;
 use forelight_forecast::accuracy::{SampledPixel, Survey};
 use forelight_tracer::{Passes, SampleCounts, SoFar, Tiling};
 
@@ -70,19 +70,4 @@ fn mean_variance(pixels: &[SoFar]) -> f64 {
         .filter_map(known_variance)
         .fold((0.0, 0.0), |(sum, n), of_pixel| (sum + of_pixel, n + 1.0));
     if count > 0.0 { sum / count } else { 0.0 }
-}
-
-/// Spreads mean sample counts of sets of pixels over the pixels. Pixels in no set get one sample.
-pub(crate) fn laid_out(
-    pixels: usize,
-    sets: &[Vec<u32>],
-    samples: &[f64],
-) -> Result<SampleCounts, RenderError> {
-    let mut counts = vec![1u16; pixels];
-    for (set, &samples) in sets.iter().zip(samples) {
-        for (&pixel, n) in set.iter().zip(whole(samples, set.len())) {
-            counts[pixel as usize] = n.min(MOST_SAMPLES as u32) as u16;
-        }
-    }
-    Ok(SampleCounts::new(counts)?)
 }

@@ -7,12 +7,13 @@
 //!
 //! The clock decides only how many samples the pixels get.
 
-use crate::adaptive::allocation::{AllotError, Allotment, Made};
+use crate::adaptive::allotment::Allotment;
+use crate::adaptive::made::{AllotError, Made};
 use crate::adaptive::tiles::Tiles;
 use crate::answers::{Progress, Step};
+use crate::costs::seconds;
 use crate::error::RenderError;
 use crate::frame::OwnFrame;
-use crate::render::seconds;
 use forelight_protocol::{BudgetClock, Confidence, WithinStats};
 use forelight_scene::Frame;
 use forelight_tracer::{Image, Passes, SampleCounts, process_cpu_nanos};

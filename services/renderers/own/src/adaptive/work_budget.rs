@@ -8,13 +8,13 @@
 //!
 //! There is no clock, unlike in [`crate::adaptive::time_limit`]: the image depends on the work alone.
 
-use crate::adaptive::allocation::Made;
 use crate::adaptive::error_target::pass;
+use crate::adaptive::made::Made;
 use crate::adaptive::tiles::Tiles;
 use crate::answers::Progress;
 use crate::error::RenderError;
+use crate::error::ShotError;
 use crate::frame::OwnFrame;
-use crate::profile::ShotError;
 use forelight_forecast::accuracy::allot::even_numbers;
 use forelight_tracer::{SampleCounts, Totals};
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -12,7 +12,7 @@
 //! | `records` | the room again, read from an irradiance cache |
 //! | `build` | the tree of hills of fifty thousand triangles |
 
-use crate::profile::work_classes::by_class;
+use crate::costs::by_class;
 use forelight_protocol::ByClass;
 use forelight_scene::{
     AlphaMask, Camera, Color, Environment, Frame, Geometry, Material, Strata, Surface, Texels, Texture,

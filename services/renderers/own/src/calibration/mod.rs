@@ -8,7 +8,7 @@
 
 mod kernels;
 
-use crate::render::seconds;
+use crate::costs::seconds;
 use forelight_forecast::{Timed, class_rates};
 use forelight_protocol::{ByClass, KernelTime, NodeCalibration};
 use kernels::REFERENCE;

@@ -4,43 +4,28 @@
 //! and estimates. Offline, [`crate::quote`] does all of it.
 
 pub(crate) mod noise;
+pub(crate) mod strata;
 pub(crate) mod warm_clock;
 pub(crate) mod work_classes;
 
 use crate::answers::{Counted, Previewed, StratumInfo};
-use crate::error::RenderError;
+use crate::costs::{cost_of, spent};
+use crate::error::ShotError;
 use crate::frame::OwnFrame;
 use crate::profile::noise::{FrameNoise, Zones};
+use crate::profile::strata::forecast_strata;
 use crate::profile::work_classes::of_frame;
-use crate::quote::QuoteOptions;
-use crate::render::spent;
+use crate::quote_options::QuoteOptions;
 use crate::shot::OwnShot;
-use forelight_forecast::{Cost, Expansion, Observation, Stratum};
+use forelight_forecast::accuracy::PixelNoise;
+use forelight_forecast::{Expansion, Observation, Pick};
 use forelight_preview::{NOTHING, Preview};
 use forelight_protocol::{
-    ByClass, CacheMode, FixedCosts, LeftOut, MaterialMode, PlanCount, PreviewBackend, ProcessCosts,
-    RenderSettings, Spent,
+    ByClass, FixedCosts, LeftOut, PlanCount, PreviewBackend, ProcessCosts, RenderSettings, Spent,
 };
-use forelight_scene::{Frame, MaterialClass};
+use forelight_scene::Frame;
 use forelight_tracer::{Pixel, Profile, RecordCost};
 use std::collections::{BTreeMap, BTreeSet};
-
-/// Why a quote cannot be made.
-#[derive(Debug, thiserror::Error)]
-pub enum ShotError {
-    /// The renderer failed.
-    #[error(transparent)]
-    Render(#[from] RenderError),
-    /// Pixels cannot be chosen.
-    #[error(transparent)]
-    Forecast(#[from] forelight_forecast::ForecastError),
-    /// The quote cannot be computed.
-    #[error(transparent)]
-    Quote(#[from] forelight_quote::QuoteError),
-    /// The caller cancelled.
-    #[error("stopped")]
-    Cancelled,
-}
 
 /// Receives progress, and can cancel.
 pub trait Observer: Sync {
@@ -50,34 +35,6 @@ pub trait Observer: Sync {
     fn profiled(&self, done: usize, all: usize);
     /// Whether to stop as soon as possible.
     fn is_cancelled(&self) -> bool;
-}
-
-/// The shot's strata for the forecast, the background last.
-///
-/// Prior costs only steer the first samples. Glass sends out several times the rays of a wall.
-pub fn forecast_strata(strata: &[StratumInfo], settings: &RenderSettings) -> Vec<Stratum> {
-    const TRANSPARENT: f64 = 3.0;
-    const SPECULAR: f64 = 2.0;
-    const DIFFUSE: f64 = 1.0;
-    const BACKGROUND: f64 = 0.1;
-    let prior = |class| match (settings.materials, class) {
-        (MaterialMode::Lambert, _) | (_, MaterialClass::Diffuse) => DIFFUSE,
-        (_, MaterialClass::Specular) => SPECULAR,
-        (_, MaterialClass::Transparent) => TRANSPARENT,
-    };
-    let known = strata.iter().map(|s| Stratum {
-        object: s.object,
-        material: s.material,
-        prior_cost: prior(s.class),
-        apart: false,
-    });
-    known.chain([Stratum::background(BACKGROUND)]).collect()
-}
-
-/// Prior cost of gathering a record, relative to a plain diffuse pixel. `None` without a cache.
-pub fn record_prior_cost(settings: &RenderSettings) -> Option<f64> {
-    let cost = f64::from(settings.cache_rays) / f64::from(settings.spp);
-    (settings.cache == CacheMode::On).then_some(cost)
 }
 
 /// Counts of all frames, in the order of `frames`.
@@ -234,6 +191,64 @@ pub fn profile_frame(
     Ok(profile_ready(&ready, &shot.info().strata, settings, options, observer)?.0)
 }
 
+/// Pixels traced so far.
+#[derive(Default)]
+struct Traced {
+    observations: Vec<Observation>,
+    /// Of each observation, the stratum that its pixel shows.
+    shown: Vec<u32>,
+    /// Observed pixels first, then others, which give times and noise alone.
+    pixels: Vec<(u32, Pixel)>,
+    noise: Vec<(u32, PixelNoise)>,
+}
+
+impl Traced {
+    /// Traces chosen pixels. `ids` holds the stratum that each pixel of the image shows.
+    fn observe(&mut self, picks: &[Pick], ids: &[u32], trace: &Trace<'_>) -> Result<(), ShotError> {
+        let indices: Vec<u32> = picks.iter().map(|pick| pick.pixel).collect();
+        for (pick, (pixel, noise)) in picks.iter().zip(trace(&indices)?) {
+            self.observations.push(Observation { stratum: pick.stratum, cost: cost_of(&pixel) });
+            self.shown.push(ids[pick.pixel as usize]);
+            self.pixels.push((pick.pixel, pixel));
+            self.noise.push((pick.pixel, noise));
+        }
+        Ok(())
+    }
+
+    /// Brings CPU times to those of a render, see [`warm_clock`]. Returns the noise of the neighbours that this
+    /// traced. `None` if `stop` was set.
+    fn warm_clock(
+        &mut self,
+        ready: &OwnFrame<'_>,
+        counts: &[u32],
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Option<Vec<(u32, PixelNoise)>> {
+        let warmth = warm_clock::measure(ready, counts, &self.observations, &self.pixels, stop)?;
+        for observation in &mut self.observations {
+            let cpu_nanos = &mut observation.cost.cpu_nanos;
+            *cpu_nanos = (*cpu_nanos as f64 * warmth.factor).round() as u64;
+        }
+        let (pixels, noise): (Vec<_>, Vec<_>) =
+            warmth.pixels.into_iter().map(|(index, (pixel, noise))| ((index, pixel), (index, noise))).unzip();
+        self.pixels.extend(pixels);
+        Some(noise)
+    }
+
+    /// Traces pixels at the edges of lights, for their noise.
+    fn observe_edges(&mut self, zones: &Zones, trace: &Trace<'_>) -> Result<(), ShotError> {
+        let taken: BTreeSet<u32> = self.pixels.iter().map(|(pixel, _)| *pixel).collect();
+        let edges = zones.edges(self.observations.len(), &taken);
+        for (&index, (pixel, noise)) in edges.iter().zip(trace(&edges)?) {
+            self.pixels.push((index, pixel));
+            self.noise.push((index, noise));
+        }
+        Ok(())
+    }
+}
+
+/// Traces pixels by their indices.
+type Trace<'a> = dyn Fn(&[u32]) -> Result<Vec<(Pixel, PixelNoise)>, ShotError> + 'a;
+
 /// The same for a frame that is set up, with its preview. `shot` holds the shot's strata.
 pub(crate) fn profile_ready(
     ready: &OwnFrame<'_>,
@@ -248,62 +263,36 @@ pub(crate) fn profile_ready(
     let strata = forecast_strata(shot, settings);
     let ids = stratum_ids(&seen.preview);
     let design = strategy.design(&strata, &ids, settings.width, samples, seed, i64::from(frame))?;
-    let mut observations = Vec::with_capacity(samples as usize);
-    let mut finished = Vec::with_capacity(samples as usize);
-    let mut sampled = Vec::with_capacity(samples as usize);
-    let mut shown = Vec::with_capacity(samples as usize);
     let stop = || observer.is_cancelled();
     let trace = |pixels: &[u32]| ready.trace_unless(pixels, &stop).ok_or(ShotError::Cancelled);
-    let mut observe = |picks: &[forelight_forecast::Pick], observations: &mut Vec<Observation>| {
-        let indices: Vec<u32> = picks.iter().map(|pick| pick.pixel).collect();
-        for (pick, (pixel, noise)) in picks.iter().zip(trace(&indices)?) {
-            observations.push(Observation { stratum: pick.stratum, cost: cost_of(&pixel) });
-            finished.push((pick.pixel, pixel));
-            sampled.push((pick.pixel, noise));
-            shown.push(ids[pick.pixel as usize]);
-        }
-        Ok::<(), ShotError>(())
-    };
-    observe(&design.first_phase(), &mut observations)?;
-    observe(&design.second_phase(&observations)?, &mut observations)?;
-    let warmth = warm_clock::measure(ready, design.counts(), &observations, &finished, &stop)
-        .ok_or(ShotError::Cancelled)?;
-    for observation in &mut observations {
-        let cpu_nanos = &mut observation.cost.cpu_nanos;
-        *cpu_nanos = (*cpu_nanos as f64 * warmth.factor).round() as u64;
-    }
-    let (neighbours, of_neighbours): (Vec<_>, Vec<_>) =
-        warmth.pixels.into_iter().map(|(index, (pixel, noise))| ((index, pixel), (index, noise))).unzip();
-    finished.extend(neighbours);
+    let mut traced = Traced::default();
+    traced.observe(&design.first_phase(), &ids, &trace)?;
+    traced.observe(&design.second_phase(&traced.observations)?, &ids, &trace)?;
+    let neighbours = traced.warm_clock(ready, design.counts(), &stop).ok_or(ShotError::Cancelled)?;
     let mut noise = None;
     if ready.has_final_colours() {
         let zones = Zones::new(ready, &seen.preview);
-        let taken: BTreeSet<u32> = finished.iter().map(|(pixel, _)| *pixel).collect();
-        let edges = zones.edges(observations.len(), &taken);
-        for (&index, (pixel, noise)) in edges.iter().zip(trace(&edges)?) {
-            finished.push((index, pixel));
-            sampled.push((index, noise));
-        }
-        let scattered = sampled.len();
-        sampled.extend(of_neighbours);
-        noise = Some(zones.noise(sampled, scattered));
+        traced.observe_edges(&zones, &trace)?;
+        let scattered = traced.noise.len();
+        traced.noise.extend(neighbours);
+        noise = Some(zones.noise(traced.noise, scattered));
     }
     if stop() {
         return Err(ShotError::Cancelled);
     }
     let records = ready.sample_records(records_to_sample(samples), seed);
-    let pixels = finished.iter().fold(Spent::default(), |sum, (_, pixel)| {
+    let pixels = traced.pixels.iter().fold(Spent::default(), |sum, (_, pixel)| {
         sum.plus(Spent { work: pixel.work, cpu_nanos: pixel.cpu_nanos })
     });
     let profiled = ProfiledFrame {
         frame,
         work_by_class: of_frame(
             ready,
-            work_of_pixels(design.counts(), &observations),
+            work_of_pixels(design.counts(), &traced.observations),
             work_of_records(&ready.cache_records(), &records),
         ),
-        observations,
-        shown,
+        observations: traced.observations,
+        shown: traced.shown,
         expansion: design.expansion().clone(),
         records,
         fixed: ready.fixed(),
@@ -316,8 +305,8 @@ pub(crate) fn profile_ready(
         noise,
         picture: forelight_preview::picture(&seen.preview, ready.frame()),
         scene: ready.frame().clone(),
-        profile: ready.profile(&finished),
-        traced: finished,
+        profile: ready.profile(&traced.pixels),
+        traced: traced.pixels,
     };
     Ok((profiled, seen))
 }
@@ -343,19 +332,4 @@ fn work_of_records(counts: &[u32], records: &[RecordCost]) -> f64 {
         f64::from(count) * work as f64 / number.max(1) as f64
     };
     counts.iter().enumerate().map(of_level).sum()
-}
-
-/// Cost of a pixel, for the forecast.
-pub fn cost_of(pixel: &Pixel) -> Cost {
-    Cost { work: pixel.work, cpu_nanos: pixel.cpu_nanos, rays: pixel.rays.map(u64::from) }
-}
-
-/// Cost of gathering a record, for the forecast.
-pub fn cost_of_record(record: &RecordCost) -> Cost {
-    cost_of_gather(record.cost, record.rays)
-}
-
-/// The same, from cost and rays by kind.
-pub fn cost_of_gather(cost: forelight_tracer::Cost, rays: [u32; 7]) -> Cost {
-    Cost { work: cost.work, cpu_nanos: cost.cpu_nanos, rays: rays.map(u64::from) }
 }

@@ -10,7 +10,7 @@
 
 use crate::answers::StratumInfo;
 use crate::frame::OwnFrame;
-use crate::profile::forecast_strata;
+use crate::profile::strata::forecast_strata;
 use forelight_forecast::accuracy::{NoiseCell, NoiseSample, PixelNoise, noise_cells};
 use forelight_forecast::{ForecastError, Stratum};
 use forelight_preview::{NOTHING, Preview};

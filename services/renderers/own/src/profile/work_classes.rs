@@ -1,20 +1,8 @@
 //! Work by class, to convert a frame's operations to seconds on other machines.
 
+use crate::costs::by_class;
 use crate::frame::OwnFrame;
 use forelight_protocol::{ByClass, FixedCosts};
-use forelight_tracer::WorkByClass;
-
-/// Numbers of triangles that fit entirely, or hardly at all, into a core's caches. In between, the share of
-/// traversal that waits for memory grows with the logarithm of the number.
-const CACHED: f64 = 8192.0;
-const UNCACHED: f64 = 524_288.0;
-
-/// Classes of the tracer's work in a scene of this many triangles.
-pub fn by_class([rays, traversal, shading, texture, records]: WorkByClass, triangles: usize) -> ByClass {
-    let share = ((triangles as f64 / CACHED).ln() / (UNCACHED / CACHED).ln()).clamp(0.0, 1.0);
-    let memory = (traversal as f64 * share).round() as u64;
-    ByClass { rays, traversal: traversal - memory, memory, shading, texture, records, build: 0 }
-}
 
 /// Work of a frame by class, including its plan and its own tree. `pixels` and `gathers` are the work of
 /// pixels and records, which have the classes of what was traced so far. `None` if there is none.

@@ -3,13 +3,16 @@
 pub(crate) mod pictures;
 
 use crate::answers::{CacheUse, Finished, Progress};
+use crate::costs::own_records;
+use crate::costs::seconds;
+use crate::costs::spent;
 use crate::error::RenderError;
 use crate::frame::OwnFrame;
 use crate::profile::work_classes::of_frame;
 use crate::shot::OwnShot;
 use forelight_protocol::{CacheStats, Rays, RenderSettings, RenderStats, Spent};
 use forelight_scene::Frame;
-use forelight_tracer::{Cache, CacheTotals, Cost, Image, PixelsFinished, Profile, Shared};
+use forelight_tracer::{Cache, CacheTotals, Cost, Image, PixelsFinished, Profile};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
@@ -137,25 +140,4 @@ fn cache_stats(cache: &CacheUse, image: &Image) -> CacheStats {
         dropped_records: cache.shared.dropped.iter().sum(),
         own_records: own_records(&cache.all.records, &cache.shared).iter().sum(),
     }
-}
-
-/// A frame's own records by level, beyond the records of the shared cache that are valid in it.
-pub(crate) fn own_records(all: &[u64], shared: &Shared) -> Vec<u64> {
-    let kept = shared.kept.iter().copied().chain(std::iter::repeat(0));
-    all.iter().zip(kept).map(|(&all, kept)| all.saturating_sub(kept)).collect()
-}
-
-pub(crate) fn counts(records: Vec<u64>) -> Vec<u32> {
-    // A plan has fewer than 2³² rays, and fewer records than that.
-    records.into_iter().map(|count| u32::try_from(count).unwrap_or(u32::MAX)).collect()
-}
-
-/// A cost of the tracer, as protocol data.
-pub fn spent(cost: Cost) -> Spent {
-    Spent { work: cost.work, cpu_nanos: cost.cpu_nanos }
-}
-
-/// Nanoseconds as seconds.
-pub fn seconds(nanos: u64) -> f64 {
-    nanos as f64 * 1e-9
 }

@@ -2,10 +2,11 @@
 
 use crate::adaptive::work_budget::render_for_work;
 use crate::answers::{Progress, Step};
+use crate::costs::seconds;
 use crate::error::RenderError;
 use crate::frame::OwnFrame;
 use crate::render::pictures::{encode, write_cost};
-use crate::render::{Rendered, render_ready, seconds};
+use crate::render::{Rendered, render_ready};
 use crate::shot::OwnShot;
 use crate::tasks::Files;
 use crate::tasks::cache;

@@ -23,6 +23,6 @@ pub fn kitchen() -> OwnShot {
 
 /// One of the shipped scenes.
 pub fn scene(name: &str) -> OwnShot {
-    let scenes = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/scenes"));
+    let scenes = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../deploy/scenes"));
     OwnRenderer::new(Choice::Cpu).open(&scenes.join(name)).unwrap()
 }

@@ -126,7 +126,7 @@ fn a_camera_sample_more_costs_what_the_explanation_says_of_it() {
 /// Bounds fit one deterministic run, with room for a change of samples.
 #[test]
 fn with_a_cache_the_quote_of_the_kitchen_is_within_a_few_percent_of_its_render() {
-    let kitchen = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/scenes/kitchen");
+    let kitchen = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../deploy/scenes/kitchen");
     let shot = OwnRenderer::new(Choice::Cpu).open(&kitchen).unwrap();
     for bounces in [1, 2] {
         let settings = RenderSettingsRequest {

@@ -36,7 +36,7 @@ impl Case {
     }
 
     fn with_samples(scene: &str, frames: &[u32], bounces: u32, spp: u32) -> Self {
-        let bundle = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/scenes").join(scene);
+        let bundle = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../deploy/scenes").join(scene);
         let shot = OwnRenderer::new(forelight_preview::Choice::Cpu).open(&bundle).unwrap();
         let settings = RenderSettingsRequest {
             spp: Some(spp),
