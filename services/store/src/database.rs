@@ -164,8 +164,8 @@ impl Store {
         Ok(())
     }
 
-    /// Bytes that can still be written where the data folder is.
-    pub fn room(&self) -> Result<u64, StoreError> {
+    /// Bytes that can still be written to the disk of the data folder.
+    pub fn free_disk_space(&self) -> Result<u64, StoreError> {
         let there = rustix::fs::statvfs(&self.inner.data);
         let there = there.map_err(|error| StoreError::file(&self.inner.data, error.into()))?;
         Ok(there.f_bavail.saturating_mul(there.f_frsize))

@@ -121,7 +121,7 @@ pub(crate) fn decode(row: &SqliteRow, progress: Progress) -> Result<Job, StoreEr
         frames,
         settings: json(row, "settings")?,
         cache: word(row, "cache")?,
-        seed: progress.seed,
+        seed: progress.shared_cache,
         samples: whole(row, "samples")?,
         profile_frames: if row.try_get("profiles_more")? {
             None

@@ -25,7 +25,7 @@ use crate::plans::replans::Wanted;
 use crate::policy::rebooking::{NewBooking, Rebooked, rebook};
 use crate::quotes::calibration::{self, QuoteBasis};
 use crate::quotes::{self, JobForecast};
-use crate::shared_cache::{self, NewSeed, parts};
+use crate::shared_cache::{self, NewSharedCache, parts};
 use crate::tasks::{Common, Slot, rates};
 use crate::{jobs, nodes};
 
@@ -42,8 +42,8 @@ pub struct NewPlan {
     pub jobs: Vec<NewJobPlan>,
     /// Why jobs wait, and what is left of promises, of all jobs of which something new is to be said.
     pub outlooks: Vec<(JobId, JobOutlook)>,
-    /// The irradiance cache that the frames of the job that gets its first plan share and wait for, if they do.
-    pub seed: Option<NewSeed>,
+    /// The irradiance cache that the frames of a newly booked job share and wait for; `None` if they share none.
+    pub shared_cache: Option<NewSharedCache>,
 }
 
 /// A job in a plan to be kept.
@@ -111,16 +111,23 @@ impl Store {
             row.try_get::<&str, _>("frames")?.parse().map_err(|error| corrupt("frames", error))?;
         for frame in job_frames.iter() {
             // What was gathered for a cache of the frame's own is of no use beside one that is shared.
-            let profile = profiles.get(&frame).copied().filter(|_| plan.seed.is_none());
+            let profile = profiles.get(&frame).copied().filter(|_| plan.shared_cache.is_none());
             common
-                .render(&mut write, frame, plan.seed.is_some(), None, work.get(&frame).copied(), profile)
+                .render(
+                    &mut write,
+                    frame,
+                    plan.shared_cache.is_some(),
+                    None,
+                    work.get(&frame).copied(),
+                    profile,
+                )
                 .await?;
         }
         append(&mut write, Event { job_id: Some(job), ..event(EventKind::ForecastReady, now) })?;
         let plan_id = keep(&mut write, plan, Some(job), now).await?;
-        if let Some(seed) = &plan.seed {
-            parts::keep_bookings(&mut write, plan_id.0, job, &seed.bookings).await?;
-            shared_cache::begin(&mut write, &common, seed).await?;
+        if let Some(cache) = &plan.shared_cache {
+            parts::keep_bookings(&mut write, plan_id.0, job, &cache.bookings).await?;
+            shared_cache::begin(&mut write, &common, cache).await?;
         }
         let booked = sqlx::query("UPDATE jobs SET state = 'booked' WHERE id = ? AND plan_id = ?")
             .bind(job.0)

@@ -21,7 +21,7 @@ use forelight_protocol::{
 };
 use sqlx::SqliteConnection;
 
-use self::parts::NewSeedBooking;
+use self::parts::NewPartBooking;
 use crate::database::{Store, Write};
 use crate::decode::{corrupt, id, id_opt, json, json_opt, time_opt, whole, whole_opt};
 use crate::error::StoreError;
@@ -31,15 +31,15 @@ use crate::nodes;
 use crate::policy::shared_cache::{Next, after_round};
 use crate::tasks::{Common, Slot, rates};
 
-/// A cache that a job's frames share, to be made before them.
+/// A shared cache, to be filled before the frames of its job.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub struct NewSeed {
+pub struct NewSharedCache {
     /// The cache as planned.
     pub cache: ArtifactHash,
     /// Into how many parts it is split.
     pub parts: u32,
     /// Where and when parts are to be filled; those without a booking are for whoever is idle.
-    pub bookings: Vec<NewSeedBooking>,
+    pub bookings: Vec<NewPartBooking>,
 }
 
 /// The plan of the cache that a job's frames could share.
@@ -85,17 +85,21 @@ impl Store {
 }
 
 /// Makes the tasks of the first round.
-pub(crate) async fn begin(write: &mut Write, common: &Common, seed: &NewSeed) -> Result<(), StoreError> {
+pub(crate) async fn begin(
+    write: &mut Write,
+    common: &Common,
+    new: &NewSharedCache,
+) -> Result<(), StoreError> {
     let rates = rates(write.connection().await?, common.job).await?;
-    for part in 0..seed.parts {
-        let booked = match seed.bookings.iter().find(|booking| booking.part == part) {
-            Some(&NewSeedBooking { node, start, .. }) => {
+    for part in 0..new.parts {
+        let booked = match new.bookings.iter().find(|booking| booking.part == part) {
+            Some(&NewPartBooking { node, start, .. }) => {
                 let rate = rates.on(&nodes::read(write.connection().await?, node).await?);
                 Some(Slot { node, start, rate })
             }
             None => None,
         };
-        common.cache_fill(write, seed.cache, 0, (part, seed.parts), booked).await?;
+        common.cache_fill(write, new.cache, 0, (part, new.parts), booked).await?;
     }
     Ok(())
 }

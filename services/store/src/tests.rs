@@ -228,7 +228,7 @@ impl Farm {
         NewPlan {
             parent: self.store.newest_plan().await.unwrap(),
             reason: PlanReason::JobForecast,
-            seed: None,
+            shared_cache: None,
             wanted: self.store.wanted_plan().await.unwrap(),
             jobs: vec![NewJobPlan {
                 verdict: verdict(job.id),

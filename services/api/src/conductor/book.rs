@@ -6,7 +6,7 @@ use forelight_planner as planner;
 use forelight_protocol::{
     AccuracyRung, ByClass, Job, Money, Node, NodeSeconds, PlanReason, Quantiles, Timestamp, Verdict,
 };
-use forelight_store::{FarmFrame, FarmJob, JobForecast, NewPlan, NewSeed, NewSeedBooking, QuoteBasis};
+use forelight_store::{FarmFrame, FarmJob, JobForecast, NewPartBooking, NewPlan, NewSharedCache, QuoteBasis};
 
 use super::estimate::Forecast;
 use super::farm::{Farm, MOST_NODES, Snapshot, bookable};
@@ -44,12 +44,12 @@ impl Conductor {
         })
         .await?;
         let Settled { plan, jobs, outlooks } = self.passed(settled)?;
-        let of_seed = plan.bookings.iter().filter(|booking| booking.task.is_seed());
-        let seed = match (&forecast.seed, kept.cache.as_ref().and_then(|cache| cache.seed.as_ref())) {
-            (Some(seed), Some(line)) => Some(NewSeed {
+        let of_cache = plan.bookings.iter().filter(|booking| booking.task.is_seed());
+        let shared_cache = match (&forecast.seed, kept.cache.as_ref().and_then(|cache| cache.seed.as_ref())) {
+            (Some(seed), Some(line)) => Some(NewSharedCache {
                 cache: seed.cache,
                 parts: line.parts,
-                bookings: of_seed.map(|booking| own_part(booking, &nodes)).collect::<Result<_, _>>()?,
+                bookings: of_cache.map(|booking| own_part(booking, &nodes)).collect::<Result<_, _>>()?,
             }),
             _ => None,
         };
@@ -57,7 +57,7 @@ impl Conductor {
             jobs.iter().find(|planned| planned.verdict.job_id == id).map(|planned| &planned.verdict);
         let word = verdict.map_or("", |verdict| verdict.verdict.name());
         tracing::info!(job = %id, verdict = word, jobs = jobs.len(), "planned");
-        let new = NewPlan { parent, reason: PlanReason::JobForecast, wanted, jobs, outlooks, seed };
+        let new = NewPlan { parent, reason: PlanReason::JobForecast, wanted, jobs, outlooks, shared_cache };
         kept.cpu_seconds_on = on_calibrated(&kept, &nodes);
         let plan = self.store.book(job.id, &kept, &forecast.frames, basis, &new, now).await?;
         self.metrics.plans_stored.add(1);
@@ -151,13 +151,13 @@ fn on_calibrated(forecast: &JobForecast, nodes: &[Node]) -> Vec<NodeSeconds> {
     by_name.into_iter().take(NodeSeconds::MOST).map(seconds).collect()
 }
 
-fn own_part(booking: &planner::Booking, nodes: &[Node]) -> Result<NewSeedBooking, AdvanceError> {
+fn own_part(booking: &planner::Booking, nodes: &[Node]) -> Result<NewPartBooking, AdvanceError> {
     let part = match booking.task {
         planner::Task::SeedPart { part, .. } => part,
         _ => 0,
     };
     match usize::try_from(booking.node).ok().and_then(|at| nodes.get(at)) {
-        Some(node) => Ok(NewSeedBooking {
+        Some(node) => Ok(NewPartBooking {
             part,
             node: node.id,
             start: Timestamp::from_micros(booking.start),

@@ -53,7 +53,7 @@ impl Snapshot {
         let nodes = store.nodes(None, MOST_NODES).await?;
         let jobs = store.farm_jobs(now).await?;
         let projects = store.projects(now).await?;
-        let projected = project(&store.open_bookings().await?, &store.open_seeds().await?, now);
+        let projected = project(&store.open_bookings().await?, &store.open_cache_parts().await?, now);
         Ok(Self { now, parent, wanted, nodes, jobs, projects, projected })
     }
 }
@@ -132,7 +132,7 @@ impl Farm {
             let factor = learned(farm_job);
             let one = of_job(farm_job, &snapshot.projected.frames, factor);
             let project = projects.get(farm_job.job.project.as_str()).copied();
-            let release = snapshot.projected.full(farm_job.job.id).unwrap_or(now);
+            let release = snapshot.projected.cache_full_at(farm_job.job.id).unwrap_or(now);
             jobs.push(planner_job(farm_job, forecast, &one, place, project, release));
             asked.push(one);
         }
@@ -333,7 +333,7 @@ fn under_way(
     nodes: &BTreeMap<NodeId, u64>,
     jobs: &BTreeMap<JobId, u64>,
 ) -> Vec<FixedBooking> {
-    let parts = snapshot.projected.seeds.iter().filter_map(|part| {
+    let parts = snapshot.projected.cache_parts.iter().filter_map(|part| {
         let node = *nodes.get(&part.node_id)?;
         let (start, end) = (part.start.micros(), part.end.micros());
         let job = jobs.get(&part.booking.job_id).copied();

@@ -68,7 +68,8 @@ fn seeds<'a>(
     under_way: bool,
 ) -> impl Iterator<Item = planner::Booking> + 'a {
     let now = snapshot.now.micros();
-    snapshot.projected.seeds.iter().filter(move |part| part.under_way == under_way).filter_map(move |part| {
+    let parts = snapshot.projected.cache_parts.iter();
+    parts.filter(move |part| part.under_way == under_way).filter_map(move |part| {
         let (&node, &job) = nodes.get(&part.node_id).zip(places.get(&part.booking.job_id))?;
         // That there are others does not matter here.
         let task =

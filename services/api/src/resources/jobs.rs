@@ -124,8 +124,8 @@ async fn expect(app: &App, jobs: &mut [Job]) -> ApiResult<()> {
         app.store.unattended(app.lease_ttl, app.now()).await?.tell(&mut *jobs);
     }
     if jobs.iter().any(|job| !job.state.is_final() && job.plan_id.is_some()) {
-        let (bookings, seeds) = (app.store.open_bookings().await?, app.store.open_seeds().await?);
-        let projected = project(&bookings, &seeds, app.now());
+        let (bookings, parts) = (app.store.open_bookings().await?, app.store.open_cache_parts().await?);
+        let projected = project(&bookings, &parts, app.now());
         jobs.iter_mut().for_each(|job| job.eta = projected.eta(job));
     }
     // What is expected hangs on what the plan says of waiting.

@@ -17,7 +17,7 @@ pub(crate) struct Progress {
     /// What the job will have cost; none before it is booked.
     pub live: Option<LiveForecast>,
     /// Of the irradiance cache that the frames share and wait for, if they do.
-    pub seed: Option<SeedProgress>,
+    pub shared_cache: Option<SeedProgress>,
     /// Whether any frame is done or with a worker.
     pub begun: bool,
 }
@@ -38,6 +38,12 @@ pub(crate) async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Res
     let reached: f64 = row.try_get("reached")?;
     let fraction = if weight > 0.0 { (reached / weight).clamp(0.0, 1.0) } else { 0.0 };
     let live = living::newest(connection, job).await?;
-    let seed = parts::progress(connection, job).await?;
-    Ok(Progress { frames_done: whole(&row, "done")?, fraction, begun: row.try_get("begun")?, live, seed })
+    let shared_cache = parts::progress(connection, job).await?;
+    Ok(Progress {
+        frames_done: whole(&row, "done")?,
+        fraction,
+        begun: row.try_get("begun")?,
+        live,
+        shared_cache,
+    })
 }

@@ -90,7 +90,7 @@ impl Store {
                     })
                 })
                 .collect::<Result<_, StoreError>>()?;
-            let is_to_be_filled = done.seed.as_ref().is_some_and(|seed| !seed.ready);
+            let is_to_be_filled = done.shared_cache.as_ref().is_some_and(|cache| !cache.ready);
             let parts = if is_to_be_filled {
                 sqlx::query(PARTS).bind(job_id.0).fetch_all(&mut *transaction).await?
             } else {

@@ -86,7 +86,7 @@ impl Store {
             .bind(plan.0)
             .fetch_all(&mut *transaction)
             .await?;
-        let seeds = parts::of_plan(&mut transaction, plan.0).await?;
+        let cache_parts = parts::of_plan(&mut transaction, plan.0).await?;
         Ok(Plan {
             id: plan,
             parent_id: id_opt(&row, "parent_id")?.map(PlanId),
@@ -95,7 +95,7 @@ impl Store {
             created_at: time(&row, "created_at")?,
             verdicts: json(&row, "verdicts")?,
             bookings: bookings.iter().map(decode_booking).collect::<Result<_, _>>()?,
-            seeds,
+            seeds: cache_parts,
         })
     }
 }

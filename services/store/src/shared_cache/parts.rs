@@ -7,12 +7,12 @@ use sqlx::{Row as _, SqliteConnection};
 use crate::database::{Store, Write};
 use crate::decode::{id, id_opt, json_opt, time, time_opt, whole};
 use crate::error::StoreError;
-use crate::policy::projection::{Holder, OpenSeed};
+use crate::policy::projection::{Holder, OpenCachePart};
 use crate::policy::shared_cache::{self, Filled, PartDone, part_done};
 
 /// A booking of a part.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct NewSeedBooking {
+pub struct NewPartBooking {
     /// Which part, from 0.
     pub part: u32,
     /// The node.
@@ -25,7 +25,7 @@ pub struct NewSeedBooking {
 
 impl Store {
     /// The booked parts of caches that are not full yet, by start: between its rounds, and while others are filled, a part waits.
-    pub async fn open_seeds(&self) -> Result<Vec<OpenSeed>, StoreError> {
+    pub async fn open_cache_parts(&self) -> Result<Vec<OpenCachePart>, StoreError> {
         let mut connection = self.readers().acquire().await?;
         open(&mut connection).await
     }
@@ -48,7 +48,7 @@ macro_rules! select_open {
     };
 }
 
-pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenSeed>, StoreError> {
+pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenCachePart>, StoreError> {
     let rows = sqlx::query(select_open!("")).fetch_all(connection).await?;
     rows.iter().map(decode_open).collect()
 }
@@ -57,12 +57,12 @@ pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenSe
 pub(crate) async fn open_of(
     connection: &mut SqliteConnection,
     job: JobId,
-) -> Result<Vec<OpenSeed>, StoreError> {
+) -> Result<Vec<OpenCachePart>, StoreError> {
     let rows = sqlx::query(select_open!("AND j.id = ?")).bind(job.0).fetch_all(connection).await?;
     rows.iter().map(decode_open).collect()
 }
 
-fn decode_open(row: &SqliteRow) -> Result<OpenSeed, StoreError> {
+fn decode_open(row: &SqliteRow) -> Result<OpenCachePart, StoreError> {
     let (round, state): (u32, &str) = (whole(row, "round")?, row.try_get("state")?);
     let (leased, filled) = (state == "leased", state == "done");
     let of_cache = (whole(row, "parts")?, whole(row, "levels")?);
@@ -73,7 +73,7 @@ fn decode_open(row: &SqliteRow) -> Result<OpenSeed, StoreError> {
         }
         _ => None,
     };
-    Ok(OpenSeed { booking: decode_booking(row)?, done, holder })
+    Ok(OpenCachePart { booking: decode_booking(row)?, done, holder })
 }
 
 /// The bookings of a plan, by start.
@@ -103,7 +103,7 @@ pub(crate) async fn keep_bookings(
     write: &mut Write,
     plan: uuid::Uuid,
     job: JobId,
-    bookings: &[NewSeedBooking],
+    bookings: &[NewPartBooking],
 ) -> Result<(), StoreError> {
     for booking in bookings {
         sqlx::query(
@@ -126,11 +126,12 @@ pub(crate) async fn progress(
     connection: &mut SqliteConnection,
     job: JobId,
 ) -> Result<Option<SeedProgress>, StoreError> {
-    let row = sqlx::query("SELECT json_extract(forecast, '$.cache.seed') AS seed FROM jobs WHERE id = ?")
+    let row = sqlx::query("SELECT json_extract(forecast, '$.cache.seed') AS forecast FROM jobs WHERE id = ?")
         .bind(job.0)
         .fetch_optional(&mut *connection)
         .await?;
-    let Some(seed) = row.as_ref().map(|row| json_opt::<SeedForecast>(row, "seed")).transpose()?.flatten()
+    let Some(forecast) =
+        row.as_ref().map(|row| json_opt::<SeedForecast>(row, "forecast")).transpose()?.flatten()
     else {
         return Ok(None);
     };
@@ -154,5 +155,5 @@ pub(crate) async fn progress(
         work: row.try_get("work")?,
         cpu_nanos: row.try_get("cpu_nanos")?,
     };
-    Ok(Some(shared_cache::progress(&seed, &filled)))
+    Ok(Some(shared_cache::progress(&forecast, &filled)))
 }
