@@ -29,6 +29,7 @@ mod orders;
 mod plans;
 mod records;
 mod shared_cache;
+mod statements;
 mod unattended;
 mod work_stealing;
 mod writing;
