@@ -1,14 +1,14 @@
-// How many pixels show each stratum?
+// Counts how many pixels show each stratum.
 //
-// Counts the visibility target into one counter per stratum, so that a frame's pixel counts, and nothing else, travel
-// back to the host. Counter 0 is the background, counter s + 1 is stratum s.
+// Reads the visibility target and adds to one counter per stratum, so that only the counts are read back to
+// the host. Counter 0 is the background, counter s + 1 is stratum s.
 //
-// Neighbouring pixels mostly show the same thing: if every pixel incremented the counters in memory, they would queue for
-// a handful of addresses. So each workgroup takes a block of 64 × 64 pixels, counts it in its own fast memory and adds
-// only the sums, and an invocation adds a run of equal pixels at once.
+// Neighbouring pixels mostly show the same stratum. If every pixel incremented a counter in memory, most
+// would compete for a few addresses. So each workgroup counts a block of 64 × 64 pixels in workgroup memory,
+// and adds only the sums to the counters. Each invocation adds a run of equal pixels at once.
 
 struct Extent {
-    // The part of the target that belongs to the image, pixels.
+    // Size of the part of the target that belongs to the image, in pixels.
     width: u32,
     height: u32,
     // Number of counters: strata + 1.
@@ -28,7 +28,7 @@ const BLOCK: u32 = 64u;
 
 var<workgroup> local_counters: array<atomic<u32>, LOCAL_COUNTERS>;
 
-// The counter of a pixel.
+// Index of the counter for a pixel.
 fn counter(x: u32, y: u32) -> u32 {
     let triangle = textureLoad(visible, vec2u(x, y), 0).x;
     if triangle == 0u {

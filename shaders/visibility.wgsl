@@ -1,26 +1,28 @@
-// Which triangle does each pixel show?
+// Finds the triangle that each pixel shows.
 //
-// One draw of all triangles into one R32Uint target: 0 where nothing is seen, otherwise the triangle's index + 1. Stratum,
-// position and normal follow from the index and the pixel, and are worked out where they are needed: nothing that
-// the rasteriser interpolates ever leaves the device.
+// One draw call renders all triangles into one R32Uint target: the triangle's index + 1, or 0 where no
+// surface is. Stratum, position and normal are computed on the host from the index and the pixel. No value
+// that the rasteriser interpolates is read back.
 //
-// Depth is reversed (near plane 1, infinity 0) and compared with Greater. With floats that spreads the precision evenly
-// over the orders of magnitude, an infinite far plane costs nothing, and of two surfaces at the same depth the one
-// drawn first stays: the lowest triangle index, as on the CPU.
+// Depth is reversed (near plane 1, infinity 0) and compared with Greater. With floats, the precision is then
+// spread evenly over the orders of magnitude, and an infinite far plane is possible at no cost. Of two
+// surfaces at the same depth the one drawn first stays: the lowest triangle index, as on the CPU.
 
 enable primitive_index;
 
 struct View {
-    // The camera's axes; `right` and `up` divided by the tangents of half the field of view. `forward.w` is the near distance.
+    // Axes of the camera. `right` and `up` are divided by the tangents of half the field of view. `forward.w`
+    // is the near distance.
     right: vec4f,
     up: vec4f,
     forward: vec4f,
     origin: vec4f,
-    // The tile of the image that is drawn, as scale x, offset x, scale y, offset y of normalised device coordinates.
+    // The tile to draw, as scale x, offset x, scale y and offset y of normalised device coordinates.
     tile: vec4f,
 }
 
-// Cut-out of one stratum: its texture's alpha begins at byte `offset` of `alphas`. Width 0: no cut-out.
+// Cut-out of one stratum. The alpha channel of its texture begins at byte `offset` of `alphas`. Without a
+// cut-out, the width is 0.
 struct Cutout {
     offset: u32,
     width: u32,
@@ -31,10 +33,11 @@ struct Cutout {
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> triangle_stratum: array<u32>;
 @group(0) @binding(2) var<storage, read> cutouts: array<Cutout>;
-// Alpha of all cut-out textures, 8 bits a texel, four texels a word, the first in the lowest byte.
+// Alpha of all cut-out textures: 8 bits per texel, four texels per word, the first in the lowest byte.
 @group(0) @binding(3) var<storage, read> alphas: array<u32>;
 
-// The inverse of the camera's ray: a point at `direction(pixel) * t` from the eye lands on `pixel` with w = t.
+// The inverse of the camera's rays: a point at `direction(pixel) * t` from the eye is projected to `pixel`,
+// with w = t.
 fn project(position: vec3f) -> vec4f {
     let p = position - view.origin.xyz;
     let w = dot(p, view.forward.xyz);
@@ -79,7 +82,7 @@ fn masked_fragment(@builtin(primitive_index) triangle: u32, @location(0) uv: vec
     return triangle + 1u;
 }
 
-// The two texels that straddle a coordinate (repeat), and the fraction towards the second.
+// The two texels on both sides of a coordinate, with repeat, and the fraction towards the second.
 struct Straddle {
     first: u32,
     second: u32,
@@ -89,7 +92,7 @@ struct Straddle {
 fn wrap(s: f32, size: u32) -> Straddle {
     let x = (s - floor(s)) * f32(size) - 0.5;
     let below = floor(x);
-    // x lies in [-0.5, size - 0.5], so that one step of `size` brings it home.
+    // x is in [-0.5, size - 0.5], so a single step of `size` wraps it.
     let first = select(u32(max(below, 0.0)), size - 1u, below < 0.0);
     let second = select(first + 1u, 0u, first + 1u == size);
     return Straddle(first, second, x - below);
@@ -100,7 +103,7 @@ fn texel(cutout: Cutout, x: u32, y: u32) -> f32 {
     return f32((alphas[at / 4u] >> ((at % 4u) * 8u)) & 255u) / 255.0;
 }
 
-// Bilinear lookup, v up, in the order of operations of the CPU's.
+// Bilinear lookup with v upwards, in the same order of operations as on the CPU.
 fn alpha(cutout: Cutout, uv: vec2f) -> f32 {
     let x = wrap(uv.x, cutout.width);
     let y = wrap(1.0 - uv.y, cutout.height);

@@ -355,6 +355,26 @@ def compare(ours, theirs, mean_tolerance, block_tolerance, blocks=8):
         problems.append(f"the means of blocks differ by {root:.2%} (RMS); {block_tolerance:.1%} is allowed")
     return problems
 
+
+def compare_means(ours, theirs, tolerance, largest_error):
+    """Compares the means of two sets of images of one scene, each image rendered with a seed of its own, and says what is wrong.
+
+    The means may differ by `tolerance`, relative, and by three standard errors of the difference. These errors come from the means of the
+    single images. Above `largest_error` they are too large to tell anything.
+    """
+    sets = [[float(image.mean()) for image in images] for images in (ours, theirs)]
+    mean, expected = map(statistics.fmean, sets)
+    error = math.sqrt(sum(statistics.variance(means) / len(means) for means in sets)) / expected
+    difference = mean / expected - 1
+    print(f"  mean {mean:.5f} against {expected:.5f} ({difference:+.3%} ± {error:.3%})")
+    problems = []
+    if not error <= largest_error:
+        problems.append(f"the standard error is {error:.3%}; {largest_error:.3%} is allowed")
+    if not abs(difference) <= tolerance + 3 * error:
+        problems.append(f"the means differ by {difference:+.3%}; {tolerance:.1%} and three standard errors are allowed")
+    return problems
+
+
 def peers(measured, reference):
     """Arguments of `forelight bench images`, from a file with one JSON object for every image that was rendered: each image with
     the median of its CPU seconds, and the same program's converged image to hold it against."""
@@ -368,17 +388,23 @@ def peers(measured, reference):
 
 
 def main():
-    """`compare OURS THEIRS MEAN_TOLERANCE BLOCK_TOLERANCE`, `without-environment FROM TO`, `peers MEASURED REFERENCE`."""
-    command, first, second, *tolerances = sys.argv[1:]
+    """`compare OURS THEIRS MEAN_TOLERANCE BLOCK_TOLERANCE`, `compare-means TOLERANCE LARGEST_ERROR OURS… THEIRS…` with as many of ours
+    as of theirs, `without-environment FROM TO`, `peers MEASURED REFERENCE`."""
+    command, first, second, *rest = sys.argv[1:]
     if command == "without-environment":
         without_environment(first, second)
         return
     if command == "peers":
         print("\n".join(peers(first, second)))
         return
-    if command != "compare":
+    if command == "compare":
+        problems = compare(read_image(first), read_image(second), *map(float, rest))
+    elif command == "compare-means":
+        images = [read_image(path) for path in rest]
+        half = len(images) // 2
+        problems = compare_means(images[:half], images[half:], float(first), float(second))
+    else:
         raise SystemExit(f"no command {command}")
-    problems = compare(read_image(first), read_image(second), *map(float, tolerances))
     for problem in problems:
         print(f"  WRONG: {problem}")
     if problems:

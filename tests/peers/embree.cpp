@@ -1,5 +1,5 @@
 // A peer of `forelight bench rays`: traces the rays of an exported file with Embree, one by one, in robust mode on a tree of high
-// quality. File and conversation are described in services/cli/src/commands/bench/rays/{export,peer}.rs.
+// quality. File and conversation are described in services/bench/src/rays/{export,peer}.rs.
 
 #if __has_include(<embree4/rtcore.h>)
 #include <embree4/rtcore.h>

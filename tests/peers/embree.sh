@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Our rays against Embree's (https://www.embree.org), one by one: they have to meet the same triangles. How fast each is, is printed
-# and not judged: a debug build is slow, and a busy machine says nothing. To measure, give a release build:
+# Our rays against Embree's (https://www.embree.org), one by one: they have to meet the same triangles. How
+# fast each is, is printed and not judged: a debug build is slow, and a busy machine says nothing. To measure,
+# give a release build:
 #
 #   FORELIGHT_BIN=target/release/forelight FORELIGHT_EMBREE_RAYS=300000 FORELIGHT_EMBREE_REPEATS=15 tests/peers/embree.sh
 #
@@ -9,7 +10,8 @@
 #   FORELIGHT_EMBREE_RAYS     rays of each kind, about (default: 5000)
 #   FORELIGHT_EMBREE_REPEATS  how often each program traces them, by turns (default: 3)
 #
-# Skips with a line that says why where Embree or a compiler cannot be had.
+# Needs Embree (Debian: libembree-dev), a C++ compiler and Python. Where they are missing it is reported as
+# not run; in CI it fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 source tests/peers/support.bash

@@ -2,11 +2,14 @@
 
     mitsuba_peer.py BUNDLE --out FOLDER --size 512 --spp 4,16,64 [--materials lambert] [--depth 3]
 
+`--materials full` takes Mitsuba's own BSDF for each material, `--materials format` the bundle format's plastics and rough metals.
+
 Prints one JSON object a line and image: name, image, spp, cpu_seconds (user and system, of rendering alone: the scene is loaded and the
 kernels are compiled before), wall_seconds.
 """
 
 import argparse
+import itertools
 import json
 import resource
 import tempfile
@@ -54,21 +57,29 @@ def bsdf(material, materials):
     if materials == "lambert":
         return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": colour(*material.lambert())}}
     alpha = material.pr**2
+    if materials == "format" and alpha >= 1e-3:
+        if material.illum == 3:
+            return {"type": "twosided", "bsdf": {"type": "format_surface", "alpha": alpha, "f0": rgb(material.ks)}}
+        if material.illum == 2 and material.ks and any(material.ks):
+            base = colour(material.kd, material.map_kd)
+            return {"type": "twosided", "bsdf": {"type": "format_surface", "alpha": alpha, "ior": material.ni, "base": base}}
     rough = {"distribution": "ggx", "alpha": max(alpha, 1e-4)}
+    index = {"int_ior": material.ni, "ext_ior": 1.0}
     if material.illum == 3:
         # A dielectric without absorption that reflects as much at normal incidence.
         roots = numpy.sqrt(numpy.clip(material.ks, 0.0, 0.9999))
-        index = {"eta": rgb((1 + roots) / (1 - roots)), "k": rgb((0.0, 0.0, 0.0))}
+        complex_index = {"eta": rgb((1 + roots) / (1 - roots)), "k": rgb((0.0, 0.0, 0.0))}
         smooth = alpha < 1e-3
-        metal = {"type": "conductor", **index} if smooth else {"type": "roughconductor", **index, **rough}
+        metal = {"type": "conductor"} if smooth else {"type": "roughconductor", **rough}
+        metal |= complex_index
         return {"type": "twosided", "bsdf": metal}
     if material.illum == 4:
-        return {"type": "thindielectric", "int_ior": material.ni, "specular_transmittance": rgb(material.tf)}
+        return {"type": "thindielectric", **index, "specular_transmittance": rgb(material.tf)}
     if material.illum == 7:
-        return {"type": "dielectric", "int_ior": material.ni, "specular_transmittance": rgb(material.tf)}
+        return {"type": "dielectric", **index, "specular_transmittance": rgb(material.tf)}
     diffuse = colour(material.kd, material.map_kd)
     if material.illum == 2 and material.ks and any(material.ks):
-        coat = {"int_ior": material.ni, "diffuse_reflectance": diffuse, "nonlinear": False}
+        coat = {**index, "diffuse_reflectance": diffuse, "nonlinear": False}
         smooth = alpha < 1e-3
         plastic = {"type": "plastic", **coat} if smooth else {"type": "roughplastic", **coat, **rough}
         return {"type": "twosided", "bsdf": plastic}
@@ -139,14 +150,25 @@ def choose_variant(mitsuba, wanted):
         return "scalar_rgb"
 
 
+def set_up_materials(mitsuba, bundle, variant):
+    """Makes the bundle format's own surfaces known to Mitsuba."""
+    import mitsuba_materials
+
+    mitsuba.set_variant("scalar_rgb")
+    internal = {ior: mitsuba_materials.internal_diffuse(mitsuba, ior) for ior in {m.ni for m in bundle.materials.values()}}
+    mitsuba.set_variant(variant)
+    mitsuba_materials.register(mitsuba, internal)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("bundle")
     parser.add_argument("--out", required=True)
     parser.add_argument("--size", type=int, default=512)
     parser.add_argument("--spp", default="16", help="samples of a pixel, one image each, separated by commas")
-    parser.add_argument("--repeats", type=int, default=1)
-    parser.add_argument("--materials", choices=["lambert", "full"], default="lambert")
+    parser.add_argument("--repeats", type=int, default=1, help="render each image this many times, for its time alone")
+    parser.add_argument("--batches", type=int, default=1, help="this many images of each number of samples, with seeds from --seed on")
+    parser.add_argument("--materials", choices=["lambert", "full", "format"], default="lambert")
     parser.add_argument("--depth", type=int, default=3, help="3: one bounce")
     parser.add_argument("--sampler", default="multijitter")
     parser.add_argument("--seed", type=int, default=1)
@@ -156,20 +178,22 @@ def main():
 
     variant = choose_variant(mitsuba, arguments.variant)
     bundle = bundles.read(arguments.bundle)
+    if arguments.materials == "format":
+        set_up_materials(mitsuba, bundle, variant)
     scene = load(mitsuba, bundle, arguments.size, arguments.materials, arguments.depth, arguments.sampler)
     ladder = [int(spp) for spp in arguments.spp.split(",")]
     if variant != "scalar_rgb":
         # Compiles the kernels, one for each number of samples at once.
         for spp in sorted({min(spp, SAMPLES_AT_ONCE) for spp in ladder}):
             render(mitsuba, scene, spp, 0)
-    for repeat in range(arguments.repeats):
-        for spp in ladder:
-            image, cpu, wall = render(mitsuba, scene, spp, arguments.seed)
-            path = Path(arguments.out) / f"mitsuba-{spp}.exr"
-            if repeat == 0:
-                bundles.write_image(path, image)
-            facts = {"name": f"mitsuba {spp} spp", "image": str(path), "spp": spp, "variant": variant}
-            print(json.dumps({**facts, "cpu_seconds": cpu, "wall_seconds": wall}), flush=True)
+    for repeat, batch, spp in itertools.product(range(arguments.repeats), range(arguments.batches), ladder):
+        image, cpu, wall = render(mitsuba, scene, spp, arguments.seed + batch)
+        suffix = f"-{batch + 1}" if arguments.batches > 1 else ""
+        path = Path(arguments.out) / f"mitsuba-{spp}{suffix}.exr"
+        if repeat == 0:
+            bundles.write_image(path, image)
+        facts = {"name": f"mitsuba {spp} spp{suffix}", "image": str(path), "spp": spp, "variant": variant}
+        print(json.dumps({**facts, "cpu_seconds": cpu, "wall_seconds": wall}), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,12 @@
 #!/usr/bin/env bash
-# The reference implementation of Open Job Description (https://github.com/OpenJobDescription) reads the jobs that `forelight export`
-# writes, and runs them: every channel of the images must have the bits that `forelight render` gives it, but for measured time.
+# The reference implementation of Open Job Description (https://github.com/OpenJobDescription) reads the jobs
+# that `forelight export` writes, and runs them: every channel of the images must have the bits that
+# `forelight render` gives it, but for measured time.
 #
 #   FORELIGHT_BIN   the program (default: target/debug/forelight, which is built)
 #
-# Skips with a line that says why where Python, pip or the network is missing.
+# Needs Python with venv, and the network for pip. Where they are missing it is reported as not run; in CI it
+# fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 source tests/peers/support.bash

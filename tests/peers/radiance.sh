@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Radiance (https://www.radiance-online.org), whose rpict has the irradiance cache that all others come from: our images against its
-# own, of bundles that tests/peers/bundle.py reads by itself. Radiance lights by a sky as by a bounce, so the bundles go without.
+# Radiance (https://www.radiance-online.org), whose rpict has the irradiance cache that all others come from:
+# our images against its own, of bundles that tests/peers/bundle.py reads by itself. Radiance lights by a sky
+# as by a bounce, so the bundles go without.
 #
 #   tests/peers/radiance.sh                   small images: their means, and those of 8 × 8 blocks, must agree
 #   tests/peers/radiance.sh --full BUNDLE…    what an equal error costs in CPU time (an hour a bundle), by `forelight bench images`
@@ -8,7 +9,8 @@
 #   FORELIGHT_BIN      the program (default: target/debug/forelight, which is built; with --full: target/release/forelight)
 #   FORELIGHT_SHARED   folder with test scenes (default: ../shared)
 #
-# Skips with a line that says why where Python, pip or the network is missing.
+# Needs Python with venv, and the network for pip. Where they are missing it is reported as not run; in CI it
+# fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 source tests/peers/support.bash

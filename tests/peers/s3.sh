@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
-# Artefacts in a bucket of an S3 server that others wrote (moto, https://docs.getmoto.org): a job through a farm whose bundles, profiles
-# and images rest there, with the server taken away in the middle of it. Every image must have the bits that `forelight render` gives
-# it, the bucket must hold exactly what the farm's database promises, and what the farm says while the server is away must be "later",
-# never "no".
+# Artefacts in a bucket of an S3 server that others wrote (moto, https://docs.getmoto.org): a job through a
+# farm whose bundles, profiles and images rest there, with the server taken away in the middle of it. Every
+# image must have the bits that `forelight render` gives it, the bucket must hold exactly what the farm's
+# database promises, and what the farm says while the server is away must be "later", never "no".
 #
 #   FORELIGHT_BIN   the program (default: target/debug/forelight, which is built)
 #
-# Skips with a line that says why where Python, pip or the network is missing.
+# Needs Python with venv, and the network for pip. Where they are missing it is reported as not run; in CI it
+# fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 source tests/peers/support.bash
@@ -37,8 +38,7 @@ wait_for() { # SECONDS COMMAND…
     sleep 0.1
   done
 }
-# The server keeps its objects in memory. So that it can be taken away and come back with them, it stays, and a door in front of it is
-# shut: a process that hands connections on, listening at a port of its own.
+# The server keeps its objects in memory, so it must not be ended to make it unreachable. A process in front of it hands connections on, at a port of its own; that process is ended and started again.
 behind=$(free_port)
 port=$(free_port)
 open_door() {

@@ -1,18 +1,21 @@
 #!/usr/bin/env bash
-# Schemathesis (https://schemathesis.readthedocs.io) against a running farm and the document that it serves about itself: requests
-# made up from the document, right and wrong ones, and every answer held against it. A farm with a finished job stands behind it, so
-# that answers with content are seen, not just "there is no such thing".
+# Schemathesis (https://schemathesis.readthedocs.io) against a running farm and the document that it serves
+# about itself: requests made up from the document, right and wrong ones, and every answer held against it. A
+# farm with a finished job stands behind it, so that answers with content are seen, not just "there is no such
+# thing".
 #
 #   FORELIGHT_BIN                     the program (default: target/debug/forelight, which is built)
 #   FORELIGHT_SCHEMATHESIS_EXAMPLES   requests an operation in the random part (default: 15)
 #   FORELIGHT_SCHEMATHESIS_SEED       of the random part (default: 1)
 #
-# Further arguments go to schemathesis. Skips with a line that says why where Python, pip or the network is missing.
+# Further arguments go to schemathesis. Needs Python with venv, and the network for pip. Where they are
+# missing it is reported as not run; in CI it fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 source tests/peers/support.bash
 
-# The newest version is not taken by itself: it brings new checks, and with them news for people, not for a test run.
+# The newest version is not taken by itself: it brings new checks, and with them news for people, not for a
+# test run.
 python_with schemathesis schemathesis==4.32.5
 
 need_forelight

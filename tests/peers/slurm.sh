@@ -1,14 +1,16 @@
 #!/usr/bin/env bash
-# A real Slurm (https://slurm.schedmd.com) as the engine: a controller and four nodes on this machine, without root, munge or cgroups.
-# A job runs through it while one of its processes is requeued, another one cancelled behind our back, the controller restarted and the
-# service killed. In the end every frame is there once, was rendered by one process, and has the bits that `forelight render` gives it;
-# nothing of ours is left in Slurm. Then a node's daemon dies, and Slurm runs its frame a second time while the first process goes on; and
-# a job that is cancelled here is cancelled in Slurm.
+# A real Slurm (https://slurm.schedmd.com) as the engine: a controller and four nodes on this machine, without
+# root, munge or cgroups. A job runs through it while one of its processes is requeued, another one cancelled
+# behind our back, the controller restarted and the service killed. In the end every frame is there once, was
+# rendered by one process, and has the bits that `forelight render` gives it; nothing of ours is left in
+# Slurm. Then a node's daemon dies, and Slurm runs its frame a second time while the first process goes on;
+# and a job that is cancelled here is cancelled in Slurm.
 #
 #   FORELIGHT_BIN      the program (default: target/debug/forelight, which is built)
 #   FORELIGHT_KEEP     if set, the folder with all logs is kept, and named
 #
-# Skips with a line that says why where Slurm is missing and cannot be installed, or Python, pip or the network are missing.
+# Needs Slurm (Debian: slurm-wlm), Python with venv, and the network for pip. Where they are missing it is
+# reported as not run; in CI it fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 source tests/peers/support.bash
@@ -26,8 +28,8 @@ farm=
 controller=
 declare -A daemons=()
 cleanup() {
-  # What Slurm starts are no children of this script. All of it has the path of our configuration in its environment, as have the
-  # daemons and the farm.
+  # What Slurm starts are no children of this script. All of it has the path of our configuration in its
+  # environment, as have the daemons and the farm.
   local process
   for process in $(grep -lsza "^SLURM_CONF=$work/slurm.conf$" /proc/[0-9]*/environ | cut -d/ -f3); do
     [ "$process" = $$ ] || kill -9 "$process" 2>/dev/null || true
@@ -113,8 +115,8 @@ at_least "SELECT count(*) FROM slurm_arrays WHERE deadline_at IS NOT NULL" 1 || 
 at_least "SELECT count(*) FROM slurm_arrays WHERE reservation IS NOT NULL" 1 || fail 'nothing was reserved'
 
 echo '  a process: Slurm starts it once more while it works'
-# One that has just brought its frame is taken back as soon as it is put into the queue: then another one is. Slurm lets what it requeues
-# wait for two minutes.
+# One that has just brought its frame is taken back as soon as it is put into the queue: then another one is.
+# Slurm lets what it requeues wait for two minutes.
 waits() { squeue --array --noheader --states=PENDING --format='%F_%K %r' | grep -q "^$1 BeginTime"; }
 requeued() {
   local element
@@ -166,7 +168,8 @@ def rows(query): return database.execute(query).fetchall()
 
 done = rows("SELECT frame, count(*) FROM results r JOIN tasks t ON t.id = r.task_id WHERE t.kind = 'render' GROUP BY frame")
 assert done == [(frame, 1) for frame in range(20)], done
-# A process that was started again found the task taken or over: nothing was rendered by two at a time, whoever lost sight of whom.
+# A process that was started again found the task taken or over: nothing was rendered by two at a time,
+# whoever lost sight of whom.
 both = rows("""SELECT t.frame, a.fence, b.fence FROM leases a JOIN leases b ON a.task_id = b.task_id AND a.fence < b.fence JOIN tasks t ON t.id = a.task_id
     WHERE b.granted_at < a.ended_at OR a.state = 'committed'""")
 assert not both, f"rendered by two: {both}"

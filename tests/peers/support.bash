@@ -4,11 +4,23 @@ export PYTHONDONTWRITEBYTECODE=1
 here=$PWD/tests/peers
 shared=${FORELIGHT_SHARED:-$PWD/../shared}
 
-# Ends the script as one that has nothing to test here, with the reason.
-skip() { echo "skipped: $1"; exit 0; }
+# missing REASON: reports that this test, or a part of it, is not run. Where CI is set, or
+# FORELIGHT_REQUIRE_SHARED=1, that is a failure. Elsewhere the line goes to the file FORELIGHT_NOT_RUN, which
+# tests/run.sh lists at its end. Rust tests have the same in tests/needs.
+missing() {
+  if [ -n "${CI:-}" ] || [ "${FORELIGHT_REQUIRE_SHARED:-0}" != 0 ]; then
+    echo "error: $1; with CI or FORELIGHT_REQUIRE_SHARED set, every test has to run" >&2
+    exit 1
+  fi
+  echo "not run: $1"
+  [ -z "${FORELIGHT_NOT_RUN:-}" ] || printf '%s\t%s\n' "$(basename "$0")" "$1" >>"$FORELIGHT_NOT_RUN"
+}
 
-# python_with NAME PACKAGE==VERSION [PACKAGE…]: a virtual environment that holds the packages, made if it is not there; sets
-# `environment` to its folder.
+# skip REASON: the same, and ends the script.
+skip() { missing "$1"; exit 0; }
+
+# python_with NAME PACKAGE==VERSION [PACKAGE…]: a virtual environment that holds the packages, made if it is
+# not there; sets `environment` to its folder.
 python_with() {
   local name=$1 packages=("${@:2}")
   environment=$PWD/target/venv-$name
@@ -29,21 +41,27 @@ need_forelight() {
   fi
 }
 
-# test_scenes OWN SHARED…: sets `scenes` to one of the project's own scenes and those of the shared ones that are there.
+# test_scenes OWN SHARED…: sets `scenes` to one of the project's own scenes and the shared ones. A shared
+# scene that is missing is reported.
 test_scenes() {
   scenes=("$PWD/deploy/scenes/$1")
+  shared_scenes "${@:2}"
+}
+
+# shared_scenes NAME…: adds shared scenes to `scenes`.
+shared_scenes() {
   local name
-  for name in "${@:2}"; do
+  for name in "$@"; do
     if [ -d "$shared/scenes/$name" ]; then
       scenes+=("$shared/scenes/$name")
     else
-      echo "note: no $name: there is no folder $shared/scenes"
+      missing "no scenes/$name in $shared (set FORELIGHT_SHARED)"
     fi
   done
 }
 
-# same_bits OURS THEIRS: fails unless every channel of two EXR files has the same bits, but for measured time. Needs numpy and OpenEXR in
-# the environment.
+# same_bits OURS THEIRS: fails unless every channel of two EXR files has the same bits, but for measured time.
+# Needs numpy and OpenEXR in the environment.
 same_bits() {
   "$environment/bin/python" - "$@" <<'PYTHON'
 import sys

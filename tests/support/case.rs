@@ -12,7 +12,8 @@ pub fn case(number: u32, sentence: impl Into<String>) -> Case {
 }
 
 impl Case {
-    /// Prints the worst value beside its limit, and panics unless it is at most the limit. NaN is beyond every limit.
+    /// Prints the worst value beside its limit, and panics unless it is at most the limit. NaN is beyond
+    /// every limit.
     #[track_caller]
     pub fn worst(self, value: f64, limit: f64) {
         let Self { number, sentence } = self;

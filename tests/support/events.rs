@@ -1,6 +1,7 @@
-//! Server-sent events, read line by line.
+//! A stream of server-sent events, read event by event.
 
-use crate::http::Http;
+use super::http::Http;
+use forelight_client::{EventParser, ServerEvent};
 use forelight_protocol::Event;
 use reqwest::{Method, Response, StatusCode};
 use std::collections::VecDeque;
@@ -9,12 +10,12 @@ use std::time::Duration;
 /// An open stream.
 pub struct Events {
     response: Response,
-    text: Vec<u8>,
+    parser: EventParser,
     ready: VecDeque<Event>,
 }
 
 impl Events {
-    /// Follows `path` from the event after `last`. `None` if the service answers that there is nothing to come (204).
+    /// Follows `path` from the event after `last`. `None` if the service answers that no events follow (204).
     pub async fn open(http: &Http, path: &str, last: Option<i64>) -> Option<Self> {
         let mut request = http.request(Method::GET, path).header("accept", "text/event-stream");
         if let Some(last) = last {
@@ -26,11 +27,11 @@ impl Events {
         }
         assert_eq!(response.status(), StatusCode::OK, "{path}");
         assert_eq!(response.headers()["content-type"], "text/event-stream", "{path}");
-        Some(Self { response, text: Vec::new(), ready: VecDeque::new() })
+        Some(Self { response, parser: EventParser::default(), ready: VecDeque::new() })
     }
 
-    /// The next event; `None` when the service ended the stream. Panics if nothing comes for `patience`, and if id and kind beside
-    /// an event are not those inside.
+    /// The next event; `None` when the service ended the stream. Panics if nothing comes for `patience`, or if the id or
+    /// kind beside an event differs from the one inside it.
     pub async fn next(&mut self, patience: Duration) -> Option<Event> {
         loop {
             if let Some(event) = self.ready.pop_front() {
@@ -38,34 +39,34 @@ impl Events {
             }
             let chunk =
                 tokio::time::timeout(patience, self.response.chunk()).await.expect("an event in time");
-            self.text.extend_from_slice(&chunk.expect("the stream does not break")?);
-            while let Some(end) = self.text.windows(2).position(|pair| pair == b"\n\n") {
-                let block: Vec<u8> = self.text.drain(..end + 2).collect();
-                self.ready.extend(parse(std::str::from_utf8(&block).expect("events are UTF-8")));
-            }
+            let events = self.parser.feed(&chunk.expect("the stream does not break")?);
+            self.ready.extend(events.iter().map(checked));
         }
     }
 
-    /// All events until the service ends the stream, which it has to do within `patience`.
-    pub async fn rest(mut self, patience: Duration) -> Vec<Event> {
+    /// The next `count` events; fewer if the service ends the stream before. Panics as [`Events::next`] does.
+    pub async fn take(&mut self, count: usize, patience: Duration) -> Vec<Event> {
         let mut events = Vec::new();
-        let all = async {
-            while let Some(event) = self.next(patience).await {
-                events.push(event);
-            }
-        };
-        let ended = tokio::time::timeout(patience, all).await;
-        assert!(ended.is_ok(), "the stream did not end after {:?}", events.last());
+        while events.len() < count
+            && let Some(event) = self.next(patience).await
+        {
+            events.push(event);
+        }
         events
+    }
+
+    /// All events until the service ends the stream. Panics if it does not end within `patience`.
+    pub async fn rest(mut self, patience: Duration) -> Vec<Event> {
+        let all = tokio::time::timeout(patience, self.take(usize::MAX, patience)).await;
+        all.unwrap_or_else(|_| panic!("the stream did not end within {patience:?}"))
     }
 }
 
-/// One block of lines; `None` for a comment that keeps the connection open.
-fn parse(block: &str) -> Option<Event> {
-    let field = |name: &str| block.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(": "));
-    let data = field("data")?;
-    let event: Event = serde_json::from_str(data).unwrap_or_else(|error| panic!("{error}: {data}"));
-    assert_eq!(field("id"), Some(event.id.to_string().as_str()), "{block}");
-    assert_eq!(field("event"), Some(event.kind.name()), "{block}");
-    Some(event)
+/// The event in the data, which has to agree with the id and the kind beside it.
+fn checked(sent: &ServerEvent) -> Event {
+    let event: Event =
+        serde_json::from_str(&sent.data).unwrap_or_else(|error| panic!("{error}: {}", sent.data));
+    assert_eq!(sent.id.as_deref(), Some(event.id.to_string().as_str()), "{sent:?}");
+    assert_eq!(sent.kind, event.kind.name(), "{sent:?}");
+    event
 }

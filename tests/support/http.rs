@@ -1,4 +1,4 @@
-//! The service's HTTP as a client that knows nothing of it sees it: addresses, statuses, JSON.
+//! Raw HTTP for tests: addresses, statuses and JSON, without the retries and checks of `forelight-client`.
 
 use forelight_protocol::{Problem, ProblemKind};
 use reqwest::{Method, RequestBuilder, Response, StatusCode};
@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::time::Duration;
 
-/// Who asks, and where.
+/// A caller: the service that it asks, and its token.
 #[derive(Clone)]
 pub struct Http {
     client: reqwest::Client,
@@ -15,8 +15,8 @@ pub struct Http {
 }
 
 impl Http {
-    /// A client of the service at `base` (`http://host:port`). It keeps no connection open, so that one to a service that was
-    /// killed meanwhile is never used.
+    /// A caller of the service at `base` (`http://host:port`). It keeps no connection open, so it never uses one to a
+    /// service that was killed in the meantime.
     pub fn new(base: &str, token: Option<String>) -> Self {
         let client = reqwest::Client::builder()
             .no_proxy()
@@ -25,8 +25,13 @@ impl Http {
             // Silence of this length is a hang: even a quiet stream of events has a comment every 15 seconds.
             .read_timeout(Duration::from_secs(60))
             .build()
-            .expect("a client without special wishes can be made");
+            .expect("these options make a client");
         Self { client, base: base.to_owned(), token }
+    }
+
+    /// The same caller, asking the service at another address.
+    pub fn at(&self, base: &str) -> Self {
+        Self { base: base.to_owned(), ..self.clone() }
     }
 
     /// A request to this path, with the token if there is one.
@@ -43,12 +48,12 @@ impl Http {
         self.request(Method::GET, path).send().await.unwrap_or_else(|error| panic!("GET {path}: {error}"))
     }
 
-    /// The JSON that a GET brings with status 200.
+    /// The JSON that a GET answers with status 200.
     pub async fn json<T: DeserializeOwned>(&self, path: &str) -> T {
         self.get(path).await.parsed(StatusCode::OK).await
     }
 
-    /// The bytes that a GET brings with status 200 and this media type.
+    /// The bytes that a GET answers with status 200 and this media type.
     pub async fn bytes(&self, path: &str, media_type: &str) -> Vec<u8> {
         let response = self.get(path).await;
         assert_eq!(response.status(), StatusCode::OK, "{path}");
@@ -71,7 +76,7 @@ impl Http {
         request.body(zip).send().await.unwrap_or_else(|error| panic!("upload: {error}"))
     }
 
-    /// A number of the service's metrics that has no labels.
+    /// One of the service's metrics that have no labels.
     pub async fn metric(&self, name: &str) -> u64 {
         let text = self.get("/metrics").await.text().await.unwrap_or_default();
         let line = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
@@ -80,13 +85,13 @@ impl Http {
     }
 }
 
-/// What answers are checked for.
+/// Checks of an answer.
 pub trait Answer {
-    /// The body as JSON; the status has to be this one.
+    /// The body as JSON. Panics if the status is another one.
     #[allow(async_fn_in_trait, reason = "used in these tests alone")]
     async fn parsed<T: DeserializeOwned>(self, status: StatusCode) -> T;
 
-    /// The body as a problem of this kind, with all that belongs to it.
+    /// The body as a problem document of this kind. Panics if any part of it is wrong.
     #[allow(async_fn_in_trait, reason = "used in these tests alone")]
     async fn problem(self, kind: ProblemKind) -> Problem;
 }
@@ -112,6 +117,7 @@ impl Answer for Response {
             serde_json::from_str(&text).unwrap_or_else(|error| panic!("{url}: {error}: {text}"));
         assert_eq!(problem.known_kind(), Some(kind), "{url}: {text}");
         assert_eq!((problem.status, status.as_u16()), (kind.status(), kind.status()), "{url}: {text}");
+        assert_eq!(problem.instance.as_deref(), Some(url.path()), "{url}: {text}");
         assert!(!problem.detail.is_empty() && !problem.detail.contains('\n'), "{url}: {text}");
         problem
     }

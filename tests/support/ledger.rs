@@ -1,4 +1,4 @@
-//! What the database of a service that does not run says, read without the service's own code.
+//! The database of a service that is not running, read without the service's own code.
 
 use forelight_protocol::JobId;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
@@ -95,9 +95,9 @@ impl Ledger {
             .unwrap_or_else(|error| panic!("{query}: {error}"))
     }
 
-    /// Checks that the books of a farm at rest balance, all jobs being done: every task has one result, brought by its last
-    /// lease; what was handed out, lost and brought back is the same in tasks, leases and events; every artefact that a row
-    /// promises is there, with its content.
+    /// Checks that the books of a farm balance when all jobs are done. Every task has one result, brought by
+    /// its last lease. Tasks, leases and events agree on what was handed out, lost and brought back. Every
+    /// artefact that a row promises is there, with its content.
     pub async fn assert_balanced(&mut self) {
         let intact: String = sqlx::query_scalar("PRAGMA integrity_check")
             .fetch_one(&mut self.connection)

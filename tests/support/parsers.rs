@@ -1,5 +1,6 @@
-//! Everything that is read from outside, as functions of bytes: whatever the bytes, each ends without a panic, with an error of one
-//! line or with something that makes sense. Tests mutate good input; the fuzz targets of `tests/fuzz` go on from there.
+//! Everything that is read from outside, as functions of bytes: whatever the bytes, each ends without a
+//! panic, with an error of one line or with something that makes sense. Tests mutate good input; the fuzz
+//! targets of `tests/fuzz` go on from there.
 
 use forelight_protocol::{
     ClaimRequest, FrameSet, JobRequest, NodeChange, NodeRegistration, Problem, ReleaseRequest, RenderStats,
@@ -233,7 +234,8 @@ fn archive_seed() -> Vec<u8> {
     zip.finish().expect("memory can be written to").into_inner()
 }
 
-/// An artefact with a checksum: as it is, and with the checksum made right, so that what lies behind it is reached.
+/// An artefact with a checksum: as it is, and with the checksum made right, so that what lies behind it is
+/// reached.
 fn sealed(bytes: &[u8], read: impl Fn(&[u8])) {
     read(bytes);
     if bytes.len() >= 32 {
@@ -325,7 +327,8 @@ fn same_again<T: Serialize + DeserializeOwned>(bytes: &[u8]) {
     }
 }
 
-/// Equal, but for the last digit of numbers with a fraction, which the reader of JSON may round the other way.
+/// Equal, but for the last digit of numbers with a fraction, which the reader of JSON may round the other
+/// way.
 fn alike(a: &Value, b: &Value) -> bool {
     match (a, b) {
         (Value::Array(a), Value::Array(b)) => a.len() == b.len() && a.iter().zip(b).all(|(a, b)| alike(a, b)),

@@ -1,4 +1,5 @@
-//! The program itself, run as users run it; killed without mercy where a test asks for that, and always when a test ends.
+//! The program itself, run as users run it; killed without mercy where a test asks for that, and always when
+//! a test ends.
 
 use crate::http::Http;
 use crate::waiting::eventually;
@@ -146,7 +147,8 @@ impl Drop for Process {
     }
 }
 
-/// A service with its data in a temporary folder; `forelight serve`, or `forelight farm`, which brings workers along.
+/// A service with its data in a temporary folder; `forelight serve`, or `forelight farm`, which brings
+/// workers along.
 pub struct Service {
     folder: tempfile::TempDir,
     arguments: Vec<String>,
@@ -258,7 +260,8 @@ impl Service {
         Http::new(&self.address, None)
     }
 
-    /// Starts a worker of one thread that calls itself `name`. All workers keep fetched bundles in the same folder.
+    /// Starts a worker of one thread that calls itself `name`. All workers keep fetched bundles in the same
+    /// folder.
     pub fn worker(&self, name: &str, process: &str) -> Process {
         self.worker_at(&self.address, name, process, "1m")
     }

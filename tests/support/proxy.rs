@@ -1,7 +1,8 @@
 //! A proxy that loses, doubles and delays messages between workers and service.
 //!
-//! One request a connection: what a client sends is read whole (head, and as many bytes as it announces), then passed on or not; the
-//! answer is passed back as it comes. A message that is lost ends its connection without an answer, which is what a network does.
+//! One request a connection: what a client sends is read whole (head, and as many bytes as it announces),
+//! then passed on or not; the answer is passed back as it comes. A message that is lost ends its connection
+//! without an answer, which is what a network does.
 
 use crate::random::Random;
 use std::net::SocketAddr;
@@ -39,7 +40,8 @@ pub struct Proxy {
 }
 
 impl Proxy {
-    /// A proxy for the service at `address` (`http://host:port`); the faults follow from the seed and the order of connections.
+    /// A proxy for the service at `address` (`http://host:port`); the faults follow from the seed and the
+    /// order of connections.
     pub async fn start(address: &str, seed: u64) -> Self {
         let service: SocketAddr = address
             .strip_prefix("http://")

@@ -1,6 +1,7 @@
 //! Random numbers that a seed repeats.
 
-/// A sequence of random numbers (SplitMix64: Steele, Lea, Flood, "Fast splittable pseudorandom number generators", 2014).
+/// A sequence of random numbers (SplitMix64: Steele, Lea, Flood, "Fast splittable pseudorandom number
+/// generators", 2014).
 #[derive(Clone, Debug)]
 pub struct Random(u64);
 

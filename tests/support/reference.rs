@@ -6,6 +6,14 @@ use forelight_tracer::{Settings, Tracer};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
+/// An image, and its mean over all pixels and channels.
+pub struct Image {
+    /// Every pixel.
+    pub pixels: Estimate,
+    /// The mean over the image.
+    pub mean: Sample,
+}
+
 /// Mean and standard error of every pixel and channel, row-major, channels together.
 pub struct Estimate {
     /// Pixels.
@@ -17,15 +25,22 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// Mean over the image.
-    pub fn mean(&self) -> f64 {
-        self.values.iter().map(|v| v.mean).sum::<f64>() / self.values.len() as f64
+    /// The mean over the image. Its variance is that of independent pixels whose channels err together:
+    /// whatever the channels' correlation, the true variance is not larger.
+    pub fn mean(&self) -> Sample {
+        let count = self.values.len() as f64;
+        let error = |pixel: &[Sample]| pixel.iter().map(|v| v.variance.sqrt()).sum::<f64>();
+        Sample {
+            mean: self.values.iter().map(|v| v.mean).sum::<f64>() / count,
+            variance: self.values.chunks_exact(3).map(|pixel| error(pixel).powi(2)).sum::<f64>()
+                / (count * count),
+            freedom: self.values.iter().map(|v| v.freedom).sum(),
+        }
     }
-}
 
-impl Estimate {
-    /// The same with every variance raised to the mean over the 5 × 5 pixels around it, where that is higher. In a penumbra
-    /// a pixel may see none of its rare events in all its passes and then believe itself certain; its neighbours know better.
+    /// The same with every variance raised to the mean over the 5 × 5 pixels around it, where that is higher.
+    /// In a penumbra a pixel may see none of its rare events in all its passes and then believe itself
+    /// certain; its neighbours know better.
     #[must_use]
     pub fn pooled(&self) -> Self {
         let (width, height) = (self.width as i64, self.height as i64);
@@ -66,12 +81,12 @@ impl Estimate {
     }
 }
 
-/// Reads a pair of EXR files. `passes` is the number of independent passes behind the standard error.
-pub fn read(mean: &Path, standard_error: &Path, passes: u32) -> Estimate {
+/// Reads a pair of EXR files: means, and their standard errors from this many independent passes.
+pub fn read(mean: &Path, standard_error: &Path, passes: u32) -> Image {
     let open = |p: &Path| image::open(p).unwrap_or_else(|e| panic!("{}: {e}", p.display())).into_rgb32f();
     let (mean, error) = (open(mean), open(standard_error));
     let values = mean.as_raw().iter().zip(error.as_raw());
-    Estimate {
+    let pixels = Estimate {
         width: mean.width(),
         height: mean.height(),
         values: values
@@ -81,15 +96,17 @@ pub fn read(mean: &Path, standard_error: &Path, passes: u32) -> Estimate {
                 freedom: f64::from(passes) - 1.0,
             })
             .collect(),
-    }
+    };
+    Image { mean: pixels.mean(), pixels }
 }
 
-/// Renders a frame `passes` times with different seeds and estimates mean and variance from the passes.
-pub fn render(scene: &Path, frame: u32, settings: &Settings, passes: u32) -> Estimate {
+/// Renders a frame this many times with different seeds, and estimates means and variances from the passes.
+pub fn render(scene: &Path, frame: u32, settings: &Settings, passes: u32) -> Image {
     let scene = Scene::load(scene, &Default::default()).expect("the bundle loads");
     let frame = scene.frame(frame).expect("the frame exists");
     let mut bvh = None;
     let mut moments = vec![Moments::default(); (settings.width * settings.height * 3) as usize];
+    let mut means = Moments::default();
     for seed in 0..u64::from(passes) {
         let settings = Settings { seed, ..settings.clone() };
         let tracer = match &bvh {
@@ -98,13 +115,16 @@ pub fn render(scene: &Path, frame: u32, settings: &Settings, passes: u32) -> Est
         };
         bvh = Some(std::sync::Arc::clone(tracer.bvh()));
         let image = tracer.render(None, &|_| {}, &AtomicBool::new(false)).expect("nobody cancels");
+        let mut sum = 0.0;
         for (m, value) in moments.iter_mut().zip(image.pixels.iter().flat_map(|p| p.color)) {
             m.add(f64::from(value));
+            sum += f64::from(value);
         }
+        means.add(sum / moments.len() as f64);
     }
-    Estimate {
-        width: settings.width,
-        height: settings.height,
-        values: moments.iter().map(Moments::sample).collect(),
+    let values = moments.iter().map(Moments::sample).collect();
+    Image {
+        pixels: Estimate { width: settings.width, height: settings.height, values },
+        mean: means.sample(),
     }
 }

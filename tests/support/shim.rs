@@ -1,11 +1,13 @@
-//! A clock that can be set and a disk that can be full, for a service that knows nothing of either: see `shim.c`.
+//! A clock that can be set and a disk that can be full, for a service that knows nothing of either: see
+//! `shim.c`.
 
+use forelight_test_needs::not_run;
 use std::fs::File;
 use std::os::unix::fs::FileExt as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// What is loaded into the service, and the file by which it is told what to do.
+/// The library that is loaded into the service, and the file by which it is told what to do.
 pub struct Shim {
     library: PathBuf,
     path: PathBuf,
@@ -13,7 +15,8 @@ pub struct Shim {
 }
 
 impl Shim {
-    /// Compiles it into this folder. `None`, with a line that says so, where there is no C compiler.
+    /// Compiles it into this folder. `None` where there is no C compiler; that part of the test counts as not
+    /// run.
     pub fn compile(folder: &Path) -> Option<Self> {
         let (library, path) = (folder.join("shim.so"), folder.join("shim.control"));
         let source = concat!(env!("CARGO_MANIFEST_DIR"), "/support/shim.c");
@@ -23,7 +26,7 @@ impl Shim {
             .arg(source)
             .status();
         if !compiler.is_ok_and(|status| status.success()) {
-            println!("no C compiler: clocks are not set and disks are not full");
+            not_run("no C compiler (cc): clocks are not set and disks are not full");
             return None;
         }
         let control =

@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 /// Time between two looks.
 const PAUSE: Duration = Duration::from_millis(40);
 
-/// Asks `look` until it has an answer. Panics with `what` when `patience` is over: generous, for it says nothing about speed, only that a
-/// test which waits in vain ends.
+/// Calls `look` until it has an answer. Panics with `what` when `patience` is over. Make it generous: it only
+/// ends a test that waits in vain, and does not test speed.
 pub async fn eventually<T>(what: &str, patience: Duration, mut look: impl AsyncFnMut() -> Option<T>) -> T {
     let start = Instant::now();
     loop {

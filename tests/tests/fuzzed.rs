@@ -1,7 +1,7 @@
 //! Damaged input of every kind: what fuzzing has found, again, and a fixed number of mutations of good input.
 //!
-//! `FORELIGHT_MUTATIONS` sets the number of mutations of each parser's input (default 400). `FORELIGHT_SEEDS` names a folder into which
-//! the good input is written, for fuzzing to start from: `tests/fuzz/corpus`.
+//! `FORELIGHT_MUTATIONS` sets the number of mutations of each parser's input (default 400). `FORELIGHT_SEEDS`
+//! names a folder into which the good input is written, for fuzzing to start from: `tests/fuzz/corpus`.
 
 use forelight_tests::parsers::{PARSERS, Parser};
 use forelight_tests::repository;
@@ -48,7 +48,8 @@ const WORDS: [&str; 24] = [
     "0.1.2",
 ];
 
-/// One to eight changes: bits, bytes, words, ranges left out, doubled or moved, numbers of four bytes, an early end.
+/// One to eight changes: bits, bytes, words, ranges left out, doubled or moved, numbers of four bytes, an
+/// early end.
 fn mutated(bytes: &[u8], random: &mut Random) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     for _ in 0..=random.below(8) {

@@ -16,29 +16,27 @@
 //!
 //! There is one conductor and it does one thing at a time: plans never compete.
 
-pub(crate) mod accuracy;
-#[cfg(test)]
-mod agreement;
-pub(crate) mod alone;
 pub(crate) mod answers;
 mod book;
-mod choose;
 pub(crate) mod effects;
-mod estimate;
-pub(crate) mod explain;
 pub(crate) mod farm;
 pub(crate) mod job_profile;
 mod qualities;
 mod replan;
 pub(crate) mod settle;
-mod sharing;
-mod within;
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
 
 use forelight_forecast::Experience;
-use forelight_protocol::{Job, JobId, JobState, NodeId, Timestamp};
+use forelight_forecast::Strategy;
+use forelight_protocol::{
+    AccuracyRung, Job, JobId, JobState, Money, Node, NodeId, PreviewResult, Timestamp, Within,
+};
+use forelight_quote::{
+    Limit, Measured, MeasuredProfile, Most, Quote, QuoteError, QuoteKind, frames_to_profile,
+    is_shared_cache_worth_planning, quote,
+};
 use forelight_store::{PlannedCache, Store, StoreError};
 
 use crate::clock::Clock;
@@ -66,6 +64,12 @@ pub(crate) enum AdvanceError {
     /// The job itself is at fault, or we are: trying again would end the same way.
     #[error("{0}")]
     Hopeless(String),
+}
+
+impl From<QuoteError> for AdvanceError {
+    fn from(error: QuoteError) -> Self {
+        Self::Hopeless(error.to_string())
+    }
 }
 
 impl Conductor {
@@ -122,9 +126,9 @@ impl Conductor {
 
     async fn choose(&self, job: &Job) -> Result<(), AdvanceError> {
         let Some(preview) = self.store.preview_result(job.id).await? else { return Ok(()) };
-        let at_most = job.profile_frames;
-        let plan_cache = job.within.is_none() && sharing::is_worth_planning(job.cache, &preview);
-        let frames = compute(move || choose::frames_to_profile(&preview, at_most)).await?;
+        let most = job.profile_frames.map(|most| most as usize);
+        let plan_cache = job.within.is_none() && is_shared_cache_worth_planning(job.cache, &preview);
+        let frames = compute(move || Ok(frames_to_profile(&preview, Strategy::Snapshot, most)?)).await?;
         tracing::info!(job = %job.id, ?frames, plan_cache, "frames to profile");
         Ok(self.store.start_profiling(job.id, &frames, plan_cache, self.clock.now()).await?)
     }
@@ -138,54 +142,28 @@ impl Conductor {
         }
         if job.profile_frames.is_none() && job.within.is_none() {
             let (preview, profiles) = (preview.clone(), profiles.clone());
-            let more = compute(move || choose::more_to_profile(&preview, &profiles)).await?;
+            let more = compute(move || Ok(Measured::new(&preview, &profiles).more_to_profile()?)).await?;
             if !more.is_empty() {
                 tracing::info!(job = %job.id, frames = ?more, "more frames to profile: the forecast is not sure");
                 return Ok(self.store.profile_more(job.id, &more, &planned).await?);
             }
         }
-        let kind = estimate::kind(&profiles, &job.settings);
+        let kind = QuoteKind::of(&profiles, &job.settings);
         let experience = match &kind {
             Some(kind) => self.store.experience(kind).await?,
             None => Experience::default(),
         };
         let limit = match &job.within {
-            Some(within) => {
-                let nodes = self.nodes_for_plans(self.clock.now()).await?;
-                Some(within::Limit::new(within, job, nodes)?)
-            }
+            Some(within) => Some(limit(within, job, self.nodes_for_plans(self.clock.now()).await?)?),
             None => None,
         };
-        let (asked, settings) = (job.cache, job.settings.clone());
-        let (forecast, rungs) = compute(move || {
-            let corrections = experience.corrections();
-            match limit {
-                None => {
-                    let quote = sharing::quote(
-                        asked,
-                        &settings,
-                        &preview,
-                        &profiles,
-                        &planned,
-                        corrections.as_ref(),
-                    )?;
-                    // Without profiles nothing is known of other qualities.
-                    let rungs = if profiles.is_empty() {
-                        Vec::new()
-                    } else {
-                        let shared = sharing::SharedWay::of(&planned).filter(|_| quote.seed.is_some());
-                        accuracy::ladders(&settings, &preview, &profiles, shared.as_ref())?.rungs
-                    };
-                    Ok((quote, rungs))
-                }
-                Some(limit) => Ok((limit.best(&preview, &profiles, corrections.as_ref())?, Vec::new())),
-            }
-        })
-        .await?;
-        // Frames that are given their work say nothing of how far forecasts are off.
-        let basis = kind.filter(|_| job.within.is_none()).map(|kind| forecast.basis(kind));
+        let asked = job.clone();
+        let (quote, rungs) =
+            compute(move || quote_job(&asked, &preview, &profiles, &planned, &experience, limit)).await?;
+        // Frames that are given their work do not show how far forecasts are off.
+        let basis = kind.filter(|_| job.within.is_none()).map(|kind| quote.basis(kind));
         for _ in 0..ATTEMPTS {
-            match self.book(job, &forecast, basis.as_ref(), &rungs).await {
+            match self.book(job, &quote, basis.as_ref(), &rungs).await {
                 // Overtaken by another plan, or by a cancellation: look again.
                 Err(AdvanceError::Store(StoreError::Conflict(reason))) => {
                     tracing::info!(job = %job.id, reason, "the plan is made again");
@@ -198,6 +176,48 @@ impl Conductor {
         }
         Ok(())
     }
+}
+
+/// The quote of a job, and the other qualities that its profile tells.
+fn quote_job(
+    job: &Job,
+    preview: &PreviewResult,
+    profiles: &[MeasuredProfile],
+    planned: &PlannedCache,
+    experience: &Experience,
+    limit: Option<Limit>,
+) -> Result<(Quote, Vec<AccuracyRung>), AdvanceError> {
+    let corrections = experience.corrections();
+    if let Some(limit) = limit {
+        return Ok((limit.quote(preview, profiles, corrections.as_ref())?, Vec::new()));
+    }
+    let measured = Measured::new(preview, profiles).with_cache(planned.plan());
+    let quote = quote(job.cache, &job.settings, &measured, corrections.as_ref())?;
+    if profiles.is_empty() {
+        return Ok((quote, Vec::new()));
+    }
+    let shared = planned.plan().filter(|_| quote.shared_cache.is_some());
+    let rungs = measured.with_cache(shared).qualities(&job.settings)?.rungs;
+    Ok((quote, rungs))
+}
+
+/// The limit of a job on a farm of these nodes. Without a node that has a price, money says nothing of time.
+fn limit(within: &Within, job: &Job, nodes: Vec<Node>) -> Result<Limit, AdvanceError> {
+    let most = match (within.cpu_micros, within.money) {
+        (Some(micros), _) => Most::Seconds(micros as f64 * 1e-6),
+        (None, Some(money)) if nodes.iter().any(|node| node.price_per_hour > Money(0)) => {
+            Most::Money(money.micro_units(), nodes)
+        }
+        (None, Some(_)) => {
+            let reason = "within: no node of the farm has a price, so an amount of money sets no limit: \
+                          set the nodes' prices, or give a CPU time";
+            return Err(AdvanceError::Hopeless(reason.to_owned()));
+        }
+        (None, None) => {
+            return Err(AdvanceError::Hopeless("within: it holds neither a time nor money".to_owned()));
+        }
+    };
+    Ok(Limit { most, per: within.per, confidence: job.confidence })
 }
 
 /// Runs what may take a while on a thread of its own, so that requests go on being answered.

@@ -63,7 +63,7 @@ pub struct Limits {
     pub pixels: u64,
     /// Bytes of room where the data are without which no task is handed out, and the service is not ready: what is under way is
     /// written meanwhile, the log of the database included. Default 64 MiB.
-    pub least_room: u64,
+    pub least_disk_space: u64,
     /// Bundles that are checked at the same time; others wait. Default 2.
     pub checks_at_once: usize,
     /// What a scene may hold.
@@ -79,7 +79,7 @@ impl Default for Limits {
             result_bytes: 64 << 20,
             frames: 10_000,
             pixels: 1 << 26,
-            least_room: 64 << 20,
+            least_disk_space: 64 << 20,
             checks_at_once: 2,
             scene: forelight_scene::Limits::default(),
         }

@@ -6,7 +6,6 @@
 
 use std::collections::BTreeMap;
 
-use crate::extract::BAD_TOKEN;
 use axum::extract::Request;
 use axum::http::header::{CONTENT_TYPE, RETRY_AFTER, WWW_AUTHENTICATE};
 use axum::http::{HeaderValue, StatusCode};
@@ -22,6 +21,11 @@ pub(crate) const PROBLEM_JSON: &str = "application/problem+json";
 
 /// Seconds after which a client may ask again when the artefact store is away. It was tried several times before that was said.
 const ARTIFACTS_AWAY: u32 = 2;
+
+/// Challenges to authenticate (RFC 6750).
+pub(crate) const NO_TOKEN: &str = "Bearer realm=\"forelight\"";
+pub(crate) const BAD_TOKEN: &str = "Bearer realm=\"forelight\", error=\"invalid_token\"";
+pub(crate) const WRONG_ROLE: &str = "Bearer realm=\"forelight\", error=\"insufficient_scope\"";
 
 /// An error on its way to the client.
 #[derive(Debug)]

@@ -7,28 +7,30 @@
 //!
 //! Nothing that matters is kept in the process: whatever it was doing when it died is found in the store at the next start.
 
+mod answer_cache;
+mod background;
+mod budget_forecast;
+mod bundle_inspection;
 mod clock;
 mod conductor;
 mod config;
 mod connections;
-mod difference;
+mod disk_space;
 mod error;
 mod extract;
 mod metrics;
-mod night;
 mod openapi;
 mod page;
+mod plan_difference;
 mod plot;
 mod resources;
-mod room;
 mod router;
-mod scenes;
+mod schema;
 mod service;
 mod state;
 
+pub use budget_forecast::{BudgetForecastError, budget_forecast};
 pub use clock::{Clock, ManualClock, SystemClock};
-pub use conductor::alone::{Measured, is_shared_cache_worth_planning, quote_alone};
 pub use config::{Config, Limits};
-pub use night::{NightError, budget_forecast};
-pub use openapi::openapi_yaml;
+pub use router::openapi_yaml;
 pub use service::{Service, ServiceError};

@@ -1,14 +1,8 @@
-//! The OpenAPI document: generated from the types and handlers, so that it cannot say anything else.
+//! The frame of the OpenAPI document: what it says beside the operations, which `router` adds.
 
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
 use utoipa::openapi::{ComponentsBuilder, Info, OpenApi, OpenApiBuilder, SecurityRequirement};
 use utoipa::{PartialSchema, ToSchema};
-
-/// The bytes of a file as they are: not text, and no list of numbers in JSON.
-#[derive(ToSchema)]
-#[schema(value_type = String, format = Binary)]
-#[allow(dead_code, reason = "describes bodies that are streamed and never held")]
-pub(crate) struct FileContent(Vec<u8>);
 
 /// The document without its operations: who we are, and how one proves who one is.
 pub(crate) fn frame() -> OpenApi {
@@ -31,11 +25,4 @@ pub(crate) fn frame() -> OpenApi {
         .components(Some(components))
         .security(Some([SecurityRequirement::new("bearer", Vec::<String>::new())]))
         .build()
-}
-
-/// The whole document as YAML.
-pub fn openapi_yaml() -> String {
-    let (_, document) = crate::router::routes();
-    // The document is made of strings, numbers, lists and maps with string keys, all of which YAML can say.
-    document.to_yaml().unwrap_or_default()
 }

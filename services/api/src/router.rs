@@ -27,7 +27,7 @@ use crate::state::App;
 const BODY_SILENCE: Duration = Duration::from_secs(60);
 
 /// All routes, and the document that describes them.
-pub(crate) fn routes() -> (axum::Router<App>, OpenApi) {
+fn routes() -> (axum::Router<App>, OpenApi) {
     OpenApiRouter::with_openapi(frame())
         .routes(routes!(bundles::upload))
         .routes(routes!(bundles::get))
@@ -77,6 +77,13 @@ pub(crate) fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(health::metrics))
         .routes(routes!(health::openapi))
         .split_for_parts()
+}
+
+/// The whole OpenAPI document as YAML. It is generated from the types and handlers, so it cannot say anything else.
+pub fn openapi_yaml() -> String {
+    let (_, document) = routes();
+    // The document is made of strings, numbers, lists and maps with string keys, all of which YAML can say.
+    document.to_yaml().unwrap_or_default()
 }
 
 /// The service as axum runs it. The layers, from the outside in: a log line, the count, the form of errors, panics, bodies.

@@ -10,11 +10,11 @@ use forelight_store::{IdempotencyKey, Store};
 use tokio::sync::{Semaphore, mpsc};
 use tokio_util::sync::CancellationToken;
 
+use crate::answer_cache::AnswerCache;
 use crate::clock::Clock;
 use crate::config::Limits;
 use crate::error::ApiError;
 use crate::metrics::Metrics;
-use crate::resources::answers::Desk;
 
 /// What every handler can reach. Cheap to clone.
 #[derive(Clone)]
@@ -34,7 +34,7 @@ pub(crate) struct App {
     pub conductor: mpsc::UnboundedSender<JobId>,
     pub in_flight: InFlight,
     /// Answers about plans.
-    pub answers: Arc<Desk>,
+    pub answers: Arc<AnswerCache>,
     /// When the service was started.
     pub started: Timestamp,
     pub openapi: Arc<str>,

@@ -1,1 +1,85 @@
-//! The benches behind `forelight bench`, and what only they need.
+//! `forelight bench`: measurements of what this program promises, on bundles that the user names.
+
+mod conventions;
+mod coverage;
+mod effects;
+mod farm;
+mod forecast;
+mod images;
+mod paper;
+mod plan;
+mod rays;
+mod report;
+mod seconds;
+mod shots;
+mod statistics;
+
+use anyhow::Result;
+use clap::Subcommand;
+use forelight_terminal::atomic_file;
+use forelight_terminal::interrupt::Interrupt;
+use report::{Origin, page};
+use std::path::PathBuf;
+
+/// Measure how good forecasts are, and how much the farm bears
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight bench coverage kitchen/ corridor/ --svg reliability.svg
+  forelight bench effects kitchen/ corridor/
+  forelight bench forecast kitchen/ corridor/ --out forecast.json
+  forelight bench images kitchen/ --size 256 --pictures images/
+  forelight bench rays kitchen/
+  forelight bench paper kitchen/ corridor/ --out report/
+  forelight bench leases
+  forelight bench workers --workers 5000
+  forelight bench plan
+  forelight bench seconds kitchen/ --other ./forelight-of-rack-7
+  forelight bench shots kitchen/ corridor/ --svg plots/
+  forelight bench plan --write docs/")]
+pub struct Args {
+    #[command(subcommand)]
+    bench: Bench,
+    /// Also write the tables into this Markdown file, with the command, the date, the commit and the processor. They replace the
+    /// bench's section; other sections stay. A folder, such as docs/, stands for benchmarks.md in it
+    #[arg(long, global = true, value_name = "FILE.md")]
+    write: Option<PathBuf>,
+}
+
+#[derive(Debug, Subcommand)]
+enum Bench {
+    Coverage(coverage::Args),
+    Effects(effects::Args),
+    Forecast(forecast::Args),
+    Paper(paper::Args),
+    Leases(farm::leases::Args),
+    Workers(farm::workers::Args),
+    Plan(plan::Args),
+    Images(images::Args),
+    Rays(rays::Args),
+    Seconds(seconds::Args),
+    Shots(shots::Args),
+}
+
+/// Runs the command.
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    let file = args.write.as_deref().map(page::file).transpose()?;
+    atomic_file::check([file.as_deref()])?;
+    let (name, report) = match &args.bench {
+        Bench::Coverage(args) => ("coverage", coverage::run(args, interrupt)?),
+        Bench::Effects(args) => ("effects", effects::run(args, interrupt)?),
+        Bench::Forecast(args) => ("forecast", forecast::run(args, interrupt)?),
+        Bench::Paper(args) => ("paper", paper::run(args, interrupt)?),
+        Bench::Leases(args) => ("leases", farm::leases::run(args, interrupt)?),
+        Bench::Workers(args) => ("workers", farm::workers::run(args, interrupt)?),
+        Bench::Plan(args) => ("plan", plan::run(args)?),
+        Bench::Images(args) => ("images", images::run(args, interrupt)?),
+        Bench::Rays(args) => ("rays", rays::run(args, interrupt)?),
+        Bench::Seconds(args) => ("seconds", seconds::run(args, interrupt)?),
+        Bench::Shots(args) => ("shots", shots::run(args, interrupt)?),
+    };
+    match file {
+        Some(file) => page::write(&file, name, &Origin::of(&file)?, &report),
+        None => Ok(()),
+    }
+}

@@ -1,4 +1,5 @@
-//! Building: a binary tree by `obvhs`, collapsed to eight children a node.
+//! Builds the tree: `obvhs` makes a binary BVH, which [`Collapse`] turns into one with eight children per
+//! node.
 
 use crate::collapse::Collapse;
 use crate::node::{Bvh, GROUP};
@@ -7,10 +8,12 @@ use obvhs::{BvhBuildParams, bvh2::builder::build_bvh2_from_tris, triangle::Trian
 use std::time::Duration;
 
 impl Bvh {
-    /// Builds the tree over `triangles`, corner indices into `positions` (metres, finite).
+    /// Builds the tree over `triangles`.
+    ///
+    /// `positions` are in metres and must be finite. Each triangle is three indices into `positions`.
     ///
     /// # Panics
-    /// If an index is out of range; the loader of a scene has checked that.
+    /// If an index is out of range. The scene loader has checked all indices by then.
     pub fn build(positions: &[Vec3], triangles: &[[u32; 3]]) -> Self {
         let corner = |i: u32| Vec3A::from(positions[i as usize]);
         let input: Vec<Triangle> = triangles
@@ -20,10 +23,10 @@ impl Bvh {
         if input.is_empty() {
             return Self::default();
         }
-        // Splitting large triangles pays where their boxes are mostly empty; the tree is built once a shot in most cases,
-        // so the slow preset is worth its second on a million triangles.
+        // A spatial split pays for large triangles whose boxes are mostly empty. Most shots build the tree
+        // once, so the slow preset is worth its extra second per million triangles.
         let params = BvhBuildParams { max_prims_per_leaf: GROUP as u32, ..BvhBuildParams::slow_build() };
-        let mut build_time = Duration::ZERO; // obvhs wants to tell; nobody asks
+        let mut build_time = Duration::ZERO; // Required by obvhs; not used here.
         let binary = build_bvh2_from_tris(&input, params, &mut build_time);
         Collapse::new(&binary, &input).run()
     }

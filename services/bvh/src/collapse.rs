@@ -1,9 +1,13 @@
-//! From two children a node to eight, at the least expected cost, in an order that finds occluders early.
+//! Collapses the binary tree into a tree with eight children per node, at the least expected traversal cost.
 //!
-//! Which binary nodes become wide nodes, and which become groups of triangles, is decided by dynamic programming over
-//! the surface area heuristic (Ylitie, Karras and Laine 2017, "Efficient Incoherent Ray Traversal on GPUs Through
-//! Compressed Wide BVHs", section 3.1): the cost of a binary subtree is known for every number of roots, 1 to 7, that
-//! may stand for it in the wide node above, from the costs of its two halves.
+//! Two decisions are made: which binary nodes become wide nodes, and which subtrees become one triangle
+//! group. Dynamic programming over the surface area heuristic makes both (Ylitie, Karras and Laine 2017,
+//! "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs", section 3.1). For each binary
+//! subtree it computes the cost of representing the subtree by 1 to 7 roots in the wide node above. The costs
+//! follow from those of the two children.
+//!
+//! Children are stored in the order in which an any-hit query should visit them, so that it finds occluders
+//! early.
 
 use crate::node::{Bvh, GROUP, Group, LEAF, Node, WIDTH};
 use glam::{Vec3A, Vec4};
@@ -12,28 +16,29 @@ use obvhs::{
     triangle::Triangle,
 };
 
-/// Expected cost of visiting a node, and of testing a group of triangles, in proportion to each other.
+/// Relative expected costs of visiting a node and of testing a triangle group.
 const NODE_COST: f32 = 1.0;
 const GROUP_COST: f32 = 0.7;
 
-/// Costs of a binary subtree as a forest of at most 1, 2, … 7 roots, each times the area of its box.
+/// Cost of a binary subtree as a forest of at most 1, 2, … 7 roots. Each cost is multiplied by the area of
+/// its box.
 type Forest = [f32; WIDTH - 1];
 
-/// What is known of a binary node.
+/// Cost and contents of a binary subtree.
 #[derive(Debug, Clone, Copy, Default)]
 struct Subtree {
     cost: Forest,
-    /// Triangles, counted once in every binary leaf that holds a piece of them.
+    /// Number of triangles. A split triangle counts once in each binary leaf that holds a piece of it.
     triangles: u32,
-    /// Area of these triangles.
+    /// Total area of these triangles.
     area: f32,
-    /// Whether it is cheapest as one group.
+    /// `true` if the subtree is cheapest as one triangle group.
     leaf: bool,
-    /// How soon a ray that looks for any hit should go there: probability of a hit by expected cost.
+    /// Priority of the subtree in an any-hit query: probability of a hit divided by the expected cost.
     promise: f32,
 }
 
-/// Share of a box's longest side by which it is widened.
+/// Boxes are widened by this fraction of their longest side.
 const BOX_SLACK: f32 = 1.0 / 2_097_152.0;
 
 pub(crate) struct Collapse<'a> {
@@ -44,11 +49,11 @@ pub(crate) struct Collapse<'a> {
 }
 
 impl<'a> Collapse<'a> {
-    /// Computes all costs from the leaves up.
+    /// Computes the costs of all subtrees, from the leaves up.
     pub fn new(binary: &'a Bvh2, input: &'a [Triangle]) -> Self {
         let subtrees = vec![Subtree::default(); binary.nodes.len()];
         let mut collapse = Self { binary, input, subtrees, out: Bvh::default() };
-        // Parents before children, then backwards.
+        // List parents before children, then process the list backwards.
         let mut order = vec![0u32];
         let mut next = 0;
         while let Some(&index) = order.get(next) {
@@ -70,7 +75,7 @@ impl<'a> Collapse<'a> {
         let mut subtree = if node.is_leaf() {
             let area = |&i: &u32| {
                 let Triangle { v0, v1, v2 } = self.input[i as usize];
-                // Of a triangle that was split, no more than fits into the piece's box.
+                // A split triangle contributes at most the area of its piece's box.
                 (0.5 * (v1 - v0).cross(v2 - v0).length()).min(box_area)
             };
             Subtree {
@@ -92,8 +97,9 @@ impl<'a> Collapse<'a> {
             }
             Subtree { cost, triangles, area: left.area + right.area, leaf, promise: 0.0 }
         };
-        // A ray that meets the box meets on average area/box_area of its triangles, if these faced anywhere; where
-        // they hide each other fewer are met, for which x/(1+x) stands in.
+        // If triangles faced random directions, a ray through the box would meet `x = area / box_area` of
+        // them on average. Triangles also hide each other; `x / (1 + x)` approximates the probability of a
+        // hit.
         let floor = box_area.max(f32::MIN_POSITIVE);
         let covered = subtree.area / floor;
         let promise = covered / (1.0 + covered) / (subtree.cost[0] / floor).max(GROUP_COST);
@@ -104,14 +110,16 @@ impl<'a> Collapse<'a> {
     /// Writes the wide tree.
     pub fn run(mut self) -> Bvh {
         self.out.nodes.push(Node::EMPTY);
-        // (wide node to fill, binary node that it stands for, level); depth first, so that subtrees lie together in memory.
+        // Entries: (wide node to fill, binary node that it represents, level). Depth-first order keeps
+        // subtrees together in memory.
         let mut pending = vec![(0u32, 0u32, 1)];
         while let Some((wide, binary, level)) = pending.pop() {
             self.out.depth = self.out.depth.max(level);
             for (slot, child) in self.children(binary).into_iter().enumerate() {
                 let source = &self.binary.nodes[child as usize];
-                // The triangle test shears corners along the ray: what a corner's distance along the ray is off by, a few 2⁻²⁴ of
-                // the box's longest side, shows across it. A box that is tighter than that would hide hits at long, narrow triangles.
+                // The triangle test shears the corners along the ray. The rounding error of a corner's
+                // distance along the ray, a few 2⁻²⁴ of the box's longest side, then appears across the ray.
+                // Without slack, the box test would reject valid hits on long, narrow triangles.
                 let slack = (source.aabb.max - source.aabb.min).max_element() * BOX_SLACK;
                 let (lower, upper) =
                     ((source.aabb.min - slack).to_array(), (source.aabb.max + slack).to_array());
@@ -136,7 +144,8 @@ impl<'a> Collapse<'a> {
         self.out
     }
 
-    /// The descendants of `root` that become the children of its wide node, the most promising last.
+    /// The descendants of `root` that become the children of its wide node. The last has the highest
+    /// priority.
     fn children(&self, root: u32) -> Vec<u32> {
         let mut children = Vec::with_capacity(WIDTH);
         if self.subtrees[root as usize].leaf {
@@ -151,13 +160,13 @@ impl<'a> Collapse<'a> {
         children
     }
 
-    /// Replaces an inner node by its two halves, which become `roots` roots together.
+    /// Replaces an inner node by its two children, which together become `roots` roots.
     fn open(&self, node: u32, roots: usize, children: &mut Vec<u32>) {
         let first = self.binary.nodes[node as usize].first_index;
         let cost = |i: u32| &self.subtrees[i as usize].cost;
         let (_, left) = halves(cost(first), cost(first + 1), roots);
         for (half, mut roots) in [(first, left.min(WIDTH - 1)), (first + 1, (roots - left).min(WIDTH - 1))] {
-            // What gains nothing from a further root does without.
+            // Do not spend a root that does not lower the cost.
             while roots > 1 && cost(half)[roots - 1] == cost(half)[roots - 2] {
                 roots -= 1;
             }
@@ -169,7 +178,7 @@ impl<'a> Collapse<'a> {
         }
     }
 
-    /// Makes a group of the triangles of a binary subtree.
+    /// Makes one group of all triangles in a binary subtree.
     fn group(&mut self, root: u32) -> u32 {
         let mut members: Vec<u32> = Vec::with_capacity(GROUP);
         let mut pending = vec![root];
@@ -177,7 +186,7 @@ impl<'a> Collapse<'a> {
             let node = &self.binary.nodes[index as usize];
             if node.is_leaf() {
                 for &primitive in self.primitives(node) {
-                    // Two pieces of one triangle may have come together again.
+                    // Two pieces of a split triangle may end up in the same group.
                     if !members.contains(&primitive) {
                         members.push(primitive);
                     }
@@ -203,7 +212,8 @@ impl<'a> Collapse<'a> {
     }
 }
 
-/// The least cost of two subtrees as a forest of `roots` roots, at least 2, and how many of them the left one gets then.
+/// The least cost of two sibling subtrees as a forest of `roots` roots (at least 2), and how many roots the
+/// left one gets.
 fn halves(left: &Forest, right: &Forest, roots: usize) -> (f32, usize) {
     let cost = |k: usize| left[k.min(WIDTH - 1) - 1] + right[(roots - k).min(WIDTH - 1) - 1];
     (2..roots).fold((cost(1), 1), |best, k| if cost(k) < best.0 { (cost(k), k) } else { best })

@@ -1,11 +1,13 @@
-//! One ray against eight boxes: the portable kernel and the AVX2 kernel, bit for bit the same.
+//! Tests one ray against eight boxes. The portable kernel and the AVX2 kernel return the same bits.
 
 use crate::node::{Node, WIDTH};
 use crate::ray::Ray;
 use glam::{Vec3, Vec4};
 
-/// Relative widening of a box's exit distance that makes the slab test conservative in f32: 1 + 2γ₄, γ₄ = 4ε/(1−4ε), for the
-/// roundings of a reciprocal, its widening, a difference and a product (Ize 2013, "Robust BVH Ray Traversal").
+/// Relative widening of a box's exit distance. It makes the slab test conservative in f32.
+///
+/// The value is 1 + 2γ₄ with γ₄ = 4ε / (1 − 4ε). It covers the rounding of the reciprocal, its widening, the
+/// difference and the product (Ize 2013, "Robust BVH Ray Traversal").
 pub(crate) const EXIT_SCALE: f32 = 1.0 + 4.8e-7;
 
 /// A ray prepared for box tests.
@@ -13,9 +15,9 @@ pub(crate) const EXIT_SCALE: f32 = 1.0 + 4.8e-7;
 pub(crate) struct BoxRay {
     pub origin: Vec3,
     pub inverse: Vec3,
-    /// The inverse, widened for the planes on which the ray leaves.
+    /// `inverse × EXIT_SCALE`, for the planes where the ray leaves a box.
     pub exit: Vec3,
-    /// For each axis, which of `Node::bounds` the ray meets first.
+    /// For each axis, the index into `Node::bounds` of the planes that the ray meets first.
     pub first: [usize; 3],
     pub t_min: f32,
 }
@@ -24,33 +26,36 @@ impl BoxRay {
     #[inline(always)]
     pub fn new(ray: &Ray) -> Self {
         let inverse = ray.direction.recip();
-        // By the sign bit, so that a direction of −0 agrees with its inverse −∞.
+        // Use the sign bit, so that a direction of −0 matches its inverse −∞.
         let first = inverse.to_array().map(|i| usize::from(i.is_sign_negative()));
         Self { origin: ray.origin, inverse, exit: inverse * EXIT_SCALE, first, t_min: ray.t_min }
     }
 }
 
-/// Where the ray enters each of eight boxes, and the bit mask of those that it meets before `t_max`.
+/// Where the ray enters each of eight boxes, and a bit mask of the boxes that it meets before `t_max`.
 pub(crate) struct Boxes {
     pub near: [f32; WIDTH],
     pub mask: u32,
 }
 
-/// A way of testing boxes. Comparisons are written so that a NaN (0 · ∞: the ray runs inside a slab's plane)
-/// leaves the interval as it was: such an axis does not exclude the box.
+/// An implementation of the box test.
+///
+/// A NaN arises as 0 · ∞ when the ray runs inside a slab's plane. All comparisons are written so that a NaN
+/// leaves the interval unchanged: that axis does not exclude the box.
 pub(crate) trait Kernel: Copy {
-    /// Tests the boxes of a node.
+    /// Tests the eight boxes of a node.
     fn boxes(self, node: &Node, ray: &BoxRay, t_max: f32) -> Boxes;
 
-    /// Writes the children whose boxes the ray meets to the front of `children`, in the order of their slots, and returns
-    /// the bit mask of these slots. What is behind them is left undefined.
+    /// Writes the children whose boxes the ray meets to the front of `children`, in slot order.
+    ///
+    /// Returns the bit mask of their slots. The entries behind them are undefined.
     fn met(self, node: &Node, ray: &BoxRay, t_max: f32, children: &mut [u32; WIDTH]) -> u32;
 
-    /// Asks for memory that may soon be read.
+    /// Prefetches memory that may be read soon.
     fn prefetch<T>(self, soon: Option<&T>);
 }
 
-/// Two times four lanes in glam's vectors: works everywhere.
+/// The portable kernel: two times four lanes in glam vectors.
 #[derive(Clone, Copy)]
 pub(crate) struct Portable;
 
@@ -88,12 +93,13 @@ impl Kernel for Portable {
     fn prefetch<T>(self, _soon: Option<&T>) {}
 }
 
-/// Eight lanes at once. A value of this type is the proof that the processor has what [`Avx2::detect`] asks for.
+/// The AVX2 kernel: eight lanes. A value of this type proves that the processor has the features that
+/// [`Avx2::detect`] checks.
 #[cfg(target_arch = "x86_64")]
 #[derive(Clone, Copy)]
 pub(crate) struct Avx2(());
 
-/// For every mask of eight lanes, the indices of the lanes in it.
+/// For every 8-bit mask, the indices of its set bits.
 #[cfg(target_arch = "x86_64")]
 static LANES: [[u8; WIDTH]; 1 << WIDTH] = {
     let mut lanes = [[0; WIDTH]; 1 << WIDTH];
@@ -114,7 +120,8 @@ static LANES: [[u8; WIDTH]; 1 << WIDTH] = {
 
 #[cfg(target_arch = "x86_64")]
 impl Avx2 {
-    /// The kernel, if this processor can run it: AVX2, and the bit operations that every processor with AVX2 has.
+    /// Returns the kernel if this processor has AVX2, BMI1, BMI2, LZCNT and POPCNT. Every processor with AVX2
+    /// has the other four.
     #[inline]
     pub fn detect() -> Option<Self> {
         let found = std::arch::is_x86_feature_detected!("avx2")
@@ -125,11 +132,11 @@ impl Avx2 {
         found.then_some(Self(()))
     }
 
-    /// Where the ray enters each box, and in which lanes it does so before it leaves.
+    /// Returns the distance at which the ray enters each box, and a mask of the boxes that it meets.
     #[inline(always)]
     fn slabs(self, node: &Node, ray: &BoxRay, t_max: f32) -> (std::arch::x86_64::__m256, usize) {
         use std::arch::x86_64::*;
-        // SAFETY: `self` exists only where AVX2 was detected; every load is of eight f32 from an array of eight.
+        // SAFETY: `self` exists only if AVX2 was detected. Every load reads eight f32 from an array of eight.
         unsafe {
             let mut enter = _mm256_set1_ps(ray.t_min);
             let mut leave = _mm256_set1_ps(t_max);
@@ -139,7 +146,7 @@ impl Avx2 {
                     let planes = _mm256_loadu_ps(node.bounds[side & 1][axis].as_ptr());
                     _mm256_mul_ps(_mm256_sub_ps(planes, origin), _mm256_set1_ps(inverse))
                 };
-                // max and min return their second operand when either is NaN.
+                // max and min return their second operand when either operand is NaN.
                 enter = _mm256_max_ps(distance(ray.first[axis], ray.inverse[axis]), enter);
                 leave = _mm256_min_ps(distance(ray.first[axis] ^ 1, ray.exit[axis]), leave);
             }
@@ -154,7 +161,7 @@ impl Kernel for Avx2 {
     fn boxes(self, node: &Node, ray: &BoxRay, t_max: f32) -> Boxes {
         let (enter, mask) = self.slabs(node, ray, t_max);
         let mut near = [0.0; WIDTH];
-        // SAFETY: `self` exists only where AVX2 was detected; the store is of eight f32 to an array of eight.
+        // SAFETY: `self` exists only if AVX2 was detected. The store writes eight f32 to an array of eight.
         unsafe { std::arch::x86_64::_mm256_storeu_ps(near.as_mut_ptr(), enter) };
         Boxes { near, mask: mask as u32 }
     }
@@ -164,8 +171,8 @@ impl Kernel for Avx2 {
         use std::arch::x86_64::*;
         let (_, mask) = self.slabs(node, ray, t_max);
         let lanes = &LANES[mask & 0xff];
-        // SAFETY: `self` exists only where AVX2 was detected; eight bytes are read from an array of eight, eight u32 are read
-        // from and written to arrays of eight.
+        // SAFETY: `self` exists only if AVX2 was detected. The first load reads eight bytes from an array of
+        // eight. The second load and the store access eight u32 in arrays of eight.
         unsafe {
             let order = _mm256_cvtepu8_epi32(_mm_loadl_epi64(lanes.as_ptr().cast()));
             let all = _mm256_loadu_si256(node.children.as_ptr().cast());
@@ -179,7 +186,7 @@ impl Kernel for Avx2 {
         use std::arch::x86_64::*;
         let start = soon.map_or(std::ptr::null(), std::ptr::from_ref).cast::<i8>();
         for line in [0, 64, 128] {
-            // SAFETY: a prefetch reads nothing that the program could see, and no address makes it fault.
+            // SAFETY: a prefetch has no visible effect on memory, and no address makes it fault.
             unsafe { _mm_prefetch::<_MM_HINT_T0>(start.wrapping_add(line)) };
         }
     }

@@ -1,14 +1,17 @@
-//! Which triangle does a ray meet first, and does it meet any?
+//! Bounding volume hierarchy: finds the closest triangle that a ray hits, or whether it hits any.
 //!
-//! The tree is built by `obvhs` (PLOC with reinsertion), collapsed to eight children a node at the least expected cost, and
-//! traversed by our own loop, for three reasons: it counts what it does ([`Traversal`]), so that cost is a number that two runs agree
-//! on; its triangle test is watertight; and it tests eight boxes and four triangles at a time.
+//! `obvhs` builds a binary tree (PLOC with reinsertion). It is then collapsed to eight children per node at
+//! the least expected cost. The traversal is our own, for three reasons:
+//! * It counts its steps ([`Traversal`]). These counts are a measure of cost that is the same in every run.
+//! * Its triangle test is watertight.
+//! * It tests eight boxes and four triangles at a time.
 //!
-//! What holds, whatever the processor, the thread or the shape of the tree:
-//! * a closed mesh has no cracks: shared edges are decided by sign alone, in f64 where f32 says zero
-//!   (Woop, Benthin, Wald 2013), and a ray through an edge or a corner meets one of the triangles that share it;
-//! * of several triangles at exactly the same distance the one of the lowest index wins;
-//! * the portable and the AVX2 kernel return the same bits, and count the same.
+//! The following holds for every processor, thread and tree shape:
+//! * A closed mesh has no cracks. Shared edges are decided by sign alone, in f64 where the f32 result is zero
+//!   (Woop, Benthin and Wald 2013). A ray through an edge or a corner hits one of the triangles that share
+//!   it.
+//! * Among triangles at exactly the same distance, the one with the lowest index wins.
+//! * The portable and the AVX2 kernel return the same bits and the same counts.
 
 mod build;
 mod collapse;

@@ -1,26 +1,26 @@
-//! The tree as it lies in memory.
+//! The tree's memory layout.
 
 use glam::Vec4;
 
-/// Marks a child that is a leaf: the other bits are the index of its triangle group.
+/// Marks a child that is a leaf. The other bits are the index of its triangle group.
 pub(crate) const LEAF: u32 = 1 << 31;
 
-/// No child: what lies below the last subtree that waits to be visited. A leaf of no group.
+/// No child. It also marks the bottom of the traversal stack. Its bits read as a leaf without a group.
 pub(crate) const END: u32 = u32::MAX;
 
-/// Children of a node, at most.
+/// Maximum number of children per node.
 pub(crate) const WIDTH: usize = 8;
 
-/// Triangles in a group, at most.
+/// Maximum number of triangles per group.
 pub(crate) const GROUP: usize = 4;
 
-/// Eight boxes, axis by axis, and what is in them. A slot without child holds an inverted box that no ray meets.
+/// Eight boxes, stored axis by axis, and their children. An empty slot has an inverted box that no ray meets.
 ///
-/// The later a slot, the sooner a ray that looks for any hit should go there: see [`crate::collapse`].
+/// Later slots have higher priority in an any-hit query; see [`crate::collapse`].
 #[repr(C, align(32))]
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Node {
-    /// `bounds[0]` the lower and `bounds[1]` the upper planes, each by axis and slot.
+    /// `bounds[0]` holds the lower planes and `bounds[1]` the upper planes, each indexed by axis and slot.
     pub bounds: [[[f32; WIDTH]; 3]; 2],
     pub children: [u32; WIDTH],
 }
@@ -32,7 +32,8 @@ impl Node {
     };
 }
 
-/// Up to four triangles, `corners[corner][axis]` by lane. Unused lanes repeat the last triangle.
+/// Up to four triangles, as `corners[corner][axis]` with one triangle per lane. Unused lanes repeat the last
+/// triangle.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Group {
     pub corners: [[Vec4; 3]; 3],
@@ -44,23 +45,25 @@ pub(crate) struct Group {
 pub struct Bvh {
     pub(crate) nodes: Vec<Node>,
     pub(crate) groups: Vec<Group>,
-    /// Nodes on the longest way from the root, counted with the root.
+    /// Number of nodes on the longest path from the root, including the root.
     pub(crate) depth: usize,
 }
 
 impl Bvh {
-    /// Number of nodes and of triangle groups: the deterministic cost of a build.
+    /// Number of nodes and number of triangle groups. They measure the cost of a build deterministically.
     pub fn size(&self) -> (usize, usize) {
         (self.nodes.len(), self.groups.len())
     }
 
-    /// Memory held, bytes.
+    /// Memory used by nodes and groups, in bytes.
     pub fn bytes(&self) -> usize {
         size_of_val(self.nodes.as_slice()) + size_of_val(self.groups.as_slice())
     }
 
-    /// Room that a traversal needs for subtrees that wait. A node on the way down leaves at most seven behind, as its
-    /// eighth child is the next node; the last one may write eight before one is taken; and below them lies [`END`].
+    /// Number of stack entries that a traversal needs.
+    ///
+    /// Each node on the way down leaves at most seven children on the stack, because the eighth is visited
+    /// next. The last node may write eight before one is taken. One more entry holds [`END`].
     pub(crate) fn waiting(&self) -> usize {
         (WIDTH - 1) * self.depth.saturating_sub(1) + WIDTH + 1
     }

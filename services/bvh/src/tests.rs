@@ -1,4 +1,4 @@
-//! The tree against testing every triangle, and every kernel against the others.
+//! Compares the tree with a test of every triangle, and the kernels with each other.
 
 use crate::kernel::Portable;
 use crate::node::{Bvh, END, GROUP, Group, LEAF};
@@ -8,7 +8,7 @@ use crate::triangle::Shear;
 use glam::{Vec3, Vec4};
 use proptest::prelude::*;
 
-/// What the queries return for one ray, and what they counted.
+/// Results of both queries for one ray, and their step counts.
 type Answer = (Option<Hit>, bool, [(u64, u64); 2]);
 
 fn portable(bvh: &Bvh, ray: &Ray) -> Answer {
@@ -35,12 +35,12 @@ fn avx2(_: &Bvh, _: &Ray) -> Option<Answer> {
     None
 }
 
-/// Hits as bits, so that −0 and NaN are told apart as well.
+/// A hit as bits, so that −0 and NaN are compared exactly.
 fn bits(hit: Option<Hit>) -> Option<[u32; 4]> {
     hit.map(|h| [h.t.to_bits(), h.primitive, h.u.to_bits(), h.v.to_bits()])
 }
 
-/// The answer of the portable kernel, after the others were found to give the same.
+/// The portable kernel's answer, after checking that the other kernels return the same.
 fn answer(bvh: &Bvh, ray: &Ray) -> (Option<Hit>, bool) {
     let one = portable(bvh, ray);
     if let Some(other) = avx2(bvh, ray) {
@@ -49,7 +49,7 @@ fn answer(bvh: &Bvh, ray: &Ray) -> (Option<Hit>, bool) {
     (one.0, one.1)
 }
 
-/// How many triangles the ray meets.
+/// Number of triangles that the ray meets.
 fn faces_met(positions: &[Vec3], triangles: &[[u32; 3]], ray: &Ray) -> usize {
     let shear = Shear::new(ray);
     let meets = |triangle: &&[u32; 3]| {
@@ -60,7 +60,7 @@ fn faces_met(positions: &[Vec3], triangles: &[[u32; 3]], ray: &Ray) -> usize {
     triangles.iter().filter(meets).count()
 }
 
-/// The closest hit, from testing every triangle.
+/// The closest hit, found by testing every triangle.
 fn brute_force(positions: &[Vec3], triangles: &[[u32; 3]], ray: &Ray) -> Option<Hit> {
     let shear = Shear::new(ray);
     let mut best: Option<Hit> = None;
@@ -78,7 +78,7 @@ fn brute_force(positions: &[Vec3], triangles: &[[u32; 3]], ray: &Ray) -> Option<
     best
 }
 
-/// A soup of triangles and rays from a counter, so that every run tests the same.
+/// A soup of triangles and rays from a fixed seed, the same in every run.
 fn soup() -> (Vec<Vec3>, Vec<[u32; 3]>, Vec<Ray>) {
     let mut state = 1u32;
     let mut next = || {
@@ -145,7 +145,7 @@ fn every_triangle_is_in_the_tree_and_no_node_lies_deeper_than_the_tree_says() {
 
 #[test]
 fn a_triangle_seen_edge_on_is_not_hit_at_infinity() {
-    // The area that the ray sees is denormal, and has no inverse.
+    // The area seen along the ray is denormal, so its reciprocal is infinite.
     let positions = [Vec3::new(-4.0, 1.0, -3.0), Vec3::new(-4.0, -1.0, -3.0), Vec3::new(-4.0, 0.0, -1.0)];
     let bvh = Bvh::build(&positions, &[[0, 1, 2]]);
     let ray = Ray::new(Vec3::new(-4.0, 0.0, 0.0), Vec3::new(1e-40, -0.0, -0.5));
@@ -161,7 +161,8 @@ fn an_empty_tree_is_never_hit() {
 
 #[test]
 fn a_tree_as_deep_as_its_triangles_are_many_has_room_for_what_waits() {
-    // Boxes nested in each other: the same corner, sizes by powers of two over the whole range that squares leave.
+    // Nested boxes that share a corner. Their sizes are powers of two over the whole range whose squares are
+    // finite.
     let sizes = (-58..58).map(|i| (i as f32).exp2());
     let positions: Vec<Vec3> = sizes
         .flat_map(|s| [Vec3::ZERO, s * Vec3::new(1.0, 0.9, 0.1), s * Vec3::new(0.2, 1.0, 1.0)])
@@ -177,7 +178,7 @@ fn a_tree_as_deep_as_its_triangles_are_many_has_room_for_what_waits() {
 
 #[test]
 fn of_triangles_at_the_same_distance_the_lowest_index_wins_wherever_it_lies_in_the_tree() {
-    // A wall of the same square, many times over, with something in between to spread it over the tree.
+    // Many copies of one square, with other triangles in between to spread the copies over the tree.
     let square = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]];
     let mut positions = Vec::new();
     let mut triangles = Vec::new();
@@ -208,7 +209,7 @@ fn coarse_point() -> impl Strategy<Value = Vec3> {
     [coarse(), coarse(), coarse()].prop_map(Vec3::from)
 }
 
-/// Directions with every kind of component: whole, zero of either sign, denormal, huge and any.
+/// Directions with every kind of component: integers, zeros of either sign, denormal, huge and random.
 fn direction() -> impl Strategy<Value = Vec3> {
     let component = prop_oneof![
         4 => (-3i8..=3).prop_map(f32::from),
@@ -241,7 +242,8 @@ proptest! {
         picks in prop::collection::vec([any::<prop::sample::Index>(), any::<prop::sample::Index>(), any::<prop::sample::Index>()], 1..120),
         rays in prop::collection::vec((coarse_point(), axis_parallel()), 16),
     ) {
-        // Indices at random: triangles that share edges, that are the same twice, that are a line or a point.
+        // Random indices give triangles that share edges, duplicates, and triangles that degenerate to a line
+        // or a point.
         let triangles: Vec<[u32; 3]> = picks.iter().map(|p| p.map(|i| i.index(positions.len()) as u32)).collect();
         let bvh = Bvh::build(&positions, &triangles);
         for (origin, direction) in rays {
@@ -264,11 +266,12 @@ proptest! {
                 let expected = brute_force(&positions, &triangles, &ray);
                 let (found, met) = answer(&bvh, &ray);
                 prop_assert_eq!(met, found.is_some(), "{:?}", ray);
-                // What the tree finds is a hit: none is nearer than the nearest.
+                // What the tree finds is a real hit: it is not nearer than the nearest.
                 let nearest = expected.map_or(f32::INFINITY, |hit| hit.t);
                 prop_assert!(found.is_none_or(|hit| hit.t >= nearest), "{:?} {:?} {:?}", ray, found, expected);
-                // And it finds every hit but for rounding: at the border of a triangle its box may say no where the triangle says yes,
-                // and of two triangles that are equally far either may be nearer.
+                // The tree finds every hit up to rounding. At a triangle's border the box test may fail where
+                // the triangle test succeeds, and of two triangles at nearly the same distance either may
+                // win.
                 if expected.is_some_and(|hit| hit.u.min(hit.v).min(1.0 - hit.u - hit.v) > 1e-5) {
                     let far = nearest * (1.0 + 1e-5);
                     prop_assert!(found.is_some_and(|hit| hit.t <= far), "{:?} {:?} {:?}", ray, found, expected);
@@ -316,7 +319,7 @@ proptest! {
         for (triangle, corner, kind, share) in aims {
             let corners = triangles[triangle.index(triangles.len())].map(|v| positions[v as usize]);
             let [a, b] = [0, 1].map(|i| corners[(corner.index(3) + i) % 3]);
-            // The globe is seen whole from its centre.
+            // The whole globe is visible from its centre.
             let origin = centre * scale;
             let direction = match kind {
                 0 => a - origin,
@@ -333,7 +336,7 @@ proptest! {
     }
 }
 
-/// A globe of 8 by 16 faces with a radius for each of its 112 inner vertices and its two poles.
+/// A globe of 8 by 16 faces, with one radius for each of its 112 inner vertices and its two poles.
 fn dented_globe(radii: &[f32], centre: Vec3, scale: f32) -> (Vec<Vec3>, Vec<[u32; 3]>) {
     const RINGS: u32 = 7;
     const AROUND: u32 = 16;
@@ -363,7 +366,8 @@ fn dented_globe(radii: &[f32], centre: Vec3, scale: f32) -> (Vec<Vec3>, Vec<[u32
     (positions, triangles)
 }
 
-/// A box with `cells` by `cells` squares on every side. Vertices of two sides are the same to the last bit.
+/// A box with `cells` by `cells` squares on every side. Vertices shared by two sides are equal to the last
+/// bit.
 fn tiled_box(cells: u32, corner: Vec3, size: Vec3) -> (Vec<Vec3>, Vec<[u32; 3]>) {
     let at = |steps: [u32; 3]| {
         corner + size * Vec3::from(steps.map(|s| if s == cells { 1.0 } else { s as f32 / cells as f32 }))

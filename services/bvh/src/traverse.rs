@@ -1,4 +1,7 @@
-//! The two queries: the closest hit, and whether there is any.
+//! The two queries: the closest hit, and whether there is any hit.
+//!
+//! Both walk the tree depth-first with an explicit stack. Each exists once, generic over the box test
+//! ([`Kernel`]), and is compiled a second time with AVX2 enabled.
 
 use crate::kernel::{BoxRay, Boxes, EXIT_SCALE, Kernel, Portable};
 use crate::node::{Bvh, END, LEAF, Node, WIDTH};
@@ -6,8 +9,11 @@ use crate::ray::{Entry, Hit, Ray, Traversal};
 use crate::triangle::Shear;
 
 impl Bvh {
-    /// The hit of smallest `t` in (`t_min`, `t_max`] that `keep` accepts; of equal ones, the lowest triangle index.
-    /// `keep` is asked for every hit that would be the closest so far, so it must depend on the hit alone.
+    /// The hit with the smallest `t` in (`t_min`, `t_max`] that `keep` accepts. Ties go to the lowest
+    /// triangle index.
+    ///
+    /// `keep` is called for each hit that would be the closest so far. Its result must depend only on the
+    /// hit.
     pub fn closest(&self, ray: &Ray, keep: impl Fn(&Hit) -> bool, steps: &mut Traversal) -> Option<Hit> {
         #[cfg(target_arch = "x86_64")]
         if let Some(kernel) = crate::kernel::Avx2::detect() {
@@ -17,7 +23,7 @@ impl Bvh {
         closest(self, Portable, ray, keep, steps)
     }
 
-    /// Whether anything that `keep` accepts lies at `t` in (`t_min`, `t_max`].
+    /// Returns `true` if a hit that `keep` accepts lies at `t` in (`t_min`, `t_max`].
     pub fn any(&self, ray: &Ray, keep: impl Fn(&Hit) -> bool, steps: &mut Traversal) -> bool {
         #[cfg(target_arch = "x86_64")]
         if let Some(kernel) = crate::kernel::Avx2::detect() {
@@ -69,7 +75,7 @@ pub(crate) fn closest<K: Kernel>(
     let mut best: Option<Hit> = None;
     let mut t_max = finite(ray.t_max);
     let mut cull = t_max * EXIT_SCALE;
-    let stack = room(&mut steps.stack, bvh.waiting());
+    let stack = grown(&mut steps.stack, bvh.waiting());
     stack[0] = Entry { near: f32::NEG_INFINITY, child: END };
     let mut top = 1;
     let mut current = 0;
@@ -92,14 +98,14 @@ pub(crate) fn closest<K: Kernel>(
             let candidates = shear.group(group, t_max);
             let mut mask = candidates.mask;
             while mask != 0 {
-                let hit = candidates.hit(group, take(&mut mask));
+                let hit = candidates.hit(group, pop_lowest_bit(&mut mask));
                 let closer = match best {
                     Some(b) => hit.t < b.t || (hit.t == b.t && hit.primitive < b.primitive),
                     None => true,
                 };
                 if closer && keep(&hit) {
                     t_max = hit.t;
-                    // A subtree that begins at the best hit may hold an equal one of lower index.
+                    // A subtree that begins at the best hit may hold an equal hit with a lower index.
                     cull = t_max * EXIT_SCALE;
                     best = Some(hit);
                 }
@@ -115,8 +121,9 @@ pub(crate) fn closest<K: Kernel>(
     }
 }
 
-/// Of the children that the ray meets, at least one, returns the nearest; the others wait, the farthest at the bottom. Of equally
-/// near ones, that of the later slot comes first.
+/// Returns the nearest child that the ray meets, and pushes the others onto the stack, the farthest first.
+///
+/// At least one child must be met. Of equally near children, the one in the later slot comes first.
 #[inline(always)]
 fn nearest<K: Kernel>(
     bvh: &Bvh,
@@ -127,7 +134,7 @@ fn nearest<K: Kernel>(
     top: &mut usize,
 ) -> u32 {
     let mut next = || {
-        let slot = take(&mut mask);
+        let slot = pop_lowest_bit(&mut mask);
         (Entry { near: near[slot], child: node.children[slot] }, mask == 0)
     };
     let (first, last) = next();
@@ -135,8 +142,8 @@ fn nearest<K: Kernel>(
         return first.child;
     }
     let (second, mut last) = next();
-    fetch(bvh, kernel, first.child);
-    fetch(bvh, kernel, second.child);
+    prefetch_child(bvh, kernel, first.child);
+    prefetch_child(bvh, kernel, second.child);
     let (first, second) = if second.near <= first.near { (second, first) } else { (first, second) };
     let bottom = *top;
     stack[bottom] = second;
@@ -149,7 +156,7 @@ fn nearest<K: Kernel>(
     while !last {
         let entry;
         (entry, last) = next();
-        fetch(bvh, kernel, entry.child);
+        prefetch_child(bvh, kernel, entry.child);
         let mut at = *top;
         while at > bottom && stack[at - 1].near < entry.near {
             stack[at] = stack[at - 1];
@@ -162,23 +169,24 @@ fn nearest<K: Kernel>(
     stack[*top].child
 }
 
-/// No hit lies infinitely far, as does one on a triangle seen so nearly edge-on that its area has no inverse.
+/// Limits `t_max` to finite values, because a hit is never infinitely far. An infinite `t` arises from a
+/// triangle seen so nearly edge-on that the reciprocal of its area is infinite.
 #[inline(always)]
 fn finite(t_max: f32) -> f32 {
     t_max.min(f32::MAX)
 }
 
-/// Removes the lowest bit and returns its index.
+/// Removes the lowest set bit and returns its index.
 #[inline(always)]
-fn take(mask: &mut u32) -> usize {
+fn pop_lowest_bit(mask: &mut u32) -> usize {
     let index = mask.trailing_zeros() as usize;
     *mask &= *mask - 1;
     index
 }
 
-/// Asks for the memory of a child, while others are still being sorted.
+/// Prefetches a child while the other children are still being sorted.
 #[inline(always)]
-fn fetch<K: Kernel>(bvh: &Bvh, kernel: K, child: u32) {
+fn prefetch_child<K: Kernel>(bvh: &Bvh, kernel: K, child: u32) {
     if child & LEAF == 0 {
         kernel.prefetch(bvh.nodes.get(child as usize));
     } else {
@@ -186,9 +194,9 @@ fn fetch<K: Kernel>(bvh: &Bvh, kernel: K, child: u32) {
     }
 }
 
-/// The front of a scratch vector, at least `length` long.
+/// The scratch vector as a slice, grown to at least `length` entries.
 #[inline(always)]
-fn room<T: Copy + Default>(scratch: &mut Vec<T>, length: usize) -> &mut [T] {
+fn grown<T: Copy + Default>(scratch: &mut Vec<T>, length: usize) -> &mut [T] {
     if scratch.len() < length {
         scratch.resize(length, T::default());
     }
@@ -211,7 +219,7 @@ pub(crate) fn any<K: Kernel>(
     let (mut nodes, mut triangles) = (0, 0);
     let t_max = finite(ray.t_max);
     let cull = t_max * EXIT_SCALE;
-    let stack = room(&mut steps.children, bvh.waiting());
+    let stack = grown(&mut steps.children, bvh.waiting());
     stack[0] = END;
     let mut top = 1;
     let mut current = 0;
@@ -224,8 +232,8 @@ pub(crate) fn any<K: Kernel>(
             };
             let met = kernel.met(node, &boxes, cull, free);
             if met != 0 {
-                // The last, the most promising, comes first: straight from the node, as what was just written takes a while
-                // to be there.
+                // The last child has the highest priority. Read it from the node, because the copy just
+                // written is not available yet.
                 top += met.count_ones() as usize - 1;
                 current = node.children[(u32::BITS - 1 - met.leading_zeros()) as usize];
                 continue;
@@ -239,7 +247,7 @@ pub(crate) fn any<K: Kernel>(
             let mut mask = candidates.mask;
             let mut found = false;
             while mask != 0 {
-                found |= keep(&candidates.hit(group, take(&mut mask)));
+                found |= keep(&candidates.hit(group, pop_lowest_bit(&mut mask)));
             }
             if found {
                 break true;

@@ -1,11 +1,15 @@
-//! One ray against four triangles, watertight.
+//! The watertight test of one ray against four triangles.
+//!
+//! It follows Woop, Benthin and Wald 2013, "Watertight Ray/Triangle Intersection". Edges that the f32 test
+//! cannot decide are evaluated in f64, and a tie-breaking rule decides rays that pass exactly through an edge
+//! or a corner.
 
 use crate::node::{GROUP, Group};
 use crate::ray::{Hit, Ray};
 use glam::{BVec4A, Vec4};
 
-/// A ray prepared for the watertight triangle test: axes permuted so that the ray runs mainly along the last,
-/// then sheared so that it runs along it exactly (Woop, Benthin, Wald 2013, "Watertight Ray/Triangle Intersection").
+/// A ray prepared for the watertight test. The axes are permuted so that the ray runs mainly along the last
+/// one. A shear then makes it run exactly along that axis.
 pub(crate) struct Shear {
     axes: [usize; 3],
     origin: [f32; 3],
@@ -13,7 +17,7 @@ pub(crate) struct Shear {
     t_min: f32,
 }
 
-/// The lanes of a group that the ray meets.
+/// Results for the four triangles of a group. Bits of `mask` mark the triangles that the ray meets.
 pub(crate) struct Candidates {
     t: [f32; GROUP],
     u: [f32; GROUP],
@@ -42,7 +46,7 @@ impl Shear {
         };
         let (mut x, mut y) = ((z + 1) % 3, (z + 2) % 3);
         if d[z] < 0.0 {
-            std::mem::swap(&mut x, &mut y); // keeps the winding
+            std::mem::swap(&mut x, &mut y); // preserves the winding
         }
         let o = ray.origin.to_array();
         Self {
@@ -63,7 +67,7 @@ impl Shear {
             (p, q, along)
         };
         let ((ax, ay, az), (bx, by, bz), (cx, cy, cz)) = (corner(0), corner(1), corner(2));
-        // Scaled barycentrics: twice the signed areas of the three parts as seen along the ray.
+        // Scaled barycentrics: twice the signed areas of the three sub-triangles, seen along the ray.
         let mut u = cx * by - cy * bx;
         let mut v = ax * cy - ay * cx;
         let mut w = bx * ay - by * ax;
@@ -94,13 +98,15 @@ impl Shear {
     }
 }
 
-/// On which side of each edge the ray passes, by sign; through an edge or a corner it passes as a ray would that is moved by (ε, ε²), with
-/// ε as small as you like (Edelsbrunner and Mücke 1990, "Simulation of Simplicity"). So of two triangles that continue each other
-/// exactly one is met at their common edge, and of a fan about a corner exactly one.
+/// Decides on which side of each edge the ray passes, as a sign.
+///
+/// A ray through an edge or a corner is treated as if it were shifted by (ε, ε²), with ε arbitrarily small
+/// (Edelsbrunner and Mücke 1990, "Simulation of Simplicity"). So exactly one of two adjacent triangles is hit
+/// at their common edge, and exactly one triangle of a fan at its centre.
 #[cold]
 #[inline(never)]
 fn decided(sides: [Vec4; 3], [ax, ay]: [Vec4; 2], [bx, by]: [Vec4; 2], [cx, cy]: [Vec4; 2]) -> [Vec4; 3] {
-    // The derivatives of the products with respect to the two shifts.
+    // The derivatives of the edge functions with respect to the two shifts.
     let shifted = [(cy - by, bx - cx), (ay - cy, cx - ax), (by - ay, ax - bx)];
     let zero = |value: Vec4| value.cmpeq(Vec4::ZERO);
     std::array::from_fn(|i| {
@@ -109,8 +115,10 @@ fn decided(sides: [Vec4; 3], [ax, ay]: [Vec4; 2], [bx, by]: [Vec4; 2], [cx, cy]:
     })
 }
 
-/// The scaled barycentrics u, v and w, those of the lanes in `zero` anew in f64. Products of two f32 are exact there, so that
-/// the two triangles at an edge cannot disagree about the side on which the ray passes.
+/// Recomputes the scaled barycentrics u, v and w in f64, for the lanes in `zero`.
+///
+/// Products of two f32 are exact in f64. The two triangles at an edge therefore agree about the side on which
+/// the ray passes.
 #[cold]
 #[inline(never)]
 fn exact(

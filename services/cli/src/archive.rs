@@ -3,8 +3,8 @@
 //! Entries are in byte order of their paths, carry no time of their own and no permissions of this machine, so that
 //! the same folder has the same hash wherever it is packed: the service keeps it once.
 
-use crate::failure::BadInput;
 use anyhow::{Context, Result};
+use forelight_terminal::failure::BadInput;
 use std::fs::{self, File};
 use std::io::{self, Seek, Write};
 use std::path::{Path, PathBuf};

@@ -1,7 +1,7 @@
 //! How a quote's irradiance caches are made, for people.
 
-use crate::quantities::{count, money, seconds};
 use forelight_protocol::{CachePrice, CacheQuote, SeedForecast};
+use forelight_terminal::quantities::{count, money, seconds};
 
 /// One for all frames or one for each, why, and both prices.
 pub fn ways(cache: &CacheQuote) -> String {

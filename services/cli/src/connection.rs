@@ -1,14 +1,32 @@
 //! A connection to the service, from flags and environment.
 
-use crate::failure::BadInput;
-use crate::options::ConnectionOptions;
 use anyhow::{Context, Result};
-use forelight_worker::{Client, Token};
+use clap::Args;
+use forelight_client::{Client, Token};
+use forelight_terminal::failure::BadInput;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Where a farm keeps the operator's token, below its data folder.
 pub const OPERATOR_TOKEN: &str = "tokens/operator.token";
+
+/// Where the service is, and who asks.
+#[derive(Debug, Clone, Args)]
+#[command(next_help_heading = "Connection")]
+pub struct ConnectionOptions {
+    /// Address of the service
+    #[arg(long, value_name = "URL", env = "FORELIGHT_SERVER", default_value = "http://127.0.0.1:7878")]
+    pub server: String,
+    /// File that holds the token
+    #[arg(long, value_name = "FILE")]
+    pub token_file: Option<PathBuf>,
+    /// The token itself; better given by the variable than on the command line
+    #[arg(long, value_name = "TOKEN", env = "FORELIGHT_TOKEN", hide_env_values = true)]
+    pub token: Option<String>,
+    /// Data folder of a farm on this machine: its operator token is used
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
+}
 
 /// A client that speaks for whoever holds the token; of several tokens given, the most explicit counts: the file, then the
 /// text, then the farm's own.

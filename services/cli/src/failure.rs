@@ -5,50 +5,12 @@
 //! delivered); 130 means that the user stopped it.
 
 use forelight_api::ServiceError;
+use forelight_client::ClientError;
 use forelight_protocol::Problem;
 use forelight_store::StoreError;
-use forelight_worker::{ClientError, RenderError};
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_worker::RenderError;
 use std::fmt;
-
-/// What the user gave is wrong: a flag, a file, a value. Ends the program with exit code 2.
-#[derive(Debug)]
-pub struct BadInput {
-    message: String,
-    hint: Option<String>,
-}
-
-impl BadInput {
-    /// An error whose message names the field or file, the place in it, and the reason.
-    pub fn new(message: impl Into<String>) -> Self {
-        Self { message: message.into(), hint: None }
-    }
-
-    /// Adds a line that says what to do about it.
-    pub fn hint(mut self, hint: impl Into<String>) -> Self {
-        self.hint = Some(hint.into());
-        self
-    }
-}
-
-impl fmt::Display for BadInput {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.message)
-    }
-}
-
-impl std::error::Error for BadInput {}
-
-/// The user pressed Ctrl-C (or the process was told to terminate); nothing half-written was left.
-#[derive(Debug)]
-pub struct Interrupted;
-
-impl fmt::Display for Interrupted {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("stopped; nothing half-written was left behind")
-    }
-}
-
-impl std::error::Error for Interrupted {}
 
 /// A budget is threatened: nothing failed, and whoever called has to know. Ends the program with exit code 3.
 #[derive(Debug)]
@@ -124,7 +86,7 @@ fn is_refused_request(cause: &(dyn std::error::Error + 'static)) -> bool {
 fn hint(error: &anyhow::Error) -> Option<String> {
     error.chain().find_map(|cause| {
         if let Some(bad) = cause.downcast_ref::<BadInput>() {
-            return bad.hint.clone();
+            return bad.advice().map(str::to_owned);
         }
         if let Some(ServiceError::Store(StoreError::Damaged { path, .. })) = cause.downcast_ref() {
             return Some(format!(

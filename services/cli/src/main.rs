@@ -1,23 +1,12 @@
 //! `forelight`: the one binary. Every command is in a file of its own under `commands`; what several of them need is beside it.
 
 mod archive;
-mod atomic_file;
-mod bounded_file;
 mod caches;
 mod commands;
 mod connection;
 mod contact_sheet;
-mod cost_picture;
-mod drawing;
 mod failure;
-mod interrupt;
-mod json_file;
-mod local;
-mod open_files;
-mod options;
-mod output;
-mod quantities;
-mod table;
+mod job_options;
 
 use clap::Parser;
 use std::io::{IsTerminal, Write as _};

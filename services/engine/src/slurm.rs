@@ -5,7 +5,7 @@
 //! | `arrays` | which tasks become which arrays: begin, deadline, limit, reservation (pure) |
 //! | `command` | what is said to Slurm's programs (pure) |
 //! | `answer` | what they answer (pure) |
-//! | `judge` | what an element's state in Slurm and its task's state here call for (pure) |
+//! | `next_step` | what an element's state in Slurm and its task's state here call for (pure) |
 //! | `cluster` | runs the programs |
 //! | `engine` | the loop around all that |
 //!
@@ -28,7 +28,7 @@ mod arrays;
 mod cluster;
 mod command;
 mod engine;
-mod judge;
+mod next_step;
 
 pub use cluster::{Cluster, ClusterError, Programs};
 pub use command::Submitting;

@@ -1,31 +1,32 @@
-//! How many samples each stratum gets: Neyman's rule in whole numbers, with a floor and a cap.
+//! How many samples each stratum gets: Neyman allocation in whole numbers, with a floor and a cap per
+//! stratum.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-/// A stratum as the allocation sees it.
+/// A stratum, as far as the allocation is concerned.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cell {
-    /// Pixels in the stratum, N_h: no more samples than this.
+    /// Number of pixels, N_h. The stratum gets no more samples than this.
     pub size: u64,
-    /// Expected standard deviation of the cost of its pixels, S_h ≥ 0, in any unit common to all strata.
+    /// Expected standard deviation of the cost of its pixels, S_h ≥ 0, in a unit that all strata share.
     pub spread: f64,
-    /// Samples that it gets first of all, as far as pixels and samples go.
+    /// Least number of samples, if there are enough pixels and samples.
     pub floor: u64,
 }
 
 /// Divides `samples` over the strata so that the variance Σ N_h² S_h² / n_h of a stratified total is least.
 ///
-/// Starts from the floors and gives each next sample to the stratum of the greatest priority N_h S_h / √(n_h
-/// (n_h + 1)), skipping full ones. That is the exact integer optimum, since the sample takes exactly the
-/// square of its priority off the variance and the priorities of a stratum fall (Wright 2012, "The
+/// Starts from the floors. Each further sample goes to the stratum with the greatest priority N_h S_h / √(n_h
+/// (n_h + 1)) that is not full. A sample reduces the variance by exactly the square of its priority, and the
+/// priorities of a stratum fall. So the result is the exact optimum in whole numbers (Wright 2012, "The
 /// equivalence of Neyman optimum allocation for sampling and equal proportions for apportioning the U.S.
 /// House of Representatives").
 ///
-/// The result sums to `samples`, or to the number of pixels if that is less. Equal priorities go to the
-/// larger stratum by N_h / √(n_h (n_h + 1)), then to the lower index. If the samples do not reach the floors,
-/// they are dealt out in rounds of one in the order of N_h S_h, so that the strata that matter most are not
-/// left empty.
+/// The result sums to `samples`, or to the number of pixels if that is less. Among equal priorities the
+/// stratum with the greater N_h / √(n_h (n_h + 1)) is first, then the lower index. If the samples do not
+/// suffice for the floors, they are dealt out in rounds of one each, in the order of N_h S_h. So the strata
+/// that contribute most to the variance are not left empty.
 pub fn allocate(cells: &[Cell], samples: u64) -> Vec<u64> {
     let mut allocation = vec![0u64; cells.len()];
     let mut left = samples;
@@ -63,9 +64,9 @@ pub fn allocate(cells: &[Cell], samples: u64) -> Vec<u64> {
     allocation
 }
 
-/// A stratum's claim to the next sample.
+/// The claim of a stratum to the next sample.
 struct Bid {
-    /// Whether the stratum has none yet; the first sample takes away an infinite variance.
+    /// Whether the stratum varies and has no sample yet. Its first sample removes an infinite variance.
     empty: bool,
     priority: f64,
     by_size: f64,

@@ -1,4 +1,4 @@
-//! What a pixel cost, and what is said about the cost of many.
+//! The cost of a pixel, and estimates of the cost of many.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,8 +6,9 @@ use serde::{Deserialize, Serialize};
 /// order (Gillibrand et al. 2006).
 pub const RAY_KINDS: usize = 7;
 
-/// Indices of shadow rays and of those that gather indirect light.
+/// Index of shadow rays.
 const SHADOW: usize = 1;
+/// Index of rays that gather indirect light.
 const AMBIENT: usize = 5;
 
 /// Columns that are estimated side by side: work, CPU time, all rays, and the rays of each category.
@@ -16,10 +17,10 @@ pub(crate) const COLUMNS: usize = 3 + RAY_KINDS;
 /// Index of the work column.
 pub(crate) const WORK: usize = 0;
 
-/// One number for each column.
+/// One number per column.
 pub(crate) type Row = [f64; COLUMNS];
 
-/// Adds `factor` times another row.
+/// Adds `factor` times `other` to `row`.
 pub(crate) fn add_scaled(row: &mut Row, factor: f64, other: &Row) {
     for (value, other) in row.iter_mut().zip(other) {
         *value += factor * other;
@@ -38,14 +39,16 @@ pub struct Cost {
 }
 
 impl Cost {
-    /// What a pixel costs with `factor` times as many camera samples, to the nearest whole number. Of its work `extra` is not in proportion to
-    /// them: that is multiplied by `extra_factor`. It is in gathered rays and what comes with them, so its share of the time is that of
-    /// the work, and its rays are ambient and shadow rays.
+    /// The cost of a pixel with `factor` times as many camera samples, rounded to whole numbers.
+    ///
+    /// `extra` is the part of its work that is not proportional to the samples; it is multiplied by
+    /// `extra_factor` instead. That part consists of gathered rays and what they cause. So it has the same
+    /// share of the CPU time as of the work, and its rays are ambient and shadow rays.
     #[must_use]
     pub fn with_samples(&self, factor: f64, extra: u64, extra_factor: f64) -> Self {
         let share = extra.min(self.work) as f64 / self.work.max(1) as f64;
         let mixed = factor + share * (extra_factor - factor);
-        // Saturates at the ends of the range, as float to integer does.
+        // The conversion saturates at the ends of the range.
         let times = |value: u64, factor: f64| (value as f64 * factor).round() as u64;
         let mut rays = self.rays.map(|rays| times(rays, factor));
         for kind in [SHADOW, AMBIENT] {
@@ -54,13 +57,13 @@ impl Cost {
         Self { work: times(self.work, mixed), cpu_nanos: times(self.cpu_nanos, mixed), rays }
     }
 
-    /// The mean of some, to the nearest whole number; nothing of none.
+    /// The mean of all these costs, rounded to whole numbers. Zero if there are none.
     #[must_use]
     pub fn mean(all: &[Self]) -> Self {
         let mean = |of: &dyn Fn(&Self) -> u64| {
             let sum: u128 = all.iter().map(|cost| u128::from(of(cost))).sum();
             let count = (all.len() as u128).max(1);
-            // No more than the largest of them.
+            // The mean fits, because it is at most the largest of them.
             ((sum + count / 2) / count) as u64
         };
         Self {
@@ -70,7 +73,7 @@ impl Cost {
         }
     }
 
-    /// The columns as integers wide enough for any sum over a frame.
+    /// The columns, as integers wide enough for any sum over a frame.
     pub(crate) fn columns(&self) -> [u128; COLUMNS] {
         let mut columns = [0; COLUMNS];
         columns[0] = u128::from(self.work);
@@ -83,23 +86,23 @@ impl Cost {
     }
 }
 
-/// A profiled pixel: the stratum that the preview saw there, and what tracing it cost.
+/// A profiled pixel: its stratum by the preview, and its measured cost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Observation {
     /// Index of the pixel's stratum.
     pub stratum: u32,
-    /// What the pixel cost.
+    /// Cost of tracing the pixel.
     pub cost: Cost,
 }
 
-/// One value of type `T` for each kind of cost.
+/// One value for each kind of cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Costs<T> {
-    /// Operations.
+    /// Count of operations.
     pub work: T,
     /// Thread CPU time in nanoseconds.
     pub cpu_nanos: T,
-    /// Rays of all categories together.
+    /// Rays of all categories.
     pub all_rays: T,
     /// Rays by category, in the order of [`RAY_KINDS`].
     pub rays: [T; RAY_KINDS],
@@ -112,20 +115,50 @@ impl<T: Copy> From<[T; COLUMNS]> for Costs<T> {
     }
 }
 
-/// An estimated total with its one-sided quantiles. A total of which everything is known has all of them equal.
+impl Costs<f64> {
+    /// The sum of both.
+    #[must_use]
+    pub fn plus(&self, other: &Self) -> Self {
+        Self {
+            work: self.work + other.work,
+            cpu_nanos: self.cpu_nanos + other.cpu_nanos,
+            all_rays: self.all_rays + other.all_rays,
+            rays: std::array::from_fn(|kind| self.rays[kind] + other.rays[kind]),
+        }
+    }
+
+    /// This cost times `factor`.
+    #[must_use]
+    pub fn times(&self, factor: f64) -> Self {
+        Self {
+            work: self.work * factor,
+            cpu_nanos: self.cpu_nanos * factor,
+            all_rays: self.all_rays * factor,
+            rays: self.rays.map(|rays| rays * factor),
+        }
+    }
+}
+
+impl From<Cost> for Costs<f64> {
+    fn from(cost: Cost) -> Self {
+        Self::from(cost.columns().map(|value| value as f64))
+    }
+}
+
+/// An estimated total with one-sided quantiles. All four are equal if the total is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Quantity {
-    /// The estimate; unbiased where every group of strata was sampled.
+    /// The estimate. Unbiased if every group of strata was sampled.
     pub mean: f64,
-    /// The total is as likely above as below this.
+    /// Median.
     pub p50: f64,
-    /// The total stays below this in four cases of five.
+    /// 80 % quantile.
     pub p80: f64,
-    /// The total stays below this in nineteen cases of twenty.
+    /// 95 % quantile.
     pub p95: f64,
-    /// Estimated variance of the estimate, before any inflation.
+    /// Estimated variance of the estimate, without inflation.
     pub variance: f64,
-    /// Degrees of freedom behind the variance; infinite where the variance is zero.
+    /// Degrees of freedom behind the variance. Infinite where the variance is zero.
     pub degrees_of_freedom: f64,
 }
 
@@ -139,11 +172,11 @@ mod tests {
         assert_eq!(pixel.with_samples(1.0, 60, 1.0), pixel);
         let four_times = Cost { work: 400, cpu_nanos: 4000, rays: [16, 32, 0, 8, 0, 160, 0] };
         assert_eq!(pixel.with_samples(4.0, 0, 1.5), four_times);
-        // 40 · 4 + 60 · 1.5 of 100.
+        // (40 · 4 + 60 · 1.5) / 100 times the cost of the pixel.
         let mixed = Cost { work: 250, cpu_nanos: 2500, rays: [16, 20, 0, 8, 0, 100, 0] };
         assert_eq!(pixel.with_samples(4.0, 60, 1.5), mixed);
         assert_eq!(Cost::default().with_samples(4.0, 60, 1.5), Cost::default());
-        // More than all is all.
+        // An extra part of more than the whole counts as the whole.
         assert_eq!(pixel.with_samples(4.0, 1000, 1.5).work, 150);
     }
 }

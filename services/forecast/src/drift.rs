@@ -1,39 +1,44 @@
-//! How far unit costs wander between profiled frames.
+//! How far unit costs drift between profiled frames.
+//!
+//! Unit costs are carried from profiled frames to others. The error of that is modelled as a random walk,
+//! whose variance rate is learnt by predicting each profiled frame from the others.
 
 use std::collections::BTreeSet;
 
-use crate::clock::ShotClock;
-use crate::frames::FramePopulation;
 use crate::interval::Part;
 use crate::moments::sum;
+use crate::population::FramePopulation;
+use crate::shot_clock::ShotClock;
 
-/// What a surface costs under lights that no profiled frame has is off as by a walk of so many shot lengths.
+/// Variance for frames whose lights no profiled frame has, in shot lengths of the walk.
 const UNKNOWN_LIGHTS: f64 = 4.0;
 
-/// Prior log-standard deviation that a frame's cost picks up over a third of the shot, beyond what its pixel
-/// counts explain.
+/// Prior standard deviation of the logarithm that a frame's cost gains over a third of the shot, beyond what
+/// its pixel counts explain.
 const PRIOR_DEVIATION: f64 = 0.1;
 
-/// Weight of the prior, in leave-one-out comparisons.
+/// Weight of the prior, as a number of leave-one-out comparisons.
 const PRIOR_FREEDOM: f64 = 2.0;
 
-/// The residual d_t = ln(y_t / ŷ_t) of the carried frames, as a random walk of variance q per frame of the shot's
-/// clock that is zero at every profiled frame: a Brownian bridge between two of them, with Cov(d_s, d_t) = q (s − L)(R − t)
-/// / (R − L) for L ≤ s ≤ t ≤ R, and a free walk before the first and after the last. Frames in which other lights shine have a walk of
-/// their own, of the same q; frames with lights of which none is profiled are all off by the same, as far as a walk goes that is [`UNKNOWN_LIGHTS`]
-/// times as long as the shot.
+/// The residuals d_t = ln(y_t / ŷ_t) of carried frames, modelled as a random walk.
 ///
-/// It is the rough relative of a Gaussian process with Matérn covariance. A handful of profiled frames cannot
-/// show a length scale; the walk needs none, is never too sure between frames, and has closed forms. Its one
-/// parameter starts from a prior (10 % over a third of the shot, worth two comparisons) and learns from
-/// leaving each profiled frame out; the degrees of freedom are the comparisons plus two, so with few profiled
-/// frames the quantiles are wide.
+/// The walk has the variance q per frame of the shot's clock, and is zero at every profiled frame. Between
+/// two profiled frames it is a Brownian bridge: Cov(d_s, d_t) = q (s − L)(R − t) / (R − L) for L ≤ s ≤ t ≤ R.
+/// Before the first and after the last it is a free walk. Each set of shining lights has a walk of its own
+/// with the same q. Frames with lights that no profiled frame has share one error, with the variance of a
+/// walk over [`UNKNOWN_LIGHTS`] shot lengths.
+///
+/// This is a rough relative of a Gaussian process with Matérn covariance. A handful of profiled frames cannot
+/// show a length scale. The walk needs none, does not become overconfident between frames, and has closed
+/// forms. Its one parameter q starts from a prior: 10 % over a third of the shot, with the weight of two
+/// comparisons. It then learns from leaving each profiled frame out. The degrees of freedom are the
+/// comparisons plus two, so few profiled frames give wide quantiles.
 #[derive(Clone, Debug)]
 pub(crate) struct Drift {
     times: Vec<f64>,
-    /// Of the shot, in frames.
+    /// Length of the shot, in frames.
     length: f64,
-    /// Which lights shine, frame by frame.
+    /// The set of shining lights of each frame.
     lights: Vec<u32>,
     /// Indices of the profiled frames, increasing.
     profiled: Vec<usize>,
@@ -43,13 +48,15 @@ pub(crate) struct Drift {
 }
 
 impl Drift {
-    /// Variance per frame of the shot's clock before anything is learnt. The shot is as long as it has frames: what a cut adds to the clock must not
-    /// make the walk across it shorter.
+    /// Prior variance per frame of the shot's clock.
+    ///
+    /// The length of the shot is its number of frames, without what cuts add to the clock. Otherwise a cut
+    /// would reduce the variance across it.
     pub fn prior_rate(clock: &ShotClock) -> f64 {
         PRIOR_DEVIATION * PRIOR_DEVIATION / (clock.frames().max(1.0) / 3.0)
     }
 
-    /// The prior walk over the frames.
+    /// The walk over these frames, with its prior rate.
     pub fn new(clock: &ShotClock, frames: &[FramePopulation], profiled: Vec<usize>) -> Self {
         Drift {
             times: clock.times().to_vec(),
@@ -62,13 +69,15 @@ impl Drift {
         }
     }
 
-    /// Of what does not drift.
-    pub fn standing_still(self) -> Self {
+    /// The same for a cost that does not drift: the prior rate is zero.
+    pub fn without_drift(self) -> Self {
         Self { prior: 0.0, ..self }
     }
 
-    /// Takes in that the profiled frame number `k` was missed by `residual` (logarithm) when predicted from
-    /// the others, of which sampling explains the variance `noise`. If it is the only one with its lights, it says nothing of the walk.
+    /// Learns from predicting profiled frame number `k` by the others.
+    ///
+    /// `residual` is the logarithm of true over predicted cost, and `noise` its variance due to sampling. A
+    /// frame that is the only one with its lights shows nothing about the walk and is ignored.
     pub fn learn(&mut self, k: usize, residual: f64, noise: f64) {
         let at = self.profiled[k];
         let others: Vec<usize> = self.pins(self.lights[at]).filter(|&other| other != at).collect();
@@ -79,8 +88,7 @@ impl Drift {
         }
     }
 
-    /// Variance per frame. Comparisons that say less than nothing (less error than sampling explains) lower
-    /// it, but not below zero.
+    /// Variance per frame. Comparisons with less error than sampling explains lower it, but not below zero.
     fn rate(&self) -> f64 {
         ((PRIOR_FREEDOM * self.prior + self.learnt) / (PRIOR_FREEDOM + self.comparisons)).max(0.0)
     }
@@ -92,7 +100,7 @@ impl Drift {
         }
     }
 
-    /// The carried part of the variance of frame t, whose total is `total`.
+    /// Variance due to carrying of frame t, whose total is `total`.
     pub fn of_frame(&self, t: usize, total: f64) -> Part {
         let pins: Vec<usize> = self.pins(self.lights[t]).collect();
         let spread = if pins.is_empty() { UNKNOWN_LIGHTS * self.length } else { self.spread(t, &pins) };
@@ -104,10 +112,10 @@ impl Drift {
         self.profiled.iter().copied().filter(move |&k| self.lights[k] == lights)
     }
 
-    /// The carried part of the variance of the sum over all frames, where frame t has the total `totals[t]`.
+    /// Variance due to carrying of the sum over all frames, where frame t has the total `totals[t]`.
     ///
-    /// With walk steps of length Δ_i and S_i the sum of the totals after step i, the variance of a free walk
-    /// is q Σ Δ_i S_i²; pinning its end takes off q (Σ Δ_i S_i)² / Σ Δ_i.
+    /// Let the walk have steps of length Δ_i, and let S_i be the sum of the totals after step i. A free walk
+    /// has the variance q Σ Δ_i S_i². Pinning its end reduces that by q (Σ Δ_i S_i)² / Σ Δ_i.
     pub fn of_total(&self, totals: &[f64]) -> Part {
         let known: BTreeSet<u32> = self.profiled.iter().map(|&k| self.lights[k]).collect();
         let of_set = |&lights: &u32| {
@@ -115,29 +123,29 @@ impl Drift {
             let totals: Vec<f64> = totals.iter().zip(&self.lights).map(own).collect();
             self.variance_of_set(&self.pins(lights).collect::<Vec<_>>(), &totals)
         };
-        // All others take their unit costs from the same few frames, so what these are off is in all of them.
+        // All other frames take their unit costs from the same few frames, so they share one error.
         let others = totals.iter().zip(&self.lights).filter(|(_, of)| !known.contains(of));
         let borrowed = sum(others.map(|(&total, _)| total));
         let of_others = UNKNOWN_LIGHTS * borrowed * borrowed * self.length;
         self.part(sum(known.iter().map(of_set)) + of_others)
     }
 
-    /// The same for the frames with the same lights, of which these are profiled, per variance of the walk; all others have a total of zero. If none
-    /// is, nothing is known of them here.
+    /// The same for the frames with one set of lights, in units of the rate. `pins` are the profiled ones of
+    /// them, and all other frames have a total of zero. Zero if none is profiled.
     fn variance_of_set(&self, pins: &[usize], totals: &[f64]) -> f64 {
         let (Some(&first), Some(&last)) = (pins.first(), pins.last()) else { return 0.0 };
         let mut variance = self.walk((0..=first).rev(), pins, totals).0;
         variance += self.walk(last..totals.len(), pins, totals).0;
         for ends in pins.windows(2) {
             let (free, with_end, length) = self.walk(ends[0]..ends[1] + 1, pins, totals);
-            // The far end is pinned, so its own total takes no part.
+            // The far end is pinned, so its own total does not count.
             variance += (free - with_end * with_end / length).max(0.0);
         }
         variance
     }
 
-    /// Σ Δ S², Σ Δ S and Σ Δ along a path of frames that starts at a profiled one. Only frames that are not
-    /// profiled have a residual.
+    /// Σ Δ S², Σ Δ S and Σ Δ along a path of frames that starts at a profiled one. Profiled frames have no
+    /// residual, so their totals do not count.
     fn walk(
         &self,
         path: impl DoubleEndedIterator<Item = usize> + Clone,
@@ -158,7 +166,8 @@ impl Drift {
         (squares, sums, length)
     }
 
-    /// Variance of a walk of unit rate at frame t, pinned at the nearest of `pins` (increasing) before and after; zero without any.
+    /// Variance at frame t of a walk of unit rate that is pinned at the nearest of `pins` before and after
+    /// it. Zero without pins. `pins` must be increasing.
     fn spread(&self, t: usize, pins: &[usize]) -> f64 {
         let split = pins.partition_point(|&pin| pin <= t);
         let before = split.checked_sub(1).map(|before| self.times[pins[before]]);
@@ -175,10 +184,10 @@ impl Drift {
 #[cfg(test)]
 mod tests {
     use super::Drift;
-    use crate::clock::ShotClock;
-    use crate::frames::FramePopulation;
+    use crate::population::FramePopulation;
+    use crate::shot_clock::ShotClock;
 
-    /// Every third frame of a shot; `lights` says which shine.
+    /// A shot of every third frame. `lights` are the sets of shining lights.
     fn lit(lights: impl IntoIterator<Item = u32>) -> (ShotClock, Vec<FramePopulation>) {
         let frame = |(number, lights)| FramePopulation {
             number: 3 * number,
@@ -249,7 +258,7 @@ mod tests {
 
     #[test]
     fn frames_with_other_lights_say_nothing_of_each_other() {
-        // On in every second frame; frames 0, 8 and 12 are profiled, all without it.
+        // The light is on in every second frame. Frames 0, 8 and 12 are profiled, all with the light off.
         let (clock, frames) = lit((0..20).map(|t| t % 2));
         let mut drift = Drift::new(&clock, &frames, vec![0, 8, 12]);
         let variance = |drift: &Drift, t| drift.of_frame(t, 1.0).variance;
@@ -264,7 +273,7 @@ mod tests {
         drift.learn(1, 2.0, 0.0);
         assert_eq!(drift.rate(), before, "the only frame with its lights is not expected to be like others");
         assert!(variance(&drift, 9) < variance(&drift, 17));
-        // The bridge goes from 0 to 12, whatever lies between.
+        // The bridge spans frames 0 to 12. Frame 7 has other lights and does not pin it.
         assert!((variance(&drift, 6) / before - 9.0).abs() < 1e-9, "{}", variance(&drift, 6) / before);
     }
 }

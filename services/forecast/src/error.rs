@@ -1,78 +1,78 @@
-//! What can be wrong with the input of a forecast.
+//! Errors in the input of a forecast.
 
 /// Why no forecast can be made.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ForecastError {
-    /// Nothing was measured, so nothing can be said.
+    /// Nothing was measured.
     #[error("no pixel was profiled, so there is nothing to base a forecast on")]
     NoSamples,
-    /// A prior cost is not a positive number.
+    /// A prior cost is not positive and finite.
     #[error("stratum {stratum}: the prior cost must be positive and finite")]
     BadPriorCost {
         /// Index of the stratum.
         stratum: usize,
     },
-    /// An observation or pixel names a stratum that does not exist.
-    #[error("stratum {stratum} is named, but there are only {strata}")]
+    /// An observation or a pixel names a stratum that does not exist.
+    #[error("unknown stratum {stratum}: there are only {strata} strata")]
     UnknownStratum {
-        /// The index that was named.
+        /// The index named.
         stratum: u32,
-        /// How many strata there are.
+        /// Number of strata.
         strata: usize,
     },
-    /// A frame's counts are not one number for each stratum.
+    /// A frame does not have exactly one pixel count for each stratum.
     #[error("frame {frame}: {counts} pixel counts for {strata} strata")]
     CountsLength {
         /// The frame's number.
         frame: i64,
-        /// How many counts it has.
+        /// Number of its counts.
         counts: usize,
-        /// How many strata there are.
+        /// Number of strata.
         strata: usize,
     },
-    /// More pixels of a stratum were profiled than the preview saw.
+    /// More pixels of a stratum were profiled than the preview shows.
     #[error("stratum {stratum}: {samples} pixels profiled, but the preview shows {pixels}")]
     MoreSamplesThanPixels {
         /// Index of the stratum.
         stratum: usize,
-        /// Profiled pixels.
+        /// Number of profiled pixels.
         samples: u64,
-        /// Pixels in the preview.
+        /// Number of pixels in the preview.
         pixels: u64,
     },
-    /// The image of strata is not a whole number of rows.
+    /// The pixels do not fill whole rows.
     #[error("{pixels} pixels do not make whole rows of width {width}")]
     ImageShape {
         /// Number of pixels.
         pixels: usize,
-        /// Stated width.
+        /// Width of a row.
         width: u32,
     },
-    /// Frames are not in strictly increasing order of their numbers.
+    /// Frame numbers do not increase strictly.
     #[error("frame {frame} comes after a frame with the same or a greater number")]
     FrameOrder {
         /// The offending frame's number.
         frame: i64,
     },
     /// A profiled frame is not a frame of the shot, or is given twice.
-    #[error("profiled frame index {index} is unknown or given twice")]
+    #[error("profiled frame index {index} is not a frame of the shot, or is given twice")]
     ProfiledFrame {
         /// Index into the shot's frames.
         index: usize,
     },
-    /// Observations that stand for areas do not match these.
+    /// The areas of [`Expansion::Areas`](crate::Expansion::Areas) do not match the observations or the frame.
     #[error(
-        "{areas} areas of {covered} pixels in all for {observations} observations of a frame of {pixels}"
+        "{areas} areas with {covered} pixels do not match {observations} observations of a frame with {pixels} pixels"
     )]
     Areas {
-        /// How many areas there are.
+        /// Number of areas.
         areas: usize,
-        /// Pixels of all of them.
+        /// Sum of the areas, in pixels.
         covered: u64,
-        /// How many observations there are.
+        /// Number of observations.
         observations: usize,
-        /// Pixels of the frame.
+        /// Number of pixels of the frame.
         pixels: u64,
     },
 }

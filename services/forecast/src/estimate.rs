@@ -1,35 +1,38 @@
-//! What the profiled pixels of one frame say about all of its pixels.
+//! Estimates the cost of one frame from its profiled pixels.
+//!
+//! The stratified expansion estimator, with variances by stratum and degrees of freedom after Satterthwaite.
+//! Groups of strata with fewer than two samples borrow means and variances from related groups. A tail
+//! allowance widens the interval where few pixels dominate the estimate.
 
 use serde::{Deserialize, Serialize};
 
 use crate::cost::{COLUMNS, Costs, Observation, Quantity, Row};
 use crate::error::ForecastError;
 use crate::expansion::Expansion;
-use crate::interval::{Calibration, Part, quantity, together};
+use crate::interval::{Calibration, Part, combined, quantity};
 use crate::moments::{Moments, sum};
 use crate::strata::{Group, Grouping, Stratum, check};
 
-/// Coefficient of variation within a group that is assumed where no group has the two samples that would show
-/// one.
+/// Coefficient of variation within groups, assumed where no group has the two samples that would show one.
 const PRIOR_VARIATION: f64 = 1.0;
 
-/// Least coefficient of variation between strata: strata of one material are taken to differ by a half, even
-/// where a handful of samples happen to agree, so that borrowing is never thought to be exact.
+/// Least coefficient of variation between strata of one material. A handful of samples may agree by chance,
+/// and a borrowed mean should never look exact.
 pub(crate) const BORROWED_VARIATION: f64 = 0.5;
 
-/// Degrees of freedom behind a borrowed variance.
+/// Degrees of freedom of a borrowed variance.
 pub(crate) const BORROWED_FREEDOM: f64 = 2.0;
 
-/// What is known of one stratum in one frame, for cost maps and tables.
+/// Estimate of one stratum in one frame, for cost maps and tables.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StratumEstimate {
-    /// Pixels that show it.
+    /// Number of pixels that show the stratum.
     pub pixels: u32,
-    /// Pixels of it that were profiled in this frame.
+    /// Number of them that were profiled in this frame.
     pub samples: u32,
-    /// Whether its unit cost was taken from other strata, for want of samples of its own.
+    /// Whether the unit cost comes from other strata, because this one has no samples here.
     pub borrowed: bool,
-    /// Mean cost of one pixel. Pixels times mean, added over strata, is the estimate for the frame.
+    /// Mean cost of one pixel. The sum of pixels times mean over strata is the estimate of the frame.
     pub mean: Costs<f64>,
 }
 
@@ -38,28 +41,29 @@ pub struct StratumEstimate {
 pub struct FrameEstimate {
     /// Totals over all pixels.
     pub total: Costs<Quantity>,
-    /// One entry for each stratum.
+    /// One entry per stratum.
     pub strata: Vec<StratumEstimate>,
-    /// Profiled pixels.
+    /// Number of profiled pixels.
     pub samples: u64,
-    /// Groups of strata with fewer than two samples (and more pixels than samples), whose mean or variance is
-    /// borrowed.
+    /// Number of groups of strata that borrow their mean or variance: those with fewer than two samples and
+    /// at least one pixel that was not profiled.
     pub borrowed: usize,
-    /// Whether the quantiles were stretched by what past jobs taught.
+    /// Whether the factor on the interval was measured on past jobs.
     pub calibrated: bool,
 }
 
-/// Estimates the cost of a frame from profiled pixels, by the stratified expansion estimator Ŷ = Σ N_g ȳ_g
-/// over groups g of strata, with variance Σ N_g² (1 − n_g/N_g) s_g² / n_g (Cochran 1977, sections 5.3 and
-/// 5.4).
+/// Estimates the cost of a frame from its profiled pixels.
 ///
-/// Groups that have fewer than two samples borrow from those of their material, or else from all, and are
-/// counted in [`FrameEstimate::borrowed`]. A frame sampled completely gives its exact total with an interval
-/// of no width.
+/// Uses the stratified expansion estimator Ŷ = Σ N_g ȳ_g over groups g of strata. Its variance is Σ N_g² (1 −
+/// n_g/N_g) s_g² / n_g (Cochran 1977, sections 5.3 and 5.4).
+///
+/// `counts[h]` is the number of pixels of stratum h. Groups with fewer than two samples borrow from those of
+/// their material, or else from all, and are counted in [`FrameEstimate::borrowed`]. If every pixel was
+/// profiled, the total is exact and the interval has no width.
 ///
 /// # Errors
-/// If nothing was profiled and the frame has pixels, or nothing of what stands apart, and if counts, strata and
-/// observations do not fit together.
+/// [`ForecastError::NoSamples`] if the frame has pixels but none was profiled, or has cache records
+/// ([`Stratum::apart`]) but none was measured. Other errors if counts, strata and observations do not match.
 pub fn estimate(
     strata: &[Stratum],
     counts: &[u32],
@@ -70,12 +74,12 @@ pub fn estimate(
     Ok(estimate_fit(fit, observations.len(), calibration))
 }
 
-/// The estimate of a frame from its fit to so many observations.
+/// The estimate of a frame from its fit. `observations` is the number of observations behind the fit.
 pub(crate) fn estimate_fit(fit: FrameFit, observations: usize, calibration: Calibration) -> FrameEstimate {
     let total = std::array::from_fn(|column| {
         let mut uncertainty = Uncertainty::default();
         fit.groups.iter().for_each(|group| uncertainty.add(group, group.pixels as f64, column));
-        quantity(fit.total(column), uncertainty.together(), calibration)
+        quantity(fit.total(column), uncertainty.combined(), calibration)
     });
     FrameEstimate {
         total: Costs::from(total),
@@ -86,7 +90,7 @@ pub(crate) fn estimate_fit(fit: FrameFit, observations: usize, calibration: Cali
     }
 }
 
-/// The estimate of a frame in the form in which other frames can use it.
+/// The estimate of a frame, in the form that other frames use.
 #[derive(Clone, Debug)]
 pub(crate) struct FrameFit {
     pub groups: Vec<GroupFit>,
@@ -96,42 +100,42 @@ pub(crate) struct FrameFit {
     pub means: Vec<Row>,
 }
 
-/// Estimated mean cost of the pixels of a group.
+/// Estimated mean cost of the pixels of a group of strata.
 #[derive(Clone, Debug)]
 pub(crate) struct GroupFit {
     pub pixels: u64,
     pub borrowed: bool,
-    /// Whether it stands apart.
+    /// Whether it consists of cache records rather than pixels ([`Stratum::apart`]).
     apart: bool,
     mean: Row,
-    /// The total, kept apart from the mean so that a complete sample is exact.
+    /// The total, kept beside the mean so that a complete sample gives an exact total.
     total: Row,
     /// Variance of the mean.
     variance: Row,
     degrees_of_freedom: f64,
-    /// What one more pixel as dear as the dearest seen would add to the mean.
+    /// How much the mean would rise by one more pixel that costs as much as the most expensive sample.
     influence: Row,
 }
 
 impl GroupFit {
-    /// What each of its pixels costs, if all that were looked at cost just the same; nothing where it stands apart.
+    /// The cost of each of its pixels, if all samples cost exactly the same. `None` otherwise.
     pub fn constant(&self, column: usize) -> Option<f64> {
         let is_constant = self.variance[column] == 0.0 && self.influence[column] == 0.0;
         is_constant.then_some(self.mean[column])
     }
 
-    /// Whether it stands apart.
+    /// Whether it consists of cache records rather than pixels.
     pub const fn is_apart(&self) -> bool {
         self.apart
     }
 }
 
-/// Gathers the sampling error of a total of group means.
+/// Collects the sampling error of a total of group means.
 ///
-/// Beside the variances it holds a *tail allowance*. When rare pixels cost many times the mean, a sample that
-/// missed some is too low and finds too small a variance, both at once. So the total is allowed to miss one
-/// sample's worth of pixels as dear as the most influential pixel that was seen: the square of that influence
-/// is added to the variance. It is next to nothing where costs are alike.
+/// Besides the variances it holds a *tail allowance*. Suppose rare pixels cost many times the mean, and the
+/// sample missed some of them. Then the estimate and its variance are both too low. So the total may miss one
+/// sample's worth of pixels that cost as much as the most influential sample: the square of that influence is
+/// added to the variance. Where costs are similar, this is negligible.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Uncertainty {
     parts: Vec<Part>,
@@ -139,7 +143,7 @@ pub(crate) struct Uncertainty {
 }
 
 impl Uncertainty {
-    /// Adds a group whose mean the total counts `weight` times.
+    /// Adds a group whose mean enters the total `weight` times.
     pub fn add(&mut self, group: &GroupFit, weight: f64, column: usize) {
         self.parts.push(Part {
             variance: weight * weight * group.variance[column],
@@ -148,16 +152,16 @@ impl Uncertainty {
         self.influence = self.influence.max(weight * group.influence[column]);
     }
 
-    /// Adds a part of the variance that comes from elsewhere.
+    /// Adds a part of the variance that has another cause.
     pub fn add_part(&mut self, part: Part) {
         self.parts.push(part);
     }
 
-    /// The variance of the total with its tail allowance.
-    pub fn together(mut self) -> Part {
+    /// The variance of the total, with its tail allowance.
+    pub fn combined(mut self) -> Part {
         self.parts
             .push(Part { variance: self.influence * self.influence, degrees_of_freedom: f64::INFINITY });
-        together(&self.parts)
+        combined(&self.parts)
     }
 }
 
@@ -184,7 +188,7 @@ impl FrameFit {
                 return Err(ForecastError::MoreSamplesThanPixels { stratum, samples, pixels });
             }
         }
-        // What stands apart says nothing of how many samples the pixels' groups can have.
+        // Measured cache records do not count as samples of the groups of pixels.
         let of_pixels = moments.iter().zip(strata).filter(|(_, stratum)| !stratum.apart);
         let samples = of_pixels.map(|(moments, _)| moments.count).sum();
         let grouping = match expansion {
@@ -198,7 +202,8 @@ impl FrameFit {
                 joined[group].merge(moments);
             }
         }
-        // Groups of one kind borrow from each other, so there has to be a sample of each kind that is there.
+        // Groups of pixels borrow only from groups of pixels, and groups of records only from records. So
+        // each kind that the frame has needs a sample.
         let sampled =
             |apart| grouping.groups.iter().zip(&joined).any(|(g, m)| g.apart == apart && m.count > 0);
         if grouping.groups.iter().any(|group| !sampled(group.apart)) {
@@ -210,7 +215,7 @@ impl FrameFit {
             let of_pixels = || observations.iter().filter(|o| !strata[o.stratum as usize].apart);
             let total = expansion.total_by_areas(pixels_of(&groups), of_pixels())?;
             let variances = expansion.successive_variances(strata.len(), observations);
-            // What stands apart lends nothing to pixels.
+            // Pixels do not borrow from records.
             let alike: Vec<Moments> = joined
                 .iter()
                 .zip(&groups)
@@ -218,17 +223,17 @@ impl FrameFit {
                 .map(|(own, _)| own.clone())
                 .collect();
             for (g, (fit, own)) in groups.iter_mut().zip(&joined).enumerate().filter(|(_, (f, _))| !f.apart) {
-                // Where differences are taken, a stratum is a group.
+                // With successive differences, every stratum is a group of its own.
                 let stratum = grouping.of.iter().position(|of| *of == Some(g));
                 let variance = stratum.and_then(|h| variances.get(h).copied().flatten());
-                fit.as_in_textbooks(own, &alike, total.filter(|_| expansion.is_of_all()), variance);
+                fit.apply_expansion(own, &alike, total.filter(|_| expansion.is_one_group()), variance);
             }
         }
         let means = unit_costs(counts, &moments, &grouping, &groups);
         let strata = (0..strata.len())
             .map(|h| StratumEstimate {
                 pixels: counts[h],
-                // At most `pixels`, which was checked.
+                // The cast is safe: it was checked that there are at most `pixels` samples.
                 samples: moments[h].count as u32,
                 borrowed: counts[h] > 0 && moments[h].count == 0,
                 mean: Costs::from(means[h]),
@@ -237,28 +242,30 @@ impl FrameFit {
         Ok(FrameFit { groups, group_of: grouping.of, strata, means })
     }
 
-    /// Estimated total over all pixels, and over what stands apart.
+    /// Estimated total over all pixels and cache records.
     pub fn total(&self, column: usize) -> f64 {
         sum(self.groups.iter().map(|group| group.total[column]))
     }
 
-    /// Estimated mean over the pixels alone; zero if there are none.
+    /// Estimated mean over pixels only. Zero if there are none.
     pub fn mean_of_pixels(&self, column: usize) -> f64 {
         let of_pixels = self.groups.iter().filter(|group| !group.apart);
         sum(of_pixels.map(|group| group.total[column])) / (pixels_of(&self.groups) as f64).max(1.0)
     }
 }
 
-/// Pixels of all groups that do not stand apart.
+/// Number of pixels of all groups, without cache records.
 fn pixels_of(groups: &[GroupFit]) -> u64 {
     groups.iter().filter(|group| !group.apart).map(|group| group.pixels).sum()
 }
 
 impl GroupFit {
-    /// Makes of a group's fit what the expansions other than [`Expansion::Groups`] say: no tail allowance, means that are not
-    /// drawn towards those of others, and the total of all columns or the variance of one observation where these are known by other
-    /// means.
-    fn as_in_textbooks(
+    /// Turns a group's fit into that of an expansion other than [`Expansion::Groups`].
+    ///
+    /// There is no tail allowance, and means are not shrunk towards those of other groups. `total` replaces
+    /// the total of all columns, and `variance` the variance of one observation, where the expansion provides
+    /// them. `alike` are the groups to borrow from.
+    fn apply_expansion(
         &mut self,
         own: &Moments,
         alike: &[Moments],
@@ -331,8 +338,10 @@ fn fit_group(grouping: &Grouping, joined: &[Moments], group: usize) -> GroupFit 
     fit
 }
 
-/// Mean cost of a pixel of each stratum: the group's mean where the stratum is the whole group; else its own
-/// mean drawn towards the group's, and scaled so that the strata add up to the group's total.
+/// Mean cost of a pixel of each stratum.
+///
+/// For a stratum that is a whole group, it is the group's mean. In a joined group it is the stratum's own
+/// mean, shrunk towards the group's, and scaled so that the strata add up to the group's total.
 fn unit_costs(counts: &[u32], moments: &[Moments], grouping: &Grouping, groups: &[GroupFit]) -> Vec<Row> {
     let mut means = vec![[0.0; COLUMNS]; counts.len()];
     for (g, group) in groups.iter().enumerate() {
@@ -363,8 +372,8 @@ fn unit_costs(counts: &[u32], moments: &[Moments], grouping: &Grouping, groups: 
     means
 }
 
-/// Related strata, or groups of them, that one with too few samples can borrow from: one-way analysis of
-/// variance.
+/// Related strata, or groups of them, that one with too few samples can borrow from. A one-way analysis of
+/// variance with random effects.
 struct Pool {
     mean: f64,
     samples: f64,
@@ -373,7 +382,7 @@ struct Pool {
 }
 
 impl Pool {
-    /// None if no member has a sample.
+    /// `None` if no member has a sample.
     fn new<'a>(members: impl Iterator<Item = &'a Moments>, column: usize) -> Option<Self> {
         let members: Vec<&Moments> = members.filter(|m| m.count > 0).collect();
         let count = |m: &Moments| m.count as f64;
@@ -398,9 +407,11 @@ impl Pool {
         Some(Pool { mean, samples, within, between: moment.max(least) })
     }
 
-    /// The mean of a member, drawn towards the pool's by λ = τ² / (τ² + σ² / n), and its variance λ σ² / n +
-    /// (1 − λ)² σ² / m (m samples in the pool), or τ² + σ² / m for a member without samples (Fay, Herriot
-    /// 1979).
+    /// The mean of a member shrunk towards the pool's, and the variance of the result (Fay, Herriot 1979).
+    ///
+    /// The weight of the member's own mean is λ = τ² / (τ² + σ² / n). With m samples in the pool, the
+    /// variance is λ σ² / n + (1 − λ)² σ² / m. A member without samples gets the pool's mean, with the
+    /// variance τ² + σ² / m.
     fn shrink(&self, own: &Moments, column: usize) -> (f64, f64) {
         let of_pool = self.within / self.samples;
         if own.count == 0 {

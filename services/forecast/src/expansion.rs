@@ -1,38 +1,42 @@
-//! How measured pixels stand for all pixels of a frame.
+//! How measured pixels are expanded to all pixels of a frame.
 
 use serde::{Deserialize, Serialize};
 
 use crate::cost::{COLUMNS, Observation, Row};
 use crate::error::ForecastError;
 
-/// How measured pixels stand for all pixels. It concerns pixels alone: what stands apart is always expanded stratum by stratum.
+/// The estimator that expands measured pixels to all pixels of a frame.
+///
+/// It applies to pixels only. Cache records are always expanded stratum by stratum.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Expansion {
-    /// By groups of strata; strata that are too small are joined, and what has too few samples borrows: see [`crate::estimate`].
-    /// The order of the observations does not matter.
+    /// By groups of strata, see [`crate::estimate()`]. Strata that are too small are joined, and groups with
+    /// too few samples borrow. The order of the observations does not matter.
     #[default]
     Groups,
-    /// By strata, as the paper has it (its section 3): Σ N_h ȳ_h. A stratum with one sample costs what this costs; one without takes
-    /// the mean of all samples, of which the paper says nothing.
+    /// By strata, as in the paper (Gillibrand et al. 2006, section 3): Σ N_h ȳ_h. A stratum with one sample
+    /// has the cost of that sample. A stratum without samples takes the mean of all samples; the paper does
+    /// not say.
     EachStratum,
-    /// By all pixels: N ȳ, with the variance N² (1 − n/N) s² / n of a simple random sample (Cochran 1977, section 2.6).
+    /// All pixels together: N ȳ, with the variance N² (1 − n/N) s² / n of a simple random sample (Cochran
+    /// 1977, section 2.6).
     Flat,
-    /// By strata: Σ N_h ȳ_h. Successive observations of a stratum are neighbours in some order along which it was sampled
-    /// systematically, and its variance is that of a sample with a stratum for every two of them, N_h² (1 − n_h/N_h) / n_h ·
-    /// Σ (y_(i+1) − y_i)² / (2 (n_h − 1)) (successive differences: Cochran 1977, section 8.11).
+    /// By strata: Σ N_h ȳ_h, for a systematic sample along some order of the pixels. Successive observations
+    /// of a stratum must be neighbours in that order. The variance uses successive differences: N_h² (1 −
+    /// n_h/N_h) / n_h · Σ (y_(i+1) − y_i)² / (2 (n_h − 1)) (Cochran 1977, section 8.11).
     Neighbours,
-    /// By the pixels that each observation stands for, in the order of the observations: Σ a_i y_i. With the variance of
-    /// [`Expansion::Flat`] in place of its own, which is not known.
+    /// By the number of pixels a_i that each observation stands for, in the order of the observations: Σ a_i
+    /// y_i. The variance of this estimator is not known; that of [`Expansion::Flat`] takes its place.
     Areas(Vec<u32>),
 }
 
 impl Expansion {
-    /// Whether all pixels are one group to it.
-    pub(crate) fn is_of_all(&self) -> bool {
+    /// Whether it treats all pixels as one group.
+    pub(crate) fn is_one_group(&self) -> bool {
         matches!(self, Expansion::Flat | Expansion::Areas(_))
     }
 
-    /// Total by the areas, if there are any. `observations` are those of pixels.
+    /// The total by areas, for [`Expansion::Areas`]. `observations` are those of pixels.
     pub(crate) fn total_by_areas<'a>(
         &self,
         pixels: u64,
@@ -55,8 +59,8 @@ impl Expansion {
         Ok(Some(total.map(|sum| sum as f64)))
     }
 
-    /// Variance of one observation of each stratum by differences of successive ones, if that is how they are seen; none for a stratum
-    /// with less than two.
+    /// Variance of one observation of each stratum by successive differences, for [`Expansion::Neighbours`].
+    /// `None` for a stratum with fewer than two observations. Empty for other expansions.
     pub(crate) fn successive_variances(
         &self,
         strata: usize,

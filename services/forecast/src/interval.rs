@@ -1,4 +1,4 @@
-//! From a mean and a variance to one-sided quantiles.
+//! One-sided quantiles from a mean and a variance.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,7 +6,7 @@ use crate::cost::Quantity;
 use crate::moments::sum;
 use crate::student;
 
-/// How far the intervals of past forecasts had to be stretched to hold what they promised.
+/// The factor by which intervals are widened.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
     /// Factor on the log-standard deviation behind every quantile.
@@ -16,20 +16,21 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// No past jobs to learn from. The factor 1.3 stands for what the formulas leave out when costs have no
-    /// heavy tail.
+    /// No past jobs to learn from. The factor 1.3 stands for what the formulas omit when costs have no heavy
+    /// tail.
     pub const NONE: Calibration = Calibration { inflation: 1.3, calibrated: false };
 }
 
-/// An independent part of a variance with the degrees of freedom behind it.
+/// An independent part of a variance, with its degrees of freedom.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Part {
     pub variance: f64,
     pub degrees_of_freedom: f64,
 }
 
-/// Variance of a sum of independent parts; degrees of freedom v² / Σ v_i² / df_i (Satterthwaite 1946).
-pub(crate) fn together(parts: &[Part]) -> Part {
+/// The variance of a sum of independent parts, with the degrees of freedom v² / Σ (v_i² / df_i)
+/// (Satterthwaite 1946).
+pub(crate) fn combined(parts: &[Part]) -> Part {
     let variance = sum(parts.iter().map(|part| part.variance));
     let denominator = sum(parts
         .iter()
@@ -41,13 +42,14 @@ pub(crate) fn together(parts: &[Part]) -> Part {
     }
 }
 
-/// Standard deviation of the logarithm of a positive quantity with this mean and variance, √ln(1 + v / m²).
+/// Standard deviation of the logarithm of a lognormal quantity with this mean and variance: √ln(1 + v / m²).
 pub(crate) fn log_deviation(mean: f64, variance: f64) -> f64 {
     if mean > 0.0 && variance > 0.0 { libm::sqrt(libm::log1p(variance / mean / mean)) } else { 0.0 }
 }
 
-/// Quantiles by the log-t interval: mean · exp(t · inflation · σ), σ as in [`log_deviation`]. Never negative,
-/// right-skewed as costs are, and equal to the mean where nothing is uncertain.
+/// Mean and quantiles by a log-t interval: mean · exp(t · inflation · σ), with σ from [`log_deviation`].
+///
+/// Quantiles are never negative, and right-skewed as costs are. They equal the mean if nothing is uncertain.
 pub(crate) fn quantity(mean: f64, part: Part, calibration: Calibration) -> Quantity {
     let sigma = log_deviation(mean, part.variance) * calibration.inflation;
     let at = |p: f64| {

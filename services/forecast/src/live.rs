@@ -1,129 +1,91 @@
-//! The estimate lives: what a job will have cost, given its quote and what its finished frames took.
+//! The live estimate: the cost of a running job, given its quote and the costs of its finished frames.
 //!
-//! The quote gives every frame t a median x_t. What a finished frame took, y_t, is the truth; of the others the *residual* d_t = ln(y_t / x_t)
-//! is unknown, and what is known of finished frames says something of it:
+//! Let x_t be the quoted median of frame t, and y_t its true cost. The *residual* is d_t = ln(y_t / x_t). It
+//! is known for finished frames, and these tell something about the others:
 //!
 //! ```text
 //! d_t = c + l(L_t) + g(τ_t) + e_t
 //! ```
 //!
-//! (y_t over its expectation given the rest, so that e_t has the mean −½ Var e_t) with a factor c that the job's frames have in common, one that those have in common in which the same lights L shine, a Gaussian process g with Matérn
-//! covariance (ν = 3/2) over the shot's own clock τ (a cut separates, see [`shot_times`]), and a nugget e_t, the frame's own. How much there is of each is what
-//! the quote says of itself: the frames' spreads are the sum of c, g and e, the job's spread is what does not average out. Frames of which the quote
-//! is less sure have a larger nugget. Where lights go on or off, half of the variance of c is that of the l, as much of each as leaves the job's spread as it is:
-//! frames in a light that no finished frame has seen are expected to be off by less than those, and remain less sure.
+//! * c is a factor that all frames of the job share.
+//! * l is a factor that frames with the same set L of shining lights share.
+//! * g is a Gaussian process over the shot's own clock τ, with Matérn covariance (ν = 3/2). A cut separates
+//!   frames in that clock, see [`shot_times`].
+//! * e_t is a nugget, for what only this frame has. Its mean is −½ Var e_t, so that exp(e_t) has the mean 1.
 //!
-//! *How sure the quote was* is itself in doubt. All variances share an unknown scale, which starts at one, as if [`pieces::SCALE_FREEDOM`] frames had
-//! been seen to agree with the quote, and learns from how surprising each finished frame is, given those before it: the
-//! conjugate prior of a normal model (Gelman et al., *Bayesian Data Analysis*, 3rd edition 2013, section 3.3). The length of g and the
-//! nugget's share are not estimated from fewer than [`pieces::FEW`] frames: the length is a third of the shot, and the scale does not fall below
-//! one, so that no interval shrinks by luck. From there on a few of each are weighed by their marginal likelihood. That all frames are off alike by more
-//! than the quote thinks possible is weighed against the quote's word from the first frame on.
+//! The quote itself says how large each part is. The spread of a frame is that of c, l, g and e together; the
+//! spread of the job is what does not average out. Frames with a less certain quote have a larger nugget.
+//! Where lights change within the job, half of the variance of c goes to l, scaled so that the job's spread
+//! stays the same. Frames under lights that no finished frame has seen then follow the finished ones less,
+//! and stay less certain.
 //!
-//! *In linear time.* g is a state-space model (Hartikainen, Särkkä 2010): the state (c, g, g′, and an l for each set of lights) goes from frame to frame by a matrix, and the
-//! Kalman filter with the modified Bryson–Frazier smoother (Bierman 1973) gives all residuals in one pass there and one back. The variance of the sum
-//! over unfinished frames, a'[K_UU − K_US (K_SS + D)⁻¹ K_SU] a with weights a_t = x_t exp(d̂_t), takes no matrix either: the sum so far is one more
-//! component of the state, and what is left of its variance after the last frame is the answer. Nothing is carried from one call
-//! to the next, so the order in which frames finish does not matter, to the last bit.
+//! *The scale of the variances* is uncertain too. All of them share an unknown factor. It starts at one, with
+//! the weight of [`pieces::SCALE_FREEDOM`] frames, and learns from how surprising each finished frame is
+//! given those before it. This is the conjugate prior of a normal model (Gelman et al., *Bayesian Data
+//! Analysis*, 3rd edition 2013, section 3.3). With fewer than [`pieces::MIN_FINISHED`] finished frames,
+//! neither the length of g nor the nugget's share is estimated: the length is a third of the shot, and the
+//! scale does not fall below one. So no interval shrinks by luck. From there on, a few lengths and shares are
+//! averaged by their marginal likelihood. A larger variance of c than the quote suggests is always one of the
+//! alternatives.
 //!
-//! *The quantiles* of what remains keep the quote's shape, which may have been learnt from past jobs: their distances from the median, in
-//! logarithms, are those of the quote times the ratio of the standard deviations now and at the beginning; where the scale was learnt, times the ratio of
-//! Student's quantiles and the normal ones.
+//! *Linear time.* g has a state-space form (Hartikainen, Särkkä 2010). Its state is (c, g, g′) and one l for
+//! each set of lights, and a matrix takes it from frame to frame. A Kalman filter and the modified
+//! Bryson–Frazier smoother (Bierman 1973) yield all residuals in one forward and one backward pass. The
+//! variance of the sum over unfinished frames is a'[K_UU − K_US (K_SS + D)⁻¹ K_SU] a with weights a_t = x_t
+//! exp(d̂_t). It needs no large matrix either: the sum so far is one more component of the state, and its
+//! variance after the last frame is the result. No state is kept between calls. So the order in which frames
+//! finish does not change a single bit.
+//!
+//! *The quantiles* of the remainder keep the shape of the quote, which may be calibrated by past jobs. Their
+//! distances from the median, in logarithms, are those of the quote times the ratio of the standard
+//! deviations now and at the start. Where the scale was learnt, they are also widened by the ratio of
+//! Student's t quantiles to normal ones.
 
+mod band;
+mod frame;
+mod kalman;
 mod pieces;
-mod state;
 
-use crate::clock::ShotClock;
-use crate::conformal::{FARTHEST, Measure, NORMAL_95};
+use crate::conformal::{MAX_LOG_RATIO, Measure, NORMAL_95};
 use crate::error::ForecastError;
-use crate::frames::{FramePopulation, check_frames};
 use crate::moments::sum;
+use crate::population::{FramePopulation, check_frames};
+use crate::shot_clock::ShotClock;
 use crate::strata::Stratum;
+use band::{log_ratio, positive};
 use pieces::{Pieces, Posterior};
 
-/// Quantile at 0.80 of the standard normal distribution.
+pub use band::Band;
+pub use frame::{Known, LiveFrame};
+
+/// 0.80 quantile of the standard normal distribution.
 const NORMAL_80: f64 = 0.841_621_233_572_914_2;
 
-/// The logarithm of no median is farther from zero, so that neither it nor its quantiles leave the range of a float.
-const FARTHEST_MEDIAN: f64 = 600.0;
+/// Bound on the absolute logarithm of a median, so that the median and its quantiles stay in the range of a
+/// float.
+const MAX_LOG_MEDIAN: f64 = 600.0;
 
-/// A forecast of one number: its mean and three quantiles, not negative and ascending.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Band {
-    /// Expected value.
-    pub mean: f64,
-    /// Median.
-    pub p50: f64,
-    /// 80 % quantile.
-    pub p80: f64,
-    /// 95 % quantile.
-    pub p95: f64,
-}
-
-impl Band {
-    /// A number that is known.
-    pub const fn known(value: f64) -> Self {
-        Self { mean: value, p50: value, p80: value, p95: value }
-    }
-
-    fn plus(self, spent: f64) -> Self {
-        let Self { mean, p50, p80, p95 } = self;
-        Self { mean: mean + spent, p50: p50 + spent, p80: p80 + spent, p95: p95 + spent }
-    }
-
-    /// Standard deviation of the logarithm that the quantiles stand for, with what no formula knows.
-    fn spread(&self, measure: Measure) -> f64 {
-        libm::hypot(log_ratio(self.p95, self.p50) / NORMAL_95, measure.unknown())
-    }
-}
-
-/// What is known of a frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Known {
-    /// Nothing but its quote.
-    Nothing,
-    /// A share of it, between 0 and 1, is finished and took this much.
-    Part {
-        /// Finished pixels over all pixels.
-        share: f64,
-        /// What they took.
-        cost: f64,
-    },
-    /// All of it is finished, and took this much.
-    All(f64),
-}
-
-/// A frame of the job.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LiveFrame {
-    /// When it is on the shot's own clock ([`shot_times`]).
-    pub time: f64,
-    /// Which lights shine in it: the same number as in other frames with the same ones.
-    pub lights: u32,
-    /// What was quoted.
-    pub quote: Band,
-    /// What has come of it.
-    pub known: Known,
-}
-
-/// The estimate as it stands.
+/// The present estimate of a job.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Live {
-    /// What all that is finished took.
+    /// Cost of everything that is finished.
     pub spent: f64,
-    /// What the rest will take.
+    /// Forecast cost of the rest.
     pub remaining: Band,
-    /// All of it.
+    /// Forecast cost of the whole job: spent and remaining.
     pub whole: Band,
-    /// Median of what remains over what was quoted for it: 1.3 if the job turns out 30 % dearer. 1 if nothing remains.
+    /// Forecast median of the rest over its quoted median. 1.3 means 30 % more expensive than quoted. 1 if
+    /// nothing remains.
     pub factor: f64,
 }
 
-/// When each frame is on the shot's own clock, which runs faster where the picture changes faster: from zero, strictly increasing. A light that goes on
-/// or off is a cut: what the quote got wrong with it says little of frames without it.
+/// The time of each frame on the shot's own clock, which runs faster where the picture changes faster.
+///
+/// Times start at zero and increase strictly. A light that goes on or off counts as a cut: the quote's error
+/// with the light says little about frames without it.
 ///
 /// # Errors
-/// If frames are out of order, or counts and strata do not fit together.
+/// If frames are out of order, or counts and strata do not match.
 pub fn shot_times(strata: &[Stratum], frames: &[FramePopulation]) -> Result<Vec<f64>, ForecastError> {
     check_frames(strata, frames)?;
     let clock = ShotClock::new(strata, frames);
@@ -136,14 +98,14 @@ pub fn shot_times(strata: &[Stratum], frames: &[FramePopulation]) -> Result<Vec<
     Ok(times)
 }
 
-/// The estimate of a job that was quoted at `total`, of these frames in their order.
+/// The present estimate of a job that was quoted at `total` and consists of these frames, in their order.
 ///
-/// While nothing is finished it is the quote itself, and once everything is, the truth. Takes time linear in the number of frames. Numbers that
-/// are negative or not finite count as zero.
+/// While nothing is finished, it is the quote itself. Once everything is finished, it is the true cost. Takes
+/// time linear in the number of frames. Negative and non-finite numbers count as zero.
 pub fn live(total: &Band, frames: &[LiveFrame], measure: Measure) -> Live {
     let spent = sum(frames.iter().map(|frame| match frame.known {
         Known::Nothing => 0.0,
-        Known::Part { cost, .. } | Known::All(cost) => usable(cost),
+        Known::Part { cost, .. } | Known::All(cost) => positive(cost),
     }));
     if frames.iter().all(|frame| matches!(frame.known, Known::All(_))) && !frames.is_empty() {
         return Live { spent, remaining: Band::default(), whole: Band::known(spent), factor: 1.0 };
@@ -155,18 +117,19 @@ pub fn live(total: &Band, frames: &[LiveFrame], measure: Measure) -> Live {
     let pieces = Pieces::new(total, frames, measure);
     let quoted = pieces.quoted_remainder();
     if quoted <= 0.0 {
-        // All that remains was quoted to cost nothing.
+        // Everything that remains was quoted at zero.
         return Live { spent, remaining: Band::default(), whole: Band::known(spent), factor: 1.0 };
     }
     let Posterior { log_median, deviations, freedom } = pieces.posterior(total.spread(measure));
-    let median = libm::exp(log_median.clamp(-FARTHEST_MEDIAN, FARTHEST_MEDIAN));
+    let median = libm::exp(log_median.clamp(-MAX_LOG_MEDIAN, MAX_LOG_MEDIAN));
     let width = |quantile: f64, normal: f64| {
-        let quoted = log_ratio(quantile, total.p50).max(normal * measure.unknown());
-        (student(normal, freedom) * deviations * quoted).min(FARTHEST)
+        let quoted = log_ratio(quantile, total.p50).max(normal * measure.extra_deviation());
+        (student(normal, freedom) * deviations * quoted).min(MAX_LOG_RATIO)
     };
     let to_80 = width(total.p80, NORMAL_80);
-    // Of a lognormal distribution the logarithm of mean over median goes with the variance.
-    let to_mean = (log_ratio(total.mean, total.p50) * deviations * deviations).clamp(-FARTHEST, FARTHEST);
+    // For a lognormal distribution, ln(mean / median) is proportional to the variance of the logarithm.
+    let to_mean =
+        (log_ratio(total.mean, total.p50) * deviations * deviations).clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO);
     let remaining = Band {
         mean: median * libm::exp(to_mean),
         p50: median,
@@ -176,18 +139,7 @@ pub fn live(total: &Band, frames: &[LiveFrame], measure: Measure) -> Live {
     Live { spent, remaining, whole: remaining.plus(spent), factor: median / quoted }
 }
 
-/// Quantile of Student's t over that of the normal distribution, to first order (Abramowitz and Stegun, 26.7.5).
+/// Ratio of a quantile of Student's t to the normal quantile, to first order (Abramowitz and Stegun, 26.7.5).
 fn student(normal: f64, freedom: f64) -> f64 {
     1.0 + (normal * normal + 1.0) / (4.0 * freedom)
-}
-
-/// What counts as zero counts as zero.
-fn usable(value: f64) -> f64 {
-    if value.is_finite() && value > 0.0 { value } else { 0.0 }
-}
-
-/// ln(a / b), zero where that says nothing.
-fn log_ratio(a: f64, b: f64) -> f64 {
-    let (a, b) = (usable(a), usable(b));
-    if a > 0.0 && b > 0.0 { libm::log(a) - libm::log(b) } else { 0.0 }
 }

@@ -1,12 +1,11 @@
-//! Means and variances that survive large offsets, and sums that survive cancellation.
+//! Means and variances that stay accurate for costs with a large offset, and sums with error compensation.
 
 use crate::cost::{COLUMNS, Cost, Row};
 
 /// Count, exact sum, and sum of squared deviations of every column.
 ///
-/// Deviations are gathered by Welford's recurrence (Welford 1962), never as E\[x²\] − E\[x\]², which loses
-/// every digit when costs are large and alike. Sums are integers and so exact: a stratum that is sampled
-/// completely is known exactly.
+/// Deviations follow Welford's recurrence (Welford 1962). E\[x²\] − E\[x\]² would lose all digits when costs
+/// are large and similar. Sums are integers and so exact: the total of a completely sampled stratum is exact.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Moments {
     pub count: u64,
@@ -31,7 +30,7 @@ impl Moments {
         }
     }
 
-    /// Joins two sets of pixels (Chan, Golub, LeVeque 1979).
+    /// Merges two sets of pixels (Chan, Golub, LeVeque 1979).
     pub fn merge(&mut self, other: &Moments) {
         if other.count == 0 {
             return;
@@ -57,12 +56,12 @@ impl Moments {
         self.sum[column] as f64
     }
 
-    /// Mean of a column; zero without pixels.
+    /// Mean of a column. Zero without pixels.
     pub fn mean(&self, column: usize) -> f64 {
         if self.count == 0 { 0.0 } else { self.sum(column) / self.count as f64 }
     }
 
-    /// How far the largest value lies above the mean.
+    /// The largest value less the mean.
     pub fn reach(&self, column: usize) -> f64 {
         (self.largest[column] as f64 - self.mean(column)).max(0.0)
     }
@@ -72,13 +71,13 @@ impl Moments {
         self.deviations[column]
     }
 
-    /// Sample variance with divisor n − 1, which takes two pixels.
+    /// Sample variance with the divisor n − 1. `None` for fewer than two pixels.
     pub fn variance(&self, column: usize) -> Option<f64> {
         (self.count >= 2).then(|| self.deviations[column] / (self.count - 1) as f64)
     }
 }
 
-/// A sum with Neumaier's correction (Neumaier 1974): the error does not grow with the number of terms.
+/// A sum with Neumaier's compensation (Neumaier 1974): its error does not grow with the number of terms.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Sum {
     total: f64,
@@ -103,7 +102,7 @@ impl Sum {
     }
 }
 
-/// Corrected sum of the terms in their order.
+/// Compensated sum of the terms, in their order.
 pub(crate) fn sum(terms: impl IntoIterator<Item = f64>) -> f64 {
     let mut sum = Sum::default();
     terms.into_iter().for_each(|term| sum.add(term));

@@ -1,13 +1,16 @@
-//! Which of a few marked pixels is nearest to each pixel of an image.
+//! Finds the nearest marked pixel to each pixel of an image, by an exact distance transform.
 
-/// For every pixel of an image of `width` columns, in row order, the index into `marked` of the marked pixel that is nearest to it
-/// (one of them, where several are). Marked pixels must lie inside the image and there must be one at least; the answer is empty
-/// otherwise.
+/// For each pixel in row order, the index into `marked` of the nearest marked pixel. Ties are broken
+/// arbitrarily.
 ///
-/// The distance is exact: columns first, then along each row the lower envelope of the parabolas that the columns bring
-/// (Meijster, Roerdink, Hesselink 2000, "A general algorithm for computing distance transforms in linear time"). So the time is
-/// linear in the pixels, however few are marked.
-pub(crate) fn nearest(width: u32, pixels: usize, marked: &[u32]) -> Vec<u32> {
+/// The image has `pixels` pixels in rows of `width`. At least one pixel must be marked, and all marks must
+/// lie inside the image; otherwise the result is empty.
+///
+/// The distance is exact. A first pass goes along the columns. A second pass goes along the rows, on the
+/// lower envelope of the parabolas that the columns define (Meijster, Roerdink, Hesselink 2000, "A general
+/// algorithm for computing distance transforms in linear time"). The time is linear in the number of pixels,
+/// for any number of marks.
+pub fn nearest(width: u32, pixels: usize, marked: &[u32]) -> Vec<u32> {
     let row = width as usize;
     if row == 0 || !pixels.is_multiple_of(row) || marked.is_empty() {
         return Vec::new();
@@ -23,7 +26,7 @@ pub(crate) fn nearest(width: u32, pixels: usize, marked: &[u32]) -> Vec<u32> {
         (Some(a), _) => Some(a),
         (None, b) => b,
     };
-    // Downwards, then upwards, each pixel hears of what its neighbour in the column knows.
+    // Each pixel takes over its neighbour's nearest mark in the column: downwards, then upwards.
     for pixel in row..pixels {
         in_column[pixel] = nearer(pixel / row, in_column[pixel], in_column[pixel - row]);
     }
@@ -49,17 +52,18 @@ pub(crate) fn nearest(width: u32, pixels: usize, marked: &[u32]) -> Vec<u32> {
     found
 }
 
-/// Squared distance to one column's marked pixel, along a row: (x − column)² + height.
+/// Squared distance to the marked pixel of one column, along a row: (x − column)² + height.
 #[derive(Clone, Copy)]
 struct Parabola {
     x: i64,
     height: i64,
     index: u32,
-    /// Where it begins to be the lowest.
+    /// First place where it is the lowest.
     from: i64,
 }
 
-/// Those of the parabolas (in order of their columns) that are the lowest somewhere within the row, and from where on.
+/// The lower envelope within the row: the parabolas that are lowest somewhere, and from where on. `parabolas`
+/// must be in the order of their columns.
 fn lower_envelope(parabolas: impl Iterator<Item = Parabola>, width: i64, envelope: &mut Vec<Parabola>) {
     envelope.clear();
     for mut next in parabolas {

@@ -1,67 +1,73 @@
-//! What a single pixel may cost.
+//! Quantiles of the cost of a single pixel.
 //!
-//! A forecast says what the pixels of a stratum cost on average; a pixel costs more or less. One that was not profiled is as likely to have any place
-//! among the n of its stratum that were as these are themselves, so it costs less than the k-th cheapest of them with probability
-//! k / (n + 1), whatever the distribution (conformal prediction, stratum by stratum: Vovk, Gammerman, Shafer 2005). Between these probabilities
-//! the quantile is interpolated (definition 6 of Hyndman, Fan 1996): the dearest of six pixels stays above in six cases of seven, which is
-//! too much for four in five. Pixels are profiled evenly over what they show, which rather makes quantiles too large than too small.
+//! A forecast gives the mean cost of the pixels of a stratum; single pixels cost more or less. Suppose n
+//! pixels of the stratum were profiled. A pixel that was not profiled has any rank among them with the same
+//! probability. So it costs less than the k-th cheapest of them with probability k / (n + 1), whatever the
+//! distribution (conformal prediction by stratum: Vovk, Gammerman, Shafer 2005). Between these probabilities
+//! the quantile is interpolated (definition 6 of Hyndman, Fan 1996). Without that, P80 of six pixels would be
+//! the most expensive one, which holds in six of seven cases rather than four of five. Profiled pixels are
+//! spread evenly over what they show, so quantiles tend to be too large rather than too small.
 //!
-//! For four in five that takes 4 pixels, for 19 in 20 it takes 19. Strata with fewer speak together, by the *scores* y_i / ȳ_(−i) of
-//! their pixels, each held against the mean of the others (as in the jackknife+: Barber, Candès, Ramdas, Tibshirani 2021), with the pixels that
-//! it stands for as its weight (Tibshirani, Barber, Candès, Ramdas 2019); if these are too few as well, all strata do. The one pixel more, that is
-//! asked about, is given the mean weight: its own would promise nothing in a large stratum of which few were profiled. So together they hold
-//! for the pixels of all these strata, and not for each of them: an approximation, which `forelight bench coverage` judges.
+//! P80 needs 4 profiled pixels, and P95 needs 19. Strata with fewer are pooled by the *scores* y_i / ȳ_(−i)
+//! of their pixels: each pixel relative to the mean of the others (as in the jackknife+: Barber, Candès,
+//! Ramdas, Tibshirani 2021). A score is weighted by the number of pixels that it stands for (Tibshirani,
+//! Barber, Candès, Ramdas 2019). If these strata together have too few as well, all strata are pooled. The
+//! unknown pixel gets the mean weight; with its own weight there would be no quantile for a large stratum
+//! with few samples. So the pooled quantiles hold for the pixels of all these strata together, not for each
+//! stratum. This is an approximation; `forelight bench coverage` measures it.
 
 use crate::cost::{Observation, WORK};
 use crate::strata::Stratum;
 use std::collections::BTreeMap;
 
-/// The profiled pixels of a frame, as what they say of the others.
+/// The profiled pixels of a frame, as evidence on the pixels that were not profiled.
 #[derive(Clone, Debug)]
 pub struct PixelCosts {
-    strata: Vec<OfStratum>,
+    strata: Vec<StratumPixels>,
 }
 
-/// What the pixels that were not profiled take at most, with one probability.
+/// One quantile of the work of pixels that were not profiled.
 #[derive(Clone, Debug)]
 pub struct PixelQuantiles {
-    /// By stratum: work, by its own pixels alone.
+    /// Work by stratum, from its own pixels alone.
     own: Vec<Option<f64>>,
-    /// For the others: so many times their mean.
-    together: Option<f64>,
+    /// For the other strata: a multiple of their mean.
+    pooled: Option<f64>,
 }
 
 impl PixelQuantiles {
-    /// Work that a pixel of a stratum takes at most where those of the stratum are forecast to take `here` each, by what was profiled where they
-    /// were forecast to take `there` each; none where too few were profiled to say.
+    /// The quantile of the work of a pixel of `stratum`. `None` if too few pixels were profiled.
+    ///
+    /// `here` is the forecast mean work of a pixel of the stratum in the frame in question, and `there` in
+    /// the profiled frame. The quantile is scaled by their ratio.
     pub fn of(&self, stratum: usize, there: f64, here: f64) -> Option<f64> {
         match self.own.get(stratum)? {
             Some(own) if there > 0.0 => Some(own * (here / there)),
             Some(own) if here == there => Some(*own),
-            _ => self.together.map(|times| times * here),
+            _ => self.pooled.map(|times| times * here),
         }
     }
 }
 
-/// The profiled pixels of a stratum.
+/// The profiled pixels of one stratum.
 #[derive(Clone, Debug, Default)]
-struct OfStratum {
-    /// Ascending.
+struct StratumPixels {
+    /// Work of the pixels, ascending.
     works: Vec<f64>,
-    /// In the order in which they were profiled.
+    /// Scores, in the order in which the pixels were profiled.
     scores: Vec<f64>,
-    /// Pixels that one of them stands for.
+    /// Number of pixels that each profiled one stands for.
     weight: f64,
 }
 
-impl OfStratum {
-    /// The quantile by its own pixels alone.
+impl StratumPixels {
+    /// The quantile from its own pixels alone.
     fn own(&self, probability: f64) -> Option<f64> {
         quantile(self.works.iter().map(|&work| (work, 1.0)), 1.0, probability)
     }
 }
 
-/// Works of pixels, added up.
+/// Sum of the work of some pixels.
 #[derive(Clone, Copy, Debug, Default)]
 struct Sum {
     work: f64,
@@ -75,7 +81,8 @@ impl Sum {
 }
 
 impl PixelCosts {
-    /// Of the work of the pixels that were profiled in a frame with so many pixels of each stratum. What stands apart has no pixels.
+    /// Collects the profiled pixels of a frame. `counts[h]` is the number of pixels of stratum h. Cache
+    /// records ([`Stratum::apart`]) are ignored.
     pub fn new(strata: &[Stratum], counts: &[u32], observations: &[Observation]) -> Self {
         let is_pixel = |observation: &&Observation| {
             strata.get(observation.stratum as usize).is_some_and(|stratum| !stratum.apart)
@@ -90,10 +97,10 @@ impl PixelCosts {
             of_material.entry(strata[stratum].material).or_default().add(work);
             of_all.add(work);
         }
-        let mut found = vec![OfStratum::default(); strata.len()];
+        let mut found = vec![StratumPixels::default(); strata.len()];
         for pixel in &pixels {
             let (work, stratum) = (work(pixel), pixel.stratum as usize);
-            // Alone of its stratum, it is held against those of its material, or against all.
+            // A pixel that is alone in its stratum is compared with its material, or else with all pixels.
             let alike = of_material.get(&strata[stratum].material).copied();
             let score = [Some(sums[stratum]), alike, Some(of_all)].into_iter().flatten();
             found[stratum].works.push(work);
@@ -106,12 +113,12 @@ impl PixelCosts {
         Self { strata: found }
     }
 
-    /// What the pixels take at most, with this probability.
+    /// The quantile at this probability.
     pub fn at(&self, probability: f64) -> PixelQuantiles {
         let own: Vec<Option<f64>> = self.strata.iter().map(|stratum| stratum.own(probability)).collect();
-        let together = |of: &dyn Fn(&Option<f64>) -> bool| {
+        let pooled = |of: &dyn Fn(&Option<f64>) -> bool| {
             let those = self.strata.iter().zip(&own).filter(|(_, own)| of(own));
-            let scores = |(one, _): (&OfStratum, _)| {
+            let scores = |(one, _): (&StratumPixels, _)| {
                 one.scores.iter().map(|&score| (score, one.weight)).collect::<Vec<_>>()
             };
             let mut weighted: Vec<(f64, f64)> = those.flat_map(scores).collect();
@@ -119,8 +126,8 @@ impl PixelCosts {
             let next = weighted.iter().map(|(_, weight)| weight).sum::<f64>() / weighted.len().max(1) as f64;
             quantile(weighted.into_iter(), next, probability)
         };
-        let together = together(&|own| own.is_none()).or_else(|| together(&|_| true));
-        PixelQuantiles { own, together }
+        let pooled = pooled(&|own| own.is_none()).or_else(|| pooled(&|_| true));
+        PixelQuantiles { own, pooled }
     }
 }
 
@@ -128,10 +135,11 @@ fn work(pixel: &Observation) -> f64 {
     pixel.cost.columns()[WORK] as f64
 }
 
-/// The score of one of so many pixels of this sum; none if it is alone.
+/// The score of one of the pixels of a sum. `None` if it is the only one.
 ///
-/// With σ² for the variance of a pixel's logarithm, that of y_i / ȳ_(−i) is about σ² (1 + 1 / (n − 1)), and that of a new pixel over the mean of all n
-/// is σ² (1 + 1 / n): so logarithms of scores are brought closer to zero by √(1 − 1 / n²).
+/// Let σ² be the variance of the logarithm of a pixel's work. Then ln(y_i / ȳ_(−i)) has the variance σ² (1 +
+/// 1 / (n − 1)), approximately. A new pixel over the mean of all n has σ² (1 + 1 / n). So logarithms of
+/// scores are multiplied by √(1 − 1 / n²).
 fn score(Sum { work: sum, count }: Sum, work: f64) -> Option<f64> {
     if count < 2.0 {
         return None;
@@ -141,10 +149,11 @@ fn score(Sum { work: sum, count }: Sum, work: f64) -> Option<f64> {
     Some(if work == mean { 1.0 } else { libm::pow(work / mean, closer) })
 }
 
-/// The quantile of ascending weighted scores and of one more, of weight `next`, that may lie anywhere; none if it may be that one.
+/// The quantile of ascending weighted scores, plus one of weight `next` that may lie anywhere. `None` if the
+/// quantile may be that one.
 fn quantile(scores: impl Iterator<Item = (f64, f64)> + Clone, next: f64, probability: f64) -> Option<f64> {
     let all = scores.clone().map(|(_, weight)| weight).sum::<f64>() + next;
-    // A little less than asked for, so that a whole number of scores is not passed by the rounding of p.
+    // Slightly less than the exact value, so that the rounding of p does not skip a score.
     let wanted = probability * all * (1.0 - 1e-12);
     let mut before: Option<f64> = None;
     let mut reached = 0.0;
@@ -182,32 +191,34 @@ mod tests {
     #[test]
     fn a_stratum_speaks_for_itself_as_soon_as_it_has_enough_pixels_and_with_others_before() {
         let strata = strata(&[0, 0, 1]);
-        // Nine pixels of 1 to 9; two that stand for ten each; one alone of its material.
+        // Nine pixels of 1 to 9; two that stand for ten each; one that is alone in its material.
         let mut observed: Vec<Observation> = (1..10).map(|work| seen(0, work)).collect();
         observed.extend([seen(1, 10), seen(1, 30), seen(2, 100)]);
         let costs = PixelCosts::new(&strata, &[90, 20, 10], &observed);
-        // Of ten places the eighth, the fifth, and three quarters of the way from there to the next.
+        // Of ten ranks: the eighth, the fifth, and three quarters of the way from there to the next.
         is(costs.at(0.8).of(0, 5.0, 5.0), 8.0);
         is(costs.at(0.5).of(0, 5.0, 5.0), 5.0);
         is(costs.at(0.575).of(0, 5.0, 5.0), 5.75);
-        // The others have three scores together, the greatest of them that of the pixel that is held against all others.
+        // The other strata have three scores together. The greatest is that of the pixel compared with all
+        // others.
         let closer = |score: f64, count: f64| score.powf((1.0 - 1.0 / (count * count)).sqrt());
         let (alone, one_of_two) = (closer(100.0 / (85.0 / 11.0), 12.0), closer(3.0, 2.0));
         for stratum in [1, 2] {
             is(costs.at(0.75).of(stratum, 7.0, 7.0), 7.0 * alone);
-            // Too few for more, so that all speak: of twelve and one more, each for ten pixels, the eleventh.
+            // Too few for a higher quantile, so all strata are pooled: rank eleven of thirteen, each for ten
+            // pixels.
             is(costs.at(11.0 / 13.0).of(stratum, 7.0, 7.0), 7.0 * one_of_two);
             assert_eq!(costs.at(0.95).of(stratum, 7.0, 7.0), None, "it may be the one more");
         }
         assert_eq!(costs.at(0.5).of(3, 7.0, 7.0), None, "there is no such stratum");
-        // Elsewhere they cost twice as much, or what costs nothing there costs something.
+        // In the other frame they cost twice as much, or cost something instead of nothing.
         is(costs.at(0.8).of(0, 5.0, 10.0), 16.0);
         is(costs.at(0.75).of(0, 0.0, 3.0), 3.0 * alone);
     }
 
     #[test]
     fn pixels_that_cost_the_same_cost_just_that_and_those_without_cost_are_no_nan() {
-        // Whatever the mean is thought to be.
+        // Whatever the forecast mean.
         let constant: Vec<Observation> = (0..30).map(|_| seen(0, 7)).collect();
         let costs = PixelCosts::new(&strata(&[0]), &[900], &constant);
         for probability in [0.05, 0.5, 0.95] {

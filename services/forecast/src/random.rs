@@ -1,8 +1,8 @@
-//! Counter-based random numbers: a pure function of the counters, so that a choice can be repeated by anybody
-//! who knows the seed, on any machine and in any order.
+//! Counter-based random numbers: a pure function of the counters. Every draw can be repeated from its seed,
+//! on any machine and in any order.
 
-/// Mixes one 64-bit word so that every input bit reaches every output bit (the finaliser of SplitMix64;
-/// Steele, Lea, Flood 2014, "Fast splittable pseudorandom number generators").
+/// Mixes a 64-bit word so that every input bit affects every output bit: the finaliser of SplitMix64 (Steele,
+/// Lea, Flood 2014, "Fast splittable pseudorandom number generators").
 const fn mix(mut word: u64) -> u64 {
     word ^= word >> 30;
     word = word.wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -14,14 +14,15 @@ const fn mix(mut word: u64) -> u64 {
 /// 2^64 divided by the golden ratio: the step of the Kronecker sequence and the increment of SplitMix64.
 pub(crate) const GOLDEN_STEP: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// One uniform 64-bit number for the given counters; other counters give an independent one.
+/// One uniform 64-bit number for these counters. Numbers for different counters are independent.
 pub(crate) fn hash(counters: &[u64]) -> u64 {
     counters.iter().fold(GOLDEN_STEP, |state, &counter| {
         mix(state.wrapping_add(GOLDEN_STEP) ^ mix(counter ^ GOLDEN_STEP))
     })
 }
 
-/// A number below `limit` from a uniform 64-bit one, all alike to within `limit` / 2⁶⁴; 0 for a limit of 0.
+/// A number below `limit` from a uniform 64-bit one. Uniform up to a bias of `limit` / 2⁶⁴. 0 for a limit
+/// of 0.
 pub(crate) fn below(number: u64, limit: u64) -> u64 {
     ((u128::from(number) * u128::from(limit)) >> 64) as u64
 }

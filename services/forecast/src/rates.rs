@@ -1,41 +1,49 @@
-//! Seconds per unit of work, by class of work: from kernels on a machine, and corrected by what frames took there.
+//! Seconds per unit of work on a machine, by class of work: measured by kernels, corrected by rendered
+//! frames.
 //!
-//! A kernel does work of several classes, W_kc, in t_k seconds. On a reference machine a unit of each class takes p_c: that is known from whole frames,
-//! of which a kernel is none, so W_kc is counted such that Σ_c W_kc p_c is what the kernel takes there. The rates here, r_c = m p_c x_c, are the
-//! reference's times one factor for all classes and one for each,
+//! A kernel k does work of several classes, W_kc, in t_k seconds. On the reference machine, a unit of class c
+//! takes p_c seconds. The p_c are known from whole frames, and kernels are not frames. So W_kc is counted
+//! such that Σ_c W_kc p_c is the time of the kernel on the reference machine. The rates of another machine
+//! are r_c = m p_c x_c: the reference's rates, times one factor m for all classes, times one factor x_c per
+//! class:
 //!
 //! ```text
 //! min Σ_k ( Σ_c W_kc m p_c x_c / t_k − 1 )²  +  λ Σ_c ( x_c − 1 )² ,      m = mean of t_k / Σ_c W_kc p_c
 //! ```
 //!
-//! (ridge regression towards the reference's proportions; Hoerl and Kennard 1970): that machines differ by one factor is what is believed until kernels say otherwise.
-//! A class in which the kernels say much is hardly held back, and of one in which they say nothing the rate is m p_c. What is off
-//! in how the classes were told apart is off alike on two machines, and cancels when a time is carried from one to the other.
+//! This is ridge regression towards the proportions of the reference (Hoerl and Kennard 1970). Machines are
+//! taken to differ by one factor unless kernels show otherwise. A class with much kernel work is hardly
+//! shrunk; one without kernel work gets the rate m p_c. Errors in the division into classes are the same on
+//! two machines, and cancel when a time is carried from one to the other.
 //!
-//! What frames take on a machine corrects that. Let m_j be the mean over a job's frames of the logarithm of what they took over what they were
-//! forecast to take there, by kernels that know nothing of the scene. Jobs differ in m_j about as much as machines do beyond what
-//! kernels can see, so with a normal prior of that width around no correction the posterior mean is Σ m_j / (J + 1) of J jobs
-//! (Gelman et al., *Bayesian Data Analysis*, section 2.5). A sum does not depend on the order in which the jobs were finished.
+//! Rendered frames correct these rates. Let m_j be the mean, over the frames of job j, of ln(time taken /
+//! time forecast by the rates). Jobs differ in m_j about as much as machines differ beyond what kernels show.
+//! So with a normal prior of that width around zero, the posterior mean after J jobs is Σ m_j / (J + 1)
+//! (Gelman et al., *Bayesian Data Analysis*, section 2.5). A sum does not depend on the order in which jobs
+//! finish.
 
 use crate::moments::sum;
 
-/// λ: the square of what kernels are off by, of which none is a frame, over what machines differ in by class: some 8 % over some 15 %.
+/// λ: the variance of the kernels' error, since no kernel is a frame, over the variance between machines by
+/// class. About (8 % / 15 %)².
 const RIDGE: f64 = 0.3;
 
-/// Proportions stay within this factor of the reference's.
-const WIDEST: f64 = 20.0;
+/// Bound on the factors x_c, in both directions.
+const MAX_PROPORTION: f64 = 20.0;
 
-/// The logarithm of a frame's ratio counts as no more than this: a factor of two.
-const MOST: f64 = std::f64::consts::LN_2;
+/// Bound on the absolute logarithm of a frame's ratio: a factor of two.
+const MAX_LOG_RATIO: f64 = std::f64::consts::LN_2;
 
-/// Units of the logarithm in which it is kept.
+/// Logarithms are stored in millionths.
 const MILLIONTHS: f64 = 1e6;
 
 /// Work of a kernel by class, and the seconds that it took.
 pub type Timed<const CLASSES: usize> = ([f64; CLASSES], f64);
 
-/// Seconds for a unit of work of each class, from kernels and what such units take on the reference machine, all of them more than nothing; `None`
-/// without kernels that did any work in any time.
+/// Seconds per unit of work of each class, all positive.
+///
+/// `reference` are the seconds per unit on the reference machine. `None` if no kernel did any work in a
+/// positive time.
 pub fn class_rates<const CLASSES: usize>(
     kernels: &[Timed<CLASSES>],
     reference: &[f64; CLASSES],
@@ -67,11 +75,12 @@ pub fn class_rates<const CLASSES: usize>(
     }
     let proportions = solved(matrix, right);
     Some(std::array::from_fn(|class| {
-        mean * reference[class] * proportions[class].clamp(1.0 / WIDEST, WIDEST)
+        mean * reference[class] * proportions[class].clamp(1.0 / MAX_PROPORTION, MAX_PROPORTION)
     }))
 }
 
-/// Solves a symmetric positive definite system by elimination, which needs no pivots for these (Golub and Van Loan, section 4.2).
+/// Solves a symmetric positive definite system by elimination. Such systems need no pivoting (Golub and Van
+/// Loan, section 4.2).
 fn solved<const N: usize>(mut matrix: [[f64; N]; N], mut right: [f64; N]) -> [f64; N] {
     for k in 0..N {
         let (pivot, known) = (matrix[k], right[k]);
@@ -88,15 +97,16 @@ fn solved<const N: usize>(mut matrix: [[f64; N]; N], mut right: [f64; N]) -> [f6
     right
 }
 
-/// The logarithm of what a frame took over what it was forecast to take, in millionths and bounded; `None` if either is nothing.
+/// ln(took / forecast) of a frame, bounded and in millionths. `None` unless both are positive.
 pub fn log_ratio_millionths(took: f64, forecast: f64) -> Option<i64> {
     let log = libm::log(took / forecast);
     (took > 0.0 && forecast > 0.0 && log.is_finite())
-        .then(|| (log.clamp(-MOST, MOST) * MILLIONTHS).round() as i64)
+        .then(|| (log.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO) * MILLIONTHS).round() as i64)
 }
 
-/// By what factor a machine takes longer than its kernels say, from the sum over so many jobs of the mean of such logarithms over a
-/// job's frames.
+/// The factor by which a machine is slower than its kernels say.
+///
+/// `sum_of_means` is the sum over `jobs` jobs of the mean of [`log_ratio_millionths`] over each job's frames.
 pub fn learned_factor(sum_of_means: i64, jobs: u64) -> f64 {
     libm::exp(sum_of_means as f64 / MILLIONTHS / (jobs as f64 + 1.0))
 }
@@ -120,7 +130,7 @@ mod tests {
             off(truth.map(|rate| 3.0 * rate)) < 1e-12,
             "one factor for all classes is found to the last digit"
         );
-        // Of a quarter that proportions are off, less than half is left.
+        // The proportions are off by a quarter. Less than half of that is left.
         assert!(off([0.9e-9, 2.2e-9, 0.5e-9]) < 0.12, "{}", off([0.9e-9, 2.2e-9, 0.5e-9]));
         assert!(off([1.0e-9; 3]) < 0.3, "{}", off([1.0e-9; 3]));
     }

@@ -1,28 +1,32 @@
-//! From a few profiled frames to every frame of the shot.
+//! Forecasts every frame of a shot from a few profiled ones.
+//!
+//! The preview gives the pixel counts of every frame. Unit costs of the strata are carried from the profiled
+//! frames to the others. The variance of a total takes into account that all frames depend on the same
+//! samples.
 
 use serde::{Deserialize, Serialize};
 
-use crate::clock::ShotClock;
 use crate::cost::{COLUMNS, Cost, Costs, Observation, Quantity, Row, WORK, add_scaled};
 use crate::drift::Drift;
 use crate::error::ForecastError;
 use crate::estimate::{BORROWED_FREEDOM, BORROWED_VARIATION, FrameFit, StratumEstimate, Uncertainty};
 use crate::expansion::Expansion;
-use crate::frames::{FramePopulation, check_frames};
 use crate::interval::{Calibration, Part, log_deviation, quantity};
 use crate::moments::sum;
+use crate::population::{FramePopulation, check_frames};
+use crate::shot_clock::ShotClock;
 use crate::strata::Stratum;
 
-/// What profiling one frame brought.
+/// The result of profiling one frame.
 #[derive(Clone, Copy, Debug)]
 pub struct ProfiledFrame<'a> {
     /// Index of the frame among the shot's frames.
     pub frame: usize,
-    /// The profiled pixels, and what was measured of what stands apart.
+    /// The profiled pixels and the measured cache records.
     pub observations: &'a [Observation],
-    /// How the profiled pixels stand for all of the frame's.
+    /// How the profiled pixels are expanded to all pixels.
     pub expansion: &'a Expansion,
-    /// Cost of the frame whatever its pixels and its triangles: loading, planning, writing.
+    /// Cost of the frame that does not depend on its pixels or triangles: loading, planning, writing.
     pub fixed: Cost,
     /// Cost of building the tree over its triangles.
     pub build: Cost,
@@ -33,11 +37,11 @@ pub struct ProfiledFrame<'a> {
 pub struct FrameForecast {
     /// The frame's number.
     pub number: i64,
-    /// Whether pixels of this very frame were profiled.
+    /// Whether pixels of this frame were profiled.
     pub profiled: bool,
-    /// Totals over all pixels, with the fixed cost.
+    /// Totals over all pixels, including the fixed cost.
     pub total: Costs<Quantity>,
-    /// One entry for each stratum.
+    /// One entry per stratum.
     pub strata: Vec<StratumEstimate>,
 }
 
@@ -48,32 +52,36 @@ pub struct ShotForecast {
     pub frames: Vec<FrameForecast>,
     /// Totals over all frames. Their quantiles are *not* sums of the frames' quantiles.
     pub total: Costs<Quantity>,
-    /// Log-standard deviation of the job's total work, inflated as the quantiles are: the error that its
-    /// frames have in common, for they share the same samples. It does not average out over frames.
+    /// Log-standard deviation of the job's total work, inflated like the quantiles. It is the error that the
+    /// frames share, because they depend on the same samples. It does not average out over frames.
     pub job_sigma: f64,
-    /// Groups of strata in profiled frames that had to borrow, plus strata that no profiled frame shows.
+    /// Number of groups of strata in profiled frames that borrow, plus strata that no profiled frame shows.
     pub borrowed: usize,
-    /// Whether the quantiles were stretched by what past jobs taught.
+    /// Whether the quantiles were calibrated on past jobs.
     pub calibrated: bool,
 }
 
 /// Forecasts every frame from the profiled ones.
 ///
-/// A profiled frame is estimated as by [`crate::estimate`]. In every other frame t, ŷ_t = Σ_h N_h,t ĉ_h(t) +
-/// fixed(t): the preview knows all N_h,t, and the unit cost of a stratum comes from the nearest profiled
-/// frame before and after in which it was sampled, each weighted by 1 / (CV² / n_h + q Δτ): samples against
-/// distance in time, q being the prior drift of unit costs. Time is the shot's own (`clock`): a cut is as long as the
-/// shot, so that what lies behind it says little. Profiled frames in which the same lights shine are preferred to all others.
+/// A profiled frame is estimated as by [`crate::estimate()`]. Every other frame t has the estimate ŷ_t = Σ_h
+/// N_h,t ĉ_h(t) + fixed(t). The preview knows all N_h,t. The unit cost of a stratum comes from the nearest
+/// profiled frames before and after it that sampled the stratum. Each has the weight 1 / (CV² / n_h + q Δτ),
+/// which balances samples against distance in time; q is the prior drift of unit costs. Time is the shot's
+/// own (`shot_clock`), in which a cut is as long as the shot. So frames beyond a cut have little weight.
+/// Profiled frames with the same lights are preferred to all others.
 ///
-/// The variance of a frame and of the total has three parts. *Sampling*: each group mean of a profiled frame
-/// with the number of pixels that depend on it in all frames together, so that what frames share is added
-/// before it is squared. *Carrying*: the residual ln(y_t / ŷ_t) of carried frames is a random walk that is
-/// zero at every profiled frame; its rate has a prior (10 % over a third of the shot) and learns from
-/// predicting each profiled frame by the others. *Borrowing*: strata that no profiled frame shows are taken
-/// to cost what their material costs, give or take a half.
+/// The variance of a frame and of the total has three parts.
+///
+/// * *Sampling*: each group mean of a profiled frame counts with the number of pixels that depend on it, over
+///   all frames. So errors that frames share are added before they are squared.
+/// * *Carrying*: the residual ln(y_t / ŷ_t) of carried frames is a random walk that is zero at every profiled
+///   frame. Its rate has a prior of 10 % over a third of the shot, and learns from predicting each profiled
+///   frame by the others.
+/// * *Borrowing*: a stratum that no profiled frame shows is taken to cost what its material costs, with a
+///   standard deviation of a half of that.
 ///
 /// # Errors
-/// If nothing was profiled, or frames, counts, strata and observations do not fit together.
+/// If nothing was profiled, or frames, counts, strata and observations do not match.
 pub fn forecast_shot(
     strata: &[Stratum],
     frames: &[FramePopulation],
@@ -105,7 +113,7 @@ pub fn forecast_shot(
                 let mut uncertainty = carrier.uncertainty(&prediction.weights, borrowed, column);
                 uncertainty.add_part(drifts[column].of_frame(t, prediction.total[column]));
                 let mean = prediction.total[column] + prediction.fixed[column];
-                quantity(mean, uncertainty.together(), calibration)
+                quantity(mean, uncertainty.combined(), calibration)
             });
             FrameForecast {
                 number: frames[t].number,
@@ -122,7 +130,7 @@ pub fn forecast_shot(
         let traced: Vec<f64> = predictions.iter().map(|p| p.total[column]).collect();
         uncertainty.add_part(drifts[column].of_total(&traced));
         let mean = sum(traced) + sum(predictions.iter().map(|p| p.fixed[column]));
-        quantity(mean, uncertainty.together(), calibration)
+        quantity(mean, uncertainty.combined(), calibration)
     });
     let mut never_seen: Vec<usize> = predictions.iter().flat_map(|p| p.unseen.iter().copied()).collect();
     never_seen.sort_unstable();
@@ -136,18 +144,18 @@ pub fn forecast_shot(
     })
 }
 
-/// Within a stratum, the squared coefficient of variation that is weighed against drift when unit costs are
+/// Squared coefficient of variation within a stratum. It is weighed against drift when unit costs are
 /// carried.
 const CARRIED_VARIATION_SQUARED: f64 = 0.25;
 
-/// A frame as the profiled ones predict it.
+/// A frame as predicted from the profiled ones.
 struct Prediction {
-    /// Totals over pixels, without fixed cost.
+    /// Totals over pixels, without the fixed cost.
     total: Row,
     fixed: Row,
     /// Unit costs by stratum.
     means: Vec<Row>,
-    /// How many pixels depend on each group of each profiled frame.
+    /// Number of pixels that depend on each group of each profiled frame.
     weights: Vec<Vec<f64>>,
     /// Strata that none of the profiled frames shows.
     unseen: Vec<usize>,
@@ -159,13 +167,13 @@ struct Source {
     fit: FrameFit,
     fixed: Row,
     build: Row,
-    /// Mean unit cost of all pixels of the frame, without what stands apart.
+    /// Mean unit cost of all pixels of the frame, without cache records.
     overall: Row,
 }
 
-/// How unlike the lights of two frames are: it counts most whether there are any, and then how many; some more or less, up to a third, are
-/// alike.
-fn unlike(one: &FramePopulation, other: &FramePopulation) -> (bool, u32) {
+/// How much the lights of two frames differ: first whether only one frame has any, then by how many. Numbers
+/// that differ by up to a third count as equal.
+fn light_difference(one: &FramePopulation, other: &FramePopulation) -> (bool, u32) {
     let (fewer, more) = (one.shining.min(other.shining), one.shining.max(other.shining));
     let differ = more - fewer;
     ((fewer == 0) != (more == 0), if differ <= more / 3 { 0 } else { differ })
@@ -176,7 +184,7 @@ struct Carrier<'a> {
     strata: &'a [Stratum],
     frames: &'a [FramePopulation],
     clock: ShotClock,
-    /// In order of time.
+    /// In the order of time.
     sources: Vec<Source>,
 }
 
@@ -280,8 +288,10 @@ impl<'a> Carrier<'a> {
         f64::from(self.sources[k].fit.strata[h].samples)
     }
 
-    /// The nearest usable sources before and after frame t, of those with the frame's lights if any is usable, and otherwise of those with lights most
-    /// like them, with shares that add up to one. `samples` says on how many samples a source stands, or none if it is of no use.
+    /// The nearest usable sources before and after frame t, with shares that add up to one.
+    ///
+    /// Sources with the frame's lights are preferred, otherwise those with the most similar lights. `samples`
+    /// gives the number of samples behind a source, or `None` if it is not usable.
     fn neighbours(
         &self,
         t: usize,
@@ -297,8 +307,9 @@ impl<'a> Carrier<'a> {
         };
         let nearest = match nearest(&same) {
             [None, None] => {
-                let closest = (0..self.sources.len()).filter(usable).map(|k| unlike(own, of(k))).min();
-                nearest(&|k: &usize| usable(k) && Some(unlike(own, of(*k))) == closest)
+                let closest =
+                    (0..self.sources.len()).filter(usable).map(|k| light_difference(own, of(k))).min();
+                nearest(&|k: &usize| usable(k) && Some(light_difference(own, of(*k))) == closest)
             }
             found => found,
         };
@@ -316,8 +327,10 @@ impl<'a> Carrier<'a> {
         shares
     }
 
-    /// Mean unit cost of a stratum's material in the profiled frames nearest to frame t that show it, or of all pixels;
-    /// for what stands apart, which is no pixel, times its prior cost.
+    /// Mean unit cost of a stratum's material, in the profiled frames nearest to frame t that show it.
+    ///
+    /// If none shows it, the mean over all pixels takes its place. For cache records, that mean is multiplied
+    /// by their prior cost.
     fn material_mean(&self, t: usize, left_out: Option<usize>, stratum: &Stratum) -> Row {
         let amount = |k: usize| {
             let source = &self.sources[k];
@@ -343,7 +356,7 @@ impl<'a> Carrier<'a> {
         mean
     }
 
-    /// Sampling and borrowing error of a total in which each group mean counts as often as `weights` says.
+    /// Sampling and borrowing error of a total in which each group mean has the weight `weights`.
     fn uncertainty(
         &self,
         weights: &[Vec<f64>],
@@ -364,8 +377,9 @@ impl<'a> Carrier<'a> {
         uncertainty
     }
 
-    /// Whether every pixel of every profiled frame costs just the same, and what is no pixel nothing: camera rays.
-    fn is_the_same_everywhere(&self, column: usize) -> bool {
+    /// Whether all pixels of all profiled frames have exactly the same cost in this column, and cache records
+    /// have none. This is the case for camera rays.
+    fn is_constant(&self, column: usize) -> bool {
         let mut groups = self.sources.iter().flat_map(|source| &source.fit.groups);
         let pixels = self.sources[0].fit.groups.iter().find(|group| !group.is_apart());
         let constant = pixels.and_then(|group| group.constant(column));
@@ -374,15 +388,15 @@ impl<'a> Carrier<'a> {
                 .all(|group| group.constant(column) == if group.is_apart() { Some(0.0) } else { constant })
     }
 
-    /// Learns how fast unit costs drift from how well each profiled frame is predicted by the others.
+    /// Learns how fast unit costs drift, from how well each profiled frame is predicted by the others.
     fn drift(&self, column: usize) -> Drift {
         let profiled = self.sources.iter().map(|source| source.frame).collect();
         let mut drift = Drift::new(&self.clock, self.frames, profiled);
         if self.sources.len() < 2 {
             return drift;
         }
-        if column > WORK && self.is_the_same_everywhere(column) {
-            return drift.standing_still();
+        if column > WORK && self.is_constant(column) {
+            return drift.without_drift();
         }
         for (k, source) in self.sources.iter().enumerate() {
             let measured = source.fit.total(column);
@@ -394,9 +408,9 @@ impl<'a> Carrier<'a> {
                     .iter()
                     .map(|&h| f64::from(self.frames[source.frame].counts[h]) * prediction.means[h][column]);
                 let of_prediction =
-                    self.uncertainty(&prediction.weights, borrowed, column).together().variance;
+                    self.uncertainty(&prediction.weights, borrowed, column).combined().variance;
                 let own = self.predict(source.frame, None);
-                let of_frame = self.uncertainty(&own.weights, std::iter::empty(), column).together().variance;
+                let of_frame = self.uncertainty(&own.weights, std::iter::empty(), column).combined().variance;
                 let noise = of_prediction / predicted / predicted + of_frame / measured / measured;
                 drift.learn(k, libm::log(measured / predicted), noise);
             }

@@ -1,42 +1,46 @@
-//! Strata, and their joining into groups that are large enough to be sampled.
+//! Strata, and groups of strata that are large enough to be sampled.
 
 use serde::{Deserialize, Serialize};
 
 use crate::error::ForecastError;
 
-/// An (object, material) pair that the preview can show. The background is a stratum like any other, by
-/// custom the last of them, with an object and a material of its own. After it come strata that stand apart.
+/// An (object, material) pair that the preview can show.
+///
+/// The background is a stratum like any other. By convention it is the last one, with an object and a
+/// material of its own. Strata of cache records follow it (see [`Stratum::apart`]).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Stratum {
     /// The object, for tables by object.
     pub object: u32,
-    /// The material: strata of one material borrow from each other first.
+    /// The material. Strata of the same material borrow from each other first.
     pub material: u32,
-    /// What one pixel is thought to cost before anything is measured, relative to a plain diffuse pixel (1).
-    /// It only steers where samples go (to glass rather than to walls); no estimate depends on it otherwise.
+    /// Expected cost of one pixel before anything is measured, relative to a plain diffuse pixel (1). It only
+    /// steers where samples go, for example to glass rather than walls. No estimate depends on it otherwise.
     pub prior_cost: f64,
-    /// Whether it stands apart: it is not made of pixels but of other things whose number is known and of which
-    /// some are measured. It is never joined with another stratum, and neither its size nor its samples have a
-    /// part in how pixels are grouped. Strata that stand apart and are of one material borrow from each other,
-    /// but never from pixels.
+    /// Whether the stratum stands apart from the pixels: it consists of other things, such as cache records,
+    /// whose number is known and some of which are measured. It is never joined with another stratum, and
+    /// does not affect how pixels are grouped. Such strata borrow from each other within a material, but
+    /// never from pixels.
     #[serde(default)]
     pub apart: bool,
 }
 
 impl Stratum {
-    /// The background; `prior_cost` as in the field.
+    /// The background, with the [`prior_cost`](Self::prior_cost) of its pixels.
     pub const fn background(prior_cost: f64) -> Self {
         Self { object: u32::MAX, material: u32::MAX, prior_cost, apart: false }
     }
 
-    /// Pixels at the edges of lights: of the image's error, not of its cost, they are a stratum of their own, for an edge between a
-    /// lamp and what it lights may weigh more than all the rest of the image.
+    /// Pixels at the edges of lights. They are a stratum of their own when the error of an image is
+    /// estimated, not for its cost. An edge between a lamp and what it lights may contribute more error than
+    /// the rest of the image.
     pub const fn edges_of_lights() -> Self {
         Self { object: u32::MAX, material: u32::MAX - 2, prior_cost: 1.0, apart: false }
     }
 
-    /// The records of an irradiance cache's levels, each a stratum that stands apart; `prior_cost` is a record's.
-    /// Objects and materials are numbered from below the background's downwards, where no scene's are.
+    /// One stratum per level of an irradiance cache, for its records, each with `prior_cost` per record.
+    ///
+    /// Objects are numbered downwards from below the background's, where no object of a scene is.
     pub fn of_records(levels: usize, prior_cost: f64) -> impl Iterator<Item = Self> {
         (0..levels as u32).map(move |level| Self {
             object: u32::MAX - 1 - level,
@@ -47,23 +51,24 @@ impl Stratum {
     }
 }
 
-/// A group must deserve this many samples by its share of the expected cost; smaller ones are joined.
+/// Least number of samples that a group should get by its share of the expected cost. Smaller ones are
+/// joined.
 const LEAST_DESERVED_SAMPLES: f64 = 0.5;
 
-/// Samples for each group in the mean: with at most a quarter as many groups as samples, the floor of two in
-/// each group takes no more than half of them.
+/// Average number of samples per group. With at most a quarter as many groups as samples, the floor of two in
+/// each group needs no more than half of the samples.
 const SAMPLES_PER_GROUP: u64 = 4;
 
-/// Strata joined so that every group can have two samples or more.
+/// Strata joined into groups that can have two samples or more each.
 ///
-/// With more strata than samples, small strata would mostly go unsampled, and a guess in their place would be
-/// a bias that no interval shows. Sampling the small strata *of one material together*, each pixel with the
-/// same chance, has no such bias (collapsed strata: Cochran 1977, section 5A.12). The grouping looks at pixel
-/// counts, materials, prior costs and the number of samples only, never at measured costs; so whoever
-/// estimates later finds the same groups as whoever chose.
+/// With more strata than samples, most small strata would get none. Guessing their cost would cause a bias
+/// that no interval shows. Sampling the small strata *of one material together*, each pixel with the same
+/// probability, causes no such bias (collapsed strata: Cochran 1977, section 5A.12). The grouping depends on
+/// pixel counts, materials, prior costs and the number of samples, never on measured costs. So the estimate
+/// finds the same groups as the design.
 #[derive(Clone, Debug)]
 pub(crate) struct Grouping {
-    /// Group of each stratum; none for strata without pixels.
+    /// Group of each stratum. `None` for strata without pixels.
     pub of: Vec<Option<usize>>,
     pub groups: Vec<Group>,
 }
@@ -71,15 +76,15 @@ pub(crate) struct Grouping {
 #[derive(Clone, Debug)]
 pub(crate) struct Group {
     pub pixels: u64,
-    /// The material, where all strata share it.
+    /// The material, if all strata share it.
     pub material: Option<u32>,
     /// Expected cost of all pixels, in the unit of the prior costs.
     pub weight: f64,
-    /// Whether it is a stratum that stands apart; such groups come last.
+    /// Whether it is a stratum that stands apart ([`Stratum::apart`]). Such groups are last.
     pub apart: bool,
 }
 
-/// Checks what every forecast needs of its strata and one frame's counts.
+/// Checks the prior costs of the strata and the number of a frame's counts.
 pub(crate) fn check(strata: &[Stratum], frame: i64, counts: &[u32]) -> Result<(), ForecastError> {
     if let Some(stratum) = strata.iter().position(|s| !(s.prior_cost.is_finite() && s.prior_cost > 0.0)) {
         return Err(ForecastError::BadPriorCost { stratum });
@@ -91,7 +96,7 @@ pub(crate) fn check(strata: &[Stratum], frame: i64, counts: &[u32]) -> Result<()
 }
 
 impl Grouping {
-    /// Groups of strata of which `counts` pixels are seen, for so many samples of pixels.
+    /// Groups the strata of a frame with `counts` pixels each, for `samples` samples of pixels.
     pub fn new(strata: &[Stratum], counts: &[u32], samples: u64) -> Self {
         let of_pixels = || strata.iter().zip(counts).filter(|(s, _)| !s.apart);
         let pixels: u64 = of_pixels().map(|(_, &n)| u64::from(n)).sum();
@@ -103,7 +108,7 @@ impl Grouping {
         let mut share = LEAST_DESERVED_SAMPLES / samples as f64;
         let mut grouping = loop {
             let grouping = Self::with_least_weight(strata, counts, &weights, share * total);
-            // Above a share of one everything is in one group, so this ends.
+            // Ends, because with a share above one everything is in one group.
             if grouping.groups.len() <= most || share > 1.0 {
                 break grouping;
             }
@@ -115,7 +120,7 @@ impl Grouping {
         grouping
     }
 
-    /// Every stratum that is seen is a group of its own.
+    /// Makes every stratum with pixels a group of its own.
     pub fn of_each(strata: &[Stratum], counts: &[u32]) -> Self {
         let weights: Vec<f64> =
             strata.iter().zip(counts).map(|(s, &n)| f64::from(n) * s.prior_cost).collect();
@@ -128,8 +133,8 @@ impl Grouping {
         grouping
     }
 
-    /// Strata of pixels of `least` weight stand alone; the rest are joined by material, and what is still too light
-    /// in one last group.
+    /// Strata of pixels with at least the weight `least` are groups of their own. The rest are joined by
+    /// material; materials that are still too light form one last group.
     fn with_least_weight(strata: &[Stratum], counts: &[u32], weights: &[f64], least: f64) -> Self {
         let mut grouping = Grouping { of: vec![None; strata.len()], groups: Vec::new() };
         let small: Vec<usize> = (0..strata.len()).filter(|&h| !strata[h].apart && counts[h] > 0).collect();

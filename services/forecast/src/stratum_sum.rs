@@ -1,21 +1,21 @@
-//! Forecast frames added up by stratum.
+//! Sums over forecast frames, by stratum.
 
 use crate::estimate::StratumEstimate;
 use crate::moments::sum;
 
-/// What a stratum holds in some frames together.
+/// Totals of one stratum over several frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StratumSum {
-    /// Pixels that show it.
+    /// Number of pixels that show the stratum.
     pub pixels: u64,
-    /// Those that were profiled.
+    /// Number of profiled pixels.
     pub samples: u64,
-    /// Expected work of all of them.
+    /// Expected work of all its pixels.
     pub work: f64,
 }
 
 impl StratumSum {
-    /// One sum for each stratum, over frames with the same strata.
+    /// One sum per stratum. All frames must have the same strata.
     pub fn over<'a>(frames: impl Iterator<Item = &'a [StratumEstimate]>) -> Vec<Self> {
         let frames: Vec<&[StratumEstimate]> = frames.collect();
         let strata = frames.first().map_or(0, |frame| frame.len());

@@ -5,7 +5,7 @@ mod common;
 use common::{INTERIOR, LIGHT, Picture, Recipe, cost_of, errors};
 use forelight_forecast::{
     Calibration, Cost, Expansion, ForecastError, FramePopulation, Pick, ProfiledFrame, Quantity,
-    RecordStrata, Strategy, Stratum, forecast_shot, predicted_map,
+    RecordStrata, Strategy, Stratum, forecast_shot,
 };
 use proptest::prelude::{Just, any, prop, prop_assert, prop_assert_eq, prop_oneof, proptest};
 
@@ -110,7 +110,8 @@ fn random_pixels_are_the_same_with_and_without_areas() {
 
 #[test]
 fn a_pixel_counts_for_the_area_that_is_nearest_to_it() {
-    // A plain slope across the picture: areas correct for where the random pixels happen to be, in most cases.
+    // A plain slope across the picture: areas correct for where the random pixels happen to be, in most
+    // cases.
     let cost = |pixel: u32| cost_of(1000.0 + 100.0 * f64::from(pixel % 64));
     let truth: f64 = (0..4096).map(|pixel| cost(pixel).work as f64).sum();
     let error = |strategy| {
@@ -153,7 +154,8 @@ fn the_papers_snapshot_is_pixels_of_an_object_times_its_mean_cost() {
     assert!((found.total.work.mean / expected - 1.0).abs() < 1e-12);
 }
 
-/// Relative errors over many seeds of pictures of one recipe, and the mean of the variances that were estimated.
+/// Relative errors over many seeds of pictures of one recipe, and the mean of the variances that were
+/// estimated.
 fn trials(strategy: Strategy, recipe: Recipe, picture: u64, trials: u64) -> (Vec<f64>, f64) {
     let picture = Picture::new(recipe, picture, picture, 0.0);
     let truth = picture.truth();
@@ -216,29 +218,6 @@ fn on_a_picture_of_objects_the_preview_is_ahead_of_every_blind_strategy() {
     for strategy in Strategy::ALL.into_iter().filter(|strategy| strategy.is_blind()) {
         let blind = error(strategy);
         assert!(ours < 0.95 * blind, "{strategy:?}: {blind}, ours {ours}");
-    }
-}
-
-#[test]
-fn a_predicted_map_adds_up_to_the_estimate_where_objects_are_known() {
-    let picture = Picture::new(Recipe { side: 32, ..INTERIOR }, 2, 2, 0.0);
-    for strategy in Strategy::ALL {
-        let design = strategy.design(&picture.strata, &picture.ids, 32, 100, 3, 0).expect("a picture");
-        let (picks, observations) = design.profile(|pixel| picture.costs[pixel as usize]).expect("costs");
-        let map = predicted_map(strategy, &design, &picture.strata, &picture.ids, 32, &picks, &observations)
-            .expect("a map");
-        assert_eq!(map.len(), 1024);
-        let total: f64 = map.iter().map(|costs| costs.work).sum();
-        let estimate =
-            design.estimate(&observations, Calibration::NONE).expect("an estimate").total.work.mean;
-        // The systematic one expands by classes, and paints by objects.
-        let sums = !strategy.is_blind() && strategy != Strategy::Systematic;
-        if sums || strategy == Strategy::RandomArea {
-            assert!((total / estimate - 1.0).abs() < 1e-9, "{strategy:?}");
-        }
-        for (pick, observation) in picks.iter().zip(&observations).filter(|_| strategy.is_blind()) {
-            assert_eq!(map[pick.pixel as usize].work, observation.cost.work as f64);
-        }
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Frames are treated as a fluid. For every job, class of nodes and slot there is a variable: hours of the class given to the
 //! job in the slot. Each job's hours, in terms of its fastest class, must add up to its work; all jobs' hours must fit
-//! into each class's free time slot by slot, and into the limits. What does not fit is *not served*, at a price
+//! into each class's free time slot by slot. What does not fit is *not served*, at a price
 //! so high that it only happens if nothing else helps, and the higher the greater a job's priority and weight.
 //!
 //! Slots are cut at deadlines, releases and calendars. If there are too many of these, only some are kept, and a
@@ -109,8 +109,7 @@ impl Admission {
 
 /// Solves the programme, with slots so coarse that it has about this many variables at most.
 pub(crate) fn admit(problem: &Problem, most_variables: usize) -> Admission {
-    let mut admitted: Vec<bool> =
-        problem.jobs.iter().map(|work| !work.is_hopeless && work.has_nodes()).collect();
+    let mut admitted: Vec<bool> = problem.jobs.iter().map(Work::has_nodes).collect();
     let slots = slots(problem, most_variables);
     let capacity = capacity(problem, &slots);
     let setting = Setting { problem, slots: &slots, capacity: &capacity };
@@ -207,8 +206,6 @@ struct Model<'s, 'a> {
     demands: Vec<(usize, usize, f64)>,
     /// Row of each class in each slot, if it can be used.
     rows: Vec<Vec<Option<u32>>>,
-    /// Row of each limit in each slot.
-    limit_rows: Vec<Vec<u32>>,
     /// Job, class, slot and column.
     given: Vec<(usize, usize, usize, usize)>,
     /// Micro-units per hour in one unit of the programme's cost.
@@ -225,19 +222,9 @@ impl<'s, 'a> Model<'s, 'a> {
             programme: Programme::default(),
             demands: Vec::new(),
             rows: vec![vec![None; slots]; problem.classes.len()],
-            limit_rows: Vec::new(),
             given: Vec::new(),
             unit: if priced { dearest(problem) as f64 } else { 1e6 },
         };
-        for limit in &problem.input.limits {
-            let row = |model: &mut Model, slot: usize| {
-                let hours =
-                    setting.slots[slot + 1].abs_diff(setting.slots[slot]) as f64 / MICROSECONDS_PER_HOUR;
-                model.programme.row(hours * limit.count as f64, 0.0)
-            };
-            let rows = (0..slots).map(|slot| row(&mut model, slot)).collect();
-            model.limit_rows.push(rows);
-        }
         let ranks = ranks(problem);
         for (index, work) in problem.jobs.iter().enumerate() {
             let Some(deadline) = work.job.deadline.filter(|_| admitted[index]) else { continue };
@@ -300,14 +287,8 @@ impl<'s, 'a> Model<'s, 'a> {
                         row
                     }
                 };
-                let mut entries = vec![(row, served), (class_row, 1.0)];
-                for held in work.job.uses.iter().filter(|held| held.count > 0) {
-                    let limit = problem.input.limits.iter().position(|limit| limit.id == held.limit);
-                    if let Some(limit) = limit {
-                        entries.push((self.limit_rows[limit][slot], held.count as f64));
-                    }
-                }
                 self.given.push((job, class, slot, self.programme.columns.len()));
+                let entries = vec![(row, served), (class_row, 1.0)];
                 self.programme.columns.push(Column { cost, entries });
             }
         }
@@ -368,13 +349,7 @@ impl<'s, 'a> Model<'s, 'a> {
             of: ids(members),
             per_hour: rows.iter().map(|row| row.map_or(0, worth)).collect(),
         });
-        let limits = problem.input.limits.iter().zip(&self.limit_rows).map(|(limit, rows)| Prices {
-            of: vec![limit.id],
-            per_hour: rows.iter().map(|&row| worth(row)).collect(),
-        });
-        let mut limits: Vec<Prices> = limits.collect();
-        limits.sort_by(|a, b| a.of.cmp(&b.of));
-        Proof { slots: self.setting.slots.to_vec(), nodes: nodes.collect(), limits }
+        Proof { slots: self.setting.slots.to_vec(), nodes: nodes.collect() }
     }
 
     /// The proof that not everything can be served, if there is one in whole numbers.
@@ -395,28 +370,24 @@ impl<'s, 'a> Model<'s, 'a> {
     }
 }
 
-/// Where the prices say that there is too little: neighbouring slots in which the same nodes and limits are priced, joined.
+/// Where the prices say that there is too little: neighbouring slots in which the same nodes are priced, joined.
 fn short(proof: &Proof) -> Vec<Reserved> {
-    let priced = |all: &[Prices], slot: usize| -> Vec<u64> {
-        let mut ids: Vec<u64> = all
-            .iter()
-            .filter(|prices| prices.per_hour.get(slot).is_some_and(|&price| price > 0))
-            .flat_map(|prices| prices.of.iter().copied())
-            .collect();
+    let priced = |slot: usize| -> Vec<u64> {
+        let has_price = |prices: &&Prices| prices.per_hour.get(slot).is_some_and(|&price| price > 0);
+        let mut ids: Vec<u64> =
+            proof.nodes.iter().filter(has_price).flat_map(|prices| prices.of.iter().copied()).collect();
         ids.sort_unstable();
         ids
     };
     let mut found: Vec<Reserved> = Vec::new();
     for (slot, ends) in proof.slots.windows(2).enumerate() {
-        let (nodes, limits) = (priced(&proof.nodes, slot), priced(&proof.limits, slot));
-        if nodes.is_empty() && limits.is_empty() {
+        let nodes = priced(slot);
+        if nodes.is_empty() {
             continue;
         }
         match found.last_mut() {
-            Some(last) if last.end == ends[0] && last.nodes == nodes && last.limits == limits => {
-                last.end = ends[1];
-            }
-            _ => found.push(Reserved { nodes, limits, start: ends[0], end: ends[1] }),
+            Some(last) if last.end == ends[0] && last.nodes == nodes => last.end = ends[1],
+            _ => found.push(Reserved { nodes, start: ends[0], end: ends[1] }),
         }
     }
     found

@@ -77,13 +77,6 @@ pub enum Change {
         /// The job.
         job: u64,
     },
-    /// A job may split its frames.
-    Tiles {
-        /// The job.
-        job: u64,
-        /// Into so many tiles at most.
-        tiles: u32,
-    },
     /// Another job comes in.
     NewJob {
         /// The job.
@@ -256,9 +249,6 @@ pub fn ways_out(input: &Input, job: u64) -> Result<Vec<Effect>, InputError> {
             break;
         }
     }
-    if (1..8).contains(&asked.tiles) {
-        consider(Change::Tiles { job, tiles: 8 })?;
-    }
     for like in nodes_to_add(input, &before, asked) {
         let mut count = 1;
         while count <= MOST_NODES && !consider(Change::MoreNodes { like, count })? {
@@ -277,8 +267,7 @@ pub fn ways_out(input: &Input, job: u64) -> Result<Vec<Effect>, InputError> {
 fn nodes_to_add(input: &Input, plan: &Plan, job: &Job) -> Vec<u64> {
     let short: Vec<u64> =
         plan.infeasible.iter().flat_map(|i| &i.short).flat_map(|s| s.nodes.iter().copied()).collect();
-    let mut able: Vec<&Node> =
-        input.nodes.iter().filter(|node| node.fits(job) && node.speed_of(job.class) > 0).collect();
+    let mut able: Vec<&Node> = input.nodes.iter().filter(|node| node.speed_of(job.class) > 0).collect();
     able.sort_by_key(|node| (!short.contains(&node.id), node.price_of_work(job.class), node.id));
     kinds(able, job.class, 3).iter().map(|node| node.id).collect()
 }
@@ -335,7 +324,6 @@ pub fn changed(input: &Input, change: &Change) -> Result<Input, InputError> {
         }
         Change::Confidence { job, confidence } => own_job(&mut new, *job)?.confidence = *confidence,
         Change::MakeWay { job } => own_job(&mut new, *job)?.deadline = None,
-        Change::Tiles { job, tiles } => own_job(&mut new, *job)?.tiles = *tiles,
         Change::NewJob { job } => new.jobs.push((**job).clone()),
     }
     Ok(new)
@@ -379,13 +367,11 @@ fn others_fixed(input: &Input, job: u64) -> Result<Input, InputError> {
     let standing = plan(&without)?;
     let mut around = Input { movable: Vec::new(), ..input.clone() };
     for booking in &standing.bookings {
-        let uses = input.jobs.iter().find(|other| other.id == booking.job).map(|other| other.uses.clone());
         around.fixed.push(FixedBooking {
             node: booking.node,
             start: booking.start,
             end: booking.end,
             job: Some(booking.job),
-            uses: uses.unwrap_or_default(),
         });
     }
     around.jobs.retain(|other| other.id == job);

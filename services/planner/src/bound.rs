@@ -6,15 +6,12 @@ use crate::problem::{Problem, Work};
 
 /// The earliest conceivable end of this job, if it had the farm to itself.
 ///
-/// Any plan takes the frames' work out of the nodes' free time after the release, and gives the longest frame (or
-/// its longest tile) an unbroken stretch of one node after the seed, which takes at least as long as one of its parts; so neither can be beaten. Without calendars the
+/// Any plan takes the frames' work out of the nodes' free time after the release, and gives the longest frame
+/// an unbroken stretch of one node after the seed, which takes at least as long as one of its parts; so neither can be beaten. Without calendars the
 /// first is Σ w / Σ s, the second max w / max s (Graham 1969).
 pub(crate) fn bound(problem: &Problem, work: &Work) -> Bound {
     let job = work.job;
     let release = work.release(problem.input.now);
-    if work.is_hopeless && !(work.frames.is_empty() && work.seed.is_none()) {
-        return Bound::default();
-    }
     let earliest = |classes: &[usize], class: u32, from: i64, amount: u64| {
         let nodes = classes.iter().flat_map(|&class| &problem.classes[class]);
         nodes
@@ -31,10 +28,9 @@ pub(crate) fn bound(problem: &Problem, work: &Work) -> Bound {
     let Some(longest) = work.frames.iter().map(|frame| frame.work).max() else {
         return Bound { by_capacity: seeded, by_longest_frame: seeded };
     };
-    let tile = if job.tiles > 1 { longest.min(job.tile_work(longest, job.tiles)) } else { longest };
     Bound {
         by_capacity: by_capacity(problem, &work.classes, job.class, release, work.total()),
-        by_longest_frame: seeded.and_then(|from| earliest(&work.classes, job.class, from, tile)),
+        by_longest_frame: seeded.and_then(|from| earliest(&work.classes, job.class, from, longest)),
     }
 }
 

@@ -86,7 +86,7 @@ fn most_in_time(
 fn frames(problem: &Problem, start: &State) -> Option<Vec<(usize, usize)>> {
     let is_simple = problem.jobs.iter().all(|work| {
         let job = work.job;
-        job.deadline.is_some() && job.seed.is_none() && job.uses.is_empty() && job.tiles < 2
+        job.deadline.is_some() && job.seed.is_none()
     });
     let nothing_kept = start.kept.iter().all(|&kept| kept == 0);
     let frames: Vec<(usize, usize)> = problem
@@ -136,9 +136,8 @@ impl Table {
                     release: work.release(problem.input.now).max(after),
                     latest_end: deadlines[job],
                     duration,
-                    uses: &[],
                 };
-                let Some(fit) = empty.fit(place, &wanted, &state.ledger, Prefer::Early, &Unwanted) else {
+                let Some(fit) = empty.fit(place, &wanted, Prefer::Early, &Unwanted) else {
                     continue;
                 };
                 if table.best[set].is_none_or(|(_, _, end)| fit.end < end) {

@@ -129,7 +129,7 @@ fn elsewhere(state: &State) -> Vec<Option<(i64, u64)>> {
         let frame = work.frames.get(work.frames.len() / 2)?;
         let plain = plain_below(state, job, frame.work, i64::MAX);
         let search = search(state, job, frame.number, frame.work, &plain)?;
-        let (_, fit) = state.find(work, &search)?;
+        let (_, fit) = state.find(&search)?;
         Some((fit.added_cost, frame.work.max(1)))
     };
     state.problem.jobs.iter().enumerate().map(of_job).collect()
@@ -220,11 +220,10 @@ fn set(state: &mut State, board: &mut Board, piece: Piece) {
 /// everything is as it was.
 fn settle(state: &mut State, board: &mut Board, piece: Piece, below: i64, chain: usize) -> Option<i64> {
     let number = piece.placed.task.frame()?;
-    let work = &state.problem.jobs[piece.job];
     let classes = plain_below(state, piece.job, piece.work, below);
     let search = search(state, piece.job, number, piece.work, &classes)?;
     board.trials = board.trials.saturating_sub(1);
-    let free = state.find(work, &search).filter(|(_, fit)| fit.added_cost < below);
+    let free = state.find(&search).filter(|(_, fit)| fit.added_cost < below);
     let limit = free.map_or(below, |(_, fit)| fit.added_cost);
     if chain > 0 {
         for other in in_the_way(state, board, piece, &search, limit) {
@@ -294,13 +293,12 @@ fn push_out(
             release: search.release.max(from),
             latest_end: search.latest_end.min(until),
             duration: place.duration(piece.work, search.class_of_work)?,
-            uses: &problem.jobs[piece.job].job.uses,
         }
     };
     let back = saved(state, other.placed);
     let freed = state.lanes[node].freed;
     lift(state, board, other);
-    if let Some(fit) = state.lanes[node].fit(place, &wanted, &state.ledger, Prefer::Early, &Unwanted) {
+    if let Some(fit) = state.lanes[node].fit(place, &wanted, Prefer::Early, &Unwanted) {
         let placed = Placed { node, start: fit.start, end: fit.end, task: piece.placed.task };
         let own = fit.added_cost.saturating_sub(back);
         set(state, board, Piece { placed, ..piece });
@@ -317,6 +315,8 @@ fn push_out(
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::{Board, InVain, dear, exchange};
     use crate::admission::Admission;
     use crate::model::{Confidence, Frame, Input, Interval, Job, Node, Task, WorkTotal};
@@ -328,17 +328,18 @@ mod tests {
     /// Where a small job on the cheap node and a large one on the dear node lie after exchanges, with another node at this price for
     /// the small one.
     fn nodes_after(price: i64, deadline: i64) -> Vec<u64> {
-        let node = |id: u64, memory: u64, price: i64| Node {
+        // Large jobs have a class of work that small nodes cannot do.
+        let node = |id: u64, large: u64, price: i64| Node {
             id,
-            memory,
             speed: 1,
+            speeds: BTreeMap::from([(1, large)]),
             price_per_hour: price,
             calendar: vec![Interval { start: 0, end: Some(2 * HOUR) }],
             ..Node::default()
         };
-        let job = |id: u64, memory: u64, deadline: i64| Job {
+        let job = |id: u64, class: u32, deadline: i64| Job {
             id,
-            memory,
+            class,
             deadline: Some(deadline),
             confidence: Confidence::P50,
             total: WorkTotal { p50: 7200, p80: 7200, p95: 7200 },
@@ -346,8 +347,8 @@ mod tests {
             ..Job::default()
         };
         let input = Input {
-            nodes: vec![node(1, 2, 1000), node(2, 1, price), node(3, 2, 9000)],
-            jobs: vec![job(0, 1, 2 * HOUR), job(1, 2, deadline)],
+            nodes: vec![node(1, 1, 1000), node(2, 0, price), node(3, 1, 9000)],
+            jobs: vec![job(0, 0, 2 * HOUR), job(1, 1, deadline)],
             ..Input::default()
         };
         let problem = Problem::new(&input);

@@ -6,7 +6,6 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use crate::fairness::decayed_usage;
-use crate::limits::Ledger;
 use crate::model::{Booking, Input, InputError, Plan};
 use crate::problem::Problem;
 
@@ -28,18 +27,12 @@ pub struct Explanation {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Reason {
-    /// No node can ever render it: too little memory, no speed in its class, more of a limit than there is, or no
-    /// free time that is long enough.
+    /// No node can ever render it: none has a speed in its class, or free time that is long enough.
     NoNode,
     /// No node that can render it is in its calendar before this instant.
     Calendar {
         /// When the first one is.
         until: i64,
-    },
-    /// A limit is held by others.
-    Limit {
-        /// The limit.
-        limit: u64,
     },
     /// The nodes are booked for other jobs.
     Behind {
@@ -103,7 +96,6 @@ impl fmt::Display for Reason {
                 let until = instant.map_or_else(|_| until.to_string(), |instant| instant.to_string());
                 write!(f, "waits because no node that can render it is free by its calendar before {until}")
             }
-            Reason::Limit { limit } => write!(f, "waits because others hold limit {limit}"),
             Reason::Behind { jobs } => {
                 write!(f, "waits because its nodes are booked for")?;
                 for (index, (job, why)) in jobs.iter().enumerate() {
@@ -123,7 +115,6 @@ impl fmt::Display for Reason {
 pub fn explain(input: &Input, plan: &Plan) -> Result<Vec<Explanation>, InputError> {
     input.check()?;
     let problem = Problem::new(input);
-    let mut ledger = Ledger::new(input);
     let mut by_node: BTreeMap<u64, Vec<&Booking>> = BTreeMap::new();
     let mut firsts: BTreeMap<u64, i64> = BTreeMap::new();
     for booking in &plan.bookings {
@@ -132,9 +123,6 @@ pub fn explain(input: &Input, plan: &Plan) -> Result<Vec<Explanation>, InputErro
             .entry(booking.job)
             .and_modify(|first| *first = booking.start.min(*first))
             .or_insert(booking.start);
-        if let Some(job) = problem.job(booking.job) {
-            ledger.hold(&problem.jobs[job].job.uses, booking.start, booking.end);
-        }
     }
     let mut found = Vec::new();
     for (index, work) in problem.jobs.iter().enumerate() {
@@ -144,7 +132,7 @@ pub fn explain(input: &Input, plan: &Plan) -> Result<Vec<Explanation>, InputErro
         if is_empty || first.is_some_and(|first| first <= release) {
             continue;
         }
-        let reason = reason(&problem, index, first, &by_node, &ledger);
+        let reason = reason(&problem, index, first, &by_node);
         let waits = first.map_or(i64::MAX, |first| first.saturating_sub(release));
         found.push(Explanation { job: work.job.id, waits, reason });
     }
@@ -156,11 +144,10 @@ fn reason(
     index: usize,
     first: Option<i64>,
     by_node: &BTreeMap<u64, Vec<&Booking>>,
-    ledger: &Ledger,
 ) -> Reason {
     let work = &problem.jobs[index];
     let release = work.release(problem.input.now);
-    let Some(first) = first.filter(|_| !work.is_hopeless) else { return Reason::NoNode };
+    let Some(first) = first else { return Reason::NoNode };
     let classes = if work.seed.is_some() { &work.seed_classes } else { &work.classes };
     let able: Vec<usize> = classes.iter().flat_map(|&class| problem.classes[class].iter().copied()).collect();
     let opens = able
@@ -182,11 +169,6 @@ fn reason(
             return Reason::Calendar { until };
         }
         Some(_) => {}
-    }
-    for held in &work.job.uses {
-        if (release..first).contains(&release) && ledger.is_short_at(held.limit, held.count, release) {
-            return Reason::Limit { limit: held.limit };
-        }
     }
     // Who holds the nodes' time between release and start, and how much of it.
     let mut holders: BTreeMap<u64, i64> = BTreeMap::new();

@@ -88,8 +88,8 @@ fn cheapen_frame(state: &mut State, job: usize, placed: Placed, searched: &mut S
         })
         .collect();
     let Some(release) = state.earliest(job, placed.task) else { return };
-    // Where there was no place, there is none until something is freed; of limits, elsewhere too.
-    let before = searched.remove(&name).filter(|&(node, _)| node == placed.node && work.job.uses.is_empty());
+    // Where there was no place, there is none until something is freed.
+    let before = searched.remove(&name).filter(|&(node, _)| node == placed.node);
     let search = Search {
         class_of_work: work.job.class,
         work: frame.work,
@@ -104,7 +104,7 @@ fn cheapen_frame(state: &mut State, job: usize, placed: Placed, searched: &mut S
         },
         for_others: false,
     };
-    if let Some((node, fit)) = state.find(work, &search)
+    if let Some((node, fit)) = state.find(&search)
         && fit.added_cost < saved
     {
         state.unbook(job, placed);
@@ -136,8 +136,7 @@ fn close_ranks(state: &mut State) {
             }
             let moved = Placed { start: start - by, end: placed.end - by, ..placed };
             state.unbook(job, placed);
-            let fits = state.ledger.is_free(&problem.jobs[job].job.uses, moved.start, moved.end).is_ok();
-            state.book(job, if fits { moved } else { placed });
+            state.book(job, moved);
         }
     }
 }

@@ -3,8 +3,7 @@
 use crate::admission::IN_A_MICRO_UNIT;
 use crate::calendar::Window;
 use crate::intervals::Intervals;
-use crate::limits::Ledger;
-use crate::model::{LimitUse, Node, Rental, price_of};
+use crate::model::{Node, Rental, price_of};
 use crate::rental::rentals;
 
 /// Gaps in which a booking is tried on a node that is not billed plainly. The first is the earliest; the others
@@ -37,13 +36,12 @@ struct Stretch {
 
 /// What a booking is looked for with.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Wanted<'a> {
+pub(crate) struct Wanted {
     /// It starts at this instant or later.
     pub release: i64,
     /// It ends at this instant or earlier.
     pub latest_end: i64,
     pub duration: i64,
-    pub uses: &'a [LimitUse],
 }
 
 /// Whether the end or the price matters more.
@@ -145,21 +143,14 @@ impl Lane {
     ///
     /// A cheap place is one that costs least, what the market would pay for it included; of those in scarce time the one
     /// that leaves least of its gap unused (best fit), otherwise the first.
-    pub fn fit(
-        &self,
-        node: &Node,
-        wanted: &Wanted,
-        ledger: &Ledger,
-        prefer: Prefer,
-        market: &impl Market,
-    ) -> Option<Fit> {
+    pub fn fit(&self, node: &Node, wanted: &Wanted, prefer: Prefer, market: &impl Market) -> Option<Fit> {
         let mut best: Option<Fit> = None;
         let mut tried = 0;
         for gap in self.free.long_after(wanted.release, wanted.duration) {
             if gap.0.saturating_add(wanted.duration) > wanted.latest_end {
                 break;
             }
-            let Some((mut start, mut end)) = within(gap, wanted, ledger) else { continue };
+            let Some((mut start, mut end)) = within(gap, wanted) else { continue };
             if self.is_plain {
                 let added_cost = price_of(node.price_per_hour, wanted.duration);
                 let mut is_scarce = prefer == Prefer::Cheap && market.is_scarce(start);
@@ -181,7 +172,7 @@ impl Lane {
                         break;
                     }
                     let Some(later) = market.cheaper_from(start) else { break };
-                    let Some(next) = within(gap, &Wanted { release: later, ..*wanted }, ledger) else {
+                    let Some(next) = within(gap, &Wanted { release: later, ..*wanted }) else {
                         break;
                     };
                     (start, end) = next;
@@ -204,11 +195,7 @@ impl Lane {
             }
             // Just before the next booking it may need no rental of its own.
             let late_start = gap.1.saturating_sub(wanted.duration);
-            if gap.1 < stretch.window.end
-                && gap.1 <= wanted.latest_end
-                && late_start > start
-                && ledger.is_free(wanted.uses, late_start, gap.1).is_ok()
-            {
+            if gap.1 < stretch.window.end && gap.1 <= wanted.latest_end && late_start > start {
                 consider(late_start, gap.1);
             }
             tried += 1;
@@ -334,21 +321,10 @@ fn never_pays(node: &Node, gap: i64) -> bool {
 }
 
 /// The earliest time in the gap that will do.
-fn within(gap: (i64, i64), wanted: &Wanted, ledger: &Ledger) -> Option<(i64, i64)> {
-    let mut start = gap.0.max(wanted.release);
-    loop {
-        let end = start.checked_add(wanted.duration)?;
-        if end > gap.1 || end > wanted.latest_end {
-            return None;
-        }
-        if wanted.uses.is_empty() {
-            return Some((start, end));
-        }
-        match ledger.is_free(wanted.uses, start, end) {
-            Ok(()) => return Some((start, end)),
-            Err(later) => start = later?,
-        }
-    }
+fn within(gap: (i64, i64), wanted: &Wanted) -> Option<(i64, i64)> {
+    let start = gap.0.max(wanted.release);
+    let end = start.checked_add(wanted.duration)?;
+    (end <= gap.1 && end <= wanted.latest_end).then_some((start, end))
 }
 
 /// The runs with one more booking, which overlaps none.
@@ -380,13 +356,12 @@ fn within_money(amount: i128) -> i64 {
 mod tests {
     use super::{Fit, Lane, Prefer, Unwanted, Wanted};
     use crate::calendar::Window;
-    use crate::limits::Ledger;
     use crate::model::Node;
 
     const HOUR: i64 = 3_600_000_000;
 
-    fn wanted(release: i64, duration: i64) -> Wanted<'static> {
-        Wanted { release, latest_end: i64::MAX, duration, uses: &[] }
+    fn wanted(release: i64, duration: i64) -> Wanted {
+        Wanted { release, latest_end: i64::MAX, duration }
     }
 
     fn lane(node: &Node, windows: &[(i64, i64)]) -> Lane {
@@ -400,8 +375,7 @@ mod tests {
         let node = Node { id: 1, ..Node::default() };
         let lane = lane(&node, &[(0, 10), (20, 40)]);
         let at = |release, duration| {
-            lane.fit(&node, &wanted(release, duration), &Ledger::default(), Prefer::Early, &Unwanted)
-                .map(|fit| fit.start)
+            lane.fit(&node, &wanted(release, duration), Prefer::Early, &Unwanted).map(|fit| fit.start)
         };
         assert_eq!(at(0, 10), Some(0));
         assert_eq!(at(1, 10), Some(20));
@@ -415,7 +389,7 @@ mod tests {
         let node = Node { price_per_hour: 1000, billing_step: HOUR, ..Node::default() };
         let mut lane = lane(&node, &[(0, 100 * HOUR)]);
         lane.book(&node, 0, HOUR / 2);
-        let half = lane.fit(&node, &wanted(0, HOUR / 2), &Ledger::default(), Prefer::Cheap, &Unwanted);
+        let half = lane.fit(&node, &wanted(0, HOUR / 2), Prefer::Cheap, &Unwanted);
         assert_eq!(half, Some(Fit { start: HOUR / 2, end: HOUR, added_cost: 0, left: 0, worth: 0 }));
         assert_eq!(lane.least_added_cost(&node, HOUR / 2), 0);
         assert_eq!(lane.least_added_cost(&node, HOUR), 500);
@@ -466,7 +440,7 @@ mod tests {
     fn nothing_starts_before_the_set_up_is_done() {
         let node = Node { setup: 5, ..Node::default() };
         let lane = lane(&node, &[(0, 8), (10, 30)]);
-        let fit = lane.fit(&node, &wanted(0, 4), &Ledger::default(), Prefer::Early, &Unwanted);
+        let fit = lane.fit(&node, &wanted(0, 4), Prefer::Early, &Unwanted);
         assert_eq!(fit.map(|fit| fit.start), Some(15));
     }
 }

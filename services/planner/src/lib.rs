@@ -49,12 +49,10 @@ mod improve;
 mod intervals;
 mod lane;
 mod least;
-mod limits;
 mod model;
 mod outcome;
 mod problem;
 mod proof;
-pub mod reference;
 mod rental;
 mod replan;
 mod schedule;
@@ -77,8 +75,8 @@ pub use fairness::decayed_usage;
 pub use least::least_cost;
 pub use model::{
     Booking, Bound, Confidence, FixedBooking, Frame, Infeasible, Input, InputError, Interval, Job, JobPlan,
-    Limit, LimitUse, Node, Plan, PlanId, Power, Prices, Project, Proof, Rental, Reserved, Seed, Task, Usage,
-    Verdict, WorkTotal,
+    Node, Plan, PlanId, Power, Prices, Project, Proof, Rental, Reserved, Seed, Task, Usage, Verdict,
+    WorkTotal,
 };
 pub use replan::{AtRisk, Event, Replanned, mend, replan};
 pub use schedule::{plan, plan_quickly};

@@ -27,12 +27,10 @@ pub(crate) struct Work<'a> {
     pub seed: Option<u64>,
     /// Frames, longest predicted P80 first, then by number.
     pub frames: Vec<FrameWork>,
-    /// Classes of nodes that its frames fit into and whose nodes can do its frames' work.
+    /// Classes of nodes that can do its frames' work.
     pub classes: Vec<usize>,
     /// The same for its seed.
     pub seed_classes: Vec<usize>,
-    /// The job asks for more of a limit than there is.
-    pub is_hopeless: bool,
 }
 
 /// A frame with its bought work.
@@ -55,7 +53,7 @@ impl<'a> Problem<'a> {
             nodes.iter().map(|node| windows(node, input.now, fixed.get(&node.id).unwrap_or(&none))).collect();
         let mut groups: BTreeMap<_, Vec<usize>> = BTreeMap::new();
         for (index, node) in nodes.iter().enumerate() {
-            let machine = (node.speed, &node.speeds, node.cores, node.memory, node.gpu_memory);
+            let machine = (node.speed, &node.speeds);
             let terms =
                 (node.price_per_hour, node.billing_step, node.minimum_booking, node.setup, node.setup_cost);
             groups.entry((machine, terms)).or_default().push(index);
@@ -67,7 +65,7 @@ impl<'a> Problem<'a> {
         }
         let mut jobs: Vec<&Job> = input.jobs.iter().collect();
         jobs.sort_unstable_by_key(|job| job.id);
-        let jobs = jobs.into_iter().map(|job| Work::new(job, input, &nodes, &classes)).collect();
+        let jobs = jobs.into_iter().map(|job| Work::new(job, &nodes, &classes)).collect();
         Problem { input, nodes, windows, classes, class_of, jobs }
     }
 
@@ -89,7 +87,7 @@ impl<'a> Problem<'a> {
 }
 
 impl<'a> Work<'a> {
-    fn new(job: &'a Job, input: &Input, nodes: &[&Node], classes: &[Vec<usize>]) -> Self {
+    fn new(job: &'a Job, nodes: &[&Node], classes: &[Vec<usize>]) -> Self {
         let open: BTreeMap<i64, u64> = job.open_work().collect();
         let mut frames: Vec<(&Frame, u64)> =
             job.frames.iter().filter_map(|frame| Some((frame, *open.get(&frame.number)?))).collect();
@@ -98,14 +96,9 @@ impl<'a> Work<'a> {
             (std::cmp::Reverse(frame.work_p80.max(*work)), std::cmp::Reverse(*work), frame.number)
         });
         let able = |class: u32| -> Vec<usize> {
-            let can = |members: &&Vec<usize>| {
-                let node = nodes[members[0]];
-                node.fits(job) && node.speed_of(class) > 0
-            };
-            classes.iter().enumerate().filter(|(_, members)| can(members)).map(|(index, _)| index).collect()
+            let can = |members: &[usize]| nodes[members[0]].speed_of(class) > 0;
+            (0..classes.len()).filter(|&index| can(&classes[index])).collect()
         };
-        let count =
-            |limit: u64| input.limits.iter().find(|entry| entry.id == limit).map_or(0, |entry| entry.count);
         Work {
             job,
             seed: job.bought_seed(),
@@ -115,26 +108,16 @@ impl<'a> Work<'a> {
                 .collect(),
             classes: able(job.class),
             seed_classes: job.seed.map_or_else(Vec::new, |seed| able(seed.class)),
-            is_hopeless: job.uses.iter().any(|held| held.count > count(held.limit)),
         }
     }
 
     /// Microseconds that the node takes for a task of this job. None if it cannot do it at all.
     pub fn duration(&self, node: &Node, task: Task) -> Option<i64> {
-        if !node.fits(self.job) {
-            return None;
-        }
         match task {
             Task::Seed | Task::SeedPart { .. } => {
                 node.duration(self.job.seed_work(task)?, self.job.seed?.class)
             }
             Task::Frame(number) => node.duration(self.work_of(number)?, self.job.class),
-            Task::Tile { frame, part, parts } => {
-                if part >= parts || parts > self.job.tiles {
-                    return None;
-                }
-                node.duration(self.job.tile_work(self.work_of(frame)?, parts), self.job.class)
-            }
         }
     }
 
@@ -147,7 +130,7 @@ impl<'a> Work<'a> {
         self.frames.iter().find(|frame| frame.number == number).map(|frame| frame.work)
     }
 
-    /// Whether there are nodes that its frames, and its seed, fit into.
+    /// Whether there are nodes that can do its frames, and its seed.
     pub fn has_nodes(&self) -> bool {
         let can = |is_wanted: bool, classes: &[usize]| !is_wanted || !classes.is_empty();
         can(!self.frames.is_empty(), &self.classes) && can(self.seed.is_some(), &self.seed_classes)

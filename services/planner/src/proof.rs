@@ -1,10 +1,9 @@
 //! What prices of time prove.
 //!
-//! Put a price π ≥ 0 on every hour of free node time and λ ≥ 0 on every hour of a limit's unit, on top of what nodes cost
-//! anyway. Whatever the plan, a job then pays at least what its work costs in the cheapest hours it may use; and the
-//! plan takes in at most what all free time and all units would bring. So
+//! Put a price π ≥ 0 on every hour of free node time, on top of what nodes cost anyway. Whatever the plan, a job then pays at least what its work costs in the cheapest hours it may use; and the
+//! plan takes in at most what all free time would bring. So
 //!
-//! cost of any plan ≥ Σ over jobs (least price of its work) − Σ π · free time − Σ λ · units · time.
+//! cost of any plan ≥ Σ over jobs (least price of its work) − Σ π · free time.
 //!
 //! If even with nodes that cost nothing the right side is above zero, there is no plan at all (Farkas' lemma). The
 //! statement needs no trust in where the prices come from. It is computed here in integers, rounded against itself.
@@ -46,8 +45,8 @@ pub(crate) fn value(
             let least = groups
                 .iter()
                 .filter_map(|group| {
-                    let price = group.least_price(&slots, proof, job, start, end)?;
-                    group.least_cost(job, class, work, price, with_own_prices)
+                    let price = group.least_price(&slots, proof, start, end)?;
+                    group.least_cost(class, work, price, with_own_prices)
                 })
                 .min();
             value = value.saturating_add(least.unwrap_or(0));
@@ -56,18 +55,6 @@ pub(crate) fn value(
     for group in &groups {
         for (index, &time) in group.free.iter().enumerate() {
             value = value.saturating_sub(product_up(price_at(group.prices, index), time));
-        }
-    }
-    for prices in &proof.limits {
-        let count: u128 = input
-            .limits
-            .iter()
-            .filter(|limit| prices.of.contains(&limit.id))
-            .map(|l| u128::from(l.count))
-            .sum();
-        for (index, &(start, end)) in slots.iter().enumerate() {
-            let time = count.saturating_mul(u128::from(end.abs_diff(start)));
-            value = value.saturating_sub(product_up(price_at(Some(prices), index), time));
         }
     }
     value
@@ -122,8 +109,7 @@ impl<'a> Group<'a> {
             // Nodes that do the same at the same price need to be looked at once.
             group.nodes.sort_by_key(|node| node.id);
             group.nodes.dedup_by(|a, b| {
-                let machine = |n: &Node| (n.speed, n.price_per_hour, n.cores, n.memory, n.gpu_memory);
-                machine(a) == machine(b) && a.speeds == b.speeds
+                (a.speed, a.price_per_hour, &a.speeds) == (b.speed, b.price_per_hour, &b.speeds)
             });
         }
         groups
@@ -143,14 +129,7 @@ impl<'a> Group<'a> {
     }
 
     /// What an hour of the group's time costs the job at least on top of its own price, if it has any between these instants.
-    fn least_price(
-        &self,
-        slots: &[(i64, i64)],
-        proof: &Proof,
-        job: &Job,
-        start: i64,
-        end: i64,
-    ) -> Option<i128> {
+    fn least_price(&self, slots: &[(i64, i64)], proof: &Proof, start: i64, end: i64) -> Option<i128> {
         let before = self.outside[0] && proof.slots.first().is_none_or(|&first| start < first);
         let after = self.outside[1] && proof.slots.last().is_none_or(|&last| end > last);
         if before || after {
@@ -159,26 +138,14 @@ impl<'a> Group<'a> {
         let usable = |index: usize| {
             self.free[index] > 0 && slots[index].0 < end && slots[index].1 > start && start < end
         };
-        let limits = |index: usize| -> i128 {
-            let held = job.uses.iter().map(|held| {
-                let of = |prices: &&Prices| prices.of.contains(&held.limit);
-                let price: i128 =
-                    proof.limits.iter().filter(of).map(|prices| price_at(Some(prices), index)).sum();
-                price.saturating_mul(i128::from(held.count))
-            });
-            held.fold(0, i128::saturating_add)
-        };
-        (0..slots.len())
-            .filter(|&index| usable(index))
-            .map(|index| price_at(self.prices, index).saturating_add(limits(index)))
-            .min()
+        (0..slots.len()).filter(|&index| usable(index)).map(|index| price_at(self.prices, index)).min()
     }
 
-    /// What this work costs the job at least, on the best of the group's nodes.
-    fn least_cost(&self, job: &Job, class: u32, work: u128, price: i128, with_own: bool) -> Option<i128> {
+    /// What this work costs at least, on the best of the group's nodes.
+    fn least_cost(&self, class: u32, work: u128, price: i128, with_own: bool) -> Option<i128> {
         self.nodes
             .iter()
-            .filter(|node| node.fits(job) && node.speed_of(class) > 0)
+            .filter(|node| node.speed_of(class) > 0)
             .map(|node| {
                 let own = if with_own { i128::from(node.price_per_hour) } else { 0 };
                 let time = in_millionths(work) / u128::from(node.speed_of(class));

@@ -170,19 +170,15 @@ fn after(input: &Input, old: &Plan, event: &Event) -> Result<(Input, Vec<(u64, T
                         job.release = job.release.max(end);
                         parts
                     }
-                    // All tiles of a frame are, with the one.
                     Some(number) => {
                         job.done.push(number);
-                        let of_frame =
-                            |other: &&Booking| other.job == booking.job && other.task.frame() == Some(number);
-                        old.bookings.iter().filter(of_frame).collect()
+                        vec![booking]
                     }
                 };
-                let uses = job.uses.clone();
                 for fact in &facts {
                     let end = if fact.task == *task { (*until).max(fact.start) } else { fact.end };
                     let (node, start, job) = (fact.node, fact.start, Some(fact.job));
-                    new.fixed.push(FixedBooking { node, start, end, job, uses: uses.clone() });
+                    new.fixed.push(FixedBooking { node, start, end, job });
                 }
                 taken = facts.iter().map(|fact| (fact.job, fact.task)).collect();
             }
@@ -235,16 +231,11 @@ fn is_open(state: &State, job: usize) -> bool {
 /// Frees what a job has after its deadline, so that it can be placed anew; returns that.
 fn move_what_is_late(state: &mut State, job: usize) -> Vec<Placed> {
     let Some(deadline) = state.problem.jobs[job].job.deadline else { return Vec::new() };
-    let late: Vec<Placed> =
-        state.placed[job].iter().filter(|placed| placed.end > deadline).copied().collect();
-    let frames: Vec<Option<i64>> = late.iter().map(|placed| placed.task.frame()).collect();
-    // All tiles of a frame move together, and all frames with the seed.
-    let seed_moves = frames.contains(&None);
-    let moving: Vec<Placed> = state.placed[job]
-        .iter()
-        .filter(|placed| seed_moves || frames.contains(&placed.task.frame()))
-        .copied()
-        .collect();
+    let is_late = |placed: &Placed| placed.end > deadline;
+    // All frames move with the seed.
+    let seed_moves = state.placed[job].iter().any(|placed| placed.task.is_seed() && is_late(placed));
+    let placed = state.placed[job].iter();
+    let moving: Vec<Placed> = placed.filter(|placed| seed_moves || is_late(placed)).copied().collect();
     for &placed in &moving {
         state.unbook(job, placed);
     }
@@ -305,9 +296,7 @@ fn make_way(state: &mut State, job: usize) -> bool {
         }
         // Those of the other whose place is still free go back to it; only the rest moves.
         for &placed in &lifted {
-            if trial.lanes[placed.node].is_free(placed.start, placed.end)
-                && trial.ledger.is_free(&problem.jobs[other].job.uses, placed.start, placed.end).is_ok()
-            {
+            if trial.lanes[placed.node].is_free(placed.start, placed.end) {
                 trial.book(other, placed);
             }
         }
@@ -355,8 +344,7 @@ fn late_by_fact(input: &Input, old: &Plan, new: &Plan, event: &Event) -> Option<
 fn rescue(input: &Input, new: &Plan, job: u64) -> Result<Option<(Change, i64)>, InputError> {
     let asked = find(input, job)?;
     let others: Vec<Booking> = new.bookings.iter().filter(|booking| booking.job != job).copied().collect();
-    let mut able: Vec<&Node> =
-        input.nodes.iter().filter(|node| node.fits(asked) && node.speed_of(asked.class) > 0).collect();
+    let mut able: Vec<&Node> = input.nodes.iter().filter(|node| node.speed_of(asked.class) > 0).collect();
     able.sort_by_key(|node| {
         (i128::from(node.price_per_hour) * 1_000_000_000 / i128::from(node.speed_of(asked.class)), node.id)
     });

@@ -10,7 +10,7 @@ use crate::improve::improve;
 use crate::lane::{Fit, Prefer};
 use crate::model::{Booking, Bound, Input, InputError, Node, Plan, Task, price_of};
 use crate::outcome;
-use crate::problem::{Problem, Work};
+use crate::problem::Problem;
 use crate::state::{Only, Placed, Search, State};
 
 /// Frames that may be placed again in search of a plan that keeps more deadlines: three times those of a studio's week.
@@ -262,14 +262,13 @@ pub(crate) fn place_all(
             for_others: state.for_others,
         };
         let allotted =
-            allotment.as_deref_mut().and_then(|allotment| find_allotted(state, work, &search, allotment));
-        let found = allotted.or_else(|| state.find(work, &search));
+            allotment.as_deref_mut().and_then(|allotment| find_allotted(state, &search, allotment));
+        let found = allotted.or_else(|| state.find(&search));
         match found {
             Some((node, fit)) => {
                 let (start, end) = (fit.start, fit.end);
                 state.book(job, Placed { node, start, end, task: Task::Frame(frame.number) });
             }
-            None if place_tiles(state, job, frame.number, frame.work, latest_end) => {}
             None => return false,
         }
     }
@@ -277,12 +276,7 @@ pub(crate) fn place_all(
 }
 
 /// The best place within what a job was allotted, whose length is then used up. At least half of a frame must lie in the slot.
-fn find_allotted(
-    state: &State,
-    work: &Work,
-    search: &Search,
-    allotment: &mut [Allotted],
-) -> Option<(usize, Fit)> {
+fn find_allotted(state: &State, search: &Search, allotment: &mut [Allotted]) -> Option<(usize, Fit)> {
     let mut best: Option<(usize, usize, Fit)> = None;
     for (index, piece) in allotment.iter().enumerate().filter(|(_, piece)| piece.left > 0) {
         let node = state.problem.representative(piece.class);
@@ -293,7 +287,7 @@ fn find_allotted(
             latest_end: search.latest_end.min(piece.end.saturating_add(half)),
             ..*search
         };
-        if let Some((node, fit)) = state.find(work, &within)
+        if let Some((node, fit)) = state.find(&within)
             && best.is_none_or(|(_, _, least)| fit.rank(search.prefer) < least.rank(search.prefer))
         {
             best = Some((index, node, fit));
@@ -321,45 +315,15 @@ fn place_seed(state: &mut State, job: usize, latest_end: i64) -> bool {
         for_others,
     };
     for task in state.missing_seed(job) {
-        let Some((node, first)) = state.find(work, &search(latest_end, Prefer::Early)) else { return false };
+        let Some((node, first)) = state.find(&search(latest_end, Prefer::Early)) else { return false };
         let patience = first.end.saturating_add(first.end.saturating_sub(release)).min(latest_end);
-        let (node, fit) = state.find(work, &search(patience, Prefer::Cheap)).unwrap_or((node, first));
+        let (node, fit) = state.find(&search(patience, Prefer::Cheap)).unwrap_or((node, first));
         state.book(job, Placed { node, start: fit.start, end: fit.end, task });
     }
     true
 }
 
-/// Splits a frame into as few tiles as let it end in time.
-fn place_tiles(state: &mut State, job: usize, number: i64, frame_work: u64, latest_end: i64) -> bool {
-    let work = &state.problem.jobs[job];
-    let Some(release) = state.earliest(job, Task::Frame(number)) else { return false };
-    let before = state.placed[job].len();
-    for parts in 2..=work.job.tiles {
-        let all = (0..parts).all(|part| {
-            let search = Search {
-                class_of_work: work.job.class,
-                work: work.job.tile_work(frame_work, parts),
-                release,
-                latest_end,
-                classes: &work.classes,
-                prefer: Prefer::Early,
-                only: Only::ANY,
-                for_others: state.for_others,
-            };
-            let Some((node, fit)) = state.find(work, &search) else { return false };
-            let task = Task::Tile { frame: number, part, parts };
-            state.book(job, Placed { node, start: fit.start, end: fit.end, task });
-            true
-        });
-        if all {
-            return true;
-        }
-        state.unbook_after(job, before);
-    }
-    false
-}
-
-/// Places what is missing of a job wherever it ends first, and splits the frames that end last as long as that helps.
+/// Places what is missing of a job wherever it ends first.
 pub(crate) fn as_early_as_possible(state: &mut State, job: usize) {
     let work = &state.problem.jobs[job];
     if !place_seed(state, job, i64::MAX) {
@@ -369,15 +333,11 @@ pub(crate) fn as_early_as_possible(state: &mut State, job: usize) {
     for frame in work.frames.iter().filter(|frame| missing.binary_search(&frame.number).is_ok()) {
         place_early(state, job, frame.number, frame.work);
     }
-    split_the_last(state, job);
 }
 
-/// Places a frame where it ends first, in tiles if it fits nowhere as a whole. Returns the nodes' time that it takes.
+/// Places a frame where it ends first. Returns the node's time that it takes, or `None` if it fits nowhere.
 fn place_early(state: &mut State, job: usize, number: i64, frame_work: u64) -> Option<i64> {
     let work = &state.problem.jobs[job];
-    if work.is_hopeless {
-        return None;
-    }
     let release = state.earliest(job, Task::Frame(number))?;
     let search = Search {
         class_of_work: work.job.class,
@@ -389,37 +349,9 @@ fn place_early(state: &mut State, job: usize, number: i64, frame_work: u64) -> O
         only: Only::ANY,
         for_others: state.for_others,
     };
-    if let Some((node, fit)) = state.find(work, &search) {
-        state.book(job, Placed { node, start: fit.start, end: fit.end, task: Task::Frame(number) });
-        return Some(fit.end - fit.start);
-    }
-    // No window is long enough for all of it.
-    let before = state.placed[job].len();
-    place_tiles(state, job, number, frame_work, i64::MAX).then(|| {
-        let tiles = state.placed[job].iter().skip(before);
-        tiles.fold(0i64, |sum, tile| sum.saturating_add(tile.end - tile.start))
-    })
-}
-
-/// Splits whole frames at the end of a job into tiles, one after the other, as long as the job ends earlier for it.
-fn split_the_last(state: &mut State, job: usize) {
-    let work: &Work = &state.problem.jobs[job];
-    if work.job.tiles < 2 {
-        return;
-    }
-    for _ in 0..work.frames.len() {
-        let kept = state.kept[job];
-        let last =
-            state.placed[job].iter().skip(kept).max_by_key(|placed| (placed.end, placed.task)).copied();
-        let Some(last) = last.filter(|last| last.end == state.finish(job)) else { return };
-        let Task::Frame(number) = last.task else { return };
-        let Some(frame) = work.frames.iter().find(|frame| frame.number == number) else { return };
-        state.unbook(job, last);
-        if !place_tiles(state, job, number, frame.work, last.end - 1) {
-            state.book(job, last);
-            return;
-        }
-    }
+    let (node, fit) = state.find(&search)?;
+    state.book(job, Placed { node, start: fit.start, end: fit.end, task: Task::Frame(number) });
+    Some(fit.end - fit.start)
 }
 
 /// Places jobs without a deadline frame by frame, each time one of the job whose turn it is.
@@ -450,7 +382,6 @@ pub(crate) fn in_turns(state: &mut State, jobs: &[usize]) {
     }
     for &job in jobs {
         within_budget(state, job);
-        split_the_last(state, job);
     }
 }
 
@@ -522,7 +453,7 @@ fn place_cheaply_by(state: &mut State, job: usize, by: i64) -> bool {
             only: Only::ANY,
             for_others: state.for_others,
         };
-        let Some((node, fit)) = state.find(work, &search) else { return false };
+        let Some((node, fit)) = state.find(&search) else { return false };
         state.book(job, Placed { node, start: fit.start, end: fit.end, task: Task::Frame(frame.number) });
         true
     })

@@ -43,7 +43,7 @@ impl JobRisk {
 /// The work of a job's frames is its forecast median times a factor that all its frames share, whose quantiles are those of the
 /// job's total, times a factor of its own. Every node renders what the plan gave it in the plan's order: each task as soon
 /// as the node is done with the one before, its job is released and its seed done, in the first free stretch that is
-/// long enough. Limits are taken to be as the plan had them. Costs vary with rented time; set-ups and
+/// long enough. Costs vary with rented time; set-ups and
 /// rounding to steps stay what they are in the plan.
 ///
 /// # Errors

@@ -1,10 +1,9 @@
-//! A plan in the making: every node's lane, the limits, and where each task lies.
+//! A plan in the making: every node's lane, and where each task lies.
 
 use crate::admission::{Admission, IN_A_MICRO_UNIT};
 use crate::lane::{Fit, Lane, Market, Prefer, Wanted};
-use crate::limits::Ledger;
 use crate::model::{Booking, Seed, Task};
-use crate::problem::{Problem, Work};
+use crate::problem::Problem;
 
 /// A task's place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,7 +81,6 @@ pub(crate) struct State<'p, 'a> {
     /// Whether list scheduling minds what others would pay for a place, and in which slots the programme has a job.
     pub for_others: bool,
     pub lanes: Vec<Lane>,
-    pub ledger: Ledger,
     /// By job, in the order in which they were placed.
     pub placed: Vec<Vec<Placed>>,
     /// Whether a task was there before and is not to move: by job, how many at the front of `placed`.
@@ -100,66 +98,35 @@ impl<'p, 'a> State<'p, 'a> {
             admission,
             for_others: true,
             lanes: lanes.collect(),
-            ledger: Ledger::new(problem.input),
             placed: vec![Vec::new(); problem.jobs.len()],
             kept: vec![0; problem.jobs.len()],
             clock: 0,
         }
     }
 
-    /// Keeps what is right of these bookings; seeds come first, so that frames can be judged by them. The rest is
-    /// returned.
-    pub fn keep(&mut self, bookings: &[Booking]) -> Vec<Booking> {
+    /// Keeps what is right of these bookings; seeds come first, so that frames can be judged by them.
+    pub fn keep(&mut self, bookings: &[Booking]) {
         let mut sorted = bookings.to_vec();
         sorted.sort_unstable_by_key(|booking| (!booking.task.is_seed(), *booking));
         sorted.dedup();
-        let refused = sorted.into_iter().filter(|booking| !self.keep_one(booking)).collect();
-        self.drop_partial_frames(refused)
+        sorted.iter().for_each(|booking| self.keep_one(booking));
     }
 
-    fn keep_one(&mut self, booking: &Booking) -> bool {
+    fn keep_one(&mut self, booking: &Booking) {
         let problem = self.problem;
         let Some((job, node)) = problem.job(booking.job).zip(problem.node(booking.node)) else {
-            return false;
+            return;
         };
         let work = &problem.jobs[job];
         let duration = work.duration(problem.nodes[node], booking.task);
         let is_right = duration.and_then(|duration| booking.start.checked_add(duration)) == Some(booking.end)
             && self.earliest(job, booking.task).is_some_and(|earliest| earliest <= booking.start)
             && self.lanes[node].is_free(booking.start, booking.end)
-            && self.ledger.is_free(&work.job.uses, booking.start, booking.end).is_ok()
             && !self.placed[job].iter().any(|placed| excludes(placed.task, booking.task));
         if is_right {
             self.book(job, Placed { node, start: booking.start, end: booking.end, task: booking.task });
             self.kept[job] += 1;
         }
-        is_right
-    }
-
-    /// A frame of which some tiles have no place any more is placed anew as a whole.
-    fn drop_partial_frames(&mut self, mut refused: Vec<Booking>) -> Vec<Booking> {
-        for job in 0..self.placed.len() {
-            let tiles = |placed: &Placed| match placed.task {
-                Task::Tile { frame, parts, .. } => Some((frame, parts)),
-                _ => None,
-            };
-            let partial: Vec<Placed> = self.placed[job]
-                .iter()
-                .filter(|placed| {
-                    tiles(placed).is_some_and(|(frame, parts)| {
-                        let there = self.placed[job].iter().filter(|other| other.task.frame() == Some(frame));
-                        there.count() < parts as usize
-                    })
-                })
-                .copied()
-                .collect();
-            for placed in partial {
-                self.unbook(job, placed);
-                self.kept[job] -= 1;
-                refused.push(self.booking(job, &placed));
-            }
-        }
-        refused
     }
 
     pub fn booking(&self, job: usize, placed: &Placed) -> Booking {
@@ -183,7 +150,7 @@ impl<'p, 'a> State<'p, 'a> {
     }
 
     /// The best place on these classes of nodes; among equals, on the node with the least id.
-    pub fn find(&self, work: &Work, search: &Search) -> Option<(usize, Fit)> {
+    pub fn find(&self, search: &Search) -> Option<(usize, Fit)> {
         let problem = self.problem;
         let mut classes: Vec<(i64, i64, usize)> = search
             .classes
@@ -198,12 +165,7 @@ impl<'p, 'a> State<'p, 'a> {
         // Rank and id decide; index and place go with them.
         let mut best: Option<Candidate> = None;
         for (_, duration, class) in classes {
-            let wanted = Wanted {
-                release: search.release,
-                latest_end: search.latest_end,
-                duration,
-                uses: &work.job.uses,
-            };
+            let wanted = Wanted { release: search.release, latest_end: search.latest_end, duration };
             let market = Priced { admission: self.admission, class, for_others: search.for_others };
             // Of nodes that are the same and empty, the first will do.
             let mut empty: Option<usize> = None;
@@ -229,7 +191,7 @@ impl<'p, 'a> State<'p, 'a> {
                 if hopeless || search.only.except == Some(index) {
                     continue;
                 }
-                let Some(fit) = lane.fit(node, &wanted, &self.ledger, search.prefer, &market) else {
+                let Some(fit) = lane.fit(node, &wanted, search.prefer, &market) else {
                     continue;
                 };
                 let rank = fit.rank(search.prefer);
@@ -244,28 +206,26 @@ impl<'p, 'a> State<'p, 'a> {
     pub fn book(&mut self, job: usize, placed: Placed) {
         let node = self.problem.nodes[placed.node];
         self.lanes[placed.node].book(node, placed.start, placed.end);
-        self.ledger.hold(&self.problem.jobs[job].job.uses, placed.start, placed.end);
         self.placed[job].push(placed);
     }
 
     pub fn unbook(&mut self, job: usize, placed: Placed) {
-        self.free(job, placed);
+        self.free(placed);
         self.placed[job].retain(|other| *other != placed);
     }
 
-    fn free(&mut self, job: usize, placed: Placed) {
+    fn free(&mut self, placed: Placed) {
         let (node, lane) = (self.problem.nodes[placed.node], &mut self.lanes[placed.node]);
         lane.unbook(node, placed.start, placed.end);
         lane.freed = self.clock;
         self.clock += 1;
-        self.ledger.release(&self.problem.jobs[job].job.uses, placed.start, placed.end);
     }
 
     /// Takes back what was placed after the first `count` tasks of the job.
     pub fn unbook_after(&mut self, job: usize, count: usize) {
         let count = count.min(self.placed[job].len());
         for last in self.placed[job].split_off(count).into_iter().rev() {
-            self.free(job, last);
+            self.free(last);
         }
     }
 
@@ -319,9 +279,6 @@ impl<'p, 'a> State<'p, 'a> {
 /// Whether a frame that has the one cannot also have the other.
 fn excludes(one: Task, other: Task) -> bool {
     match (one, other) {
-        (Task::Tile { frame: a, part: p, parts: m }, Task::Tile { frame: b, part: q, parts: n }) => {
-            a == b && (p == q || m != n)
-        }
         (Task::SeedPart { part: p, parts: m }, Task::SeedPart { part: q, parts: n }) => p == q || m != n,
         _ => one.frame() == other.frame(),
     }

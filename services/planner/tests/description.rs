@@ -24,6 +24,43 @@ fn the_example_is_planned() {
 }
 
 #[test]
+fn frames_lie_on_nodes_with_the_memory_and_the_cores_that_their_job_needs() {
+    let node = |name: &str, memory: u32, gpu: u32, cores: u32| {
+        format!(
+            r#"{{ "name": "{name}", "memory_gib": {memory}, "gpu_memory_gib": {gpu}, "cores": {cores}, "price_per_hour": {cores} }}"#
+        )
+    };
+    let nodes =
+        [node("small", 8, 0, 4), node("large", 64, 0, 8), node("many", 8, 0, 16), node("gpu", 64, 24, 32)];
+    let needs = [
+        ("anything", ""),
+        ("memory", r#", "memory_gib": 9, "seed_hours": 1"#),
+        ("cores", r#", "cores": 9"#),
+        ("gpu", r#", "gpu_memory_gib": 24"#),
+        ("nothing", r#", "memory_gib": 65"#),
+    ];
+    let jobs = needs.map(|(name, need)| format!(r#"{{ "name": "{name}", "frames": 1, "hours": 1{need} }}"#));
+    for (place, expected) in
+        [Some("small"), Some("large"), Some("many"), Some("gpu"), None].into_iter().enumerate()
+    {
+        let text = format!(
+            r#"{{ "now": "2026-03-27T18:00:00Z", "nodes": [{}], "jobs": [{}] }}"#,
+            nodes.join(", "),
+            jobs[place]
+        );
+        let input = described(&text).input().expect("an input");
+        let found = plan(&input).expect("a plan");
+        assert_eq!(verify(&input, &found), Ok(()));
+        let name = |id: u64| input.nodes[id as usize].name.as_str();
+        let on: Vec<&str> = found.bookings.iter().map(|booking| name(booking.node)).collect();
+        assert!(
+            on.iter().all(|&node| Some(node) == expected) && on.is_empty() == expected.is_none(),
+            "{text}: {on:?}"
+        );
+    }
+}
+
+#[test]
 fn frames_that_are_neither_a_count_nor_a_list_are_told_what_they_may_be() {
     let text = EXAMPLE.replace("\"frames\": 120", "\"frames\": -1");
     let error = serde_json::from_str::<Description>(&text).expect_err("no frames").to_string();

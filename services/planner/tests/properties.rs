@@ -1,10 +1,10 @@
 //! The wanted properties of the README, on random instances.
 
-use forelight_planner::reference::{Size, cheapest_by_trying_everything, studio, tiny};
 use forelight_planner::{
     Confidence, Event, FixedBooking, Frame, Input, Interval, Job, Node, Verdict, WorkTotal, curve, explain,
     mend, plan, replan, simulate, verify,
 };
+use forelight_simulator::reference::{Size, cheapest_by_trying_everything, studio, tiny};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 
@@ -214,7 +214,7 @@ proptest! {
     }
 }
 
-/// All deadlines far enough away, everything else random: the plans of these farms are rich in calendars, seeds, limits, tiles,
+/// All deadlines far enough away, everything else random: the plans of these farms are rich in calendars, seeds,
 /// set-ups and steps.
 fn studio_input() -> impl Strategy<Value = Input> {
     (1u64..12, 1u64..60, 1u64..20, 1u64..8, any::<u64>(), 0usize..4).prop_map(

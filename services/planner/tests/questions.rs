@@ -1,9 +1,9 @@
 //! What people ask, on farms small enough to know the answer.
 
 use forelight_planner::{
-    Change, Confidence, Event, Frame, Input, Interval, Job, Limit, LimitUse, Node, Plan, Project, Reason,
-    Seed, Task, Usage, Verdict, WorkTotal, difference, earliest_for_budget, explain, gantt, outlook, plan,
-    price_curve, replan, simulate, verify, ways_out, what_if,
+    Change, Confidence, Event, Frame, Input, Interval, Job, Node, Plan, Project, Seed, Task, Usage, Verdict,
+    WorkTotal, difference, earliest_for_budget, explain, gantt, outlook, plan, price_curve, replan, simulate,
+    verify, ways_out, what_if,
 };
 
 const HOUR: i64 = 3_600_000_000;
@@ -60,7 +60,7 @@ fn the_bound_of_a_plan_that_uses_all_cheap_time_is_its_cost() {
 }
 
 #[test]
-fn frames_wait_for_their_seed_and_tiles_end_together_earlier() {
+fn frames_wait_for_their_seed() {
     let seeded = Job { seed: Some(Seed { class: 0, work: 3600, parts: 1 }), ..job(1, None, &[2, 2]) };
     let found = sound(&input(vec![node(1, 1, 0), node(2, 1, 0)], vec![seeded]));
     assert_eq!(found.jobs[0].verdict, Verdict::NoDeadline { finish: 3 * HOUR });
@@ -74,30 +74,13 @@ fn frames_wait_for_their_seed_and_tiles_end_together_earlier() {
     assert!(
         seeds.iter().all(|booking| booking.end - booking.start == HOUR) && seeds[0].node != seeds[1].node
     );
-    let tiled = Job { tiles: 4, ..job(1, Some(2), &[4]) };
-    let found = sound(&input(vec![node(1, 1, 0), node(2, 1, 0)], vec![tiled]));
-    assert!(found.bookings.iter().all(|booking| matches!(booking.task, Task::Tile { parts: 2, .. })));
-    assert!(found.jobs[0].verdict.is_kept());
 }
 
 #[test]
-fn no_more_frames_run_than_there_are_licences() {
-    let mut licensed = job(1, None, &[1; 6]);
-    licensed.uses = vec![LimitUse { limit: 5, count: 1 }];
-    let mut farm = input((0..4).map(|id| node(id, 1, 0)).collect(), vec![licensed]);
-    farm.limits = vec![Limit { id: 5, name: "simulator".into(), count: 2 }];
-    assert_eq!(sound(&farm).jobs[0].verdict.finish(), Some(3 * HOUR));
-    farm.limits[0].count = 0;
-    assert!(matches!(sound(&farm).jobs[0].verdict, Verdict::Unplaced { .. }));
-    assert_eq!(explain(&farm, &sound(&farm)).expect("reasons")[0].reason, Reason::NoNode);
-}
-
-#[test]
-fn memory_and_class_of_work_choose_the_node() {
-    let large = Node { memory: 64, ..node(1, 1, 9_000_000) };
-    let fast = Node { speeds: [(7, 10)].into(), ..node(2, 1, 1_000_000) };
-    let mut heavy = job(1, Some(9), &[1]);
-    heavy.memory = 32;
+fn the_class_of_work_chooses_the_node() {
+    let large = node(1, 1, 9_000_000);
+    let fast = Node { speeds: [(3, 0), (7, 10)].into(), ..node(2, 1, 1_000_000) };
+    let heavy = Job { class: 3, ..job(1, Some(9), &[1]) };
     let special = Job { class: 7, ..job(2, Some(1), &[10]) };
     let found = sound(&input(vec![large, fast], vec![heavy, special]));
     let on: Vec<(u64, u64)> = found.bookings.iter().map(|booking| (booking.job, booking.node)).collect();
@@ -195,12 +178,12 @@ fn a_job_without_a_deadline_makes_way_for_one_that_would_be_late() {
 
 #[test]
 fn when_a_job_is_withdrawn_another_makes_way_for_one_that_was_late() {
-    let small = Node { cores: 2, memory: 1, ..node(1, 1, 1_000_000) };
-    let large = Node { cores: 1, memory: 2, ..node(2, 1, 2_000_000) };
+    let small = Node { speeds: [(3, 0)].into(), ..node(1, 1, 1_000_000) };
+    let large = Node { speeds: [(2, 0)].into(), ..node(2, 1, 2_000_000) };
     // The first goes anywhere, the second only to the small node, the third only to the large one.
     let anywhere = Job { weight: 3, ..job(1, Some(2), &[2]) };
-    let on_small = Job { cores: 2, ..job(2, Some(3), &[2]) };
-    let on_large = Job { memory: 2, weight: 3, ..job(3, Some(2), &[2]) };
+    let on_small = Job { class: 2, ..job(2, Some(3), &[2]) };
+    let on_large = Job { class: 3, weight: 3, ..job(3, Some(2), &[2]) };
     let farm = input(vec![small, large], vec![anywhere, on_small, on_large]);
     let old = sound(&farm);
     assert!(matches!(old.jobs[1].verdict, Verdict::Late { by: HOUR, .. }), "{:?}", old.jobs);
@@ -209,16 +192,6 @@ fn when_a_job_is_withdrawn_another_makes_way_for_one_that_was_late() {
     assert!(new.plan.jobs.iter().all(|entry| entry.verdict.is_kept()) && new.at_risk.is_empty());
     let moved: Vec<(u64, u64)> = new.difference.moved.iter().map(|(_, now)| (now.job, now.node)).collect();
     assert_eq!(moved, [(1, 2), (2, 1)], "the first makes way, and keeps its own deadline");
-}
-
-#[test]
-fn a_frame_that_no_window_is_long_enough_for_is_split_though_it_has_no_deadline() {
-    let short = |id| Node { calendar: vec![Interval { start: 0, end: Some(2 * HOUR) }], ..node(id, 1, 0) };
-    let found = sound(&input(vec![short(1), short(2)], vec![Job { tiles: 4, ..job(1, None, &[3]) }]));
-    assert_eq!(found.jobs[0].verdict, Verdict::NoDeadline { finish: HOUR + HOUR / 2 });
-    let late = Job { tiles: 4, deadline: Some(HOUR), ..job(1, None, &[3]) };
-    let found = sound(&input(vec![short(1), short(2)], vec![late]));
-    assert!(matches!(found.jobs[0].verdict, Verdict::Late { by, .. } if by == HOUR / 2), "{:?}", found.jobs);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use rustix::time::{ClockId, clock_gettime};
 
-/// A moment on the calling thread's own clock, which stands still while the thread does not run.
+/// CPU time of the calling thread at one moment. The clock stops while the thread does not run.
 #[derive(Clone, Copy)]
 pub(crate) struct ThreadClock(u64);
 
@@ -11,7 +11,7 @@ impl ThreadClock {
         Self(now())
     }
 
-    /// CPU time since the start, nanoseconds. Only meaningful on the thread that called `start`.
+    /// CPU time since the start, in nanoseconds. Only valid on the thread that called `start`.
     pub fn nanos(self) -> u64 {
         now().saturating_sub(self.0)
     }
@@ -19,6 +19,6 @@ impl ThreadClock {
 
 fn now() -> u64 {
     let time = clock_gettime(ClockId::ThreadCPUTime);
-    // Both parts of a thread's CPU time are never negative.
+    // Neither part of a thread's CPU time is negative.
     time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64
 }

@@ -1,20 +1,20 @@
-//! What a preview took: its part of what a forecast has spent.
+//! The cost of a preview, which is part of what a forecast costs.
 
 use std::iter::Sum;
 use std::ops::{Add, AddAssign};
 
-/// What a preview took.
+/// The cost of a preview.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Cost {
-    /// BVH nodes visited; 0 on the GPU. Deterministic.
+    /// Number of BVH nodes visited. Deterministic. 0 on the GPU.
     pub nodes: u64,
-    /// Triangle tests; 0 on the GPU. Deterministic.
+    /// Number of triangle tests. Deterministic. 0 on the GPU.
     pub triangles: u64,
-    /// CPU time of this process's threads, summed, with the build of the tree, nanoseconds.
-    /// A Vulkan driver's own threads are not in it.
+    /// CPU time of this process's threads in nanoseconds, including the build of the tree. The threads of a
+    /// Vulkan driver are not included.
     pub cpu_nanos: u64,
-    /// Time spent waiting for the device, nanoseconds of wall clock; 0 on the CPU. With a driver that renders in software the
-    /// device is the same processor.
+    /// Wall-clock time spent waiting for the device, in nanoseconds. 0 on the CPU. With a software driver,
+    /// the device is the same processor.
     pub device_nanos: u64,
 }
 

@@ -1,4 +1,4 @@
-//! The CPU twin: one ray through the centre of every pixel.
+//! The CPU twin of the GPU preview: one ray through the centre of every pixel.
 
 use crate::clock::ThreadClock;
 use crate::cost::Cost;
@@ -10,31 +10,32 @@ use forelight_scene::{Frame, Geometry};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// The preview of a frame over the caller's tree, which must be that of `frame.geometry`; and what it took. The image
-/// does not depend on the number of threads.
+/// The preview of a frame, and its cost. `bvh` must be the tree of `frame.geometry`.
+///
+/// The result does not depend on the number of threads.
 ///
 /// # Errors
 /// [`PreviewError::EmptyImage`], [`PreviewError::ImageTooLarge`] or [`PreviewError::Camera`].
 pub fn cpu_preview_with(bvh: &Bvh, frame: &Frame) -> Result<(Preview, Cost), PreviewError> {
     check(&frame.camera)?;
-    let eye = Eye::new(bvh, frame);
+    let rays = CameraRays::new(bvh, frame);
     let width = frame.camera.width as usize;
     let mut triangles = vec![NOTHING; frame.camera.pixels()];
     let mut cost = triangles
         .par_chunks_mut(width)
         .enumerate()
-        .map(|(y, row)| eye.row(y as u32, |x, triangle| row[x] = triangle))
+        .map(|(y, row)| rays.row(y as u32, |x, triangle| row[x] = triangle))
         .sum();
     Ok((resolve(frame, &triangles, &mut cost), cost))
 }
 
-/// As [`cpu_preview_with`], for the pixel counts alone.
+/// Like [`cpu_preview_with`], but returns only the pixel counts.
 ///
 /// # Errors
-/// As [`cpu_preview_with`].
+/// As for [`cpu_preview_with`].
 pub fn cpu_counts_with(bvh: &Bvh, frame: &Frame) -> Result<(Counts, Cost), PreviewError> {
     check(&frame.camera)?;
-    let eye = Eye::new(bvh, frame);
+    let rays = CameraRays::new(bvh, frame);
     let geometry = &*frame.geometry;
     let none = || Counts::none(geometry.strata.len());
     Ok((0..frame.camera.height)
@@ -42,7 +43,7 @@ pub fn cpu_counts_with(bvh: &Bvh, frame: &Frame) -> Result<(Counts, Cost), Previ
         .fold(
             || (none(), Cost::default()),
             |(mut counts, cost), y| {
-                let row = eye.row(y, |_, triangle| {
+                let row = rays.row(y, |_, triangle| {
                     counts.add(geometry.triangle_stratum.get(triangle as usize).copied().unwrap_or(NOTHING));
                 });
                 (counts, cost + row)
@@ -51,26 +52,27 @@ pub fn cpu_counts_with(bvh: &Bvh, frame: &Frame) -> Result<(Counts, Cost), Previ
         .reduce(|| (none(), Cost::default()), |(a, cost_a), (b, cost_b)| (a.plus(&b), cost_a + cost_b)))
 }
 
-/// The camera of a frame, ready to look.
-struct Eye<'a> {
+/// A frame with everything needed to trace its camera rays.
+struct CameraRays<'a> {
     bvh: &'a Bvh,
     frame: &'a Frame,
     cutouts: Cutouts,
     near: f32,
 }
 
-impl<'a> Eye<'a> {
+impl<'a> CameraRays<'a> {
     fn new(bvh: &'a Bvh, frame: &'a Frame) -> Self {
         Self { bvh, frame, cutouts: Cutouts::of(frame), near: near_distance(&frame.geometry) }
     }
 
-    /// Calls `see` with the column and the triangle ([`NOTHING`]: none) of every pixel of row `y`.
+    /// Calls `see` with the column and the triangle of every pixel of row `y`. The triangle is [`NOTHING`]
+    /// where no surface is.
     fn row(&self, y: u32, mut see: impl FnMut(usize, u32)) -> Cost {
         let clock = ThreadClock::start();
         let camera = &self.frame.camera;
         let mut steps = Traversal::default();
         for x in 0..camera.width {
-            // The direction's component along the view is 1, so that the near distance is the ray's parameter.
+            // The direction's component along the view axis is 1, so the near distance is a ray parameter.
             let direction = camera.direction(centre(x, y));
             let ray = Ray { t_min: self.near, ..Ray::new(camera.origin, direction) };
             let hit = if self.cutouts.any {
@@ -86,7 +88,7 @@ impl<'a> Eye<'a> {
     }
 }
 
-/// The twin with the tree of the last geometry that it saw.
+/// The CPU twin, with the tree of the last geometry.
 #[derive(Default)]
 pub(crate) struct Cpu {
     tree: Option<(Arc<Geometry>, Bvh)>,

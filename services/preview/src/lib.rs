@@ -1,16 +1,17 @@
-//! What the camera sees, cheaply: for every pixel the (object, material) pair, the position and the normal of the
-//! surface at its centre.
+//! Finds what the camera sees in every pixel of a frame: the (object, material) pair, and the position and
+//! normal of the surface at the centre of the pixel.
 //!
-//! Two makers give the same answer: the GPU (headless Vulkan through `wgpu`) and its CPU twin, which traces one ray a pixel.
-//! Both say only *which triangle* a pixel shows; stratum, position and normal then come out of one function, from the
-//! triangle and the pixel. So wherever the two agree on the triangle, they agree on every bit of the rest. They
-//! can disagree where a triangle's edge passes a pixel's centre within the rasteriser's snapping (1/256 pixel), and
-//! where two surfaces are nearer to each other than a float's precision of depth.
+//! There are two implementations: the GPU (headless Vulkan through `wgpu`), and its CPU twin, which traces
+//! one ray per pixel. Both find only *which triangle* a pixel shows. One function then computes stratum,
+//! position and normal from the triangle and the pixel. So wherever both find the same triangle, all other
+//! bits agree too. They may find different triangles where an edge passes a pixel centre within the
+//! rasteriser's snapping (1/256 pixel). The same holds where two surfaces are closer to each other than the
+//! precision of a float depth.
 //!
-//! What is visible: both sides of every triangle, as seen through a pinhole (the lens blurs, it does not change what
-//! a pixel mostly shows); surfaces whose opacity is below ½ are left out, and so are the texels that a cut-out
-//! texture leaves out; glass is shown, not what lies behind it. Of surfaces at the same depth the lowest triangle
-//! index is seen.
+//! Both sides of every triangle are visible, as seen through a pinhole. A lens blurs, but does not change
+//! what a pixel mostly shows. Surfaces with an opacity below ½ are left out, as are the transparent texels of
+//! a cut-out texture. Glass is shown, not what is behind it. Of surfaces at the same depth, the one with the
+//! lowest triangle index is visible.
 
 mod clock;
 mod cost;

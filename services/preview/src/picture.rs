@@ -1,18 +1,19 @@
-//! The paper's picture of a preview.
+//! A picture of a preview, coloured as in the paper (Gillibrand et al. 2006).
 
 use crate::preview::Preview;
 use forelight_scene::{Frame, MaterialClass};
 use image::{Rgb, RgbImage};
 
-/// What no surface covers.
+/// Colour of pixels that show no surface.
 const BACKGROUND: Rgb<u8> = Rgb([8, 8, 10]);
 
-/// A colour for every stratum, by its index: mostly red for transparent, mostly blue for specular and glossy, mostly
-/// green for all others (the paper, section 2, step 1). The largest channel always names the class.
+/// A colour for every stratum, by its index.
 ///
-/// Within a class, the colours are the points of an additive recurrence with the inverse powers of the root of
-/// x⁴ = x + 1, the golden ratio's relative in three dimensions (Roberts 2018, "The Unreasonable Effectiveness of
-/// Quasirandom Sequences"): any number of them fill the range evenly, and one is far from the next.
+/// The largest channel names the class of the material (the paper, section 2, step 1): red for transparent,
+/// blue for specular and glossy, green for all others. Within a class, the colours are the points of an
+/// additive recurrence with the inverse powers of the root of x⁴ = x + 1. This is the three-dimensional
+/// relative of the golden ratio (Roberts 2018, "The Unreasonable Effectiveness of Quasirandom Sequences").
+/// Any number of colours fills the range evenly, and successive colours differ strongly.
 pub fn palette(frame: &Frame) -> Vec<[u8; 3]> {
     const ROOT: f64 = 1.220_744_084_605_759_5;
     let mut ranks = [0u32; 3];
@@ -38,7 +39,8 @@ pub fn palette(frame: &Frame) -> Vec<[u8; 3]> {
     frame.geometry.strata.pairs.iter().map(colour).collect()
 }
 
-/// The preview as a picture: [`palette`]'s colours, darkened where a surface turns away from the eye so that shapes read.
+/// The preview as a picture in the colours of [`palette`]. Surfaces are darkened where they turn away from
+/// the eye, so that shapes are visible.
 pub fn picture(preview: &Preview, frame: &Frame) -> RgbImage {
     let palette = palette(frame);
     let mut image = RgbImage::from_pixel(preview.width, preview.height, BACKGROUND);

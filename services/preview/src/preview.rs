@@ -1,40 +1,41 @@
-//! The preview of a frame, and the shorter answer: how many pixels show what.
+//! The preview of a frame, and its pixel counts.
 
 use glam::Vec3;
 use std::sync::Arc;
 
-/// In [`Preview::stratum`]: the pixel shows no surface.
+/// Value in [`Preview::stratum`] for a pixel that shows no surface.
 pub const NOTHING: u32 = u32::MAX;
 
-/// What each pixel of a frame shows at its centre. All lists are row-major from the top-left pixel.
+/// What each pixel of a frame shows at its centre. All lists are in row order from the top-left pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Preview {
-    /// Image width, pixels.
+    /// Image width in pixels.
     pub width: u32,
-    /// Image height, pixels.
+    /// Image height in pixels.
     pub height: u32,
-    /// Stratum, the index of the (object, material) pair; [`NOTHING`] where no surface is.
+    /// Stratum of each pixel: the index of its (object, material) pair. [`NOTHING`] where no surface is.
     pub stratum: Vec<u32>,
-    /// Point on the surface, metres; zero where no surface is.
+    /// Point on the surface, in metres. Zero where no surface is.
     pub position: Vec<Vec3>,
-    /// Unit geometric normal by the winding, whichever side is seen; zero where no surface is.
+    /// Geometric unit normal by the winding of the triangle, for both visible sides. Zero where no surface
+    /// is.
     pub normal: Vec<Vec3>,
-    /// (object id, material index) by stratum: the frame's [`forelight_scene::Strata`].
+    /// (object id, material index) of each stratum, from the frame's [`forelight_scene::Strata`].
     pub pairs: Arc<[(u32, u32)]>,
 }
 
 impl Preview {
-    /// Object id of a pixel by its row-major index; none where no surface is.
+    /// Object id of a pixel, by its index in row order. `None` where no surface is.
     pub fn object(&self, pixel: usize) -> Option<u32> {
         self.pair(pixel).map(|(object, _)| object)
     }
 
-    /// Material index of a pixel by its row-major index; none where no surface is.
+    /// Material index of a pixel, by its index in row order. `None` where no surface is.
     pub fn material(&self, pixel: usize) -> Option<u32> {
         self.pair(pixel).map(|(_, material)| material)
     }
 
-    /// How many pixels show each stratum: the paper's N_o (section 3).
+    /// Number of pixels of each stratum: N_o in the paper (section 3).
     pub fn counts(&self) -> Counts {
         let mut counts = Counts::none(self.pairs.len());
         for &stratum in &self.stratum {
@@ -48,17 +49,17 @@ impl Preview {
     }
 }
 
-/// How many pixels of a frame show what.
+/// Pixel counts of a frame.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Counts {
-    /// Pixels by stratum.
+    /// Number of pixels of each stratum.
     pub per_stratum: Vec<u32>,
-    /// Pixels that show no surface.
+    /// Number of pixels that show no surface.
     pub background: u32,
 }
 
 impl Counts {
-    /// No pixel yet, of so many strata.
+    /// Counts of zero for `strata` strata.
     pub(crate) fn none(strata: usize) -> Self {
         Self { per_stratum: vec![0; strata], background: 0 }
     }
@@ -79,7 +80,7 @@ impl Counts {
         self
     }
 
-    /// Pixels of the image.
+    /// Number of pixels of the image.
     pub fn pixels(&self) -> u64 {
         self.per_stratum.iter().map(|&n| u64::from(n)).sum::<u64>() + u64::from(self.background)
     }

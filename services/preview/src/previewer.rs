@@ -1,4 +1,4 @@
-//! Which maker previews, and what it remembers from frame to frame.
+//! Chooses between GPU and CPU, and keeps what frames share.
 
 use crate::cost::Cost;
 use crate::cpu::Cpu;
@@ -10,15 +10,16 @@ use std::fmt;
 use std::str::FromStr;
 use thiserror::Error;
 
-/// Who previews: the value of `--preview`.
+/// Where previews are made: the value of `--preview`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Choice {
-    /// The GPU where a usable Vulkan device is, the CPU twin otherwise, and when the device fails or the scene does not fit it.
+    /// On the GPU if there is a usable Vulkan device. Otherwise on the CPU, also if the device fails or the
+    /// scene does not fit it.
     #[default]
     Auto,
-    /// The GPU or an error.
+    /// On the GPU. Fails if that is not possible.
     Gpu,
-    /// The CPU twin.
+    /// On the CPU.
     Cpu,
 }
 
@@ -32,7 +33,7 @@ impl fmt::Display for Choice {
     }
 }
 
-/// A word that is no [`Choice`].
+/// A word that is not a [`Choice`].
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("{0:?} is not one of auto, gpu, cpu")]
 pub struct ParseChoiceError(String);
@@ -50,26 +51,27 @@ impl FromStr for Choice {
     }
 }
 
-/// Makes previews. What a frame shares with the one before (geometry, textures) stays where it is: on the device, or in the
-/// CPU twin's tree.
+/// Makes previews. Geometry and textures that a frame shares with the previous one are kept: on the device,
+/// or in the tree of the CPU twin.
 pub struct Previewer {
     choice: Choice,
     gpu: Option<Gpu>,
     cpu: Cpu,
-    /// Whether this frame's scene did not fit the device, so that the log says it once.
+    /// Whether the log already says that a scene did not fit the device.
     warned: bool,
     cost: Cost,
 }
 
 impl Previewer {
-    /// Opens the device where `choice` wants one, and says once in the log which way previews are made, and why.
+    /// Opens a device if `choice` asks for one. Logs once whether previews are made on the GPU or the CPU,
+    /// and why.
     ///
     /// # Errors
     /// [`PreviewError::NoDevice`] or [`PreviewError::Device`], for [`Choice::Gpu`] only.
     pub fn new(choice: Choice) -> Result<Self, PreviewError> {
         let gpu = match choice {
             Choice::Cpu => {
-                tracing::info!("previews on the CPU: as chosen");
+                tracing::info!("previews on the CPU, as requested");
                 None
             }
             Choice::Gpu | Choice::Auto => match Gpu::open() {
@@ -87,40 +89,40 @@ impl Previewer {
         Ok(Self { choice, gpu, cpu: Cpu::default(), warned: false, cost: Cost::default() })
     }
 
-    /// `"gpu"` or `"cpu"`.
+    /// The implementation in use: `"gpu"` or `"cpu"`.
     pub fn backend(&self) -> &'static str {
         if self.gpu.is_some() { "gpu" } else { "cpu" }
     }
 
-    /// Name, kind and driver of the GPU in use.
+    /// Name, kind and driver of the GPU in use. `None` on the CPU.
     pub fn adapter(&self) -> Option<&str> {
         self.gpu.as_ref().map(Gpu::name)
     }
 
-    /// Whether a graphics processor is in use, and no program that does its work.
+    /// Whether a hardware GPU is in use, rather than a software driver or the CPU.
     pub fn is_hardware(&self) -> bool {
         self.gpu.as_ref().is_some_and(Gpu::is_hardware)
     }
 
-    /// What the last call of `preview` or `counts` took; zero after an error.
+    /// Cost of the last call of `preview` or `counts`. Zero after an error.
     pub fn cost(&self) -> Cost {
         self.cost
     }
 
-    /// What each pixel of the frame shows, at the camera's resolution and pixel centres.
+    /// What each pixel of the frame shows at its centre, at the camera's resolution.
     ///
     /// # Errors
-    /// [`PreviewError::EmptyImage`], [`PreviewError::ImageTooLarge`] or [`PreviewError::Camera`] for a frame that has no image;
-    /// what befalls the device, for [`Choice::Gpu`] only.
+    /// [`PreviewError::EmptyImage`], [`PreviewError::ImageTooLarge`] or [`PreviewError::Camera`] for a frame
+    /// without a valid image. Failures of the device, for [`Choice::Gpu`] only.
     pub fn preview(&mut self, frame: &Frame) -> Result<Preview, PreviewError> {
         self.make(|gpu| gpu.preview(frame), |cpu| cpu.preview(frame))
     }
 
-    /// How many pixels of the frame show each stratum. The same numbers as `preview(frame)?.counts()`; on the GPU, nothing else is
-    /// brought back.
+    /// Number of pixels of the frame that show each stratum: the same as `preview(frame)?.counts()`. The GPU
+    /// reads back nothing else.
     ///
     /// # Errors
-    /// As [`Previewer::preview`].
+    /// As for [`Previewer::preview`].
     pub fn counts(&mut self, frame: &Frame) -> Result<Counts, PreviewError> {
         self.make(|gpu| gpu.counts(frame), |cpu| cpu.counts(frame))
     }
@@ -140,7 +142,7 @@ impl Previewer {
                 Err(error) if self.choice == Choice::Gpu => return Err(error),
                 Err(error @ PreviewError::DoesNotFit { .. }) => {
                     if !self.warned {
-                        tracing::warn!(reason = %error, "previewing on the CPU what does not fit the GPU");
+                        tracing::warn!(reason = %error, "the scene does not fit the GPU; previewing it on the CPU");
                         self.warned = true;
                     }
                 }
@@ -149,7 +151,7 @@ impl Previewer {
                     | PreviewError::Device(_)
                     | PreviewError::NoDevice(_)),
                 ) => {
-                    tracing::warn!(reason = %error, "previews on the CPU from here on");
+                    tracing::warn!(reason = %error, "the GPU failed; all further previews are made on the CPU");
                     self.gpu = None;
                 }
                 Err(error) => return Err(error),
@@ -176,7 +178,7 @@ mod tests {
         assert_eq!(error.to_string(), "\"both\" is not one of auto, gpu, cpu");
     }
 
-    /// A triangle before a camera of 8 × 8 pixels.
+    /// A triangle in front of a camera of 8 × 8 pixels.
     fn frame() -> Frame {
         let camera = forelight_scene::Camera {
             origin: Vec3::ZERO,
@@ -225,8 +227,7 @@ mod tests {
     #[test]
     fn a_lost_device_is_an_error_for_gpu_and_no_more_than_a_change_of_maker_for_auto() {
         let Ok(mut gpu) = Previewer::new(Choice::Gpu) else {
-            println!("skipped: no Vulkan device here");
-            return;
+            return forelight_test_needs::not_run("no Vulkan device");
         };
         let frame = frame();
         let expected = gpu.counts(&frame).expect("counts");

@@ -1,5 +1,5 @@
-//! The rules that both makers of previews share: what is drawn at all, how near is too near, and where on a triangle
-//! a pixel looks.
+//! Rules that GPU and CPU previews share: what is drawn, how near is too near, and which point of a triangle
+//! a pixel shows.
 
 use crate::error::PreviewError;
 use crate::preview::{NOTHING, Preview};
@@ -8,16 +8,17 @@ use forelight_scene::{Camera, Frame, Geometry, Texels, TextureId};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
-/// Most pixels of an image: 28 bytes a pixel are held at once.
+/// Largest number of pixels of an image. A preview holds 28 bytes per pixel.
 const MOST_PIXELS: u64 = 1 << 28;
 
-/// A surface of less constant opacity than this is not drawn.
+/// Surfaces with a constant opacity below this are not drawn.
 const OPAQUE_ENOUGH: f32 = 0.5;
 
-/// Near distance relative to the scene's size: f32 coordinates of that size do not tell a point from the eye any closer.
+/// Near distance, relative to the size of the scene. With f32 coordinates of that size, points closer to the
+/// eye cannot be told from it.
 const NEAR: f32 = 1e-7;
 
-/// Checks that a camera has an image and a direction for every pixel of it.
+/// Checks that the camera has an image, and a finite direction for every pixel.
 pub(crate) fn check(camera: &Camera) -> Result<(), PreviewError> {
     let Camera { width, height, .. } = *camera;
     if width == 0 || height == 0 {
@@ -44,8 +45,9 @@ pub(crate) fn check(camera: &Camera) -> Result<(), PreviewError> {
     Ok(())
 }
 
-/// Distance along the view direction at which surfaces begin to be seen, metres: 10⁻⁷ of the diagonal of the box around
-/// the vertices. Positive, whatever the scene.
+/// Distance along the view direction, in metres, from which on surfaces are visible.
+///
+/// 10⁻⁷ of the diagonal of the bounding box of the vertices. Always positive.
 pub(crate) fn near_distance(geometry: &Geometry) -> f32 {
     let mut lower = Vec3::INFINITY;
     let mut upper = Vec3::NEG_INFINITY;
@@ -73,7 +75,7 @@ pub(crate) enum Drawn {
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Cutouts {
     pub by_stratum: Vec<Drawn>,
-    /// Whether some stratum is drawn in part or not at all.
+    /// Whether any stratum is drawn only partly or not at all.
     pub any: bool,
 }
 
@@ -86,7 +88,7 @@ impl Cutouts {
                 None => Drawn::Always,
                 Some(mask) => match frame.textures[mask.texture.0 as usize].texels {
                     Texels::Srgb8(_) => Drawn::Where { texture: mask.texture, cutoff: mask.cutoff },
-                    // An image without alpha is opaque everywhere.
+                    // An image without an alpha channel is opaque everywhere.
                     Texels::Linear(_) if mask.cutoff > 1.0 => Drawn::Never,
                     Texels::Linear(_) => Drawn::Always,
                 },
@@ -109,14 +111,16 @@ impl Cutouts {
     }
 }
 
-/// Centre of a pixel, pixels from the image's top-left corner.
+/// Centre of a pixel, in pixels from the top-left corner of the image.
 pub(crate) fn centre(x: u32, y: u32) -> Vec2 {
     Vec2::new(x as f32 + 0.5, y as f32 + 0.5)
 }
 
-/// Where the line from the camera along `direction` meets the triangle, by Cramer's rule in f64. A rasteriser may show a
-/// triangle on a pixel whose centre it just misses, or sees edge-on: the answer is then the triangle's point
-/// nearest in barycentrics, so that it is on the surface and finite for every triangle.
+/// The point where the camera ray meets the triangle, by Cramer's rule in f64.
+///
+/// A rasteriser may draw a triangle on a pixel whose centre it just misses, or that sees it edge-on. The
+/// result is then the nearest point of the triangle in barycentric coordinates. So it lies on the surface,
+/// and is finite for every triangle.
 fn point_on(corners: [Vec3; 3], camera: &Camera, direction: Vec3) -> Vec3 {
     let [a, b, c] = corners.map(Vec3::as_dvec3);
     let (edge_b, edge_c) = (b - a, c - a);
@@ -134,7 +138,7 @@ fn point_on(corners: [Vec3; 3], camera: &Camera, direction: Vec3) -> Vec3 {
     (a + u * edge_b + v * edge_c).as_vec3()
 }
 
-/// Turns "which triangle does each pixel show" ([`NOTHING`]: none) into a preview; adds the CPU time to `cost`.
+/// Computes a preview from the triangle of each pixel, [`NOTHING`] for none. Adds the CPU time to `cost`.
 pub(crate) fn resolve(frame: &Frame, triangles: &[u32], cost: &mut Cost) -> Preview {
     let Camera { width, height, .. } = frame.camera;
     let geometry = &*frame.geometry;
@@ -157,7 +161,7 @@ pub(crate) fn resolve(frame: &Frame, triangles: &[u32], cost: &mut Cost) -> Prev
         .enumerate()
         .map(|(y, (((triangles, strata), positions), normals))| {
             let clock = ThreadClock::start();
-            // Neighbouring pixels mostly show the same triangle: its normal is worked out once.
+            // Neighbouring pixels mostly show the same triangle, so its normal is kept.
             let mut last = (NOTHING, Vec3::ZERO);
             for (x, &triangle) in triangles.iter().enumerate() {
                 if triangle == NOTHING {

@@ -5,7 +5,7 @@ mod common;
 use common::gpu;
 use forelight_preview::{Choice, NOTHING, Preview, Previewer};
 use forelight_scene::{Frame, Limits, Scene};
-use std::path::PathBuf;
+use forelight_test_needs::shared;
 
 /// Share of pixels that must show the same stratum.
 const SAME_STRATUM: f64 = 0.999;
@@ -13,25 +13,12 @@ const SAME_STRATUM: f64 = 0.999;
 /// Image side, pixels.
 const SIDE: u32 = 512;
 
-/// A bundle below the shared scenes, if there are any here.
-fn bundle(path: &str) -> Option<PathBuf> {
-    let shared = std::env::var_os("FORELIGHT_SHARED").map_or_else(
-        || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared")),
-        PathBuf::from,
-    );
-    let bundle = shared.join("scenes").join(path);
-    if !bundle.exists() {
-        println!("skipped: {} is not here", bundle.display());
-        return None;
-    }
-    Some(bundle)
-}
-
 /// What two previews of one frame have in common.
 struct Agreement {
     /// Share of pixels of the same stratum.
     stratum: f64,
-    /// Of those that show the same surface: the share whose positions are within a thousandth of their distance.
+    /// Of those that show the same surface: the share whose positions are within a thousandth of their
+    /// distance.
     position: f64,
     /// And whose normals are within 2.5°.
     normal: f64,
@@ -68,7 +55,7 @@ fn compare(frame: &Frame, a: &Preview, b: &Preview) -> Agreement {
 
 /// Compares both makers on up to `most` frames of a bundle, spread from the first to the last.
 fn agree(path: &str, most: u32) {
-    let Some(bundle) = bundle(path) else { return };
+    let Some(bundle) = shared(&format!("scenes/{path}")) else { return };
     let Some(mut gpu) = gpu() else { return };
     let mut cpu = Previewer::new(Choice::Cpu).expect("the CPU is always there");
     let scene = Scene::load(&bundle, &Limits::default()).expect("the bundle loads");

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{CacheMode, Confidence, Integrator, Profiled, Quantiles, RenderSettings, SpentOnForecast};
+use crate::{Confidence, Profiled, Quantiles, RenderSettings, SpentOnForecast};
 
 /// What is changed along a ladder; all else is as it was asked for.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize, ToSchema)]
@@ -53,9 +53,6 @@ impl Ladders {
     }
 }
 
-/// Accuracy of an irradiance cache that nobody asked for, in thousandths.
-const USUAL_ACCURACY: u32 = 200;
-
 impl LadderKind {
     /// All of them, in the order in which they are listed.
     pub const ALL: [LadderKind; 6] = [
@@ -78,76 +75,6 @@ impl LadderKind {
             LadderKind::Resolution => "resolution",
         }
     }
-
-    /// Whether pixels that were profiled with these settings tell what its rungs take: it is one of [`Ladders::Own`].
-    pub fn is_own(self, asked: &RenderSettings) -> bool {
-        let cached = asked.cache == CacheMode::On;
-        match (self, asked.integrator) {
-            (LadderKind::Path, Integrator::Path) => true,
-            (LadderKind::Ambient, Integrator::Ambient) | (LadderKind::Resolution, _) => !cached,
-            (LadderKind::CachedSamples, Integrator::Ambient) => cached,
-            _ => false,
-        }
-    }
-
-    /// The qualities of the ladder, from the cheapest to the dearest. That of `asked` is among them if it is one of the ladder's kind.
-    ///
-    /// # Errors
-    /// In words, why there is no such ladder of these settings.
-    pub fn rungs(self, asked: &RenderSettings) -> Result<Vec<RenderSettings>, String> {
-        let gathered =
-            RenderSettings { integrator: Integrator::Ambient, cache: CacheMode::Off, ..asked.clone() };
-        let spp = |like: RenderSettings| {
-            let with = move |spp| RenderSettings { spp, ..like.clone() };
-            along(&[1, 4, 16, 64, 256], asked.spp).map(with).collect()
-        };
-        let own_accuracy = if asked.cache == CacheMode::On { asked.cache_accuracy } else { USUAL_ACCURACY };
-        let cached =
-            |cache_accuracy| RenderSettings { cache: CacheMode::On, cache_accuracy, ..gathered.clone() };
-        let needs_gathers = || {
-            let none = "there is no indirect light: ambient_bounces is 0".to_owned();
-            if asked.ambient_bounces == 0 { Err(none) } else { Ok(()) }
-        };
-        let rungs: Vec<RenderSettings> = match self {
-            LadderKind::Ambient => spp(gathered.clone()),
-            LadderKind::Path => spp(RenderSettings { integrator: Integrator::Path, ..gathered.clone() }),
-            LadderKind::CachedSamples => {
-                needs_gathers()?;
-                spp(cached(own_accuracy))
-            }
-            LadderKind::Cache => {
-                needs_gathers()?;
-                // A smaller error is the dearer one.
-                along(&[100, 150, 200, 300, 400], own_accuracy).rev().map(cached).collect()
-            }
-            LadderKind::Divisions => {
-                needs_gathers()?;
-                let with = |ambient_divisions| RenderSettings { ambient_divisions, ..gathered.clone() };
-                along(&[4, 16, 64, 256], asked.ambient_divisions).map(with).collect()
-            }
-            LadderKind::Resolution => {
-                let scaled = |pixels: f64| {
-                    let side = |side: u32| ((f64::from(side) * pixels.sqrt()).round() as u32).max(1);
-                    RenderSettings { width: side(asked.width), height: side(asked.height), ..asked.clone() }
-                };
-                let mut rungs: Vec<RenderSettings> = [0.25, 0.5, 1.0, 2.0, 4.0].map(scaled).into();
-                rungs.dedup();
-                rungs
-            }
-        };
-        let fits = |rung: &RenderSettings| rung.check().map_err(|wrong| wrong.to_string());
-        match self {
-            // One that is too large is left out; the others are what they are.
-            LadderKind::Resolution => Ok(rungs.into_iter().filter(|rung| fits(rung).is_ok()).collect()),
-            _ => rungs.iter().try_for_each(fits).map(|()| rungs),
-        }
-    }
-}
-
-/// Usual values and one more, ascending, each once.
-fn along(usual: &[u32], own: u32) -> impl DoubleEndedIterator<Item = u32> + use<> {
-    let all: std::collections::BTreeSet<u32> = usual.iter().copied().chain([own]).collect();
-    all.into_iter()
 }
 
 /// The error of an image that is forecast: the values that it stays below with these probabilities. The error is the root mean
@@ -255,98 +182,4 @@ pub struct AccuracyDoc {
     pub spent: SpentOnForecast,
     /// Whether the quantiles have been calibrated; if not, they rest on the statistics alone.
     pub calibrated: bool,
-}
-
-impl AccuracyDoc {
-    /// Of one frame whose ladders are all missing, for this reason.
-    pub fn missing(frame: u32, settings: &RenderSettings, reason: &str) -> Self {
-        let missing = LadderKind::ALL.map(|ladder| MissingLadder { ladder, reason: reason.to_owned() });
-        Self {
-            frames: 1,
-            settings: settings.clone(),
-            rungs: Vec::new(),
-            missing: missing.into(),
-            profiled: Profiled { frames: vec![frame], pixels: 0 },
-            spent: SpentOnForecast::default(),
-            calibrated: false,
-        }
-    }
-
-    /// What the rungs that can be held against each other cost in CPU seconds, and their errors, by the medians; none of the others.
-    pub fn points(&self) -> Vec<Option<(f64, f64)>> {
-        let point = |rung: &AccuracyRung| {
-            let error = rung.error.filter(|_| rung.ladder != LadderKind::Resolution)?;
-            Some((rung.cpu_seconds.p50, error.p50))
-        };
-        self.rungs.iter().map(point).collect()
-    }
-
-    /// Marks the rungs that are worth taking: these and those of the same settings, each with the index of the next better one.
-    pub fn mark(&mut self, front: impl IntoIterator<Item = (usize, Option<usize>)>) {
-        let points = self.points();
-        for (own, next) in front {
-            let Some((cost, error)) = points.get(own).copied().flatten() else { continue };
-            let next = next.and_then(|rung| Some((rung, points.get(rung).copied().flatten()?)));
-            let next = next.map(|(rung, (next_cost, next_error))| NextRung {
-                rung: rung as u32,
-                more_cpu_seconds: next_cost - cost,
-                times_cpu_seconds: next_cost / cost,
-                times_error: next_error / error,
-            });
-            // What was asked for stands in several ladders.
-            let settings = self.rungs[own].settings.clone();
-            let same = self.rungs.iter_mut().zip(&points);
-            for (rung, _) in same.filter(|(rung, point)| point.is_some() && rung.settings == settings) {
-                (rung.worth_taking, rung.next) = (true, next);
-            }
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::RenderSettingsRequest;
-
-    fn asked() -> RenderSettings {
-        let request = RenderSettingsRequest { spp: Some(8), ..RenderSettingsRequest::default() };
-        request.complete((640, 360))
-    }
-
-    #[test]
-    fn every_ladder_rises_and_holds_what_was_asked_for_where_it_can() {
-        let asked = asked();
-        for kind in LadderKind::ALL {
-            let rungs = kind.rungs(&asked).unwrap();
-            assert!(rungs.len() >= 4 && rungs.iter().all(|rung| rung.check().is_ok()), "{kind:?}");
-            let own = rungs.iter().filter(|rung| **rung == asked).count();
-            let expected = !matches!(kind, LadderKind::Path | LadderKind::Cache | LadderKind::CachedSamples);
-            assert_eq!(own, usize::from(expected), "{kind:?}");
-        }
-        let spp: Vec<u32> = LadderKind::Path.rungs(&asked).unwrap().iter().map(|rung| rung.spp).collect();
-        assert_eq!(spp, [1, 4, 8, 16, 64, 256]);
-        let cached = RenderSettings { cache: CacheMode::On, cache_accuracy: 250, ..asked };
-        let accuracies: Vec<u32> =
-            LadderKind::Cache.rungs(&cached).unwrap().iter().map(|rung| rung.cache_accuracy).collect();
-        assert_eq!(accuracies, [400, 300, 250, 200, 150, 100]);
-        assert!(LadderKind::Ambient.rungs(&cached).unwrap().iter().all(|rung| rung.cache == CacheMode::Off));
-        let sampled: Vec<u32> =
-            LadderKind::CachedSamples.rungs(&cached).unwrap().iter().map(|rung| rung.spp).collect();
-        assert_eq!(sampled, [1, 4, 8, 16, 64, 256]);
-        assert!(LadderKind::CachedSamples.rungs(&cached).unwrap().contains(&cached));
-    }
-
-    #[test]
-    fn a_ladder_that_cannot_be_is_missing_with_a_reason() {
-        let direct = RenderSettings { ambient_bounces: 0, ..asked() };
-        assert!(LadderKind::Cache.rungs(&direct).unwrap_err().contains("ambient_bounces is 0"));
-        assert!(LadderKind::Divisions.rungs(&direct).is_err() && LadderKind::Path.rungs(&direct).is_ok());
-        let deep = RenderSettings { integrator: Integrator::Path, ambient_bounces: 100, ..asked() };
-        assert!(LadderKind::Ambient.rungs(&deep).unwrap_err().contains("ambient_bounces"));
-        assert!(LadderKind::Path.rungs(&deep).is_ok());
-        let huge = RenderSettings { width: 1 << 14, height: 1 << 14, ..asked() };
-        assert_eq!(LadderKind::Resolution.rungs(&huge).unwrap().len(), 3);
-        let speck = RenderSettings { width: 1, height: 1, ..asked() };
-        assert_eq!(LadderKind::Resolution.rungs(&speck).unwrap().len(), 2);
-    }
 }

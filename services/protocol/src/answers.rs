@@ -1,19 +1,19 @@
-//! What people ask about a job's plan, and what they are told.
+//! Answers about the plan of a job: what changes would do, when it would finish, and what it would cost.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{Confidence, ImageError, JobId, Money, NodeId, PlanId, RenderSettings, Timestamp};
 
-/// Something that could be different.
+/// A hypothetical change to the farm or to a job.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PlanChange {
-    /// More nodes like one that there is.
+    /// The farm has more nodes like an existing one.
     MoreNodes {
-        /// The node that they are like.
+        /// The existing node.
         node_id: NodeId,
-        /// How many.
+        /// Number of additional nodes.
         count: u32,
     },
     /// A node is gone from now on.
@@ -21,255 +21,264 @@ pub enum PlanChange {
         /// The node.
         node_id: NodeId,
     },
-    /// The deadline is later.
+    /// The deadline of a job is later.
     Later {
-        /// The job whose deadline it is.
+        /// The job.
         job_id: JobId,
-        /// Milliseconds.
+        /// How much later, in milliseconds.
         by_ms: i64,
     },
-    /// Capacity is bought at another quantile.
+    /// A job is planned at another confidence.
     Confidence {
         /// The job.
         job_id: JobId,
-        /// How sure.
+        /// The new confidence.
         confidence: Confidence,
     },
-    /// A job gives up its deadline and makes way.
+    /// A job gives up its deadline, and other jobs go first.
     MakeWay {
         /// The job.
         job_id: JobId,
     },
     /// The job is rendered with other settings.
     Quality {
-        /// Camera samples a pixel.
+        /// Camera samples per pixel.
         spp: u32,
-        /// Pixels across.
+        /// Image width in pixels.
         width: u32,
-        /// Pixels down.
+        /// Image height in pixels.
         height: u32,
-        /// All of its settings; absent in answers of older versions.
+        /// The complete settings. Absent in answers of older versions.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         settings: Option<Box<RenderSettings>>,
     },
-    /// The job is not there.
+    /// A job does not exist.
     WithoutJob {
         /// The job.
         job_id: JobId,
     },
 }
 
-/// A job that would end at another time.
+/// A job whose finish a change would move.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct MovedJob {
     /// The job.
     pub job_id: JobId,
     /// Its name.
     pub name: String,
-    /// Milliseconds later, or, if negative, earlier.
+    /// How much later it would finish, in milliseconds. Negative if earlier.
     pub later_ms: i64,
-    /// Whether it would miss a deadline that it keeps now.
+    /// Whether the job would miss a deadline that it keeps now.
     pub breaks_promise: bool,
 }
 
-/// What a change would do.
+/// The effect of a hypothetical change.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct PlanEffect {
     /// The change.
     pub change: PlanChange,
-    /// The change and its effect, in a line for people.
+    /// The change and its effect, as one line of text.
     pub words: String,
-    /// What all jobs together cost more, or, if negative, less.
+    /// Additional cost of all jobs together. Negative if they would cost less.
     pub added_cost: Money,
-    /// When the job that was asked about would end; absent: never.
+    /// When the job in question would finish. Absent if it never would.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub finish: Option<Timestamp>,
-    /// Whether that would be by its deadline (a moved one, if that is the change); true without a deadline, if it ends.
+    /// Whether that is by its deadline, or by the moved deadline if the change is one. For a job without a
+    /// deadline, whether it would finish at all.
     pub in_time: bool,
-    /// Other jobs that would end at another time.
+    /// Other jobs that would finish at another time.
     pub moved: Vec<MovedJob>,
 }
 
-/// What is left of a promise: a deadline at a confidence that a plan said it keeps.
+/// The state of a promise: a deadline that a plan said it keeps, at the job's confidence.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Promise {
-    /// Whether the newest plan keeps it.
+    /// Whether the newest plan keeps the deadline.
     pub kept: bool,
-    /// Probability of being ready by the deadline, as of the newest plan: the share of scenarios that are.
+    /// Probability of finishing by the deadline in the newest plan, 0 to 1: the share of simulated scenarios
+    /// that do.
     pub probability: f64,
-    /// When the job ends in the newest plan; absent: never.
+    /// When the job finishes in the newest plan. Absent if it never does.
     pub finish: Option<Timestamp>,
-    /// Since when it is so.
+    /// Since when the promise is in this state.
     pub since: Timestamp,
-    /// The cheapest change that was found to keep it after all, if it is at risk.
+    /// The cheapest change found that would keep the deadline. Absent unless the promise is at risk.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rescue: Option<PlanEffect>,
 }
 
-/// What kind of thing a job waits for.
+/// Kind of reason why a job waits.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WaitKind {
-    /// A node that could ever render it; of a job without a quote, a node that takes tasks.
+    /// No suitable node: for a job with a quote, one that could render it; otherwise, one that takes tasks.
     Node,
-    /// A node that could do it to be awake.
+    /// All suitable nodes are asleep by their calendars.
     Calendar,
-    /// A licence or another limit that others hold.
+    /// Other jobs hold a licence or another limited resource.
     Limit,
-    /// Nodes that are booked for other jobs.
+    /// The nodes are booked for other jobs.
     Others,
-    /// Nothing: it is cheaper later, and still in time.
+    /// Waiting is cheaper, and the job still finishes in time.
     Cheaper,
-    /// Its project's budget.
+    /// The budget of its project holds it back.
     Budget,
-    /// Room on the disk where the farm's data are: no task is handed out.
+    /// The disk with the farm's data is nearly full, so no tasks are handed out.
     Room,
 }
 
-/// Why a job that is booked has not begun, why one that has to be quoted before does not go on, or that no job does for want of room.
+/// Why a job waits: a booked job that has not started, a job whose quote makes no progress, or any job while
+/// the disk is nearly full.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Waits {
-    /// What kind of reason it is.
+    /// Kind of reason.
     pub kind: WaitKind,
-    /// The reason, in a line for people that begins with "waits because".
+    /// The reason, as one line of text that begins with "waits because".
     pub because: String,
-    /// When its first frame is booked; of a job without a quote, when the first node wakes. Absent: never.
+    /// Expected end of the wait: when the first frame is booked, or when the first node wakes if the job has
+    /// no quote yet. Absent if that is not known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub until: Option<Timestamp>,
-    /// The jobs that go first, those that hold most of the nodes' time first.
+    /// Jobs that go first. Those that hold the most node time come first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub behind: Vec<JobId>,
-    /// What its project had of the farm.
+    /// The project's use of its share of the farm. Absent if it does not matter here.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub share: Option<ProjectShare>,
 }
 
 impl Waits {
-    /// Whether nothing is begun before somebody changes a budget: then nobody knows when.
+    /// Whether the job waits for a budget. Then the end of the wait is unknown until somebody changes the
+    /// budget.
     pub fn is_for_money(&self) -> bool {
         self.kind == WaitKind::Budget
     }
 }
 
-/// A project's share of the farm, and what it had of it.
+/// A project's share of the farm, and how much of the farm it has used.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct ProjectShare {
     /// The project.
     pub project: String,
-    /// Its share, relative to the others'.
+    /// Share relative to those of other projects.
     pub share: u32,
-    /// Node hours that it had, as they count now: half after each half-life.
+    /// Node hours used, with exponential decay: they count half after each half-life.
     pub used_hours: f64,
 }
 
-/// All projects that have a share or used the farm.
+/// All projects that have a share or have used the farm.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct ProjectList {
-    /// Hours after which what was used counts half.
+    /// Half-life of past use, in hours.
     pub half_life_hours: u32,
-    /// By name.
+    /// The projects, in the order of their names.
     pub items: Vec<ProjectShare>,
 }
 
-/// Sets a project's share. Setting it again replaces it.
+/// Sets the share of a project. Replaces an earlier share.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ProjectRequest {
     /// The project: 1 to 200 characters.
     #[schema(min_length = 1, max_length = 200)]
     pub project: String,
-    /// Its share, relative to the others', 1 to 1,000,000. A project without one has 1.
+    /// Share relative to those of other projects, 1 to 1,000,000. The default for a project is 1.
     #[schema(minimum = 1, maximum = 1_000_000)]
     pub share: u32,
 }
 
-/// The job at one confidence.
+/// When a job would finish, and for how much, at one confidence.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct OutlookLine {
-    /// How sure.
+    /// The confidence.
     pub confidence: Confidence,
-    /// When it is done; absent: never.
+    /// When the job finishes. Absent if it never does.
     pub finish: Option<Timestamp>,
-    /// Whether that is by the deadline; absent if there is none.
+    /// Whether that is by the deadline. Absent without a deadline.
     pub in_time: Option<bool>,
-    /// What the rest of it costs in the cheapest plan that was found.
+    /// Cost of what is left of the job, in the cheapest plan found.
     pub cost: Money,
-    /// What it costs at least in any plan that is as good.
+    /// Lower bound on that cost, for any plan that is as good.
     pub cost_at_least: Money,
 }
 
 /// A deadline and its price.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct PriceOffer {
-    /// By when.
+    /// The deadline.
     pub deadline: Timestamp,
-    /// When it would be done.
+    /// When the job would finish.
     pub finish: Timestamp,
-    /// For how much.
+    /// What it would cost.
     pub cost: Money,
-    /// And not for less than this.
+    /// Lower bound on that cost.
     pub cost_at_least: Money,
 }
 
-/// What a budget buys.
+/// The earliest finish for a budget.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct BudgetAnswer {
-    /// The budget that was asked about, for what is left of the job.
+    /// The budget in question, for what is left of the job.
     pub budget: Money,
-    /// The earliest deadline that it pays for; absent if none is cheap enough.
+    /// The earliest deadline that the budget pays for. Absent if no plan is cheap enough.
     pub offer: Option<PriceOffer>,
 }
 
-/// The job at another quality, from its own profile.
+/// The job at another quality, estimated from its own profile.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct QualityOffer {
-    /// The settings.
+    /// The settings of this quality.
     pub settings: RenderSettings,
-    /// Whether these are the job's own.
+    /// Whether these are the job's own settings.
     pub asked_for: bool,
-    /// How far images would be from their converged selves, where that is known.
+    /// Expected error of the images against converged ones. Absent if unknown.
     pub error: Option<ImageError>,
-    /// When it would be done; absent: never.
+    /// When the job would finish. Absent if it never would.
     pub finish: Option<Timestamp>,
-    /// For how much.
+    /// What it would cost.
     pub cost: Money,
-    /// Whether that fits deadline and budget.
+    /// Whether that fits the deadline and the budget.
     pub fits: bool,
 }
 
-/// What is known of a job's plan. It rests on the newest plan and the farm's state at `at`, and is worked out anew when either changes.
-/// Costs are of what is left of the job.
+/// Answers about the plan of a job, from the newest plan and the state of the farm at `at`.
+///
+/// They are recomputed when either changes. Costs are for what is left of the job.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct AnswersDoc {
     /// The job.
     pub job_id: JobId,
-    /// The newest plan.
+    /// The newest plan. Absent if there is none.
     pub plan_id: Option<PlanId>,
-    /// The instant that this is seen from: the minute that had begun when it was asked for.
+    /// The instant that the answers refer to: the start of the minute in which they were requested.
     pub at: Timestamp,
-    /// The deadline that was asked about: the job's own if none was given.
+    /// The deadline in question: that of the request, or the job's own. Absent if there is neither.
     pub deadline: Option<Timestamp>,
-    /// Whether it can be done by then at P50, P80 and P95, and for how much.
+    /// Finish and cost at P50, P80 and P95.
     pub outlook: Vec<OutlookLine>,
-    /// The cheapest plan by the deadline at the job's own confidence; absent without a deadline, or if there is none.
+    /// The cheapest plan that keeps the deadline at the job's own confidence. Absent without a deadline or
+    /// such a plan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cheapest: Option<PriceOffer>,
-    /// The earliest finish for the budget: the one that was asked about, or what is left of the job's own; absent without one.
+    /// The earliest finish for the budget of the request, or for what is left of the job's own. Absent if
+    /// there is neither.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub for_budget: Option<BudgetAnswer>,
-    /// The price against the deadline, from the earliest end on.
+    /// Price against deadline, from the earliest possible finish on.
     pub curve: Vec<PriceOffer>,
     /// Other qualities, the best first.
     pub qualities: Vec<QualityOffer>,
-    /// What one more node, an hour more, and the death of the node with most of its bookings would do.
+    /// Effects of three changes: one more node, one more hour, and the loss of the node with most of the
+    /// job's bookings.
     pub what_if: Vec<PlanEffect>,
-    /// Jobs that end later because this one is there.
+    /// Jobs that finish later because of this one.
     pub pushes_back: Vec<MovedJob>,
-    /// Why it cannot be done as asked for, a line each; empty if it can.
+    /// Why the job cannot be done as requested, one line per reason. Empty if it can.
     pub why_not: Vec<String>,
-    /// The cheapest ways out, at most three; empty if it can be done.
+    /// The cheapest changes that would make it possible, at most three. Empty if it is possible already.
     pub ways_out: Vec<PlanEffect>,
-    /// Questions for which there was no time on so large a farm, or for some of whose answers.
+    /// Questions that were left out, fully or in part, because the farm is too large to answer all in time.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<String>,
 }

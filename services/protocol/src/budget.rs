@@ -1,4 +1,4 @@
-//! Budgets of projects, and what the nights to come will cost.
+//! Budgets of projects, and forecasts of the cost of coming nights.
 
 use jiff::ToSpan as _;
 use jiff::civil::Date;
@@ -8,15 +8,15 @@ use utoipa::ToSchema;
 
 use crate::{JobId, Money, NodeId, Timestamp};
 
-/// What a budget is for. A night is the 24 hours from noon of the date that it is named by.
+/// The period of a budget. A night is the 24 hours from noon of the date that it is named after.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BudgetPeriod {
-    /// Every night anew.
+    /// Renewed every night.
     Night,
-    /// Every calendar month anew, from noon of its first day.
+    /// Renewed every calendar month, at noon of its first day.
     Month,
-    /// Once and for all.
+    /// Never renewed.
     Total,
 }
 
@@ -30,8 +30,9 @@ impl BudgetPeriod {
         }
     }
 
-    /// First instant of the period that holds this one, and the instant after its last. None if the time zone is not known or the
-    /// calendar ends.
+    /// First instant of the period that contains `at`, and the instant after its last one.
+    ///
+    /// `None` if the time zone is unknown, or the dates are outside the calendar.
     pub fn bounds(self, zone: &str, at: Timestamp) -> Option<(Timestamp, Timestamp)> {
         let night = Night::of(zone, at)?;
         match self {
@@ -46,7 +47,7 @@ impl BudgetPeriod {
     }
 }
 
-/// The 24 hours (23 or 25 where clocks change) from noon of a date to noon of the next.
+/// The hours from noon of a date to noon of the next: 24, or 23 or 25 when clocks change.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct Night {
     /// The date on which it begins.
@@ -58,7 +59,8 @@ pub struct Night {
 }
 
 impl Night {
-    /// The night that begins on a date.
+    /// The night that begins on `date`. `None` if the time zone is unknown, or the date is outside the
+    /// calendar.
     pub fn on(zone: &str, date: Date) -> Option<Self> {
         let zone = TimeZone::get(zone).ok()?;
         let noon = |date: Date| {
@@ -68,7 +70,7 @@ impl Night {
         Some(Night { date, from: noon(date)?, until: noon(date.tomorrow().ok()?)? })
     }
 
-    /// The night that holds an instant.
+    /// The night that contains `at`. `None` as in [`Self::on`].
     pub fn of(zone: &str, at: Timestamp) -> Option<Self> {
         let found = TimeZone::get(zone).ok()?;
         let instant = jiff::Timestamp::from_microsecond(at.micros()).ok()?;
@@ -77,15 +79,15 @@ impl Night {
     }
 }
 
-/// What happens when so much of a budget is spent.
+/// The action that is taken when a share of a budget is spent.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BudgetAction {
-    /// An event says so.
+    /// Publish an event.
     Warn,
-    /// What runs is finished; nothing of the project is handed out any more.
+    /// Start no more tasks of the project. Running tasks finish.
     Drain,
-    /// What runs is stopped and goes back, and nothing is handed out any more.
+    /// Start no more tasks of the project. Running tasks are stopped and queued again.
     Stop,
 }
 
@@ -100,33 +102,34 @@ impl BudgetAction {
     }
 }
 
-/// An action, and when it is taken.
+/// An action, and the share of the budget at which it is taken.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BudgetThreshold {
-    /// Per cent of the amount that are spent or committed, 1 to 1000.
+    /// Percentage of the amount that is spent or committed, 1 to 1000.
     #[schema(minimum = 1, maximum = 1000)]
     pub percent: u32,
-    /// What is done then.
+    /// The action.
     pub action: BudgetAction,
 }
 
-/// A budget to be set. A project has one of each period; setting it again replaces it.
+/// Sets a budget. A project has one budget per period; a new one replaces it.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BudgetRequest {
     /// The project: 1 to 200 characters.
     #[schema(min_length = 1, max_length = 200)]
     pub project: String,
-    /// For which time.
+    /// The period.
     pub period: BudgetPeriod,
-    /// How much, micro-units.
+    /// The amount, in micro-units.
     pub amount: Money,
-    /// Time zone of nights and months, by its name in the IANA database.
+    /// Time zone of nights and months: its name in the IANA database.
     #[serde(default = "utc")]
     #[schema(default = "UTC")]
     pub zone: String,
-    /// What happens when, at most 10; an empty list: nothing. Absent: a warning at 80 %, and at 100 % nothing new is begun (`drain`).
+    /// Actions and when they are taken, at most 10. With an empty list, nothing happens. If absent: `warn` at
+    /// 80 % and `drain` at 100 %.
     #[serde(default = "BudgetRequest::usual_thresholds")]
     #[schema(max_items = 10)]
     pub thresholds: Vec<BudgetThreshold>,
@@ -137,7 +140,7 @@ fn utc() -> String {
 }
 
 impl BudgetRequest {
-    /// What happens unless something else is asked for: a warning at 80 %, and nothing new is started once all is spent or committed.
+    /// The default thresholds: a warning at 80 %, and no new tasks once everything is spent or committed.
     pub fn usual_thresholds() -> Vec<BudgetThreshold> {
         vec![
             BudgetThreshold { percent: 80, action: BudgetAction::Warn },
@@ -146,53 +149,54 @@ impl BudgetRequest {
     }
 }
 
-/// A budget and how it stands.
+/// A budget and its present state.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Budget {
     /// The project.
     pub project: String,
-    /// For which time.
+    /// The period.
     pub period: BudgetPeriod,
-    /// How much.
+    /// The amount.
     pub amount: Money,
     /// Time zone of nights and months.
     pub zone: String,
-    /// What happens when.
+    /// Actions and when they are taken.
     pub thresholds: Vec<BudgetThreshold>,
-    /// First instant of the period under way.
+    /// First instant of the present period.
     pub from: Timestamp,
-    /// The instant after its last.
+    /// The instant after the last one of the present period.
     pub until: Timestamp,
-    /// The ledger of the period: what leases cost, those that run up to now.
+    /// Amount spent in the period: the cost of all leases, running ones up to now.
     pub spent: Money,
-    /// What the frames that run are still expected to cost.
+    /// Expected further cost of the frames that are running.
     pub committed: Money,
-    /// The action in force.
+    /// The action in force. Absent if there is none.
     pub action: Option<BudgetAction>,
-    /// When it was set last.
+    /// When it was last set.
     pub updated_at: Timestamp,
 }
 
-/// All budgets, by project and period.
+/// All budgets, sorted by project and period.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct BudgetList {
     /// The budgets.
     pub items: Vec<Budget>,
 }
 
-/// What nights are asked about.
+/// Which nights to forecast.
 #[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BudgetForecastRequest {
-    /// The date on which the first night begins, such as 2026-03-01; absent: the night under way or, before noon of the zone, the one that ends.
+    /// Date on which the first night begins, such as 2026-03-01. If absent: the present night, or before noon
+    /// the night that is ending.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, format = Date)]
     pub date: Option<Date>,
-    /// How many nights, 1 to 60.
+    /// Number of nights, 1 to 60.
     #[serde(default = "one")]
     #[schema(default = 1, minimum = 1, maximum = 60)]
     pub days: u32,
-    /// Time zone, by its name in the IANA database.
+    /// Time zone: its name in the IANA database.
     #[serde(default = "utc")]
     #[schema(default = "UTC")]
     pub zone: String,
@@ -202,7 +206,7 @@ fn one() -> u32 {
     1
 }
 
-/// An amount that is not known yet: it stays below these with probability 50, 80 and 95 %.
+/// Quantiles of an uncertain amount.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct MoneyForecast {
     /// Median.
@@ -213,21 +217,22 @@ pub struct MoneyForecast {
     pub p95: Money,
 }
 
-/// What something will cost in a night.
+/// The cost of a project, a job or a class of nodes in one night.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct CostLine {
-    /// Name of the project, job or node class.
+    /// Name of the project, job or class of nodes.
     pub name: String,
-    /// The job, if it is one.
+    /// The job. Absent if the line is not for a job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub job_id: Option<JobId>,
-    /// What was spent already.
+    /// Amount already spent.
     pub spent: Money,
-    /// All of the night, with what was spent. Quantiles of the sum: not sums of quantiles.
+    /// Forecast for the whole night, including what is spent. These are quantiles of sums, not sums of
+    /// quantiles.
     pub cost: MoneyForecast,
 }
 
-/// One night.
+/// Forecast of one night.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct NightForecast {
     /// The date on which it begins.
@@ -237,42 +242,42 @@ pub struct NightForecast {
     pub from: Timestamp,
     /// The instant after the last.
     pub until: Timestamp,
-    /// What was spent already.
+    /// Amount already spent.
     pub spent: Money,
-    /// The whole farm, with what was spent.
+    /// Forecast for the whole farm, including what is spent.
     pub cost: MoneyForecast,
-    /// By project, by name.
+    /// One line per project, in the order of their names.
     pub projects: Vec<CostLine>,
-    /// By job, oldest first.
+    /// One line per job, oldest first.
     pub jobs: Vec<CostLine>,
-    /// By class of nodes: those with the same cores, speed and price.
+    /// One line per class of nodes: nodes with the same cores, speed and price.
     pub node_classes: Vec<CostLine>,
 }
 
-/// A budget against the forecast, for one of its periods that the nights touch.
+/// A budget compared with the forecast, for one of its periods that overlap the nights.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct BudgetOutlook {
     /// The project.
     pub project: String,
-    /// For which time.
+    /// The period.
     pub period: BudgetPeriod,
     /// First instant of the period.
     pub from: Timestamp,
     /// The instant after its last.
     pub until: Timestamp,
-    /// How much there is.
+    /// Amount of the budget.
     pub amount: Money,
-    /// What was spent in the period.
+    /// Amount spent in the period so far.
     pub spent: Money,
-    /// What will be spent in it by the end of the last night.
+    /// Forecast amount spent in the period by the end of the last night.
     pub cost: MoneyForecast,
-    /// Probability that it is more than there is, 0 to 1.
+    /// Probability that this exceeds the budget, 0 to 1.
     pub probability_over: f64,
-    /// That is more likely than one in five.
+    /// Whether that probability is above 0.2.
     pub threatened: bool,
 }
 
-/// A job that may not be ready.
+/// A job that may miss its deadline.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct NotReady {
     /// The job.
@@ -281,79 +286,79 @@ pub struct NotReady {
     pub name: String,
     /// Its project.
     pub project: String,
-    /// When it is wanted.
+    /// The deadline.
     pub deadline: Timestamp,
-    /// Probability of being late, 0 to 1; absent if it is not forecast yet.
+    /// Probability of missing the deadline, 0 to 1. Absent if the job has no forecast yet.
     pub probability: Option<f64>,
-    /// When it is expected, at P50, P80 and P95; absent where it never is, or not forecast yet.
+    /// Expected finish at P50, P80 and P95. Absent where the job would never finish, or has no forecast yet.
     pub finish: [Option<Timestamp>; 3],
-    /// Why, in a line.
+    /// The reason, as one line of text.
     pub reason: String,
 }
 
-/// What is different from the night before's forecast, for a job.
+/// A change of a job's cost since the forecast of the previous night.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct BudgetChange {
     /// The job.
     pub job_id: JobId,
     /// Its name.
     pub name: String,
-    /// What it was to cost at P80 in all nights asked about; absent if it was not there.
+    /// P80 of its cost in all nights, in the previous forecast. Absent if the job was not in it.
     pub before: Option<Money>,
-    /// What it is to cost now; absent if it is not there any more.
+    /// The same in this forecast. Absent if the job is not in it.
     pub after: Option<Money>,
 }
 
 /// How often forecasts of nights were right.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct NightRecord {
-    /// Nights that are over and were forecast before they began.
+    /// Number of past nights that were forecast before they began.
     pub nights: u32,
-    /// Those that cost no more than the P50.
+    /// How many of them cost no more than P50.
     pub within_p50: u32,
-    /// … the P80.
+    /// How many of them cost no more than P80.
     pub within_p80: u32,
-    /// … the P95.
+    /// How many of them cost no more than P95.
     pub within_p95: u32,
 }
 
-/// What tonight and the nights after it will cost.
+/// Forecast of the cost of one or more nights.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct BudgetForecast {
     /// The date on which the first night begins.
     #[schema(value_type = String, format = Date)]
     pub date: Date,
-    /// How many nights.
+    /// Number of nights.
     pub days: u32,
     /// Time zone.
     pub zone: String,
-    /// When this was worked out.
+    /// When the forecast was made.
     pub made_at: Timestamp,
-    /// The nights had not begun then: this counts for the track record.
+    /// Whether it was made before the nights began. Only such forecasts count for the track record.
     pub beforehand: bool,
-    /// Scenarios that the quantiles rest on.
+    /// Number of simulated scenarios behind the quantiles.
     pub scenarios: u32,
-    /// The nights.
+    /// One forecast per night.
     pub nights: Vec<NightForecast>,
-    /// All of them together.
+    /// Forecast for all nights together.
     pub cost: MoneyForecast,
-    /// Budgets that they touch.
+    /// Budgets with periods that overlap the nights.
     pub budgets: Vec<BudgetOutlook>,
-    /// Jobs with a deadline up to the last night's end that are late in more than one scenario in five.
+    /// Jobs with a deadline before the end of the last night that miss it in more than one scenario of five.
     pub not_ready: Vec<NotReady>,
-    /// Jobs that are not forecast yet: they are in no number here.
+    /// Jobs without a forecast yet. They are not included in any number here.
     pub unknown: Vec<String>,
-    /// When the forecast was made that changes are seen against.
+    /// When the forecast was made that this one is compared with. Absent if there is none.
     pub compared_with: Option<Timestamp>,
-    /// What changed since.
+    /// What changed since that forecast.
     pub changes: Vec<BudgetChange>,
     /// How often such forecasts were right.
     pub track_record: NightRecord,
-    /// Any of the budgets is threatened.
+    /// Whether any of the budgets is threatened.
     pub threatened: bool,
 }
 
-/// A stretch of node time that was paid for, or is.
+/// A period of node time that is charged to a job.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct LedgerLine {
     /// The project.
@@ -362,16 +367,16 @@ pub struct LedgerLine {
     pub job_id: JobId,
     /// The node.
     pub node_id: NodeId,
-    /// Price at the time.
+    /// Price per hour at the start.
     pub price_per_hour: Money,
     /// First instant.
     pub from: Timestamp,
-    /// The instant after the last; none: it goes on.
+    /// The instant after the last. `None` while it is running.
     pub until: Option<Timestamp>,
 }
 
 impl LedgerLine {
-    /// What the part of it between two instants cost, if it went on to the later one.
+    /// Cost of the part between two instants. A running line counts until the later one.
     pub fn cost_within(&self, from: Timestamp, until: Timestamp) -> Money {
         let end = self.until.unwrap_or(until).min(until);
         let start = self.from.max(from);
@@ -393,7 +398,7 @@ mod tests {
         assert_eq!((night.date.to_string(), night.from), ("2026-03-01".into(), at("2026-03-01T12:00:00Z")));
         assert_eq!(Night::of("UTC", night.until).unwrap().from, night.until);
         let berlin = Night::of("Europe/Berlin", at("2026-03-28T20:00:00Z")).unwrap();
-        // Clocks go forward.
+        // Clocks go forward in this night.
         assert_eq!(berlin.until.micros_since(berlin.from), 23 * 3_600_000_000);
         assert_eq!(Night::of("Europe/Nowhere", night.from), None);
     }

@@ -5,48 +5,48 @@ use utoipa::ToSchema;
 
 use crate::{ArtifactHash, BundleId, SceneDigest, Timestamp};
 
-/// Which bundle a job renders: exactly one of the two fields.
+/// The bundle that a job renders. Exactly one of the two fields must be given.
 #[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BundleRef {
-    /// An uploaded bundle.
+    /// Id of an uploaded bundle.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub id: Option<BundleId>,
-    /// A folder or zip file on storage that the service and all workers share, under one of the service's
-    /// bundle roots. It must not change while the job lives: a task that finds other files there fails, and
-    /// with it the job.
+    /// A folder or zip file on storage that the service and all workers share. It must be below one of the
+    /// service's bundle roots. It must not change while the job is active. A task that finds other files
+    /// there fails, and the job fails with it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub path: Option<String>,
 }
 
-/// Where a worker finds the bundle of a task.
+/// Where a worker gets the bundle of a task.
 #[derive(Clone, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum BundleSource {
-    /// A zip file to be fetched from `/v1/artifacts/{hash}`.
+    /// A zip file at `/v1/artifacts/{hash}`.
     Artifact(ArtifactHash),
     /// An absolute path on shared storage.
     Path(String),
 }
 
-/// What the service found in a bundle.
+/// Summary of the scene in a bundle.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct SceneSummary {
     /// The scene's name.
     pub name: String,
-    /// Hash of all its files: what tells it from a later version of itself.
+    /// Hash of all files of the scene. It tells the scene from its other versions.
     pub digest: SceneDigest,
-    /// Frames of the animation; 1 for a still.
+    /// Number of frames of the animation. 1 for a still.
     pub frames: u32,
     /// The camera's image width in pixels.
     pub width: u32,
     /// The camera's image height in pixels.
     pub height: u32,
-    /// Objects.
+    /// Number of objects.
     pub objects: u64,
-    /// Materials that surfaces have; libraries may describe more.
+    /// Number of materials on surfaces. The material libraries may define more.
     pub materials: u64,
-    /// Triangles.
+    /// Number of triangles.
     pub triangles: u64,
 }
 
@@ -55,11 +55,11 @@ pub struct SceneSummary {
 pub struct Bundle {
     /// Its id.
     pub id: BundleId,
-    /// BLAKE3 of the zip file, under which it is also an artefact.
+    /// BLAKE3 hash of the zip file. The file is also an artefact with this hash.
     pub hash: ArtifactHash,
     /// Length of the zip file in bytes.
     pub size: u64,
-    /// What is in it.
+    /// Summary of the scene.
     pub scene: SceneSummary,
     /// When it was uploaded.
     pub created_at: Timestamp,

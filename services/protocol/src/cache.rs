@@ -1,4 +1,7 @@
-//! The irradiance cache of a shot: whether its frames share one, what that costs, and how far it is made.
+//! The irradiance cache of a shot: whether its frames share one, what that costs, and how far it is complete.
+//!
+//! The cache is planned, filled in parallel parts, and merged. With several levels, filling and merging
+//! repeat.
 //!
 //! ```text
 //! cache_plan ──► the quote: shared or private ──► cache_fill (parts, in parallel) ──► cache_merge ──► frames
@@ -13,23 +16,24 @@ use crate::{
     ArtifactHash, BundleSource, JobId, Money, MoneyQuantiles, Quantiles, RenderSettings, SceneDigest, Spent,
 };
 
-/// Most bytes of a shot's irradiance cache, and of a part of one: what the service takes for an artefact unless it was told otherwise.
-/// Frames of a shot that needs more make their own.
+/// Largest size of a shared irradiance cache, and of a part of one, in bytes. It is also the service's
+/// default limit for artefacts. If a shot needs more, each of its frames makes its own cache.
 pub const CACHE_BYTES: u64 = 1 << 30;
 
-/// Most rounds of filling: one for each bounce of indirect light.
+/// Largest number of rounds of filling: one for each bounce of indirect light.
 pub const CACHE_ROUNDS: u32 = 8;
 
-/// Whether the frames of a job share one irradiance cache. Without effect on a job without caches.
+/// Whether the frames of a job share one irradiance cache. Has no effect on a job without caches.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[serde(rename_all = "snake_case")]
 pub enum CacheSharing {
-    /// Whatever takes less work, all frames and the shared cache together.
+    /// Whichever needs less work in total, for all frames and the shared cache.
     #[default]
     Auto,
-    /// One is made for all frames before any of them is rendered.
+    /// One cache is made for all frames, before any of them is rendered.
     Shared,
-    /// Every frame makes its own.
+    /// Each frame makes its own cache.
     Private,
 }
 
@@ -44,105 +48,109 @@ impl CacheSharing {
     }
 }
 
-/// Find out what records the frames of a job need together, and which of them hold in each frame.
+/// Task: plan one irradiance cache for all frames of a job, and find out which of its records are valid in
+/// each frame.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct CachePlanSpec {
     /// The job.
     pub job_id: JobId,
     /// Its bundle.
     pub bundle: BundleSource,
-    /// What the bundle has to hold: a worker that finds something else there fails the task for good.
+    /// Expected hash of the scene's files. A worker that finds other files fails the task permanently.
     pub digest: SceneDigest,
-    /// The frames, ascending; the records are in the world of the first.
+    /// The frames, ascending. Records are planned in the scene as it is in the first of them.
     pub frames: Vec<u32>,
     /// The job's settings.
     pub settings: RenderSettings,
 }
 
-/// Gather the light of a part of a shot's cache.
+/// Task: gather the light for one part of a shared irradiance cache.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct CacheFillSpec {
     /// The job.
     pub job_id: JobId,
     /// Its bundle.
     pub bundle: BundleSource,
-    /// What the bundle has to hold: a worker that finds something else there fails the task for good.
+    /// Expected hash of the scene's files. A worker that finds other files fails the task permanently.
     pub digest: SceneDigest,
     /// The job's settings.
     pub settings: RenderSettings,
-    /// The cache as far as it is made: as planned in the first round, as merged in later ones.
+    /// The cache so far: the planned one in the first round, the merged one in later rounds.
     pub cache: ArtifactHash,
-    /// Which round, from 0: with several parts each fills one level of the cache, the deepest first; with one part the first fills all.
+    /// The round, from 0. With several parts, each round fills one level of the cache, the deepest first.
+    /// With one part, the first round fills all levels.
     pub round: u32,
-    /// Which part, from 0.
+    /// The part, from 0.
     pub part: u32,
-    /// Into how many equal parts the round is split.
+    /// Number of equal parts in the round.
     pub parts: u32,
 }
 
-/// Put the parts of a round together.
+/// Task: merge the parts of a round.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct CacheMergeSpec {
     /// The job.
     pub job_id: JobId,
     /// Its bundle.
     pub bundle: BundleSource,
-    /// What the bundle has to hold: a worker that finds something else there fails the task for good.
+    /// Expected hash of the scene's files. A worker that finds other files fails the task permanently.
     pub digest: SceneDigest,
-    /// Which round, from 0.
+    /// The round, from 0.
     pub round: u32,
-    /// What each part made of it, in their order.
+    /// The results of the parts, in order.
     pub parts: Vec<ArtifactHash>,
 }
 
-/// What planning a frame's irradiance cache takes, counted.
+/// Counted cost of planning a frame's irradiance cache.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PlanCount {
     /// Deterministic count of operations.
     pub work: u64,
-    /// Rays by category, in the order of [`crate::Rays::NAMES`].
+    /// Rays by category: primary, shadow, transparent, reflected, refracted, ambient, specular.
     #[schema(min_items = 7, max_items = 7)]
     pub rays: [u64; 7],
 }
 
-/// What a shot's cache is to one frame.
+/// How one frame uses the shared irradiance cache.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CacheFrame {
     /// Frame number.
     pub frame: u32,
-    /// Records that the frame's image is made with, one number a level.
+    /// Number of records that the frame's image uses, by level.
     pub records: Vec<u32>,
-    /// Those of them that the shot's cache has not, and that the frame makes itself, one number a level.
+    /// How many of them the shared cache lacks, by level. The frame gathers these itself.
     pub own: Vec<u32>,
-    /// Records of the shot's cache whose light is changed by what has moved in this frame.
+    /// Number of records of the shared cache that are not valid here, because something moved and changes
+    /// their light.
     pub dropped: u64,
-    /// Reading the shot's cache, finding out what of it holds in the frame, and planning what the frame needs beyond it.
+    /// Cost of reading the shared cache, checking which of its records are valid, and planning the missing
+    /// ones.
     pub plan: Spent,
-    /// Rays of that by category, in the order of [`crate::Rays::NAMES`].
+    /// Rays of `plan` by category: primary, shadow, transparent, reflected, refracted, ambient, specular.
     #[schema(min_items = 7, max_items = 7)]
     pub plan_rays: [u64; 7],
 }
 
-/// The result of planning a shot's cache.
+/// Result of planning a shared irradiance cache.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CachePlanResult {
-    /// The cache, planned and not filled; absent if it would be larger than 2³⁰ bytes.
+    /// The planned, unfilled cache. Absent if it would be larger than 2³⁰ bytes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache: Option<ArtifactHash>,
     /// Its size in bytes.
     pub bytes: u64,
-    /// Its records, one number a level.
+    /// Number of records, by level.
     pub records: Vec<u32>,
-    /// One entry a frame, in the order of the spec.
+    /// One entry per frame, in the order of the task.
     pub frames: Vec<CacheFrame>,
-    /// What planning took.
+    /// Cost of planning.
     pub spent: Spent,
 }
 
-/// The result of filling a part.
+/// Result of filling one part.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CacheFillResult {
@@ -150,15 +158,15 @@ pub struct CacheFillResult {
     pub cache: ArtifactHash,
     /// Its size in bytes.
     pub bytes: u64,
-    /// Records that were filled.
+    /// Number of records filled.
     pub filled: u64,
-    /// Whether the cache is full.
+    /// Whether all records of the cache are filled.
     pub full: bool,
-    /// What gathering these records took.
+    /// Cost of gathering these records.
     pub spent: Spent,
 }
 
-/// The result of putting parts together.
+/// Result of merging the parts of a round.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CacheMergeResult {
@@ -166,81 +174,81 @@ pub struct CacheMergeResult {
     pub cache: ArtifactHash,
     /// Its size in bytes.
     pub bytes: u64,
-    /// Whether the cache is full; if not, the next level is filled.
+    /// Whether all records are filled. If not, the next level is filled.
     pub full: bool,
-    /// What it took. No light is traced, so there is no work.
+    /// Cost of merging. It is CPU time only: no light is traced, so `work` is 0.
     pub spent: Spent,
 }
 
-/// What it takes to render a job with one way of making its irradiance caches.
+/// Cost of rendering a job with one way of making its irradiance caches.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct CachePrice {
-    /// Records that are gathered, for the shot and for all of its frames.
+    /// Number of records gathered, for the shared cache and all frames.
     pub records: u64,
-    /// Mean work of all frames, and of the shot's cache.
+    /// Expected work of all frames and the shared cache.
     pub work: f64,
-    /// Mean CPU seconds of the same, on a node of speed 1.
+    /// Expected CPU seconds of the same, on a node of speed 1.
     pub cpu_seconds: f64,
-    /// These in money, at the mean price of the farm's nodes; absent without nodes.
+    /// Cost at the mean price of the farm's nodes. Absent if there are no nodes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cost: Option<Money>,
 }
 
-/// The line of a quote for the shot's cache, which no frame is charged for.
+/// The shared irradiance cache as a line of the quote. It is not part of any frame's cost.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct SeedForecast {
-    /// Records, one number a level.
+    /// Number of records, by level.
     pub records: Vec<u32>,
-    /// Into how many parts it is split, to be filled at the same time.
+    /// Number of parts, which can be filled at the same time.
     pub parts: u32,
     /// Deterministic count of operations.
     pub work: Quantiles,
     /// CPU seconds over all threads, on a node of speed 1.
     pub cpu_seconds: Quantiles,
-    /// In money, at the mean price of the farm's nodes; absent without nodes.
+    /// Cost at the mean price of the farm's nodes. Absent if there are no nodes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cost: Option<MoneyQuantiles>,
 }
 
-/// How a job's irradiance caches are made, and why so.
+/// How a job's irradiance caches are made, and why.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct CacheQuote {
-    /// What the job asked for.
+    /// The choice in the job's request.
     pub asked: CacheSharing,
-    /// Whether the frames share one cache. The forecasts of the frames are those of this way.
+    /// Whether the frames share one cache. The frames' forecasts assume this.
     pub shared: bool,
-    /// Why, in a line.
+    /// The reason for the decision, as one line of text.
     pub reason: String,
-    /// What it takes if every frame makes its own.
+    /// Cost if each frame makes its own cache.
     pub private_price: CachePrice,
-    /// What it takes if one is made for all of them; absent where that was not found out.
+    /// Cost if all frames share one cache. Absent if sharing was not considered.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shared_price: Option<CachePrice>,
-    /// The cache that is made before the frames; absent if each makes its own.
+    /// The shared cache that is made before the frames. Absent if each frame makes its own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seed: Option<SeedForecast>,
 }
 
 impl CacheQuote {
-    /// CPU seconds of the cache that is made before the frames; zero if each makes its own.
+    /// CPU seconds of the shared cache, on a node of speed 1. Zero if each frame makes its own.
     pub fn seed_seconds(&self) -> Quantiles {
         self.seed.as_ref().map(|seed| seed.cpu_seconds).unwrap_or_default()
     }
 }
 
-/// How far a job's shared cache is made.
+/// Progress of a job's shared irradiance cache.
 #[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct SeedProgress {
-    /// Parts to be filled, over all rounds.
+    /// Number of parts to fill, over all rounds.
     pub parts: u32,
-    /// Those that are filled.
+    /// Number of parts that are filled.
     pub parts_done: u32,
-    /// How far all of them are, 0 to 1.
+    /// Progress of the filling, 0 to 1.
     pub progress: f64,
-    /// Whether the frames can be rendered: all parts are filled and put together.
+    /// Whether the cache is complete, so that frames can be rendered: all parts are filled and merged.
     pub ready: bool,
-    /// Work of the parts that are filled.
+    /// Work of the filled parts.
     pub work: u64,
-    /// CPU seconds of the same and of putting parts together, brought to a node of speed 1.
+    /// CPU seconds of the filled parts and of merging, converted to a node of speed 1.
     pub cpu_seconds: f64,
 }

@@ -1,26 +1,26 @@
-//! How fast machines are, by class of work.
+//! Speed of machines, by class of work.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// Work by what is done. Work is counted in operations that take about a nanosecond each on a present-day core; how long they
-/// really take differs between machines, and between classes on one machine.
+/// Work by class. An operation takes about a nanosecond on a present-day core. The true time differs between
+/// machines, and between classes on one machine.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ByClass {
-    /// What comes with every ray: random numbers, directions, setting it up.
+    /// Setting up each ray: random numbers and directions.
     pub rays: u64,
-    /// Going through a tree that fits into the processor's caches.
+    /// Traversal of an acceleration structure that fits into the processor's caches.
     pub traversal: u64,
-    /// Going through one that does not.
+    /// Traversal of an acceleration structure that does not fit into the processor's caches.
     pub memory: u64,
-    /// What surfaces do with light.
+    /// Reflection and transmission of light at surfaces.
     pub shading: u64,
-    /// Looking up images.
+    /// Texture lookups.
     pub texture: u64,
-    /// Records of the irradiance cache.
+    /// Lookups of irradiance cache records.
     pub records: u64,
-    /// Building the tree, for frames in which something moves.
+    /// Building the acceleration structure, for frames in which something moves.
     #[serde(default)]
     pub build: u64,
 }
@@ -30,7 +30,7 @@ impl ByClass {
     pub const NAMES: [&'static str; ByClass::CLASSES] =
         ["rays", "traversal", "memory", "shading", "texture", "records", "build"];
 
-    /// How many classes there are.
+    /// Number of classes.
     pub const CLASSES: usize = 7;
 
     /// The numbers in the order of [`Self::NAMES`].
@@ -45,82 +45,85 @@ impl ByClass {
         Self { rays, traversal, memory, shading, texture, records, build }
     }
 
-    /// Class by class the sum.
+    /// The sum, class by class. Saturating.
     #[must_use]
     pub fn plus(self, other: Self) -> Self {
         let (own, other) = (self.to_array(), other.to_array());
         Self::from_array(std::array::from_fn(|class| own[class].saturating_add(other[class])))
     }
 
-    /// All classes together.
+    /// The sum over all classes. Saturating.
     pub fn total(self) -> u64 {
         self.to_array().into_iter().fold(0, u64::saturating_add)
     }
 }
 
-/// What a kernel of the calibration took.
+/// Measured time of one calibration kernel.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct KernelTime {
-    /// Its name: 1 to 50 characters.
+    /// Name of the kernel: 1 to 50 characters.
     #[schema(min_length = 1, max_length = 50)]
     pub name: String,
-    /// Its work, the same on every machine.
+    /// Work of the kernel. It is the same on every machine.
     pub work: ByClass,
-    /// CPU time of one core for it, nanoseconds: the shortest of many rounds.
+    /// CPU time on one core in nanoseconds: the minimum over many rounds.
     pub cpu_nanos: u64,
 }
 
-/// How fast one core of a machine is, as `forelight calibrate` measures it.
+/// Speed of one core of a machine, as measured by `forelight calibrate`.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NodeCalibration {
-    /// Picoseconds for a unit of work of each class: 1 to 1,000,000,000. Without `build`, which is then taken to be as `memory`.
+    /// Picoseconds per unit of work of each class: 1 to 1,000,000,000. If `build` is 0 or missing, the value
+    /// of `memory` applies to it.
     pub picos_per_work: ByClass,
-    /// What they were found with.
+    /// The kernel times behind these numbers, at most 20.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schema(max_items = 20)]
     pub kernels: Vec<KernelTime>,
 }
 
 impl NodeCalibration {
-    /// Kernels of a calibration at most.
+    /// Largest number of kernels.
     pub const MOST_KERNELS: usize = 20;
 
-    /// Picoseconds for a unit of work of each class. Sorting triangles into a tree waits for memory, so that is what it is like where it was not measured.
+    /// Picoseconds per unit of work of each class. Building a tree mostly waits for memory, so `memory` takes
+    /// its place where it was not measured.
     fn rates(&self) -> [u64; ByClass::CLASSES] {
         let ByClass { memory, build, .. } = self.picos_per_work;
         let build = if build == 0 { memory } else { build };
         ByClass { build, ..self.picos_per_work }.to_array()
     }
 
-    /// Picoseconds of one core for this work.
+    /// Picoseconds that one core needs for this work.
     fn picos(&self, work: &ByClass) -> u128 {
         let classes = work.to_array().into_iter().zip(self.rates());
         classes.map(|(work, picos)| u128::from(work) * u128::from(picos)).sum()
     }
 
-    /// Seconds of one core for this work.
+    /// Seconds that one core needs for this work.
     pub fn seconds(&self, work: &ByClass) -> f64 {
         self.picos(work) as f64 * 1e-12
     }
 
-    /// Speed for such work against the reference, a core that takes a nanosecond for every unit; `None` if there is no work.
+    /// Speed for this mix of work, relative to the reference core, which takes a nanosecond per unit. `None`
+    /// without work.
     pub fn speed(&self, work: &ByClass) -> Option<f64> {
         let (reference, own) = (1000 * u128::from(work.total()), self.picos(work));
         (reference > 0 && own > 0).then(|| reference as f64 / own as f64)
     }
 
-    /// Whether all numbers are in their ranges.
+    /// Checks that all numbers are within their ranges.
     ///
     /// # Errors
-    /// With the field and the reason.
+    /// The name of the field, and the reason.
     pub fn check(&self) -> Result<(), (&'static str, &'static str)> {
         if self.rates().into_iter().any(|picos| !(1..=1_000_000_000).contains(&picos)) {
-            return Err(("picos_per_work", "must each lie in 1 to 1000000000"));
+            return Err(("picos_per_work", "must each be 1 to 1000000000"));
         }
         if self.kernels.len() > Self::MOST_KERNELS {
-            return Err(("kernels", "must be 20 at most"));
+            return Err(("kernels", "must be at most 20"));
         }
         if self.kernels.iter().any(|kernel| !(1..=50).contains(&kernel.name.chars().count())) {
             return Err(("kernels", "must have names of 1 to 50 characters"));

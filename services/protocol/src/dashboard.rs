@@ -1,4 +1,4 @@
-//! The one document that a farm dashboard needs.
+//! The document with everything that a farm dashboard shows.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -8,28 +8,28 @@ use crate::{
     Quantiles, SeedProgress, TaskId, TaskKind, Timestamp, Verdict, Waits,
 };
 
-/// Tasks by state.
+/// Number of tasks by state.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct TaskCounts {
-    /// Waiting for others: frames, for the irradiance cache that they share.
+    /// Waiting for other tasks, for example frames that wait for their shared irradiance cache.
     #[serde(default)]
     pub waiting: u64,
-    /// To be handed out.
+    /// Ready to be handed out.
     pub ready: u64,
-    /// With workers.
+    /// Leased by workers.
     pub leased: u64,
-    /// Committed.
+    /// Done, with a committed result.
     pub done: u64,
-    /// Failed too often.
+    /// Failed, after all attempts.
     pub failed: u64,
-    /// No longer wanted.
+    /// Cancelled.
     pub cancelled: u64,
 }
 
-/// The farm in numbers.
+/// Counts of the farm.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct DashboardCounts {
-    /// Jobs that are not final.
+    /// Jobs that are neither done, failed nor cancelled.
     pub jobs_active: u64,
     /// Jobs done.
     pub jobs_done: u64,
@@ -37,62 +37,62 @@ pub struct DashboardCounts {
     pub jobs_failed: u64,
     /// Jobs cancelled.
     pub jobs_cancelled: u64,
-    /// Tasks by state.
+    /// Number of tasks by state.
     pub tasks: TaskCounts,
-    /// Nodes heard of within the last three lease times that are neither draining nor set aside.
+    /// Nodes that sent a request within the last three lease times, and are neither draining nor set aside.
     pub nodes_alive: u64,
     /// All nodes.
     pub nodes: u64,
 }
 
-/// A job as the dashboard shows it.
+/// A job on the dashboard.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct DashboardJob {
     /// Its id.
     pub id: JobId,
     /// Its name.
     pub name: String,
-    /// The project that it is booked on.
+    /// The project that is charged for it.
     pub project: String,
-    /// Where it stands.
+    /// Its state.
     pub state: JobState,
-    /// Frames in all.
+    /// Number of frames.
     pub frames_total: u32,
-    /// Frames that are there.
+    /// Number of finished frames.
     pub frames_done: u32,
-    /// The part of the forecast work that is done, 0 to 1.
+    /// Share of the forecast work that is done, 0 to 1.
     pub progress: f64,
-    /// How far the irradiance cache is that its frames share and wait for; absent if they do not.
+    /// Progress of the irradiance cache that its frames share. Absent if they do not share one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seed: Option<SeedProgress>,
-    /// When it has to be there.
+    /// Its deadline. Absent if it has none.
     pub deadline: Option<Timestamp>,
-    /// Whether it can be had as asked for.
+    /// Whether deadline and budget can be kept, by the newest plan. Absent until it is planned.
     pub verdict: Option<Verdict>,
-    /// When the last frame is expected.
+    /// Expected finish of the last frame.
     pub eta: Option<Timestamp>,
-    /// Why it has not begun, or does not go on because nobody quotes it or there is no room.
+    /// Why it waits. Absent if it does not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub waits: Option<Waits>,
-    /// What is left of its promise.
+    /// The state of its promised deadline. Absent if none was promised.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub promise: Option<Promise>,
-    /// What its bookings cost.
+    /// Cost of its bookings.
     pub booked_cost: Option<Money>,
-    /// The most that it may cost.
+    /// Its budget. Absent if it has none.
     pub budget: Option<Money>,
-    /// Forecast total work.
+    /// Quoted total work.
     pub work: Option<Quantiles>,
-    /// Forecast total CPU seconds.
+    /// Quoted total CPU seconds, on a node of speed 1.
     pub cpu_seconds: Option<Quantiles>,
-    /// Forecast total in money.
+    /// Quoted total cost.
     pub cost: Option<MoneyQuantiles>,
-    /// What it will have cost, as far as its frames are finished; absent until booked.
+    /// The live estimate, updated by finished frames. Absent until the job is booked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub live: Option<LiveForecast>,
 }
 
-/// What a node does right now.
+/// The task that a node is working on.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct NodeActivity {
     /// The task.
@@ -101,35 +101,35 @@ pub struct NodeActivity {
     pub kind: TaskKind,
     /// Its job.
     pub job_id: JobId,
-    /// Its frame.
+    /// Its frame. Absent for tasks about all frames.
     pub frame: Option<u32>,
-    /// How far it is, 0 to 1.
+    /// Progress, 0 to 1.
     pub progress: f64,
-    /// Since when.
+    /// When the node started it.
     pub started: Timestamp,
 }
 
-/// A node as the dashboard shows it.
+/// A node on the dashboard.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct DashboardNode {
     /// The node.
     pub node: Node,
-    /// Whether it was heard of within the last three lease times.
+    /// Whether it sent a request within the last three lease times.
     pub alive: bool,
-    /// What it does; absent if it is idle.
+    /// What it is working on. Absent if it is idle.
     pub activity: Option<NodeActivity>,
 }
 
 /// The farm at one instant.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Dashboard {
-    /// When this was read. All of it was read in one transaction.
+    /// When the document was read. It is read in one transaction, so it is consistent.
     pub at: Timestamp,
-    /// The id of the newest event that this document takes into account: subscribe from here.
+    /// Id of the newest event that is taken into account. Subscribe to events from here.
     pub last_event_id: i64,
-    /// The farm in numbers.
+    /// Counts of the farm.
     pub counts: DashboardCounts,
-    /// The jobs that are not final and the newest that are: at most 200.
+    /// All active jobs, and the newest finished ones: at most 200.
     pub jobs: Vec<DashboardJob>,
     /// The nodes, at most 1000.
     pub nodes: Vec<DashboardNode>,
@@ -137,10 +137,10 @@ pub struct Dashboard {
     pub bookings: Vec<Booking>,
     /// The newest events, newest first, at most 50.
     pub events: Vec<Event>,
-    /// Finished frames that had a forecast.
+    /// Number of finished frames that had a forecast.
     pub track_frames: u64,
-    /// How many of these had their work at or below the forecast quantiles.
+    /// How many of them had their work at or below the forecast quantiles.
     pub track_work_hits: QuantileHits,
-    /// Mean absolute relative error of the work forecasts; absent without finished frames.
+    /// Mean absolute relative error of the work forecasts. Absent without finished frames.
     pub track_work_error: Option<f64>,
 }

@@ -1,57 +1,60 @@
-//! What happened on the farm.
+//! Events of the farm.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{EventId, JobId, JobState, NodeId, OffForecast, PlanId, Promise, TaskId, TaskKind, Timestamp};
 
-/// The kinds of events: also the `event:` field of the server-sent events.
+/// Kind of an event. It is also the `event:` field of the server-sent events.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EventKind {
     /// A job was submitted.
     JobCreated,
-    /// A job went into another state.
+    /// A job changed its state.
     JobState,
-    /// A job's forecast is there.
+    /// A job's quote is complete.
     ForecastReady,
-    /// A job's living estimate has left what is booked for it: `off_forecast` says what and how far.
+    /// A job's live estimate exceeds what is booked: `off_forecast` has the numbers.
     JobOffForecast,
-    /// It has come back to what is booked.
+    /// A job's live estimate is back within what is booked.
     JobOnForecast,
     /// A plan was stored.
     PlanStored,
-    /// A task was handed to a worker.
+    /// A task was leased to a worker.
     TaskLeased,
-    /// A task was handed to Slurm, which is to start a process for it.
+    /// A task was submitted to Slurm, which will start a process for it.
     TaskSubmitted,
-    /// Slurm ended what it had for a task, and the task is not done; it is handed to Slurm again unless the job failed.
+    /// Slurm ended the submission of a task that is not done. The task is submitted again unless the job
+    /// failed.
     SubmissionLost,
     /// A worker reported progress.
     TaskProgress,
     /// A task's result was committed.
     TaskDone,
-    /// A worker reported an error; the task will be tried again unless the job failed.
+    /// A worker reported an error. The task is tried again unless the job failed.
     TaskFailed,
-    /// A task went back because its lease ran out.
+    /// A task's lease expired, and the task was queued again.
     LeaseExpired,
-    /// A task was given back by its worker, or taken back from it by an operator, a budget, or the end of its node's window.
+    /// A task was queued again: its worker returned it, or an operator, a budget or the end of the node's
+    /// window took it away.
     LeaseReleased,
-    /// A worker without a lease spoke up and was refused.
+    /// A request of a worker was refused, because it no longer holds the lease.
     LeaseLost,
     /// A node was registered or updated.
     NodeRegistered,
-    /// A node was given an order, repriced, or brought back.
+    /// A node was drained, paused, repriced, brought back or changed in another way.
     NodeChanged,
-    /// A node was set aside, because too much failed on it.
+    /// A node was set aside, because too many tasks failed on it.
     NodeSetAside,
-    /// A budget's action came into force, or is over.
+    /// A budget's action came into force, or ended.
     Budget,
-    /// What runs the farm's processes, such as Slurm, went away, came back, or refused something.
+    /// The system that runs the farm's processes, such as Slurm, became unavailable, came back, or refused a
+    /// request.
     EngineState,
-    /// A job that was to be ready by its deadline will not be, at its confidence: `promise` says how sure that is, and the cheapest rescue.
+    /// A job will probably miss its promised deadline. `promise` has the probability and the cheapest rescue.
     JobPromiseAtRisk,
-    /// A job whose promise was at risk will be ready in time after all.
+    /// A job whose promise was at risk will probably finish in time after all.
     JobPromiseSafe,
 }
 
@@ -85,46 +88,46 @@ impl EventKind {
     }
 }
 
-/// One event. The fields that do not apply to its kind are absent.
+/// One event. Fields that do not apply to its kind are absent.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Event {
-    /// Its place in the order of events.
+    /// Position in the order of events.
     pub id: EventId,
     /// When it happened.
     pub at: Timestamp,
     /// What happened.
     pub kind: EventKind,
-    /// The job that it is about.
+    /// The job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub job_id: Option<JobId>,
-    /// The state that the job went into.
+    /// The new state of the job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub job_state: Option<JobState>,
-    /// The task that it is about.
+    /// The task.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub task_id: Option<TaskId>,
-    /// That task's kind.
+    /// Kind of the task.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub task_kind: Option<TaskKind>,
-    /// That task's frame.
+    /// Frame of the task.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<u32>,
-    /// The node that it is about.
+    /// The node.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub node_id: Option<NodeId>,
-    /// The plan that it is about.
+    /// The plan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plan_id: Option<PlanId>,
-    /// How far the task is, 0 to 1.
+    /// Progress of the task, 0 to 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub progress: Option<f64>,
-    /// What left the booking or came back to it, with its numbers.
+    /// The quantity that exceeds what is booked or is back within it, with its numbers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub off_forecast: Option<OffForecast>,
-    /// What is left of the job's promise.
+    /// The state of the job's promise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub promise: Option<Promise>,
-    /// A line for people.
+    /// The event as one line of text.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub message: Option<String>,
 }

@@ -1,4 +1,4 @@
-//! Sets of frames, as people write them: `0-47` or `0,5,9-12`.
+//! Sets of frames as text: `0-47` or `0,5,9-12`.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -8,33 +8,32 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use utoipa::ToSchema;
 
-/// A non-empty set of frame numbers, kept as ascending ranges with gaps between them, so that an enormous range
-/// costs nothing until it is walked: check [`FrameSet::count`] first.
+/// A non-empty set of frame numbers, as ranges and single numbers: `0-47` or `0,5,9-12`.
 #[derive(Clone, PartialEq, Eq, Hash, Debug, ToSchema)]
 #[schema(value_type = String, example = "0,5,9-12", pattern = "^[0-9]+(-[0-9]+)?(,[0-9]+(-[0-9]+)?)*$")]
 pub struct FrameSet(Vec<RangeInclusive<u32>>);
 
-/// A string that names no set of frames.
+/// A string that is not a set of frames.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{part}` in the list of frames {reason}; write 0-47 or 0,5,9-12")]
+#[error("frames: `{part}` {reason}; write for example 0-47 or 0,5,9-12")]
 pub struct MalformedFrames {
     part: String,
     reason: &'static str,
 }
 
 impl FrameSet {
-    /// The frames `first` to `last`; the other way round if `last` comes before `first`.
+    /// The frames from `first` to `last`, in either order.
     pub fn range(first: u32, last: u32) -> Self {
         Self(vec![first.min(last)..=first.max(last)])
     }
 
-    /// The set of these frames; `None` if there are none.
+    /// The set of these frames. `None` if there are none.
     pub fn from_frames(frames: impl IntoIterator<Item = u32>) -> Option<Self> {
         let ranges: Vec<_> = frames.into_iter().map(|frame| frame..=frame).collect();
         if ranges.is_empty() { None } else { Some(Self(merged(ranges))) }
     }
 
-    /// How many frames there are.
+    /// Number of frames. Does not iterate over them, so it is safe for enormous ranges.
     pub fn count(&self) -> u64 {
         self.0.iter().map(|range| u64::from(range.end() - range.start()) + 1).sum()
     }
@@ -55,7 +54,7 @@ impl FrameSet {
     }
 }
 
-/// Sorts ranges and joins those that overlap or touch.
+/// Sorts ranges, and joins those that overlap or touch.
 fn merged(mut ranges: Vec<RangeInclusive<u32>>) -> Vec<RangeInclusive<u32>> {
     ranges.sort_by_key(|range| *range.start());
     let mut joined: Vec<RangeInclusive<u32>> = Vec::with_capacity(ranges.len());
@@ -82,9 +81,9 @@ impl FromStr for FrameSet {
             };
             let number = |digits: &str| {
                 if digits.is_empty() || !digits.bytes().all(|byte| byte.is_ascii_digit()) {
-                    return Err(malformed("is not a frame number or a range of them"));
+                    return Err(malformed("is not a frame number or a range"));
                 }
-                digits.parse::<u32>().map_err(|_| malformed("is beyond frame 4294967295"))
+                digits.parse::<u32>().map_err(|_| malformed("exceeds the largest frame number, 4294967295"))
             };
             let part_trimmed = part.trim();
             let (first, last) = match part_trimmed.split_once('-') {
@@ -92,7 +91,7 @@ impl FromStr for FrameSet {
                 None => (number(part_trimmed)?, number(part_trimmed)?),
             };
             if first > last {
-                return Err(malformed("runs backwards"));
+                return Err(malformed("is a range that ends before it starts"));
             }
             ranges.push(first..=last);
         }

@@ -1,5 +1,6 @@
-//! BLAKE3 hashes: 64 lower-case hexadecimal digits in JSON and in addresses. What is hashed is in the type, so that the hash of
-//! one thing is not taken for that of another.
+//! BLAKE3 hashes: 64 lower-case hexadecimal digits in JSON and in addresses.
+//!
+//! Each kind of hashed content has a type of its own, so that two kinds of hashes cannot be confused.
 
 use std::fmt;
 use std::str::FromStr;
@@ -10,7 +11,7 @@ use utoipa::ToSchema;
 
 /// A string that is not 64 lower-case hexadecimal digits.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("a BLAKE3 hash is written as 64 lower-case hexadecimal digits")]
+#[error("not a BLAKE3 hash: it must have 64 lower-case hexadecimal digits")]
 pub struct MalformedHash;
 
 macro_rules! hash {
@@ -55,13 +56,13 @@ macro_rules! hash {
 }
 
 hash! {
-    /// The BLAKE3 hash of an artefact's bytes: 64 lower-case hexadecimal digits in JSON and in addresses.
+    /// BLAKE3 hash of the bytes of an artefact: 64 lower-case hexadecimal digits.
     ArtifactHash
 }
 
 hash! {
-    /// The BLAKE3 hash of the paths and contents of all files that a scene was loaded from: 64 lower-case hexadecimal digits. Two
-    /// bundles with the same digest are the same scene, wherever they lie and however they are packed.
+    /// BLAKE3 hash of the paths and contents of all files of a scene: 64 lower-case hexadecimal digits. Two
+    /// bundles with the same digest hold the same scene, wherever they are and however they are packed.
     SceneDigest
 }
 

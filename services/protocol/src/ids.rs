@@ -1,4 +1,5 @@
-//! Identifiers: one type for each kind of thing, so that a lease cannot be passed where a task is meant.
+//! Identifiers, with one type for each kind of thing. So a lease id cannot be passed where a task id is
+//! expected.
 
 use std::fmt;
 use std::str::FromStr;
@@ -16,7 +17,7 @@ macro_rules! id {
         pub struct $name(pub Uuid);
 
         impl $name {
-            /// A new id (UUID version 7: ids made later sort later).
+            /// A new id: a UUID of version 7, so later ids sort later.
             pub fn new() -> Self {
                 Self(Uuid::now_v7())
             }
@@ -45,33 +46,33 @@ macro_rules! id {
 }
 
 id!(
-    /// A job: frames of one bundle at one quality.
+    /// Id of a job: frames of one bundle, rendered with the same settings.
     JobId
 );
 id!(
-    /// A task: one piece of a job's work.
+    /// Id of a task: one part of a job's work.
     TaskId
 );
 id!(
-    /// A worker's hold on a task.
+    /// Id of a lease: a worker's hold on a task.
     LeaseId
 );
 id!(
-    /// A node: a machine with a speed and a price.
+    /// Id of a node: a machine with a speed and a price.
     NodeId
 );
 id!(
-    /// A scene bundle.
+    /// Id of a scene bundle.
     BundleId
 );
 id!(
-    /// A plan. Plans never change; a new one names its parent.
+    /// Id of a plan. Plans never change; a new plan refers to its parent.
     PlanId
 );
 id!(
-    /// A node reserved for a frame from one instant to another.
+    /// Id of a booking: a node that is reserved for a frame for a period of time.
     BookingId
 );
 
-/// The place of an event in the farm's one event order: grows by at least one from event to event.
+/// Position of an event in the farm's order of events. Later events have greater numbers, with possible gaps.
 pub type EventId = i64;

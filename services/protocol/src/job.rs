@@ -1,102 +1,105 @@
 //! Jobs and their frames.
 
-use std::fmt;
-
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    ArtifactHash, BundleRef, CacheSharing, Confidence, FrameForecast, FrameSet, JobId, JobVerdict, Ladders,
-    LiveForecast, Money, NodeId, PageToken, PlanId, Promise, Quantiles, RenderSettings,
+    ArtifactHash, BundleRef, CacheSharing, Confidence, FrameForecast, FrameSet, JobId, JobState, JobVerdict,
+    Ladders, LiveForecast, Money, NodeId, PageToken, PlanId, Promise, Quantiles, RenderSettings,
     RenderSettingsRequest, RenderStats, SceneSummary, SeedProgress, TaskLimits, Timestamp, Waits,
 };
 
-/// A new job.
+/// Request for a new job.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JobRequest {
-    /// A name for people: 1 to 200 characters.
+    /// Name of the job: 1 to 200 characters.
     #[schema(min_length = 1, max_length = 200)]
     pub name: String,
-    /// The project that the job is booked on: 1 to 200 characters.
+    /// Project that is charged for the job: 1 to 200 characters.
     #[serde(default = "default_project")]
     #[schema(default = "default", min_length = 1, max_length = 200)]
     pub project: String,
-    /// What to render.
+    /// The scene bundle to render.
     pub bundle: BundleRef,
-    /// Which frames.
+    /// The frames to render.
     pub frames: FrameSet,
-    /// How good.
+    /// Render settings. What is left out has the scene's value or the default.
     #[serde(default)]
     pub settings: RenderSettingsRequest,
-    /// Whether the frames share one irradiance cache, if they have any.
+    /// Whether the frames share one irradiance cache. No effect without caches.
     #[serde(default)]
     pub cache: CacheSharing,
-    /// Pixels to profile per profiled frame, 16 to 1,000,000.
+    /// Number of pixels to profile per profiled frame, 16 to 1,000,000.
     #[serde(default = "default_samples")]
     #[schema(default = 256, minimum = 16, maximum = 1_000_000)]
     pub samples: u32,
-    /// Frames to profile at most, 1 to 1000. Absent: five, and up to 16 if that leaves the forecast unsure and more would cost less than a
-    /// hundredth of the job.
+    /// Largest number of frames to profile, 1 to 1000. If absent: five, and up to 16 if the forecast is then
+    /// uncertain and profiling more costs less than one percent of the job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1, maximum = 1000)]
     pub profile_frames: Option<u32>,
-    /// Which other qualities the quote prices; `all` cannot be had together with `within`, which chooses the samples itself.
+    /// Which other qualities the quote prices. `all` cannot be combined with `within`, which chooses the
+    /// number of samples.
     #[serde(default, skip_serializing_if = "Ladders::are_own")]
     pub ladders: Ladders,
-    /// Take the most camera samples that fit into this time or money, in place of `settings.spp`, which is then only what is profiled with. Chosen
-    /// when the profiles are there, as sure as `confidence` says; a job into which not even one sample fits fails, and says what would. Each frame may
-    /// then take the work of so many samples, and spends it where its image shows that it pays.
+    /// Limit on time or money. The job then uses the most camera samples that fit into it, instead of
+    /// `settings.spp`, which is only used for profiling. The number is chosen after profiling, at the job's
+    /// `confidence`. If not even one sample per pixel fits, the job fails, and the error says what would fit.
+    /// Each frame may use the work of that many samples per pixel, and puts them where they reduce the
+    /// image's error most.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub within: Option<Within>,
-    /// When all frames have to be there; absent: whenever.
+    /// When all frames must be finished. If absent, there is no deadline.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deadline: Option<Timestamp>,
-    /// The most that the job is to cost, micro-units; absent: no limit. Plans keep to it if any can. If none can, the job is rendered all the
-    /// same, and its verdict says `over_budget`: what stops work is the budget of a project.
+    /// Largest cost of the job, in micro-units. If absent, there is no limit. Plans keep to it if possible.
+    /// If no plan can, the job is rendered anyway, and its verdict is `over_budget`. Only the budget of a
+    /// project stops work.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<Money>,
-    /// How sure the plan has to be of deadline and budget.
+    /// Probability with which the plan must keep deadline and budget.
     #[serde(default)]
     pub confidence: Confidence,
-    /// Among jobs with the same deadline the greater goes first: -1000 to 1000.
+    /// Priority among jobs with the same deadline, -1000 to 1000. The greatest goes first.
     #[serde(default)]
     #[schema(default = 0, minimum = -1000, maximum = 1000)]
     pub priority: i32,
-    /// Among jobs of equal priority, one of weight two is worth two of weight one: 1 to 1000.
+    /// Weight among jobs of the same priority, 1 to 1000. A job of weight two counts like two jobs of weight
+    /// one.
     #[serde(default = "default_weight")]
     #[schema(default = 1, minimum = 1, maximum = 1000)]
     pub weight: u32,
-    /// What one of its tasks may use at most.
+    /// Limits on what a task of the job may use.
     #[serde(default, skip_serializing_if = "TaskLimits::are_none")]
     pub limits: TaskLimits,
 }
 
-/// What frames may take. Exactly one of `cpu_micros` and `money`.
+/// A limit on the cost of frames. Exactly one of `cpu_micros` and `money` must be given.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Within {
-    /// CPU time over all threads on a node of speed 1, microseconds; above 0.
+    /// CPU time over all threads on a node of speed 1, in microseconds. Above 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(exclusive_minimum = 0)]
     pub cpu_micros: Option<i64>,
-    /// Money at the mean price of the farm's nodes, micro-units; above 0.
+    /// Cost at the mean price of the farm's nodes, in micro-units. Above 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<Money>)]
     pub money: Option<Money>,
-    /// What may take so much.
+    /// What the limit applies to.
     #[serde(default)]
     pub per: Per,
 }
 
-/// What a limit is for.
+/// What a limit applies to.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Per {
     /// All frames together.
     #[default]
     Job,
-    /// Each frame.
+    /// Each single frame.
     Frame,
 }
 
@@ -112,147 +115,86 @@ fn default_weight() -> u32 {
     1
 }
 
-/// Where a job stands.
-#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum JobState {
-    /// The frames are being previewed.
-    Previewing,
-    /// Some frames are being profiled.
-    Profiling,
-    /// The forecast is there and the farm is booked.
-    Booked,
-    /// At least one frame has been handed to a worker, or a part of the irradiance cache that the frames share.
-    Rendering,
-    /// All frames are there.
-    Done,
-    /// A task failed too often; `error` says how.
-    Failed,
-    /// Someone cancelled it.
-    Cancelled,
-}
-
-impl JobState {
-    /// All states, in the order of a job's life.
-    pub const ALL: [JobState; 7] = [
-        JobState::Previewing,
-        JobState::Profiling,
-        JobState::Booked,
-        JobState::Rendering,
-        JobState::Done,
-        JobState::Failed,
-        JobState::Cancelled,
-    ];
-
-    /// The name, as in JSON.
-    pub const fn name(self) -> &'static str {
-        match self {
-            JobState::Previewing => "previewing",
-            JobState::Profiling => "profiling",
-            JobState::Booked => "booked",
-            JobState::Rendering => "rendering",
-            JobState::Done => "done",
-            JobState::Failed => "failed",
-            JobState::Cancelled => "cancelled",
-        }
-    }
-
-    /// The state of this name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|state| state.name() == name)
-    }
-
-    /// Whether nothing will change any more.
-    pub const fn is_final(self) -> bool {
-        matches!(self, JobState::Done | JobState::Failed | JobState::Cancelled)
-    }
-}
-
-impl fmt::Display for JobState {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
 /// A job.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Job {
     /// Its id.
     pub id: JobId,
-    /// Name for people.
+    /// Name of the job.
     pub name: String,
-    /// The project that it is booked on.
+    /// Project that is charged for it.
     pub project: String,
-    /// Where it stands.
+    /// Its state.
     pub state: JobState,
-    /// What it renders.
+    /// The scene bundle.
     pub bundle: BundleRef,
-    /// What is in the bundle.
+    /// Summary of the scene in the bundle.
     pub scene: SceneSummary,
-    /// Which frames.
+    /// The frames to render.
     pub frames: FrameSet,
-    /// How good, complete.
+    /// The complete render settings.
     pub settings: RenderSettings,
-    /// Whether its frames are to share one irradiance cache; the quote says whether they do.
+    /// The requested sharing of irradiance caches. The quote says whether the frames share one.
     #[serde(default)]
     pub cache: CacheSharing,
-    /// How far the cache is that its frames share and wait for; absent if they do not.
+    /// Progress of the irradiance cache that its frames share. Absent if they do not share one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seed: Option<SeedProgress>,
-    /// Pixels to profile per profiled frame.
+    /// Number of pixels to profile per profiled frame.
     pub samples: u32,
-    /// Frames to profile at most; absent: as many as pay.
+    /// Largest number of frames to profile. Absent if the service decides.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub profile_frames: Option<u32>,
-    /// Which other qualities its quote prices.
+    /// Which other qualities the quote prices.
     #[serde(default, skip_serializing_if = "Ladders::are_own")]
     pub ladders: Ladders,
-    /// What its frames may take, from which `settings.spp` was or will be chosen.
+    /// Limit on time or money from which `settings.spp` is chosen. Absent if there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub within: Option<Within>,
-    /// When all frames have to be there.
+    /// When all frames must be finished. Absent if there is no deadline.
     pub deadline: Option<Timestamp>,
-    /// The most that it may cost.
+    /// Largest cost of the job. Absent if there is no limit.
     pub budget: Option<Money>,
-    /// How sure the plan has to be.
+    /// Probability with which the plan must keep deadline and budget.
     pub confidence: Confidence,
-    /// Among jobs with the same deadline the greater goes first.
+    /// Priority among jobs with the same deadline. The greatest goes first.
     pub priority: i32,
-    /// What it is worth among jobs of its priority.
+    /// Weight among jobs of the same priority.
     #[serde(default = "default_weight")]
     pub weight: u32,
-    /// What one of its tasks may use at most.
+    /// Limits on what a task of the job may use.
     #[serde(default, skip_serializing_if = "TaskLimits::are_none")]
     pub limits: TaskLimits,
-    /// Frames in all.
+    /// Number of frames.
     pub frames_total: u32,
-    /// Frames that are there.
+    /// Number of finished frames.
     pub frames_done: u32,
-    /// The part of the forecast work that is done, 0 to 1: of the frames where there is no forecast yet.
+    /// Share of the forecast work that is done, 0 to 1. Without a forecast, the share of the frames.
     pub progress: f64,
-    /// The plan's word on deadline and budget; absent until booked.
+    /// Whether deadline and budget can be kept, by the newest plan. Absent until the job is booked.
     pub verdict: Option<JobVerdict>,
-    /// The plan that booked it.
+    /// The plan that booked the job. Absent until then.
     pub plan_id: Option<PlanId>,
-    /// Why it has not begun, or does not go on because nobody quotes it or there is no room.
+    /// Why the job waits. Absent if it does not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub waits: Option<Waits>,
-    /// What is left of its promise; absent if its deadline was never promised.
+    /// State of its promised deadline. Absent if none was promised.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub promise: Option<Promise>,
-    /// When the last frame is expected; absent until booked, and once final.
+    /// Expected finish of the last frame. Absent until the job is booked, and once it is done, failed or
+    /// cancelled.
     pub eta: Option<Timestamp>,
-    /// What the time of its nodes has cost so far, quotes and lost work included; absent in lists, and while it has cost nothing.
+    /// Cost of node time so far, including quotes and lost work. Absent in lists, and while it is zero.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spent: Option<Money>,
-    /// What it will have cost, as far as its frames are finished, beside the quote; absent until booked.
+    /// The live estimate, updated by finished frames. Absent until the job is booked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub live: Option<LiveForecast>,
-    /// What went wrong, if it failed.
+    /// Why the job failed. Absent if it did not.
     pub error: Option<String>,
     /// When it was submitted.
     pub created_at: Timestamp,
-    /// When it was done, failed or cancelled.
+    /// When it was done, failed or cancelled. Absent until then.
     pub finished_at: Option<Timestamp>,
 }
 
@@ -261,109 +203,109 @@ pub struct Job {
 pub struct JobPage {
     /// The jobs.
     pub items: Vec<Job>,
-    /// Where the next page starts; absent on the last.
+    /// Token of the next page. Absent on the last page.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub next_page_token: Option<PageToken>,
 }
 
-/// What a POST of the same job would say; nothing was kept.
+/// The result of checking a job request. Nothing is stored.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct JobCheck {
-    /// What is in the bundle.
+    /// Summary of the scene in the bundle.
     pub scene: SceneSummary,
-    /// Which frames.
+    /// The frames to render.
     pub frames: FrameSet,
-    /// How many.
+    /// Number of frames.
     pub frames_total: u32,
-    /// How good, complete.
+    /// The complete render settings.
     pub settings: RenderSettings,
 }
 
-/// Where a frame stands.
+/// State of a frame.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FrameState {
-    /// Not yet to be rendered: the job is being forecast, or the irradiance cache made that its frames share.
+    /// Waiting for the quote, or for the shared irradiance cache.
     Waiting,
-    /// To be rendered.
+    /// Ready to be rendered.
     Ready,
-    /// With a worker.
+    /// Leased by a worker.
     Leased,
-    /// There.
+    /// Finished.
     Done,
-    /// Failed too often.
+    /// Failed, after all attempts.
     Failed,
-    /// Its job failed or was cancelled before it was rendered.
+    /// The job failed or was cancelled before the frame was rendered.
     Cancelled,
 }
 
-/// Where and when a frame is to be rendered.
+/// Where and when a frame is booked.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct FrameBooking {
-    /// On which node.
+    /// The node.
     pub node_id: NodeId,
-    /// That node's name.
+    /// Name of the node.
     pub node: String,
-    /// From when.
+    /// Start of the booking.
     pub start: Timestamp,
-    /// Until when.
+    /// End of the booking.
     pub end: Timestamp,
 }
 
-/// The artefacts of a frame, as far as they are there.
+/// The artefacts of a frame. Each is absent until it exists.
 #[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct FrameArtifacts {
-    /// Object and material ids in colour.
+    /// The preview: object and material ids as colours.
     pub preview_png: Option<ArtifactHash>,
-    /// Cost of each pixel in colour.
+    /// The cost of each pixel as a colour.
     pub cost_map_png: Option<ArtifactHash>,
-    /// The image, for looking at.
+    /// The image, for display.
     pub image_png: Option<ArtifactHash>,
-    /// The image, linear.
+    /// The image with linear values.
     pub image_exr: Option<ArtifactHash>,
 }
 
-/// Forecast against actual for one number.
+/// Forecast and actual value of one number.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct FrameFigure {
-    /// What was forecast.
+    /// The forecast.
     pub forecast: Quantiles,
-    /// What it was; absent until the frame is done.
+    /// The actual value. Absent until the frame is done.
     pub actual: Option<f64>,
-    /// Forecast mean over actual, minus one; absent until the frame is done, or if the actual is 0.
+    /// Forecast mean / actual − 1. Absent until the frame is done, and if the actual value is 0.
     pub error: Option<f64>,
 }
 
-/// One frame of a job: what was said, and what was.
+/// One frame of a job: its forecast and its actual cost.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct FrameRow {
     /// Frame number.
     pub frame: u32,
-    /// Where it stands.
+    /// Its state.
     pub state: FrameState,
-    /// What was forecast, in full; absent until the job is forecast.
+    /// The complete forecast. Absent until the job is quoted.
     pub forecast: Option<FrameForecast>,
-    /// What it took, in full; absent until the frame is done.
+    /// The complete actual cost. Absent until the frame is done.
     pub actual: Option<RenderStats>,
-    /// Work: forecast, actual, error.
+    /// Work: forecast, actual value and error.
     pub work: Option<FrameFigure>,
-    /// CPU seconds: forecast (on a node of speed 1), actual (brought to a node of speed 1), error.
+    /// CPU seconds: forecast, actual value and error. All are for a node of speed 1.
     pub cpu_seconds: Option<FrameFigure>,
-    /// Where and when it was to be rendered.
+    /// Where and when it is booked. Absent if it is not.
     pub booked: Option<FrameBooking>,
-    /// The node that has it or rendered it.
+    /// The node that renders or rendered it. Absent until then.
     pub node: Option<NodeId>,
-    /// How often it was handed out.
+    /// Number of attempts so far.
     pub attempts: u32,
-    /// How far the worker is, 0 to 1.
+    /// Progress of the present attempt, 0 to 1.
     pub progress: f64,
-    /// When the last worker started.
+    /// When the latest attempt started.
     pub started: Option<Timestamp>,
-    /// When the result was committed.
+    /// When the result was committed. Absent until then.
     pub finished: Option<Timestamp>,
-    /// Its images.
+    /// Its files.
     pub artifacts: FrameArtifacts,
-    /// The last error, if there was one.
+    /// The latest error. Absent if there was none.
     pub error: Option<String>,
 }
 
@@ -372,7 +314,7 @@ pub struct FrameRow {
 pub struct FramePage {
     /// The frames.
     pub items: Vec<FrameRow>,
-    /// Where the next page starts; absent on the last.
+    /// Token of the next page. Absent on the last page.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub next_page_token: Option<PageToken>,
 }

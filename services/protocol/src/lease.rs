@@ -1,7 +1,8 @@
-//! Leases: a worker's hold on a task for a bounded time.
+//! Leases: a worker holds a task for a bounded time.
 //!
-//! A lease carries a *fencing token* (`fence`), which grows with every hand-out of the task. A worker that lost its
-//! lease without noticing (it was paused, or cut off) still holds an old token, and everything it says is refused.
+//! A lease has a *fencing token* (`fence`), which grows with every lease of the task. A worker that was
+//! paused or cut off may lose its lease without noticing. It still has an old token, so all its requests are
+//! refused.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -9,29 +10,31 @@ use uuid::Uuid;
 
 use crate::{JobId, JobState, LeaseId, LogLine, NodeId, TaskId, TaskResult, TaskSpec, Timestamp};
 
-/// Most bytes of a checkpoint, the finished tiles of a frame: about a million pixels. Larger frames have none.
+/// Largest size of a checkpoint, the finished tiles of a frame, in bytes. This is about a million pixels.
+/// Larger frames have no checkpoints.
 pub const CHECKPOINT_BYTES: usize = 64 << 20;
 
-/// A worker asks for a task.
+/// A worker's request for a task.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ClaimRequest {
-    /// The node that asks.
+    /// The worker's node.
     pub node_id: NodeId,
     /// How long to wait for a task if there is none, in milliseconds: 0 to 60000.
     #[serde(default)]
     #[schema(default = 0, maximum = 60000)]
     pub wait_ms: u32,
-    /// The one task that is wanted, by a process that was started for it; whoever placed it there has decided that this node does
-    /// it. Waits while another worker holds the task; a conflict once it is over. Absent: whatever is next.
+    /// The only task to lease, for a process that was started for it. Waits while another worker holds the
+    /// task, and is a conflict once the task is over. If absent, the service chooses the task.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub task_id: Option<TaskId>,
-    /// The number under which the process registered. If another has taken the node over since, that is a conflict.
+    /// The number with which this process registered. It is a conflict if another process has taken over the
+    /// node since.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub worker: Option<Uuid>,
 }
 
-/// A task in a worker's hands.
+/// A worker's hold on a task.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Lease {
     /// Its id.
@@ -40,41 +43,42 @@ pub struct Lease {
     pub task_id: TaskId,
     /// The task's job.
     pub job_id: JobId,
-    /// The fencing token: belongs into everything that is said about the lease.
+    /// The fencing token. Send it with every request about the lease.
     pub fence: u64,
-    /// When the lease ends unless it is renewed, by the service's clock.
+    /// When the lease expires unless it is renewed, by the service's clock.
     pub expires_at: Timestamp,
-    /// For how long each renewal holds, in milliseconds. Renew three times as often.
+    /// Duration of the lease after each renewal, in milliseconds. Renew it three times in that time.
     pub ttl_ms: u64,
-    /// What to do.
+    /// The task to do.
     pub spec: TaskSpec,
-    /// What it may use at most.
+    /// Limits on what the task may use.
     #[serde(default, skip_serializing_if = "TaskLimits::are_none")]
     pub limits: TaskLimits,
 }
 
-/// What a task of a job may use at most. These are limits, not forecasts: the worker ends a task that goes beyond, and says by which
-/// limit.
+/// Limits on what a task of a job may use. They are limits, not forecasts: the worker stops a task that
+/// exceeds one, and reports which.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TaskLimits {
-    /// Resident memory of the worker's process while it does the task, in bytes, 2²⁰ or more; absent: no limit.
+    /// Resident memory of the worker's process during the task, in bytes, 2²⁰ or more. If absent, there is no
+    /// limit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1_048_576)]
     pub memory_bytes: Option<u64>,
-    /// Wall time of one attempt in milliseconds, pauses not counted, 1 or more; absent: no limit.
+    /// Wall time of one attempt in milliseconds, 1 or more, without pauses. If absent, there is no limit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1)]
     pub wall_ms: Option<u64>,
 }
 
 impl TaskLimits {
-    /// Whether nothing is limited.
+    /// Whether there is no limit.
     pub fn are_none(&self) -> bool {
         *self == Self::default()
     }
 
-    /// The stricter of both, limit by limit.
+    /// The stricter of both, for each limit.
     #[must_use]
     pub fn and(self, other: Self) -> Self {
         let stricter = |a: Option<u64>, b: Option<u64>| a.into_iter().chain(b).min();
@@ -85,7 +89,7 @@ impl TaskLimits {
     }
 }
 
-/// Which of the limits a task went beyond.
+/// The limit that a task exceeded.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TaskLimit {
@@ -95,72 +99,77 @@ pub enum TaskLimit {
     WallTime,
 }
 
-/// A worker is still at it.
+/// A worker's request to renew its lease, with its progress.
 #[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RenewRequest {
     /// The fencing token.
     pub fence: u64,
-    /// How far it is, 0 to 1.
+    /// Progress, 0 to 1.
     #[serde(default)]
     #[schema(minimum = 0, maximum = 1)]
     pub progress: f64,
-    /// What the finished pixels of a frame took so far; absent of other tasks, and with an irradiance cache, whose filling costs most.
+    /// Finished pixels of a frame and their cost. Absent for other tasks. With an irradiance cache, absent
+    /// until the cache is filled, because filling costs most.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pixels: Option<FinishedPixels>,
-    /// Whether it stands still, as it was ordered to.
+    /// Whether the worker is paused, as it was ordered to.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub paused: bool,
-    /// What it had to say since, at most 100 lines.
+    /// Log lines since the last renewal, at most 100.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schema(max_items = 100)]
     pub log: Vec<LogLine>,
 }
 
-/// How many pixels of a frame are finished, and what they took. With an irradiance cache, from when that is there: the part of the frame that cache and finished pixels
-/// are, as so many pixels, and what both took.
+/// Finished pixels of a frame and their cost.
+///
+/// With an irradiance cache, these are counted from when the cache is filled. The filled cache then counts as
+/// a number of pixels too, and `work` and `cpu_nanos` include it.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FinishedPixels {
-    /// Finished pixels, those that were taken over among them: at most `all`.
+    /// Number of finished pixels, including those taken over from profiling. At most `all`.
     pub done: u64,
-    /// Pixels of the frame, 1 or more.
+    /// Number of pixels of the frame, 1 or more.
     #[schema(minimum = 1)]
     pub all: u64,
-    /// Deterministic count of operations of the finished ones.
+    /// Work of the finished pixels: deterministic count of operations.
     pub work: u64,
-    /// Their CPU time, in nanoseconds.
+    /// CPU time of the finished pixels, in nanoseconds.
     pub cpu_nanos: u64,
 }
 
-/// What the worker shall do now.
+/// An order to the worker.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LeaseOrder {
     /// Carry on.
     Continue,
-    /// Stop: the job was cancelled or failed, or the task was taken away. Nothing needs to be sent.
+    /// Stop. The job was cancelled or failed, or the task was taken away. No result needs to be sent.
     Stop,
-    /// Stand still and keep the lease, until the order is another one.
+    /// Pause and keep the lease, until another order comes.
     Pause,
 }
 
 /// The answer to a renewal.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Renewal {
-    /// When the lease ends unless it is renewed again.
+    /// When the lease expires unless it is renewed again.
     pub expires_at: Timestamp,
-    /// What to do.
+    /// The order to the worker.
     pub order: LeaseOrder,
-    /// Whether this is the node's last task for now: it is being drained.
+    /// Whether the node is being drained, so that this is its last task for now.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub drain: bool,
-    /// The order to sleep: once this task is over, not to ask for another before then. Absent while the node's window is open.
+    /// After this task, do not ask for another one before this instant. Absent while the node's window is
+    /// open.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sleep_until: Option<Timestamp>,
 }
 
-/// A worker gives a task back unfinished, for instance because it is being shut down. Does not count as a failure.
+/// Returns an unfinished task, for example because the worker is shutting down. It does not count as a
+/// failure.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ReleaseRequest {
@@ -168,44 +177,45 @@ pub struct ReleaseRequest {
     pub fence: u64,
 }
 
-/// What went wrong on the worker.
+/// An error of the worker.
 #[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TaskError {
-    /// One line for people, 1 to 2000 characters.
+    /// The error as one line of text, 1 to 2000 characters.
     #[schema(min_length = 1, max_length = 2000)]
     pub message: String,
-    /// Whether trying again would give the same error, as with a malformed scene: the job fails at once.
+    /// Whether every attempt would fail with this error, as with a malformed scene. The job then fails at
+    /// once.
     #[serde(default)]
     pub permanent: bool,
-    /// The limit that the task went beyond, if that is what went wrong.
+    /// The limit that the task exceeded. Absent if the error has another cause.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limit: Option<TaskLimit>,
 }
 
-/// A task's end: exactly one of `result` and `error`.
+/// The end of a task. Exactly one of `result` and `error` must be given.
 #[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ResultRequest {
     /// The fencing token.
     pub fence: u64,
-    /// What came of it.
+    /// The result.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub result: Option<TaskResult>,
-    /// Why nothing came of it.
+    /// The error.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<TaskError>,
-    /// What the worker had to say since its last renewal, at most 100 lines.
+    /// Log lines since the last renewal, at most 100.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schema(max_items = 100)]
     pub log: Vec<LogLine>,
 }
 
-/// The answer to a task's end. The result is in the database when this is sent.
+/// The answer to the end of a task. It is sent after the result is committed to the database.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct ResultAnswer {
-    /// Whether the same result had been committed before.
+    /// Whether the same result was committed before.
     pub duplicate: bool,
-    /// Where the job stood after it.
+    /// State of the job afterwards.
     pub job_state: JobState,
 }

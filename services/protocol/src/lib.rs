@@ -1,14 +1,18 @@
-//! The words on the wire: every type of forelight's REST API, once, for server, worker and command line.
+//! All types of forelight's REST API, defined once for server, worker and command line.
 //!
-//! Conventions that hold everywhere:
+//! The doc comments of these types are the descriptions in `openapi.yaml`. These conventions hold everywhere:
+//!
 //! * **Time** is [`Timestamp`]: integer microseconds UTC in memory and in the database, RFC 3339 with six
-//!   fractional digits in JSON. Durations are integers that carry their unit in the name (`_nanos`, `_micros`, `_ms`).
+//!   fractional digits in JSON. Durations are integers with the unit in their name (`_nanos`, `_micros`,
+//!   `_ms`).
 //! * **Money** is [`Money`]: integer micro-units of the farm's one currency.
-//! * **Work** is the renderer's deterministic count of operations, an integer on which two runs agree.
-//! * **Ids** are UUIDs of version 7, so that they sort by age, each with a type of its own.
+//! * **Work** is the renderer's deterministic count of operations. It is an integer, and the same in every
+//!   run.
+//! * **Ids** are UUIDs of version 7, so they sort by age. Each kind of id has its own type.
 //! * **Enumerations** are snake_case strings. An enumeration that carries data is an object with one key, the
-//!   variant's name (`{"render": {…}}`), because only then can an error in it be pointed at.
-//! * Types that a client sends refuse unknown fields: a misspelt option is an error, not a silent default.
+//!   name of the variant (`{"render": {…}}`). So an error can point to a place inside of it.
+//! * **Absent values** are omitted or `null`. Clients should treat both alike.
+//! * **Unknown fields** are errors in types that a client sends. A misspelt option is never silently ignored.
 
 mod accuracy;
 mod answers;
@@ -18,15 +22,19 @@ mod bundle;
 mod cache;
 mod calendar;
 mod calibration;
+mod confidence;
 mod dashboard;
 mod event;
 mod explanation;
+mod fixed_costs;
 mod forecast;
 mod frames;
 mod hash;
 mod ids;
 mod job;
+mod job_state;
 mod lease;
+mod left_out;
 mod live;
 mod log;
 mod money;
@@ -35,10 +43,13 @@ mod page;
 mod plan;
 mod problem;
 mod profile;
+mod quantiles;
 mod result;
 mod role;
 mod settings;
+mod spent;
 mod stats;
+mod stratum;
 mod task;
 mod time;
 mod track_record;
@@ -67,26 +78,28 @@ pub use calendar::{
     TimeSpan, WindowEnd,
 };
 pub use calibration::{ByClass, KernelTime, NodeCalibration};
+pub use confidence::Confidence;
 pub use dashboard::{Dashboard, DashboardCounts, DashboardJob, DashboardNode, NodeActivity, TaskCounts};
 pub use event::{Event, EventKind};
-pub use explanation::{
-    Amounts, Explanation, Halving, ObjectShare, PartShare, ProfiledWork, RayShare, ShownWork,
-};
+pub use explanation::{Explanation, Halving, ObjectShare, PartShare, RayShare};
+pub use fixed_costs::{FixedCosts, ProcessCosts};
 pub use forecast::{
-    Confidence, ForecastDoc, ForecastTotals, FrameForecast, MoneyQuantiles, NodeSeconds, Profiled, Quantiles,
-    QuotedShot, RayQuantiles, SpentOnForecast,
+    ForecastDoc, ForecastTotals, FrameForecast, NodeSeconds, Profiled, QuotedShot, RayQuantiles,
+    SpentOnForecast,
 };
 pub use frames::{FrameSet, MalformedFrames};
 pub use hash::{ArtifactHash, MalformedHash, SceneDigest};
 pub use ids::{BookingId, BundleId, EventId, JobId, LeaseId, NodeId, PlanId, TaskId};
 pub use job::{
     FrameArtifacts, FrameBooking, FrameFigure, FramePage, FrameRow, FrameState, Job, JobCheck, JobPage,
-    JobRequest, JobState, Per, Within,
+    JobRequest, Per, Within,
 };
+pub use job_state::JobState;
 pub use lease::{
     CHECKPOINT_BYTES, ClaimRequest, FinishedPixels, Lease, LeaseOrder, ReleaseRequest, RenewRequest, Renewal,
     ResultAnswer, ResultRequest, TaskError, TaskLimit, TaskLimits,
 };
+pub use left_out::LeftOut;
 pub use live::{
     Booked, BookedQuantity, ForecastHistory, HistoryPoint, LiveFigure, LiveForecast, OffForecast,
 };
@@ -103,18 +116,16 @@ pub use plan::{
 };
 pub use problem::{Problem, ProblemKind};
 pub use profile::{
-    CacheSample, FixedCosts, NoiseCell, NoiseSample, ProcessCosts, ProfileArtifacts, ProfileResult,
-    ProfileSample, SharedSample, UncoveredGathers, at_speed_one,
+    CacheSample, NoiseCell, NoiseSample, ProfileArtifacts, ProfileResult, ProfileSample, SharedSample,
+    UncoveredGathers,
 };
-pub use result::{
-    FrameStrata, PreviewBackend, PreviewResult, RenderArtifacts, RenderResult, Spent, Stratum, StratumName,
-    TaskResult,
-};
+pub use quantiles::{MoneyQuantiles, Quantiles};
+pub use result::{FrameStrata, PreviewBackend, PreviewResult, RenderArtifacts, RenderResult, TaskResult};
 pub use role::{Role, UnknownRole};
 pub use settings::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest};
-pub use stats::{
-    AllottedForecast, AllottedStats, BudgetClock, CacheStats, LeftOut, Rays, RenderStats, WithinStats,
-};
+pub use spent::{Spent, at_speed_one};
+pub use stats::{AllottedForecast, AllottedStats, BudgetClock, CacheStats, Rays, RenderStats, WithinStats};
+pub use stratum::{Stratum, StratumName};
 pub use task::{PreviewSpec, ProfileSpec, RenderSpec, TaskKind, TaskSpec};
 pub use time::{MalformedTime, Timestamp};
 pub use track_record::{

@@ -1,27 +1,28 @@
-//! The living estimate: what a job will have cost, as its frames are finished.
+//! The live estimate: the cost of a running job, updated as its frames finish.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{Confidence, JobId, JobState, Money, MoneyQuantiles, Quantiles, Timestamp};
 
-/// One number of the estimate, beside the quote.
+/// One number of the live estimate, beside the quote.
 #[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct LiveFigure {
-    /// What was quoted for the whole job; it never changes.
+    /// The quote of the whole job. It never changes.
     pub quote: Quantiles,
-    /// What all that is finished took.
+    /// Cost of everything that is finished.
     pub spent: f64,
-    /// What the rest is expected to take.
+    /// Forecast cost of the rest.
     pub remaining: Quantiles,
-    /// What the whole job is expected to take: the quote before anything is finished, the truth after the last frame.
+    /// Forecast cost of the whole job: equal to the quote before anything is finished, and to the true cost
+    /// after the last frame.
     pub whole: Quantiles,
-    /// Median of what remains over what was quoted for it: 1.3 if the job turns out 30 % dearer.
+    /// Forecast median of the rest over its quoted median. 1.3 means 30 % more expensive than quoted.
     pub factor: f64,
 }
 
 impl LiveFigure {
-    /// Nothing more will be spent: what is done is all.
+    /// Ends the estimate: nothing more will be spent.
     pub fn give_up(&mut self) {
         *self = Self {
             remaining: Quantiles::default(),
@@ -32,51 +33,54 @@ impl LiveFigure {
     }
 }
 
-/// What is booked for a job: what its living estimate is held against.
+/// What is booked for a job. The live estimate is compared with it.
 #[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct Booked {
-    /// How sure the job's plan is to be, and so the quantile of all that is compared.
+    /// Confidence of the job's plan. All comparisons use this quantile.
     pub confidence: Confidence,
     /// CPU seconds at that confidence when the plan was made, on a node of speed 1.
     pub cpu_seconds: f64,
-    /// What the bookings cost; absent if there are none.
+    /// Cost of the bookings. Absent if there are none.
     pub cost: Option<Money>,
-    /// When the last of them ends; absent if there are none.
+    /// End of the last booking. Absent if there are none.
     pub finish: Option<Timestamp>,
 }
 
-/// A job's living estimate. The quote beside it stays what it was: past quotes are judged, not what was made of them later.
+/// The live estimate of a job. It does not change the quote: the track record judges quotes, not later
+/// estimates.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct LiveForecast {
-    /// When it was made.
+    /// When the estimate was made.
     pub at: Timestamp,
-    /// Frames that were finished then.
+    /// Number of frames that were finished then.
     pub frames_done: u32,
     /// Deterministic count of operations.
     pub work: LiveFigure,
     /// CPU seconds over all threads, on a node of speed 1.
     pub cpu_seconds: LiveFigure,
-    /// The whole job in money: what its nodes' time has cost until now, the quote and what was lost included, and the rest at the quote's mean price. After the last frame it is what the job has cost. Absent if it was quoted without.
+    /// Cost of the whole job. It is the cost of node time so far, including the quote and lost work, plus the
+    /// forecast of the rest at the quote's mean price. After the last frame it is the true cost. Absent if
+    /// the quote has no cost.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cost: Option<MoneyQuantiles>,
-    /// When the last frame is expected, at the plan's confidence; absent if nothing is booked.
+    /// Expected finish of the last frame, at the plan's confidence. Absent if nothing is booked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub finish: Option<Timestamp>,
     /// What is booked.
     pub booked: Booked,
     /// Whether the job is expected to cost more than is booked, at the plan's confidence.
     pub cost_is_off: bool,
-    /// Whether it is expected to end later than is booked, at the plan's confidence.
+    /// Whether the job is expected to finish later than is booked, at the plan's confidence.
     pub finish_is_off: bool,
 }
 
-/// What an estimate can leave.
+/// A quantity that is compared with what is booked.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BookedQuantity {
-    /// What the job costs.
+    /// Cost of the job.
     Cost,
-    /// When it ends.
+    /// Finish of the job.
     Finish,
 }
 
@@ -90,45 +94,45 @@ impl BookedQuantity {
     }
 }
 
-/// The numbers of an event that says that a job's estimate has left what is booked, or has come back to it.
+/// The numbers of an event about a live estimate that exceeds what is booked, or is back within it.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct OffForecast {
-    /// What left, or came back.
+    /// The quantity.
     pub quantity: BookedQuantity,
-    /// Frames that were finished.
+    /// Number of finished frames.
     pub frames_done: u32,
-    /// What is booked, and how sure it was to be.
+    /// What is booked, and the confidence of the plan.
     pub booked: Booked,
-    /// CPU seconds that the whole job is expected to take, at that confidence, on a node of speed 1.
+    /// Expected CPU seconds of the whole job at that confidence, on a node of speed 1.
     pub cpu_seconds: f64,
-    /// What the bookings would cost if they were as long as is now expected; absent if there are none.
+    /// Cost of the bookings if they had the length that is now expected. Absent if there are none.
     pub cost: Option<Money>,
-    /// When the last frame is expected, at that confidence; absent if nothing is booked.
+    /// Expected finish of the last frame at that confidence. Absent if nothing is booked.
     pub finish: Option<Timestamp>,
 }
 
-/// The estimate at one moment of the job's life.
+/// The live estimate at one moment in the past.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct HistoryPoint {
-    /// When it was made.
+    /// When the estimate was made.
     pub at: Timestamp,
-    /// Frames that were finished then.
+    /// Number of frames that were finished then.
     pub frames_done: u32,
-    /// What all that was finished had taken: count of operations.
+    /// Work of everything that was finished: count of operations.
     pub work_spent: f64,
-    /// Count of operations of the whole job, as it was expected then.
+    /// Forecast work of the whole job: count of operations.
     pub work: Quantiles,
-    /// What all that was finished had taken: CPU seconds on a node of speed 1.
+    /// CPU seconds of everything that was finished, on a node of speed 1.
     pub cpu_spent: f64,
-    /// CPU seconds of the whole job, as it was expected then.
+    /// Forecast CPU seconds of the whole job, on a node of speed 1.
     pub cpu_seconds: Quantiles,
-    /// When the last frame was expected, at the plan's confidence; absent if nothing was booked.
+    /// Expected finish of the last frame, at the plan's confidence. Absent if nothing was booked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub finish: Option<Timestamp>,
 }
 
 impl HistoryPoint {
-    /// What is kept of an estimate.
+    /// The part of an estimate that is kept in the history.
     pub const fn of(live: &LiveForecast) -> Self {
         Self {
             at: live.at,
@@ -142,17 +146,18 @@ impl HistoryPoint {
     }
 }
 
-/// How a job's estimate moved, from the quote to the truth.
+/// How a job's estimate moved, from the quote to the true cost.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct ForecastHistory {
     /// The job.
     pub job_id: JobId,
-    /// Where it stands.
+    /// State of the job.
     pub state: JobState,
-    /// Frames in all.
+    /// Number of frames.
     pub frames_total: u32,
-    /// The estimate as it stands.
+    /// The present estimate.
     pub now: LiveForecast,
-    /// What it was at earlier moments, the quote first: at most 512. Each time that there would be more, every second one is left out.
+    /// Earlier estimates, the quote first: at most 512. When there would be more, every second one is
+    /// dropped.
     pub points: Vec<HistoryPoint>,
 }

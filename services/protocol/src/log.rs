@@ -1,4 +1,4 @@
-//! What workers say while they work.
+//! Logs of tasks, as their workers write them.
 
 use std::fmt;
 
@@ -7,21 +7,21 @@ use utoipa::ToSchema;
 
 use crate::{TaskId, Timestamp};
 
-/// Most characters of a line; the rest of a longer one is cut off.
+/// Largest length of a line, in characters. The rest of a longer line is cut off.
 pub const LOG_LINE_CHARACTERS: usize = 500;
 
-/// Most lines of one attempt at a task; further ones are dropped.
+/// Largest number of lines per attempt. Further lines are dropped.
 pub const LOG_LINES: u32 = 400;
 
-/// How a line is meant.
+/// Severity of a log line.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LogLevel {
-    /// What is being done.
+    /// Normal progress.
     Info,
-    /// Something is odd, the work goes on.
+    /// Something unexpected, but the task goes on.
     Warn,
-    /// Why the work does not go on.
+    /// The reason why the task failed.
     Error,
 }
 
@@ -46,19 +46,20 @@ impl fmt::Display for LogLevel {
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LogLine {
-    /// Its place in the attempt, from 0 to 399. A number that was sent before is ignored: sending twice is harmless.
+    /// Number of the line in the attempt, 0 to 399. A number that was sent before is ignored, so sending
+    /// again is harmless.
     #[schema(maximum = 399)]
     pub number: u32,
-    /// When, by the worker's clock.
+    /// Time of the line, by the worker's clock.
     pub at: Timestamp,
-    /// How it is meant.
+    /// Severity.
     pub level: LogLevel,
-    /// One line; what is longer than 500 characters is cut off.
+    /// The text. It is cut after 500 characters.
     pub text: String,
 }
 
 impl LogLine {
-    /// The line as it may be kept: short, without line breaks, without secrets.
+    /// The line as it is stored: short, without line breaks, and without secrets.
     #[must_use]
     pub fn cleaned(self) -> Self {
         let one_line: String = self.text.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -66,11 +67,11 @@ impl LogLine {
     }
 }
 
-/// The text with all bearer tokens of this program, and all passwords in addresses, struck out.
+/// Removes all bearer tokens of this program, and all passwords in URLs.
 pub fn without_secrets(text: &str) -> String {
     const TOKEN: &str = "forelight_";
     const STRUCK: &str = "…";
-    /// Digits of a name that begins like a token, from which on it is taken for one.
+    /// A name that begins like a token is taken for one if it has at least this many hexadecimal digits.
     const TELLING: usize = 16;
     let mut clean = String::with_capacity(text.len());
     let mut rest = text;
@@ -106,27 +107,27 @@ pub fn without_secrets(text: &str) -> String {
     masked
 }
 
-/// A line of a task's log, and the attempt that it belongs to.
+/// A line of a task's log.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct TaskLogLine {
     /// The attempt: the fencing token of its lease.
     pub attempt: u64,
-    /// Its place in the attempt.
+    /// Number of the line in the attempt.
     pub number: u32,
-    /// When, by the worker's clock.
+    /// Time of the line, by the worker's clock.
     pub at: Timestamp,
-    /// How it is meant.
+    /// Severity.
     pub level: LogLevel,
-    /// What it says.
+    /// The text.
     pub text: String,
 }
 
-/// The log of a task: all attempts, oldest first.
+/// The log of a task, over all attempts.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct TaskLog {
     /// The task.
     pub task_id: TaskId,
-    /// Its lines.
+    /// The lines, oldest attempt first.
     pub lines: Vec<TaskLogLine>,
 }
 

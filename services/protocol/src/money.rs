@@ -1,11 +1,11 @@
-//! Money.
+//! Amounts of money.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// An amount in micro-units (millionths) of the farm's one currency. Prices are micro-units per node hour.
+/// An amount in micro-units (millionths) of the farm's one currency. Prices are in micro-units per node hour.
 #[derive(
     Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default, Serialize, Deserialize, ToSchema,
 )]
@@ -19,7 +19,7 @@ impl Money {
         self.0
     }
 
-    /// What `micros` microseconds cost at this price per hour, rounded up to the next micro-unit; saturating.
+    /// Cost of `micros` microseconds at this price per hour, rounded up to the next micro-unit. Saturating.
     pub fn for_micros_at_hourly_rate(self, micros: i64) -> Money {
         const MICROS_PER_HOUR: i128 = 3_600_000_000;
         let exact = i128::from(self.0) * i128::from(micros);
@@ -30,11 +30,11 @@ impl Money {
 }
 
 impl fmt::Display for Money {
-    /// For people: to the cent; below 1 with as many more decimals, up to all six, as four significant digits take.
+    /// Rounded to two decimals. Amounts below 1 have up to six decimals, for four significant digits.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         const WHOLE: u64 = 1_000_000;
         let amount = self.0.unsigned_abs();
-        // Decimals of four significant digits: 0.1234 has four, 0.01234 five.
+        // Number of decimals for four significant digits: 0.1234 needs four, 0.01234 needs five.
         let decimals = match amount {
             0 | WHOLE.. => 2,
             100_000.. => 4,
@@ -46,7 +46,7 @@ impl fmt::Display for Money {
         let digits = format!("{:06}", rounded % WHOLE);
         let shown = digits[..decimals as usize].trim_end_matches('0');
         let sign = if self.0 < 0 && rounded > 0 { "-" } else { "" };
-        // No fewer than cents.
+        // At least two decimals.
         f.pad(&format!("{sign}{}.{shown:0<2}", rounded / WHOLE))
     }
 }

@@ -1,4 +1,4 @@
-//! Nodes.
+//! Nodes: their registration, orders, terms and state.
 
 use serde::{Deserialize, Deserializer, Serialize};
 use utoipa::ToSchema;
@@ -9,59 +9,60 @@ use crate::{
     TimeSpan, Timestamp, WindowEnd,
 };
 
-/// A node announces itself. A node of the same name is updated, and keeps its id; its speed and price too, if they were set
-/// by hand.
+/// Registers a node. A node with the same name is updated and keeps its id. It also keeps a speed, price or
+/// schedule that an operator set.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NodeRegistration {
-    /// Its name, unique on the farm: 1 to 100 characters.
+    /// Name of the node, unique on the farm: 1 to 100 characters.
     #[schema(min_length = 1, max_length = 100)]
     pub name: String,
-    /// Speed of one of its cores against the reference: above 0, to 1000.
+    /// Speed of one of its cores relative to the reference core: above 0, up to 1000.
     #[serde(default = "default_speed")]
     #[schema(default = 1.0, exclusive_minimum = 0, maximum = 1000)]
     pub speed: f64,
-    /// Micro-units per hour, 0 or more.
+    /// Price in micro-units per hour, 0 or more.
     #[serde(default)]
     pub price_per_hour: Money,
-    /// Cores that its worker uses, 1 to 4096.
+    /// Number of cores that its worker uses, 1 to 4096.
     #[serde(default = "default_cores")]
     #[schema(default = 1, minimum = 1, maximum = 4096)]
     pub cores: u32,
-    /// What else the machine has, as far as its worker could find out.
+    /// Properties of the machine, as far as its worker could find out.
     #[serde(default)]
     pub capabilities: Capabilities,
-    /// When the machine is awake; absent: always.
+    /// When the machine is awake. If absent, always.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub schedule: Option<NodeCalendar>,
-    /// The process that registers, by a number of its own. It takes the node over from an earlier one: what that one had goes back, and its
-    /// claims are refused. Absent: a process of a moment, which leaves the node to whoever has it.
+    /// Number of the registering process, chosen by itself. It takes over the node from an earlier process:
+    /// the tasks of that process are queued again, and its requests for tasks are refused. If absent, the
+    /// process does not take over the node.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub worker: Option<Uuid>,
 }
 
-/// On which terms a node is had: how its time is billed, when it is closed, and what happens then.
+/// Terms of a node: how its time is billed, when it is closed, and what then happens to running tasks.
 #[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct NodeTerms {
-    /// Rented time is billed in multiples of this many seconds, 0 to 604,800; 0: as it is.
+    /// Billed time is a multiple of this many seconds, 0 to 604,800. With 0, the exact time is billed.
     #[schema(maximum = 604_800)]
     pub billing_step_seconds: u32,
-    /// The least rented time that is billed, in seconds, 0 to 604,800.
+    /// Shortest billed time in seconds, 0 to 604,800.
     #[schema(maximum = 604_800)]
     pub minimum_booking_seconds: u32,
-    /// Seconds that it takes to wake up before the first frame, 0 to 86,400; they are billed.
+    /// Time to wake up before the first frame in seconds, 0 to 86,400. It is billed.
     #[schema(maximum = 86_400)]
     pub setup_seconds: u32,
-    /// What becomes of a task that still runs when a window ends.
+    /// What happens to a task that is still running when a window ends.
     pub window_end: WindowEnd,
-    /// When the node is closed whatever its calendar says, at most 50.
+    /// Times at which the node is closed, whatever its calendar says. At most 50.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[schema(max_items = 50)]
     pub maintenance: Vec<TimeSpan>,
 }
 
-/// What a machine has, as its worker found it.
+/// Properties of a machine, as found by its worker.
 #[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Capabilities {
@@ -72,38 +73,40 @@ pub struct Capabilities {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(min_length = 1, max_length = 200)]
     pub processor: Option<String>,
-    /// Name, kind and driver of the Vulkan adapter that previews are made with: 1 to 200 characters; absent if they are made on the CPU.
+    /// Name, kind and driver of the Vulkan adapter for previews: 1 to 200 characters. Absent if previews are
+    /// made on the CPU.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(min_length = 1, max_length = 200)]
     pub vulkan_adapter: Option<String>,
-    /// Whether that adapter is a graphics processor, and no program that does its work.
+    /// Whether that adapter is a hardware GPU, not a software driver.
     #[serde(default)]
     pub gpu: bool,
-    /// How fast one of its cores is, by class of work.
+    /// Speed of one of its cores, by class of work. Absent if it was not measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<NodeCalibration>,
 }
 
-/// A machine joins the farm with a one-time token.
+/// Joins a machine to the farm with a one-time token.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JoinRequest {
-    /// The node that it will be. If there is one of this name, the one-time token must have been made in that name: the machine takes
-    /// that node's place, and the token that the other one had is void.
+    /// The node to register. If a node of this name exists, the one-time token must have been made for that
+    /// name. The machine then replaces that node, and the earlier token of the node becomes invalid.
     pub node: NodeRegistration,
-    /// BLAKE3 of the bearer token that the machine made for itself and will show from now on. The token itself stays there: an
-    /// answer that gets lost costs nothing, and nobody who listens learns it.
+    /// BLAKE3 hash of the bearer token that the machine made for itself and will use from now on. The token
+    /// itself is not sent. So a lost answer does no harm, and an eavesdropper does not learn the token.
     pub token_hash: ArtifactHash,
 }
 
-/// An operator asks for a one-time token.
+/// An operator's request for a one-time token.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JoinTokenRequest {
-    /// Whom it is for: 1 to 200 characters. The name of a node lets the machine take that node's place.
+    /// Name of the machine that the token is for: 1 to 200 characters. With the name of an existing node, the
+    /// machine may replace that node.
     #[schema(min_length = 1, max_length = 200)]
     pub name: String,
-    /// Hours for which it may be used: 1 to 720.
+    /// Validity in hours: 1 to 720.
     #[serde(default = "default_hours")]
     #[schema(default = 24, minimum = 1, maximum = 720)]
     pub valid_hours: u32,
@@ -113,12 +116,12 @@ fn default_hours() -> u32 {
     24
 }
 
-/// A one-time token. This is the only time that it is said; the farm keeps its hash.
+/// A one-time token. It is shown only once; the farm stores its hash.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct JoinToken {
     /// The token.
     pub token: String,
-    /// Until when it may be used.
+    /// When the token expires.
     pub expires_at: Timestamp,
 }
 
@@ -134,89 +137,95 @@ fn default_cores() -> u32 {
     1
 }
 
-/// A change to a node; what is left out stays. A speed or price that is set so holds whatever the node says of itself when it
-/// registers again; `null` gives it up, and what the node said last holds.
+/// A change to a node. Fields that are left out stay as they are.
+///
+/// A speed, price or schedule that is set here overrides what the node reports, also when it registers again.
+/// With `null`, the node's own value is used again.
 #[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NodeChange {
-    /// Whether to hand it no further tasks; it finishes the one that it has.
+    /// Whether to drain the node: it finishes its present task and gets no further ones.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drain: Option<bool>,
-    /// Whether to stand still: its worker keeps the task that it has and goes on with it when this is taken back.
+    /// Whether to pause the node: its worker keeps its task, and continues it when this is `false` again.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pause: Option<bool>,
-    /// `true`: take away the task that it has. Another node starts it anew; so may this one, unless it is drained as well.
+    /// `true` takes away the node's present task. Any node may then start it again, including this one unless
+    /// it is drained.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cancel_task: Option<bool>,
-    /// `true`: set it aside by hand; `false`: bring it back, and forgive what made the farm set it aside.
+    /// `true` sets the node aside. `false` brings it back, and forgets the failures for which the farm set it
+    /// aside.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub set_aside: Option<bool>,
-    /// Speed of one of its cores against the reference, above 0, to 1000; `null`: as the node says.
+    /// Speed of one of its cores relative to the reference core: above 0, up to 1000. `null` restores the
+    /// node's own value.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "given")]
     #[schema(value_type = Option<f64>, exclusive_minimum = 0, maximum = 1000)]
     pub speed: Option<Option<f64>>,
-    /// Micro-units per hour, 0 or more; `null`: as the node says.
+    /// Price in micro-units per hour, 0 or more. `null` restores the node's own value.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "given")]
     #[schema(value_type = Option<Money>)]
     pub price_per_hour: Option<Option<Money>>,
-    /// When it is awake; `null`: as the node says.
+    /// When the node is awake. `null` restores the node's own schedule.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "given")]
     #[schema(value_type = Option<NodeCalendar>)]
     pub schedule: Option<Option<NodeCalendar>>,
-    /// On which terms it is had: all of them, those that are left out as they are by default.
+    /// All terms of the node. Terms that are left out get their default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub terms: Option<NodeTerms>,
 }
 
-/// Tells `null` (`Some(None)`) from a field that is left out (`None`, the default).
+/// Distinguishes `null` (`Some(None)`) from a field that is left out (`None`, the default).
 fn given<'de, T: Deserialize<'de>, D: Deserializer<'de>>(
     deserializer: D,
 ) -> Result<Option<Option<T>>, D::Error> {
     Option::deserialize(deserializer).map(Some)
 }
 
-/// What a node is doing about the orders that it was given.
+/// State of a node with respect to its orders.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum NodeState {
-    /// Has nothing to do.
+    /// It has no task.
     #[default]
     Idle,
-    /// Has a task.
+    /// It has a task.
     Working,
-    /// Was told to stand still; its worker has not heard it yet.
+    /// It was ordered to pause, but its worker has not confirmed yet.
     Pausing,
-    /// Stands still.
+    /// It is paused.
     Paused,
-    /// Gets no further tasks, and finishes the one that it has.
+    /// It finishes its present task and gets no further ones.
     Draining,
-    /// Gets no further tasks, and has none.
+    /// It is drained and has no task.
     Drained,
-    /// Gets no tasks, because too much failed on it: see `set_aside`.
+    /// It gets no tasks, because too many failed on it. See `set_aside`.
     SetAside,
-    /// Was not heard of for three lease times in which it should have been awake.
+    /// It sent no request for three lease times in which it should have been awake.
     Silent,
 }
 
 impl Node {
-    /// Whether it may be given tasks.
+    /// Whether it may get tasks.
     pub fn takes_tasks(&self) -> bool {
         !self.drain && !self.pause && self.set_aside.is_none()
     }
 
-    /// Speed of one of its cores for this work, as its calibration says; `None` if it has none, if its speed was set by hand, which then
-    /// holds, or if the classes of the work are not known.
+    /// Speed of one of its cores for this mix of work, by its calibration.
+    ///
+    /// `None` if it has no calibration, if an operator set its speed, or if the mix of work is unknown.
     pub fn speed_by_class(&self, work: Option<&ByClass>) -> Option<f64> {
         self.capabilities.calibration.as_ref().filter(|_| !self.speed_set)?.speed(work?)
     }
 
-    /// The same, corrected by what frames took on the node.
+    /// The same, corrected by the times of finished frames on this node.
     pub fn corrected_speed(&self, work: Option<&ByClass>) -> Option<f64> {
         Some(self.speed_by_class(work)? / self.time_factor)
     }
 
-    /// Seconds of a core of speed 1 that one of its cores does in a second of this work: as its calibration, corrected, says, or its speed where that
-    /// says nothing.
+    /// The best known speed of one of its cores for this mix of work: by its corrected calibration, or else
+    /// its plain speed. A core of speed 1 does one second of work per second.
     pub fn speed_for(&self, work: Option<&ByClass>) -> f64 {
         self.corrected_speed(work).unwrap_or(self.speed)
     }
@@ -245,55 +254,55 @@ pub struct Node {
     pub id: NodeId,
     /// Its name.
     pub name: String,
-    /// Speed of one of its cores against the reference.
+    /// Speed of one of its cores relative to the reference core.
     pub speed: f64,
-    /// Whether the speed was set by hand.
+    /// Whether an operator set the speed.
     pub speed_set: bool,
-    /// Micro-units per hour.
+    /// Price in micro-units per hour.
     pub price_per_hour: Money,
-    /// Whether the price was set by hand.
+    /// Whether an operator set the price.
     pub price_set: bool,
-    /// By what factor frames of jobs that were profiled on other nodes took longer on it than its calibration says, as far as finished frames
-    /// tell.
+    /// The factor by which frames take longer on it than its calibration says. It is learnt from finished
+    /// frames of jobs that were profiled on other nodes. 1 until something is learnt.
     #[serde(default = "one")]
     pub time_factor: f64,
-    /// Cores that its worker uses.
+    /// Number of cores that its worker uses.
     pub cores: u32,
-    /// What else the machine has.
+    /// Properties of the machine.
     #[serde(default)]
     pub capabilities: Capabilities,
-    /// When it is awake; absent: always.
+    /// When the machine is awake. If absent, always.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub schedule: Option<NodeCalendar>,
-    /// Whether that was set by hand.
+    /// Whether an operator set the schedule.
     #[serde(default)]
     pub schedule_set: bool,
-    /// On which terms it is had.
+    /// Its terms.
     #[serde(default)]
     pub terms: NodeTerms,
-    /// Whether it is awake by calendar and maintenance.
+    /// Whether it is awake, by its schedule and maintenance.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub power: Option<NodePower>,
-    /// What it is doing about its orders.
+    /// Its state with respect to its orders.
     #[serde(default)]
     pub state: NodeState,
-    /// Whether it gets no further tasks.
+    /// Whether it was ordered to drain.
     pub drain: bool,
-    /// Whether it is to stand still.
+    /// Whether it was ordered to pause.
     #[serde(default)]
     pub pause: bool,
-    /// Why it was set aside; absent if it was not.
+    /// Why it was set aside. Absent if it was not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub set_aside: Option<String>,
-    /// Why it got none of the frames that there are when it last asked, such as that it is dearer than the nodes where they are booked; absent
-    /// if there was nothing to pass over.
+    /// Why it got no frame when it last asked although some were ready. For example, it is more expensive
+    /// than the nodes where they are booked. Absent if no ready frame was passed over.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub idle_reason: Option<String>,
-    /// The task that it holds, if any.
+    /// The task that it holds. Absent if it has none.
     pub task_id: Option<TaskId>,
     /// When it was first registered.
     pub created_at: Timestamp,
-    /// When it was last heard of.
+    /// When it last sent a request.
     pub last_seen_at: Timestamp,
 }
 
@@ -302,7 +311,7 @@ pub struct Node {
 pub struct NodePage {
     /// The nodes.
     pub items: Vec<Node>,
-    /// Where the next page starts; absent on the last.
+    /// Token of the next page. Absent on the last page.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub next_page_token: Option<PageToken>,
 }

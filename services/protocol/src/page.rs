@@ -1,11 +1,11 @@
-//! Paging by key.
+//! Keyset pagination.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// Where the next page starts: opaque to clients, to be handed back unchanged as `page_token`.
+/// Position of the next page. Opaque: clients send it back unchanged as `page_token`.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(transparent)]
 #[schema(value_type = String)]

@@ -9,9 +9,9 @@ use crate::{BookingId, Confidence, JobId, Money, NodeId, PageToken, PlanEffect, 
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PlanReason {
-    /// A job got its forecast.
+    /// A job got its quote.
     JobForecast,
-    /// Something happened that the plan before it did not know of: see `causes`.
+    /// Events made the previous plan outdated: see `causes`.
     Events,
 }
 
@@ -25,17 +25,17 @@ impl PlanReason {
     }
 }
 
-/// Whether a job can be had as asked for.
+/// Whether a plan keeps the deadline and the budget of a job.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// In time and within the budget, at the job's confidence.
+    /// Both are kept, at the job's confidence.
     OnTime,
-    /// After the deadline.
+    /// The deadline is missed.
     Late,
-    /// In time, but above the budget.
+    /// The deadline is kept, but the budget is exceeded.
     OverBudget,
-    /// Not at all: there is no node that could do it.
+    /// The job cannot be planned: no node could ever do it.
     Impossible,
 }
 
@@ -51,27 +51,27 @@ impl Verdict {
     }
 }
 
-/// A plan's word on one job.
+/// What a plan says about one job.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct JobVerdict {
     /// The job.
     pub job_id: JobId,
-    /// Whether it can be had as asked for.
+    /// Whether deadline and budget are kept.
     pub verdict: Verdict,
-    /// The confidence at which this was said.
+    /// The confidence of the verdict.
     pub confidence: Confidence,
-    /// When the last frame ends; absent if impossible.
+    /// When the last frame finishes. Absent if impossible.
     pub finish: Option<Timestamp>,
-    /// What the bookings cost; absent if impossible.
+    /// Cost of the bookings. Absent if impossible.
     pub cost: Option<Money>,
-    /// The reasons, a line each; what would help, where that is known.
+    /// The reasons, one line each, with what would help if that is known.
     pub reasons: Vec<String>,
-    /// The cheapest ways out, at most three, if it cannot be had as asked for.
+    /// The cheapest changes that would keep deadline and budget, at most three. Empty if they are kept.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub ways_out: Vec<PlanEffect>,
 }
 
-/// A node reserved for a frame from one instant to another.
+/// A node that is reserved for a frame for a period of time.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Booking {
     /// Its id.
@@ -84,57 +84,57 @@ pub struct Booking {
     pub frame: u32,
     /// The node.
     pub node_id: NodeId,
-    /// From when.
+    /// Start of the booking.
     pub start: Timestamp,
-    /// Until when (exclusive).
+    /// End of the booking (exclusive).
     pub end: Timestamp,
 }
 
-/// A node reserved for a part of a job's irradiance cache, before its frames.
+/// A node that is reserved for a part of a job's shared irradiance cache, before its frames.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct SeedBooking {
     /// The job.
     pub job_id: JobId,
-    /// Which part, from 0.
+    /// The part, from 0.
     pub part: u32,
     /// The node.
     pub node_id: NodeId,
-    /// From when.
+    /// Start of the booking.
     pub start: Timestamp,
-    /// Until when (exclusive).
+    /// End of the booking (exclusive).
     pub end: Timestamp,
 }
 
-/// One page of bookings that are still open, by start.
+/// One page of open bookings, by start.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct BookingPage {
     /// The bookings.
     pub items: Vec<Booking>,
-    /// Where the next page starts; absent on the last.
+    /// Token of the next page. Absent on the last page.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub next_page_token: Option<PageToken>,
 }
 
-/// A plan. It never changes. It holds the jobs that it books; all others are booked as the plans before it say.
+/// A plan. It never changes. It contains the jobs that it books; for all others, earlier plans apply.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Plan {
     /// Its id.
     pub id: PlanId,
-    /// The plan before it; absent for the first.
+    /// The previous plan. Absent for the first one.
     pub parent_id: Option<PlanId>,
     /// Why it was made.
     pub reason: PlanReason,
-    /// What had happened, a line each.
+    /// The events that led to it, one line each.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub causes: Vec<String>,
     /// When it was made.
     pub created_at: Timestamp,
-    /// Its word on each job that it books.
+    /// What it says about each job that it books.
     pub verdicts: Vec<JobVerdict>,
-    /// What it books, by start: all frames of its jobs. Frames that were rendered, or with a worker, when it was made stand as they were
-    /// booked before.
+    /// Bookings of all frames of its jobs, by start. Frames that were finished or leased when it was made
+    /// keep their earlier bookings.
     pub bookings: Vec<Booking>,
-    /// What it books for irradiance caches that frames share, by start.
+    /// Bookings of shared irradiance caches, by start.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub seeds: Vec<SeedBooking>,
 }
@@ -144,16 +144,16 @@ pub struct Plan {
 pub struct PlanSummary {
     /// Its id.
     pub id: PlanId,
-    /// The plan before it; absent for the first.
+    /// The previous plan. Absent for the first one.
     pub parent_id: Option<PlanId>,
     /// Why it was made.
     pub reason: PlanReason,
-    /// What had happened, a line each.
+    /// The events that led to it, one line each.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub causes: Vec<String>,
     /// When it was made.
     pub created_at: Timestamp,
-    /// How many frames it books.
+    /// Number of frames that it books.
     pub bookings: u64,
 }
 
@@ -162,67 +162,67 @@ pub struct PlanSummary {
 pub struct PlanPage {
     /// The plans.
     pub items: Vec<PlanSummary>,
-    /// Where the next page starts; absent on the last.
+    /// Token of the next page. Absent on the last page.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub next_page_token: Option<PageToken>,
 }
 
-/// Where a frame is booked.
+/// Where and when a frame is booked.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct FramePlace {
     /// The node.
     pub node_id: NodeId,
-    /// Its name.
+    /// Name of the node.
     pub node: String,
-    /// From when.
+    /// Start of the booking.
     pub start: Timestamp,
-    /// Until when (exclusive).
+    /// End of the booking (exclusive).
     pub end: Timestamp,
 }
 
-/// A frame that a plan books elsewhere, for the first time, or not any more.
+/// A frame whose booking a plan moves, adds or removes.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct FrameMove {
     /// The job.
     pub job_id: JobId,
     /// The frame.
     pub frame: u32,
-    /// Where it was; absent if it had no booking.
+    /// The earlier booking. Absent if it had none.
     pub before: Option<FramePlace>,
-    /// Where it is; absent if it has none any more.
+    /// The new booking. Absent if it has none any more.
     pub after: Option<FramePlace>,
 }
 
-/// What a plan says of a job, and what the plan before it said.
+/// What a plan and the previous one say about a job.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct VerdictChange {
     /// The job.
     pub job_id: JobId,
     /// Its name.
     pub name: String,
-    /// What was said; absent if it was not booked before.
+    /// What the previous plan says. Absent if it does not book the job.
     pub before: Option<JobVerdict>,
-    /// What is said.
+    /// What the plan says.
     pub after: JobVerdict,
 }
 
-/// What a plan changed.
+/// The difference between a plan and the previous one.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct PlanDifference {
     /// The plan.
     pub plan_id: PlanId,
-    /// The plan before it; absent for the first.
+    /// The previous plan. Absent for the first one.
     pub parent_id: Option<PlanId>,
-    /// What had happened, a line each.
+    /// The events that led to the plan, one line each.
     pub causes: Vec<String>,
-    /// The whole in words, a line each.
+    /// A summary of the difference, one line per statement.
     pub words: Vec<String>,
-    /// Of the jobs that it books, those of which it says something else.
+    /// Jobs that it books and about which it says something else.
     pub jobs: Vec<VerdictChange>,
-    /// Frames that it moved, added or took away, by job and frame.
+    /// Frames that it moves, adds or removes, sorted by job and frame.
     pub frames: Vec<FrameMove>,
-    /// Frames of its jobs that stayed where they were.
+    /// Number of frames of its jobs that keep their bookings.
     pub unmoved: u64,
-    /// What its jobs cost more, or, if negative, less.
+    /// Additional cost of its jobs. Negative if they cost less.
     pub added_cost: Money,
 }

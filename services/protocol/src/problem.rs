@@ -1,50 +1,50 @@
-//! Errors on the wire: problem details as in RFC 9457.
+//! Errors of the API: problem details (RFC 9457).
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// What kind of problem it is. In JSON a URI: `urn:forelight:problem:` and the name.
+/// Kind of a problem. In JSON it is a URI: `urn:forelight:problem:` and the name.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub enum ProblemKind {
-    /// 400: the request is not HTTP, JSON or UTF-8 as it should be.
+    /// 400: the request is not valid HTTP, JSON or UTF-8.
     Malformed,
-    /// 401: no token, or one that is not known.
+    /// 401: no token, or an unknown one.
     Unauthenticated,
     /// 403: the token's role does not allow this.
     Forbidden,
-    /// 404: there is no such thing.
+    /// 404: the resource does not exist.
     NotFound,
-    /// 405: the thing is there but cannot do this.
+    /// 405: the resource exists, but does not support the method.
     MethodNotAllowed,
-    /// 409: the thing is not in a state for this.
+    /// 409: the state of the resource does not allow this.
     Conflict,
-    /// 409: the lease is no longer the sender's.
+    /// 409: the sender no longer holds the lease.
     LeaseLost,
-    /// 409: a request with the same idempotency key is being worked on.
+    /// 409: a request with the same idempotency key is still in progress.
     IdempotencyInFlight,
-    /// 410: the farm had the content, and has it no more.
+    /// 410: the farm had the content, and lost it.
     ArtifactLost,
-    /// 413: too long.
+    /// 413: the request is too large.
     TooLarge,
-    /// 415: not a media type that is understood here.
+    /// 415: the media type is not supported.
     UnsupportedMediaType,
-    /// 422: well-formed, but a field does not hold what it has to.
+    /// 422: well-formed, but a field has an invalid value.
     Invalid,
-    /// 422: the bundle is not a scene; the detail is the scene error.
+    /// 422: the bundle is not a valid scene. `detail` is the error of the scene loader.
     InvalidBundle,
     /// 422: the hash in the address is not the hash of the body.
     HashMismatch,
-    /// 422: the result names an artefact that is not there.
+    /// 422: the result names an artefact that does not exist.
     MissingArtifact,
-    /// 422: the idempotency key was used for another request.
+    /// 422: the idempotency key was used for a different request.
     IdempotencyKeyReused,
-    /// 500: our fault.
+    /// 500: an error in the service.
     Internal,
-    /// 503: too busy; `Retry-After` says when to come back.
+    /// 503: too busy. `Retry-After` says when to try again.
     Busy,
-    /// 507: no room left to keep what was sent.
+    /// 507: the disk is too full to store the content.
     StorageFull,
 }
 
@@ -72,22 +72,22 @@ impl ProblemKind {
         ProblemKind::StorageFull,
     ];
 
-    /// The last part of the URI.
+    /// Last part of the URI.
     pub const fn name(self) -> &'static str {
         self.facts().0
     }
 
-    /// The HTTP status that goes with it.
+    /// HTTP status of the kind.
     pub const fn status(self) -> u16 {
         self.facts().1
     }
 
-    /// The title: the same for every problem of the kind.
+    /// Title of the kind: the same for all its problems.
     pub const fn title(self) -> &'static str {
         self.facts().2
     }
 
-    /// The kind whose URI this is.
+    /// The kind with this URI.
     pub fn from_uri(uri: &str) -> Option<Self> {
         let name = uri.strip_prefix(URI_PREFIX)?;
         Self::ALL.into_iter().find(|kind| kind.name() == name)
@@ -98,32 +98,32 @@ impl ProblemKind {
             ProblemKind::Malformed => ("malformed", 400, "The request cannot be read"),
             ProblemKind::Unauthenticated => ("unauthenticated", 401, "A valid bearer token is needed"),
             ProblemKind::Forbidden => ("forbidden", 403, "The token's role does not allow this"),
-            ProblemKind::NotFound => ("not-found", 404, "There is no such thing"),
+            ProblemKind::NotFound => ("not-found", 404, "Not found"),
             ProblemKind::MethodNotAllowed => ("method-not-allowed", 405, "The method is not allowed here"),
-            ProblemKind::Conflict => ("conflict", 409, "The thing is not in a state for this"),
-            ProblemKind::LeaseLost => ("lease-lost", 409, "The lease is no longer the sender's"),
+            ProblemKind::Conflict => ("conflict", 409, "The state of the resource does not allow this"),
+            ProblemKind::LeaseLost => ("lease-lost", 409, "The sender no longer holds the lease"),
             ProblemKind::IdempotencyInFlight => {
-                ("idempotency-in-flight", 409, "A request with this idempotency key is being worked on")
+                ("idempotency-in-flight", 409, "A request with this idempotency key is in progress")
             }
             ProblemKind::ArtifactLost => ("artifact-lost", 410, "The farm no longer has the content"),
-            ProblemKind::TooLarge => ("too-large", 413, "The request is too long"),
+            ProblemKind::TooLarge => ("too-large", 413, "The request is too large"),
             ProblemKind::UnsupportedMediaType => {
-                ("unsupported-media-type", 415, "The media type is not understood here")
+                ("unsupported-media-type", 415, "The media type is not supported")
             }
-            ProblemKind::Invalid => ("invalid", 422, "A field does not hold what it has to"),
-            ProblemKind::InvalidBundle => ("invalid-bundle", 422, "The bundle is not a scene"),
+            ProblemKind::Invalid => ("invalid", 422, "A field has an invalid value"),
+            ProblemKind::InvalidBundle => ("invalid-bundle", 422, "The bundle is not a valid scene"),
             ProblemKind::HashMismatch => {
-                ("hash-mismatch", 422, "The body does not have the hash in the address")
+                ("hash-mismatch", 422, "The hash of the body differs from the hash in the address")
             }
             ProblemKind::MissingArtifact => {
-                ("missing-artifact", 422, "The result names an artefact that is not there")
+                ("missing-artifact", 422, "The result names an artefact that does not exist")
             }
             ProblemKind::IdempotencyKeyReused => {
-                ("idempotency-key-reused", 422, "The idempotency key was used for another request")
+                ("idempotency-key-reused", 422, "The idempotency key was used for a different request")
             }
             ProblemKind::Internal => ("internal", 500, "The service failed"),
             ProblemKind::Busy => ("busy", 503, "The service is busy"),
-            ProblemKind::StorageFull => ("storage-full", 507, "There is no room left"),
+            ProblemKind::StorageFull => ("storage-full", 507, "The storage is full"),
         }
     }
 }
@@ -136,33 +136,33 @@ impl fmt::Display for ProblemKind {
     }
 }
 
-/// A problem, as in RFC 9457: `application/problem+json`.
+/// A problem (RFC 9457): `application/problem+json`.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema, thiserror::Error)]
 #[error("{status} {title}: {detail}")]
 pub struct Problem {
-    /// A URI that names the kind of problem.
+    /// URI of the kind of problem.
     #[serde(rename = "type")]
     #[schema(example = "urn:forelight:problem:invalid")]
     pub kind: String,
-    /// The kind of problem, for people.
+    /// Title of the kind of problem.
     pub title: String,
-    /// The HTTP status.
+    /// HTTP status.
     pub status: u16,
-    /// This problem, for people: one line.
+    /// What is wrong with this request, as one line of text.
     pub detail: String,
-    /// The path of the request.
+    /// Path of the request.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub instance: Option<String>,
-    /// JSON pointer (RFC 6901) to the field that is wrong, in the body of the request.
+    /// JSON pointer (RFC 6901) to the wrong field in the body of the request. Absent if no field is wrong.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pointer: Option<String>,
-    /// The query parameter or header that is wrong.
+    /// The wrong query parameter or header. Absent if none is wrong.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub parameter: Option<String>,
 }
 
 impl Problem {
-    /// A problem of this kind; `detail` is cut to one line.
+    /// A problem of this kind. `detail` is cut to one line of 2000 characters.
     pub fn new(kind: ProblemKind, detail: impl Into<String>) -> Self {
         let detail: String = detail.into().lines().next().unwrap_or_default().chars().take(2000).collect();
         Self {
@@ -176,12 +176,12 @@ impl Problem {
         }
     }
 
-    /// The kind, if it is one of ours.
+    /// The kind, if it is one of forelight's.
     pub fn known_kind(&self) -> Option<ProblemKind> {
         ProblemKind::from_uri(&self.kind)
     }
 
-    /// The same problem, at this place of the request's body (RFC 6901).
+    /// The same problem, at this place of the request's body (a JSON pointer, RFC 6901).
     pub fn at(mut self, pointer: impl Into<String>) -> Self {
         self.pointer = Some(pointer.into());
         self

@@ -1,33 +1,34 @@
-//! What workers answer when a task is done: of previews and renders. Profiles are in `profile`, irradiance caches in `cache`.
+//! Results of preview and render tasks. Those of profiles are in `profile`, those of irradiance caches in
+//! `cache`.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
     ArtifactHash, CacheFillResult, CacheMergeResult, CachePlanResult, PlanCount, ProfileResult, RenderStats,
-    TaskKind,
+    Spent, Stratum, TaskKind,
 };
 
-/// What came of it. In JSON an object with one key: `{"preview": {…}}`.
+/// Result of a task. In JSON an object with one key: `{"preview": {…}}`.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TaskResult {
-    /// Of a preview.
+    /// Result of a preview.
     Preview(PreviewResult),
-    /// Of a profile.
+    /// Result of a profile.
     Profile(ProfileResult),
-    /// Of planning the shot's irradiance cache.
+    /// Result of planning a shared irradiance cache.
     CachePlan(CachePlanResult),
-    /// Of filling a part of it.
+    /// Result of filling a part of the cache.
     CacheFill(CacheFillResult),
-    /// Of putting its parts together.
+    /// Result of merging the parts of the cache.
     CacheMerge(CacheMergeResult),
-    /// Of a render.
+    /// Result of a render.
     Render(RenderResult),
 }
 
 impl TaskResult {
-    /// The kind of task that gives such a result.
+    /// Kind of task with such a result.
     pub const fn kind(&self) -> TaskKind {
         match self {
             TaskResult::Preview(_) => TaskKind::Preview,
@@ -39,7 +40,7 @@ impl TaskResult {
         }
     }
 
-    /// The artefacts that the result names, which have to be there before it can be committed.
+    /// Artefacts that the result names. They must exist before the result can be committed.
     pub fn artifacts(&self) -> Vec<ArtifactHash> {
         match self {
             TaskResult::Preview(result) => {
@@ -59,111 +60,42 @@ impl TaskResult {
     }
 }
 
-/// Operations and time that something took.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Spent {
-    /// Deterministic count of operations.
-    pub work: u64,
-    /// CPU time over all threads, in nanoseconds.
-    pub cpu_nanos: u64,
-}
-
-impl Spent {
-    /// Both together.
-    #[must_use]
-    pub const fn plus(self, other: Self) -> Self {
-        Self {
-            work: self.work.saturating_add(other.work),
-            cpu_nanos: self.cpu_nanos.saturating_add(other.cpu_nanos),
-        }
-    }
-
-    /// The mean of some; none of none.
-    pub fn mean(all: impl ExactSizeIterator<Item = Self>) -> Option<Self> {
-        let count = u64::try_from(all.len()).ok().filter(|&count| count > 0)?;
-        let sum = all.fold(Self::default(), Self::plus);
-        Some(Self { work: sum.work / count, cpu_nanos: sum.cpu_nanos / count })
-    }
-
-    /// The same on a node of speed 1, if a node of this speed took it.
-    #[must_use]
-    pub fn at_speed_one(self, speed: f64) -> Self {
-        Self { cpu_nanos: crate::at_speed_one(self.cpu_nanos, speed), ..self }
-    }
-}
-
-/// A stratum: the pixels that show one material of one object.
-#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct StratumName {
-    /// The object's name.
-    pub object: String,
-    /// The material's name.
-    pub material: String,
-}
-
-/// A stratum as results speak of it. Its identity is `(object, material)`; the names are for people, and a scene may have the
-/// same name twice. Tasks of one job that saw the same bundle number objects and materials alike.
-#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Stratum {
-    /// What people call it.
-    pub name: StratumName,
-    /// Number of the object in the scene, below 2³² − 1.
-    pub object: u32,
-    /// Number of the material in the scene, below 2³² − 1. Strata of one material are sampled together where they are small.
-    pub material: u32,
-    /// What one of its pixels is thought to cost before anything is measured, relative to a plain diffuse pixel (1): above 0,
-    /// to 1000000. Whoever samples and whoever estimates must join small strata alike, and this decides which are small.
-    #[schema(exclusive_minimum = 0, maximum = 1_000_000)]
-    pub prior_cost: f64,
-}
-
-impl Stratum {
-    /// The largest prior cost. With it no sum over an image's pixels comes near the end of a float's range.
-    pub const HIGHEST_PRIOR_COST: f64 = 1e6;
-
-    /// What tells it from other strata: object and material.
-    pub const fn identity(&self) -> (u32, u32) {
-        (self.object, self.material)
-    }
-}
-
-/// What made the preview.
+/// How previews were made.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PreviewBackend {
-    /// A graphics processor, or a software one.
+    /// On a Vulkan device: a GPU or a software driver.
     Gpu,
-    /// The tracer's own camera rays.
+    /// On the CPU, by camera rays.
     Cpu,
 }
 
-/// How many pixels of a frame show each stratum.
+/// Pixel counts of a frame by stratum.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FrameStrata {
     /// Frame number.
     pub frame: u32,
-    /// Pixels by stratum, in the order of [`PreviewResult::strata`] and as many.
+    /// Number of pixels of each stratum, in the order of `strata` of the preview's result.
     pub pixels: Vec<u32>,
-    /// Pixels that show nothing. With `pixels` they make up the whole image.
+    /// Number of pixels that show no surface. The sum of `pixels` and this is the whole image.
     pub background: u32,
-    /// Records of the frame's irradiance cache, which is planned with the preview, one number a level; empty without a cache.
+    /// Number of irradiance cache records by level. The cache is planned together with the preview. Empty
+    /// without a cache.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cache_records: Vec<u32>,
-    /// What planning it takes; absent without a cache.
+    /// Cost of planning the cache. Absent without a cache.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache_plan: Option<PlanCount>,
-    /// Which of the scene's lights shine, as a number that frames with the same ones share: what is in sight costs something else
-    /// under other lights.
+    /// The set of shining lights, as a number. Frames with the same set have the same number, since costs
+    /// depend on the lights.
     #[serde(default)]
     pub lights: u32,
-    /// How many of them shine, the environment being one.
+    /// Number of shining lights, including the environment.
     #[serde(default)]
     pub shining: u32,
-    /// Triangles of the frame, seen or not: a tree is built over all of them. 0 if nobody counted.
+    /// Number of triangles of the frame, visible or not. The acceleration structure contains all of them. 0
+    /// if unknown.
     #[serde(default)]
     pub triangles: u64,
     /// The preview as an image.
@@ -177,18 +109,18 @@ pub struct FrameStrata {
 pub struct PreviewResult {
     /// All strata that any frame shows, each once.
     pub strata: Vec<Stratum>,
-    /// What a pixel that shows nothing is thought to cost, in the unit of [`Stratum::prior_cost`] and within the same range.
+    /// Expected cost of a pixel that shows no surface, in the unit and range of `prior_cost` of a stratum.
     #[schema(exclusive_minimum = 0, maximum = 1_000_000)]
     pub background_prior_cost: f64,
-    /// What a record of the irradiance cache is thought to cost, in the same unit and range; absent without a cache.
+    /// Expected cost of an irradiance cache record, in the same unit and range. Absent without a cache.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(exclusive_minimum = 0, maximum = 1_000_000)]
     pub record_prior_cost: Option<f64>,
-    /// One entry a frame, in the order of the spec.
+    /// One entry per frame, in the order of the task.
     pub frames: Vec<FrameStrata>,
-    /// What made it.
+    /// How the previews were made.
     pub backend: PreviewBackend,
-    /// What it took.
+    /// Cost of the previews.
     pub spent: Spent,
 }
 
@@ -196,13 +128,13 @@ pub struct PreviewResult {
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RenderArtifacts {
-    /// The image, linear, OpenEXR.
+    /// The image with linear values, as OpenEXR.
     pub image_exr: ArtifactHash,
-    /// The image, for looking at.
+    /// The image, for display.
     pub image_png: ArtifactHash,
-    /// Cost of each pixel in colour.
+    /// The cost of each pixel as a colour.
     pub cost_map_png: ArtifactHash,
-    /// Object and material ids in colour.
+    /// The preview: object and material ids as colours.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub preview_png: Option<ArtifactHash>,
 }
@@ -211,7 +143,7 @@ pub struct RenderArtifacts {
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RenderResult {
-    /// What the frame took.
+    /// Cost of the frame.
     pub stats: RenderStats,
     /// Its artefacts.
     pub artifacts: RenderArtifacts,

@@ -1,4 +1,4 @@
-//! Who may do what.
+//! Roles of tokens.
 
 use std::fmt;
 use std::str::FromStr;
@@ -10,26 +10,26 @@ use utoipa::ToSchema;
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
-    /// Submits and cancels jobs, uploads bundles, reads everything.
+    /// May submit and cancel jobs, upload bundles, and read everything.
     Submitter,
-    /// Nodes, leases, artefacts; reads bundles. Sees no jobs but by their tasks.
+    /// May use nodes, leases and artefacts, and read bundles. Sees jobs only through their tasks.
     Worker,
-    /// Everything.
+    /// May do everything.
     Operator,
-    /// Reads everything, changes nothing.
+    /// May read everything and change nothing.
     Viewer,
 }
 
-/// A word that names no role.
+/// A word that is not a role.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is not a role: submitter, worker, operator or viewer")]
+#[error("`{0}` is not a role; write submitter, worker, operator or viewer")]
 pub struct UnknownRole(String);
 
 impl Role {
     /// All roles.
     pub const ALL: [Role; 4] = [Role::Submitter, Role::Worker, Role::Operator, Role::Viewer];
 
-    /// The role's name, as in JSON.
+    /// Name of the role, as in JSON.
     pub const fn name(self) -> &'static str {
         match self {
             Role::Submitter => "submitter",

@@ -7,6 +7,7 @@ use utoipa::ToSchema;
 
 /// Which materials the renderer honours.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[serde(rename_all = "snake_case")]
 pub enum MaterialMode {
     /// The scene's materials.
@@ -18,6 +19,7 @@ pub enum MaterialMode {
 
 /// How light is simulated.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[serde(rename_all = "snake_case")]
 pub enum Integrator {
     /// Distribution ray tracing with gathered indirect light, without caustics.
@@ -25,6 +27,16 @@ pub enum Integrator {
     Ambient,
     /// Unbiased path tracing, caustics included.
     Path,
+}
+
+impl MaterialMode {
+    /// The name, as in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            MaterialMode::Full => "full",
+            MaterialMode::Lambert => "lambert",
+        }
+    }
 }
 
 impl Integrator {
@@ -39,6 +51,7 @@ impl Integrator {
 
 /// Whether indirect light is interpolated between the records of an irradiance cache.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[serde(rename_all = "snake_case")]
 pub enum CacheMode {
     /// Every point gathers its own.

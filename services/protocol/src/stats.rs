@@ -1,26 +1,26 @@
-//! What a frame took.
+//! Actual cost of rendered frames.
 
-use crate::{ByClass, ImageError, Money, ProcessCosts, Quantiles};
+use crate::{ByClass, ImageError, LeftOut, Money, ProcessCosts, Quantiles};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// One number for each kind of ray, by what sends it out: how many there are, or what they take.
+/// One number per category of rays: how many there are, or what they cost.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Rays {
-    /// From the camera.
+    /// Camera rays.
     pub primary: u64,
-    /// Towards lights.
+    /// Rays towards lights.
     pub shadow: u64,
-    /// Straight on through thin glass and cut-outs.
+    /// Rays that continue straight through thin glass and cut-outs.
     pub transparent: u64,
-    /// Off perfect mirrors.
+    /// Rays reflected by perfect mirrors.
     pub reflected: u64,
-    /// Into and out of solid glass.
+    /// Rays into and out of solid glass.
     pub refracted: u64,
-    /// Ambient gathers.
+    /// Rays that gather indirect light.
     pub ambient: u64,
-    /// Off glossy surfaces.
+    /// Rays reflected by glossy surfaces.
     pub specular: u64,
 }
 
@@ -48,66 +48,44 @@ impl Rays {
         Self { primary, shadow, transparent, reflected, refracted, ambient, specular }
     }
 
-    /// All rays.
+    /// Sum over all categories. Saturating.
     pub fn total(self) -> u64 {
         self.to_array().into_iter().fold(0, u64::saturating_add)
     }
 }
 
-/// A light or an object that cannot matter to an image.
-#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct LeftOut {
-    /// What it is, by name or number.
-    pub what: String,
-    /// Why it does not matter.
-    pub reason: String,
-}
-
-impl LeftOut {
-    /// Entries of one frame, at most; the last of so many stands for all that follow.
-    pub const MOST: usize = 100;
-
-    /// What is left out of all of several frames: of those that the first one leaves out, in its order.
-    pub fn of_all<'a>(frames: impl IntoIterator<Item = &'a [Self]>) -> Vec<Self> {
-        let mut frames = frames.into_iter();
-        let Some(first) = frames.next() else { return Vec::new() };
-        frames.fold(first.to_vec(), |kept, frame| {
-            kept.into_iter().filter(|left| frame.contains(left)).collect()
-        })
-    }
-}
-
-/// What an irradiance cache took and came to.
+/// Cost and contents of an irradiance cache.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CacheStats {
-    /// Work of planning: finding out where records have to be, and how far each is valid.
+    /// Work of planning: finding where records are needed, and how far each is valid.
     pub plan_work: u64,
     /// Work of gathering all records.
     pub fill_work: u64,
-    /// Records whose numbers are not finite, and which are never used.
+    /// Number of records with values that are not finite. They are never used.
     pub rejected: u64,
-    /// Points at which no record could be used, and which gathered for themselves.
+    /// Number of points without a usable record. They gathered their own light.
     pub uncovered: u64,
-    /// Records that were taken over from profiling.
+    /// Number of records taken over from profiling.
     pub reused_records: u64,
-    /// Records of the shot's cache that hold in this frame; their cost is the shot's, not the frame's.
+    /// Number of records of the shared cache that are valid in this frame. Their cost is not part of the
+    /// frame.
     #[serde(default)]
     pub shared_records: u64,
-    /// Records of the shot's cache whose light has changed by what moved, and which were dropped.
+    /// Number of records of the shared cache that were dropped, because something moved and changes their
+    /// light.
     #[serde(default)]
     pub dropped_records: u64,
-    /// Records that the frame has beyond those of the shot's cache: all of them, if it was given none.
+    /// Number of records that the frame made itself: those missing in the shared cache, or all without one.
     #[serde(default)]
     pub own_records: u64,
 }
 
-/// The true cost of one rendered frame, as `forelight render --stats` writes it.
+/// The actual cost of a rendered frame, as written by `forelight render --stats`.
 ///
-/// All totals are those of the whole frame and do not depend on whether profiled pixels were taken over; the
-/// `reused_…` fields are the part of them that this run did not have to trace again. The cost of an irradiance cache,
-/// planned and filled, is in them.
+/// All totals are for the whole frame, and do not depend on whether profiled pixels were taken over. The
+/// `reused_…` fields are the part that this run did not have to trace again. Totals include the cost of an
+/// irradiance cache.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RenderStats {
@@ -117,114 +95,117 @@ pub struct RenderStats {
     pub width: u32,
     /// Image height in pixels.
     pub height: u32,
-    /// Camera paths per pixel; where they differ by pixel, their mean, rounded.
+    /// Camera samples per pixel. If they differ by pixel, the rounded mean.
     pub spp: u32,
-    /// How camera paths were allotted; absent where all pixels have equally many.
+    /// How camera samples were distributed over the pixels. Absent if all pixels have the same number.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub allotted: Option<Box<AllottedStats>>,
-    /// The effects that the frame called for, by name, sorted.
+    /// Names of the effects that the frame needed, sorted.
     pub effects: Vec<String>,
-    /// Lights and objects that cannot matter to the image, and took no rays.
+    /// Lights and objects that provably do not affect the image. No rays were traced for them.
     #[serde(default)]
     pub left_out: Vec<LeftOut>,
     /// Rays by category.
     pub rays: Rays,
-    /// Irradiance cache records, one number a level; empty without a cache.
+    /// Number of irradiance cache records by level. Empty without a cache.
     #[serde(default)]
     pub cache_records: Vec<u64>,
-    /// What the irradiance cache took; absent without one.
+    /// Cost of the irradiance cache. Absent without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache: Option<CacheStats>,
     /// Deterministic count of operations.
     pub work: u64,
-    /// The same by class, as far as it was traced here: what was taken over is thought to be of the same classes.
+    /// `work` by class, as far as this run traced it. Work that was taken over is divided in the same
+    /// proportions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub work_by_class: Option<ByClass>,
-    /// The same by the ray that brought it about, with what is done where the ray ends. Everything that comes of gathered rays is
-    /// ambient, and so is the irradiance cache: what would not be there without indirect light. What belongs to no ray (loading, building the tree)
-    /// is missing.
+    /// `work` by the category of the ray that caused it, including what is done where the ray ends.
+    /// Everything that gathered rays cause counts as ambient, as does the irradiance cache: it is the work
+    /// that indirect light causes. Work that belongs to no ray, such as loading and building the acceleration
+    /// structure, is not included.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub work_by_ray: Option<Rays>,
-    /// CPU time over all threads, in seconds. On the farm also that of encoding the pictures and of the preview among them.
+    /// CPU time over all threads, in seconds. On the farm it includes encoding the pictures and the preview.
     pub cpu_seconds: f64,
-    /// What the process has paid once for the shot: not in the work and the CPU time of any frame.
+    /// Costs that the process paid once for the shot. Not included in the work and CPU time of any frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub once: Option<ProcessCosts>,
-    /// Seconds that this run took, from start to end.
+    /// Wall time of this run in seconds.
     pub wall_seconds: f64,
-    /// Largest resident memory of the process, in bytes; 0 where the system does not say.
+    /// Peak resident memory of the process in bytes. 0 if the system does not report it.
     pub peak_rss_bytes: u64,
-    /// Pixels taken over from profiling.
+    /// Number of pixels taken over from profiling.
     #[serde(default)]
     pub reused_pixels: u64,
-    /// Rays of these pixels, and of what was taken over of the irradiance cache.
+    /// Rays of everything taken over: these pixels, and records of the irradiance cache.
     #[serde(default)]
     pub reused_rays: u64,
-    /// Work of the same.
+    /// Work of everything taken over.
     #[serde(default)]
     pub reused_work: u64,
-    /// CPU seconds of the same when they were profiled.
+    /// CPU seconds of everything taken over, measured when it was profiled.
     #[serde(default)]
     pub reused_cpu_seconds: f64,
 }
 
-/// Camera paths that differ by pixel, for a time, an amount of work or an error that was asked for, and what they come to.
+/// Camera samples that differ by pixel, to meet a requested time, amount of work or error.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AllottedStats {
-    /// Fewest camera paths of a pixel.
+    /// Fewest camera samples of a pixel.
     pub least: u32,
-    /// Most of a pixel.
+    /// Most camera samples of a pixel.
     pub most: u32,
-    /// Mean over the pixels.
+    /// Mean camera samples per pixel.
     pub mean: f64,
-    /// Error of the image, as its own pixels say, without what an irradiance cache adds.
+    /// Error of the image, estimated from its own pixels. It does not include the error of an irradiance
+    /// cache.
     pub error: ImageError,
-    /// What was forecast for these camera paths; absent where no pixels were profiled for them.
+    /// Forecast for these camera samples. Absent if no pixels were profiled for them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub forecast: Option<AllottedForecast>,
-    /// How it held to its time; absent where none was given.
+    /// How the render kept to its time limit. Absent without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub within: Option<WithinStats>,
 }
 
-/// What a frame whose camera paths differ by pixel is to take.
+/// Forecast of a frame with camera samples that differ by pixel.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AllottedForecast {
     /// Work of the frame.
     pub work: Quantiles,
-    /// CPU seconds of the same, without those of profiling.
+    /// CPU seconds of the frame, without profiling.
     pub cpu_seconds: Quantiles,
-    /// Work of the pixels that were profiled for it, and of previews; not in the frame's.
+    /// Work of profiling and previews for the forecast. Not part of the frame's work.
     pub profiling_work: u64,
-    /// CPU seconds of the same.
+    /// CPU seconds of profiling and previews.
     pub profiling_cpu_seconds: f64,
 }
 
-/// Which seconds a time counts.
+/// The clock of a time limit.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BudgetClock {
-    /// Wall time, as whoever waits sees it.
+    /// Wall time.
     Wall,
-    /// CPU time of all threads.
+    /// CPU time over all threads.
     Cpu,
 }
 
-/// How a render held to the time that it was given.
+/// How a render kept to its time limit.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct WithinStats {
-    /// Whose seconds these are.
+    /// The clock of the limit.
     pub clock: BudgetClock,
-    /// Seconds that it was given.
+    /// The limit in seconds.
     pub given_seconds: f64,
-    /// Seconds that it took: everything from the start to the written image.
+    /// Seconds used, from the start to the written image.
     pub spent_seconds: f64,
-    /// Passes in which the samples were given.
+    /// Number of passes over the image.
     pub passes: u32,
-    /// What that costs, where a price was given, in micro-units.
+    /// Cost of that time in micro-units. Absent without a price.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cost: Option<Money>,
 }

@@ -1,4 +1,4 @@
-//! Tasks: what workers are asked to do. What they answer is in `result`.
+//! Tasks for workers. Their results are in `result`.
 
 use std::fmt;
 
@@ -10,19 +10,19 @@ use crate::{
     SceneDigest,
 };
 
-/// The kinds of tasks.
+/// Kind of a task.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TaskKind {
-    /// See what the camera sees, in all frames.
+    /// Find what each pixel shows, in all frames.
     Preview,
-    /// Trace a few pixels of one frame and measure them.
+    /// Trace a few pixels of one frame, and measure their cost.
     Profile,
-    /// Plan the irradiance cache of all frames.
+    /// Plan one irradiance cache for all frames.
     CachePlan,
-    /// Fill a part of it.
+    /// Fill a part of the shared cache.
     CacheFill,
-    /// Put its parts together.
+    /// Merge the parts of the shared cache.
     CacheMerge,
     /// Render one frame.
     Render,
@@ -51,7 +51,7 @@ impl TaskKind {
         }
     }
 
-    /// Whether it is work that a plan books, rather than a step that a plan or a booked task waits for.
+    /// Whether plans book this kind of task. Other tasks are steps that plans or booked tasks wait for.
     pub const fn is_booked(self) -> bool {
         matches!(self, TaskKind::CacheFill | TaskKind::Render)
     }
@@ -68,21 +68,21 @@ impl fmt::Display for TaskKind {
     }
 }
 
-/// What is to be done. In JSON an object with one key: `{"preview": {…}}`.
+/// What a task has to do. In JSON an object with one key: `{"preview": {…}}`.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TaskSpec {
-    /// See what the camera sees.
+    /// Find what each pixel shows, in all frames.
     Preview(PreviewSpec),
-    /// Trace and measure a few pixels.
+    /// Trace a few pixels of one frame, and measure their cost.
     Profile(ProfileSpec),
-    /// Plan the shot's irradiance cache.
+    /// Plan one irradiance cache for all frames.
     CachePlan(CachePlanSpec),
-    /// Fill a part of it.
+    /// Fill a part of the shared cache.
     CacheFill(CacheFillSpec),
-    /// Put its parts together.
+    /// Merge the parts of the shared cache.
     CacheMerge(CacheMergeSpec),
-    /// Render a frame.
+    /// Render one frame.
     Render(RenderSpec),
 }
 
@@ -99,7 +99,7 @@ impl TaskSpec {
         }
     }
 
-    /// The frame that the task is about; `None` for a preview and the shot's cache, which are about all frames.
+    /// The frame of the task. `None` for previews and the shared cache, which are about all frames.
     pub const fn frame(&self) -> Option<u32> {
         match self {
             TaskSpec::Preview(_)
@@ -111,7 +111,7 @@ impl TaskSpec {
         }
     }
 
-    /// The round of filling the shot's cache that the task is of.
+    /// The round of filling the shared cache. `None` for other tasks.
     pub const fn round(&self) -> Option<u32> {
         match self {
             TaskSpec::CacheFill(spec) => Some(spec.round),
@@ -120,7 +120,7 @@ impl TaskSpec {
         }
     }
 
-    /// The part of the shot's cache that the task fills.
+    /// The part of the shared cache that the task fills. `None` for other tasks.
     pub const fn part(&self) -> Option<u32> {
         match self {
             TaskSpec::CacheFill(spec) => Some(spec.part),
@@ -128,7 +128,7 @@ impl TaskSpec {
         }
     }
 
-    /// The irradiance caches that the task is given, in its order.
+    /// The irradiance caches that the task reads, in its order.
     pub fn caches(&self) -> Vec<ArtifactHash> {
         match self {
             TaskSpec::Preview(_) | TaskSpec::CachePlan(_) => Vec::new(),
@@ -139,7 +139,7 @@ impl TaskSpec {
         }
     }
 
-    /// Where the bundle is.
+    /// Where to get the bundle.
     pub const fn bundle(&self) -> &BundleSource {
         match self {
             TaskSpec::Preview(spec) => &spec.bundle,
@@ -151,7 +151,7 @@ impl TaskSpec {
         }
     }
 
-    /// What the bundle has to hold.
+    /// Expected hash of the scene's files.
     pub const fn digest(&self) -> SceneDigest {
         match self {
             TaskSpec::Preview(spec) => spec.digest,
@@ -164,68 +164,69 @@ impl TaskSpec {
     }
 }
 
-/// Preview these frames: object and material of every pixel.
+/// Task: find object and material of every pixel of these frames.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct PreviewSpec {
     /// The job.
     pub job_id: JobId,
     /// Its bundle.
     pub bundle: BundleSource,
-    /// What the bundle has to hold: a worker that finds something else there fails the task for good.
+    /// Expected hash of the scene's files. A worker that finds other files fails the task permanently.
     pub digest: SceneDigest,
     /// The frames, ascending.
     pub frames: Vec<u32>,
-    /// Its settings.
+    /// The job's settings.
     pub settings: RenderSettings,
 }
 
-/// Profile one frame: choose about `samples` pixels over the frame's strata, trace them to the end with the job's
-/// settings, and measure each.
+/// Task: profile one frame. About `samples` pixels are chosen over the frame's strata, traced completely with
+/// the job's settings, and measured one by one.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct ProfileSpec {
     /// The job.
     pub job_id: JobId,
     /// Its bundle.
     pub bundle: BundleSource,
-    /// What the bundle has to hold: a worker that finds something else there fails the task for good.
+    /// Expected hash of the scene's files. A worker that finds other files fails the task permanently.
     pub digest: SceneDigest,
     /// The frame.
     pub frame: u32,
-    /// Pixels to profile.
+    /// Number of pixels to profile.
     pub samples: u32,
-    /// Seed of the choice of pixels. The pixels' own random numbers come from `settings.seed`, as in the render.
+    /// Seed for choosing the pixels. The pixels' own random numbers use `settings.seed`, as in the render.
     pub phase_seed: u64,
     /// The job's settings.
     pub settings: RenderSettings,
-    /// Lay out the ladders of qualities around the settings too.
+    /// Whether to measure ladders of other qualities around the settings as well.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub ladders: bool,
-    /// The irradiance cache, as planned, that all frames could share: the pixels are also measured with it. Absent if there is none, and
-    /// while the task waits for it.
+    /// The planned irradiance cache that all frames could share. The pixels are also measured with it. Absent
+    /// if there is none, and while the task waits for it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache: Option<ArtifactHash>,
 }
 
-/// Render one frame.
+/// Task: render one frame.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct RenderSpec {
     /// The job.
     pub job_id: JobId,
     /// Its bundle.
     pub bundle: BundleSource,
-    /// What the bundle has to hold: a worker that finds something else there fails the task for good.
+    /// Expected hash of the scene's files. A worker that finds other files fails the task permanently.
     pub digest: SceneDigest,
     /// The frame.
     pub frame: u32,
     /// The job's settings.
     pub settings: RenderSettings,
-    /// Operations that the frame may take all together: every pixel gets a camera sample, and the others go where the image shows that they
-    /// pay; all pixels get those of the settings, if it is absent.
+    /// Largest work of the frame: count of operations. Every pixel gets one camera sample, and the others go
+    /// where they reduce the image's error most. If absent, every pixel gets the samples of the settings.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub work: Option<u64>,
-    /// The finished pixels of this frame's profile, to be taken over; absent if the frame was not profiled.
+    /// Finished pixels of this frame's profile, to take over. Absent if the frame was not profiled.
     pub profile: Option<ArtifactHash>,
-    /// The irradiance cache of the shot, full; absent if the frame makes its own, and while the task waits for it.
+    /// The complete shared irradiance cache. Absent if the frame makes its own, and while the task waits for
+    /// it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache: Option<ArtifactHash>,
 }

@@ -1,4 +1,4 @@
-//! Instants.
+//! Points in time.
 
 use std::fmt;
 use std::str::FromStr;
@@ -9,26 +9,26 @@ use utoipa::ToSchema;
 
 /// An instant: whole microseconds since 1970-01-01T00:00:00Z, negative before.
 ///
-/// In JSON an RFC 3339 string in UTC with six fractional digits (`2026-03-01T18:00:00.000000Z`), so that equal
-/// instants are equal strings and strings sort as the instants do. Any offset is understood; digits beyond the
-/// microsecond are dropped towards the past.
+/// In JSON it is an RFC 3339 string in UTC with six fractional digits (`2026-03-01T18:00:00.000000Z`). So
+/// equal instants are equal strings, and strings sort like instants. In requests, any UTC offset is accepted.
+/// Digits beyond the microsecond are rounded down.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default, ToSchema)]
 #[schema(value_type = String, format = DateTime, example = "2026-03-01T18:00:00.000000Z")]
 pub struct Timestamp(i64);
 
-/// A string that is not an RFC 3339 instant between the years 0 and 9999.
+/// A string that is not an RFC 3339 instant in the years 0 to 9999.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{text}` is not an RFC 3339 time with an offset, such as 2026-03-01T18:00:00Z")]
 pub struct MalformedTime {
     text: String,
 }
 
-/// 0000-01-01T00:00:00Z and 9999-12-30T00:00:00Z: outside of these a four-digit year does not exist.
+/// The range of four-digit years: 0000-01-01T00:00:00Z to 9999-12-30T00:00:00Z.
 const EARLIEST: i64 = -62_167_219_200_000_000;
 const LATEST: i64 = 253_402_128_000_000_000;
 
 impl Timestamp {
-    /// The instant this many microseconds after the epoch, drawn into the years 0 to 9999.
+    /// The instant this many microseconds after the epoch, clamped to the years 0 to 9999.
     pub const fn from_micros(micros: i64) -> Self {
         Self(if micros < EARLIEST {
             EARLIEST
@@ -44,7 +44,7 @@ impl Timestamp {
         self.0
     }
 
-    /// The instant `micros` microseconds later (earlier, if negative).
+    /// The instant `micros` microseconds later, or earlier if negative.
     pub const fn plus_micros(self, micros: i64) -> Self {
         Self::from_micros(self.0.saturating_add(micros))
     }
@@ -54,7 +54,7 @@ impl Timestamp {
         self.0.saturating_sub(earlier.0)
     }
 
-    /// The system clock's reading.
+    /// The present instant by the system clock.
     pub fn now() -> Self {
         Self::from_micros(jiff::Timestamp::now().as_microsecond())
     }

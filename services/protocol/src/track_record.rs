@@ -1,52 +1,52 @@
-//! How often the quotes were right.
+//! Track record: how often quotes were right, and what is learnt from them.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{JobId, PageToken, Quantiles, Timestamp};
 
-/// How many actuals were at or below a forecast quantile.
+/// How often an actual value was at or below a forecast quantile.
 #[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct QuantileHits {
-    /// Actual at or below the P50, frames.
+    /// Number of actual values at or below P50.
     pub p50: u64,
-    /// Actual at or below the P80, frames.
+    /// Number of actual values at or below P80.
     pub p80: u64,
-    /// Actual at or below the P95, frames.
+    /// Number of actual values at or below P95.
     pub p95: u64,
 }
 
-/// Forecasts of frames or of whole jobs against what they took.
+/// Accuracy of the forecasts of frames, or of whole jobs.
 #[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct Coverage {
-    /// How many there are.
+    /// Number of forecasts.
     pub count: u64,
     /// Hits of the work quantiles.
     pub work_hits: QuantileHits,
     /// Hits of the CPU time quantiles.
     pub cpu_hits: QuantileHits,
-    /// Mean of |forecast mean / actual − 1| of work; absent of none.
+    /// Mean of |forecast mean / actual − 1| of the work. Absent without forecasts.
     pub work_mean_absolute_error: Option<f64>,
-    /// Mean of |forecast mean / actual − 1| of CPU time; absent of none.
+    /// Mean of |forecast mean / actual − 1| of the CPU time. Absent without forecasts.
     pub cpu_mean_absolute_error: Option<f64>,
 }
 
-/// The record of quotes of one kind. Past jobs say how sure a quote can be within a kind alone.
+/// Accuracy of quotes of one kind. Quotes are calibrated on past jobs of the same kind.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct TrackRecordKind {
-    /// The renderer that measured the profiles, with its version; absent where it did not say.
+    /// Renderer that measured the profiles, with its version. Absent if unknown.
     pub renderer: Option<String>,
-    /// How light is simulated: `direct`, `gathered`, `cached` or `path`; absent where the renderer is.
+    /// How light is simulated: `direct`, `gathered`, `cached` or `path`. Absent if the renderer is.
     pub feature_class: Option<String>,
     /// Whether the quantiles were calibrated on past jobs.
     pub calibrated: bool,
-    /// Finished frames.
+    /// Accuracy for finished frames.
     pub frames: Coverage,
-    /// Finished jobs, their totals.
+    /// Accuracy for the totals of finished jobs.
     pub jobs: Coverage,
 }
 
-/// One finished frame: forecast against actual.
+/// Forecast and actual cost of a finished frame.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct TrackRecordRow {
     /// The job.
@@ -61,82 +61,84 @@ pub struct TrackRecordRow {
     pub work_actual: f64,
     /// Forecast CPU seconds on a node of speed 1.
     pub cpu_forecast: Quantiles,
-    /// Actual CPU seconds, brought to a node of speed 1.
+    /// Actual CPU seconds, converted to a node of speed 1.
     pub cpu_actual: f64,
 }
 
-/// Where quantiles lie above the forecast's mean, in its own standard deviations of the logarithm.
+/// Positions of calibrated quantiles: distance from the logarithm of the forecast's mean, in units of the
+/// forecast's own standard deviation of the logarithm.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CalibratedQuantiles {
-    /// Of one in two.
+    /// Median.
     pub p50: f64,
-    /// Of four in five.
+    /// 80 % quantile.
     pub p80: f64,
-    /// Of nineteen in twenty.
+    /// 95 % quantile.
     pub p95: f64,
 }
 
-/// What finished jobs of one kind teach of the next job's quote.
+/// Calibrated quantiles for the next quote of a kind, learnt from finished jobs.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Corrections {
-    /// Work of single frames.
+    /// For the work of single frames.
     pub frame_work: CalibratedQuantiles,
-    /// CPU time of single frames.
+    /// For the CPU time of single frames.
     pub frame_cpu: CalibratedQuantiles,
-    /// Work of the whole job.
+    /// For the work of the whole job.
     pub job_work: CalibratedQuantiles,
-    /// CPU time of the whole job.
+    /// For the CPU time of the whole job.
     pub job_cpu: CalibratedQuantiles,
 }
 
-/// What is known of quotes of one kind.
+/// Calibration of quotes of one kind.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CalibrationKind {
     /// The renderer, with its version.
     pub renderer: String,
-    /// How light is simulated.
+    /// How light is simulated: `direct`, `gathered`, `cached` or `path`.
     pub feature_class: String,
-    /// Finished jobs that it rests on.
+    /// Number of finished jobs behind it.
     pub jobs: u64,
-    /// Absent while these are too few, which is below 19.
+    /// The calibrated quantiles. Absent with fewer than 19 jobs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub corrections: Option<Corrections>,
 }
 
-/// What the farm's finished jobs teach, by kind of quote; `forelight forecast --calibration` reads it too.
+/// Calibration of the farm's quotes, by kind. `forelight forecast --calibration` reads this document.
 #[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CalibrationDoc {
-    /// In order of renderer and class.
+    /// The kinds, sorted by renderer and feature class.
     pub kinds: Vec<CalibrationKind>,
 }
 
-/// The record of all finished frames, and a page of them, newest first.
+/// Track record over all finished frames, and one page of the frames, newest first.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct TrackRecord {
-    /// Finished frames that had a forecast.
+    /// Number of finished frames that had a forecast.
     pub frames: u64,
     /// Hits of the work quantiles.
     pub work_hits: QuantileHits,
     /// Hits of the CPU time quantiles.
     pub cpu_hits: QuantileHits,
-    /// Mean over frames of |forecast mean / actual − 1| of work; absent without frames.
+    /// Mean over frames of |forecast mean / actual − 1| of the work. Absent without frames.
     pub work_mean_absolute_error: Option<f64>,
-    /// Mean over frames of |forecast mean / actual − 1| of CPU time; absent without frames.
+    /// Mean over frames of |forecast mean / actual − 1| of the CPU time. Absent without frames.
     pub cpu_mean_absolute_error: Option<f64>,
-    /// Sum of forecast means over sum of actuals, minus one, of work; absent without frames.
+    /// Sum of forecast means / sum of actual values − 1, of the work. Absent without frames.
     pub work_bias: Option<f64>,
-    /// Sum of forecast means over sum of actuals, minus one, of CPU time; absent without frames.
+    /// Sum of forecast means / sum of actual values − 1, of the CPU time. Absent without frames.
     pub cpu_bias: Option<f64>,
-    /// The same by kind, the calibrated quotes apart from those that were not; in order of renderer, class and calibration.
+    /// The same by kind, separately for calibrated quotes and others. Sorted by renderer, feature class and
+    /// calibration.
     #[serde(default)]
     pub kinds: Vec<TrackRecordKind>,
     /// The frames.
     pub items: Vec<TrackRecordRow>,
-    /// Where the next page starts; absent on the last.
+    /// Token of the next page. Absent on the last page.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub next_page_token: Option<PageToken>,
 }

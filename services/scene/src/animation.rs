@@ -1,26 +1,32 @@
-//! Values over time: keys and what lies between them.
+//! Animation curves: keyframes and the interpolation between them.
 //!
-//! Before the first key and after the last one the value stays. Time is measured in frames.
+//! Time is measured in frames. The value is constant before the first key and after the last one.
 //!
-//! *Catmull–Rom* is a cubic Hermite spline whose tangent at key *i* is the slope between its neighbours,
-//! mᵢ = (pᵢ₊₁ − pᵢ₋₁) / (tᵢ₊₁ − tᵢ₋₁), which holds for keys at any distance; at both ends it is the slope of the only segment.
-//! With s = (t − tᵢ)/Δ and Δ = tᵢ₊₁ − tᵢ:
-//! p(t) = (2s³−3s²+1)·pᵢ + (s³−2s²+s)·Δ·mᵢ + (3s²−2s³)·pᵢ₊₁ + (s³−s²)·Δ·mᵢ₊₁.
-//! Rotations are interpolated so too, by component, after neighbours were brought to the same hemisphere, and normalised.
+//! *Catmull–Rom* is a cubic Hermite spline. Its tangent at key *i* is the slope between the neighbouring
+//! keys, mᵢ = (pᵢ₊₁ − pᵢ₋₁) / (tᵢ₊₁ − tᵢ₋₁), which allows keys at any spacing. At both ends it is the slope
+//! of the only segment. With s = (t − tᵢ)/Δ and Δ = tᵢ₊₁ − tᵢ:
+//!
+//! ```text
+//! p(t) = (2s³−3s²+1)·pᵢ + (s³−2s²+s)·Δ·mᵢ + (3s²−2s³)·pᵢ₊₁ + (s³−s²)·Δ·mᵢ₊₁
+//! ```
+//!
+//! Rotations are interpolated by component and then normalised. Neighbouring quaternions are first brought to
+//! the same hemisphere.
 
 use glam::{DQuat, DVec3, DVec4};
 
-/// A value that keys can hold.
+/// A value that can be interpolated between keys.
 pub(crate) trait Keyed: Copy + PartialEq {
-    /// Straight (for rotations: shortest-arc) interpolation, s in [0, 1].
+    /// Linear interpolation, or spherical linear interpolation for rotations. `s` is in [0, 1].
     fn linear(a: Self, b: Self, s: f64) -> Self;
-    /// Weighted sum; for rotations normalised.
+    /// Weighted sum. Rotations are normalised afterwards.
     fn sum(terms: [(f64, Self); 4]) -> Self;
-    /// (b − a) × scale, as a tangent.
+    /// The tangent `(b − a) × scale`.
     fn slope(a: Self, b: Self, scale: f64) -> Self;
-    /// A tangent in another unit of time.
+    /// A tangent converted to another unit of time.
     fn scaled(self, factor: f64) -> Self;
-    /// The representation of `next` that is nearest to `previous`.
+    /// The representation of `next` that is nearest to `previous`. It differs for quaternions only: q and −q
+    /// are the same rotation.
     fn aligned(_previous: Self, next: Self) -> Self {
         next
     }
@@ -57,12 +63,12 @@ impl Keyed for DVec3 {
 }
 
 impl Keyed for DQuat {
-    /// Spherical linear interpolation on the shortest arc. The trigonometry comes from `libm`, so that it has the same
-    /// bits everywhere.
+    /// Spherical linear interpolation along the shortest arc. It uses `libm`, so that all machines give the
+    /// same bits.
     fn linear(a: Self, b: Self, s: f64) -> Self {
         let b = Self::aligned(a, b);
         let cosine = a.dot(b).min(1.0);
-        // Below this angle the sine of the angle loses its digits, and the chord is the arc.
+        // At such small angles the sine loses its digits. The chord is then as good as the arc.
         if cosine > 1.0 - 1e-9 {
             return Self::sum([(1.0 - s, a), (s, b), (0.0, a), (0.0, b)]);
         }
@@ -72,7 +78,7 @@ impl Keyed for DQuat {
     }
     fn sum(terms: [(f64, Self); 4]) -> Self {
         let v: DVec4 = terms.iter().map(|&(w, q)| DVec4::from(q) * w).sum();
-        // Four keys can cancel each other; then any rotation is as good, and the first key's is at hand.
+        // The four terms can cancel out. Any rotation is then valid; use that of the first key.
         v.try_normalize().map_or(terms[0].1, DQuat::from_vec4)
     }
     fn slope(a: Self, b: Self, scale: f64) -> Self {
@@ -86,7 +92,7 @@ impl Keyed for DQuat {
     }
 }
 
-/// What lies between two keys.
+/// The interpolation between two keys.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Interpolation {
     Step,
@@ -94,10 +100,10 @@ pub(crate) enum Interpolation {
     CatmullRom,
 }
 
-/// A value over time.
+/// A value as a function of time.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Curve<T> {
-    /// Ascending, at least one; frames.
+    /// Key times in frames, ascending, at least one.
     times: Vec<f64>,
     values: Vec<T>,
     between: Between<T>,
@@ -107,12 +113,13 @@ pub(crate) struct Curve<T> {
 enum Between<T> {
     Step,
     Linear,
-    /// Arriving and leaving tangent of every key, per frame.
+    /// Arriving and leaving tangent of each key, per frame.
     Hermite(Vec<(T, T)>),
 }
 
 impl<T: Keyed> Curve<T> {
-    /// A curve through keys at ascending times; `None` without keys or where their numbers differ.
+    /// A curve through keys at ascending times. `None` if there are no keys, or unequal numbers of times and
+    /// values.
     pub(crate) fn new(times: Vec<f64>, mut values: Vec<T>, interpolation: Interpolation) -> Option<Self> {
         if times.is_empty() || times.len() != values.len() {
             return None;
@@ -137,13 +144,13 @@ impl<T: Keyed> Curve<T> {
         Some(Self { times, values, between })
     }
 
-    /// A cubic curve with given (arriving, leaving) tangents per frame, as in glTF.
+    /// A cubic curve with the given (arriving, leaving) tangents per frame, as in glTF.
     pub(crate) fn hermite(times: Vec<f64>, values: Vec<T>, tangents: Vec<(T, T)>) -> Option<Self> {
         let matching = !times.is_empty() && times.len() == values.len() && times.len() == tangents.len();
         matching.then_some(Self { times, values, between: Between::Hermite(tangents) })
     }
 
-    /// The value at a frame.
+    /// The value at a frame, which may be fractional.
     pub(crate) fn at(&self, frame: f64) -> T {
         let next = self.times.partition_point(|&t| t <= frame);
         if next == 0 {
@@ -170,7 +177,7 @@ impl<T: Keyed> Curve<T> {
         }
     }
 
-    /// Whether the value is the same at all times.
+    /// Returns `true` if the value is the same at all times.
     pub(crate) fn is_constant(&self) -> bool {
         let same = self.values.iter().all(|v| *v == self.values[0]);
         let flat = match &self.between {
@@ -184,7 +191,7 @@ impl<T: Keyed> Curve<T> {
     }
 }
 
-/// A value that stays, or follows a curve.
+/// A constant value or a curve.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Animated<T> {
     Constant(T),
@@ -226,7 +233,7 @@ mod tests {
     #[test]
     fn catmull_rom_with_unequal_keys_follows_the_documented_formula() {
         let curve = Curve::new(vec![0.0, 2.0, 3.0], vec![0.0, 4.0, 10.0], Interpolation::CatmullRom).unwrap();
-        // First segment, s = 1/2: tangents 4/2 = 2 and 10/3, span 2: 4/2 + (2 − 10/3)·2/8 = 2 − 1/3.
+        // First segment, s = 1/2: tangents 4/2 = 2 and 10/3, Δ = 2: 4/2 + (2 − 10/3)·2/8 = 2 − 1/3.
         assert!((curve.at(1.0) - (2.0 - 1.0 / 3.0)).abs() < 1e-14);
         // Second segment, s = 1/2: (4 + 10)/2 + (10/3 − 6)/8 = 7 − 1/3.
         assert!((curve.at(2.5) - (7.0 - 1.0 / 3.0)).abs() < 1e-14);

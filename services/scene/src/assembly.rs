@@ -1,4 +1,5 @@
-//! What the readers of geometry files fill: objects, materials, textures, lights and cameras of one scene.
+//! A scene under construction. The readers of geometry files fill it with objects, materials, textures,
+//! lights and cameras.
 
 use crate::bundle::Bundle;
 use crate::camera_source::NodeCamera;
@@ -17,23 +18,23 @@ pub(crate) struct NodeLight {
 
 #[derive(Debug, Clone)]
 pub(crate) enum NodeLightKind {
-    /// Radiant intensity, W/sr; cosines of the inner and outer cone angle.
+    /// Radiant intensity in W/sr. `cone` holds the cosines of the inner and outer cone angle.
     Point { intensity: Vec3, cone: Option<(f32, f32)> },
-    /// Irradiance, W/m².
+    /// Irradiance in W/m².
     Directional { irradiance: Vec3 },
 }
 
-/// A scene that is being put together.
+/// A scene under construction.
 pub(crate) struct Assembly<'a> {
     pub(crate) bundle: &'a Bundle,
-    /// Frames per second, by which glTF times become frames.
+    /// Frames per second. It converts glTF times to frames.
     pub(crate) fps: f64,
     pub(crate) shot: Shot,
     pub(crate) materials: Vec<Material>,
     pub(crate) textures: TextureLibrary<'a>,
     pub(crate) lights: Vec<NodeLight>,
     pub(crate) cameras: Vec<NodeCamera>,
-    /// First and last key of the animations in geometry files, frames.
+    /// First and last key of the animations in geometry files, in frames.
     pub(crate) keys: Option<(f64, f64)>,
     pub(crate) warnings: Vec<String>,
 }
@@ -53,7 +54,7 @@ impl<'a> Assembly<'a> {
         }
     }
 
-    /// Keeps a warning, and tells it to the log.
+    /// Logs and keeps a warning.
     pub(crate) fn warn(&mut self, warning: String) {
         tracing::warn!("{warning}");
         self.warnings.push(warning);
@@ -65,10 +66,11 @@ impl<'a> Assembly<'a> {
         self.materials.len() as u32 - 1
     }
 
-    /// Holds the number of materials with a priority, if the last one has any, against the limit.
+    /// Checks the number of materials with a priority against [`MOST_NESTED`]. Call it after each added
+    /// material.
     pub(crate) fn check_priorities(&self, file: &str) -> Result<(), SceneError> {
         let is_nested = |material: &&Material| material.surface.priority().is_some();
-        // Counted only then: a file may hold very many materials.
+        // Count only if the last material has a priority, because a file may hold very many materials.
         if self.materials.last().filter(is_nested).is_none() {
             return Ok(());
         }
@@ -80,14 +82,14 @@ impl<'a> Assembly<'a> {
         Ok(())
     }
 
-    /// Holds the scene's size so far, with `more` triangles and vertices, against the limits.
+    /// Checks the scene's size so far, plus `triangles` and `vertices`, against the limits.
     pub(crate) fn check_size(&self, file: &str, triangles: u64, vertices: u64) -> Result<(), SceneError> {
         let limit = self.bundle.limits().triangles;
         let found = self.shot.triangle_count() + triangles;
         if found > limit {
             return Err(SceneError::Limit { file: file.to_owned(), what: "triangles", found, limit });
         }
-        // Vertices that no triangle uses cost memory too, and their indices must fit 32 bits.
+        // Unused vertices cost memory too. All vertex indices must fit in 32 bits.
         let (found, limit) =
             (self.shot.vertex_count() + vertices, limit.saturating_mul(3).min(u64::from(u32::MAX)));
         if found > limit {
@@ -97,7 +99,7 @@ impl<'a> Assembly<'a> {
     }
 }
 
-/// An opaque material that emits nothing.
+/// An opaque material without emission.
 pub(crate) fn plain_material(name: &str, surface: Surface) -> Material {
     Material {
         name: name.to_owned(),

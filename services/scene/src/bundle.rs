@@ -1,5 +1,8 @@
-//! The folder or archive that holds a scene. Nothing outside it can be reached, and nothing in it can cost more
-//! than the [`Limits`] allow.
+//! Reads the folder or archive that holds a scene.
+//!
+//! Two hazards are guarded against. A path in a bundle could lead outside it, so every path is checked,
+//! including symbolic links. An archive could expand to more than the machine can hold, so every read is
+//! checked against [`Limits`].
 
 use crate::error::SceneError;
 use crate::limits::{Limits, RATIO_MATTERS_FROM};
@@ -10,9 +13,9 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use zip::ZipArchive;
 
-/// A readable bundle. Paths in it are relative, with `/`.
+/// A readable bundle: a folder or a `.zip` file. Paths in it are relative and use `/`.
 ///
-/// A `.zip` may hold the scene at its root or in one folder that holds everything.
+/// A `.zip` may hold the scene at its root, or inside one folder that holds everything.
 pub struct Bundle {
     name: String,
     store: Store,
@@ -25,12 +28,12 @@ enum Store {
     Folder(PathBuf),
     Archive {
         archive: Mutex<ZipArchive<BufReader<File>>>,
-        /// Archive index by path.
+        /// Entry number by path.
         index: BTreeMap<String, usize>,
     },
 }
 
-/// What was read so far: the hash of every file, and all bytes together.
+/// What was read so far: the hash of each file, and the total number of bytes.
 #[derive(Default)]
 struct Usage {
     bytes: u64,
@@ -41,8 +44,8 @@ impl Bundle {
     /// Opens a folder or a `.zip` file.
     ///
     /// # Errors
-    /// When there is neither; when an archive is damaged, too large, encrypted, or holds a path that is absolute or leaves
-    /// the archive, or a symbolic link.
+    /// If `path` is neither a folder nor a readable archive. If an archive is damaged, too large or
+    /// encrypted. If it holds a symbolic link, an absolute path, or a path that leaves the archive.
     pub fn open(path: &Path, limits: &Limits) -> Result<Self, SceneError> {
         let shown = path.display().to_string();
         let io = |source| SceneError::Io { file: shown.clone(), source };
@@ -58,7 +61,7 @@ impl Bundle {
         Ok(Self { name, store, limits: *limits, usage: Mutex::default() })
     }
 
-    /// The folder's or archive's own name, without extension.
+    /// Name of the folder or archive, without extension.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -68,7 +71,7 @@ impl Bundle {
         &self.limits
     }
 
-    /// Whether a file of this path is there.
+    /// Returns `true` if the bundle has a file at `path`.
     pub fn contains(&self, path: &str) -> bool {
         match &self.store {
             Store::Folder(root) => is_inside(path) && root.join(path).is_file(),
@@ -76,7 +79,10 @@ impl Bundle {
         }
     }
 
-    /// The files at the top level, sorted.
+    /// Names of the files at the top level, sorted.
+    ///
+    /// # Errors
+    /// If the folder cannot be listed.
     pub fn top_level(&self) -> Result<Vec<String>, SceneError> {
         let mut names = Vec::new();
         match &self.store {
@@ -95,13 +101,13 @@ impl Bundle {
         Ok(names)
     }
 
-    /// All bytes of a file.
+    /// Reads a whole file.
     ///
     /// # Errors
-    /// When the path leaves the bundle (also through a symbolic link), is not a file, or passes a limit.
+    /// If the path leaves the bundle (also through a symbolic link), is not a file, or exceeds a limit.
     pub fn read(&self, path: &str) -> Result<Vec<u8>, SceneError> {
         if !is_inside(path) {
-            return Err(SceneError::file(path, "the path does not stay inside the bundle"));
+            return Err(SceneError::file(path, "the path is outside the bundle"));
         }
         let bytes = match &self.store {
             Store::Folder(root) => self.read_from_folder(root, path)?,
@@ -120,7 +126,8 @@ impl Bundle {
         Ok(bytes)
     }
 
-    /// Hash (BLAKE3) of the paths and contents of all files read so far: the same for a folder and its archive.
+    /// BLAKE3 hash of the paths and contents of all files read so far. It is the same for a folder and its
+    /// archive.
     pub fn digest(&self) -> [u8; 32] {
         let mut hasher = blake3::Hasher::new();
         for (path, hash) in &lock(&self.usage).files {
@@ -143,7 +150,7 @@ impl Bundle {
         }
         self.check(path, "bytes", metadata.len(), self.limits.file_bytes)?;
         let mut bytes = Vec::with_capacity(metadata.len() as usize);
-        // The file may grow while it is read, so the limit is enforced on the bytes themselves.
+        // The file may grow while it is read, so check the bytes that were read as well.
         File::open(&real)
             .and_then(|file| file.take(self.limits.file_bytes.saturating_add(1)).read_to_end(&mut bytes))
             .map_err(io)?;
@@ -159,7 +166,7 @@ impl Bundle {
     ) -> Result<Vec<u8>, SceneError> {
         let damaged = |e: &dyn std::fmt::Display| SceneError::file(path, format!("cannot be expanded: {e}"));
         let entry = archive.by_index(at).map_err(|e| damaged(&e))?;
-        // The directory of an archive may lie about sizes: what counts is what comes out.
+        // The sizes in an archive's directory may be false. Check the bytes that were actually expanded.
         let (compressed, allowed) = (entry.compressed_size(), entry.size().min(self.limits.file_bytes));
         let mut bytes = Vec::new();
         entry.take(allowed.saturating_add(1)).read_to_end(&mut bytes).map_err(|e| damaged(&e))?;
@@ -186,7 +193,8 @@ fn missing(path: &str) -> SceneError {
     SceneError::Io { file: path.to_owned(), source: std::io::ErrorKind::NotFound.into() }
 }
 
-/// A poisoned lock means that another reader panicked; the data behind these locks is valid at every instant.
+/// Locks a mutex. A poisoned lock means that another reader panicked. The data behind these locks is valid at
+/// all times, so it can still be used.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -204,7 +212,7 @@ fn check_ratio(file: &str, expanded: u64, compressed: u64, limits: &Limits) -> R
     Ok(())
 }
 
-/// Reads the archive's directory and refuses everything that must not be expanded, before anything is.
+/// Reads the archive's directory. Rejects every entry that must not be expanded, before any is.
 fn open_archive(shown: &str, file: File, limits: &Limits) -> Result<Store, SceneError> {
     let mut archive = ZipArchive::new(BufReader::new(file))
         .map_err(|e| SceneError::file(shown, format!("is neither a folder nor a readable .zip: {e}")))?;
@@ -221,7 +229,7 @@ fn open_archive(shown: &str, file: File, limits: &Limits) -> Result<Store, Scene
         let path = std::str::from_utf8(entry.name_raw())
             .map_err(|_| SceneError::file(shown, format!("the name of archive entry {at} is not UTF-8")))?;
         let file = format!("{shown}/{path}");
-        // Some programs write every path from here, and macOS adds what it knows of each file.
+        // Some programs start every path with `./`. macOS adds a folder with its own metadata.
         let path = path.strip_prefix("./").unwrap_or(path);
         if path.is_empty() || path.starts_with("__MACOSX/") {
             continue;
@@ -230,7 +238,7 @@ fn open_archive(shown: &str, file: File, limits: &Limits) -> Result<Store, Scene
             return Err(SceneError::file(file, "symbolic links are not allowed in an archive"));
         }
         if !is_inside(path.strip_suffix('/').unwrap_or(path)) {
-            return Err(SceneError::file(file, "the archive entry does not stay inside the bundle"));
+            return Err(SceneError::file(file, "the archive entry is outside the bundle"));
         }
         if entry.is_dir() {
             continue;
@@ -255,7 +263,8 @@ fn open_archive(shown: &str, file: File, limits: &Limits) -> Result<Store, Scene
     Ok(Store::Archive { archive: Mutex::new(archive), index: without_common_folder(index) })
 }
 
-/// Whoever zips a folder often gets the folder inside the archive: where one folder holds everything, it is the bundle.
+/// Removes the folder that holds everything, if there is one. Zipping a folder often puts the folder itself
+/// into the archive.
 fn without_common_folder(index: BTreeMap<String, usize>) -> BTreeMap<String, usize> {
     let common =
         index.keys().next().and_then(|first| first.split_once('/')).map(|(folder, _)| format!("{folder}/"));
@@ -267,15 +276,16 @@ fn without_common_folder(index: BTreeMap<String, usize>) -> BTreeMap<String, usi
     }
 }
 
-/// Whether a path is relative, uses `/` only, and has no empty, `.` or `..` component.
+/// Returns `true` if a path is relative, uses only `/`, and has no empty, `.` or `..` component.
 fn is_inside(path: &str) -> bool {
     !path.contains(['\\', ':', '\0']) && path.split('/').all(|part| !matches!(part, "" | "." | ".."))
 }
 
-/// The path that `reference` means in the file `from`: relative to that file's folder, `.` and `..` resolved.
+/// Resolves `reference`, as used in the file `from`, to a path in the bundle. It is relative to the folder of
+/// `from`; `.` and `..` are resolved.
 ///
 /// # Errors
-/// A reason, when the reference is empty, absolute, uses `\` or a drive or scheme, or leaves the bundle.
+/// A reason, if the reference is empty or absolute, uses `\`, a drive or a scheme, or leaves the bundle.
 pub(crate) fn resolve(from: &str, reference: &str) -> Result<String, String> {
     if reference.is_empty() {
         return Err("the path is empty".into());

@@ -21,22 +21,24 @@ pub struct Camera {
     pub width: u32,
     /// Image height, pixels.
     pub height: u32,
-    /// Radius of the lens, metres; 0 is a pinhole.
+    /// Radius of the lens, metres. 0 is a pinhole.
     pub aperture_radius: f32,
-    /// Distance of the plane in focus along `forward`, metres.
+    /// Distance of the focus plane along `forward`, metres.
     pub focus_distance: f32,
 }
 
 impl Camera {
-    /// Direction, not normalised, through the image point `pixel` in pixels from the top-left corner
-    /// (the centre of the first pixel is (0.5, 0.5)); its component along `forward` is 1.
+    /// Direction through an image point. It is not normalised; its component along `forward` is 1.
+    ///
+    /// `pixel` is in pixels from the top-left corner. The centre of the first pixel is (0.5, 0.5).
     pub fn direction(&self, pixel: Vec2) -> Vec3 {
         let x = (2.0 * pixel.x / self.width as f32 - 1.0) * self.tan_half_x;
         let y = (1.0 - 2.0 * pixel.y / self.height as f32) * self.tan_half_y;
         self.forward + x * self.right + y * self.up
     }
 
-    /// The pixel (column, row) on which a point lies through the pinhole; none behind the camera or outside the image.
+    /// The pixel (column, row) that shows a point through a pinhole. `None` if the point is behind the camera
+    /// or outside the image.
     pub fn pixel_of(&self, point: Vec3) -> Option<(u32, u32)> {
         let offset = point - self.origin;
         let depth = offset.dot(self.forward);
@@ -46,7 +48,7 @@ impl Camera {
         inside.then_some((x as u32, y as u32))
     }
 
-    /// The same camera with another image size, square pixels; the field of view along `x` stays.
+    /// The same camera with another image size and square pixels. The horizontal field of view is kept.
     pub fn resized(mut self, width: u32, height: u32) -> Self {
         self.width = width;
         self.height = height;

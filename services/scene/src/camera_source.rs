@@ -1,11 +1,11 @@
-//! Where the camera of a shot comes from: a look-at description, or a node of a glTF file.
+//! Sources of a shot's camera: a look-at description, or a node of a glTF file.
 
 use crate::Camera;
 use crate::animation::Animated;
 use glam::{DMat4, DVec3};
 use serde::Deserialize;
 
-/// The image axis along which a field of view is measured.
+/// The image axis along which the field of view is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum FovAxis {
@@ -14,7 +14,7 @@ pub(crate) enum FovAxis {
     Y,
 }
 
-/// A camera that looks from a point to a point.
+/// A camera at `origin` that looks at `target`.
 #[derive(Debug, Clone)]
 pub(crate) struct LookAt {
     pub(crate) origin: Animated<DVec3>,
@@ -25,17 +25,17 @@ pub(crate) struct LookAt {
     pub(crate) fov_axis: FovAxis,
     pub(crate) width: u32,
     pub(crate) height: u32,
-    /// Metres.
+    /// Lens radius, metres. 0 is a pinhole.
     pub(crate) aperture_radius: f64,
-    /// Metres; absent: the distance of the target.
+    /// Distance of the focus plane, metres. `None` focuses on the target.
     pub(crate) focus_distance: Option<f64>,
 }
 
 impl LookAt {
-    /// The camera at a frame, seen from `scene_origin`.
+    /// The camera at a frame, in coordinates relative to `scene_origin`.
     ///
     /// # Errors
-    /// The reason why the description has no meaning there.
+    /// The reason why the description gives no valid camera at this frame.
     pub(crate) fn at(&self, frame: f64, scene_origin: DVec3) -> Result<Camera, String> {
         let (origin, target) = (self.origin.at(frame), self.target.at(frame));
         let view = target - origin;
@@ -51,9 +51,7 @@ impl LookAt {
         };
         let fov = self.fov_deg.at(frame);
         if !(fov > 0.0 && fov < 180.0) {
-            return Err(format!(
-                "`fov_deg` is {fov} at frame {frame}; it must lie between 0 and 180 degrees"
-            ));
+            return Err(format!("`fov_deg` is {fov} at frame {frame}; it must be between 0 and 180 degrees"));
         }
         let tangent = libm::tan(fov.to_radians() / 2.0);
         let ratio = f64::from(self.height) / f64::from(self.width);
@@ -76,7 +74,7 @@ impl LookAt {
     }
 }
 
-/// A perspective camera on a node; it looks along the node's −z.
+/// A perspective camera on a node. It looks along the node's −z.
 #[derive(Debug, Clone)]
 pub(crate) struct NodeCamera {
     /// Index into the shot's nodes.
@@ -88,10 +86,10 @@ pub(crate) struct NodeCamera {
 }
 
 impl NodeCamera {
-    /// The camera where the node's world matrix is `world`.
+    /// The camera for the node's world matrix.
     ///
     /// # Errors
-    /// The reason why the matrix gives no view.
+    /// The reason why the matrix gives no valid camera.
     pub(crate) fn at(&self, world: &DMat4) -> Result<Camera, String> {
         let forward = (-world.z_axis.truncate()).try_normalize();
         let right = forward.and_then(|f| f.cross(world.y_axis.truncate()).try_normalize());
@@ -114,13 +112,15 @@ impl NodeCamera {
     }
 }
 
-/// Image size where a camera says none: 720 rows.
+/// Image height, in pixels, of a camera that does not specify it.
 pub(crate) const DEFAULT_HEIGHT: u32 = 720;
-/// Aspect ratio where a camera says none.
+/// Aspect ratio of a camera that does not specify it.
 pub(crate) const DEFAULT_ASPECT: f64 = 16.0 / 9.0;
 
-/// The view of a scene that has no camera: from the front right and above, 40° high, 1280 × 720 pixels, at the distance at
-/// which the sphere around the bounding box fills the height of the image.
+/// The default view of a scene without a camera: 1280 × 720 pixels, 40° high, from the front right and above.
+///
+/// `lowest` and `highest` span the scene's bounding box. At the chosen distance, the sphere around the box
+/// fills the height of the image.
 pub(crate) fn default_view(lowest: DVec3, highest: DVec3) -> LookAt {
     const FOV_DEG: f64 = 40.0;
     let (centre, radius) = ((lowest + highest) / 2.0, ((highest - lowest).length() / 2.0).max(1e-3));
@@ -139,7 +139,7 @@ pub(crate) fn default_view(lowest: DVec3, highest: DVec3) -> LookAt {
     }
 }
 
-/// The camera of a shot.
+/// The source of a shot's camera.
 #[derive(Debug, Clone)]
 pub(crate) enum CameraSource {
     LookAt(Box<LookAt>),

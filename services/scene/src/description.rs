@@ -1,48 +1,48 @@
-//! `scene.json`, version 1: what it may say, and what of it makes sense.
+//! Reads and checks `scene.json`, version 1.
 //!
-//! Reading happens in two steps. Serde turns the text into the raw types below and refuses unknown keys and wrong types; then
-//! every value is checked for its meaning. Both steps name the JSON pointer of what is wrong.
+//! Serde first converts the text to the raw types below, and rejects unknown keys and wrong types. Then the
+//! value of every key is checked. Errors of both steps give the JSON pointer of the wrong value.
 
 use crate::animation::Animated;
 use crate::camera_source::{FovAxis, LookAt};
+use crate::checker::{BRIGHTEST, Checker};
 use crate::error::SceneError;
+use crate::light_source::LightSource;
 use crate::limits::{LARGEST_COORDINATE, Limits};
 use crate::tracks::{self, ObjectTrack, RawTrack};
 use glam::DVec3;
 use serde::Deserialize;
 
-/// The version of the format that this crate understands.
+/// The version of the format that this crate reads.
 const VERSION: u64 = 1;
 
-/// Frames per second where nothing else is said.
+/// Frames per second of a scene that does not specify it.
 pub(crate) const DEFAULT_FPS: f64 = 24.0;
 
-/// Brightest radiance, intensity or irradiance that is accepted, in its own unit.
-const BRIGHTEST: f64 = 1e12;
-
-/// Characters of a scene's name at most, as of a job's.
+/// Longest accepted name, in characters. Job names have the same limit.
 const LONGEST_NAME: usize = 200;
 
-/// A `scene.json` that makes sense by itself.
+/// A checked `scene.json`.
 #[derive(Debug)]
 pub(crate) struct Description {
     pub(crate) name: Option<String>,
-    /// Paths of geometry files, in the bundle.
+    /// Paths of the geometry files in the bundle.
     pub(crate) geometry: Vec<String>,
     pub(crate) camera: Option<LookAt>,
     pub(crate) environment: EnvironmentSource,
     pub(crate) lights: Vec<LightSource>,
     pub(crate) fps: f64,
     pub(crate) frames: Option<Frames>,
-    /// Tracks that move objects; those of camera and lights are in these already.
+    /// Tracks that move objects. Tracks of camera and lights are already applied.
     pub(crate) object_tracks: Vec<ObjectTrack>,
 }
 
 /// Number of frames of a shot.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Frames {
-    Said(u32),
-    /// Not said: up to the last key of a track.
+    /// Given in `scene.json`.
+    Given(u32),
+    /// Not specified: the shot ends at the last key of a track.
     Keyed(u32),
 }
 
@@ -51,14 +51,6 @@ pub(crate) enum EnvironmentSource {
     Black,
     Constant(DVec3),
     Image { path: String, scale: f64, rotation_deg: f64 },
-}
-
-/// A light of `scene.json`.
-#[derive(Debug)]
-pub(crate) enum LightSource {
-    Quad { corner: DVec3, edge_u: DVec3, edge_v: DVec3, radiance: Animated<DVec3> },
-    Point { position: DVec3, intensity: Animated<DVec3> },
-    Sun { direction: DVec3, irradiance: Animated<DVec3>, angle_deg: f64 },
 }
 
 #[derive(Deserialize)]
@@ -101,8 +93,10 @@ fn up() -> [f64; 3] {
     [0.0, 1.0, 0.0]
 }
 
-/// All keys of all environments: which of them belong to the given `type` is checked afterwards, because an
-/// internally tagged enum would lose the pointer to what is wrong.
+/// All keys of all kinds of environment.
+///
+/// Whether a key belongs to the given `type` is checked later. An internally tagged enum would lose the JSON
+/// pointer of an error.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawEnvironment {
@@ -113,7 +107,7 @@ struct RawEnvironment {
     rotation_deg: Option<f64>,
 }
 
-/// All keys of all lights, see [`RawEnvironment`].
+/// All keys of all kinds of light; see [`RawEnvironment`].
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawLight {
@@ -139,9 +133,9 @@ struct RawAnimation {
 }
 
 impl Description {
-    /// Reads the text of a `scene.json`; `file` is its path for messages.
+    /// Parses the text of a `scene.json`. `file` is its path in error messages.
     pub(crate) fn parse(file: &str, text: &[u8], limits: &Limits) -> Result<Self, SceneError> {
-        // An editor's byte order mark is no reason to refuse a file.
+        // Skip a byte order mark, which some editors write.
         let text = text.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(text);
         check_version(file, text)?;
         let mut deserializer = serde_json::Deserializer::from_slice(text);
@@ -152,7 +146,7 @@ impl Description {
     }
 }
 
-/// The version comes first: another version may have other keys, and the message should say so.
+/// Checks the version first. Another version may have other keys, and the error should say so.
 fn check_version(file: &str, text: &[u8]) -> Result<(), SceneError> {
     let probe: VersionOnly =
         serde_json::from_slice(text).map_err(|e| SceneError::file(file, e.to_string()))?;
@@ -161,12 +155,12 @@ fn check_version(file: &str, text: &[u8]) -> Result<(), SceneError> {
         Some(version) => Err(SceneError::pointer(
             file,
             "/version",
-            format!("version {version} is not understood; this program understands version {VERSION}"),
+            format!("version {version} is not supported; this program reads version {VERSION}"),
         )),
         None => Err(SceneError::pointer(
             file,
             "/version",
-            format!("is missing; this program understands version {VERSION}"),
+            format!("is missing; this program reads version {VERSION}"),
         )),
     }
 }
@@ -187,60 +181,19 @@ pub(crate) fn json_pointer(path: &serde_path_to_error::Path) -> String {
     pointer
 }
 
-/// Checks of single values, with the file's name for messages.
-pub(crate) struct Checker<'a> {
-    pub(crate) file: &'a str,
-}
-
 impl Checker<'_> {
-    pub(crate) fn fail<T>(&self, pointer: &str, reason: impl Into<String>) -> Result<T, SceneError> {
-        Err(SceneError::pointer(self.file, pointer, reason))
-    }
-
-    /// What the scene is called, which stands in tables, logs and the names of jobs.
+    /// Checks the scene's name. It appears in tables, logs and the names of jobs.
     fn name(&self, name: String) -> Result<String, SceneError> {
         if !(1..=LONGEST_NAME).contains(&name.chars().count()) || name.contains(char::is_control) {
-            let reason =
-                format!("must have 1 to {LONGEST_NAME} characters, none of them a control character");
+            let reason = format!("must have 1 to {LONGEST_NAME} characters, and no control characters");
             return self.fail("/name", reason);
         }
         Ok(name)
     }
 
-    /// A position or an edge, metres.
-    pub(crate) fn coordinates(&self, pointer: &str, value: [f64; 3]) -> Result<DVec3, SceneError> {
-        if value.iter().any(|c| c.abs() > LARGEST_COORDINATE) {
-            return self.fail(pointer, format!("a coordinate is larger than {LARGEST_COORDINATE:e} m"));
-        }
-        Ok(DVec3::from_array(value))
-    }
-
-    /// A unit vector along `value`.
-    fn direction(&self, pointer: &str, value: [f64; 3]) -> Result<DVec3, SceneError> {
-        let direction = self.coordinates(pointer, value)?.try_normalize();
-        direction.map_or_else(|| self.fail(pointer, "the vector has no length"), Ok)
-    }
-
-    /// Radiance, intensity or irradiance.
-    pub(crate) fn light(&self, pointer: &str, value: [f64; 3]) -> Result<DVec3, SceneError> {
-        if value.iter().any(|c| !(0.0..=BRIGHTEST).contains(c)) {
-            return self.fail(pointer, format!("every channel must lie in 0 to {BRIGHTEST:e}"));
-        }
-        Ok(DVec3::from_array(value))
-    }
-
-    /// Angle of view, degrees.
-    pub(crate) fn field_of_view(&self, pointer: &str, value: f64) -> Result<f64, SceneError> {
-        if !(value > 0.0 && value < 180.0) {
-            return self
-                .fail(pointer, format!("{value}: the field of view must lie between 0 and 180 degrees"));
-        }
-        Ok(value)
-    }
-
     fn scene(&self, raw: RawScene, limits: &Limits) -> Result<Description, SceneError> {
         if raw.geometry.is_empty() {
-            return self.fail("/geometry", "names no file");
+            return self.fail("/geometry", "must name at least one file");
         }
         let mut geometry = Vec::new();
         for (i, reference) in raw.geometry.iter().enumerate() {
@@ -259,14 +212,14 @@ impl Checker<'_> {
         }
         let (object_tracks, last_key) = tracks::apply(self, animation.tracks, camera.as_mut(), &mut lights)?;
         let frames = match animation.frames {
-            Some(0) => return self.fail("/animation/frames", "a shot has at least one frame"),
+            Some(0) => return self.fail("/animation/frames", "a shot must have at least one frame"),
             Some(frames) if frames > limits.frames => {
                 let (found, limit) = (u64::from(frames), u64::from(limits.frames));
                 let file = format!("{}: /animation/frames", self.file);
                 return Err(SceneError::Limit { file, what: "frames", found, limit });
             }
-            Some(frames) => Some(Frames::Said(frames)),
-            // A saturating conversion; `Scene::load` holds the result against the limit.
+            Some(frames) => Some(Frames::Given(frames)),
+            // The cast saturates. `Scene::load` checks the result against the limit.
             None => last_key.map(|frame| Frames::Keyed((frame.ceil().max(0.0) as u32).saturating_add(1))),
         };
         let name = raw.name.map(|name| self.name(name)).transpose()?;
@@ -280,7 +233,7 @@ impl Checker<'_> {
     fn camera(&self, raw: RawCamera, limits: &Limits) -> Result<LookAt, SceneError> {
         for (pointer, size) in [("/camera/width", raw.width), ("/camera/height", raw.height)] {
             if size == 0 {
-                return self.fail(pointer, "an image has at least one pixel");
+                return self.fail(pointer, "an image must have at least one pixel");
             }
         }
         let pixels = u64::from(raw.width) * u64::from(raw.height);
@@ -327,10 +280,11 @@ impl Checker<'_> {
                 let reference = self.required("/environment/path", raw.path)?;
                 let (scale, rotation_deg) = (raw.scale.unwrap_or(1.0), raw.rotation_deg.unwrap_or(0.0));
                 if !(0.0..=BRIGHTEST).contains(&scale) {
-                    return self.fail("/environment/scale", format!("must lie in 0 to {BRIGHTEST:e}"));
+                    return self
+                        .fail("/environment/scale", format!("must be in the range 0 to {BRIGHTEST:e}"));
                 }
                 if rotation_deg.abs() > 1e6 {
-                    return self.fail("/environment/rotation_deg", "must lie in -1e6 to 1e6");
+                    return self.fail("/environment/rotation_deg", "must be in the range -1e6 to 1e6");
                 }
                 let path = self.path("/environment/path", &reference)?;
                 Ok(EnvironmentSource::Image { path, scale, rotation_deg })
@@ -362,10 +316,10 @@ impl Checker<'_> {
                 self.only(at, "a quad light", &["corner", "edge_u", "edge_v", "radiance"], &keys)?;
                 let corner = point("corner", raw.corner)?;
                 let (edge_u, edge_v) = (point("edge_u", raw.edge_u)?, point("edge_v", raw.edge_v)?);
-                // The sine of the angle between the edges; NaN where an edge has no length.
+                // The sine of the angle between the edges. It is NaN if an edge has zero length.
                 let sine = edge_u.cross(edge_v).length() / (edge_u.length() * edge_v.length());
                 if sine.is_nan() || sine < 1e-6 {
-                    return self.fail(at, "`edge_u` and `edge_v` are parallel or have no length");
+                    return self.fail(at, "`edge_u` and `edge_v` are parallel or have zero length");
                 }
                 Ok(LightSource::Quad { corner, edge_u, edge_v, radiance: light("radiance", raw.radiance)? })
             }
@@ -389,18 +343,6 @@ impl Checker<'_> {
                 })
             }
             other => self.fail(&pointer("type"), format!("`{other}` is not one of `quad`, `point`, `sun`")),
-        }
-    }
-
-    fn required<T>(&self, pointer: &str, value: Option<T>) -> Result<T, SceneError> {
-        value.map_or_else(|| self.fail(pointer, "is missing"), Ok)
-    }
-
-    /// Refuses keys that are known, but not of this kind of thing.
-    fn only(&self, at: &str, what: &str, allowed: &[&str], keys: &[(&str, bool)]) -> Result<(), SceneError> {
-        match keys.iter().find(|(key, given)| *given && !allowed.contains(key)) {
-            Some((key, _)) => self.fail(&format!("{at}/{key}"), format!("{what} has no key `{key}`")),
-            None => Ok(()),
         }
     }
 }

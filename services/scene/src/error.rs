@@ -1,51 +1,51 @@
-//! What can be wrong with a scene: every error is one line that names the file, the place in it and the reason.
+//! Errors of scenes. Each is one line that names the file, the place in it and the reason.
 
 use std::fmt;
 
-/// Why a scene, or one frame of it, cannot be had.
+/// Why a scene, or one frame of it, cannot be loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
-    /// A file is not there or cannot be read.
+    /// A file is missing or cannot be read.
     #[error("{}", one_line(format!("{file}: cannot be read: {source}")))]
     Io {
-        /// Path as the bundle names it.
+        /// Path in the bundle.
         file: String,
-        /// What the operating system says.
+        /// The operating system's error.
         source: std::io::Error,
     },
-    /// A file is there and says something that no scene may say.
+    /// A file's contents are invalid.
     #[error("{}", one_line(format!("{file}: {place}{reason}")))]
     Malformed {
-        /// Path as the bundle names it.
+        /// Path in the bundle.
         file: String,
-        /// Where in the file.
+        /// Place in the file.
         place: Place,
-        /// What is wrong there.
+        /// What is wrong.
         reason: String,
     },
-    /// A bundle asks for more than the [`crate::Limits`] allow.
+    /// A bundle exceeds one of the [`crate::Limits`].
     #[error("{}", one_line(format!("{file}: {what}: {found} is more than the limit of {limit}")))]
     Limit {
-        /// Path as the bundle names it.
+        /// Path in the bundle.
         file: String,
-        /// What is counted, with its unit.
+        /// The limited quantity, with its unit.
         what: &'static str,
-        /// How much there is, at least.
+        /// Its value, or a lower bound of it.
         found: u64,
-        /// How much is allowed.
+        /// Largest accepted value.
         limit: u64,
     },
-    /// A frame outside the shot.
+    /// The frame number is outside the shot.
     #[error("frame {frame} is outside the shot, which has frames 0 to {last}")]
     FrameOutside {
-        /// The frame asked for.
+        /// The requested frame.
         frame: u32,
-        /// The last frame of the shot.
+        /// The shot's last frame.
         last: u32,
     },
 }
 
-/// The text in one line: names that a bundle gives, and what decoders say, may have several.
+/// Joins the lines of a text. Names from a bundle and messages from decoders may contain line breaks.
 fn one_line(text: String) -> String {
     if !text.contains(char::is_control) {
         return text;
@@ -61,7 +61,7 @@ pub enum Place {
     Whole,
     /// A line, counted from 1.
     Line(usize),
-    /// A JSON pointer (RFC 6901); the empty pointer is the whole document.
+    /// A JSON pointer (RFC 6901). The empty pointer is the whole document.
     Pointer(String),
 }
 
@@ -82,7 +82,8 @@ impl SceneError {
         Self::Malformed { file: file.into(), place: Place::Whole, reason: reason.into() }
     }
 
-    /// This error as the reason of one in another file, at `place`. A passed limit stays what it is.
+    /// Makes this error the reason of an error in another file, at `place`. [`Self::Limit`] is returned
+    /// unchanged.
     pub(crate) fn within(self, file: &str, place: Place, context: &str) -> Self {
         match self {
             Self::Limit { .. } => self,

@@ -5,30 +5,32 @@ use glam::{Vec2, Vec3};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// Everything that preview and tracer need to know of one frame, in world space.
+/// One frame in world space: everything that the preview and the tracer read.
 #[derive(Debug, Clone)]
 pub struct Frame {
     /// Frame number.
     pub number: u32,
     /// The camera at this instant.
     pub camera: Camera,
-    /// All triangles, in world space; shared between frames in which nothing moves.
+    /// All triangles, in world space. Frames in which nothing moves share them.
     pub geometry: Arc<Geometry>,
-    /// Materials at this instant (an animated light changes its emission), by index.
+    /// Materials by index, at this instant. An animated area light changes its material's emission.
     pub materials: Arc<[Material]>,
     /// Textures by [`crate::TextureId`].
     pub textures: Arc<[Texture]>,
-    /// Lights without surface. Area lights are the triangles whose material emits.
+    /// Point and spot lights. Area lights are triangles with an emissive material.
     pub points: Vec<PointLight>,
     /// Distant lights.
     pub suns: Vec<Sun>,
-    /// What rays meet that leave the scene.
+    /// Radiance that a ray receives when it leaves the scene.
     pub environment: Environment,
 }
 
 impl Frame {
-    /// Whether each light shines at this instant: materials by index (those that cannot emit never do, nor those that nothing is made of
-    /// at this instant), then lights without surface, suns, and the environment. The same lights in every frame of a shot.
+    /// Whether each light emits at this instant, in the same order for every frame of a shot.
+    ///
+    /// The order is: materials by index, points, suns, environment. A material does not emit if its emission
+    /// is zero or if no triangle of this frame has it.
     pub fn shining(&self) -> Vec<bool> {
         let mut present = vec![false; self.geometry.strata.pairs.len()];
         self.geometry.triangle_stratum.iter().for_each(|&stratum| present[stratum as usize] = true);
@@ -51,29 +53,30 @@ impl Frame {
     }
 }
 
-/// Indexed triangles with their attribution.
+/// Indexed triangles with their objects and materials.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Geometry {
     /// Vertex positions, metres, finite.
     pub positions: Vec<Vec3>,
-    /// Unit shading normals, one per vertex; `Vec3::ZERO` where a face has none (use the geometric normal).
+    /// Unit shading normals, one per vertex. `Vec3::ZERO` means: use the geometric normal.
     pub normals: Vec<Vec3>,
     /// Texture coordinates, one per vertex.
     pub uvs: Vec<Vec2>,
-    /// Vertex indices, counter-clockwise seen from the front. Triangles of zero area are left out by the loader.
+    /// Vertex indices, counter-clockwise seen from the front. The loader has removed triangles of zero area.
     pub triangles: Vec<[u32; 3]>,
-    /// Stratum (object, material) of each triangle: index into `strata`.
+    /// Stratum of each triangle: index into `strata`.
     pub triangle_stratum: Vec<u32>,
-    /// The (object, material) pairs of the scene, the same for every frame of a shot.
+    /// The (object, material) pairs of the scene. They are the same for every frame of a shot.
     pub strata: Strata,
 }
 
-/// The table of (object, material) pairs. A stratum's index is its id in every preview and forecast.
+/// The table of strata. A stratum is an (object, material) pair; its index is its id in every preview and
+/// forecast.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Strata {
     /// Object names by object id.
     pub objects: Vec<String>,
-    /// (object id, material index) by stratum.
+    /// (object id, material index) of each stratum.
     pub pairs: Vec<(u32, u32)>,
 }
 
@@ -83,26 +86,26 @@ impl Strata {
         self.pairs.len()
     }
 
-    /// Number of materials that surfaces have; libraries may describe more.
+    /// Number of materials in use. Material libraries may define more.
     pub fn materials(&self) -> usize {
         self.pairs.iter().map(|&(_, material)| material).collect::<BTreeSet<u32>>().len()
     }
 
-    /// Whether the scene has no object at all.
+    /// Returns `true` if the scene has no objects.
     pub fn is_empty(&self) -> bool {
         self.pairs.is_empty()
     }
 }
 
 impl Geometry {
-    /// What each vertex has, at the three corners of a triangle.
+    /// An attribute's values at the three corners of a triangle. `of_vertices` holds one value per vertex.
     #[inline]
     pub fn at_corners<T: Copy>(&self, triangle: u32, of_vertices: &[T]) -> [T; 3] {
         let [a, b, c] = self.triangles[triangle as usize];
         [of_vertices[a as usize], of_vertices[b as usize], of_vertices[c as usize]]
     }
 
-    /// The three corners of a triangle.
+    /// Positions of the three corners of a triangle, metres.
     #[inline]
     pub fn corners(&self, triangle: u32) -> [Vec3; 3] {
         self.at_corners(triangle, &self.positions)
@@ -120,14 +123,14 @@ impl Geometry {
         self.strata.pairs[self.triangle_stratum[triangle as usize] as usize].1
     }
 
-    /// Unit geometric normal by the winding.
+    /// Unit geometric normal. It points to the side from which the triangle is counter-clockwise.
     #[inline]
     pub fn geometric_normal(&self, triangle: u32) -> Vec3 {
         let [a, b, c] = self.corners(triangle);
         (b - a).as_dvec3().cross((c - a).as_dvec3()).normalize_or_zero().as_vec3()
     }
 
-    /// Texture coordinates at barycentrics (u, v) of corners 1 and 2.
+    /// Texture coordinates at barycentrics (u, v), the weights of the second and third corner.
     #[inline]
     pub fn uv(&self, triangle: u32, u: f32, v: f32) -> Vec2 {
         let [a, b, c] = self.at_corners(triangle, &self.uvs);
@@ -135,14 +138,14 @@ impl Geometry {
     }
 }
 
-/// Light from a point, with an optional cone (glTF spot light).
+/// A point light, with an optional cone (glTF spot light).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PointLight {
-    /// Where it is, metres.
+    /// Position, metres.
     pub position: Vec3,
     /// Radiant intensity, W/sr per channel.
     pub intensity: Vec3,
-    /// Unit axis and cosines of the inner and outer cone angle of a spot light.
+    /// Unit axis, and cosines of the inner and outer cone angle, of a spot light.
     pub cone: Option<(Vec3, f32, f32)>,
 }
 
@@ -153,21 +156,21 @@ pub struct Sun {
     pub direction: Vec3,
     /// Irradiance on a surface that faces it, W/m² per channel.
     pub irradiance: Vec3,
-    /// Angular diameter in degrees; 0 is a delta light with hard shadows.
+    /// Angular diameter in degrees. 0 is a delta light with hard shadows.
     pub angle_deg: f32,
 }
 
-/// What surrounds the scene.
+/// The surroundings of the scene.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub enum Environment {
-    /// Nothing: black.
+    /// No light.
     #[default]
     Black,
-    /// The same radiance from everywhere.
+    /// The same radiance from every direction.
     Constant(Vec3),
-    /// Latitude-longitude image, y up; texture index, scale, rotation about y in degrees.
+    /// A latitude-longitude image, with y up.
     Image {
-        /// The image, linear.
+        /// The image, in linear colour.
         texture: crate::TextureId,
         /// Multiplier of the image's radiance.
         scale: f32,

@@ -1,4 +1,4 @@
-//! Textures of a scene: each image decoded once, whatever names it.
+//! The textures of a scene. Each image is decoded once, however many materials use it.
 
 use crate::bundle::Bundle;
 use crate::error::SceneError;
@@ -12,7 +12,7 @@ pub(crate) struct TextureLibrary<'a> {
     bundle: &'a Bundle,
     textures: Vec<Texture>,
     by_name: BTreeMap<String, TextureId>,
-    /// Whether a texture lets anything through, by texture.
+    /// For each texture, whether any texel has an alpha below 1.
     translucent: Vec<bool>,
     pixels: u64,
 }
@@ -22,7 +22,7 @@ impl<'a> TextureLibrary<'a> {
         Self { bundle, textures: Vec::new(), by_name: BTreeMap::new(), translucent: Vec::new(), pixels: 0 }
     }
 
-    /// The texture in a file of the bundle.
+    /// Loads a texture from a file of the bundle.
     pub(crate) fn load(&mut self, path: &str) -> Result<TextureId, SceneError> {
         if let Some(id) = self.known(path) {
             return Ok(id);
@@ -31,24 +31,23 @@ impl<'a> TextureLibrary<'a> {
         self.decode(path, &bytes)
     }
 
-    /// The texture in `bytes`; a second call with the same name gives the same texture.
+    /// Decodes a texture from `bytes`. A second call with the same name returns the same texture.
     pub(crate) fn decode(&mut self, name: &str, bytes: &[u8]) -> Result<TextureId, SceneError> {
         if let Some(id) = self.known(name) {
             return Ok(id);
         }
         let refused = |e: image::ImageError| SceneError::file(name, format!("is not a readable image: {e}"));
         let open = || {
-            // Contents, not names, say what a file is.
+            // The format is determined by a file's contents, not by its name.
             let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format();
             let reader = reader.map_err(|e| SceneError::file(name, e.to_string()))?;
             match reader.format() {
                 Some(
                     format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Hdr | ImageFormat::OpenExr),
                 ) => Ok((reader, format)),
-                _ => Err(SceneError::file(
-                    name,
-                    "is not an image that is understood (PNG, JPEG, Radiance HDR, OpenEXR)",
-                )),
+                _ => {
+                    Err(SceneError::file(name, "is not a supported image (PNG, JPEG, Radiance HDR, OpenEXR)"))
+                }
             }
         };
         let (width, height) = open()?.0.into_dimensions().map_err(refused)?;
@@ -63,10 +62,10 @@ impl<'a> TextureLibrary<'a> {
         }
         let (mut reader, format) = open()?;
         if format == ImageFormat::Jpeg && is_cut_short(bytes) {
-            return Err(SceneError::file(name, "is not a readable image: the JPEG file is cut short"));
+            return Err(SceneError::file(name, "is not a readable image: the JPEG file is truncated"));
         }
-        // The size is known and allowed: 16 bytes a pixel, and a margin for the decoder and for what a file carries
-        // beside the pixels.
+        // The image's size is known and allowed by now. Allow 16 bytes per pixel, and 64 MiB for the decoder
+        // and for other data in the file.
         let mut limits = image::Limits::default();
         limits.max_alloc = Some(u64::from(width) * u64::from(height) * 16 + (64 << 20));
         reader.limits(limits);
@@ -92,18 +91,21 @@ impl<'a> TextureLibrary<'a> {
         self.by_name.get(name).copied()
     }
 
-    /// Refuses an image that, as the colour of a surface, would have it reflect more than arrives.
+    /// Rejects an image with values above 1. As the colour of a surface, it would reflect more light than
+    /// arrives.
     pub(crate) fn check_reflectance(&self, id: TextureId) -> Result<(), SceneError> {
         let Texture { name, width, texels, .. } = &self.textures[id.0 as usize];
         let Texels::Linear(texels) = texels else { return Ok(()) };
         let Some(i) = texels.iter().position(|texel| texel.iter().any(|&c| c > 1.0)) else { return Ok(()) };
         let (x, y) = (i % *width as usize, i / *width as usize);
-        let why =
-            format!("the pixel in column {x}, row {y} is {:?}; a surface's colour lies in 0 to 1", texels[i]);
+        let why = format!(
+            "the pixel in column {x}, row {y} is {:?}; a surface's colour must be in the range 0 to 1",
+            texels[i]
+        );
         Err(SceneError::file(name, why))
     }
 
-    /// Whether any texel has an alpha below 1.
+    /// Returns `true` if any texel has an alpha below 1.
     pub(crate) fn has_alpha(&self, id: TextureId) -> bool {
         self.translucent[id.0 as usize]
     }
@@ -113,15 +115,17 @@ impl<'a> TextureLibrary<'a> {
     }
 }
 
-/// Whether a JPEG file ends before its image does, which decoders fill up with grey. Behind the last start of a scan (ITU-T T.81, B.1.1.2)
-/// nothing but the end of the image looks like one: in a scan, another byte follows each 0xFF.
+/// Returns `true` if a JPEG file ends before its image does. Decoders would fill the rest with grey.
+///
+/// After the last start-of-scan marker, the next end-of-image marker is genuine: within a scan, a 0xFF byte
+/// is always followed by another byte (ITU-T T.81, B.1.1.2).
 fn is_cut_short(jpeg: &[u8]) -> bool {
     let last = |marker: u8| jpeg.windows(2).rposition(|pair| pair == [0xFF, marker]);
     let (start_of_scan, end_of_image) = (last(0xDA), last(0xD9));
     end_of_image.is_none() || end_of_image < start_of_scan
 }
 
-/// Linear texels; filters and denoisers leave small negative values in images of light, which count as black.
+/// Linear texels. Filters and denoisers leave small negative values in images of light; they become 0.
 fn linear(name: &str, image: &image::Rgb32FImage, width: u32) -> Result<Texels, SceneError> {
     let mut texels = Vec::with_capacity(image.len() / 3);
     for (i, pixel) in image.pixels().enumerate() {

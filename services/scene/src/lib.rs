@@ -1,24 +1,28 @@
-//! What is there at frame *t*: scene bundles, their geometry, materials, lights and animation.
+//! Scenes: bundles, geometry, materials, lights and animation.
 //!
-//! A [`Bundle`] is the folder or zip that a user hands in; [`Scene`] is what it says, for the whole shot;
-//! [`Frame`] is the world at one instant, and all that the preview and the tracer ever see.
+//! A [`Bundle`] is the folder or zip file that a user submits. A [`Scene`] is its content for the whole shot.
+//! A [`Frame`] is the world at one instant. The preview and the tracer read frames only.
 //!
-//! Units: metres, seconds, linear Rec. 709 RGB radiance (W·sr⁻¹·m⁻² per channel); right-handed.
+//! Units are metres, seconds and linear Rec. 709 RGB radiance (W·sr⁻¹·m⁻² per channel). Coordinates are
+//! right-handed.
 
 mod animation;
 mod assembly;
 mod bundle;
 mod camera;
 mod camera_source;
+mod checker;
 mod description;
 mod error;
 mod frame;
 mod gltf_file;
 mod images;
+mod light_source;
 mod limits;
 mod material;
 mod mtl;
 mod obj;
+mod obj_text;
 mod polygon;
 mod scene;
 mod shot;

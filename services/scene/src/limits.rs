@@ -1,25 +1,26 @@
-//! How much a bundle may ask for.
+//! Limits on the resources that a bundle may use.
 
-/// Bounds on what loading a bundle may cost. The defaults suit a machine with 16 GiB of memory and bundles
-/// from people one does not know.
+/// Limits on the cost of loading a bundle. The defaults suit a machine with 16 GiB of memory and untrusted
+/// bundles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Entries of an archive, or files read from a folder. Default 65 536.
+    /// Number of entries of an archive, or of files read from a folder. Default 65,536.
     pub entries: usize,
     /// Bytes of all files together, after expansion. Default 4 GiB.
     pub total_bytes: u64,
     /// Bytes of one file, after expansion. Default 2 GiB.
     pub file_bytes: u64,
-    /// How many bytes one compressed byte may become, for files that expand to more than 1 MiB. Default 200:
-    /// geometry as text shrinks to a third or a tenth, deflate can do 1 032.
+    /// Expanded bytes per compressed byte, for files that expand to more than 1 MiB. Default 200.
+    ///
+    /// Geometry as text shrinks to between a third and a tenth. Deflate can reach 1,032.
     pub compression_ratio: u64,
-    /// Texels of all textures together. Default 2²⁸, 1 GiB as 8-bit images.
+    /// Texels of all textures together. Default 2²⁸, which is 1 GiB as 8-bit images.
     pub texture_pixels: u64,
-    /// Triangles, each instance of a mesh counted. Default 50 million.
+    /// Number of triangles. Each instance of a mesh counts. Default 50 million.
     pub triangles: u64,
-    /// Frames of the shot. Default 100 000.
+    /// Number of frames in the shot. Default 100,000.
     pub frames: u32,
-    /// Pixels of the camera's image. Default 2²⁸.
+    /// Number of pixels in the camera's image. Default 2²⁸.
     pub image_pixels: u64,
 }
 
@@ -38,9 +39,9 @@ impl Default for Limits {
     }
 }
 
-/// Expanded size below which the compression ratio of a file does not matter.
+/// Files that expand to fewer bytes are exempt from the compression ratio.
 pub(crate) const RATIO_MATTERS_FROM: u64 = 1 << 20;
 
-/// Largest absolute coordinate of a vertex or of a camera, metres. Products of four such lengths still fit an `f32`, so that
-/// no intersection test overflows.
+/// Largest absolute coordinate of a vertex or a camera, metres. Products of four such lengths still fit an
+/// `f32`, so no intersection test overflows.
 pub(crate) const LARGEST_COORDINATE: f64 = 1e9;

@@ -1,15 +1,15 @@
-//! Materials: how a surface scatters, transmits and emits.
+//! Materials: how a surface reflects, transmits and emits light.
 
 use crate::TextureId;
 use glam::Vec3;
 use std::num::NonZeroU8;
 
-/// A colour that a texture may vary over the surface: `factor` × texture (texture absent: `factor`).
+/// A colour, optionally varied by a texture: `factor` × texture, or `factor` alone.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Color {
     /// Linear Rec. 709 multiplier.
     pub factor: Vec3,
-    /// Image, looked up at the hit's texture coordinates.
+    /// Image, sampled at the hit's texture coordinates.
     pub texture: Option<TextureId>,
 }
 
@@ -20,53 +20,54 @@ impl Color {
     }
 }
 
-/// How light leaves a surface on which it arrives.
+/// How a surface scatters light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Surface {
-    /// Lambert reflection, two-sided.
+    /// Lambertian reflection, on both sides.
     Lambert {
         /// Diffuse reflectance.
         albedo: Color,
     },
-    /// Smooth or rough dielectric coat over a Lambert base.
+    /// Smooth or rough dielectric coat over a Lambertian base.
     Plastic {
         /// Diffuse reflectance of the base.
         albedo: Color,
         /// Index of refraction of the coat.
         ior: f32,
-        /// GGX alpha of the coat (roughness squared); 0 is a mirror-like coat.
+        /// GGX alpha of the coat (roughness squared). 0 is a smooth coat.
         alpha: f32,
     },
     /// Opaque conductor.
     Metal {
         /// Fresnel reflectance at normal incidence.
         f0: Color,
-        /// GGX alpha; 0 is a perfect mirror.
+        /// GGX alpha. 0 is a perfect mirror.
         alpha: f32,
     },
-    /// A pane without thickness: Fresnel reflection (both faces) and straight transmission.
+    /// A pane without thickness: Fresnel reflection from both faces, and straight transmission.
     ThinGlass {
         /// Index of refraction.
         ior: f32,
-        /// Share of light that passes, per channel.
+        /// Fraction of light transmitted, per channel.
         transmittance: Color,
     },
-    /// Boundary of a solid dielectric; the outside is where the geometric normal points.
+    /// Boundary of a solid dielectric. The geometric normal points to the outside.
     Glass {
-        /// Index of refraction of the inside: relative to the outside, whatever that is; with a priority, relative to empty space.
+        /// Index of refraction of the inside. With a priority, it is relative to vacuum. Without one, it is
+        /// relative to whatever is outside.
         ior: f32,
-        /// Share of light that passes the interface, per channel.
+        /// Fraction of light transmitted at the interface, per channel.
         transmittance: Color,
-        /// GGX alpha; 0 is smooth.
+        /// GGX alpha. 0 is smooth.
         alpha: f32,
-        /// Where solids with a priority overlap or touch, the one of highest priority fills the place, and the faces of the others inside
-        /// it are not there.
+        /// Rank among overlapping or touching solids. The solid with the highest priority fills the shared
+        /// space. Faces of the other solids inside it are ignored.
         priority: Option<NonZeroU8>,
     },
 }
 
 impl Surface {
-    /// The priority among solid dielectrics, if it is one and has one.
+    /// The priority of a solid dielectric that has one.
     pub fn priority(&self) -> Option<NonZeroU8> {
         match self {
             Self::Glass { priority, .. } => *priority,
@@ -75,26 +76,26 @@ impl Surface {
     }
 }
 
-/// How many materials of a scene may have a priority.
+/// Largest number of materials with a priority in a scene.
 pub const MOST_NESTED: usize = 32;
 
 /// Cut-out by a texture's alpha channel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AlphaMask {
-    /// The texture whose alpha counts.
+    /// The texture whose alpha channel is used.
     pub texture: TextureId,
-    /// The surface is there where alpha ≥ cutoff.
+    /// The surface exists where alpha ≥ cutoff.
     pub cutoff: f32,
 }
 
-/// The paper's material classes, by which an ID preview is coloured.
+/// The material classes of Gillibrand et al. 2006. They determine the colour in an ID preview.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MaterialClass {
-    /// Lets light through: shown in red.
+    /// Transmits light. Shown in red.
     Transparent,
-    /// Mirror-like or glossy: shown in blue.
+    /// Mirror-like or glossy. Shown in blue.
     Specular,
-    /// Everything else: shown in green.
+    /// Everything else. Shown in green.
     Diffuse,
 }
 
@@ -105,28 +106,29 @@ pub struct Material {
     pub name: String,
     /// Reflection and transmission.
     pub surface: Surface,
-    /// Radiance emitted from the front side (where the winding's normal points); zero emits nothing.
+    /// Radiance emitted from the front side, to which the geometric normal points. Zero emits nothing.
     pub emission: Color,
     /// Whether the back side emits too (glTF `doubleSided`).
     pub emits_both_sides: bool,
-    /// Constant opacity in [0, 1]: the share of light that the surface stops; below 1 it is a cut-out.
+    /// Constant opacity in [0, 1]: the fraction of light that the surface stops. Below 1 the surface is a
+    /// cut-out.
     pub opacity: f32,
     /// Texture cut-out.
     pub mask: Option<AlphaMask>,
 }
 
 impl Material {
-    /// Whether the surface emits light at all.
+    /// Returns `true` if the surface emits light.
     pub fn is_emissive(&self) -> bool {
         self.emission.factor.max_element() > 0.0
     }
 
-    /// Whether a ray may pass the surface as if it were not there.
+    /// Returns `true` if a ray may pass the surface unchanged.
     pub fn is_cutout(&self) -> bool {
         self.opacity < 1.0 || self.mask.is_some()
     }
 
-    /// The paper's class (section 2, step 1).
+    /// The material class (Gillibrand et al. 2006, section 2, step 1).
     pub fn class(&self) -> MaterialClass {
         match self.surface {
             Surface::ThinGlass { .. } | Surface::Glass { .. } => MaterialClass::Transparent,

@@ -1,31 +1,33 @@
-//! Materials of OBJ files.
+//! Reads the materials of OBJ files.
 //!
-//! [`check`] reads a file line by line before `tobj` does, because `tobj` names no lines and panics at a colour
-//! of two numbers. What it hands on has only lines that `tobj` reads as they are meant.
+//! [`check`] reads a file line by line before `tobj` does. `tobj` gives no line numbers in its errors, and
+//! panics on a colour of two numbers. The text that [`check`] returns has only lines that `tobj` reads
+//! correctly.
 
 use crate::assembly::{Assembly, plain_material};
 use crate::error::{Place, SceneError};
-use crate::obj::without_comment;
+use crate::obj_text::{text, without_comment};
 use crate::{Color, Material, Surface};
 use glam::Vec3;
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::num::NonZeroU8;
 
-/// Index of refraction where `Ni` is absent.
+/// Index of refraction without `Ni`.
 const DEFAULT_IOR: f32 = 1.5;
-/// `illum` values that have a meaning.
+/// The supported values of `illum`.
 const MODELS: [u8; 6] = [0, 1, 2, 3, 4, 7];
 
-/// Checks a `.mtl` file and returns its listed keys in canonical form, and how often each ignored key occurs.
+/// Checks a `.mtl` file. Returns its supported keys in canonical form, and the number of times that each
+/// other key occurs.
 pub(crate) fn check(file: &str, bytes: &[u8]) -> Result<(String, BTreeMap<String, usize>), SceneError> {
-    let text = crate::obj::text(file, bytes)?;
+    let text = text(file, bytes)?;
     let (mut canonical, mut ignored) = (String::new(), BTreeMap::new());
     let mut in_material = false;
     for (i, line) in text.lines().enumerate() {
         let line = line.trim();
         let (key, rest) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
-        // Names may hold the character that begins a comment.
+        // Names may contain `#`, which begins a comment elsewhere.
         let rest = if matches!(key, "newmtl" | "map_Kd") { rest } else { without_comment(rest) }.trim();
         if key.is_empty() || key.starts_with('#') {
             continue;
@@ -33,7 +35,7 @@ pub(crate) fn check(file: &str, bytes: &[u8]) -> Result<(String, BTreeMap<String
         if key == "newmtl" {
             in_material = true;
         } else if !in_material {
-            return Err(SceneError::line(file, i + 1, format!("`{key}` stands before the first `newmtl`")));
+            return Err(SceneError::line(file, i + 1, format!("`{key}` comes before the first `newmtl`")));
         }
         match value(key, rest).map_err(|reason| SceneError::line(file, i + 1, reason))? {
             Some(value) => {
@@ -46,12 +48,12 @@ pub(crate) fn check(file: &str, bytes: &[u8]) -> Result<(String, BTreeMap<String
     Ok((canonical, ignored))
 }
 
-/// The canonical value of a key; `None` where the key is not listed.
+/// The canonical value of a key. `None` if the key is not supported.
 fn value(key: &str, rest: &str) -> Result<Option<String>, String> {
     let value = match key {
-        "newmtl" | "map_Kd" if rest.is_empty() => return Err(format!("`{key}` names nothing")),
+        "newmtl" | "map_Kd" if rest.is_empty() => return Err(format!("`{key}` needs a name")),
         "map_Kd" if rest.starts_with('-') => {
-            return Err(format!("`map_Kd {rest}`: texture options are not understood"));
+            return Err(format!("`map_Kd {rest}`: texture options are not supported"));
         }
         "newmtl" | "map_Kd" => rest.to_owned(),
         "Kd" | "Ks" | "Tf" => colour(key, rest, 1.0)?,
@@ -60,7 +62,7 @@ fn value(key: &str, rest: &str) -> Result<Option<String>, String> {
         "Pr" | "d" => number(key, rest, 0.0, 1.0)?.to_string(),
         "priority" => match rest.parse::<NonZeroU8>() {
             Ok(priority) => priority.to_string(),
-            Err(_) => return Err(format!("`priority {rest}` is no whole number from 1 to 255")),
+            Err(_) => return Err(format!("`priority {rest}` is not a whole number from 1 to 255")),
         },
         "illum" => match rest.parse::<u8>() {
             Ok(model) if MODELS.contains(&model) => model.to_string(),
@@ -74,12 +76,12 @@ fn value(key: &str, rest: &str) -> Result<Option<String>, String> {
 fn number(key: &str, text: &str, lowest: f32, highest: f32) -> Result<f32, String> {
     let value: f32 = text.parse().map_err(|_| format!("`{key}`: `{text}` is not a number"))?;
     if !(lowest..=highest).contains(&value) {
-        return Err(format!("`{key}`: {value} does not lie in {lowest} to {highest}"));
+        return Err(format!("`{key}`: {value} is not in the range {lowest} to {highest}"));
     }
     Ok(value)
 }
 
-/// Three numbers, or one that stands for all three.
+/// Parses three numbers, or one that stands for all three.
 fn colour(key: &str, text: &str, highest: f32) -> Result<String, String> {
     let mut channels = Vec::new();
     for word in text.split_whitespace() {
@@ -92,7 +94,7 @@ fn colour(key: &str, text: &str, highest: f32) -> Result<String, String> {
     }
 }
 
-/// What a checked material means. `file` is the `.mtl` file.
+/// Converts a checked material. `file` is the `.mtl` file.
 pub(crate) fn material(
     assembly: &mut Assembly<'_>,
     file: &str,
@@ -110,7 +112,7 @@ pub(crate) fn material(
         None => None,
     };
     let rgb = |value: Option<[f32; 3]>| value.map(Vec3::from_array);
-    // The texture replaces `Kd`, it is not multiplied by it.
+    // The texture replaces `Kd`; the two are not multiplied.
     let albedo = match texture {
         Some(_) => Color { factor: Vec3::ONE, texture },
         None => Color::plain(rgb(source.diffuse).unwrap_or(Vec3::splat(0.5))),
@@ -142,14 +144,14 @@ pub(crate) fn material(
     Ok(material)
 }
 
-/// `Tf`, the share of light that passes per channel; white where it is absent.
+/// `Tf`, the fraction of light transmitted per channel. White if absent.
 fn filter(source: &tobj::Material) -> Vec3 {
     let mut words = unlisted(source, "Tf").unwrap_or_default().split_whitespace();
     let mut channel = || words.next().and_then(|w| w.parse().ok()).unwrap_or(1.0);
     Vec3::new(channel(), channel(), channel())
 }
 
-/// The value of a key that `tobj` itself does not know.
+/// The value of a key that `tobj` does not know.
 fn unlisted<'a>(source: &'a tobj::Material, key: &str) -> Option<&'a str> {
     source.unknown_param.get(key).map(String::as_str)
 }

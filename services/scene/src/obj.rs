@@ -1,36 +1,42 @@
-//! OBJ geometry, read by `tobj`.
+//! Reads OBJ geometry, with `tobj`.
 //!
-//! [`check`] goes through the text first, because `tobj` names no lines in its errors, lets NaN pass, does not
-//! say when a material is missing, makes fans of faces that are not convex, and mixes up the attributes of an object where only some faces have
-//! normals or texture coordinates. What it hands on has none of these: faces that are not convex are triangles, and attributes never change within
-//! a model, as it starts a new model of the same name where they do.
+//! [`check`] goes through the text first, because `tobj` has these faults:
+//!
+//! - Its errors have no line numbers.
+//! - It accepts NaN.
+//! - It does not report missing materials.
+//! - It triangulates non-convex faces as fans.
+//! - It mixes up attributes if only some faces of an object have normals or texture coordinates.
+//!
+//! In the text that [`check`] returns, non-convex faces are already triangulated. Where the attributes of an
+//! object change, it starts a new model with the same name.
 
 use crate::assembly::{Assembly, plain_material};
 use crate::error::{Place, SceneError};
+use crate::obj_text::{text, without_comment};
 use crate::polygon;
-use crate::shot::{Mesh, Node, Part, Placement};
+use crate::shot::{Mesh, Node, Part, Placement, unit_or_zero};
 use crate::{Color, Surface};
 use glam::{DVec3, Vec2, Vec3};
-use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// The name `tobj` gives to faces before the first `o` or `g`.
+/// The name that `tobj` gives to faces before the first `o` or `g`.
 const UNNAMED: &str = "unnamed_object";
 
-/// The most that the squares of the numbers of corners of faces that are not convex may add up to: cutting ears takes time in proportion to
-/// them, at worst half a minute for these.
+/// Limit on the sum of the squared corner counts of all non-convex faces. The time of ear clipping is
+/// proportional to this sum; at the limit it is half a minute at worst.
 const MOST_CUTTING: u64 = 1_000_000_000;
 
 /// A checked OBJ file.
 struct Checked {
-    /// Text for `tobj`, the libraries first.
+    /// Text for `tobj`, with the material libraries first.
     text: Vec<u8>,
-    /// Material libraries as they are named, with the line that names them.
+    /// Material libraries, each with the line that names it.
     libraries: Vec<(String, usize)>,
-    /// Materials that are used, with the first line that does.
+    /// Materials in use, each with the line that first uses it.
     materials: BTreeMap<String, usize>,
-    /// Keys without a meaning here, and how often they occur.
+    /// Unsupported keys, and the number of times that each occurs.
     ignored: BTreeMap<String, usize>,
 }
 
@@ -73,9 +79,9 @@ pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneE
     place(assembly, path, models, first_material)
 }
 
-/// A library: its name in the OBJ file, its path in the bundle, and what `tobj` makes of it.
+/// A material library: its name in the OBJ file, its path in the bundle, and its content as read by `tobj`.
 type Library = (String, String, (Vec<tobj::Material>, LibraryIndex));
-/// `tobj`'s own index from names to positions.
+/// The index from names to positions that `tobj` returns.
 type LibraryIndex = std::collections::HashMap<String, usize>;
 
 fn load_libraries(
@@ -101,7 +107,7 @@ fn load_libraries(
     Ok(libraries)
 }
 
-/// Turns models into parts. Models of the same name are one object, which may have several materials.
+/// Converts models to parts. Models with the same name are one object, which may have several materials.
 fn place(
     assembly: &mut Assembly<'_>,
     path: &str,
@@ -134,7 +140,7 @@ fn place(
         let material = match mesh.material_id {
             Some(id) => first_material + id as u32,
             None => *grey.get_or_insert_with(|| {
-                assembly.warn(format!("{path}: faces of `{name}` have no material and are shown in grey"));
+                assembly.warn(format!("{path}: faces of `{name}` have no material and are rendered grey"));
                 let albedo = Color::plain(Vec3::splat(0.5));
                 assembly.add_material(plain_material("(no material)", Surface::Lambert { albedo }))
             }),
@@ -160,57 +166,12 @@ fn local_mesh(mesh: &tobj::Mesh) -> Mesh {
     Mesh { positions, normals, uvs, triangles }
 }
 
-/// The unit vector along `v`; zero where it has no direction. Computed in `f64`, as squares of small numbers vanish in `f32`.
-pub(crate) fn unit_or_zero(v: Vec3) -> Vec3 {
-    v.as_dvec3().normalize_or_zero().as_vec3()
-}
-
-/// One warning for all keys that a file has and nobody reads.
+/// Gives one warning for all ignored keys of a file.
 fn warn_ignored(assembly: &mut Assembly<'_>, file: &str, ignored: &BTreeMap<String, usize>) {
     if !ignored.is_empty() {
         let keys: Vec<String> = ignored.iter().map(|(key, count)| format!("`{key}` ({count}×)")).collect();
         assembly.warn(format!("{file}: these keys are ignored: {}", keys.join(", ")));
     }
-}
-
-/// The text of a file, lines that go on joined, or an error with the line where it stops to be UTF-8.
-pub(crate) fn text<'a>(file: &str, bytes: &'a [u8]) -> Result<Cow<'a, str>, SceneError> {
-    let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
-    let text = std::str::from_utf8(bytes).map_err(|e| {
-        let line = 1 + bytes[..e.valid_up_to()].iter().filter(|&&b| b == b'\n').count();
-        SceneError::line(file, line, "is not UTF-8 text")
-    })?;
-    let goes_on = text.contains("\\\n") || text.contains("\\\r\n");
-    Ok(if goes_on { Cow::Owned(joined(text)) } else { Cow::Borrowed(text) })
-}
-
-/// A line that ends in `\` goes on in the next. Empty lines after it keep the numbers of those that follow.
-fn joined(text: &str) -> String {
-    let mut joined = String::with_capacity(text.len());
-    let (mut owed, mut is_comment) = (0, false);
-    for line in text.lines() {
-        if owed == 0 {
-            is_comment = line.trim_start().starts_with('#');
-        }
-        match line.strip_suffix('\\').filter(|_| !is_comment) {
-            Some(part) => {
-                joined += part;
-                joined.push(' ');
-                owed += 1;
-            }
-            None => {
-                joined += line;
-                joined.extend(std::iter::repeat_n('\n', owed + 1));
-                owed = 0;
-            }
-        }
-    }
-    joined
-}
-
-/// Numbers without the comment behind them.
-pub(crate) fn without_comment(numbers: &str) -> &str {
-    numbers.split_once('#').map_or(numbers, |(numbers, _)| numbers.trim_end())
 }
 
 fn check(file: &str, bytes: &[u8], triangle_limit: u64) -> Result<Checked, SceneError> {
@@ -234,7 +195,7 @@ fn check(file: &str, bytes: &[u8], triangle_limit: u64) -> Result<Checked, Scene
             return Err(SceneError::Limit { file: file.to_owned(), what: "triangles", found, limit });
         }
     }
-    // A library may be named after the faces that use it; `tobj` wants it before.
+    // A file may name a library after the faces that use it, but `tobj` needs it first.
     let mut text: Vec<u8> = Vec::with_capacity(check.out.len() + 1024);
     for (library, _) in &check.libraries {
         text.extend_from_slice(format!("mtllib {library}\n").as_bytes());
@@ -248,14 +209,14 @@ struct Check<'a> {
     out: Vec<u8>,
     /// Name of the current object.
     name: &'a str,
-    /// Whether the faces of the current model have (texture coordinates, normals).
+    /// Whether the current model's faces have (texture coordinates, normals).
     format: Option<(bool, bool)>,
     /// Positions so far.
     positions: Vec<[f32; 3]>,
-    /// Texture coordinates and normals so far.
+    /// Number of texture coordinates and normals so far.
     counts: [usize; 2],
     triangles: u64,
-    /// Squares of the numbers of corners of faces that are not convex, added up.
+    /// Sum of the squared corner counts of the non-convex faces so far.
     cutting: u64,
     libraries: Vec<(String, usize)>,
     materials: BTreeMap<String, usize>,
@@ -286,7 +247,7 @@ impl<'a> Check<'a> {
                 self.format = None;
                 self.write(&["o ", self.name]);
             }
-            "usemtl" | "mtllib" if rest.is_empty() => return Err(format!("`{key}` names nothing")),
+            "usemtl" | "mtllib" if rest.is_empty() => return Err(format!("`{key}` needs a name")),
             "usemtl" => {
                 self.materials.entry(rest.to_owned()).or_insert(number);
                 self.write(&["usemtl ", rest]);
@@ -305,7 +266,7 @@ impl<'a> Check<'a> {
         self.out.push(b'\n');
     }
 
-    /// A position: 3 numbers, or 4 with a weight, or 6 with a colour, which is left out.
+    /// Reads a position: 3 numbers, or 4 with a weight, or 6 with a colour. The colour is ignored.
     fn position(&mut self, rest: &str) -> Result<(), String> {
         let (words, [x, y, z, weight, ..]) = numbers::<6>("v", rest, 3)?;
         let weight = if words == 4 { weight } else { 1.0 };
@@ -339,7 +300,7 @@ impl<'a> Check<'a> {
             };
             let has = (has[1].is_some(), has[2].is_some());
             if *format.get_or_insert(has) != has {
-                return Err("`f`: the corners have not all the same attributes".into());
+                return Err("`f`: all corners must have the same attributes".into());
             }
             corners.push(position);
         }
@@ -364,7 +325,7 @@ impl<'a> Check<'a> {
         Ok(())
     }
 
-    /// The triangles of a face that is not convex.
+    /// The triangles of a non-convex face. `None` if the face is convex.
     fn ears(&mut self, corners: &[usize]) -> Result<Option<Vec<[usize; 3]>>, String> {
         let corners: Vec<DVec3> =
             corners.iter().map(|&corner| DVec3::from(self.positions[corner].map(f64::from))).collect();
@@ -375,13 +336,14 @@ impl<'a> Check<'a> {
         self.cutting = self.cutting.saturating_add(corners_squared);
         if self.cutting > MOST_CUTTING {
             return Err(
-                "`f`: the faces that are not convex have too many corners to be cut into triangles here; let the exporter do it".into()
+                "`f`: the non-convex faces have too many corners to triangulate here; triangulate them in the exporter".into()
             );
         }
         Ok(polygon::ears(&corners))
     }
 
-    /// Checks an index, from 1, or negative from the last one so far; returns it from 0.
+    /// Parses an index: from 1, or negative and counted back from the last element so far. Returns it counted
+    /// from 0.
     fn index(&self, kind: usize, text: &str) -> Result<usize, String> {
         let count = [self.positions.len(), self.counts[0], self.counts[1]][kind];
         let index: i64 = text.parse().map_err(|_| format!("`f`: `{text}` is not an index"))?;
@@ -389,13 +351,14 @@ impl<'a> Check<'a> {
             let what = ["vertex", "texture coordinate", "normal"][kind];
             return Err(format!("`f`: there is no {what} {index}; there are {count} so far"));
         }
-        // Both are within the number of lines.
+        // Both numbers are at most the number of lines.
         let distance = index.unsigned_abs() as usize;
         Ok(if index > 0 { distance - 1 } else { count - distance })
     }
 }
 
-/// Reads at least `least` and at most `N` finite numbers; returns how many, and zeros behind them.
+/// Parses at least `least` and at most `N` finite numbers. Returns their count, and the numbers followed by
+/// zeros.
 fn numbers<const N: usize>(key: &str, text: &str, least: usize) -> Result<(usize, [f32; N]), String> {
     let mut count = 0;
     let mut found = [0.0; N];

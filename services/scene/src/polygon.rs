@@ -1,16 +1,19 @@
-//! Polygons as triangles.
+//! Triangulates polygons.
 //!
-//! A convex polygon is a fan about its first corner. Of any other a fan has triangles that lie outside, so it is cut into ears (Meisters 1975,
-//! as `earcut` does it) in the plane of its normal (Newell's: the sum of the cross products of neighbouring corners).
+//! A convex polygon becomes a triangle fan about its first corner. A fan of a non-convex polygon would have
+//! triangles outside it. Such a polygon is triangulated by ear clipping (Meisters 1975, as implemented by
+//! `earcut`), in the plane of its Newell normal.
 
 use earcut::Earcut;
 use earcut::utils3d::project3d_to_2d;
 use glam::DVec3;
 
-/// A corner that lies so much of its coordinates off the line between its neighbours may do so because it was rounded to `f32`.
+/// Tolerance relative to the coordinates. A corner this close to the line between its neighbours may be off
+/// that line only because it was rounded to `f32`.
 const ROUNDING: f64 = 4.0 * f32::EPSILON as f64;
 
-/// Whether a fan about the first corner will do: the polygon is convex, or has no area that could be told inside from outside.
+/// Returns `true` if a fan about the first corner is a valid triangulation: the polygon is convex or has no
+/// area.
 pub(crate) fn is_fan(corners: &[DVec3]) -> bool {
     let Some(normal) = normal(corners) else { return true };
     let at = |corner: usize| corners[corner % corners.len()];
@@ -22,8 +25,10 @@ pub(crate) fn is_fan(corners: &[DVec3]) -> bool {
     })
 }
 
-/// Triangles of a polygon, as indices of corners, in the sense in which it turns; `None` if none can be cut. Takes time in proportion to the square
-/// of the number of corners, at worst.
+/// Triangulates a polygon by ear clipping. The triangles are corner indices with the winding of the polygon.
+///
+/// Returns `None` if no triangle can be cut. The time is at worst proportional to the square of the number of
+/// corners.
 pub(crate) fn ears(corners: &[DVec3]) -> Option<Vec<[usize; 3]>> {
     let normal = normal(corners)?;
     let points: Vec<[f64; 3]> = corners.iter().map(|&corner| (corner - corners[0]).to_array()).collect();
@@ -41,7 +46,10 @@ pub(crate) fn ears(corners: &[DVec3]) -> Option<Vec<[usize; 3]>> {
     Some(triangles.iter().map(triangle).collect()).filter(|found: &Vec<_>| !found.is_empty())
 }
 
-/// Newell's normal. It is summed about the first corner: far from the origin little is left of products of positions.
+/// Newell's normal, the sum of the cross products of neighbouring corners.
+///
+/// It is computed relative to the first corner. Far from the origin, products of positions would lose most of
+/// their digits.
 fn normal(corners: &[DVec3]) -> Option<DVec3> {
     let (&first, others) = corners.split_first()?;
     others.windows(2).map(|pair| (pair[0] - first).cross(pair[1] - first)).sum::<DVec3>().try_normalize()
@@ -57,7 +65,7 @@ mod tests {
         0.5 * (corners[b] - corners[a]).cross(corners[c] - corners[a])
     }
 
-    /// A closed line about a centre, each corner at its own distance from it: never crosses itself.
+    /// A closed polygon about a centre, with one radius per corner. It never intersects itself.
     fn star(radii: &[f64], at: DVec3, turned: DQuat) -> Vec<DVec3> {
         let step = std::f64::consts::TAU / radii.len() as f64;
         let corner = |(i, radius): (usize, &f64)| {

@@ -1,21 +1,26 @@
 //! A scene for a whole shot, and its frames.
+//!
+//! A [`Scene`] holds nodes, meshes, curves and materials. [`Scene::frame`] evaluates them at one time and
+//! transforms the meshes to world space. Geometry that does not move is transformed once and shared between
+//! frames.
 
 mod loading;
 
 use crate::animation::Animated;
 use crate::assembly::{NodeLight, NodeLightKind};
 use crate::camera_source::CameraSource;
-use crate::description::LightSource;
 use crate::error::SceneError;
+use crate::light_source::LightSource;
 use crate::limits::LARGEST_COORDINATE;
 use crate::shot::{Baked, Shot};
 use crate::{Camera, Environment, Frame, Geometry, Material, PointLight, Strata, Sun, Texture};
 use glam::{DMat4, DVec3, Vec3};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Everything that a bundle says, ready to be looked at frame by frame.
+/// The content of a bundle, from which frames are made.
 ///
-/// Frames can be made from several threads at once. While nothing moves, all frames hold the same [`Geometry`].
+/// Several threads can make frames at the same time. As long as nothing moves, all frames share the same
+/// [`Geometry`].
 #[derive(Debug)]
 pub struct Scene {
     name: String,
@@ -23,33 +28,33 @@ pub struct Scene {
     file: String,
     fps: f64,
     frames: u32,
-    /// Time of frame 0 on the curves, frames.
+    /// Time of frame 0 on the curves, in frames.
     start: f64,
     warnings: Vec<String>,
     digest: [u8; 32],
     camera: CameraSource,
     shot: Shot,
-    /// Which nodes move.
+    /// For each node, whether it moves.
     moving: Vec<bool>,
-    /// The moving nodes that carry geometry: where these stand is what one frame's geometry differs in from another's.
+    /// The moving nodes that carry geometry. Only their positions can make the geometry of two frames differ.
     movers: Vec<usize>,
     /// World matrices and geometry of frame 0.
     still_world: Vec<DMat4>,
     still: Baked,
-    /// World matrices and geometry of the last frame that was made of a moving scene.
+    /// World matrices and geometry of the most recently made frame whose geometry differs from frame 0.
     recent: Mutex<Option<(Vec<DMat4>, Arc<Geometry>)>>,
     materials: Arc<[Material]>,
-    /// Emission over time, by material.
+    /// Emission over time, with the index of its material.
     emission: Vec<(usize, Animated<DVec3>)>,
     textures: Arc<[Texture]>,
-    /// Point lights and suns of the description.
+    /// Lights from `scene.json`.
     lights: Vec<LightSource>,
     node_lights: Vec<NodeLight>,
     environment: Environment,
 }
 
 impl Scene {
-    /// Number of frames; they are numbered from 0.
+    /// Number of frames. Frames are numbered from 0.
     pub fn frame_count(&self) -> u32 {
         self.frames
     }
@@ -64,24 +69,26 @@ impl Scene {
         &self.name
     }
 
-    /// What was noticed while loading and did not keep the scene from being loaded; one line each.
+    /// Problems that did not prevent the scene from loading, one line each.
     pub fn warnings(&self) -> &[String] {
         &self.warnings
     }
 
-    /// Hash (BLAKE3) of the paths and contents of all files that the scene was loaded from.
+    /// BLAKE3 hash of the paths and contents of all files that the scene was loaded from.
     pub fn digest(&self) -> [u8; 32] {
         self.digest
     }
 
-    /// Whether any geometry stands elsewhere in some frame of the shot than in the first. Cameras and lights may move all the
-    /// same. Looks at the positions of nodes alone, from frame to frame until one has moved; makes no geometry.
+    /// Returns `true` if any geometry moves during the shot. Cameras and lights are not considered.
+    ///
+    /// Compares the positions of nodes, frame by frame, until one differs from frame 0. No geometry is
+    /// computed.
     pub fn geometry_moves(&self) -> bool {
         let moved = |frame| !self.same_places(&self.shot.world(self.time(frame)), &self.still_world);
         !self.movers.is_empty() && (1..self.frames).any(moved)
     }
 
-    /// The (object, material) pairs, the same for every frame.
+    /// The (object, material) pairs. They are the same for every frame.
     pub fn strata(&self) -> &Strata {
         &self.shot.strata
     }
@@ -89,7 +96,7 @@ impl Scene {
     /// The camera at a frame.
     ///
     /// # Errors
-    /// When the number is outside the shot, or the camera's node has no orientation there.
+    /// If the frame is outside the shot, or the camera is not valid at that frame.
     pub fn camera(&self, frame: u32) -> Result<Camera, SceneError> {
         self.check_number(frame)?;
         match &self.camera {
@@ -101,15 +108,16 @@ impl Scene {
     /// The world at a frame.
     ///
     /// # Errors
-    /// When the number is outside the shot, or something moves farther away than positions can tell.
+    /// If the frame is outside the shot, the camera is not valid at that frame, or something is too far from
+    /// the origin.
     pub fn frame(&self, number: u32) -> Result<Frame, SceneError> {
         self.frame_with(number, None)
     }
 
-    /// The world at a frame, with another image size (width, height) as by [`Camera::resized`].
+    /// The world at a frame, with another image size (width, height); see [`Camera::resized`].
     ///
     /// # Errors
-    /// As [`Scene::frame`]; and when the size is zero.
+    /// As for [`Scene::frame`], and if the size is zero.
     pub fn frame_with(&self, number: u32, size: Option<(u32, u32)>) -> Result<Frame, SceneError> {
         self.check_number(number)?;
         let time = self.time(number);
@@ -117,7 +125,7 @@ impl Scene {
         let mut camera = self.camera_at(number, &world)?;
         if let Some((width, height)) = size {
             if width == 0 || height == 0 {
-                return Err(SceneError::file(&self.file, "an image has at least one pixel"));
+                return Err(SceneError::file(&self.file, "an image must have at least one pixel"));
             }
             camera = camera.resized(width, height);
         }
@@ -162,7 +170,8 @@ impl Scene {
         if self.same_places(&world, &self.still_world) {
             return Ok(self.still.geometry.clone());
         }
-        // The lock is not held while vertices are computed, so frames of several threads do not wait for each other.
+        // The lock is not held while vertices are computed, so threads that make frames do not wait for each
+        // other.
         let recent = || self.recent.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, geometry)) = recent().as_ref().filter(|(known, _)| self.same_places(known, &world)) {
             return Ok(geometry.clone());
@@ -172,7 +181,7 @@ impl Scene {
         Ok(geometry)
     }
 
-    /// Whether all geometry stands at the same places in two worlds.
+    /// Returns `true` if all geometry has the same positions in two worlds.
     fn same_places(&self, a: &[DMat4], b: &[DMat4]) -> bool {
         self.movers.iter().all(|&node| a[node] == b[node])
     }
@@ -214,7 +223,7 @@ impl Scene {
                     format!("the light `{name}` is too far from the origin"),
                 ));
             }
-            // glTF lights shine along −z. A node of zero scale has no direction; any will do.
+            // glTF lights shine along −z. A node of zero scale has no direction; use any.
             let back = world.z_axis.truncate().try_normalize().unwrap_or(DVec3::Z).as_vec3();
             match light.kind {
                 NodeLightKind::Point { intensity, cone } => points.push(PointLight {
@@ -230,8 +239,10 @@ impl Scene {
         Ok((points, suns))
     }
 
-    /// A camera that has no meaning in some frame is known now rather than in the middle of a job. What stands on nodes is
-    /// looked at in the first frame only, as each look costs a walk over all nodes.
+    /// Checks the camera and lights, so that errors appear now and not in the middle of a job.
+    ///
+    /// A look-at camera is checked at every frame. Cameras and lights on nodes are checked at the first frame
+    /// only, because each check of a node walks over all nodes.
     fn check_views(&self) -> Result<(), SceneError> {
         self.lights_at(self.time(0), &self.still_world)?;
         let frames = if let CameraSource::LookAt(_) = self.camera { self.frames } else { 1 };
@@ -239,12 +250,12 @@ impl Scene {
     }
 }
 
-/// Whether a node's origin is where positions may be. NaN is not.
+/// Returns `true` if a node's origin is within the allowed coordinates. NaN is not.
 fn is_near(world: &DMat4) -> bool {
     world.w_axis.abs().max_element() <= LARGEST_COORDINATE && world.is_finite()
 }
 
-/// A light's value; splines may swing below zero between keys, where there is no light.
+/// A light's value at a time. Splines may become negative between keys; negative values are clamped to 0.
 fn light_at(value: &Animated<DVec3>, time: f64) -> Vec3 {
     value.at(time).max(DVec3::ZERO).as_vec3()
 }
@@ -255,7 +266,7 @@ mod tests {
     use crate::limits::Limits;
     use std::fs;
 
-    /// A triangle of a node, and a camera on another; `moving` (node 0 or 1) moves along x from frame 0 to frame 24.
+    /// A triangle on node 0 and a camera on node 1. Node `moving` moves along x from frame 0 to frame 24.
     fn shot(moving: usize) -> Scene {
         let folder = tempfile::tempdir().unwrap();
         let bin: Vec<f32> = vec![0., 0., 0., 1., 0., 0., 0., 1., 0., 0., 1., 0., 0., 3., 2., 0., 3.];
@@ -295,7 +306,7 @@ mod tests {
         assert_eq!(first.camera.origin, last.camera.origin);
     }
 
-    /// A triangle that is lifted between two frames of a shot of ten.
+    /// A triangle in a shot of ten frames. It is lifted between two frames.
     fn lifted(between: [u32; 2]) -> Scene {
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join("t.obj"), "o t\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();

@@ -1,4 +1,7 @@
-//! A scene in parts: what stands where, before it is put into world space for one frame.
+//! The parts of a scene and their motion, before they are transformed to world space for one frame.
+//!
+//! Nodes form a hierarchy and carry parts. A part is a mesh of one stratum. "Baking" computes the world-space
+//! geometry of a frame; parts that do not move are copied from an earlier result.
 
 use crate::animation::Curve;
 use crate::error::SceneError;
@@ -10,18 +13,24 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Local geometry that a node carries.
+/// Local geometry, carried by a node.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Mesh {
     pub(crate) positions: Vec<Vec3>,
-    /// As many as positions; zero where there is none.
+    /// One per position. Zero means: use the geometric normal.
     pub(crate) normals: Vec<Vec3>,
-    /// As many as positions.
+    /// One per position.
     pub(crate) uvs: Vec<Vec2>,
     pub(crate) triangles: Vec<[u32; 3]>,
 }
 
-/// How a node stands in its parent.
+/// The unit vector along `v`, or zero if `v` is zero. It is computed in `f64`, because squares of small
+/// numbers underflow in `f32`.
+pub(crate) fn unit_or_zero(v: Vec3) -> Vec3 {
+    v.as_dvec3().normalize_or_zero().as_vec3()
+}
+
+/// A node's transform relative to its parent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Placement {
     Matrix(DMat4),
@@ -43,11 +52,11 @@ impl Placement {
     }
 }
 
-/// Something with a name that can be moved.
+/// A named node of the hierarchy, which can be animated.
 #[derive(Debug, Clone)]
 pub(crate) struct Node {
     pub(crate) name: String,
-    /// Index of the parent, which stands before its children in the list.
+    /// Index of the parent, which comes before its children in the list.
     pub(crate) parent: Option<usize>,
     pub(crate) placement: Placement,
     pub(crate) translation: Option<Curve<DVec3>>,
@@ -60,7 +69,7 @@ impl Node {
         Self { name, parent, placement, translation: None, rotation: None, scale: None }
     }
 
-    /// Replaces one local property by a curve.
+    /// Animates one local property with a curve.
     pub(crate) fn animate(&mut self, motion: Motion) {
         match motion {
             Motion::Translation(curve) => self.translation = Some(curve),
@@ -101,7 +110,7 @@ pub(crate) struct Part {
     pub(crate) node: usize,
     pub(crate) stratum: u32,
     pub(crate) mesh: Arc<Mesh>,
-    /// File that the mesh comes from, for messages.
+    /// File of the mesh, for error messages.
     pub(crate) file: Arc<str>,
 }
 
@@ -111,31 +120,34 @@ pub(crate) struct Shot {
     pub(crate) nodes: Vec<Node>,
     pub(crate) parts: Vec<Part>,
     pub(crate) strata: Strata,
-    /// Where the origin of what [`Shot::world`] says is, in the coordinates of the files, metres.
+    /// Origin of world space, in the coordinates of the files, metres; see [`Shot::world`].
     pub(crate) origin: DVec3,
     stratum_by_pair: BTreeMap<(u32, u32), u32>,
-    /// Names in use, and how many objects asked for each.
+    /// Names in use, and the number of objects that were given each name.
     object_names: BTreeMap<String, u32>,
-    /// Triangles of all parts, before those without area are left out.
+    /// Triangles of all parts, including those without area.
     triangles: u64,
     vertices: u64,
 }
 
-/// Geometry of a frame, with where each part's triangles are.
+/// The geometry of a frame, and the range of triangles of each part.
 #[derive(Debug)]
 pub(crate) struct Baked {
     pub(crate) geometry: Arc<Geometry>,
-    /// Triangles of each part.
+    /// Range of triangles of each part.
     ranges: Vec<Range<usize>>,
-    /// Triangles left out because they have no area.
+    /// Number of triangles that were removed because they have no area.
     pub(crate) dropped: usize,
 }
 
 impl Shot {
-    /// A new object. A name that is taken gets a number: `name (2)`; the result says whether that happened.
+    /// Adds an object. A name that is taken gets a number, as in `name (2)`.
+    ///
+    /// Returns the object's id, and whether it was renamed.
     pub(crate) fn add_object(&mut self, name: &str) -> (u32, bool) {
         let mut unique = name.to_owned();
-        // Counting from the last copy, not from the first, keeps many equal names from costing their number squared.
+        // Start at the last number in use. Starting at 2 each time would take quadratic time for many equal
+        // names.
         let mut copies = self.object_names.get(name).copied().unwrap_or(0);
         while self.object_names.contains_key(&unique) {
             copies += 1;
@@ -150,7 +162,7 @@ impl Shot {
         (self.strata.objects.len() as u32 - 1, renamed)
     }
 
-    /// The stratum of an (object, material) pair.
+    /// The stratum of an (object, material) pair. A new pair gets a new stratum.
     pub(crate) fn stratum(&mut self, object: u32, material: u32) -> u32 {
         *self.stratum_by_pair.entry((object, material)).or_insert_with(|| {
             self.strata.pairs.push((object, material));
@@ -165,7 +177,7 @@ impl Shot {
         self.parts.push(part);
     }
 
-    /// The node of each name; `None` where several nodes share it.
+    /// Nodes by name. The value is `None` if several nodes have the name.
     pub(crate) fn nodes_by_name(&self) -> BTreeMap<&str, Option<usize>> {
         let mut found = BTreeMap::new();
         for (i, node) in self.nodes.iter().enumerate() {
@@ -174,7 +186,7 @@ impl Shot {
         found
     }
 
-    /// Number of triangles before those without area are left out.
+    /// Number of triangles, including those without area.
     pub(crate) fn triangle_count(&self) -> u64 {
         self.triangles
     }
@@ -184,7 +196,7 @@ impl Shot {
         self.vertices
     }
 
-    /// World matrix of every node at a frame, seen from [`Shot::origin`].
+    /// World matrix of every node at a frame, relative to [`Shot::origin`].
     pub(crate) fn world(&self, frame: f64) -> Vec<DMat4> {
         let mut world: Vec<DMat4> = Vec::with_capacity(self.nodes.len());
         for node in &self.nodes {
@@ -195,7 +207,7 @@ impl Shot {
         world
     }
 
-    /// Which nodes move during the shot, by themselves or with an ancestor.
+    /// For each node, whether it or an ancestor moves during the shot.
     pub(crate) fn moving(&self) -> Vec<bool> {
         let mut moving: Vec<bool> = Vec::with_capacity(self.nodes.len());
         for node in &self.nodes {
@@ -204,7 +216,7 @@ impl Shot {
         moving
     }
 
-    /// Puts everything into world space.
+    /// Computes all geometry in world space.
     pub(crate) fn bake(&self, world: &[DMat4]) -> Result<Baked, SceneError> {
         let (vertices, triangles) = (self.vertex_count() as usize, self.triangle_count() as usize);
         let mut geometry = Geometry {
@@ -231,7 +243,7 @@ impl Shot {
         Ok(Baked { geometry: Arc::new(geometry), ranges, dropped })
     }
 
-    /// As `bake`, but only parts on moving nodes are computed anew; the others come from `still`.
+    /// Like `bake`, but computes only the parts on moving nodes. The other parts come from `still`.
     pub(crate) fn bake_moving(
         &self,
         world: &[DMat4],
@@ -270,7 +282,7 @@ impl Shot {
     }
 
     fn check_positions(&self, part: &Part, positions: &[Vec3]) -> Result<(), SceneError> {
-        // NaN compares as not inside.
+        // NaN counts as outside.
         let inside = |p: &Vec3| p.abs().max_element() <= LARGEST_COORDINATE as f32 && p.is_finite();
         match positions.iter().position(|p| !inside(p)) {
             None => Ok(()),
@@ -285,7 +297,8 @@ impl Shot {
     }
 }
 
-/// Adds a part's triangles that have an area. A mirrored part changes its winding, so that its front stays its front.
+/// Adds a part's triangles that have an area. The winding of a mirrored part is reversed, which preserves its
+/// front.
 fn push_triangles(geometry: &mut Geometry, part: &Part, first: u32, mirrored: bool) -> Range<usize> {
     let start = geometry.triangles.len();
     for &[a, b, c] in &part.mesh.triangles {
@@ -303,8 +316,8 @@ fn push_triangles(geometry: &mut Geometry, part: &Part, first: u32, mirrored: bo
 /// A node's world matrix, prepared for points and normals.
 struct ToWorld {
     matrix: DMat4,
-    /// Inverse transpose up to a positive factor: the cofactor matrix, which exists where the inverse does not, times the
-    /// sign of the determinant.
+    /// The inverse transpose up to a positive factor: the cofactor matrix times the sign of the determinant.
+    /// Unlike the inverse, it always exists.
     normals: DMat3,
     mirrored: bool,
     identity: bool,

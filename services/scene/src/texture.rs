@@ -1,4 +1,4 @@
-//! Images on surfaces and around the scene.
+//! Images for surfaces and for the environment.
 
 use glam::{Vec2, Vec3};
 
@@ -6,7 +6,8 @@ use glam::{Vec2, Vec3};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TextureId(pub u32);
 
-/// Texels as they are stored: 8-bit images stay 8-bit (a quarter of the memory), high-range ones are linear floats.
+/// Stored texels. 8-bit images stay 8-bit, which takes about a third of the memory. HDR images are linear
+/// floats.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Texels {
     /// sRGB-encoded colour with linear alpha.
@@ -18,30 +19,32 @@ pub enum Texels {
 /// An image with bilinear, repeating lookup.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Texture {
-    /// Path in the bundle, for messages.
+    /// Path in the bundle, for error messages.
     pub name: String,
     /// Width in texels, at least 1.
     pub width: u32,
     /// Height in texels, at least 1.
     pub height: u32,
-    /// Row-major texels, the first row is the top of the image.
+    /// Texels in row-major order. The first row is the top of the image.
     pub texels: Texels,
 }
 
 impl Texture {
-    /// Linear colour at texture coordinates `uv`; v points up (v = 0 is the bottom row), repeat, bilinear.
+    /// Linear colour at texture coordinates `uv`, bilinear and repeating. v points up: v = 0 is the bottom
+    /// edge.
     pub fn color(&self, uv: Vec2) -> Vec3 {
         self.bilinear(uv, |texel| self.texel_color(texel))
     }
 
-    /// The same of an image of all directions, whose top row is one pole and whose bottom row the other: v does not repeat.
+    /// Linear colour of a latitude-longitude image. Its top and bottom rows are the poles, so v does not
+    /// repeat.
     pub fn sky(&self, uv: Vec2) -> Vec3 {
-        // Half a texel from the edges, where the row beyond would come in.
+        // Stay half a texel away from the edges, where the opposite row would be mixed in.
         let half = 0.5 / self.height as f32;
         self.color(Vec2::new(uv.x, uv.y.clamp(half, 1.0 - half)))
     }
 
-    /// Alpha at `uv`, 1 for images without alpha.
+    /// Alpha at `uv`. 1 for images without alpha.
     pub fn alpha(&self, uv: Vec2) -> f32 {
         match &self.texels {
             Texels::Srgb8(t) => self.bilinear(uv, |i| Vec3::splat(t[i][3] as f32 / 255.0)).x,
@@ -72,7 +75,7 @@ impl Texture {
     }
 }
 
-/// The two texels that straddle coordinate `s` (repeat), and the fraction towards the second.
+/// The two texels on either side of coordinate `s` (repeating), and the fraction towards the second.
 fn wrap(s: f32, size: u32) -> (usize, usize, f32) {
     let s = if s.is_finite() { s - s.floor() } else { 0.0 };
     let x = s * size as f32 - 0.5;
@@ -82,7 +85,7 @@ fn wrap(s: f32, size: u32) -> (usize, usize, f32) {
     (first, second, x - floor)
 }
 
-/// sRGB decoding table (IEC 61966-2-1), filled at compile time by a series that is exact to f32 precision.
+/// sRGB decoding table (IEC 61966-2-1), computed at compile time to f32 precision.
 static SRGB: [f32; 256] = srgb_table();
 
 const fn srgb_table() -> [f32; 256] {
@@ -96,7 +99,7 @@ const fn srgb_table() -> [f32; 256] {
     table
 }
 
-/// x^2.4 = x² · (x²)^(1/5), the fifth root by Newton's method; x in (0, 1].
+/// x^2.4 = x² · (x²)^(1/5), with the fifth root by Newton's method. x must be in (0, 1].
 const fn pow_2_4(x: f64) -> f64 {
     let square = x * x;
     let mut root = 1.0;

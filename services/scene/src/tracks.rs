@@ -1,9 +1,10 @@
-//! The animation tracks of `scene.json`: which value of what they move.
+//! The animation tracks of `scene.json`, and the properties that they animate.
 
 use crate::animation::{Animated, Curve, Interpolation};
 use crate::camera_source::LookAt;
-use crate::description::{Checker, LightSource};
+use crate::checker::Checker;
 use crate::error::SceneError;
+use crate::light_source::LightSource;
 use crate::limits::LARGEST_COORDINATE;
 use glam::{DQuat, DVec3, DVec4};
 use serde::Deserialize;
@@ -34,7 +35,7 @@ struct RawKey {
     value: Vec<f64>,
 }
 
-/// A list of numbers, or one number alone.
+/// Deserialises a list of numbers, or a single number.
 fn numbers<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Error> {
     struct Numbers;
     impl<'de> serde::de::Visitor<'de> for Numbers {
@@ -62,7 +63,7 @@ fn numbers<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>
     deserializer.deserialize_any(Numbers)
 }
 
-/// One local property of an object or node over time.
+/// One animated local property of an object or node.
 #[derive(Debug, Clone)]
 pub(crate) enum Motion {
     Translation(Curve<DVec3>),
@@ -70,16 +71,16 @@ pub(crate) enum Motion {
     Scale(Curve<DVec3>),
 }
 
-/// A track whose target is found when the geometry is known.
+/// A track for an object. The object is looked up once the geometry is loaded.
 #[derive(Debug)]
 pub(crate) struct ObjectTrack {
-    /// JSON pointer of the track's target, for messages.
+    /// JSON pointer of the track's target, for error messages.
     pub(crate) pointer: String,
     pub(crate) object: String,
     pub(crate) motion: Motion,
 }
 
-/// Puts the tracks of camera and lights in place. Returns those of objects, and the frame of the last key.
+/// Applies the tracks of camera and lights. Returns the tracks of objects, and the frame of the last key.
 pub(crate) fn apply(
     check: &Checker<'_>,
     tracks: Vec<RawTrack>,
@@ -100,7 +101,7 @@ pub(crate) fn apply(
         if track.target == "camera" {
             match camera.as_deref_mut() {
                 Some(camera) => camera_track(check, &at, track, camera)?,
-                None => return check.fail(&target_pointer, "the scene has no `camera` that could move"),
+                None => return check.fail(&target_pointer, "the scene has no `camera` to animate"),
             }
         } else if let Some(index) = track.target.strip_prefix("light:") {
             let light = index.parse::<usize>().ok().and_then(|i| lights.get_mut(i));
@@ -123,10 +124,10 @@ pub(crate) fn apply(
     Ok((objects, last_key))
 }
 
-/// Keys must be there and ascend. Returns the last key's frame.
+/// Checks that there are keys and that they ascend. Returns the frame of the last key.
 fn check_times(check: &Checker<'_>, at: &str, keys: &[RawKey]) -> Result<f64, SceneError> {
     let Some(last) = keys.last() else {
-        return check.fail(&format!("{at}/keys"), "a track has at least one key");
+        return check.fail(&format!("{at}/keys"), "a track must have at least one key");
     };
     for (k, pair) in keys.windows(2).enumerate() {
         if pair[1].frame <= pair[0].frame {
@@ -136,7 +137,8 @@ fn check_times(check: &Checker<'_>, at: &str, keys: &[RawKey]) -> Result<f64, Sc
     }
     for (k, key) in keys.iter().enumerate() {
         if key.frame.abs() > 1e9 {
-            return check.fail(&format!("{at}/keys/{k}/frame"), "a frame number must lie in -1e9 to 1e9");
+            return check
+                .fail(&format!("{at}/keys/{k}/frame"), "a frame number must be in the range -1e9 to 1e9");
         }
     }
     Ok(last.frame)
@@ -191,12 +193,12 @@ fn motion(check: &Checker<'_>, at: &str, track: RawTrack) -> Result<Motion, Scen
     }
 }
 
-/// A quaternion x y z w, normalised.
+/// Checks a quaternion x y z w, and normalises it.
 fn rotation(check: &Checker<'_>, pointer: &str, value: [f64; 4]) -> Result<DQuat, SceneError> {
     let v = DVec4::from_array(value);
     match v.try_normalize() {
         Some(unit) if v.abs().max_element() <= LARGEST_COORDINATE => Ok(DQuat::from_vec4(unit)),
-        _ => check.fail(pointer, "a rotation is a unit quaternion x y z w"),
+        _ => check.fail(pointer, "a rotation must be a unit quaternion x y z w"),
     }
 }
 
@@ -210,7 +212,7 @@ fn unknown_property<T>(
     check.fail(&format!("{at}/property"), format!("{what} has no property `{property}`; it has {known}"))
 }
 
-/// The curve through a track's keys, each of `N` numbers and understood by `convert`.
+/// The curve through a track's keys, each of `N` numbers. `convert` checks and converts a key's value.
 fn curve<const N: usize, T: crate::animation::Keyed>(
     check: &Checker<'_>,
     at: &str,
@@ -233,5 +235,5 @@ fn curve<const N: usize, T: crate::animation::Keyed>(
         RawInterpolation::CatmullRom => Interpolation::CatmullRom,
     };
     let curve = Curve::new(times, values, interpolation);
-    curve.map_or_else(|| check.fail(&format!("{at}/keys"), "a track has at least one key"), Ok)
+    curve.map_or_else(|| check.fail(&format!("{at}/keys"), "a track must have at least one key"), Ok)
 }

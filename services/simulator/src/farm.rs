@@ -2,17 +2,15 @@
 
 mod events;
 mod rentals;
-mod tiles;
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::collections::{BTreeSet, BinaryHeap};
 
 use forelight_planner::{Job, Node};
 
 use crate::policy::Policy;
 use crate::record::{Attempt, JobRecord, Outcome, Record};
 use crate::world::{TrueTask, World};
-use tiles::Tiles;
 
 /// Something that happens at an instant. Of what happens at the same instant, what is listed first comes first: a frame that ends when its
 /// node's window closes is done.
@@ -43,15 +41,9 @@ pub enum Refusal {
     /// The job's seed is not done.
     #[error("the job's seed is not done")]
     NoSeed,
-    /// Too little memory, or the wrong class of work.
+    /// The node cannot do work of this class.
     #[error("the node cannot do it")]
     Unfit,
-    /// A licence or the like is missing.
-    #[error("a limit is reached")]
-    Limit,
-    /// It is no frame, or its job does not allow as many tiles.
-    #[error("the frame cannot be split like this")]
-    NotSplit,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,8 +51,6 @@ pub(crate) enum TaskState {
     Waiting,
     /// Leased under this token; the worker may be dead already.
     Held(usize),
-    /// Its tiles are tasks of their own.
-    Split,
     Done,
 }
 
@@ -87,13 +77,9 @@ struct NodeState {
 pub(crate) struct JobState {
     pub arrived: bool,
     pub withdrawn: bool,
-    /// Its tasks, the seed's first, then frames, then tiles of frames that were split.
+    /// Its tasks, the seed's first, then frames.
     pub truth: Vec<TrueTask>,
     pub tasks: Vec<TaskState>,
-    /// By place of a frame that was split.
-    pub tiles: BTreeMap<usize, Tiles>,
-    /// By place of a tile: the place of its frame.
-    pub whole_of: BTreeMap<usize, usize>,
     pub left: usize,
     /// Tasks that are not done are `left`; those that wait, by their place.
     pub waiting: BTreeSet<usize>,
@@ -116,7 +102,6 @@ pub struct Farm<'w> {
     idle: BTreeSet<(usize, usize)>,
     /// Jobs that came in and are neither done nor withdrawn.
     open: BTreeSet<usize>,
-    limits_held: Vec<u64>,
     /// Place of job and task of every attempt.
     places: Vec<(usize, usize)>,
     events: BinaryHeap<Reverse<(i64, Event)>>,
@@ -201,8 +186,6 @@ impl<'w> Farm<'w> {
             left: truth.len(),
             waiting: (0..truth.len()).collect(),
             truth,
-            tiles: BTreeMap::new(),
-            whole_of: BTreeMap::new(),
             measured: Vec::new(),
             measured_work: 0,
             running: 0,
@@ -231,7 +214,6 @@ impl<'w> Farm<'w> {
             jobs: jobs.collect(),
             idle: BTreeSet::new(),
             open: BTreeSet::new(),
-            limits_held: vec![0; input.limits.len()],
             places: Vec::new(),
             events,
             freed: Vec::new(),
@@ -349,7 +331,6 @@ impl<'w> Farm<'w> {
         entry.waiting.remove(&task);
         entry.running += 1;
         entry.running_speed = entry.running_speed.saturating_add(machine.speed_of(truth.class));
-        self.hold(job, true);
         self.events.push(Reverse((ready.saturating_add(length), Event::Finish { node, attempt })));
         Ok(())
     }
@@ -359,7 +340,7 @@ impl<'w> Farm<'w> {
     /// # Errors
     /// Why not.
     pub fn can_start(&self, node: usize, job: usize, task: usize) -> Result<(), Refusal> {
-        let (machine, asked) = (self.node(node), self.job(job));
+        let machine = self.node(node);
         let entry = &self.jobs[job];
         if !self.is_idle(node) {
             return Err(Refusal::NotIdle);
@@ -371,30 +352,10 @@ impl<'w> Farm<'w> {
         if !truth.task.is_seed() && !self.has_seed(job) {
             return Err(Refusal::NoSeed);
         }
-        if !machine.fits(asked) || machine.speed_of(truth.class) == 0 {
+        if machine.speed_of(truth.class) == 0 {
             return Err(Refusal::Unfit);
         }
-        for held in &asked.uses {
-            let place = self.world.input.limits.iter().position(|limit| limit.id == held.limit);
-            let free = place.map_or(0, |place| {
-                self.world.input.limits[place].count.saturating_sub(self.limits_held[place])
-            });
-            if free < held.count {
-                return Err(Refusal::Limit);
-            }
-        }
         Ok(())
-    }
-
-    fn hold(&mut self, job: usize, takes: bool) {
-        let world = self.world;
-        for held in &world.input.jobs[job].uses {
-            if let Some(place) = world.input.limits.iter().position(|limit| limit.id == held.limit) {
-                let count = &mut self.limits_held[place];
-                *count =
-                    if takes { count.saturating_add(held.count) } else { count.saturating_sub(held.count) };
-            }
-        }
     }
 
     /// Whoever still works stops.

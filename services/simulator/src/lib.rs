@@ -8,10 +8,12 @@
 //!   calendar; no frame starts before its seed; a lost worker's frame goes back when its lease expires; rented time is paid.
 //! * [`Policy`]: who renders what. [`Planned`] is this project's; [`Queue`] is what farm managers do today.
 //! * [`Report`]: what came of it.
+//! * [`mod@reference`]: farms to measure plans on, and the optimum of small ones.
 
 mod farm;
 mod policy;
 mod record;
+pub mod reference;
 mod report;
 mod scenario;
 mod world;

@@ -1,10 +1,10 @@
 //! Worlds to simulate.
 
 use forelight_planner::chance::{between, bits};
-use forelight_planner::reference::{self, Size};
 use forelight_planner::{Confidence, Input, InputError, Interval, Project, Seed};
 use serde::{Deserialize, Serialize};
 
+use crate::reference::{self, Size};
 use crate::world::{Chances, World};
 
 const MINUTE: i64 = 60_000_000;
@@ -28,8 +28,7 @@ pub struct Scenario {
     pub frame_minutes: u64,
     /// What every job asks for; none: a third each of P50, P80 and P95.
     pub confidence: Option<Confidence>,
-    /// Into how many tiles half of the jobs let their frames be split, and in how many parts what comes before the frames may be done. 1:
-    /// everything in one piece.
+    /// In how many parts what comes before the frames may be done. 1: in one piece.
     pub parts: u32,
 }
 
@@ -99,8 +98,6 @@ pub fn studio(scenario: Scenario, seed: u64) -> Input {
         let release = between(seed, &[101, job.id], 0, end) / MINUTE * MINUTE;
         job.release = release;
         job.deadline = Some(release + between(seed, &[102, job.id], 16 * HOUR, 72 * HOUR) / MINUTE * MINUTE);
-        job.tiles = if job.tiles > 1 { scenario.parts.max(1) } else { 1 };
-        job.tile_overhead = scaled(job.tile_overhead);
         for frame in &mut job.frames {
             (frame.work, frame.work_p80) = (scaled(frame.work), scaled(frame.work_p80));
         }

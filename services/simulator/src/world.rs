@@ -189,8 +189,6 @@ impl World {
                 before = if same { least } else { 0 };
             }
             job.seed = job.seed.map(|seed| forelight_planner::Seed { work: before, ..seed });
-            // Tiles only add work.
-            job.tiles = 1;
             let total = frames.iter().fold(0u64, |sum, frame| sum.saturating_add(frame.work));
             job.total = forelight_planner::WorkTotal { p50: total, p80: total, p95: total };
             job.frames = frames;

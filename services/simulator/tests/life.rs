@@ -2,9 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use forelight_planner::{
-    Confidence, Frame, Input, Interval, Job, Limit, LimitUse, Node, Seed, Task, WorkTotal,
-};
+use forelight_planner::{Confidence, Frame, Input, Interval, Job, Node, Seed, Task, WorkTotal};
 use forelight_simulator::{
     Attempt, Chances, Farm, Outcome, Policy, PolicyKind, Record, Refusal, Scenario, World, report, run,
     studio,
@@ -36,20 +34,8 @@ fn check(world: &World, record: &Record, may_leave: bool) {
         let times = |task: Task| done.get(&(job.id, task)).copied().unwrap_or(0);
         for frame in &job.frames {
             let whole = times(Task::Frame(frame.number));
-            let tiles: Vec<(u32, u32)> = done
-                .range((job.id, Task::Tile { frame: i64::MIN, part: 0, parts: 0 })..)
-                .take_while(|((id, _), _)| *id == job.id)
-                .filter_map(|(&(_, task), &times)| match task {
-                    Task::Tile { frame: of, parts, .. } if of == frame.number => Some((parts, times)),
-                    _ => None,
-                })
-                .collect();
-            let once =
-                tiles.iter().all(|&(parts, times)| times == 1 && parts == tiles[0].0 && parts <= job.tiles);
-            assert!(once, "job {}, frame {}: tiles {tiles:?}", job.id, frame.number);
-            let all = tiles.first().is_some_and(|&(parts, _)| tiles.len() == parts as usize);
-            assert!(whole == 0 || (whole == 1 && tiles.is_empty()), "job {}, frame {}", job.id, frame.number);
-            assert!(whole == 1 || all || entry.withdrawn.is_some(), "job {}, frame {}", job.id, frame.number);
+            let is_once = whole == 1 || (whole == 0 && entry.withdrawn.is_some());
+            assert!(is_once, "job {}, frame {} was done {whole} times", job.id, frame.number);
         }
         // What comes before the frames is done once, all of it; only a cache may be left to the frames.
         let seeds: Vec<u32> = job.seed.iter().flat_map(|seed| seed.tasks()).map(times).collect();
@@ -100,36 +86,18 @@ fn check(world: &World, record: &Record, may_leave: bool) {
         }
     }
     assert!(by_node.is_empty(), "attempts on nodes that do not exist");
-    for limit in &input.limits {
-        let mut changes: Vec<(i64, i64)> = Vec::new();
-        for attempt in &record.attempts {
-            let job = &input.jobs[input.jobs.iter().position(|job| job.id == attempt.job).unwrap()];
-            let held: u64 = job.uses.iter().filter(|u| u.limit == limit.id).map(|u| u.count).sum();
-            changes.push((attempt.end, -(held as i64)));
-            changes.push((attempt.start, held as i64));
-        }
-        // What ends at an instant goes before what starts.
-        changes.sort_unstable();
-        let mut now = 0;
-        for (_, change) in changes {
-            now += change;
-            assert!(now <= limit.count as i64, "{} is used {now} times at once", limit.name);
-        }
-    }
 }
 
 fn small(nodes: u64, jobs: u64, frames: u64, seed: u64, chances: Chances) -> World {
     let scenario = Scenario { nodes, jobs, frames, days: 3, frame_minutes: 120, confidence: None, parts: 4 };
     let mut input = studio(scenario, seed);
     // Something for every rule to refuse.
-    input.limits = vec![Limit { id: 0, name: "licence".into(), count: 2 }];
     for job in input.jobs.iter_mut().filter(|job| job.id % 3 == 0) {
-        job.uses = vec![LimitUse { limit: 0, count: 1 }];
         job.seed = Some(Seed { class: job.class, work: 1_000_000_000_000, parts: 1 + (job.id % 4) as u32 });
     }
     // Ten nodes need not have a graphics processor, nor all that memory.
     for job in &mut input.jobs {
-        (job.class, job.gpu_memory, job.memory) = (0, 0, 0);
+        job.class = 0;
         job.seed = job.seed.map(|seed| Seed { class: 0, ..seed });
     }
     World::new(input, Chances { seed, ..chances }).unwrap()
@@ -160,10 +128,8 @@ proptest! {
         let world = small(nodes, jobs, jobs * per_job, seed, chances);
         let (record, plans) = simulated(&world, kind, pool);
         check(&world, &record, own_cache > 0.0);
-        // Today's farm managers split nothing, and know no cache before its frames.
+        // Today's farm managers know no cache before its frames.
         let is_ours = kind == PolicyKind::Planned;
-        let is_tile = |attempt: &Attempt| matches!(attempt.task, Task::Tile { .. });
-        prop_assert!(is_ours || !record.attempts.iter().any(is_tile));
         prop_assert!(is_ours || own_cache == 0.0 || !record.attempts.iter().any(|a| a.task.is_seed()));
         let bound = world.least_cost().unwrap();
         let report = report(&world, kind, pool, plans, bound, &record);
@@ -222,7 +188,7 @@ fn forecasts_that_are_too_low_are_seen_through() {
     assert!(report.promised * 10 > report.jobs * 7, "only {} of {} promised", report.promised, report.jobs);
 }
 
-/// So many nodes at speed 1, and one job of so many frames of eight hours that may be split into four, wanted in so many hours; all true work is what is forecast.
+/// So many nodes at speed 1, and one job of so many frames of eight hours, wanted in so many hours; all true work is what is forecast.
 fn eight_hours(nodes: u64, frames: i64, deadline: i64, seed: Option<Seed>, chances: Chances) -> World {
     let node = |id| Node {
         id,
@@ -239,8 +205,6 @@ fn eight_hours(nodes: u64, frames: i64, deadline: i64, seed: Option<Seed>, chanc
         total: WorkTotal { p50: work, p80: work, p95: work },
         frames: (0..frames).map(|number| Frame { number, work: 8 * 3600, work_p80: 8 * 3600 }).collect(),
         seed,
-        tiles: 4,
-        tile_overhead: 360,
         ..Job::default()
     };
     let input = Input { nodes: (0..nodes).map(node).collect(), jobs: vec![job], ..Input::default() };
@@ -257,39 +221,6 @@ const QUIET: Chances = Chances {
     own_cache: 0.0,
     withdrawn: 0.0,
 };
-
-#[test]
-fn a_frame_that_is_too_long_for_its_deadline_is_split_by_plans_and_by_nobody_else() {
-    let world = eight_hours(4, 1, 5, None, QUIET);
-    let (record, _) = simulated(&world, PolicyKind::Planned, 100);
-    check(&world, &record, false);
-    assert!(record.jobs[0].promised);
-    // Half of eight hours, and a tenth of an hour on top.
-    assert_eq!(record.attempts.len(), 2);
-    assert!(record.attempts.iter().all(|tile| tile.end - tile.start == 4 * HOUR + HOUR / 10), "{record:?}");
-    assert_eq!(record.jobs[0].finish, Some(4 * HOUR + HOUR / 10));
-    let (today, _) = simulated(&world, PolicyKind::Deadline, 100);
-    assert_eq!(today.jobs[0].finish, Some(8 * HOUR));
-}
-
-#[test]
-fn a_node_that_dies_takes_its_tile_with_it_and_the_others_stay_done() {
-    let mut seen = 0;
-    for seed in 0..60 {
-        let chances = Chances { seed, hours_between_failures: 8.0, hours_of_repair: 1.0, ..QUIET };
-        let world = eight_hours(3, 1, 5, None, chances);
-        let (record, _) = simulated(&world, PolicyKind::Planned, 100);
-        check(&world, &record, false);
-        let of = |outcome| record.attempts.iter().filter(move |attempt| attempt.outcome == outcome);
-        let tiles = |attempt: &Attempt| matches!(attempt.task, Task::Tile { .. });
-        let Some(lost) = of(Outcome::Lost).find(|attempt| tiles(attempt)) else { continue };
-        // What was done before the node died was not done again: `check` counts. The lost tile was, under a new lease.
-        let again = of(Outcome::Done).find(|attempt| attempt.task == lost.task);
-        assert!(again.is_some_and(|again| again.start >= lost.end + 60_000_000), "seed {seed}: {record:?}");
-        seen += 1;
-    }
-    assert!(seen > 5, "only {seen} tiles were lost");
-}
 
 #[test]
 fn a_shared_cache_is_filled_in_parts_at_once_and_whoever_knows_none_fills_one_for_each_frame() {
@@ -312,35 +243,38 @@ fn a_shared_cache_is_filled_in_parts_at_once_and_whoever_knows_none_fills_one_fo
     assert_eq!(alone.jobs[0].finish, Some(11 * HOUR));
 }
 
-/// Tries what must not be, and then starts everything whole.
+/// Tries what must not be, and then starts everything.
 struct Forbidden(Vec<Refusal>);
 
 impl Policy for Forbidden {
     fn arrived(&mut self, farm: &mut Farm, job: usize) -> bool {
         let mut refused = |tried: Result<(), Refusal>| self.0.extend(tried.err());
-        refused(farm.start_tile(0, job, 0, 0, 5));
-        refused(farm.start_tile(0, job, 0, 2, 2));
-        refused(farm.start_tile(0, job, 0, 0, 1));
-        refused(farm.start_tile(0, job, 9, 0, 2));
-        assert_eq!(farm.start_tile(0, job, 0, 1, 2), Ok(()));
-        refused(farm.start_tile(1, job, 0, 1, 2));
-        refused(farm.start_tile(1, job, 0, 0, 3));
+        refused(farm.start(0, job, 1));
+        refused(farm.start(0, job, 9));
+        assert_eq!(farm.start(0, job, 0), Ok(()));
+        refused(farm.start(0, job, 0));
         refused(farm.start(1, job, 0));
-        assert_eq!(farm.start_tile(1, job, 0, 0, 2), Ok(()));
+        refused(farm.start(1, job, 1));
         false
     }
 
-    fn act(&mut self, _: &mut Farm) -> Option<i64> {
+    fn act(&mut self, farm: &mut Farm) -> Option<i64> {
+        let idle: Vec<usize> = farm.idle().collect();
+        idle.into_iter().for_each(|node| {
+            let _ = farm.start(node, 0, 1);
+        });
         None
     }
 }
 
 #[test]
-fn a_frame_is_split_once_and_only_as_its_job_allows() {
-    let world = eight_hours(2, 1, 5, None, QUIET);
+fn a_task_starts_once_after_its_seed_and_alone_on_its_node() {
+    let seed = Seed { class: 0, work: 3600, parts: 1 };
+    let world = eight_hours(2, 1, 40, Some(seed), QUIET);
     let mut policy = Forbidden(Vec::new());
     let record = run(&world, &mut policy, |_, _| {});
     check(&world, &record, false);
-    let (split, waiting) = (Refusal::NotSplit, Refusal::NotWaiting);
-    assert_eq!(policy.0, [split, split, split, split, waiting, waiting, waiting]);
+    let expected =
+        [Refusal::NoSeed, Refusal::NotWaiting, Refusal::NotIdle, Refusal::NotWaiting, Refusal::NoSeed];
+    assert_eq!(policy.0, expected);
 }

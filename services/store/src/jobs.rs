@@ -18,7 +18,7 @@ use self::progress::Progress;
 use crate::columns::{Id, Json, Time, Unread, Word, corrupt};
 use crate::database::Store;
 use crate::error::StoreError;
-use crate::quotes::JobForecast;
+use forelight_quote::JobForecast;
 
 /// Which jobs to list.
 #[derive(Clone, PartialEq, Eq, Debug, Default)]

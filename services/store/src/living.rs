@@ -26,8 +26,8 @@ use crate::events::{append, event};
 use crate::plans::bookings;
 use crate::plans::replans;
 use crate::policy::projection::{project, stretched};
-use crate::quotes::JobForecast;
 use crate::shared_cache::parts;
+use forelight_quote::JobForecast;
 
 pub(crate) use self::rows::{before, newest};
 pub(crate) use forelight_quote::living::Occasion;

@@ -11,6 +11,7 @@ use forelight_protocol::{
     BookingId, Event, EventKind, FrameForecast, JobId, JobState, JobVerdict, NodeId, PlanId, PlanReason,
     Timestamp,
 };
+use forelight_quote::{JobForecast, QuoteBasis};
 
 use crate::columns::Json;
 use crate::database::{Store, Write};
@@ -21,8 +22,8 @@ use crate::living::{self, Occasion};
 use crate::plans::reading::newest;
 use crate::plans::replans::Wanted;
 use crate::policy::rebooking::{NewBooking, Rebooked, rebook};
-use crate::quotes::calibration::{self, QuoteBasis};
-use crate::quotes::{self, JobForecast};
+use crate::quotes;
+use crate::quotes::calibration;
 use crate::shared_cache::{self, NewSharedCache, parts};
 use crate::tasks::{Common, Slot, rates};
 use crate::{jobs, nodes};

@@ -3,9 +3,10 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    ArtifactHash, EventKind, JobId, JobState, LeaseId, Node, PreviewResult, ProfileResult, ProfileSpec,
-    RenderResult, TaskId, TaskKind, TaskResult, TaskSpec, Timestamp,
+    ArtifactHash, EventKind, JobId, JobState, LeaseId, Node, PreviewResult, ProfileSpec, RenderResult,
+    TaskId, TaskKind, TaskResult, TaskSpec, Timestamp,
 };
+use forelight_quote::MeasuredProfile;
 use sqlx::FromRow;
 
 use crate::columns::{Id, Json, corrupt};
@@ -35,17 +36,6 @@ pub struct Committed {
     pub kind: TaskKind,
     /// Where the job stands now.
     pub job_state: JobState,
-}
-
-/// A profile, and the speed of the node that measured it, for work of the profiled classes where the node is calibrated.
-#[derive(Clone, PartialEq, Debug)]
-pub struct MeasuredProfile {
-    /// The profile.
-    pub result: ProfileResult,
-    /// Speed of the node: a CPU second there is this many on a node of speed 1.
-    pub node_speed: f64,
-    /// Camera samples that its pixels were profiled with; the job may be rendered with others.
-    pub spp: u32,
 }
 
 impl Store {
@@ -151,8 +141,7 @@ impl Store {
             };
             let node = self.node(node.into()).await?;
             let by_class = node.corrected_speed(result.work_by_class.as_ref());
-            let node_speed = by_class.unwrap_or(node_speed);
-            profiles.push(MeasuredProfile { result, node_speed, spp: settings.spp });
+            profiles.push(MeasuredProfile::new(result, by_class.unwrap_or(node_speed), settings.spp));
         }
         Ok(Some(profiles))
     }

@@ -19,6 +19,7 @@ use forelight_protocol::{
     ArtifactHash, ByClass, CacheFillResult, CacheMergeResult, CachePlanResult, JobId, TaskId, TaskResult,
     TaskSpec, Timestamp,
 };
+use forelight_quote::SharedCache;
 use sqlx::SqliteConnection;
 
 use self::parts::NewPartBooking;
@@ -56,6 +57,16 @@ pub enum PlannedCache {
         /// Speed of the node that made it: a CPU second there is this many on a node of speed 1.
         node_speed: f64,
     },
+}
+
+impl PlannedCache {
+    /// The plan, once it is there.
+    pub fn plan(&self) -> Option<SharedCache<'_>> {
+        match self {
+            PlannedCache::There { plan, node_speed } => Some(SharedCache { plan, node_speed: *node_speed }),
+            PlannedCache::NotAsked | PlannedCache::Pending => None,
+        }
+    }
 }
 
 impl Store {

@@ -8,12 +8,13 @@ use forelight_protocol::{
     FixedCosts, ForecastTotals, FrameForecast, FrameStrata, Job, JobId, JobRequest, JobVerdict, Lease, Node,
     NodeId, NodeRegistration, PlanReason, PreviewBackend, PreviewResult, ProfileArtifacts, ProfileResult,
     ProfileSample, Profiled, Quantiles, RayQuantiles, Rays, RenderArtifacts, RenderResult, RenderStats,
-    RenewRequest, SceneDigest, SceneSummary, Spent, SpentOnForecast, Stratum, StratumName, TaskResult,
-    TaskSpec, Timestamp, Verdict,
+    RenewRequest, SceneDigest, SceneSummary, Spent, Stratum, StratumName, TaskResult, TaskSpec, Timestamp,
+    Verdict,
 };
+use forelight_quote::{JobForecast, QuoteBasis};
 use tempfile::TempDir;
 
-use crate::{Answered, JobForecast, NewBooking, NewJob, NewJobPlan, NewPlan, Store};
+use crate::{Answered, NewBooking, NewJob, NewJobPlan, NewPlan, Store};
 
 mod artifacts;
 mod calibration;
@@ -198,7 +199,7 @@ impl Farm {
         node: NodeId,
         start: Timestamp,
         forecast: &JobForecast,
-        basis: Option<&crate::QuoteBasis>,
+        basis: Option<&QuoteBasis>,
     ) -> JobId {
         let job = self.submit(request).await;
         let preview = self.claim(node, at(0)).await.expect("a preview");
@@ -345,21 +346,9 @@ fn verdict(job_id: JobId) -> JobVerdict {
 
 fn job_forecast() -> JobForecast {
     JobForecast {
-        total: ForecastTotals::default(),
         profiled: Profiled { frames: vec![0], pixels: 1 },
-        spent: SpentOnForecast::default(),
-        calibrated: false,
         effects: vec!["ambient".to_owned()],
-        left_out: Vec::new(),
-        chosen_spp: None,
-        fixed: None,
-        once: None,
-        work_by_class: None,
-        cpu_seconds_on: Vec::new(),
-        cache: None,
-        cost: None,
-        lights: Vec::new(),
-        clock: Vec::new(),
+        ..JobForecast::default()
     }
 }
 

@@ -1,8 +1,8 @@
-//! Axis-parallel boxes.
+//! Axis-aligned boxes.
 
 use glam::{DVec3, Vec3};
 
-/// A box; empty if `low` exceeds `high`.
+/// An axis-aligned box. It is empty if `low` exceeds `high`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bounds {
     pub low: Vec3,
@@ -26,17 +26,17 @@ impl Bounds {
         Self { low: self.low.min(other.low), high: self.high.max(other.high) }
     }
 
-    /// Larger by `margin` on every side.
+    /// The box, grown by `margin` on every side.
     pub fn grown(self, margin: f32) -> Self {
         self.grown_by(Vec3::splat(margin))
     }
 
-    /// Larger by its own margin on both sides of each axis.
+    /// The box, grown by `margin[axis]` on both sides of each axis.
     pub fn grown_by(self, margin: Vec3) -> Self {
         Self { low: self.low - margin, high: self.high + margin }
     }
 
-    /// Half of its edges.
+    /// Half the lengths of its edges.
     pub fn half(&self) -> Vec3 {
         (self.high - self.low) * 0.5
     }
@@ -53,7 +53,7 @@ impl Bounds {
         self.low.cmple(other.low).all() && other.high.cmple(self.high).all()
     }
 
-    /// Largest distance of a coordinate from zero.
+    /// Largest absolute coordinate.
     pub fn reach(&self) -> f32 {
         self.low.abs().max(self.high.abs()).max_element()
     }
@@ -63,16 +63,18 @@ impl Bounds {
         (0..8).map(move |i| Vec3::new(ends[i & 1].x, ends[i >> 1 & 1].y, ends[i >> 2].z))
     }
 
-    /// Whether the line `origin` + t · `direction`, t ≥ 0, may meet the box. `inverse` is 1 / `direction`, all of it finite.
+    /// Returns `true` if the half-line `origin` + t · `direction`, t ≥ 0, may meet the box. `inverse` is 1 /
+    /// `direction`; all its components must be finite.
     pub fn is_ahead(&self, origin: DVec3, inverse: DVec3) -> bool {
         let (a, b) = ((self.low.as_dvec3() - origin) * inverse, (self.high.as_dvec3() - origin) * inverse);
         let (near, far) = (a.min(b).max_element(), a.max(b).min_element());
-        // Generous by far more than f64 rounds: a box that is met in vain costs a test, one that is missed a wrong answer.
+        // Much larger than the rounding errors in f64. Reporting a box in vain costs one test; missing one
+        // gives a wrong result.
         let slack = 1e-9 * (near.abs() + far.abs());
         far >= -slack && near <= far + slack
     }
 
-    /// Whether origin + t · direction, 0 ≤ t ≤ length, touches the box.
+    /// Returns `true` if the segment origin + t · direction, 0 ≤ t ≤ length, touches the box.
     pub fn meets(&self, origin: Vec3, direction: Vec3, length: f32) -> bool {
         let (mut near, mut far) = (0.0f32, length);
         for axis in 0..3 {

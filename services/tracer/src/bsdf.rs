@@ -1,13 +1,18 @@
-//! Bidirectional scattering distribution functions: what a surface does with light at one point, seen from one side.
+//! Bidirectional scattering distribution functions (BSDFs): how a surface scatters light at one point.
 //!
-//! Directions are unit vectors that point away from the surface, in a frame whose +z is the shading normal on the viewer's
-//! side: `wi` to the viewer (z > 0), `wo` to where light comes from (z > 0 reflected, z < 0 transmitted). With ρ for the BSDF,
-//! * [`Bsdf::evaluate`] is ρ(wi, wo) |cos θₒ|, per channel, perfect mirrors and straight or smooth passage left out;
-//! * [`Bsdf::density`] is the density per steradian with which [`Bsdf::sample`] chooses `wo`, the same left out;
-//! * [`Bsdf::sample`] chooses `wo`, and says by which lobe, with the weight ρ |cos θₒ| / density.
+//! Directions are unit vectors that point away from the surface. They are given in a local frame whose +z is
+//! the shading normal on the viewer's side. `wi` points to the viewer (z > 0). `wo` points to where light
+//! comes from: z > 0 for reflected light, z < 0 for transmitted light. With ρ for the BSDF and θₒ for the
+//! angle of `wo`:
+//! * [`Bsdf::evaluate`] is ρ(wi, wo) |cos θₒ|, per channel.
+//! * [`Bsdf::density`] is the density per steradian with which [`Bsdf::sample`] chooses `wo`.
+//! * [`Bsdf::sample`] chooses `wo`. It returns the lobe and the weight ρ |cos θₒ| / density.
 //!
-//! Radiance that enters a medium of relative index η is divided by η² (and multiplied on the way out): the BSDF of an interface
-//! is the one for radiance, for which ρ(wi, wo) η² is symmetric under an exchange of the sides.
+//! Evaluation and density leave out perfect mirrors and smooth or straight transmission (delta functions).
+//!
+//! Radiance that enters a medium of relative index η is divided by η², and multiplied by η² on the way out.
+//! The BSDF of an interface is thus the one for radiance, for which ρ(wi, wo) η² is symmetric when the sides
+//! are exchanged.
 
 use crate::geometry;
 use glam::{Vec2, Vec3};
@@ -17,80 +22,83 @@ use crate::fresnel;
 use crate::microfacet as ggx;
 pub use crate::response::{Coat, Glossy, Response, Tint};
 
-/// An interface whose index differs by less than this from 1 bends no light, however rough it is.
+/// An interface whose relative index differs from 1 by less than this does not refract, however rough it is.
 const CONTRAST: f32 = 1e-3;
 
 /// The BSDF of a material at a point.
 #[derive(Debug, Clone, Copy)]
 pub enum Bsdf {
-    /// Lambert base, bare or under a coat, with a glossy lobe; a coat without glossy lobe is smooth, a perfect mirror.
+    /// Lambertian base, bare or coated, with an optional glossy lobe. A coat without a glossy lobe is smooth:
+    /// a perfect mirror.
     Opaque(Response),
-    /// Smooth conductor of this reflectance at normal incidence.
+    /// Smooth conductor with this reflectance at normal incidence.
     Mirror(Vec3),
-    /// Pane with two parallel smooth faces, without thickness.
+    /// Pane without thickness, with two parallel smooth faces.
     Pane {
         /// Index of refraction of the glass.
         ior: f32,
-        /// Share of light that passes, per channel.
+        /// Fraction of light transmitted, per channel.
         transmittance: Vec3,
     },
     /// Interface of a solid dielectric.
     Glass {
-        /// Index of refraction beyond the interface relative to that on the viewer's side.
+        /// Index of refraction beyond the interface, relative to the viewer's side.
         eta: f32,
-        /// Share of light that passes, per channel.
+        /// Fraction of light transmitted, per channel.
         transmittance: Vec3,
-        /// GGX alpha; below [`crate::microfacet::SMOOTH`] the interface is smooth.
+        /// GGX alpha. Below [`crate::microfacet::SMOOTH`] the interface is smooth.
         alpha: f32,
     },
 }
 
-/// The lobe by which a direction was chosen.
+/// The lobe from which a direction was sampled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Lobe {
-    /// Lambert.
+    /// Lambertian reflection.
     Diffuse,
-    /// Rough reflection at a metal or a coat.
+    /// Rough reflection from a metal or a coat.
     Glossy,
-    /// Reflection at a mirror, a pane, smooth or rough glass.
+    /// Reflection from a mirror, a pane, smooth or rough glass.
     Reflection,
     /// Refraction into the medium beyond the interface.
     Refraction,
-    /// Straight through a pane.
+    /// Straight transmission through a pane.
     Straight,
 }
 
-/// A direction that was chosen.
+/// A sampled direction.
 #[derive(Debug, Clone, Copy)]
 pub struct Scattering {
-    /// Where light comes from, local.
+    /// Direction towards the incoming light, local.
     pub direction: Vec3,
-    /// ρ |cos θₒ| / density, and for perfect mirrors and smooth passage their share of light over the probability of the choice.
+    /// ρ |cos θₒ| / density. For perfect mirrors and smooth transmission: the fraction of light divided by
+    /// the probability of the choice.
     pub weight: Vec3,
-    /// [`Bsdf::density`] of the direction; `None` for perfect mirrors and smooth passage, which no other way of choosing finds.
+    /// [`Bsdf::density`] of the direction. `None` for perfect mirrors and smooth transmission, which no other
+    /// sampling technique can find.
     pub density: Option<f32>,
-    /// What was chosen.
+    /// The sampled lobe.
     pub lobe: Lobe,
 }
 
 impl Bsdf {
-    /// Lambert reflection.
+    /// Lambertian reflection.
     pub fn lambert(albedo: Vec3) -> Self {
         Self::Opaque(Response { diffuse: albedo, coat: None, glossy: None })
     }
 
-    /// Dielectric coat over a Lambert base that is seen as `albedo` from outside.
+    /// Dielectric coat over a Lambertian base. `albedo` is the base's reflectance as seen from outside.
     pub fn plastic(albedo: Vec3, ior: f32, alpha: f32) -> Self {
         Self::coated(albedo, Coat { ior, internal: fresnel::internal_diffuse(ior) }, alpha)
     }
 
-    /// [`Self::plastic`] with a coat that is known already.
+    /// [`Self::plastic`] with a precomputed coat.
     pub fn coated(albedo: Vec3, coat: Coat, alpha: f32) -> Self {
         let glossy = (alpha >= ggx::SMOOTH).then_some(Glossy { alpha, fresnel: Tint::Dielectric(coat.ior) });
         Self::Opaque(Response { diffuse: albedo, coat: Some(coat), glossy })
     }
 
-    /// Conductor of reflectance `f0` at normal incidence.
+    /// Conductor with reflectance `f0` at normal incidence.
     pub fn metal(f0: Vec3, alpha: f32) -> Self {
         if alpha < ggx::SMOOTH {
             return Self::Mirror(f0);
@@ -104,12 +112,14 @@ impl Bsdf {
         Self::Pane { ior, transmittance }
     }
 
-    /// Solid dielectric, seen from where the index beyond the interface is `eta` times that on this side.
+    /// Interface of a solid dielectric. `eta` is the index beyond the interface, relative to the viewer's
+    /// side.
     pub fn glass(eta: f32, transmittance: Vec3, alpha: f32) -> Self {
         Self::Glass { eta, transmittance, alpha }
     }
 
-    /// Whether light is spread: whether there is anything but perfect mirrors and smooth passage.
+    /// Returns `true` if the BSDF has anything besides delta functions (perfect mirrors, smooth
+    /// transmission).
     #[inline]
     pub fn spreads(&self) -> bool {
         match self {
@@ -119,31 +129,31 @@ impl Bsdf {
         }
     }
 
-    /// Whether light from the other side of the surface is spread to the viewer.
+    /// Returns `true` if light from the other side of the surface is spread towards the viewer.
     #[inline]
     pub fn spreads_through(&self) -> bool {
         matches!(self, Self::Glass { .. }) && self.spreads()
     }
 
-    /// The perfect mirror of a smooth coat, by itself.
+    /// The reflection from a smooth coat alone. `None` for other materials.
     pub fn mirror(&self, wi: Vec3) -> Option<Scattering> {
         let Self::Opaque(Response { coat: Some(coat), glossy: None, .. }) = self else { return None };
         let reflectance = fresnel::dielectric(wi.z, coat.ior).reflectance;
         Some(mirrored(wi, Vec3::splat(reflectance))).filter(|s| s.weight.x > 0.0)
     }
 
-    /// ρ(wi, wo) |cos θₒ| without perfect mirrors and smooth passage.
+    /// ρ(wi, wo) |cos θₒ|, without perfect mirrors and smooth transmission.
     pub fn evaluate(&self, wi: Vec3, wo: Vec3) -> Vec3 {
         self.light(wi, wo).0
     }
 
-    /// Density per steradian with which [`Self::sample`] chooses `wo` where it is not a perfect mirror or smooth passage that it
-    /// chooses.
+    /// Density per steradian with which [`Self::sample`] chooses `wo`, without perfect mirrors and smooth
+    /// transmission.
     pub fn density(&self, wi: Vec3, wo: Vec3) -> f32 {
         self.light(wi, wo).1
     }
 
-    /// [`Self::evaluate`] and [`Self::density`] in one.
+    /// [`Self::evaluate`] and [`Self::density`] together.
     #[inline]
     pub fn light(&self, wi: Vec3, wo: Vec3) -> (Vec3, f32) {
         match self {
@@ -164,8 +174,10 @@ impl Bsdf {
         }
     }
 
-    /// A direction for the random point `u` and the random number `choice`, all uniform in [0, 1). `None` where the surface
-    /// swallows the light: no reflectance, or a microfacet that sends it behind the others, where single scattering ends.
+    /// Samples a direction. `u` and `choice` are uniform random numbers in [0, 1).
+    ///
+    /// Returns `None` if the light is lost: the reflectance is zero, or a microfacet sends the light below
+    /// the surface. Only single scattering is modelled.
     #[inline]
     pub fn sample(&self, wi: Vec3, u: Vec2, choice: f32) -> Option<Scattering> {
         match self {
@@ -224,7 +236,7 @@ impl Bsdf {
         Some(Scattering { direction: wo, weight, density, lobe: Lobe::Diffuse })
     }
 
-    /// A direction that was chosen by one of several lobes: weighed by all of them.
+    /// The sample for a direction that several lobes could have chosen. Its weight accounts for all of them.
     fn spread(&self, wi: Vec3, wo: Vec3, lobe: Lobe) -> Option<Scattering> {
         let (value, density) = self.light(wi, wo);
         let weight = value / density;
@@ -263,7 +275,7 @@ impl Bsdf {
     }
 }
 
-/// Whether a glass interface spreads light.
+/// Returns `true` if a glass interface spreads light.
 fn is_rough(eta: f32, alpha: f32) -> bool {
     alpha >= ggx::SMOOTH && (eta - 1.0).abs() >= CONTRAST
 }
@@ -273,14 +285,14 @@ fn mirrored(wi: Vec3, weight: Vec3) -> Scattering {
     Scattering { direction, weight, density: None, lobe: Lobe::Reflection }
 }
 
-/// Probability of following the reflection where the rest goes through: in proportion to the light of either. At least one of
-/// the two is not zero, because reflectance and transmission share what arrives unless the passage is black.
+/// Probability of sampling the reflection rather than the transmission. It is proportional to the light that
+/// each carries. At least one of the two is not zero: if nothing is transmitted, the probability is 1.
 fn reflected_share(reflectance: f32, through: Vec3) -> f32 {
     let through = through.max_element();
     if through > 0.0 { reflectance / (reflectance + through) } else { 1.0 }
 }
 
-/// Probability of following the glossy lobe or the mirror of a smooth coat rather than the base.
+/// Probability of sampling the glossy lobe, or the mirror of a smooth coat, rather than the base.
 fn glossy_share(response: &Response, wi: Vec3) -> f32 {
     let reflectance = match (response.glossy, response.coat) {
         (Some(glossy), _) => glossy.fresnel.reflectance(wi.z).max_element(),
@@ -292,11 +304,13 @@ fn glossy_share(response: &Response, wi: Vec3) -> f32 {
         return 1.0;
     }
     let share = reflectance / (reflectance + base * (1.0 - reflectance));
-    // The microfacets of a rough lobe reflect at other angles than the mean surface: neither lobe may starve.
+    // Microfacets of a rough lobe reflect at other angles than the mean surface, so neither lobe may get too
+    // few samples.
     if response.glossy.is_some() { share.clamp(0.1, 0.9) } else { share }
 }
 
-/// Value times cosine, and density, of a rough interface (Walter et al. 2007, equations 20, 21 and 17), with visible normals.
+/// Value times cosine, and density, of a rough interface with visible normals (Walter et al. 2007, equations
+/// 20, 21 and 17).
 fn rough_glass(wi: Vec3, wo: Vec3, eta: f32, transmittance: Vec3, alpha: f32) -> (Vec3, f32) {
     let nothing = (Vec3::ZERO, 0.0);
     if wo.z == 0.0 || wi.z <= 0.0 {
@@ -306,7 +320,7 @@ fn rough_glass(wi: Vec3, wo: Vec3, eta: f32, transmittance: Vec3, alpha: f32) ->
     let h = if reflects { wi + wo } else { wi + eta * wo }.normalize_or_zero();
     let h = if h.z < 0.0 { -h } else { h };
     let (cos_i, cos_o) = (wi.dot(h), wo.dot(h));
-    // The facet has to show its front to the viewer and the right side to the light.
+    // The viewer must see the facet's front, and the light must be on the side that the lobe requires.
     if cos_i <= 0.0 || (cos_o > 0.0) != reflects || cos_o == 0.0 || h.z <= 0.0 {
         return nothing;
     }
@@ -315,7 +329,7 @@ fn rough_glass(wi: Vec3, wo: Vec3, eta: f32, transmittance: Vec3, alpha: f32) ->
     let share = reflected_share(reflectance, through);
     let up = wo.with_z(wo.z.abs());
     let (g1, g2) = (ggx::masking(wi, alpha), ggx::masking_shadowing(wi, up, alpha));
-    // Density of visible normals per unit of projected area, and how they spread over directions.
+    // Density of visible normals, and its Jacobian from normals to directions.
     let normals = ggx::distribution(h, alpha) * cos_i / wi.z;
     let jacobian = if reflects {
         1.0 / (4.0 * cos_i)

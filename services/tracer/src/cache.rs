@@ -1,36 +1,38 @@
-//! The irradiance cache: planned, filled, read.
+//! The irradiance cache: plan, fill, read.
 //!
-//! Indirect diffuse light changes slowly over a surface, so it is gathered at few places, the *records*, and interpolated between
-//! them (Ward, Rubinstein, Clear 1988). Where the classic cache makes a record when it happens to need one, so that number
-//! and cost depend on the order of pixels and threads, this one has three phases:
+//! Indirect diffuse light changes slowly over a surface. So it is gathered at few places only, the *records*,
+//! and interpolated between them (Ward, Rubinstein and Clear 1988). The classic cache creates a record when a
+//! sample happens to need one, so the number of records and their cost depend on the order of pixels and
+//! threads. This cache works in three phases instead:
 //!
-//! 1. **Plan** (`plan`): the rule by which records are placed runs over the first diffuse hits of all pixels (also by way of mirrors
-//!    and glass) in a fixed, coarse-to-fine order. A record's radius comes from 48 stratified rays that look for distances only.
-//!    After it the number of records is known, not guessed.
-//! 2. **Fill** (`gather`): the hemisphere above every planned record is gathered, on any thread or machine, in any order;
-//!    the plan's rays are strata of the gather and are not traced again.
-//!    Records that agree are then averaged (`smooth`): their gathers share what they found.
-//! 3. **Read** (`read`): image samples only read. A point that no record covers gathers for itself, as without a cache, and is
-//!    counted.
+//! 1. **Plan** (`plan`): the insertion rule runs over the first diffuse hits of all pixels, also behind
+//!    mirrors and glass, in a fixed coarse-to-fine order. A record's radius comes from 48 stratified rays
+//!    that only measure distances. After this phase the number of records is known.
+//! 2. **Fill** (`gather`): the hemisphere above every planned record is gathered, on any thread or machine
+//!    and in any order. The plan's rays are strata of the gather and are not traced again. Records that agree
+//!    are then averaged (`smooth`), which reduces their noise.
+//! 3. **Read** (`read`): image samples only read. A point that no record covers gathers for itself, as
+//!    without a cache, and is counted.
 //!
-//! Further diffuse bounces have levels of their own: the second level is planned from the hits of the first level's rays, and
-//! filled before it.
+//! Further diffuse bounces have levels of their own. The second level is planned from the hits of the first
+//! level's rays, and filled before it.
 //!
 //! | file | subject |
 //! | --- | --- |
-//! | `site` | where irradiance is wanted, and when one place serves for another |
-//! | `index` | which records may serve a place, by where they are and where they face |
-//! | `spheres`, `octree`, `loose` | spheres, by the points that they hold and by the spheres that they touch |
-//! | `coverage` | records while others are planned |
-//! | `places` | which records are near each other |
-//! | `hemisphere` | strata of a gather; irradiance and its gradients from them |
+//! | `site`, `record` | points where irradiance is needed; records, and the error of using one at a site |
+//! | `index` | finds the records that may cover a site, by position and orientation |
+//! | `spheres`, `octree`, `loose` | queries for spheres that contain a point or touch another sphere |
+//! | `coverage` | the records of a level while it is planned |
+//! | `places` | finds records near a point; space-filling order |
+//! | `hemisphere` | strata of a gather; irradiance and its gradients |
 //! | `plan`, `gather`, `smooth`, `read` | the phases |
-//! | `sample` | what a record takes, from a few of them |
-//! | `partial` | filling what some pixels read |
-//! | `share` | records of one frame that hold in another |
-//! | `file` | the artefact |
+//! | `sample` | gathers a few records to measure their cost |
+//! | `partial` | fills only the records that some pixels read |
+//! | `share` | records of one frame that are valid in another |
+//! | `file`, `error` | the file format and its errors |
 
 mod coverage;
+mod error;
 mod file;
 mod gather;
 mod hemisphere;
@@ -41,133 +43,96 @@ mod partial;
 mod places;
 mod plan;
 mod read;
+mod record;
 mod sample;
 mod share;
 mod site;
 mod smooth;
 mod spheres;
 
-pub use file::CacheError;
+pub use error::CacheError;
 pub use hemisphere::{Irradiance, PLAN_RAYS, Sample, Strata};
-pub use plan::Keyed;
-pub use sample::RecordCost;
+pub use record::{Planned, Record, RecordCost};
 pub use share::Shared;
-pub use site::Site;
+pub use site::{Keyed, Site};
 
 use crate::bounds::Bounds;
 use crate::cost::{Cost, Rays, add_rays};
 use crate::origin::Origin;
-use crate::tracer::Tracer;
-use forelight_bvh::Hit;
-use glam::Vec3;
 use index::Index;
-use smooth::{Smoothed, Value};
+use record::{Smoothed, Value};
 use std::sync::OnceLock;
 
-/// Records are read that much farther than they are planned to cover: several of them blend everywhere, and the samples between
-/// the planned places find some.
+/// Records are read up to this many times farther than they were planned to cover. Several records then blend
+/// at every point, and samples between the planned sites are covered too.
 const READ_RELAXED: f32 = 1.6;
-
-/// A planned record.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Planned {
-    /// Key of the random numbers of its gather.
-    pub key: u64,
-    /// Where it is.
-    pub site: Site,
-    /// How far it is valid, before the allowed error scales it, metres.
-    pub radius: f32,
-    /// Distance to what blocks the way along the surface, by sector of azimuth, metres.
-    pub corral: [f32; hemisphere::SECTORS],
-    /// What the plan's rays met; apart from the rest, which reading looks at millions of times.
-    pub hits: Box<[Option<Hit>; PLAN_RAYS]>,
-}
-
-/// What was gathered at a record.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Record {
-    /// Irradiance, W/m² per channel, as it arrives under the surface's coat.
-    pub irradiance: Vec3,
-    /// Change of each channel's irradiance with the normal's rotation, per radian.
-    pub rotation: [Vec3; 3],
-    /// Change of each channel's irradiance along the surface, per metre.
-    pub translation: [Vec3; 3],
-    /// Radius within which the gradients can be trusted, metres: at most the planned one.
-    pub trusted: f32,
-    /// Standard error of the irradiance, mean of the channels, W/m²: what its rays leave open.
-    pub noise: f32,
-    /// Whether a number of it is not finite: such a record is never used.
-    pub rejected: bool,
-    /// What gathering it took.
-    pub cost: Cost,
-    /// Rays of it, by category.
-    pub rays: [u32; 7],
-}
 
 /// The records of one bounce.
 #[derive(Debug, Default, Clone)]
 pub struct Level {
-    /// Of the gathers.
+    /// Strata of the gathers.
     strata: Strata,
     planned: Vec<Planned>,
     records: Vec<OnceLock<Record>>,
-    /// What each planned record says to those that read it, if that was found out before: in a file, or before others were planned.
+    /// The smoothed value of each planned record, if it is already known: from a file, or from before more
+    /// records were planned.
     known: Vec<Option<Value>>,
-    /// What is read, once all records are filled.
+    /// The values that are read, available once all records are filled.
     smoothed: OnceLock<Smoothed>,
-    /// Of what is read.
+    /// Index for reading.
     index: Index,
-    /// So many of the records, the first ones, have been followed to the next level.
+    /// The first `explored` records have already been followed to the next level.
     explored: usize,
-    /// Allowed error, see [`site::error`].
+    /// Allowed error; see [`Planned::error`].
     accuracy: f32,
     /// Bounds of the radii, metres.
     smallest: f32,
     largest: f32,
 }
 
-/// A frame's cache.
+/// A frame's irradiance cache.
 #[derive(Debug, Default, Clone)]
 pub struct Cache {
-    /// What its records depend on, see [`crate::fingerprint`].
+    /// Hash of everything that its records depend on; see [`crate::fingerprint`].
     fingerprint: [u8; 32],
-    /// The frame whose world the records are in, and the settings that they were planned for first.
+    /// The frame whose world the records are in, and the settings of the first plan.
     origin: Origin,
-    /// The images that it has been planned for, by their fingerprints.
+    /// Fingerprints of the images that it has been planned for.
     images: Vec<[u8; 32]>,
-    /// Box around the world's vertices, metres: what the octrees are over.
+    /// Bounding box of the scene's vertices, metres. The octrees cover it.
     world: Bounds,
     levels: Vec<Level>,
-    /// What planning took.
+    /// Cost of planning.
     plan: Cost,
     plan_rays: Rays,
-    /// What reading the file took that it came from, nanoseconds.
+    /// CPU time of reading the cache from a file, nanoseconds.
     reading: u64,
-    /// Set when the first level alone was filled, for some pixels: deeper points are then followed, not interpolated.
+    /// Set if only the first level was filled, for some pixels. Deeper levels are then followed by rays, not
+    /// read.
     partial: OnceLock<()>,
 }
 
-/// What a cache holds and took, in numbers.
+/// Number of records and cost of a cache.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct CacheTotals {
-    /// Records by level.
+    /// Number of records of each level.
     pub records: Vec<u64>,
-    /// What planning took.
+    /// Cost of planning.
     pub plan: Cost,
-    /// Rays of planning.
+    /// Rays of planning, by category.
     pub plan_rays: Rays,
-    /// What gathering took, of the records that are filled, and smoothing them.
+    /// Cost of the filled records, including smoothing.
     pub fill: Cost,
-    /// Rays of gathering.
+    /// Rays of gathering, by category.
     pub fill_rays: Rays,
-    /// Records that are filled.
+    /// Number of filled records.
     pub filled: u64,
-    /// Records among them that are not finite, and never used.
+    /// Number of filled records that are not finite, and therefore never used.
     pub rejected: u64,
 }
 
 impl Level {
-    /// The index of its records, in a world.
+    /// The index of the level's records. `world` is the bounding box of the scene.
     fn indexed(&self, world: Bounds) -> Index {
         let mut index = Index::new(world, self.smallest, self.accuracy * READ_RELAXED);
         self.planned.iter().zip(0..).for_each(|(planned, number)| index.insert(number, planned));
@@ -180,17 +145,17 @@ impl Level {
 }
 
 impl Cache {
-    /// Number of records by level.
+    /// Number of records of each level.
     pub fn records(&self) -> Vec<u64> {
         self.levels.iter().map(|level| level.planned.len() as u64).collect()
     }
 
-    /// Whether all records of a level are filled.
+    /// Returns `true` if all records of a level are filled.
     pub fn is_full(&self, level: usize) -> bool {
         self.levels.get(level).is_none_or(Level::is_full)
     }
 
-    /// Whether all records of all levels are filled.
+    /// Returns `true` if all records of all levels are filled.
     pub fn is_complete(&self) -> bool {
         self.levels.iter().all(Level::is_full)
     }
@@ -205,17 +170,12 @@ impl Cache {
         self.levels[level].records[index].get()
     }
 
-    /// Number of the frame whose world the records are in: it was planned for this one first.
+    /// Number of the frame that the cache was first planned for.
     pub fn frame(&self) -> u32 {
         self.origin.frame()
     }
 
-    /// Whether its records hold in the frame of a tracer as they are: same geometry, same light, same settings of light.
-    pub fn suits(&self, tracer: &Tracer) -> bool {
-        self.fingerprint == tracer.cache_fingerprint()
-    }
-
-    /// The same without the times that its making took: two caches of one plan are then equal byte by byte.
+    /// A copy without CPU times. Two caches with the same plan are then equal byte by byte.
     pub fn without_times(&self) -> Self {
         let mut cache = self.clone();
         cache.plan.cpu_nanos = 0;
@@ -224,7 +184,7 @@ impl Cache {
         cache
     }
 
-    /// The same as if it had cost nothing: for a frame that is given it, and is not to be charged for it.
+    /// The cache with all costs set to zero, for a frame that is not charged for it.
     pub fn as_given(mut self) -> Self {
         self.plan = Cost::default();
         self.plan_rays = Rays::default();
@@ -240,12 +200,12 @@ impl Cache {
         self.levels.iter_mut().flat_map(|level| &mut level.records).filter_map(OnceLock::get_mut)
     }
 
-    /// CPU time of reading the file that it came from, nanoseconds; 0 if it came from none.
+    /// CPU time of reading the cache from a file, nanoseconds. 0 if it did not come from a file.
     pub fn reading_nanos(&self) -> u64 {
         self.reading
     }
 
-    /// What it holds and took.
+    /// Number of records and cost.
     pub fn totals(&self) -> CacheTotals {
         let mut totals = CacheTotals {
             records: self.records(),

@@ -1,10 +1,14 @@
-//! What tracing took: rays by category, deterministic work, CPU time.
+//! The cost of tracing: rays by category, deterministic work, and CPU time.
+//!
+//! Work is a weighted count of operations. It is the same in every run and on every machine, and close to
+//! proportional to time. [`Counters`] counts the operations of one pixel and attributes the work to ray
+//! categories.
 
 use forelight_bvh::Traversal;
 use std::ops::{Add, AddAssign};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Names of the seven ray categories, in the order of [`Rays`] (paper, section 2).
+/// Names of the seven ray categories, in the order of [`Rays`] (Gillibrand et al. 2006, section 2).
 pub const RAY_NAMES: [&str; 7] =
     ["primary", "shadow", "transparent", "reflected", "refracted", "ambient", "specular"];
 
@@ -21,12 +25,13 @@ pub enum Category {
     Specular,
 }
 
-/// Rays by category, in the order of [`RAY_NAMES`].
+/// Number of rays by category, in the order of [`RAY_NAMES`].
 pub type Rays = [u64; 7];
 
-/// Work by the ray that brought it about, in the order of [`RAY_NAMES`]: going along the ray, and what is done where it ends. Everything
-/// that comes of a gathered ray is ambient, and so is reading the irradiance cache: work that would not be there without indirect
-/// light.
+/// Work by the category of the ray that caused it, in the order of [`RAY_NAMES`].
+///
+/// It includes the ray's traversal and everything done at its end. All work that follows from a gathered ray
+/// is ambient, and so is reading the irradiance cache: without indirect light, none of it would be done.
 pub type WorkByRay = [u64; 7];
 
 /// Adds rays to a sum, category by category.
@@ -34,12 +39,12 @@ pub fn add_rays<R: Copy + Into<u64>>(sum: &mut Rays, rays: &[R; 7]) {
     sum.iter_mut().zip(rays).for_each(|(sum, &rays)| *sum += rays.into());
 }
 
-/// A cost in both currencies.
+/// A cost, as work and as CPU time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Cost {
-    /// Deterministic count of operations, see [`work`].
+    /// Deterministic, weighted count of operations; see [`work`].
     pub work: u64,
-    /// CPU time of the thread that did it, nanoseconds.
+    /// CPU time of the thread that did the work, nanoseconds.
     pub cpu_nanos: u64,
 }
 
@@ -56,31 +61,31 @@ impl AddAssign for Cost {
     }
 }
 
-/// Operations of one pixel.
+/// Operation counts of one pixel.
 #[derive(Debug, Clone, Default)]
 pub struct Counters {
     pub rays: [u32; 7],
     pub traversal: Traversal,
     pub shadings: u64,
     pub texels: u64,
-    /// Points at which a cache was read.
+    /// Number of points at which the cache was read.
     pub reads: u64,
-    /// Cache records that were looked at.
+    /// Number of cache records that were considered.
     pub records: u64,
-    /// Points at which a cache was read and had no record.
+    /// Number of points at which the cache was read and no record covered the point.
     pub uncovered: u32,
-    /// Work that goes with the first camera samples, see [`crate::Pixel::extra_work`].
+    /// Work that belongs to the first camera samples; see [`crate::Pixel::extra_work`].
     pub extra_work: u64,
     account: Account,
 }
 
-/// What work is put down to.
+/// Attribution of work to ray categories.
 #[derive(Debug, Clone, Default)]
 struct Account {
     by_ray: WorkByRay,
-    /// The ray that work is for now.
+    /// Category of the ray that causes the current work.
     cause: Category,
-    /// Work that is put down already.
+    /// Work that is already attributed.
     so_far: u64,
 }
 
@@ -89,7 +94,9 @@ impl Counters {
         self.rays[category as usize] += 1;
     }
 
-    /// From now on work is for a ray of this category, or still for gathered rays. Gives what it was for; hand that to [`Self::back_to`].
+    /// Attributes work to rays of this category from now on. Work of gathered rays stays ambient.
+    ///
+    /// Returns the previous category, to be restored with [`Self::back_to`].
     pub fn caused_by(&mut self, category: Category) -> Category {
         let before = self.account.cause;
         if before != Category::Ambient {
@@ -98,7 +105,7 @@ impl Counters {
         before
     }
 
-    /// From now on work is for a ray of this category.
+    /// Attributes work to rays of this category from now on.
     pub fn back_to(&mut self, category: Category) {
         if category != self.account.cause {
             let (work, account) = (self.work(), &mut self.account);
@@ -117,7 +124,7 @@ impl Counters {
         self.work_by_class().iter().sum()
     }
 
-    /// The same by what is done.
+    /// The work by class.
     pub fn work_by_class(&self) -> WorkByClass {
         let rays = self.rays.iter().map(|&r| u64::from(r)).sum();
         let Traversal { nodes, triangles, .. } = self.traversal;
@@ -131,14 +138,14 @@ impl Counters {
     }
 }
 
-/// Names of the classes of work, in the order of [`WorkByClass`]: what comes with every ray, going through the tree, what surfaces do
-/// with light, looking up images, and the irradiance cache's records.
+/// Names of the classes of work, in the order of [`WorkByClass`]: the base cost of each ray, tree traversal,
+/// shading, texture lookups, and reading records of the irradiance cache.
 pub const WORK_CLASSES: [&str; 5] = ["rays", "traversal", "shading", "texture", "records"];
 
 /// Work by class, in the order of [`WORK_CLASSES`].
 pub type WorkByClass = [u64; 5];
 
-/// Work by class that many threads add up. A sum of whole numbers is the same in any order.
+/// Work by class, summed over threads. Integer sums are the same in any order.
 #[derive(Debug, Default)]
 pub struct Tally([AtomicU64; 5]);
 
@@ -154,39 +161,58 @@ impl Tally {
     }
 }
 
-/// Work of reading a cache at a point, in the units of [`work`]: finding the records around it, and interpolating between the four or five that
-/// serve it.
+/// Work of reading the cache at a point, in the units of [`work`]: finding the records around it, and
+/// interpolating between the four or five that cover it.
 const READ_WORK: u64 = 300;
 
-/// Work of looking at one cache record.
+/// Work of considering one cache record.
 const RECORD_WORK: u64 = 4;
 
-/// Work of averaging a cache record with its neighbours, of which it has some 280; the same for every record, so that what a record takes
-/// is known when it is gathered.
+/// Work of averaging a cache record with its neighbours, about 280 of them. It is the same for every record,
+/// so that a record's cost is known as soon as it is gathered.
 pub const SMOOTHING_WORK: u64 = 3400;
 
-/// The same by class.
+/// [`SMOOTHING_WORK`] by class.
 pub const SMOOTHING: WorkByClass = [0, 0, 0, 0, SMOOTHING_WORK];
 
-/// Work: operations weighted by what each takes on a present-day core, in units of about a nanosecond, so that work
-/// is close to proportional to time without depending on any clock. The weights are a regression of time on counts over
-/// the test scenes; a node's calibration makes seconds of them.
+/// Work: operations weighted by their time on a present-day core, in units of about a nanosecond.
+///
+/// Work is close to proportional to time, but does not depend on a clock. The weights come from a regression
+/// of time on counts over the test scenes. A node's calibration converts work to seconds.
 pub fn work(rays: u64, nodes: u64, triangles: u64, shadings: u64, texels: u64) -> u64 {
     60 * rays + 14 * nodes + 5 * triangles + 120 * shadings + 40 * texels
 }
 
-/// Work of building a tree: the share of sorting, reinsertion and collapse is close to linear in the triangles.
+/// Work of building a tree. Sorting, reinsertion and collapse are close to linear in the number of triangles.
 pub fn build_work(triangles: usize, nodes: usize) -> u64 {
     2000 * triangles as u64 + 500 * nodes as u64
 }
 
-/// What some work gives, and the CPU time of this thread that it took, nanoseconds. It must not wait for a thread pool: a thread that
-/// waits does other work.
+/// Runs `work`. Returns its result, and the CPU time of this thread in nanoseconds.
+///
+/// `work` must not wait for a thread pool, because a waiting thread does other work.
 pub fn clocked<T>(work: impl FnOnce() -> T) -> (T, u64) {
     let now = || nanos(rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime));
     let start = now();
     let given = work();
     (given, now() - start)
+}
+
+/// Runs `trace`, and converts the wall-clock time of each traced pixel to CPU time.
+///
+/// `trace` returns each pixel's time before, and a reference to its time now. Wall-clock time is cheap to
+/// read, but includes time spent in other processes. The thread's CPU clock is exact, but too slow to read
+/// twice per pixel. So each pixel gets its share of the batch's CPU time, in proportion to its wall-clock
+/// time.
+pub(crate) fn share_cpu_time<'a>(trace: impl FnOnce() -> Vec<(u64, &'a mut u64)>) {
+    let (pixels, cpu) = clocked(trace);
+    let wall: u64 = pixels.iter().map(|(before, now)| **now - before).sum();
+    if wall > 0 {
+        let share = cpu as f64 / wall as f64;
+        for (before, now) in pixels {
+            *now = before + ((*now - before) as f64 * share).round() as u64;
+        }
+    }
 }
 
 /// CPU time of all threads of this process, nanoseconds.

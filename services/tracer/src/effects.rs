@@ -1,12 +1,14 @@
-//! The effects that a frame calls for.
+//! The effects that a frame needs.
 //!
-//! A frame's set is derived from its materials, lights, camera and settings; the kernel that traces the frame is put together
-//! from it (see `kernel`), so that what is not in the set has no code in the path, no rays and no memory.
+//! The set is derived from the frame's materials, lights, camera and settings. The kernel that traces the
+//! frame is composed from it (see `kernel`). An effect that is not in the set costs nothing: no code in the
+//! path, no rays, no memory.
 
+use crate::Settings;
 use crate::environment::Sky;
 use crate::lights::Looks;
 use crate::microfacet::SMOOTH;
-use crate::{Integrator, Settings};
+use forelight_protocol::Integrator;
 use forelight_scene::{Camera, Color, Material, Sun, Surface};
 use std::fmt;
 use std::ops::BitOr;
@@ -15,7 +17,7 @@ use std::ops::BitOr;
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct Effects(u32);
 
-/// Effects by their bit and name.
+/// Bit and name of each effect.
 const NAMES: [(u32, &str); 19] = [
     (Effects::GLOSSY, "glossy"),
     (Effects::MIRROR, "mirror"),
@@ -39,59 +41,59 @@ const NAMES: [(u32, &str); 19] = [
 ];
 
 impl Effects {
-    /// Rough reflection that is followed by rays of its own.
+    /// Rough reflection, followed by rays of its own.
     pub const GLOSSY: u32 = 1;
-    /// Perfect reflection: smooth metal, smooth coats.
+    /// Perfect reflection: smooth metals and smooth coats.
     pub const MIRROR: u32 = 1 << 1;
     /// Solid glass.
     pub const REFRACTION: u32 = 1 << 2;
     /// Panes without thickness.
     pub const THIN_GLASS: u32 = 1 << 3;
-    /// Surfaces that stop a part of the light.
+    /// Surfaces that stop part of the light.
     pub const OPACITY: u32 = 1 << 4;
-    /// Surfaces cut out by a texture.
+    /// Surfaces with a cut-out texture.
     pub const CUT_OUTS: u32 = 1 << 5;
-    /// Colours that an image varies.
+    /// Colours that vary by texture.
     pub const TEXTURES: u32 = 1 << 6;
-    /// Shadow rays that some surfaces colour instead of stopping.
+    /// Shadow rays that a surface may tint instead of blocking.
     pub const TRANSPARENT_SHADOWS: u32 = 1 << 7;
-    /// Lights with an extent.
+    /// Lights of finite size.
     pub const SOFT_SHADOWS: u32 = 1 << 8;
-    /// Emitting surfaces.
+    /// Emissive surfaces.
     pub const AREA_LIGHTS: u32 = 1 << 9;
-    /// Lights without surface.
+    /// Point and spot lights.
     pub const POINT_LIGHTS: u32 = 1 << 10;
     /// Distant lights.
     pub const SUN: u32 = 1 << 11;
-    /// Light from what surrounds the scene.
+    /// Light from the surroundings.
     pub const ENVIRONMENT: u32 = 1 << 12;
     /// Indirect diffuse light.
     pub const AMBIENT: u32 = 1 << 13;
-    /// Indirect diffuse light of more than one bounce.
+    /// More than one bounce of indirect diffuse light.
     pub const SECOND_BOUNCE: u32 = 1 << 14;
-    /// Indirect diffuse light by interpolation.
+    /// Indirect diffuse light by interpolation in an irradiance cache.
     pub const CACHE: u32 = 1 << 15;
-    /// A lens with an aperture.
+    /// A lens with a finite aperture.
     pub const DEPTH_OF_FIELD: u32 = 1 << 16;
-    /// Points look at some of the lights with a position, chosen by a light tree, instead of all.
+    /// Points sample only some of the lights with a position, chosen by a light tree.
     pub const LIGHT_CHOICE: u32 = 1 << 17;
-    /// Solid glass with a priority: what light is inside of is kept along its way.
+    /// Solid glass with priorities. Rays keep track of the solids that they are inside of.
     pub const NESTED_MEDIA: u32 = 1 << 18;
 
-    /// Everything that a picture may hold. What is not a matter of the picture but of how it is found (integrator, bounces, choice
-    /// of lights) stays as it is.
+    /// This set plus all effects that a scene can contain. Effects of the method (integrator, bounces, choice
+    /// of lights) stay unchanged.
     pub fn with_all(self) -> Self {
         let how = Self::AMBIENT | Self::SECOND_BOUNCE | Self::CACHE | Self::LIGHT_CHOICE;
         let all = NAMES.iter().fold(0, |set, (bit, _)| set | bit);
         Self(all & !how | self.0)
     }
 
-    /// Whether all of `bits` are in the set.
+    /// Returns `true` if all of `bits` are in the set.
     pub fn has(self, bits: u32) -> bool {
         self.0 & bits == bits
     }
 
-    /// The bits.
+    /// The set as bits.
     pub fn bits(self) -> u32 {
         self.0
     }
@@ -102,16 +104,16 @@ impl Effects {
     }
 }
 
-/// What decides which effects a frame calls for.
+/// Everything that determines the effects of a frame.
 pub(crate) struct CalledFor<'a> {
-    /// Those of the surfaces that may be met, as the settings make them.
+    /// Materials of the surfaces that can be met, after the settings' material override.
     pub materials: &'a [&'a Material],
-    /// Numbers of area lights and of lights without surface that are looked at.
+    /// Number of area lights, and of point lights, that are sampled.
     pub area_lights: usize,
     pub points: usize,
-    /// Those that are looked at.
+    /// Suns that are sampled.
     pub suns: &'a [Sun],
-    /// How many of the lights with a position are looked at.
+    /// Number of lights with a position that each point samples.
     pub looks: Looks,
     pub sky: &'a Sky,
     pub camera: &'a Camera,
@@ -119,7 +121,7 @@ pub(crate) struct CalledFor<'a> {
 }
 
 impl CalledFor<'_> {
-    /// The effects.
+    /// The effects of the frame.
     pub fn effects(&self) -> Effects {
         let mut set = Effects::default();
         let mut add = |bit: u32, called_for: bool| set.0 |= if called_for { bit } else { 0 };
@@ -147,7 +149,7 @@ impl CalledFor<'_> {
         add(Effects::SUN, !self.suns.is_empty());
         add(Effects::SOFT_SHADOWS, self.suns.iter().any(|sun| sun.angle_deg > 0.0));
         add(Effects::ENVIRONMENT, !self.sky.is_black());
-        // In the dark there is nothing to gather.
+        // Without light there is nothing to gather.
         let lit = Effects::AREA_LIGHTS | Effects::POINT_LIGHTS | Effects::SUN | Effects::ENVIRONMENT;
         let gathers = ambient_bounces > 0 && set.0 & lit != 0;
         let mut add = |bit: u32, called_for: bool| set.0 |= if called_for { bit } else { 0 };

@@ -1,4 +1,6 @@
-//! Light from outside the scene.
+//! Light from outside the scene: black, constant, or a latitude-longitude image.
+//!
+//! An image is importance-sampled: directions are chosen in proportion to the light of their texels.
 
 use crate::geometry::{direction_to_lat_long, lat_long_to_direction};
 use forelight_scene::{Environment, Frame, Texture};
@@ -6,7 +8,7 @@ use glam::{DVec2, Vec2, Vec3};
 use std::f32::consts::PI;
 use std::sync::Arc;
 
-/// What rays that leave the scene meet.
+/// Radiance that a ray receives when it leaves the scene.
 #[derive(Debug, Clone)]
 pub enum Sky {
     Black,
@@ -14,18 +16,19 @@ pub enum Sky {
     Image(Box<SkyImage>),
 }
 
-/// A latitude-longitude image with the distribution of its light.
+/// A latitude-longitude image with a distribution for importance sampling.
 #[derive(Debug, Clone)]
 pub struct SkyImage {
     textures: Arc<[Texture]>,
     texture: usize,
     scale: f32,
-    /// Rotation about +y as cosine and sine.
+    /// Cosine and sine of the rotation about +y.
     rotation: (f32, f32),
-    /// Cumulative light of the rows, and of each row's texels; last entries 1.
+    /// Cumulative distribution of light over the rows, and over the texels of each row. The last entries are
+    /// 1.
     rows: Vec<f32>,
     columns: Vec<Vec<f32>>,
-    /// Mean over all directions, W/(m² sr) in the strongest channel.
+    /// Upper bound of the mean radiance over all directions, in the strongest channel, W/(m² sr).
     mean: f64,
 }
 
@@ -63,8 +66,9 @@ impl SkyImage {
         let (mut rows, mut columns) = (Vec::with_capacity(height), Vec::with_capacity(height));
         let mut total = 0.0f64;
         for y in 0..height {
-            // A texel's weight is its largest channel times the solid angle of its row. Bilinear lookup spreads light into the
-            // neighbouring texels, so each counts its neighbours too: no direction of light has density zero.
+            // A texel's weight is its largest channel times the solid angle of its row. Bilinear lookup
+            // spreads light to the neighbouring texels, so each texel counts the largest of its
+            // neighbourhood. No direction with light then has density zero.
             let sin = libm::sin((y as f64 + 0.5) / height as f64 * std::f64::consts::PI);
             let mut sum = 0.0f64;
             let row: Vec<f64> = (0..width)
@@ -89,20 +93,21 @@ impl SkyImage {
             return None;
         }
         let rows = rows.iter().map(|&r| (r / total) as f32).collect();
-        let solid_angle: f64 = 2.0 / std::f64::consts::PI * (height * width) as f64; // Σ sin over all texels
+        // the sum of sin θ over all texels
+        let solid_angle: f64 = 2.0 / std::f64::consts::PI * (height * width) as f64;
         let mean = total / solid_angle * f64::from(scale);
         let angle = rotation_deg.to_radians();
         let rotation = (libm::cosf(angle), libm::sinf(angle));
         Some(Self { textures: frame.textures.clone(), texture, scale, rotation, rows, columns, mean })
     }
 
-    /// Coordinates in the image, v down, of a direction.
+    /// Image coordinates of a direction; v points down.
     fn coordinates(&self, d: Vec3) -> Vec2 {
         let (c, s) = self.rotation;
         direction_to_lat_long(Vec3::new(c * d.x - s * d.z, d.y, s * d.x + c * d.z))
     }
 
-    /// Mean radiance over all directions in the strongest channel, not less than it is, W/(m² sr).
+    /// Upper bound of the mean radiance over all directions, in the strongest channel, W/(m² sr).
     pub fn mean_radiance(&self) -> f64 {
         self.mean
     }
@@ -126,7 +131,7 @@ impl SkyImage {
         if density.is_finite() { density } else { 0.0 }
     }
 
-    /// A direction in proportion to its light, and its density per steradian.
+    /// Samples a direction in proportion to its light. Returns it with its density per steradian.
     pub fn sample(&self, u: DVec2) -> Option<(Vec3, f32)> {
         let (y, v, row_share) = invert(&self.rows, u.y);
         let (x, w, texel_share) = invert(&self.columns[y], u.x);
@@ -139,7 +144,8 @@ impl SkyImage {
     }
 }
 
-/// The entry of a cumulative distribution that holds `u`, the position within it, and its share.
+/// Inverts a cumulative distribution at `u`: the entry, the position within it in [0, 1), and its
+/// probability.
 fn invert(cumulative: &[f32], u: f64) -> (usize, f32, f32) {
     let index = cumulative.partition_point(|&c| f64::from(c) <= u).min(cumulative.len() - 1);
     let below = if index == 0 { 0.0 } else { cumulative[index - 1] };

@@ -1,13 +1,14 @@
-//! A hash of everything that an image depends on.
+//! Fingerprints: hashes of everything that an image, or a cache record, depends on.
 
 use crate::{Reach, SampleCounts, Settings};
 use blake3::Hasher;
 use forelight_scene::{Frame, Texels};
 
-/// Raised when a change of the tracer changes images or counters: finished pixels of another version are not taken over.
+/// Increase this when a change to the tracer changes images or counters. Pixels of another version are not
+/// reused.
 const TRACER_VERSION: u32 = 12;
 
-/// BLAKE3 of frame, settings and tracer version; `content` is [`of_content`] of the frame.
+/// BLAKE3 hash of frame, settings and tracer version. `content` is [`of_content`] of the frame.
 pub fn fingerprint(
     content: &Hasher,
     frame: &Frame,
@@ -22,8 +23,10 @@ pub fn fingerprint(
     *hasher.finalize().as_bytes()
 }
 
-/// The same without what only the view depends on: camera, frame number, size and samples. But frames that look at different
-/// lights, because others cannot reach what they see, differ.
+/// Fingerprint of the light: like [`fingerprint`], but without camera, frame number, image size and samples.
+///
+/// It includes which lights can reach anything visible. Two frames that differ in this have different
+/// fingerprints.
 pub fn light_fingerprint(content: &Hasher, settings: &Settings, reach: &Reach) -> [u8; 32] {
     let mut hasher = content.clone();
     let Settings { integrator, ambient_bounces, max_depth, materials, cache, seed, .. } = settings;
@@ -35,7 +38,8 @@ pub fn light_fingerprint(content: &Hasher, settings: &Settings, reach: &Reach) -
     *hasher.finalize().as_bytes()
 }
 
-/// What does not depend on the view, hashed so far: geometry, textures, materials, lights, and the tracer's version.
+/// Hash state of everything that does not depend on the view: geometry, textures, materials, lights, and the
+/// tracer's version.
 pub fn of_content(frame: &Frame) -> Hasher {
     let mut hasher = Hasher::new();
     let geometry = &frame.geometry;
@@ -52,7 +56,7 @@ pub fn of_content(frame: &Frame) -> Hasher {
             Texels::Linear(texels) => hasher.update(bytemuck::cast_slice(texels)),
         };
     }
-    // Small values by their debug form, which prints every float so that it reads back exactly.
+    // Small values are hashed in their debug form, which prints every float so that it reads back exactly.
     let small = format!(
         "{:?} {:?} {:?} {:?} {:?}",
         geometry.strata, frame.materials, frame.points, frame.suns, frame.environment
@@ -61,7 +65,7 @@ pub fn of_content(frame: &Frame) -> Hasher {
     hasher
 }
 
-/// The version of everything that images and counters depend on.
+/// Version of the tracer. Images and counters of different versions may differ.
 pub fn tracer_version() -> u32 {
     TRACER_VERSION
 }

@@ -1,22 +1,26 @@
-//! How much an interface reflects.
+//! Fresnel reflectance of interfaces.
 
 use glam::Vec3;
 
-/// What a ray meets at a smooth dielectric interface.
+/// Reflectance and refraction at a smooth dielectric interface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Interface {
     /// Reflectance of unpolarised light, in [0, 1].
     pub reflectance: f32,
-    /// Cosine of the refracted direction with the normal on the other side; 0 under total internal reflection.
+    /// Cosine of the angle of refraction; 0 for total internal reflection.
     pub cos_t: f32,
 }
 
-/// Fresnel equations of a dielectric for `cos_i` ≥ 0 and `eta` = (index on the other side) / (index on this side).
-/// 1 − cos² is computed as (1 − c)(1 + c), which keeps its digits near normal incidence.
+/// Fresnel equations of a dielectric.
+///
+/// `cos_i` ≥ 0 is the cosine of the angle of incidence. `eta` is the index of refraction on the other side
+/// divided by that on this side. 1 − cos² is computed as (1 − c)(1 + c), which keeps its precision near
+/// normal incidence.
 pub fn dielectric(cos_i: f32, eta: f32) -> Interface {
     let cos_i = cos_i.clamp(0.0, 1.0);
     if eta == 1.0 {
-        return Interface { reflectance: 0.0, cos_t: cos_i }; // no contrast; the quotients below would be 0/0 at grazing
+        // no interface; the quotients below would be 0/0 at grazing angles
+        return Interface { reflectance: 0.0, cos_t: cos_i };
     }
     let sin2_t = (1.0 - cos_i) * (1.0 + cos_i) / (eta * eta);
     if sin2_t >= 1.0 {
@@ -29,21 +33,24 @@ pub fn dielectric(cos_i: f32, eta: f32) -> Interface {
     Interface { reflectance: reflectance.min(1.0), cos_t }
 }
 
-/// Schlick's approximation for a conductor of normal reflectance `f0` (Schlick 1994).
+/// Schlick's approximation for a conductor with reflectance `f0` at normal incidence (Schlick 1994).
 pub fn conductor(cos_i: f32, f0: Vec3) -> Vec3 {
     let x = 1.0 - cos_i.clamp(0.0, 1.0);
     let x2 = x * x;
     f0 + (Vec3::ONE - f0) * (x2 * x2 * x)
 }
 
-/// Reflectance of a pane with two parallel faces, all inter-reflections summed: 2R / (1 + R).
+/// Reflectance of a pane with two parallel faces, including all inter-reflections: 2R / (1 + R).
 pub fn pane(cos_i: f32, ior: f32) -> f32 {
     let r = dielectric(cos_i, ior).reflectance;
     2.0 * r / (1.0 + r)
 }
 
-/// Share of diffuse light inside a dielectric that its surface throws back inside: 1 − (1 − F̄) / η², with F̄ the
-/// mean reflectance from outside, 2 ∫ F(c) c dc, by the midpoint rule in c².
+/// Internal diffuse reflectance of a dielectric: the fraction of diffuse light inside that its surface
+/// reflects back.
+///
+/// It is 1 − (1 − F̄) / η². F̄ = 2 ∫ F(c) c dc is the mean reflectance from outside, integrated by the
+/// midpoint rule in c².
 pub fn internal_diffuse(ior: f32) -> f32 {
     const STEPS: u32 = 512;
     let mean: f64 = (0..STEPS)
@@ -61,7 +68,7 @@ mod tests {
     #[test]
     fn normal_incidence_and_brewster_match_the_closed_forms() {
         assert!((dielectric(1.0, 1.5).reflectance - 0.04).abs() < 1e-7);
-        // At Brewster's angle tan θ = η only the perpendicular half remains: ((1 − η²)/(1 + η²))² / 2.
+        // At Brewster's angle, tan θ = η, only the perpendicular component remains: ((1 − η²)/(1 + η²))² / 2.
         let eta = 1.5f64;
         let expected = ((1.0 - eta * eta) / (1.0 + eta * eta)).powi(2) / 2.0;
         let cos = (1.0 / (1.0 + eta * eta)).sqrt() as f32;

@@ -1,4 +1,4 @@
-//! Frames of reference, and maps from the unit square.
+//! Orthonormal frames, and maps from the unit square to discs, hemispheres and other domains.
 
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_PI_2, FRAC_PI_4, PI};
@@ -12,7 +12,7 @@ pub struct Basis {
 }
 
 impl Basis {
-    /// Duff et al. 2017, "Building an Orthonormal Basis, Revisited".
+    /// The frame of a unit normal (Duff et al. 2017, "Building an Orthonormal Basis, Revisited").
     pub fn new(normal: Vec3) -> Self {
         let sign = 1f32.copysign(normal.z);
         let a = -1.0 / (sign + normal.z);
@@ -33,7 +33,8 @@ impl Basis {
     }
 }
 
-/// Uniform point of the unit disc, concentric (Shirley and Chiu 1997): strata of the square stay compact.
+/// Maps the unit square to the unit disc, preserving area (Shirley and Chiu 1997, concentric map). Strata of
+/// the square stay compact.
 pub fn disc(u: Vec2) -> Vec2 {
     let p = 2.0 * u - 1.0;
     if p == Vec2::ZERO {
@@ -44,7 +45,7 @@ pub fn disc(u: Vec2) -> Vec2 {
     } else {
         (p.y, FRAC_PI_2 - FRAC_PI_4 * (p.x / p.y))
     };
-    // libm in Rust: the same bits on every machine.
+    // Rust's libm gives the same bits on every machine.
     Vec2::new(radius * libm::cosf(angle), radius * libm::sinf(angle))
 }
 
@@ -54,16 +55,17 @@ pub fn cosine_hemisphere(u: Vec2) -> Vec3 {
     p.extend((1.0 - p.length_squared()).max(0.0).sqrt())
 }
 
-/// Uniform direction within the cone about +z whose half-angle has cosine 1 − `height`.
+/// Uniform direction in the cone about +z whose half-angle has cosine 1 − `height`.
 pub fn cap(u: Vec2, height: f32) -> Vec3 {
     let p = disc(u);
     let r2 = p.length_squared();
     let z = 1.0 - r2 * height;
-    // sin θ = sqrt((1 − z)(1 + z)), spread over a disc of radius 1.
+    // sin θ = sqrt((1 − z)(1 + z)), mapped to a disc of radius 1.
     (p * (height * (2.0 - r2 * height)).max(0.0).sqrt()).extend(z)
 }
 
-/// Barycentric weights (second, third corner) of a uniform point of a triangle (Heitz 2019, "A Low-Distortion Map").
+/// Barycentric weights (second, third corner) of a uniform point in a triangle (Heitz 2019, "A Low-Distortion
+/// Map Between Triangle and Square").
 pub fn triangle(u: Vec2) -> (f32, f32) {
     if u.y > u.x {
         let b = u.x * 0.5;
@@ -74,15 +76,15 @@ pub fn triangle(u: Vec2) -> (f32, f32) {
     }
 }
 
-/// Direction → coordinates of a latitude-longitude image: the centre of the image looks along −z, the top row is +y,
-/// u grows to the right.
+/// Converts a direction to coordinates of a latitude-longitude image. The centre of the image looks along −z,
+/// the top row is +y, and u grows to the right.
 pub fn direction_to_lat_long(d: Vec3) -> Vec2 {
     let u = libm::atan2f(d.x, -d.z) / (2.0 * PI) + 0.5;
     let v = libm::acosf(d.y.clamp(-1.0, 1.0)) / PI;
     Vec2::new(u, v)
 }
 
-/// Inverse of [`direction_to_lat_long`], with the sine of the polar angle.
+/// Inverse of [`direction_to_lat_long`]. Also returns the sine of the polar angle.
 pub fn lat_long_to_direction(uv: Vec2) -> (Vec3, f32) {
     let (phi, theta) = ((uv.x - 0.5) * 2.0 * PI, uv.y * PI);
     let (sin_theta, cos_theta) = (libm::sinf(theta), libm::cosf(theta));

@@ -1,4 +1,4 @@
-//! Finished images: linear EXR with identity and cost layers, a tone-mapped PNG, and the cost map.
+//! Finished images: linear EXR with identity and cost layers, tone-mapped PNG, and cost map.
 
 use crate::cost::add_rays;
 use crate::{Pixel, RAY_NAMES, Rays, WorkByRay};
@@ -10,13 +10,13 @@ use std::path::Path;
 /// All pixels of a frame.
 #[derive(Debug, Clone)]
 pub struct Image {
-    /// Pixels.
+    /// Width, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height, pixels.
     pub height: u32,
-    /// Row-major.
+    /// Pixels in row-major order.
     pub pixels: Vec<Pixel>,
-    /// Which pixels were taken over from a profile.
+    /// For each pixel, whether it was taken from a profile.
     pub reused: Vec<bool>,
 }
 
@@ -28,7 +28,7 @@ pub struct ImageError {
     reason: String,
 }
 
-/// Rays, work and CPU time summed over pixels.
+/// Rays, work and CPU time, summed over pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Totals {
     /// Number of pixels.
@@ -37,14 +37,14 @@ pub struct Totals {
     pub rays: Rays,
     /// Deterministic work.
     pub work: u64,
-    /// The same by the ray that brought it about.
+    /// Work by the category of the ray that caused it.
     pub work_by_ray: WorkByRay,
     /// CPU time, nanoseconds.
     pub cpu_nanos: u64,
 }
 
 impl Totals {
-    /// Sums pixels in their order.
+    /// Sums over pixels, in their order.
     pub fn of<'a>(pixels: impl Iterator<Item = &'a Pixel>) -> Self {
         pixels.fold(Self::default(), |mut t, p| {
             t.pixels += 1;
@@ -58,7 +58,7 @@ impl Totals {
 }
 
 impl Totals {
-    /// Both together.
+    /// The sum of two totals.
     #[must_use]
     pub fn plus(self, other: Self) -> Self {
         Self {
@@ -70,7 +70,7 @@ impl Totals {
         }
     }
 
-    /// What was added since a total of the same pixels.
+    /// The difference from an earlier total of the same pixels.
     #[must_use]
     pub fn minus(&self, before: &Self) -> Self {
         Self {
@@ -84,18 +84,24 @@ impl Totals {
 }
 
 impl Image {
-    /// Sums over all pixels, as if nothing had been taken over.
+    /// Sums over all pixels, including those from a profile.
     pub fn totals(&self) -> Totals {
         Totals::of(self.pixels.iter())
     }
 
-    /// Sums over the pixels that were taken over.
+    /// Sums over the pixels from a profile.
     pub fn reused_totals(&self) -> Totals {
         Totals::of(self.pixels.iter().zip(&self.reused).filter(|p| *p.1).map(|p| p.0))
     }
 
-    /// Writes an OpenEXR file: R, G, B (linear Rec. 709), `object.id` and `material.id` (1 + index, 0 where nothing was hit),
-    /// `cost.work`, `cost.cpu_nanos` and `rays.NAME`. Identity and ray channels are u32, costs f32.
+    /// Writes an OpenEXR file.
+    ///
+    /// Its channels are R, G, B (linear Rec. 709), `object.id` and `material.id` (1 + index, 0 where nothing
+    /// was hit), `cost.work`, `cost.cpu_nanos`, and `rays.NAME`. Identity and ray channels are u32, the
+    /// others f32.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
     pub fn write_exr(&self, path: &Path, frame: &Frame) -> Result<(), ImageError> {
         use exr::{
             AnyChannel, AnyChannels, Encoding, FlatSamples, Image as ExrImage, Layer, LayerAttributes,
@@ -122,17 +128,20 @@ impl Image {
         );
         use exr::WritableImage;
         let error = |e: exr::Error| ImageError { path: path.display().to_string(), reason: e.to_string() };
-        // One thread: an image is written while other tasks render.
+        // Single-threaded, because other tasks render at the same time.
         ExrImage::from_layer(layer).write().non_parallel().to_file(path).map_err(error)
     }
 
-    /// The image as a person looks at it: tone-mapped to sRGB.
+    /// The image as 8-bit sRGB, tone-mapped for viewing.
     pub fn picture(&self) -> image::RgbImage {
         self.paint(|p| tone_map(Vec3::from_array(p.color)))
     }
 
-    /// Work per pixel in the paper's scale (figures 4 and 6): cyan is cheapest, then blue, to red for the dearest.
-    /// Scaled linearly up to the 99.5th percentile, so that one pixel does not turn all others cyan.
+    /// Work per pixel in the false colours of Gillibrand et al. 2006 (figures 4 and 6), from cyan (cheap)
+    /// over blue to red (expensive).
+    ///
+    /// The scale is linear up to the 99.5th percentile, so that a single expensive pixel does not turn all
+    /// others cyan.
     pub fn cost_map(&self) -> image::RgbImage {
         let mut sorted: Vec<u64> = self.pixels.iter().map(|p| p.work).collect();
         sorted.sort_unstable();
@@ -149,7 +158,8 @@ impl Image {
     }
 }
 
-/// Filmic curve with a soft shoulder above 0.6, the same for every channel, then the sRGB transfer function.
+/// A filmic curve with a soft shoulder above 0.6, the same for every channel, followed by the sRGB transfer
+/// function.
 fn tone_map(color: Vec3) -> [u8; 3] {
     const KNEE: f32 = 0.6;
     color.to_array().map(|c| {
@@ -165,7 +175,7 @@ fn tone_map(color: Vec3) -> [u8; 3] {
     })
 }
 
-/// The paper's false colours: `t` in [0, 1] from cyan over blue, green and yellow to red.
+/// The false colours of a cost map: `t` in [0, 1] from cyan over blue, green and yellow to red.
 pub fn cost_color(t: f32) -> [u8; 3] {
     const STOPS: [[f32; 3]; 6] = [
         [0.0, 0.9, 0.9],

@@ -1,13 +1,14 @@
-//! What the integrators share: the camera's rays, the point that a ray meets, and the way through the tree.
+//! The integrators, and what they share: camera rays, surface points, and ray queries.
 //!
 //! | file | subject |
 //! | --- | --- |
-//! | `ambient` | distribution ray tracing with gathered indirect light |
-//! | `cached` | indirect light from the irradiance cache, and the rays of planning and filling it |
-//! | `direct` | light straight from the lights |
+//! | `ambient`, `segment` | distribution ray tracing with gathered indirect light; its rays |
+//! | `cached` | indirect light from the irradiance cache; the rays that plan and fill it |
+//! | `direct` | direct light |
 //! | `path` | unbiased path tracing |
 //! | `interface` | the two sides of a solid dielectric's face |
-//! | `occlusion` | what lies between a point and a light |
+//! | `table` | the functions of a kernel, which the integrators call |
+//! | `occlusion` | shadow rays: what is between a point and a light |
 
 mod ambient;
 mod cached;
@@ -15,14 +16,16 @@ mod direct;
 mod interface;
 mod occlusion;
 mod path;
+mod segment;
+mod table;
 
-pub use ambient::Segment;
 pub use interface::Interface;
+pub use segment::Segment;
+pub use table::{Ambient, Kernel, Light, has};
 
 use crate::cache::Site;
 use crate::cost::{Category, Counters};
 use crate::geometry::{self, Basis};
-use crate::kernel::{Kernel, has};
 use crate::lights::Receiver;
 use crate::media::Media;
 use crate::random::{Drawn, Purpose, Sampler};
@@ -32,28 +35,30 @@ use forelight_scene::{Color, Sun};
 use glam::{Vec2, Vec3};
 use std::cell::Cell;
 
-/// A point of a surface, seen from where the ray came from.
+/// A point on a surface, seen from where the ray came from.
 pub struct Point {
     position: Vec3,
     /// Largest coordinate of the triangle's corners.
     size: f32,
-    /// Geometric normal by the winding.
+    /// Unit geometric normal, on the side from which the triangle is counter-clockwise.
     geometric: Vec3,
-    /// Shading frame, its normal on the viewer's side.
+    /// Shading frame. Its normal is on the viewer's side.
     basis: Basis,
-    /// Unit direction to the viewer, world and local.
+    /// Unit direction to the viewer, in world space and in the shading frame.
     viewer: Vec3,
     wi: Vec3,
     uv: Vec2,
     material: usize,
     stratum: u32,
     primitive: u32,
-    /// Along the ray, from its origin.
+    /// Distance from the ray's origin.
     distance: f32,
 }
 
-/// Up to where a ray has passed straight through what it met. It goes on as the same ray, not as a new one from a little further on: so it
-/// meets every face once, in the order of distance and triangle, however close the next one lies.
+/// The last surface that a ray has passed straight through.
+///
+/// The ray continues as the same ray, not as a new one slightly further on. It therefore meets every face
+/// exactly once, in the order of distance and triangle index, however close the faces are.
 #[derive(Debug, Clone, Copy)]
 pub struct Passed {
     t: f32,
@@ -73,28 +78,28 @@ impl From<&Hit> for Passed {
 }
 
 impl Point {
-    /// The point, passed.
+    /// Marks this point as passed.
     fn passed(&self) -> Passed {
         Passed { t: self.distance, primitive: self.primitive }
     }
 
-    /// The place as light selection sees it, for a surface that reflects.
+    /// The point as a receiver for light selection, for a surface that reflects.
     fn receiver(&self) -> Receiver {
         Receiver { position: self.position, normal: Some(self.basis.normal) }
     }
 }
 
-/// The tracing of one pixel by a kernel with parameters `K` (see `kernel::has`).
+/// Traces one pixel with a kernel with const parameter `K` (see `kernel::has`).
 pub struct Pixels<'a, const K: u32> {
     tracer: &'a Tracer,
     kernel: &'a Kernel<K>,
     sampler: Sampler,
-    /// What the place is inside of that is seen from.
+    /// The solids that contain the origin of the current ray.
     media: Media,
     pub counters: Counters,
     /// Stratum that the first camera ray met.
     pub stratum: Option<u32>,
-    /// Where a probe would have read the cache.
+    /// The sites at which a probe would have read the cache.
     pub sites: Vec<Site>,
 }
 
@@ -111,17 +116,17 @@ impl<'a, const K: u32> Pixels<'a, K> {
         }
     }
 
-    /// Key of its random numbers.
+    /// Key of the pixel's random numbers.
     pub fn key(&self) -> u64 {
         self.sampler.key()
     }
 
-    /// Notes how far its random sequences are drawn.
+    /// Stores how far its random sequences are drawn.
     pub fn note_drawn(&self, drawn: &mut Drawn) {
         self.sampler.note_drawn(drawn);
     }
 
-    /// One camera sample of the pixel at column `x` and row `y`.
+    /// Traces one camera sample of the pixel at column `x` and row `y`. Returns its radiance.
     pub fn sample(&mut self, x: u32, y: u32) -> Vec3 {
         let ray = (self.kernel.camera)(self, x, y);
         self.counters.ray(Category::Primary);
@@ -129,7 +134,7 @@ impl<'a, const K: u32> Pixels<'a, K> {
         (self.kernel.integrate)(self, ray)
     }
 
-    /// Does something whose work is for a ray of this category, see [`crate::cost::WorkByRay`].
+    /// Runs `act`, and attributes its work to rays of a category; see [`crate::cost::WorkByRay`].
     #[inline]
     fn caused_by<T>(&mut self, category: Category, act: impl FnOnce(&mut Self) -> T) -> T {
         let before = self.counters.caused_by(category);
@@ -138,7 +143,7 @@ impl<'a, const K: u32> Pixels<'a, K> {
         given
     }
 
-    /// Not normalised: it ends in the plane at distance 1.
+    /// Direction of a camera ray. It is not normalised: it ends in the plane at distance 1.
     fn camera_direction(&mut self, x: u32, y: u32) -> Vec3 {
         let jitter = self.sampler.next(Purpose::Pixel, 0);
         self.tracer.frame.camera.direction(Vec2::new(x as f32, y as f32) + jitter)
@@ -161,7 +166,7 @@ impl<'a, const K: u32> Pixels<'a, K> {
         Ray::new(origin, (focus - origin).normalize())
     }
 
-    /// What a ray meets first, beyond what it has passed straight.
+    /// The first hit of a ray, behind what it has already passed.
     fn closest(&mut self, ray: &Ray, passed: Option<Passed>) -> Option<Hit> {
         match passed {
             Some(passed) if K & (has::PASSING | has::SPECULAR) != 0 => {
@@ -172,7 +177,7 @@ impl<'a, const K: u32> Pixels<'a, K> {
         }
     }
 
-    /// The closest hit of those that count and are not cut out.
+    /// The closest hit that `counts` accepts and that is not cut out.
     #[inline(always)]
     fn first(&mut self, ray: &Ray, counts: impl Fn(&Hit) -> bool) -> Option<Hit> {
         let steps = &mut self.counters.traversal;
@@ -201,7 +206,7 @@ impl<'a, const K: u32> Pixels<'a, K> {
         let side = if shading.dot(viewer) < 0.0 { -1.0 } else { 1.0 };
         let basis = Basis::new(shading * side);
         let mut wi = basis.to_local(viewer);
-        wi.z = wi.z.max(1e-6); // an exactly grazing viewer would divide by zero in the glossy lobe
+        wi.z = wi.z.max(1e-6); // avoids a division by zero in the glossy lobe at exactly grazing angles
         let stratum = geometry.triangle_stratum[hit.primitive as usize];
         Point {
             position,
@@ -229,23 +234,25 @@ impl<'a, const K: u32> Pixels<'a, K> {
     }
 }
 
-/// A ray from the point into `direction`, started off the surface on that side.
+/// A ray from the point in `direction`, offset from the surface to that side.
 fn leaving(p: &Point, direction: Vec3) -> Ray {
     Ray::new(off_surface(p.position, p.geometric, p.size, direction), direction)
 }
 
-/// A point of a surface with geometric normal `normal`, moved off it to the side that `direction` points to.
+/// Offsets a surface point to the side that `direction` points to. `normal` is the geometric normal.
 fn off_surface(position: Vec3, normal: Vec3, size: f32, direction: Vec3) -> Vec3 {
     offset_origin(position, if normal.dot(direction) < 0.0 { -normal } else { normal }, size)
 }
 
-/// A sun's radiance times its solid angle, W/m². A disc of radiance L that spans 2θ has the solid angle 2π (1 − cos θ), and gives a surface
-/// that faces its centre the irradiance π L sin² θ, by which a sun is described.
+/// A sun's radiance times its solid angle, W/m².
+///
+/// A disc of radiance L with angular radius θ has the solid angle 2π (1 − cos θ). Its irradiance on a surface
+/// that faces its centre is π L sin² θ; suns are specified by this irradiance.
 fn fluence(sun: &Sun) -> Vec3 {
     sun.irradiance * (2.0 / (2.0 - cap_height(sun.angle_deg)))
 }
 
-/// 1 − cos of half an angular diameter, without cancellation: 2 sin²(θ/2).
+/// 1 − cos θ, where θ is half the angular diameter, without cancellation: 2 sin²(θ/2).
 fn cap_height(angle_deg: f32) -> f32 {
     let s = libm::sinf(angle_deg.to_radians() * 0.25);
     2.0 * s * s

@@ -1,123 +1,27 @@
-//! The code that traces a frame, put together once from the effects that the frame calls for.
+//! Kernels: the code that traces a frame, composed once from the effects that the frame needs.
 //!
-//! What decides inside the innermost loops (how rays are intersected, which lobes there are, whether colours are looked up) is
-//! a constant parameter of the kernel: each of the 32 combinations is compiled for itself. What is called once a vertex or
-//! less (camera, kinds of light, indirect light, integrator) is a function of the kernel, chosen or left out. A frame pays
-//! for nothing that it does not hold; and since an effect that is forced on only meets data that it has nothing to do for,
-//! a larger kernel computes the same bits.
+//! Decisions in the innermost loops (ray intersection, lobes, texture lookups) are a const parameter. Each of
+//! its 32 values is compiled separately. Functions that are called at most once per path vertex (camera,
+//! kinds of light, indirect light, integrator) are function pointers, which are set or left out.
+//!
+//! A frame therefore pays only for the effects that it needs. A kernel with more effects than needed computes
+//! the same bits, because the additional effects find no data to work on.
 
-use crate::Integrator;
 use crate::cache::{Irradiance, Keyed, PLAN_RAYS, Planned, Site, Strata};
 use crate::cost::{Counters, add_rays};
 use crate::effects::Effects;
-use crate::integrator::{Interface, Pixels, Point, Segment};
+use crate::integrator::{Ambient, Kernel, Light, Pixels, has};
 use crate::lights::Looks;
-use crate::passes::Underway;
+use crate::pixel::{Pixel, Underway};
 use crate::random::{Sampler, hash};
-use crate::response::Response;
-use crate::tracer::{Pixel, Tracer};
-use forelight_bvh::{Hit, Ray};
+use crate::tracer::{Trace, Tracer};
+use forelight_bvh::Hit;
+use forelight_protocol::Integrator;
 use glam::Vec3;
 use std::time::Instant;
 
-/// Constant parameters of a kernel, as bits.
-pub mod has {
-    /// Rough reflections are followed.
-    pub const GLOSSY: u32 = 1;
-    /// Mirrors, panes and solid glass are followed.
-    pub const SPECULAR: u32 = 1 << 1;
-    /// Light passes some surfaces straight: panes, partial opacity.
-    pub const PASSING: u32 = 1 << 2;
-    /// Some surfaces are cut out by a texture: every hit has to be looked at.
-    pub const CUT_OUTS: u32 = 1 << 3;
-    /// Colours may come from images.
-    pub const TEXTURES: u32 = 1 << 4;
-}
-
-/// Light that reaches a point from one kind of light; the last argument is the path's vertex.
-pub type Light<const K: u32> = fn(&mut Pixels<'_, K>, &Point, &Response, u32) -> Vec3;
-
-/// Indirect diffuse light at a point, without the lights that are sampled.
-pub type Ambient<const K: u32> = fn(&mut Pixels<'_, K>, &Segment, &Point, &Response) -> Vec3;
-
-/// What a ray meets at the face of a solid dielectric.
-pub type AtInterface<const K: u32> = fn(&mut Pixels<'_, K>, &Ray, &Hit, &Point) -> Interface;
-
-/// The functions of a frame's kernel.
-#[derive(Clone)]
-pub struct Kernel<const K: u32> {
-    /// The ray of a camera sample of a pixel.
-    pub camera: fn(&mut Pixels<'_, K>, u32, u32) -> Ray,
-    /// Lights with a position or a direction, by kind, at points that the camera sees.
-    pub lights: Vec<Light<K>>,
-    /// The same at points that gathered rays meet.
-    pub gathered_lights: Vec<Light<K>>,
-    /// What surrounds the scene.
-    pub sky: Option<Light<K>>,
-    /// Indirect light.
-    pub ambient: Option<Ambient<K>>,
-    /// Solid dielectrics, alone or among others.
-    pub interface: AtInterface<K>,
-    /// Radiance along a camera ray.
-    pub integrate: fn(&mut Pixels<'_, K>, Ray) -> Vec3,
-    /// The same without light, for finding out where the cache will be read.
-    pub probe: Option<Box<Kernel<K>>>,
-}
-
-/// A kernel, whatever its parameters.
-pub trait Trace: Send + Sync {
-    /// One finished pixel by its row-major index; `each` is told the radiance of every camera sample, in order.
-    fn pixel(&self, tracer: &Tracer, index: u32, each: &mut dyn FnMut([f32; 3])) -> Pixel;
-
-    /// A pixel that has some samples, brought to `samples` of them; `each` is told those that are new.
-    fn go_on(
-        &self,
-        tracer: &Tracer,
-        index: u32,
-        underway: &mut Underway,
-        samples: u32,
-        each: &mut dyn FnMut([f32; 3]),
-    );
-
-    /// The places at which the first `samples` samples of a pixel read the first level of the cache.
-    fn sites(
-        &self,
-        tracer: &Tracer,
-        pixel: u32,
-        samples: u32,
-        found: &mut Vec<Keyed>,
-        counters: &mut Counters,
-    );
-
-    /// The places of level `level` that the plan's rays of a record of the level before meet.
-    fn sites_beyond(
-        &self,
-        tracer: &Tracer,
-        strata: &Strata,
-        level: u32,
-        planned: &Planned,
-    ) -> (Vec<Keyed>, Counters);
-
-    /// What rays from a site meet.
-    fn plan_rays(
-        &self,
-        tracer: &Tracer,
-        site: &Site,
-        directions: &[Vec3; PLAN_RAYS],
-    ) -> ([Option<Hit>; PLAN_RAYS], Counters);
-
-    /// What the hemisphere above a planned record of a level sends.
-    fn gather(
-        &self,
-        tracer: &Tracer,
-        strata: &Strata,
-        level: u32,
-        planned: &Planned,
-    ) -> (Irradiance, Counters);
-}
-
 impl<const K: u32> Kernel<K> {
-    /// Adds samples to a pixel, up to so many.
+    /// Adds camera samples to a pixel until it has `samples` of them.
     fn trace<'a>(
         &'a self,
         tracer: &'a Tracer,
@@ -196,7 +100,7 @@ impl<const K: u32> Kernel<K> {
     }
 }
 
-/// The kinds of light that a point after `level` diffuse bounces looks at.
+/// The functions that sample lights at a point after `level` diffuse bounces.
 fn lights<const K: u32>(effects: Effects, level: u32, looks: Looks) -> Vec<Light<K>> {
     let mut lights: Vec<Light<K>> = Vec::new();
     match (looks.at(level), level) {
@@ -294,7 +198,7 @@ impl<const K: u32> Trace for Kernel<K> {
     }
 }
 
-/// The kernel for these effects.
+/// The kernel for a set of effects.
 pub fn kernel(effects: Effects, integrator: Integrator, looks: Looks) -> Box<dyn Trace> {
     let parameters = [
         (has::GLOSSY, Effects::GLOSSY),

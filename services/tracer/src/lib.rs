@@ -1,27 +1,32 @@
-//! How light gets from the lights to the camera, and what finding out took.
+//! Light transport: traces a frame, and counts the cost of doing so.
 //!
-//! A [`Tracer`] holds what one frame needs (tree, lights, materials); [`Tracer::pixel`] computes one finished
-//! [`Pixel`]: its colour, the rays by category, the deterministic `work` and the CPU time. A pixel depends on the
-//! frame, the [`Settings`] and its own index alone, so an image has the same bits whatever the threads, the tiles, the
-//! order, and whether some pixels came from a [`Profile`].
+//! A [`Tracer`] holds everything that one frame needs: tree, lights and materials. [`Tracer::pixel`] computes
+//! one finished [`Pixel`]: its colour, rays by category, deterministic `work`, and CPU time.
+//!
+//! A pixel depends only on the frame, the [`Settings`] and its own index. An image therefore has the same
+//! bits whatever the number of threads, the tiles and their order, and whether some pixels came from a
+//! [`Profile`].
 //!
 //! | file | subject |
 //! | --- | --- |
-//! | `settings` | what the user asks for |
+//! | `settings` | quality and size of an image |
 //! | `random` | counter-based random numbers, scrambled (0,2)-sequences |
-//! | `geometry` | frames of reference and maps from the square to disc, hemisphere and cap |
+//! | `bounds`, `geometry` | boxes, orthonormal frames, maps from the square to disc, hemisphere and cone |
 //! | `fresnel`, `microfacet` | reflectance of interfaces, GGX |
-//! | `response`, `bsdf` | a material at a point, ready to be lit; the same as a BSDF to choose directions by |
-//! | `lights`, `environment` | where light comes from, and how to choose points on it |
-//! | `effects`, `kernel` | what a frame calls for, and the code that is put together for it |
-//! | `integrator` | how a path goes: `ambient`, its direct light, what lies between a point and a light |
-//! | `cache` | indirect light by interpolation: planned, filled, read |
-//! | `reach` | which lights and objects cannot matter to the picture |
-//! | `cost` | counters, `work`, clocks |
-//! | `tree` | the tree over what matters |
-//! | `tracer`, `profile`, `image` | a frame's pixels, some of them, and all of them |
-//! | `samples`, `passes` | camera samples that differ by pixel, and that are added bit by bit |
-//! | `tiling` | an image, cut into square tiles |
+//! | `response`, `bsdf` | reflection at a point, for light sampling; the full BSDF, for path tracing |
+//! | `media` | solid dielectrics that overlap |
+//! | `lights`, `environment` | light sources and how points and directions on them are sampled |
+//! | `effects`, `kernel` | the effects that a frame needs, and the code composed for them |
+//! | `integrator` | the integrators `ambient` and `path`, direct light, shadow rays |
+//! | `cache` | indirect diffuse light by interpolation (irradiance cache): plan, fill, read |
+//! | `reach` | lights and objects that cannot affect the image |
+//! | `cost` | counters, work, clocks |
+//! | `tree` | the BVH over the triangles that can affect the image |
+//! | `tracer` | a frame, ready to be traced |
+//! | `pixel`, `profile`, `image` | one finished pixel; finished pixels as a file; whole images |
+//! | `samples`, `passes` | camera samples that differ by pixel; images refined in passes |
+//! | `fingerprint`, `origin` | what an image or a file was made for: as a hash, and in words |
+//! | `tiling` | square tiles of an image |
 
 mod bounds;
 pub mod bsdf;
@@ -40,6 +45,7 @@ mod media;
 pub mod microfacet;
 mod origin;
 mod passes;
+mod pixel;
 mod profile;
 mod random;
 mod reach;
@@ -59,10 +65,11 @@ pub use fingerprint::tracer_version;
 pub use image::{Image, ImageError, Totals, cost_color};
 pub use origin::Origin;
 pub use passes::{Grown, Passes, SoFar};
+pub use pixel::{Pixel, PixelsFinished};
 pub use profile::{Profile, ProfileError};
 pub use reach::{Excluded, LeftOut, Reach, Reason, reachable};
 pub use samples::{SampleCounts, SampleCountsError};
-pub use settings::{CacheSettings, Integrator, MaterialOverride, Settings, SettingsError, UncoveredGathers};
+pub use settings::{CacheSettings, Settings, UncoveredGathers};
 pub use tiling::Tiling;
-pub use tracer::{Pixel, PixelsFinished, Tracer};
+pub use tracer::Tracer;
 pub use tree::Tree;

@@ -1,11 +1,11 @@
-//! Where light comes from, and how to choose points of it.
+//! Light sources, and the sampling of points on them.
 //!
 //! | file | subject |
 //! | --- | --- |
-//! | `luminaires` | area lights by object and material: where there are few, all are sampled |
+//! | `luminaires` | area lights by object and material; if there are few, every point samples all of them |
 //! | `emitters` | lights with a position, one by one, for any number of them |
-//! | `tree`, `bounds` | the tree by which one of the emitters is chosen; what its nodes know of their lights |
-//! | `selection` | one light out of everything that shines, the sky and the suns included |
+//! | `tree`, `bounds` | the light tree that chooses among emitters, and the bounds of its nodes |
+//! | `selection` | chooses one light out of all, including the environment and the suns |
 
 mod bounds;
 mod emitters;
@@ -13,10 +13,11 @@ mod luminaires;
 mod selection;
 mod tree;
 
+pub use bounds::Receiver;
 pub use emitters::Emitter;
 pub use luminaires::Luminaires;
 pub use selection::{Light, Lights};
-pub use tree::{Choice, Receiver};
+pub use tree::Choice;
 
 use crate::bounds::Bounds;
 use crate::geometry;
@@ -24,37 +25,40 @@ use forelight_bvh::{Hit, size_of};
 use forelight_scene::Geometry;
 use glam::{Vec2, Vec3};
 
-/// So many lights with a position (objects that emit, and points) a point that the camera sees looks at, at most. The error that a
-/// given time leaves is least at √(b v / (c w)) looks (b: time of a camera sample without looks, c: of a look, v: variance of a look,
-/// w: of a camera sample that knows its light): 2 to 8 in most rooms, and flat around it.
+/// Largest number of lights with a position (emissive objects and points) that a point seen by the camera
+/// samples.
+///
+/// The error for a given time is smallest at √(b v / (c w)) light samples. Here b is the time of a camera
+/// sample without light samples, c that of a light sample, v the variance of a light sample, and w that of a
+/// camera sample with known light. This is 2 to 8 in most rooms, and the minimum is flat.
 const SEEN: u32 = 4;
 
-/// The most looks of any point.
+/// Largest number of light samples at any point.
 pub const MOST_LOOKS: usize = SEEN as usize;
 
-/// How many of the lights with a position a point looks at, chosen by the light tree; `None` where it looks at all of them.
+/// Number of lights with a position that a point samples, chosen by the light tree. `None` means all lights.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Looks {
-    /// Points that the camera sees, also by mirrors and through glass.
+    /// At points that the camera sees, directly or via mirrors and glass.
     pub seen: Option<u32>,
-    /// Points that a gathered ray meets: one of hundreds, over which chance evens out.
+    /// At points that gathered rays hit. There are hundreds of these per gather, so the noise averages out.
     pub gathered: Option<u32>,
 }
 
 impl Looks {
-    /// Looks at `count` lights.
+    /// The numbers for a scene with `count` lights.
     pub fn new(count: usize) -> Self {
         let some = |looks: u32| (count > looks as usize).then_some(looks);
         Self { seen: some(SEEN), gathered: some(1) }
     }
 
-    /// Looks of a point after so many diffuse bounces.
+    /// The number at a point after `level` diffuse bounces.
     pub fn at(self, level: u32) -> Option<u32> {
         if level == 0 { self.seen } else { self.gathered }
     }
 }
 
-/// An emitting triangle, with what every look at it needs.
+/// An emitting triangle, with everything that sampling it needs.
 #[derive(Debug, Clone, Copy)]
 struct Surface {
     triangle: u32,
@@ -63,24 +67,25 @@ struct Surface {
     corners: [Vec3; 3],
     /// See [`size_of`].
     size: f32,
-    /// Unit geometric normal by the winding.
+    /// Unit geometric normal, on the side from which the triangle is counter-clockwise.
     normal: Vec3,
 }
 
-/// A point chosen on an emitting triangle.
+/// A sampled point on an emitting triangle.
 pub struct LightPoint {
     pub position: Vec3,
     /// Largest coordinate of the triangle's corners.
     pub size: f32,
-    /// Unit geometric normal by the winding.
+    /// Unit geometric normal, on the side from which the triangle is counter-clockwise.
     pub normal: Vec3,
     /// Index of the triangle's material in the frame.
     pub material: u32,
-    /// The same as something that a ray could have met.
+    /// The point as a ray hit.
     pub hit: Hit,
 }
 
-/// The part of a light that `u` in [0, 1) falls into, by the cumulative shares of its parts, and where in it, in [0, 1].
+/// Chooses a part of a light from cumulative shares, for `u` in [0, 1). Returns the part and the position in
+/// it, in [0, 1].
 fn part(cumulative: &[f32], u: f32) -> (usize, f32) {
     let i = cumulative.partition_point(|&c| c <= u).min(cumulative.len() - 1);
     let below = if i == 0 { 0.0 } else { cumulative[i - 1] };
@@ -88,7 +93,7 @@ fn part(cumulative: &[f32], u: f32) -> (usize, f32) {
     (i, if within.is_nan() { 0.5 } else { within })
 }
 
-/// Cumulative shares of areas; the last one is 1.
+/// Cumulative shares of areas. The last one is 1.
 fn cumulative(areas: impl Iterator<Item = f64> + Clone) -> impl Iterator<Item = f32> {
     let total: f64 = areas.clone().sum();
     areas.scan(0.0, move |sum, area| {
@@ -97,8 +102,10 @@ fn cumulative(areas: impl Iterator<Item = f64> + Clone) -> impl Iterator<Item = 
     })
 }
 
-/// Whether a point is closer to a light's box than the light is wide. There, points chosen by area miss the few that matter (their
-/// weight grows like 1/distance²), and directions chosen by the surface have to help.
+/// Returns `true` if a point is closer to a light's box than the light is wide.
+///
+/// There, points sampled by area miss the few that matter, because their weight grows like 1/distance².
+/// Directions sampled from the surface have to help.
 fn is_near(light: &Bounds, area: f32, point: Vec3) -> bool {
     let outside = (light.low - point).max(point - light.high).max(Vec3::ZERO);
     outside.length_squared() < area
@@ -116,7 +123,7 @@ impl Surface {
         }
     }
 
-    /// A uniform point of it.
+    /// A uniform point on the triangle.
     fn point(&self, u: Vec2) -> LightPoint {
         let (u, v) = geometry::triangle(u);
         let hit = Hit { t: 0.0, primitive: self.triangle, u, v };

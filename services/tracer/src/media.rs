@@ -1,42 +1,44 @@
-//! Solid dielectrics that overlap: what a point is inside of, and which of it fills the place.
+//! Overlapping solid dielectrics: which solids contain a point, and which of them fills it.
 //!
-//! Where solids with a priority overlap, the one of highest priority fills the place, and the others' faces inside it are not there (Schmidt
-//! and Budge 2002, Simple Nested Dielectrics in Ray Traced Images). Of equal priorities the material that is listed first counts as the
-//! higher, whichever was entered first, so that light takes the same way in both directions.
+//! Where solids with a priority overlap, the one with the highest priority fills the space. The others' faces
+//! inside it are ignored (Schmidt and Budge 2002, "Simple Nested Dielectrics in Ray Traced Images"). Among
+//! equal priorities, the material that is listed first wins, whichever solid was entered first. Light
+//! therefore behaves the same in both directions.
 
 use forelight_scene::{MOST_NESTED, Material, Surface};
 
-/// Bits that count one medium.
+/// Bits that count how often one medium was entered.
 const BITS: u32 = 4;
-/// How often a medium counts as entered at most.
+/// Largest count per medium. Further entries are not counted.
 const MOST: u128 = (1 << BITS) - 1;
 const _: () = assert!(MOST_NESTED as u32 * BITS == u128::BITS);
 
-/// The media that a point is inside of: of each, by its rank, how many solids' faces were entered and not left.
+/// The media that contain a point. For each medium, by rank, it counts the solids that were entered and not
+/// left.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Media(u128);
 
 impl Media {
-    /// Rank of the medium that fills the place; none: nothing does.
+    /// Rank of the medium that fills the space. `None` if no solid does.
     pub fn top(self) -> Option<u8> {
         (self.0 != 0).then(|| ((u128::BITS - 1 - self.0.leading_zeros()) / BITS) as u8)
     }
 
-    /// Into one more solid.
+    /// Enters a solid.
     pub fn enter(&mut self, rank: u8) {
         if self.times(rank) < MOST {
             self.0 += 1 << shift(rank);
         }
     }
 
-    /// Out of a solid; nothing happens outside.
+    /// Leaves a solid. Does nothing outside of it.
     pub fn leave(&mut self, rank: u8) {
         if self.holds(rank) {
             self.0 -= 1 << shift(rank);
         }
     }
 
-    /// Whether the point is inside a solid of this medium.
+    /// Returns `true` if the point is inside a solid of this medium.
     pub fn holds(self, rank: u8) -> bool {
         self.times(rank) > 0
     }
@@ -50,17 +52,17 @@ fn shift(rank: u8) -> u32 {
     u32::from(rank) * BITS
 }
 
-/// The media of a frame in the order of their priorities.
+/// The media of a frame, ordered by priority.
 #[derive(Debug, Clone, Default)]
 pub struct Ranks {
-    /// Materials and their indices of refraction, the lowest priority first.
+    /// Material index and index of refraction of each rank. The lowest priority comes first.
     media: Vec<(usize, f32)>,
-    /// Of every material.
+    /// Rank of each material.
     of_material: Vec<Option<u8>>,
 }
 
 impl Ranks {
-    /// The ranks of a scene's materials, of which at most [`MOST_NESTED`] have a priority.
+    /// The ranks of a scene's materials. At most [`MOST_NESTED`] materials may have a priority.
     pub fn new(materials: &[Material]) -> Self {
         let mut ordered: Vec<(u8, std::cmp::Reverse<usize>, f32)> = Vec::new();
         for (index, material) in materials.iter().enumerate() {
@@ -79,12 +81,12 @@ impl Ranks {
         ranks
     }
 
-    /// Whether no material has a priority.
+    /// Returns `true` if no material has a priority.
     pub fn is_empty(&self) -> bool {
         self.media.is_empty()
     }
 
-    /// Rank of a material.
+    /// Rank of a material. `None` if it has no priority.
     pub fn of(&self, material: usize) -> Option<u8> {
         self.of_material[material]
     }
@@ -94,7 +96,7 @@ impl Ranks {
         self.media[usize::from(rank)].0
     }
 
-    /// Index of refraction where this medium fills the place, or none.
+    /// Index of refraction of the medium that fills the space; 1 for `None`.
     pub fn ior(&self, top: Option<u8>) -> f32 {
         top.map_or(1.0, |rank| self.media[usize::from(rank)].1)
     }

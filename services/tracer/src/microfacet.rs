@@ -1,12 +1,15 @@
-//! Isotropic GGX microfacets in the local frame (+z is the surface normal).
+//! Isotropic GGX microfacets, in a local frame whose +z is the surface normal.
 
 use glam::{Vec2, Vec3};
 use std::f32::consts::PI;
 
-/// Below this alpha the lobe is narrower than f32 directions resolve: the surface is treated as a mirror.
+/// Below this alpha, the lobe is narrower than f32 directions can resolve. The surface is then treated as a
+/// mirror.
 pub const SMOOTH: f32 = 1e-3;
 
-/// Normal distribution D(h), per steradian. Written with |h × z|² = x² + y² instead of 1 − z², which would cancel.
+/// GGX normal distribution D(h), per steradian (Walter et al. 2007, equation 33).
+///
+/// It uses |h × z|² = x² + y² instead of 1 − z², which would suffer from cancellation.
 pub fn distribution(h: Vec3, alpha: f32) -> f32 {
     let a2 = alpha * alpha;
     let d = h.x * h.x + h.y * h.y + a2 * h.z * h.z;
@@ -22,18 +25,20 @@ fn lambda(w: Vec3, alpha: f32) -> f32 {
     0.5 * ((1.0 + alpha * alpha * (w.x * w.x + w.y * w.y) / cos2).sqrt() - 1.0)
 }
 
-/// Share of microfacets visible from `w`.
+/// Smith's masking function G₁: the fraction of microfacets that are visible from `w`.
 pub fn masking(w: Vec3, alpha: f32) -> f32 {
     1.0 / (1.0 + lambda(w, alpha))
 }
 
-/// Share visible from both directions, height-correlated (Heitz 2014, equation 99).
+/// Height-correlated masking and shadowing G₂: the fraction visible from both directions (Heitz 2014,
+/// equation 99).
 pub fn masking_shadowing(wi: Vec3, wo: Vec3, alpha: f32) -> f32 {
     1.0 / (1.0 + lambda(wi, alpha) + lambda(wo, alpha))
 }
 
-/// A normal among those visible from `wi` (z > 0): a uniform point of a spherical cap in the space where the
-/// microfacets form a hemisphere (Dupuy and Benyoub 2023).
+/// Samples a microfacet normal among those visible from `wi` (z > 0) (Dupuy and Benyoub 2023).
+///
+/// A uniform point of a spherical cap is chosen in the space where the microfacets form a hemisphere.
 pub fn sample_visible(wi: Vec3, alpha: f32, u: Vec2) -> Vec3 {
     let standard = Vec3::new(wi.x * alpha, wi.y * alpha, wi.z).normalize();
     let phi = 2.0 * PI * u.x;
@@ -43,17 +48,19 @@ pub fn sample_visible(wi: Vec3, alpha: f32, u: Vec2) -> Vec3 {
     Vec3::new(half.x * alpha, half.y * alpha, half.z.max(0.0)).normalize_or(Vec3::Z)
 }
 
-/// Density of [`sample_visible`] reflected into `wo`, per steradian: G₁(wi) D(h) / (4 wi.z).
+/// Density per steradian of the reflection of `wi` about a normal from [`sample_visible`]: G₁(wi) D(h) / (4
+/// wi.z).
 pub fn reflected_density(wi: Vec3, h: Vec3, alpha: f32) -> f32 {
     masking(wi, alpha) * distribution(h, alpha) / (4.0 * wi.z)
 }
 
-/// Mirror image of `w` about `n` (both pointing away from the surface).
+/// Mirror image of `w` about `n`. Both point away from the surface.
 pub fn reflect(w: Vec3, n: Vec3) -> Vec3 {
     2.0 * w.dot(n) * n - w
 }
 
-/// Direction beyond an interface of relative index `eta` with normal `n` on the side of `w`, given the cosine there.
+/// Direction of refraction at an interface with relative index `eta`. The normal `n` is on the side of `w`;
+/// `cos_t` is the cosine of the angle of refraction.
 pub fn refract(w: Vec3, n: Vec3, eta: f32, cos_t: f32) -> Vec3 {
     let cos_i = w.dot(n);
     ((cos_i / eta - cos_t) * n - w / eta).normalize()
@@ -66,14 +73,14 @@ mod tests {
 
     #[test]
     fn visible_normals_project_to_one() {
-        // ∫ G₁(w) max(0, w·h) D(h) dh = w.z: the defining property of a masking function (Heitz 2014, equation 6).
+        // ∫ G₁(w) max(0, w·h) D(h) dh = w.z defines a masking function (Heitz 2014, equation 6).
         for alpha in [0.05f32, 0.3, 0.8] {
             for z in [0.1f32, 0.5, 0.95] {
                 let w = Vec3::new((1.0 - z * z).sqrt(), 0.0, z);
                 let (nt, np) = (2000, 400);
                 let mut sum = 0.0f64;
                 for i in 0..nt {
-                    // Finer where D peaks: θ = (π/2) s².
+                    // Use smaller steps where D peaks: θ = (π/2) s².
                     let s = (f64::from(i) + 0.5) / f64::from(nt);
                     let theta = (s * s * std::f64::consts::FRAC_PI_2) as f32;
                     let jacobian = std::f64::consts::PI * s;
@@ -93,8 +100,7 @@ mod tests {
 
     #[test]
     fn samples_follow_the_density() {
-        // E[1 / pdf] over accepted samples is the solid angle that the lobe covers; for a wide lobe, compare the
-        // average of z with the same average by quadrature over the reflected density.
+        // Compares the mean of z over samples with the same mean by quadrature over the reflected density.
         let (alpha, wi) = (0.5f32, Vec3::new(0.6, 0.0, 0.8));
         let mut sampler = Sampler::new(3, 0, 0);
         let n = 65_536;

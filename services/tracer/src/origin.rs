@@ -1,19 +1,24 @@
-//! What an artefact was made for, in parts that have names: when it is refused, they say which of them is another.
+//! The origin of a file: the frame and the settings that it was made for.
+//!
+//! When a profile or cache does not fit an image, the error lists which settings differ.
 
+use crate::Settings;
 use crate::fingerprint::tracer_version;
-use crate::{Integrator, MaterialOverride, Settings};
 use blake3::Hasher;
 use bytemuck::{Pod, Zeroable};
+use forelight_protocol::{Integrator, MaterialMode};
 use forelight_scene::Frame;
 
-/// The settings that only the view depends on: records of an irradiance cache are the same whatever they are.
+/// Settings that only affect the view. The records of an irradiance cache do not depend on them.
 const VIEW: [&str; 4] = ["width", "height", "spp", "ambient_divisions"];
 
-/// All others but the seed.
+/// Settings that affect the light, except the seed.
 const LIGHT: [&str; 7] =
     ["integrator", "ambient_bounces", "max_depth", "materials", "cache", "cache_accuracy", "cache_rays"];
 
-/// The frame and the settings that an artefact was made for. They are for words alone: whether it fits, fingerprints decide, which know more.
+/// The frame and settings that a profile or cache was made for.
+///
+/// It is used for error messages only. Fingerprints decide whether a file fits, because they cover more.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable)]
 pub struct Origin {
@@ -28,10 +33,10 @@ pub struct Origin {
 }
 
 impl Origin {
-    /// Bytes of one in a file, little-endian.
+    /// Size in a file, in bytes. Numbers are little-endian.
     pub(crate) const BYTES: usize = size_of::<Self>();
 
-    /// Of a frame, of which `content` is [`crate::fingerprint::of_content`].
+    /// The origin for a frame. `content` is the frame's [`crate::fingerprint::of_content`].
     pub(crate) fn of(content: &Hasher, frame: &Frame, settings: &Settings) -> Self {
         let cache = settings.cache.unwrap_or_default();
         let integrator = match settings.integrator {
@@ -39,8 +44,8 @@ impl Origin {
             Integrator::Path => 1,
         };
         let materials = match settings.materials {
-            MaterialOverride::Full => 0,
-            MaterialOverride::Lambert => 1,
+            MaterialMode::Full => 0,
+            MaterialMode::Lambert => 1,
         };
         let Settings { ambient_bounces, max_depth, .. } = *settings;
         let cached = u32::from(settings.cache.is_some());
@@ -60,19 +65,19 @@ impl Origin {
         self.frame
     }
 
-    /// In which ways an image that an artefact of this origin does not fit is another one.
+    /// The differences between this origin and an image that the file does not fit, in words.
     pub fn unlike_image(&self, image: &Self) -> String {
         let mut words = self.other_frame(image, true);
-        words.extend(self.view.iter().zip(image.view).zip(VIEW).filter_map(other));
+        words.extend(self.view.iter().zip(image.view).zip(VIEW).filter_map(difference));
         words.extend(self.other_light(image));
-        told(words, "another camera, or other camera samples by pixel")
+        joined_or(words, "different camera, or different sample counts by pixel")
     }
 
-    /// In which ways a frame in which records of this origin do not hold is another one.
+    /// The differences between this origin and a frame in which its cache records are not valid, in words.
     pub(crate) fn unlike_light(&self, frame: &Self) -> String {
         let mut words = self.other_frame(frame, false);
         words.extend(self.other_light(frame));
-        told(words, "other lights that reach what is seen")
+        joined_or(words, "different lights reach the visible surfaces")
     }
 
     fn other_frame(&self, other: &Self, always: bool) -> Vec<String> {
@@ -82,24 +87,24 @@ impl Origin {
         let same = self.content == other.content;
         match self.frame == other.frame {
             false if always || !same => vec![format!("frame {}, not {}", self.frame, other.frame)],
-            true if !same => vec!["another scene".to_owned()],
+            true if !same => vec!["different scene".to_owned()],
             _ => Vec::new(),
         }
     }
 
     fn other_light(&self, other: &Self) -> Vec<String> {
-        let settings = self.light.iter().zip(other.light).zip(LIGHT).filter_map(self::other);
+        let settings = self.light.iter().zip(other.light).zip(LIGHT).filter_map(difference);
         let seed = || format!("seed {}, not {}", self.seed, other.seed);
         settings.chain((self.seed != other.seed).then(seed)).collect()
     }
 }
 
-fn other(((own, other), name): ((&u32, u32), &str)) -> Option<String> {
-    (*own != other).then(|| format!("{name} {}, not {}", word(name, *own), word(name, other)))
+fn difference(((own, other), name): ((&u32, u32), &str)) -> Option<String> {
+    (*own != other).then(|| format!("{name} {}, not {}", shown(name, *own), shown(name, other)))
 }
 
-/// A setting's value, as people give it.
-fn word(name: &str, value: u32) -> String {
+/// A setting's value, as the user enters it.
+fn shown(name: &str, value: u32) -> String {
     let of = |words: [&str; 2]| {
         words.get(value as usize).map_or_else(|| value.to_string(), |word| (*word).to_owned())
     };
@@ -112,7 +117,7 @@ fn word(name: &str, value: u32) -> String {
     }
 }
 
-fn told(words: Vec<String>, unknown: &str) -> String {
+fn joined_or(words: Vec<String>, unknown: &str) -> String {
     if words.is_empty() { unknown.to_owned() } else { words.join("; ") }
 }
 
@@ -142,17 +147,17 @@ mod tests {
             (&*image, &*light),
             ("frame 7, not 8; integrator ambient, not path", "integrator ambient, not path")
         );
-        // Where things move, another frame is another scene.
+        // If something moves, another frame has another content.
         let (_, light) = of(&|other| (other.frame, other.content) = (8, [1; 32]));
         assert_eq!(light, "frame 7, not 8");
         let (image, light) = of(&|other| other.content = [1; 32]);
-        assert_eq!((&*image, &*light), ("another scene", "another scene"));
-        // All else depends on the version.
+        assert_eq!((&*image, &*light), ("different scene", "different scene"));
+        // After a version difference, nothing else is reported.
         let (image, _) = of(&|other| (other.version, other.content) = (4, [1; 32]));
         assert_eq!(image, "version 3 of the tracer, not 4");
         let (image, light) = of(&|_| ());
         assert!(image.contains("camera") && light.contains("lights"), "{image} {light}");
-        // Numbers that no setting has come from files that were made up.
-        assert_eq!(word("integrator", 9), "9");
+        // Values outside the known words can only come from a damaged file.
+        assert_eq!(shown("integrator", 9), "9");
     }
 }

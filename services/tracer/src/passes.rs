@@ -1,72 +1,27 @@
-//! An image in passes: every pixel goes on from the sample at which the pass before left it.
+//! Images refined in passes: each pass adds camera samples to pixels, starting where the previous pass
+//! stopped.
 //!
-//! Nothing of a pass is traced again in the next one, and nothing depends on where one pass ends and the next begins: a pixel's samples are
-//! added up in f64 in the order of their indices, and its random sequences go on where they were. So a pixel that got 3 samples, and 5 later on,
-//! has the bits of one that got 8 at once. What has to be kept for that is small: how far each random sequence that the pixel uses was
-//! drawn, 8 bytes for each, and what the sum was at fewer samples, which says how it settles. It comes to about 150 bytes a pixel of the
-//! `ambient` integrator and several hundred of `path`.
+//! No sample is traced twice, and the result does not depend on where one pass ends and the next begins. A
+//! pixel's samples are summed in f64 in the order of their indices, and its random sequences continue. A
+//! pixel that got 3 samples and later 5 therefore has the same bits as one that got 8 at once.
+//!
+//! For this, each pixel keeps how far its random sequences were drawn (8 bytes per sequence), and its sum at
+//! earlier sample counts, which shows how it converges. That is about 150 bytes per pixel for the `ambient`
+//! integrator and several hundred for `path`.
 
+use crate::cost::share_cpu_time;
 use crate::image::{Image, Totals};
-use crate::random::Drawn;
+use crate::pixel::Underway;
 use crate::samples::{SampleCounts, SampleCountsError};
-use crate::tiling::Tiling;
-use crate::tracer::{Pixel, TILE, Tracer, share_cpu_time};
-use glam::{DVec3, Vec3};
+use crate::tiling::{TILE, Tiling};
+use crate::tracer::Tracer;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Samples of a pixel after which it is asked whether to stop: a few milliseconds.
+/// Number of samples between two checks whether to stop. They take a few milliseconds.
 const RUN: u32 = 32;
 
-/// A pixel that can be given more samples.
-#[derive(Debug, Clone)]
-pub(crate) struct Underway {
-    /// How far its random sequences are drawn.
-    pub drawn: Drawn,
-    /// Radiance of its samples, added up in their order.
-    pub sum: DVec3,
-    /// Squares of that, mean over the channels, the same way.
-    pub squares: f64,
-    pub samples: u32,
-    /// The sum when the number of samples was a power of two, the last two times.
-    pub before: [(u32, DVec3); 2],
-    /// What its samples took; the colour is not known before [`Self::finished`].
-    pub pixel: Pixel,
-}
-
-impl Default for Underway {
-    fn default() -> Self {
-        let pixel = Pixel {
-            color: [0.0; 3],
-            rays: [0; 7],
-            work: 0,
-            work_by_ray: [0; 7],
-            extra_work: 0,
-            cpu_nanos: 0,
-            uncovered: 0,
-            stratum: Pixel::NOTHING,
-        };
-        let before = [(0, DVec3::ZERO); 2];
-        Self { drawn: Drawn::default(), sum: DVec3::ZERO, squares: 0.0, samples: 0, before, pixel }
-    }
-}
-
 impl Underway {
-    /// Adds the radiance of one more sample.
-    pub fn add(&mut self, sample: Vec3) {
-        self.sum += sample.as_dvec3();
-        self.samples += 1;
-        if self.samples.is_power_of_two() {
-            self.before = [self.before[1], (self.samples, self.sum)];
-        }
-    }
-
-    /// The pixel with the samples that it has; of none it is black.
-    pub fn finished(&self) -> Pixel {
-        let color = (self.sum / f64::from(self.samples.max(1))).as_vec3().to_array();
-        Pixel { color, ..self.pixel }
-    }
-
     fn so_far(&self) -> SoFar {
         let samples = f64::from(self.samples);
         let mean = self.sum / samples.max(1.0);
@@ -85,41 +40,43 @@ impl Underway {
     }
 }
 
-/// What the samples of a pixel say so far.
+/// Statistics of a pixel's samples so far.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SoFar {
-    /// How many they are.
+    /// Number of samples.
     pub samples: u32,
-    /// Their mean over the three channels.
+    /// Mean radiance, averaged over the three channels.
     pub brightness: f64,
-    /// Variance of one sample, mean over the channels; not known of a single one.
+    /// Variance of one sample, averaged over the channels. `None` for fewer than two samples.
     pub variance: Option<f64>,
-    /// What they took.
+    /// Work of the samples.
     pub work: u64,
-    /// What the later half of its samples changed, or somewhat more than half; not known of one sample.
+    /// Change of the mean by the later half of the samples, or slightly more than half. `None` for fewer than
+    /// two samples.
     pub grown: Option<Grown>,
 }
 
-/// What more samples did to a pixel.
+/// How much additional samples changed a pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grown {
-    /// How many there were before.
+    /// Number of samples before.
     pub before: u32,
-    /// Square of the change of their mean, mean over the channels.
+    /// Squared change of the mean, averaged over the channels.
     pub square: f64,
 }
 
-/// All pixels of an image, underway. They belong to the tracer that they are begun with, whose cache has to be filled.
+/// An image in progress. All calls need the tracer that it was started with, and that tracer's cache must be
+/// filled.
 #[derive(Debug)]
 pub struct Passes {
     width: u32,
     height: u32,
     tiles: Vec<Tile>,
-    /// What all passes took.
+    /// Cost of all passes.
     totals: Totals,
 }
 
-/// Pixels that one thread works off one after the other.
+/// Pixels that one thread processes in sequence.
 #[derive(Debug)]
 struct Tile {
     indices: Vec<u32>,
@@ -127,7 +84,7 @@ struct Tile {
 }
 
 impl Passes {
-    /// No sample of any pixel.
+    /// An image without samples.
     pub fn new(tracer: &Tracer) -> Self {
         let (width, height) = (tracer.settings().width, tracer.settings().height);
         let tiling = Tiling::new(width, height, TILE);
@@ -135,16 +92,20 @@ impl Passes {
             let indices = tiling.pixels(number);
             Tile { pixels: vec![Underway::default(); indices.len()], indices }
         };
-        // Scattered, so that what a pass does not come to any more lies all over the image.
+        // Tiles are scattered, so that an interrupted pass leaves unfinished tiles all over the image.
         let tiles = scattered(tiling.count()).map(tile).collect();
         Self { width, height, tiles, totals: Totals::default() }
     }
 
-    /// Brings every pixel to the number of samples that `wanted` has for it, on the current thread pool, and says what that took. Pixels that have as many keep theirs.
-    /// Before each pixel, and now and then within it, `stop` is asked whether to leave it, and all others, as they are. `progress` is told the pixels done.
+    /// Adds samples until every pixel has the number given in `wanted`, on the current thread pool. Returns
+    /// the cost.
+    ///
+    /// Pixels that already have enough samples stay unchanged. `stop` is called before each pixel and every
+    /// few samples; once it returns `true`, all remaining pixels stay unchanged. `progress` receives the
+    /// number of pixels done.
     ///
     /// # Errors
-    /// If the numbers are not those of this image's pixels.
+    /// If `wanted` does not have one number per pixel of this image.
     pub fn go_on(
         &mut self,
         tracer: &Tracer,
@@ -192,25 +153,25 @@ impl Passes {
         Ok(totals.minus(&before))
     }
 
-    /// How often [`Self::go_on`] calls `progress`.
+    /// Number of times that [`Self::go_on`] calls `progress`.
     pub fn parts(&self) -> usize {
         self.tiles.len()
     }
 
-    /// Samples that each pixel has got.
+    /// Number of samples of each pixel.
     ///
     /// # Errors
-    /// If one of them has none.
+    /// If a pixel has no samples.
     pub fn counts(&self) -> Result<SampleCounts, SampleCountsError> {
         let mut counts = vec![0; (self.width * self.height) as usize];
         for (index, pixel) in self.pixels() {
-            // No more were ever wanted than this type holds.
+            // `wanted` never exceeds the range of this type.
             counts[index as usize] = pixel.samples as u16;
         }
         SampleCounts::new(counts)
     }
 
-    /// What the samples of every pixel say so far, row by row from the top left.
+    /// Statistics of every pixel's samples so far, in row-major order.
     pub fn so_far(&self) -> Vec<SoFar> {
         let mut all = vec![Underway::default().so_far(); (self.width * self.height) as usize];
         for (index, pixel) in self.pixels() {
@@ -219,12 +180,12 @@ impl Passes {
         all
     }
 
-    /// What all passes took.
+    /// Cost of all passes.
     pub const fn totals(&self) -> Totals {
         self.totals
     }
 
-    /// The image, as far as it has come.
+    /// The image with the samples so far.
     pub fn image(&self) -> Image {
         let mut pixels = vec![Underway::default().pixel; (self.width * self.height) as usize];
         for (index, underway) in self.pixels() {
@@ -238,7 +199,7 @@ impl Passes {
     }
 }
 
-/// The numbers below `count`, each once, neighbours far apart: by their reversed bits.
+/// The numbers below `count`, each once, with neighbours far apart: ordered by their reversed bits.
 fn scattered(count: u32) -> impl Iterator<Item = u32> {
     let bits = count.next_power_of_two().trailing_zeros();
     (0..1u64 << bits)

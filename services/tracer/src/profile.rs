@@ -1,49 +1,53 @@
-//! What was finished while forecasting, as an artefact: traced once, taken over by the render.
+//! Profiles: pixels, or the cache, that were finished during a forecast. The render takes them over.
 
 use crate::{Origin, Pixel};
 
-/// Leading bytes of the format, with its version.
+/// Magic bytes of the format, including its version.
 const MAGIC: &[u8; 8] = b"FLprof06";
 const HEADER: usize = 8 + Origin::BYTES + 32 + 4 + 8;
 const PIXEL: usize = 4 + 12 + 28 + 8 + 56 + 8 + 8 + 4 + 4;
 const CHECKSUM: usize = 32;
 
-/// Finished pixels of one frame, or its irradiance cache. Of a frame with a cache no pixels are kept: their colours are not known
-/// before the cache is filled.
+/// Finished pixels of one frame, or its irradiance cache.
+///
+/// A frame with a cache has no finished pixels, because their colours are unknown until the cache is filled.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Profile {
-    /// The frame and the settings that it was made for.
+    /// The frame and settings that it was made for.
     pub origin: Origin,
     /// [`crate::Tracer::fingerprint`] of the image that the pixels belong to.
     pub fingerprint: [u8; 32],
-    /// Row-major pixel index, and the pixel.
+    /// Row-major index and value of each pixel.
     pub pixels: Vec<(u32, Pixel)>,
-    /// The cache, planned and with the records that were gathered, in its own format; not empty.
+    /// The cache in its own format: planned, with the records gathered so far. Never empty.
     pub cache: Option<Vec<u8>>,
 }
 
-/// Why bytes are not a profile.
+/// Why bytes are not a valid profile.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ProfileError {
-    /// The leading bytes are others.
+    /// The magic bytes are wrong.
     #[error("not a profile of this version (it must begin with FLprof06)")]
     Foreign,
-    /// Shorter or longer than its header says.
-    #[error("cut short or continued: {found} bytes where a profile of its header has {expected}")]
+    /// The length differs from what the header says.
+    #[error("damaged profile: it has {found} bytes instead of {expected}")]
     Length {
-        /// Bytes given.
+        /// Actual number of bytes.
         found: usize,
-        /// Bytes that the header announces.
+        /// Number of bytes according to the header.
         expected: usize,
     },
-    /// The checksum differs.
+    /// The checksum is wrong.
     #[error("damaged profile: the checksum does not match")]
     Damaged,
 }
 
 impl Profile {
-    /// Little-endian: magic, origin, fingerprint, count of pixels, bytes of the cache (0 without one), pixels (index, colour, rays, work,
-    /// work by ray, extra work, CPU nanoseconds, uncovered, stratum), the cache, BLAKE3 of all before.
+    /// Serialises the profile, in little-endian byte order.
+    ///
+    /// The parts are: magic, origin, fingerprint, number of pixels, size of the cache (0 without one),
+    /// pixels, cache, and the BLAKE3 hash of everything before. Each pixel is: index, colour, rays, work,
+    /// work by ray, extra work, CPU nanoseconds, uncovered, stratum.
     pub fn to_bytes(&self) -> Vec<u8> {
         let cache = self.cache.as_deref().unwrap_or_default();
         let mut out = Vec::with_capacity(HEADER + self.pixels.len() * PIXEL + cache.len() + CHECKSUM);
@@ -69,7 +73,10 @@ impl Profile {
         out
     }
 
-    /// Reads what [`Self::to_bytes`] wrote.
+    /// Parses the output of [`Self::to_bytes`].
+    ///
+    /// # Errors
+    /// If the bytes are not a profile of this version, have the wrong length, or are damaged.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, ProfileError> {
         if bytes.len() < 8 || &bytes[..8] != MAGIC {
             return Err(ProfileError::Foreign);
@@ -107,18 +114,18 @@ impl Profile {
         Ok(Self { origin, fingerprint, pixels, cache })
     }
 
-    /// Bytes of a profile of so many pixels, without a cache.
+    /// Size in bytes of a profile with this number of pixels and no cache.
     pub const fn bytes_of(pixels: u64) -> u64 {
         pixels.saturating_mul(PIXEL as u64).saturating_add((HEADER + CHECKSUM) as u64)
     }
 
-    /// Whether every pixel index lies inside an image of that many pixels.
+    /// Returns `true` if every pixel index is below `pixels`, the number of pixels in the image.
     pub fn fits(&self, pixels: usize) -> bool {
         self.pixels.iter().all(|p| (p.0 as usize) < pixels)
     }
 }
 
-/// Reads from bytes whose length has been checked.
+/// Reads from bytes whose length is already checked.
 struct Reader<'a> {
     bytes: &'a [u8],
 }

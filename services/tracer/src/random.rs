@@ -1,13 +1,14 @@
 //! Counter-based random numbers and scrambled (0,2)-sequences.
 //!
-//! Every number is a hash of (seed, frame, pixel, dimension, index): there is no stream and no state that threads could
-//! share. Within a pixel and a dimension, successive points form a Sobol' (0,2)-sequence under nested uniform
-//! scrambling (Owen 1995) by hashing (Laine and Karras 2011), with the order of points scrambled in the same way
-//! (Burley 2020, "Practical Hash-based Owen Scrambling"), so that dimensions do not correlate.
+//! Every number is a hash of (seed, frame, pixel, dimension, index). There is no stream, and no state that
+//! threads could share. Within a pixel and a dimension, successive points form a Sobol' (0,2)-sequence with
+//! nested uniform scrambling (Owen 1995), computed by hashing (Laine and Karras 2011). The order of the
+//! points is scrambled in the same way (Burley 2020, "Practical Hash-based Owen Scrambling"), so that
+//! dimensions are uncorrelated.
 
 use glam::Vec2;
 
-/// Finaliser of SplitMix64 (Steele, Lea, Flood 2014): mixes all bits of its input.
+/// Finaliser of SplitMix64 (Steele, Lea and Flood 2014). It mixes all bits of its input.
 pub fn hash(value: u64) -> u64 {
     let mut z = value.wrapping_add(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -15,7 +16,7 @@ pub fn hash(value: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// What a random point is used for. Together with the vertex of the path it makes a dimension.
+/// The use of a random point. Purpose and path vertex together are a dimension.
 #[derive(Debug, Clone, Copy)]
 pub enum Purpose {
     Pixel,
@@ -32,11 +33,11 @@ pub enum Purpose {
     NearLight,
 }
 
-/// Vertices of a path beyond this one share their dimensions (with different points).
+/// Path vertices beyond this one share their dimensions, with different points.
 const VERTICES: usize = 16;
 const PURPOSES: usize = 12;
 
-/// How far each sequence of a pixel was drawn: what it takes to go on from there. Those that were not begun are left out.
+/// How far each sequence of a pixel was drawn, as needed to continue later. Unused sequences are left out.
 #[derive(Debug, Clone, Default)]
 pub struct Drawn(Box<[(u8, u32)]>);
 
@@ -47,30 +48,30 @@ pub struct Sampler {
 }
 
 impl Sampler {
-    /// Points for one pixel of one frame.
+    /// The sampler of one pixel in one frame.
     pub fn new(seed: u64, frame: u32, pixel: u32) -> Self {
         let key = hash(hash(seed) ^ (u64::from(frame) << 32 | u64::from(pixel)));
         Self { key, drawn: [0; VERTICES * PURPOSES] }
     }
 
-    /// The same, going on from where another one of the same pixel was left.
+    /// The sampler of a pixel, continuing where an earlier one stopped.
     pub fn resumed(seed: u64, frame: u32, pixel: u32, Drawn(left): &Drawn) -> Self {
         let mut sampler = Self::new(seed, frame, pixel);
         left.iter().for_each(|&(dimension, drawn)| sampler.drawn[usize::from(dimension)] = drawn);
         sampler
     }
 
-    /// Notes how far its sequences are drawn.
+    /// Stores how far its sequences are drawn.
     pub fn note_drawn(&self, Drawn(left): &mut Drawn) {
         const { assert!(VERTICES * PURPOSES <= 256) };
         let begun = || {
-            // Most paths have few vertices.
+            // Most paths have few vertices, so skip unused rows quickly.
             let used = |row: &[u32; PURPOSES]| row.iter().fold(0, |all, drawn| all | drawn) > 0;
             let rows =
                 (0u8..).step_by(PURPOSES).zip(self.drawn.as_chunks().0).filter(move |(_, row)| used(row));
             rows.flat_map(|(first, row)| (first..).zip(row.iter().copied())).filter(|(_, drawn)| *drawn > 0)
         };
-        // Nearly always the same sequences as before.
+        // The sequences are nearly always the same as before, so reuse the allocation.
         let mut slots = left.iter_mut();
         let fits = begun().all(|drawn| slots.next().map(|slot| *slot = drawn).is_some());
         if !fits || slots.next().is_some() {
@@ -78,12 +79,12 @@ impl Sampler {
         }
     }
 
-    /// Points for something else than a pixel, by a key of its own.
+    /// A sampler for something other than a pixel, with a key of its own.
     pub fn keyed(key: u64) -> Self {
         Self { key: hash(key), drawn: [0; VERTICES * PURPOSES] }
     }
 
-    /// Camera samples of its pixel that are begun.
+    /// Number of camera samples begun for its pixel.
     pub fn samples(&self) -> u32 {
         self.drawn[Purpose::Pixel as usize]
     }
@@ -93,19 +94,20 @@ impl Sampler {
         self.key
     }
 
-    /// A point in [0, 1)² that depends on the index alone and has nothing to do with those of other indices.
+    /// A point in [0, 1)² that depends only on `index`. Points of different indices are independent.
     pub fn independent(&self, index: u32) -> Vec2 {
         let bits = hash(self.key ^ u64::from(index).wrapping_mul(0xa076_1d64_78bd_642f));
         Vec2::new(unit(bits as u32), unit((bits >> 32) as u32))
     }
 
-    /// The next point in [0, 1)² of this purpose at path vertex `vertex`.
+    /// The next point in [0, 1)² for this purpose at path vertex `vertex`.
     pub fn next(&mut self, purpose: Purpose, vertex: u32) -> Vec2 {
         let (dimension, index) = self.draw(purpose, vertex);
         self.point(dimension, index)
     }
 
-    /// The next index of this purpose, for several related points: pass it to [`Sampler::related`].
+    /// Draws the next index for this purpose, to be passed to [`Sampler::related`] for several related
+    /// points.
     pub fn draw(&mut self, purpose: Purpose, vertex: u32) -> (u64, u32) {
         let dimension = (vertex as usize).min(VERTICES - 1) * PURPOSES + purpose as usize;
         let index = self.drawn[dimension];
@@ -113,7 +115,7 @@ impl Sampler {
         (dimension as u64, index)
     }
 
-    /// Point `index` of a family of sequences, one for each `member`.
+    /// Point `index` of a family of sequences, one per `member`.
     pub fn related(&self, (dimension, index): (u64, u32), member: u32) -> Vec2 {
         self.point(dimension | (u64::from(member) + 1) << 16, index)
     }
@@ -121,23 +123,27 @@ impl Sampler {
     fn point(&self, dimension: u64, index: u32) -> Vec2 {
         let key = hash(self.key ^ dimension.wrapping_mul(0xd6e8_feb8_6659_fd93));
         let index = reversed_scramble(index.reverse_bits(), hash(key) as u32).reverse_bits();
-        // First dimension: van der Corput, the bit reversal itself; second: Sobol' with primitive polynomial x + 1.
+        // First dimension: van der Corput, which is the bit reversal. Second: Sobol' with the primitive
+        // polynomial x + 1.
         let x = reversed_scramble(index, key as u32).reverse_bits();
         let y = reversed_scramble(sobol_second_reversed(index), (key >> 32) as u32).reverse_bits();
         Vec2::new(unit(x), unit(y))
     }
 }
 
-/// The 24 leading bits as a number in [0, 1).
+/// The leading 24 bits as a number in [0, 1).
 fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 * (1.0 / (1 << 24) as f32)
 }
 
-/// Second dimension of the Sobol' sequence, with its bits reversed. The columns of its matrix are the rows of Pascal's triangle modulo 2, and a binomial
-/// coefficient "k over j" is odd if every bit of j is one of k (Lucas 1878). So bit j is the sum of all bits k of the index whose number has the bits of j: a
-/// sum over supersets, which takes a step for each of the five bits of a bit's number.
+/// Second dimension of the Sobol' sequence, with reversed bits.
+///
+/// The columns of its matrix are the rows of Pascal's triangle modulo 2. The binomial coefficient "k over j"
+/// is odd if every set bit of j is set in k (Lucas 1878). Bit j of the result is therefore the sum of all
+/// index bits k whose number has the bits of j. This sum over supersets takes one step for each of the five
+/// bits of a bit number.
 fn sobol_second_reversed(index: u32) -> u32 {
-    /// Bits whose number has not the bit 1, 2, 4, 8, 16.
+    /// Masks of the bits whose number does not contain 1, 2, 4, 8 or 16.
     const WITHOUT: [u32; 5] = [0x5555_5555, 0x3333_3333, 0x0f0f_0f0f, 0x00ff_00ff, 0x0000_ffff];
     let mut sum = index;
     for (bit, without) in WITHOUT.into_iter().enumerate() {
@@ -146,8 +152,10 @@ fn sobol_second_reversed(index: u32) -> u32 {
     sum
 }
 
-/// Nested uniform scrambling of a number given by its reversed bits: each bit is flipped by a hash of the bits
-/// below it. The steps only ever carry upwards, which is what makes the permutation nested (constants by Vegdahl 2021).
+/// Nested uniform scrambling of a number whose bits are reversed: each bit is flipped by a hash of the bits
+/// below it.
+///
+/// All steps carry upwards only, which makes the permutation nested. The constants are by Vegdahl 2021.
 fn reversed_scramble(mut x: u32, seed: u32) -> u32 {
     x ^= x.wrapping_mul(0x3d20_adea);
     x = x.wrapping_add(seed);

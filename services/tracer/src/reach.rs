@@ -1,40 +1,53 @@
-//! What cannot matter to the picture: lights that reach nothing that is seen, and objects that no light path of the camera's meets.
+//! Finds lights and objects that cannot affect the image.
+//!
+//! An object cannot affect it if no light path from the camera can meet it. A light cannot affect it if it
+//! reaches nothing that is visible. Such lights and objects are left out, and the image stays the same.
 //!
 //! # Shells
 //!
-//! A *shell* is a set of opaque triangles (nothing passes them: no glass, no cut-out), welded where corners are exactly equal, in
-//! which every edge belongs to an even number of triangles. Modulo 2 it has no border, so it has an inside: the points from which
-//! a ray in general direction crosses it an odd number of times.
+//! A *shell* is a set of opaque triangles in which every edge belongs to an even number of triangles. Corners
+//! at exactly equal positions count as one. *Opaque* means that no light passes: no glass, no cut-out. A
+//! shell has no border modulo 2, so it has an inside: the points from which a ray in general direction
+//! crosses the shell an odd number of times.
 //!
-//! **Lemma.** A light path that starts on one side of a shell never meets anything on the other.
+//! **Lemma.** A light path that starts on one side of a shell never meets anything on the other side.
 //!
-//! *Proof.* A segment from one side to the other crosses the shell an odd number of times, hence at least once, and the triangle
-//! test is watertight (edges are decided by sign, in the same way for all triangles that share them), so it is met there or before.
-//! What is met is opaque: the path goes on by a new ray from there, on the side from which it came. By induction over the path's
-//! vertices it stays on its side. Shadow rays are segments, too. ∎
+//! *Proof.* A segment from one side to the other crosses the shell an odd number of times, hence at least
+//! once. The triangle test is watertight, because edges are decided by sign in the same way for all triangles
+//! that share them. The segment therefore hits the shell at or before the crossing. The hit is opaque, so the
+//! path continues with a new ray from there, on the side from which it came. By induction over its vertices,
+//! the path stays on its side. Shadow rays are segments too. ∎
 //!
-//! So what lies wholly inside a shell that does not hold the camera neither is seen nor lights anything that is; the same is true
-//! of what lies wholly outside a shell that holds the camera, sun and sky included. *Wholly*: one corner of a connected piece lies
-//! there (three rays in f64 agree, and none is close to an edge), and none of its triangles comes within a margin of the shell.
-//! Every shell is looked at for itself, so shells within shells need no further thought.
+//! Consider everything wholly inside a shell that does not contain the camera. It is neither visible nor does
+//! it light anything visible. The same holds for everything wholly outside a shell that contains the camera,
+//! including suns and environment. A connected piece of geometry is *wholly* on one side under two
+//! conditions. First, one of its corners is there: three rays in f64 agree, and none is close to an edge.
+//! Second, none of its triangles comes within a margin of the shell. Every shell is examined separately, so
+//! nested shells need no special treatment.
 //!
-//! "On the side from which it came" asks something of the shell, as rays do not start on surfaces but a little off them, along the
-//! geometric normal, and as their directions are chosen about the shading normal. So a shell is relied on only if
-//! * it is shaded by its geometric normals: about an interpolated one a ray may leave through the surface;
-//! * it does not meet itself in an acute angle on the camera's side, where that step leads across it;
-//! * nothing that touches it lets that step lead across it: what does is perpendicular to it, or opaque and flush with it. A glass
-//!   that stands on the floor of a room, a ball that lies on it or a stool with splayed legs undoes the room's proof;
-//! * the camera's lens is farther from it than the margin.
+//! The proof assumes that a path continues "on the side from which it came". But rays start slightly off the
+//! surface, along the geometric normal, and their directions are chosen about the shading normal. So a shell
+//! is only used if:
+//! * It is shaded by its geometric normals. With an interpolated normal, a ray could leave through the
+//!   surface.
+//! * It does not meet itself at an acute angle on the camera's side, where that offset would lead across it.
+//! * Nothing that touches it allows the offset to lead across it. Touching triangles must be perpendicular to
+//!   the shell, or opaque and flush with it. A glass on the floor of a room, a ball that lies on it, or a
+//!   stool with splayed legs therefore invalidates the room.
+//! * The camera's lens is farther from it than the margin.
 //!
-//! What remains is the rounding of positions in f32: a ray may start beyond a wall if the point that it leaves lies within an ulp
-//! of a seam. Such a ray is a leak of light; leaving out what lies beyond does not make it worse.
+//! What remains is the rounding of positions in f32: a ray may start beyond a wall if it leaves a point
+//! within an ulp of a seam. Such a ray is a light leak. Leaving out what is beyond does not make it worse.
 //!
 //! # Lights
 //!
-//! A light is left out, besides, if it emits nothing, has no area, if everything else lies behind all of its one-sided triangles,
-//! or if its cone is empty.
+//! A light is also left out in these cases:
+//! * It emits nothing, or has no area.
+//! * Everything else is behind all of its one-sided triangles.
+//! * Its cone contains nothing.
 //!
-//! Whatever is in doubt stays in. All of it takes linear time but for the shells that may hold something, and these have a budget.
+//! When in doubt, nothing is left out. The time is linear in the size of the scene, except for shells that
+//! may contain something; these have a budget.
 
 mod facet;
 mod separation;
@@ -49,12 +62,12 @@ use glam::{DVec3, Vec3};
 use separation::{Kept, Separation};
 use std::fmt;
 
-/// What matters to the picture of a frame.
+/// What can affect the image of a frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reach {
-    /// Whether a path of the camera's may meet a triangle, by triangle; empty if it may meet all.
+    /// For each triangle, whether a path from the camera may meet it. Empty if all may be met.
     seen: Vec<bool>,
-    /// By stratum: whether its emission, if it has any, may reach something that is seen.
+    /// For each stratum, whether its emission, if any, may reach something visible.
     area_lights: Vec<bool>,
     points: Vec<bool>,
     suns: Vec<bool>,
@@ -62,65 +75,67 @@ pub struct Reach {
     left_out: Vec<LeftOut>,
 }
 
-/// Something that does not matter to the picture.
+/// A light or object that cannot affect the image.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LeftOut {
-    /// What it is.
+    /// The light or object.
     pub what: Excluded,
-    /// Why it does not matter.
+    /// Why it cannot affect the image.
     pub reason: Reason,
 }
 
 /// A light or a part of the geometry.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Excluded {
-    /// Emitting surfaces of one object and one material.
+    /// The emissive triangles of one object and one material.
     AreaLight {
         /// Stratum id.
         stratum: u32,
         /// The object's name.
         object: String,
     },
-    /// A light without surface, by its index in the frame.
+    /// A point light, by its index in the frame.
     PointLight(usize),
     /// A distant light, by its index in the frame.
     Sun(usize),
-    /// Everything around the scene.
+    /// The environment.
     Environment,
     /// An object, or a part of it.
     Object {
         /// The object's name.
         object: String,
-        /// Triangles that are left out.
+        /// Number of triangles that are left out.
         triangles: usize,
     },
 }
 
-/// Why something does not matter to the picture.
+/// Why something cannot affect the image.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Reason {
-    /// Intensity, radiance or texture is black.
+    /// Its intensity, radiance or texture is black.
     EmitsNothing,
-    /// All of its triangles have area zero.
+    /// All of its triangles have zero area.
     NoArea,
-    /// Everything else lies behind its emitting side.
+    /// Everything else is behind its emitting side.
     FacesAway,
-    /// A spot light without anything in its cone.
+    /// There is nothing in the spot light's cone.
     EmptyCone,
-    /// Closed opaque surfaces of this object lie all around it, and the camera is outside.
+    /// It is enclosed by opaque surfaces of this object, and the camera is outside.
     EnclosedIn(String),
-    /// The camera is in a closed room, whose walls this object's surfaces are, and it is not.
+    /// It is outside a closed room that contains the camera. This object's surfaces are the room's walls.
     OutsideRoom(String),
 }
 
-/// Finds out what matters to the picture of a frame; `materials` are those that it is rendered with, by the frame's indices.
-/// The picture without the rest is the same (see the module's text for the proof).
+/// Finds what can affect the image of a frame. The image without the rest is the same; see the module's
+/// documentation for the proof.
+///
+/// `materials` are those that the frame is rendered with, by the frame's material indices.
 pub fn reachable(frame: &Frame, materials: &[Material]) -> Reach {
     Survey { frame, materials, separation: Separation::new(frame, materials) }.reach()
 }
 
 impl Reach {
-    /// Everything matters.
+    /// Everything can affect the image.
     pub fn everything(frame: &Frame) -> Self {
         Self {
             seen: Vec::new(),
@@ -132,42 +147,42 @@ impl Reach {
         }
     }
 
-    /// Whether any triangle can be left out.
+    /// Returns `true` if any triangle can be left out.
     pub fn hides_triangles(&self) -> bool {
         !self.seen.is_empty()
     }
 
-    /// Whether a path of the camera's may meet the triangle.
+    /// Returns `true` if a path from the camera may meet the triangle.
     pub fn triangle(&self, triangle: u32) -> bool {
         self.seen.get(triangle as usize).is_none_or(|&seen| seen)
     }
 
-    /// Whether the emission of a stratum, if it has any, may matter.
+    /// Returns `true` if the emission of a stratum, if any, can affect the image.
     pub fn area_light(&self, stratum: u32) -> bool {
         self.area_lights[stratum as usize]
     }
 
-    /// Whether a point light may matter, by its index in the frame.
+    /// Returns `true` if a point light, given by its index in the frame, can affect the image.
     pub fn point_light(&self, index: usize) -> bool {
         self.points[index]
     }
 
-    /// Whether a sun may matter, by its index in the frame.
+    /// Returns `true` if a sun, given by its index in the frame, can affect the image.
     pub fn sun(&self, index: usize) -> bool {
         self.suns[index]
     }
 
-    /// Whether the environment may matter, if there is one.
+    /// Returns `true` if the environment, if any, can affect the image.
     pub fn environment(&self) -> bool {
         self.environment
     }
 
-    /// What says which lights matter, for comparing frames.
+    /// Which lights can affect the image, for comparing frames.
     pub(crate) fn lights(&self) -> impl fmt::Debug {
         (&self.area_lights, &self.points, &self.suns, self.environment)
     }
 
-    /// The materials of the triangles that matter, each once, out of those of the frame.
+    /// The materials of the triangles that can affect the image, each once.
     pub(crate) fn materials<'a>(&self, geometry: &Geometry, materials: &'a [Material]) -> Vec<&'a Material> {
         let mut met = vec![false; materials.len()];
         for (t, &stratum) in (0..).zip(&geometry.triangle_stratum) {
@@ -176,13 +191,14 @@ impl Reach {
         materials.iter().zip(met).filter(|(_, met)| *met).map(|(material, _)| material).collect()
     }
 
-    /// What does not matter, and why: area lights, point lights, suns, environment, then objects by their id.
+    /// Everything that cannot affect the image: area lights, point lights, suns, environment, then objects by
+    /// id.
     pub fn left_out(&self) -> &[LeftOut] {
         &self.left_out
     }
 }
 
-/// The look around a frame.
+/// The state of examining a frame.
 struct Survey<'a> {
     frame: &'a Frame,
     materials: &'a [Material],
@@ -197,7 +213,7 @@ impl Survey<'_> {
             let seen = |t| self.separation.of_triangle(t).is_none();
             reach.seen = (0..geometry.triangles.len() as u32).map(seen).collect();
         }
-        // What is seen of each stratum, for lights that look for it.
+        // What is visible of each stratum, needed for cones and one-sided lights.
         let aimed = frame.points.iter().any(|light| light.cone.is_some());
         let emitters = self.emitters();
         let boxes = if aimed || !emitters.is_empty() { self.boxes(&reach) } else { Vec::new() };
@@ -230,7 +246,7 @@ impl Survey<'_> {
         reach
     }
 
-    /// Strata that emit, with their triangles.
+    /// Emissive strata, with their triangles.
     fn emitters(&self) -> Vec<(u32, Vec<u32>)> {
         let geometry = &*self.frame.geometry;
         let emits = |s: u32| self.materials[geometry.strata.pairs[s as usize].1 as usize].is_emissive();
@@ -251,7 +267,7 @@ impl Survey<'_> {
         emitters
     }
 
-    /// Boxes of what is seen, by stratum.
+    /// Bounding boxes of the visible triangles, by stratum.
     fn boxes(&self, reach: &Reach) -> Vec<Bounds> {
         let geometry = &*self.frame.geometry;
         let mut boxes = vec![Bounds::EMPTY; geometry.strata.len()];
@@ -286,11 +302,12 @@ impl Survey<'_> {
         away.then_some(Reason::FacesAway)
     }
 
-    /// Whether everything else that is seen, and the camera, lies behind the planes of all triangles of a light.
+    /// Returns `true` if the camera and everything else visible are behind the planes of all triangles of a
+    /// light.
     fn faces_away(&self, stratum: u32, triangles: &[u32], boxes: &[Bounds]) -> bool {
         let (geometry, camera) = (&*self.frame.geometry, &self.frame.camera);
-        // What is lit has to lie before the light by more than positions round, and so do points of the light itself, unless
-        // it is black and flat.
+        // Anything that is not behind the light's plane by at least `least` may be lit. The light may also
+        // light itself, unless it is black and flat.
         let black = match self.materials[geometry.strata.pairs[stratum as usize].1 as usize].surface {
             Surface::Lambert { albedo } => albedo.factor == Vec3::ZERO,
             _ => false,
@@ -326,7 +343,7 @@ impl Survey<'_> {
         (!boxes.iter().any(lit)).then_some(Reason::EmptyCone)
     }
 
-    /// Objects of which triangles are kept from the camera, by object and shell.
+    /// Objects with triangles that are hidden from the camera, by object and shell.
     fn objects(&self) -> Vec<LeftOut> {
         let geometry = &*self.frame.geometry;
         let key = |kept: Kept| (kept.shell, kept.holds_camera);
@@ -346,7 +363,7 @@ impl Survey<'_> {
         if kept.holds_camera { Reason::OutsideRoom(shell) } else { Reason::EnclosedIn(shell) }
     }
 
-    /// Whether an emission is black all over.
+    /// Returns `true` if an emission is black everywhere.
     fn emits_black(&self, emission: &Color) -> bool {
         let texture = emission.texture.and_then(|t| self.frame.textures.get(t.0 as usize));
         texture.is_some_and(|image| {
@@ -366,7 +383,9 @@ impl Survey<'_> {
     }
 }
 
-/// Whether any of a box may lie in the cone about `axis` (unit) whose half-angle has cosine `outer`: by the sphere about the box.
+/// Returns `true` if part of a box may be in a cone. It tests the bounding sphere of the box.
+///
+/// `axis` is a unit vector; `outer` is the cosine of the cone's half-angle.
 fn in_cone(bounds: &Bounds, apex: Vec3, axis: Vec3, outer: f32) -> bool {
     let (low, high) = (bounds.low.as_dvec3(), bounds.high.as_dvec3());
     let to: DVec3 = 0.5 * (low + high) - apex.as_dvec3();
@@ -375,7 +394,7 @@ fn in_cone(bounds: &Bounds, apex: Vec3, axis: Vec3, outer: f32) -> bool {
         return true;
     }
     let between = libm::acos((to.dot(axis.as_dvec3()) / distance).clamp(-1.0, 1.0));
-    // A thousandth of a radian more than needed: the tracer finds the angle in f32.
+    // Widened by 0.001 rad, because the tracer computes the angle in f32.
     between - libm::asin(radius / distance) <= libm::acos(f64::from(outer).clamp(-1.0, 1.0)) + 1e-3
 }
 

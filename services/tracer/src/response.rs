@@ -1,32 +1,33 @@
-//! A material at a point, ready to be lit: what share of light from a direction leaves towards the viewer.
+//! Reflection of a material at a point, prepared for light sampling.
 
 use crate::fresnel;
 use crate::microfacet as ggx;
 use glam::{Vec2, Vec3};
 use std::f32::consts::FRAC_1_PI;
 
-/// The part of a surface's reflection that light sampling can find. Directions are local, +z on the viewer's side.
+/// The part of a surface's reflection that light sampling can find. Directions are local, with +z on the
+/// viewer's side.
 #[derive(Debug, Clone, Copy)]
 pub struct Response {
-    /// Lambert reflectance.
+    /// Lambertian reflectance.
     pub diffuse: Vec3,
-    /// The coat that light has to pass on its way in and out.
+    /// The coat that light passes on its way in and out.
     pub coat: Option<Coat>,
     /// The glossy lobe.
     pub glossy: Option<Glossy>,
 }
 
-/// Smooth dielectric coat over a Lambert base.
+/// Smooth dielectric coat over a Lambertian base.
 #[derive(Debug, Clone, Copy)]
 pub struct Coat {
     /// Index of refraction.
     pub ior: f32,
-    /// Share of diffuse light inside that the coat throws back, see [`fresnel::internal_diffuse`].
+    /// Internal diffuse reflectance; see [`fresnel::internal_diffuse`].
     pub internal: f32,
 }
 
 impl Coat {
-    /// Share of light that the coat lets in under an angle of cosine `cos`.
+    /// Fraction of light that the coat lets in at an angle of cosine `cos`.
     pub fn passes(self, cos: f32) -> f32 {
         1.0 - fresnel::dielectric(cos, self.ior).reflectance
     }
@@ -37,21 +38,21 @@ impl Coat {
 pub struct Glossy {
     /// GGX alpha, not below [`ggx::SMOOTH`].
     pub alpha: f32,
-    /// What a microfacet reflects.
+    /// Reflectance of the microfacets.
     pub fresnel: Tint,
 }
 
-/// Reflectance of the microfacets.
+/// Fresnel reflectance of a microfacet.
 #[derive(Debug, Clone, Copy)]
 pub enum Tint {
-    /// Conductor of this reflectance at normal incidence.
+    /// Conductor with this reflectance at normal incidence.
     Conductor(Vec3),
-    /// Dielectric of this index of refraction.
+    /// Dielectric with this index of refraction.
     Dielectric(f32),
 }
 
 impl Tint {
-    /// Reflectance under this cosine with the microfacet's normal.
+    /// Reflectance at an angle of cosine `cos` to the microfacet's normal.
     pub fn reflectance(self, cos: f32) -> Vec3 {
         match self {
             Self::Conductor(f0) => fresnel::conductor(cos, f0),
@@ -61,17 +62,18 @@ impl Tint {
 }
 
 impl Response {
-    /// The diffuse lobe times π for light from `wo`: BSDF · π, so that cosine-weighted samples are weighted by it alone.
+    /// The diffuse lobe times π, for light from `wo`. It is the weight of a cosine-weighted sample.
     ///
-    /// Under a coat: light enters with 1 − F(wo), leaves with 1 − F(wi), and 1/η² is the widening of solid angle at the exit;
-    /// what the coat throws back inside, the share `internal`, is scattered out again, so that the reflectance that is seen
-    /// from outside, and not that of the bare base, is the colour that the material names.
+    /// Under a coat, light enters with 1 − F(wo) and leaves with 1 − F(wi). The factor 1/η² accounts for the
+    /// larger solid angle outside. Light that the coat reflects back inside (the fraction `internal`) is
+    /// scattered again. The material's colour is thus the reflectance seen from outside, not that of the bare
+    /// base.
     pub fn diffuse(&self, wi: Vec3, wo: Vec3) -> Vec3 {
         self.outgoing(wi) * self.coat.map_or(1.0, |coat| coat.passes(wo.z))
     }
 
-    /// The part of [`Self::diffuse`] that does not depend on where the light comes from: what leaves towards `wi` of light
-    /// that has passed the coat.
+    /// The part of [`Self::diffuse`] that does not depend on `wo`: the response towards `wi` to light that
+    /// has passed the coat.
     pub fn outgoing(&self, wi: Vec3) -> Vec3 {
         match self.coat {
             None => self.diffuse,
@@ -82,8 +84,10 @@ impl Response {
         }
     }
 
-    /// Both lobes for light from `wo` (z > 0), times cos θₒ, and the density per steradian with which
-    /// [`Glossy::sample`] would have chosen `wo`.
+    /// Diffuse lobe, glossy lobe and density for light from `wo` (z > 0).
+    ///
+    /// Both lobes include the factor cos θₒ. The density per steradian is that of [`Glossy::sample`] for
+    /// `wo`.
     pub fn evaluate(&self, wi: Vec3, wo: Vec3) -> (Vec3, Vec3, f32) {
         let diffuse = self.diffuse(wi, wo) * (FRAC_1_PI * wo.z);
         let Some(glossy) = self.glossy else { return (diffuse, Vec3::ZERO, 0.0) };
@@ -94,22 +98,25 @@ impl Response {
         (diffuse, value, ggx::reflected_density(wi, h, glossy.alpha))
     }
 
-    /// Whether any light that arrives is lost: nothing to light, nothing to gather.
+    /// Returns `true` if there is diffuse reflection, for which lights are sampled and the hemisphere is
+    /// gathered.
     pub fn has_diffuse(&self) -> bool {
         self.diffuse.max_element() > 0.0
     }
 }
 
 impl Glossy {
-    /// A direction of reflection, its weight f cos / density, and the density; `None` if it points below the surface, where
-    /// single scattering has nothing to give.
+    /// Samples a direction of reflection. Returns it with its weight f cos / density and the density per
+    /// steradian.
+    ///
+    /// `None` if the direction is below the surface; only single scattering is modelled.
     pub fn sample(&self, wi: Vec3, u: Vec2) -> Option<(Vec3, Vec3, f32)> {
         let h = ggx::sample_visible(wi, self.alpha, u);
         let wo = ggx::reflect(wi, h);
         if wo.z <= 0.0 {
             return None;
         }
-        // f cos / density = F · G₂(wi, wo) / G₁(wi), never above 1.
+        // f cos / density = F · G₂(wi, wo) / G₁(wi), which never exceeds 1.
         let g = ggx::masking_shadowing(wi, wo, self.alpha) / ggx::masking(wi, self.alpha);
         let weight = self.fresnel.reflectance(wi.dot(h)) * g;
         Some((wo, weight, ggx::reflected_density(wi, h, self.alpha)))

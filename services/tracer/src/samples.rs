@@ -2,31 +2,31 @@
 
 use std::sync::Arc;
 
-/// Numbers of camera samples, one for each pixel of an image, row by row from the top left; each at least 1.
+/// Number of camera samples of each pixel, in row-major order. Each is at least 1.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SampleCounts(Arc<[u16]>);
 
-/// Why numbers of camera samples are no good.
+/// Why sample counts are invalid.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SampleCountsError {
-    /// There are more or fewer than pixels.
-    #[error("{found} numbers of camera samples for {expected} pixels")]
+    /// Their number differs from the number of pixels.
+    #[error("{found} sample counts for {expected} pixels; one per pixel is needed")]
     Length {
-        /// Numbers given.
+        /// Number of counts.
         found: usize,
-        /// Pixels of the image.
+        /// Number of pixels in the image.
         expected: usize,
     },
-    /// A pixel without samples has no colour.
-    #[error("pixel {0} is given no camera sample")]
+    /// A pixel has no samples, and therefore no colour.
+    #[error("pixel {0} has a sample count of 0; it must be at least 1")]
     None(usize),
-    /// Something was traced with others before.
-    #[error("the image's camera samples have been laid down already")]
+    /// The image already has other sample counts.
+    #[error("the sample counts of this image were already set")]
     Late,
 }
 
 impl SampleCounts {
-    /// Numbers for all pixels.
+    /// Sample counts for all pixels.
     ///
     /// # Errors
     /// If one of them is 0.
@@ -37,12 +37,12 @@ impl SampleCounts {
         }
     }
 
-    /// The numbers.
+    /// The counts in row-major order.
     pub fn as_slice(&self) -> &[u16] {
         &self.0
     }
 
-    /// The numbers, if they are for so many pixels.
+    /// The counts, if their number is `expected`.
     pub(crate) fn for_pixels(&self, expected: usize) -> Result<&[u16], SampleCountsError> {
         match self.0.len() {
             found if found == expected => Ok(&self.0),
@@ -50,13 +50,13 @@ impl SampleCounts {
         }
     }
 
-    /// Each number or, where it is larger, that of `other`; both are for the same pixels.
+    /// The larger of the two counts, pixel by pixel. Both must be for the same pixels.
     #[must_use]
     pub fn or_more(&self, other: &Self) -> Self {
         Self(self.0.iter().zip(other.0.iter()).map(|(own, other)| *own.max(other)).collect())
     }
 
-    /// Fewest and most of a pixel, and their mean.
+    /// Smallest and largest count, and the mean.
     pub fn range(&self) -> (u32, u32, f64) {
         let all = || self.0.iter().copied().map(u32::from);
         let sum: u64 = all().map(u64::from).sum();

@@ -1,28 +1,7 @@
-//! What the user asks of a render.
+//! Settings: the quality and size of an image.
 
+use forelight_protocol::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings};
 use serde::{Deserialize, Serialize};
-
-/// Replacement of all materials, for comparisons with other renderers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum MaterialOverride {
-    /// The bundle's materials.
-    #[default]
-    Full,
-    /// Every material as two-sided Lambert with its diffuse colour or texture; metals and glass as 0.5 grey.
-    Lambert,
-}
-
-/// How light is simulated.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Integrator {
-    /// Distribution ray tracing with gathered indirect light, without caustics.
-    #[default]
-    Ambient,
-    /// Unbiased path tracing: one path a camera sample, caustics included.
-    Path,
-}
 
 /// Quality and size of an image. Two renders of one frame with equal settings have equal bits.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -31,22 +10,24 @@ pub struct Settings {
     pub width: u32,
     /// Image height, pixels.
     pub height: u32,
-    /// Camera samples a pixel.
+    /// Camera samples per pixel.
     pub spp: u32,
-    /// How light is simulated.
+    /// The light transport algorithm.
     pub integrator: Integrator,
-    /// Indirect diffuse bounces; 0 is direct light (and mirrors and glass) alone. For [`Integrator::Path`]: how often light is
-    /// spread (diffuse, glossy, rough glass) after the first time; the greatest value allowed is as good as no limit.
+    /// Number of indirect diffuse bounces. 0 gives direct light, mirrors and glass only.
+    ///
+    /// For [`Integrator::Path`], it limits how often light is spread (diffuse, glossy, rough glass) after the
+    /// first time. Its largest value has the effect of no limit.
     pub ambient_bounces: u32,
-    /// Rays of a hemisphere gather at the first diffuse hit of full weight. Hits of lower weight get fewer, in
-    /// proportion; each further bounce gets an eighth.
+    /// Rays of a hemisphere gather at the first diffuse hit with full weight. Hits with lower weight get
+    /// proportionally fewer. Each further bounce gets an eighth.
     pub ambient_divisions: u32,
     /// Longest chain of mirror, glass and glossy hits.
     pub max_depth: u32,
-    /// Irradiance cache, if indirect light is interpolated.
+    /// Irradiance cache. `None` gathers indirect light at every hit.
     pub cache: Option<CacheSettings>,
     /// Replacement of all materials.
-    pub materials: MaterialOverride,
+    pub materials: MaterialMode,
     /// Seed of all random numbers.
     pub seed: u64,
 }
@@ -54,20 +35,23 @@ pub struct Settings {
 /// Quality of an irradiance cache.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CacheSettings {
-    /// Error that interpolation may make, in thousandths, by the split-sphere bound of Ward, Rubinstein and Clear 1988: a record
-    /// serves up to this share of the (harmonic) mean distance to its surroundings. Beyond 0.3 the densest records also lie farther apart, and
-    /// beyond 0.4 only they.
+    /// Allowed interpolation error in thousandths, by the split-sphere bound of Ward, Rubinstein and Clear
+    /// 1988.
+    ///
+    /// A record is used up to this fraction of the harmonic mean distance to its surroundings. Above 0.3, the
+    /// densest records also lie farther apart. Above 0.4, only they do.
     pub accuracy: u32,
-    /// Rays of a record's gather, about a quarter of them for each further bounce, at least 48; the nearest of 48, 192, 432, 768, 1200, … is taken.
+    /// Rays per record, rounded to the nearest of 48, 192, 432, 768, 1200, … Each further bounce uses about a
+    /// quarter, but at least 48.
     pub rays: u32,
 }
 
-/// Rays of the gathers at points that no record of the cache covers.
+/// Number of rays of the gathers at points that no cache record covers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct UncoveredGathers {
-    /// In the first camera sample of a pixel; in the n-th an n-th of them.
+    /// In the first camera sample of a pixel. The n-th sample uses an n-th of it.
     pub first: u32,
-    /// In any sample at least, 1 or more.
+    /// Minimum in every sample, at least 1.
     pub least: u32,
 }
 
@@ -79,10 +63,13 @@ impl UncoveredGathers {
 }
 
 impl CacheSettings {
-    /// In the first sample a quarter of a record's rays at the accuracy of 200 thousandths, and more in proportion for finer ones, which
-    /// leave more points uncovered; as many as a record at most. In an image of few samples these points would make most of what a good cache leaves
-    /// of error in indirect light. Where there are many samples, each shares its pixel with others that are noisy for other reasons:
-    /// whole images of 16 to 64 samples are most exact for their work with 2 to 8 rays.
+    /// Number of rays at uncovered points.
+    ///
+    /// The first sample uses a quarter of a record's rays at accuracy 200. Finer accuracies leave more points
+    /// uncovered and use proportionally more, up to the rays of a record. In an image with few samples, these
+    /// points would otherwise cause most of the error in indirect light. With many samples, each sample
+    /// shares its pixel with others that are noisy for other reasons. Images with 16 to 64 samples have the
+    /// smallest error for their work with 2 to 8 rays.
     pub fn uncovered(self) -> UncoveredGathers {
         let part = u64::from(self.rays) * 50 / u64::from(self.accuracy.max(1));
         UncoveredGathers { first: (part.min(u64::from(self.rays)) as u32).max(24), least: 4 }
@@ -106,66 +93,56 @@ impl Default for Settings {
             ambient_divisions: 32,
             max_depth: 12,
             cache: None,
-            materials: MaterialOverride::Full,
+            materials: MaterialMode::Full,
             seed: 0,
         }
     }
 }
 
-/// A setting outside its range.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{name} is {value}, but must lie in {lowest} … {highest}")]
-pub struct SettingsError {
-    /// Name of the setting.
-    pub name: &'static str,
-    /// What was asked.
-    pub value: u64,
-    /// Smallest value allowed.
-    pub lowest: u64,
-    /// Largest value allowed.
-    pub highest: u64,
+impl From<&RenderSettings> for Settings {
+    fn from(settings: &RenderSettings) -> Self {
+        let &RenderSettings { cache_accuracy: accuracy, cache_rays: rays, .. } = settings;
+        Self {
+            width: settings.width,
+            height: settings.height,
+            spp: settings.spp,
+            integrator: settings.integrator,
+            ambient_bounces: settings.ambient_bounces,
+            ambient_divisions: settings.ambient_divisions,
+            max_depth: settings.max_depth,
+            cache: (settings.cache == CacheMode::On).then_some(CacheSettings { accuracy, rays }),
+            materials: settings.materials,
+            seed: settings.seed,
+        }
+    }
+}
+
+impl From<&Settings> for RenderSettings {
+    fn from(settings: &Settings) -> Self {
+        let CacheSettings { accuracy, rays } = settings.cache.unwrap_or_default();
+        Self {
+            width: settings.width,
+            height: settings.height,
+            spp: settings.spp,
+            integrator: settings.integrator,
+            ambient_bounces: settings.ambient_bounces,
+            ambient_divisions: settings.ambient_divisions,
+            max_depth: settings.max_depth,
+            cache: if settings.cache.is_some() { CacheMode::On } else { CacheMode::Off },
+            cache_accuracy: accuracy,
+            cache_rays: rays,
+            materials: settings.materials,
+            seed: settings.seed,
+        }
+    }
 }
 
 impl Settings {
-    /// Checks every range, in the order of the fields.
-    pub fn validate(&self) -> Result<(), SettingsError> {
-        let bounces = match self.integrator {
-            Integrator::Ambient => 8,
-            Integrator::Path => 65_536,
-        };
-        let ranges = [
-            ("width", self.width, 1, 65_536),
-            ("height", self.height, 1, 65_536),
-            ("spp", self.spp, 1, 65_536),
-            ("ambient_bounces", self.ambient_bounces, 0, bounces),
-            ("ambient_divisions", self.ambient_divisions, 1, 65_536),
-            ("max_depth", self.max_depth, 1, 64),
-        ];
-        let cache = self.cache.unwrap_or_default();
-        let cache = [
-            ("cache_accuracy", cache.accuracy, 10, 1000),
-            ("cache_rays", cache.rays, 48, 65_536),
-            // Deeper levels would be planned from ever fewer samples.
-            (
-                "ambient_bounces with a cache",
-                if self.cache.is_some() { self.ambient_bounces } else { 0 },
-                0,
-                2,
-            ),
-        ];
-        let pixels = ("width × height", u64::from(self.width) * u64::from(self.height), 1, 1 << 28);
-        let check = |(name, value, lowest, highest): (&'static str, u64, u64, u64)| {
-            if (lowest..=highest).contains(&value) {
-                Ok(())
-            } else {
-                Err(SettingsError { name, value, lowest, highest })
-            }
-        };
-        ranges
-            .into_iter()
-            .chain(cache)
-            .map(|(n, v, l, h)| (n, v.into(), l, h))
-            .chain([pixels])
-            .try_for_each(check)
+    /// Checks every setting: see [`RenderSettings::check`].
+    ///
+    /// # Errors
+    /// The first setting outside its range.
+    pub fn validate(&self) -> Result<(), BadSetting> {
+        RenderSettings::from(self).check()
     }
 }

@@ -1,6 +1,9 @@
-//! An image, cut into square tiles.
+//! Square tiles of an image.
 
-/// The tiles of an image, row by row from the top left; those at its right and lower edges may be smaller.
+/// Edge of the square tiles into which an image is divided, pixels.
+pub(crate) const TILE: u32 = 16;
+
+/// The tiles of an image, in row-major order. Tiles at the right and lower edges may be smaller.
 #[derive(Debug, Clone, Copy)]
 pub struct Tiling {
     width: u32,
@@ -9,7 +12,7 @@ pub struct Tiling {
 }
 
 impl Tiling {
-    /// Of an image of that size, into tiles of at most `edge` pixels in width and height; at least one.
+    /// Tiles of at most `edge` × `edge` pixels. All arguments must be at least 1.
     pub fn new(width: u32, height: u32, edge: u32) -> Self {
         Self { width, height, edge }
     }

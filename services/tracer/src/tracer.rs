@@ -1,209 +1,147 @@
 //! A frame, ready to be traced.
+//!
+//! [`Tracer::new`] builds the tree, collects the lights and composes the kernel. Pixels can then be traced
+//! one by one, as a profile, or as a whole image. Tracers can be shared between threads.
 
-use crate::cache::{Cache, CacheError, RecordCost};
-use crate::cost::{Cost, Tally, WorkByClass, WorkByRay, build_work, clocked};
-use crate::effects::{CalledFor, Effects};
+mod prepare;
+
+use crate::cache::{Cache, CacheError, Irradiance, Keyed, PLAN_RAYS, Planned, RecordCost, Site, Strata};
+use crate::cost::{Cost, Counters, Tally, WorkByClass, share_cpu_time};
+use crate::effects::Effects;
 use crate::environment::Sky;
 use crate::fingerprint::{fingerprint, light_fingerprint, of_content};
-use crate::fresnel;
 use crate::image::Image;
-use crate::kernel::{Trace, kernel};
 use crate::lights::{Lights, Looks, Luminaires};
 use crate::media::{Media, Ranks};
 use crate::origin::Origin;
+use crate::pixel::{Pixel, PixelsFinished, Underway};
 use crate::profile::Profile;
-use crate::reach::{LeftOut, Reach, reachable};
-use crate::tiling::Tiling;
+use crate::reach::{LeftOut, Reach};
+use crate::tiling::{TILE, Tiling};
 use crate::tree::Tree;
-use crate::{Integrator, MaterialOverride, SampleCounts, SampleCountsError, Settings};
+use crate::{SampleCounts, SampleCountsError, Settings};
 use forelight_bvh::Hit;
-use forelight_scene::{Color, Frame, Material, Sun, Surface};
+use forelight_scene::{Frame, Material};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
-/// Edge of the square tiles in which an image is worked off, pixels.
-pub(crate) const TILE: u32 = 16;
+/// The kernel of a frame: traces its pixels, and the rays that plan and fill its irradiance cache.
+pub trait Trace: Send + Sync {
+    /// Traces one pixel, given by its row-major index. `each` receives the radiance of every camera sample,
+    /// in order.
+    fn pixel(&self, tracer: &Tracer, index: u32, each: &mut dyn FnMut([f32; 3])) -> Pixel;
 
-/// One finished pixel.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pixel {
-    /// Linear Rec. 709 radiance, the mean over the samples.
-    pub color: [f32; 3],
-    /// Rays by category, in the order of [`crate::RAY_NAMES`].
-    pub rays: [u32; 7],
-    /// Deterministic work.
-    pub work: u64,
-    /// The same by the ray that brought it about.
-    pub work_by_ray: WorkByRay,
-    /// The part of `work` that is in the rays above the least of gathers where the irradiance cache had no record: later samples have fewer of them
-    /// ([`crate::UncoveredGathers`]). All other work is in proportion to the samples.
-    pub extra_work: u64,
-    /// CPU time, nanoseconds.
-    pub cpu_nanos: u64,
-    /// Samples and gathers that asked the irradiance cache where it had no record, and gathered for themselves.
-    pub uncovered: u32,
-    /// Stratum that the first camera sample met, or [`Pixel::NOTHING`].
-    pub stratum: u32,
+    /// Adds camera samples to a pixel until it has `samples` of them. `each` receives the radiance of each
+    /// new one.
+    fn go_on(
+        &self,
+        tracer: &Tracer,
+        index: u32,
+        underway: &mut Underway,
+        samples: u32,
+        each: &mut dyn FnMut([f32; 3]),
+    );
+
+    /// Finds the sites at which the first `samples` camera samples of a pixel read the first level of the
+    /// cache.
+    fn sites(
+        &self,
+        tracer: &Tracer,
+        pixel: u32,
+        samples: u32,
+        found: &mut Vec<Keyed>,
+        counters: &mut Counters,
+    );
+
+    /// Finds the sites of level `level` that the plan rays of a record on the level before meet.
+    fn sites_beyond(
+        &self,
+        tracer: &Tracer,
+        strata: &Strata,
+        level: u32,
+        planned: &Planned,
+    ) -> (Vec<Keyed>, Counters);
+
+    /// Traces rays from a site and returns their hits.
+    fn plan_rays(
+        &self,
+        tracer: &Tracer,
+        site: &Site,
+        directions: &[Vec3; PLAN_RAYS],
+    ) -> ([Option<Hit>; PLAN_RAYS], Counters);
+
+    /// Gathers the irradiance at a planned record of a level.
+    fn gather(
+        &self,
+        tracer: &Tracer,
+        strata: &Strata,
+        level: u32,
+        planned: &Planned,
+    ) -> (Irradiance, Counters);
 }
 
-/// Is given pixels of an image, by their row-major index, as soon as they are finished.
-pub type PixelsFinished<'a> = dyn Fn(&[(u32, Pixel)]) + Sync + 'a;
-
-impl Pixel {
-    /// Stratum of a pixel whose first sample met no surface.
-    pub const NOTHING: u32 = u32::MAX;
-}
-
-/// Everything that tracing a frame needs. Cheap to share between threads.
+/// Everything needed to trace a frame. Threads can share it.
 pub struct Tracer {
     pub(crate) frame: Frame,
     pub(crate) settings: Settings,
     pub(crate) bvh: Arc<Tree>,
     pub(crate) materials: Vec<Material>,
-    /// What matters to the picture.
+    /// What can affect the image.
     reach: Reach,
     pub(crate) luminaires: Luminaires,
-    /// Lights without surface that are looked at, by their indices in the frame.
+    /// Indices of the point lights that are sampled.
     pub(crate) points: Vec<usize>,
-    /// The same of distant lights.
+    /// Indices of the suns that are sampled.
     pub(crate) suns: Vec<usize>,
-    /// Everything that shines, for choosing one light out of it; empty where the integrator does not choose so.
+    /// All lights, for choosing one of them. Empty if the integrator never chooses.
     pub(crate) lights: Lights,
-    /// How many of the lights with a position a point looks at.
+    /// Number of lights with a position that each point samples.
     pub(crate) looks: Looks,
     pub(crate) sky: Sky,
     /// Internal diffuse reflectance of each coated material.
     pub(crate) internal: Vec<f32>,
-    /// Solid dielectrics that may overlap.
+    /// Priorities of solid dielectrics.
     pub(crate) ranks: Ranks,
-    /// Those that the camera is inside of.
+    /// The solids that contain the camera.
     pub(crate) camera_media: Media,
-    /// Planned or taken over when it is first needed; never set if the settings ask for none.
+    /// Planned or taken over when first needed. Never set if the settings have no cache.
     cache: OnceLock<Cache>,
-    /// From which to plan.
+    /// A cache from which planning starts.
     given: Mutex<Option<Cache>>,
     effects: Effects,
     pub(crate) kernel: Box<dyn Trace>,
     build: Cost,
-    /// Work of all pixels that were traced so far, and of all gathers.
+    /// Work of all pixels traced so far, and of all gathers.
     pub(crate) pixel_work: Tally,
     pub(crate) gather_work: Tally,
-    /// Camera samples by pixel, where they differ.
+    /// Camera samples by pixel, if they differ.
     samples: OnceLock<SampleCounts>,
-    /// What the frame holds, hashed when it is first asked for.
+    /// Hash state of the frame's content, computed when first needed.
     content: OnceLock<blake3::Hasher>,
 }
 
 impl Tracer {
-    /// Builds the tree and finds the lights. The camera is resized to the settings' width and height. What cannot matter to the picture
-    /// is left out: see [`Self::left_out`].
-    pub fn new(frame: &Frame, settings: &Settings) -> Self {
-        Self::build(frame, settings, None, false)
-    }
-
-    /// The same with a tree that was built for the same geometry. If this frame sees other triangles of it, it gets a tree of its own
-    /// nevertheless.
-    pub fn with_bvh(frame: &Frame, settings: &Settings, bvh: Arc<Tree>) -> Self {
-        Self::build(frame, settings, Some(bvh), false)
-    }
-
-    /// The same with everything left in, whether it matters or not: for showing what leaving it out saves. Images keep their bits.
-    /// (Lights that cannot matter are looked at, if all lights are; they are never among some that are chosen out of many.)
-    pub fn complete(frame: &Frame, settings: &Settings) -> Self {
-        Self::build(frame, settings, None, true)
-    }
-
-    fn build(frame: &Frame, settings: &Settings, bvh: Option<Arc<Tree>>, complete: bool) -> Self {
-        let mut frame = frame.clone();
-        frame.camera = frame.camera.resized(settings.width, settings.height);
-        let materials: Vec<Material> = match settings.materials {
-            MaterialOverride::Full => frame.materials.to_vec(),
-            MaterialOverride::Lambert => frame.materials.iter().map(as_lambert).collect(),
-        };
-        let internal = materials.iter().map(|m| match m.surface {
-            Surface::Plastic { ior, .. } => fresnel::internal_diffuse(ior),
-            _ => 0.0,
-        });
-        let (reach, finding) = clocked(|| reachable(&frame, &materials));
-        let everything = Reach::everything(&frame);
-        let included = if complete { &everything } else { &reach };
-        let known = bvh.filter(|bvh| bvh.is_over(&frame.geometry, included));
-        let (bvh, build) = known.map(|bvh| (bvh, Cost::default())).unwrap_or_else(|| {
-            let (tree, building) = clocked(|| Tree::new(&frame.geometry, included));
-            let work = build_work(tree.triangles(frame.geometry.triangles.len()), tree.size().0);
-            (Arc::new(tree), Cost { work, cpu_nanos: finding + building })
-        });
-        let luminaires = Luminaires::new(&frame, &reach, complete);
-        let sky = if included.environment() { Sky::new(&frame) } else { Sky::Black };
-        let points: Vec<usize> = (0..frame.points.len()).filter(|&i| included.point_light(i)).collect();
-        let suns: Vec<usize> = (0..frame.suns.len()).filter(|&i| included.sun(i)).collect();
-        // Of those that are put back, none is ever among the chosen.
-        let choice =
-            luminaires.reaching() + (0..frame.points.len()).filter(|&i| reach.point_light(i)).count();
-        let looks = Looks::new(choice);
-        let called_for = CalledFor {
-            materials: &included.materials(&frame.geometry, &materials),
-            area_lights: luminaires.all.len(),
-            points: points.len(),
-            suns: &suns.iter().map(|&i| frame.suns[i]).collect::<Vec<Sun>>(),
-            looks,
-            sky: &sky,
-            camera: &frame.camera,
-            settings,
-        };
-        let effects = called_for.effects();
-        let chosen = settings.integrator == Integrator::Path || effects.has(Effects::LIGHT_CHOICE);
-        let lights = if chosen { Lights::new(&frame, &materials, &sky, &reach) } else { Lights::default() };
-        let mut tracer = Self {
-            internal: internal.collect(),
-            ranks: Ranks::new(&materials),
-            camera_media: Media::default(),
-            cache: OnceLock::new(),
-            given: Mutex::default(),
-            reach,
-            luminaires,
-            points,
-            suns,
-            lights,
-            sky,
-            effects,
-            looks,
-            kernel: kernel(effects, settings.integrator, looks),
-            materials,
-            settings: settings.clone(),
-            bvh,
-            frame,
-            build,
-            pixel_work: Tally::default(),
-            gather_work: Tally::default(),
-            samples: OnceLock::new(),
-            content: OnceLock::new(),
-        };
-        if !tracer.ranks.is_empty() {
-            tracer.camera_media = tracer.media_at(tracer.frame.camera.origin);
-        }
-        tracer
-    }
-
-    /// Gives every pixel a number of camera samples of its own, in place of [`Settings::spp`]; once. A pixel's first samples are the same
-    /// whatever their number. What was planned or filled before stays as it is.
+    /// Sets the number of camera samples of each pixel, in place of [`Settings::spp`]. It can be called once.
+    ///
+    /// A pixel's first samples are the same whatever their number. A cache that is already planned or filled
+    /// stays unchanged.
     ///
     /// # Errors
-    /// If the numbers are not those of this image's pixels, or others were given before.
+    /// If there is not one number per pixel of this image, or if sample counts were set before.
     pub fn allot(&self, samples: SampleCounts) -> Result<(), SampleCountsError> {
         samples.for_pixels(self.frame.camera.pixels())?;
         self.samples.set(samples).map_err(|_| SampleCountsError::Late)
     }
 
-    /// Camera samples of a pixel.
+    /// Number of camera samples of a pixel.
     pub(crate) fn samples_of(&self, pixel: u32) -> u32 {
         self.samples.get().map_or(self.settings.spp, |samples| u32::from(samples.as_slice()[pixel as usize]))
     }
 
-    /// Plans the irradiance cache, on the current thread pool, if one is called for and there is none.
+    /// Plans the irradiance cache on the current thread pool, if the frame needs one and has none.
     pub fn plan(&self) {
         if let Some(settings) = self.settings.cache.filter(|_| self.effects.has(Effects::CACHE)) {
             self.cache.get_or_init(|| {
@@ -214,52 +152,59 @@ impl Tracer {
         }
     }
 
-    /// Starts the plan from a cache that was planned, and perhaps filled, for this image or for others of the same scene and light;
-    /// call it before [`Self::plan`]. What the image needs beyond it will be planned anew.
+    /// Sets a cache from which planning starts. Call it before [`Self::plan`].
+    ///
+    /// The cache may be planned or filled, for this image or for others with the same scene and light.
+    /// Records that this image also needs are then planned in addition.
+    ///
+    /// # Errors
+    /// If the cache belongs to another scene, other light or other settings.
     pub fn take_cache(&self, cache: Cache) -> Result<(), CacheError> {
         cache.check(self)?;
         *lock(&self.given) = Some(cache);
         Ok(())
     }
 
-    /// Takes a cache as it is, without planning what this image needs beyond it: for filling it.
+    /// Uses a cache as it is, without planning more records for this image. It serves to fill the cache.
     ///
     /// # Errors
-    /// If it belongs to another scene, other light or other settings.
+    /// If the cache belongs to another scene, other light or other settings.
     pub fn hold_cache(&self, cache: Cache) -> Result<&Cache, CacheError> {
         cache.check(self)?;
         Ok(self.cache.get_or_init(|| cache))
     }
 
-    /// The frame's irradiance cache, planned and filled as far as it was.
+    /// The frame's irradiance cache in its current state.
     pub fn into_cache(self) -> Option<Cache> {
         self.cache.into_inner()
     }
 
-    /// Hash of all that the records of a cache depend on.
+    /// Hash of everything that the records of a cache depend on.
     pub fn cache_fingerprint(&self) -> [u8; 32] {
         light_fingerprint(self.content(), &self.settings, &self.reach)
     }
 
-    /// The frame's irradiance cache, if it is called for and planned.
+    /// The frame's irradiance cache, if it is needed and planned.
     pub fn cache(&self) -> Option<&Cache> {
         self.cache.get()
     }
 
-    /// The cache in a kernel that reads one.
+    /// The cache, for kernels that read one.
     pub(crate) fn planned(&self) -> &Cache {
-        self.cache.get().expect("what traces a frame plans its cache first")
+        self.cache.get().expect("the cache is planned before a kernel reads it")
     }
 
-    /// Gathers the records that the cache lacks, on the current thread pool, having planned it if need be. `progress` is told the
-    /// records done, and all records; `false` if `cancel` was set.
+    /// Gathers the missing records of the cache on the current thread pool. Plans the cache first if
+    /// necessary.
+    ///
+    /// `progress` receives the number of records done and the total. Returns `false` if `cancel` was set.
     pub fn fill(&self, progress: &(dyn Fn(u64, u64) + Sync), cancel: &AtomicBool) -> bool {
         self.plan();
         let Some(cache) = self.cache.get() else { return true };
         let records = cache.records();
         let all = records.iter().sum();
         let mut before = 0;
-        // A level's gathers read the next one.
+        // The gathers of a level read the next level.
         for (level, &count) in records.iter().enumerate().rev() {
             if !cache.fill(self, level, 0..count as usize, &|done| progress(before + done, all), cancel) {
                 return false;
@@ -269,8 +214,10 @@ impl Tracer {
         true
     }
 
-    /// What gathering a few records takes, `each` of every level that has as many, spread evenly over space and begun as `seed` says:
-    /// every record has the same chance. Those of the deepest level, whose values depend on no other record, are filled by it.
+    /// Gathers a few records to measure their cost: `each` records of every level, or all if there are fewer.
+    ///
+    /// The records are spread evenly over space, and every record has the same probability. `seed` selects
+    /// the start. Records of the deepest level depend on no other record, so they are kept.
     pub fn sample_records(&self, each: usize, seed: u64) -> Vec<RecordCost> {
         self.plan();
         self.cache.get().map_or_else(Vec::new, |cache| cache.sample(self, each, seed))
@@ -281,38 +228,39 @@ impl Tracer {
         &self.bvh
     }
 
-    /// Lights and objects that cannot matter to the picture, and why. Unless the tracer is [`Self::complete`], they take no rays, no
-    /// memory and no time.
+    /// Lights and objects that cannot affect the image, with the reason for each.
+    ///
+    /// They cost no rays, memory or time, unless the tracer is [`Self::complete`].
     pub fn left_out(&self) -> &[LeftOut] {
         self.reach.left_out()
     }
 
-    /// What was asked of it.
+    /// The settings of the image.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// The frame as it is traced.
+    /// The frame as it is traced, with the resized camera.
     pub fn frame(&self) -> &Frame {
         &self.frame
     }
 
-    /// What building the tree took, and finding out what belongs into it; nothing if it existed.
+    /// Cost of building the tree, and of finding what can affect the image. Zero for a shared tree.
     pub fn build_cost(&self) -> Cost {
         self.build
     }
 
-    /// Work by class of all that was traced so far: of pixels, and of the irradiance cache's gathers, without planning them.
+    /// Work by class so far: of all pixels, and of the cache's gathers. Planning is not included.
     pub fn work_by_class(&self) -> (WorkByClass, WorkByClass) {
         (self.pixel_work.sum(), self.gather_work.sum())
     }
 
-    /// Hash of all that a pixel's value depends on: frame, settings, and the version of this tracer.
+    /// Hash of everything that a pixel depends on: frame, settings, and the version of this tracer.
     pub fn fingerprint(&self) -> [u8; 32] {
         fingerprint(self.content(), &self.frame, &self.settings, self.samples.get())
     }
 
-    /// What is made for this image says that it was.
+    /// The origin to store in files made for this image.
     pub fn origin(&self) -> Origin {
         Origin::of(self.content(), &self.frame, &self.settings)
     }
@@ -321,26 +269,24 @@ impl Tracer {
         self.content.get_or_init(|| of_content(&self.frame))
     }
 
-    /// The effects that this frame calls for.
+    /// The effects that this frame needs.
     pub fn effects(&self) -> Effects {
         self.effects
     }
 
-    /// The same, traced by a kernel that also holds code for effects that are not called for: for showing what leaving them out
-    /// saves. Images and counters keep their bits.
-    pub fn with_kernel_for(self, effects: Effects) -> Self {
-        Self { kernel: kernel(self.effects | effects.bits(), self.settings.integrator, self.looks), ..self }
-    }
-
-    /// One finished pixel by its row-major index. Its colour, rays and work depend on nothing but frame, settings and index.
-    /// With a cache that is not filled, all but the colour is.
+    /// Traces one pixel, given by its row-major index.
+    ///
+    /// Its colour, rays and work depend only on frame, settings and index. If there is a cache that is not
+    /// filled, its colour is not valid.
     pub fn pixel(&self, index: u32) -> Pixel {
         self.plan();
         self.kernel.pixel(self, index, &mut |_| ())
     }
 
-    /// The same as [`Self::profile`], with the radiance of every camera sample told to `each`, after the place of its pixel in `pixels`, in
-    /// the order of the samples. Before each pixel `stop` is asked whether they are not wanted any more: then there are none.
+    /// Like [`Self::profile`], and reports each camera sample.
+    ///
+    /// `each` receives the position of the pixel in `pixels` and the radiance, in the order of the samples.
+    /// `stop` is called before each pixel; if it returns `true`, the result is `None`.
     pub fn profile_samples(
         &self,
         pixels: &[u32],
@@ -355,27 +301,34 @@ impl Tracer {
         (traced.len() == pixels.len()).then_some(traced)
     }
 
-    /// Gathers what the cache lacks for the colours of these pixels: the records of the first level that they read. The colours are then
-    /// nearly those of the image: fewer records are averaged, so they are a little noisier, and deeper levels are followed by single rays. Once, and
-    /// for these pixels alone: an image is not to be rendered by this tracer any more. On the current thread pool; says what
-    /// that took, nothing without a cache. `None` if `stop` said on the way that they are not wanted any more.
+    /// Gathers the records of the first level that these pixels read, on the current thread pool. Returns the
+    /// cost.
+    ///
+    /// The pixels' colours are then close to those of the image. They are slightly noisier, because fewer
+    /// records are averaged, and deeper levels are followed by single rays. Call it once, and only for these
+    /// pixels; the tracer can no longer render an image. Without a cache the cost is zero. Returns `None` if
+    /// `stop` returned `true`.
     pub fn fill_for(&self, pixels: &[u32], stop: &(dyn Fn() -> bool + Sync)) -> Option<Cost> {
         self.plan();
         self.cache.get().map_or(Some(Cost::default()), |cache| cache.fill_for(self, pixels, stop))
     }
 
-    /// Finished pixels by index, in the order given; see [`Self::pixel`] for their colours. With a cache, call [`Self::plan`] before
-    /// calling this from several threads of a pool.
+    /// Traces pixels, given by their row-major indices, in the given order. See [`Self::pixel`] for their
+    /// colours.
+    ///
+    /// With a cache, call [`Self::plan`] before calling this from several threads of a pool.
     pub fn profile(&self, pixels: &[u32]) -> Vec<Pixel> {
         self.plan();
         timed(|| pixels.iter().map(|&i| self.kernel.pixel(self, i, &mut |_| ())).collect())
     }
 
-    /// The whole image, on the current rayon pool: pixels of `reuse` are taken over, the others traced. `progress` is told the
-    /// number of pixels done, now and then; `None` is the answer when `cancel` was set.
+    /// Renders the whole image on the current thread pool. Pixels in `reuse` are taken over, the others are
+    /// traced.
+    ///
+    /// `progress` receives the number of pixels done. Returns `None` if `cancel` was set.
     ///
     /// # Panics
-    /// If `reuse` was made for another image: compare fingerprints first.
+    /// If `reuse` was made for another image. Compare fingerprints first.
     pub fn render(
         &self,
         reuse: Option<&Profile>,
@@ -385,11 +338,13 @@ impl Tracer {
         self.render_watched(reuse, progress, &|_| (), cancel)
     }
 
-    /// The same; `finished` is given the pixels of every tile as soon as they are traced, also those of a tile in which the
-    /// work was stopped.
+    /// Like [`Self::render`], and reports finished pixels.
+    ///
+    /// `finished` receives the pixels of each tile as soon as they are traced, including those of an
+    /// interrupted tile.
     ///
     /// # Panics
-    /// As [`Self::render`].
+    /// Like [`Self::render`].
     pub fn render_watched(
         &self,
         reuse: Option<&Profile>,
@@ -445,7 +400,7 @@ impl Tracer {
         Some(Image { width, height, pixels: pixels?, reused })
     }
 
-    /// Whether a surface is there at a hit, or cut out by its texture.
+    /// Returns `true` if the surface exists at a hit, `false` if its texture cuts it out.
     pub(crate) fn present(&self, hit: &Hit, texels: &Cell<u64>) -> bool {
         let geometry = &self.frame.geometry;
         match self.materials[geometry.material(hit.primitive) as usize].mask {
@@ -459,7 +414,7 @@ impl Tracer {
     }
 }
 
-/// Traces a batch of pixels and turns their wall-clock times into CPU time: see [`share_cpu_time`].
+/// Traces a batch of pixels, and converts their wall-clock times to CPU times; see [`share_cpu_time`].
 fn timed(trace: impl FnOnce() -> Vec<Pixel>) -> Vec<Pixel> {
     let mut pixels = Vec::new();
     share_cpu_time(|| {
@@ -469,30 +424,7 @@ fn timed(trace: impl FnOnce() -> Vec<Pixel>) -> Vec<Pixel> {
     pixels
 }
 
-/// Runs what traces some pixels and turns the wall-clock time that it has added to each, from what was there before, into CPU time. A pixel's
-/// clock is cheap but counts what other processes took; the thread's CPU clock is exact but too dear to read twice a pixel. So each
-/// pixel gets the share of the batch's CPU time that it had of the batch's wall time.
-pub(crate) fn share_cpu_time<'a>(trace: impl FnOnce() -> Vec<(u64, &'a mut u64)>) {
-    let (pixels, cpu) = clocked(trace);
-    let wall: u64 = pixels.iter().map(|(before, now)| **now - before).sum();
-    if wall > 0 {
-        let share = cpu as f64 / wall as f64;
-        for (before, now) in pixels {
-            *now = before + ((*now - before) as f64 * share).round() as u64;
-        }
-    }
-}
-
-/// The material as two-sided Lambert: its diffuse colour or texture, 0.5 grey for metals and glass. Emission stays.
-fn as_lambert(material: &Material) -> Material {
-    let albedo = match material.surface {
-        Surface::Lambert { albedo } | Surface::Plastic { albedo, .. } => albedo,
-        _ => Color::plain(Vec3::splat(0.5)),
-    };
-    Material { surface: Surface::Lambert { albedo }, ..material.clone() }
-}
-
-/// The data behind the lock is whole after every statement, so a panic elsewhere does not spoil it.
+/// Locks a mutex. Its data are valid after every statement, so a panic of another thread does no harm.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

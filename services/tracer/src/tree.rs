@@ -1,19 +1,19 @@
-//! The tree over the triangles that matter to a picture.
+//! The BVH over the triangles that can affect the image.
 
 use crate::Reach;
 use forelight_bvh::{Bvh, Hit, Ray, Traversal};
 use forelight_scene::Geometry;
 
-/// A tree over a frame's triangles, or over those of them that light paths of the camera's may meet. Hits name triangles by their
-/// index in the frame.
+/// A BVH over a frame's triangles, or over those that light paths from the camera can meet. Hits refer to
+/// triangles by their index in the frame.
 pub struct Tree {
     bvh: Bvh,
-    /// The triangles that the tree holds, ascending; all if there is none.
+    /// The triangles in the tree, ascending. `None` means all triangles.
     held: Option<Box<[u32]>>,
 }
 
 impl Tree {
-    /// The tree over what may be met.
+    /// Builds the tree over the triangles that can be met.
     pub(crate) fn new(geometry: &Geometry, reach: &Reach) -> Self {
         let held = Self::to_hold(geometry, reach);
         let bvh = match &held {
@@ -26,7 +26,8 @@ impl Tree {
         Self { bvh, held }
     }
 
-    /// Whether this, built for the same geometry, is the tree over what may be met.
+    /// Returns `true` if this tree holds exactly the triangles that can be met. It must be built for the same
+    /// geometry.
     pub(crate) fn is_over(&self, geometry: &Geometry, reach: &Reach) -> bool {
         self.held == Self::to_hold(geometry, reach)
     }
@@ -36,22 +37,23 @@ impl Tree {
         reach.hides_triangles().then(|| all.filter(|&t| reach.triangle(t)).collect())
     }
 
-    /// Number of triangles in the tree, given the number of all.
+    /// Number of triangles in the tree. `all` is the number of triangles in the frame.
     pub(crate) fn triangles(&self, all: usize) -> usize {
         self.held.as_ref().map_or(all, |held| held.len())
     }
 
-    /// Number of nodes and of triangle groups, see [`Bvh::size`].
+    /// Number of nodes and of triangle groups; see [`Bvh::size`].
     pub fn size(&self) -> (usize, usize) {
         self.bvh.size()
     }
 
-    /// Memory held, bytes.
+    /// Memory used, bytes.
     pub fn bytes(&self) -> usize {
         self.bvh.bytes() + self.held.as_ref().map_or(0, |held| size_of_val(&**held))
     }
 
-    /// See [`Bvh::closest`]. Of hits at the same distance the one of the lowest index is taken here, too: what is held is in order.
+    /// See [`Bvh::closest`]. Ties go to the lowest index in the frame here too, because the held triangles
+    /// are ascending.
     #[inline(always)]
     pub(crate) fn closest(
         &self,

@@ -1,5 +1,5 @@
-//! The irradiance cache: the same bits whoever plans, fills and reads it; right where the answer is known; refused where it is not
-//! what it says.
+//! The irradiance cache: the same bits whoever plans, fills and reads it; right where the answer is known;
+//! refused where it is not what it says.
 
 mod support;
 
@@ -155,8 +155,8 @@ fn a_damaged_truncated_or_foreign_file_is_refused() {
 
 #[test]
 fn a_closed_emitting_room_sums_the_truncated_series_whatever_the_radii() {
-    // Albedo ρ, emission 1, everywhere: the camera sees 1, direct light adds ρ, each bounce another factor ρ. Direct light at the gathers'
-    // hits is sampled, the rest is exact.
+    // Albedo ρ, emission 1, everywhere: the camera sees 1, direct light adds ρ, each bounce another factor ρ.
+    // Direct light at the gathers' hits is sampled, the rest is exact.
     let rho = 0.6f64;
     for bounces in [1, 2] {
         for accuracy in [100, 500] {

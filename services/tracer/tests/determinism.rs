@@ -2,10 +2,9 @@
 
 mod support;
 
+use forelight_protocol::Integrator;
 use forelight_scene::Frame;
-use forelight_tracer::{
-    Image, Integrator, Passes, Pixel, Profile, SampleCounts, SampleCountsError, Settings, Tracer,
-};
+use forelight_tracer::{Image, Passes, Pixel, Profile, SampleCounts, SampleCountsError, Settings, Tracer};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use support::everything;
 

@@ -2,8 +2,9 @@
 
 mod support;
 
+use forelight_protocol::Integrator;
 use forelight_scene::{Color, Environment, Frame, PointLight, Sun, Surface, Texels, Texture, TextureId};
-use forelight_tracer::{Image, Integrator, Settings, Tracer};
+use forelight_tracer::{Image, Settings, Tracer};
 use glam::Vec3;
 use std::sync::atomic::AtomicBool;
 use support::{Builder, lambert, material};
@@ -49,8 +50,8 @@ fn blocks(frame: &Frame, settings: &Settings, renders: u32) -> Vec<(f64, f64)> {
     sums.into_iter().map(moments).collect()
 }
 
-/// Compares two images block by block. With 16 renders each, Student's t with about 30 degrees of freedom passes 5 in one of
-/// 40,000 comparisons.
+/// Compares two images block by block. With 16 renders each, Student's t with about 30 degrees of freedom
+/// passes 5 in one of 40,000 comparisons.
 #[track_caller]
 fn agree(a: &[(f64, f64)], b: &[(f64, f64)]) {
     for (i, (a, b)) in a.iter().zip(b).enumerate() {
@@ -148,8 +149,8 @@ fn an_image_of_the_sky_lights_a_room_as_by_the_other_integrator() {
 
 #[test]
 fn light_through_panes_and_veils_is_counted_once() {
-    // Between lamp and floor: a pane that colours, and a cloth that lets some light pass; both close to the lamp, so that it is
-    // found by directions as often as by light sampling.
+    // Between lamp and floor: a pane that colours, and a cloth that lets some light pass; both close to the
+    // lamp, so that it is found by directions as often as by light sampling.
     let color = Color::plain(Vec3::new(0.9, 0.6, 0.3));
     let pane = Surface::ThinGlass { ior: 1.5, transmittance: color };
     let scene = lamp(room(), 1, 20.0)
@@ -159,7 +160,8 @@ fn light_through_panes_and_veils_is_counted_once() {
     let mut materials = frame.materials.to_vec();
     materials.last_mut().expect("the veil").opacity = 0.4;
     frame.materials = materials.into();
-    // The pane mirrors the lamp onto the ceiling: a caustic, which the other integrator leaves out. It looks at the floor alone.
+    // The pane mirrors the lamp onto the ceiling: a caustic, which the other integrator leaves out. It looks
+    // at the floor alone.
     frame.camera.forward = Vec3::new(0.0, -0.8, -0.6);
     frame.camera.up = Vec3::new(0.0, 0.6, -0.8);
     frame.camera.origin = Vec3::new(0.0, 0.5, 1.5);
@@ -271,7 +273,8 @@ fn a_closed_emitting_room_sums_the_series_truncated_or_not() {
 
 #[test]
 fn a_mirror_lights_the_floor_as_a_second_lamp_behind_it_would() {
-    // A caustic: lamp, mirror, diffuse floor. The mirror image of the lamp, seen through a hole of the mirror's size, is the same.
+    // A caustic: lamp, mirror, diffuse floor. The mirror image of the lamp, seen through a hole of the
+    // mirror's size, is the same.
     let floor = || {
         let (u, v) = (4.0 * Vec3::X, -4.0 * Vec3::Z);
         Builder::default().quad(Vec3::new(-2.0, 0.0, 2.0), u, v, material("floor", lambert(0.5), 0.0))
@@ -283,11 +286,13 @@ fn a_mirror_lights_the_floor_as_a_second_lamp_behind_it_would() {
     let shade = || material("shade", lambert(0.0), 0.0);
     let look =
         |s: Builder| s.frame(Vec3::new(-0.5, 2.5, 3.5), Vec3::new(-0.8, 0.0, 0.0), SIZE, Environment::Black);
-    // The plane x = 1: mirror below the lamp's height and to both sides of it, as large as the hole in the shade.
+    // The plane x = 1: mirror below the lamp's height and to both sides of it, as large as the hole in the
+    // shade.
     let mirror = Surface::Metal { f0: Color::plain(Vec3::ONE), alpha: 0.0 };
     let (corner, u, v) = (Vec3::new(1.0, 0.0, -1.5), 1.5 * Vec3::Y, 3.0 * Vec3::Z);
     let with_mirror = look(lamp(floor(), 0.0).quad(corner, u, v, material("mirror", mirror, 0.0)));
-    // Behind the hole: the image of the lamp at x = 2; the floor beyond x = 1 has to stay out of the comparison.
+    // Behind the hole: the image of the lamp at x = 2; the floor beyond x = 1 has to stay out of the
+    // comparison.
     let frame_of_hole = |s: Builder| {
         s.quad(Vec3::new(1.0, 1.5, -3.0), 2.0 * Vec3::Y, 6.0 * Vec3::Z, shade())
             .quad(Vec3::new(1.0, 0.0, -4.5), 1.5 * Vec3::Y, 3.0 * Vec3::Z, shade())
@@ -296,8 +301,8 @@ fn a_mirror_lights_the_floor_as_a_second_lamp_behind_it_would() {
     let with_image = look(frame_of_hole(lamp(lamp(floor(), 0.0), 2.0)));
     let settings = settings(Integrator::Path, 256, 0);
     let (a, b) = (blocks(&with_mirror, &settings, 16), blocks(&with_image, &settings, 16));
-    // The left half of the image: the floor on the lamp's side, away from mirror and hole. Its blocks together, because a caustic
-    // is found too rarely for the error of a single one to be known.
+    // The left half of the image: the floor on the lamp's side, away from mirror and hole. Its blocks
+    // together, because a caustic is found too rarely for the error of a single one to be known.
     let left = |blocks: &[(f64, f64)]| -> Vec<(f64, f64)> {
         let left = || blocks[..16].iter().enumerate().filter(|(i, _)| i % 4 < 2).map(|(_, b)| *b);
         vec![(left().map(|b| b.0).sum(), left().map(|b| b.1 * b.1).sum::<f64>().sqrt())]
@@ -309,7 +314,8 @@ fn a_mirror_lights_the_floor_as_a_second_lamp_behind_it_would() {
 
 #[test]
 fn an_emitter_that_is_partly_there_shines_in_part() {
-    // Opacity 0.25 of a light that is black otherwise: a quarter of the light, seen directly and by what it lights.
+    // Opacity 0.25 of a light that is black otherwise: a quarter of the light, seen directly and by what it
+    // lights.
     let part = view(lamp(room(), 1, 12.0));
     let mut materials = part.materials.to_vec();
     let lamp_material = materials.last_mut().expect("the lamp");
@@ -339,7 +345,8 @@ fn extreme_lights_and_lights_without_area_leave_no_trace_of_infinity() {
         let relative = mean(&image) / f64::from(radiance);
         assert!((0.05..5.0).contains(&relative), "radiance {radiance}: {relative} times as much");
     }
-    // Slivers, points and denormal specks that emit: as if they were not there, but for light of the order of their size.
+    // Slivers, points and denormal specks that emit: as if they were not there, but for light of the order of
+    // their size.
     let speck = |s: Builder, u: Vec3, v: Vec3| {
         s.quad(Vec3::new(0.2, 0.1, 0.3), u, v, material("speck", lambert(0.5), 1e12))
     };

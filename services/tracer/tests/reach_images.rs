@@ -1,9 +1,11 @@
-//! Images have the same bits with and without what cannot matter to them, and it costs nothing when it is left out.
+//! Images have the same bits with and without what cannot matter to them, and it costs nothing when it is
+//! left out.
 
 mod support;
 
+use forelight_protocol::Integrator;
 use forelight_scene::{Color, Environment, Frame, PointLight, Sun, Surface};
-use forelight_tracer::{CacheSettings, Image, Integrator, Settings, Tracer};
+use forelight_tracer::{CacheSettings, Image, Settings, Tracer};
 use glam::Vec3;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -39,8 +41,8 @@ fn bits(image: &Image) -> Vec<([u32; 3], u32)> {
 const CLEAR: Surface =
     Surface::Glass { ior: 1.5, transmittance: Color::plain(Vec3::ONE), alpha: 0.0, priority: None };
 
-/// A closed room with a table, a mirror, a glass ball that hovers, a lamp that hangs and a point light; beyond its walls another room
-/// with lamps and a pane, a sun, a sky, a street lamp.
+/// A closed room with a table, a mirror, a hovering glass ball, a hanging lamp and a point light. Beyond its
+/// walls: another room with lamps and a pane, a sun, a sky, a street lamp.
 fn rooms(camera: Vec3) -> Frame {
     let mirror = Surface::Metal { f0: Color::plain(Vec3::splat(0.9)), alpha: 0.0 };
     let brushed = Surface::Metal { f0: Color::plain(Vec3::splat(0.7)), alpha: 0.2 };
@@ -145,7 +147,8 @@ fn a_tree_is_shared_by_frames_that_see_the_same_of_the_scene_and_by_no_others() 
 
 #[test]
 fn lights_that_cannot_reach_are_not_among_those_chosen_of_many() {
-    // Hundreds of lamps beyond the wall, one in the room: without them the picture is as if they were not there.
+    // Hundreds of lamps beyond the wall, one in the room: without them the picture is as if they were not
+    // there.
     let scene = |lamps: i32| {
         let mut builder = Builder::default()
             .cuboid(

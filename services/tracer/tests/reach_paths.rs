@@ -1,5 +1,5 @@
-//! What is said to be out of reach is met by no path: random closed surfaces, random things inside, outside and across them, and
-//! many random paths from the camera. What lies clearly on the other side is found.
+//! What is said to be out of reach is met by no path: random closed surfaces, random things inside, outside
+//! and across them, and many random paths from the camera. What lies clearly on the other side is found.
 
 mod support;
 
@@ -34,11 +34,12 @@ impl Numbers {
     }
 }
 
-/// A scene about one random shell of radius between 1 and 2, made of a cube whose sides are divided and pushed in and out.
+/// A scene about one random shell of radius between 1 and 2, made of a cube whose sides are divided and
+/// pushed in and out.
 struct Case {
     frame: Frame,
-    /// For each small object: its name, and whether it is by construction on the other side of the shell than the camera
-    /// (`Some`), or crosses it or comes close (`None`).
+    /// For each small object: its name, and whether it is by construction on the other side of the shell than
+    /// the camera (`Some`), or crosses it or comes close (`None`).
     small: Vec<(String, Option<bool>)>,
 }
 
@@ -55,8 +56,8 @@ fn case(seed: u32) -> Case {
     builder = builder.cuboid(Vec3::splat(-1.0), Vec3::ONE, false, material("shell", lambert(0.5), 0.0));
     let mut shapes: Vec<(Vec3, Quat)> = Vec::new();
     for i in 0..12 {
-        // Of one size, so that none holds another. Inside the shell's inner sphere, outside its outer one, and a few anywhere
-        // between.
+        // Of one size, so that none holds another. Inside the shell's inner sphere, outside its outer one,
+        // and a few anywhere between.
         let (distance, beyond) = match i % 6 {
             0 | 2 | 4 => (0.4 + 0.4 * n.next(), Some(!inside)),
             1 | 3 => (OUTER + 0.2 + 0.4 * n.next(), Some(inside)),
@@ -76,7 +77,8 @@ fn case(seed: u32) -> Case {
             *p = place + centre + rotation * (0.1 * *p);
         }
     }
-    // The shell: each side of the cube divided, every corner pushed to a radius that depends on its position alone.
+    // The shell: each side of the cube divided, every corner pushed to a radius that depends on its position
+    // alone.
     let cube: Vec<[Vec3; 3]> = (0..12).map(|t| geometry.corners(t)).collect();
     let mut pieces = Vec::new();
     for corners in cube {

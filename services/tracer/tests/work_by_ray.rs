@@ -1,9 +1,11 @@
-//! Work is put down to the rays that brought it about: all of it, and each part to what would not be there without it.
+//! Work is put down to the rays that brought it about: all of it, and each part to what would not be there
+//! without it.
 
 mod support;
 
+use forelight_protocol::Integrator;
 use forelight_scene::{Environment, Frame};
-use forelight_tracer::{CacheSettings, Integrator, RAY_NAMES, Settings, Totals, Tracer};
+use forelight_tracer::{CacheSettings, RAY_NAMES, Settings, Totals, Tracer};
 use std::sync::atomic::AtomicBool;
 use support::everything;
 
@@ -41,7 +43,8 @@ fn ambient_is_what_would_not_be_there_without_indirect_light() {
     for settings in [settings(1), settings(2), Settings { cache, ..settings(2) }] {
         let by_ray = totals(&frame, &settings).work_by_ray;
         assert_eq!(by_ray[PRIMARY], direct[PRIMARY], "{settings:?}");
-        // Points in mirrors share their random sequences with gathered ones, so they look at other points of the same lights.
+        // Points in mirrors share their random sequences with gathered ones, so they look at other points of
+        // the same lights.
         for kind in (0..7).filter(|&kind| kind != AMBIENT) {
             let times = by_ray[kind] as f64 / direct[kind] as f64;
             assert!((times - 1.0).abs() < 0.02, "{times} times {} with {settings:?}", RAY_NAMES[kind]);

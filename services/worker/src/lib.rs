@@ -1,27 +1,19 @@
-//! The worker: leases a task, runs it, reports. Knows no SQL; speaks to the service by HTTP alone.
+//! The worker: leases a task, runs it, reports the result. It knows no SQL and talks to the service by HTTP alone. The
+//! command line uses the same steps offline, without a service.
 //!
-//! | file | subject |
+//! | folder or file | subject |
 //! | --- | --- |
-//! | `renderer` | the small door behind which the renderer stands |
-//! | `ambient` | our renderer behind it |
-//! | `shot`, `quote` | preview all frames, profile some, estimate all: the way to a quote |
-//! | `explain`, `pixel_costs` | why frames are dear, and where |
-//! | `accuracy` | what accuracy costs in time |
-//! | `allot` | a frame for so many seconds, or of so small an error |
-//! | `noise` | what profiled pixels say of the image's error |
-//! | `warm_clock` | what a scattered pixel would have taken among its neighbours |
-//! | `render` | one frame with its true cost |
-//! | `pictures` | the files of a finished frame, and what making them takes |
-//! | `shot_cache` | the irradiance cache that the frames of a shot share |
-//! | `tasks`, `cache_tasks`, `render_task` | the kinds of tasks |
-//! | `execute`, `agent` | a task's life between lease and result |
-//! | `library` | bundles, fetched once and kept open |
-//! | `within`, `refine`, `spend` | a render that holds to its time, to its error, or to its work |
-//! | `tiles` | what an image underway says of where more samples pay |
-//! | `calibrate`, `classes`, `capabilities` | how fast this machine is by class of work, what a frame's work is of, and what the machine has |
-//! | `checkpoint` | the finished tiles of a frame, for whoever has it next |
-//! | `limits` | what a task may use at most |
-//! | `client`, `transport`, `backoff`, `server_events` | the service's REST API |
+//! | `agent/` | the life of a task between lease and result; bundles, limits, checkpoints |
+//! | `tasks/` | what each kind of task does |
+//! | `renderer` | what a renderer can be asked: a trait |
+//! | `own/` | our renderer behind it |
+//! | `profile/` | counting what frames show, and profiling some of their pixels |
+//! | `quote` | an offline quote: preview, profile, estimate |
+//! | `render/` | one frame with its true cost, and its files |
+//! | `adaptive/` | a frame for a time, an error or an amount of work |
+//! | `accuracy/` | what other qualities of a frame cost, and how far their images are from converged |
+//! | `shared_cache` | the irradiance cache that the frames of a shot share |
+//! | `calibration/` | how fast this machine is, by class of work |
 
 // What unit tests share with the others speaks of this crate by its name.
 #[cfg(test)]
@@ -31,63 +23,40 @@ extern crate self as forelight_worker;
 mod common;
 
 mod accuracy;
+mod adaptive;
 mod agent;
-mod allot;
-mod ambient;
-mod backoff;
-mod cache_tasks;
-mod calibrate;
-mod capabilities;
-mod checkpoint;
-mod classes;
-mod client;
-mod execute;
-mod explain;
-mod library;
-mod limits;
-mod noise;
-mod pictures;
-mod pixel_costs;
+mod calibration;
+mod own;
+mod profile;
 mod quote;
-mod refine;
 mod render;
-mod render_task;
 mod renderer;
-mod server_events;
-mod shot;
-mod shot_cache;
-mod spend;
+mod shared_cache;
 mod tasks;
-mod tiles;
-mod transport;
-mod warm_clock;
-mod within;
 
 pub use accuracy::{AccuracyObserver, AccuracyOptions, MeasureOptions, measure, predict};
+pub use adaptive::allocation::{
+    Aim, AllotError, AllotOptions, Allotted, render_allotted, render_as_allotted,
+};
+pub use adaptive::error_target::NEAR_ENOUGH;
+pub use adaptive::time_limit::{Budget, Stopwatch};
+pub use agent::capabilities::capabilities;
+pub use agent::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
+pub use agent::library::Library;
 pub use agent::{Agent, AgentError, Errand};
-pub use allot::{Aim, AllotError, AllotOptions, Allotted, render_allotted, render_as_allotted};
-pub use ambient::{Adapter, Ambient, AmbientShot, tracer_settings};
-pub use backoff::Backoff;
-pub use calibrate::{CALIBRATION_VERSION, REFERENCE_RATE, ROUNDS, calibrate, node_speed};
-pub use capabilities::capabilities;
-pub use client::{Claimed, Client, EventStream, FramePicture};
-pub use execute::{Assignment, Control, Execute, ExecuteError, Outcome};
-pub use library::Library;
-pub use noise::FrameNoise;
-pub use pictures::png;
+pub use calibration::{CALIBRATION_VERSION, REFERENCE_RATE, ROUNDS, calibrate, node_speed};
+pub use own::{Adapter, Ambient, AmbientShot};
+pub use profile::noise::FrameNoise;
+pub use profile::{
+    CountedFrames, Observer, ProfiledFrame, ShotError, cost_of, cost_of_gather, cost_of_record, count_frames,
+    forecast_strata, profile_frame, record_prior_cost, records_to_sample, stratum_ids,
+};
 pub use quote::{Quote, QuoteOptions, quote};
-pub use refine::NEAR_ENOUGH;
+pub use render::pictures::png;
 pub use render::{Given, Rendered, peak_rss_bytes, render_frame, render_ready, seconds};
 pub use renderer::{
     CacheUse, Counted, Finished, FrameRenderer, OpenRenderer, Previewed, Progress, RenderError, Renderer,
     ShotInfo, Step, StratumInfo,
 };
-pub use server_events::{EventParser, ServerEvent};
-pub use shot::{
-    CountedFrames, Observer, ProfiledFrame, ShotError, cost_of, cost_of_gather, cost_of_record, count_frames,
-    forecast_strata, profile_frame, record_prior_cost, records_to_sample, stratum_ids,
-};
-pub use shot_cache::{Filled, SharedPlan, SharedProfile, fill_part, plan_shared, profile_shared};
+pub use shared_cache::{Filled, SharedPlan, SharedProfile, fill_part, plan_shared, profile_shared};
 pub use tasks::{TaskRunner, preview_result, profile_result};
-pub use transport::{ClientError, Token};
-pub use within::{Budget, Stopwatch};

@@ -1,31 +1,25 @@
-//! The quote of a shot, made on this machine alone.
+//! The quote of a shot, made on this machine alone: the steps of a farm, one after the other.
 
-use crate::render::seconds;
+use crate::profile::{Observer, ProfiledFrame, ShotError, count_frames, profile_frame, stratum_ids};
 use crate::renderer::Renderer;
-use crate::shot::{
-    CountedFrames, Observer, ProfiledFrame, ShotError, cost_of_record, count_frames, forecast_strata,
-    profile_frame, record_prior_cost,
-};
-use forelight_forecast::{
-    Calibration, Corrections, Cost, Costs, FIRST_FRAMES, FramePopulation, Observation, Quantity,
-    RecordStrata, ShotForecast, Strategy, Stratum, with_times,
-};
+use crate::shared_cache::{SharedPlan, profile_shared};
+use crate::tasks::{artifact_name, preview_result, profile_result};
+use forelight_forecast::{Corrections, Strategy};
 use forelight_protocol::{
-    ByClass, FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, LeftOut, ProcessCosts, Profiled,
-    Quantiles, QuotedShot, RayQuantiles, RenderSettings, Spent, SpentOnForecast,
+    CacheSharing, ForecastDoc, PreviewResult, ProfileArtifacts, QuotedShot, RenderSettings, Spent,
 };
-use std::collections::BTreeSet;
+use forelight_quote::{Measured, MeasuredProfile, SharedCache, frames_to_profile};
 
 /// How a quote is made.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct QuoteOptions {
     /// Pixels to profile per profiled frame.
     pub samples: u32,
-    /// Frames to profile at most, at least 1; `None`: as many as pay, see [`forelight_forecast::choose_more_frames`].
+    /// Frames to profile at most, at least 1. `None`: as many as pay ([`Measured::more_to_profile`]).
     pub profile_frames: Option<usize>,
     /// Seed of the choice of pixels.
     pub seed: u64,
-    /// How the pixels are chosen and expanded.
+    /// How pixels are chosen, and how their costs are expanded to the frame.
     pub strategy: Strategy,
     /// What past jobs of the same renderer and class of features teach of the quantiles.
     pub corrections: Option<Corrections>,
@@ -42,24 +36,73 @@ impl Default for QuoteOptions {
 pub struct Quote {
     /// The quote.
     pub document: ForecastDoc,
-    /// The same with everything that the statistics know.
-    pub forecast: ShotForecast,
-    /// What every frame shows.
-    pub counted: CountedFrames,
-    /// The profiled frames, ascending; their pixels can be taken over by renders.
+    /// The profiled frames, ascending. Renders can take over their pixels.
     pub profiled: Vec<ProfiledFrame>,
+    /// How the quote was made.
+    pub options: QuoteOptions,
+    preview: PreviewResult,
+    profiles: Vec<MeasuredProfile>,
 }
 
 impl Quote {
-    /// What the quote took, all of it.
-    pub fn spent(&self) -> Spent {
-        self.profiled.iter().map(ProfiledFrame::spent).fold(self.counted.spent, Spent::plus)
+    /// What the quote rests on, with an irradiance cache for each frame.
+    pub fn measured(&self) -> Measured<'_> {
+        measured(&self.preview, &self.profiles, &self.options)
     }
 
-    /// The part of what the quote took that renders after it do not get back: previews, with the plans of irradiance caches, and
-    /// setting up the profiled frames; see [`ProfiledFrame::spent_for_good`].
+    /// The cost of making the quote.
+    pub fn spent(&self) -> Spent {
+        self.profiled.iter().map(ProfiledFrame::spent).fold(self.preview.spent, Spent::plus)
+    }
+
+    /// The part of [`Quote::spent`] that later renders cannot take over: previews, with the plans of irradiance caches,
+    /// and setting up the profiled frames; see [`ProfiledFrame::spent_for_good`].
     pub fn spent_for_good(&self) -> Spent {
-        self.profiled.iter().map(ProfiledFrame::spent_for_good).fold(self.counted.spent, Spent::plus)
+        self.profiled.iter().map(ProfiledFrame::spent_for_good).fold(self.preview.spent, Spent::plus)
+    }
+
+    /// The quote with the irradiance caches built as `asked`. `planned` is the shared cache's plan, if it was planned. The
+    /// profiled pixels are then measured again beside it.
+    pub fn with_sharing(
+        &self,
+        renderer: &dyn Renderer,
+        settings: &RenderSettings,
+        asked: CacheSharing,
+        planned: Option<SharedPlan>,
+    ) -> Result<ForecastDoc, ShotError> {
+        let mut profiles = self.profiles.clone();
+        if let Some(plan) = &planned {
+            for (profile, profiled) in profiles.iter_mut().zip(&self.profiled) {
+                profile_shared(renderer, profiled, settings, &self.options, plan.cache.clone())?
+                    .add_to(&mut profile.result);
+            }
+        }
+        let plan = planned.map(|plan| plan.result(|bytes| artifact_name(&bytes)));
+        let shared = plan.as_ref().map(|plan| SharedCache { plan, node_speed: 1.0 });
+        let measured = Measured { profiles: &profiles, shared, ..self.measured() };
+        let corrections = self.options.corrections.as_ref();
+        let quote = forelight_quote::quote(asked, settings, &measured, corrections)?;
+        Ok(quote.job.document(quoted_shot(renderer, settings), quote.frames))
+    }
+
+    /// The preview of the frames, in the terms of the wire.
+    pub fn preview(&self) -> &PreviewResult {
+        &self.preview
+    }
+
+    /// Work of each pixel of one of the quote's frames, in row order: see [`Measured::pixel_work`].
+    pub fn pixel_work(
+        &self,
+        renderer: &dyn Renderer,
+        settings: &RenderSettings,
+        frame: u32,
+        probability: Option<f64>,
+    ) -> Result<Option<Vec<f64>>, ShotError> {
+        let Some(work) = self.measured().pixel_work(frame, probability)? else { return Ok(None) };
+        let strata = renderer.info().strata.iter().map(|shown| work.of(shown.object, shown.material));
+        let by_id: Vec<f64> = strata.chain([work.of_background()]).collect();
+        let ids = stratum_ids(&renderer.frame(frame, settings)?.preview()?.preview);
+        Ok(Some(ids.into_iter().map(|id| by_id[id as usize]).collect()))
     }
 }
 
@@ -71,160 +114,44 @@ pub fn quote(
     options: &QuoteOptions,
     observer: &dyn Observer,
 ) -> Result<Quote, ShotError> {
-    let strategy = options.strategy;
-    let shown = forecast_strata(&renderer.info().strata, settings);
-    let mut strata = strategy.strata(&shown);
+    let info = renderer.info();
     let counted = count_frames(renderer, frames, settings, observer)?;
-    let mut populations: Vec<FramePopulation> = frames
-        .iter()
-        .enumerate()
-        .map(|(at, &frame)| FramePopulation {
-            number: i64::from(frame),
-            counts: strategy.counts(&shown, &counted.counts[at]),
-            lights: counted.lights[at],
-            shining: counted.shining[at],
-            triangles: counted.triangles[at],
-        })
-        .collect();
-    let records: Vec<&[u32]> = counted.cache_records.iter().map(Vec::as_slice).collect();
-    let prior_cost = record_prior_cost(settings).unwrap_or(1.0);
-    let apart = RecordStrata::add(&mut strata, &mut populations, &records, prior_cost);
-    let first = options.profile_frames.unwrap_or(FIRST_FRAMES).max(1);
-    let mut chosen = forelight_forecast::choose_frames(&strata, &populations, first)?;
+    let preview = preview_result(info, frames, settings, &counted);
+    let mut chosen = frames_to_profile(&preview, options.strategy, options.profile_frames)?;
+    let mut profiles: Vec<MeasuredProfile> = Vec::with_capacity(chosen.len());
     let mut profiled: Vec<ProfiledFrame> = Vec::with_capacity(chosen.len());
-    let forecast = loop {
-        for &index in &chosen[profiled.len()..] {
-            profiled.push(profile_frame(renderer, frames[index], settings, options, observer)?);
-            observer.profiled(profiled.len(), chosen.len());
+    while !chosen.is_empty() {
+        let all = profiled.len() + chosen.len();
+        for frame in chosen {
+            let found = profile_frame(renderer, frame, settings, options, observer)?;
+            let profile = artifact_name(&found.profile.to_bytes());
+            let artifacts = ProfileArtifacts { profile, preview_png: None };
+            let result = profile_result(info, settings, &found, artifacts);
+            let measured = MeasuredProfile::new(result, 1.0, settings.spp);
+            profiles.push(MeasuredProfile { expansion: found.expansion.clone(), ..measured });
+            profiled.push(found);
+            observer.profiled(profiled.len(), all);
         }
-        let forecast = estimated(&strata, &populations, &apart, &counted, &chosen, &profiled)?;
-        if options.profile_frames.is_some() {
-            break forecast;
-        }
-        let spent = profiled.iter().map(ProfiledFrame::work_on_pixels).sum();
-        let more = forelight_forecast::choose_more_frames(&strata, &populations, &forecast, spent)?;
-        if more.is_empty() {
-            break forecast;
-        }
-        chosen.extend(more);
-    };
-    profiled.sort_by_key(|profile| profile.frame);
-    let forecast = match &options.corrections {
-        Some(corrections) => forecast.corrected(corrections),
-        None => forecast,
-    };
-    let of = QuotedShot { scene: renderer.info().summary.digest, settings: settings.clone() };
-    let document = document(of, frames, &counted, &profiled, &forecast);
-    let mut quote = Quote { document, forecast, counted, profiled };
-    let spent = quote.spent();
-    let mean = quote.document.total.work.mean;
-    quote.document.spent = SpentOnForecast {
-        work: spent.work,
-        cpu_seconds: seconds(spent.cpu_nanos),
-        fraction_of_forecast: if mean > 0.0 { spent.work as f64 / mean } else { 0.0 },
-    };
-    Ok(quote)
-}
-
-/// What the profiled frames, of these places, say of all.
-fn estimated(
-    strata: &[Stratum],
-    populations: &[FramePopulation],
-    apart: &RecordStrata,
-    counted: &CountedFrames,
-    chosen: &[usize],
-    profiled: &[ProfiledFrame],
-) -> Result<ShotForecast, ShotError> {
-    let observed: Vec<Vec<Observation>> = profiled
-        .iter()
-        .map(|profile: &ProfiledFrame| {
-            let records =
-                profile.records.iter().map(|record| apart.observation(record.level, cost_of_record(record)));
-            profile.observations.iter().copied().chain(records).collect()
-        })
-        .collect();
-    let measured: Vec<forelight_forecast::ProfiledFrame<'_>> = chosen
-        .iter()
-        .zip(profiled)
-        .zip(&observed)
-        .map(|((&frame, profile), observations)| forelight_forecast::ProfiledFrame {
-            frame,
-            observations,
-            expansion: &profile.expansion,
-            fixed: cost(profile.fixed.without_plan().without_build(), [0; 7]),
-            build: cost(profile.fixed.build, [0; 7]),
-        })
-        .collect();
-    // Each frame's cache was planned to be counted: what that takes is known.
-    let plans = with_times(
-        counted.cache_plans.iter().flatten().map(|plan| Cost {
-            work: plan.work,
-            rays: plan.rays,
-            ..Cost::default()
-        }),
-        profiled.iter().map(|profile| (profile.fixed.plan.work, profile.fixed.plan.cpu_nanos)),
-    );
-    Ok(forelight_forecast::forecast_shot(strata, populations, &measured, Calibration::NONE)?
-        .with_known(&plans, Calibration::NONE))
-}
-
-fn cost(spent: Spent, rays: [u64; 7]) -> Cost {
-    Cost { work: spent.work, cpu_nanos: spent.cpu_nanos, rays }
-}
-
-fn document(
-    of: QuotedShot,
-    frames: &[u32],
-    counted: &CountedFrames,
-    profiled: &[ProfiledFrame],
-    forecast: &ShotForecast,
-) -> ForecastDoc {
-    let frame = |((&frame, records), forecast): ((&u32, &Vec<u32>), &forelight_forecast::FrameForecast)| {
-        FrameForecast {
-            frame,
-            rays: rays(&forecast.total),
-            cache_records: FrameForecast::known_records(records),
-            work: quantiles(&forecast.total.work, 1.0),
-            cpu_seconds: quantiles(&forecast.total.cpu_nanos, 1e-9),
-        }
-    };
-    let effects: BTreeSet<&String> = profiled.iter().flat_map(|profile| &profile.effects).collect();
-    ForecastDoc {
-        of: Some(of),
-        frames: frames.iter().zip(&counted.cache_records).zip(&forecast.frames).map(frame).collect(),
-        total: ForecastTotals {
-            rays: rays(&forecast.total),
-            cache_records: ForecastTotals::known_records(counted.cache_records.iter().map(Vec::as_slice)),
-            work: quantiles(&forecast.total.work, 1.0),
-            cpu_seconds: quantiles(&forecast.total.cpu_nanos, 1e-9),
-        },
-        profiled: Profiled {
-            frames: profiled.iter().map(|p| p.frame).collect(),
-            pixels: profiled.iter().map(|p| p.observations.len() as u64).sum(),
-        },
-        spent: SpentOnForecast::default(),
-        calibrated: forecast.calibrated,
-        effects: effects.into_iter().cloned().collect(),
-        left_out: LeftOut::of_all(profiled.iter().map(|profile| &profile.left_out[..])),
-        chosen_spp: None,
-        fixed: FixedCosts::mean(&profiled.iter().map(|profile| profile.fixed).collect::<Vec<_>>()),
-        once: ProcessCosts::mean(&profiled.iter().map(|profile| profile.once).collect::<Vec<_>>()),
-        work_by_class: profiled.iter().filter_map(|profile| profile.work_by_class).reduce(ByClass::plus),
-        cpu_seconds_on: Vec::new(),
-        cache: None,
-        cost: None,
+        profiles.sort_by_key(|profile| profile.result.frame);
+        profiled.sort_by_key(|profiled| profiled.frame);
+        chosen = match options.profile_frames {
+            Some(_) => Vec::new(),
+            None => measured(&preview, &profiles, options).more_to_profile()?,
+        };
     }
+    let forecast = measured(&preview, &profiles, options).quote(options.corrections.as_ref())?;
+    let document = forecast.job.document(quoted_shot(renderer, settings), forecast.frames);
+    Ok(Quote { document, profiled, options: *options, preview, profiles })
 }
 
-fn rays(costs: &Costs<Quantity>) -> RayQuantiles {
-    RayQuantiles::from_array(costs.rays.map(|category| quantiles(&category, 1.0)))
+fn measured<'a>(
+    preview: &'a PreviewResult,
+    profiles: &'a [MeasuredProfile],
+    options: &QuoteOptions,
+) -> Measured<'a> {
+    Measured { strategy: options.strategy, ..Measured::new(preview, profiles) }
 }
 
-pub(crate) fn quantiles(quantity: &Quantity, unit: f64) -> Quantiles {
-    Quantiles {
-        mean: quantity.mean * unit,
-        p50: quantity.p50 * unit,
-        p80: quantity.p80 * unit,
-        p95: quantity.p95 * unit,
-    }
+fn quoted_shot(renderer: &dyn Renderer, settings: &RenderSettings) -> QuotedShot {
+    QuotedShot { scene: renderer.info().summary.digest, settings: settings.clone() }
 }

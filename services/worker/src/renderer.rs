@@ -2,18 +2,18 @@
 //!
 //! A [`Renderer`] is a bundle, opened; a [`FrameRenderer`] one frame of it at one quality, ready to be previewed, profiled and
 //! rendered, with what each took. Nothing else of the farm knows how light is traced: another renderer can be put behind this
-//! door. Ours, over `scene`, `preview` and `tracer`, is in [`crate::ambient`].
+//! door. Ours, over `scene`, `preview` and `tracer`, is in [`crate::own`].
 
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_preview::{Counts, Preview, PreviewError};
 use forelight_protocol::{
-    ByClass, FixedCosts, LeftOut, PlanCount, PreviewBackend, ProcessCosts, RenderSettings, SceneSummary,
-    Spent, StratumName,
+    BadSetting, ByClass, FixedCosts, LeftOut, PlanCount, PreviewBackend, ProcessCosts, RenderSettings,
+    SceneSummary, Spent, StratumName,
 };
 use forelight_scene::{Frame, MaterialClass, SceneError};
 use forelight_tracer::{
     Cache, CacheError, CacheTotals, Image, Passes, Pixel, PixelsFinished, Profile, ProfileError, RecordCost,
-    SampleCounts, SampleCountsError, SettingsError, Shared, Totals,
+    SampleCounts, SampleCountsError, Shared, Totals,
 };
 use std::path::Path;
 use std::sync::Arc;
@@ -30,7 +30,7 @@ pub enum RenderError {
     Preview(#[from] PreviewError),
     /// A setting is out of its range.
     #[error("settings: {0}")]
-    Settings(#[from] SettingsError),
+    Settings(#[from] BadSetting),
     /// The bytes are not a profile.
     #[error("profile: {0}")]
     Profile(#[from] ProfileError),

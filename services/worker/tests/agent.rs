@@ -6,6 +6,7 @@ use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{patch, post, put};
 use axum::{Json, Router};
+use forelight_client::Client;
 use forelight_protocol::{
     ArtifactHash, BundleSource, ClaimRequest, FinishedPixels, JobId, Lease, LeaseId, LeaseOrder, LogLevel,
     NodeRegistration, PreviewBackend, PreviewResult, PreviewSpec, Problem, ProblemKind,
@@ -13,8 +14,8 @@ use forelight_protocol::{
     TaskLimits, TaskResult, TaskSpec, Timestamp,
 };
 use forelight_worker::{
-    Agent, AgentError, Assignment, Client, Control, Errand, Execute, ExecuteError, Library, OpenRenderer,
-    Outcome, RenderError, Renderer,
+    Agent, AgentError, Assignment, Control, Errand, Execute, ExecuteError, Library, OpenRenderer, Outcome,
+    RenderError, Renderer,
 };
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};

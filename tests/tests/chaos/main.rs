@@ -1,7 +1,8 @@
-//! Any process may die at any instant, and nothing acknowledged is lost: workers and the service are killed in the middle of their
-//! work, and in the end every frame was delivered once, with the bits of an undisturbed render.
+//! Any process may die at any instant, and nothing acknowledged is lost. Workers and the service are killed
+//! in the middle of their work. In the end every frame was delivered once, with the bits of an undisturbed
+//! render.
 //!
-//! Nothing here says how fast anything has to be. What is waited for has a generous end, so that a hang is an error.
+//! Nothing here tests speed. Waits end after a generous time, so that a hang is an error.
 
 mod storm;
 
@@ -25,10 +26,12 @@ use std::time::Duration;
 const SCENE: &str = "corridor";
 const WIDTH: u32 = 48;
 const HEIGHT: u32 = 27;
-/// So many that a frame takes about two seconds of a test build: long enough for its worker to be caught in the middle of it.
+/// So many that a frame takes about two seconds of a test build: long enough for its worker to be caught in
+/// the middle of it.
 const SAMPLES_PER_PIXEL: u32 = 24;
 const FRAMES: u32 = 10;
-/// Profiled pixels of a profiled frame, and profiled frames: the job's and those of the render without a farm.
+/// Profiled pixels of a profiled frame, and profiled frames: the job's and those of the render without a
+/// farm.
 const PROFILED_PIXELS: u32 = 64;
 const PROFILED_FRAMES: u32 = 3;
 
@@ -166,7 +169,8 @@ impl Acknowledged {
     }
 }
 
-/// Everything that has to be true of a farm whose one job is done, whatever happened on the way. Ends the service.
+/// Everything that has to be true of a farm whose one job is done, whatever happened on the way. Ends the
+/// service.
 async fn assert_delivered(mut service: Service, job: &Job, workers: Vec<Process>) -> Vec<LeaseLine> {
     let http = service.http(Role::Viewer);
     let done = until_done(&http, job).await;

@@ -1,9 +1,11 @@
-//! Everything at once: workers and service are killed at random moments, the network between them loses, doubles and delays messages, the
-//! service's clock is set forward and back by hours, its disk is full for moments; all the while small frames are rendered, job after
-//! job, those of every second job with an irradiance cache that workers plan, fill in parts and put together before. In the end every frame is there once, with the bits of an undisturbed render, and the books balance.
+//! Everything at once. Workers and service are killed at random moments. The network between them loses,
+//! doubles and delays messages. The service's clock is set forward and back by hours, and its disk is full
+//! for moments. All the while small frames are rendered, job after job. Every second job shares an irradiance
+//! cache, which workers plan, fill in parts and merge. In the end every frame is there once, with the bits of
+//! an undisturbed render, and the books balance.
 //!
-//! The story follows from a seed (when exactly things happen depends on the machine, too). Twelve kills by default; two
-//! hundred, as it is meant:
+//! The story follows from a seed; exact times depend on the machine too. Twelve kills are the default. The
+//! full run has two hundred:
 //!
 //! ```sh
 //! FORELIGHT_STORM_KILLS=200 cargo test -p forelight-tests --test chaos storm -- --nocapture
@@ -40,7 +42,8 @@ fn number(variable: &str, default: u64) -> u64 {
     std::env::var(variable).ok().map_or(default, |text| text.parse().expect("a number"))
 }
 
-/// Whether the frames of the job of this number share an irradiance cache: every second job, beginning with the first.
+/// Whether the frames of the job of this number share an irradiance cache: every second job, beginning with
+/// the first.
 fn is_cached(number: usize) -> bool {
     number.is_multiple_of(2)
 }
@@ -58,7 +61,8 @@ fn quality(cached: bool) -> Vec<String> {
     flags
 }
 
-/// What the program makes of the frames without a farm: with one file for the cache that they share, if they share one.
+/// What the program makes of the frames without a farm: with one file for the cache that they share, if they
+/// share one.
 fn undisturbed(cached: bool) -> BTreeMap<u32, (Channels, RenderStats)> {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name).display().to_string();

@@ -1,10 +1,11 @@
 //! Nasty bundles, through the loader: what has no meaning is refused in one line, what has little is shown.
 
+use forelight_protocol::Integrator;
 use forelight_scene::{Limits, Scene, SceneError};
 use forelight_tests::case::case;
 use forelight_tests::repository;
 use forelight_tests::world::{render, unsound};
-use forelight_tracer::{CacheSettings, Integrator, Settings};
+use forelight_tracer::{CacheSettings, Settings};
 use std::collections::BTreeMap;
 use tempfile::TempDir;
 
@@ -64,7 +65,8 @@ fn settings() -> Settings {
     }
 }
 
-/// Renders all frames of a scene in every way and returns the number of pixels that are not sound, and of all.
+/// Renders all frames of a scene in every way and returns the number of pixels that are not sound, and of
+/// all.
 fn rendered(scene: &Scene) -> (u64, u64) {
     let ways = [
         settings(),
@@ -123,7 +125,8 @@ fn degenerate_triangles_are_counted_left_out_and_reported() {
 
 #[test]
 fn a_million_lights_without_area_are_no_lights() {
-    // Against a single one: both have the same objects and materials, whose numbers random choices may depend on.
+    // Against a single one: both have the same objects and materials, whose numbers random choices may depend
+    // on.
     let lamps = |count: usize| {
         let text =
             format!("{FLOOR}o lamps\nusemtl glow\nv 0 0.5 0\nv 1 0.5 0\n{}", "f -1 -2 -1\n".repeat(count));

@@ -37,7 +37,8 @@ pub fn records(tracer: &Tracer) -> u64 {
     tracer.cache().map_or(0, |cache| cache.records().iter().sum())
 }
 
-/// Calls `visit` with place, normal, irradiance and both gradients (first channel) of every record of the first level.
+/// Calls `visit` with place, normal, irradiance and both gradients (first channel) of every record of the
+/// first level.
 fn each_record(tracer: &Tracer, mut visit: impl FnMut(DVec3, DVec3, f64, DVec3, DVec3)) -> u64 {
     let cache = tracer.cache().expect("a cache was called for");
     let mut count = 0;
@@ -100,14 +101,14 @@ fn a_closed_glowing_room_sums_the_truncated_series_whatever_the_accuracy() {
             worst = worst.max((mean / expected - 1.0).abs());
         }
     }
-    // Some tens of records of 768 samples of direct light, each with a deviation of a third: 0.2 % of the bounce's share. At
-    // accuracy 1000 a single record may serve a whole wall.
+    // Some tens of records of 768 samples of direct light, each with a deviation of a third: 0.2 % of the
+    // bounce's share. At accuracy 1000 a single record may serve a whole wall.
     case(2, "a closed glowing room with a cache, 1 and 2 bounces, relative error of the mean")
         .worst(worst, 0.01);
 }
 
-/// A yard without a roof: a fin a millimetre thick between a half with a lamp, whose light falls on the outer wall, and a dark half
-/// from which nothing lit can be seen. Strata: 0 the lit floor, 1 the dark one.
+/// A yard without a roof: a fin a millimetre thick between a half with a lamp, whose light falls on the outer
+/// wall, and a dark half from which nothing lit can be seen. Strata: 0 the lit floor, 1 the dark one.
 fn yard() -> World {
     World::default()
         .floor(DVec3::new(1.0, 0.0, 0.0), 1.0, wall(0.7))
@@ -145,7 +146,8 @@ fn no_light_leaks_through_a_wall_of_a_millimetre() {
     case(18, "light behind a wall of 10⁻³ m, brightest pixel as a share of the lit side").worst(leak, 0.01);
 }
 
-/// Corners, an edge of a shelf, a contact of sphere and floor, a wire, a small hole in a lid, and a mirror that faces all.
+/// Corners, an edge of a shelf, a contact of sphere and floor, a wire, a small hole in a lid, and a mirror
+/// that faces all.
 pub fn nook() -> World {
     let mirror = material(Surface::Metal { f0: grey(0.9), alpha: 0.0 }, 0.0);
     World::default()
@@ -194,7 +196,8 @@ fn corners_contacts_wires_and_edges_stay_within_the_bound_and_the_cap_of_records
         errors.push((f64::from(accuracy) / 1000.0, error));
         most = most.max(records(&tracer));
     }
-    // Root mean square over the image, relative to the mean of indirect light, against the bound that was asked for.
+    // Root mean square over the image, relative to the mean of indirect light, against the bound that was
+    // asked for.
     let worst = errors.iter().map(|(allowed, error)| error / allowed).fold(0.0, f64::max);
     case(18, "corner, contact, wire, shelf, mirror: error of the image over the bound asked for")
         .worst(worst, 1.0);
@@ -206,8 +209,8 @@ fn corners_contacts_wires_and_edges_stay_within_the_bound_and_the_cap_of_records
         .worst(most as f64 / f64::from(size * size), 1.0);
 }
 
-/// ½ Σ γᵢ Γᵢ: the vector of light from a polygon of radiance 1 that is wholly above the horizon; its product with a normal is
-/// the irradiance there (Lambert).
+/// ½ Σ γᵢ Γᵢ: the vector of light from a polygon of radiance 1 that is wholly above the horizon; its product
+/// with a normal is the irradiance there (Lambert).
 fn vector_irradiance(corners: &[DVec3], from: DVec3) -> DVec3 {
     let unit: Vec<DVec3> = corners.iter().map(|&c| (c - from).normalize()).collect();
     let sum: DVec3 = (0..unit.len())
@@ -224,7 +227,8 @@ fn vector_irradiance(corners: &[DVec3], from: DVec3) -> DVec3 {
 
 #[test]
 fn gradients_are_the_derivatives_of_closed_forms_in_sign_and_size() {
-    // A floor under an even sky beside a black wall, that stands on it along z: the wall takes a polygon out of the sky.
+    // A floor under an even sky beside a black wall, that stands on it along z: the wall takes a polygon out
+    // of the sky.
     let (height, depth) = (1.0, 1.5);
     let corners = [
         DVec3::new(0.0, 0.0, -depth),
@@ -260,7 +264,8 @@ fn gradients_are_the_derivatives_of_closed_forms_in_sign_and_size() {
     assert!(count > 5 && largest.0 > 0.2 && largest.1 > 0.2, "{count} records, slopes up to {largest:?}");
     // 12,288 strata of which those on the wall's outline, some 4 · 110, are in doubt: √440 / 12,288 of π.
     case(19, "irradiance of records beside a wall against the closed form, relative").worst(value, 5e-3);
-    // The outline again, divided by distances of half a metre and more; a wrong sign would be twice the largest slope.
+    // The outline again, divided by distances of half a metre and more; a wrong sign would be twice the
+    // largest slope.
     case(19, "grad_t against the derivative of the closed form, as a share of the largest")
         .worst(shift_error / largest.0, 0.1);
     case(19, "grad_r against the derivative of the closed form, as a share of the largest")

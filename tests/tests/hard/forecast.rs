@@ -118,7 +118,8 @@ fn scenes_of_constant_cost_are_forecast_exactly_from_any_sample() {
         }
     }
     case(22, "a scene of constant cost, any sample of it, relative error").worst(worst, 4.0 * f64::EPSILON);
-    // 400 samples of 40 objects leave none unsampled together with others; 17 do, and then a guess is not certain.
+    // 400 samples of 40 objects leave none unsampled together with others; 17 do, and then a guess is not
+    // certain.
     println!("         widest interval of a constant cost: {widest:.3}");
 }
 
@@ -170,12 +171,14 @@ fn an_object_of_one_pixel_is_neither_lost_nor_blown_up() {
         moments.add(found.work.mean / truth);
     }
     let sample = moments.sample();
-    // A pixel that is joined with all others is met in 256 of 4096 designs, and then counts sixteen times: unbiased, at 5
-    // standard errors of 200 designs; nothing better can be had without a prior cost that draws samples.
+    // A pixel that is joined with all others is met in 256 of 4096 designs, and then counts sixteen times.
+    // That is unbiased, at 5 standard errors of 200 designs. Only a prior cost that draws samples would do
+    // better.
     case(22, "an object of one pixel: bias of 200 designs, in standard errors")
         .worst((sample.mean - 1.0).abs() / sample.variance.sqrt(), 5.0);
     case(22, "an object of one pixel: forecasts that are negative or NaN").never(wrong, 200);
-    // Where the preview knows that it is dear, it is a stratum that is always sampled, and the total is close.
+    // Where the preview knows that it is dear, it is a stratum that is always sampled, and the total is
+    // close.
     picture.strata[1].prior_cost = 1e6;
     let worst = (0..50)
         .map(|seed| (picture.forecast(256, seed).expect("a forecast").work.mean / truth - 1.0).abs())
@@ -184,7 +187,8 @@ fn an_object_of_one_pixel_is_neither_lost_nor_blown_up() {
     case(22, "an object of one pixel whose prior cost is right, relative error").worst(worst, 1e-3);
 }
 
-/// A shot of `frames` frames of three strata, the third seen in some frames only; everything in `known` is profiled completely.
+/// A shot of `frames` frames of three strata, the third seen in some frames only; everything in `known` is
+/// profiled completely.
 fn shot(frames: usize, seen: impl Fn(usize) -> u32, known: &[usize]) -> (ShotForecast, Vec<f64>) {
     let strata = strata(3);
     let population: Vec<FramePopulation> = (0..frames)
@@ -231,8 +235,8 @@ fn an_object_that_vanishes_and_returns_costs_only_where_it_is() {
         wrong += unsound(&frame.total);
         worst = worst.max((frame.total.work.mean / truth - 1.0).abs());
     }
-    // 280 pixels with a deviation of 0.42 each, against the mean of another frame's as many: 0.42 √(2/280) = 3.5 %, at four
-    // standard errors.
+    // 280 pixels with a deviation of 0.42 each, against the mean of another frame's as many: 0.42 √(2/280) =
+    // 3.5 %, at four standard errors.
     case(22, "frames of an object that vanishes and returns, relative error").worst(worst, 0.14);
     case(22, "frames of a vanishing object that are negative or NaN").never(wrong, 12);
     let (found, _) = shot(3, |t| if t == 0 { 30 } else { 0 }, &[0]);
@@ -349,8 +353,9 @@ fn a_job_that_is_finished_costs_what_was_measured() {
 
 #[test]
 fn estimates_have_no_drift_while_frames_are_finished() {
-    // 200 jobs of ten frames whose costs wander; frames finish in any order, and after each the estimate is made anew. What the
-    // estimate will be tomorrow is what it is today, give or take: each step is 0 in the mean, and so is every error.
+    // 200 jobs of ten frames whose costs wander; frames finish in any order, and after each the estimate is
+    // made anew. What the estimate will be tomorrow is what it is today, give or take: each step is 0 in the
+    // mean, and so is every error.
     let (runs, frames) = (200u64, 10usize);
     let strata = strata(2);
     let mut steps = vec![Moments::default(); frames - 1];

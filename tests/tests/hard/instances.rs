@@ -11,7 +11,8 @@ use glam::{DMat3, DMat4, DQuat, DVec3, Vec3};
 use serde_json::{Value, json};
 use std::sync::Arc;
 
-/// A box with a corner cut off, so that no symmetry can hide a mistake; flat normals, three vertices a triangle.
+/// A box with a corner cut off, so that no symmetry can hide a mistake; flat normals, three vertices a
+/// triangle.
 fn solid() -> (Vec<Vec3>, Vec<Vec3>) {
     let (positions, triangles) = forelight_tests::world::cuboid(DVec3::splat(-0.5), DVec3::splat(0.5), false);
     let mut corners: Vec<Vec3> = positions.iter().map(|p| p.as_vec3()).collect();
@@ -190,7 +191,8 @@ fn instances_are_where_the_same_meshes_are_when_baked() {
             furthest = furthest.max(f64::from(p.distance(q)));
         }
         turned = turned.max(f64::from(1.0 - a.geometric_normal(s as u32).dot(b.geometric_normal(t as u32))));
-        // A mirror changes the winding and the side of the normal together: the shading normal stays on the front.
+        // A mirror changes the winding and the side of the normal together: the shading normal stays on the
+        // front.
         let n = a.normals[a.triangles[s][0] as usize];
         inside_out += u64::from(n.dot(a.geometric_normal(s as u32)) < 0.999);
     }
@@ -240,7 +242,8 @@ fn instances_are_where_the_same_meshes_are_when_baked() {
     let pairs: Vec<(f64, f64)> = values(&x).into_iter().zip(values(&y)).collect();
     let total: f64 = pairs.iter().map(|p| p.1).sum();
     let apart: f64 = pairs.iter().map(|p| (p.0 - p.1).abs()).sum();
-    // Other roundings send single paths elsewhere; a normal on the wrong side would darken a tenth of the image.
+    // Other roundings send single paths elsewhere; a normal on the wrong side would darken a tenth of the
+    // image.
     case(14, "mean absolute difference of an image of instances from the baked one, relative")
         .worst(apart / total, 0.01);
 }

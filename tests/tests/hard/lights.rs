@@ -17,8 +17,8 @@ fn settings(size: u32, spp: u32) -> Settings {
 /// Albedo of the floor on which irradiance is measured.
 const ALBEDO: f32 = 0.5;
 
-/// Irradiance at the origin of a horizontal plane that faces up, and its standard error. The camera looks straight at the
-/// point, from above or past what is there.
+/// Irradiance at the origin of a horizontal plane that faces up, and its standard error. The camera looks
+/// straight at the point, from above or past what is there.
 fn irradiance(world: &World, eye: DVec3, settings: &Settings) -> (f64, f64) {
     let world = world.clone().floor(DVec3::ZERO, 50.0, material(lambert(ALBEDO), 0.0));
     let image = render(&world.frame(View::new(eye, DVec3::ZERO, 0.0)), settings);
@@ -34,8 +34,8 @@ fn beyond(deviation: f64, error: f64) -> f64 {
     (deviation.abs() - 5.0 * error).max(0.0)
 }
 
-/// Lambert's formula: irradiance at the origin with normal y from a polygon of radiance 1 that is wholly above the plane,
-/// ½ |Σ γᵢ Γᵢ · n| over its edges.
+/// Lambert's formula: irradiance at the origin with normal y from a polygon of radiance 1 that is wholly
+/// above the plane, ½ |Σ γᵢ Γᵢ · n| over its edges.
 fn lambert_polygon(corners: &[DVec3]) -> f64 {
     let unit: Vec<DVec3> = corners.iter().map(|c| c.normalize()).collect();
     let sum: f64 = (0..unit.len())
@@ -89,14 +89,15 @@ fn polygon_lights_give_lamberts_irradiance() {
         // Positions and products are f32: 1e-6 of the value is rounding.
         worst = worst.max((value - expected).abs() / error.max(1e-6 * expected));
     }
-    // Of five values none is off by 5 standard errors in 99.9997 % of runs (64 pixels: Student's tails are near the normal's).
+    // Of five values none is off by 5 standard errors in 99.9997 % of runs (64 pixels: Student's tails are
+    // near the normal's).
     case(6, "polygon lights give Lambert's irradiance, in standard errors").worst(worst, 5.0);
 }
 
 #[test]
 fn parallel_discs_and_perpendicular_rectangles_have_their_form_factors() {
-    // From a point of the floor to a coaxial disc of radius r at height h: r² / (r² + h²). The polygon of 512 corners is
-    // smaller than the disc by 1 − sin(2π/n) n/2π = 2.5e-5.
+    // From a point of the floor to a coaxial disc of radius r at height h: r² / (r² + h²). The polygon of 512
+    // corners is smaller than the disc by 1 − sin(2π/n) n/2π = 2.5e-5.
     let disc: Vec<DVec3> = (0..512)
         .map(|i| {
             let (s, c) = (f64::from(i) / 512.0 * 2.0 * PI).sin_cos();
@@ -109,8 +110,9 @@ fn parallel_discs_and_perpendicular_rectangles_have_their_form_factors() {
     let (value, error) = irradiance(&polygon_light(World::default(), &disc, 1.0), ASIDE, &settings(8, 1024));
     case(6, "point to coaxial disc, F = r²/(r²+h²), relative error beyond 5 standard errors")
         .worst(beyond(value / by_formula - 1.0, error / by_formula), 5e-5);
-    // From a point at distance c before the middle of a rectangle a high, b wide that stands on its plane (Howell B-4, twice a
-    // corner): E = L [atan(1/Y) − Y/√(X²+Y²) atan(1/√(X²+Y²))] with X = a/(b/2), Y = c/(b/2).
+    // From a point at distance c before the middle of a rectangle a high, b wide that stands on its plane
+    // (Howell B-4, twice a corner): E = L [atan(1/Y) − Y/√(X²+Y²) atan(1/√(X²+Y²))] with X = a/(b/2), Y =
+    // c/(b/2).
     let (a, b, c) = (1.5, 2.0, 1.0);
     let (px, py) = (a / (b / 2.0), c / (b / 2.0));
     let r = f64::hypot(px, py);
@@ -145,8 +147,8 @@ fn a_sphere_light_gives_the_irradiance_of_its_disc() {
         let expected = PI * 5.0 * (radius / centre.length()).powi(2) * centre.y / centre.length();
         worst = worst.max(beyond(value / expected - 1.0, error / expected));
     }
-    // 5120 triangles whose corners lie on the sphere: edges of 0.07 R sink in by 0.07²/8 = 6e-4 at most; the area of the
-    // silhouette is smaller by less than twice that.
+    // 5120 triangles whose corners lie on the sphere: edges of 0.07 R sink in by 0.07²/8 = 6e-4 at most; the
+    // area of the silhouette is smaller by less than twice that.
     case(6, "sphere lights give π L (R/d)² cos θ, relative error beyond 5 standard errors")
         .worst(worst, 1.2e-3);
 }
@@ -166,7 +168,8 @@ fn a_constant_and_a_sampled_sky_light_a_plane_alike() {
     world.environment = Environment::Image { texture: TextureId(0), scale: 1.0, rotation_deg: 33.0 };
     let (value, error) = irradiance(&world, ASIDE, &settings(8, 1024));
     let expected = PI * (1.0 + 1.0 / 3.0);
-    // Bilinear lookup over rows of 1.4°: the second difference of cos θ / 2 is 3e-4, an eighth of it is the error.
+    // Bilinear lookup over rows of 1.4°: the second difference of cos θ / 2 is 3e-4, an eighth of it is the
+    // error.
     case(6, "a sky of radiance 1 + y/2 gives 4π/3, relative error beyond 5 standard errors")
         .worst(beyond(value / expected - 1.0, error / expected), 1e-4);
     let (value, _) = irradiance(&World::under(1.0), ASIDE, &settings(4, 64));
@@ -176,8 +179,9 @@ fn a_constant_and_a_sampled_sky_light_a_plane_alike() {
 /// Half the width of the lamp of the room below.
 const LAMP: f64 = 0.25 * 0.999;
 
-/// Power that arrives on the six walls of a room −1 … 1 and on the lamp below its ceiling, by wall: each is looked at squarely
-/// from the middle, so that all pixels see equal areas. `walls` are the albedos, as −x, +x, −y, +y, −z, +z.
+/// Power that arrives on each of the six walls of a room −1 … 1, and on the lamp below its ceiling. Each is
+/// seen squarely from the middle, so that all pixels see equal areas. `walls` are the albedos, as −x, +x, −y,
+/// +y, −z, +z.
 fn arriving(walls: [f32; 6], bounces: u32, seed: u64) -> [f64; 7] {
     let lamp_albedo = 0.5f32;
     let mut world = World::default();
@@ -215,7 +219,8 @@ fn arriving(walls: [f32; 6], bounces: u32, seed: u64) -> [f64; 7] {
 #[test]
 fn in_a_closed_room_what_arrives_is_what_is_emitted_and_reflected() {
     let emitted = PI * 3.0 * (2.0 * LAMP).powi(2);
-    // The second room has an opening: a wall of one per mille, which reflects next to nothing of what leaves by it.
+    // The second room has an opening: a wall of one per mille, which reflects next to nothing of what leaves
+    // by it.
     for (name, walls) in [("grey", [0.5f32; 6]), ("with an opening", [0.001, 0.2, 0.8, 0.4, 0.6, 0.7])] {
         let mut worst = 0.0f64;
         for bounces in 0..3 {
@@ -237,7 +242,8 @@ fn in_a_closed_room_what_arrives_is_what_is_emitted_and_reflected() {
                 sample.mean,
                 sample.variance.sqrt()
             );
-            // Student's t of 5 degrees at 1e-4 is 9.7. The slit behind the lamp, a thousandth wide, takes what flies in.
+            // Student's t of 5 degrees at 1e-4 is 9.7. The slit behind the lamp, a thousandth wide, takes
+            // what flies in.
             worst = worst.max(sample.mean.abs() - 9.7 * sample.variance.sqrt());
         }
         case(3, format!("a room {name}: arriving = emitted + reflected, relative, beyond t(1e-4)"))
@@ -286,14 +292,15 @@ fn a_tiny_light_of_enormous_radiance_is_a_point_light() {
         let expected = f64::from(radiance) * size * size / 4.0;
         worst = worst.max((value / expected - 1.0).abs());
     }
-    // The largest, 1 : 200, deviates from a point by (size/d)² = 2.5e-5; at 2 m, f32 places corners of a micrometre to 6 %:
-    // the light is at (0, 2, 0), whose x and z have all digits.
+    // The largest, 1 : 200, deviates from a point by (size/d)² = 2.5e-5; at 2 m, f32 places corners of a
+    // micrometre to 6 %: the light is at (0, 2, 0), whose x and z have all digits.
     case(16, "tiny lights of up to 10¹² radiance give I cos θ / d², relative error").worst(worst, 1e-4);
 }
 
 #[test]
 fn a_hundred_thousand_lights_give_the_sum_of_all_and_none_gives_all() {
-    // Lamps of very different power in a ring of one radius and height, so that each gives in proportion to its power.
+    // Lamps of very different power in a ring of one radius and height, so that each gives in proportion to
+    // its power.
     let lights = 100_000u32;
     let mut world = World::default();
     let mut total = 0.0f64;
@@ -306,8 +313,9 @@ fn a_hundred_thousand_lights_give_the_sum_of_all_and_none_gives_all() {
     }
     let expected = total * 1e-6 * 4.0 / 13.0 / 13.0;
     let (value, error) = irradiance(&world, ASIDE, &settings(4, 256));
-    // Lamps are chosen in proportion to power, so every choice is worth the same: shares of 1e-6 are differences of f32 near 1,
-    // good to 6 %, but drawing and weighing use the same ones; the square's extent adds 1e-7.
+    // Lamps are chosen in proportion to power, so every choice is worth the same. Shares of 1e-6 are
+    // differences of f32 near 1, good to 6 %, but drawing and weighing use the same ones. The square's extent
+    // adds 1e-7.
     case(16, "100,000 lights give the sum of all, relative error beyond 5 standard errors")
         .worst(beyond(value / expected - 1.0, error / expected), 1e-3);
 }
@@ -366,7 +374,8 @@ fn lights_that_touch_a_surface_or_stand_behind_it_stay_finite() {
     }
     case(16, "pixels near lights in, on, across and under a surface that are no finite number")
         .never(wrong, pixels);
-    // Radiance 10 over a white floor cannot make more than the light's own radiance of it: E ≤ π L, times albedo / π.
+    // Radiance 10 over a white floor cannot make more than the light's own radiance of it: E ≤ π L, times
+    // albedo / π.
     let image = render(&touching.frame(view), &settings(48, 64));
     let brightest = values(&image).into_iter().fold(0.0, f64::max);
     case(16, "brightest pixel beside lights of radiance 10 that touch a floor of albedo 0.8")
@@ -413,7 +422,8 @@ fn an_image_is_linear_in_its_lights_to_the_bit_from_1e_minus_30_to_1e30() {
         let factor = 2f32.powi(power);
         let image = render(&lit(factor).frame(AT_THE_ROOM), &settings);
         for (a, b) in base.pixels.iter().zip(&image.pixels) {
-            // Exact where nothing underflows: contributions below 2⁻²⁶ of a pixel of 1 lie beneath the normal numbers at 2⁻¹⁰⁰.
+            // Exact where nothing underflows: contributions below 2⁻²⁶ of a pixel of 1 lie beneath the normal
+            // numbers at 2⁻¹⁰⁰.
             let same = a.color.map(|c| c * factor) == b.color && a.rays == b.rays && a.work == b.work;
             wrong += u64::from(!same);
             pixels += 1;

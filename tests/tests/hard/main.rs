@@ -1,8 +1,8 @@
 //! The hard cases stay finite, and right.
 //!
-//! One test for every invariant of the table of hard cases; the number in a printed line is the case's. A run with
-//! `cargo test -p forelight-tests --test hard -- --nocapture` prints for each the worst value seen and its limit; what
-//! the limit rests on stands in the test, beside it.
+//! One test for every invariant of the table of hard cases; the number in a printed line is the case's. A run
+//! with `cargo test -p forelight-tests --test hard -- --nocapture` prints for each the worst value seen and
+//! its limit; what the limit rests on stands in the test, beside it.
 //!
 //! | cases | subject | file |
 //! | --- | --- | --- |
@@ -19,7 +19,8 @@
 //! | 25 | plans | `planning` |
 //! | 26 | sums | `sums` |
 //!
-//! `FORELIGHT_HARD_RAYS` sets the number of rays of case 10 (default four million; the table asks for a hundred million).
+//! `FORELIGHT_HARD_RAYS` sets the number of rays of case 10 (default four million; the table asks for a
+//! hundred million).
 
 mod bundles;
 mod cache;

@@ -1,4 +1,5 @@
-//! Materials in a furnace, reciprocity, sampling against densities, Fresnel's equations: all through finished pixels.
+//! Materials in a furnace, reciprocity, sampling against densities, Fresnel's equations: all through finished
+//! pixels.
 
 use forelight_scene::{Environment, Surface, Texels, Texture, TextureId};
 use forelight_tests::case::case;
@@ -57,8 +58,9 @@ impl Ggx {
         (1.0 + self.lambda(wi)) / (1.0 + self.lambda(wi) + self.lambda(wo))
     }
 
-    /// Calls `visit` with facet normals, their place (ξ, φ/2π) in the unit square, and the probability that a visible facet is
-    /// within the cell about each. ξ is the distribution function of GGX in the angle of facets: tan²θ = α² ξ / (1 − ξ).
+    /// Calls `visit` for each cell of the unit square: with its facet normal, its place (ξ, φ/2π), and the
+    /// probability of a visible facet within it. ξ is the distribution function of GGX in the facets' angle:
+    /// tan²θ = α² ξ / (1 − ξ).
     fn facets(self, wi: DVec3, cells: u32, mut visit: impl FnMut(DVec3, [f64; 2], f64)) {
         let n = f64::from(cells);
         for i in 0..cells {
@@ -131,14 +133,15 @@ fn white_lambert_mirrors_and_panes_vanish_in_a_furnace_at_every_angle() {
             worst = worst.max((seen(&pane, angle, &settings(8, 256)).0 - 1.0).abs());
         }
     }
-    // What is below 2 % of a pixel survives by roulette: 16,384 chances of 0.02 have a standard error of at most 8e-5.
+    // What is below 2 % of a pixel survives by roulette: 16,384 chances of 0.02 have a standard error of at
+    // most 8e-5.
     case(1, "panes of glass vanish in a furnace, 0° to 89.99°").worst(worst, 4e-4);
 }
 
 #[test]
 fn smooth_white_plastic_vanishes_in_a_furnace_at_every_angle() {
-    // The share F that the coat reflects and the share that the base sends back through it add up to 1 by the definition of
-    // the coat's internal reflectance.
+    // The share F that the coat reflects and the share that the base sends back through it add up to 1 by the
+    // definition of the coat's internal reflectance.
     let mut worst = 0.0f64;
     for ior in [1.3f32, 1.5, 2.5] {
         let world = plate(1.0, Surface::Plastic { albedo: grey(1.0), ior, alpha: 0.0 });
@@ -146,8 +149,8 @@ fn smooth_white_plastic_vanishes_in_a_furnace_at_every_angle() {
             worst = worst.max((seen(&world, angle, &settings(4, 256)).0 - 1.0).abs());
         }
     }
-    // 4096 cosine-weighted samples of a factor 1 − F(θ) with a standard deviation of at most 0.25: 5 standard errors of
-    // random numbers are 0.02, and the (0,2)-sequences do ten times better.
+    // 4096 cosine-weighted samples of a factor 1 − F(θ) with a standard deviation of at most 0.25: 5 standard
+    // errors of random numbers are 0.02, and the (0,2)-sequences do ten times better.
     case(1, "smooth white plastic vanishes in a furnace, 0° to 89.99°").worst(worst, 2e-3);
 }
 
@@ -186,7 +189,8 @@ fn rough_white_plastic_in_a_furnace_never_reflects_more_than_arrives() {
     }
     case(1, "rough white plastic never reflects more than arrives, beyond 5 standard errors")
         .worst(most, 1.0 + 1e-4);
-    // The coat's single scattering can lose all that the coat reflects, and no more; at 89.99° that is nearly everything.
+    // The coat's single scattering can lose all that the coat reflects, and no more; at 89.99° that is nearly
+    // everything.
     case(1, "rough white plastic keeps some light at every angle").least(least, 0.0);
 }
 
@@ -199,16 +203,17 @@ fn a_clear_slab_vanishes_in_a_furnace_after_64_hits_without_cut_off() {
         let world = World::under(1.0).cuboid(low, high, false, material(glass, 0.0));
         for angle in ANGLES {
             let (value, error) = seen(&world, angle, &settings(8, 256));
-            // What enters, (1 − F), and is thrown back F each time, may still be inside after 64 hits, of which at most one
-            // in eight is at a narrow side.
-            // Beyond 89.98° the squared cosine, 1e-7, is lost in f32 beside 1: from inside, reflection looks total.
+            // What enters, (1 − F), and is thrown back F each time, may still be inside after 64 hits, of
+            // which at most one in eight is at a narrow side. Beyond 89.98° the squared cosine, 1e-7, is lost
+            // in f32 beside 1: from inside, reflection looks total.
             let f = fresnel(towards(angle).y, f64::from(ior));
             let lost = towards(angle).y.powi(2) < 2f64.powi(-23);
             let inside = (1.0 - f) * if lost { 1.0 } else { f.powi(56) };
             worst = worst.max((value - 1.0).abs() - inside - 5.0 * error);
         }
     }
-    // Reflection and refraction are chosen with their own probabilities: each path carries exactly 1 or is still inside.
+    // Reflection and refraction are chosen with their own probabilities: each path carries exactly 1 or is
+    // still inside.
     case(1, "a clear slab vanishes in a furnace (64 hits), beyond 5 standard errors").worst(worst, 1e-5);
 }
 
@@ -288,7 +293,8 @@ fn telling_sky(world: &mut World) {
     world.environment = Environment::Image { texture: TextureId(0), scale: 1.0, rotation_deg: 0.0 };
 }
 
-/// What a surface did with one ray a pixel: weight, direction (its y always positive), and whether the ray was refracted.
+/// What a surface did with one ray a pixel: weight, direction (its y always positive), and whether the ray
+/// was refracted.
 fn scattered(surface: Surface, angle_deg: f64) -> Vec<(f64, DVec3, bool)> {
     let mut world = plate(0.0, surface);
     telling_sky(&mut world);
@@ -407,8 +413,8 @@ fn rough_glass_follows_the_density_of_visible_facets_times_fresnel() {
     case(5, "no reflection or refraction by rough glass weighs more than 1").worst(heaviest, 1.0 + 1e-5);
 }
 
-/// Reflectance of a smooth interface, read off a pixel: white light above (or, from inside, below), a black floor far on the
-/// other side. `ior` below 1 looks from inside.
+/// Reflectance of a smooth interface, read off a pixel: white light above (or, from inside, below), a black
+/// floor far on the other side. `ior` below 1 looks from inside.
 fn reflectance(cos: f64, ior: f64) -> f64 {
     let sin = ((1.0 - cos) * (1.0 + cos)).max(0.0).sqrt();
     let eye = DVec3::new(sin, cos, 0.0);
@@ -435,8 +441,8 @@ fn smooth_interfaces_reflect_what_fresnel_says_from_both_sides() {
             worst = worst.max((reflectance(cos, ior) - fresnel(cos, rounded)).abs());
         }
     }
-    // f32: below the critical angle the cosine on the other side comes from 1 − sin², good to 1e-7, of which a square root
-    // makes 3e-4 at the edge itself; whole degrees stay 0.1° away from it, where 1e-7 becomes 3e-6 at most.
+    // In f32, the cosine on the other side comes from 1 − sin², good to 1e-7. At the critical angle itself a
+    // square root makes 3e-4 of that. Whole degrees stay 0.1° away from it, where it is 3e-6 at most.
     case(6, "smooth interfaces reflect Fresnel's share, index 0.42 to 10, 0° to 89.999°").worst(worst, 5e-6);
 }
 
@@ -474,7 +480,8 @@ fn at_the_edge_of_total_reflection_nothing_but_a_share_is_reflected() {
         frame.camera.origin = glam::Vec3::new(sin, cos, 0.0);
         let value = f64::from(render(&frame, &settings(1, 1)).pixels[0].color[0]);
         total += u64::from(value == 1.0);
-        // 2000 ulps above the edge R is 0.87 still, for it falls with the square root; it falls all the way but for rounding.
+        // 2000 ulps above the edge R is 0.87 still, for it falls with the square root; it falls all the way
+        // but for rounding.
         wrong += u64::from(!(value <= 1.0 && value > 0.85 && value <= before + 1e-5));
         before = value;
     }

@@ -1,4 +1,5 @@
-//! Closed meshes without cracks, degenerate triangles, rays along axes and through corners, coplanar surfaces: the tree alone.
+//! Closed meshes without cracks, degenerate triangles, rays along axes and through corners, coplanar
+//! surfaces: the tree alone.
 
 use forelight_bvh::{Bvh, Hit, Ray, Traversal};
 use forelight_tests::case::case;
@@ -175,13 +176,14 @@ fn aimed(stream: &mut Stream, mesh: &Mesh, origin: Vec3) -> Vec3 {
     if direction.is_finite() && direction != Vec3::ZERO { direction } else { Vec3::X }
 }
 
-/// Triangles without a tree: each in a tree of its own, so that the same test decides and no box can hide anything.
+/// Triangles without a tree: each in a tree of its own, so that the same test decides and no box can hide
+/// anything.
 struct Loose(Vec<Bvh>);
 
 impl Loose {
     fn new(positions: &[Vec3], triangles: &[[u32; 3]]) -> Self {
-        // A tree of one triangle has one leaf in one box; the box may still be missed, so it is made large by two far, tiny
-        // triangles that no ray of these tests meets.
+        // A tree of one triangle has one leaf in one box; the box may still be missed, so it is made large by
+        // two far, tiny triangles that no ray of these tests meets.
         let mut wide = positions.to_vec();
         let first = wide.len() as u32;
         for corner in [Vec3::splat(-1e6), Vec3::splat(1e6)] {
@@ -312,8 +314,8 @@ fn degenerate_triangles_are_never_hit_and_hide_nothing() {
             all.closest(&ray, |_| true, &mut Traversal::default()),
         );
         shot += 1;
-        // What is met is the sphere, at a finite distance with weights inside the triangle; or, of the tiny ones, a hit that is
-        // itself sound.
+        // What is met is the sphere, at a finite distance with weights inside the triangle; or, of the tiny
+        // ones, a hit that is itself sound.
         let is_sound =
             |h: &Hit| h.t.is_finite() && h.t > 0.0 && h.u >= 0.0 && h.v >= 0.0 && h.u + h.v <= 1.0 + 1e-6;
         let ok = match (a, b) {
@@ -330,7 +332,8 @@ fn degenerate_triangles_are_never_hit_and_hide_nothing() {
 
 #[test]
 fn slivers_are_hit_where_they_are() {
-    // Side by side, slivers of 1 : 10⁷ tile a square; a ray through it meets exactly one of them or their common edge.
+    // Side by side, slivers of 1 : 10⁷ tile a square; a ray through it meets exactly one of them or their
+    // common edge.
     let count = 1000u32;
     let mut positions: Vec<Vec3> = Vec::new();
     let mut triangles = Vec::new();
@@ -359,7 +362,8 @@ fn slivers_are_hit_where_they_are() {
         }
     }
     case(11, "rays that pass between slivers of 1 : 10⁷").never(missed, rays);
-    // Weights are quotients of areas of 1e-7 whose rounding is 1e-7 of them; positions of size 1 follow to an ulp or two.
+    // Weights are quotients of areas of 1e-7 whose rounding is 1e-7 of them; positions of size 1 follow to an
+    // ulp or two.
     case(11, "distance of the point hit on a sliver from the ray").worst(furthest, 3e-7);
 }
 
@@ -398,9 +402,11 @@ fn of_surfaces_in_the_same_place_the_same_one_wins_whatever_the_tree() {
             let (Some(a), Some(b)) = (hit(&bvh), loose.closest(&ray)) else { continue };
             rays += 1;
             wrong += u64::from(a != b);
-            // In the other tree another one may have the lowest number, but the surface is at the same distance to the bit.
+            // In the other tree another one may have the lowest number, but the surface is at the same
+            // distance to the bit.
             wrong += u64::from(hit(&other).is_none_or(|c| c.t != a.t));
-            // The first copy holds every point; where rounding puts another cut of the same plane an ulp nearer, that one wins.
+            // The first copy holds every point; where rounding puts another cut of the same plane an ulp
+            // nearer, that one wins.
             not_lowest += u64::from(a.primitive > 1);
         }
     }
@@ -432,8 +438,8 @@ fn of_equal_surfaces_the_first_one_wins() {
 
 #[test]
 fn rays_at_the_long_edges_of_a_flat_box_do_not_slip_out() {
-    // Found among a hundred million. The triangle test rounds by 2⁻²⁴ of the box's 200 m, which moves the edge: one face's triangle takes
-    // the hit, and its own box, taken as it is, would say that the ray passes by.
+    // Found among a hundred million. The triangle test rounds by 2⁻²⁴ of the box's 200 m, which moves the
+    // edge. One face's triangle takes the hit, but the ray misses that triangle's exact bounding box.
     let (positions, triangles) = cuboid(DVec3::new(-1.0, -1e-2, -1e2), DVec3::new(1.0, 1e-2, 1e2), false);
     let positions: Vec<Vec3> = positions.iter().map(|p| p.as_vec3()).collect();
     let bvh = Bvh::build(&positions, &triangles);

@@ -1,12 +1,13 @@
 //! Solid dielectrics with priorities: overlap, faces in the same place, a camera inside, equal priorities.
 
 use crate::media::{from, glass};
+use forelight_protocol::Integrator;
 use forelight_scene::{Material, Surface};
 use forelight_tests::case::case;
 use forelight_tests::random::Random;
 use forelight_tests::statistics::Moments;
 use forelight_tests::world::{View, World, grey, lambert, material, render, unsound, values};
-use forelight_tracer::{Integrator, Settings};
+use forelight_tracer::Settings;
 use glam::DVec3;
 use std::num::NonZeroU8;
 
@@ -35,7 +36,8 @@ fn slab(world: World, low: f64, high: f64, medium: Material) -> World {
     cube(world, [-8.0, low, -8.0], [8.0, high, 8.0], medium)
 }
 
-/// Both integrators: the mean's distance from `truth` beyond five standard errors, the worst of the two, and unsound pixels of how many.
+/// Both integrators: the mean's distance from `truth` beyond five standard errors, the worst of the two, and
+/// unsound pixels of how many.
 fn off(world: &World, view: View, truth: f64) -> (f64, u64, u64) {
     let (mut worst, mut wrong, mut pixels) = (f64::NEG_INFINITY, 0, 0);
     for integrator in [Integrator::Ambient, Integrator::Path] {
@@ -51,7 +53,8 @@ fn off(world: &World, view: View, truth: f64) -> (f64, u64, u64) {
 
 #[test]
 fn media_that_overlap_or_touch_vanish_in_a_furnace() {
-    // Water on glass that reaches into it, lies on it, or has a gap that a ray's start steps over; ice in both.
+    // Water on glass that reaches into it, lies on it, or has a gap that a ray's start steps over; ice in
+    // both.
     let (glass, water, ice) = (medium(1.5, 3), medium(1.33, 1), medium(1.31, 2));
     let worlds = [0.05, 0.0, -1e-7].map(|reach| {
         let world = slab(World::under(1.0), -0.5, reach, glass.clone());
@@ -74,8 +77,8 @@ fn media_that_overlap_or_touch_vanish_in_a_furnace() {
 
 #[test]
 fn faces_in_the_same_place_are_one_interface() {
-    // A bright square under water on glass is seen where Snell's law puts it, whether their common face is there twice or, as an
-    // interface with the relative index, once.
+    // A bright square under water on glass is seen where Snell's law puts it, whether their common face is
+    // there twice or, as an interface with the relative index, once.
     let lamp = |world: World| world.floor(DVec3::new(0.0, -1.0, 0.0), 0.5, material(lambert(0.0), 1.0));
     let twice = slab(slab(lamp(World::under(0.0)), -0.5, 0.0, medium(1.5, 2)), 0.0, 0.5, medium(1.33, 1));
     let face = |world: World, y: f64, ior: f32| world.floor(DVec3::new(0.0, y, 0.0), 50.0, glass(ior));
@@ -89,7 +92,8 @@ fn faces_in_the_same_place_are_one_interface() {
         let off: f64 = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).sum::<f64>() / b.iter().sum::<f64>();
         worst = worst.max(off);
     }
-    // The same camera samples; what differs is the choice between reflection and refraction at the second and third face.
+    // The same camera samples; what differs is the choice between reflection and refraction at the second and
+    // third face.
     case(15, "a face that is there twice bends light as one does: mean difference relative to the mean")
         .worst(worst, 0.01);
 }
@@ -115,8 +119,9 @@ fn the_highest_priority_fills_the_place_that_the_camera_is_in() {
 
 #[test]
 fn what_is_inside_a_place_does_not_depend_on_the_way_there() {
-    // Boxes on a grid: they overlap, share faces, edges and corners, and lie within each other. Whatever way light takes through
-    // them, it comes out as it went in; an event that is lost would leave it compressed by some index.
+    // Boxes on a grid: they overlap, share faces, edges and corners, and lie within each other. Whatever way
+    // light takes through them, it comes out as it went in; an event that is lost would leave it compressed
+    // by some index.
     let mut random = Random::new(15);
     let (mut worst, mut wrong, mut pixels) = (0.0f64, 0, 0);
     for _ in 0..12 {

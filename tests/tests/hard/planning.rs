@@ -1,12 +1,11 @@
 //! Plans: bounds that hold, promises that follow from bookings, and no worse for having more.
 
 use forelight_planner::{
-    Confidence, FixedBooking, Frame, Input, Interval, Job, Node, Plan, Task, Verdict, Weekly, WorkTotal,
-    expand, plan, verify,
+    Booking, Confidence, FixedBooking, Frame, Input, Interval, Job, Node, Plan, Task, Verdict, Weekly,
+    WorkTotal, expand, plan, verify,
 };
 use forelight_tests::case::case;
 use proptest::prelude::*;
-use proptest::test_runner::TestRunner;
 
 fn node(id: u64, speed: u64, price: i64, calendar: Vec<Interval>) -> Node {
     Node { id, name: format!("node {id}"), speed, price_per_hour: price, calendar, ..Node::default() }
@@ -141,72 +140,46 @@ prop_compose! {
     }
 }
 
-/// Runs `check` on that many random instances; returns how many it found wrong, having printed the first few.
-fn over_instances(cases: u32, mut check: impl FnMut(&Input) -> Result<(), String>) -> u64 {
-    let mut runner = TestRunner::deterministic();
-    let mut wrong = 0;
-    for _ in 0..cases {
-        let tree = instance().new_tree(&mut runner).expect("an instance");
-        let input = proptest::strategy::ValueTree::current(&tree);
-        if let Err(reason) = check(&input) {
-            if wrong < 3 {
-                println!("         {reason}\n         {input:?}");
-            }
-            wrong += 1;
-        }
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(4000))]
+
+    #[test]
+    fn every_plan_is_what_two_checkers_say_it_must_be(input in instance()) {
+        let found = plan(&input).unwrap();
+        prop_assert_eq!(verify(&input, &found), Ok(()));
+        prop_assert_eq!(wrongs(&input, &found), Vec::<String>::new());
     }
-    wrong
-}
 
-#[test]
-fn every_plan_is_what_two_checkers_say_it_must_be() {
-    let cases = 4000;
-    let wrong = over_instances(cases, |input| {
-        let found = plan(input).map_err(|e| e.to_string())?;
-        verify(input, &found).map_err(|e| format!("{e:?}"))?;
-        wrongs(input, &found).into_iter().next().map_or(Ok(()), Err)
-    });
-    case(25, "random plans (touching, empty, endless intervals) that one of two checkers refuses")
-        .never(wrong, cases.into());
-}
-
-#[test]
-fn a_later_deadline_or_a_cheaper_node_never_costs_more() {
-    let cases = 4000;
-    let mut tried = 0;
-    let wrong = over_instances(cases, |input| {
+    #[test]
+    fn a_later_deadline_or_a_cheaper_node_never_costs_more(input in instance()) {
         // One job, for a deadline also orders jobs among each other.
-        let mut input = input.clone();
+        let mut input = input;
         input.jobs.truncate(1);
-        let Some(job) = input.jobs.first_mut() else { return Ok(()) };
-        let deadline = job.deadline.get_or_insert(100);
-        *deadline += 50;
-        let later = plan(&input).map_err(|e| e.to_string())?;
-        *input.jobs[0].deadline.get_or_insert(0) -= 50;
-        let before = plan(&input).map_err(|e| e.to_string())?;
-        tried += 1;
-        if later.cost > before.cost {
-            return Err(format!("a later deadline costs {} instead of {}", later.cost, before.cost));
+        if input.jobs.is_empty() {
+            return Ok(());
         }
+        let deadline = input.jobs[0].deadline.unwrap_or(100);
+        input.jobs[0].deadline = Some(deadline + 50);
+        let later = plan(&input).unwrap().cost;
+        input.jobs[0].deadline = Some(deadline);
+        let before = plan(&input).unwrap().cost;
+        prop_assert!(later <= before, "a later deadline costs {later} instead of {before}");
         for index in 0..input.nodes.len() {
             let mut cheaper = input.clone();
             cheaper.nodes[index].price_per_hour /= 2;
-            let cost = plan(&cheaper).map_err(|e| e.to_string())?.cost;
-            if cost > before.cost {
-                return Err(format!("a cheaper node {index} costs {cost} instead of {}", before.cost));
-            }
+            let cost = plan(&cheaper).unwrap().cost;
+            prop_assert!(cost <= before, "a cheaper node {index} costs {cost} instead of {before}");
         }
-        Ok(())
-    });
-    case(25, "random plans that a later deadline or a cheaper node makes dearer").never(wrong, tried);
+    }
 }
 
-#[test]
-fn the_unit_of_work_the_origin_of_time_and_the_unit_of_money_do_not_matter() {
-    let cases = 2000;
-    let wrong = over_instances(cases, |input| {
-        let found = plan(input).map_err(|e| e.to_string())?;
-        let mut other = input.clone();
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    #[test]
+    fn the_unit_of_work_the_origin_of_time_and_the_unit_of_money_do_not_matter(input in instance()) {
+        let found = plan(&input).unwrap();
+        let mut other = input;
         let shift = 1_700_000_000_000_000i64;
         other.now += shift;
         for n in &mut other.nodes {
@@ -229,21 +202,12 @@ fn the_unit_of_work_the_origin_of_time_and_the_unit_of_money_do_not_matter() {
             f.start += shift;
             f.end += shift;
         }
-        let moved = plan(&other).map_err(|e| e.to_string())?;
-        let back: Vec<_> = moved
-            .bookings
-            .iter()
-            .map(|b| forelight_planner::Booking { start: b.start - shift, end: b.end - shift, ..*b })
-            .collect();
+        let moved = plan(&other).unwrap();
+        let back = |b: &Booking| Booking { start: b.start - shift, end: b.end - shift, ..*b };
+        prop_assert_eq!(moved.bookings.iter().map(back).collect::<Vec<_>>(), found.bookings);
         // Prices are whole micro-units a microsecond here, so seven times the price is seven times the cost.
-        if back == found.bookings && moved.cost == 7 * found.cost {
-            Ok(())
-        } else {
-            Err("another plan".into())
-        }
-    });
-    case(25, "random plans that another unit of work or money, or another epoch, changes")
-        .never(wrong, cases.into());
+        prop_assert_eq!(moved.cost, 7 * found.cost);
+    }
 }
 
 /// The least end over all ways to put the works onto the nodes, in any order: nodes without gaps.
@@ -285,8 +249,8 @@ fn bound_optimum_and_plan_stand_in_this_order_on_all_small_farms() {
         tried += 1;
     }
     case(25, "small farms where bound ≤ optimum ≤ plan does not hold").never(wrong, tried);
-    // Longest first by earliest finish on uniform nodes: below 2m/(m + 1) of the optimum (Gonzalez, Ibarra, Sahni 1977), and
-    // rounding up to microseconds can add one for each frame to ends of at least eleven.
+    // Longest first by earliest finish on uniform nodes: below 2m/(m + 1) of the optimum (Gonzalez, Ibarra,
+    // Sahni 1977), and rounding up to microseconds can add one for each frame to ends of at least eleven.
     case(25, "end of the plan over the optimum's, up to three nodes of speeds 1 to 3")
         .worst(widest, 1.5 + 0.1);
 }
@@ -294,8 +258,8 @@ fn bound_optimum_and_plan_stand_in_this_order_on_all_small_farms() {
 #[test]
 fn slots_of_no_length_and_bookings_that_touch_leave_exactly_the_time_between() {
     let at = |start, end| Interval { start, end: Some(end) };
-    // Free 0–10, 10–10, 10–30, 30–31; booked 5–10 and 10–20 and 30–30: a frame of 10 fits at 20 to the microsecond, one of 12
-    // does not fit at all.
+    // Free 0–10, 10–10, 10–30, 30–31; booked 5–10 and 10–20 and 30–30: a frame of 10 fits at 20 to the
+    // microsecond, one of 12 does not fit at all.
     let calendar = vec![at(0, 10), at(10, 10), at(10, 30), at(30, 31)];
     let booked = |start, end| FixedBooking { node: 0, start, end, ..FixedBooking::default() };
     let fixed = vec![booked(5, 10), booked(10, 20), booked(30, 30)];
@@ -338,7 +302,8 @@ fn the_ends_of_time_are_verdicts_and_no_panic() {
 #[test]
 fn nights_in_which_clocks_change_lose_and_gain_their_hour() {
     use jiff::civil::{Weekday, time};
-    // From 22:00 to 06:00 in Vienna: seven hours in the night to 29 March 2026, nine in that to 25 October, eight in others.
+    // From 22:00 to 06:00 in Vienna: seven hours in the night to 29 March 2026, nine in that to 25 October,
+    // eight in others.
     let night = Weekly {
         zone: "Europe/Vienna".into(),
         days: vec![Weekday::Saturday],

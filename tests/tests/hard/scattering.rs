@@ -1,5 +1,5 @@
-//! Scattering functions by themselves, beside what finished pixels say of them: symmetry under an exchange of directions, energy
-//! from any direction, Fresnel's equations to the last ulps.
+//! Scattering functions by themselves, beside what finished pixels say of them: symmetry under an exchange of
+//! directions, energy from any direction, Fresnel's equations to the last ulps.
 
 use forelight_tests::case::case;
 use forelight_tracer::bsdf::Bsdf;
@@ -78,8 +78,8 @@ fn transmission_is_symmetric_but_for_the_squared_index() {
         }
     }
     assert!(pairs > 100, "{pairs} pairs transmit anything");
-    // The half vector wi + η wo shrinks to η − 1 of their length: at an index of 1.1 its rounding is ten times larger, and the
-    // distribution of facets takes the fourth power of it.
+    // The half vector wi + η wo shrinks to η − 1 of their length. At an index of 1.1 its rounding is ten
+    // times larger, and the distribution of facets takes its fourth power.
     case(4, "BSDFs by themselves: transmission there = transmission back · η²").worst(worst, 1e-4);
 }
 
@@ -110,14 +110,16 @@ fn fresnel_is_exact_at_its_edges() {
     // 1 − sin² loses at most ten bits where that is 1e-3 from the edge.
     case(6, "Fresnel's reflectance against f64, index 0.67 to 10, a thousandth from the edge")
         .worst(worst, 2e-5);
-    // At the critical angle itself, ulp by ulp: never above 1, and within what a few ulps of the cosine can do.
+    // At the critical angle itself, ulp by ulp: never above 1, and within what a few ulps of the cosine can
+    // do.
     let (mut wrong, mut tried) = (0, 0);
     for eta in [1.0f32 / 1.1, 1.0 / 1.5, 1.0 / 2.4, 0.1] {
         let critical = ((1.0 - f64::from(eta)) * (1.0 + f64::from(eta))).sqrt() as f32;
         for step in -100..=100 {
             let cos = |step: i32| f32::from_bits(critical.to_bits().wrapping_add_signed(step));
             let found = at(cos(step), eta);
-            // Nine ulps of the cosine are what the rounding of sin² may stand for; the square root's own is 1e-6.
+            // Nine ulps of the cosine are what the rounding of sin² may stand for; the square root's own is
+            // 1e-6.
             let (highest, lowest) =
                 (exact(cos(step - 9).into(), eta.into()), exact(cos(step + 9).into(), eta.into()));
             wrong += u64::from(!(found <= highest.min(1.0) + 1e-6 && found >= lowest - 1e-6 && found <= 1.0));
@@ -156,8 +158,9 @@ proptest! {
             if let Some(density) = chosen.density {
                 prop_assert!(density.is_finite() && density > 0.0, "{:?}", chosen);
             }
-            // White surfaces: a weight is a share of light over the probability of its lobe. Refraction into a thinner medium
-            // compresses light by the squared index; mixtures of two lobes weigh at most one over the rarer one's least share.
+            // White surfaces: a weight is a share of light over the probability of its lobe. Refraction into
+            // a thinner medium compresses light by the squared index; mixtures of two lobes weigh at most one
+            // over the rarer one's least share.
             if matches!(kind, 0 | 2 | 3) {
                 prop_assert!(chosen.weight.max_element() <= 1.0 + 1e-5, "{:?}", chosen);
             }

@@ -1,4 +1,5 @@
-//! The irradiance cache among threads and frames: what must be the same, and what stays true when something moves.
+//! The irradiance cache among threads and frames: what must be the same, and what stays true when something
+//! moves.
 
 use crate::cache::{AT_THE_NOOK, image, nook, records, settings, wall};
 use forelight_tests::case::case;

@@ -67,8 +67,8 @@ fn scaled_by_powers_of_two_image_and_counters_have_the_same_bits() {
         .never(wrong, 1024 * powers.len() as u64);
 }
 
-/// How far an image is from another: the root mean square difference of pixels, and the relative difference of the means in
-/// standard errors; then the relative difference of cost, as `cost` counts it.
+/// How far an image is from another: the root mean square difference of pixels, and the relative difference
+/// of the means in standard errors; then the relative difference of cost, as `cost` counts it.
 fn distance(a: &Image, b: &Image, cost: fn(&Image) -> f64) -> (f64, f64, f64) {
     let (va, vb) = (values(a), values(b));
     let n = va.len() as f64;
@@ -87,7 +87,8 @@ fn rays(image: &Image) -> f64 {
     image.totals().rays.iter().sum::<u64>() as f64
 }
 
-/// The worst over images of: pixels' difference as a share of what another seed makes, bias in standard errors, cost.
+/// The worst over images of: pixels' difference as a share of what another seed makes, bias in standard
+/// errors, cost.
 pub fn compare(
     base: &Image,
     reseeded: &Image,
@@ -116,8 +117,8 @@ fn rooms(places: &[(String, Similarity)], count: fn(&Image) -> f64) -> (f64, f64
 }
 
 pub fn judge(what: &str, (difference, bias, cost): (f64, f64, f64)) {
-    // Another seed changes pixels by 1; a rounding that sends paths elsewhere can do no more. A quarter of slack, as the ratio
-    // of two root mean squares over 1024 pixels with bright outliers.
+    // Another seed changes pixels by 1; a rounding that sends paths elsewhere can do no more. A quarter of
+    // slack, as the ratio of two root mean squares over 1024 pixels with bright outliers.
     case(7, format!("{what}: pixels' difference in units of another seed's")).worst(difference, 1.25);
     case(7, format!("{what}: difference of the image means in standard errors")).worst(bias, 5.0);
     // The table allows 1 %.
@@ -161,8 +162,8 @@ fn scenes_moved_by_a_hundred_times_their_size_look_and_cost_the_same() {
     judge("a room of 4 m moved by 40 and 400 m", rooms(&[moved(40.0), moved(400.0)], work));
 }
 
-/// A closed room of side 1 with steps of a millimetre along a wall, far from the origin, as a bundle: everything in it glows, so
-/// that without a bounce every point shows emission and what it reflects of it.
+/// A bundle of a closed room of side 1, far from the origin, with steps of a millimetre along a wall.
+/// Everything in it glows, so that without a bounce every point shows emission and what it reflects of it.
 fn far_room(distance: f64) -> Files {
     let mut obj = String::from("mtllib scene.mtl\no room\nusemtl glow\n");
     let mut faces = String::new();
@@ -221,7 +222,8 @@ fn far(distance: f64) -> Option<f64> {
 #[test]
 fn details_of_a_millimetre_are_right_up_to_ten_metres_from_the_origin() {
     let worst = [0.0, 1.0, 10.0].into_iter().filter_map(far).fold(0.0, f64::max);
-    // Direct light of the room on itself: 64 samples of both kinds, a noise of 3 % at most by pixel; acne or a leak is 33 %.
+    // Direct light of the room on itself: 64 samples of both kinds, a noise of 3 % at most by pixel; acne or
+    // a leak is 33 %.
     case(8, "a glowing room with millimetre steps 0 to 10 m away, worst pixel").worst(worst, 0.2);
 }
 
@@ -284,7 +286,8 @@ fn a_plate_a_ten_millionth_behind_another_is_seen() {
 
 #[test]
 fn a_lamp_a_hair_above_a_floor_lights_it() {
-    // A lamp as wide as the floor, so close that all its light falls on what lies below it: E = π L, whatever the gap.
+    // A lamp as wide as the floor, so close that all its light falls on what lies below it: E = π L, whatever
+    // the gap.
     let mut worst = 0.0f64;
     for gap in [1e-2, 1e-3] {
         let world = World::default().floor(DVec3::ZERO, 1.0, material(lambert(0.5), 0.0)).ceiling(

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 
 use forelight_planner as planner;
 use forelight_protocol::{
-    AccuracyRung, ByClass, Job, Money, Node, NodeSeconds, PlanReason, Quantiles, Timestamp, Verdict,
+    AccuracyRung, Job, Money, Node, NodeSeconds, PlanReason, Quantiles, Timestamp, Verdict,
 };
-use forelight_store::{FarmFrame, FarmJob, JobForecast, NewPartBooking, NewPlan, NewSharedCache, QuoteBasis};
+use forelight_quote::{JobForecast, Quote, QuoteBasis, mean_price};
+use forelight_store::{FarmFrame, FarmJob, NewPartBooking, NewPlan, NewSharedCache};
 
-use super::estimate::Forecast;
 use super::farm::{Farm, MOST_NODES, Snapshot, bookable};
 use super::qualities::qualities;
 use super::settle::{Settled, Unsettled, settle};
@@ -19,7 +19,7 @@ impl Conductor {
     pub(super) async fn book(
         &self,
         job: &Job,
-        forecast: &Forecast,
+        forecast: &Quote,
         basis: Option<&QuoteBasis>,
         rungs: &[AccuracyRung],
     ) -> Result<(), AdvanceError> {
@@ -45,14 +45,15 @@ impl Conductor {
         .await?;
         let Settled { plan, jobs, outlooks } = self.passed(settled)?;
         let of_cache = plan.bookings.iter().filter(|booking| booking.task.is_seed());
-        let shared_cache = match (&forecast.seed, kept.cache.as_ref().and_then(|cache| cache.seed.as_ref())) {
-            (Some(seed), Some(line)) => Some(NewSharedCache {
-                cache: seed.cache,
-                parts: line.parts,
-                bookings: of_cache.map(|booking| own_part(booking, &nodes)).collect::<Result<_, _>>()?,
-            }),
-            _ => None,
-        };
+        let shared_cache =
+            match (&forecast.shared_cache, kept.cache.as_ref().and_then(|cache| cache.seed.as_ref())) {
+                (Some(seed), Some(line)) => Some(NewSharedCache {
+                    cache: seed.cache,
+                    parts: line.parts,
+                    bookings: of_cache.map(|booking| own_part(booking, &nodes)).collect::<Result<_, _>>()?,
+                }),
+                _ => None,
+            };
         let verdict =
             jobs.iter().find(|planned| planned.verdict.job_id == id).map(|planned| &planned.verdict);
         let word = verdict.map_or("", |verdict| verdict.verdict.name());
@@ -83,7 +84,7 @@ impl Conductor {
 }
 
 /// A job that gets its first plan, as the farm has those that have one.
-fn fresh(job: &Job, kept: &JobForecast, forecast: &Forecast, spent: Money) -> FarmJob {
+fn fresh(job: &Job, kept: &JobForecast, forecast: &Quote, spent: Money) -> FarmJob {
     FarmJob {
         job: job.clone(),
         forecast: Some(kept.clone()),
@@ -167,16 +168,9 @@ fn own_part(booking: &planner::Booking, nodes: &[Node]) -> Result<NewPartBooking
     }
 }
 
-/// Micro-units for a second of such work on a core of speed 1, on average over the nodes; `None` without nodes.
-pub(super) fn mean_price(nodes: &[Node], work: Option<&ByClass>) -> Option<f64> {
-    let speed = |node: &Node| node.speed_for(work) * f64::from(node.cores);
-    let price = |node: &Node| node.price_per_hour.micro_units() as f64 / 3600.0 / speed(node);
-    (!nodes.is_empty()).then(|| nodes.iter().map(price).sum::<f64>() / nodes.len() as f64)
-}
-
 /// Fills in what depends on the farm: into how many parts a shared cache is split, and everything in money, at the mean price that the nodes ask
 /// for a second of a core of speed 1.
-fn price(kept: &mut JobForecast, forecast: &Forecast, nodes: &[Node]) {
+fn price(kept: &mut JobForecast, forecast: &Quote, nodes: &[Node]) {
     let mean_price = mean_price(nodes, kept.work_by_class.as_ref());
     let cost = |cpu_seconds: &Quantiles| mean_price.map(|price| cpu_seconds.in_money(price));
     if let Some(cache) = &mut kept.cache {
@@ -185,7 +179,7 @@ fn price(kept: &mut JobForecast, forecast: &Forecast, nodes: &[Node]) {
         }
         if let Some(seed) = &mut cache.seed {
             seed.cost = cost(&seed.cpu_seconds);
-            seed.parts = forecast.seed.as_ref().map_or(1, |plan| plan.parts(nodes.len()));
+            seed.parts = forecast.shared_cache.as_ref().map_or(1, |plan| plan.parts(nodes.len()));
         }
     }
     kept.cost = cost(&kept.total.cpu_seconds.plus(&kept.shared_cache_seconds()));

@@ -180,8 +180,6 @@ impl Farm {
                 let other = other(job.id)?;
                 (PlanChange::WithoutJob { job_id: other.id }, format!("without {}", other.name))
             }
-            // A frame is rendered by one node here.
-            Change::Tiles { .. } => return None,
         })
     }
 }

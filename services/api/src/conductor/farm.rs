@@ -7,9 +7,11 @@ use forelight_planner::{self as planner, FixedBooking, Interval};
 use forelight_protocol::{
     CacheQuote, Confidence, Job, JobId, Money, Node, NodeId, PlanId, Quantiles, Timestamp,
 };
+use forelight_quote::JobForecast;
+use forelight_quote::living::is_news;
 use forelight_store::{
-    FarmJob, HALF_LIFE, JobForecast, LOST, Opening, ProjectUse, Projected, Projection, Store, StoreError,
-    Wanted, free_time_of, is_news, opening, project, silence,
+    FarmJob, HALF_LIFE, LOST, Opening, ProjectUse, Projected, Projection, Store, StoreError, Wanted,
+    free_time_of, opening, project, silence,
 };
 
 /// Nodes that a plan looks at.
@@ -185,7 +187,6 @@ impl Farm {
                 start: booking.start,
                 end: booking.end,
                 job: Some(booking.job),
-                ..FixedBooking::default()
             }
         }));
         input.jobs.retain(|other| other.id == own);
@@ -246,7 +247,6 @@ fn planner_job(
             .collect(),
         done: farm_job.frames.iter().filter(|each| !each.waits).map(|each| i64::from(each.number)).collect(),
         budget: job.budget.map(|budget| budget.micro_units().saturating_sub(asked.spent)),
-        ..planner::Job::default()
     }
 }
 
@@ -258,7 +258,6 @@ fn planner_node(node: &Node, id: u64, now: Timestamp, horizon: Timestamp, spare:
         id,
         name: node.name.clone(),
         speed: speed(node),
-        cores: node.cores,
         price_per_hour: node.price_per_hour.micro_units(),
         billing_step: seconds(node.terms.billing_step_seconds),
         minimum_booking: seconds(node.terms.minimum_booking_seconds),
@@ -337,7 +336,7 @@ fn under_way(
         let node = *nodes.get(&part.node_id)?;
         let (start, end) = (part.start.micros(), part.end.micros());
         let job = jobs.get(&part.booking.job_id).copied();
-        Some(FixedBooking { node, start, end: end.max(start), job, ..FixedBooking::default() })
+        Some(FixedBooking { node, start, end: end.max(start), job })
     });
     snapshot
         .projected
@@ -348,7 +347,7 @@ fn under_way(
             let node = *nodes.get(&frame.node_id)?;
             let (start, end) = (frame.start.micros(), frame.end.micros());
             let job = jobs.get(&frame.booking.job_id).copied();
-            Some(FixedBooking { node, start, end: end.max(start), job, ..FixedBooking::default() })
+            Some(FixedBooking { node, start, end: end.max(start), job })
         })
         .chain(parts)
         .collect()

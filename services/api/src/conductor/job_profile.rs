@@ -1,23 +1,24 @@
-//! What is kept of what workers measured of a job: all that later questions about its cost rest on.
+//! What workers measured of a job, and the questions about its cost that follow from it alone.
 
-use forelight_protocol::{Job, PreviewResult};
-use forelight_store::{MeasuredProfile, PlannedCache, Store, StoreError};
+use forelight_protocol::{AccuracyDoc, Explanation, Job, PreviewResult, RenderSettings};
+use forelight_quote::{Measured, MeasuredProfile, with_samples};
+use forelight_store::{PlannedCache, Store, StoreError};
 
-use super::accuracy::with_samples;
-use super::sharing::SharedWay;
+use super::{AdvanceError, compute};
 
 /// A profiled job.
 #[derive(Clone, Debug)]
 pub(crate) struct JobProfile {
-    pub preview: PreviewResult,
-    /// At the camera samples that the job is rendered with: one that was given a time is profiled with others.
-    pub profiles: Vec<MeasuredProfile>,
+    preview: PreviewResult,
+    /// With the camera samples that the job is rendered with. A job with a limit is profiled with others.
+    profiles: Vec<MeasuredProfile>,
     /// The plan of the irradiance cache that its frames share, if they do.
-    pub shared: PlannedCache,
+    shared: PlannedCache,
+    settings: RenderSettings,
 }
 
 impl JobProfile {
-    /// Of this job; `None` until it is profiled.
+    /// Reads it; `None` until the job is profiled.
     pub async fn read(store: &Store, job: &Job) -> Result<Option<Self>, StoreError> {
         let Some(preview) = store.preview_result(job.id).await? else { return Ok(None) };
         let profiles = store.profile_results(job.id).await?.filter(|profiles| !profiles.is_empty());
@@ -26,11 +27,20 @@ impl JobProfile {
         let quote = store.forecast(job.id).await?;
         let shares = quote.and_then(|quote| quote.cache).is_some_and(|cache| cache.shared);
         let shared = if shares { store.planned_cache(job.id).await? } else { PlannedCache::NotAsked };
-        Ok(Some(Self { preview, profiles, shared }))
+        Ok(Some(Self { preview, profiles, shared, settings: job.settings.clone() }))
     }
 
-    /// How its frames come by their irradiance caches, if it is not each by its own.
-    pub(super) fn way(&self) -> Option<SharedWay<'_>> {
-        SharedWay::of(&self.shared)
+    fn measured(&self) -> Measured<'_> {
+        Measured::new(&self.preview, &self.profiles).with_cache(self.shared.plan())
+    }
+
+    /// What other qualities of the job cost.
+    pub async fn qualities(self) -> Result<AccuracyDoc, AdvanceError> {
+        compute(move || Ok(self.measured().qualities(&self.settings)?)).await
+    }
+
+    /// What the work of the job goes into, or of one of its frames.
+    pub async fn explanation(self, frame: Option<u32>) -> Result<Explanation, AdvanceError> {
+        compute(move || Ok(self.measured().explain(&self.settings, frame)?)).await
     }
 }

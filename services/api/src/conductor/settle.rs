@@ -400,7 +400,6 @@ fn waits(farm: &Farm, plan: &planner::Plan) -> Result<BTreeMap<usize, Waits>, Ad
             let (kind, behind) = match reason {
                 Reason::NoNode => (WaitKind::Node, Vec::new()),
                 Reason::Calendar { .. } => (WaitKind::Calendar, Vec::new()),
-                Reason::Limit { .. } => (WaitKind::Limit, Vec::new()),
                 Reason::Behind { jobs } => (WaitKind::Others, jobs.clone()),
                 Reason::Cheaper => (WaitKind::Cheaper, Vec::new()),
             };

@@ -7,12 +7,8 @@ use axum::http::request::Parts;
 use forelight_protocol::{LeaseId, NodeId, ProblemKind, Role};
 use forelight_store::tokens::{self, Principal};
 
-use crate::error::{ApiError, ApiResult};
+use crate::error::{ApiError, ApiResult, BAD_TOKEN, NO_TOKEN, WRONG_ROLE};
 use crate::state::App;
-
-const NO_TOKEN: &str = "Bearer realm=\"forelight\"";
-pub(crate) const BAD_TOKEN: &str = "Bearer realm=\"forelight\", error=\"invalid_token\"";
-const WRONG_ROLE: &str = "Bearer realm=\"forelight\", error=\"insufficient_scope\"";
 
 macro_rules! caller {
     ($(#[$doc:meta])* $name:ident, $($role:ident)|+) => {

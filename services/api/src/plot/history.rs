@@ -3,7 +3,7 @@
 use forelight_protocol::{ForecastHistory, HistoryPoint, JobState, Timestamp};
 use plotters::prelude::*;
 
-use super::{Area, CALIBRATED, Chart, Drawn, FORMULAS, GREY, SIZE, legend, svg};
+use super::chart::{Area, CALIBRATED, Chart, Drawn, FORMULAS, GREY, SIZE, legend, svg};
 
 /// Left, what the job was expected to take as its frames were finished, with what was booked and what it was in the end. Right, when it was
 /// expected to end.

@@ -1,61 +1,32 @@
 //! Answers about a job's plan.
 
-use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 use forelight_protocol::{AccuracyRung, AnswersDoc, Job, JobId, JobState, Money, ProblemKind, Timestamp};
 use serde::Deserialize;
-use tokio::sync::Semaphore;
 use utoipa::IntoParams;
 
 use crate::conductor::answers::{Question, answers, curve_svg};
 use crate::conductor::farm::{Farm, Snapshot};
 use crate::conductor::job_profile::JobProfile;
-use crate::conductor::{AdvanceError, accuracy, compute};
+use crate::conductor::{AdvanceError, compute};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
-use crate::openapi::FileContent;
-use crate::resources::HIGHEST_SUM;
+use crate::resources::checks::HIGHEST_SUM;
+use crate::resources::responses;
+use crate::schema::FileContent;
 use crate::state::App;
 
 /// Answers are seen from the minute that has begun, so that for a minute they are the same.
 const MINUTE: i64 = 60_000_000;
-/// Answers that are kept.
-const KEPT: usize = 64;
 /// How long a job's answers may take before questions are left out.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// How long a request waits for its turn.
 const TURN: Duration = Duration::from_secs(20);
-
-/// Works answers out, one at a time, and keeps the newest: by the plan and everything else that they rest on.
-pub(crate) struct Desk {
-    turn: Semaphore,
-    kept: Mutex<VecDeque<([u8; 32], Arc<AnswersDoc>)>>,
-}
-
-impl Default for Desk {
-    fn default() -> Self {
-        Self { turn: Semaphore::new(1), kept: Mutex::default() }
-    }
-}
-
-impl Desk {
-    fn find(&self, key: &[u8; 32]) -> Option<Arc<AnswersDoc>> {
-        let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        kept.iter().find(|(other, _)| other == key).map(|(_, document)| document.clone())
-    }
-
-    fn keep(&self, key: [u8; 32], document: Arc<AnswersDoc>) {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        kept.push_front((key, document));
-        kept.truncate(KEPT);
-    }
-}
 
 /// What is asked about a job.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
@@ -95,7 +66,7 @@ pub(crate) async fn price_curve(
     Segment(job): Segment<JobId>,
 ) -> ApiResult<Response> {
     let svg = curve_svg(&*found(&app, job, &AnswersQuery::default()).await?);
-    Ok(([(CONTENT_TYPE, "image/svg+xml"), (CACHE_CONTROL, "private, no-cache")], svg).into_response())
+    Ok(responses::svg(svg))
 }
 
 async fn found(app: &App, job: JobId, query: &AnswersQuery) -> ApiResult<Arc<AnswersDoc>> {
@@ -153,7 +124,7 @@ fn refused(error: AdvanceError) -> ApiError {
 /// Other qualities of a job, as far as its profile knows any.
 async fn rungs(app: &App, job: &Job) -> ApiResult<Vec<AccuracyRung>> {
     let Some(measured) = JobProfile::read(&app.store, job).await? else { return Ok(Vec::new()) };
-    match accuracy::accuracy(job.settings.clone(), measured).await {
+    match measured.qualities().await {
         Ok(document) => Ok(document.rungs),
         Err(AdvanceError::Store(error)) => Err(error.into()),
         // The profile says nothing of other qualities: then there are none to be offered.

@@ -8,10 +8,10 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{ArtifactHash, ArtifactStored};
 
-use super::file;
+use super::responses::file;
 use crate::error::{ApiResult, Problems};
 use crate::extract::{Anyone, Segment, WorkerToken, within_announced_length};
-use crate::openapi::FileContent;
+use crate::schema::FileContent;
 use crate::state::App;
 
 const MEDIA_TYPE: &str = "application/octet-stream";

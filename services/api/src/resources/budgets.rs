@@ -6,11 +6,10 @@ use forelight_protocol::{
     Budget, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetRequest, Money, Night, ProblemKind,
 };
 
-use super::nodes::check_name;
+use super::checks::{HIGHEST_SUM, check_name};
+use crate::budget_forecast::{BudgetForecastError, budget_forecast};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, Operator, Reader};
-use crate::night::{NightError, budget_forecast};
-use crate::resources::HIGHEST_SUM;
 use crate::state::App;
 
 /// Thresholds that a budget may have.
@@ -70,12 +69,14 @@ pub(crate) async fn forecast(
 ) -> ApiResult<Json<BudgetForecast>> {
     match budget_forecast(&app.store, &request, app.now()).await {
         Ok(forecast) => Ok(Json(forecast)),
-        Err(NightError::Invalid { pointer, reason }) => Err(ApiError::invalid(pointer, reason)),
-        Err(NightError::Store(error)) => Err(error.into()),
-        Err(NightError::Unfinished(error)) => {
+        Err(BudgetForecastError::Invalid { pointer, reason }) => Err(ApiError::invalid(pointer, reason)),
+        Err(BudgetForecastError::Store(error)) => Err(error.into()),
+        Err(BudgetForecastError::Unfinished(error)) => {
             tracing::error!(%error, "a forecast was not finished");
             Err(ApiError::new(ProblemKind::Internal, "the service failed; its log says more"))
         }
-        Err(error @ NightError::Bookings(_)) => Err(ApiError::new(ProblemKind::Conflict, error.to_string())),
+        Err(error @ BudgetForecastError::Bookings(_)) => {
+            Err(ApiError::new(ProblemKind::Conflict, error.to_string()))
+        }
     }
 }

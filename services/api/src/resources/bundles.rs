@@ -8,17 +8,17 @@ use axum::response::Response;
 use forelight_protocol::{Bundle, BundleId, ProblemKind};
 use forelight_store::NewBundle;
 
-use super::{created, repeated};
+use super::responses::{created, repeated};
+use crate::bundle_inspection;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{Anyone, KeyHeader, Segment, Submitter, media_type, within_announced_length};
-use crate::openapi::FileContent;
-use crate::scenes;
+use crate::schema::{FileContent, IdempotencyKeyHeader};
 use crate::state::App;
 
 /// Uploads a bundle as a zip file. It is kept only if it is a scene; if not, the answer is the scene error.
 #[utoipa::path(post, path = "/v1/bundles", tag = "bundles",
     request_body(content = inline(FileContent), content_type = "application/zip", description = "The zip file; by default at most 256 MiB"),
-    params(("Idempotency-Key" = Option<String>, Header, description = "Makes repeating the request harmless", min_length = 1, max_length = 255, pattern = "^[ -~]+$")),
+    params(IdempotencyKeyHeader),
     responses((status = 201, description = "The bundle", body = Bundle), Problems))]
 pub(crate) async fn upload(
     State(app): State<App>,
@@ -46,7 +46,7 @@ pub(crate) async fn upload(
     {
         return Ok(repeated(answer));
     }
-    let scene = scenes::inspect(&app, staged.path().to_owned(), "bundle.zip").await?;
+    let scene = bundle_inspection::inspect(&app, staged.path().to_owned(), "bundle.zip").await?;
     let stored = app.store.artifacts().keep(staged, app.now()).await?;
     app.metrics.bytes_received.add(stored.size);
     let answered = app.store.create_bundle(NewBundle { hash, scene }, key.as_ref(), app.now()).await?;

@@ -12,6 +12,6 @@ use crate::state::App;
 #[utoipa::path(get, path = "/v1/dashboard", tag = "farm", responses((status = 200, description = "The farm", body = Dashboard), Problems))]
 pub(crate) async fn get(State(app): State<App>, _: Reader) -> ApiResult<Json<Dashboard>> {
     let mut farm = app.store.dashboard(app.lease_ttl, app.now()).await?;
-    app.tell_lack_of_room(farm.jobs.iter_mut().map(|job| (job.state, &mut job.waits)));
+    app.tell_disk_full(farm.jobs.iter_mut().map(|job| (job.state, &mut job.waits)));
     Ok(Json(farm))
 }

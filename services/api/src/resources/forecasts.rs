@@ -2,8 +2,7 @@
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 use forelight_forecast::Correction;
 use forelight_protocol::{
     AccuracyDoc, CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Explanation, ForecastDoc,
@@ -13,14 +12,13 @@ use forelight_protocol::{
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use crate::conductor::accuracy::accuracy;
-use crate::conductor::explain::explanation;
 use crate::conductor::job_profile::JobProfile;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
-use crate::openapi::FileContent;
 use crate::page::{PageQuery, cut};
 use crate::plot;
+use crate::resources::responses;
+use crate::schema::FileContent;
 use crate::state::App;
 
 /// A job's quote. 409 until it is there.
@@ -53,7 +51,7 @@ pub(crate) async fn accuracy_of_job(
 ) -> ApiResult<Json<AccuracyDoc>> {
     let job = app.store.job(id).await?;
     let measured = profile(&app, &job).await?;
-    match accuracy(job.settings, measured).await {
+    match measured.qualities().await {
         Ok(document) => Ok(Json(document)),
         Err(reason) => {
             Err(ApiError::new(ProblemKind::Conflict, format!("the profile says nothing: {reason}")))
@@ -87,7 +85,7 @@ pub(crate) async fn explanation_of_job(
         return Err(ApiError::new(ProblemKind::NotFound, format!("the job has no frame {frame}")));
     }
     let measured = profile(&app, &job).await?;
-    match explanation(job.settings, measured, frame).await {
+    match measured.explanation(frame).await {
         Ok(document) => Ok(Json(document)),
         Err(reason) => {
             Err(ApiError::new(ProblemKind::Conflict, format!("the profile says nothing: {reason}")))
@@ -140,7 +138,7 @@ fn svg(drawn: Result<String, String>) -> ApiResult<Response> {
     let svg = drawn.map_err(|reason| {
         ApiError::new(ProblemKind::Internal, format!("the picture cannot be drawn: {reason}"))
     })?;
-    Ok(([(CONTENT_TYPE, "image/svg+xml"), (CACHE_CONTROL, "private, no-cache")], svg).into_response())
+    Ok(responses::svg(svg))
 }
 
 /// Forecast against actual over all finished frames, also by kind of quote, and the frames themselves, newest first.

@@ -7,11 +7,11 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{ArtifactHash, FrameArtifacts, FramePage, FrameRow, JobId, ProblemKind};
 
-use super::file;
+use super::responses::file;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, Segments};
-use crate::openapi::FileContent;
 use crate::page::{PageQuery, cut};
+use crate::schema::FileContent;
 use crate::state::App;
 
 /// The frames of a job, ascending: forecast, actual, error, booking, times, pictures.

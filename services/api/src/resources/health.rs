@@ -25,7 +25,7 @@ pub(crate) async fn readyz(State(app): State<App>) -> ApiResult<&'static str> {
         tracing::error!(%error, "the database does not answer");
         ApiError::new(ProblemKind::Busy, "the database does not answer")
     })?;
-    app.check_room()?;
+    app.check_disk_space()?;
     Ok("ready\n")
 }
 

@@ -1,6 +1,6 @@
 //! Jobs.
 
-mod check;
+mod request_checks;
 
 use axum::Json;
 use axum::extract::State;
@@ -11,15 +11,16 @@ use forelight_store::{JobFilter, project};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use super::{created, repeated};
+use super::responses::{created, repeated};
 use crate::error::{ApiResult, Problems};
 use crate::extract::{JsonBody, KeyHeader, QueryParameters, Reader, Segment, Submitter, number_if_any};
 use crate::page::{LARGEST_PAGE, PageQuery, cut};
+use crate::schema::IdempotencyKeyHeader;
 use crate::state::App;
 
 /// Submits a job. It is previewed, forecast, booked and rendered from here on.
 #[utoipa::path(post, path = "/v1/jobs", tag = "jobs", request_body = JobRequest,
-    params(("Idempotency-Key" = Option<String>, Header, description = "Makes repeating the request harmless", min_length = 1, max_length = 255, pattern = "^[ -~]+$")),
+    params(IdempotencyKeyHeader),
     responses((status = 201, description = "The job", body = Job), Problems))]
 pub(crate) async fn submit(
     State(app): State<App>,
@@ -34,7 +35,7 @@ pub(crate) async fn submit(
     {
         return Ok(repeated(answer));
     }
-    let new = check::checked(&app, request).await?;
+    let new = request_checks::checked(&app, request).await?;
     Ok(created(StatusCode::CREATED, app.store.create_job(&new, key.as_ref(), app.now()).await?))
 }
 
@@ -46,7 +47,7 @@ pub(crate) async fn check(
     _: Submitter,
     JsonBody { value: request, .. }: JsonBody<JobRequest>,
 ) -> ApiResult<Json<JobCheck>> {
-    let new = check::checked(&app, request).await?;
+    let new = request_checks::checked(&app, request).await?;
     let frames_total = u32::try_from(new.request.frames.count()).unwrap_or(u32::MAX);
     Ok(Json(JobCheck { scene: new.scene, frames: new.request.frames, frames_total, settings: new.settings }))
 }
@@ -129,6 +130,6 @@ async fn expect(app: &App, jobs: &mut [Job]) -> ApiResult<()> {
         jobs.iter_mut().for_each(|job| job.eta = projected.eta(job));
     }
     // What is expected hangs on what the plan says of waiting.
-    app.tell_lack_of_room(jobs.iter_mut().map(|job| (job.state, &mut job.waits)));
+    app.tell_disk_full(jobs.iter_mut().map(|job| (job.state, &mut job.waits)));
     Ok(())
 }

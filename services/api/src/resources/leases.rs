@@ -2,7 +2,7 @@
 
 pub(crate) mod checkpoint;
 mod claim;
-mod fits;
+mod result_checks;
 
 use axum::Json;
 use axum::extract::State;
@@ -16,9 +16,10 @@ use forelight_protocol::{
 use forelight_store::StoreError;
 
 use self::claim::Claimed;
-use super::created;
+use super::responses::created;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, KeyHeader, Large, Segment, WorkerToken};
+use crate::schema::IdempotencyKeyHeader;
 use crate::state::App;
 
 /// Longest wait for a task, in milliseconds.
@@ -27,7 +28,7 @@ const LONGEST_WAIT: u32 = 60_000;
 /// Hands out a task. If there is none, waits for one up to `wait_ms`; 204 if there still is none then. A node that sleeps by its calendar is answered 204 at
 /// once, with `Retry-After`: it is not to ask again before it wakes up.
 #[utoipa::path(post, path = "/v1/leases", tag = "work", request_body = ClaimRequest,
-    params(("Idempotency-Key" = Option<String>, Header, description = "Makes repeating the request harmless", min_length = 1, max_length = 255, pattern = "^[ -~]+$")),
+    params(IdempotencyKeyHeader),
     responses((status = 200, description = "A task", body = Lease), (status = 204, description = "There is nothing to do; with `Retry-After`, not before so many seconds have passed"), Problems))]
 pub(crate) async fn claim(
     State(app): State<App>,
@@ -107,9 +108,13 @@ pub(crate) async fn result(
     match (request.result, request.error) {
         (Some(result), None) => {
             let info = app.store.lease(lease).await?;
-            fits::check(&info.spec, &result)?;
+            result_checks::check(&info.spec, &result)?;
             let committed = app.store.commit_result(lease, request.fence, &result, app.now()).await;
-            let committed = counted(&app, committed).map_err(|error| error.or_at("/result"))?;
+            let at_result = |error: ApiError| match error.kind() {
+                Some(ProblemKind::MissingArtifact) => error.at("/result"),
+                _ => error,
+            };
+            let committed = counted(&app, committed).map_err(at_result)?;
             if committed.duplicate {
                 app.metrics.results_duplicate.add(1);
             } else {
@@ -153,11 +158,4 @@ fn counted<T>(app: &App, outcome: Result<T, StoreError>) -> ApiResult<T> {
         app.metrics.leases_lost.add(1);
     }
     outcome.map_err(ApiError::from)
-}
-
-impl ApiError {
-    /// The same error at this place, if it is about an artefact that the body names.
-    fn or_at(self, pointer: &str) -> Self {
-        if self.kind() == Some(ProblemKind::MissingArtifact) { self.at(pointer) } else { self }
-    }
 }

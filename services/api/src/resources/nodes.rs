@@ -1,26 +1,31 @@
 //! Nodes.
 
+mod node_checks;
+
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::Response;
 use forelight_protocol::{
-    Capabilities, JoinRequest, JoinToken, JoinTokenRequest, MOST_WINDOWS, Money, Node, NodeCalendar,
-    NodeCalibration, NodeChange, NodeId, NodePage, NodeRegistration, NodeTerms, ProblemKind,
+    JoinRequest, JoinToken, JoinTokenRequest, Node, NodeChange, NodeId, NodePage, NodeRegistration,
+    ProblemKind,
 };
 use forelight_store::as_it_is;
 
-use super::{created, repeated};
+use self::node_checks::{check_change, check_registration};
+use super::checks::check_name;
+use super::responses::{created, repeated};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{
     Anyone, JsonBody, KeyHeader, OneTimeToken, Operator, QueryParameters, Segment, WorkerToken,
 };
 use crate::page::{PageQuery, cut};
+use crate::schema::IdempotencyKeyHeader;
 use crate::state::App;
 
 /// A node announces itself; one of the same name is updated and keeps its id, and what was set by hand.
 #[utoipa::path(post, path = "/v1/nodes", tag = "work", request_body = NodeRegistration,
-    params(("Idempotency-Key" = Option<String>, Header, description = "Makes repeating the request harmless", min_length = 1, max_length = 255, pattern = "^[ -~]+$")),
+    params(IdempotencyKeyHeader),
     responses((status = 201, description = "The node", body = Node), Problems))]
 pub(crate) async fn register(
     State(app): State<App>,
@@ -118,97 +123,7 @@ pub(crate) async fn change(
         return Err(ApiError::new(ProblemKind::Forbidden, "an operator brings a node back, not the node")
             .at("/set_aside"));
     }
-    change.speed.flatten().map_or(Ok(()), |speed| check_speed("/speed", speed))?;
-    change.price_per_hour.flatten().map_or(Ok(()), |price| check_price("/price_per_hour", price))?;
-    change
-        .schedule
-        .as_ref()
-        .and_then(Option::as_ref)
-        .map_or(Ok(()), |schedule| check_schedule("/schedule", schedule))?;
-    change.terms.as_ref().map_or(Ok(()), check_terms)?;
+    check_change(&change)?;
     let now = app.now();
     Ok(Json(as_it_is(app.store.change_node(node, &change, now).await?, app.lease_ttl, now)))
-}
-
-fn check_registration(place: &str, node: &NodeRegistration) -> ApiResult<()> {
-    let at = |name: &str| format!("{place}/{name}");
-    check_name(&at("name"), &node.name, 100)?;
-    check_speed(&at("speed"), node.speed)?;
-    check_price(&at("price_per_hour"), node.price_per_hour)?;
-    if !(1..=4096).contains(&node.cores) {
-        return Err(ApiError::invalid(at("cores"), "a node has 1 to 4096 cores"));
-    }
-    let Capabilities { memory_bytes, processor, vulkan_adapter, gpu: _, calibration } = &node.capabilities;
-    if memory_bytes.is_some_and(|bytes| i64::try_from(bytes).is_err()) {
-        return Err(ApiError::invalid(at("capabilities/memory_bytes"), "a number larger than 2⁶³ − 1"));
-    }
-    node.schedule.as_ref().map_or(Ok(()), |schedule| check_schedule(&at("schedule"), schedule))?;
-    for (name, text) in [("processor", processor), ("vulkan_adapter", vulkan_adapter)] {
-        text.as_ref().map_or(Ok(()), |text| check_name(&at(&format!("capabilities/{name}")), text, 200))?;
-    }
-    let checked = calibration.as_ref().map_or(Ok(()), NodeCalibration::check);
-    checked.map_err(|(field, reason)| {
-        ApiError::invalid(at(&format!("capabilities/calibration/{field}")), format!("{field} {reason}"))
-    })
-}
-
-fn check_schedule(pointer: &str, schedule: &NodeCalendar) -> ApiResult<()> {
-    schedule.check().map_err(|(field, reason)| ApiError::invalid(format!("{pointer}/{field}"), reason))
-}
-
-fn check_terms(terms: &NodeTerms) -> ApiResult<()> {
-    const WEEK: u32 = 7 * 86_400;
-    for (field, seconds, most) in [
-        ("billing_step_seconds", terms.billing_step_seconds, WEEK),
-        ("minimum_booking_seconds", terms.minimum_booking_seconds, WEEK),
-        ("setup_seconds", terms.setup_seconds, 86_400),
-    ] {
-        if seconds > most {
-            return Err(ApiError::invalid(
-                format!("/terms/{field}"),
-                format!("at most {most} seconds are taken"),
-            ));
-        }
-    }
-    if terms.maintenance.len() > MOST_WINDOWS {
-        let reason = format!("at most {MOST_WINDOWS} stretches of maintenance are taken");
-        return Err(ApiError::invalid("/terms/maintenance", reason));
-    }
-    match terms.maintenance.iter().position(|span| span.end.is_some_and(|end| end <= span.start)) {
-        Some(wrong) => {
-            Err(ApiError::invalid(format!("/terms/maintenance/{wrong}/end"), "it ends before it starts"))
-        }
-        None => Ok(()),
-    }
-}
-
-/// A name is something that people can tell apart on a screen.
-pub(crate) fn check_name(pointer: &str, name: &str, longest: usize) -> ApiResult<()> {
-    let length = name.chars().count();
-    if !(1..=longest).contains(&length) || name.trim().is_empty() {
-        return Err(ApiError::invalid(pointer, format!("a name has 1 to {longest} characters")));
-    }
-    if name.chars().any(char::is_control) {
-        return Err(ApiError::invalid(pointer, "a name has no control characters"));
-    }
-    Ok(())
-}
-
-fn check_speed(pointer: &str, speed: f64) -> ApiResult<()> {
-    // Written so that a NaN, should one ever get here, is refused as well.
-    if speed > 0.0 && speed <= 1000.0 {
-        Ok(())
-    } else {
-        Err(ApiError::invalid(pointer, "a speed is above 0 and at most 1000"))
-    }
-}
-
-fn check_price(pointer: &str, price: Money) -> ApiResult<()> {
-    /// A million units an hour: with this, no sum over a farm and a year overflows.
-    const HIGHEST: Money = Money(1_000_000_000_000);
-    if (Money(0)..=HIGHEST).contains(&price) {
-        Ok(())
-    } else {
-        Err(ApiError::invalid(pointer, format!("a price is 0 to {} micro-units an hour", HIGHEST.0)))
-    }
 }

@@ -4,10 +4,10 @@ use axum::Json;
 use axum::extract::State;
 use forelight_protocol::{BookingPage, Plan, PlanDifference, PlanId, PlanPage};
 
-use crate::difference::difference;
 use crate::error::{ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment};
 use crate::page::{PageQuery, cut};
+use crate::plan_difference::difference;
 use crate::state::App;
 
 /// The plans, newest first. Each holds the jobs that it books; all others are booked as the plans before it say.

@@ -6,7 +6,7 @@ use forelight_planner as planner;
 use forelight_protocol::{ProjectList, ProjectRequest, ProjectShare};
 use forelight_store::HALF_LIFE;
 
-use super::nodes::check_name;
+use super::checks::check_name;
 use crate::conductor::farm::planner_project;
 use crate::conductor::settle::share_of;
 use crate::error::{ApiError, ApiResult, Problems};

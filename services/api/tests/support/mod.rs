@@ -1,4 +1,4 @@
-//! A service in a temporary folder, clients of every role, and a worker that makes its results up.
+//! A service in a temporary folder, callers of every role, and a worker whose results are made up.
 
 #![allow(dead_code, reason = "each test program uses a part of this")]
 
@@ -8,34 +8,30 @@ use std::time::Duration;
 
 use forelight_api::{Config, Service};
 use forelight_protocol::{
-    AccuracyDoc, AccuracyRung, AllottedStats, ArtifactHash, ByClass, FixedCosts, FrameStrata, ImageError,
-    Job, JobState, LadderKind, Lease, MissingLadder, Node, NoiseCell, NoiseSample, PreviewBackend,
-    PreviewResult, Problem, ProblemKind, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec,
-    Profiled, Quantiles, Rays, RenderArtifacts, RenderResult, RenderStats, ResultAnswer, ResultRequest, Role,
-    Spent, SpentOnForecast, Stratum, StratumName, TaskKind, TaskResult, TaskSpec, Timestamp,
+    ArtifactHash, Job, JobState, Lease, Node, ResultAnswer, ResultRequest, Role, TaskKind, TaskResult,
+    Timestamp,
 };
 use forelight_store::tokens;
-use reqwest::{Method, RequestBuilder, Response, StatusCode};
-use serde::Serialize;
-use serde::de::DeserializeOwned;
+use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
 use tempfile::TempDir;
+
+#[path = "../../../../tests/support/events.rs"]
+pub mod events;
+#[path = "../../../../tests/support/http.rs"]
+pub mod http;
+pub mod made_up;
+
+pub use http::{Answer, Http};
 
 pub struct Farm {
     pub folder: TempDir,
     pub service: Service,
-    pub operator: Client,
-    pub submitter: Client,
-    pub worker: Client,
-    pub viewer: Client,
-    pub nobody: Client,
-}
-
-#[derive(Clone)]
-pub struct Client {
-    http: reqwest::Client,
-    address: SocketAddr,
-    token: Option<String>,
+    pub operator: Http,
+    pub submitter: Http,
+    pub worker: Http,
+    pub viewer: Http,
+    pub nobody: Http,
 }
 
 /// A quad of 8 × 8 pixels, 20 frames.
@@ -89,6 +85,11 @@ pub async fn start(config: &Config) -> Service {
     panic!("the data folder stays locked");
 }
 
+/// Where a service can be reached.
+pub fn address(service: &Service) -> String {
+    format!("http://{}", service.local_addr())
+}
+
 impl Farm {
     pub async fn new() -> Self {
         Self::with(|_| {}).await
@@ -103,10 +104,10 @@ impl Farm {
         let mut clients = Vec::new();
         for role in Role::ALL {
             let token = tokens::create(service.store(), role, role.name(), Timestamp::now()).await.unwrap();
-            clients.push(Client::new(service.local_addr(), Some(token)));
+            clients.push(Http::new(&address(&service), Some(token)));
         }
         let [submitter, worker, operator, viewer] = clients.try_into().ok().unwrap();
-        let nobody = Client::new(service.local_addr(), None);
+        let nobody = Http::new(&address(&service), None);
         Self { folder, service, operator, submitter, worker, viewer, nobody }
     }
 
@@ -115,15 +116,14 @@ impl Farm {
         let Self { folder, service, operator, submitter, worker, viewer, nobody } = self;
         drop(service);
         let service = start(&config(folder.path())).await;
-        let moved =
-            |client: Client| Client { address: service.local_addr(), http: reqwest::Client::new(), ..client };
+        let address = address(&service);
         Self {
             folder,
-            operator: moved(operator),
-            submitter: moved(submitter),
-            worker: moved(worker),
-            viewer: moved(viewer),
-            nobody: moved(nobody),
+            operator: operator.at(&address),
+            submitter: submitter.at(&address),
+            worker: worker.at(&address),
+            viewer: viewer.at(&address),
+            nobody: nobody.at(&address),
             service,
         }
     }
@@ -137,16 +137,22 @@ impl Farm {
     }
 
     pub async fn submit(&self, frames: &str) -> Job {
-        self.submitter.post("/v1/jobs", &self.job_request(frames)).await.json_as(StatusCode::CREATED).await
+        self.submitter.post("/v1/jobs", &self.job_request(frames)).await.parsed(StatusCode::CREATED).await
     }
 
     pub async fn node(&self, name: &str) -> Node {
         let registration = json!({"name": name, "speed": 2.0, "price_per_hour": 3_600_000, "cores": 2});
-        self.worker.post("/v1/nodes", &registration).await.json_as(StatusCode::CREATED).await
+        self.worker.post("/v1/nodes", &registration).await.parsed(StatusCode::CREATED).await
+    }
+
+    /// Changes a node, as an operator does.
+    pub async fn order(&self, node: &Node, order: Value) -> Node {
+        let patch = self.operator.request(Method::PATCH, &format!("/v1/nodes/{}", node.id));
+        patch.json(&order).send().await.unwrap().parsed(StatusCode::OK).await
     }
 
     pub async fn job(&self, job: &Job) -> Job {
-        self.viewer.get(&format!("/v1/jobs/{}", job.id)).await.json_as(StatusCode::OK).await
+        self.viewer.get(&format!("/v1/jobs/{}", job.id)).await.parsed(StatusCode::OK).await
     }
 
     pub async fn claim(&self, node: &Node) -> Option<Lease> {
@@ -158,7 +164,7 @@ impl Farm {
         if response.status() == StatusCode::NO_CONTENT {
             return None;
         }
-        Some(response.json_as(StatusCode::OK).await)
+        Some(response.parsed(StatusCode::OK).await)
     }
 
     /// Claims, waiting for the conductor to have made the task.
@@ -180,7 +186,7 @@ impl Farm {
 
     pub async fn finish(&self, lease: &Lease) -> ResultAnswer {
         let result = self.made_up_result(lease).await;
-        self.report(lease, result).await.json_as(StatusCode::OK).await
+        self.report(lease, result).await.parsed(StatusCode::OK).await
     }
 
     /// Works until the job is over.
@@ -219,229 +225,5 @@ impl Farm {
             }
         }
         panic!("the job was not booked in time");
-    }
-
-    /// 48 pixels of the quad and 16 of nothing; a quad's pixel costs 1000 in frame 0 and 1 % more in each frame after.
-    pub async fn made_up_result(&self, lease: &Lease) -> TaskResult {
-        match &lease.spec {
-            TaskSpec::Preview(spec) => TaskResult::Preview(PreviewResult {
-                strata: vec![stratum()],
-                background_prior_cost: 0.1,
-                record_prior_cost: None,
-                frames: spec
-                    .frames
-                    .iter()
-                    .map(|&frame| FrameStrata {
-                        frame,
-                        pixels: vec![48],
-                        background: 16,
-                        cache_records: Vec::new(),
-                        cache_plan: None,
-                        lights: 0,
-                        shining: 0,
-                        triangles: 0,
-                        preview_png: None,
-                    })
-                    .collect(),
-                backend: PreviewBackend::Cpu,
-                spent: Spent { work: 100, cpu_nanos: 100_000 },
-            }),
-            TaskSpec::Profile(spec) => {
-                let samples = (0..spec.samples.min(64)).map(|pixel| {
-                    let background = pixel % 4 == 3;
-                    let work = if background { 10 } else { pixel_work(spec.frame) };
-                    ProfileSample {
-                        pixel,
-                        stratum: u32::from(background),
-                        work,
-                        extra_work: 0,
-                        work_by_ray: [work - work / 4, 0, 0, 0, 0, work / 4, 0],
-                        cpu_nanos: work * 1_000_000,
-                        rays: [u64::from(spec.settings.spp), 0, 0, 0, 0, 2, 0],
-                    }
-                });
-                TaskResult::Profile(ProfileResult {
-                    frame: spec.frame,
-                    strata: vec![stratum()],
-                    samples: samples.collect(),
-                    uncovered: None,
-                    shared_samples: Vec::new(),
-                    shared_cache_samples: Vec::new(),
-                    cache_samples: Vec::new(),
-                    noise: made_up_noise(spec.settings.spp),
-                    effects: vec!["ambient".to_owned()],
-                    work_by_class: Some(ByClass { rays: 800, memory: 200, ..ByClass::default() }),
-                    left_out: Vec::new(),
-                    renderer: Some("made up 1".to_owned()),
-                    fixed: FixedCosts {
-                        load: Spent { work: 5, cpu_nanos: 5_000_000 },
-                        ..FixedCosts::default()
-                    },
-                    once: None,
-                    ladders: spec.ladders.then(|| Box::new(made_up_ladders(spec))),
-                    spent: Spent { work: 1000, cpu_nanos: 1_000_000 },
-                    artifacts: ProfileArtifacts {
-                        profile: self.artifact(format!("profile of {}", spec.frame).as_bytes()).await,
-                        preview_png: Some(self.artifact(b"a preview").await),
-                    },
-                })
-            }
-            TaskSpec::CachePlan(_) | TaskSpec::CacheFill(_) | TaskSpec::CacheMerge(_) => {
-                panic!("these scenes have no irradiance caches")
-            }
-            TaskSpec::Render(spec) => {
-                let work = 48 * pixel_work(spec.frame) + 16 * 10 + 5;
-                TaskResult::Render(RenderResult {
-                    stats: RenderStats {
-                        frame: spec.frame,
-                        width: spec.settings.width,
-                        height: spec.settings.height,
-                        spp: spec.settings.spp + u32::from(spec.work.is_some()),
-                        allotted: spec.work.map(|_| {
-                            Box::new(AllottedStats {
-                                least: 1,
-                                most: 4 * spec.settings.spp,
-                                mean: f64::from(spec.settings.spp + 1),
-                                error: ImageError { p05: 0.01, p50: 0.02, p80: 0.03, p95: 0.04 },
-                                forecast: None,
-                                within: None,
-                            })
-                        }),
-                        effects: vec!["ambient".to_owned()],
-                        left_out: Vec::new(),
-                        rays: Rays { primary: 1024, ..Rays::default() },
-                        cache_records: Vec::new(),
-                        cache: None,
-                        work,
-                        work_by_class: None,
-                        work_by_ray: Some(Rays { primary: work / 2, ..Rays::default() }),
-                        cpu_seconds: work as f64 * 1e-3,
-                        once: None,
-                        wall_seconds: work as f64 * 1e-3,
-                        peak_rss_bytes: 1,
-                        reused_pixels: 0,
-                        reused_rays: 0,
-                        reused_work: 0,
-                        reused_cpu_seconds: 0.0,
-                    },
-                    artifacts: RenderArtifacts {
-                        image_exr: self.artifact(format!("image {}", spec.frame).as_bytes()).await,
-                        image_png: self.artifact(b"a picture").await,
-                        cost_map_png: self.artifact(b"a cost map").await,
-                        preview_png: None,
-                    },
-                })
-            }
-        }
-    }
-}
-
-/// The quad's pixels have a mean of 2 and a variance of 1 / n at n samples, those of nothing are 1 exactly.
-fn made_up_noise(spp: u32) -> Vec<NoiseCell> {
-    let doublings = spp.ilog2() as i32;
-    let drops = |variance: f32| (1..=doublings).map(|k| variance * 0.5f32.powi(k)).collect();
-    let cell = |pixels, brightness, variance| NoiseCell {
-        pixels,
-        samples: vec![NoiseSample { brightness, drops: drops(variance) }; 4],
-    };
-    vec![cell(48, 2.0, 1.0), cell(16, 1.0, 0.0)]
-}
-
-/// How many times what was asked for a made-up rung takes, and errs: those with a cache a tenth of their place on the ladder, others more than once.
-pub fn made_up_times(kind: LadderKind, place: u32) -> f64 {
-    match kind {
-        LadderKind::CachedSamples => f64::from(place) / 10.0,
-        _ => f64::from(place) + 1.0,
-    }
-}
-
-fn made_up_ladders(spec: &ProfileSpec) -> AccuracyDoc {
-    let even = |value| Quantiles { mean: value, p50: value, p80: value, p95: value };
-    let rungs = LadderKind::ALL.into_iter().flat_map(|kind| {
-        let rungs = kind.rungs(&spec.settings).unwrap_or_default();
-        (1..).zip(rungs).map(move |(place, settings)| {
-            let times = if settings == spec.settings { 1.0 } else { made_up_times(kind, place) };
-            let error = times / 100.0;
-            AccuracyRung {
-                ladder: kind,
-                asked_for: settings == spec.settings,
-                settings,
-                work: even(500.0 * times),
-                cpu_seconds: even(2.0 * times),
-                error: Some(ImageError { p05: error, p50: error, p80: error, p95: error }),
-                worth_taking: false,
-                next: None,
-                measured: None,
-            }
-        })
-    });
-    AccuracyDoc {
-        frames: 1,
-        settings: spec.settings.clone(),
-        rungs: rungs.collect(),
-        missing: vec![MissingLadder { ladder: LadderKind::Divisions, reason: "too dear".to_owned() }],
-        profiled: Profiled { frames: vec![spec.frame], pixels: 99 },
-        spent: SpentOnForecast { work: 400, cpu_seconds: 1e-4, fraction_of_forecast: 0.5 },
-        calibrated: false,
-    }
-}
-
-fn pixel_work(frame: u32) -> u64 {
-    1000 + 10 * u64::from(frame)
-}
-
-fn stratum() -> Stratum {
-    let name = StratumName { object: "quad".to_owned(), material: "paint".to_owned() };
-    Stratum { name, object: 0, material: 0, prior_cost: 1.0 }
-}
-
-impl Client {
-    pub fn new(address: SocketAddr, token: Option<String>) -> Self {
-        Self { http: reqwest::Client::new(), address, token }
-    }
-
-    pub fn request(&self, method: Method, path: &str) -> RequestBuilder {
-        let request = self.http.request(method, format!("http://{}{path}", self.address));
-        match &self.token {
-            Some(token) => request.bearer_auth(token),
-            None => request,
-        }
-    }
-
-    pub async fn get(&self, path: &str) -> Response {
-        self.request(Method::GET, path).send().await.unwrap()
-    }
-
-    pub async fn post(&self, path: &str, body: &impl Serialize) -> Response {
-        self.request(Method::POST, path).json(body).send().await.unwrap()
-    }
-}
-
-pub trait Answer {
-    #[allow(async_fn_in_trait, reason = "used in these tests alone")]
-    async fn json_as<T: DeserializeOwned>(self, status: StatusCode) -> T;
-    #[allow(async_fn_in_trait, reason = "used in these tests alone")]
-    async fn problem(self, kind: ProblemKind) -> Problem;
-}
-
-impl Answer for Response {
-    async fn json_as<T: DeserializeOwned>(self, status: StatusCode) -> T {
-        let (url, got) = (self.url().clone(), self.status());
-        let text = self.text().await.unwrap();
-        assert_eq!(got, status, "{url}: {text}");
-        serde_json::from_str(&text).unwrap_or_else(|error| panic!("{url}: {error}: {text}"))
-    }
-
-    async fn problem(self, kind: ProblemKind) -> Problem {
-        let (url, status) = (self.url().clone(), self.status());
-        let media_type = self.headers().get("content-type").map(|value| value.to_str().unwrap().to_owned());
-        let text = self.text().await.unwrap();
-        assert_eq!(media_type.as_deref(), Some("application/problem+json"), "{url}: {status} {text}");
-        let problem: Problem = serde_json::from_str(&text).unwrap();
-        assert_eq!(problem.known_kind(), Some(kind), "{url}: {text}");
-        assert_eq!((problem.status, status.as_u16()), (kind.status(), kind.status()), "{url}");
-        assert_eq!(problem.instance.as_deref(), Some(url.path()));
-        assert!(!problem.detail.is_empty() && !problem.detail.contains('\n'), "{text}");
-        problem
     }
 }

@@ -1,22 +1,19 @@
 //! `forelight render --within` and `--error`: the camera samples follow from what the frame is to come to.
 
-use crate::atomic_file::write_bytes;
-use crate::failure::BadInput;
-use crate::interrupt::Interrupt;
-use crate::options::{ConfidenceLevel, png_file};
-use crate::quantities::{count, money, parse_money, parse_seconds, seconds};
+use crate::job_options::png_file;
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
-use forelight_protocol::{AllottedForecast, AllottedStats, BudgetClock, Money, WithinStats};
+use forelight_protocol::{AllottedForecast, AllottedStats, BudgetClock, Confidence, Money, WithinStats};
 use forelight_scene::Frame;
+use forelight_terminal::atomic_file::write_bytes;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::options::positive;
+use forelight_terminal::quantities::{count, money, parse_money, parse_seconds, seconds};
 use forelight_tracer::{Image, SampleCounts};
-use forelight_worker::{
-    AccuracyObserver, Aim, AllotError, AllotOptions, Budget, NEAR_ENOUGH, ShotError, Stopwatch,
-};
+use forelight_worker::{Aim, AllotOptions, Budget, NEAR_ENOUGH, Stopwatch};
 use image::{DynamicImage, ImageBuffer, ImageFormat, ImageReader, Luma};
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 /// What a frame is to come to, in place of a number of camera samples.
@@ -43,7 +40,7 @@ pub struct AllotArgs {
     error: Option<f64>,
     /// How sure an error is to be kept; of a time, how sure the least image must fit for the render to begin
     #[arg(long, value_name = "QUANTILE", default_value = "p80", requires = "aim")]
-    confidence: ConfidenceLevel,
+    confidence: Confidence,
     /// Pixels to profile for it, 16 to a million
     #[arg(long, value_name = "PIXELS", default_value_t = 256, requires = "aim", value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
     samples: u32,
@@ -62,14 +59,6 @@ enum ClockName {
     Wall,
     /// CPU time of all threads.
     Cpu,
-}
-
-/// A number above 0.
-pub fn positive(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
-        _ => Err("a number above 0 is wanted".into()),
-    }
 }
 
 /// What was asked for, with clocks that are running.
@@ -141,7 +130,7 @@ impl Wish<'_> {
             _ => return Ok(None),
         };
         let AllotArgs { confidence, samples, .. } = *self.args;
-        Ok(Some(AllotOptions { aim, confidence: confidence.into(), samples, seed: 0 }))
+        Ok(Some(AllotOptions { aim, confidence, samples, seed: 0 }))
     }
 
     /// Seconds that an amount of money buys.
@@ -158,7 +147,7 @@ impl Wish<'_> {
     /// If it is not, though its pixels have as many samples as they can.
     pub fn check_error(&self, allotted: &AllottedStats) -> Result<()> {
         let Some(percent) = self.args.error else { return Ok(()) };
-        let reached = 100.0 * allotted.error.at(self.args.confidence.into());
+        let reached = 100.0 * allotted.error.at(self.args.confidence);
         if reached <= percent * (1.0 + NEAR_ENOUGH) || allotted.most < u32::from(u16::MAX) {
             return Ok(());
         }
@@ -198,31 +187,6 @@ fn read_samples(path: &Path, width: u32, height: u32) -> Result<SampleCounts> {
             SampleCounts::new(pixels.into_raw()).map_err(|e| wrong(e.to_string()))
         }
         _ => Err(wrong("not a grey PNG of 16 bits, as --samples-map writes it".into())),
-    }
-}
-
-/// The user's wish to stop.
-pub struct Stopping<'a>(pub &'a Interrupt);
-
-impl AccuracyObserver for Stopping<'_> {
-    fn predicted(&self, _: usize, _: usize) {}
-
-    fn cancel(&self) -> &AtomicBool {
-        self.0.flag()
-    }
-}
-
-/// A time too short is the user's to mend, or the money that buys it; `flag` gave it.
-pub fn failure(flag: &str, error: AllotError) -> anyhow::Error {
-    match error {
-        AllotError::TooLittle { .. } => BadInput::new(format!("{flag}: {error}"))
-            .hint("give it more, profile fewer pixels (--samples), or ask for a smaller image")
-            .into(),
-        AllotError::TooLittleForCache { .. } => BadInput::new(format!("{flag}: {error}"))
-            .hint("give it more, ask for a rougher cache (--cache-rays, --cache-accuracy), or do without one (--cache off)")
-            .into(),
-        AllotError::Shot(ShotError::Render(error)) => error.into(),
-        error => error.into(),
     }
 }
 
@@ -267,7 +231,7 @@ pub fn report(allotted: &AllottedStats) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::options::parsed;
+    use forelight_terminal::options::parsed;
 
     /// Beside the flags that they exclude.
     #[derive(clap::Args)]

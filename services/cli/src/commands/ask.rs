@@ -1,18 +1,18 @@
-//! `forelight ask`: what a farm's service knows of a job's plan.
+//! `forelight ask`: questions about a job's plan, answered by the farm's service.
 
-use crate::atomic_file::write_bytes;
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::failure::BadInput;
-use crate::options::ConnectionOptions;
-use crate::output;
-use crate::quantities::{Deadline, clock, money, parse_deadline, parse_money};
-use crate::table::{Align, Table};
 use anyhow::{Context, Result};
+use forelight_client::Client;
 use forelight_protocol::{AnswersDoc, Job, JobId, Money, MovedJob, PlanEffect, PriceOffer, Timestamp};
-use forelight_worker::Client;
+use forelight_terminal::atomic_file::write_bytes;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::output;
+use forelight_terminal::quantities::{Deadline, clock, money, parse_deadline, parse_money};
+use forelight_terminal::table::{Align, Table};
 use std::path::PathBuf;
 
-/// Ask about a job's plan: will it be ready, what does it cost sooner or later, what would help
+/// Ask about a job's plan: deadline, price of other deadlines, and ways to be in time
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -20,19 +20,25 @@ Examples:
   forelight ask hero-shot --deadline 2h --budget 12.50 --data farm-data
   forelight ask 0192f0c1-7a3b-7c55-8f00-0123456789ab --curve price.svg --json
 
-Says whether the job can be done by its deadline (or by another one) at P50, P80 and P95; the earliest finish for a budget; its price against the \
-deadline; which quality would fit; what one more node, an hour more or a node's death would do; whom it pushes back; why it waits; and if it \
-cannot be done, why, and the cheapest ways out. Nothing is changed by asking. Costs are of what is left of the job.")]
+The answers:
+  whether the job keeps its deadline, or another one, at P50, P80 and P95
+  the earliest finish for a budget, and the price of each deadline
+  the qualities that fit
+  the effect of one more node, one more hour, or the loss of a node
+  the jobs that end later because of this one, and why this one waits
+  if the deadline cannot be kept: the reason, and the cheapest ways to keep it
+
+Asking changes nothing. Costs are those of the frames that are not done.")]
 pub struct Args {
-    /// The job: its id, or its name (the newest that is booked)
+    /// Id or name of the job. Of several jobs with the same name, the newest booked one is used
     job: String,
-    /// By when it should be done, instead of its own deadline: 2h, 45m, or 2026-03-01T06:00:00Z
+    /// Deadline to ask about, such as 2h, 45m or 2026-03-01T06:00:00Z [default: the job's deadline]
     #[arg(long, value_name = "WHEN", value_parser = parse_deadline)]
     deadline: Option<Deadline>,
-    /// What the rest of it may cost, instead of its own budget, such as 12.50
+    /// Budget for the rest of the job, in the farm's currency, such as 12.50 [default: the job's budget]
     #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
     budget: Option<i64>,
-    /// Draw its price against the deadline into this file
+    /// Draw the job's price against its deadline into this SVG file
     #[arg(long, value_name = "FILE")]
     curve: Option<PathBuf>,
     /// Print the answers as JSON to standard output
@@ -58,7 +64,8 @@ pub async fn run(args: Args) -> Result<()> {
     if args.json { output::json(&found) } else { output::print(&report(&job, &found, Timestamp::now())) }
 }
 
-/// A job by its id, or the newest of a name that is neither over nor still being forecast; failing that, the newest.
+/// The job with this id, or the newest open and booked job with this name. If there is none, the newest job
+/// with the name.
 async fn find(client: &Client, text: &str) -> Result<Job> {
     if let Ok(id) = text.parse::<JobId>() {
         return client.job(id).await.with_context(|| format!("cannot read job {id}"));
@@ -67,13 +74,13 @@ async fn find(client: &Client, text: &str) -> Result<Job> {
     let open = named.iter().find(|job| !job.state.is_final() && job.plan_id.is_some());
     open.or(named.first())
         .cloned()
-        .ok_or_else(|| BadInput::new(format!("{text}: there is no job of this id or name")).into())
+        .ok_or_else(|| BadInput::new(format!("{text}: no job has this id or name")).into())
 }
 
 fn report(job: &Job, found: &AnswersDoc, now: Timestamp) -> String {
     let at = |instant: Timestamp| clock(instant, now);
     let mut text = match found.deadline {
-        Some(deadline) => format!("{}, to be ready by {}\n", job.name, at(deadline)),
+        Some(deadline) => format!("{}, deadline {}\n", job.name, at(deadline)),
         None => format!("{}, without a deadline\n", job.name),
     };
     if let Some(waits) = &job.waits {
@@ -81,7 +88,7 @@ fn report(job: &Job, found: &AnswersDoc, now: Timestamp) -> String {
     }
     if let Some(promise) = job.promise.as_ref().filter(|promise| !promise.kept) {
         let sure = promise.probability * 100.0;
-        text += &format!("its promise is at risk: ready in time with a probability of {sure:.0} %\n");
+        text += &format!("its deadline is at risk: the job is in time with a probability of {sure:.0} %\n");
         if let Some(rescue) = &promise.rescue {
             text += &format!("cheapest rescue: {}\n", rescue.words);
         }
@@ -110,14 +117,14 @@ fn report(job: &Job, found: &AnswersDoc, now: Timestamp) -> String {
         let budget = money(answer.budget.micro_units());
         text += &match &answer.offer {
             Some(offer) => format!("for {budget}: ready by {} at the earliest\n", at(offer.finish)),
-            None => format!("for {budget}: never; no deadline is cheap enough\n"),
+            None => format!("for {budget}: the budget is too small for any deadline\n"),
         };
     }
     if !found.why_not.is_empty() {
-        text += "\nIt cannot be done as asked for\n";
+        text += "\nThe deadline cannot be kept\n";
         text.extend(found.why_not.iter().map(|reason| format!("  {reason}\n")));
     }
-    text += &listed("Ways out, the cheapest first", &found.ways_out, at);
+    text += &listed("Ways to keep the deadline, cheapest first", &found.ways_out, at);
     text += &curve(&found.curve, at);
     if !found.qualities.is_empty() {
         let mut table = Table::new(&[
@@ -138,7 +145,7 @@ fn report(job: &Job, found: &AnswersDoc, now: Timestamp) -> String {
                 money(offer.cost.micro_units()),
                 match (offer.asked_for, offer.fits) {
                     (true, true) => "as asked for",
-                    (true, false) => "as asked for, does not fit",
+                    (true, false) => "as asked for, too late",
                     (false, true) => "fits",
                     (false, false) => "",
                 }
@@ -149,7 +156,7 @@ fn report(job: &Job, found: &AnswersDoc, now: Timestamp) -> String {
     }
     text += &listed("What if", &found.what_if, at);
     if !found.pushes_back.is_empty() {
-        text += "\nJobs that end later because of it\n";
+        text += "\nJobs that end later because of this job\n";
     }
     for other in &found.pushes_back {
         text += &format!(
@@ -160,13 +167,13 @@ fn report(job: &Job, found: &AnswersDoc, now: Timestamp) -> String {
         );
     }
     if !found.left_out.is_empty() {
-        text += &format!("\nnot asked, for lack of time: {}\n", found.left_out.join(", "));
+        text += &format!("\nnot answered within the time limit: {}\n", found.left_out.join(", "));
     }
     text
 }
 
 fn later(job: &MovedJob) -> String {
-    crate::quantities::seconds(job.later_ms as f64 / 1e3) + " later"
+    forelight_terminal::quantities::seconds(job.later_ms as f64 / 1e3) + " later"
 }
 
 fn listed(title: &str, effects: &[PlanEffect], at: impl Fn(Timestamp) -> String) -> String {

@@ -1,37 +1,38 @@
 //! `forelight backup`: a copy of the farm's database, made while the service runs.
 
-use crate::failure::BadInput;
-use crate::output::{self, Bars};
 use anyhow::{Context, Result};
 use forelight_store::StoreError;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::output::{self, Bars};
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// Copy the farm's database, while the service runs, and check the copy
+/// Copy the farm's database while the service runs, and check the copy
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   forelight backup --data farm-data --to backups/2026-03-01.sqlite
   forelight backup --data farm-data --to backup.sqlite --json
 
-The copy is what the database held at one instant; it is checked page by page before it gets its name. Artefacts (images, bundles, \
-profiles) never change once they are there: copy the folder DATA/artifacts after the database, with whatever copies files.
+The copy holds the database as it was at one instant. Every page is checked before the copy gets its name. \
+Artefacts (images, bundles, profiles) are files that never change. Copy the folder DATA/artifacts after the \
+database, with any tool.
 
-To restore: stop the service, move DATA/forelight.sqlite and DATA/forelight.sqlite-* away, put the copy in their place under the name \
-forelight.sqlite, start the service. Frames that were delivered after the copy was made are rendered again.")]
+To restore: stop the service. Move DATA/forelight.sqlite and DATA/forelight.sqlite-* away. Put the copy in their \
+place as forelight.sqlite. Start the service. It renders frames that were delivered after the backup again.")]
 pub struct Args {
     /// Data folder of the farm
     #[arg(long, value_name = "DIR", default_value = "farm-data")]
     data: PathBuf,
-    /// The copy; must not be there yet
+    /// File to write the copy to. The file must not exist
     #[arg(long, value_name = "FILE")]
     to: PathBuf,
-    /// Print what the copy holds as JSON to standard output
+    /// Print the numbers of the copy (bytes, jobs, artefacts) as JSON to standard output
     #[arg(long)]
     json: bool,
 }
 
-/// What the copy holds.
+/// Numbers of the copy.
 #[derive(Debug, Serialize)]
 struct Document {
     file: PathBuf,
@@ -49,7 +50,7 @@ pub async fn run(args: Args) -> Result<()> {
     let backup = match copied {
         Err(StoreError::NotFound(_)) => {
             return Err(
-                BadInput::new(format!("--data {}: no farm has its data there", args.data.display())).into()
+                BadInput::new(format!("--data {}: this folder holds no farm", args.data.display())).into()
             );
         }
         Err(StoreError::Conflict(reason)) => return Err(BadInput::new(format!("--to {reason}")).into()),
@@ -66,7 +67,7 @@ pub async fn run(args: Args) -> Result<()> {
         return output::json(&document);
     }
     output::line(format!(
-        "{}: {} bytes, {} jobs, checked; it speaks of {} artefacts of {} bytes in {}",
+        "{}: {} bytes, {} jobs, checked; the database refers to {} artefacts of {} bytes in {}",
         document.file.display(),
         document.bytes,
         document.jobs,

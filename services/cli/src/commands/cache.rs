@@ -1,25 +1,26 @@
-//! `forelight cache`: the irradiance cache of a shot, planned once for many frames and filled by many processes.
+//! `forelight cache`: the irradiance cache of a shot, planned once for its frames and filled by any number of
+//! processes.
 
-use crate::atomic_file::{self, write_bytes};
-use crate::bounded_file;
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::local::Local;
-use crate::options::{MachineOptions, QualityOptions};
-use crate::output::{self, Bars};
-use crate::quantities::{count, seconds};
 use anyhow::{Context, Result};
 use clap::Subcommand;
 use forelight_protocol::{CACHE_BYTES, FrameSet};
+use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::bounded_file;
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::Local;
+use forelight_terminal::options::{MachineOptions, QualityOptions};
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::quantities::{count, seconds};
 use forelight_tracer::{Cache, CacheTotals};
 use forelight_worker::{RenderError, seconds as seconds_of};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Why no cache is made.
-pub const NO_USE_FOR_A_CACHE: &str = "these settings have no use for a cache: it is for the integrator `ambient` with bounces of indirect light";
+/// Why settings exclude a cache.
+pub const NO_USE_FOR_A_CACHE: &str = "these settings use no irradiance cache: it needs the integrator `ambient` and at least one ambient bounce";
 
-/// Make the irradiance cache of a shot, for `forelight render --cache-file`
+/// Plan, fill and merge the irradiance cache of a shot, for `forelight render --cache-file`
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -29,9 +30,10 @@ Examples:
   forelight cache merge 1.cache 2.cache --out shot.cache
   forelight render kitchen/ --frame 12 --ambient-bounces 1 --cache-file shot.cache --out 12.exr
 
-Planning says how many records the shot needs before any light is gathered. Parts may be filled by any processes on any machines, and \
-merged in any order: the image has the same bits. With two bounces the second level is filled first: fill and merge parts twice, \
-or fill without --part. Where something has moved, a frame drops the records whose light that changes, and makes them anew.")]
+Planning finds the number of records that the shot needs, before any light is gathered. Any processes on any \
+machines may fill parts, and merge them in any order: the images have the same bits. With two bounces the second \
+level is filled first. Fill and merge the parts twice then, or fill without --part. A frame replaces the records \
+whose light has changed because an object or a light has moved.")]
 pub struct Args {
     #[command(subcommand)]
     step: Step,
@@ -44,12 +46,13 @@ enum Step {
     Merge(Merge),
 }
 
-/// Find out where the frames of a shot need records
+/// Plan where the frames of a shot need records
 #[derive(Debug, clap::Args)]
 struct Plan {
     /// Scene bundle: a folder or a zip file
     bundle: PathBuf,
-    /// Frames, such as 0-47 or 0,5,9-12; the records are in the world of the first [default: the whole shot]
+    /// Frames, such as 0-47 or 0,5,9-12. Records have their positions in the first frame [default: the whole
+    /// shot]
     #[arg(long, value_name = "LIST")]
     frames: Option<FrameSet>,
     #[command(flatten)]
@@ -60,15 +63,16 @@ struct Plan {
     machine: MachineOptions,
 }
 
-/// Gather the light of a planned cache, or of a part of it
+/// Gather the light of a planned cache, or of one part of it
 #[derive(Debug, clap::Args)]
 struct Fill {
     /// Scene bundle: a folder or a zip file
     bundle: PathBuf,
-    /// The cache, as planned or as far as it was filled
+    /// Cache to fill, from `plan`, `fill` or `merge`
     #[arg(long, value_name = "FILE")]
     cache_file: PathBuf,
-    /// Which of how many equal parts, such as 1/4: of the deepest level that is not full [default: everything]
+    /// Part to fill, out of equal parts of the deepest level that is not full, such as 1/4 [default:
+    /// everything]
     #[arg(long, value_name = "PART/PARTS", value_parser = part)]
     part: Option<(u32, u32)>,
     #[command(flatten)]
@@ -79,10 +83,10 @@ struct Fill {
     machine: MachineOptions,
 }
 
-/// Put parts of one plan together that were filled apart
+/// Merge parts of one plan that were filled separately
 #[derive(Debug, clap::Args)]
 struct Merge {
-    /// Caches of the same plan
+    /// Caches from the same plan
     #[arg(required = true, value_name = "CACHE")]
     parts: Vec<PathBuf>,
     #[command(flatten)]
@@ -91,10 +95,10 @@ struct Merge {
 
 #[derive(Debug, clap::Args)]
 struct Written {
-    /// Cache to write
+    /// File to write the cache to
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Print what the cache holds as JSON to standard output
+    /// Print the numbers of the cache (records, work, CPU time) as JSON to standard output
     #[arg(long)]
     json: bool,
 }
@@ -105,15 +109,15 @@ impl Written {
     }
 }
 
-/// What a cache holds.
+/// Numbers of a cache.
 #[derive(Debug, Serialize)]
 struct Held {
-    /// Frame in whose world the records are.
+    /// Frame in which the records have their positions.
     frame: u32,
     /// Records by level.
     records: Vec<u64>,
     filled: u64,
-    /// Records that are not finite, and never used.
+    /// Records with infinite or undefined values. They are never used.
     rejected: u64,
     plan_work: u64,
     plan_cpu_seconds: f64,
@@ -191,18 +195,21 @@ pub fn read_cache(path: &Path) -> Result<Cache> {
     Cache::from_bytes(&bytes).map_err(RenderError::from).with_context(|| path.display().to_string())
 }
 
-/// Reads the cache that frames are to share.
+/// Reads a cache for frames to share.
+///
+/// # Errors
+/// If it is not full.
 pub fn read_full_cache(path: &Path) -> Result<Cache> {
     let cache = read_cache(path)?;
     if !cache.is_complete() {
         let CacheTotals { records, filled, .. } = cache.totals();
         let reason = format!(
-            "{}: the irradiance cache is not full: {filled} of {} records. Every frame would gather the others for itself, each with noise of its own",
+            "{}: the irradiance cache is not full: {filled} of {} records are filled. Each frame would gather the rest itself, with its own noise",
             path.display(),
             records.iter().sum::<u64>()
         );
         return Err(BadInput::new(reason)
-            .hint("fill it with `forelight cache fill`; `forelight cache merge` puts parts together")
+            .hint("fill it with `forelight cache fill`, and merge its parts with `forelight cache merge`")
             .into());
     }
     Ok(cache)
@@ -230,29 +237,26 @@ fn report(held: &Held) -> String {
     let levels: Vec<String> = held.records.iter().map(|&records| count(records as f64)).collect();
     let cost =
         |work: u64, cpu: f64| format!("{} operations, {} of CPU time", count(work as f64), seconds(cpu));
-    let mut text = format!("records   {} in the world of frame {}\n", levels.join(" + "), held.frame);
+    let mut text = format!("records   {} at the positions of frame {}\n", levels.join(" + "), held.frame);
     let missing = held.records.iter().sum::<u64>().saturating_sub(held.filled);
-    let rest = if missing > 0 {
-        format!("; {} are still to be filled", count(missing as f64))
-    } else {
-        String::new()
-    };
+    let rest =
+        if missing > 0 { format!("; {} are not filled yet", count(missing as f64)) } else { String::new() };
     text += &format!("filled    {}{rest}\n", count(held.filled as f64));
     if held.rejected > 0 {
-        text += &format!("rejected  {}: they are not finite, and will not be used\n", held.rejected);
+        text += &format!("rejected  {}: their values are not finite, so they are not used\n", held.rejected);
     }
     text += &format!("planning  {}\n", cost(held.plan_work, held.plan_cpu_seconds));
     text += &format!("filling   {}\n", cost(held.fill_work, held.fill_cpu_seconds));
     text
 }
 
-/// `2/4` as the second of four, counted from 0.
+/// Reads `2/4` as part 1, counted from 0, of 4.
 fn part(text: &str) -> Result<(u32, u32), String> {
     let numbers =
         text.split_once('/').and_then(|(part, parts)| Some((part.parse().ok()?, parts.parse().ok()?)));
     match numbers {
         Some((part, parts)) if (1..=parts).contains(&part) => Ok((part - 1, parts)),
-        _ => Err("expected a part and how many there are, such as 1/4".into()),
+        _ => Err("expected PART/PARTS, such as 1/4".into()),
     }
 }
 

@@ -1,19 +1,19 @@
-//! `forelight calibrate`: how fast this machine is, by class of work.
+//! `forelight calibrate`: measures the speed of this machine, by class of work.
 
-use crate::atomic_file::{self, write_bytes};
-use crate::failure::BadInput;
-use crate::json_file;
-use crate::output::{self, Bars};
-use crate::quantities::count;
-use crate::table::{Align, Table};
 use anyhow::Result;
 use forelight_protocol::{ByClass, NodeCalibration};
+use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::json_file;
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::quantities::count;
+use forelight_terminal::table::{Align, Table};
 use forelight_tracer::tracer_version;
 use forelight_worker::{CALIBRATION_VERSION, ROUNDS, calibrate, node_speed};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Measure how fast one core of this machine is, by class of work
+/// Measure the speed of one core of this machine, by class of work
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -21,21 +21,22 @@ Examples:
   forelight calibrate --out rack-7.json
   forelight forecast kitchen/ --for-node rack-7.json
 
-A fixed set of small scenes is traced, the same on every machine, and the shortest time of each counts: what else the machine does \
-can only make it longer. The rates of the classes are those of whole frames; a kernel is more, or less, coherent than a frame, by a factor that \
-is known, so its own rate is another. What a unit of work takes differs between machines, and between classes of work on one of them: a processor \
-with small caches is slow in large scenes, and there alone; building the tree of what moves is no tracing. With the \
-calibrations of two machines a quote that was made on one says what it takes on the other. Workers of a farm calibrate themselves when \
-they first start, keep that beside their bundles (calibration-HOST.json; without the file they measure again), and finished frames \
-correct it.")]
+The command traces a fixed set of small scenes, the same on every machine. The shortest time of each scene \
+counts, because other programs can only make it longer. The time of a unit of work differs between machines and \
+between classes of work: a processor with small caches, for example, is slow in large scenes only. Rates of \
+classes are those of whole frames. A kernel's own rate differs from them by a known factor.
+
+With the calibrations of two machines, a quote from one machine gives the CPU time on the other. A farm's worker \
+calibrates itself when it first starts. It keeps the result beside its bundles as calibration-HOST.json, and \
+measures again if that file is missing. Finished frames correct the calibration.")]
 pub struct Args {
-    /// How often each scene is traced; more of it on a machine that does other things as well
+    /// Number of times to trace each scene. Use more on a machine that also runs other programs
     #[arg(long, value_name = "TIMES", default_value_t = 40, value_parser = clap::value_parser!(u16).range(1..=10_000))]
     rounds: u16,
-    /// Write the calibration as JSON
+    /// Write the calibration to this file as JSON
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Print it as JSON to standard output
+    /// Print the calibration as JSON to standard output
     #[arg(long)]
     json: bool,
 }
@@ -44,13 +45,11 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     atomic_file::check([args.out.as_deref()])?;
     let calibration = measured(usize::from(args.rounds), &Bars::new(args.json));
-    if let Some(path) = &args.out {
-        write_bytes(path, (output::pretty(&calibration)? + "\n").as_bytes())?;
-    }
+    json_file::write(args.out.as_deref(), &calibration)?;
     if args.json { output::json(&calibration) } else { output::print(&report(&calibration)) }
 }
 
-/// This machine's calibration, measured now in so many rounds.
+/// Measures this machine's calibration in `rounds` rounds.
 pub fn measured(rounds: usize, bars: &Bars) -> NodeCalibration {
     let bar = bars.bar("calibrating", 0);
     let calibration = calibrate(rounds, &|done, all| {
@@ -61,7 +60,8 @@ pub fn measured(rounds: usize, bars: &Bars) -> NodeCalibration {
     calibration
 }
 
-/// A calibration as a worker keeps it beside its bundles, so that one that is started for every task does not begin by measuring.
+/// A calibration as a worker keeps it beside its bundles. A worker that is started for every task then need
+/// not measure first.
 #[derive(Debug, Serialize, Deserialize)]
 struct Kept {
     processor: Option<String>,
@@ -70,9 +70,10 @@ struct Kept {
     calibration: NodeCalibration,
 }
 
-/// This machine's calibration: the one that was kept in a folder, if it is of this processor and this tracer; otherwise measured, and kept there.
+/// This machine's calibration. It is read from `folder` if the file is of this processor and this version of
+/// the tracer. Otherwise it is measured and written there.
 pub fn kept(folder: &Path, processor: Option<&str>) -> NodeCalibration {
-    // The folder may be shared by machines.
+    // Several machines may share the folder.
     let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     let host: String = host.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').collect();
     let path = folder.join(format!("calibration-{host}.json"));
@@ -92,16 +93,15 @@ pub fn kept(folder: &Path, processor: Option<&str>) -> NodeCalibration {
                 version: CALIBRATION_VERSION,
                 calibration: calibration.clone(),
             };
-            // Without the file the next start measures again.
             if let Err(error) = output::pretty(&kept).and_then(|text| write_bytes(&path, text.as_bytes())) {
-                tracing::warn!(%error, "this machine's calibration could not be kept");
+                tracing::warn!(%error, "cannot write this machine's calibration; the next start measures again");
             }
             calibration
         }
     }
 }
 
-/// A calibration that `--out` wrote, with the name of its file for the machine's.
+/// Reads a calibration that `--out` wrote. The name of the file stands for the name of the machine.
 pub fn read(path: &Path) -> Result<(String, NodeCalibration)> {
     let calibration: NodeCalibration = json_file::read_written_by("forelight calibrate --out", path)?;
     calibration
@@ -112,7 +112,7 @@ pub fn read(path: &Path) -> Result<(String, NodeCalibration)> {
 }
 
 fn report(calibration: &NodeCalibration) -> String {
-    let mut table = Table::new(&[("class of work", Align::Left), ("ns a unit", Align::Right)]);
+    let mut table = Table::new(&[("class of work", Align::Left), ("ns per unit", Align::Right)]);
     let nanos = calibration.picos_per_work.to_array().map(|picos| picos as f64 / 1000.0);
     for (name, nanos) in ByClass::NAMES.iter().zip(nanos) {
         table.row([(*name).to_owned(), format!("{nanos:.2}")]);
@@ -122,7 +122,7 @@ fn report(calibration: &NodeCalibration) -> String {
         ("kernel", Align::Left),
         ("operations", Align::Right),
         ("time", Align::Right),
-        ("ns an operation", Align::Right),
+        ("ns per operation", Align::Right),
     ]);
     for kernel in &calibration.kernels {
         let (work, nanos) = (kernel.work.total() as f64, kernel.cpu_nanos as f64);
@@ -134,7 +134,7 @@ fn report(calibration: &NodeCalibration) -> String {
         ]);
     }
     text += &table.render();
-    text + &format!("\nspeed of one core against the reference: {:.2}\n", node_speed(calibration))
+    text + &format!("\nspeed of one core, relative to the reference: {:.2}\n", node_speed(calibration))
 }
 
 #[cfg(test)]

@@ -1,27 +1,27 @@
-//! `forelight cancel`: jobs that nobody wants any more.
+//! `forelight cancel`: ends jobs before they are done.
 
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::failure::BadInput;
-use crate::options::ConnectionOptions;
-use crate::output;
 use anyhow::{Context, Result};
+use forelight_client::Client;
 use forelight_protocol::{Job, JobId};
-use forelight_worker::Client;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::output;
 
-/// Cancel jobs: their workers stop, and what was booked for them is free for others
+/// Cancel jobs: their workers stop, and their bookings become free
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   forelight cancel 0192f0c1-7a3b-7c55-8f00-0123456789ab --data farm-data
   forelight cancel kitchen corridor --server http://farm:7878 --token-file me.token
 
-Frames that are done are kept, and can still be fetched. A job that is cancelled cannot go on: submit it anew. Cancelling it twice is \
-cancelling it once.")]
+Finished frames stay available. A cancelled job cannot continue; submit it again instead. Cancelling a job \
+again changes nothing.")]
 pub struct Args {
-    /// Their ids, or their names where only one job of a name is not over
+    /// Ids of the jobs. A name works if only one open job has it
     #[arg(required = true, value_name = "JOB")]
     jobs: Vec<String>,
-    /// Print the jobs as JSON to standard output
+    /// Print the cancelled jobs as JSON to standard output
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -31,7 +31,7 @@ pub struct Args {
 /// Runs the command.
 pub async fn run(args: Args) -> Result<()> {
     let client = connect(&args.connection)?;
-    // A name that fits none, or several, stops all before anything is done.
+    // A name that fits no job, or several jobs, fails the command before any job is cancelled.
     let mut wanted = Vec::with_capacity(args.jobs.len());
     for job in &args.jobs {
         wanted.push(find(&client, job).await?);
@@ -42,7 +42,7 @@ pub async fn run(args: Args) -> Result<()> {
         if !args.json {
             let (done, all) = (job.frames_done, job.frames_total);
             output::print(&format!(
-                "{} ({id}) is {}; {done} of {all} frames were done\n",
+                "{} ({id}) is {}; {done} of {all} frames are done\n",
                 job.name, job.state
             ))?;
         }
@@ -51,7 +51,7 @@ pub async fn run(args: Args) -> Result<()> {
     if args.json { output::json(&cancelled) } else { Ok(()) }
 }
 
-/// The job of this id, or the only one of this name that is not over.
+/// The id of the job with this id, or of the only open job with this name.
 async fn find(client: &Client, wanted: &str) -> Result<JobId> {
     if let Ok(id) = wanted.parse() {
         return Ok(id);
@@ -65,17 +65,14 @@ fn only_one(wanted: &str, named: &[Job]) -> Result<JobId, BadInput> {
     match open.as_slice() {
         [job] => Ok(job.id),
         [] => {
-            let which = if named.is_empty() {
-                "there is no job of this name"
-            } else {
-                "all jobs of this name are over"
-            };
+            let which =
+                if named.is_empty() { "no job has this name" } else { "all jobs with this name have ended" };
             Err(BadInput::new(format!("{wanted}: {which}")).hint("`forelight jobs` lists them"))
         }
         several => {
             let ids: Vec<String> = several.iter().map(|job| job.id.to_string()).collect();
-            Err(BadInput::new(format!("{wanted}: {} jobs of this name are not over", several.len()))
-                .hint(format!("say which: {}", ids.join(" "))))
+            Err(BadInput::new(format!("{wanted}: {} open jobs have this name", several.len()))
+                .hint(format!("name one by its id: {}", ids.join(" "))))
         }
     }
 }
@@ -91,18 +88,15 @@ mod tests {
     }
 
     #[test]
-    fn a_name_is_enough_where_one_job_is_not_over() {
+    fn a_name_is_enough_where_one_job_is_open() {
         let [done, open] = [JobState::Done, JobState::Rendering].map(of);
         assert_eq!(
             only_one("kitchen", &[done.clone(), open.clone()]).map_err(|error| error.to_string()),
             Ok(open.id)
         );
         let refused = |jobs: &[Job]| only_one("kitchen", jobs).unwrap_err().to_string();
-        assert_eq!(refused(&[]), "kitchen: there is no job of this name");
-        assert_eq!(refused(&[done]), "kitchen: all jobs of this name are over");
-        assert_eq!(
-            refused(&[open.clone(), of(JobState::Previewing)]),
-            "kitchen: 2 jobs of this name are not over"
-        );
+        assert_eq!(refused(&[]), "kitchen: no job has this name");
+        assert_eq!(refused(&[done]), "kitchen: all jobs with this name have ended");
+        assert_eq!(refused(&[open.clone(), of(JobState::Previewing)]), "kitchen: 2 open jobs have this name");
     }
 }

@@ -1,8 +1,8 @@
 //! `forelight forecast --explain`: why the frames are dear, in words and numbers.
 
-use crate::quantities::count;
-use crate::table::{Align, Table};
 use forelight_protocol::{Explanation, ObjectShare, RayShare};
+use forelight_terminal::quantities::count;
+use forelight_terminal::table::{Align, Table};
 
 /// So many objects are shown; the JSON has all that have at least a hundredth of the pixels' work.
 const SHOWN: usize = 10;
@@ -68,10 +68,4 @@ pub fn text(explanation: &Explanation) -> String {
         text += &format!("{line}\n");
     }
     text
-}
-
-/// The effects that a frame calls for, in words.
-pub fn effects(names: &[impl AsRef<str>]) -> String {
-    let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
-    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }

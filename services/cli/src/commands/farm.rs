@@ -1,19 +1,20 @@
-//! `forelight farm`: the service and workers on this machine, in one process.
+//! `forelight farm`: the service and its workers, in one process on this machine.
 
 use super::serve::{self, Executor, ServiceOptions};
 use super::worker::{library, measured};
-use crate::interrupt::Interrupt;
-use crate::options::PreviewBackend;
-use crate::output;
-use crate::quantities::parse_money;
 use anyhow::Result;
+use forelight_client::Client;
 use forelight_protocol::{Capabilities, Money, NodeRegistration};
-use forelight_worker::{Agent, AgentError, Client, TaskRunner, node_speed};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::options::PreviewBackend;
+use forelight_terminal::output;
+use forelight_terminal::quantities::parse_money;
+use forelight_worker::{Agent, AgentError, TaskRunner, node_speed};
 use std::sync::Arc;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
-/// A whole farm on this machine: the service and its workers
+/// Run a whole farm on this machine: the service and its workers
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -22,22 +23,22 @@ Examples:
   forelight farm --executor slurm --data /shared/farm-data
   forelight submit kitchen/ --data farm-data --out images/
 
-Each worker is a node of the farm with a name, a measured speed and a price. More workers may join from other machines by \
-`forelight worker`. Ctrl-C gives leased tasks back and ends in order; whatever kills it, the next start goes on where \
-it was.")]
+Each worker is a node of the farm with a name, a measured speed and a price. More workers join from other machines \
+with `forelight worker`. Ctrl-C returns leased tasks and ends the farm. After a crash the next start continues where \
+the farm was.")]
 pub struct Args {
     #[command(flatten)]
     service: ServiceOptions,
-    /// Workers in this process; none with --executor slurm
+    /// Number of workers in this process. With --executor slurm there are none
     #[arg(long, value_name = "COUNT", default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..=256))]
     workers: u16,
-    /// Threads of each worker
+    /// Number of threads of each worker
     #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: u16,
-    /// What an hour of each worker costs
+    /// Price of an hour of each worker, in the farm's currency, such as 0.50
     #[arg(long, value_name = "AMOUNT", default_value = "0", value_parser = parse_money)]
     price: i64,
-    /// Who makes ID previews
+    /// Device that renders ID previews
     #[arg(long, value_name = "WHO", default_value = "auto")]
     preview: PreviewBackend,
 }
@@ -46,7 +47,7 @@ pub struct Args {
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let bundles = args.service.data.join("bundles");
     let (library, capabilities) = library(&bundles, args.preview)?;
-    // Measured before there is anything else to do.
+    // Measured before the workers have other work.
     let calibration = measured(bundles, capabilities.processor.clone()).await?;
     let speed = node_speed(&calibration);
     let capabilities = Capabilities { calibration: Some(calibration), ..capabilities };
@@ -54,7 +55,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let client = Client::new(&reachable(&running.address()), Some(running.worker_token.clone()))?;
     let stop = CancellationToken::new();
     let mut agents: JoinSet<Result<(), AgentError>> = JoinSet::new();
-    // Slurm starts processes on its own nodes, of which this machine may be one.
+    // Slurm starts processes on its own nodes, and this machine may be one of them.
     let workers = if args.service.executor == Executor::Slurm { 0 } else { args.workers };
     for number in 1..=workers {
         let registration = NodeRegistration {
@@ -74,13 +75,11 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let threads = args.threads;
     output::line(running.greeting())?;
     output::line(match workers {
-        0 => {
-            "Slurm starts the processes; Ctrl-C ends the farm, and Slurm goes on with what it has".to_owned()
-        }
+        0 => "Slurm starts the workers; Ctrl-C ends the farm, and Slurm's jobs go on".to_owned(),
         _ => format!("{workers} workers of {threads} threads, speed {speed:.2}; Ctrl-C ends the farm"),
     })?;
     let stopped = interrupt.token();
-    // A worker ends by itself only if the service does not want it, which here means that something is very wrong.
+    // A worker ends by itself only if the service refuses it, which is an error here.
     let mut outcome = tokio::select! {
         () = stopped.cancelled() => Ok(()),
         Some(ended) = agents.join_next() => ended.map_err(anyhow::Error::from).and_then(|end| Ok(end?)),
@@ -93,7 +92,8 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     outcome
 }
 
-/// The address at which a process reaches itself: one that listens everywhere is reached here.
+/// The address at which this process reaches its own service. The address of all interfaces becomes that of
+/// this machine.
 fn reachable(address: &str) -> String {
     address.replace("//0.0.0.0:", "//127.0.0.1:").replace("//[::]:", "//[::1]:")
 }

@@ -1,16 +1,16 @@
 //! `forelight jobs`: the farm's jobs, newest first.
 
 use super::status::bar;
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::failure::BadInput;
-use crate::options::ConnectionOptions;
-use crate::output;
-use crate::quantities::clock;
-use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use forelight_protocol::{Job, JobState, Timestamp};
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::output;
+use forelight_terminal::quantities::clock;
+use forelight_terminal::table::{Align, Table};
 
-/// List jobs: how far each is, and when it will be ready
+/// List the farm's jobs with their progress, newest first
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -18,15 +18,15 @@ Examples:
   forelight jobs --state rendering --project film --data farm-data
   forelight jobs --most 200 --json --server http://farm:7878
 
-`forelight status JOB` has more of one of them. A job that is late, or whose promise is at risk, is marked with `!`.")]
+`forelight status JOB` shows more about one job. The mark `!` means that a job is late, or that its deadline is at risk.")]
 pub struct Args {
-    /// Only jobs in this state: previewing, profiling, booked, rendering, done, failed or cancelled
+    /// List only jobs in this state: previewing, profiling, booked, rendering, done, failed or cancelled
     #[arg(long, value_name = "STATE", value_parser = state)]
     state: Option<JobState>,
-    /// Only jobs of this project
+    /// List only jobs of this project
     #[arg(long, value_name = "NAME")]
     project: Option<String>,
-    /// At most so many, the newest
+    /// List at most this many jobs, the newest
     #[arg(long, value_name = "COUNT", default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=200))]
     most: u32,
     /// Print the jobs as JSON to standard output
@@ -44,7 +44,7 @@ fn state(text: &str) -> Result<JobState, String> {
 /// Runs the command.
 pub async fn run(args: Args) -> Result<()> {
     if args.project.as_deref() == Some("") {
-        return Err(BadInput::new("--project: a name has 1 character or more").into());
+        return Err(BadInput::new("--project: the name is empty").into());
     }
     let client = connect(&args.connection)?;
     let state = args.state.map(|state| ("state", state.name()));
@@ -56,7 +56,7 @@ pub async fn run(args: Args) -> Result<()> {
 
 fn report(jobs: &[Job], now: Timestamp) -> String {
     if jobs.is_empty() {
-        return "there are no such jobs\n".into();
+        return "no jobs match\n".into();
     }
     let mut table = Table::new(&[
         ("job", Align::Left),

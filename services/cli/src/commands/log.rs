@@ -1,25 +1,25 @@
-//! `forelight log`: what the workers of a task had to say.
+//! `forelight log`: the log of a task, as its workers wrote it.
 
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::options::ConnectionOptions;
-use crate::output;
-use crate::quantities::clock;
 use anyhow::{Context, Result};
 use forelight_protocol::{TaskId, TaskLog, Timestamp};
+use forelight_terminal::output;
+use forelight_terminal::quantities::clock;
 
-/// Show the log of a task: all attempts, oldest first
+/// Show the log of a task: all attempts, oldest line first
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   forelight log 0192f0c1-7a3b-7c55-8f00-0123456789ab --data farm-data
   forelight log 0192f0c1-7a3b-7c55-8f00-0123456789ab --json
 
-The error of a job that failed names the task; events do, too. While the task is being done, its log grows with every renewal of the \
-lease.")]
+The error of a failed job names the task, and so do events. While a worker does the task, the log grows with \
+every renewal of the lease.")]
 pub struct Args {
-    /// The task
+    /// Id of the task
     task: TaskId,
-    /// Print it as JSON to standard output
+    /// Print the log as JSON to standard output
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -41,7 +41,7 @@ fn report(log: &TaskLog, now: Timestamp) -> String {
         format!("{} {:>2} {:5} {}\n", clock(line.at, now), line.attempt, line.level, line.text)
     };
     match log.lines.as_slice() {
-        [] => "its workers have said nothing\n".into(),
+        [] => "the log is empty\n".into(),
         lines => lines.iter().map(line).collect(),
     }
 }

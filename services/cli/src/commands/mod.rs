@@ -4,7 +4,6 @@ mod accuracy;
 mod allot;
 mod ask;
 mod backup;
-mod bench;
 mod budget;
 mod cache;
 mod calibrate;
@@ -29,9 +28,9 @@ mod submit;
 mod token;
 mod worker;
 
-use crate::interrupt::Interrupt;
 use anyhow::Result;
 use clap::{ArgAction, Parser, Subcommand};
+use forelight_terminal::interrupt::Interrupt;
 
 /// Knows what a frame will cost before it is rendered.
 ///
@@ -82,7 +81,7 @@ enum Command {
     Node(Box<node::Args>),
     Log(log::Args),
     Backup(backup::Args),
-    Bench(bench::Args),
+    Bench(forelight_bench::Args),
 }
 
 impl Cli {
@@ -121,7 +120,7 @@ impl Cli {
             Command::Export(args) => blocking(move || export::run(&args)).await,
             Command::Plan(args) => blocking(move || plan::run(&args)).await,
             Command::Simulate(args) => blocking(move || simulate::run(&args, &interrupt)).await,
-            Command::Bench(args) => blocking(move || bench::run(&args, &interrupt)).await,
+            Command::Bench(args) => blocking(move || forelight_bench::run(&args, &interrupt)).await,
         }
     }
 }

@@ -1,19 +1,20 @@
-//! `forelight node`: what the farm's nodes do, and orders for them.
+//! `forelight node`: lists the farm's nodes, changes them, and gives them orders.
 
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::failure::BadInput;
-use crate::options::{ConnectionOptions, duration};
-use crate::output;
-use crate::quantities::{clock, parse_money};
-use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use forelight_protocol::{
     Money, Node, NodeCalendar, NodeChange, NodeState, PowerState, TimeSpan, Timestamp, WindowEnd,
 };
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::options::duration;
+use forelight_terminal::output;
+use forelight_terminal::quantities::{clock, parse_money};
+use forelight_terminal::table::{Align, Table};
 use std::time::Duration;
 
-/// List nodes and what they do, or give one an order
+/// List the farm's nodes, change one, or give it an order
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -24,71 +25,75 @@ Examples:
   forelight node cloud-1 --price 2.40 --billing-step 1h --setup 3m --window-end stop --data farm-data
   forelight node rack-7 --maintenance 2026-03-01T08:00:00Z/2026-03-01T12:00:00Z --data farm-data
 
-A worker hears of an order when it next renews its lease, a few seconds later at most; STATE says whether it has obeyed. A node on \
-which three jobs failed within a day is set aside, and says why; `back` returns it to service.
+A worker gets an order when it next renews its lease, within a few seconds. The column `state` shows whether the \
+worker has obeyed. The farm sets a node aside after three jobs failed on it within a day; the list shows the reason. \
+The order `back` returns the node to service.
 
-A node that is asleep by its schedule gets nothing to do, and before a window ends nothing that might not be done by then. Whatever is \
-changed, the farm is planned anew, and moves as little as it can.")]
+A node gets no tasks while its schedule says that it is asleep. Before a window ends, it gets only tasks that can end \
+in time. Every change makes the farm plan again, and move as few bookings as possible.")]
 pub struct Args {
-    /// Name of the node [default: all of them]
+    /// Name or id of the node [default: list all nodes]
     name: Option<String>,
-    /// What it shall do
+    /// Order to give to the node
     order: Option<Order>,
-    /// When it is awake, such as "Mon-Fri 20:00-08:00 Europe/Berlin", or `always`; `default`: as its worker says
+    /// Set when the node is awake, such as "Mon-Fri 20:00-08:00 Europe/Berlin", or `always`. `default` uses
+    /// the worker's own schedule
     #[arg(long, value_name = "WINDOWS", requires = "name")]
     schedule: Option<String>,
-    /// What an hour of it costs; `default`: as its worker says
+    /// Set the price of an hour, in the farm's currency, such as 2.40. `default` uses the worker's own price
     #[arg(long, value_name = "AMOUNT", requires = "name")]
     price: Option<String>,
-    /// Rented time is billed in multiples of this, such as 1h
+    /// Bill rented time in multiples of this, such as 1h
     #[arg(long, value_name = "DURATION", requires = "name", value_parser = duration)]
     billing_step: Option<Duration>,
-    /// The least rented time that is billed
+    /// Bill at least this much rented time, such as 10m
     #[arg(long, value_name = "DURATION", requires = "name", value_parser = duration)]
     minimum_booking: Option<Duration>,
-    /// How long it takes to wake up before its first frame
+    /// Time that the node needs to start before its first frame, such as 3m
     #[arg(long, value_name = "DURATION", requires = "name", value_parser = duration)]
     setup: Option<Duration>,
-    /// What becomes of a task that still runs when a window ends
+    /// What to do with a task that still runs when a window of the schedule ends
     #[arg(long, value_name = "WHAT", requires = "name")]
     window_end: Option<EndOfWindow>,
-    /// When it is closed whatever its schedule says, as START/END or START/ for nobody knows; `none` takes all back
+    /// Close the node for maintenance, whatever its schedule says: START/END, or START/ without a known end.
+    /// May be repeated. `none` removes all maintenance
     #[arg(long, value_name = "START/END", requires = "name", value_parser = maintenance)]
     maintenance: Vec<Maintenance>,
-    /// Print nodes as JSON to standard output
+    /// Print the nodes as JSON to standard output
     #[arg(long)]
     json: bool,
     #[command(flatten)]
     connection: ConnectionOptions,
 }
 
-/// Orders.
+/// An order to a node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Order {
-    /// Finish the task at hand and take no more.
+    /// Finish the current task, then take no more.
     Drain,
-    /// Stand still; the task at hand is kept.
+    /// Pause the current task, and take no more.
     Pause,
-    /// Take tasks again, after drain or pause.
+    /// Take tasks again after `drain` or `pause`.
     Resume,
-    /// Drop the task at hand; another node starts it anew. This one takes what comes next, unless it is drained.
+    /// Drop the current task, for another node to start again. This node takes the next task, unless it is
+    /// drained.
     Cancel,
-    /// Drop the task at hand and take no more.
+    /// Drop the current task and take no more.
     Stop,
-    /// Return to service after having been set aside.
+    /// Return to service after the farm has set the node aside.
     Back,
 }
 
-/// What becomes of a task at the end of a window.
+/// What happens to a task at the end of a window.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum EndOfWindow {
-    /// It is finished.
+    /// The node finishes it.
     Finish,
-    /// It is stopped, and goes to another node.
+    /// The node stops it, and another node starts it again.
     Stop,
 }
 
-/// A stretch of maintenance, or none at all.
+/// A time of maintenance, or `none`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Maintenance {
     None,
@@ -107,13 +112,13 @@ fn maintenance(text: &str) -> Result<Maintenance, String> {
     Ok(Maintenance::At(TimeSpan { start: instant(start)?, end }))
 }
 
-/// `default`, or a value.
+/// Reads `default` as `None`, and anything else as a value.
 fn or_default<T>(text: &str, parse: impl Fn(&str) -> Result<T, String>) -> Result<Option<T>, String> {
     if text == "default" { Ok(None) } else { parse(text).map(Some) }
 }
 
 impl Args {
-    /// What is to be changed of the node as it is; nothing if nothing was asked for.
+    /// The change of `node` that the flags ask for. It is empty if they ask for none.
     fn change(&self, node: &Node) -> Result<NodeChange> {
         let mut change = self.order.map_or_else(NodeChange::default, Order::change);
         let wrong = |flag: &str, reason: String| BadInput::new(format!("--{flag}: {reason}"));
@@ -169,8 +174,8 @@ pub async fn run(args: Args) -> Result<()> {
         Some(name) => {
             let node = nodes.iter().find(|node| node.name == *name || node.id.to_string() == *name);
             let Some(node) = node else {
-                return Err(BadInput::new(format!("{name}: there is no such node"))
-                    .hint("`forelight node` without a name lists them")
+                return Err(BadInput::new(format!("{name}: no node has this name or id"))
+                    .hint("`forelight node` without a name lists all nodes")
                     .into());
             };
             let change = args.change(node)?;
@@ -187,7 +192,7 @@ pub async fn run(args: Args) -> Result<()> {
 
 fn report(nodes: &[Node], now: Timestamp) -> String {
     if nodes.is_empty() {
-        return "no node has registered yet\n".into();
+        return "there are no nodes yet\n".into();
     }
     let mut table = Table::new(&[
         ("node", Align::Left),
@@ -196,7 +201,7 @@ fn report(nodes: &[Node], now: Timestamp) -> String {
         ("speed", Align::Right),
         ("memory", Align::Right),
         ("previews on", Align::Left),
-        ("heard of", Align::Left),
+        ("last seen", Align::Left),
         ("power", Align::Left),
     ]);
     for node in nodes {

@@ -1,21 +1,21 @@
-//! `forelight plan`: a farm description in, a plan out, and what would change it.
+//! `forelight plan`: reads a farm description, plans it, and answers what-if questions.
 
-use crate::atomic_file::write_bytes;
-use crate::failure::BadInput;
-use crate::json_file;
-use crate::output;
-use crate::quantities::{money, parse_duration, parse_money, seconds};
-use crate::table::{Align, Table};
 use anyhow::{Result, anyhow};
 use forelight_planner::{
     Change, Confidence, Description, Effect, Explanation, Input, Offer, Outlook, Plan, Simulation, Verdict,
     curve, earliest_for_budget, explain, gantt, outlook, plan, price_curve, simulate, verify, ways_out,
     what_if,
 };
+use forelight_terminal::atomic_file::write_bytes;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::json_file;
+use forelight_terminal::output;
+use forelight_terminal::quantities::{money, parse_duration, parse_money, seconds};
+use forelight_terminal::table::{Align, Table};
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// Plan a farm that a file describes: who renders what when, whether deadlines hold, and what it costs
+/// Plan the farm that a file describes: nodes, times, deadlines and cost
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -26,36 +26,37 @@ Examples:
 
 The fields of a farm description are documented in services/planner/README.md.")]
 pub struct Args {
-    /// Farm description
+    /// Farm description, a JSON file
     farm: PathBuf,
-    /// Draw the plan into this file
+    /// Draw the plan as a Gantt chart into this SVG file
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
-    /// Answer questions about this job: can it be done, at what price, and what to do if it cannot
+    /// Also show what this job costs at each confidence and for each deadline, and the ways to make it
+    /// possible
     #[arg(long, value_name = "NAME")]
     job: Option<String>,
-    /// Draw the job's price against its deadline into this file
+    /// Draw the job's price against its deadline into this SVG file. Needs --job
     #[arg(long, value_name = "FILE", requires = "job")]
     curve: Option<PathBuf>,
-    /// Say by when this budget pays for the job
+    /// Find the earliest deadline that this amount pays for, such as 250. Needs --job
     #[arg(long, value_name = "AMOUNT", requires = "job", value_parser = parse_money)]
     budget: Option<i64>,
-    /// What if there were so many more nodes like this one
+    /// What if: add COUNT nodes like NODE, such as cloud-1=4. May be repeated
     #[arg(long, value_name = "NODE=COUNT", value_parser = parse_more)]
     more: Vec<(String, u32)>,
-    /// What if this node died now
+    /// What if: this node fails now. May be repeated
     #[arg(long, value_name = "NODE")]
     without: Vec<String>,
-    /// What if this job had so much longer
+    /// What if: move the job's deadline back, such as hero-shot=2h. May be repeated
     #[arg(long, value_name = "JOB=DURATION", value_parser = parse_later)]
     later: Vec<(String, i64)>,
-    /// Scenarios in which the plan is tried; 0 leaves that out
+    /// Number of random scenarios to try the plan in. 0 skips the simulation
     #[arg(long, value_name = "COUNT", default_value_t = 500, value_parser = clap::value_parser!(u32).range(0..=100_000))]
     scenarios: u32,
-    /// Seed of the scenarios
+    /// Seed of the random scenarios
     #[arg(long, value_name = "NUMBER", default_value_t = 0)]
     seed: u64,
-    /// Print everything as JSON to standard output
+    /// Print the plan and all answers as JSON to standard output
     #[arg(long)]
     json: bool,
 }
@@ -72,7 +73,7 @@ fn parse_later(text: &str) -> Result<(String, i64), String> {
     Ok((name.to_owned(), micros))
 }
 
-/// Everything that was found.
+/// The plan and all answers.
 #[derive(Debug, Serialize)]
 struct Document {
     plan_id: String,
@@ -82,12 +83,12 @@ struct Document {
     #[serde(skip_serializing_if = "Option::is_none")]
     job: Option<Answers>,
     what_if: Vec<Effect>,
-    /// Names by identity.
+    /// Names by id.
     jobs: Vec<(u64, String)>,
     nodes: Vec<(u64, String)>,
 }
 
-/// What was asked about one job.
+/// Answers about the job that --job names.
 #[derive(Debug, Serialize)]
 struct Answers {
     outlook: Vec<Outlook>,
@@ -106,7 +107,10 @@ pub fn run(args: &Args) -> Result<()> {
     let found = plan(&input).map_err(|error| BadInput::new(format!("{}: {error}", args.farm.display())))?;
     if let Err(violations) = verify(&input, &found) {
         let first = violations.first().map(ToString::to_string).unwrap_or_default();
-        return Err(anyhow!("the plan is wrong in {} places, the first: {first}", violations.len()));
+        return Err(anyhow!(
+            "the planner made an invalid plan, please report it: {} violations, the first: {first}",
+            violations.len()
+        ));
     }
     let simulation = match args.scenarios {
         0 => None,
@@ -177,8 +181,9 @@ fn answers(args: &Args, input: &Input, name: &str) -> Result<Answers> {
     })
 }
 
-/// Whether a job was late in more of so many scenarios than its confidence allows, by more than chance can explain. Plans give a job the time that
-/// all its work takes at that confidence; where frames scatter much, the last of those beside each other ends later than that.
+/// Whether a job was late in more scenarios than its confidence allows, by more than chance explains (three
+/// standard errors). A plan gives a job the time that all its work takes at that confidence. If frames vary
+/// much, the last of the parallel frames ends later than that.
 fn is_beyond((late, scenarios): (f64, u32), confidence: Confidence) -> bool {
     let allowed: f64 = match confidence {
         Confidence::P50 => 0.5,
@@ -216,9 +221,9 @@ fn report(input: &Input, document: &Document) -> String {
             }
             Verdict::Feasible { .. } => "in time".to_owned(),
             Verdict::NoDeadline { .. } => String::new(),
-            Verdict::Late { unavoidable: true, .. } => "late, and could not be otherwise".to_owned(),
+            Verdict::Late { unavoidable: true, .. } => "late in every plan".to_owned(),
             Verdict::Late { .. } => "late".to_owned(),
-            Verdict::Unplaced { frames, .. } => format!("no place for {} frames", frames.len()),
+            Verdict::Unplaced { frames, .. } => format!("{} frames have no free node", frames.len()),
         };
         if entry.within_budget == Some(false) {
             word += if word.is_empty() { "over budget" } else { ", over budget" };
@@ -248,19 +253,17 @@ fn report(input: &Input, document: &Document) -> String {
             &format!("cost in {} scenarios: {p50} (P50), {p80} (P80), {p95} (P95)\n", simulation.scenarios);
     }
     if let Some(infeasible) = &found.infeasible {
-        text += "\nNo plan keeps all deadlines. There is too little time for all of these together: ";
+        text += "\nNo plan keeps all deadlines. The farm has too little time for these jobs together: ";
         text += &infeasible.jobs.iter().map(|&job| job_name(input, job)).collect::<Vec<_>>().join(", ");
         text.push('\n');
         for short in &infeasible.short {
-            text += &format!("  {} to {}: all of", clock(short.start), clock(short.end));
-            for limit in input.limits.iter().filter(|limit| short.limits.contains(&limit.id)) {
-                text += &format!(" {},", limit.name);
-            }
-            text += &format!(" {} nodes needed\n", short.nodes.len());
+            let nodes = short.nodes.len();
+            text +=
+                &format!("  {} to {}: all of {nodes} nodes needed\n", clock(short.start), clock(short.end));
         }
     }
     if !document.explanations.is_empty() {
-        text += "\nWho waits, and why\n";
+        text += "\nWaiting jobs\n";
     }
     for explanation in &document.explanations {
         text += &format!("  {} {}\n", job_name(input, explanation.job), explanation.reason);
@@ -301,13 +304,17 @@ fn answers_report(input: &Input, answers: &Answers) -> String {
     text += &format!("\n{}", prices.render());
     match &answers.earliest_for_budget {
         None => {}
-        Some(None) => text += "\nno deadline is cheap enough for the budget\n",
+        Some(None) => text += "\nthe budget is too small for any deadline\n",
         Some(Some(offer)) => {
-            text += &format!("\nthe budget pays for {}, at {}\n", clock(offer.deadline), money(offer.cost));
+            text += &format!(
+                "\nthe budget pays for the deadline {}, at a price of {}\n",
+                clock(offer.deadline),
+                money(offer.cost)
+            );
         }
     }
     if !answers.ways_out.is_empty() {
-        text += "\nWays out, the cheapest first\n";
+        text += "\nWays to keep the deadline, cheapest first\n";
     }
     for effect in &answers.ways_out {
         text += &format!("  {}\n", describe(input, effect));
@@ -330,9 +337,6 @@ fn describe(input: &Input, effect: &Effect) -> String {
         }
         Change::Confidence { job, confidence } => format!("{} at {confidence:?}", job_name(input, *job)),
         Change::MakeWay { job } => format!("{} gives up its deadline", job_name(input, *job)),
-        Change::Tiles { job, tiles } => {
-            format!("frames of {} split into up to {tiles} tiles", job_name(input, *job))
-        }
         Change::NewJob { job } => format!("with {}", job.name),
     };
     let sign = if effect.added_cost < 0 { "" } else { "+" };

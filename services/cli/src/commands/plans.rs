@@ -1,14 +1,14 @@
-//! `forelight plans`: the farm's plans, and what each changed.
+//! `forelight plans`: the farm's plans, and what each plan changed.
 
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::options::ConnectionOptions;
-use crate::output;
-use crate::quantities::clock;
-use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use forelight_protocol::{PlanId, PlanReason, PlanSummary, Timestamp};
+use forelight_terminal::output;
+use forelight_terminal::quantities::clock;
+use forelight_terminal::table::{Align, Table};
 
-/// List the farm's newest plans, or say what one of them changed
+/// List the farm's newest plans, or show what one plan changed
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -16,12 +16,12 @@ Examples:
   forelight plans 0192f0c1-7a3b-7c55-8f00-0123456789ab --data farm-data
   forelight plans 0192f0c1-7a3b-7c55-8f00-0123456789ab --json
 
-A plan never changes. When something happens (a job comes in, a node dies, frames take longer than forecast, a calendar changes), a new one \
-takes its place, and moves as little as it can.")]
+A plan never changes. A new plan replaces it when a job comes in, a node fails, frames take longer than \
+forecast, or a calendar changes. The new plan moves as few bookings as possible.")]
 pub struct Args {
-    /// The plan of which to say what it changed [default: list the newest]
+    /// Id of the plan whose changes to show [default: list the newest plans]
     plan: Option<PlanId>,
-    /// Print it as JSON to standard output
+    /// Print plans or changes as JSON to standard output
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -49,7 +49,7 @@ pub async fn run(args: Args) -> Result<()> {
 
 fn report(plans: &[PlanSummary], now: Timestamp) -> String {
     if plans.is_empty() {
-        return "nothing has been planned yet\n".into();
+        return "there are no plans yet\n".into();
     }
     let mut table = Table::new(&[
         ("plan", Align::Left),

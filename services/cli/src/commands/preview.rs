@@ -1,13 +1,14 @@
 //! `forelight preview`: what the camera sees, by object and material.
 
-use crate::atomic_file::write_bytes;
-use crate::local::Local;
-use crate::options::{MachineOptions, QualityOptions, png_file};
-use crate::output::{self, Bars};
-use crate::table::{Align, Table};
+use crate::job_options::png_file;
 use anyhow::{Context, Result};
 use forelight_protocol::{PreviewBackend, Spent};
 use forelight_scene::MaterialClass;
+use forelight_terminal::atomic_file::write_bytes;
+use forelight_terminal::local::Local;
+use forelight_terminal::options::{MachineOptions, QualityOptions};
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::table::{Align, Table};
 use forelight_worker::{Renderer, StratumInfo, png};
 use serde::Serialize;
 use std::path::PathBuf;

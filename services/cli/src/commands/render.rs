@@ -1,22 +1,24 @@
 //! `forelight render`: one frame on this machine, with its true cost.
 
-use super::allot::{self, AllotArgs, Stopping};
+use super::allot::{self, AllotArgs};
 use super::cache::read_full_cache;
 use super::explain;
 use super::forecast::once_costs;
-use crate::atomic_file::{self, write_bytes, write_with};
-use crate::bounded_file;
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::local::Local;
-use crate::options::{MachineOptions, QualityOptions, png_file};
-use crate::output::{self, Bars, RenderBar};
-use crate::quantities::{count, seconds};
-use crate::table::{Align, Table};
+use crate::job_options::png_file;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use forelight_protocol::{CACHE_BYTES, LeftOut, Rays, RenderStats};
 use forelight_scene::Frame;
+use forelight_terminal::atomic_file::{self, write_bytes, write_with};
+use forelight_terminal::bounded_file;
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::Local;
+use forelight_terminal::options::{MachineOptions, QualityOptions};
+use forelight_terminal::output::{self, Bars, RenderBar};
+use forelight_terminal::quantities::{count, seconds};
+use forelight_terminal::table::{Align, Table};
+use forelight_terminal::watching::{Stopping, allotment_failure};
 use forelight_tracer::{Image, Profile};
 use forelight_worker::{Given, RenderError, png, render_allotted, render_as_allotted, render_frame};
 use std::path::{Path, PathBuf};
@@ -125,7 +127,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
                 }
                 (None, Some(options)) => {
                     let made = render_allotted(shot, frame, &settings, given, options, &progress, &stopping);
-                    let made = made.map_err(|error| allot::failure(args.allot.limit(), error))?;
+                    let made = made.map_err(|error| allotment_failure(args.allot.limit(), error))?;
                     Ok(made.map(|allotted| (allotted.rendered, Some(allotted.samples))))
                 }
                 (None, None) => {
@@ -236,7 +238,7 @@ fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
         EffectsSwitch::CalledFor => "",
         EffectsSwitch::All => " (with code for all there are, and nothing left out)",
     };
-    text += &format!("effects     {}{code}\n", explain::effects(&stats.effects));
+    text += &format!("effects     {}{code}\n", output::list(&stats.effects));
     for LeftOut { what, reason } in &stats.left_out {
         text += &format!("left out    {what}: {reason}\n");
     }

@@ -1,17 +1,17 @@
-//! `forelight serve`: the service alone. What it shares with `forelight farm` is here too.
+//! `forelight serve`: the service without workers. `forelight farm` starts its service by the same code.
 
-use crate::atomic_file::write_secret;
 use crate::commands::slurm::SlurmOptions;
-use crate::interrupt::Interrupt;
-use crate::options::duration;
-use crate::output;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use forelight_api::{Config, Service};
+use forelight_client::Token;
 use forelight_engine::slurm::Engine;
 use forelight_protocol::{Role, Timestamp};
 use forelight_store::{ArtifactPlace, Store, tokens};
-use forelight_worker::Token;
+use forelight_terminal::atomic_file::write_secret;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::options::duration;
+use forelight_terminal::output;
 use std::fs;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ use std::time::Duration;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-/// The service alone; workers connect from elsewhere
+/// Run the service without workers; workers connect over HTTP
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -28,61 +28,63 @@ Examples:
   forelight serve --data /shared/farm --listen 10.0.0.5:7878 --executor slurm --slurm-partition render
   forelight worker --server http://farm:7878 --token-file worker.token
 
-On the first start a token for each role is written into DATA/tokens, readable by you alone; `forelight token` makes others. \
-The service speaks plain HTTP: put it behind a proxy that speaks TLS before it leaves a network that you trust.")]
+The first start writes a token for each role into DATA/tokens, readable by you alone. `forelight token` makes more. \
+The service speaks plain HTTP. Put it behind a TLS proxy if it is reached from outside a trusted network.")]
 pub struct Args {
     #[command(flatten)]
     service: ServiceOptions,
 }
 
-/// How the service is run.
+/// Options of the service.
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "Service")]
 pub struct ServiceOptions {
-    /// Folder of the database, the artefacts and the tokens; made if it is not there
+    /// Folder of the database, the artefacts and the tokens. It is created if it does not exist
     #[arg(long, value_name = "DIR", default_value = "farm-data")]
     pub data: PathBuf,
-    /// Where images, profiles and bundles are kept: s3://BUCKET/PREFIX for a bucket that speaks S3, with its server and credentials
-    /// from AWS_ENDPOINT_URL, AWS_REGION, AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY (and AWS_ALLOW_HTTP=true if it has no TLS)
+    /// Where to keep images, profiles and bundles: data-folder, or s3://BUCKET/PREFIX for an S3-compatible
+    /// bucket. The bucket's server and credentials come from AWS_ENDPOINT_URL, AWS_REGION, AWS_ACCESS_KEY_ID
+    /// and AWS_SECRET_ACCESS_KEY, and AWS_ALLOW_HTTP=true permits a server without TLS
     #[arg(long, value_name = "PLACE", default_value = "data-folder")]
     pub artifacts: ArtifactPlace,
-    /// The artefacts of this farm have been copied to where --artifacts says
+    /// Confirm that this farm's artefacts have been copied to the place that --artifacts names
     #[arg(long)]
     pub artifacts_moved: bool,
-    /// Address to listen on; port 0 picks a free one
+    /// Address and port to listen on. Port 0 picks a free port
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:7878")]
     pub listen: SocketAddr,
-    /// How long a lease lasts without renewal
+    /// Time until a lease expires without renewal, such as 30s
     #[arg(long, value_name = "DURATION", default_value = "30s", value_parser = duration)]
     pub lease_ttl: Duration,
-    /// Folder on shared storage under which jobs may name bundles by path; may be given several times
+    /// Folder on shared storage below which jobs may name bundles by path. May be repeated
     #[arg(long, value_name = "DIR")]
     pub bundle_root: Vec<PathBuf>,
-    /// Largest bundle that may be uploaded, in MiB
+    /// Largest bundle that clients may upload, MiB
     #[arg(long, value_name = "MIB", default_value_t = 256, value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
     pub max_bundle: u64,
-    /// Most frames of a job
+    /// Largest number of frames of a job
     #[arg(long, value_name = "COUNT", default_value_t = 10_000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     pub max_frames: u64,
-    /// Most pixels of an image
+    /// Largest number of pixels of an image
     #[arg(long, value_name = "COUNT", default_value_t = 1 << 26, value_parser = clap::value_parser!(u64).range(1..=1 << 28))]
     pub max_pixels: u64,
-    /// Most triangles of a scene
+    /// Largest number of triangles of a scene
     #[arg(long, value_name = "COUNT", default_value_t = 50_000_000, value_parser = clap::value_parser!(u64).range(1..))]
     pub max_triangles: u64,
-    /// Who starts the processes that do the tasks
+    /// What starts the processes that do the tasks
     #[arg(long, value_name = "WHO", default_value = "workers")]
     pub executor: Executor,
     #[command(flatten)]
     pub slurm: SlurmOptions,
 }
 
-/// Who starts the processes that do the tasks.
+/// What starts the processes that do the tasks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Executor {
-    /// People: by `forelight worker`, or `forelight farm` for its own machine.
+    /// People start workers: `forelight worker`, or `forelight farm` on its own machine.
     Workers,
-    /// Slurm: tasks become job arrays, bookings their begin and reservations, forecasts their time limits.
+    /// Slurm starts them: tasks become job arrays, bookings become start times and reservations, and
+    /// forecasts become time limits.
     Slurm,
 }
 
@@ -111,11 +113,11 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     Ok(())
 }
 
-/// A service that listens, and the worker's token of its farm.
+/// A running service.
 pub struct Running {
     /// The service.
     pub service: Service,
-    /// The token that workers of this process use.
+    /// The token for workers in this process.
     pub worker_token: Token,
     data: PathBuf,
     engine: Option<(JoinHandle<()>, CancellationToken)>,
@@ -127,39 +129,39 @@ impl Running {
         format!("http://{}", self.service.local_addr())
     }
 
-    /// Ends the engine and the service in order. What Slurm has goes on, and is found again at the next start.
+    /// Ends the engine, then the service. Slurm's jobs go on, and the next start finds them again.
     pub async fn shutdown(self) {
         if let Some((engine, stop)) = self.engine {
             stop.cancel();
             if let Err(error) = engine.await {
-                tracing::warn!(%error, "the engine did not end in order");
+                tracing::warn!(%error, "the engine failed while it was ending");
             }
         }
         self.service.shutdown().await;
     }
 
-    /// What the person who started it wants to know.
+    /// Two lines for the person who started it: the address, and the file of the operator token.
     pub fn greeting(&self) -> String {
         let token = token_path(&self.data, Role::Operator);
         format!("listening on {}\noperator token in {}", self.address(), token.display())
     }
 }
 
-/// Starts the service, and makes the tokens if need be.
+/// Starts the service, and creates the first tokens if they are missing.
 pub async fn start(options: &ServiceOptions) -> Result<Running> {
     let data = options.data.display();
-    // A connection for each worker, and what the service itself needs.
-    crate::open_files::allow(256)?;
+    // Each worker has a connection, and the service needs some files itself.
+    forelight_terminal::open_files::allow(256)?;
     let service = Service::start(options.config())
         .await
         .with_context(|| format!("cannot start the service with data in {data}"))?;
     let worker_token = first_tokens(service.store(), &options.data)
         .await
-        .with_context(|| format!("cannot make tokens in {data}"))?;
+        .with_context(|| format!("cannot create the tokens in {data}"))?;
     let mut running = Running { service, worker_token, data: options.data.clone(), engine: None };
     if options.executor == Executor::Slurm {
         let logs = options.data.join("slurm");
-        fs::create_dir_all(&logs).with_context(|| format!("cannot make {}", logs.display()))?;
+        fs::create_dir_all(&logs).with_context(|| format!("cannot create the folder {}", logs.display()))?;
         let token = token_path(&options.data, Role::Worker);
         let chosen = options.slurm.engine(&running.address(), &logs, &token)?;
         let engine =
@@ -174,8 +176,9 @@ fn token_path(data: &Path, role: Role) -> PathBuf {
     data.join("tokens").join(format!("{role}.token"))
 }
 
-/// Makes sure that there is a file with a valid token for each role, and returns the worker's. A file whose token the database
-/// does not know (it is another farm's, or the database was deleted) is replaced.
+/// Writes a file with a valid token for each role, where it is missing, and returns the worker's token. A
+/// file whose token the database does not know is replaced: it belongs to another farm or to a deleted
+/// database.
 async fn first_tokens(store: &Store, data: &Path) -> Result<Token> {
     let mut worker = None;
     for role in Role::ALL {
@@ -198,7 +201,7 @@ async fn first_tokens(store: &Store, data: &Path) -> Result<Token> {
             worker = Some(Token::new(&text));
         }
     }
-    worker.context("there is no worker role")
+    worker.context("the list of roles lacks the worker")
 }
 
 #[cfg(test)]

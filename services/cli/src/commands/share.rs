@@ -1,29 +1,29 @@
-//! `forelight share`: whose turn it is among jobs without a deadline.
+//! `forelight share`: each project's share of the farm, for jobs without a deadline.
 
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::options::ConnectionOptions;
-use crate::output;
-use crate::table::{Align, Table};
 use anyhow::{Context, Result};
 use forelight_protocol::{ProjectList, ProjectRequest};
+use forelight_terminal::output;
+use forelight_terminal::table::{Align, Table};
 
-/// List projects with their shares of the farm, or set one
+/// List the projects' shares of the farm, or set one
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   forelight share --data farm-data
   forelight share hero-film 3 --data farm-data
 
-Among jobs without a deadline, those go first whose project had least for its share. What it had counts half after a week. A project that was \
-given none has a share of 1.")]
+Shares order jobs without a deadline. The first job is that of the project with the least use for its share. \
+Use counts half after a week. A project has a share of 1 unless one was set.")]
 pub struct Args {
-    /// The project [default: all of them]
+    /// Name of the project [default: list all projects]
     #[arg(requires = "share")]
     project: Option<String>,
-    /// Its share, relative to the others'
+    /// Share to set, from 1 to 1000000, relative to the other projects' shares
     #[arg(value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     share: Option<u32>,
-    /// Print shares as JSON to standard output
+    /// Print the shares as JSON to standard output
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -43,7 +43,7 @@ pub async fn run(args: Args) -> Result<()> {
 
 fn report(projects: &ProjectList) -> String {
     if projects.items.is_empty() {
-        return "no project has a share, an open job, or used the farm lately\n".into();
+        return "no project has a share, an open job or recent use\n".into();
     }
     let mut table = Table::new(&[
         ("project", Align::Left),

@@ -1,67 +1,68 @@
-//! How Slurm is used, for `forelight serve` and `forelight farm`.
+//! Options of Slurm, for `forelight serve` and `forelight farm`.
 
-use crate::failure::BadInput;
-use crate::options::{PreviewBackend, duration};
-use crate::quantities::parse_money;
 use anyhow::{Context, Result};
 use forelight_engine::slurm::{Options, Submitting};
 use forelight_protocol::Money;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::options::{PreviewBackend, duration};
+use forelight_terminal::quantities::parse_money;
 use std::path::{Path, PathBuf, absolute};
 use std::time::Duration;
 
-/// How Slurm is used, with --executor slurm.
+/// Options of Slurm, with --executor slurm.
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "Slurm (with --executor slurm)")]
 pub struct SlurmOptions {
-    /// Partition whose nodes are used [default: Slurm's default one]
+    /// Partition whose nodes to use [default: Slurm's default partition]
     #[arg(long, value_name = "NAME")]
     pub slurm_partition: Option<String>,
-    /// Account that jobs are charged to [default: the user's]
+    /// Account to charge jobs to [default: the user's default account]
     #[arg(long, value_name = "NAME")]
     pub slurm_account: Option<String>,
-    /// Address at which nodes reach this service [default: the one that it listens on]
+    /// Address at which nodes reach this service, such as http://farm:7878 [default: the address that it
+    /// listens on]
     #[arg(long, value_name = "URL")]
     pub slurm_server: Option<String>,
-    /// The forelight program on the nodes [default: this one, at its path here]
+    /// Path of the forelight program on the nodes [default: the path of this program]
     #[arg(long, value_name = "FILE")]
     pub slurm_program: Option<PathBuf>,
-    /// File on the nodes that holds a worker's token [default: the one in --data, which is on shared storage then]
+    /// File on the nodes with a worker's token [default: the file in --data, which must be on shared storage]
     #[arg(long, value_name = "FILE")]
     pub slurm_token_file: Option<PathBuf>,
     /// Folder on the nodes for fetched bundles [default: as for `forelight worker`]
     #[arg(long, value_name = "DIR")]
     pub slurm_bundles: Option<PathBuf>,
-    /// Folder for what the processes say, on shared storage [default: slurm in --data]
+    /// Folder on shared storage for the logs of the processes [default: slurm in --data]
     #[arg(long, value_name = "DIR")]
     pub slurm_logs: Option<PathBuf>,
-    /// Who makes ID previews on the nodes
+    /// Device that renders ID previews on the nodes
     #[arg(long, value_name = "WHO", default_value = "auto")]
     pub slurm_preview: PreviewBackend,
-    /// What an hour of a node costs
+    /// Price of an hour of a node, in the farm's currency, such as 0.40
     #[arg(long, value_name = "AMOUNT", default_value = "0", value_parser = parse_money)]
     pub slurm_price: i64,
-    /// Time limit of previews and profiles. Of frames it is four times the 95 % quantile of their forecast on the slowest node, and
-    /// two minutes; twice as much each time that a frame ran out of it
+    /// Time limit of previews and profiles, such as 1h. A frame's limit is two minutes plus four times the
+    /// P95 of its forecast on the slowest node. The limit doubles each time that the frame exceeds it
     #[arg(long, value_name = "DURATION", default_value = "1h", value_parser = duration)]
     pub slurm_quote_limit: Duration,
-    /// Whether the booked nodes of jobs with a deadline are reserved: if Slurm lets this user, or never
+    /// Reserve the booked nodes of jobs with a deadline: if Slurm permits it (auto), or never
     #[arg(long, value_name = "WHEN", default_value = "auto", value_parser = ["auto", "never"])]
     pub slurm_reservations: String,
-    /// Pause between two looks at Slurm
+    /// Time between two queries of Slurm's state, at least 0.1s
     #[arg(long, value_name = "DURATION", default_value = "5s", value_parser = pause)]
     pub slurm_poll: Duration,
 }
 
 impl SlurmOptions {
-    /// The same for the engine of a service at this address.
+    /// The options of the engine, for a service at this address.
     pub fn engine(&self, address: &str, logs: &Path, token: &Path) -> Result<Options> {
         let server = match &self.slurm_server {
             Some(server) => server.clone(),
             None if address.contains("//0.0.0.0:") || address.contains("//[::]:") => {
                 return Err(BadInput::new(
-                    "--slurm-server: nodes need an address at which they reach this service",
+                    "--slurm-server: name the address at which the nodes reach this service",
                 )
-                .hint("the service listens on all of its addresses; name one of them, as in http://farm:7878")
+                .hint("the service listens on all addresses of this machine; choose one, such as http://farm:7878")
                 .into());
             }
             None => address.to_owned(),
@@ -72,9 +73,10 @@ impl SlurmOptions {
                 std::env::current_exe().context("cannot find this program; name it by --slurm-program")?
             }
         };
-        // Processes on the nodes start in another folder than this one.
-        let there =
-            |path: &Path| absolute(path).with_context(|| format!("cannot say where {} is", path.display()));
+        // Processes on the nodes start in another folder, so that paths must be absolute.
+        let there = |path: &Path| {
+            absolute(path).with_context(|| format!("cannot make the path {} absolute", path.display()))
+        };
         let reserve = self.slurm_reservations != "never";
         let submitting = Submitting {
             partition: self.slurm_partition.clone(),
@@ -100,13 +102,17 @@ impl SlurmOptions {
     }
 }
 
-/// Whose reservations they are: Slurm takes a user's number for a name.
+/// The user that owns the reservations, by number: Slurm accepts it as a name.
 fn user() -> String {
     rustix::process::getuid().as_raw().to_string()
 }
 
-/// A pause of at least a tenth of a second: Slurm's controller has others to serve.
+/// Reads a pause of at least a tenth of a second, to spare Slurm's controller.
 fn pause(text: &str) -> Result<Duration, String> {
     let pause = duration(text)?;
-    if pause < Duration::from_millis(100) { Err("must be at least 0.1s".to_owned()) } else { Ok(pause) }
+    if pause < Duration::from_millis(100) {
+        Err("the time must be at least 0.1s".to_owned())
+    } else {
+        Ok(pause)
+    }
 }

@@ -1,18 +1,19 @@
-//! `forelight status`: how a job stands.
+//! `forelight status`: the state of a job.
 
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::options::{ConnectionOptions, duration};
-use crate::output;
-use crate::quantities::{clock, seconds};
 use anyhow::{Context, Result, bail};
+use forelight_client::Client;
 use forelight_protocol::{Job, JobId, JobState, Timestamp, Verdict};
-use forelight_worker::Client;
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::options::duration;
+use forelight_terminal::output;
+use forelight_terminal::quantities::{clock, seconds};
 use std::io::IsTerminal;
 use std::time::Duration;
 
-/// Show how a job stands: progress, forecast against booking, when it will be ready, why it waits, what it cost so far
+/// Show a job: progress, forecast and booking, time of completion, reason for waiting, cost so far
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -21,18 +22,19 @@ Examples:
   forelight status kitchen --json --server http://farm:7878
   forelight status kitchen --watch --json --data farm-data > kitchen.jsonl
 
-With --watch the picture is kept up to date until the job is over; the exit code is then 0 only if all frames were delivered. With --json as well, \
-each change is a line of its own.
+With --watch the display is updated until the job ends. The exit code is then 0 only if all frames were delivered. \
+With --watch and --json, each change is printed as one line.
 
-`forecast` is what was quoted, and what is expected now that some frames are done; `booked` is what the plan set aside for it. `cost` is what the time of \
-its nodes has cost so far and will have cost in all, what was lost and the quote itself included.")]
+  forecast   CPU time as quoted, and as expected from the frames that are done
+  booked     CPU time that the plan reserves for the job
+  cost       price of the nodes' time so far and in total, with lost work and the quote itself")]
 pub struct Args {
-    /// Its id, or its name: of several jobs of the same name the newest
+    /// Id or name of the job. Of several jobs with the same name, the newest is shown
     job: String,
-    /// Keep the picture up to date until the job is over
+    /// Update the display until the job ends
     #[arg(short, long)]
     watch: bool,
-    /// Time between two looks, with --watch
+    /// Time between two updates with --watch, such as 5s
     #[arg(long, value_name = "DURATION", default_value = "1s", value_parser = duration)]
     interval: Duration,
     /// Print the job as JSON to standard output
@@ -58,15 +60,15 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     }
 }
 
-/// The job of this id, or the newest of this name.
+/// The job with this id, or the newest job with this name.
 async fn find(client: &Client, wanted: &str) -> Result<Job> {
     let id = match wanted.parse::<JobId>() {
         Ok(id) => id,
         Err(_) => {
             let named = client.jobs_named(wanted).await.context("cannot list the jobs")?;
             let Some(newest) = named.first() else {
-                return Err(BadInput::new(format!("{wanted}: there is no job of this id or name"))
-                    .hint("`forelight jobs` lists them")
+                return Err(BadInput::new(format!("{wanted}: no job has this id or name"))
+                    .hint("`forelight jobs` lists the jobs")
                     .into());
             };
             newest.id
@@ -75,7 +77,7 @@ async fn find(client: &Client, wanted: &str) -> Result<Job> {
     client.job(id).await.with_context(|| format!("cannot read job {wanted}"))
 }
 
-/// Shows the job whenever it changes, until it is over.
+/// Shows the job whenever it changes, until it ends.
 async fn watch(args: &Args, client: &Client, mut job: Job, interrupt: &Interrupt) -> Result<Job> {
     let stopped = interrupt.token();
     let in_place = !args.json && std::io::stdout().is_terminal();
@@ -87,7 +89,7 @@ async fn watch(args: &Args, client: &Client, mut job: Job, interrupt: &Interrupt
             report(&job, Timestamp::now())
         };
         if text != shown {
-            // A clean screen, however the lines before were wrapped.
+            // Clears the whole screen, since long lines may have wrapped.
             let clear = if in_place { "\x1b[H\x1b[2J" } else { "" };
             output::print(&format!("{clear}{text}"))?;
             shown = text;
@@ -105,18 +107,18 @@ async fn watch(args: &Args, client: &Client, mut job: Job, interrupt: &Interrupt
     }
 }
 
-/// Cells of the progress bar.
+/// Width of the progress bar, characters.
 const CELLS: usize = 40;
 
-/// A share, 0 to 1, as a bar and per cent.
+/// A share from 0 to 1 as a bar of `cells` characters, with per cent.
 pub fn bar(share: f64, cells: usize) -> String {
     let share = share.clamp(0.0, 1.0);
-    // Full only when it is.
+    // Rounded down, so that only a finished job has a full bar.
     let full = (share * cells as f64).floor() as usize;
     format!("[{}{}] {:3.0} %", "#".repeat(full), ".".repeat(cells - full), (share * 100.0).floor())
 }
 
-/// All of it, for people.
+/// The job as text.
 fn report(job: &Job, now: Timestamp) -> String {
     let mut text = format!("{}  {}\n", bar(job.progress, CELLS), job.name);
     let mut line = |name: &str, what: String| text += &format!("{name:<10} {what}\n");
@@ -124,10 +126,10 @@ fn report(job: &Job, now: Timestamp) -> String {
     line("state", format!("{}: {} of {} frames done", job.state, job.frames_done, job.frames_total));
     if let Some(seed) = job.seed.as_ref().filter(|seed| !seed.ready && !job.state.is_final()) {
         let filled = format!("{} of {} parts filled", seed.parts_done, seed.parts);
-        line("cache", format!("{}  {filled}; the frames wait for it", bar(seed.progress, CELLS / 2)));
+        line("cache", format!("{}  {filled}; the frames wait for the cache", bar(seed.progress, CELLS / 2)));
     }
     if let Some(waits) = &job.waits {
-        let what = if job.plan_id.is_some() { "it begins" } else { "the first wakes" };
+        let what = if job.plan_id.is_some() { "the job begins" } else { "the first node wakes" };
         let until = waits.until.map_or(String::new(), |at| format!("; {what} at {}", clock(at, now)));
         line("waits", format!("{}{until}", waits.because.trim_start_matches("waits ")));
     }
@@ -139,7 +141,7 @@ fn report(job: &Job, now: Timestamp) -> String {
             format!("{} of CPU time (P50), {} (P80) were quoted", seconds(quote.p50), seconds(quote.p80)),
         );
         if job.state == JobState::Done {
-            line("", format!("{} it took", seconds(cpu.spent)));
+            line("", format!("{} of CPU time were used", seconds(cpu.spent)));
         } else if live.frames_done > 0 {
             let so_far =
                 format!("{} (P50), {} (P80) are expected now", seconds(whole.p50), seconds(whole.p80));
@@ -175,17 +177,17 @@ fn report(job: &Job, now: Timestamp) -> String {
     text
 }
 
-/// When it was or will be ready, and what that means for its deadline.
+/// When the job was or will be ready, and by how much that keeps or misses its deadline.
 fn ready(job: &Job, now: Timestamp) -> String {
     let (at, said) = match (job.state, job.finished_at, job.eta) {
         (JobState::Done, Some(at), _) => (at, format!("since {}", clock(at, now))),
-        (state, _, _) if state.is_final() => return format!("never: it is {state}"),
-        (_, _, Some(at)) => (at, format!("at {} as things stand", clock(at, now))),
+        (state, _, _) if state.is_final() => return format!("never: the job is {state}"),
+        (_, _, Some(at)) => (at, format!("at {} by the current plan", clock(at, now))),
         (_, _, None) if job.plan_id.is_none() => {
             let deadline = job.deadline.map_or(String::new(), |at| format!("; wanted by {}", clock(at, now)));
-            return format!("not known before it is booked{deadline}");
+            return format!("not known before the job is booked{deadline}");
         }
-        (_, _, None) => return "never as things stand: nothing of it is booked".to_owned(),
+        (_, _, None) => return "unknown: the current plan books nothing of the job".to_owned(),
     };
     let against = job.deadline.map_or(String::new(), |deadline| {
         let late = at.micros_since(deadline);
@@ -196,14 +198,14 @@ fn ready(job: &Job, now: Timestamp) -> String {
     said + &against
 }
 
-/// What it cost so far and will have cost, beside its budget.
+/// The cost so far and in total, beside the budget.
 fn cost(job: &Job) -> String {
     let mut parts: Vec<String> = job.spent.iter().map(|spent| format!("{spent} so far")).collect();
     if let Some(whole) = job.live.as_ref().and_then(|live| live.cost).filter(|_| !job.state.is_final()) {
         parts.push(format!("{} (P50), {} (P80) expected in all", whole.p50, whole.p80));
     }
     parts.extend(job.live.iter().filter_map(|live| live.booked.cost).map(|cost| format!("{cost} booked")));
-    parts.extend(job.budget.map(|budget| format!("its budget is {budget}")));
+    parts.extend(job.budget.map(|budget| format!("budget {budget}")));
     parts.join("; ")
 }
 
@@ -255,28 +257,28 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_job_that_nobody_quotes_says_why() {
+    fn a_job_that_waits_for_its_quote_says_why() {
         let because = "waits because no node takes tasks: 2 asleep".to_owned();
         let waits =
             Waits { kind: WaitKind::Calendar, because, until: Some(at(60)), behind: Vec::new(), share: None };
         let text = report(&Job { waits: Some(waits), ..job() }, at(0));
         assert!(
-            text.contains("waits      because no node takes tasks: 2 asleep; the first wakes at "),
+            text.contains("waits      because no node takes tasks: 2 asleep; the first node wakes at "),
             "{text}"
         );
     }
 
     #[test]
-    fn a_job_that_is_not_booked_says_what_it_waits_for_and_nothing_that_is_not_known() {
+    fn a_job_that_is_not_booked_shows_its_deadline_and_budget_and_no_forecast() {
         let text = report(&job(), at(0));
-        assert!(text.contains("not known before it is booked; wanted by"), "{text}");
-        assert!(text.contains("its budget is 0.50"), "{text}");
+        assert!(text.contains("not known before the job is booked; wanted by"), "{text}");
+        assert!(text.contains("budget 0.50"), "{text}");
         assert!(!text.contains("forecast") && !text.contains("promise"), "{text}");
         assert!(!report(&Job { budget: None, ..job() }, at(0)).contains("cost"));
     }
 
     #[test]
-    fn a_job_under_way_shows_forecast_against_booking_what_is_left_of_its_promise_and_sums_below_a_cent() {
+    fn a_job_under_way_shows_forecast_booking_promise_and_sums_below_a_cent() {
         let cpu_seconds = LiveFigure {
             quote: quantiles(100.0),
             spent: 60.0,
@@ -328,7 +330,7 @@ pub(super) mod tests {
             "3m 20s at P80: exceeded, ready by",
             "30m 00s before the deadline",
             "kept, with a probability of 93 %",
-            "0.001234 so far; 0.004321 (P50), 0.004321 (P80) expected in all; 0.003 booked; its budget is 0.50",
+            "0.001234 so far; 0.004321 (P50), 0.004321 (P80) expected in all; 0.003 booked; budget 0.50",
         ] {
             assert!(text.contains(said), "{said}: {text}");
         }

@@ -1,16 +1,16 @@
-//! `forelight token`: a new bearer token.
+//! `forelight token`: creates a bearer token.
 
-use crate::atomic_file;
-use crate::failure::BadInput;
-use crate::options::duration;
-use crate::output;
 use anyhow::{Context, Result};
 use forelight_protocol::{Role, Timestamp};
 use forelight_store::{Store, tokens};
+use forelight_terminal::atomic_file;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::options::duration;
+use forelight_terminal::output;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Make a bearer token for a person or a worker
+/// Create a bearer token for a person or a worker
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -18,30 +18,35 @@ Examples:
   forelight token --data farm-data --role worker --name rack-7 --out rack-7.token
   forelight token --data farm-data --one-time --name rack-8 --out rack-8.join
 
-The token is shown or written once; the farm keeps only its hash. The service may be running.
+The token is printed or written once; the farm keeps only its hash. The service may run meanwhile.
 
-Roles: viewer reads; submitter also submits jobs and bundles; worker registers a node and takes tasks, and reads nothing else; operator may do everything.
+Roles:
+  viewer      reads
+  submitter   reads, and submits jobs and bundles
+  worker      registers a node and takes tasks; reads nothing else
+  operator    does everything
 
-A one-time token lets one machine join the farm, once: `forelight worker --join-token-file rack-8.join --token-file rack-8.token`. The \
-machine gets a token of its own, which speaks for its node and no other. It takes the place of a node that is there already only with a \
-one-time token whose --name is that node's.")]
+A one-time token lets one machine join the farm once: `forelight worker --join-token-file rack-8.join --token-file \
+rack-8.token`. The machine then gets its own token, which is valid for its node only. To replace an existing node, \
+give the one-time token the --name of that node.")]
 pub struct Args {
     /// Data folder of the farm
     #[arg(long, value_name = "DIR", default_value = "farm-data")]
     data: PathBuf,
-    /// What its holder may do
+    /// Role of the token: viewer, submitter, worker or operator
     #[arg(long, value_name = "ROLE", required_unless_present = "one_time")]
     role: Option<Role>,
-    /// Make a one-time token, with which one machine can join the farm as a node
+    /// Create a one-time token, with which one machine joins the farm as a node
     #[arg(long, conflicts_with = "role")]
     one_time: bool,
-    /// How long a one-time token may be used
+    /// Time for which a one-time token is valid, such as 24h
     #[arg(long, value_name = "DURATION", default_value = "24h", value_parser = duration, requires = "one_time")]
     valid: Duration,
-    /// Whom it is for; a one-time token in a node's name lets a machine take that node's place
+    /// Name of the person or machine. A one-time token with the name of a node lets a machine replace that
+    /// node
     #[arg(long, value_name = "NAME", default_value = "unnamed")]
     name: String,
-    /// Write it to this file, readable by its owner alone, instead of showing it
+    /// Write the token to this file, readable by its owner alone, instead of printing it
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
@@ -49,11 +54,11 @@ pub struct Args {
 /// Runs the command.
 pub async fn run(args: Args) -> Result<()> {
     if args.name.trim().is_empty() || args.name.chars().count() > 200 {
-        return Err(BadInput::new("--name: must have 1 to 200 characters").into());
+        return Err(BadInput::new("--name: a name has 1 to 200 characters").into());
     }
     if !args.data.is_dir() {
-        return Err(BadInput::new(format!("--data {}: there is no such folder", args.data.display()))
-            .hint("start the farm once; it makes its data folder")
+        return Err(BadInput::new(format!("--data {}: this folder does not exist", args.data.display()))
+            .hint("start the farm once, which creates the folder, or name another folder")
             .into());
     }
     let store = Store::open_beside(&args.data)

@@ -1,26 +1,28 @@
-//! `forelight worker`: a worker process on this machine, for a service anywhere.
+//! `forelight worker`: a worker process on this machine, for a service on any machine.
 
 use super::calibrate;
-use crate::atomic_file::write_secret;
+use crate::connection::ConnectionOptions;
 use crate::connection::{connect, read_token};
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::local::preview_choice;
-use crate::options::{ConnectionOptions, PreviewBackend, duration};
-use crate::output;
-use crate::quantities::{parse_bytes, parse_money};
 use anyhow::{Context, Result};
+use forelight_client::Client;
 use forelight_protocol::{
     Capabilities, JoinRequest, Money, NodeCalendar, NodeCalibration, NodeRegistration, ProblemKind, TaskId,
     TaskLimits,
 };
 use forelight_store::{token_hash, tokens};
-use forelight_worker::{Agent, Ambient, Client, Errand, Library, TaskRunner, capabilities, node_speed};
+use forelight_terminal::atomic_file::write_secret;
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::preview_choice;
+use forelight_terminal::options::{PreviewBackend, duration};
+use forelight_terminal::output;
+use forelight_terminal::quantities::{parse_bytes, parse_money};
+use forelight_worker::{Agent, Ambient, Errand, Library, TaskRunner, capabilities, node_speed};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Work for a service: take tasks, render, report
+/// Run a worker: take tasks from a service, do them, report the results
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -30,50 +32,54 @@ Examples:
   forelight worker --server http://farm:7878 --join-token-file rack-8.join --token-file rack-8.token --name rack-8
   forelight worker --server http://farm:7878 --token-file rack-9.token --name rack-9 --calibration rack-7.json
 
-The first time, the machine is calibrated for some seconds (see `forelight calibrate`). Ctrl-C stops taking tasks and gives the one at hand \
-back. A restart of the service is survived: results are offered until they are taken.
+The first start calibrates the machine for some seconds (see `forelight calibrate`). Ctrl-C returns the current task \
+to the service and ends the worker. The worker survives a restart of the service: it sends its results again until \
+the service has them.
 
-With --join-token-file the machine joins the farm: the one-time token is burnt, and the machine's own token, which it makes itself, is \
-kept in --token-file. Started again with the same flags it finds that token and uses it.")]
+With --join-token-file the machine joins the farm. This uses up the one-time token. The machine creates its own \
+token, keeps it in --token-file, and uses it when it starts again with the same flags.")]
 pub struct Args {
-    /// Name of this node, unique on the farm: whoever starts under it takes the node over [default: the host's name]
+    /// Name of this node, unique on the farm. A worker that starts with a known name takes that node over
+    /// [default: the host's name]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
     /// Threads that trace light [default: one per core]
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// What an hour of this node costs
+    /// Price of an hour of this node, in the farm's currency, such as 0.80
     #[arg(long, value_name = "AMOUNT", default_value = "0", value_parser = parse_money)]
     price: i64,
-    /// Folder for fetched bundles [default: forelight-bundles in the system's folder for temporary files]
+    /// Folder for downloaded bundles [default: forelight-bundles in the system's temporary folder]
     #[arg(long, value_name = "DIR")]
     bundles: Option<PathBuf>,
-    /// Who makes ID previews
+    /// Device that renders ID previews
     #[arg(long, value_name = "WHO", default_value = "auto")]
     preview: PreviewBackend,
-    /// Do this one task and end: for what starts processes for tasks, such as Slurm. Waits while another worker has it; ends at
-    /// once, with exit code 0, if it is over
+    /// Do this one task, then end. For schedulers such as Slurm, which start a process for each task. The
+    /// worker waits while another worker has the task, and ends with exit code 0 if the task is done already
     #[arg(long, value_name = "ID")]
     task: Option<TaskId>,
-    /// Most memory that this process may use while it does a task, such as 8GiB; beyond it the task is ended [default: no limit]
+    /// Memory limit of this process during a task, such as 8GiB. A task that exceeds it is ended [default: no
+    /// limit]
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     task_memory: Option<u64>,
-    /// Most time that a task may take; beyond it the task is ended [default: no limit]
+    /// Time limit of a task, such as 2h. A task that exceeds it is ended [default: no limit]
     #[arg(long, value_name = "DURATION", value_parser = duration)]
     task_time: Option<Duration>,
-    /// How often the finished tiles of a frame are sent to the service, for whoever has the frame next should this process be killed; frames
-    /// of up to a million pixels without an irradiance cache
+    /// Time between two checkpoints of a frame. If this process is killed, the next worker continues from the
+    /// finished tiles. Only for frames of at most a million pixels without an irradiance cache
     #[arg(long, value_name = "DURATION", default_value = "1m", value_parser = duration)]
     checkpoints: Duration,
-    /// File with a one-time token, to join the farm with; the machine's own token is kept in --token-file
+    /// File with a one-time token to join the farm with. The machine keeps its own token in --token-file
     #[arg(long, value_name = "FILE", requires = "token_file")]
     join_token_file: Option<PathBuf>,
-    /// How fast a core of this machine is, as `forelight calibrate --out` says of one like it [default: measured at the first start, and
-    /// kept with the bundles]
+    /// Speed of a core of this machine: a file that `forelight calibrate --out` wrote on a machine of the
+    /// same kind [default: measured at the first start, and kept with the bundles]
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
-    /// When this machine is awake, such as "Mon-Fri 20:00-08:00, Sat-Sun 00:00-00:00 Europe/Berlin"; it takes no task that might not be done by
-    /// the end of a window, and asks for none outside. What is set by `forelight node --schedule` goes before it [default: always]
+    /// Times at which this machine works, such as "Mon-Fri 20:00-08:00, Sat-Sun 00:00-00:00 Europe/Berlin".
+    /// It takes only tasks that can end within a window. `forelight node --schedule` overrides this [default:
+    /// always]
     #[arg(long, value_name = "WINDOWS")]
     schedule: Option<NodeCalendar>,
     #[command(flatten)]
@@ -115,31 +121,37 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     };
     output::line(format!("task {task} on {name} with {cores} threads for {address}"))?;
     match agent.run_task(task, interrupt.token()).await? {
-        Errand::Ended => output::line("ended; the service knows how"),
-        Errand::Needless => output::line("needless: the task was over already"),
+        Errand::Ended => output::line("the task ended; its result is with the service"),
+        Errand::Needless => output::line("nothing to do: the task is done already"),
         Errand::Stopped => Err(Interrupted.into()),
     }
 }
 
-/// The bundles of a process, with the renderer that opens them, and what this machine has.
+/// The bundles of a process with the renderer that opens them, and the capabilities of this machine.
 pub fn library(folder: &Path, preview: PreviewBackend) -> Result<(Arc<Library>, Capabilities)> {
     let ambient = Ambient::new(preview_choice(preview));
-    let capabilities = capabilities(&ambient).context("cannot make previews as asked")?;
+    let capabilities =
+        capabilities(&ambient).context("cannot render previews with the device that --preview names")?;
     let library = Library::new(folder, Box::new(ambient))
-        .with_context(|| format!("cannot keep bundles in {}", folder.display()))?;
+        .with_context(|| format!("cannot keep bundles in the folder {}", folder.display()))?;
     Ok((Arc::new(library), capabilities))
 }
 
-/// Limits of tasks, from flags.
+/// The limits of tasks from the flags.
 pub fn task_limits(memory: Option<u64>, time: Option<Duration>) -> TaskLimits {
     let millis = |time: Duration| u64::try_from(time.as_millis()).unwrap_or(u64::MAX).max(1);
     TaskLimits { memory_bytes: memory, wall_ms: time.map(millis) }
 }
 
-/// A client with this machine's own token: the one in the token file or, if the service does not know that, a new one for which the
-/// one-time token is burnt. The own token is on disk before the service hears of it: whatever dies in between, nothing is lost.
+/// A client with this machine's own token. It is the token in the token file, if the service knows it.
+/// Otherwise it is a new token, which uses up the one-time token.
+///
+/// The new token is on disk before it is sent to the service, so that a crash in between loses nothing.
 async fn join(one_time: &Path, connection: &ConnectionOptions, node: &NodeRegistration) -> Result<Client> {
-    let file = connection.token_file.as_ref().context("there is no file for the machine's own token")?;
+    let file = connection
+        .token_file
+        .as_ref()
+        .context("--join-token-file needs --token-file for the machine's own token")?;
     if !file.exists() {
         write_secret(file, tokens::random().as_bytes())?;
     }
@@ -158,7 +170,7 @@ async fn join(one_time: &Path, connection: &ConnectionOptions, node: &NodeRegist
     Ok(client)
 }
 
-/// How fast one core of this machine is, as kept in a folder or measured on a thread of its own.
+/// The speed of one core of this machine: read from a file in `folder`, or measured on a separate thread.
 pub async fn measured(folder: PathBuf, processor: Option<String>) -> Result<NodeCalibration> {
     let measure = move || calibrate::kept(&folder, processor.as_deref());
     tokio::task::spawn_blocking(measure).await.context("cannot measure this machine's speed")
@@ -172,7 +184,7 @@ fn cores() -> u32 {
 fn host_name() -> Result<String> {
     let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     match name.trim() {
-        "" => Err(BadInput::new("--name: this machine has no name of its own; give one").into()),
+        "" => Err(BadInput::new("--name: this machine has no host name; give the node a name").into()),
         name => Ok(name.to_owned()),
     }
 }

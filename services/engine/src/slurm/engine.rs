@@ -12,7 +12,7 @@ use super::answer::{SlurmJob, SlurmNode, Stage};
 use super::arrays::{Batch, Pricing, due};
 use super::cluster::{Cluster, ClusterError, Programs};
 use super::command::{self, Reservation, Submitting};
-use super::judge::{Step, judge};
+use super::next_step::{Step, next_step};
 
 /// How long an array that was announced may be unknown to Slurm before it counts as never submitted: longer than the controller and
 /// `sbatch` are patient with each other. One minute, in microseconds.
@@ -206,7 +206,7 @@ impl<C: Cluster> Engine<C> {
             if seen.is_some_and(|job| matches!(job.stage(), Stage::Pending | Stage::Running)) {
                 live.push(element.position);
             }
-            match judge(element.state, seen) {
+            match next_step(element.state, seen) {
                 Step::Leave => {}
                 Step::Cancel => unwanted.push(element.position),
                 Step::End(outcome) => {
@@ -396,5 +396,4 @@ fn taken(outcome: Result<(), ClusterError>) -> Result<bool, RoundError> {
 }
 
 #[cfg(test)]
-#[path = "engine_tests.rs"]
 mod tests;

@@ -1,45 +1,54 @@
-//! How many camera samples each part of an image gets: the least error for a budget, or the least cost for an error.
+//! How many camera samples each part of an image gets: the least error for a budget, or the least cost for an
+//! error.
 //!
-//! Let zone *h* have N_h pixels, each of variance v_h(n) = a_h n^−1.5 + b_h n^−1 at n samples (see [`super::ImageNoise`]) and of cost
-//! c_h a sample. The mean square error Σ N_h v_h(n_h) under a budget Σ N_h c_h n_h is least where one more unit of cost lowers it
-//! equally everywhere (Neyman 1934; Cochran, *Sampling Techniques*, 3rd edition 1977, section 5.5, for variances that fall faster
-//! than 1 / n):
+//! Let zone *h* have N_h pixels. Each has the variance v_h(n) = a_h n^−1.5 + b_h n^−1 at n samples (see
+//! [`super::ImageNoise`]) and costs c_h per sample. The mean square error Σ N_h v_h(n_h) under a budget Σ N_h
+//! c_h n_h is least where one more unit of cost lowers the error equally in all zones:
 //!
 //! ```text
 //! −v_h'(n_h) = λ c_h ,   n_h ≥ 1 .
 //! ```
 //!
-//! Numbers of samples need not be whole: of a zone with 2.25, every fourth pixel gets 3 and the others 2. Nor is every whole number as
-//! good as the next: samples of a pixel lie evenly when they are a power of two, or half as many more. 40 of them make a larger error than
-//! 32 in one pixel and 48 in the next; 46 make one 6 % smaller than 40, and 48 one 16 % smaller. So [`whole`] mixes only such numbers.
+//! This is the optimum allocation of Neyman (1934) and of Cochran, *Sampling Techniques*, 3rd edition 1977,
+//! section 5.5, for variances that fall faster than 1 / n.
+//!
+//! Numbers of samples need not be whole. In a zone with 2.5 samples per pixel, every second pixel gets 3 and
+//! the others 2. But not every whole number is equally good: the samples of a pixel are evenly spread if
+//! their number is a power of two or one and a half times a power of two. A pixel with 40 samples has a
+//! larger error than a mixture of pixels with 32 and 48. The error at 46 samples is 6 % smaller than at 40,
+//! and at 48 it is 16 % smaller. So [`whole`] mixes only such numbers.
 
-use super::law::{EXPONENTS, powers};
+use super::variance_curve::{EXPONENTS, powers};
 use crate::error::ForecastError;
 use crate::moments::sum;
 
-/// Most camera samples of a pixel.
+/// The largest number of camera samples of a pixel.
 pub const MOST_SAMPLES: f64 = 65_535.0;
 
-/// A zone's own pixels are believed like this many of the image's.
-const IMAGE_COUNTS: f64 = 2.0;
+/// Weight of the whole image's curve in the curve of a zone, as a number of sampled pixels.
+const IMAGE_WEIGHT: f64 = 2.0;
 
-/// Pixels that get equally many camera samples.
+/// A set of pixels that all get the same number of camera samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Zone {
-    /// How many they are.
+    /// Number of pixels.
     pub pixels: f64,
-    /// Variance of a pixel at n samples: the sum of these over n^1.5 and n, in the unit of brightness squared.
+    /// Coefficients `[a, b]` of the variance a / n^1.5 + b / n of a pixel at n samples, in brightness
+    /// squared.
     pub variance: [f64; 2],
-    /// What a camera sample of one of them costs, in any unit.
+    /// Cost of one camera sample of one pixel, in any unit that all zones share.
     pub cost: f64,
 }
 
 impl Zone {
-    /// Of a zone's sampled pixels: how the variance of each falls (see [`super::ImageNoise::curve_of`]), and what it cost at `spp` camera
-    /// samples. The whole image's curve lends to zones of few samples.
+    /// Builds a zone from its sampled pixels.
+    ///
+    /// Each entry of `samples` holds the variance curve of a pixel (see [`super::ImageNoise::curve_of`]) and
+    /// what the pixel cost at `spp` camera samples. The curve is shrunk towards that of the whole image,
+    /// `of_image`, so that a zone with few samples is mostly like the image.
     ///
     /// # Errors
-    /// If nothing was sampled.
+    /// [`ForecastError::NoSamples`] if `samples` is empty.
     pub fn new(
         pixels: u64,
         samples: &[([f64; 2], f64)],
@@ -52,19 +61,19 @@ impl Zone {
         let count = samples.len() as f64;
         let variance = [0, 1].map(|which| {
             let own = sum(samples.iter().map(|(curve, _)| curve[which]));
-            ((own + IMAGE_COUNTS * of_image[which]) / (count + IMAGE_COUNTS)).max(0.0)
+            ((own + IMAGE_WEIGHT * of_image[which]) / (count + IMAGE_WEIGHT)).max(0.0)
         });
         let cost = sum(samples.iter().map(|(_, cost)| *cost)) / count / f64::from(spp);
         Ok(Self { pixels: pixels as f64, variance, cost })
     }
 
-    /// Sum of its pixels' variances at so many samples each.
+    /// Sum of the variances of the zone's pixels at `samples` samples each.
     pub(super) fn error(&self, samples: f64) -> f64 {
         let powers = powers(samples);
         self.pixels * sum([0, 1].map(|k| self.variance[k] * powers[k]))
     }
 
-    /// By how much a little more cost, from so many samples on, lowers the error.
+    /// How much the error falls per unit of additional cost, at `samples` samples per pixel.
     fn gain(&self, samples: f64) -> f64 {
         let powers = powers(samples);
         let slope = |k: usize| EXPONENTS[k] * self.variance[k] * powers[k] / samples;
@@ -75,7 +84,7 @@ impl Zone {
         self.cost.max(f64::MIN_POSITIVE)
     }
 
-    /// Where that gain has fallen to `price`.
+    /// The number of samples at which the gain has fallen to `price`.
     fn samples_at(&self, price: f64) -> f64 {
         if self.gain(1.0) <= price {
             return 1.0;
@@ -83,11 +92,12 @@ impl Zone {
         if self.gain(MOST_SAMPLES) >= price {
             return MOST_SAMPLES;
         }
-        // Times n^2.5 that is a polynomial in the root of n, price s⁵ − linear s − constant, with one positive root, beyond which it is
-        // convex: from above Newton's steps fall to it, and stop where rounding does not let them.
+        // Multiplied by n^2.5, the equation gain = price is a polynomial in s = √n: price s⁵ − linear s −
+        // constant = 0. It has one positive root, and is convex beyond it. Newton's method started above the
+        // root descends to it, and stops when rounding ends the descent.
         let [constant, linear] = [0, 1].map(|k| EXPONENTS[k] * self.variance[k]);
         let price = price * self.cost();
-        // The root is above 1, and so s⁴ at most twice the larger part.
+        // The root is above 1. Hence s⁴ is at most twice the larger coefficient over the price.
         let above = libm::sqrt(libm::sqrt(2.0 * constant.max(linear) / price));
         let step = |s: f64| {
             let fourth = price * s * s * s * s;
@@ -101,8 +111,10 @@ impl Zone {
     }
 }
 
-/// Samples per pixel of each zone that cost `budget` all together, with the least error; of each at least as many as it has, 1 or more.
-/// `None` if these cost more.
+/// Samples per pixel of each zone that give the least error for the total cost `budget`.
+///
+/// Zone *h* gets at least `has[h]` samples per pixel, which must be 1 or more. `None` if these alone cost
+/// more than the budget.
 pub(super) fn samples_for_budget(zones: &[Zone], has: &[f64], budget: f64) -> Option<Vec<f64>> {
     let with =
         |samples: &[f64]| -> Vec<f64> { samples.iter().zip(has).map(|(n, has)| n.max(*has)).collect() };
@@ -110,20 +122,24 @@ pub(super) fn samples_for_budget(zones: &[Zone], has: &[f64], budget: f64) -> Op
     (cost(zones, has) <= budget).then(|| with(&by_price(zones, left)))
 }
 
-/// Samples per pixel of each zone with the least cost for a mean variance of the pixels of `variance`; the most that there may be, if that is
-/// not enough.
+/// Samples per pixel of each zone that reach the mean pixel variance `variance` at the least cost.
+///
+/// Every zone gets [`MOST_SAMPLES`] if even these are not enough.
 pub fn samples_for_variance(zones: &[Zone], variance: f64) -> Vec<f64> {
     by_price(zones, |samples| libm::log(mean_variance(zones, samples) / variance))
 }
 
-/// Logarithms this near to zero are zero.
+/// Tolerance on logarithms: values this close to zero count as zero.
 const NEAR_ZERO: f64 = 1e-10;
 
-/// The samples of the lowest price at which `slack` is not negative; of the highest, if it is negative at all of them. The fewer samples, the larger it is:
-/// the logarithm of something that is about a power of the price.
+/// The samples at the lowest price for which `slack` is not negative, or at the highest price if there is
+/// none.
+///
+/// `slack` grows as samples get fewer. It is the logarithm of a quantity that is roughly a power of the
+/// price.
 fn by_price(zones: &[Zone], slack: impl Fn(&[f64]) -> f64) -> Vec<f64> {
     let at = |price: f64| -> Vec<f64> { zones.iter().map(|zone| zone.samples_at(price)).collect() };
-    // Between these all zones go from the most samples to one.
+    // Within this range of prices, all zones go from the most samples to one.
     let gains = |samples: f64| zones.iter().map(move |zone| zone.gain(samples)).filter(|gain| *gain > 0.0);
     let (Some(low), Some(high)) = (gains(MOST_SAMPLES).reduce(f64::min), gains(1.0).reduce(f64::max)) else {
         return vec![1.0; zones.len()];
@@ -134,8 +150,9 @@ fn by_price(zones: &[Zone], slack: impl Fn(&[f64]) -> f64) -> Vec<f64> {
         return most;
     }
     let mut ends = [(libm::log(low), least), (libm::log(high), left)];
-    // The Illinois method: on to where a line between the ends is zero, and an end that stays again counts half. Now and then to the
-    // middle, for where zones reach one sample or the most, slack is no line.
+    // The Illinois method (regula falsi): the next price is where a line between the ends crosses zero. An
+    // end that is kept twice in a row counts half. Every fourth step bisects instead, because slack is not
+    // linear where zones reach one sample or the most.
     let mut moved = None;
     for step in 1..100 {
         let [below, above] = ends;
@@ -159,34 +176,39 @@ fn by_price(zones: &[Zone], slack: impl Fn(&[f64]) -> f64) -> Vec<f64> {
     best
 }
 
-/// What so many samples in each zone cost.
+/// Total cost of the zones with `samples` samples per pixel.
 pub fn cost(zones: &[Zone], samples: &[f64]) -> f64 {
     sum(zones.iter().zip(samples).map(|(zone, n)| zone.pixels * zone.cost * n))
 }
 
-/// The mean variance of the pixels with so many samples in each zone.
+/// Mean variance over all pixels, with `samples` samples per pixel of each zone.
 pub(super) fn mean_variance(zones: &[Zone], samples: &[f64]) -> f64 {
     let pixels = sum(zones.iter().map(|zone| zone.pixels));
     sum(zones.iter().zip(samples).map(|(zone, n)| zone.error(*n))) / pixels.max(1.0)
 }
 
-/// Whole numbers of samples for the pixels of a zone, in their order: each the number below or above `samples` at which they lie evenly, mixed
-/// so that `samples` is their mean. With more samples no pixel gets fewer.
+/// Whole numbers of samples for the pixels of a zone, in their order.
+///
+/// Each pixel gets one of the two [`even_numbers`] next to `samples`. The two are mixed so that their mean is
+/// `samples`. If `samples` grows, no pixel gets fewer.
 pub fn whole(samples: f64, pixels: usize) -> impl Iterator<Item = u32> {
     let step = coprime_to(pixels);
     let [below, above] = even_numbers(samples);
     let fraction = (samples - f64::from(below)) / f64::from(above - below);
-    // Every pixel has a threshold of its own, which the fraction passes or not; all are as far apart as can be, and those of neighbours
-    // about as far as the golden section.
+    // Each pixel compares the fraction with a threshold of its own. The thresholds are evenly spaced, and
+    // those of neighbouring pixels differ by about the golden section.
     (0..pixels).map(move |i| {
         let threshold = (((i as u128 * step as u128) % pixels as u128) as f64 + 0.5) / pixels as f64;
         if fraction + threshold >= 1.0 { above } else { below }
     })
 }
 
-/// The numbers of samples about `samples` at which those of a pixel lie evenly: the largest that is not above it, and the next.
+/// The numbers of samples next to `samples` that spread evenly over a pixel: the largest that is not above
+/// it, and the next larger one.
+///
+/// These numbers are the powers of two, and one and a half times the powers of two.
 pub fn even_numbers(samples: f64) -> [u32; 2] {
-    // What is no number comes to none of them.
+    // The conversion turns NaN into 0, and `max` into 1.
     let samples = (samples.clamp(1.0, MOST_SAMPLES) as u32).max(1);
     let power = 1 << samples.ilog2();
     match power / 2 {
@@ -196,7 +218,7 @@ pub fn even_numbers(samples: f64) -> [u32; 2] {
     }
 }
 
-/// The first number from the golden section of `count` on that shares no divisor with it.
+/// The smallest number from `count` times the golden section on that is coprime to `count`.
 fn coprime_to(count: usize) -> usize {
     const GOLDEN: f64 = 0.618_033_988_749_894_9;
     let share_no_divisor = |&step: &usize| {
@@ -260,7 +282,8 @@ mod tests {
     }
 
     proptest::proptest! {
-        /// Whatever the zones, and however much some of them have already: a budget is never exceeded, and spent, unless all have the most.
+        /// For any zones, with any samples taken before: a budget is never exceeded. It is spent unless all
+        /// zones have the most samples.
         #[test]
         fn any_budget_is_spent_and_never_exceeded(
             zones in proptest::collection::vec((1.0..1e6f64, -12.0..12.0f64, -12.0..12.0f64, 0.01..100.0f64, 1.0..50.0f64), 1..40),

@@ -1,25 +1,26 @@
-//! Which rungs of a ladder are worth taking.
+//! The Pareto front of a ladder of qualities: which of them are worth their cost.
 
-/// What a rung costs and how far it is from what is wanted; both in any unit, the same for all rungs.
+/// Cost and error of a rung of the ladder, each in a unit that all rungs share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
-    /// What it costs.
+    /// Cost.
     pub cost: f64,
-    /// Its error.
+    /// Error.
     pub error: f64,
 }
 
-/// A rung of the front, and the way to the next one.
+/// A rung on the front, and the next better one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
     /// Index of the rung.
     pub rung: usize,
-    /// Index of the next better one on the front; none for the best.
+    /// Index of the next better rung on the front. `None` for the best one.
     pub next: Option<usize>,
 }
 
-/// [`front`] of rungs given by cost and error, some of which are not known and so never on it: pairs of a rung's index and that of the
-/// next better one.
+/// [`front`] of rungs given as (cost, error). A rung that is `None` is unknown and never on the front.
+///
+/// Returns pairs of a rung's index and the index of the next better rung.
 pub fn front_of_known(points: &[Option<(f64, f64)>]) -> Vec<(usize, Option<usize>)> {
     let far = Point { cost: f64::INFINITY, error: f64::INFINITY };
     let points: Vec<Point> =
@@ -27,8 +28,10 @@ pub fn front_of_known(points: &[Option<(f64, f64)>]) -> Vec<(usize, Option<usize
     front(&points).into_iter().map(|step| (step.rung, step.next)).collect()
 }
 
-/// The Pareto front by rising cost: rungs that no other beats in one of cost and error without losing in the other. Of rungs that
-/// are alike in both the first is taken, and none whose numbers are not finite.
+/// The Pareto front, by rising cost: the rungs for which no other rung has less cost at no more error, or
+/// less error at no more cost.
+///
+/// Of rungs that are equal in both, the first is taken. Rungs with a number that is not finite are left out.
 pub fn front(points: &[Point]) -> Vec<Step> {
     let mut order: Vec<usize> =
         (0..points.len()).filter(|&i| points[i].cost.is_finite() && points[i].error.is_finite()).collect();

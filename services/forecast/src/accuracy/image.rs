@@ -1,38 +1,41 @@
 //! From the noise of some pixels to the error of the whole image.
+//!
+//! The profiled pixels stand for the pixels of their stratum. Their variances are averaged over the image,
+//! and extrapolated to other numbers of camera samples by the curve A / n^1.5 + B / n.
 
 use serde::{Deserialize, Serialize};
 
 use super::PixelNoise;
-use super::law::{EXPONENTS, between, powers, powers_of_pixel};
+use super::variance_curve::{EXPONENTS, between, powers, powers_of_pixel};
 use crate::error::ForecastError;
-use crate::interval::{Calibration, Part, quantity, together};
+use crate::interval::{Calibration, Part, combined, quantity};
 use crate::moments::sum;
 use crate::strata::Stratum;
 
-/// A profiled pixel with what its camera samples say.
+/// A profiled pixel with the statistics of its camera samples.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoiseSample {
     /// Index of the pixel's stratum.
     pub stratum: u32,
-    /// What its samples say.
+    /// Statistics of its camera samples.
     pub noise: PixelNoise,
 }
 
-/// Pixels of an image that some of them stand for, one by one with the same chance.
+/// A set of pixels and the sampled ones among them, of which each was equally likely to be sampled.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoiseCell {
-    /// All of them.
+    /// Number of pixels in the set.
     pub pixels: u64,
-    /// Those that were sampled.
+    /// The sampled pixels.
     pub samples: Vec<PixelNoise>,
 }
 
-/// The error that an image is expected to have, as a share of its mean: the values that it stays below with these probabilities.
+/// Quantiles of the error of an image, as a share of the image's mean.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ErrorQuantiles {
     /// 5 % quantile.
     pub p05: f64,
-    /// The error is as likely above as below this.
+    /// Median.
     pub p50: f64,
     /// 80 % quantile.
     pub p80: f64,
@@ -45,31 +48,34 @@ pub struct ErrorQuantiles {
 pub struct MeanSquare {
     /// The estimate, not negative.
     pub value: f64,
-    /// Its variance.
+    /// Variance of the estimate.
     pub variance: f64,
     /// Degrees of freedom behind the variance.
     pub degrees_of_freedom: f64,
 }
 
 impl MeanSquare {
-    /// The mean square of two independent errors together.
+    /// The mean square of the sum of two independent errors.
     #[must_use]
     pub fn plus(self, other: Self) -> Self {
-        let Part { variance, degrees_of_freedom } = together(&[self.part(), other.part()]);
+        let Part { variance, degrees_of_freedom } = combined(&[self.part(), other.part()]);
         Self { value: self.value + other.value, variance, degrees_of_freedom }
     }
 
-    /// The mean square error of several images together, each counting the same. Their samples are independent.
+    /// The mean of the mean square errors of several images, each with the same weight. `None` without
+    /// images.
+    ///
+    /// The images' samples are taken to be independent.
     pub fn mean(images: &[Self]) -> Option<Self> {
         let count = images.len() as f64;
         let all = images.iter().copied().reduce(Self::plus)?;
         Some(all.scaled(1.0 / count))
     }
 
-    /// Its root, with quantiles by a log-t interval.
+    /// The root mean square error, with quantiles from a log-t interval.
     pub fn error(&self, calibration: Calibration) -> ErrorQuantiles {
         let square = quantity(self.value, self.part(), calibration);
-        // Half the logarithm: the interval of the root is as wide below as above.
+        // The root halves the logarithm, so the interval extends as far below the median as above it.
         let low = if square.p95 > 0.0 { square.mean * (square.mean / square.p95) } else { 0.0 };
         let [p05, p50, p80, p95] = [low, square.p50, square.p80, square.p95].map(libm::sqrt);
         ErrorQuantiles { p05, p50, p80, p95 }
@@ -84,39 +90,44 @@ impl MeanSquare {
     }
 }
 
-/// At least this share of the variance at the last sampled number of samples is taken to be random. Few drops of few pixels may well say that
-/// nothing is; on the test scenes that was never so, and halved the error that was forecast for sixteen times the samples.
-const LEAST_RANDOM: f64 = 1.0 / 3.0;
+/// The least share of B / n in the variance at the last sampled number of samples.
+///
+/// A few drops of a few pixels may well suggest that there is no such part. On the test scenes that was never
+/// true, and it halved the error forecast for sixteen times as many samples.
+const MIN_INDEPENDENT_SHARE: f64 = 1.0 / 3.0;
 
-/// Doublings of one sample that are looked at: numbers of samples are of 32 bits.
+/// The most doublings of the number of samples that are considered, since that number has 32 bits.
 const MOST_LEVELS: usize = 31;
 
-/// The error of an image by its number of camera samples.
+/// The error of an image as a function of its number of camera samples per pixel.
 #[derive(Clone, Debug)]
 pub struct ImageNoise {
     cells: Vec<NoiseCell>,
-    /// Doublings that every pixel has a drop for.
+    /// Number of doublings for which every sampled pixel has a drop.
     levels: usize,
-    /// Mean brightness of the image, and the relative variance of that.
+    /// Mean brightness of the image.
     mean: f64,
+    /// Variance of `mean`, relative to its square.
     mean_variance: f64,
     fit: Fit,
 }
 
-/// How A and B follow from drops: both are linear in them, and so add up over pixels.
+/// How A and B follow from the drops. Both are linear in the drops, and so can be added over pixels.
 #[derive(Clone, Debug, Default)]
 struct Fit {
     /// Weight of each drop in A and in B.
     weights: [Vec<f64>; 2],
-    /// The same of B if all were random, where less than [`LEAST_RANDOM`] came out: what it may be at most.
+    /// Weights for the largest plausible B: all of the variance falls as B / n. Only set where the fit gave B
+    /// a smaller share than [`MIN_INDEPENDENT_SHARE`].
     at_most: Option<Vec<f64>>,
 }
 
 impl ImageNoise {
-    /// Of an image that is made of these cells. All pixels were traced with the same number of camera samples.
+    /// Builds the error curve of an image made of these cells. All sampled pixels were traced with the same
+    /// number of camera samples. Cells without pixels are ignored.
     ///
     /// # Errors
-    /// If nothing was sampled of a cell, or with one camera sample only.
+    /// [`ForecastError::NoSamples`] if a cell has no sampled pixel, or a pixel has only one camera sample.
     pub fn new(cells: Vec<NoiseCell>) -> Result<Self, ForecastError> {
         let cells: Vec<NoiseCell> = cells.into_iter().filter(|cell| cell.pixels > 0).collect();
         if cells.iter().any(|cell| cell.samples.is_empty()) {
@@ -138,36 +149,41 @@ impl ImageNoise {
         self.mean
     }
 
-    /// The image's own drops, of [`PixelNoise::drops`]: means over its pixels, in the unit of brightness squared.
+    /// Drops of the image's variance (see [`PixelNoise::drops`]): means over its pixels, in brightness
+    /// squared.
     pub fn drops(&self) -> Vec<f64> {
         (0..self.levels).map(|k| self.stratified(|pixel| pixel.drops[k]).0).collect()
     }
 
-    /// A and B of the image's variance A / n^1.5 + B / n, mean of its pixels, in the unit of brightness squared.
+    /// `[A, B]` of the image's variance A / n^1.5 + B / n: the mean over its pixels, in brightness squared.
     pub fn curve(&self) -> [f64; 2] {
         [0, 1].map(|which| self.stratified(|pixel| self.curve_of(pixel)[which]).0)
     }
 
-    /// What one pixel says of them; of a single one they may be negative.
+    /// `[A, B]` of one pixel. These are estimates without bias, so they may be negative.
     pub fn curve_of(&self, pixel: &PixelNoise) -> [f64; 2] {
         [0, 1].map(|which| weighted(&self.fit.weights[which], pixel))
     }
 
-    /// The mean square error of the image at a number of camera samples a pixel, at least 1, with what does not fall with samples.
+    /// Mean square error of the image at `spp` camera samples per pixel, at least 1. Includes the squared
+    /// bias.
     pub fn at(&self, spp: u32) -> MeanSquare {
         self.noise_at(spp).plus(self.bias_square())
     }
 
-    /// The part of it that does not fall with samples.
+    /// The squared bias: the part of the mean square error that does not fall with samples.
     pub fn bias_square(&self) -> MeanSquare {
         self.mean_square(|pixel| pixel.bias_square)
     }
 
-    /// The part of it that falls with samples.
+    /// The noise: the part of the mean square error that falls with samples, at `spp` camera samples per
+    /// pixel.
     ///
-    /// At the powers of two that were sampled it is the sum of all further drops and of what is left beyond them, which is taken to fall as
-    /// the law A / n^1.5 + B / n says; of numbers between them too. Its variance is that of the estimate and that of the error of a single image, in
-    /// which a few pixels may come out well or badly: 2 V² of each, as of a normal number.
+    /// At a sampled power of two it is the sum of all further drops, plus the variance left after the last
+    /// drop. The latter follows the curve A / n^1.5 + B / n, as do numbers beyond it. Between powers of two,
+    /// see `variance_curve::between`. The variance of the result has two parts: that of the estimate, and
+    /// that of the error of a single image. A few pixels of an image may by chance be very good or bad. Each
+    /// adds 2 V², as for a normally distributed number.
     pub fn noise_at(&self, spp: u32) -> MeanSquare {
         let spp = spp.max(1);
         let below = spp.ilog2() as usize;
@@ -187,7 +203,7 @@ impl ImageNoise {
         known.scaled(between + (1.0 - between) * ratio)
     }
 
-    /// The mean square of an image by the variances of its pixels, of which all beyond so many samples is extrapolated.
+    /// The noise of the image, given the variance of each pixel. Everything beyond `samples` is extrapolated.
     fn noise(&self, variance: impl Fn(&PixelNoise) -> f64, samples: u32) -> MeanSquare {
         let mut square = self.mean_square(&variance);
         if self.mean > 0.0 {
@@ -202,7 +218,7 @@ impl ImageNoise {
                 let at_most =
                     self.stratified(|pixel| weighted(weights, pixel)).0 / f64::from(samples) * scale;
                 let is = self.stratified(|pixel| self.fit.beyond(pixel, samples)).0 * scale;
-                // All of it is at the 95 % quantile of a normal number.
+                // Takes `at_most` as the 95 % quantile of a normal distribution.
                 let deviation = (at_most - is).max(0.0) / 1.645;
                 square.variance += deviation * deviation;
             }
@@ -210,8 +226,10 @@ impl ImageNoise {
         square
     }
 
-    /// A mean square over the image's pixels, relative to the square of the image's mean. What is estimated as a product may come out
-    /// below 0, and is then 0, but no surer.
+    /// The mean of `value` over the image's pixels, relative to the square of the image's mean.
+    ///
+    /// A square that is estimated as a product may come out negative. It is then set to 0, and keeps its
+    /// variance.
     fn mean_square(&self, value: impl Fn(&PixelNoise) -> f64) -> MeanSquare {
         let (mean, part) = self.stratified(value);
         if self.mean <= 0.0 {
@@ -225,8 +243,11 @@ impl ImageNoise {
         MeanSquare { value, variance, degrees_of_freedom: part.degrees_of_freedom }
     }
 
-    /// Mean over the image of a value of the sampled pixels, Σ N_g ȳ_g / N, with its variance (see [`crate::estimate`]) and the same
-    /// tail allowance: the square of what one more pixel as far out as the farthest would add.
+    /// The stratified mean over the image, Σ N_g ȳ_g / N, of a value of the sampled pixels, with its variance
+    /// (see [`crate::estimate()`]).
+    ///
+    /// The variance includes a tail allowance: the squared change of the mean if one more pixel were as
+    /// extreme as the most extreme sample.
     fn stratified(&self, value: impl Fn(&PixelNoise) -> f64) -> (f64, Part) {
         let all = self.cells.iter().map(|cell| cell.pixels).sum::<u64>() as f64;
         let mut means = Vec::with_capacity(self.cells.len());
@@ -237,26 +258,27 @@ impl ImageNoise {
             let values: Vec<f64> = cell.samples.iter().map(&value).collect();
             let own = sum(values.iter().copied()) / count;
             let weight = pixels / all;
-            // A cell that has more samples than pixels has borrowed them.
+            // A cell with more samples than pixels has borrowed its samples from elsewhere.
             let unseen = if count > pixels { 1.0 } else { 1.0 - count / pixels };
             let squares = sum(values.iter().map(|v| (v - own) * (v - own)));
             let reach = values.iter().map(|v| (v - own).abs()).fold(0.0, f64::max);
             influence = influence.max(weight * unseen * reach / count);
             means.push(weight * own);
-            // A single sample shows no spread: its value may be off by all of itself.
+            // A single sample shows no spread. Its standard error is taken to be its whole value.
             let variance = if count > 1.0 { squares / (count - 1.0) / count } else { own * own };
             let freedom = (count - 1.0).max(1.0);
             parts.push(Part { variance: weight * weight * unseen * variance, degrees_of_freedom: freedom });
         }
         parts.push(Part { variance: influence * influence, degrees_of_freedom: f64::INFINITY });
-        (sum(means), together(&parts))
+        (sum(means), combined(&parts))
     }
 }
 
 impl Fit {
-    /// Least squares over the image's drops, each relative to itself; A and B are not negative.
+    /// Weighted least squares over the image's drops, with errors relative to each drop. A and B are not
+    /// negative.
     fn of(drops: &[f64]) -> Self {
-        // Drop k of A / n^1.5 and of B / n.
+        // Drop k of 1 / n^1.5 and of 1 / n.
         let shape = |which: usize, k: usize| {
             libm::exp2(-EXPONENTS[which] * k as f64) * (1.0 - libm::exp2(-EXPONENTS[which]))
         };
@@ -290,44 +312,47 @@ impl Fit {
         let powers = powers(samples);
         let fitted = if value(&both[1]) > 0.0 { both } else { [alone(0), none] };
         let [of_edges, of_rest] = [0, 1].map(|which| value(&fitted[which]) * powers[which]);
-        if of_rest >= LEAST_RANDOM * (of_edges + of_rest) {
+        if of_rest >= MIN_INDEPENDENT_SHARE * (of_edges + of_rest) {
             return Self { weights: fitted, at_most: None };
         }
-        // What is left at that number of samples stays, and is shared out anew.
+        // The variance at that number of samples stays. Only its division between A and B changes.
         let left = |k: usize| fitted[0][k] * powers[0] + fitted[1][k] * powers[1];
         let share = |part: f64, power: f64| levels.clone().map(|k| part * left(k) / power).collect();
         Self {
-            weights: [share(1.0 - LEAST_RANDOM, powers[0]), share(LEAST_RANDOM, powers[1])],
+            weights: [share(1.0 - MIN_INDEPENDENT_SHARE, powers[0]), share(MIN_INDEPENDENT_SHARE, powers[1])],
             at_most: Some(alone(1)),
         }
     }
 
-    /// V(n) of a pixel beyond what was sampled.
+    /// V(n) of a pixel at `samples` samples, beyond what was sampled.
     fn beyond(&self, pixel: &PixelNoise, samples: u32) -> f64 {
         let powers = powers_of_pixel(samples);
         sum([0, 1].map(|which| weighted(&self.weights[which], pixel) * powers[which]))
     }
 }
 
-/// A linear function of a pixel's drops.
+/// A linear combination of a pixel's drops.
 fn weighted(weights: &[f64], pixel: &PixelNoise) -> f64 {
     sum(weights.iter().zip(&pixel.drops).map(|(weight, drop)| weight * drop))
 }
 
-/// Strata that are looked at together, and the samples that stand for them.
+/// Strata that are estimated together, and the samples that stand for them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NoiseGroup {
-    /// Indices of strata; all of them are shown.
+    /// Indices of the strata. Each has at least one pixel in the image.
     pub strata: Vec<usize>,
-    /// Indices of samples: those of the strata or, if they have none, all that there are.
+    /// Indices of the samples: those of the strata, or all samples if these have fewer than two.
     pub samples: Vec<usize>,
 }
 
-/// Groups for an image of which `counts` pixels show each stratum: strata of two samples or more alone, others with those of
-/// their material, and what is still too few with all such, or, where even these have none, like everything.
+/// Groups the strata of an image so that every group has at least two samples where possible.
+///
+/// `counts[h]` is the number of pixels of stratum h. A stratum with two or more samples is a group of its
+/// own. Others are joined by material. Materials that still have fewer than two samples form one last group.
+/// If that group has fewer than two samples as well, it uses the samples of the whole image.
 ///
 /// # Errors
-/// If strata, counts and samples do not fit together, or there is no sample.
+/// If the lengths of `strata` and `counts` differ, a sample names an unknown stratum, or there is no sample.
 pub fn noise_groups(
     strata: &[Stratum],
     counts: &[u32],
@@ -370,10 +395,10 @@ pub fn noise_groups(
     Ok(groups)
 }
 
-/// The cells of [`noise_groups`].
+/// The groups of [`noise_groups`], as cells with their pixel counts and samples.
 ///
 /// # Errors
-/// The same.
+/// As for [`noise_groups`].
 pub fn noise_cells(
     strata: &[Stratum],
     counts: &[u32],

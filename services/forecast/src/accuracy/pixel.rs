@@ -1,32 +1,36 @@
-//! The variance of one pixel, at any number of camera samples, from the samples of a single render of it.
+//! The variance of one pixel at any number of camera samples, estimated from a single render of it.
 //!
-//! Let V(n) be the variance of the mean of n samples. Two neighbouring blocks of n samples each, of means a and b, have the same
-//! distribution (blocks of a scrambled sequence that are aligned to powers of two are exchangeable: Owen 1995), and (a + b) / 2 is the
-//! mean of 2 n. From a = (a + b)/2 + (a − b)/2, and since sum and difference of exchangeable numbers are uncorrelated,
+//! Let V(n) be the variance of the mean of n samples. Take two neighbouring blocks of n samples each, with
+//! means a and b. Blocks of a scrambled sequence that are aligned to powers of two are exchangeable (Owen
+//! 1995), so a and b have the same distribution. The mean of all 2 n samples is (a + b) / 2. Since a = (a +
+//! b)/2 + (a − b)/2, and sum and difference of exchangeable numbers are uncorrelated,
 //!
 //! ```text
 //! V(n) = V(2 n) + E[(a − b)² / 4] ,
 //! ```
 //!
-//! whatever the correlation of a and b is. So the squared half-differences of blocks are unbiased estimates of by how much each
-//! doubling lowers the variance: the *drops* V(1) − V(2), V(2) − V(4), …, and all of them but the last V are known from one render.
+//! whatever the correlation of a and b. So the squared half-differences of blocks are unbiased estimates of
+//! how much each doubling lowers the variance. These are the *drops* V(1) − V(2), V(2) − V(4), …. One render
+//! yields all of them up to its number of samples. Only the variance left after the last drop remains
+//! unknown.
 
 use serde::{Deserialize, Serialize};
 
-/// What the camera samples of one pixel say.
+/// Statistics of the camera samples of one pixel.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PixelNoise {
-    /// Mean of the samples over the three channels.
+    /// Mean of the samples, over the three channels.
     pub brightness: f64,
-    /// Estimates of V(2ᵏ) − V(2ᵏ⁺¹), mean over channels, for k = 0, 1, …: as many as the number of samples can be halved.
+    /// Estimates of V(2ᵏ) − V(2ᵏ⁺¹) for k = 0, 1, …: means over the channels, in brightness squared. There
+    /// are ⌊log₂ n⌋ of them for n samples.
     pub drops: Vec<f64>,
-    /// Estimate of the square by which the pixel is off whatever its number of samples, as by interpolation, mean over channels.
-    /// Of a single pixel it may be negative, where it is estimated as a product.
+    /// Estimate of the squared bias, mean over the channels: the part of the error that no number of samples
+    /// removes, for example that of interpolation. It may be negative, because it is estimated as a product.
     #[serde(default)]
     pub bias_square: f64,
 }
 
-/// Gathers the camera samples of a pixel in their order, in memory that grows with the logarithm of their number.
+/// Collects the camera samples of a pixel in their order. Memory grows with the logarithm of their number.
 #[derive(Clone, Debug, Default)]
 pub struct PixelSamples {
     count: u64,
@@ -34,10 +38,10 @@ pub struct PixelSamples {
     levels: Vec<Level>,
 }
 
-/// Blocks of 2ᵏ samples.
+/// Statistics of the blocks of 2ᵏ samples.
 #[derive(Clone, Debug, Default)]
 struct Level {
-    /// Mean of a block whose neighbour has not come yet.
+    /// Mean of a block whose neighbour is still incomplete.
     waiting: Option<[f64; 3]>,
     squares: f64,
     pairs: u64,
@@ -65,7 +69,7 @@ impl PixelSamples {
         }
     }
 
-    /// What they say.
+    /// Statistics of the samples so far.
     pub fn noise(&self) -> PixelNoise {
         let complete = self.levels.iter().filter(|level| level.pairs > 0);
         PixelNoise {
@@ -90,7 +94,8 @@ mod tests {
     fn the_drops_are_mean_squares_of_half_differences_of_blocks() {
         let noise = of(&[1.0, 3.0, 5.0, 9.0]);
         assert_eq!(noise.brightness, 3.0 * 4.5 / 3.0);
-        // Pairs (1, 3), (5, 9): (1 + 4) / 2; blocks 2 and 7: 2.5². Channels count 1, 4, 0 times that, over 3.
+        // Pairs (1, 3) and (5, 9) give (1 + 4) / 2, blocks 2 and 7 give 2.5². The channels scale these by 1,
+        // 4 and 0; their mean divides by 3.
         assert_eq!(noise.drops, [2.5 * 5.0 / 3.0, 6.25 * 5.0 / 3.0]);
     }
 

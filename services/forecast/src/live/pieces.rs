@@ -1,97 +1,106 @@
-//! A job as pieces that are finished or are not, and what the ones say of the others.
+//! Divides a job into finished and unfinished pieces, and predicts the unfinished ones.
+//!
+//! A piece is a frame, or the finished or unfinished part of one. Several models of the residuals, with
+//! different lengths, nuggets and common variances, are filtered over the pieces and averaged by their
+//! marginal likelihood.
 
-use super::state::{
+use super::band::{Band, log_ratio, positive};
+use super::frame::{Known, LiveFrame};
+use super::kalman::{
     COMMON, COMPONENTS, Evidence, LIGHTS, Model, SETS, SLOPE, SMOOTH, SUM, State, Transition, Update,
 };
-use super::{Band, Known, LiveFrame, log_ratio, usable};
-use crate::conformal::{FARTHEST, Measure};
+use crate::conformal::{MAX_LOG_RATIO, Measure};
 use crate::moments::sum;
 
-/// Frames that the quote's own idea of its spread counts for.
+/// Weight of the quote's own spread, as a number of frames.
 pub(super) const SCALE_FREEDOM: f64 = 4.0;
 
-/// With fewer finished frames than this neither length nor nugget is estimated.
-pub(super) const FEW: usize = 5;
+/// Least number of finished frames for estimating the process length and the nugget.
+pub(super) const MIN_FINISHED: usize = 5;
 
-/// Lengths of the process that are weighed against each other, as parts of the shot; the first is used while there are few frames.
+/// Candidate lengths of the process, as shares of the shot. The first is used while few frames are finished.
 const LENGTHS: [f64; 3] = [1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0];
 
-/// Shares of the nugget in what frames do not have in common; the first is used while there are few frames.
+/// Candidate shares of the nugget in the variance that frames do not share. The first is used while few
+/// frames are finished.
 const NUGGETS: [f64; 3] = [0.5, 0.1, 0.9];
 
-/// What frames have in common may be more than the quote knows of: this times the variance of a frame. Weighed against each other from the first frame on.
-const MORE_COMMON: [f64; 3] = [0.0, 1.0, 3.0];
+/// Candidate additions to the variance that all frames share, as multiples of a frame's variance. The quote
+/// may underestimate it, so these are compared from the first finished frame on.
+const EXTRA_COMMON: [f64; 3] = [0.0, 1.0, 3.0];
 
-/// Share of what frames have in common that is apart for each set of lights, where there are several: as likely the one as the other.
-const OF_LIGHTS: f64 = 0.5;
+/// Share of the common variance that belongs to the sets of lights, if there are several. A half makes both
+/// explanations equally likely.
+const LIGHTS_SHARE: f64 = 0.5;
 
-/// What frames have in common is at least this share of their variance, and so is what they do not: no quote knows either to be nothing.
+/// The variance that frames share is at least this share of a frame's variance. So is the variance that they
+/// do not share. No quote knows either of them to be zero.
 const LEAST_SHARE: f64 = 0.1;
 
-/// Models of less than this posterior weight are left out.
+/// Models with less than this weight, relative to the best, are left out.
 const LEAST_WEIGHT: f64 = 0.01;
 
-/// Log-standard deviation between the cost of a pixel in one half of a frame and in the other: tiles differ.
+/// Log-standard deviation between the costs per pixel of two halves of a frame, since tiles differ.
 const BETWEEN_HALVES: f64 = 0.5;
 
-/// A frame, or the part of one that is finished or is not: a part is a frame of its own, at the same time.
+/// A frame, or the finished or unfinished part of one. Both parts of a frame are at the same time.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
-    /// Since the piece before.
+    /// Time since the previous piece.
     step: f64,
-    /// Median as quoted, positive.
+    /// Quoted median, positive.
     quoted: f64,
-    /// Variance of its nugget over that of the mean frame.
+    /// Variance of its nugget, relative to that of the average frame.
     nugget: f64,
-    /// Place of its lights among those of the job; the last is of all that are not told apart.
+    /// Index of its set of lights. The last index collects all sets that are not distinguished.
     lights: usize,
-    /// What is known of it: its residual, and a variance that it has beside the nugget.
+    /// For a finished piece: its residual, and a variance in addition to the nugget's.
     seen: Option<(f64, f64)>,
 }
 
-/// A job as what is finished of it, and what is not.
+/// A job as a list of finished and unfinished pieces.
 pub(super) struct Pieces {
     list: Vec<Piece>,
-    /// Of the shot's clock.
+    /// Length of the shot on its clock.
     length: f64,
-    /// Mean variance of a frame's logarithm, weighted by medians.
+    /// Mean variance of the logarithm of a frame's cost, weighted by medians.
     variance: f64,
     /// Sum of the medians of all pieces.
     quoted: f64,
-    /// Sum of the squared shares of the sets of lights in these medians; 1 if the same ones shine in all frames.
+    /// Sum of squares of the sets of lights' shares in these medians. 1 if all frames have the same lights.
     lights: f64,
 }
 
-/// What is known of the logarithm of the remainder.
+/// Distribution of the logarithm of the remaining cost.
 pub(super) struct Posterior {
-    /// Its median.
+    /// Median.
     pub log_median: f64,
-    /// Its standard deviation, in those of the quote's total.
+    /// Standard deviation, in units of that of the quote's total.
     pub deviations: f64,
-    /// Degrees of freedom of that, infinite where the quote is taken at its word.
+    /// Degrees of freedom of the standard deviation. Infinite while the quote's own spread is used.
     pub freedom: f64,
 }
 
 impl Pieces {
-    /// Those of a job that was quoted at `total`.
+    /// The pieces of a job that was quoted at `total`.
     pub fn new(total: &Band, frames: &[LiveFrame], measure: Measure) -> Self {
-        // Medians that add up to the job's.
+        // Scales the frames' means to medians that add up to the job's.
         let to_median = libm::exp(log_ratio(total.p50, total.mean));
-        let median = |frame: &LiveFrame| usable(frame.quote.mean) * to_median;
+        let median = |frame: &LiveFrame| positive(frame.quote.mean) * to_median;
         let variance_of = |frame: &LiveFrame| frame.quote.spread(measure).powi(2);
         let all = sum(frames.iter().map(median));
         let variance = sum(frames.iter().map(|frame| median(frame) * variance_of(frame)));
-        let variance = if all > 0.0 { variance / all } else { measure.unknown().powi(2) };
+        let variance = if all > 0.0 { variance / all } else { measure.extra_deviation().powi(2) };
         let mut list = Vec::with_capacity(frames.len());
         let (mut before, mut length) = (None, 0.0);
         let (mut sets, mut of_set): (Vec<u32>, [f64; SETS]) = (Vec::with_capacity(SETS), [0.0; SETS]);
         for frame in frames {
             let quoted = median(frame);
             if quoted <= 0.0 {
-                // It says nothing of the others.
+                // A frame that was quoted at zero tells nothing about the others.
                 continue;
             }
-            let mut step = before.map_or(0.0, |before: f64| usable(frame.time - before));
+            let mut step = before.map_or(0.0, |before: f64| positive(frame.time - before));
             if frame.time.is_finite() {
                 before = Some(frame.time);
             }
@@ -106,16 +115,16 @@ impl Pieces {
             let nugget = variance_of(frame) / variance;
             let (done, cost) = match frame.known {
                 Known::Nothing => (0.0, 0.0),
-                Known::Part { share, cost } => (usable(share).min(1.0), usable(cost)),
-                Known::All(cost) => (1.0, usable(cost)),
+                Known::Part { share, cost } => (positive(share).min(1.0), positive(cost)),
+                Known::All(cost) => (1.0, positive(cost)),
             };
             let mut push = |share: f64, seen| {
                 list.push(Piece { step, quoted: share * quoted, nugget, lights, seen });
                 step = 0.0;
             };
             if done > 0.0 {
-                // Of what took nothing a logarithm says nothing: it is a piece that is neither seen nor left.
-                let residual = log_ratio(cost, done * quoted).clamp(-FARTHEST, FARTHEST);
+                // A cost of zero has no logarithm. Such a part counts neither as observed nor as remaining.
+                let residual = log_ratio(cost, done * quoted).clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO);
                 let of_part = BETWEEN_HALVES * BETWEEN_HALVES * (1.0 - done) / done;
                 if cost > 0.0 {
                     push(done, Some((residual, of_part)));
@@ -129,15 +138,16 @@ impl Pieces {
         Self { list, length: if length > 0.0 { length } else { 1.0 }, variance, quoted: all, lights }
     }
 
-    /// Median of what remains, as quoted.
+    /// Quoted median of the remainder.
     pub fn quoted_remainder(&self) -> f64 {
         sum(self.list.iter().filter(|piece| piece.seen.is_none()).map(|piece| piece.quoted))
     }
 
-    /// What all models together say of what remains, if the job's own spread is `of_job`.
+    /// The average of all models' predictions of the remainder. `of_job` is the standard deviation of the
+    /// logarithm of the quoted total.
     pub fn posterior(&self, of_job: f64) -> Posterior {
         let seen = self.list.iter().filter(|piece| piece.seen.is_some()).count();
-        let few = seen < FEW;
+        let few = seen < MIN_FINISHED;
         let lengths = if few { &LENGTHS[..1] } else { &LENGTHS[..] };
         let nuggets = if few { &NUGGETS[..1] } else { &NUGGETS[..] };
         let mut models = Vec::with_capacity(lengths.len() * nuggets.len());
@@ -145,14 +155,14 @@ impl Pieces {
             let decay = 3.0f64.sqrt() / (length * self.length);
             let averaged = self.variance_of_mean(decay);
             for &nugget in nuggets {
-                for more in MORE_COMMON {
+                for more in EXTRA_COMMON {
                     let model = self.model(decay, averaged, nugget, of_job, more);
                     let evidence = self.filter(&model, |_, _, _| {});
                     models.push((model, evidence));
                 }
             }
         }
-        // Integrated over the scale; what all models share is left out.
+        // Log-likelihood, integrated over the scale, without the constant that all models share.
         let freedom = SCALE_FREEDOM + seen as f64;
         let log_likelihood = |evidence: &Evidence| {
             -0.5 * evidence.log_variances - 0.5 * freedom * libm::log(SCALE_FREEDOM + evidence.surprise)
@@ -180,8 +190,11 @@ impl Pieces {
         Posterior { log_median, deviations: libm::sqrt(variance.max(0.0)), freedom }
     }
 
-    /// The variances that the quote's own spreads call for: frames have `self.variance`, the job has `of_job`², of which the process keeps the
-    /// part `averaged` when it is averaged over the job; and `more` variances of a frame in common, of which the quote knows nothing.
+    /// The model whose variances match the spreads of the quote.
+    ///
+    /// A frame has the variance `self.variance`, and the job `of_job`². `averaged` is the share of the
+    /// process's variance that is left when it is averaged over the job. `more` is added to the common
+    /// variance, as a multiple of a frame's variance.
     fn model(&self, decay: f64, averaged: f64, nugget: f64, of_job: f64, more: f64) -> Model {
         let squares = sum(self.list.iter().map(|piece| {
             let weight = piece.quoted / self.quoted;
@@ -193,7 +206,7 @@ impl Pieces {
         let least = LEAST_SHARE * self.variance;
         let own = own.clamp(least, self.variance - least);
         let common = (of_job - kept * own).max(least);
-        let of_lights = if self.lights < 1.0 { OF_LIGHTS * common } else { 0.0 };
+        let of_lights = if self.lights < 1.0 { LIGHTS_SHARE * common } else { 0.0 };
         Model {
             decay,
             common: common - of_lights + more * self.variance,
@@ -204,7 +217,7 @@ impl Pieces {
         }
     }
 
-    /// Variance of the process of variance one, averaged over all pieces.
+    /// Variance of the average over all pieces of a process with variance one.
     fn variance_of_mean(&self, decay: f64) -> f64 {
         let model = Model { decay, common: 0.0, lights: 0.0, smooth: 1.0, nugget: 0.0, of_job: 1.0 };
         let mut state = State::new(&model);
@@ -215,7 +228,7 @@ impl Pieces {
         state.variance[SUM][SUM].max(0.0)
     }
 
-    /// Filters the pieces; `each` is told what the filter knew after each of them.
+    /// Runs the Kalman filter over the pieces. Calls `each` after every piece with the state of the filter.
     fn filter(&self, model: &Model, mut each: impl FnMut(&Piece, &State, Option<Update>)) -> Evidence {
         let mut state = State::new(model);
         let mut evidence = Evidence { surprise: 0.0, log_variances: 0.0 };
@@ -233,18 +246,18 @@ impl Pieces {
         evidence
     }
 
-    /// The expected residual c + l + g of every piece, given all that is seen.
+    /// The expected residual c + l + g of every piece, given all finished pieces.
     fn smoothed(&self, model: &Model) -> Vec<f64> {
         let mut steps = Vec::with_capacity(self.list.len());
         self.filter(model, |piece, state, update| {
             steps.push((state.expected(piece.lights), state.signal(piece.lights), update));
         });
-        // The adjoint of what follows; zero behind the last piece.
+        // The adjoint state of the later pieces. Zero after the last one.
         let mut adjoint = [0.0; COMPONENTS];
         let mut smoothed = vec![0.0; steps.len()];
         for (at, (mean, signal, update)) in steps.iter().enumerate().rev() {
             let correction: f64 = signal.iter().zip(&adjoint).map(|(s, a)| s * a).sum();
-            smoothed[at] = (mean - correction).clamp(-FARTHEST, FARTHEST);
+            smoothed[at] = (mean - correction).clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO);
             if let Some(Update { innovation, variance, gain }) = update {
                 let through: f64 = gain.iter().zip(&adjoint).map(|(g, a)| g * a).sum();
                 let change = innovation / variance + through;
@@ -260,11 +273,11 @@ impl Pieces {
         smoothed
     }
 
-    /// Logarithm of the median of what remains, and the variance of that logarithm.
+    /// Logarithm of the median of the remaining cost, and the variance of that logarithm.
     fn remainder(&self, model: &Model) -> (f64, f64) {
         let residuals = self.smoothed(model);
         let left = || self.list.iter().zip(&residuals).filter(|(piece, _)| piece.seen.is_none());
-        // As parts of what was quoted for the rest, so that no job is too large and no rest too small.
+        // Relative to the quoted remainder, so that the size of the job causes no overflow or underflow.
         let quoted = self.quoted_remainder();
         let expected = |piece: &Piece, residual: f64| piece.quoted / quoted * libm::exp(residual);
         let median = sum(left().map(|(piece, &residual)| expected(piece, residual)));

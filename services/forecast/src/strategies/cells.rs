@@ -1,13 +1,13 @@
-//! One pixel in each cell of a grid: at its centre, or anywhere in it.
+//! One pixel in each cell of a grid: at its centre, or at random.
 
-use super::Image;
+use super::image::Image;
 use crate::random::{below, hash};
 
-/// Cells no more than this many times as long as wide are square enough.
+/// Largest aspect ratio of a cell.
 const LONGEST: f64 = 2.0;
 
-/// Columns and rows of cells: as many cells as possible, no more than `samples`, none longer than twice its width where that can
-/// be; of equally many the squarest.
+/// Columns and rows of cells: as many cells as possible, at most `samples`, with an aspect ratio of at most
+/// two if possible. Among equal numbers, the most square cells.
 fn grid(image: Image, samples: u32) -> (u32, u32) {
     let candidates = (1..=image.width.min(samples)).map(|columns| {
         let rows = (samples / columns).min(image.height);
@@ -22,20 +22,22 @@ fn grid(image: Image, samples: u32) -> (u32, u32) {
     candidates.max_by(better).map_or((0, 0), |(columns, rows, _)| (columns, rows))
 }
 
-/// The cells from row to row, to the right and back again, so that one is next to the other.
+/// The cells row by row, alternately to the right and to the left, so that successive cells are neighbours.
 fn serpentine(columns: u32, rows: u32) -> impl Iterator<Item = (u32, u32)> {
     let column = move |row: u32, step: u32| if row.is_multiple_of(2) { step } else { columns - 1 - step };
     (0..rows).flat_map(move |row| (0..columns).map(move |step| (column(row, step), row)))
 }
 
-/// Pixel at the fraction (`cell` + `within` / 2³²) / `cells` of `length`; `within` is below 2³².
+/// Pixel at the fraction (`cell` + `within` / 2³²) / `cells` of `length`. `within` must be below 2³².
 fn along(length: u32, cells: u32, cell: u32, within: u64) -> u32 {
     let fraction = (u128::from(cell) << 32) | u128::from(within);
     ((fraction * u128::from(length) / u128::from(cells)) >> 32) as u32
 }
 
-/// The paper's strategy 1: the centre of every cell. `shift` moves all of them alike, around within their cells, in units of 2⁻³²
-/// of a cell; (0, 0) leaves them at the centres.
+/// The paper's strategy 1: the centre of every cell.
+///
+/// `shift` moves all points alike, modulo their cells, in units of 2⁻³² of a cell. (0, 0) leaves them at the
+/// centres.
 pub(super) fn regular(image: Image, samples: u32, shift: [u32; 2]) -> Vec<u32> {
     const CENTRE: u32 = 1 << 31;
     let (columns, rows) = grid(image, samples);
@@ -47,7 +49,7 @@ pub(super) fn regular(image: Image, samples: u32, shift: [u32; 2]) -> Vec<u32> {
         .collect()
 }
 
-/// The paper's strategy 2: any pixel of every cell. `counters` are those of the random numbers.
+/// The paper's strategy 2: a random pixel of every cell. `counters` are the counters of the random numbers.
 pub(super) fn jittered(image: Image, samples: u32, counters: [u64; 2]) -> Vec<u32> {
     let (columns, rows) = grid(image, samples);
     let [seed, frame] = counters;

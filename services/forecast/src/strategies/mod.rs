@@ -1,53 +1,63 @@
-//! The seven strategies that the paper compares (its section 4), and two of ours, behind one door.
+//! Strategies of profiling a frame: the seven that the paper compares (Gillibrand et al. 2006, section 4),
+//! and two of our own, behind one interface.
 //!
-//! A strategy says which pixels of a frame are profiled, and how what they cost is expanded to all pixels:
+//! A strategy decides which pixels of a frame are profiled, and how their costs are expanded to all pixels:
 //!
-//! | strategy | pixels | expansion | its own variance |
+//! | strategy | pixels | expansion | variance |
 //! | --- | --- | --- | --- |
-//! | [`Strategy::RegularGrid`] | the centre of every cell | flat mean | differences of neighbouring cells |
-//! | [`Strategy::Jittered`] | any pixel of every cell | flat mean | differences of neighbouring cells |
-//! | [`Strategy::Halton`] | Halton's points, bases 2 and 7 | flat mean | none known |
-//! | [`Strategy::Hammersley`] | Hammersley's points, base 2 | flat mean | none known |
-//! | [`Strategy::Random`] | any pixels | flat mean | that of a simple random sample |
-//! | [`Strategy::RandomArea`] | the same | by the area that is nearest to each | none known |
-//! | [`Strategy::PaperSnapshot`] | one for every object and material, the rest by size | by object and material | by stratum |
-//! | [`Strategy::Systematic`] | every so many-th along objects and materials, by expected cost | by expected cost | differences of neighbours along the order |
-//! | [`Strategy::Snapshot`] | [`FrameDesign`]'s | by groups of objects and materials | by group, with a tail allowance |
+//! | `RegularGrid` | centre of every cell | overall mean | neighbouring cells |
+//! | `Jittered` | random pixel of every cell | overall mean | neighbouring cells |
+//! | `Halton` | Halton points, bases 2 and 7 | overall mean | not known |
+//! | `Hammersley` | Hammersley points, base 2 | overall mean | not known |
+//! | `Random` | random pixels | overall mean | simple random sample |
+//! | `RandomArea` | random pixels | by nearest area | not known |
+//! | `PaperSnapshot` | one per stratum, the rest by size | by stratum | by stratum |
+//! | `Systematic` | every k-th of an order | by expected cost | neighbours in the order |
+//! | `Snapshot` | those of [`FrameDesign`] | by groups of strata | by group, with a tail |
 //!
-//! The first six are *blind*: they know no preview, and to them a frame is one stratum. Where no variance is known, that of a simple
-//! random sample of as many pixels stands in; it is too large for points that are spread evenly.
+//! The strategies are the variants of [`Strategy`]. Variances by neighbours use differences of successive
+//! observations. Snapshot's variance includes a tail allowance.
 //!
-//! Grid, Halton and Hammersley leave nothing to chance. With seed 0 they are the paper's; with other seeds the same points are
-//! moved by a random vector, and around at the border (of the cell, and of the image), so that it can be seen how much of an
-//! error is luck.
+//! The first six are *blind*: they do not use the preview, and treat a frame as one stratum. Where the
+//! variance is not known, that of a simple random sample of the same size takes its place. It is too large
+//! for points that are spread evenly.
 //!
-//! | file | family |
+//! Grid, Halton and Hammersley points are deterministic. With seed 0 they are the paper's. Other seeds shift
+//! all points by a random vector, modulo the cell or the image. So the part of an error that is due to chance
+//! can be measured.
+//!
+//! | file | strategies |
 //! | --- | --- |
+//! | `classes` | what a strategy tells apart |
 //! | `cells` | grid, jittered |
 //! | `sequence` | Halton, Hammersley |
 //! | `uniform` | random |
-//! | `snapshot` | the paper's Snapshot |
-//! | `systematic` | every so many-th pixel of an order |
+//! | `paper_snapshot` | the paper's Snapshot |
+//! | `systematic` | every k-th pixel of an order |
 
 mod cells;
+mod classes;
+mod image;
+mod paper_snapshot;
 mod sequence;
-mod snapshot;
 mod systematic;
 mod uniform;
 
 use serde::{Deserialize, Serialize};
 
-use crate::choose::{FrameDesign, Pick, count_pixels};
-use crate::cost::{Cost, Costs, Observation};
+use crate::cost::{Cost, Observation};
 use crate::error::ForecastError;
 use crate::estimate::{FrameEstimate, FrameFit, estimate_fit};
 use crate::expansion::Expansion;
+use crate::frame_design::{FrameDesign, Pick, count_pixels};
 use crate::interval::Calibration;
 use crate::nearest::nearest;
 use crate::random::hash;
 use crate::strata::Stratum;
+pub use classes::Classes;
+use image::Image;
 
-/// A way to choose pixels and to expand what they cost; see the module's table.
+/// Which pixels are profiled, and how their costs are expanded. See the table of the module.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -64,18 +74,19 @@ pub enum Strategy {
     Random,
     /// The paper's strategy 6.
     RandomArea,
-    /// The paper's strategy 7, as it states it.
+    /// The paper's strategy 7, as the paper states it.
     #[serde(rename = "snapshot-paper")]
     PaperSnapshot,
-    /// By the preview, but in one pass and without strata of single objects: one order of all pixels, sampled systematically.
+    /// Uses the preview, in one phase and without strata of single objects: a systematic sample along one
+    /// order of all pixels.
     #[serde(rename = "snapshot-systematic")]
     Systematic,
-    /// Ours: what this crate's documentation describes.
+    /// Our own, as described in the documentation of this crate.
     Snapshot,
 }
 
 impl Strategy {
-    /// All of them, in the paper's order.
+    /// All strategies, in the paper's order.
     pub const ALL: [Strategy; 9] = [
         Strategy::RegularGrid,
         Strategy::Jittered,
@@ -88,7 +99,7 @@ impl Strategy {
         Strategy::Snapshot,
     ];
 
-    /// Its name on a command line and in documents; the same as serde's.
+    /// Its name on the command line and in documents. The same as in serde.
     pub const fn name(self) -> &'static str {
         match self {
             Strategy::RegularGrid => "regular-grid",
@@ -103,7 +114,7 @@ impl Strategy {
         }
     }
 
-    /// Its name in a table.
+    /// Its name in tables.
     pub const fn title(self) -> &'static str {
         match self {
             Strategy::RegularGrid => "Regular grid",
@@ -118,65 +129,42 @@ impl Strategy {
         }
     }
 
-    /// What it does, in a line.
+    /// What it does, in one line.
     pub const fn summary(self) -> &'static str {
         match self {
             Strategy::RegularGrid => "The centre of every cell of a grid; mean cost times pixels",
             Strategy::Jittered => "A random pixel of every cell of a grid; mean cost times pixels",
-            Strategy::Halton => "Halton's points, bases 2 and 7; mean cost times pixels",
-            Strategy::Hammersley => "Hammersley's points, base 2; mean cost times pixels",
+            Strategy::Halton => "Halton points with bases 2 and 7; mean cost times pixels",
+            Strategy::Hammersley => "Hammersley points with base 2; mean cost times pixels",
             Strategy::Random => "Random pixels; mean cost times pixels",
-            Strategy::RandomArea => "Random pixels; each counts for the area that is nearest to it",
+            Strategy::RandomArea => "Random pixels; the cost of each times the area nearest to it",
             Strategy::PaperSnapshot => {
-                "By the ID preview as the paper states it: a pixel for every object and material, the rest by size"
+                "The paper's use of the ID preview: one pixel per object and material, the rest by size"
             }
             Strategy::Systematic => {
-                "By the ID preview in one pass: every so many-th pixel along materials and objects, more where cost is expected"
+                "One phase: every k-th pixel of an order by material and object, denser where high cost is expected"
             }
             Strategy::Snapshot => {
-                "By what the ID preview shows: strata of object and material, in two phases"
+                "Two phases: strata of object and material from the ID preview, then by measured cost"
             }
         }
     }
 
-    /// Whether it knows nothing of the preview.
+    /// Whether it does not use the preview.
     pub const fn is_blind(self) -> bool {
         !matches!(self, Strategy::PaperSnapshot | Strategy::Systematic | Strategy::Snapshot)
     }
 
-    /// Whether the variance of its estimates is its own, and not that of a simple random sample in its place.
+    /// Whether its estimates have a variance of their own, rather than that of a simple random sample.
     pub const fn knows_its_variance(self) -> bool {
         !matches!(self, Strategy::Halton | Strategy::Hammersley | Strategy::RandomArea)
     }
 
-    /// What it distinguishes of the strata that a preview can show (and that do not stand apart).
-    pub fn strata(self, strata: &[Stratum]) -> Vec<Stratum> {
-        match self {
-            Strategy::PaperSnapshot | Strategy::Snapshot => strata.to_vec(),
-            Strategy::Systematic => systematic::classes(strata).0,
-            _ => vec![Stratum::background(1.0)],
-        }
-    }
-
-    /// Pixels of what it distinguishes, from the pixels of all strata.
-    pub fn counts(self, strata: &[Stratum], counts: &[u32]) -> Vec<u32> {
-        match self {
-            Strategy::PaperSnapshot | Strategy::Snapshot => counts.to_vec(),
-            Strategy::Systematic => {
-                let (classes, of) = systematic::classes(strata);
-                let mut sums = vec![0u32; classes.len()];
-                of.iter().zip(counts).for_each(|(&class, &n)| sums[class as usize] += n);
-                sums
-            }
-            _ => vec![counts.iter().fold(0, |sum, &n| sum.saturating_add(n))],
-        }
-    }
-
-    /// The pixels of a frame that it profiles, `samples` of them at most (a grid may have a few less); the arguments are those of
-    /// [`FrameDesign::new`].
+    /// The design for one frame: `samples` pixels at most. A grid may have a few less. The arguments are
+    /// those of [`FrameDesign::new`].
     ///
     /// # Errors
-    /// As of [`FrameDesign::new`].
+    /// As for [`FrameDesign::new`].
     pub fn design(
         self,
         strata: &[Stratum],
@@ -192,7 +180,7 @@ impl Strategy {
         let counters = [seed, frame.cast_unsigned()];
         let chance = |axis: u64| if seed == 0 { 0 } else { hash(&[seed, counters[1], axis]) };
         let of_cell = || [0, 1].map(|axis| (chance(axis) >> 32) as u32);
-        // Numbers of 53 bits, which an f64 holds exactly.
+        // Numbers of 53 bits, which are exact in an f64.
         let of_image = || [0, 1].map(|axis| (chance(axis) >> 11) as f64 / (1u64 << 53) as f64);
         let anywhere =
             || uniform::choose((0..image.pixels()).collect(), samples as usize, [seed, counters[1], 0]);
@@ -212,14 +200,15 @@ impl Strategy {
                 (pixels, Expansion::Areas(areas))
             }
             Strategy::PaperSnapshot => {
-                let picks = snapshot::as_stated(&counts, stratum_ids, samples, counters);
+                let picks = paper_snapshot::picks(&counts, stratum_ids, samples, counters);
                 return Ok(by_preview(Picks::Known(picks), Expansion::EachStratum));
             }
             Strategy::Systematic => {
                 let picks = systematic::picks(strata, &counts, stratum_ids, image, samples, counters);
+                let classes = self.classes(strata);
                 return Ok(Design {
-                    strata: self.strata(strata),
-                    counts: self.counts(strata, &counts),
+                    counts: classes.counts(&counts),
+                    strata: classes.strata,
                     picks: Picks::Known(picks),
                     expansion: Expansion::Neighbours,
                 });
@@ -230,31 +219,19 @@ impl Strategy {
             }
         };
         let picks = pixels.into_iter().map(|pixel| Pick { pixel, stratum: 0 }).collect();
+        let classes = self.classes(strata);
         Ok(Design {
-            strata: self.strata(strata),
-            counts: self.counts(strata, &counts),
+            counts: classes.counts(&counts),
+            strata: classes.strata,
             picks: Picks::Known(picks),
             expansion,
         })
     }
 }
 
-/// Width and height of an image, pixels.
-#[derive(Clone, Copy, Debug)]
-struct Image {
-    width: u32,
-    height: u32,
-}
-
-impl Image {
-    fn pixels(self) -> u32 {
-        self.width * self.height
-    }
-}
-
-/// Which pixels of a frame a [`Strategy`] profiles, and what it makes of them.
+/// The pixels of a frame that a [`Strategy`] profiles, and how it expands them.
 ///
-/// Observations are in the order of the picks, those of the first phase before those of the second.
+/// Observations must be in the order of the picks, those of the first phase first.
 #[derive(Clone, Debug)]
 pub struct Design {
     strata: Vec<Stratum>,
@@ -270,22 +247,22 @@ enum Picks {
 }
 
 impl Design {
-    /// What the strategy distinguishes: [`Strategy::strata`] of those that it was made for. The picks' strata are these.
+    /// The strata that the strategy distinguishes (see [`Strategy::strata`]). Picks refer to these.
     pub fn strata(&self) -> &[Stratum] {
         &self.strata
     }
 
-    /// Pixels of each of them.
+    /// Number of pixels of each of these strata.
     pub fn counts(&self) -> &[u32] {
         &self.counts
     }
 
-    /// How the observations stand for all pixels.
+    /// How the observations are expanded to all pixels.
     pub fn expansion(&self) -> &Expansion {
         &self.expansion
     }
 
-    /// The pixels to profile first; most strategies know all of them.
+    /// The pixels to profile first. For most strategies these are all.
     pub fn first_phase(&self) -> Vec<Pick> {
         match &self.picks {
             Picks::Known(picks) => picks.clone(),
@@ -293,7 +270,7 @@ impl Design {
         }
     }
 
-    /// The other pixels, once it is known what the first ones cost.
+    /// The remaining pixels, given the costs of the first ones. Empty for most strategies.
     ///
     /// # Errors
     /// If an observation names an unknown stratum.
@@ -304,10 +281,10 @@ impl Design {
         }
     }
 
-    /// Both phases, on pixels whose costs are known: the picks, and what was observed at them.
+    /// Runs both phases on a frame whose pixel costs are known. Returns the picks and their observations.
     ///
     /// # Errors
-    /// As of [`Self::second_phase`].
+    /// As for [`Self::second_phase`].
     pub fn profile(
         &self,
         cost: impl Fn(u32) -> Cost,
@@ -321,10 +298,10 @@ impl Design {
         Ok((picks, observations))
     }
 
-    /// What all observations together say of the frame.
+    /// The estimate of the frame from the observations of both phases.
     ///
     /// # Errors
-    /// As of [`crate::estimate`]; and if the observations are not those of all picks.
+    /// As for [`crate::estimate()`], and if the observations are not those of all picks.
     pub fn estimate(
         &self,
         observations: &[Observation],
@@ -333,43 +310,6 @@ impl Design {
         let fit = FrameFit::new(&self.strata, 0, &self.counts, observations, &self.expansion)?;
         Ok(estimate_fit(fit, observations.len(), calibration))
     }
-}
-
-/// What a strategy thinks that each pixel costs, for a picture of it: by the preview, the mean of what the pixel shows; blindly, the
-/// cost of the profiled pixel that is nearest. `strata`, `stratum_ids` and `width` are those that `design` was made for.
-///
-/// # Errors
-/// As of [`Design::estimate`].
-pub fn predicted_map(
-    strategy: Strategy,
-    design: &Design,
-    strata: &[Stratum],
-    stratum_ids: &[u32],
-    width: u32,
-    picks: &[Pick],
-    observations: &[Observation],
-) -> Result<Vec<Costs<f64>>, ForecastError> {
-    if strategy.is_blind() {
-        let pixels: Vec<u32> = picks.iter().map(|pick| pick.pixel).collect();
-        let cost = |index: u32| {
-            let columns = observations[index as usize].cost.columns();
-            Costs::from(columns.map(|value| value as f64))
-        };
-        return Ok(nearest(width, stratum_ids.len(), &pixels).into_iter().map(cost).collect());
-    }
-    let means = if strategy == Strategy::Systematic {
-        // It expands by class alone, but knows what its pixels show.
-        let counts = count_pixels(strata, stratum_ids, width, 0)?;
-        let shown: Vec<Observation> = picks
-            .iter()
-            .zip(observations)
-            .map(|(pick, observed)| Observation { stratum: stratum_ids[pick.pixel as usize], ..*observed })
-            .collect();
-        FrameFit::new(strata, 0, &counts, &shown, &Expansion::Groups)?.strata
-    } else {
-        design.estimate(observations, Calibration::NONE)?.strata
-    };
-    Ok(stratum_ids.iter().map(|&stratum| means[stratum as usize].mean).collect())
 }
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
-//! Quasi-random point sets: Halton and Hammersley, as Wong, Luk and Heng 1997 build them ("Sampling with Hammersley and Halton
-//! points", the paper's reference 22).
+//! Quasi-random point sets: Halton and Hammersley, constructed as in Wong, Luk and Heng 1997, "Sampling with
+//! Hammersley and Halton points" (the paper's reference 22).
 
-use super::Image;
+use super::image::Image;
 
-/// Φ_b(k): the digits of `k` to `base`, mirrored at the point; from 0 up to, but not including, 1.
+/// Φ_b(k): the digits of `k` in the given base, mirrored at the point. From 0 up to, but not including, 1.
 fn radical_inverse(base: u32, mut k: u32) -> f64 {
     let (mut inverse, mut digit) = (0.0, 1.0);
     while k > 0 {
@@ -25,8 +25,10 @@ pub(super) fn hammersley(image: Image, samples: u32, shift: [f64; 2]) -> Vec<u32
     place(image, points, shift)
 }
 
-/// The pixels in which points of the unit square fall, all moved by `shift` and around at the border (Cranley, Patterson 1976).
-/// A point whose pixel has one already goes to the next pixel, in row order and around, that has none.
+/// The pixels that contain these points of the unit square, all shifted by `shift` modulo 1 (Cranley,
+/// Patterson 1976).
+///
+/// If a pixel is already taken, the next free pixel in row order is used, wrapping around at the end.
 fn place(image: Image, points: impl Iterator<Item = [f64; 2]>, shift: [f64; 2]) -> Vec<u32> {
     let pixels = image.pixels();
     let mut free = NextFree { next: (0..pixels).collect() };
@@ -40,8 +42,8 @@ fn place(image: Image, points: impl Iterator<Item = [f64; 2]>, shift: [f64; 2]) 
         .collect()
 }
 
-/// The next free place from any place on, around: a forest whose roots are free places (union-find with path halving, Tarjan and
-/// van Leeuwen 1984).
+/// Finds the next free place, wrapping around: a forest whose roots are free places (union-find with path
+/// halving, Tarjan and van Leeuwen 1984).
 struct NextFree {
     next: Vec<u32>,
 }
@@ -55,7 +57,7 @@ impl NextFree {
             at = self.next[at] as usize;
         }
         let after = (at + 1) % self.next.len();
-        // The last free place has no other to point to; nobody asks after it has gone.
+        // The last free place has no other to point to. This is never followed, because then nothing is free.
         self.next[at] = after as u32;
         at as u32
     }
@@ -86,7 +88,7 @@ mod tests {
 
     #[test]
     fn haltons_points_fill_the_boxes_of_their_bases_evenly() {
-        // 4 columns by 7 rows of boxes hold the same number of any 28 successive points.
+        // A box of 4 columns and 7 rows: 28 successive points fall into its cells once each.
         let image = Image { width: 4, height: 7 };
         let mut found = halton(image, 28, [0.0; 2]);
         found.sort_unstable();

@@ -1,18 +1,19 @@
-//! One order of all pixels, of which every so many-th is profiled.
+//! A systematic sample: every k-th pixel along one order of all pixels.
 //!
-//! Strata of single objects want two samples each, so that half of all samples go to small things, or have to be joined. An order does
-//! without: pixels that lie one after the other in it (same material, same object, neighbours along a curve) cost alike, and a
-//! systematic sample of it has of every stretch what this deserves, to within one pixel (Cochran 1977, chapter 8: implicit
-//! stratification). Strata are only the few classes of expected cost, which say how dense the sample is.
+//! Strata of single objects need two samples each. Then either half of all samples go to small objects, or
+//! strata must be joined. An order avoids both. Successive pixels in it have the same material, the same
+//! object, or are neighbours along a curve, so they cost alike. A systematic sample gives every stretch of
+//! the order its share to within one pixel (implicit stratification: Cochran 1977, chapter 8). The only
+//! strata are the few classes of expected cost, which set the density of the sample.
 
-use super::Image;
+use super::image::Image;
 use crate::allocate::{Cell, allocate};
-use crate::choose::Pick;
-use crate::curve::{hilbert, order_for};
+use crate::frame_design::Pick;
+use crate::hilbert::{hilbert, order_for};
 use crate::random::hash;
 use crate::strata::Stratum;
 
-/// The classes of expected cost, from the lowest: a stratum for each, and the class of every stratum.
+/// The classes of expected cost, ascending: one stratum per class, and the class of every input stratum.
 pub(super) fn classes(strata: &[Stratum]) -> (Vec<Stratum>, Vec<u32>) {
     let mut costs: Vec<f64> = strata.iter().map(|stratum| stratum.prior_cost).collect();
     costs.sort_unstable_by(f64::total_cmp);
@@ -28,14 +29,16 @@ pub(super) fn classes(strata: &[Stratum]) -> (Vec<Stratum>, Vec<u32>) {
     ((0u32..).zip(costs).map(class).collect(), of)
 }
 
-/// Where a pixel stands in its class: material, object, stratum, place along the curve; and the pixel.
+/// Sort key of a pixel in its class: material, object, stratum, position along the curve; and the pixel.
 type Place = (u32, u32, u32, u64, u32);
 
-/// Least number of samples in each class: two give a variance.
+/// Least number of samples in each class. Two are needed for a variance.
 const FLOOR: u64 = 2;
 
-/// The pixels, class by class along its order, spread evenly from a start that chance gives; the samples are shared out in proportion
-/// to pixels times expected cost (Neyman's rule, if pixels deviate as they cost).
+/// The picks, class by class in its order, evenly spaced from a random start.
+///
+/// Samples are allocated in proportion to pixels times expected cost: Neyman allocation, if the standard
+/// deviation is proportional to the cost.
 pub(super) fn picks(
     strata: &[Stratum],
     counts: &[u32],
@@ -62,10 +65,10 @@ pub(super) fn picks(
     for ((stratum, mut order), wanted) in (0u32..).zip(orders).zip(allocate(&cells, samples.into())) {
         order.sort_unstable();
         let start = hash(&[seed, frame, stratum.into()]);
-        // Steps are of one pixel at least, so none comes twice.
+        // Steps are at least one pixel long, so no pixel is picked twice.
         picks.extend((0..wanted).map(|step| {
             let fraction = (u128::from(step) << 64) | u128::from(start);
-            // Less than 2³² samples of as many pixels, in units of 2⁻⁶⁴: the product stays below 2¹²⁸.
+            // Fewer than 2³² samples and pixels, in units of 2⁻⁶⁴: the product stays below 2¹²⁸.
             let place = (fraction * order.len() as u128 / u128::from(wanted)) >> 64;
             Pick { pixel: order[place as usize].4, stratum }
         }));
@@ -91,7 +94,7 @@ mod tests {
 
     #[test]
     fn every_object_has_its_share_to_within_one_pixel_and_every_pixel_its_chance() {
-        // Three objects of one class, in 640 pixels of which 64 are taken.
+        // Three objects of one class, in 640 pixels of which 64 are sampled.
         let image = Image { width: 32, height: 20 };
         let ids: Vec<u32> = (0..640).map(|pixel| if pixel < 335 { 0 } else { 1 + pixel % 2 }).collect();
         let strata = [stratum(0, 5, 1.0), stratum(1, 2, 1.0), stratum(2, 2, 1.0)];

@@ -1,9 +1,11 @@
-//! Any pixels, each with the same chance.
+//! Uniform random pixels.
 
 use crate::random::{below, hash};
 
-/// `samples` of the entries of `list` (all, if there are no more), none twice, every set of them with the same chance: the first
-/// steps of a shuffle (Fisher, Yates 1938; Durstenfeld 1964). `counters` are those of the random numbers.
+/// Draws `samples` entries of `list` without replacement. Every subset has the same probability.
+///
+/// If there are no more than `samples` entries, all are drawn. The method is the first steps of a shuffle
+/// (Fisher, Yates 1938; Durstenfeld 1964). `counters` are the counters of the random numbers.
 pub(super) fn choose(mut list: Vec<u32>, samples: usize, counters: [u64; 3]) -> Vec<u32> {
     let samples = samples.min(list.len());
     let [seed, frame, group] = counters;

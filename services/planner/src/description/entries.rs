@@ -16,21 +16,12 @@ pub struct Description {
     pub(super) zone: String,
     pub(super) half_life: Option<String>,
     #[serde(default)]
-    pub(super) limits: Vec<LimitEntry>,
-    #[serde(default)]
     pub(super) projects: Vec<ProjectEntry>,
     pub(super) nodes: Vec<NodeEntry>,
     #[serde(default)]
     pub(super) jobs: Vec<JobEntry>,
     #[serde(default)]
     pub(super) fixed: Vec<FixedEntry>,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct LimitEntry {
-    pub(super) name: String,
-    pub(super) count: u64,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -116,8 +107,6 @@ pub(super) struct FixedEntry {
     pub(super) node: String,
     pub(super) start: Timestamp,
     pub(super) end: Timestamp,
-    #[serde(default)]
-    pub(super) limits: BTreeMap<String, u64>,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -154,12 +143,6 @@ pub(super) struct JobEntry {
     pub(super) gpu_memory_gib: f64,
     #[serde(default)]
     pub(super) cores: u32,
-    #[serde(default)]
-    pub(super) limits: BTreeMap<String, u64>,
-    #[serde(default = "one")]
-    pub(super) tiles: u32,
-    #[serde(default)]
-    pub(super) tile_overhead_hours: f64,
     pub(super) budget: Option<f64>,
 }
 

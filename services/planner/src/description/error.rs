@@ -11,7 +11,7 @@ pub enum DescriptionError {
     Unknown {
         /// Where it is used.
         at: String,
-        /// Node, limit or project.
+        /// Node or project.
         what: &'static str,
         /// The name.
         name: String,
@@ -19,7 +19,7 @@ pub enum DescriptionError {
     /// Two things have the same name.
     #[error("{what} {name:?} is given twice")]
     Twice {
-        /// Node, job, limit or project.
+        /// Node, job or project.
         what: &'static str,
         /// The name.
         name: String,

@@ -1,28 +1,26 @@
 //! A farm and its jobs as people write them: names instead of numbers, hours instead of work, weekly windows instead of instants. The
 //! crate's README documents the fields, and `farm.example.json` shows most of them.
 
+mod demands;
 mod entries;
 mod error;
 mod values;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use jiff::Timestamp;
 use jiff::civil::Weekday;
 
+use self::demands::{Demands, WORK_PER_SECOND};
 pub use self::entries::Description;
 use self::entries::{Day, Frames, JobEntry, NodeEntry, ProjectEntry, RangeEntry, WindowEntry};
 pub use self::error::DescriptionError;
 use self::values::{duration, known, money, names, scaled};
 use crate::civil::{Weekly, expand};
 use crate::model::{
-    Confidence, FixedBooking, Frame, Input, Interval, Job, Limit, LimitUse, Node, Power, Project, Seed,
-    Usage, WorkTotal,
+    Confidence, FixedBooking, Frame, Input, Interval, Job, Node, Power, Project, Seed, Usage, WorkTotal,
 };
 
-/// Work of a second at speed one.
-const WORK_PER_SECOND: f64 = 1e9;
-const GIB: f64 = (1u64 << 30) as f64;
 /// Of a job.
 const MOST_FRAMES: u32 = 1_000_000;
 
@@ -38,13 +36,12 @@ impl Description {
         let now = self.now.as_microsecond();
         let instants = self.jobs.iter().flat_map(|job| [job.release, job.deadline]).flatten();
         let horizon = instants.map(Timestamp::as_microsecond).fold(now, i64::max).saturating_add(BEYOND);
-        let limits = names("limit", self.limits.iter().map(|limit| &limit.name))?;
         let projects = names("project", self.projects.iter().map(|project| &project.name))?;
         names("job", self.jobs.iter().map(|job| &job.name))?;
-        let classes = self.classes();
+        let demands = Demands::new(&self.nodes, &self.jobs)?;
         let mut nodes: Vec<Node> = Vec::new();
         for entry in &self.nodes {
-            let model = self.node(entry, &classes, now, horizon)?;
+            let model = self.node(entry, &demands, now, horizon)?;
             for copy in 0..entry.count {
                 let name = if entry.count == 1 {
                     entry.name.clone()
@@ -62,20 +59,12 @@ impl Description {
                 start: entry.start.as_microsecond(),
                 end: entry.end.as_microsecond(),
                 job: None,
-                uses: uses(&entry.limits, &limits, &at)?,
             })
         });
-        let jobs =
-            self.jobs.iter().zip(0..).map(|(entry, id)| job(entry, id, now, &classes, &limits, &projects));
+        let jobs = self.jobs.iter().zip(0..).map(|(entry, id)| job(entry, id, now, &demands, &projects));
         let half_life = self.half_life.as_ref().map_or(Ok(0), |text| duration(text, "half_life"))?;
         Ok(Input {
             now,
-            limits: self
-                .limits
-                .iter()
-                .zip(0..)
-                .map(|(limit, id)| Limit { id, name: limit.name.clone(), count: limit.count })
-                .collect(),
             projects: self
                 .projects
                 .iter()
@@ -90,18 +79,10 @@ impl Description {
         })
     }
 
-    /// Numbers of the classes of work: the unnamed one is zero, the others follow in the order of their names.
-    fn classes(&self) -> BTreeMap<String, u32> {
-        let of_nodes = self.nodes.iter().flat_map(|node| node.speeds.keys());
-        let of_jobs = self.jobs.iter().flat_map(|job| [&job.class, &job.seed_class]).flatten();
-        let all: BTreeSet<&String> = of_nodes.chain(of_jobs).collect();
-        all.into_iter().cloned().zip(1..).collect()
-    }
-
     fn node(
         &self,
         entry: &NodeEntry,
-        classes: &BTreeMap<String, u32>,
+        demands: &Demands,
         now: i64,
         horizon: i64,
     ) -> Result<Node, DescriptionError> {
@@ -109,11 +90,6 @@ impl Description {
         let time = |text: &Option<String>, field: &str| {
             text.as_ref().map_or(Ok(0), |text| duration(text, &format!("{at}, {field}")))
         };
-        let speed = |value: f64, field: &str| scaled(value, WORK_PER_SECOND, &at, field);
-        let mut speeds = BTreeMap::new();
-        for (class, &value) in &entry.speeds {
-            speeds.insert(classes.get(class).copied().unwrap_or(0), speed(value, "speeds")?);
-        }
         let available_from = entry.available_from.map_or(now, Timestamp::as_microsecond);
         let calendar = match &entry.calendar {
             None => vec![Interval { start: now, end: None }],
@@ -130,11 +106,8 @@ impl Description {
         Ok(Node {
             id: 0,
             name: entry.name.clone(),
-            speed: speed(entry.speed, "speed")?,
-            speeds,
-            cores: entry.cores,
-            memory: scaled(entry.memory_gib, GIB, &at, "memory_gib")?,
-            gpu_memory: scaled(entry.gpu_memory_gib, GIB, &at, "gpu_memory_gib")?,
+            speed: scaled(entry.speed, WORK_PER_SECOND, &at, "speed")?,
+            speeds: demands.speeds(entry)?,
             price_per_hour: money(entry.price_per_hour, &at, "price_per_hour")?,
             billing_step: time(&entry.billing_step, "billing_step")?,
             minimum_booking: time(&entry.minimum_booking, "minimum_booking")?,
@@ -181,15 +154,12 @@ fn job(
     entry: &JobEntry,
     id: u64,
     now: i64,
-    classes: &BTreeMap<String, u32>,
-    limits: &BTreeMap<String, u64>,
+    demands: &Demands,
     projects: &BTreeMap<String, u64>,
 ) -> Result<Job, DescriptionError> {
     let at = format!("job {:?}", entry.name);
     let wrong = |reason: &str| DescriptionError::Value { at: at.clone(), reason: reason.to_owned() };
     let work = |hours: f64, field: &str| scaled(hours, 3600.0 * WORK_PER_SECOND, &at, field);
-    let class =
-        |name: &Option<String>| name.as_ref().and_then(|name| classes.get(name).copied()).unwrap_or(0);
     if entry.spread < 1.0 || entry.frame_spread < 1.0 {
         return Err(wrong("a spread is P80 over P50 and must be at least 1"));
     }
@@ -219,7 +189,7 @@ fn job(
         id,
         name: entry.name.clone(),
         project: entry.project.as_ref().map(|name| known(projects, "project", name, &at)).transpose()?,
-        class: class(&entry.class),
+        class: demands.class(&entry.class, entry)?,
         release: entry.release.map_or(now, Timestamp::as_microsecond),
         deadline: entry.deadline.map(Timestamp::as_microsecond),
         priority: entry.priority,
@@ -234,29 +204,13 @@ fn job(
         seed: match entry.seed_hours {
             None => None,
             Some(hours) => Some(Seed {
-                class: class(&entry.seed_class),
+                class: demands.class(&entry.seed_class, entry)?,
                 work: work(hours, "seed_hours")?,
                 parts: entry.seed_parts,
             }),
         },
         frames,
         done: Vec::new(),
-        memory: scaled(entry.memory_gib, GIB, &at, "memory_gib")?,
-        gpu_memory: scaled(entry.gpu_memory_gib, GIB, &at, "gpu_memory_gib")?,
-        cores: entry.cores,
-        uses: uses(&entry.limits, limits, &at)?,
-        tiles: entry.tiles,
-        tile_overhead: work(entry.tile_overhead_hours, "tile_overhead_hours")?,
         budget: entry.budget.map(|budget| money(budget, &at, "budget")).transpose()?,
     })
-}
-
-fn uses(
-    held: &BTreeMap<String, u64>,
-    limits: &BTreeMap<String, u64>,
-    at: &str,
-) -> Result<Vec<LimitUse>, DescriptionError> {
-    held.iter()
-        .map(|(name, &count)| Ok(LimitUse { limit: known(limits, "limit", name, at)?, count }))
-        .collect()
 }

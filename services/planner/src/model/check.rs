@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use super::{Input, Interval, Job, LimitUse, Node};
+use super::{Input, Interval, Job, Node};
 
 /// Why an input has no meaning. Inputs that merely cannot be met have a verdict instead.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -19,12 +19,6 @@ pub enum InputError {
     DuplicateJob {
         /// The job.
         job: u64,
-    },
-    /// Two limits share an id.
-    #[error("limit {limit} is given twice")]
-    DuplicateLimit {
-        /// The limit.
-        limit: u64,
     },
     /// Two projects share an id.
     #[error("project {project} is given twice")]
@@ -88,12 +82,6 @@ pub enum InputError {
         /// The node.
         node: u64,
     },
-    /// Something uses a limit that does not exist.
-    #[error("limit {limit} is used, but does not exist")]
-    UnknownLimit {
-        /// The limit.
-        limit: u64,
-    },
     /// A job belongs to a project that does not exist.
     #[error("job {job} belongs to project {project}, which does not exist")]
     UnknownProject {
@@ -111,7 +99,7 @@ pub enum InputError {
     /// A plan that was given does not belong to the input.
     #[error("the event names {what} {id}, which does not exist")]
     UnknownEvent {
-        /// Node, job or limit.
+        /// Node or job.
         what: &'static str,
         /// Its identity.
         id: u64,
@@ -122,13 +110,9 @@ impl Input {
     /// Checks that the input has a meaning.
     ///
     /// # Errors
-    /// The first thing found wrong, in the order limits, projects, nodes, fixed bookings, jobs. Movable
+    /// The first thing found wrong, in the order projects, nodes, fixed bookings, jobs. Movable
     /// bookings may be wrong: those that are are not kept.
     pub fn check(&self) -> Result<(), InputError> {
-        let mut limits = BTreeSet::new();
-        if let Some(twice) = self.limits.iter().find(|limit| !limits.insert(limit.id)) {
-            return Err(InputError::DuplicateLimit { limit: twice.id });
-        }
         let mut projects = BTreeSet::new();
         if let Some(twice) = self.projects.iter().find(|project| !projects.insert(project.id)) {
             return Err(InputError::DuplicateProject { project: twice.id });
@@ -149,7 +133,6 @@ impl Input {
                 let (node, start, end) = (fixed.node, fixed.start, fixed.end);
                 return Err(InputError::ReversedBooking { node, start, end });
             }
-            known_limits(&fixed.uses, &limits)?;
         }
         let mut jobs = BTreeSet::new();
         for job in &self.jobs {
@@ -159,7 +142,6 @@ impl Input {
             if let Some(project) = job.project.filter(|project| !projects.contains(project)) {
                 return Err(InputError::UnknownProject { job: job.id, project });
             }
-            known_limits(&job.uses, &limits)?;
             check_job(job)?;
         }
         Ok(())
@@ -206,11 +188,4 @@ fn check_job(job: &Job) -> Result<(), InputError> {
 
 fn not_negative(what: &str, value: i64) -> Result<(), InputError> {
     if value < 0 { Err(InputError::NegativeTime { what: what.to_owned(), value }) } else { Ok(()) }
-}
-
-fn known_limits(uses: &[LimitUse], limits: &BTreeSet<u64>) -> Result<(), InputError> {
-    match uses.iter().find(|held| !limits.contains(&held.limit)) {
-        Some(held) => Err(InputError::UnknownLimit { limit: held.limit }),
-        None => Ok(()),
-    }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Job, MICROSECONDS_PER_HOUR, MICROSECONDS_PER_SECOND, in_millionths};
+use super::{MICROSECONDS_PER_HOUR, MICROSECONDS_PER_SECOND, in_millionths};
 
 /// A machine that renders one frame at a time, with all its cores. A machine that renders several at once is as
 /// many nodes.
@@ -17,14 +17,9 @@ pub struct Node {
     pub name: String,
     /// Work per second, with all cores, for every class of work that `speeds` does not name; not zero.
     pub speed: u64,
-    /// Work per second by class of work. Zero: the node cannot do work of this class.
+    /// Work per second by class of work. Zero: the node cannot do work of this class, for want of memory, cores or a
+    /// graphics processor.
     pub speeds: BTreeMap<u32, u64>,
-    /// Cores.
-    pub cores: u32,
-    /// Main memory, bytes.
-    pub memory: u64,
-    /// Memory of the graphics processor, bytes; zero if there is none.
-    pub gpu_memory: u64,
     /// Price of a rented hour in micro-units; not negative.
     pub price_per_hour: i64,
     /// Rented time is billed in multiples of this many microseconds; zero and one: to the microsecond.
@@ -78,29 +73,6 @@ pub struct FixedBooking {
     pub end: i64,
     /// The job it is for, where that is known: for explanations.
     pub job: Option<u64>,
-    /// What it holds meanwhile.
-    pub uses: Vec<LimitUse>,
-}
-
-/// Something that only so many frames may use at once: a licence, the bandwidth of a file server.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct Limit {
-    /// Identity.
-    pub id: u64,
-    /// Name for people.
-    pub name: String,
-    /// How many units there are.
-    pub count: u64,
-}
-
-/// How much of a limit a running frame holds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-pub struct LimitUse {
-    /// The limit.
-    pub limit: u64,
-    /// Units.
-    pub count: u64,
 }
 
 impl Node {
@@ -129,11 +101,6 @@ impl Node {
         (speed > 0)
             .then(|| in_millionths(u128::from(work)).div_ceil(u128::from(speed)).max(1))
             .and_then(|duration| i64::try_from(duration).ok())
-    }
-
-    /// Whether the job's frames fit into the machine, whatever its speed.
-    pub fn fits(&self, job: &Job) -> bool {
-        self.memory >= job.memory && self.gpu_memory >= job.gpu_memory && self.cores >= job.cores
     }
 
     /// What a rental of this many microseconds costs, set-up included if it begins with one: the time, raised

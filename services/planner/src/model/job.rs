@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{LimitUse, Task};
+use super::Task;
 
 /// z of 80 % and 95 %, one-sided.
 const Z80: f64 = 0.841_621_233_572_914_2;
@@ -18,7 +18,8 @@ pub struct Job {
     pub name: String,
     /// The project that it belongs to.
     pub project: Option<u64>,
-    /// Class of its frames' work; see [`super::Node::speeds`].
+    /// Class of its frames' work: everything that decides which nodes can do it, and how fast. See
+    /// [`super::Node::speeds`].
     pub class: u32,
     /// Nothing may start before this instant.
     pub release: i64,
@@ -40,18 +41,6 @@ pub struct Job {
     pub frames: Vec<Frame>,
     /// Numbers of the frames that need no place any more: they are done, or run as fixed bookings.
     pub done: Vec<i64>,
-    /// Main memory that a frame needs, bytes.
-    pub memory: u64,
-    /// Graphics memory that a frame needs, bytes.
-    pub gpu_memory: u64,
-    /// Cores that a node must have for it.
-    pub cores: u32,
-    /// What each running frame, tile and seed holds.
-    pub uses: Vec<LimitUse>,
-    /// Into how many tiles a frame may be split at most. One: it may not, but could be allowed to; zero: it cannot be split at all.
-    pub tiles: u32,
-    /// Work that each tile costs on top of its part of the frame.
-    pub tile_overhead: u64,
     /// What the job may cost, in micro-units.
     pub budget: Option<i64>,
 }
@@ -234,11 +223,6 @@ impl Job {
         let seed = self.seed?;
         let work = self.bought_seed()?;
         seed.tasks().any(|own| own == task).then(|| work.div_ceil(u64::from(seed.parts.max(1))))
-    }
-
-    /// Work of each of so many tiles of a frame.
-    pub fn tile_work(&self, frame_work: u64, parts: u32) -> u64 {
-        frame_work.div_ceil(u64::from(parts.max(1))).saturating_add(self.tile_overhead)
     }
 
     fn medians(&self) -> u128 {

@@ -9,7 +9,7 @@ mod job;
 mod plan;
 
 pub use check::InputError;
-pub use farm::{FixedBooking, Interval, Limit, LimitUse, Node, Power};
+pub use farm::{FixedBooking, Interval, Node, Power};
 pub use job::{Confidence, Frame, Job, Project, Seed, Usage, WorkTotal};
 pub use plan::{
     Booking, Bound, Infeasible, JobPlan, Plan, PlanId, Prices, Proof, Rental, Reserved, Task, Verdict,
@@ -27,8 +27,6 @@ pub struct Input {
     pub now: i64,
     /// The farm.
     pub nodes: Vec<Node>,
-    /// Licences and whatever else frames share.
-    pub limits: Vec<Limit>,
     /// Time that is already given away and stays so: running frames, promises of others.
     pub fixed: Vec<FixedBooking>,
     /// Bookings of jobs of this input as they stand. They are kept where they are still right, and move only

@@ -47,7 +47,6 @@ impl Plan {
                 Task::Seed => (0u32, 0, 0, 0),
                 Task::SeedPart { part, parts } => (3, 0, part, parts),
                 Task::Frame(frame) => (1, frame, 0, 1),
-                Task::Tile { frame, part, parts } => (2, frame, part, parts),
             };
             digest.update(&booking.start.to_le_bytes());
             digest.update(&booking.end.to_le_bytes());
@@ -68,7 +67,7 @@ impl Plan {
         self.jobs.iter().find(|job| job.job == id)
     }
 
-    /// The booking of the job's seed, frames and tiles.
+    /// The bookings of the job's seed and frames.
     pub fn bookings_of(&self, job: u64) -> impl Iterator<Item = &Booking> {
         self.bookings.iter().filter(move |booking| booking.job == job)
     }
@@ -87,17 +86,8 @@ pub enum Task {
         /// Into how many parts the seed is split.
         parts: u32,
     },
-    /// A whole frame, by its number.
+    /// A frame, by its number.
     Frame(i64),
-    /// A part of a frame.
-    Tile {
-        /// Number of the frame.
-        frame: i64,
-        /// Which part, from zero.
-        part: u32,
-        /// Into how many parts the frame is split.
-        parts: u32,
-    },
 }
 
 impl Task {
@@ -105,7 +95,7 @@ impl Task {
     pub fn frame(self) -> Option<i64> {
         match self {
             Task::Seed | Task::SeedPart { .. } => None,
-            Task::Frame(frame) | Task::Tile { frame, .. } => Some(frame),
+            Task::Frame(frame) => Some(frame),
         }
     }
 
@@ -121,7 +111,6 @@ impl std::fmt::Display for Task {
             Task::Seed => write!(f, "seed"),
             Task::SeedPart { part, parts } => write!(f, "seed, part {} of {parts}", part + 1),
             Task::Frame(frame) => write!(f, "frame {frame}"),
-            Task::Tile { frame, part, parts } => write!(f, "frame {frame}, tile {} of {parts}", part + 1),
         }
     }
 }
@@ -253,14 +242,12 @@ pub struct Proof {
     pub slots: Vec<i64>,
     /// Prices of node time.
     pub nodes: Vec<Prices>,
-    /// Prices of a unit of a limit.
-    pub limits: Vec<Prices>,
 }
 
 /// What an hour is worth, slot by slot, on top of what it costs.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Prices {
-    /// The nodes or limits that have these prices.
+    /// The nodes that have these prices.
     pub of: Vec<u64>,
     /// Micro-units per hour by slot; not negative.
     pub per_hour: Vec<i64>,
@@ -283,8 +270,6 @@ pub struct Infeasible {
 pub struct Reserved {
     /// The nodes.
     pub nodes: Vec<u64>,
-    /// The limits.
-    pub limits: Vec<u64>,
     /// First instant.
     pub start: i64,
     /// The instant after the last.

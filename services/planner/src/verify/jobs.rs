@@ -30,9 +30,6 @@ pub(super) fn check_job(
                 job.seed.zip(job.seed_work(task)).map(|(seed, work)| (seed.class, work))
             }
             Task::Frame(frame) => works.get(&frame).map(|&work| (job.class, work)),
-            Task::Tile { frame, parts, .. } => {
-                works.get(&frame).map(|&work| (job.class, job.tile_work(work, parts)))
-            }
         };
         let Some((class, work)) = work else {
             found.push(Violation::Unknown(booking));
@@ -40,11 +37,6 @@ pub(super) fn check_job(
         };
         if !tasks.insert(booking.task) {
             found.push(Violation::Twice { job: job.id, task: booking.task });
-        }
-        if let Task::Tile { part, parts, .. } = booking.task
-            && (part >= parts || parts > job.tiles || parts < 2)
-        {
-            found.push(Violation::Split(booking));
         }
         if booking.start < release {
             found.push(Violation::Release(booking));
@@ -54,7 +46,7 @@ pub(super) fn check_job(
             found.push(Violation::Precedence(booking));
         }
         if let Some(node) = nodes.get(&booking.node) {
-            if !node.fits(job) || node.speed_of(class) == 0 {
+            if node.speed_of(class) == 0 {
                 found.push(Violation::Unfit(booking));
             }
             let end = node.duration(work, class).and_then(|duration| booking.start.checked_add(duration));
@@ -63,7 +55,7 @@ pub(super) fn check_job(
             }
         }
     }
-    check_complete(job, &tasks, unplaced, seed_unplaced, &works, bookings, found);
+    check_complete(job, &tasks, unplaced, seed_unplaced, &works, found);
 
     let finish = bookings.iter().map(|booking| booking.end).max().unwrap_or(release);
     if !is_true(job, entry, finish) {
@@ -80,45 +72,27 @@ pub(super) fn check_job(
     is_placed.then_some(finish)
 }
 
-/// Every frame is booked whole, or in all its tiles, or called unplaced; and so is the seed.
+/// Every frame is booked or called unplaced; and so is the seed.
 fn check_complete(
     job: &Job,
     tasks: &BTreeSet<Task>,
     unplaced: &[i64],
     seed_unplaced: bool,
     works: &BTreeMap<i64, u64>,
-    bookings: &[Booking],
     found: &mut Vec<Violation>,
 ) {
-    let mut by_frame: BTreeMap<i64, Vec<Task>> = BTreeMap::new();
-    for &task in tasks {
-        if let Some(frame) = task.frame() {
-            by_frame.entry(frame).or_default().push(task);
-        }
-    }
     let mut called = BTreeSet::new();
     for &frame in unplaced {
+        let task = Task::Frame(frame);
         if !works.contains_key(&frame) {
-            found.push(Violation::UnknownUnplaced { job: job.id, task: Task::Frame(frame) });
-        } else if !called.insert(frame) || by_frame.contains_key(&frame) {
-            found.push(Violation::Twice { job: job.id, task: Task::Frame(frame) });
+            found.push(Violation::UnknownUnplaced { job: job.id, task });
+        } else if !called.insert(frame) || tasks.contains(&task) {
+            found.push(Violation::Twice { job: job.id, task });
         }
     }
-    for &frame in works.keys().filter(|frame| !called.contains(frame)) {
-        let has = by_frame.get(&frame).map_or(&[][..], |tasks| &tasks[..]);
-        match has {
-            [] => found.push(Violation::Missing { job: job.id, task: Task::Frame(frame) }),
-            [Task::Frame(_)] => {}
-            [Task::Tile { parts, .. }, ..] => {
-                let parts = *parts;
-                let all = |part| tasks.contains(&Task::Tile { frame, part, parts });
-                if has.len() != parts as usize || !(0..parts).all(all) {
-                    let booking = bookings.iter().find(|booking| booking.task.frame() == Some(frame));
-                    found.extend(booking.map(|&booking| Violation::Split(booking)));
-                }
-            }
-            [task, ..] => found.push(Violation::Twice { job: job.id, task: *task }),
-        }
+    let missing = works.keys().filter(|frame| !called.contains(frame)).map(|&frame| Task::Frame(frame));
+    for task in missing.filter(|task| !tasks.contains(task)) {
+        found.push(Violation::Missing { job: job.id, task });
     }
     let mut parts = job.seed.into_iter().flat_map(Seed::tasks);
     let missing = parts.find(|part| !tasks.contains(part));

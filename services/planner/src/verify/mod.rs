@@ -12,11 +12,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use self::jobs::{beats, check_job};
 use self::nodes::{check_node, check_rentals};
 pub use self::violation::Violation;
-use crate::model::{Booking, Input, Job, JobPlan, LimitUse, Node, Plan, Rental, Verdict};
+use crate::model::{Booking, Input, Job, JobPlan, Node, Plan, Rental, Verdict};
 use crate::proof::{Counted, value};
 
 /// Checks a plan against its input: every frame once, on a node that can render it, in the node's free time, after
-/// its release and its job's seed, as long as its work takes, alone on its node and within the limits; every
+/// its release and its job's seed, as long as its work takes, alone on its node; every
 /// booking paid for; and verdicts, costs, bounds and proofs in agreement with that.
 ///
 /// # Errors
@@ -55,7 +55,6 @@ pub fn verify(input: &Input, plan: &Plan) -> Result<(), Vec<Violation>> {
         check_node(input, node, &bookings, &fixed, &mut found);
         check_rentals(input, node, &bookings, rentals, &fixed, &mut costs, &mut found);
     }
-    check_limits(input, plan, &mut found);
     let mut ends = Some(i64::MIN);
     for job in &input.jobs {
         let bookings = by_job.remove(&job.id).unwrap_or_default();
@@ -78,49 +77,6 @@ pub fn verify(input: &Input, plan: &Plan) -> Result<(), Vec<Violation>> {
     }
     check_costs(input, plan, &mut found);
     if found.is_empty() { Ok(()) } else { Err(found) }
-}
-
-/// Never more held than there is.
-fn check_limits(input: &Input, plan: &Plan, found: &mut Vec<Violation>) {
-    let jobs: BTreeMap<u64, &Job> = input.jobs.iter().map(|job| (job.id, job)).collect();
-    for limit in &input.limits {
-        let of = |uses: &[LimitUse]| {
-            uses.iter()
-                .filter(|held| held.limit == limit.id)
-                .fold(0i128, |sum, held| sum + i128::from(held.count))
-        };
-        // Ends before starts at the same instant: what is given back can be taken.
-        let mut changes: Vec<(i64, i128)> = Vec::new();
-        let mut hold = |start: i64, end: i64, count: i128| {
-            if start < end && count > 0 {
-                changes.push((start, count));
-                changes.push((end, -count));
-            }
-        };
-        let mut fixed_alone: Vec<(i64, i128)> = Vec::new();
-        for booking in &input.fixed {
-            hold(booking.start, booking.end, of(&booking.uses));
-        }
-        for booking in &plan.bookings {
-            let count = jobs.get(&booking.job).map_or(0, |job| of(&job.uses));
-            hold(booking.start, booking.end, count);
-            if count > 0 {
-                fixed_alone.push((booking.start, count));
-            }
-        }
-        changes.sort_unstable();
-        fixed_alone.sort_unstable();
-        let mut held = 0i128;
-        for (instant, change) in changes {
-            held += change;
-            // Fixed bookings are facts, even where they hold too much; only what the plan adds can be wrong.
-            let starts_here = fixed_alone.binary_search(&(instant, change)).is_ok();
-            if change > 0 && starts_here && held > i128::from(limit.count) {
-                let held = u64::try_from(held).unwrap_or(u64::MAX);
-                found.push(Violation::Limit { limit: limit.id, instant, held, count: limit.count });
-            }
-        }
-    }
 }
 
 /// The costs add up, and the bound is proven.

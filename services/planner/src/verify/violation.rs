@@ -36,10 +36,7 @@ pub enum Violation {
         /// The task.
         task: Task,
     },
-    /// A frame is split where the job does not allow it, or into parts that do not make it up.
-    #[error("job {}, {} on node {}: must not be split like this", .0.job, .0.task, .0.node)]
-    Split(Booking),
-    /// A node cannot do the work, or has too little memory.
+    /// A node cannot do work of this class.
     #[error("job {}, {} on node {}: the node cannot render it", .0.job, .0.task, .0.node)]
     Unfit(Booking),
     /// A booking does not last as long as its node takes for the task's work.
@@ -68,18 +65,6 @@ pub enum Violation {
         rental: Rental,
         /// What is wrong with it.
         wrong: &'static str,
-    },
-    /// More of a limit is held than there is.
-    #[error("limit {limit}: {held} are held at {instant}, but there are {count}")]
-    Limit {
-        /// The limit.
-        limit: u64,
-        /// When.
-        instant: i64,
-        /// Units held.
-        held: u64,
-        /// Units that there are.
-        count: u64,
     },
     /// A job has no verdict, or more than one.
     #[error("job {job} has {verdicts} verdicts")]

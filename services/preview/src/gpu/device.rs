@@ -1,28 +1,28 @@
-//! The Vulkan device: which one, and how its failures become errors.
+//! Opens the Vulkan device, and turns its failures into errors.
 
 use crate::error::PreviewError;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 
-/// How long one submission may take. A software driver on a busy machine takes seconds for the largest tiles; a device
-/// that is silent for this long hangs.
+/// Time limit for one submission. A software driver on a busy machine takes seconds for the largest tiles. A
+/// device that does not answer within this time hangs.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// An open device with its queue, and the first failure that it reported outside of a call.
+/// An open device with its queue, and the first failure that it reported asynchronously.
 pub(crate) struct Device {
     pub device: wgpu::Device,
     pub queue: wgpu::Queue,
-    /// Name and kind of the adapter, for messages.
+    /// Name, kind and driver of the adapter, for messages.
     pub name: String,
-    /// Whether it is hardware: everything but a driver that renders on the processor.
+    /// Whether it is hardware, not a driver that renders on the processor.
     pub is_hardware: bool,
     fault: Arc<Mutex<Option<String>>>,
 }
 
 impl Device {
-    /// Opens the best adapter that can do what is needed: a discrete GPU before an integrated before a virtual one, a
-    /// software renderer last.
+    /// Opens the best usable adapter: discrete GPUs first, then integrated, then virtual ones, and software
+    /// renderers last.
     pub fn open() -> Result<Self, PreviewError> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
             backends: wgpu::Backends::VULKAN,
@@ -52,9 +52,10 @@ impl Device {
 
     fn open_adapter(adapter: &wgpu::Adapter) -> Result<Self, String> {
         if !adapter.features().contains(wgpu::Features::PRIMITIVE_INDEX) {
-            return Err("it does not number primitives".into());
+            return Err("it does not support PRIMITIVE_INDEX".into());
         }
-        // Everything else fits the defaults that every device supports; a scene's buffers may be as large as the device allows.
+        // The defaults, which every device supports, suffice for all but the buffers of the scene. These may
+        // be as large as the device allows.
         let offered = adapter.limits();
         let limits = wgpu::Limits {
             max_buffer_size: offered.max_buffer_size,
@@ -90,13 +91,13 @@ impl Device {
         })
     }
 
-    /// Most bytes of one buffer that shaders read.
+    /// Largest size of a buffer that shaders read, in bytes.
     pub fn most_bytes(&self) -> u64 {
         let limits = self.device.limits();
         limits.max_buffer_size.min(limits.max_storage_buffer_binding_size)
     }
 
-    /// An uninitialised (zero) buffer.
+    /// A buffer filled with zeros.
     pub fn buffer(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
         self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
@@ -106,7 +107,8 @@ impl Device {
         })
     }
 
-    /// Submits `commands`, waits for them and hands the bytes of `buffer` to `read`. Adds the wait to `waited`, nanoseconds.
+    /// Submits `commands`, waits for them, and passes the bytes of `buffer` to `read`. Adds the time waited
+    /// to `waited`, in nanoseconds.
     pub fn run_and_read<T>(
         &self,
         commands: wgpu::CommandBuffer,
@@ -119,7 +121,7 @@ impl Device {
         let submission = self.queue.submit([commands]);
         let (mapped, outcome) = mpsc::channel();
         buffer.map_async(wgpu::MapMode::Read, ..bytes, move |result| {
-            // The receiver is gone only when the wait has failed already.
+            // The receiver is only gone if the wait has failed.
             let _ = mapped.send(result);
         });
         self.wait(submission)?;
@@ -139,7 +141,7 @@ impl Device {
 
     fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), PreviewError> {
         let poll = wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(PATIENCE) };
-        // wgpu panics when the device is lost while it waits; a lost device must not take the process with it.
+        // wgpu panics if the device is lost while it waits. That must not end the process.
         match catch_unwind(AssertUnwindSafe(|| self.device.poll(poll))) {
             Ok(Ok(_)) => self.healthy(),
             Ok(Err(wgpu::PollError::Timeout)) => Err(PreviewError::Timeout { seconds: PATIENCE.as_secs() }),
@@ -148,7 +150,7 @@ impl Device {
         }
     }
 
-    /// The failure reported outside of a call, if there was one.
+    /// Returns the failure that the device reported asynchronously, if there was one.
     pub fn healthy(&self) -> Result<(), PreviewError> {
         match &*self.fault.lock().unwrap_or_else(PoisonError::into_inner) {
             Some(message) => Err(PreviewError::Device(message.clone())),

@@ -1,4 +1,4 @@
-//! The GPU side: triangle indices by rasterisation, pixel counts by a compute shader.
+//! The GPU preview: triangle indices by rasterisation, and pixel counts by a compute shader.
 
 mod device;
 mod pipelines;
@@ -15,17 +15,14 @@ use glam::Vec4;
 use pipelines::{ExtentUniform, Pipelines, ViewUniform};
 use resident::{Drawable, Resident};
 
-/// Longest side of what is drawn at once, pixels; larger images are drawn in tiles. Within every device's limits, and
-/// 64 MiB each for ids, depth and read-back at most.
+/// Largest side of a tile, in pixels. Larger images are drawn in several tiles. This is within the limits of
+/// every device. Ids, depth and read-back take at most 64 MiB each.
 const LARGEST_TILE: u32 = 4096;
 
-/// Pixels of one side of the block that a workgroup of `histogram.wgsl` counts (`BLOCK`).
-const BLOCK: u32 = 64;
-
-/// Alignment of rows in texture copies, bytes.
+/// Alignment of rows in texture copies, in bytes.
 const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
 
-/// A device with everything that stays on it from frame to frame.
+/// A device, with everything that stays on it from frame to frame.
 pub(crate) struct Gpu {
     device: Device,
     pipelines: Pipelines,
@@ -34,7 +31,7 @@ pub(crate) struct Gpu {
     counters: Option<Counters>,
 }
 
-/// What is drawn into, and how the ids come back.
+/// Render targets, and the buffer to read back the ids.
 struct Target {
     width: u32,
     height: u32,
@@ -44,13 +41,13 @@ struct Target {
     bytes_per_row: u32,
 }
 
-/// Counters on the device, and how they come back.
+/// Counters on the device, and the buffer to read them back.
 struct Counters {
     on_device: wgpu::Buffer,
     read_back: wgpu::Buffer,
 }
 
-/// A part of the image; it may reach past the right and the bottom edge.
+/// A part of the image. It may extend past the right and bottom edges.
 #[derive(Clone, Copy)]
 struct Tile {
     left: u32,
@@ -68,17 +65,17 @@ impl Gpu {
         Ok(Self { device, pipelines, resident, target: None, counters: None })
     }
 
-    /// Name and kind of the adapter.
+    /// Name, kind and driver of the adapter.
     pub fn name(&self) -> &str {
         &self.device.name
     }
 
-    /// Whether it is a graphics processor, and no program that does its work.
+    /// Whether it is hardware, not a software driver.
     pub fn is_hardware(&self) -> bool {
         self.device.is_hardware
     }
 
-    /// Takes the device away, as a driver that fails does.
+    /// Loses the device, as a failing driver does.
     #[cfg(test)]
     pub fn lose(&self) {
         self.device.device.destroy();
@@ -171,7 +168,7 @@ impl Gpu {
     }
 }
 
-/// Records the drawing of one tile.
+/// Records commands that draw one tile.
 fn draw(
     device: &Device,
     pipelines: &Pipelines,
@@ -217,7 +214,8 @@ fn draw(
     pass.draw_indexed(0..scene.index_count, 0, 0..1);
 }
 
-/// The camera as the shader reads it, for one tile: if the image spans [−1, 1], the tile does after a scale and a shift.
+/// The camera of one tile, as the shader reads it. The image spans [−1, 1], and a scale and an offset map the
+/// tile to that range.
 fn view_of(camera: &Camera, tile: Tile, near: f32) -> ViewUniform {
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
     let (tile_width, tile_height) = (f64::from(tile.width), f64::from(tile.height));
@@ -252,7 +250,7 @@ fn tile_size(camera: &Camera) -> (u32, u32) {
     (camera.width.min(LARGEST_TILE), camera.height.min(LARGEST_TILE))
 }
 
-/// The tiles that cover an image, all of one size.
+/// The tiles that cover an image, all of the same size.
 fn tiles(camera: &Camera) -> impl Iterator<Item = Tile> + use<> {
     let (width, height) = tile_size(camera);
     let (columns, rows) = (camera.width.div_ceil(width), camera.height.div_ceil(height));
@@ -262,7 +260,7 @@ fn tiles(camera: &Camera) -> impl Iterator<Item = Tile> + use<> {
 }
 
 impl Target {
-    /// The target for the tiles of an image: the last one, if it has the size.
+    /// The target for the tiles of an image. The last one is reused if it has the right size.
     fn of<'a>(slot: &'a mut Option<Self>, device: &Device, camera: &Camera) -> &'a Self {
         let size = tile_size(camera);
         let fit = slot.take().filter(|target| (target.width, target.height) == size);

@@ -1,6 +1,5 @@
-//! Shaders, their bindings and the small buffers that every frame writes anew.
+//! Shaders, their bindings, and the small buffers that are written for every frame.
 
-use super::BLOCK;
 use super::device::Device;
 use super::resident::Drawable;
 use glam::Vec4;
@@ -8,10 +7,13 @@ use wgpu::{BufferBindingType, ShaderStages};
 
 /// Format of the visibility target.
 pub(crate) const ID_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
-/// Format of the depth buffer; reversed depth needs floats.
+/// Format of the depth buffer. Reversed depth needs floats.
 pub(crate) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
-/// Counters that `histogram.wgsl` keeps in workgroup memory (`LOCAL_COUNTERS`).
+/// Number of counters that `histogram.wgsl` keeps in workgroup memory (`LOCAL_COUNTERS`).
 const LOCAL_COUNTERS: u32 = 2048;
+
+/// Side of the block of pixels that one workgroup of `histogram.wgsl` counts (`BLOCK`), in pixels.
+const BLOCK: u32 = 64;
 
 /// `View` of `visibility.wgsl`.
 #[repr(C)]
@@ -34,15 +36,16 @@ pub(crate) struct ExtentUniform {
     pub padding: u32,
 }
 
-/// Everything that is made once for a device.
+/// Everything that is created once per device.
 pub(crate) struct Pipelines {
-    /// Draws scenes without texture cut-outs: no fragment is discarded, so that depth is tested before the shader runs.
+    /// Draws scenes without texture cut-outs. No fragment is discarded, so depth is tested before the shader
+    /// runs.
     pub opaque: wgpu::RenderPipeline,
     /// Draws scenes with texture cut-outs.
     pub masked: wgpu::RenderPipeline,
-    /// The tile's view.
+    /// Uniform buffer of the tile's view.
     pub view: wgpu::Buffer,
-    /// The tile's extent.
+    /// Uniform buffer of the tile's extent.
     pub extent: wgpu::Buffer,
     scene_layout: wgpu::BindGroupLayout,
     count_layout: wgpu::BindGroupLayout,
@@ -119,7 +122,7 @@ impl Pipelines {
         }
     }
 
-    /// What `visibility.wgsl` reads.
+    /// The bindings of `visibility.wgsl`.
     pub fn scene_group(&self, device: &wgpu::Device, scene: &Drawable<'_>) -> wgpu::BindGroup {
         let buffers = [&self.view, scene.strata, scene.cutouts, scene.alphas];
         let entries: [_; 4] = std::array::from_fn(|i| wgpu::BindGroupEntry {
@@ -133,7 +136,7 @@ impl Pipelines {
         })
     }
 
-    /// Records the counting of a drawn tile into `counters`.
+    /// Records commands that count a drawn tile into `counters`.
     pub fn count(
         &self,
         device: &Device,

@@ -1,4 +1,4 @@
-//! The scene as it lies on the device, kept from frame to frame while it stays the same.
+//! The scene on the device. It is kept from frame to frame, and only what changes is uploaded.
 
 use super::device::Device;
 use crate::error::PreviewError;
@@ -17,7 +17,7 @@ struct CutoutEntry {
     cutoff: f32,
 }
 
-/// A buffer that is written again where the new content has its size, and replaced otherwise.
+/// A buffer that is overwritten if the new content has the same size, and replaced otherwise.
 struct Slot {
     label: &'static str,
     usage: BufferUsages,
@@ -25,7 +25,7 @@ struct Slot {
 }
 
 impl Slot {
-    /// Bytes of a buffer without content: an empty list still needs one to bind.
+    /// Size of a buffer without content, in bytes. An empty list still needs a buffer to bind.
     const SMALLEST: u64 = 16;
 
     fn new(device: &Device, label: &'static str, usage: BufferUsages) -> Self {
@@ -33,7 +33,7 @@ impl Slot {
         Self { label, usage, buffer: device.buffer(label, Self::SMALLEST, usage) }
     }
 
-    /// Puts `bytes`, a multiple of four, into the buffer.
+    /// Writes `bytes` to the buffer. Their number must be a multiple of four.
     fn fill(&mut self, device: &Device, bytes: &[u8]) -> Result<(), PreviewError> {
         let (size, limit) = ((bytes.len() as u64).max(Self::SMALLEST), device.most_bytes());
         if size > limit {
@@ -47,7 +47,7 @@ impl Slot {
     }
 }
 
-/// The buffers of the last frame's scene.
+/// Buffers with the scene of the last frame.
 pub(crate) struct Resident {
     positions: Slot,
     uvs: Slot,
@@ -55,7 +55,7 @@ pub(crate) struct Resident {
     strata: Slot,
     cutouts: Slot,
     alphas: Slot,
-    /// What the buffers hold. Held by reference count, so that another geometry cannot take its address.
+    /// What the buffers hold. The reference counts keep the addresses from being reused by another geometry.
     state: Option<State>,
 }
 
@@ -66,7 +66,7 @@ struct State {
     near: f32,
 }
 
-/// A view of the scene on the device, ready to draw.
+/// The buffers of a scene that is ready to draw.
 pub(crate) struct Drawable<'a> {
     pub positions: &'a wgpu::Buffer,
     pub uvs: &'a wgpu::Buffer,
@@ -76,9 +76,9 @@ pub(crate) struct Drawable<'a> {
     pub alphas: &'a wgpu::Buffer,
     /// Number of indices to draw.
     pub index_count: u32,
-    /// Whether some stratum is cut out by a texture.
+    /// Whether a texture cuts out any stratum.
     pub masked: bool,
-    /// Near distance, metres.
+    /// Near distance in metres.
     pub near: f32,
 }
 
@@ -95,7 +95,7 @@ impl Resident {
         }
     }
 
-    /// Uploads what has changed since the last frame. None where there is nothing to draw.
+    /// Uploads what changed since the last frame. `None` if there is nothing to draw.
     pub fn update(&mut self, device: &Device, frame: &Frame) -> Result<Option<Drawable<'_>>, PreviewError> {
         let geometry = &frame.geometry;
         let Some(index_count) = u32::try_from(geometry.triangles.len() * 3).ok().filter(|n| *n < u32::MAX)
@@ -107,7 +107,7 @@ impl Resident {
             return Ok(None);
         }
         let rules = Cutouts::of(frame);
-        // Taken, so that a failure halfway leaves no claim about what the buffers hold.
+        // Taken out, so that after a failure nothing is assumed about the buffers.
         let before = self.state.take();
         let old = before.as_ref().filter(|state| Arc::ptr_eq(&state.geometry, geometry));
         let near = match old {
@@ -167,8 +167,8 @@ impl Resident {
         Ok(())
     }
 
-    /// A triangle that is never drawn becomes a point, which covers no pixel and still counts as a primitive: the
-    /// numbers of the others stay.
+    /// Uploads the triangles' corners. A triangle that is never drawn becomes a point. It covers no pixel but
+    /// still counts as a primitive, so the indices of the other triangles stay.
     fn upload_indices(
         &mut self,
         device: &Device,
@@ -198,7 +198,7 @@ impl Resident {
             let offset = match offsets[index] {
                 Some(offset) => offset,
                 None => {
-                    // Texels are numbered by u32 in the shader.
+                    // The shader indexes texels with a u32.
                     let offset = u32::try_from(alphas.len()).map_err(|_| PreviewError::DoesNotFit {
                         what: self.alphas.label,
                         bytes: alphas.len() as u64,

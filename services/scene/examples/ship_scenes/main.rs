@@ -1,5 +1,4 @@
-//! Writes the two scenes that ship with the project into `deploy/scenes` (or into the folder named on the
-//! command line):
+//! Writes the two shipped scenes to `deploy/scenes`, or to the folder named on the command line:
 //!
 //! ```sh
 //! cargo run -p forelight-scene --example ship_scenes

@@ -1,5 +1,7 @@
-//! Numbers in buffers. The `gltf` crate's iterators take an accessor's type on trust and panic where it is another; these
-//! readers check it, and the bounds of every access.
+//! Reads the numbers in glTF buffers, with all types and bounds checked.
+//!
+//! The iterators of the `gltf` crate cannot be used here. They trust the type that the caller asks for, and
+//! panic if the accessor has another one.
 
 use super::document::Opened;
 use crate::error::SceneError;
@@ -8,8 +10,10 @@ use gltf::accessor::sparse::IndexType;
 use gltf::accessor::{DataType, Dimensions};
 
 impl Opened {
-    /// All elements of an accessor of `N` components. Normalised integers become fractions, others keep their value, as
-    /// `KHR_mesh_quantization` allows. `most` bounds the number of elements, which a file may claim without holding them.
+    /// All elements of an accessor with `N` components.
+    ///
+    /// Normalised integers become fractions. Other integers keep their value, as `KHR_mesh_quantization`
+    /// allows. `most` limits the number of elements, because a file may claim more than it holds.
     pub(super) fn floats<const N: usize>(
         &self,
         accessor: &Accessor<'_>,
@@ -64,7 +68,7 @@ impl Opened {
         Ok(())
     }
 
-    /// The elements before sparse ones are put in their place.
+    /// The elements before sparse values replace some of them.
     fn elements<T: Copy>(
         &self,
         accessor: &Accessor<'_>,
@@ -75,7 +79,9 @@ impl Opened {
         let Some(view) = accessor.view() else { return Ok(vec![zero; accessor.count()]) };
         let pointer = format!("/accessors/{}", accessor.index());
         let stride = view.stride().unwrap_or(size);
-        self.strided(&pointer, view.index(), accessor.offset(), stride, size, accessor.count(), read)
+        let place =
+            Strided { view: view.index(), offset: accessor.offset(), stride, size, count: accessor.count() };
+        self.strided(&pointer, place, read)
     }
 
     fn apply_sparse<T: Copy>(
@@ -97,11 +103,11 @@ impl Opened {
             IndexType::U16 => 2,
             IndexType::U32 => 4,
         };
-        let view = indices.view().index();
-        let places =
-            self.strided(&pointer, view, indices.offset(), index_size, index_size, count, &unsigned)?;
-        let values =
-            self.strided(&pointer, values.view().index(), values.offset(), size, size, count, read)?;
+        let packed = |view, offset, size| Strided { view, offset, stride: size, size, count };
+        let (view, offset) = (indices.view().index(), indices.offset());
+        let places = self.strided(&pointer, packed(view, offset, index_size), &unsigned)?;
+        let (view, offset) = (values.view().index(), values.offset());
+        let values = self.strided(&pointer, packed(view, offset, size), read)?;
         for (place, value) in places.into_iter().zip(values) {
             match elements.get_mut(place as usize) {
                 Some(element) => *element = value,
@@ -111,17 +117,13 @@ impl Opened {
         Ok(())
     }
 
-    #[expect(clippy::too_many_arguments, reason = "the seven numbers that say where strided elements lie")]
     fn strided<T>(
         &self,
         pointer: &str,
-        view: usize,
-        offset: usize,
-        stride: usize,
-        size: usize,
-        count: usize,
+        place: Strided,
         read: &impl Fn(&[u8]) -> T,
     ) -> Result<Vec<T>, SceneError> {
+        let Strided { view, offset, stride, size, count } = place;
         let bytes = self.view(view)?;
         let last = count.saturating_sub(1).checked_mul(stride).and_then(|o| o.checked_add(offset));
         let end = last.and_then(|o| o.checked_add(size));
@@ -132,6 +134,15 @@ impl Opened {
     }
 }
 
+/// Where the elements of an accessor are in a buffer view. Lengths are in bytes.
+struct Strided {
+    view: usize,
+    offset: usize,
+    stride: usize,
+    size: usize,
+    count: usize,
+}
+
 fn size_of(kind: DataType) -> usize {
     match kind {
         DataType::I8 | DataType::U8 => 1,
@@ -140,12 +151,12 @@ fn size_of(kind: DataType) -> usize {
     }
 }
 
-/// A little-endian unsigned integer of any size up to four bytes.
+/// A little-endian unsigned integer of one to four bytes.
 fn unsigned(bytes: &[u8]) -> u32 {
     bytes.iter().rev().fold(0, |value, &byte| value << 8 | u32::from(byte))
 }
 
-/// One component; normalised integers by the glTF specification, section 3.6.2.2.
+/// One component. Normalised integers are converted by section 3.6.2.2 of the glTF 2.0 specification.
 fn component(bytes: &[u8], kind: DataType, normalised: bool) -> f32 {
     let value = unsigned(bytes);
     let (plain, largest) = match kind {

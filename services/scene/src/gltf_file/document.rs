@@ -1,7 +1,7 @@
-//! Opening a glTF file: its JSON, checked, and its buffers.
+//! Opens a glTF file: checks its JSON and reads its buffers.
 //!
-//! The `gltf` crate's own importer reads any path of the machine and panics at some malformed files, so this module finds
-//! those before the crate sees them, and reads buffers through the bundle.
+//! The importer of the `gltf` crate reads any path on the machine and panics on some malformed files. This
+//! module checks for those before it calls the crate, and reads buffers through the bundle.
 
 use crate::bundle::{Bundle, resolve};
 use crate::description::json_pointer;
@@ -22,12 +22,12 @@ pub(super) const UNDERSTOOD: [&str; 8] = [
     "KHR_texture_transform",
 ];
 
-/// A glTF file with its data.
+/// An open glTF file.
 pub(super) struct Opened {
     /// Path in the bundle.
     pub(super) file: String,
     pub(super) document: Document,
-    /// Contents of every buffer, at least as long as the document says.
+    /// Contents of every buffer, each at least as long as the document says.
     pub(super) buffers: Vec<Vec<u8>>,
 }
 
@@ -63,7 +63,7 @@ pub(super) fn open(bundle: &Bundle, file: &str) -> Result<Opened, SceneError> {
     let mut root: Root = serde_path_to_error::deserialize(&mut deserializer)
         .map_err(|e| SceneError::pointer(file, json_pointer(e.path()), e.inner().to_string()))?;
     check(&root).map_err(|(pointer, reason)| SceneError::pointer(file, pointer, reason))?;
-    // What is required and understood here is not always known to the crate.
+    // The crate rejects some extensions that this module supports, and `check` has checked them all.
     root.extensions_required.clear();
     let mut first = None;
     root.validate(&root, Path::new, &mut |path, error| {
@@ -99,7 +99,7 @@ fn gltf_json_deserializer(json: &[u8]) -> serde_json::Deserializer<serde_json::d
     serde_json::Deserializer::from_slice(json.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(json))
 }
 
-/// Bytes of a `uri`: a file of the bundle, or data in base 64.
+/// The bytes of a `uri`: a file of the bundle, or a base64 data URI.
 pub(super) fn resource(bundle: &Bundle, file: &str, uri: &str, pointer: &str) -> Result<Vec<u8>, SceneError> {
     let fail = |reason: String| SceneError::pointer(file, pointer, reason);
     if uri.starts_with("data:") {
@@ -110,7 +110,7 @@ pub(super) fn resource(bundle: &Bundle, file: &str, uri: &str, pointer: &str) ->
     bundle.read(&path).map_err(|e| e.within(file, Place::Pointer(pointer.to_owned()), "`uri`"))
 }
 
-/// The path in the bundle that a `uri` which is no data means.
+/// The path in the bundle of a `uri` that is not a data URI.
 pub(super) fn resource_path(file: &str, uri: &str) -> Result<String, String> {
     resolve(file, &percent_decoded(uri).ok_or_else(|| format!("`{uri}` is not a valid URI"))?)
 }
@@ -131,22 +131,23 @@ fn percent_decoded(uri: &str) -> Option<String> {
     String::from_utf8(bytes).ok()
 }
 
-/// JSON and binary chunk of a `.glb`, whose header must agree with its length.
+/// Splits a `.glb` file into its JSON and binary chunk. The header must match the file's length.
 fn split_binary(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), String> {
     let word = |at: usize| {
         let bytes = bytes.get(at..at + 4)?;
         Some(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
     };
     let (Some(version), Some(length)) = (word(4), word(8)) else {
-        return Err("the header of the binary glTF is cut off".into());
+        return Err("the header of the binary glTF is truncated".into());
     };
     if version != 2 {
-        return Err(format!(
-            "binary glTF version {version} is not understood; this program understands version 2"
-        ));
+        return Err(format!("binary glTF version {version} is not supported; this program reads version 2"));
     }
     if length as usize > bytes.len() {
-        return Err(format!("the file is cut off: it says {length} bytes and has {}", bytes.len()));
+        return Err(format!(
+            "the file is truncated: its header says {length} bytes, but it has {}",
+            bytes.len()
+        ));
     }
     let chunk = |at: usize, kind: &[u8; 4]| -> Result<Option<(&[u8], usize)>, String> {
         let Some(size) = word(at).filter(|_| bytes.get(at + 4..at + 8) == Some(kind)) else {
@@ -162,18 +163,17 @@ fn split_binary(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), String> {
     Ok((json, chunk(end, b"BIN\0")?.map(|(data, _)| data)))
 }
 
-/// What the crate's validation does not find, or panics at. Gives a JSON pointer and a reason.
+/// Finds errors that the crate's validation misses or panics on. Returns a JSON pointer and a reason.
 fn check(root: &Root) -> Result<(), (String, String)> {
     let fail = |pointer: String, reason: &str| Err((pointer, reason.to_owned()));
     let version = root.asset.min_version.as_ref().unwrap_or(&root.asset.version);
     if version != "2.0" {
-        let reason =
-            format!("glTF version {version} is not understood; this program understands version 2.0");
+        let reason = format!("glTF version {version} is not supported; this program reads version 2.0");
         return Err(("/asset/version".into(), reason));
     }
     for (i, extension) in root.extensions_required.iter().enumerate() {
         if !UNDERSTOOD.contains(&extension.as_str()) {
-            let reason = format!("`{extension}` is required and not understood");
+            let reason = format!("`{extension}` is required but not supported");
             return Err((format!("/extensionsRequired/{i}"), reason));
         }
     }
@@ -211,7 +211,7 @@ fn check(root: &Root) -> Result<(), (String, String)> {
     Ok(())
 }
 
-/// The crate's own notation of a place, `meshes[0].name`, as a JSON pointer.
+/// Converts the crate's path notation, such as `meshes[0].name`, to a JSON pointer.
 fn as_pointer(path: &Path) -> String {
     let mut pointer = String::from("/");
     for c in path.as_str().chars() {

@@ -1,6 +1,7 @@
-//! glTF 2.0 scenes: nodes with their meshes, cameras, lights and animations.
+//! Reads glTF 2.0 scenes: nodes with meshes, cameras, lights and animations.
 //!
-//! Every node with a mesh is an object. The file's default scene is read, else its first one.
+//! Every node with a mesh becomes an object. The file's default scene is read, or the first one if there is
+//! no default. Features that are not supported are collected into one warning.
 
 mod accessors;
 mod document;
@@ -22,8 +23,8 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// Luminous efficacy by which photometric units become radiometric ones, lm/W; the constant of the SI candela, and what
-/// exporters use.
+/// Luminous efficacy in lm/W. It converts photometric to radiometric units. The value is that of the SI
+/// definition of the candela, which exporters use too.
 const LUMENS_PER_WATT: f32 = 683.0;
 
 /// Reads a `.gltf` or `.glb` file into the assembly.
@@ -45,26 +46,27 @@ pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneE
     reader.note_unknown_extensions();
     let ignored: Vec<&str> = reader.ignored.iter().map(Cow::as_ref).collect();
     if !ignored.is_empty() {
-        let warning = format!("{path}: not shown as the file has it: {}", ignored.join("; "));
+        let warning = format!("{path}: not fully supported: {}", ignored.join("; "));
         reader.assembly.warn(warning);
     }
     Ok(())
 }
 
-/// One glTF file on its way into an assembly.
+/// The state of reading one glTF file into an assembly.
 struct Reader<'r, 'a> {
     assembly: &'r mut Assembly<'a>,
     opened: &'r Opened,
     file: Arc<str>,
-    /// The assembly's node for each node of the file that the scene shows.
+    /// The assembly's node for each of the file's nodes that belong to the scene.
     nodes: Vec<Option<usize>>,
-    /// The assembly's material for each of the file that was used; `None` is the absent material.
+    /// The assembly's material for each of the file's materials in use. The key `None` stands for no
+    /// material.
     materials: BTreeMap<Option<usize>, u32>,
-    /// Meshes by (mesh, primitive), shared by the nodes that show them.
+    /// Meshes by (mesh, primitive). Several nodes can share one.
     meshes: BTreeMap<(usize, usize), Option<Arc<Mesh>>>,
-    /// What is not shown as the file has it.
+    /// Features of the file that are not fully supported.
     ignored: BTreeSet<Cow<'static, str>>,
-    /// Elements read from accessors so far.
+    /// Number of elements read from accessors so far.
     elements: u64,
 }
 
@@ -73,9 +75,9 @@ impl Reader<'_, '_> {
         self.ignored.insert(what.into());
     }
 
-    /// What else the file has, as far as it says so: instances of a forest, for one.
+    /// Notes the extensions that the file uses and this crate does not read, such as mesh instancing.
     fn note_unknown_extensions(&mut self) {
-        /// Names of extensions are short words.
+        /// Longer names are not extension names.
         const LONGEST: usize = 60;
         const MOST: usize = 10;
         let is_name = |name: &&str| {
@@ -86,7 +88,8 @@ impl Reader<'_, '_> {
         self.ignored.extend(unknown.map(|name| format!("the extension `{name}`").into()));
     }
 
-    /// Counts elements read, as a small file can name the same large accessor many times. Returns how many more may be read.
+    /// Counts elements read from accessors, and returns how many more may be read. A small file can name the
+    /// same large accessor many times, so a limit is needed.
     fn spend(&mut self, elements: u64) -> Result<u64, SceneError> {
         let limit = self.assembly.bundle.limits().triangles.saturating_mul(12);
         self.elements += elements;
@@ -98,7 +101,7 @@ impl Reader<'_, '_> {
         })
     }
 
-    /// Walks the scene's nodes, parents first.
+    /// Walks the scene's nodes, parents before children.
     fn hierarchy(&mut self) -> Result<(), SceneError> {
         let opened = self.opened;
         let scene = opened.document.default_scene().or_else(|| opened.document.scenes().next());
@@ -144,9 +147,7 @@ impl Reader<'_, '_> {
                     return self.opened.fail(&format!("{at}/matrix"), "a number is not finite or too large");
                 }
                 if matrix.row(3) != glam::DVec4::W {
-                    return self
-                        .opened
-                        .fail(&format!("{at}/matrix"), "the last row of an affine matrix is 0 0 0 1");
+                    return self.opened.fail(&format!("{at}/matrix"), "the last row must be 0 0 0 1");
                 }
                 Ok(Placement::Matrix(matrix))
             }
@@ -157,7 +158,9 @@ impl Reader<'_, '_> {
                 let vector = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
                 let rotation = DQuat::from_array(rotation.map(f64::from));
                 if rotation.length_squared() < 1e-12 {
-                    return self.opened.fail(&format!("{at}/rotation"), "a rotation is a unit quaternion");
+                    return self
+                        .opened
+                        .fail(&format!("{at}/rotation"), "a rotation must be a unit quaternion");
                 }
                 let (translation, scale) = (vector(translation), vector(scale));
                 Ok(Placement::Parts { translation, rotation: rotation.normalize(), scale })
@@ -165,7 +168,7 @@ impl Reader<'_, '_> {
         }
     }
 
-    /// Makes an object of a node with a mesh.
+    /// Creates an object for a node with a mesh.
     fn object(&mut self, mesh: &gltf::Mesh<'_>, node: usize) -> Result<(), SceneError> {
         let name = self.assembly.shot.nodes[node].name.clone();
         let (object, renamed) = self.assembly.shot.add_object(&name);
@@ -209,13 +212,13 @@ impl Reader<'_, '_> {
         };
         let yfov = f64::from(perspective.yfov());
         if !(yfov > 0.0 && yfov < std::f64::consts::PI) {
-            return self.opened.fail(&format!("{at}/perspective/yfov"), "must lie between 0 and pi");
+            return self.opened.fail(&format!("{at}/perspective/yfov"), "must be between 0 and pi");
         }
         let aspect = perspective.aspect_ratio().map_or(DEFAULT_ASPECT, f64::from);
         let width = (aspect * f64::from(DEFAULT_HEIGHT)).round();
         let most = self.assembly.bundle.limits().image_pixels as f64 / f64::from(DEFAULT_HEIGHT);
         if !(width >= 1.0 && width <= most.min(f64::from(u32::MAX))) {
-            let reason = format!("an aspect ratio of {aspect} gives no image");
+            let reason = format!("an aspect ratio of {aspect} gives an image that is empty or too large");
             return self.opened.fail(&format!("{at}/perspective/aspectRatio"), reason);
         }
         self.assembly.cameras.push(NodeCamera { node, yfov, width: width as u32, height: DEFAULT_HEIGHT });

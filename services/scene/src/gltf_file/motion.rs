@@ -1,4 +1,6 @@
-//! Animations of a glTF file. All of them play at once, as an exporter writes one for each object.
+//! Reads the animations of a glTF file.
+//!
+//! All animations play at the same time, because exporters often write one animation per object.
 
 use super::Reader;
 use crate::animation::{Curve, Interpolation, Keyed};
@@ -10,7 +12,7 @@ use gltf::animation::{Channel, Interpolation as Between, Property};
 use std::collections::BTreeSet;
 
 impl Reader<'_, '_> {
-    /// Puts all channels that move a node of the scene in place.
+    /// Applies all channels that move a node of the scene.
     pub(super) fn animations(&mut self) -> Result<(), SceneError> {
         let opened = self.opened;
         let mut seen = BTreeSet::new();
@@ -69,7 +71,7 @@ impl Reader<'_, '_> {
         Ok(if property == Property::Scale { Motion::Scale(curve) } else { Motion::Translation(curve) })
     }
 
-    /// Key times in frames.
+    /// Key times, in frames.
     fn key_times(&mut self, input: &gltf::Accessor<'_>, at: &str) -> Result<Vec<f64>, SceneError> {
         let most = self.spend(0)?;
         let seconds = self.opened.floats::<1>(input, most)?;
@@ -77,14 +79,15 @@ impl Reader<'_, '_> {
         let mut times: Vec<f64> = Vec::with_capacity(seconds.len());
         for [second] in seconds {
             let frame = f64::from(second) * self.assembly.fps;
-            // Times are stored in 32 bits, so a key of frame 29 may lie a hair behind it, and a step would come too late.
+            // Times are stored as f32 seconds, so a key may lie slightly after its frame. A step would then
+            // come one frame late. Round times that are close to a whole frame.
             let near = (frame - frame.round()).abs() < 1e-3 + frame.abs() * 1e-6;
             let free = times.last().is_none_or(|&before| before < frame.round());
             times.push(if near && free { frame.round() } else { frame });
         }
         let ascending = times.windows(2).all(|pair| pair[0] < pair[1]);
         if !ascending || times[0] < 0.0 {
-            return self.opened.fail(at, "the key times are negative or do not ascend");
+            return self.opened.fail(at, "the key times are negative or not ascending");
         }
         Ok(times)
     }
@@ -99,7 +102,7 @@ impl Reader<'_, '_> {
     ) -> Result<Curve<T>, SceneError> {
         let checked = |values: Vec<T>| match values.into_iter().map(&valid).collect::<Option<Vec<T>>>() {
             Some(values) => Ok(values),
-            None => self.opened.fail(at, "a rotation is a unit quaternion"),
+            None => self.opened.fail(at, "a rotation must be a unit quaternion"),
         };
         let per_key = if between == Between::CubicSpline { 3 } else { 1 };
         if raw.len() != times.len() * per_key {
@@ -111,7 +114,7 @@ impl Reader<'_, '_> {
             Between::Step => Curve::new(times, checked(raw)?, Interpolation::Step),
             Between::Linear => Curve::new(times, checked(raw)?, Interpolation::Linear),
             Between::CubicSpline => {
-                // Tangents are per second in the file, per frame here.
+                // Tangents are per second in the file, and per frame here.
                 let scale = 1.0 / self.assembly.fps;
                 let tangents =
                     raw.chunks_exact(3).map(|k| (k[0].scaled(scale), k[2].scaled(scale))).collect();

@@ -1,16 +1,15 @@
-//! Triangles of a glTF primitive.
+//! Reads the triangles of a glTF primitive.
 
 use super::Reader;
 use crate::error::SceneError;
-use crate::obj::unit_or_zero;
-use crate::shot::Mesh;
+use crate::shot::{Mesh, unit_or_zero};
 use glam::{Vec2, Vec3};
 use gltf::Semantic;
 use gltf::mesh::Mode;
 use gltf::texture::TextureTransform;
 
 impl Reader<'_, '_> {
-    /// The local mesh of a primitive; `None` for points and lines.
+    /// The local mesh of a primitive. `None` for points and lines.
     pub(super) fn mesh(
         &mut self,
         primitive: &gltf::Primitive<'_>,
@@ -51,12 +50,13 @@ impl Reader<'_, '_> {
         }
         let uvs = self.texture_coordinates(primitive, count, most)?;
         if normals.len() != count || uvs.len() != count {
-            return self.opened.fail(at, "the attributes have not all the same number of elements");
+            return self.opened.fail(at, "all attributes must have the same number of elements");
         }
         Ok(Some(compact(Mesh { positions, normals, uvs, triangles })))
     }
 
-    /// Coordinates for the base colour's texture (else the emission's), with the texture's transform; v points up.
+    /// Texture coordinates for the base colour texture, or for the emission texture if there is no base
+    /// colour texture. The texture's transform is applied. v points up.
     fn texture_coordinates(
         &mut self,
         primitive: &gltf::Primitive<'_>,
@@ -71,7 +71,7 @@ impl Reader<'_, '_> {
         let set = own_set.or(info.as_ref().map(|info| info.tex_coord())).unwrap_or(0);
         let Some(accessor) = primitive.get(&Semantic::TexCoords(set)) else {
             if info.is_some() {
-                self.ignore("textures on faces without texture coordinates, which show one texel");
+                self.ignore("textures on faces without texture coordinates (rendered with one texel)");
             }
             return Ok(vec![Vec2::ZERO; count]);
         };
@@ -91,8 +91,10 @@ impl Reader<'_, '_> {
     }
 }
 
-/// `KHR_texture_transform`: scale, then rotate counter-clockwise as seen with v downwards, then move. This is the sense of the
-/// extension's example, in which a quarter turn and offset (0, 1) map the unit square to itself.
+/// The function of a `KHR_texture_transform`: scale, rotate, then translate.
+///
+/// The rotation is counter-clockwise with v pointing down. In the extension's example, a quarter turn with
+/// offset (0, 1) maps the unit square to itself.
 fn affine(transform: &TextureTransform<'_>) -> impl Fn(Vec2) -> Vec2 + use<> {
     let (scale, offset) = (Vec2::from_array(transform.scale()), Vec2::from_array(transform.offset()));
     let (sine, cosine) = (
@@ -109,7 +111,7 @@ fn points(elements: Vec<[f32; 3]>) -> Vec<Vec3> {
     elements.into_iter().map(Vec3::from_array).collect()
 }
 
-/// Triangles in the order and winding of the glTF specification, section 3.7.2.1.
+/// Triangles in the order and winding of section 3.7.2.1 of the glTF 2.0 specification.
 fn triangles(mode: Mode, indices: &[u32]) -> Vec<[u32; 3]> {
     match mode {
         Mode::TriangleStrip => {
@@ -125,7 +127,7 @@ fn triangles(mode: Mode, indices: &[u32]) -> Vec<[u32; 3]> {
     }
 }
 
-/// Leaves out vertices that no triangle uses: exporters share one large vertex buffer between many primitives.
+/// Removes unused vertices. Exporters often share one large vertex buffer between many primitives.
 fn compact(mesh: Mesh) -> Mesh {
     let mut place = vec![u32::MAX; mesh.positions.len()];
     for &vertex in mesh.triangles.iter().flatten() {

@@ -1,15 +1,17 @@
-//! glTF materials as the materials of this crate.
+//! Converts glTF materials to the materials of this crate.
 //!
 //! | glTF | here |
 //! | --- | --- |
-//! | transmission ≥ ½ with a volume thickness | glass; base colour × transmission passes |
-//! | transmission ≥ ½ without | thin glass, the same |
-//! | metallic ≥ ½ | metal with the base colour at normal incidence |
-//! | otherwise, specular factor (or its colour) 0, or index of refraction 1 | Lambert |
-//! | otherwise | plastic with the index of refraction |
+//! | transmission ≥ ½, with a volume thickness | glass; transmittance is base colour × transmission |
+//! | transmission ≥ ½, without a volume thickness | thin glass with the same transmittance |
+//! | metallic ≥ ½ | metal; base colour is the reflectance at normal incidence |
+//! | specular factor or colour 0, or index of refraction 1 | Lambert |
+//! | otherwise | plastic with the given index of refraction |
 //!
-//! GGX alpha is roughness². `MASK` cuts out by the texture's alpha; `BLEND` is constant opacity, the base colour's alpha, and a
-//! cut-out at one half by the texture's. An extra named `priority` is a solid's rank among those that it overlaps. Textures other than base colour and emission are ignored with a warning.
+//! GGX alpha is roughness². `MASK` is a cut-out by the texture's alpha. `BLEND` becomes constant opacity from
+//! the base colour's alpha, and a cut-out at one half from the texture's alpha. An extra named `priority`
+//! ranks overlapping solids. Only base colour and emission textures are used; others are ignored with a
+//! warning.
 
 use super::Reader;
 use super::document::{resource, resource_path};
@@ -21,11 +23,11 @@ use gltf::material::AlphaMode;
 use gltf::texture::WrappingMode;
 use std::num::NonZeroU8;
 
-/// Index of refraction where a material says none.
+/// Index of refraction of a material that does not specify it.
 const DEFAULT_IOR: f32 = 1.5;
 
 impl Reader<'_, '_> {
-    /// The material's index in the assembly; read at its first use.
+    /// The material's index in the assembly. A material is read when it is first used.
     pub(super) fn material(&mut self, source: &gltf::Material<'_>) -> Result<u32, SceneError> {
         if let Some(&known) = self.materials.get(&source.index()) {
             return Ok(known);
@@ -33,7 +35,7 @@ impl Reader<'_, '_> {
         let material = match source.index() {
             Some(index) => self.read_material(source, index)?,
             None => {
-                self.ignore("faces without a material are shown in grey");
+                self.ignore("faces without a material (rendered grey)");
                 let albedo = Color::plain(Vec3::splat(0.5));
                 plain_material("(no material)", Surface::Lambert { albedo })
             }
@@ -52,7 +54,7 @@ impl Reader<'_, '_> {
         if ![r, g, b, alpha, pbr.roughness_factor(), pbr.metallic_factor()].into_iter().all(unit) {
             return self
                 .opened
-                .fail(&at, "a base colour, roughness or metallic factor does not lie in 0 to 1");
+                .fail(&at, "a base colour, roughness or metallic factor is not in the range 0 to 1");
         }
         let texture = pbr.base_color_texture().map(|info| self.texture(&info.texture())).transpose()?;
         if let Some(texture) = texture {
@@ -72,7 +74,7 @@ impl Reader<'_, '_> {
             AlphaMode::Blend => {
                 material.opacity = alpha;
                 if let Some(texture) = texture.filter(|&t| self.assembly.textures.has_alpha(t)) {
-                    self.ignore("blending by a texture's alpha is a cut-out at one half");
+                    self.ignore("blending by a texture's alpha (rendered as a cut-out at one half)");
                     material.mask = Some(AlphaMask { texture, cutoff: 0.5 });
                 }
             }
@@ -86,18 +88,18 @@ impl Reader<'_, '_> {
         let alpha = pbr.roughness_factor() * pbr.roughness_factor();
         let ior = match source.ior() {
             None => DEFAULT_IOR,
-            // The extension's way to say "reflects everything", for materials of an older kind.
+            // In `KHR_materials_ior`, 0 means full reflection, for compatibility with older materials.
             Some(0.0) => DEFAULT_IOR,
             Some(ior) if (1.0..=10.0).contains(&ior) => ior,
             Some(ior) => {
                 return self
                     .opened
-                    .fail(at, format!("an index of refraction of {ior} does not lie in 1 to 10"));
+                    .fail(at, format!("an index of refraction of {ior} is not in the range 1 to 10"));
             }
         };
         let transmission = source.transmission().map_or(0.0, |t| t.transmission_factor());
         if !(0.0..=1.0).contains(&transmission) {
-            return self.opened.fail(at, "the transmission factor does not lie in 0 to 1");
+            return self.opened.fail(at, "the transmission factor is not in the range 0 to 1");
         }
         let no_coat = source.specular().is_some_and(|specular| {
             specular.specular_factor() == 0.0 || specular.specular_color_factor() == [0.0; 3]
@@ -122,8 +124,8 @@ impl Reader<'_, '_> {
         })
     }
 
-    /// `priority` among the extras (Blender writes custom properties there); glTF itself has no word for which of two solids that overlap
-    /// fills the place.
+    /// The extra `priority`, which Blender writes for a custom property. glTF itself cannot say which of two
+    /// overlapping solids fills the shared space.
     fn priority(&self, source: &gltf::Material<'_>, at: &str) -> Result<Option<NonZeroU8>, SceneError> {
         let extras = source.extras().as_ref().and_then(|raw| {
             serde_json::from_str::<serde_json::Map<String, serde_json::Value>>(raw.get()).ok()
@@ -136,17 +138,17 @@ impl Reader<'_, '_> {
             Some(number) => Ok(Some(number)),
             None => {
                 let at = format!("{at}/extras/priority");
-                self.opened.fail(&at, format!("{priority} is no whole number from 1 to 255"))
+                self.opened.fail(&at, format!("{priority} is not a whole number from 1 to 255"))
             }
         }
     }
 
-    /// Emissive factor × strength, radiance.
+    /// Emitted radiance: emissive factor × strength.
     fn emission(&mut self, source: &gltf::Material<'_>, at: &str) -> Result<Color, SceneError> {
         let strength = source.emissive_strength().unwrap_or(1.0);
         let factor = Vec3::from_array(source.emissive_factor()) * strength;
         if !factor.is_finite() || factor.min_element() < 0.0 || factor.max_element() > 1e12 {
-            return self.opened.fail(at, "the emission does not lie in 0 to 1e12");
+            return self.opened.fail(at, "the emission is not in the range 0 to 1e12");
         }
         let texture = match source.emissive_texture() {
             Some(info) if factor != Vec3::ZERO => {
@@ -216,7 +218,7 @@ impl Reader<'_, '_> {
     }
 }
 
-/// Which coordinates a texture is looked up by, and how they are moved.
+/// The texture coordinate set of a texture, and its offset, rotation and scale.
 fn placed(info: &gltf::texture::Info<'_>) -> (u32, [f32; 2], f32, [f32; 2]) {
     match info.texture_transform() {
         None => (info.tex_coord(), [0.0; 2], 0.0, [1.0; 2]),
@@ -227,7 +229,7 @@ fn placed(info: &gltf::texture::Info<'_>) -> (u32, [f32; 2], f32, [f32; 2]) {
     }
 }
 
-/// `MASK`: there where factor × texture alpha reaches the cutoff.
+/// Applies `MASK`: the surface exists where factor × texture alpha reaches the cutoff.
 fn mask(material: &mut Material, factor: f32, cutoff: f32, texture: Option<TextureId>) {
     match texture {
         Some(texture) if factor > 0.0 => material.mask = Some(AlphaMask { texture, cutoff: cutoff / factor }),

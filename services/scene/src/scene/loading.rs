@@ -1,12 +1,17 @@
-//! From a bundle to a scene.
+//! Loads a scene from a bundle.
+//!
+//! It reads `scene.json` and the geometry files into an [`Assembly`], adds defaults for what is missing, and
+//! bakes the geometry of frame 0. A scene far from the origin is moved to it, so that f32 coordinates keep
+//! their precision.
 
 use super::{Scene, light_at};
 use crate::animation::Animated;
 use crate::assembly::{Assembly, plain_material};
 use crate::bundle::Bundle;
 use crate::camera_source::{CameraSource, default_view};
-use crate::description::{DEFAULT_FPS, Description, EnvironmentSource, Frames, LightSource};
+use crate::description::{DEFAULT_FPS, Description, EnvironmentSource, Frames};
 use crate::error::{Place, SceneError};
+use crate::light_source::LightSource;
 use crate::limits::Limits;
 use crate::shot::{Mesh, Node, Part, Placement};
 use crate::{Color, Environment, Surface};
@@ -18,18 +23,22 @@ use std::sync::{Arc, Mutex};
 const DESCRIPTION: &str = "scene.json";
 
 impl Scene {
-    /// Loads a bundle: a folder, a `.zip`, or one `.gltf` or `.glb` file (whose folder then is the bundle).
+    /// Loads a bundle: a folder, a `.zip`, or a single `.gltf` or `.glb` file. The folder of a single file is
+    /// the bundle.
     ///
-    /// A bundle without `scene.json` holds one glTF file, which is the scene. Where nothing says so otherwise:
-    /// - fps is 24, and the shot goes from the first to the last key of all animations (exporters count from frame 1 as often
-    ///   as from 0); under a `scene.json`, frame 0 is the file's time 0, and the last key or track ends the shot;
-    /// - without a camera, the view is from the front right and above onto the whole bounding box, 1280 × 720 pixels;
-    /// - without any light, a glTF scene stands in a white environment of radiance 1.
+    /// A bundle without `scene.json` must hold exactly one glTF file, which is the scene. The defaults are:
+    /// - The frame rate is 24 fps.
+    /// - Without `scene.json`, the shot runs from the first to the last key of all animations, because
+    ///   exporters count from frame 1 as often as from frame 0. With it, frame 0 is time 0 of the glTF files,
+    ///   and the shot ends at the last key or track.
+    /// - Without a camera, the view shows the whole bounding box from the front right and above, at 1280 ×
+    ///   720 pixels.
+    /// - A glTF scene without any light gets a white environment of radiance 1.
     ///
-    /// Each of the last two is told as a warning.
+    /// The last two defaults give a warning.
     ///
     /// # Errors
-    /// The first thing that is wrong with the bundle, with the file, the place in it and the reason.
+    /// The first error found, with the file, the place in it and the reason.
     pub fn load(path: &Path, limits: &Limits) -> Result<Self, SceneError> {
         let (root, single) = match single_file(path) {
             Some((folder, file)) => (folder, Some(file)),
@@ -47,8 +56,8 @@ impl Scene {
         let mut assembly = Assembly::new(bundle, DEFAULT_FPS);
         load_geometry(&mut assembly, path)?;
         let name = path.rsplit_once('.').map_or(path, |(stem, _)| stem).to_owned();
-        let said = Said { file: path.to_owned(), name, ..Said::default() };
-        Self::finish(assembly, said)
+        let specification = Specification { file: path.to_owned(), name, ..Specification::default() };
+        Self::finish(assembly, specification)
     }
 
     fn of_description(bundle: &Bundle) -> Result<Self, SceneError> {
@@ -94,7 +103,7 @@ impl Scene {
                 Environment::Image { texture, scale: scale as f32, rotation_deg: rotation_deg as f32 }
             }
         };
-        let said = Said {
+        let specification = Specification {
             file: DESCRIPTION.to_owned(),
             name: description.name.unwrap_or_else(|| bundle.name().to_owned()),
             described: true,
@@ -104,28 +113,20 @@ impl Scene {
             emission,
             frames: description.frames,
         };
-        Self::finish(assembly, said)
+        Self::finish(assembly, specification)
     }
 
-    /// Puts geometry files and description together, with the defaults for what neither says.
-    fn finish(mut assembly: Assembly<'_>, said: Said) -> Result<Self, SceneError> {
-        let Said { file, name, described, camera, mut environment, lights, emission, frames } = said;
+    /// Combines geometry files and description, and adds defaults for what is missing.
+    fn finish(mut assembly: Assembly<'_>, specification: Specification) -> Result<Self, SceneError> {
+        let Specification { file, name, described, camera, mut environment, lights, emission, frames } =
+            specification;
         for (material, radiance) in &emission {
             assembly.materials[*material].emission.factor = light_at(radiance, 0.0);
         }
         let (first_key, last_key) = assembly.keys.unwrap_or((0.0, 0.0));
         let start = if described { 0.0 } else { first_key };
         let keyed = ((last_key - start).round() as u32).saturating_add(1);
-        let frames = match frames {
-            Some(Frames::Said(frames)) => frames,
-            Some(Frames::Keyed(frames)) => frames.max(keyed),
-            None => keyed,
-        };
-        let limit = assembly.bundle.limits().frames;
-        if frames > limit {
-            let (found, limit) = (u64::from(frames), u64::from(limit));
-            return Err(SceneError::Limit { file, what: "frames", found, limit });
-        }
+        let frames = frame_count(frames, keyed, &file, assembly.bundle.limits())?;
         let mut still_world = assembly.shot.world(start);
         let mut still = assembly.shot.bake(&still_world)?;
         if let Some(centre) = far_centre(&still.geometry.positions) {
@@ -146,16 +147,11 @@ impl Scene {
         if still.dropped > 0 {
             assembly.warn(format!("{file}: {} triangles have no area and are left out", still.dropped));
         }
-        let emits = |part: &Part| {
-            let (_, material) = assembly.shot.strata.pairs[part.stratum as usize];
-            assembly.materials[material as usize].is_emissive()
-        };
-        let lit = !lights.is_empty() || !assembly.lights.is_empty() || assembly.shot.parts.iter().any(emits);
-        if !lit && environment == Environment::Black {
+        if lights.is_empty() && !is_lit(&assembly) && environment == Environment::Black {
             if described {
                 assembly.warn(format!("{file}: the scene has no light"));
             } else {
-                assembly.warn(format!("{file}: the scene has no light; a white environment lights it"));
+                assembly.warn(format!("{file}: the scene has no light; a white environment is added"));
                 environment = Environment::Constant(Vec3::ONE);
             }
         }
@@ -163,7 +159,7 @@ impl Scene {
             (Some(camera), _) => camera,
             (None, Some(camera)) => CameraSource::Node(camera.clone()),
             (None, None) => {
-                assembly.warn(format!("{file}: the scene has no camera; the view shows all of it"));
+                assembly.warn(format!("{file}: the scene has no camera; a default view shows all of it"));
                 let (low, high) = bounds(&still.geometry.positions);
                 let origin = assembly.shot.origin;
                 CameraSource::LookAt(Box::new(default_view(low + origin, high + origin)))
@@ -198,12 +194,12 @@ impl Scene {
     }
 }
 
-/// What a description says about a scene; all defaults for a scene without one.
+/// The scene's description. For a scene without `scene.json`, most fields have their defaults.
 #[derive(Default)]
-struct Said {
+struct Specification {
     file: String,
     name: String,
-    /// Whether there is a description at all.
+    /// Whether the scene has a `scene.json`.
     described: bool,
     camera: Option<CameraSource>,
     environment: Environment,
@@ -212,7 +208,30 @@ struct Said {
     frames: Option<Frames>,
 }
 
-/// Folder and name, where `path` is a geometry file or a description by itself.
+/// The number of frames. `keyed` is the number up to the last key in geometry files.
+fn frame_count(given: Option<Frames>, keyed: u32, file: &str, limits: &Limits) -> Result<u32, SceneError> {
+    let frames = match given {
+        Some(Frames::Given(frames)) => frames,
+        Some(Frames::Keyed(frames)) => frames.max(keyed),
+        None => keyed,
+    };
+    if frames > limits.frames {
+        let (found, limit) = (u64::from(frames), u64::from(limits.frames));
+        return Err(SceneError::Limit { file: file.to_owned(), what: "frames", found, limit });
+    }
+    Ok(frames)
+}
+
+/// Returns `true` if geometry files bring any light: a light on a node, or a surface that emits.
+fn is_lit(assembly: &Assembly<'_>) -> bool {
+    let emits = |part: &Part| {
+        let (_, material) = assembly.shot.strata.pairs[part.stratum as usize];
+        assembly.materials[material as usize].is_emissive()
+    };
+    !assembly.lights.is_empty() || assembly.shot.parts.iter().any(emits)
+}
+
+/// Splits the path of a single geometry file or description into folder and name. `None` for other paths.
 fn single_file(path: &Path) -> Option<(&Path, String)> {
     let name = path.file_name()?.to_str()?;
     if !path.is_file() || !(is_gltf(name) || name == DESCRIPTION) {
@@ -230,7 +249,7 @@ fn is_gltf(path: &str) -> bool {
     matches!(extension(path).as_str(), "gltf" | "glb")
 }
 
-/// The glTF file that stands for the missing description.
+/// The glTF file of a bundle without `scene.json`.
 fn only_geometry(bundle: &Bundle) -> Result<String, SceneError> {
     let mut names = bundle.top_level()?;
     names.retain(|name| is_gltf(name) || extension(name) == "obj");
@@ -239,7 +258,7 @@ fn only_geometry(bundle: &Bundle) -> Result<String, SceneError> {
         [] => Err(SceneError::file(bundle.name(), "has neither a `scene.json` nor a glTF file")),
         _ => {
             let reason =
-                format!("has no `scene.json`, which says which of {} is the scene", names.join(", "));
+                format!("needs a `scene.json` that lists its geometry files; it has {}", names.join(", "));
             Err(SceneError::file(bundle.name(), reason))
         }
     }
@@ -249,7 +268,7 @@ fn load_geometry(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneErr
     match extension(path).as_str() {
         "obj" => crate::obj::load(assembly, path),
         "gltf" | "glb" => crate::gltf_file::load(assembly, path),
-        _ => Err(SceneError::file(path, "is not geometry that is understood (.obj, .gltf, .glb)")),
+        _ => Err(SceneError::file(path, "is not a supported geometry file (.obj, .gltf, .glb)")),
     }
 }
 
@@ -279,13 +298,16 @@ fn bounds(positions: &[Vec3]) -> (DVec3, DVec3) {
     (low.as_dvec3(), high.as_dvec3())
 }
 
-/// The middle of positions that are much farther from the origin than from each other, as a georeferenced building is. Seen from
-/// there, f32 coordinates tell small things apart again. What is not as far stays where it is, bit by bit.
+/// The centre of positions that are much farther from the origin than from each other, as in a georeferenced
+/// building.
+///
+/// Relative to that centre, f32 coordinates can resolve small details again. `None` for other scenes, whose
+/// coordinates then stay the same bit for bit.
 fn far_centre(positions: &[Vec3]) -> Option<DVec3> {
     let (low, high) = bounds(positions);
     let (centre, extent) = (0.5 * (low + high), (high - low).max_element());
     (extent > 0.0 && centre.abs().max_element() > FAR * extent).then_some(centre)
 }
 
-/// Distance from the origin, in units of its own extent, from which a scene is seen from its middle.
+/// A scene is re-centred if its distance from the origin is more than this many times its extent.
 const FAR: f64 = 16.0;

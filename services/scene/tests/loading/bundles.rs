@@ -1,7 +1,7 @@
 //! The shared bundles load, and hold what their authors say they hold.
 
-use crate::shared::shared;
 use forelight_scene::{Environment, Frame, Limits, MaterialClass, Scene, Surface};
+use forelight_test_needs::shared;
 use glam::Vec3;
 use std::sync::Arc;
 

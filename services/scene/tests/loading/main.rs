@@ -9,4 +9,3 @@ mod malformed_gltf;
 mod malformed_obj;
 mod meaning;
 mod meaning_gltf;
-mod shared;

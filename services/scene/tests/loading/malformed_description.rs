@@ -26,16 +26,13 @@ fn a_description_with_something_after_its_end() {
 #[test]
 fn a_description_of_another_version() {
     let error = Files::good().set("/version", json!(2)).set("/future", json!(true)).error();
-    assert_eq!(
-        error,
-        "scene.json: /version: version 2 is not understood; this program understands version 1"
-    );
+    assert_eq!(error, "scene.json: /version: version 2 is not supported; this program reads version 1");
 }
 
 #[test]
 fn a_description_without_a_version() {
     let error = Files::good().with("scene.json", "{}").error();
-    assert_eq!(error, "scene.json: /version: is missing; this program understands version 1");
+    assert_eq!(error, "scene.json: /version: is missing; this program reads version 1");
 }
 
 #[test]
@@ -75,7 +72,10 @@ fn numbers_that_are_not_finite() {
 
 #[test]
 fn no_geometry() {
-    assert_eq!(Files::good().set("/geometry", json!([])).error(), "scene.json: /geometry: names no file");
+    assert_eq!(
+        Files::good().set("/geometry", json!([])).error(),
+        "scene.json: /geometry: must name at least one file"
+    );
 }
 
 #[test]
@@ -87,7 +87,7 @@ fn geometry_that_is_not_there() {
 #[test]
 fn geometry_of_an_unknown_kind() {
     let error = Files::good().set("/geometry", json!(["scene.mtl"])).error();
-    assert_eq!(error, "scene.mtl: is not geometry that is understood (.obj, .gltf, .glb)");
+    assert_eq!(error, "scene.mtl: is not a supported geometry file (.obj, .gltf, .glb)");
 }
 
 #[test]
@@ -122,7 +122,7 @@ fn a_camera_that_looks_at_itself_in_the_middle_of_the_shot() {
 fn a_name_that_no_table_can_show() {
     for name in ["".to_owned(), "x".repeat(201), "red\u{1b}[31m".to_owned(), "two\nlines".to_owned()] {
         let error = Files::good().set("/name", json!(name)).error();
-        assert!(error.contains("/name: must have 1 to 200 characters, none of them a control"), "{error}");
+        assert!(error.contains("/name: must have 1 to 200 characters, and no control"), "{error}");
     }
 }
 
@@ -130,14 +130,14 @@ fn a_name_that_no_table_can_show() {
 fn a_field_of_view_out_of_range() {
     for fov in [0.0, -10.0, 180.0] {
         let error = Files::good().set("/camera/fov_deg", json!(fov)).error();
-        assert!(error.ends_with("the field of view must lie between 0 and 180 degrees"), "{error}");
+        assert!(error.ends_with("the field of view must be between 0 and 180 degrees"), "{error}");
     }
 }
 
 #[test]
 fn an_image_without_pixels_or_with_too_many() {
     let error = Files::good().set("/camera/width", json!(0)).error();
-    assert_eq!(error, "scene.json: /camera/width: an image has at least one pixel");
+    assert_eq!(error, "scene.json: /camera/width: an image must have at least one pixel");
     let error = Files::good().set("/camera/width", json!(4_000_000_000_u32)).error();
     assert_eq!(
         error,
@@ -168,7 +168,7 @@ fn an_environment_of_an_unknown_kind_or_with_a_wrong_key() {
     let error = Files::good().set("/environment", json!({"type": "constant"})).error();
     assert_eq!(error, "scene.json: /environment/radiance: is missing");
     let error = Files::good().set("/environment/radiance", json!([1, -1, 1])).error();
-    assert_eq!(error, "scene.json: /environment/radiance: every channel must lie in 0 to 1e12");
+    assert_eq!(error, "scene.json: /environment/radiance: every channel must be in the range 0 to 1e12");
 }
 
 #[test]
@@ -195,7 +195,7 @@ fn a_quad_light_with_parallel_edges() {
         let quad = json!({"type": "quad", "corner": [0, 0, 0], "edge_u": [1, 1, 0], "edge_v": edge_v, "radiance": [1, 1, 1]});
         assert_eq!(
             light(quad).error(),
-            "scene.json: /lights/0: `edge_u` and `edge_v` are parallel or have no length"
+            "scene.json: /lights/0: `edge_u` and `edge_v` are parallel or have zero length"
         );
     }
 }
@@ -210,7 +210,7 @@ fn lights_with_missing_foreign_or_unknown_parts() {
     let error = light(json!({"type": "laser"})).error();
     assert_eq!(error, "scene.json: /lights/0/type: `laser` is not one of `quad`, `point`, `sun`");
     let error = light(json!({"type": "sun", "direction": [0, 0, 0], "irradiance": [1, 1, 1]})).error();
-    assert_eq!(error, "scene.json: /lights/0/direction: the vector has no length");
+    assert_eq!(error, "scene.json: /lights/0/direction: the vector has zero length");
     let sun = json!({"type": "sun", "direction": [0, 1, 0], "irradiance": [1, 1, 1], "angle_deg": 200});
     assert_eq!(
         light(sun).error(),
@@ -234,7 +234,7 @@ fn keys_that_descend_or_stand_still() {
 #[test]
 fn a_track_without_keys() {
     let files = track(json!({"target": "camera", "property": "up", "interpolation": "step", "keys": []}));
-    assert_eq!(files.error(), "scene.json: /animation/tracks/0/keys: a track has at least one key");
+    assert_eq!(files.error(), "scene.json: /animation/tracks/0/keys: a track must have at least one key");
 }
 
 #[test]
@@ -291,7 +291,7 @@ fn key_values_of_the_wrong_length_or_meaning() {
     assert_eq!(with("rotation", json!([0, 0, 1])), format!("{at}: `rotation` takes 4 numbers, not 3"));
     assert_eq!(
         with("rotation", json!([0, 0, 0, 0])),
-        format!("{at}: a rotation is a unit quaternion x y z w")
+        format!("{at}: a rotation must be a unit quaternion x y z w")
     );
     assert!(
         with("scale", json!(["a"])).starts_with(&format!("{at}/0: invalid type")),
@@ -321,7 +321,10 @@ fn two_tracks_of_the_same_property() {
 #[test]
 fn shots_without_frames_with_too_many_or_without_time() {
     let with = |animation| Files::good().set("/animation", animation).error();
-    assert_eq!(with(json!({"frames": 0})), "scene.json: /animation/frames: a shot has at least one frame");
+    assert_eq!(
+        with(json!({"frames": 0})),
+        "scene.json: /animation/frames: a shot must have at least one frame"
+    );
     assert_eq!(
         with(json!({"frames": 200_000})),
         "scene.json: /animation/frames: frames: 200000 is more than the limit of 100000"

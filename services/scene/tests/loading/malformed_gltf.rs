@@ -17,8 +17,11 @@ fn a_binary_file_that_is_cut_off() {
         assert!(error.starts_with("tri.glb: "), "{error}");
     }
     let error = binary(&whole[..100]).error();
-    assert_eq!(error, format!("tri.glb: the file is cut off: it says {} bytes and has 100", whole.len()));
-    assert_eq!(binary(&whole[..7]).error(), "tri.glb: the header of the binary glTF is cut off");
+    assert_eq!(
+        error,
+        format!("tri.glb: the file is truncated: its header says {} bytes, but it has 100", whole.len())
+    );
+    assert_eq!(binary(&whole[..7]).error(), "tri.glb: the header of the binary glTF is truncated");
 }
 
 #[test]
@@ -27,7 +30,7 @@ fn a_binary_file_of_another_version() {
     bytes[4] = 1;
     assert_eq!(
         binary(&bytes).error(),
-        "tri.glb: binary glTF version 1 is not understood; this program understands version 2"
+        "tri.glb: binary glTF version 1 is not supported; this program reads version 2"
     );
 }
 
@@ -56,7 +59,7 @@ fn a_document_that_is_no_json_or_of_the_wrong_shape() {
 fn a_document_of_another_version() {
     assert_eq!(
         triangle_with("/asset/version", json!("1.0")).error(),
-        "tri.gltf: /asset/version: glTF version 1.0 is not understood; this program understands version 2.0"
+        "tri.gltf: /asset/version: glTF version 1.0 is not supported; this program reads version 2.0"
     );
 }
 
@@ -64,7 +67,7 @@ fn a_document_of_another_version() {
 fn an_extension_that_is_required_and_not_understood() {
     assert_eq!(
         triangle_with("/extensionsRequired", json!(["KHR_draco_mesh_compression"])).error(),
-        "tri.gltf: /extensionsRequired/0: `KHR_draco_mesh_compression` is required and not understood"
+        "tri.gltf: /extensionsRequired/0: `KHR_draco_mesh_compression` is required but not supported"
     );
 }
 
@@ -246,7 +249,7 @@ fn attributes_of_different_lengths() {
     document["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = json!(2);
     assert_eq!(
         gltf(&document, &triangle_bin()).error(),
-        "tri.gltf: /meshes/0/primitives/0: the attributes have not all the same number of elements"
+        "tri.gltf: /meshes/0/primitives/0: all attributes must have the same number of elements"
     );
 }
 
@@ -254,12 +257,12 @@ fn attributes_of_different_lengths() {
 fn transforms_that_are_none() {
     assert_eq!(
         triangle_with("/nodes/0/rotation", json!([0, 0, 0, 0])).error(),
-        "tri.gltf: /nodes/0/rotation: a rotation is a unit quaternion"
+        "tri.gltf: /nodes/0/rotation: a rotation must be a unit quaternion"
     );
     let matrix = json!([1, 0, 0, 0.5, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
     assert_eq!(
         triangle_with("/nodes/0/matrix", matrix).error(),
-        "tri.gltf: /nodes/0/matrix: the last row of an affine matrix is 0 0 0 1"
+        "tri.gltf: /nodes/0/matrix: the last row must be 0 0 0 1"
     );
     assert_eq!(
         triangle_with("/nodes/0/translation", json!([1e39, 0, 0])).error(),
@@ -271,11 +274,11 @@ fn transforms_that_are_none() {
 fn cameras_that_see_nothing() {
     assert_eq!(
         triangle_with("/cameras/0/perspective/yfov", json!(4)).error(),
-        "tri.gltf: /cameras/0/perspective/yfov: must lie between 0 and pi"
+        "tri.gltf: /cameras/0/perspective/yfov: must be between 0 and pi"
     );
     assert_eq!(
         triangle_with("/cameras/0/perspective/aspectRatio", json!(1e30)).error(),
-        "tri.gltf: /cameras/0/perspective/aspectRatio: an aspect ratio of 1000000015047466200000000000000 gives no image"
+        "tri.gltf: /cameras/0/perspective/aspectRatio: an aspect ratio of 1000000015047466200000000000000 gives an image that is empty or too large"
     );
     assert_eq!(
         triangle_with("/nodes/1/scale", json!([0, 0, 0])).error(),
@@ -287,15 +290,15 @@ fn cameras_that_see_nothing() {
 fn materials_out_of_range() {
     assert_eq!(
         triangle_with("/materials/0/pbrMetallicRoughness/roughnessFactor", json!(2)).error(),
-        "tri.gltf: /materials/0: a base colour, roughness or metallic factor does not lie in 0 to 1"
+        "tri.gltf: /materials/0: a base colour, roughness or metallic factor is not in the range 0 to 1"
     );
     assert_eq!(
         triangle_with("/materials/0/emissiveFactor", json!([-1, 0, 0])).error(),
-        "tri.gltf: /materials/0: the emission does not lie in 0 to 1e12"
+        "tri.gltf: /materials/0: the emission is not in the range 0 to 1e12"
     );
     assert_eq!(
         triangle_with("/materials/0/extensions", json!({"KHR_materials_ior": {"ior": 0.5}})).error(),
-        "tri.gltf: /materials/0: an index of refraction of 0.5 does not lie in 1 to 10"
+        "tri.gltf: /materials/0: an index of refraction of 0.5 is not in the range 1 to 10"
     );
 }
 
@@ -311,7 +314,7 @@ fn a_texture_without_an_image() {
     let error = gltf(&document, &triangle_bin()).error();
     assert_eq!(
         error,
-        "tri.gltf: /images/0: the image: tri.gltf#image0: is not an image that is understood (PNG, JPEG, Radiance HDR, OpenEXR)"
+        "tri.gltf: /images/0: the image: tri.gltf#image0: is not a supported image (PNG, JPEG, Radiance HDR, OpenEXR)"
     );
     document["images"] = json!([{"uri": "wood.png"}]);
     let error = gltf(&document, &triangle_bin()).error();
@@ -364,8 +367,8 @@ fn animations_with_keys_that_do_not_fit() {
     };
     assert!(with([0.0, 1.0], 2).load().is_ok());
     let at = "tri.gltf: /animations/0/channels/0";
-    assert_eq!(with([1.0, 0.5], 2).error(), format!("{at}: the key times are negative or do not ascend"));
-    assert_eq!(with([-1.0, 0.5], 2).error(), format!("{at}: the key times are negative or do not ascend"));
+    assert_eq!(with([1.0, 0.5], 2).error(), format!("{at}: the key times are negative or not ascending"));
+    assert_eq!(with([-1.0, 0.5], 2).error(), format!("{at}: the key times are negative or not ascending"));
     assert_eq!(with([0.0, f32::INFINITY], 2).error(), "tri.gltf: /accessors/2: element 1 is not finite");
     assert_eq!(with([0.0, 1.0], 3).error(), format!("{at}: 2 keys need 2 values, not 3"));
     assert_eq!(with([0.0, 1e6], 2).error(), "tri.gltf: frames: 24000001 is more than the limit of 100000");

@@ -1,4 +1,5 @@
-//! Every malformed geometry, material or texture gets one clear line that names the file, the place in it and the reason.
+//! Every malformed geometry, material or texture gets one clear line that names the file, the place in it and
+//! the reason.
 
 use crate::made::{Files, OBJ, encoded, line, png};
 use forelight_scene::Limits;
@@ -37,7 +38,7 @@ fn a_texture_that_is_missing_or_no_image() {
         "{error}"
     );
     let error = files.clone().with("textures/wood.jpg", "no image").error();
-    assert!(error.contains("textures/wood.jpg: is not an image that is understood"), "{error}");
+    assert!(error.contains("textures/wood.jpg: is not a supported image"), "{error}");
     let mut cut = png(8, 8, [1, 2, 3, 255]);
     cut.truncate(40);
     let error = files.clone().with("textures/wood.jpg", cut).error();
@@ -78,16 +79,16 @@ fn textures_of_more_texels_than_the_limit() {
 #[test]
 fn material_values_out_of_range() {
     for (text, expected) in [
-        ("Kd 0.5 1.5 0.5", "`Kd`: 1.5 does not lie in 0 to 1"),
-        ("Kd nan 0 0", "`Kd`: NaN does not lie in 0 to 1"),
-        ("Ke -1 0 0", "`Ke`: -1 does not lie in 0 to 1000000000000"),
-        ("Ni 0", "`Ni`: 0 does not lie in 0.1 to 10"),
-        ("Pr 2", "`Pr`: 2 does not lie in 0 to 1"),
+        ("Kd 0.5 1.5 0.5", "`Kd`: 1.5 is not in the range 0 to 1"),
+        ("Kd nan 0 0", "`Kd`: NaN is not in the range 0 to 1"),
+        ("Ke -1 0 0", "`Ke`: -1 is not in the range 0 to 1000000000000"),
+        ("Ni 0", "`Ni`: 0 is not in the range 0.1 to 10"),
+        ("Pr 2", "`Pr`: 2 is not in the range 0 to 1"),
         ("d x", "`d`: `x` is not a number"),
         ("illum 9", "`illum 9` is not one of 0, 1, 2, 3, 4, 7"),
-        ("map_Kd -s 2 2 2 a.png", "`map_Kd -s 2 2 2 a.png`: texture options are not understood"),
-        ("map_Kd", "`map_Kd` names nothing"),
-        ("newmtl", "`newmtl` names nothing"),
+        ("map_Kd -s 2 2 2 a.png", "`map_Kd -s 2 2 2 a.png`: texture options are not supported"),
+        ("map_Kd", "`map_Kd` needs a name"),
+        ("newmtl", "`newmtl` needs a name"),
     ] {
         let error = Files::good().with("scene.mtl", format!("newmtl white\n{text}\n")).error();
         assert_eq!(error, format!("scene.mtl: line 2: {expected}"));
@@ -97,7 +98,7 @@ fn material_values_out_of_range() {
 #[test]
 fn a_material_key_before_any_material() {
     let error = Files::good().with("scene.mtl", "Kd 1 1 1\nnewmtl white\n").error();
-    assert_eq!(error, "scene.mtl: line 1: `Kd` stands before the first `newmtl`");
+    assert_eq!(error, "scene.mtl: line 1: `Kd` comes before the first `newmtl`");
 }
 
 #[test]
@@ -126,11 +127,11 @@ fn malformed_lines_of_an_obj_file() {
         ("f 0 1 2", "`f`: there is no vertex 0; there are 4 so far"),
         ("f 1/9 2/1 3/1", "`f`: there is no texture coordinate 9; there are 4 so far"),
         ("f 1//7 2//1 3//1", "`f`: there is no normal 7; there are 1 so far"),
-        ("f 1/1 2 3/1", "`f`: the corners have not all the same attributes"),
+        ("f 1/1 2 3/1", "`f`: all corners must have the same attributes"),
         ("f 1/1/1/1 2 3", "`f`: `1/1/1/1` is not `v`, `v/vt`, `v//vn` or `v/vt/vn`"),
         ("f /1 /1 /1", "`f`: `/1` is not `v`, `v/vt`, `v//vn` or `v/vt/vn`"),
-        ("usemtl", "`usemtl` names nothing"),
-        ("mtllib", "`mtllib` names nothing"),
+        ("usemtl", "`usemtl` needs a name"),
+        ("mtllib", "`mtllib` needs a name"),
     ] {
         let error = Files::good().with("scene.obj", format!("{OBJ}{text}\n")).error();
         assert_eq!(error, format!("scene.obj: line 14: {expected}"));
@@ -152,7 +153,7 @@ fn faces_with_thousands_of_corners_have_to_be_convex() {
     };
     assert_eq!(round(40_000, 1.0).scene().frame(0).unwrap().geometry.triangles.len(), 2 + 39_998);
     assert_eq!(round(4000, 0.5).scene().frame(0).unwrap().geometry.triangles.len(), 2 + 3998);
-    let expected = "scene.obj: line 40014: `f`: the faces that are not convex have too many corners to be cut into triangles here; let the exporter do it";
+    let expected = "scene.obj: line 40014: `f`: the non-convex faces have too many corners to triangulate here; triangulate them in the exporter";
     assert_eq!(round(40_000, 0.5).error(), expected);
 }
 

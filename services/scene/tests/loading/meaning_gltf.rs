@@ -205,7 +205,8 @@ fn textured(transform: Value) -> Vec<Vec2> {
 #[test]
 fn texture_coordinates_point_up_and_follow_the_transform() {
     assert_eq!(textured(json!({})), [Vec2::new(0.0, 1.0), Vec2::new(1.0, 1.0), Vec2::new(0.0, 0.0)]);
-    // A quarter turn and offset (0, 1) map the unit square to itself: (0 0) (1 0) (0 1) to (0 1) (0 0) (1 1), v down.
+    // A quarter turn and offset (0, 1) map the unit square to itself: (0 0) (1 0) (0 1) to (0 1) (0 0) (1 1),
+    // v down.
     let turned = textured(json!({"offset": [0, 1], "rotation": std::f64::consts::FRAC_PI_2}));
     for (uv, expected) in turned.iter().zip([Vec2::new(0.0, 0.0), Vec2::new(0.0, 1.0), Vec2::new(1.0, 0.0)]) {
         assert!((*uv - expected).length() < 1e-6, "{turned:?}");
@@ -370,7 +371,7 @@ fn what_is_not_shown_is_told_in_one_warning() {
     let scene = gltf(&document, &triangle_bin()).scene();
     assert_eq!(
         scene.warnings()[0],
-        "tri.gltf: not shown as the file has it: colours of vertices; morph targets; points and lines; skins; \
+        "tri.gltf: not fully supported: colours of vertices; morph targets; points and lines; skins; \
          the extension `EXT_mesh_gpu_instancing`"
     );
 }

@@ -81,10 +81,14 @@ impl Farm<'_> {
         self.ends(node, attempt, Outcome::Done);
         self.let_go(attempt);
         let (job, task) = self.places[attempt];
-        self.jobs[job].tasks[task] = TaskState::Done;
-        self.jobs[job].left -= 1;
-        self.measure(job, task);
-        if self.jobs[job].left == 0 {
+        let entry = &mut self.jobs[job];
+        entry.tasks[task] = TaskState::Done;
+        entry.left -= 1;
+        if !entry.truth[task].task.is_seed() {
+            entry.measured.push(task);
+            entry.measured_work += u128::from(entry.truth[task].work);
+        }
+        if entry.left == 0 {
             self.over += 1;
             self.open.remove(&job);
             self.record.jobs[job].finish = Some(self.now);
@@ -138,7 +142,6 @@ impl Farm<'_> {
         let entry = &mut self.jobs[job];
         entry.running -= 1;
         entry.running_speed = entry.running_speed.saturating_sub(speed);
-        self.hold(job, false);
     }
 
     fn speed_of(&self, attempt: usize, task: usize) -> u64 {

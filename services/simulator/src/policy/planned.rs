@@ -55,28 +55,17 @@ pub struct Planned {
 #[derive(Clone, Copy, Debug)]
 struct Queued {
     job: usize,
-    /// Place of the task; of the frame, if this is a tile that the plan makes of it.
+    /// Place of the task.
     task: usize,
-    /// Which tile of how many.
-    tile: Option<(u32, u32)>,
     /// Booked time.
     length: i64,
 }
 
 impl Queued {
-    /// Place of the task if it is there, or will be when it starts, and waits.
+    /// Whether the task still waits to be started.
     fn waits(&self, farm: &Farm) -> bool {
         let entry = &farm.jobs[self.job];
-        let tile = self.tile.and_then(|(part, parts)| farm.tile(self.job, self.task, part, parts));
-        !entry.withdrawn && entry.tasks[tile.unwrap_or(self.task)] == TaskState::Waiting
-    }
-
-    fn start(&self, farm: &mut Farm, node: usize) -> bool {
-        let started = match self.tile {
-            None => farm.start(node, self.job, self.task),
-            Some((part, parts)) => farm.start_tile(node, self.job, self.task, part, parts),
-        };
-        started.is_ok()
+        !entry.withdrawn && entry.tasks[self.task] == TaskState::Waiting
     }
 }
 
@@ -135,9 +124,9 @@ impl Planned {
         let asked = farm.job(job);
         let own = asked.frames.first().map_or(0.0, |frame| asked.own_spread(frame)) * self.learned.widening();
         let Some(deadline) = asked.deadline.filter(|_| own > 0.0) else { return 0 };
-        let able = farm.world.input.nodes.iter().filter(|node| node.fits(asked));
+        let nodes = farm.world.input.nodes.iter();
         let speeds: Vec<u64> =
-            able.map(|node| node.speed_of(asked.class)).filter(|&speed| speed > 0).collect();
+            nodes.map(|node| node.speed_of(asked.class)).filter(|&speed| speed > 0).collect();
         let Some(&speed) = speeds.iter().min() else { return 0 };
         let last = farm.jobs[job].left.min(speeds.len()).max(1) as f64;
         let one = libm::pow(asked.confidence.probability(), 1.0 / last);
@@ -165,27 +154,15 @@ impl Planned {
         self.learn(farm);
         let now = farm.now();
         let known = &farm.world.input;
-        let mut input = Input {
-            now,
-            limits: known.limits.clone(),
-            projects: known.projects.clone(),
-            half_life: known.half_life,
-            ..Input::default()
-        };
+        let mut input =
+            Input { now, projects: known.projects.clone(), half_life: known.half_life, ..Input::default() };
         let factors: BTreeMap<usize, f64> =
             farm.open().map(|job| (job, self.factor(farm, job, true))).collect();
         for node in 0..known.nodes.len() {
             if let Some((job, task, start)) = farm.running(node) {
                 let end = self.expected_end(farm, node, job, task, start);
-                let uses = farm.job(job).uses.clone();
                 let job = Some(farm.job(job).id);
-                input.fixed.push(FixedBooking {
-                    node: farm.node(node).id,
-                    start: start.min(now),
-                    end,
-                    job,
-                    uses,
-                });
+                input.fixed.push(FixedBooking { node: farm.node(node).id, start: start.min(now), end, job });
             }
         }
         // A window is planned as if it closed a little earlier: by what a frame may take more than it is bought.
@@ -247,8 +224,7 @@ impl Planned {
         let mut frames = Vec::new();
         let mut seed: Option<Seed> = None;
         let mut release = asked.release.max(farm.now());
-        // A task's place is its number for the planner. Tiles that wait are not split again, nor are other frames meanwhile.
-        let mut tiles = asked.tiles;
+        // A task's place is its number for the planner.
         for &place in &farm.jobs[job].waiting {
             let task = &tasks[place];
             if task.task.is_seed() {
@@ -256,9 +232,6 @@ impl Planned {
                 let work = bought(task.median).saturating_add(work);
                 seed = Some(Seed { class: task.class, work, parts: parts + 1 });
                 continue;
-            }
-            if matches!(task.task, Task::Tile { .. }) {
-                tiles = 1;
             }
             frames.push(Frame { number: place as i64, work: bought(task.median), work_p80: 0 });
         }
@@ -288,7 +261,6 @@ impl Planned {
             total: WorkTotal { p50: total, p80: total, p95: total },
             seed,
             frames,
-            tiles,
             done: Vec::new(),
             ..asked.clone()
         })
@@ -333,15 +305,14 @@ impl Planned {
             let Some(job) = farm.place_of(booking.job) else { continue };
             // Parts of the seed are those that wait, in their order.
             let part_of_seed = |part: u32| farm.jobs[job].waiting.iter().nth(part as usize).copied();
-            let (task, tile) = match booking.task {
-                Task::Seed => (part_of_seed(0), None),
-                Task::SeedPart { part, .. } => (part_of_seed(part), None),
-                Task::Frame(place) => (usize::try_from(place).ok(), None),
-                Task::Tile { frame, part, parts } => (usize::try_from(frame).ok(), Some((part, parts))),
+            let task = match booking.task {
+                Task::Seed => part_of_seed(0),
+                Task::SeedPart { part, .. } => part_of_seed(part),
+                Task::Frame(place) => usize::try_from(place).ok(),
             };
             if let Some(task) = task {
                 let length = booking.end.saturating_sub(booking.start);
-                self.queues[node].push_back(Queued { job, task, tile, length });
+                self.queues[node].push_back(Queued { job, task, length });
             }
         }
         self.aim(farm, made);
@@ -385,7 +356,7 @@ impl Planned {
                 // What was booked after it is meant for a later window.
                 return;
             }
-            if next.start(farm, node) {
+            if farm.start(node, next.job, next.task).is_ok() {
                 self.queues[node].remove(place);
                 return;
             }

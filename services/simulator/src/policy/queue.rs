@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::{Deserialize, Serialize};
 
 use super::Policy;
-use crate::farm::{Farm, Refusal};
+use crate::farm::Farm;
 use crate::world::World;
 
 /// Who comes first.
@@ -48,14 +48,11 @@ impl Queue {
         let pool = (nodes.len() * pool_per_cent as usize).div_ceil(100);
         let mut by_price: Vec<usize> = (0..nodes.len()).collect();
         by_price.sort_by_key(|&node| (crate::farm::price_of_work(&nodes[node]), node));
-        let needs_all = |(job, tasks): (&forelight_planner::Job, &Vec<crate::world::TrueTask>)| {
-            let can = |node: usize| {
-                let node = &nodes[node];
-                node.fits(job) && tasks.iter().all(|task| node.speed_of(task.class) > 0)
-            };
+        let needs_all = |tasks: &Vec<crate::world::TrueTask>| {
+            let can = |node: usize| tasks.iter().all(|task| nodes[node].speed_of(task.class) > 0);
             !by_price.iter().take(pool).any(|&node| can(node))
         };
-        let needs_all = world.input.jobs.iter().zip(&world.tasks).map(needs_all).collect();
+        let needs_all = world.tasks.iter().map(needs_all).collect();
         Queue { rule, pool, needs_all }
     }
 
@@ -85,10 +82,8 @@ impl Queue {
             if farm.rank(node) >= self.pool && !self.needs_all[job] {
                 break;
             }
-            match farm.can_start(node, job, task) {
-                Ok(()) => {}
-                Err(Refusal::Limit) => return false,
-                Err(_) => continue,
+            if farm.can_start(node, job, task).is_err() {
+                continue;
             }
             let machine = farm.node(node);
             let length = expected.and_then(|work| machine.duration(work, class)).unwrap_or(0);

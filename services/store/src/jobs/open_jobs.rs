@@ -6,7 +6,7 @@ use crate::columns::Unread;
 use crate::database::Store;
 use crate::error::StoreError;
 use crate::jobs::{job_rows, progress};
-use crate::quotes::JobForecast;
+use forelight_quote::JobForecast;
 
 /// A job that is booked and not done, with what its forecast says.
 #[derive(Clone, PartialEq, Debug)]

@@ -9,7 +9,7 @@ use crate::database::Store;
 use crate::error::StoreError;
 use crate::jobs::{JobRow, job_rows, progress};
 use crate::policy::budgets::spent_and_under_way;
-use crate::quotes::JobForecast;
+use forelight_quote::JobForecast;
 
 /// A job that is booked and not over.
 #[derive(Clone, PartialEq, Debug)]

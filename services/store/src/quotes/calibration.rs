@@ -8,39 +8,10 @@ use crate::database::Store;
 use crate::database::Write;
 use crate::error::StoreError;
 use crate::policy::learning::{ALL_FRAMES, Residuals, experience, is_learnt_from};
-use crate::quotes::JobForecast;
+use forelight_quote::{JobForecast, QuoteBasis, QuoteKind, Spreads};
 
 /// Finished jobs that a quote learns from at most, the newest: renderers, scenes and machines change slowly, but they do.
 const WINDOW: u32 = 200;
-
-/// What quotes are compared within: neither may change how far forecasts are off.
-#[derive(Clone, PartialEq, Eq, Debug)]
-pub struct QuoteKind {
-    /// The renderer that measured the profiles, with its version.
-    pub renderer: String,
-    /// [`forelight_protocol::RenderSettings::feature_class`].
-    pub feature_class: String,
-}
-
-/// A quote's own idea of how sure it is: standard deviations of the logarithm, before past jobs corrected its quantiles.
-#[derive(Clone, Copy, PartialEq, Debug)]
-pub struct Spreads {
-    /// Of work.
-    pub work: f64,
-    /// Of CPU time.
-    pub cpu: f64,
-}
-
-/// What a quote has to remember so that it can be learnt from.
-#[derive(Clone, PartialEq, Debug)]
-pub struct QuoteBasis {
-    /// What it is compared within.
-    pub kind: QuoteKind,
-    /// Of all frames together.
-    pub total: Spreads,
-    /// Of each frame, in their order.
-    pub frames: Vec<Spreads>,
-}
 
 impl Store {
     /// The kinds of which jobs are finished, with how many.

@@ -1,8 +1,8 @@
 //! What is learnt from finished jobs, and from which.
 
 use super::*;
-use crate::{QuoteBasis, QuoteKind, Spreads};
 use forelight_forecast::Experience;
+use forelight_quote::{QuoteBasis, QuoteKind, Spreads};
 
 fn kind(renderer: &str, feature_class: &str) -> QuoteKind {
     QuoteKind { renderer: renderer.to_owned(), feature_class: feature_class.to_owned() }

@@ -1,4 +1,4 @@
-//! The records of a level while others are planned.
+//! The records of a level while it is planned.
 
 use super::index::Index;
 use super::loose::LooseOctree;
@@ -7,11 +7,11 @@ use super::spheres::Sphere;
 use super::{Level, Planned, READ_RELAXED, Site};
 use crate::bounds::Bounds;
 
-/// A level that grows: where it has records already, and which of them are near each other.
+/// A level that grows. It finds the records that cover a site, and the records near a new one.
 pub struct Coverage<'a> {
     level: &'a mut Level,
     covered: Index,
-    /// How far off each record is read.
+    /// How far each record is read.
     read: LooseOctree,
 }
 
@@ -29,7 +29,7 @@ impl<'a> Coverage<'a> {
         self.level
     }
 
-    /// Whether a record's error at a place is allowed.
+    /// Returns `true` if a record may be used at a site within the allowed error.
     pub fn covers(&self, place: &Site) -> bool {
         let Level { planned, accuracy, .. } = &*self.level;
         self.covered
@@ -37,8 +37,10 @@ impl<'a> Coverage<'a> {
             .any(|number| planned[number as usize].error(place, *accuracy).is_some())
     }
 
-    /// Enters a record: its radius may not exceed a neighbour's by more than their distance, nor a neighbour's its own, so that a record
-    /// whose rays missed something small and near is put right by others (Křivánek et al. 2006, neighbour clamping).
+    /// Adds a record, with neighbour clamping (Křivánek et al. 2006).
+    ///
+    /// A record's radius may not exceed a neighbour's by more than their distance, and vice versa. A record
+    /// whose rays missed a small nearby object is thus corrected by its neighbours.
     pub fn insert(&mut self, mut planned: Planned) {
         let level = &mut *self.level;
         let position = planned.site.position;
@@ -59,7 +61,7 @@ impl<'a> Coverage<'a> {
         self.enter(self.level.planned.len() - 1);
     }
 
-    /// Makes a planned record one that is found, by its radius of now: neighbours that come later may make it smaller.
+    /// Adds a record to both indices, with its current radius. Later neighbours may reduce that radius.
     fn enter(&mut self, number: usize) {
         let (planned, index) = (&self.level.planned[number], number as u32);
         self.covered.insert(index, planned);
@@ -69,7 +71,7 @@ impl<'a> Coverage<'a> {
 }
 
 impl Level {
-    /// How far off a record of this radius is read at most, metres.
+    /// Largest distance at which a record of this radius is read, metres.
     fn reach(&self, radius: f32) -> f32 {
         radius * self.accuracy * READ_RELAXED
     }

@@ -1,17 +1,17 @@
-//! The cache as an artefact.
+//! The cache's file format.
 //!
-//! Little-endian, all arrays at multiples of eight bytes, so that a mapped file can be read where it lies:
+//! Numbers are little-endian, and all arrays start at multiples of eight bytes:
 //!
 //! | part | bytes |
 //! | --- | --- |
 //! | header | see [`Header`] |
 //! | fingerprints of the images that it was planned for | 32 each |
-//! | for each level: its header, its records as planned, their values | see [`LevelHeader`], [`PlannedRow`], [`RecordRow`] |
-//! | BLAKE3 of all before | 32 |
+//! | per level: header, planned rows, record rows | see [`LevelHeader`], [`PlannedRow`], [`RecordRow`] |
+//! | BLAKE3 hash of everything before | 32 |
 
 use super::hemisphere::{PLAN_RAYS, SECTORS, Strata};
-use super::smooth::Value;
-use super::{Cache, Level, Planned, Record, Site};
+use super::record::{Planned, Record, Value};
+use super::{Cache, CacheError, Level, Site};
 use crate::bounds::Bounds;
 use crate::cost::{Cost, clocked};
 use crate::origin::Origin;
@@ -23,45 +23,17 @@ use std::sync::OnceLock;
 
 const MAGIC: [u8; 8] = *b"FLcach07";
 
-/// A gather has no more strata, see [`crate::Settings::validate`].
+/// A gather has at most this many strata; see [`crate::Settings::validate`].
 const MOST_RAYS: u32 = 66_000;
 
 const CHECKSUM: usize = 32;
 
-/// The triangle of a ray that met nothing.
+/// Triangle index of a ray that hit nothing.
 const NOTHING: u32 = u32::MAX;
 
 const FILLED: u32 = 1;
 const REJECTED: u32 = 2;
 const SMOOTHED: u32 = 4;
-
-/// Why bytes are not a cache, or not the right one.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum CacheError {
-    /// The leading bytes are others.
-    #[error("not an irradiance cache of this version (it must begin with FLcach07)")]
-    Foreign,
-    /// Shorter or longer than it says.
-    #[error("truncated irradiance cache: {found} bytes where {expected} were expected")]
-    Length {
-        /// Bytes given.
-        found: u64,
-        /// Bytes that the header announces.
-        expected: u64,
-    },
-    /// The checksum differs, or numbers are outside what a cache can hold.
-    #[error("damaged irradiance cache: {0}")]
-    Damaged(&'static str),
-    /// It belongs to another scene or other settings.
-    #[error("the irradiance cache was made for other images ({0}): make it again")]
-    OtherScene(
-        /// What is another there.
-        String,
-    ),
-    /// Parts of different plans cannot be put together.
-    #[error("the irradiance caches have different plans: fill parts of one and the same plan")]
-    OtherPlan,
-}
 
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -134,7 +106,7 @@ struct LightRow {
 }
 
 impl Cache {
-    /// The cache as a file.
+    /// Serialises the cache.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut out = Vec::new();
         put(
@@ -175,7 +147,10 @@ impl Cache {
         out
     }
 
-    /// Reads what [`Self::to_bytes`] wrote.
+    /// Parses the output of [`Self::to_bytes`].
+    ///
+    /// # Errors
+    /// If the bytes are not a cache of this version, have the wrong length, or are damaged.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CacheError> {
         let (cache, reading) = clocked(|| Self::read_from(bytes));
         Ok(Self { reading, ..cache? })
@@ -201,7 +176,7 @@ impl Cache {
         };
         let sized = cache.world.low.is_finite() && cache.world.high.is_finite();
         if header.levels > 8 || !(sized || cache.world == Bounds::EMPTY) {
-            return Err(CacheError::Damaged("its header holds numbers that no cache has"));
+            return Err(CacheError::Damaged("a value in its header is out of range"));
         }
         for _ in 0..header.levels {
             cache.levels.push(read_level(&mut reader)?);
@@ -209,7 +184,7 @@ impl Cache {
         if !reader.rest.is_empty() {
             return Err(too_short(bytes.len(), (reader.read + CHECKSUM) as u64));
         }
-        // Last, since hashing takes longer than finding out that the length is wrong.
+        // Hashing takes longer than finding a wrong length, so it comes last.
         if blake3::hash(body).as_bytes() != checksum {
             return Err(CacheError::Damaged("the checksum does not match"));
         }
@@ -219,26 +194,33 @@ impl Cache {
         Ok(cache)
     }
 
-    /// Whether the cache is one for this frame: planned for this scene, light and settings, and with nothing in it that the scene has not.
+    /// Checks that the cache fits this frame: same scene, light and settings, and no reference to a missing
+    /// triangle.
+    ///
+    /// # Errors
+    /// What does not fit.
     pub fn check(&self, tracer: &Tracer) -> Result<(), CacheError> {
         if !self.suits(tracer) {
             return Err(CacheError::OtherScene(self.origin.unlike_light(&tracer.origin())));
         }
         let planned = !(self.levels.is_empty() && self.images.is_empty());
         if planned && self.levels.len() != tracer.settings.ambient_bounces as usize {
-            return Err(CacheError::Damaged("it has not a level for each bounce"));
+            return Err(CacheError::Damaged("its number of levels differs from the number of bounces"));
         }
         let triangles = tracer.frame.geometry.triangles.len();
         let exists =
             |planned: &Planned| planned.hits.iter().flatten().all(|hit| (hit.primitive as usize) < triangles);
         if !self.levels.iter().flat_map(|level| &level.planned).all(exists) {
-            return Err(CacheError::Damaged("a record names a triangle that the scene does not have"));
+            return Err(CacheError::Damaged("a record refers to a triangle that the scene does not have"));
         }
         Ok(())
     }
 
-    /// Takes over the records that another part of the same plan has filled. Levels that are full then want to be smoothed: see
-    /// [`Self::smooth_full`].
+    /// Takes over the filled records of another part of the same plan. Levels that become full must then be
+    /// smoothed; see [`Self::smooth_full`].
+    ///
+    /// # Errors
+    /// If the plans differ.
     pub fn merge(&mut self, other: &Self) -> Result<(), CacheError> {
         let same = |(a, b): (&Level, &Level)| a.planned == b.planned;
         if self.fingerprint != other.fingerprint
@@ -273,10 +255,10 @@ fn read_level(reader: &mut Reader<'_>) -> Result<Level, CacheError> {
         || !(ordered && (positive || planned.is_empty()))
         || strata.len() != header.rays as usize
     {
-        return Err(CacheError::Damaged("a level holds numbers that no cache has"));
+        return Err(CacheError::Damaged("a value in the header of a level is out of range"));
     }
     let planned: Option<Vec<Planned>> = planned.iter().map(planned_of).collect();
-    let planned = planned.ok_or(CacheError::Damaged("a record holds numbers that no record has"))?;
+    let planned = planned.ok_or(CacheError::Damaged("a value in a record is out of range"))?;
     let gathered: Vec<Option<Record>> = records.iter().map(record_of).collect();
     let known = records.iter().zip(&gathered).map(|(row, record)| value_of(row, record.as_ref()?)).collect();
     let filled = |record: Option<Record>| record.map_or_else(OnceLock::new, OnceLock::from);
@@ -311,7 +293,7 @@ fn planned_row(planned: &Planned) -> PlannedRow {
     }
 }
 
-/// `None` if it could not be used without doing harm.
+/// `None` if a value is out of range and could do harm.
 fn planned_of(row: &PlannedRow) -> Option<Planned> {
     let site = Site {
         position: row.position.into(),
@@ -376,7 +358,7 @@ fn record_of(row: &RecordRow) -> Option<Record> {
     (row.flags & FILLED != 0).then_some(record)
 }
 
-/// `None` if the record is not smoothed, or not finite: it is then smoothed anew.
+/// `None` if the record is not smoothed or not finite. It is then smoothed again.
 fn value_of(row: &RecordRow, record: &Record) -> Option<Value> {
     let LightRow { irradiance, rotation, translation } = row.smoothed;
     let value = Value {
@@ -396,7 +378,7 @@ fn too_short(found: usize, expected: u64) -> CacheError {
     CacheError::Length { found: found as u64, expected }
 }
 
-/// Reads rows, and never more than there are.
+/// Reads rows, with bounds checks.
 struct Reader<'a> {
     rest: &'a [u8],
     read: usize,
@@ -416,7 +398,7 @@ impl Reader<'_> {
         (0..count).map(|_| self.take()).collect()
     }
 
-    /// Before anything is allocated.
+    /// Checks the remaining length before anything is allocated.
     fn require(&self, count: u64, size: usize) -> Result<(), CacheError> {
         let wanted = count.saturating_mul(size as u64);
         if wanted <= self.rest.len() as u64 {

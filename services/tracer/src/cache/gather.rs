@@ -1,8 +1,6 @@
-//! Filling: what the hemisphere above a planned record sends.
+//! Fill: gathers the irradiance at planned records.
 
-use super::hemisphere::Irradiance;
-use super::smooth::Value;
-use super::{Cache, Planned, Record};
+use super::{Cache, Record};
 use crate::cost::{Cost, SMOOTHING, SMOOTHING_WORK, clocked};
 use crate::tracer::Tracer;
 use rayon::prelude::*;
@@ -10,9 +8,10 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 impl Cache {
-    /// Gathers a range of a level's records, on the current thread pool; those that are filled already stay. `progress` is told the
-    /// number done, now and then. The next deeper level has to be filled: a gather reads it. A level that is full now is smoothed. `false`
-    /// if `cancel` was set.
+    /// Gathers a range of a level's records, on the current thread pool. Filled records stay unchanged.
+    ///
+    /// The next deeper level must be filled, because gathers read it. If the level is then full, it is
+    /// smoothed. `progress` receives the number of records done. Returns `false` if `cancel` was set.
     pub fn fill(
         &self,
         tracer: &Tracer,
@@ -33,7 +32,7 @@ impl Cache {
         !cancel.load(Ordering::Relaxed)
     }
 
-    /// What the hemisphere above a record sends, and what gathering that takes.
+    /// Gathers the irradiance at a record. The result includes its cost.
     pub(super) fn gathered(&self, tracer: &Tracer, level: usize, index: usize) -> Record {
         let here = &self.levels[level];
         let planned = &here.planned[index];
@@ -46,39 +45,5 @@ impl Cache {
         tracer.gather_work.add(SMOOTHING);
         let cost = Cost { work: counters.work() + SMOOTHING_WORK, cpu_nanos };
         Record { cost, rays: counters.rays, ..record }
-    }
-}
-
-impl Record {
-    /// The record of a gather. Gradients that would change the irradiance by all of itself within the trusted radius are cut back
-    /// (Křivánek et al. 2006): a steeper one says that the record is valid for a shorter way than its surroundings made believe.
-    fn new(planned: &Planned, irradiance: &Irradiance, smallest: f32) -> Self {
-        let (value, mut translation) = (irradiance.value, irradiance.translation);
-        let mut trusted = planned.radius;
-        for channel in 0..3 {
-            let slope = translation[channel].length();
-            let level_within = if slope > 0.0 { value[channel] / slope } else { f32::INFINITY };
-            trusted = trusted.min(level_within.max(smallest));
-            if level_within < smallest {
-                translation[channel] *= level_within / smallest;
-            }
-        }
-        let mut record = Self {
-            rejected: false,
-            irradiance: value,
-            rotation: irradiance.rotation,
-            translation,
-            trusted,
-            noise: irradiance.noise,
-            cost: Cost::default(),
-            rays: [0; 7],
-        };
-        record.rejected = !record.is_finite();
-        record
-    }
-
-    /// Whether every number is finite.
-    pub fn is_finite(&self) -> bool {
-        Value::of(self).is_finite() && self.noise.is_finite()
     }
 }

@@ -1,7 +1,8 @@
-//! The strata of a gather, and what they say: irradiance, its gradients, the distance to the surroundings.
+//! The strata of a gather, and the integration of samples to irradiance and gradients.
 //!
-//! The hemisphere is cut into M rings and N sectors, cosine-weighted: sin²θ = (j + u) / M, φ = 2π (k + v) / N. The plan's 4 × 12
-//! strata are each cut into s × s for the fill; the plan's ray stays as one of them.
+//! The hemisphere is divided into M rings and N sectors of equal cosine-weighted solid angle: sin²θ = (j + u)
+//! / M, φ = 2π (k + v) / N. The plan has 4 × 12 strata. For the fill, each is divided into s × s; the plan's
+//! ray remains as one of them.
 
 use crate::fresnel;
 use crate::geometry::Basis;
@@ -9,14 +10,14 @@ use crate::random::Sampler;
 use glam::{Vec2, Vec3};
 use std::f32::consts::{PI, TAU};
 
-/// Rings and sectors of the plan.
+/// Number of rings of the plan.
 pub const RINGS: usize = 4;
-/// See [`RINGS`].
+/// Number of sectors of the plan.
 pub const SECTORS: usize = 12;
-/// Rays of a planned record.
+/// Number of plan rays per record.
 pub const PLAN_RAYS: usize = RINGS * SECTORS;
 
-/// The sector of a direction of the tangent plane.
+/// The sector, of 30°, that contains a direction in the tangent plane.
 pub fn sector(x: f32, y: f32) -> usize {
     const TAN_30: f32 = 0.577_350_26;
     let (across, along) = (y.abs(), x.abs());
@@ -33,7 +34,7 @@ pub fn sector(x: f32, y: f32) -> usize {
     }
 }
 
-/// The strata of a fill: each of the plan's, cut into `cut` × `cut`.
+/// The strata of a fill. Each stratum of the plan is divided into `cut` × `cut`.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Strata {
     cut: usize,
@@ -41,30 +42,30 @@ pub struct Strata {
     pub sectors: usize,
 }
 
-/// What came along one ray of a gather.
+/// The result of one ray of a gather.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
     /// Radiance.
     pub radiance: Vec3,
-    /// Distance to where it came from, metres; infinite from outside the scene.
+    /// Distance to the ray's hit, metres. Infinite if the ray left the scene.
     pub distance: f32,
 }
 
-/// Irradiance and its gradients.
+/// Irradiance with its gradients.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Irradiance {
-    /// Per channel, W/m².
+    /// Irradiance per channel, W/m².
     pub value: Vec3,
-    /// Standard error of the mean of the channels, W/m².
+    /// Standard error of the irradiance, mean over the channels, W/m².
     pub noise: f32,
-    /// By channel, see [`super::Record::rotation`].
+    /// Rotational gradient by channel; see [`super::Record::rotation`].
     pub rotation: [Vec3; 3],
-    /// By channel, see [`super::Record::translation`].
+    /// Translational gradient by channel; see [`super::Record::translation`].
     pub translation: [Vec3; 3],
 }
 
 impl Strata {
-    /// Strata for about that many rays, at least the plan's.
+    /// The strata for approximately this number of rays, at least the plan's.
     pub fn for_rays(rays: u32) -> Self {
         let cut = ((rays as f32 / PLAN_RAYS as f32).sqrt().round() as usize).max(1);
         Self { cut, rings: RINGS * cut, sectors: SECTORS * cut }
@@ -75,20 +76,20 @@ impl Strata {
         self.rings * self.sectors
     }
 
-    /// The stratum, ring-major, that the plan's ray `index` is in.
+    /// The stratum (ring-major index) that contains the plan's ray `index`.
     pub fn of_plan(&self, index: usize) -> usize {
         let inner = |i: usize| i * self.cut + self.cut / 2;
         inner(index / SECTORS) * self.sectors + inner(index % SECTORS)
     }
 
-    /// The plan's ray that is in a stratum.
+    /// The plan's ray in a stratum, if it contains one.
     pub fn plan_ray(&self, stratum: usize) -> Option<usize> {
         let (j, k) = (stratum / self.sectors, stratum % self.sectors);
         let middle = |i: usize| i % self.cut == self.cut / 2;
         (middle(j) && middle(k)).then(|| j / self.cut * SECTORS + k / self.cut)
     }
 
-    /// The direction of a stratum's ray about +z.
+    /// The direction of a stratum's ray, about +z.
     pub fn direction(&self, stratum: usize, sampler: &Sampler) -> Vec3 {
         let (j, k) = (stratum / self.sectors, stratum % self.sectors);
         let jitter = sampler.independent(stratum as u32);
@@ -102,9 +103,12 @@ impl Strata {
         Vec2::new(cos, sin)
     }
 
-    /// What a ring's light counts for under a coat: for the irradiance, the mean of what the coat lets pass; for its change when
-    /// the normal turns, the mean of d(cos θ · pass) / d cos θ · tan θ. (Without a coat that is the mean of tan θ; taken in
-    /// the middle of the ring, as published codes do, the outermost ring would count 30 % too little.)
+    /// Weights of a ring's radiance under a coat: for the irradiance, and for its rotational gradient.
+    ///
+    /// `passes` is the coat's transmittance at a cosine. The first weight is its mean over the ring. The
+    /// second is the mean of d(cos θ · passes) / d cos θ · tan θ. Without a coat, the second is the mean of
+    /// tan θ. Published implementations take tan θ at the centre of the ring, which makes the outermost
+    /// ring's weight 30 % too small.
     fn ring(&self, j: usize, passes: impl Fn(f32) -> f32) -> (f32, f32) {
         const STEPS: usize = 8;
         let cos = |step: usize| {
@@ -116,19 +120,21 @@ impl Strata {
             let (inner, outer) = (cos(step), cos(step + 1));
             let middle = 0.5 * (inner + outer);
             passed += passes(middle) / STEPS as f32;
-            // Over the steps of equal dsin²θ = 2 cos θ dcos θ.
+            // Integrate over steps of equal d(sin²θ) = −2 cos θ d(cos θ).
             let change = inner * passes(inner) - outer * passes(outer);
             turned += change * 2.0 * (1.0 - middle * middle).sqrt() * self.rings as f32;
         }
         (passed, turned)
     }
 
-    /// Standard error of the sum over all strata of the mean of the channels: from the spread within blocks of 2 × 2 neighbouring strata
-    /// (Cochran, *Sampling Techniques*, 3rd edition 1977, section 5A.12, collapsed strata), too high rather than too low.
+    /// Standard error of the sum over all strata, mean over the channels.
+    ///
+    /// It comes from the spread within blocks of 2 × 2 neighbouring strata, and is rather too large than too
+    /// small (collapsed strata: Cochran, *Sampling Techniques*, 3rd edition 1977, section 5A.12).
     fn noise(&self, samples: &[Sample]) -> f32 {
         let at = |j: usize, k: usize| samples[j * self.sectors + k].radiance.element_sum() / 3.0;
         let mut variance = 0.0;
-        // Both numbers are even.
+        // The numbers of rings and sectors are even.
         for j in (0..self.rings).step_by(2) {
             for k in (0..self.sectors).step_by(2) {
                 let block = [at(j, k), at(j, k + 1), at(j + 1, k), at(j + 1, k + 1)];
@@ -140,8 +146,10 @@ impl Strata {
         variance.sqrt()
     }
 
-    /// Irradiance under a coat of index `coat` (0 for none), with its gradients: rotational after Ward and Heckbert 1992, translational
-    /// in the form of Křivánek et al. 2005 (equation 5), with the coat's transmittance taken where the strata meet.
+    /// Irradiance with gradients, under a coat of index `coat` (0 for no coat).
+    ///
+    /// The rotational gradient is that of Ward and Heckbert 1992. The translational gradient is that of
+    /// Křivánek et al. 2005 (equation 5), with the coat's transmittance taken at the borders of the strata.
     pub fn integrate(&self, samples: &[Sample], basis: &Basis, coat: f32) -> Irradiance {
         let (rings, sectors) = (self.rings as f32, self.sectors as f32);
         let passes =
@@ -198,9 +206,10 @@ impl Strata {
 mod tests {
     use super::*;
 
-    /// A radiant sky over a plane with a wall: radiance by direction and distance by ray casting, in closed form.
+    /// Radiance and distance along a ray, in closed form: a floor between a wall and a ceiling, both
+    /// luminous.
     fn surroundings(origin: Vec3, direction: Vec3) -> Sample {
-        // A wall at x = 2 whose radiance is 3, a ceiling at z = 1.5 whose radiance varies along y.
+        // A wall at x = 2 with radiance 3, and a ceiling at z = 1.5 whose radiance varies along y.
         let wall = if direction.x > 0.0 { (2.0 - origin.x) / direction.x } else { f32::INFINITY };
         let ceiling = if direction.z > 0.0 { (1.5 - origin.z) / direction.z } else { f32::INFINITY };
         let distance = wall.min(ceiling);
@@ -242,7 +251,7 @@ mod tests {
                     gathered(origin, normal, coat).value.x
                 };
                 let slope = (turned(step) - turned(-step)) / (2.0 * step);
-                // The normal turns towards the axis: about Z × axis.
+                // The normal turns towards the axis, that is, about Z × axis.
                 let gradient = here.rotation[0].dot(Vec3::Z.cross(axis));
                 assert!(
                     (gradient - slope).abs() < 0.03 * here.value.x,
@@ -270,7 +279,7 @@ mod tests {
         let mean = values().sum::<f64>() / count;
         let true_noise = (values().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt();
         let noise = gathers.iter().map(|gather| f64::from(gather.noise)).sum::<f64>() / count;
-        // Strata are collapsed, so some of what differs between them is taken for noise.
+        // Collapsed strata count some of the real differences between strata as noise.
         assert!((1.0..2.5).contains(&(noise / true_noise)), "{noise}, truly {true_noise}");
     }
 

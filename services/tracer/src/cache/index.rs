@@ -1,39 +1,43 @@
-//! Which records may serve a place: by where they are, and by where they face.
+//! Finds the records that may cover a site, by position and by orientation.
 //!
-//! A record serves places that face nearly as it does, and in a cluttered room most of those that are near face elsewhere. So there is
-//! a set of records for each direction of the axes: those that may serve a place that faces along it more than along any other.
+//! A record only covers sites that face nearly the same way. In a cluttered room, most nearby records face
+//! elsewhere. So the index keeps one set of records per axis direction: those that may cover a site whose
+//! normal points mainly along it.
 
 use super::octree::{Cube, Octree};
+use super::record::Planned;
+use super::site::Site;
 use super::spheres::{SETS, Sphere};
-use super::{Planned, Site};
 use crate::bounds::Bounds;
 use glam::Vec3;
 
-/// Directions of the axes: +x, −x, +y, −y, +z, −z.
+/// The axis directions: +x, −x, +y, −y, +z, −z.
 const DIRECTIONS: usize = SETS;
 
-/// Far more than the roundings of a cosine.
+/// Tolerance, much larger than the rounding errors of a cosine.
 const ROUNDING: f32 = 1e-4;
 
-/// Planned records, found by places that they may serve with an allowed error.
+/// Planned records, found by the sites that they may cover.
 #[derive(Debug, Default, Clone)]
 pub struct Index {
     octree: Octree,
-    /// The allowed error: a record serves places up to this share of its radius away.
+    /// The allowed error. A record covers sites up to this fraction of its radius away.
     allowed: f32,
-    /// Cosine between the normals of a record and of a place that it may just not serve.
+    /// Smallest cosine between the normals of a record and a site that it may cover.
     least_cos: f32,
 }
 
 impl Index {
-    /// Of records in a box whose radii are at least so large, metres, at places where their error is below `allowed`.
+    /// An empty index for records in the box `world`. `smallest` is a lower bound of their radii in metres,
+    /// `allowed` the allowed error.
     pub fn new(world: Bounds, smallest: f32, allowed: f32) -> Self {
-        // Of the error, the turn alone makes √(1 − cos), see `Planned::error`; and no record serves what faces away.
+        // The rotation alone contributes √(1 − cos) to the error; see `Planned::error`. No record covers a
+        // site that faces away from it.
         let least_cos = (1.0 - allowed * allowed).max(0.0) - ROUNDING;
         Self { octree: Octree::over(Cube::over(world, smallest * allowed)), allowed, least_cos }
     }
 
-    /// Enters a record under its number.
+    /// Adds a record under its number.
     pub fn insert(&mut self, number: u32, planned: &Planned) {
         let Site { position, normal, .. } = planned.site;
         let may_face = |direction: &usize| greatest_cos(normal, *direction) >= self.least_cos;
@@ -42,8 +46,9 @@ impl Index {
         self.octree.insert(Sphere { index: number, center: position, radius, sets });
     }
 
-    /// Numbers of those that may serve a place, in an order that depends on the insertions alone. `looked_at` is told how many were
-    /// looked at.
+    /// Numbers of the records that may cover a site. Their order depends only on the insertions.
+    ///
+    /// `looked_at` is called with the number of records considered.
     pub fn around(&self, place: &Site, mut looked_at: impl FnMut(u64)) -> impl Iterator<Item = u32> {
         let (position, direction) = (place.position, direction_of(place.normal));
         self.octree.near(position).flat_map(move |block| {
@@ -52,19 +57,20 @@ impl Index {
         })
     }
 
-    /// Numbers of those that may serve a place at a point, wherever it faces.
+    /// Numbers of the records that may cover a site at this point, whatever its orientation.
     pub fn at(&self, point: Vec3) -> impl Iterator<Item = u32> {
         self.octree.near(point).flat_map(move |block| block.touching(point, 0.0))
     }
 }
 
-/// The direction that a normal points along most.
+/// The axis direction that a normal points along most.
 pub fn direction_of(normal: Vec3) -> usize {
     let axis = normal.abs().max_position();
     2 * axis + usize::from(normal[axis] < 0.0)
 }
 
-/// The greatest cosine between a unit normal and those that point along one direction most: a pyramid through a face of a cube.
+/// The largest cosine between a unit normal and any normal that points mainly along `direction`. The latter
+/// normals fill a pyramid through one face of a cube.
 fn greatest_cos(normal: Vec3, direction: usize) -> f32 {
     let axis = direction / 2;
     let along = if direction.is_multiple_of(2) { normal[axis] } else { -normal[axis] };
@@ -73,7 +79,8 @@ fn greatest_cos(normal: Vec3, direction: usize) -> f32 {
     let half = 0.5 * (along + more);
     match () {
         () if along >= more => 1.0,
-        // The normal's shadow on the pyramid's nearest side; on an edge of it, if the shadow falls beside the side.
+        // The cosine with the nearest side of the pyramid, or with its edge if the projection falls beside
+        // that side.
         () if half >= less => (2.0 * half * half + less * less).sqrt(),
         () => (along + more + less) / 3f32.sqrt(),
     }
@@ -84,7 +91,8 @@ mod tests {
     use super::*;
     use crate::cache::octree::tests::{number, point};
 
-    /// The i-th of unit vectors that are spread over the sphere; every eighth along an axis, where octants and pyramids meet.
+    /// The i-th of a set of unit vectors spread over the sphere. Every eighth is along an axis, where octants
+    /// and pyramids meet.
     fn normal(i: u64) -> Vec3 {
         match i % 8 {
             0 => [Vec3::X, Vec3::Y, Vec3::Z, Vec3::NEG_X, Vec3::NEG_Y, Vec3::NEG_Z][(i / 8 % 6) as usize],
@@ -103,7 +111,7 @@ mod tests {
 
     #[test]
     fn every_record_that_serves_a_place_is_found_whatever_error_is_allowed() {
-        // With the largest of these errors, all may serve that do not face away.
+        // With the largest allowed error, every record that does not face away may be used.
         for (allowed, most) in [(0.12, 0.4), (0.3, 0.5), (0.7, 0.7), (1.6, 0.95)] {
             let records: Vec<Planned> = (0..2000).map(planned).collect();
             let mut index = Index::new(Bounds { low: Vec3::ZERO, high: Vec3::ONE }, 0.05, allowed);

@@ -1,15 +1,16 @@
-//! Which spheres touch another.
+//! A loose octree, which finds the spheres that touch another sphere.
 
 use super::octree::{Cube, DEPTH};
 use super::spheres::{List, Lists, Sphere, WIDER};
 use crate::bounds::Bounds;
 use glam::Vec3;
 
-/// Cells are at least so many times as wide as the radii of the spheres in them: in smaller ones, more time would go into visiting
-/// cells than is saved by looking at fewer spheres.
+/// Cells are at least this many times wider than the radii of their spheres. With smaller cells, visiting
+/// them would cost more than is saved by considering fewer spheres.
 const WIDTH: f32 = 4.0;
 
-/// A loose octree: a sphere is entered once, in the cell of about its size that its center is in, and reaches out of it.
+/// A loose octree. Each sphere is stored once, in the cell of about its size that contains its centre. It may
+/// extend beyond the cell.
 #[derive(Debug, Default, Clone)]
 pub struct LooseOctree {
     cube: Cube,
@@ -19,11 +20,11 @@ pub struct LooseOctree {
 
 #[derive(Debug, Clone, Copy)]
 struct Cell {
-    /// The cell of each octant, 0 for none: the root is nobody's child.
+    /// The child cell of each octant. 0 means none, because the root is never a child.
     children: [u32; 8],
-    /// Around the centers of all spheres in it, and in the cells below.
+    /// Bounding box of the centres of all spheres in the cell and below it.
     centers: Bounds,
-    /// The largest of their radii.
+    /// The largest radius of these spheres.
     largest: f32,
     members: List,
 }
@@ -37,7 +38,7 @@ impl LooseOctree {
         Self { cube, cells: vec![Cell::EMPTY], spheres: Lists::default() }
     }
 
-    /// Enters a sphere.
+    /// Adds a sphere.
     pub fn insert(&mut self, sphere: Sphere) {
         let Sphere { center, radius, .. } = sphere;
         let Cube { mut low, mut edge } = self.cube;
@@ -65,7 +66,8 @@ impl LooseOctree {
         }
     }
 
-    /// Calls a function with the index of every sphere that may touch one, once each, in an order that depends on the insertions alone.
+    /// Calls `each` with the index of every sphere that may touch the given one, once per sphere. The order
+    /// depends only on the insertions.
     pub fn touching(&self, center: Vec3, radius: f32, mut each: impl FnMut(u32)) {
         if let Some(root) = self.cells.first() {
             self.visit(root, center, radius, &mut each);
@@ -98,7 +100,7 @@ mod tests {
         let mut octree = LooseOctree::over(unit_cube(0.001));
         spheres.iter().for_each(|sphere| octree.insert(*sphere));
         let mut touched = 0;
-        // Also beside the cube, which is for other spheres.
+        // Some centres are outside the octree's cube.
         let others = (1000..2000).map(|i| 2.0 * point(i) - 0.5);
         for (sphere, center) in spheres.iter().cycle().zip(others) {
             let mut found = Vec::new();

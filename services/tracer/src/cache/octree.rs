@@ -1,14 +1,16 @@
-//! Which spheres may contain a point.
+//! An octree that finds the spheres that contain a point.
 
 use super::spheres::{Block, List, Lists, Sphere};
 use crate::bounds::Bounds;
 use glam::Vec3;
 
-/// Cells are not split further than this.
+/// Largest depth of a cell.
 pub const DEPTH: u32 = 20;
 
-/// An octree over a cube. A sphere is entered in the (at most eight) cells of about its size that it touches, so that the cells
-/// on the way from the root to a point hold all spheres that may contain the point.
+/// An octree over a cube.
+///
+/// A sphere is stored in all cells of about its size that it touches, at most eight. The cells on the path
+/// from the root to a point therefore hold all spheres that may contain the point.
 #[derive(Debug, Default, Clone)]
 pub struct Octree {
     cube: Cube,
@@ -16,7 +18,7 @@ pub struct Octree {
     spheres: Lists,
 }
 
-/// What an octree is over, metres.
+/// The cube that an octree covers, metres.
 #[derive(Debug, Default, Clone, Copy)]
 pub struct Cube {
     pub low: Vec3,
@@ -25,7 +27,7 @@ pub struct Cube {
 
 #[derive(Debug, Clone, Copy)]
 struct Cell {
-    /// The cell of each octant, 0 for none: the root is nobody's child.
+    /// The child cell of each octant. 0 means none, because the root is never a child.
     children: [u32; 8],
     members: List,
 }
@@ -35,13 +37,14 @@ impl Cell {
 }
 
 impl Cube {
-    /// Over a box that holds all points that will be asked for, for spheres of this radius or a larger one.
+    /// A cube over a box that contains all query points, for spheres of radius `least` or larger.
     ///
-    /// The cube is a power of two times as wide as a sphere of the least radius, so that these, which are often most of all, are in
-    /// cells that are just as large as they are. In a cube that fits the box, cells would be up to twice as large, and hold up to
-    /// three times as many: in one frame so, and in the next, whose radii are a little smaller, otherwise.
+    /// Its edge is a power of two times the smallest sphere's diameter. The smallest spheres, which are often
+    /// the majority, are then in cells of exactly their size. In a cube that just fits the box, cells could
+    /// be up to twice as large and hold up to three times as many spheres. The number would also change
+    /// abruptly between frames whose radii differ slightly.
     pub fn over(Bounds { low, high }: Bounds, least: f32) -> Self {
-        // A little larger than the box, so that rounding keeps its border inside.
+        // Slightly larger than the box, so that rounding keeps its border inside.
         let box_edge = (high - low).max_element().max(f32::MIN_POSITIVE) * 1.001;
         let mut edge = 2.0 * least;
         if !(edge.is_normal() && box_edge.is_finite()) {
@@ -59,7 +62,7 @@ impl Octree {
         Self { cube, cells: vec![Cell::EMPTY], spheres: Lists::default() }
     }
 
-    /// Enters a sphere.
+    /// Adds a sphere.
     pub fn insert(&mut self, sphere: Sphere) {
         let Sphere { center, radius, .. } = sphere;
         let Cube { low, mut edge } = self.cube;
@@ -90,7 +93,8 @@ impl Octree {
         }
     }
 
-    /// The spheres in the cells of a point: all that may contain it, in an order that depends on the insertions alone.
+    /// The spheres in the cells that contain a point. They include all spheres that may contain the point.
+    /// Their order depends only on the insertions.
     pub fn near(&self, point: Vec3) -> impl Iterator<Item = &Block> {
         let mut cell = self.cells.first();
         let mut middle = self.cube.low + self.cube.edge * 0.5;
@@ -114,22 +118,22 @@ pub(super) mod tests {
     use crate::cache::spheres::SETS;
     use crate::random::hash;
 
-    /// The i-th of numbers that are spread evenly from 0 to 1.
+    /// The i-th of a set of numbers spread evenly over [0, 1).
     pub fn number(i: u64) -> f32 {
         (hash(i) >> 40) as f32 / (1 << 24) as f32
     }
 
-    /// The same of the unit cube's points.
+    /// The i-th of a set of points spread evenly over the unit cube.
     pub fn point(i: u64) -> Vec3 {
         Vec3::new(number(3 * i), number(3 * i + 1), number(3 * i + 2))
     }
 
-    /// The unit cube, for spheres of a least radius.
+    /// The unit cube, for spheres of radius `least` or larger.
     pub fn unit_cube(least: f32) -> Cube {
         Cube::over(Bounds { low: Vec3::ZERO, high: Vec3::ONE }, least)
     }
 
-    /// Five hundred spheres of very different sizes, 0.001 or more.
+    /// Five hundred spheres with radii from 0.001 to 0.3.
     pub fn spheres() -> Vec<Sphere> {
         let radius = |i: u32| 0.001 * 300f32.powf(number(10_000 + u64::from(i)));
         let sets = |i: u32| (hash(u64::from(i)) & 0x3f) as u8;
@@ -145,7 +149,7 @@ pub(super) mod tests {
             let sphere = |index: u32| Sphere { index, center: point(u64::from(index)), radius, sets: 1 };
             (0..2000).for_each(|index| octree.insert(sphere(index)));
             let all: u64 = (5000..6000).flat_map(|i| octree.near(point(i))).map(|block| block.count(0)).sum();
-            // Of spheres that are spread through a cube as many as their share of it.
+            // For spheres spread evenly through the cube, the count should be proportional to their volume.
             all as f64 / f64::from(radius.powi(3))
         };
         let least = looked_at(0.03);

@@ -1,9 +1,10 @@
-//! Filling in part: what the colours of some pixels call for.
+//! Partial fill: gathers only the records that some pixels read.
 //!
-//! The records of the first level that they read are gathered, and averaged with each other as far as they are there. The deeper levels
-//! would be wanted whole, since where gathers read them is not known before: their light is followed by single rays instead, whose
-//! noise vanishes in the hundreds of rays of a gather. So the colours are those of a cache whose first level is a little noisier
-//! and whose deeper levels are exact.
+//! The needed records of the first level are gathered, and averaged with those neighbours that are filled.
+//! Which records of deeper levels a gather reads is not known in advance, so these levels would have to be
+//! filled completely. Single rays are followed instead; their noise averages out over the hundreds of rays of
+//! a gather. The colours are thus those of a cache whose first level is a little noisier and whose deeper
+//! levels are exact.
 
 use super::{Cache, Level, READ_RELAXED};
 use crate::cost::{Cost, Counters, clocked};
@@ -56,7 +57,7 @@ impl Cache {
         Some(looking + gathering)
     }
 
-    /// Whether points of a level are followed though it was planned.
+    /// Returns `true` if points of this level are followed by rays although the level was planned.
     pub fn is_followed(&self, level: usize) -> bool {
         level > 0 && self.partial.get().is_some()
     }

@@ -1,52 +1,53 @@
-//! Which records are near each other, and an order in which neighbours follow each other.
+//! Finds records by distance, and orders them along a space-filling curve.
 
-use super::Planned;
+use super::record::Planned;
 use crate::bounds::Bounds;
 use glam::Vec3;
 
-/// Bits of a position along each axis: cells of a thousandth of what the records cover.
+/// Bits of a position along each axis. A cell's edge is about a thousandth of the records' extent.
 const BITS: u32 = 10;
 
-/// Records that are looked at together.
+/// Number of records per block.
 const TOGETHER: usize = 32;
 
-/// Cells of a box, numbered along Morton's curve.
+/// Cells of a box, numbered along the Morton curve.
 pub struct Cells {
     low: Vec3,
     scale: f32,
 }
 
 impl Cells {
-    /// Of the box around some records.
+    /// Cells of the bounding box of some records.
     pub fn around(records: &[Planned]) -> Self {
         let bounds = Bounds::of(records.iter().map(|planned| planned.site.position));
         let extent = (bounds.high - bounds.low).max_element().max(f32::MIN_POSITIVE);
         Self { low: bounds.low, scale: ((1 << BITS) - 1) as f32 / extent }
     }
 
-    /// The number of the cell that a position of the box is in; below 2³⁰.
+    /// Number of the cell that contains a position of the box. It is below [`Self::COUNT`].
     pub fn number(&self, position: Vec3) -> u64 {
         let cell = ((position - self.low) * self.scale).to_array().map(|coordinate| coordinate as u64);
         (0..BITS).rev().fold(0, |code, bit| cell.iter().fold(code, |code, c| code << 1 | c >> bit & 1))
     }
 
-    /// One more than the largest number.
+    /// Number of cells, 2³⁰.
     pub const COUNT: u64 = 1 << (3 * BITS);
 }
 
-/// The places of records, in blocks of those that lie together. Found are records by where they are; which records may cover a
-/// point is what [`super::index`] finds.
+/// The positions of records, in blocks of nearby records.
+///
+/// It finds records by position only. [`super::index`] finds the records that may cover a site.
 pub struct Places(Vec<Block>);
 
 struct Block {
     bounds: Bounds,
-    /// By axis; none is near where there is no record.
+    /// Positions by axis. Unused entries are NaN, which is near nothing.
     positions: [[f32; TOGETHER]; 3],
     indices: [u32; TOGETHER],
 }
 
 impl Places {
-    /// Of all of these records.
+    /// The positions of all given records.
     pub fn of(records: &[Planned]) -> Self {
         let cells = Cells::around(records);
         let mut order: Vec<u32> = (0..records.len() as u32).collect();
@@ -65,9 +66,10 @@ impl Places {
         Self(order.chunks(TOGETHER).map(block).collect())
     }
 
-    /// Indices of the records that may be within a distance of a point, each once, in any order: all that are, however one rounds.
+    /// Indices of the records within `distance` of a point, each once, in any order. Rounding may add some,
+    /// but never leaves one out.
     pub fn within(&self, distance: f32, point: Vec3) -> impl Iterator<Item = u32> {
-        /// More than a few roundings.
+        /// Larger than a few rounding errors.
         const WIDER: f32 = 1.0 + 1e-5;
         let farthest = (distance * WIDER).powi(2);
         let is_near = move |block: &&Block| {

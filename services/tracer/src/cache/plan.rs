@@ -1,14 +1,23 @@
-//! Planning: where the records are, and how far each is valid.
+//! Plan: chooses the records' positions and radii.
 //!
-//! Radii are the split sphere's: the harmonic mean distance of what a few rays meet. Radii by the occlusion Hessian
-//! (Schwarzhaupt et al. 2012) need the radiance of a whole gather at every place that is tried, so that the number of records
-//! is known only when they have been paid for. Measured at equal numbers of records (192 × 192, 768 rays a record, RMSE against
-//! the uncached image, split sphere / Hessian): a furnished hall 0.96 / 1.03 %, a kitchen 0.35 / 0.35 %, an empty box 0.69 / 0.48 %.
-//! What the Hessian gains in empty rooms is not worth a plan that costs as much as the render.
+//! A radius is the harmonic mean distance to the hits of a few rays (split-sphere model). Radii from the
+//! occlusion Hessian (Schwarzhaupt et al. 2012) would need the radiance of a complete gather at every
+//! candidate. The number of records would then only be known after paying for them. Measured RMSE against the
+//! uncached image, at equal numbers of records (192 × 192 pixels, 768 rays per record):
+//!
+//! | scene | split sphere | Hessian |
+//! | --- | --- | --- |
+//! | furnished hall | 0.96 % | 1.03 % |
+//! | kitchen | 0.35 % | 0.35 % |
+//! | empty box | 0.69 % | 0.48 % |
+//!
+//! The Hessian's gain in empty rooms does not justify a plan that costs as much as the render.
 
 use super::coverage::Coverage;
 use super::hemisphere::{PLAN_RAYS, RINGS, SECTORS, Strata};
-use super::{Cache, Level, Planned, Site};
+use super::record::Planned;
+use super::site::Keyed;
+use super::{Cache, Level};
 use crate::CacheSettings;
 use crate::bounds::Bounds;
 use crate::cost::{Cost, Counters, Rays, add_rays, clocked};
@@ -21,50 +30,56 @@ use std::ops::RangeInclusive;
 use std::slice::Chunks;
 use std::sync::OnceLock;
 
-/// Pixels, or records of the level before, whose sites are found in one go.
+/// Number of pixels whose sites are found together. For deeper levels, the number of plan rays.
 const CHUNK: usize = 4096;
 
-/// Pixels or places that one thread goes through at a time.
+/// Number of pixels or sites that one thread processes at a time.
 const TOGETHER: usize = 64;
 
-/// Places whose rays are traced at the same time. Those that turn out to be covered by others of their batch were traced in
-/// vain: few, since successive places are far apart.
+/// Number of sites whose rays are traced at the same time. Rays are wasted for sites that turn out to be
+/// covered by others of their batch. These are few, because successive sites are far apart.
 const BATCH: usize = 32;
 
-/// Coarsest spacing at which pixels are visited.
+/// Coarsest spacing of the pixels that are visited.
 const COARSEST: u32 = 32;
 
-/// Pixels from which the bounds of the radii are taken, about.
+/// Approximate number of pixels from which the bounds of the radii are computed.
 const PILOTS: u32 = 1024;
 
-/// Spacing of the densest records, pixels of the planning view.
+/// Spacing of the densest records, in pixels of the planning view.
 const SPACING: f32 = 1.5;
 
-/// Whoever allows a larger error than this has the densest records farther apart, in the same ratio, rather than all others, of which none
-/// serves beyond `COARSEST_SEEN`: where everything is near, few places want most of the records, and an image shows least of them.
-/// (192 × 192, 512 rays a record, what an allowed error of 0.6 took before and takes now, RMSE of the image: a kitchen 4,935 and
-/// 4,613 records, 3.01 and 2.97 %; an empty box 975 and 1,102 records, 3.15 and 2.14 %.)
+/// Above an allowed error of `FINE`, the densest records are spaced farther apart in proportion. Above
+/// `COARSEST_SEEN`, the other records no longer change.
+///
+/// Where all surroundings are near, few places would need most of the records, and they contribute least to
+/// the image. At an allowed error of 0.6 (192 × 192 pixels, 512 rays per record), compared with relaxing all
+/// records:
+///
+/// | scene | records before | after | image RMSE before | after |
+/// | --- | --- | --- | --- | --- |
+/// | kitchen | 4,935 | 4,613 | 3.01 % | 2.97 % |
+/// | empty box | 975 | 1,102 | 3.15 % | 2.14 % |
 const FINE: f32 = 0.3;
 const COARSEST_SEEN: f32 = 0.4;
 
-/// Largest radius: as a multiple of the smallest, and as a share of what the view shows (Radiance's bounds).
+/// Upper bounds of the radii: as a multiple of the smallest radius, and as a fraction of the visible extent
+/// (as in Radiance).
 const LARGEST: f32 = 64.0;
 const LARGEST_OF_VIEW: f32 = 0.2;
 
-/// Deeper levels are seen through the gathers of the first, which average over their errors: they may be that much larger for each
-/// level, up to `COARSE`, and as much farther apart.
+/// Deeper levels are only seen through the gathers of the first level, which average out their errors. Each
+/// level therefore allows this many times the error of the one before, up to `COARSE`, and spaces its records
+/// accordingly.
 const DEEPER: f32 = 2.0;
 const COARSE: f32 = 0.6;
 
-/// For the same reason, each level gathers with so many times fewer rays than the one before. (96 × 96, two bounces, rooms and kitchens: fills
-/// take 20 to 30 % less, errors are 0 to 4 % larger.)
+/// For the same reason, each level gathers with this many times fewer rays than the one before. (96 × 96
+/// pixels, two bounces, rooms and kitchens: filling costs 20 to 30 % less, errors grow by 0 to 4 %.)
 const FEWER: u32 = 4;
 
-/// A place with the key of the random numbers of its gather.
-pub type Keyed = (u64, Site);
-
 impl Cache {
-    /// Plans what a frame's image needs beyond the records that are there, on the current thread pool.
+    /// Plans the additional records that the tracer's image needs, on the current thread pool.
     pub fn plan(&mut self, tracer: &Tracer, settings: &CacheSettings) {
         let image = tracer.fingerprint();
         if self.images.contains(&image) {
@@ -77,7 +92,7 @@ impl Cache {
             self.origin = tracer.origin();
             self.world = world(tracer);
         }
-        // Also where nothing was seen before by which lengths could be chosen.
+        // Also choose bounds again if an earlier view had no diffuse surface to derive them from.
         if self.levels.iter().all(|level| level.planned.is_empty()) {
             self.levels = planning.levels(settings);
         }
@@ -96,7 +111,7 @@ impl Cache {
     }
 }
 
-/// The box around a frame's world.
+/// Bounding box of a frame's vertices.
 pub fn world(tracer: &Tracer) -> Bounds {
     Bounds::of(tracer.frame.geometry.positions.iter().copied())
 }
@@ -124,7 +139,7 @@ impl PlanCost {
     }
 }
 
-/// Places that may need records, in order, and what finding them took.
+/// Sites that may need records, in order, and the cost of finding them.
 #[derive(Default)]
 struct Found {
     places: Vec<Keyed>,
@@ -132,7 +147,7 @@ struct Found {
 }
 
 impl Found {
-    /// Of all parts, each with the CPU time that it took, on the current thread pool.
+    /// Concatenates the results of all parts, on the current thread pool. Each part comes with its CPU time.
     fn of(parts: impl IndexedParallelIterator<Item = ((Vec<Keyed>, Counters), u64)>) -> Self {
         let parts: Vec<_> = parts.collect();
         let mut all = Self::default();
@@ -144,7 +159,7 @@ impl Found {
     }
 }
 
-/// The first diffuse hits of pixels.
+/// The first diffuse hits of some pixels.
 fn sites_of_pixels(tracer: &Tracer, pixels: &[u32]) -> Found {
     let sites_of = |pixels: &[u32]| {
         let (mut sites, mut counters) = (Vec::new(), Counters::default());
@@ -157,7 +172,7 @@ fn sites_of_pixels(tracer: &Tracer, pixels: &[u32]) -> Found {
 }
 
 impl Planning<'_> {
-    /// The levels of a cache, empty.
+    /// Empty levels for a new cache.
     fn levels(&mut self, settings: &CacheSettings) -> Vec<Level> {
         let accuracy = settings.accuracy as f32 * 1e-3;
         let seen = accuracy.min(COARSEST_SEEN);
@@ -176,8 +191,11 @@ impl Planning<'_> {
         (0..self.tracer.settings.ambient_bounces).map(level).collect()
     }
 
-    /// Bounds of the radii, metres: world-space lengths, so that records serve any view. The smallest, of which `accuracy` is used, makes records
-    /// as dense as `spacing` pixels at the median distance of what the view shows; the largest keeps a record from serving half the room.
+    /// Bounds of the radii, in metres. They are world-space lengths, so that the records are valid for any
+    /// view.
+    ///
+    /// With the smallest radius and the allowed error `accuracy`, records are `spacing` pixels apart at the
+    /// median distance of the view. The largest radius keeps a record from covering half the room.
     fn bounds(&mut self, spacing: f32, accuracy: f32) -> RangeInclusive<f32> {
         let camera = &self.tracer.frame.camera;
         let stride = (camera.pixels() as u32 / PILOTS).isqrt().max(1);
@@ -205,7 +223,7 @@ impl Planning<'_> {
         smallest..=largest
     }
 
-    /// Plans what a level lacks.
+    /// Plans the missing records of a level.
     fn cover(&mut self, before: Option<&Level>, depth: u32, level: &mut Level, world: Bounds) {
         let (mut coverage, starting) = clocked(|| Coverage::of(level, world));
         match before {
@@ -217,8 +235,8 @@ impl Planning<'_> {
         self.plan.cost.cpu_nanos += starting + indexing;
     }
 
-    /// The first level: the first diffuse hits of all pixels, coarse to fine, scattered within each stage so that a batch's
-    /// places are far apart.
+    /// Plans the first level, from the first diffuse hits of all pixels, coarse to fine. Within each stage
+    /// the order is scattered, so that the sites of a batch are far apart.
     fn cover_pixels(&mut self, coverage: &mut Coverage) {
         let camera = &self.tracer.frame.camera;
         let mut stride = COARSEST;
@@ -239,7 +257,7 @@ impl Planning<'_> {
         }
     }
 
-    /// A deeper level: the diffuse hits of the plan's rays of those records of the level before that are new.
+    /// Plans a deeper level, from the diffuse hits of the plan rays of the previous level's new records.
     fn cover_gathers(&mut self, before: &Level, depth: u32, coverage: &mut Coverage) {
         let (explored, strata, before) = (before.explored as u32, before.strata, &before.planned);
         let mut order: Vec<u32> = (explored..before.len() as u32).collect();
@@ -252,8 +270,8 @@ impl Planning<'_> {
         });
     }
 
-    /// The insertion rule over what is found from each list, one after the other. The next list's places are found while those of
-    /// one are inserted, much of which one thread does alone.
+    /// Applies the insertion rule to the sites of each list, in sequence. The next list's sites are found at
+    /// the same time, because insertion is mostly single-threaded.
     fn cover_in_turn(
         &mut self,
         coverage: &mut Coverage,
@@ -268,7 +286,7 @@ impl Planning<'_> {
         }
     }
 
-    /// The insertion rule over a list of places, in order.
+    /// Applies the insertion rule to sites, in order.
     fn insert_all(&mut self, coverage: &mut Coverage, places: &[Keyed]) {
         let open_of = |coverage: &Coverage, places: &[Keyed]| -> Vec<Keyed> {
             places.iter().copied().filter(|(_, site)| !coverage.covers(site)).collect()
@@ -307,7 +325,7 @@ impl Planning<'_> {
     }
 }
 
-/// A record as its own rays see it.
+/// Plans a record at a site: traces the plan's rays and computes the radius.
 fn plan_record(tracer: &Tracer, (key, site): Keyed, level: &Level) -> (Planned, Counters) {
     let basis = Basis::new(site.normal);
     let sampler = Sampler::keyed(key);
@@ -319,7 +337,7 @@ fn plan_record(tracer: &Tracer, (key, site): Keyed, level: &Level) -> (Planned, 
     let mut inverse = 0.0f64;
     let mut corral = [f32::INFINITY; SECTORS];
     for (ray, hit) in hits.iter().enumerate().filter_map(|(ray, hit)| Some((ray, hit.as_ref()?))) {
-        // Rays below the surface itself, which a bent shading normal lets happen, say nothing of the surroundings.
+        // A bent shading normal may send rays below the surface. They say nothing about the surroundings.
         if directions[ray].dot(side) > 0.0 {
             inverse += 1.0 / f64::from(hit.t.max(level.smallest * 1e-3));
             if ray / SECTORS == RINGS - 1 {

@@ -1,15 +1,18 @@
-//! Reading: interpolation between the records around a point.
+//! Read: interpolates between the records around a point.
 
-use super::smooth::Value;
+use super::record::Value;
 use super::{Cache, READ_RELAXED, Site};
 use glam::Vec3;
 
 impl Cache {
-    /// Irradiance at a place from the records of a level, and the number of records looked at; `None` if no record covers it.
-    /// Records that are not filled count as black, so that what reading takes is known before.
+    /// Irradiance at a site from the records of a level, in W/m² per channel, and the number of records
+    /// considered.
     ///
-    /// E = Σ wᵢ (Eᵢ + (nᵢ × n)·∇ᵣEᵢ + (p − pᵢ)·∇ₜEᵢ) / Σ wᵢ (Ward and Heckbert 1992), with weights that fall to 0 where a record's
-    /// error reaches what is allowed, so that nothing shows where records begin and end.
+    /// The irradiance is `None` if no record covers the site. Records that are not filled count as black, so
+    /// that the cost of reading can be measured before the fill.
+    ///
+    /// E = Σ wᵢ (Eᵢ + (nᵢ × n)·∇ᵣEᵢ + (p − pᵢ)·∇ₜEᵢ) / Σ wᵢ (Ward and Heckbert 1992). The weights fall to 0
+    /// where a record's error reaches the allowed one, so the interpolation is continuous.
     pub fn read(&self, level: usize, place: &Site) -> (Option<Vec3>, u64) {
         let here = &self.levels[level];
         let allowed = here.accuracy * READ_RELAXED;
@@ -29,7 +32,7 @@ impl Cache {
             }
             let difference = place.position - planned.site.position;
             let turn = planned.site.normal.cross(place.normal);
-            // Where the irradiance itself changes fast, a record counts for less from farther off.
+            // Where the irradiance changes quickly, distant records get lower weights.
             let trusted = error + difference.length() * (1.0 / record.trusted - 1.0 / planned.radius);
             let weight = (1.0 - error / allowed) * (1.0 - trusted / allowed).max(1e-3);
             sum += weight * record.at(difference, turn);

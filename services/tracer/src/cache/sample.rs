@@ -1,25 +1,13 @@
-//! Sampling: a few records are gathered, to learn what a record takes.
+//! Gathers a few records to measure the cost of one.
 
 use super::index::direction_of;
 use super::places::{Cells, Places};
-use super::{Cache, Level, Planned};
+use super::record::{Planned, RecordCost};
+use super::{Cache, Level};
 use crate::cost::Cost;
 use crate::random::hash;
 use crate::tracer::Tracer;
 use rayon::prelude::*;
-
-/// What gathering one record takes, and smoothing it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct RecordCost {
-    /// Its level, from 0.
-    pub level: u32,
-    /// Its place in the level. Those that were taken over from another frame come first.
-    pub index: usize,
-    /// Work and time.
-    pub cost: Cost,
-    /// Rays by category.
-    pub rays: [u32; 7],
-}
 
 impl Cache {
     /// See [`Tracer::sample_records`].
@@ -49,10 +37,12 @@ impl Cache {
 }
 
 impl Level {
-    /// `each` records (all of them, if there are no more), each with the same chance. Neighbours that face the same way cost alike, so
-    /// every so many-th record is picked along a curve through space, one for each direction that a surface can face (systematic
-    /// sampling: Cochran, *Sampling Techniques*, 3rd edition 1977, chapter 8); `start`, in units of 2⁻⁶⁴ of the step, says with
-    /// which to begin.
+    /// Chooses `each` records, or all if there are fewer. Every record has the same probability.
+    ///
+    /// Neighbours that face the same way have similar costs. So records are ordered along a space-filling
+    /// curve, separately for each axis direction, and every n-th is taken (systematic sampling: Cochran,
+    /// *Sampling Techniques*, 3rd edition 1977, chapter 8). `start` is the offset of the first, in units of
+    /// 2⁻⁶⁴ of a step.
     fn spread(&self, each: usize, start: u64) -> Vec<usize> {
         let count = self.planned.len();
         let picks = each.min(count);
@@ -61,14 +51,15 @@ impl Level {
         order.sort_by_cached_key(|&index| curve(&self.planned[index], &cells));
         let place = |pick: usize| {
             let at = (pick as u128) << 64 | u128::from(start);
-            // Below the count, since `at` is below picks · 2⁶⁴.
+            // Below `count`, because `at` is below picks · 2⁶⁴.
             ((at * count as u128 / picks as u128) >> 64) as usize
         };
         (0..picks).map(|pick| order[place(pick)]).collect()
     }
 }
 
-/// Place of a record along the curve: the axis that its normal is nearest to, then the Morton order of its position.
+/// Position of a record along the curve: the axis direction of its normal, then the Morton order of its
+/// position.
 fn curve(planned: &Planned, cells: &Cells) -> u64 {
     direction_of(planned.site.normal) as u64 * Cells::COUNT + cells.number(planned.site.position)
 }
@@ -92,7 +83,7 @@ mod tests {
     fn every_record_has_the_same_chance_and_none_is_picked_twice() {
         let level = level(101);
         let mut times = vec![0; 101];
-        // Starts in steps so small that each of them moves the picks by a part of a record.
+        // The starts are so close that each moves the picks by a fraction of a record.
         for start in 0..1010u64 {
             let mut picks = level.spread(10, start * (u64::MAX / 1010));
             assert_eq!(picks.len(), 10);

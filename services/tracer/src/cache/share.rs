@@ -1,8 +1,13 @@
-//! Records of one frame that hold in another.
+//! Reuse of records between frames.
 //!
-//! A record stays true as long as the light that it gathered does. Its 48 planned rays are taken as witnesses: it is dropped if
-//! one of them meets something that moved, passes where something has moved to, or meets a point from which a light
-//! is seen past something that moved. If lights or materials themselves change, every record is dropped.
+//! A record stays valid as long as the light that it gathered is the same. Its 48 plan rays are checked for
+//! this. The record is dropped in these cases:
+//!
+//! - A ray hits something that moved.
+//! - A ray passes through a place that something moved to.
+//! - A ray hits a point from which a light is seen past something that moved.
+//!
+//! If lights or materials themselves change, all records are dropped.
 
 use super::places::Places;
 use super::plan::world;
@@ -13,17 +18,23 @@ use crate::random::Sampler;
 use crate::tracer::Tracer;
 use glam::Vec3;
 
-/// What became of a cache's records on the way to another frame, by level.
+/// Number of a cache's records that were kept and dropped for another frame, by level.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Shared {
-    /// Records that hold in the other frame.
+    /// Records that are valid in the other frame.
     pub kept: Vec<u64>,
-    /// Records that do not.
+    /// Records that are not.
     pub dropped: Vec<u64>,
 }
 
 impl Cache {
-    /// The records of this cache, planned (and perhaps filled) for `from`, that hold in the frame of `to`.
+    /// Returns `true` if the records are valid in the tracer's frame: same geometry, same light, same light
+    /// settings.
+    pub fn suits(&self, tracer: &Tracer) -> bool {
+        self.fingerprint == tracer.cache_fingerprint()
+    }
+
+    /// The records of this cache that are valid in the frame of `to`. The cache must be planned for `from`.
     pub fn carried(&self, from: &Tracer, to: &Tracer) -> (Self, Shared) {
         let counts = |levels: &[Level]| levels.iter().map(|level| level.planned.len() as u64).collect();
         if self.suits(to) {
@@ -39,7 +50,7 @@ impl Cache {
             ..Self::default()
         };
         if let Some(change) = Change::between(from, to) {
-            // The deepest level first: a record that reads one that was dropped cannot stay.
+            // Start with the deepest level: a record that reads a dropped one must be dropped too.
             let mut deeper: Option<(&Level, Vec<bool>)> = None;
             for level in self.levels.iter().rev() {
                 let strata = &level.strata;
@@ -63,12 +74,13 @@ impl Cache {
 }
 
 impl Level {
-    /// Whether a place may be read from a record that was not kept.
+    /// Returns `true` if a point may read a record that was dropped.
     fn near_dropped(&self, place: Vec3, kept: &[bool]) -> bool {
         self.index.at(place).any(|index| !kept[index as usize])
     }
 
-    /// The level with some of its records. What they say is known, unless one that is not kept had a part in it.
+    /// The level with some of its records. A record's smoothed value is kept if all records that contributed
+    /// to it are kept.
     fn only(&self, kept: &[bool], world: Bounds) -> Self {
         let mut level = Self {
             strata: self.strata,
@@ -92,7 +104,7 @@ impl Level {
     }
 }
 
-/// A planned ray.
+/// A plan ray.
 struct Witness {
     origin: Vec3,
     direction: Vec3,
@@ -117,21 +129,21 @@ fn witnesses<'a>(
     })
 }
 
-/// What is different in another frame.
+/// What differs in another frame.
 struct Change {
-    /// By object.
+    /// For each object, whether it moved.
     moved: Vec<bool>,
-    /// Where moved objects were and are.
+    /// Bounding boxes of the moved objects, before and after.
     places: Vec<Bounds>,
-    /// Where light comes from.
+    /// Bounding boxes of the lights.
     lights: Vec<Bounds>,
     suns: Vec<Vec3>,
-    /// Whether light comes from all around.
+    /// Whether the environment emits.
     sky: bool,
 }
 
 impl Change {
-    /// `None` if nothing of the light can be said to be the same.
+    /// `None` if no light can be shown to be the same.
     fn between(from: &Tracer, to: &Tracer) -> Option<Self> {
         let (old, new) = (&from.frame.geometry, &to.frame.geometry);
         let same_light = from.frame.points == to.frame.points
@@ -191,7 +203,7 @@ impl Change {
     fn touches(&self, strata: &super::Strata, planned: &Planned, from: &Tracer) -> bool {
         let geometry = &from.frame.geometry;
         let here = planned.site.position;
-        // On or at something that moved.
+        // The record is on or near something that moved.
         self.places.iter().any(|place| place.contains(here))
             || witnesses(strata, planned, from).any(|witness| {
                 witness.triangle.is_some_and(|triangle| self.moved[geometry.object(triangle) as usize])
@@ -203,10 +215,10 @@ impl Change {
             })
     }
 
-    /// Whether something that moved may stand between a point and a light.
+    /// Returns `true` if something that moved may be between a point and a light.
     fn shadows(&self, point: Vec3) -> bool {
         self.places.iter().any(|place| {
-            // Around everything that moved, the sky is seen otherwise.
+            // Near everything that moved, another part of the sky is visible.
             let by_sky = self.sky && place.grown_by(place.half()).contains(point);
             by_sky
                 || self.suns.iter().any(|&sun| place.meets(point, sun, f32::INFINITY))

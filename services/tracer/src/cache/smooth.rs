@@ -1,91 +1,45 @@
-//! Smoothing: records that agree, averaged.
+//! Smoothing: averages records that agree.
 //!
-//! A record's gather is a sample of a few hundred rays, and what it lacks in rays shows as a fleck as large as the record. Its
-//! neighbours have gathered the same light by other rays, and their gradients say what it is here. So every record that is
-//! filled takes the weighted mean of what it and its neighbours say of its place, within a wider circle than records are read
-//! in: the flecks of several gathers for the price of one, paid once a record instead of at every sample that reads. A neighbour
-//! that differs by more than both their noises explain has gathered other light, and counts for less.
+//! A gather has only a few hundred rays, and its noise shows as a blotch as large as the record. Neighbours
+//! have gathered the same light with other rays, and their gradients predict its value here. So every filled
+//! record is replaced by a weighted mean of the predictions of its neighbours and itself. The neighbourhood
+//! is larger than the one for reading.
+//!
+//! This gives each record the noise of several gathers at the price of one. It is paid once per record, not
+//! by every sample that reads. A neighbour that differs by more than the noise explains has gathered
+//! different light, and gets a lower weight.
 
 use super::places::Places;
-use super::{Cache, Level, Record};
+use super::record::{Record, Smoothed, Value};
+use super::{Cache, Level};
 use crate::cost::clocked;
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Neighbours count as far as their error is below this multiple of the accuracy, seen from either side.
+/// Neighbours contribute if their error, in both directions, is below this multiple of the accuracy.
 const WIDER: f32 = 6.0;
 
-/// How fast a neighbour's weight falls with what it differs by beyond the noise. The weight of least error would be
-/// 1 / (1 + b²/σ²), for a bias b of the neighbour and a variance σ² of either; a single difference d says that b² = d² − 2σ²,
-/// but so vaguely that it is believed by a part only. Between a quarter and 1 the image's error hardly changes.
+/// How quickly a neighbour's weight falls with a difference beyond the noise.
+///
+/// The weight with the least error would be 1 / (1 + b²/σ²), for a bias b of the neighbour and a variance σ²
+/// of each record. A single difference d only gives the rough estimate b² = d² − 2σ², so it is taken into
+/// account in part. The image's error hardly changes between 0.25 and 1.
 const DISAGREEMENT: f32 = 0.25;
 
-/// What a record says to those that read it.
-#[derive(Debug, Clone, Copy)]
-pub struct Value {
-    pub irradiance: Vec3,
-    /// See [`Record::rotation`].
-    pub rotation: [Vec3; 3],
-    /// See [`Record::translation`].
-    pub translation: [Vec3; 3],
-    /// See [`Record::trusted`].
-    pub trusted: f32,
-    /// See [`Record::noise`].
-    pub noise: f32,
-    /// Whether it is not to be used.
-    pub rejected: bool,
-}
-
-/// The values of a level.
-#[derive(Debug, Clone, Default)]
-pub struct Smoothed {
-    pub values: Vec<Value>,
-    /// The time that averaging them took; the work of it is in the records' own.
-    pub cpu_nanos: u64,
-    /// Whether all records were filled.
-    pub whole: bool,
-}
-
-impl Value {
-    /// What was gathered, as it is.
-    pub fn of(record: &Record) -> Self {
-        let Record { irradiance, rotation, translation, trusted, noise, rejected, .. } = *record;
-        Self { irradiance, rotation, translation, trusted, noise, rejected }
-    }
-
-    /// Whether every number of light is finite.
-    pub fn is_finite(&self) -> bool {
-        let mut gradients = self.rotation.iter().chain(&self.translation);
-        self.irradiance.is_finite() && gradients.all(|gradient| gradient.is_finite())
-    }
-
-    /// Irradiance somewhere else, by the gradients: the place lies off by `difference`, metres, and its normal is turned by
-    /// `turn` = nᵢ × n. A record's own gradients may change its irradiance at most to this share of it, and to this multiple.
-    pub fn at(&self, difference: Vec3, turn: Vec3) -> Vec3 {
-        const LEAST: f32 = 0.05;
-        const MOST: f32 = 3.0;
-        let change = Vec3::from(
-            [0, 1, 2]
-                .map(|channel| turn.dot(self.rotation[channel]) + difference.dot(self.translation[channel])),
-        );
-        (self.irradiance + change).clamp(self.irradiance * LEAST, self.irradiance * MOST)
-    }
-}
-
 impl Cache {
-    /// Smooths a level, if all its records are filled, on the current thread pool.
+    /// Smooths a level on the current thread pool, if all its records are filled.
     pub(super) fn smooth(&self, level: usize) {
         if self.is_full(level) {
             self.smooth_filled(level);
         }
     }
 
-    /// Smooths every level all of whose records are filled, on the current thread pool: after parts were merged.
+    /// Smooths every full level on the current thread pool. Call it after merging parts.
     pub fn smooth_full(&self) {
         (0..self.levels.len()).for_each(|level| self.smooth(level));
     }
 
-    /// Smooths the records of a level that are filled; the others are not to be read from then on.
+    /// Smooths the filled records of a level. The others must not be read afterwards.
     pub(super) fn smooth_filled(&self, level: usize) {
         let Some(level) = self.levels.get(level) else { return };
         level.smoothed.get_or_init(|| {
@@ -104,7 +58,7 @@ impl Cache {
 }
 
 impl Level {
-    /// What every record is known to say, one entry for each that is planned: nothing of those that were not smoothed.
+    /// The known smoothed value of each planned record. `None` for records that were not smoothed.
     pub(super) fn known_values(&self) -> Vec<Option<Value>> {
         let count = self.planned.len();
         let known = match self.smoothed.get().filter(|smoothed| smoothed.whole) {
@@ -114,23 +68,24 @@ impl Level {
         known.into_iter().chain(std::iter::repeat(None)).take(count).collect()
     }
 
-    /// What a record gathered; nothing if it is not filled.
+    /// The gathered value of a record. `None` if it is not filled.
     fn gathered(&self, index: usize) -> Option<Value> {
         self.records[index].get().map(Value::of)
     }
 
-    /// CPU time of smoothing a record, nanoseconds, whether or not those around it are filled: they are taken for as many that
-    /// say what it says.
+    /// CPU time of smoothing a record, nanoseconds. It does not matter whether the neighbours are filled:
+    /// each counts as if it had the record's own value.
     pub(super) fn smoothing_nanos(&self, index: usize, record: &Record, places: &Places) -> u64 {
         let value = Value::of(record);
         let (averaged, nanos) = clocked(|| self.averaged(index, places, |_| Some(value)));
-        // It must not be left out for nobody looking at it.
+        // Keep the compiler from removing the computation.
         std::hint::black_box(averaged);
         nanos
     }
 
-    /// The records that may count when a record is smoothed, itself among them, and how large the larger error is of using one at the
-    /// other's place; in any order.
+    /// The records that may contribute when a record is smoothed, including itself, in any order.
+    ///
+    /// Each comes with the larger of two errors: of using it here, and of using this record there.
     pub(super) fn neighbours(&self, index: usize, places: &Places) -> impl Iterator<Item = (u32, f32)> {
         let here = &self.planned[index];
         let allowed = self.accuracy * WIDER;
@@ -141,7 +96,7 @@ impl Level {
         })
     }
 
-    /// What a record and its neighbours say of its place, each having gathered what `gathered` says.
+    /// The weighted mean of a record and its neighbours. `gathered` returns the gathered value of a record.
     fn averaged(&self, index: usize, places: &Places, gathered: impl Fn(usize) -> Option<Value>) -> Value {
         let here = &self.planned[index];
         let Some(own) = gathered(index).filter(|own| !own.rejected) else {
@@ -149,7 +104,7 @@ impl Level {
         };
         let position = here.site.position;
         let mut neighbours: Vec<(u32, f32)> = self.neighbours(index, places).collect();
-        // A sum has one order only.
+        // Sort the neighbours, because the order affects the sum's bits.
         neighbours.sort_unstable_by_key(|(neighbour, _)| *neighbour);
         let (mut sum, mut weights) = (NOTHING, 0.0f32);
         for (neighbour, error) in neighbours {
@@ -167,7 +122,7 @@ impl Level {
             }
             weights += weight;
         }
-        // Its own weight is 1, so the sum is above 0.
+        // The record's own weight is 1, so the sum of the weights is positive.
         let mean = |vector: Vec3| vector / weights;
         Value {
             irradiance: mean(sum.irradiance),
@@ -177,9 +132,11 @@ impl Level {
         }
     }
 
-    /// How much one record counts at another's place: 1 at the place itself, falling to nothing where either says that the other
-    /// is too far off. The one with the smaller radius knows best how fast the light changes between them.
-    /// `distance` is in units of the smaller radius within which gradients are trusted.
+    /// Distance weight of one record at another's site: 1 at the site itself, falling to 0 where the record
+    /// is too far away.
+    ///
+    /// `distance` is in units of the smaller of the two trusted radii. That record knows best how quickly the
+    /// light changes between them.
     fn nearness(&self, error: f32, distance: f32) -> f32 {
         let allowed = self.accuracy * WIDER;
         let near = 1.0 - error / allowed;
@@ -187,7 +144,8 @@ impl Level {
     }
 }
 
-/// How far what a neighbour says of a record's place can be explained by their noise: 1 if it can, falling to nothing.
+/// How far noise explains the difference between a neighbour's prediction and the record's own value: 1 if it
+/// explains it fully, falling to 0.
 fn agreement(own: &Value, neighbour: &Value, said: Vec3) -> f32 {
     let difference = (said - own.irradiance).element_sum() / 3.0;
     let variance = own.noise * own.noise + neighbour.noise * neighbour.noise;

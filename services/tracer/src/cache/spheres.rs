@@ -1,51 +1,51 @@
-//! Spheres that are looked at together.
+//! Linked lists of spheres, tested eight at a time.
 
 use glam::{Vec3, Vec4};
 
-/// A sphere, metres.
+/// A sphere. Lengths are in metres.
 #[derive(Debug, Clone, Copy)]
 pub struct Sphere {
-    /// What it is entered under.
+    /// The index that a query returns.
     pub index: u32,
     pub center: Vec3,
     pub radius: f32,
-    /// The sets that it belongs to, a bit each.
+    /// The sets that it belongs to, as bits.
     pub sets: u8,
 }
 
-/// How many sets there are.
+/// Number of sets.
 pub const SETS: usize = 6;
 
-/// Any number of lists of spheres.
+/// Storage for any number of lists of spheres.
 #[derive(Debug, Default, Clone)]
 pub struct Lists(Vec<Block>);
 
-/// One of them: its first and its last block.
+/// A list: its first and last block.
 #[derive(Debug, Clone, Copy)]
 pub struct List(u32, u32);
 
-/// Spheres of a list, in the order in which they were entered. Of most of those that are looked at it is found out here that they are
-/// too far off, of several at once.
+/// Up to eight spheres of a list, in insertion order. Queries test several spheres at once, because most of
+/// them are too far away.
 #[derive(Debug, Clone, Copy)]
 pub struct Block {
-    /// By axis, and in fours.
+    /// Centres by axis, in groups of four.
     centers: [[Vec4; 2]; 3],
-    /// No number where there is no sphere.
+    /// Radii. NaN marks an unused entry.
     radii: [Vec4; 2],
     indices: [u32; TOGETHER],
-    /// The spheres of each set, a bit each.
+    /// The spheres of each set, as bits.
     sets: [u8; SETS],
     len: u8,
-    /// The block after it in its list.
+    /// The next block of the list.
     next: u32,
 }
 
 const TOGETHER: usize = 8;
 
-/// Instead of a block.
+/// Marks the end of a list.
 const NONE: u32 = u32::MAX;
 
-/// By more than a few roundings.
+/// Larger than a few rounding errors.
 pub const WIDER: f32 = 1.0 + 1e-5;
 
 impl List {
@@ -93,22 +93,23 @@ impl Block {
         self.len += 1;
     }
 
-    /// How many spheres it has of a set.
+    /// Number of spheres in a set.
     pub fn count(&self, set: usize) -> u64 {
         u64::from(self.sets[set].count_ones())
     }
 
-    /// Indices of those of a set that may contain a point; the others do not, however one rounds.
+    /// Indices of the spheres of a set that may contain a point. Rounding may add some, but never leaves one
+    /// out.
     pub fn holding(&self, set: usize, point: Vec3) -> impl Iterator<Item = u32> {
         self.indices_of(u32::from(self.sets[set]) & self.near(point, 0.0))
     }
 
-    /// Indices of those that may touch another sphere; the others do not, however one rounds.
+    /// Indices of the spheres that may touch another sphere. Rounding may add some, but never leaves one out.
     pub fn touching(&self, center: Vec3, radius: f32) -> impl Iterator<Item = u32> {
         self.indices_of(self.near(center, radius))
     }
 
-    /// Those that may touch another sphere, a bit each.
+    /// The spheres that may touch another sphere, as bits.
     fn near(&self, center: Vec3, radius: f32) -> u32 {
         let four = |four: usize| {
             let [x, y, z] = [0, 1, 2].map(|axis| self.centers[axis][four] - center[axis]);

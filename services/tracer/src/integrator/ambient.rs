@@ -1,20 +1,23 @@
-//! The `ambient` integrator: distribution ray tracing after Whitted, Cook and Ward.
+//! The `ambient` integrator: distribution ray tracing (Whitted 1980, Cook et al. 1984, Ward et al. 1988).
 //!
-//! Caustics (light that gets from a lamp to a diffuse surface by way of a mirror, glass or a narrow glossy lobe) are left out,
-//! as Radiance leaves them out: a gathered hemisphere finds them by rare, very bright rays, and nothing but noise is gained.
+//! At every diffuse or glossy surface, lights are sampled directly (next-event estimation): all of them, or
+//! some if there are many. Rays follow mirrors, glass and glossy lobes. The first `ambient_bounces` diffuse
+//! hits gather their hemisphere.
 //!
-//! At every diffuse or glossy surface all lights, or some of many, are sampled (next-event estimation); mirrors, glass and glossy lobes are
-//! followed; the first `ambient_bounces` diffuse hits gather their hemisphere. Light is counted once: rays gathered by a
-//! diffuse surface do not see the lights that it sampled; glossy lobes share the lights with light sampling by multiple
-//! importance sampling (Veach 1997, balance heuristic), and so do diffuse surfaces the lights that are near.
+//! Light is counted once. Rays gathered by a diffuse surface do not see the lights that it sampled. Glossy
+//! lobes share the lights with light sampling by multiple importance sampling (Veach 1997, balance
+//! heuristic). So do diffuse surfaces, for lights that are near.
+//!
+//! Caustics are left out, as in Radiance. They are light that reaches a diffuse surface via a mirror, glass
+//! or a narrow glossy lobe. A gathered hemisphere would find them by rare, very bright rays, which add mostly
+//! noise.
 
-use super::{Interface, Passed, Pixels, Point, cap_height, fluence, leaving};
+use super::segment::{Arrival, Segment};
+use super::{Interface, Passed, Pixels, Point, cap_height, fluence, has, leaving};
 use crate::cost::Category;
 use crate::environment::Sky;
 use crate::fresnel;
 use crate::geometry;
-use crate::kernel::has;
-use crate::lights::Receiver;
 use crate::microfacet as ggx;
 use crate::random::Purpose;
 use crate::response::{Coat, Glossy, Response, Tint};
@@ -23,54 +26,13 @@ use forelight_bvh::{Hit, Ray};
 use forelight_scene::{Color, Surface};
 use glam::Vec3;
 
-/// On the camera's own tree, a branch that adds less than this share of the pixel survives only by roulette.
+/// Before the first diffuse bounce, a branch that adds less than this fraction of the pixel is subject to
+/// Russian roulette.
 const FAINT: f32 = 0.02;
 
-/// After a diffuse bounce, glossy lobes narrower than this alpha do not see the lights: their highlights are caustics.
+/// After a diffuse bounce, glossy lobes with a smaller alpha do not see the lights: their highlights are
+/// caustics.
 const CAUSTIC_ALPHA: f32 = 0.2;
-
-/// Which lights a ray may see when it meets them.
-#[derive(Debug, Clone, Copy)]
-pub enum Arrival {
-    /// All: the ray comes from the camera or from a mirror that the camera sees. After a diffuse bounce: the environment alone.
-    Everything,
-    /// None: the diffuse surface that it left has sampled them.
-    Nothing,
-    /// The environment alone: the surface that it left has sampled the others, or leaves them out.
-    Sky,
-    /// Area lights with the weight that light sampling leaves; `density` per steradian at the glossy surface, `receiver`.
-    Shared { receiver: Receiver, density: f32 },
-}
-
-/// A ray with what its origin knows.
-#[derive(Debug, Clone, Copy)]
-pub struct Segment {
-    pub(super) ray: Ray,
-    /// What of it was passed straight.
-    pub(super) passed: Option<Passed>,
-    pub(super) arrival: Arrival,
-    /// Diffuse bounces so far.
-    pub(super) level: u32,
-    /// Mirror, glass and glossy hits since the last of them.
-    pub(super) depth: u32,
-    /// Hits so far: the random numbers' dimension.
-    pub(super) vertex: u32,
-    /// Largest channel of what this ray adds to the pixel.
-    pub(super) weight: f32,
-}
-
-impl Segment {
-    /// The same ray beyond what it has passed straight.
-    fn beyond(&self, passed: Passed) -> Self {
-        Self { passed: Some(passed), vertex: self.vertex + 1, ..*self }
-    }
-
-    /// What goes on from a point in another direction.
-    fn turned(&self, p: &Point, direction: Vec3, arrival: Arrival) -> Self {
-        let (depth, vertex) = (self.depth + 1, self.vertex + 1);
-        Self { ray: leaving(p, direction), passed: None, arrival, depth, vertex, ..*self }
-    }
-}
 
 impl<const K: u32> Pixels<'_, K> {
     /// Radiance along a camera ray.
@@ -85,7 +47,7 @@ impl<const K: u32> Pixels<'_, K> {
         self.arriving(s, hit)
     }
 
-    /// The same, of a segment that ends at `hit`.
+    /// Radiance that arrives along a segment that ends at `hit`.
     pub(super) fn arriving(&mut self, s: Segment, hit: Option<Hit>) -> Vec3 {
         let Some(hit) = hit else {
             return self.leave(&s);
@@ -106,7 +68,8 @@ impl<const K: u32> Pixels<'_, K> {
         emitted + self.scattered(&s, &p, &hit)
     }
 
-    /// Light that the surface scatters towards the viewer. A kernel has no arm for materials that its frame does not have.
+    /// Radiance that the surface scatters towards the viewer. Each kernel contains code only for the
+    /// materials of its frame.
     fn scattered(&mut self, s: &Segment, p: &Point, hit: &Hit) -> Vec3 {
         match self.tracer.materials[p.material].surface {
             Surface::Lambert { albedo } => {
@@ -140,7 +103,7 @@ impl<const K: u32> Pixels<'_, K> {
         }
     }
 
-    /// What a ray sees that leaves the scene.
+    /// Radiance seen by a ray that leaves the scene.
     fn leave(&mut self, s: &Segment) -> Vec3 {
         let tracer = self.tracer;
         match s.arrival {
@@ -161,7 +124,7 @@ impl<const K: u32> Pixels<'_, K> {
         }
     }
 
-    /// Light that the surface sends towards the viewer by itself.
+    /// Radiance that the surface emits towards the viewer.
     fn emission(&mut self, s: &Segment, p: &Point) -> Vec3 {
         let material = &self.tracer.materials[p.material];
         let cos = p.geometric.dot(p.viewer);
@@ -183,7 +146,7 @@ impl<const K: u32> Pixels<'_, K> {
         weight * self.color(&emission, p.uv)
     }
 
-    /// Diffuse and glossy surfaces: lights sampled, hemisphere gathered, lobe followed.
+    /// Radiance from a diffuse or glossy surface: samples lights, gathers the hemisphere, follows the lobe.
     fn reflecting(&mut self, s: &Segment, p: &Point, mut response: Response) -> Vec3 {
         let mut total = Vec3::ZERO;
         let lobe = response.glossy;
@@ -265,7 +228,8 @@ impl<const K: u32> Pixels<'_, K> {
         };
         let cos_i = p.viewer.dot(normal);
         let interface = fresnel::dielectric(cos_i, eta);
-        // Radiance is compressed into the smaller cone of the denser medium: 1/η² on the way in, η² on the way out.
+        // Refraction changes the solid angle: radiance is multiplied by 1/η² on the way in, and by η² on the
+        // way out.
         let through = (1.0 - interface.reflectance) * transmittance / (eta * eta);
         if alpha < ggx::SMOOTH {
             let direction = ggx::refract(p.viewer, normal, eta, interface.cos_t);
@@ -278,7 +242,8 @@ impl<const K: u32> Pixels<'_, K> {
             };
             return self.split(s, p, interface.reflectance, through, forward);
         }
-        // Rough glass: one of the two directions about the microfacet, weighted by the masking on the other side.
+        // Rough glass: choose one of the two directions about the microfacet. The weight is the masking on
+        // the other side.
         let reflects = self.sampler.next(Purpose::Lobe, s.vertex).x < interface.reflectance;
         let direction = if reflects {
             ggx::reflect(p.viewer, normal)
@@ -300,7 +265,8 @@ impl<const K: u32> Pixels<'_, K> {
         self.follow(s.turned(p, direction, Arrival::Everything), share, category)
     }
 
-    /// Reflection and transmission of a smooth interface: both on the camera's first hit, else one of them by chance.
+    /// Reflection and transmission of a smooth interface: both at the camera's first hit, otherwise one
+    /// chosen at random.
     fn split(
         &mut self,
         s: &Segment,
@@ -320,7 +286,8 @@ impl<const K: u32> Pixels<'_, K> {
         }
     }
 
-    /// `share` × the radiance of the segment that goes on, with roulette for branches that hardly matter.
+    /// `share` × the radiance of the next segment. Branches with little weight are subject to Russian
+    /// roulette.
     fn follow(&mut self, next: Segment, share: Vec3, category: Category) -> Vec3 {
         let largest = share.max_element();
         if largest <= 0.0 || next.depth > self.tracer.settings.max_depth {
@@ -336,12 +303,12 @@ impl<const K: u32> Pixels<'_, K> {
         share * self.sent(category, next)
     }
 
-    /// Radiance of a segment beyond something that it passes straight.
+    /// Radiance of a segment behind a surface that it passes straight.
     fn going_straight(&mut self, s: &Segment, passed: Passed) -> Vec3 {
         self.sent(Category::Transparent, s.beyond(passed))
     }
 
-    /// Radiance that arrives along a ray that is sent out for itself.
+    /// Radiance along a ray that is counted as one of `category`.
     fn sent(&mut self, category: Category, s: Segment) -> Vec3 {
         self.caused_by(category, |this| {
             this.counters.ray(category);
@@ -349,12 +316,13 @@ impl<const K: u32> Pixels<'_, K> {
         })
     }
 
-    /// Whether gathered rays bring the sky's light: a sky without features is found by them as well as by rays of its own.
+    /// Returns `true` if gathered rays bring the environment's light. They sample a constant environment as
+    /// well as rays of its own would.
     fn gathers_sky(&self) -> bool {
         matches!(self.tracer.sky, Sky::Constant(_))
     }
 
-    /// What gathered rays see of the lights.
+    /// The lights that gathered rays see.
     pub(super) fn gathered(&self) -> Arrival {
         if self.gathers_sky() { Arrival::Sky } else { Arrival::Nothing }
     }
@@ -370,13 +338,14 @@ impl<const K: u32> Pixels<'_, K> {
         self.gather_rays(count, s, p, response)
     }
 
-    /// Indirect diffuse light of a point that no record of the cache covers: by few rays, and one ray of a record's gather.
+    /// Indirect diffuse light at a point that no cache record covers. It uses a few rays for a sample, and
+    /// one ray within a record's gather.
     pub(super) fn gather_uncovered(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
         if s.level > 0 {
             return self.gather_rays(1, s, p, response);
         }
         let rule = self.tracer.settings.cache.unwrap_or_default().uncovered();
-        // What adds little to its pixel has fewer in proportion.
+        // Samples that contribute little to their pixel get proportionally fewer rays.
         let rule = UncoveredGathers { first: (rule.first as f32 * s.weight.min(1.0)) as u32, ..rule };
         let (count, before) = (rule.of_sample(self.sampler.samples()), self.counters.work());
         let radiance = self.gather_rays(count, s, p, response);

@@ -1,7 +1,6 @@
-//! Indirect light from the irradiance cache, and the rays by which it is planned and filled.
+//! Indirect light from the irradiance cache, and the rays that plan and fill it.
 
-use super::ambient::Segment;
-use super::{Pixels, Point, off_surface};
+use super::{Pixels, Point, Segment, off_surface};
 use crate::cache::{Irradiance, Planned, Sample, Site, Strata};
 use crate::cost::Category;
 use crate::geometry::Basis;
@@ -11,7 +10,7 @@ use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
 impl<const K: u32> Pixels<'_, K> {
-    /// Indirect diffuse light, interpolated; gathered where no record covers the point.
+    /// Indirect diffuse light: interpolated, or gathered where no record covers the point.
     pub fn interpolate(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
         if self.tracer.planned().is_followed(s.level as usize) {
             return self.gather_uncovered(s, p, response);
@@ -29,19 +28,20 @@ impl<const K: u32> Pixels<'_, K> {
         }
     }
 
-    /// Notes that the cache would be read here.
+    /// Notes that the cache would be read at this point.
     pub fn note(&mut self, p: &Point, response: &Response) -> Vec3 {
         self.sites.push(site(p, response));
         Vec3::ZERO
     }
 
-    /// What a ray from a site meets.
+    /// The hit of a ray from a site.
     pub fn plan_ray(&mut self, site: &Site, direction: Vec3) -> Option<Hit> {
         self.counters.ray(Category::Ambient);
         self.closest(&ray_from(site, direction), None)
     }
 
-    /// Follows the plan's rays of a record to where they read `level` of the cache, the one after its own.
+    /// Follows a record's plan rays to the points where they read `level` of the cache, the level after the
+    /// record's own.
     pub fn walk_gather(&mut self, strata: &Strata, level: u32, planned: &Planned) {
         let basis = Basis::new(planned.site.normal);
         for (ray, hit) in planned.hits.iter().enumerate() {
@@ -55,9 +55,9 @@ impl<const K: u32> Pixels<'_, K> {
         Segment { ray, passed: None, arrival: self.gathered(), level, depth: 0, vertex: 1, weight: 1.0 }
     }
 
-    /// What the hemisphere above a record of `level` sends. The plan's rays are not traced again.
+    /// Gathers the hemisphere above a record of `level`. The plan's rays are not traced again.
     pub fn gather_record(&mut self, strata: &Strata, level: u32, planned: &Planned) -> Irradiance {
-        // All of it.
+        // All work of a gather is ambient.
         self.counters.caused_by(Category::Ambient);
         let basis = Basis::new(planned.site.normal);
         let samples: Vec<Sample> = (0..strata.len())

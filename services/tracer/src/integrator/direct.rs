@@ -1,10 +1,12 @@
-//! Direct light: every light sampled from a surface, and what lies between.
+//! Direct light: samples lights from a surface point.
+//!
+//! Lights near a diffuse surface are sampled in two ways, combined by multiple importance sampling: by a
+//! point on the light, and by a cosine-weighted direction from the surface.
 
-use super::{Passed, Pixels, Point, cap_height, fluence, leaving};
+use super::{Passed, Pixels, Point, cap_height, fluence, has, leaving};
 use crate::cost::Category;
 use crate::environment::Sky;
 use crate::geometry::{self, Basis};
-use crate::kernel::has;
 use crate::lights::{Choice, Emitter, LightPoint, MOST_LOOKS, Receiver};
 use crate::random::Purpose;
 use crate::response::Response;
@@ -14,14 +16,14 @@ use glam::{Vec2, Vec3};
 use std::cell::Cell;
 
 impl<const K: u32> Pixels<'_, K> {
-    /// Light straight from the lights, the environment apart, on a point after `level` diffuse bounces.
+    /// Direct light, without the environment, at a point after `level` diffuse bounces.
     pub(super) fn direct(&mut self, p: &Point, response: &Response, level: u32, vertex: u32) -> Vec3 {
         let kernel = self.kernel;
         let lights = if level == 0 { &kernel.lights } else { &kernel.gathered_lights };
         lights.iter().map(|light| light(self, p, response, vertex)).sum()
     }
 
-    /// All area lights: a point of each.
+    /// Light from all area lights. Samples one point of each.
     pub fn all_area_lights(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
         let tracer = self.tracer;
         let luminaires = &tracer.luminaires;
@@ -44,7 +46,8 @@ impl<const K: u32> Pixels<'_, K> {
         sum
     }
 
-    /// Lights with a position: some of them, as many as a point after `level` diffuse bounces looks at, chosen by the light tree.
+    /// Light from some of the lights with a position, chosen by the light tree. The number depends on
+    /// `level`, the number of diffuse bounces.
     pub fn some_lights(&mut self, p: &Point, response: &Response, level: u32, vertex: u32) -> Vec3 {
         let tracer = self.tracer;
         let Some(looks) = tracer.looks.at(level) else { return Vec3::ZERO };
@@ -68,7 +71,7 @@ impl<const K: u32> Pixels<'_, K> {
         for (i, (place, choice)) in (0..).zip(places.iter_mut().zip(&mut *choices)) {
             *place = self.sampler.related(points, i);
             let u = if few { place.x.into() } else { fine(self.sampler.related(fine_choices, i)) };
-            // One choice in each part of the tree's unit interval.
+            // Stratify: one choice in each part of the unit interval.
             *choice = Choice::by((f64::from(i) + u) / f64::from(looks));
         }
         emitters.choose(&receiver, choices, &mut self.counters.traversal.nodes);
@@ -89,7 +92,8 @@ impl<const K: u32> Pixels<'_, K> {
         sum
     }
 
-    /// Density per steradian of [`Self::some_lights`] for light that leaves an emitting triangle under `cos`, all choices together.
+    /// Density per steradian of [`Self::some_lights`], all choices together, for light that leaves an
+    /// emitting patch at an angle of cosine `cos`.
     fn density_of_choice(
         &mut self,
         receiver: &Receiver,
@@ -103,8 +107,11 @@ impl<const K: u32> Pixels<'_, K> {
         emitters.density(emitter, probability * f64::from(looks), distance2, cos)
     }
 
-    /// Density per steradian with which light sampling at a receiver after `level` diffuse bounces chooses a direction, for light
-    /// that leaves a triangle under `cos` at a squared distance of `distance2`; `None` for triangles that it does not know.
+    /// Density per steradian with which light sampling chooses a direction, at a receiver after `level`
+    /// diffuse bounces.
+    ///
+    /// The light leaves a triangle at an angle of cosine `cos` and at the squared distance `distance2`.
+    /// `None` for triangles that light sampling does not choose.
     pub(super) fn density_of_lights(
         &mut self,
         receiver: &Receiver,
@@ -123,8 +130,10 @@ impl<const K: u32> Pixels<'_, K> {
         Some(tracer.luminaires.density(index, distance2, cos))
     }
 
-    /// Light from a point of an emitting triangle that was chosen with this density per steradian (of squared distance and cosine at
-    /// the light); for a near light the diffuse lobe's share of it is weighed against [`Self::near_lights`].
+    /// Light from a sampled point of an emitting triangle.
+    ///
+    /// `density` gives the density per steradian of the choice, from the squared distance and the cosine at
+    /// the light. For a near light, the diffuse lobe's part is weighted against [`Self::near_lights`].
     fn triangle_light(
         &mut self,
         p: &Point,
@@ -139,7 +148,7 @@ impl<const K: u32> Pixels<'_, K> {
         let wo = p.basis.to_local(direction);
         let cos = -direction.dot(light.normal);
         let cos_light = if self.emitter(light).emits_both_sides { cos.abs() } else { cos };
-        // Written so that a light point on the surface itself (0/0) is left out.
+        // Written so that a light point on the surface itself (0/0) is rejected.
         if !(wo.z > 0.0 && cos_light > 0.0) {
             return Vec3::ZERO;
         }
@@ -159,7 +168,7 @@ impl<const K: u32> Pixels<'_, K> {
         &self.tracer.materials[light.material as usize]
     }
 
-    /// Radiance that a point of an emitting triangle sends out, as far as the surface is there and not cut out.
+    /// Radiance emitted at a point of an emitting triangle. Accounts for opacity and cut-outs.
     pub(super) fn emitted_at(&mut self, light: &LightPoint) -> Vec3 {
         if K & has::CUT_OUTS != 0 {
             let texels = Cell::new(0);
@@ -174,8 +183,11 @@ impl<const K: u32> Pixels<'_, K> {
         opacity * self.color(&emission, self.tracer.frame.geometry.uv(primitive, u, v))
     }
 
-    /// The diffuse lobe's share of the near lights: one cosine-weighted ray that looks for them, straight through panes.
-    /// `by_light` is the density per steradian with which light sampling finds what was hit, and `None` if it is not a near light.
+    /// The diffuse lobe's part of the near lights: one cosine-weighted ray that looks for them, straight
+    /// through panes.
+    ///
+    /// `by_light` returns the density per steradian with which light sampling finds a hit. It returns `None`
+    /// if the hit is not on a near light.
     fn near_lights(
         &mut self,
         p: &Point,
@@ -217,7 +229,7 @@ impl<const K: u32> Pixels<'_, K> {
         sum
     }
 
-    /// All lights without surface.
+    /// Light from all point lights.
     pub fn all_point_lights(&mut self, p: &Point, response: &Response) -> Vec3 {
         self.tracer.points.iter().map(|&index| self.point_light(p, response, index)).sum()
     }
@@ -262,7 +274,7 @@ impl<const K: u32> Pixels<'_, K> {
         sum
     }
 
-    /// Light from the environment on the diffuse lobe; the glossy lobe finds it by its own rays.
+    /// Light from the environment on the diffuse lobe. The glossy lobe finds it with its own rays.
     pub fn sky(&mut self, p: &Point, response: &Response, vertex: u32) -> Vec3 {
         let tracer = self.tracer;
         if tracer.sky.is_black() {
@@ -290,18 +302,18 @@ impl<const K: u32> Pixels<'_, K> {
     }
 }
 
-/// A random number with 48 bits: 24 are few for a choice among many, so the other coordinate's follow those of the first.
+/// A random number with 48 bits, combined from two with 24 bits. 24 bits are too few for a choice among many.
 pub(super) fn fine(u: Vec2) -> f64 {
     f64::from(u.x) + f64::from(u.y) * LAST_BIT
 }
 
-/// What the sampler's numbers leave open.
+/// Weight of the last bit of the sampler's numbers.
 pub(super) const LAST_BIT: f64 = 1.0 / (1 << 24) as f64;
 
-/// Share of a light's intensity that it sends against `direction` (unit, towards the light).
+/// Fraction of a spot light's intensity that arrives from `direction` (unit, towards the light).
 pub(super) fn falloff(light: &PointLight, direction: Vec3) -> f32 {
     light.cone.map_or(1.0, |(axis, inner, outer)| {
         let t = ((-direction.dot(axis) - outer) / (inner - outer)).clamp(0.0, 1.0);
-        t * t // KHR_lights_punctual's recommended falloff
+        t * t // the falloff that KHR_lights_punctual recommends
     })
 }

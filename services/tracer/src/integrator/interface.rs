@@ -1,4 +1,4 @@
-//! The interface of a solid dielectric: what lies on its two sides.
+//! The interface of a solid dielectric, and the media on its two sides.
 
 use super::{Passed, Pixels, Point, off_surface};
 use crate::media::Media;
@@ -9,8 +9,8 @@ use glam::Vec3;
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 
-/// Directions in which a camera looks for the solids that it is inside of. One that passes through an edge may
-/// count a face twice; the middle of five counts.
+/// Directions of the rays that find the solids around the camera. A ray through an edge may count a face
+/// twice, so the median of five is taken.
 const PROBES: [Vec3; 5] = [
     Vec3::new(0.267, 0.534, 0.802),
     Vec3::new(-0.683, 0.146, 0.715),
@@ -19,29 +19,30 @@ const PROBES: [Vec3; 5] = [
     Vec3::new(0.912, 0.228, -0.342),
 ];
 
-/// Cosine below which a ray is taken to graze a face: it would pass others far away within the same distance from the plane.
+/// Below this cosine, a ray counts as grazing a face. A smaller cosine would include faces that are far away
+/// along the ray.
 const GRAZING: f32 = 1e-2;
 
-/// What a ray meets at the face of a solid dielectric.
+/// The interface that a ray meets at the face of a solid dielectric.
 #[derive(Debug, Clone, Copy)]
 pub struct Interface {
-    /// Index of refraction beyond, relative to this side; none: the place is filled by the same medium on both sides, and nothing
-    /// happens to the ray.
+    /// Index of refraction on the other side, relative to this side. `None` if the same medium fills both
+    /// sides; the ray then passes unchanged.
     pub eta: Option<f32>,
-    /// Share of light that passes, per channel.
+    /// Fraction of light transmitted, per channel.
     pub transmittance: Vec3,
     /// GGX alpha.
     pub alpha: f32,
-    /// What the viewer's side is inside of.
+    /// The solids that contain the viewer's side.
     pub before: Media,
-    /// What the other side is inside of.
+    /// The solids that contain the other side.
     pub beyond: Media,
-    /// How far a ray has come to which nothing happens.
+    /// The passed surface of a ray that continues unchanged.
     pub passed: Passed,
 }
 
 impl<const K: u32> Pixels<'_, K> {
-    /// An interface by itself: its index is that of its inside relative to its outside.
+    /// An interface of a single solid. Its relative index is that of the inside over that of the outside.
     pub fn plain_interface(&mut self, _: &Ray, _: &Hit, p: &Point) -> Interface {
         let Surface::Glass { ior, transmittance, alpha, .. } = self.tracer.materials[p.material].surface
         else {
@@ -53,8 +54,10 @@ impl<const K: u32> Pixels<'_, K> {
         Interface { eta: Some(eta), transmittance, alpha, before: media, beyond: media, passed }
     }
 
-    /// An interface among solids that overlap or touch. Faces in the same place are crossed together: the ray that goes on starts beyond
-    /// all of them, so each has to be counted here.
+    /// An interface among solids that overlap or touch.
+    ///
+    /// Faces at the same place are crossed together. The continuing ray starts behind all of them, so all
+    /// must be counted here.
     pub fn nested_interface(&mut self, ray: &Ray, hit: &Hit, p: &Point) -> Interface {
         let tracer = self.tracer;
         let ranks = &tracer.ranks;
@@ -63,7 +66,7 @@ impl<const K: u32> Pixels<'_, K> {
         }
         let ([entered, left], t) = self.faces_at(ray, hit, p);
         let passed = Passed { t, primitive: u32::MAX };
-        // Who leaves a solid was inside it, whether or not the ray began there.
+        // Leaving a solid implies having been inside it, even if the ray started there.
         let mut before = self.media;
         each(left).filter(|&rank| !self.media.holds(rank)).for_each(|rank| before.enter(rank));
         let mut beyond = before;
@@ -82,8 +85,10 @@ impl<const K: u32> Pixels<'_, K> {
         Interface { eta: Some(eta), transmittance, alpha, before, beyond, passed }
     }
 
-    /// Ranks, as bits, of the solids that a ray enters and of those that it leaves at a hit: by all faces between the hit and where a
-    /// ray that goes on starts; and how far along the ray that is. Where faces of one solid share an edge that is hit, they count once.
+    /// Ranks, as bits, of the solids that a ray enters and of those that it leaves at a hit.
+    ///
+    /// All faces between the hit and the start of the continuing ray count. Faces of one solid that share a
+    /// hit edge count once. Also returns the distance along the ray up to which faces were counted.
     fn faces_at(&mut self, ray: &Ray, hit: &Hit, p: &Point) -> ([u32; 2], f32) {
         let step = (off_surface(p.position, p.geometric, p.size, ray.direction) - p.position).length();
         let cos = p.geometric.dot(ray.direction).abs();
@@ -107,10 +112,10 @@ impl<const K: u32> Pixels<'_, K> {
 }
 
 impl Tracer {
-    /// What a place is inside of: by the faces that rays from there leave and do not enter.
+    /// The solids that contain a point: those whose faces are left by rays from there, but not entered.
     pub(crate) fn media_at(&self, place: Vec3) -> Media {
         let counts = PROBES.map(|direction| {
-            // The tree may offer a triangle more than once.
+            // The tree may report a triangle more than once.
             let faces = RefCell::new(BTreeMap::new());
             let note = |hit: &Hit| {
                 if let Some((rank, leaves)) = self.face(hit, direction, &Cell::new(0)) {
@@ -132,7 +137,8 @@ impl Tracer {
         media
     }
 
-    /// The rank of the solid whose face is hit, if it has one, and whether the ray leaves it.
+    /// The rank of the solid whose face was hit, and whether the ray leaves it. `None` for solids without a
+    /// priority.
     fn face(&self, hit: &Hit, direction: Vec3, texels: &Cell<u64>) -> Option<(u8, bool)> {
         let geometry = &self.frame.geometry;
         let rank = self.ranks.of(geometry.material(hit.primitive) as usize)?;
@@ -141,7 +147,7 @@ impl Tracer {
     }
 }
 
-/// The ranks of a set, from the lowest.
+/// The ranks in a bit set, ascending.
 fn each(ranks: u32) -> impl Iterator<Item = u8> {
     (0..MOST_NESTED as u8).filter(move |rank| ranks >> rank & 1 == 1)
 }

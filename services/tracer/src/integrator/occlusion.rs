@@ -1,16 +1,17 @@
-//! What lies between a point and a light: nothing, something that stops the light, or panes and cut-outs that colour it.
+//! Shadow rays: how much light passes between a point and a light.
+//!
+//! Opaque surfaces block the light; panes and partial opacity attenuate it.
 
-use super::{Passed, Pixels, Point, leaving};
+use super::{Passed, Pixels, Point, has, leaving};
 use crate::cost::Category;
 use crate::fresnel;
-use crate::kernel::has;
 use forelight_bvh::{Hit, Ray};
 use forelight_scene::Surface;
 use glam::Vec3;
 use std::cell::Cell;
 
 impl<const K: u32> Pixels<'_, K> {
-    /// Share of light that gets from `target` (or from infinity along `direction`) to the point.
+    /// Fraction of light that reaches the point from `target`, or from infinity along `direction`.
     pub(super) fn shadow(&mut self, p: &Point, direction: Vec3, target: Option<Vec3>) -> Vec3 {
         self.counters.ray(Category::Shadow);
         let mut ray = leaving(p, direction);
@@ -23,7 +24,7 @@ impl<const K: u32> Pixels<'_, K> {
         if K & (has::CUT_OUTS | has::PASSING) == 0 {
             return if tracer.bvh.any(&ray, |_| true, steps) { Vec3::ZERO } else { Vec3::ONE };
         }
-        // Does anything opaque block it? If not, does anything colour it?
+        // First look for an opaque blocker, and note whether anything on the way attenuates the light.
         let coloured = Cell::new(false);
         let texels = Cell::new(0);
         let blocks = |hit: &Hit| {
@@ -44,7 +45,7 @@ impl<const K: u32> Pixels<'_, K> {
         }
     }
 
-    /// Product of what the panes and cut-outs along an unblocked shadow ray let through.
+    /// Product of the transmittances of all surfaces along an unblocked shadow ray.
     fn transmission(&mut self, ray: Ray) -> Vec3 {
         let tracer = self.tracer;
         let direction = ray.direction.normalize();
@@ -60,7 +61,8 @@ impl<const K: u32> Pixels<'_, K> {
         Vec3::ZERO
     }
 
-    /// Share of light along `direction` (unit) that a surface lets pass straight; `None` if it lets nothing pass.
+    /// Fraction of light along `direction` (unit) that a surface transmits straight. `None` if it blocks all
+    /// light.
     pub(super) fn pass(&mut self, hit: &Hit, direction: Vec3) -> Option<Vec3> {
         let tracer = self.tracer;
         let geometry = &tracer.frame.geometry;

@@ -1,22 +1,23 @@
-//! The `path` integrator: unbiased path tracing, the ground truth for the other one.
+//! The `path` integrator: unbiased path tracing, the ground truth for the other integrator.
 //!
-//! A path goes on from every surface in one direction that its BSDF chooses (Kajiya 1986). At every surface that spreads light one
-//! light is sampled as well, and what both ways can find is weighed by how likely either was to find it (Veach 1997, multiple
-//! importance sampling, power heuristic). Light that only a chain of mirrors and glass leads to the path, caustics among it, is
-//! found by the directions alone. Shadow rays pass straight through panes and cut-outs, and so does a path's last direction:
-//! a light seen through them counts as one that light sampling finds too.
+//! At every surface, a path continues in one direction sampled from the BSDF (Kajiya 1986). At every surface
+//! that spreads light, one light is sampled as well. Light that both techniques can find is weighted by
+//! multiple importance sampling (Veach 1997, power heuristic). Light that reaches the path only through
+//! mirrors and glass, including caustics, is found by BSDF sampling alone.
 //!
-//! `ambient_bounces` limits how often a path is spread after the first time (diffuse, glossy or rough glass), `max_depth` each chain
-//! of mirrors, smooth glass and panes between two of them. Paths that have little left to add end by Russian roulette,
-//! which leaves the mean as it is.
+//! Shadow rays pass straight through panes and cut-outs. So do path rays: a light seen through them counts as
+//! one that light sampling finds too.
+//!
+//! `ambient_bounces` limits how often a path is spread after the first time (diffuse, glossy or rough glass).
+//! `max_depth` limits each chain of mirrors, smooth glass and panes in between. Russian roulette ends paths
+//! that contribute little; it does not change the mean.
 
 use super::direct::{LAST_BIT, falloff, fine};
-use super::{Interface, Pixels, Point, cap_height, fluence, leaving};
+use super::{Interface, Pixels, Point, cap_height, fluence, has, leaving};
 use crate::bsdf::{Bsdf, Coat, Lobe, Scattering};
 use crate::cost::Category;
 use crate::environment::Sky;
 use crate::geometry::{self, Basis};
-use crate::kernel::has;
 use crate::lights::{Light, Receiver};
 use crate::random::Purpose;
 use forelight_bvh::{Ray, offset_origin};
@@ -24,42 +25,44 @@ use forelight_scene::{PointLight, Surface};
 use glam::{DVec2, Vec3};
 use std::f32::consts::TAU;
 
-/// From this vertex on, roulette decides whether a path goes on.
+/// From this vertex on, paths are subject to Russian roulette.
 const ROULETTE: u32 = 4;
 
-/// From this vertex on, even a path that has lost nothing may end: a closed room of perfect mirrors would hold it for ever.
+/// From this vertex on, even a path without losses may end. A closed room of perfect mirrors would otherwise
+/// never release it.
 const LONG: u32 = 32;
 
-/// Probability of survival at a vertex of a long path, at most.
+/// Largest probability of survival per vertex of a long path.
 const SURVIVAL: f32 = 0.95;
 
-/// How a path came to its direction.
+/// How the direction of a path's ray was chosen.
 #[derive(Debug, Clone, Copy)]
 enum Origin {
-    /// By the camera, a mirror or smooth glass: no other way finds the lights that are met.
+    /// By the camera, a mirror or smooth glass. No other technique finds the lights that the ray hits.
     Only,
-    /// By a BSDF, with this density per steradian, at a place from which a light was sampled as well.
+    /// By a BSDF, with this density per steradian, at a point where a light was sampled as well.
     Spread { receiver: Receiver, density: f32 },
 }
 
-/// Light that a shadow ray may bring.
+/// The contribution of a sampled light, before its shadow ray is traced.
 struct Candidate {
     direction: Vec3,
-    /// Where the shadow ray ends; `None`: nowhere.
+    /// End of the shadow ray. `None` means infinity.
     target: Option<Vec3>,
-    /// Radiance over the density of the choice; for lights without extent irradiance over its probability.
+    /// Radiance divided by the density of the choice. For lights without size: irradiance divided by its
+    /// probability.
     light: Vec3,
-    /// Density of the choice per steradian; `None` for lights without extent, which no direction meets by chance.
+    /// Density of the choice per steradian. `None` for lights without size, which BSDF sampling cannot find.
     density: Option<f32>,
 }
 
 impl<const K: u32> Pixels<'_, K> {
-    /// Radiance along a camera ray, by one path.
+    /// Radiance along a camera ray, estimated by one path.
     pub fn path(&mut self, mut ray: Ray) -> Vec3 {
         let settings = &self.tracer.settings;
         let mut origin = Origin::Only;
         let (mut total, mut throughput) = (Vec3::ZERO, Vec3::ONE);
-        // How much denser radiance is here than in the camera's medium: no reason to end a path.
+        // Factor by which refraction has increased the radiance. Russian roulette ignores it.
         let mut compression = 1.0;
         let (mut spreads, mut depth) = (0, 0);
         let mut passed = None;
@@ -90,7 +93,7 @@ impl<const K: u32> Pixels<'_, K> {
                     let Interface { eta, transmittance, alpha, before, beyond, passed: through } =
                         (self.kernel.interface)(self, &ray, &hit, &p);
                     let Some(eta) = eta else {
-                        // Shadow rays do not pass here, so what is met now is met by no other way.
+                        // Shadow rays do not pass here, so no other technique finds what the ray hits next.
                         (origin, self.media) = (Origin::Only, beyond);
                         self.goes_on(Category::Transparent);
                         passed = Some(through);
@@ -152,13 +155,14 @@ impl<const K: u32> Pixels<'_, K> {
         total
     }
 
-    /// The path's next ray.
+    /// Counts the path's next ray.
     fn goes_on(&mut self, category: Category) {
         self.counters.caused_by(category);
         self.counters.ray(category);
     }
 
-    /// What any surface but that of a solid dielectric does with light. A kernel has no arm for materials that its frame does not have.
+    /// The BSDF of any surface except a solid dielectric's. Each kernel contains code only for the materials
+    /// of its frame.
     #[inline]
     fn bsdf(&mut self, p: &Point, surface: Surface) -> Bsdf {
         match surface {
@@ -177,7 +181,7 @@ impl<const K: u32> Pixels<'_, K> {
         }
     }
 
-    /// The direction in which the path goes on.
+    /// Samples the direction in which the path continues.
     #[inline]
     fn chosen(&mut self, p: &Point, bsdf: &Bsdf, vertex: u32) -> Option<Scattering> {
         let u = self.sampler.next(Purpose::Gather, vertex);
@@ -186,7 +190,7 @@ impl<const K: u32> Pixels<'_, K> {
         bsdf.sample(p.wi, u, choice)
     }
 
-    /// Light that the surface itself sends towards the viewer, as far as light sampling leaves it to the path's direction.
+    /// Radiance that the surface emits towards the viewer, weighted against light sampling.
     fn emitted(&mut self, origin: &Origin, p: &Point) -> Vec3 {
         let tracer = self.tracer;
         let material = &tracer.materials[p.material];
@@ -212,7 +216,7 @@ impl<const K: u32> Pixels<'_, K> {
         weight * self.color(&emission, p.uv)
     }
 
-    /// What a path meets that leaves the scene, as far as light sampling leaves it to the path's direction.
+    /// Radiance seen by a path that leaves the scene, weighted against light sampling.
     fn surroundings(&mut self, origin: &Origin, direction: Vec3) -> Vec3 {
         let tracer = self.tracer;
         let weight = |by_light: &dyn Fn(&Receiver) -> f32| match origin {
@@ -239,7 +243,7 @@ impl<const K: u32> Pixels<'_, K> {
         sky + suns.sum::<Vec3>()
     }
 
-    /// Light from one light that is sampled, as far as it is not left to the path's direction.
+    /// Light from one sampled light, weighted against BSDF sampling.
     fn sampled_light(&mut self, p: &Point, bsdf: &Bsdf, vertex: u32) -> Vec3 {
         let tracer = self.tracer;
         let u = fine(self.sampler.next(Purpose::LightChoice, vertex));
@@ -287,7 +291,7 @@ impl<const K: u32> Pixels<'_, K> {
         let cos = -direction.dot(light.normal);
         let cos_light = if material.emits_both_sides { cos.abs() } else { cos };
         let density = emitters.density(patch, chance, distance2, cos_light);
-        // Written so that a light point on the surface itself (0/0) is left out.
+        // Written so that a light point on the surface itself (0/0) is rejected.
         if !(cos_light > 0.0 && density > 0.0 && density.is_finite()) {
             return None;
         }
@@ -324,7 +328,7 @@ fn toward_point(p: &Point, light: &PointLight, probability: f32) -> Option<Candi
     })
 }
 
-/// The place as light selection sees it.
+/// The point as a receiver for light selection.
 fn receiver(p: &Point, bsdf: &Bsdf) -> Receiver {
     if bsdf.spreads_through() { Receiver { normal: None, ..p.receiver() } } else { p.receiver() }
 }
@@ -339,8 +343,9 @@ fn category(lobe: Lobe) -> Category {
     }
 }
 
-/// Weight of what was chosen with density `own` where another way would have chosen it with density `other`: the power heuristic of
-/// exponent 2 (Veach 1997), by the quotient, whose square overflows to the right limit.
+/// Weight of a sample with density `own` that another technique would choose with density `other`: the power
+/// heuristic with exponent 2 (Veach 1997). It is computed from the quotient, whose square overflows to the
+/// correct limit.
 fn power(own: f32, other: f32) -> f32 {
     if own <= 0.0 {
         return 0.0;

@@ -1,13 +1,23 @@
-//! Where a set of lights is, where it shines to, and how much of it reaches a point at most.
+//! Bounds of a set of lights: its position, the directions that it emits to, and how much light it can bring
+//! to a point.
 
-use super::tree::Receiver;
 use crate::bounds::Bounds as Place;
 use glam::{DVec3, Vec3};
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Bounds of one light or of several.
+/// The point that is lit.
+#[derive(Debug, Clone, Copy)]
+pub struct Receiver {
+    pub position: Vec3,
+    /// Light from below the plane of this normal does not count. `None` means that light counts from all
+    /// directions.
+    pub normal: Option<Vec3>,
+}
+
+/// Bounds of one or more lights.
 ///
-/// All angles are about `axis`: every light's own axis is within the *spread*, and shines as far as the *reach* from its own axis.
+/// All angles are relative to `axis`. The axis of every light is within the angle `spread` of it, and every
+/// light emits up to the angle `reach` from its own axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bounds {
     pub low: Vec3,
@@ -17,19 +27,19 @@ pub struct Bounds {
     spread: (f32, f32),
     /// Cosine of the reach.
     reach: f32,
-    /// Whether the lights shine to the opposite side just the same.
+    /// Whether the lights emit in the opposite directions too.
     both_sides: bool,
-    /// Sum of the lights' radiant intensities along their axes, W/sr in the strongest channel.
+    /// Sum of the lights' radiant intensities along their axes, in the strongest channel, W/sr.
     pub intensity: f64,
     /// The largest area of a light, m².
     pub largest_area: f32,
 }
 
-/// Slack on cosines: bounds are wider than f32 arithmetic may err.
+/// Tolerance on cosines. The bounds are wider by more than the rounding errors in f32.
 const SLACK: f32 = 1e-3;
 
 impl Bounds {
-    /// A flat light that shines by the cosine law from the side that `normal` points to, or from both.
+    /// A flat light with cosine falloff. It emits from the side that `normal` points to, or from both sides.
     pub fn flat(place: Place, normal: Vec3, area: f32, both_sides: bool, intensity: f64) -> Self {
         Self {
             low: place.low,
@@ -43,7 +53,7 @@ impl Bounds {
         }
     }
 
-    /// A point that shines with the same intensity everywhere, or within a cone of this axis and cosine.
+    /// A point light with constant intensity in all directions, or in a cone with the given axis and cosine.
     pub fn point(position: Vec3, cone: Option<(Vec3, f32)>, intensity: f64) -> Self {
         let (axis, cos) = cone.unwrap_or((Vec3::Z, -1.0));
         let cos = cos.clamp(-1.0, 1.0);
@@ -59,17 +69,17 @@ impl Bounds {
         }
     }
 
-    /// The box that the lights are in.
+    /// The bounding box of the lights.
     pub fn place(&self) -> Place {
         Place { low: self.low, high: self.high }
     }
 
-    /// Middle of the box.
+    /// Centre of the box.
     pub fn centre(&self) -> Vec3 {
         0.5 * self.low + 0.5 * self.high
     }
 
-    /// Bounds of both.
+    /// Bounds of the lights of both.
     pub fn union(&self, other: &Self) -> Self {
         let (axis, spread) = self.cone_with(other);
         Self {
@@ -84,7 +94,8 @@ impl Bounds {
         }
     }
 
-    /// The smallest cone that holds the axes of both (Conty Estevez and Kulla 2018, algorithm 1), in f64 and a little wider.
+    /// The smallest cone that contains the axes of both (Conty Estevez and Kulla 2018, algorithm 1). It is
+    /// computed in f64 and slightly widened.
     fn cone_with(&self, other: &Self) -> (Vec3, (f32, f32)) {
         let angle = |b: &Self| libm::atan2(b.spread.1.into(), b.spread.0.into());
         let (wide, narrow) = if angle(self) >= angle(other) { (self, other) } else { (other, self) };
@@ -98,24 +109,27 @@ impl Bounds {
         let full = (wide.axis, (-1.0, 0.0));
         let across = (b - a.dot(b) * a).normalize_or_zero();
         if spread >= PI || across == DVec3::ZERO {
-            return full; // opposite axes: no plane in which to turn one towards the other
+            return full; // opposite axes have no plane in which to rotate one towards the other
         }
         let turn = spread - wide_angle;
         let axis = libm::cos(turn) * a + libm::sin(turn) * across;
         (axis.normalize().as_vec3(), (libm::cos(spread) as f32, libm::sin(spread) as f32))
     }
 
-    /// What the lights are expected to bring to a point: intensity times the largest cosines that the bounds allow at either end
-    /// (Conty Estevez and Kulla 2018, equation 3), over the squared distance. Zero only if none of the lights can reach it.
+    /// Importance of the lights at a receiver: an estimate of the light that they bring (Conty Estevez and
+    /// Kulla 2018, equation 3).
     ///
-    /// The cosines are bounded by the box, not by a ball about it: lights are often in one plane, under a ceiling or along a street, and
-    /// from the side a flat box says that they are seen at grazing angles, where a ball would leave everything open.
+    /// It is the intensity times the largest possible cosines at both ends, divided by the squared distance.
+    /// It is zero only if none of the lights can reach the receiver.
+    ///
+    /// The cosines are bounded by the box, not by its bounding sphere. Lights often lie in one plane, such as
+    /// a ceiling. Seen from the side, a flat box shows that the angles are grazing; a sphere would not.
     pub fn importance(&self, receiver: &Receiver) -> f64 {
         let (centre, half) = (self.centre(), 0.5 * self.high - 0.5 * self.low);
         let to = receiver.position - centre;
-        // Within its ball a set of lights is about as far as it is wide.
+        // Within the bounding sphere, the distance is about the size of the box.
         let attenuation = to.length_squared().max(half.length_squared()).max(f32::MIN_POSITIVE);
-        // What rounding may have taken off the differences.
+        // Bound of the rounding errors of the differences.
         let rounding = 4.0 * f32::EPSILON * receiver.position.abs().max(centre.abs()).max_element();
         let nearest = (to.abs() - half).max(Vec3::ZERO).length() - rounding;
         // Upper bound of the cosine between an axis and the directions from the box to the receiver.
@@ -141,7 +155,7 @@ impl Bounds {
     }
 }
 
-/// Cosine of max(0, α − β), by that of one angle in [0, π] and cosine and sine of another.
+/// Cosine of max(0, α − β), from cos α with α in [0, π], and cosine and sine of β.
 fn cos_less(cos: f32, other: (f32, f32)) -> f32 {
     if cos >= other.0 {
         return 1.0;
@@ -150,7 +164,7 @@ fn cos_less(cos: f32, other: (f32, f32)) -> f32 {
     cos * other.0 + sin * other.1
 }
 
-/// What a set of lights looks like from far: enough to compare ways of splitting it, and quick to add up.
+/// Summary of a set of lights. It is quick to merge and sufficient to compare splits of the set.
 #[derive(Debug, Clone, Copy)]
 pub struct Shine {
     low: Vec3,
@@ -199,9 +213,11 @@ impl Shine {
         self.intensity += other.intensity;
     }
 
-    /// Expected cost of choosing among these lights: intensity × size × the solid angle into which they shine (Conty Estevez and
-    /// Kulla 2018, equations 1 and 2). The size is the squared diagonal, which unlike the area is not zero for lights in a row;
-    /// the spread of the axes is that of a uniform cap with the same mean axis.
+    /// Expected cost of choosing among these lights: intensity × size × the solid angle that they emit into
+    /// (Conty Estevez and Kulla 2018, equations 1 and 2).
+    ///
+    /// The size is the squared diagonal. Unlike the area, it is not zero for lights in a row. The spread of
+    /// the axes is that of a uniform cap with the same mean axis.
     pub fn cost(&self) -> f64 {
         if self.is_none() {
             return 0.0;
@@ -214,7 +230,8 @@ impl Shine {
     }
 }
 
-/// Solid angle of a cone of half-angle `spread`, and what lies beyond it up to `reach` by the cosine law.
+/// Solid angle of a cone with half-angle `spread`, plus the cosine-weighted solid angle beyond it up to
+/// `reach`.
 fn solid_angle(spread: f64, reach: f64) -> f64 {
     let (sin, cos) = (libm::sin(spread), libm::cos(spread));
     let end = (spread + reach).min(PI);

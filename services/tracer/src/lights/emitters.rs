@@ -1,7 +1,9 @@
-//! Lights with a position: emitting patches of surface and lights without surface.
+//! Lights with a position: emitting patches of surfaces, and point lights.
+//!
+//! A patch is sampled uniformly by area. Which emitter is sampled is chosen by a light tree.
 
-use super::bounds::Bounds as LightBounds;
-use super::tree::{Choice, LightTree, Receiver};
+use super::bounds::{Bounds as LightBounds, Receiver};
+use super::tree::{Choice, LightTree};
 use super::{LightPoint, Surface, cumulative, is_near, part};
 use crate::Reach;
 use crate::bounds::Bounds;
@@ -12,16 +14,17 @@ use glam::{Vec2, Vec3};
 /// A light with a position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Emitter {
-    /// An emitting patch, by its place among [`Emitters`].
+    /// An emitting patch, by its index in [`Emitters`].
     Patch(usize),
-    /// A light without surface, by its index in the frame.
+    /// A point light, by its index in the frame.
     Point(usize),
 }
 
-/// Emitting triangles that are one light: a flat and compact piece of an object that is equally bright everywhere, or one triangle.
+/// Emitting triangles that are sampled as one light: a flat, compact and evenly bright piece of an object, or
+/// a single triangle.
 #[derive(Debug, Clone, Copy)]
 struct Patch {
-    /// Range of its triangles among those of all patches.
+    /// Range of its triangles in [`Emitters::surfaces`].
     first: u32,
     end: u32,
     /// Total area, m².
@@ -29,26 +32,28 @@ struct Patch {
     bounds: Bounds,
 }
 
-/// All of them, and the tree by which one is chosen.
+/// All emitters, and the tree that chooses among them.
 #[derive(Debug, Clone, Default)]
 pub struct Emitters {
     patches: Vec<Patch>,
-    /// Triangles by patch, and the cumulative shares of the patch's area.
+    /// Triangles by patch, and their cumulative shares of the patch's area.
     surfaces: Vec<Surface>,
     cumulative: Vec<f32>,
-    /// Emitting triangles in ascending order, each with its patch.
+    /// Emitting triangles, ascending, each with its patch.
     patch_of: Vec<(u32, u32)>,
-    /// Lights without surface that shine, in ascending order; in the tree they come after the patches.
+    /// Emitting point lights, ascending. In the tree they come after the patches.
     points: Vec<u32>,
     tree: LightTree,
 }
 
-/// Up to so many emitters, what choosing one leaves of a random number is fine enough to choose a point of it as well.
+/// With at most this many emitters, one random number is fine enough to choose an emitter and a point on it.
 const FEW: usize = 256;
 
 impl Emitters {
-    /// Collects what shines: triangles that have an area and emit, that are not entirely transparent, and points with an intensity.
-    /// What cannot matter to the picture is not among them.
+    /// Collects all emitters: triangles that have an area, emit and are not entirely transparent, and points
+    /// with an intensity.
+    ///
+    /// Lights that cannot affect the image are left out.
     pub fn new(frame: &Frame, materials: &[Material], reach: &Reach) -> Self {
         let geometry = &frame.geometry;
         let mut glow = Glow::new(frame, materials);
@@ -105,22 +110,22 @@ impl Emitters {
         LightBounds::flat(patch.bounds, members[0].normal, patch.area, both_sides, intensity)
     }
 
-    /// Irradiance that all of them together are expected to bring, W/m².
+    /// Estimated irradiance from all emitters together, W/m².
     pub fn importance(&self, receiver: &Receiver) -> f64 {
         self.tree.importance(receiver)
     }
 
-    /// Whether they are so few that one random number chooses an emitter and a point of it.
+    /// Returns `true` if one random number can choose an emitter and a point on it.
     pub fn are_few(&self) -> bool {
         self.patches.len() + self.points.len() <= FEW
     }
 
-    /// Chooses some of them, see [`LightTree::choose`].
+    /// Chooses emitters; see [`LightTree::choose`].
     pub fn choose(&self, receiver: &Receiver, choices: &mut [Choice], visited: &mut u64) {
         self.tree.choose(receiver, choices, visited);
     }
 
-    /// What was chosen; `None` if nothing was.
+    /// The chosen emitter. `None` if the choice found none.
     pub fn chosen(&self, choice: &Choice) -> Option<Emitter> {
         let emitter = match self.points.get(choice.light.wrapping_sub(self.patches.len())) {
             Some(&point) => Emitter::Point(point as usize),
@@ -134,20 +139,22 @@ impl Emitters {
         self.tree.probability(receiver, patch, visited)
     }
 
-    /// The patch that one of the frame's triangles belongs to.
+    /// The patch that contains one of the frame's triangles.
     pub fn of_triangle(&self, triangle: u32) -> Option<usize> {
         let found = self.patch_of.binary_search_by_key(&triangle, |entry| entry.0).ok()?;
         Some(self.patch_of[found].1 as usize)
     }
 
-    /// Density per steradian of a uniform point of a patch that was chosen with this probability (or so often), for light that
-    /// leaves it under `cos` (> 0) at a squared distance of `distance2` m².
+    /// Density per steradian of a uniform point on a patch.
+    ///
+    /// `probability` is that of choosing the patch, or the expected number of choices. The light leaves at an
+    /// angle of cosine `cos` (> 0) and travels the squared distance `distance2` (m²).
     pub fn density(&self, patch: usize, probability: f64, distance2: f32, cos: f32) -> f32 {
         let area = f64::from(self.patches[patch].area);
         (probability * f64::from(distance2) / (f64::from(cos) * area)) as f32
     }
 
-    /// A uniform point of a patch.
+    /// A uniform point on a patch.
     pub fn point(&self, patch: usize, u: Vec2) -> LightPoint {
         let Patch { first, end, .. } = self.patches[patch];
         let (i, within) = part(&self.cumulative[first as usize..end as usize], u.x);
@@ -160,7 +167,7 @@ impl Emitters {
         is_near(&bounds, area, point)
     }
 
-    /// Whether a point is near any patch.
+    /// Returns `true` if a point is near any patch.
     pub fn any_near(&self, point: Vec3) -> bool {
         let may_hold = |bounds: &LightBounds| is_near(&bounds.place(), bounds.largest_area, point);
         self.tree.any(may_hold, |i| i < self.patches.len() && self.is_near(i, point))
@@ -173,18 +180,21 @@ struct Member {
     triangle: u32,
     normal: Vec3,
     area: f32,
-    /// Radiant intensity along the normal, W/sr in the strongest channel.
+    /// Radiant intensity along the normal, in the strongest channel, W/sr.
     intensity: f64,
 }
 
-/// Cosine between normals of one plane: what they differ is well within the slack of [`LightBounds`].
+/// Normals with at least this cosine count as one plane. The difference is well within the tolerance of
+/// [`LightBounds`].
 const SAME_PLANE: f32 = 1.0 - 1.2e-7;
 
-/// Share of a rectangle that a patch covers at least: a disc covers 0.79.
+/// Smallest fraction of a rectangle that a compact patch covers. A disc covers 0.79.
 const COMPACT: f64 = 0.6;
 
-/// Whether triangles lie in one plane and fill most of a rectangle: then points that are uniform over all of them are as good as if
-/// the nearer triangles were chosen more often. The rectangle is aligned with the shortest edge of the largest triangle.
+/// Returns `true` if triangles lie in one plane and fill most of a rectangle.
+///
+/// Sampling them uniformly is then as good as preferring the nearer triangles. The rectangle is aligned with
+/// the shortest edge of the largest triangle.
 fn is_flat_and_compact(geometry: &Geometry, members: &[Member]) -> bool {
     let Some(largest) = members.iter().max_by(|a, b| a.area.total_cmp(&b.area)) else { return false };
     if members.iter().any(|m| m.normal.dot(largest.normal) < SAME_PLANE) {
@@ -205,25 +215,26 @@ fn is_flat_and_compact(geometry: &Geometry, members: &[Member]) -> bool {
     area >= COMPACT * width * height && depth * depth <= 1e-6 * area
 }
 
-/// Unit normal and area of a triangle, in f64 because corners lie far from the origin and close to each other.
+/// Unit normal and area of a triangle. Computed in f64, because corners may be far from the origin and close
+/// together.
 fn plane([a, b, c]: [Vec3; 3]) -> (Vec3, f32) {
     let cross = (b - a).as_dvec3().cross((c - a).as_dvec3());
     (cross.normalize_or_zero().as_vec3(), (0.5 * cross.length()) as f32)
 }
 
-/// How bright triangles are.
+/// Computes the brightness of triangles.
 struct Glow<'a> {
     frame: &'a Frame,
     materials: &'a [Material],
-    /// The largest value in each texture that varies an emission, once it is known.
+    /// The largest value in each texture that modulates an emission, once it is known.
     brightest: Vec<Option<f32>>,
 }
 
-/// A textured triangle counts as at least this share as bright as its brightest texel could make it: where the texture was
-/// looked at it may be darker than elsewhere.
+/// Lower bound of a textured triangle's brightness, relative to its brightest texel. The samples of its
+/// texture may miss the bright parts.
 const FLOOR: f32 = 1.0 / 64.0;
 
-/// Barycentric weights at which a triangle's texture is looked at: the centres of a subdivision into 16.
+/// A triangle's texture is sampled at the centres of its subdivision into `LOOKS`² triangles.
 const LOOKS: u32 = 4;
 
 impl<'a> Glow<'a> {
@@ -231,7 +242,7 @@ impl<'a> Glow<'a> {
         Self { frame, materials, brightest: vec![None; frame.textures.len()] }
     }
 
-    /// Whether a material can emit at all.
+    /// Returns `true` if a material can emit at all.
     fn may_shine(&mut self, material: usize) -> bool {
         let Material { emission, opacity, .. } = self.materials[material];
         emission.factor.max_element() > 0.0
@@ -252,7 +263,8 @@ impl<'a> Glow<'a> {
         })
     }
 
-    /// Mean radiance of a triangle in the strongest channel, W/(m² sr), as far as a few looks at its texture tell.
+    /// Estimated mean radiance of a triangle in the strongest channel, W/(m² sr), from a few samples of its
+    /// texture.
     fn radiance(&mut self, triangle: u32, material: usize) -> f32 {
         let Material { emission, opacity, .. } = self.materials[material];
         let Some(texture) = emission.texture else { return opacity * emission.factor.max_element() };
@@ -260,7 +272,8 @@ impl<'a> Glow<'a> {
         let mut sum = 0.0;
         for i in 0..LOOKS {
             for j in 0..LOOKS {
-                // Upright and upside-down subtriangles of the grid, told apart by the sum of the coordinates.
+                // Upright and inverted subtriangles of the grid are distinguished by the sum of their
+                // coordinates.
                 let (b, c) = (i as f32 + 1.0 / 3.0, j as f32 + 1.0 / 3.0);
                 let turned = i + j >= LOOKS;
                 let (b, c) = if turned { (LOOKS as f32 - b, LOOKS as f32 - c) } else { (b, c) };

@@ -1,4 +1,4 @@
-//! Few area lights: each is sampled at every point, uniformly by area.
+//! Area lights of a scene with few of them. Every point samples each luminaire, uniformly by area.
 
 use super::{LightPoint, Surface, cumulative, is_near, part};
 use crate::Reach;
@@ -6,33 +6,34 @@ use crate::bounds::Bounds;
 use forelight_scene::Frame;
 use glam::{Vec2, Vec3};
 
-/// All emitting triangles of one (object, material): sampled as one light, uniformly by area.
+/// All emitting triangles of one (object, material) pair, sampled as one light.
 #[derive(Debug, Clone)]
 pub struct Luminaire {
-    /// (object, material): by it the luminaire has random numbers of its own, whichever others there are.
+    /// The (object, material) pair. It selects the luminaire's random numbers, which thus do not depend on
+    /// other luminaires.
     pub stratum: u32,
     /// Total area, m².
     pub area: f32,
-    /// The box around it.
+    /// Bounding box.
     pub bounds: Bounds,
     surfaces: Vec<Surface>,
-    /// Cumulative share of the area by triangle; the last entry is 1.
+    /// Cumulative share of the area by triangle. The last entry is 1.
     cumulative: Vec<f32>,
 }
 
 /// The area lights of a frame.
 #[derive(Debug, Clone, Default)]
 pub struct Luminaires {
-    /// Those that may light something that is seen; then those that are put back nevertheless.
+    /// First the luminaires that can light something visible, then the others.
     pub all: Vec<Luminaire>,
     reaching: usize,
-    /// Luminaire of each stratum, `u32::MAX` for those that do not emit.
+    /// Luminaire of each stratum. `u32::MAX` if the stratum does not emit.
     of_stratum: Vec<u32>,
 }
 
 impl Luminaires {
-    /// Collects the emitting triangles. Those without area emit nothing; those that light nothing are left out, unless the collection
-    /// is to be `complete`.
+    /// Collects the emitting triangles. Triangles without area emit nothing. Luminaires that light nothing
+    /// visible are left out, unless `complete` is set.
     pub fn new(frame: &Frame, reach: &Reach, complete: bool) -> Self {
         let geometry = &frame.geometry;
         let mut members: Vec<Vec<(u32, f64)>> = vec![Vec::new(); geometry.strata.len()];
@@ -70,19 +71,19 @@ impl Luminaires {
         luminaires
     }
 
-    /// How many of them may light something that is seen.
+    /// Number of luminaires that can light something visible.
     pub fn reaching(&self) -> usize {
         self.reaching
     }
 
-    /// The luminaire that a triangle's stratum belongs to.
+    /// The luminaire of a stratum.
     pub fn of_stratum(&self, stratum: u32) -> Option<usize> {
         let index = *self.of_stratum.get(stratum as usize)?;
         (index != u32::MAX).then_some(index as usize)
     }
 
-    /// Density per steradian of a uniform point of a luminaire, for light that leaves it under `cos` (> 0) at a squared distance
-    /// of `distance2` m².
+    /// Density per steradian of a uniform point on a luminaire. The light leaves at an angle of cosine `cos`
+    /// (> 0) and travels the squared distance `distance2` (m²).
     pub fn density(&self, index: usize, distance2: f32, cos: f32) -> f32 {
         distance2 / (cos * self.all[index].area)
     }
@@ -94,7 +95,7 @@ impl Luminaire {
         is_near(&self.bounds, self.area, point)
     }
 
-    /// A uniform point of the surface.
+    /// A uniform point on the luminaire.
     pub fn sample(&self, u: Vec2) -> LightPoint {
         let (i, within) = part(&self.cumulative, u.x);
         self.surfaces[i].point(Vec2::new(within, u.y))

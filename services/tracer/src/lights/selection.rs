@@ -1,33 +1,38 @@
-//! One light out of everything that shines: emitters by their tree, suns by their irradiance, the sky's image.
+//! Chooses one light out of all lights of a frame.
+//!
+//! First the kind of light is chosen, then a light of that kind: emitters by their tree, suns by their
+//! irradiance, or the environment's image.
 
+use super::bounds::Receiver;
 use super::emitters::{Emitter, Emitters};
-use super::tree::{BELOW_ONE, Choice, Receiver};
+use super::tree::{BELOW_ONE, Choice};
 use crate::Reach;
 use crate::environment::Sky;
 use forelight_scene::{Frame, Material, Sun};
 
-/// A light that was chosen.
+/// A chosen light.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Light {
-    /// An emitting patch, by its place among the emitters.
+    /// An emitting patch, by its index in [`Emitters`].
     Patch(usize),
-    /// A light without surface, by its index in the frame.
+    /// A point light, by its index in the frame.
     Point(usize),
     /// A sun, by its index in the frame.
     Sun(usize),
-    /// The image that surrounds the scene.
+    /// The environment's image.
     Sky,
 }
 
-/// Everything that light sampling looks for. A constant sky is not among it: directions chosen by the surface find it as well.
+/// All lights that are sampled. A constant environment is not one of them, because BSDF sampling finds it as
+/// well.
 #[derive(Debug, Clone, Default)]
 pub struct Lights {
     pub emitters: Emitters,
     /// Cumulative irradiance of the suns in the strongest channel, W/m².
     suns: Vec<f64>,
-    /// The only sun: its height over the receiver's horizon is looked at.
+    /// The only sun, if there is exactly one. Its height above the receiver's horizon is taken into account.
     only_sun: Option<Sun>,
-    /// Mean irradiance from the sky's image, W/m².
+    /// Mean irradiance from the environment's image, W/m².
     sky: f64,
 }
 
@@ -40,7 +45,7 @@ struct Kinds {
 }
 
 impl Lights {
-    /// Collects what shines and may matter to the picture.
+    /// Collects the lights that can affect the image.
     pub fn new(frame: &Frame, materials: &[Material], sky: &Sky, reach: &Reach) -> Self {
         let mut sum = 0.0;
         let suns = frame.suns.iter().enumerate().map(|(i, sun)| {
@@ -60,8 +65,10 @@ impl Lights {
         }
     }
 
-    /// A light for the uniform random number `u` in [0, 1), and the probability of this choice; `None` where none is expected to
-    /// reach the receiver. `visited` counts the nodes looked at.
+    /// Chooses a light for the uniform random number `u` in [0, 1). Returns it with the probability of the
+    /// choice.
+    ///
+    /// `None` if no light can reach the receiver. `visited` counts the tree nodes that were visited.
     pub fn choose(&self, receiver: &Receiver, u: f64, visited: &mut u64) -> Option<(Light, f64)> {
         let kinds = self.kinds(receiver)?;
         if u < kinds.emitters {
@@ -94,7 +101,7 @@ impl Lights {
         self.kinds(receiver).map_or(0.0, |kinds| kinds.suns * self.share_of_sun(index))
     }
 
-    /// Probability with which [`Self::choose`] chooses the sky.
+    /// Probability with which [`Self::choose`] chooses the environment.
     pub fn of_sky(&self, receiver: &Receiver) -> f64 {
         self.kinds(receiver).map_or(0.0, |kinds| kinds.sky)
     }
@@ -104,8 +111,8 @@ impl Lights {
         (self.suns[index] - below) / self.suns[self.suns.len() - 1]
     }
 
-    /// One half of the choices is shared evenly among the kinds that may reach the receiver, because what is expected of them knows
-    /// nothing of what stands in the way; the other half in proportion to what is expected.
+    /// Half of the probability is distributed evenly among the kinds of light that can reach the receiver,
+    /// because the estimates ignore occlusion. The other half is in proportion to the estimates.
     fn kinds(&self, receiver: &Receiver) -> Option<Kinds> {
         let suns = self.suns.last().copied().unwrap_or(0.0);
         let suns = match (self.only_sun, receiver.normal) {

@@ -1,32 +1,27 @@
-//! A tree over lights by which one is chosen in proportion to the light that it is expected to bring to a point.
+//! A light tree: chooses lights in proportion to the light that they are estimated to bring to a point.
 //!
-//! After Conty Estevez and Kulla 2018, "Importance Sampling of Many Lights with Adaptive Tree Splitting": a node bounds where its
-//! lights are and where they shine to. The way down is chosen at each node by what the two children are expected to bring;
-//! the probability of a given light is the product along its way up. What a node is expected to bring is zero only
-//! if none of its lights can reach the point, so that no light that matters is ever left out.
+//! It follows Conty Estevez and Kulla 2018, "Importance Sampling of Many Lights with Adaptive Tree
+//! Splitting". Each node bounds the position of its lights and the directions that they emit to. From the
+//! root, one of two children is chosen by their importance. The probability of a light is the product along
+//! its path.
+//!
+//! A node's importance is zero only if none of its lights can reach the point. So no light that matters is
+//! ever left out.
 
-use super::bounds::{Bounds, Shine};
+use super::bounds::{Bounds, Receiver, Shine};
 use glam::Vec3;
 
-/// Candidate planes along each axis at which a set of lights is split, plus one.
+/// Number of bins along each axis when a set of lights is split.
 const BINS: usize = 12;
 
-/// Nodes with more lights than this are split along the longest axis alone: by far the best one for so many, and each further
-/// axis costs as much again.
+/// Larger sets of lights are split only along the longest axis. It is by far the best one for so many, and
+/// each further axis costs as much again.
 const ALL_AXES: usize = 4096;
-
-/// Where light is looked for.
-#[derive(Debug, Clone, Copy)]
-pub struct Receiver {
-    pub position: Vec3,
-    /// Light from below the plane of this normal does not count; `None` if it counts from everywhere.
-    pub normal: Option<Vec3>,
-}
 
 #[derive(Debug, Clone, Copy)]
 struct Node {
     bounds: Bounds,
-    /// First of two adjacent children, or, in a leaf, the light with [`LEAF`] set.
+    /// In an inner node, the first of two adjacent children. In a leaf, the light, with [`LEAF`] set.
     content: u32,
     parent: u32,
 }
@@ -34,17 +29,18 @@ struct Node {
 /// A choice among lights.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Choice {
-    /// The uniform random number in [0, 1) by which to choose; after the choice what this leaves of it, uniform in [0, 1) again, but
-    /// coarse if there are many lights.
+    /// Before the choice, a uniform random number in [0, 1). Afterwards its remainder, uniform in [0, 1)
+    /// again, but coarse if there are many lights.
     pub number: f64,
-    /// The light.
+    /// The chosen light.
     pub light: usize,
-    /// Probability of the choice; 0 before it, and where the way down led to lights that do not reach the receiver.
+    /// Probability of the choice. 0 before the choice, or if no light on the chosen path can reach the
+    /// receiver.
     pub probability: f64,
 }
 
 impl Choice {
-    /// A choice to be made by this random number.
+    /// A choice still to be made with this random number.
     pub fn by(number: f64) -> Self {
         Self { number, ..Self::default() }
     }
@@ -53,17 +49,17 @@ impl Choice {
 const LEAF: u32 = 1 << 31;
 const ROOT: u32 = 0;
 
-/// The tree. Lights are named by their index in the slice that it was built from.
+/// The tree. Lights are identified by their index in the slice that it was built from.
 #[derive(Debug, Clone, Default)]
 pub struct LightTree {
-    /// The root, a gap, then pairs of siblings at even and odd indices.
+    /// The root, an unused entry, then pairs of siblings at even and odd indices.
     nodes: Vec<Node>,
     /// Leaf of each light.
     leaves: Vec<u32>,
 }
 
 impl LightTree {
-    /// Builds the tree over lights that all shine.
+    /// Builds the tree. All lights must emit.
     pub fn new(lights: &[Bounds]) -> Self {
         if lights.is_empty() {
             return Self::default();
@@ -80,13 +76,15 @@ impl LightTree {
         tree
     }
 
-    /// What all lights together are expected to bring.
+    /// Importance of all lights together.
     pub fn importance(&self, receiver: &Receiver) -> f64 {
         self.nodes.first().map_or(0.0, |root| root.bounds.importance(receiver))
     }
 
-    /// Makes choices by random numbers that ascend. Their ways down are gone together as far as they are the same. `visited` counts
-    /// the nodes looked at.
+    /// Makes several choices. Their random numbers must ascend. Common parts of their paths are walked only
+    /// once.
+    ///
+    /// `visited` counts the nodes that were visited.
     pub fn choose(&self, receiver: &Receiver, choices: &mut [Choice], visited: &mut u64) {
         let Some(root) = self.nodes.first() else { return };
         if root.content & LEAF != 0 {
@@ -114,7 +112,7 @@ impl LightTree {
         *visited += 2;
         let pair = &self.nodes[node.content as usize..node.content as usize + 2];
         let Some(share) = share(pair, receiver) else { return };
-        // What is left of a random number is uniform again; its strata stay together along the way down.
+        // The remainder of a random number is uniform again. Its strata stay together along the path.
         let (to_first, to_second) = choices.split_at_mut(choices.partition_point(|c| c.number < share));
         if !to_first.is_empty() {
             to_first.iter_mut().for_each(|c| c.number = (c.number / share).min(BELOW_ONE));
@@ -145,9 +143,11 @@ impl LightTree {
         probability
     }
 
-    /// Whether `is_near` holds for any light; `may_hold` says of a node's bounds whether it can.
+    /// Returns `true` if `is_near` holds for any light. `may_hold` tells from a node's bounds whether it can
+    /// hold for one of the node's lights.
     pub fn any(&self, may_hold: impl Fn(&Bounds) -> bool, is_near: impl Fn(usize) -> bool) -> bool {
-        // Depth first without a stack: after a subtree, on to the second sibling of the nearest ancestor that is a first one.
+        // Depth-first without a stack: after a subtree, continue at the second sibling of the nearest
+        // ancestor that is a first sibling.
         let mut index = ROOT;
         if self.nodes.is_empty() {
             return false;
@@ -173,7 +173,7 @@ impl LightTree {
         }
     }
 
-    /// Makes node `index` hold `members`.
+    /// Fills node `index` with `members`.
     fn fill(&mut self, index: u32, members: &mut [Member]) {
         if let [member] = members {
             self.nodes[index as usize].bounds = member.bounds;
@@ -197,7 +197,7 @@ impl LightTree {
 /// The largest number below 1.
 pub const BELOW_ONE: f64 = 1.0 - f64::EPSILON / 2.0;
 
-/// Probability of the first of a pair of children; `None` if neither brings anything.
+/// Probability of the first of a pair of children. `None` if neither can bring light.
 fn share(pair: &[Node], receiver: &Receiver) -> Option<f64> {
     let (first, second) = (pair[0].bounds.importance(receiver), pair[1].bounds.importance(receiver));
     let sum = first + second;
@@ -212,7 +212,7 @@ struct Member {
     light: u32,
 }
 
-/// Sorts the members into two groups, and returns where the second begins: neither is empty.
+/// Sorts the members into two non-empty groups. Returns the start of the second.
 fn split(members: &mut [Member]) -> usize {
     if members.len() == 2 {
         return 1;
@@ -227,7 +227,7 @@ fn split(members: &mut [Member]) -> usize {
             let bin = |m: &Member| bin(m.centre[axis], low[axis], extent[axis]);
             let mut bins = [Shine::NONE; BINS];
             members.iter().for_each(|m| bins[bin(m)].add(&m.bounds));
-            // A thin split is worth less than its bounds say (Conty Estevez and Kulla, equation 2).
+            // Penalise thin splits (Conty Estevez and Kulla 2018, equation 2).
             let slimness = f64::from(extent[longest] / extent[axis]);
             let mut after = [0.0; BINS];
             let mut rest = Shine::NONE;
@@ -256,7 +256,7 @@ fn split(members: &mut [Member]) -> usize {
             }
         }
     }
-    // All in one place, or costs that are no numbers: halves are as good as anything.
+    // If all lights are in one place, or costs are NaN, splitting in the middle is as good as anything.
     if middle == 0 || middle == members.len() { members.len() / 2 } else { middle }
 }
 

@@ -1,27 +1,29 @@
-//! A triangle on its own: how far from another, crossed by a ray or not, and whether rays can slip past a shell beside it.
+//! Tests of single triangles: distance between two, crossing by a ray, and whether rays from one can start
+//! beyond another.
 
 use forelight_scene::Geometry;
 use glam::DVec3;
 
-/// Cosines below this count as a right angle: a step along one normal then moves nothing that f32 can tell along the other.
+/// Cosines below this count as a right angle. A step along one normal is then too small along the other to
+/// show in f32.
 const SQUARE: f64 = 1.0 / 4096.0;
 
 /// A triangle in f64, where differences of f32 coordinates are exact.
 #[derive(Debug, Clone, Copy)]
 pub struct Facet {
     pub corners: [DVec3; 3],
-    /// Unit normal by the winding; zero if there is none.
+    /// Unit normal, on the side from which the triangle is counter-clockwise. Zero if there is none.
     pub normal: DVec3,
 }
 
-/// Sides of a facet from which rays may come.
+/// Sides of a triangle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sides {
     /// The side that the normal points to.
     Front,
-    /// The other one.
+    /// The opposite side.
     Back,
-    /// Either.
+    /// Both sides.
     Both,
 }
 
@@ -42,7 +44,7 @@ impl Facet {
         Self { corners, normal: (b - a).cross(c - a).normalize_or_zero() }
     }
 
-    /// A triangle that is one point.
+    /// A triangle that degenerates to one point.
     pub fn point(at: DVec3) -> Self {
         Self { corners: [at; 3], normal: DVec3::ZERO }
     }
@@ -52,8 +54,9 @@ impl Facet {
         [b - a, c - b, a - c]
     }
 
-    /// Whether the two are farther apart than `distance`, shown by an axis along which their shadows are. The answer `false` may
-    /// be too careful where the closest points are two corners.
+    /// Returns `true` if an axis separates the two triangles by more than `distance`.
+    ///
+    /// `false` may be wrong on the safe side, if the closest points are two corners.
     pub fn is_apart(&self, other: &Self, distance: f64) -> bool {
         let (own, theirs) = (self.edges(), other.edges());
         let gap_along = |axis: DVec3| {
@@ -74,12 +77,13 @@ impl Facet {
             || gap_along(other.corners[0] - self.corners[0])
     }
 
-    /// Whether the half-line from `origin` along the unit vector `direction` crosses the facet; `None` if that is too close to
-    /// call in f64.
+    /// Returns whether the half-line from `origin` along the unit vector `direction` crosses the triangle.
+    /// `None` if f64 cannot decide.
     pub fn crossed(&self, origin: DVec3, direction: DVec3) -> Option<bool> {
         let [a, b, c] = self.corners.map(|p| p - origin);
         let size = a.abs().max(b.abs()).max(c.abs()).max_element();
-        // Volumes of the tetrahedra of the direction and the edges: their signs say on which side of each edge the line passes.
+        // Volumes of the tetrahedra of the direction and the edges. Their signs tell on which side of each
+        // edge the line passes.
         let sides = [direction.dot(b.cross(c)), direction.dot(c.cross(a)), direction.dot(a.cross(b))];
         let least = 1e-12 * size * size;
         if sides.iter().any(|&s| s > least) && sides.iter().any(|&s| s < -least) {
@@ -92,10 +96,13 @@ impl Facet {
         Some((volume > 0.0) == (sides[0] > 0.0))
     }
 
-    /// Whether a ray that leaves this facet, close to the facet `wall` of a shell, may start beyond the wall. Rays start off the
-    /// surface that they leave, along its normal, on the side from which it was met (`sides`); so they may if that step leads
-    /// towards the wall. `sealed` says that no ray leaves on the other side. `wall_sides` are the wall's sides on which light
-    /// goes about; `rounding` is the length below which positions are not told apart.
+    /// Returns `true` if a ray that leaves this triangle, close to the triangle `wall` of a shell, may start
+    /// beyond the wall.
+    ///
+    /// Rays start at an offset from the surface along its normal, on one of the `sides`. They may start
+    /// beyond the wall if the offset leads towards it. `sealed` means that no ray leaves on the other side.
+    /// `wall_sides` are the wall's sides that light can reach. `rounding` is the smallest length by which
+    /// positions can differ, in metres.
     pub fn may_slip(
         &self,
         sides: Sides,
@@ -114,7 +121,8 @@ impl Facet {
                 let step = *sign * self.normal;
                 let cos = step.dot(towards_light);
                 if sealed {
-                    // Off a surface that lies before the wall, towards a wall that lies before the surface.
+                    // The offset leads towards the wall, part of the surface is in front of the wall, and
+                    // part of the wall is in front of the surface.
                     cos < -SQUARE && before_wall > rounding && ahead(self, step, &wall.corners) > rounding
                 } else {
                     cos.abs() > SQUARE && before_wall >= -rounding
@@ -133,7 +141,7 @@ mod tests {
         Facet { corners: [a, b, c], normal: (b - a).cross(c - a).normalize_or_zero() }
     }
 
-    /// In the plane y = `height`, its normal up.
+    /// A triangle in the plane y = `height`, with its normal up.
     fn level(height: f64) -> Facet {
         facet([[0.0, height, 0.0], [0.0, height, 1.0], [1.0, height, 0.0]])
     }

@@ -1,4 +1,4 @@
-//! What shells keep from the camera.
+//! Finds what shells hide from the camera.
 
 use super::facet::Facet;
 use super::shell::{Shell, shells};
@@ -9,34 +9,34 @@ use crate::bounds::Bounds;
 use forelight_scene::{Frame, Geometry, Material, Surface};
 use glam::Vec3;
 
-/// Shells of more triangles than this are not looked at: the time that it takes would show.
+/// Shells with more triangles than this are not examined, because that would take noticeable time.
 const LARGEST_SHELL: usize = 1 << 18;
 
-/// Triangles that may be visited, for each triangle of the scene. Where many shells might hold something, the last ones are
-/// not looked at.
+/// Number of triangle visits allowed per triangle of the scene. If too many shells may contain something, the
+/// last ones are not examined.
 const VISITS: usize = 16;
 
-/// Shading normals farther than this angle (rad) from the geometric one let rays leave through the surface. Sampled
-/// directions keep 2⁻¹² from the plane.
+/// A shading normal that deviates more than this from the geometric one (in radians) lets rays leave through
+/// the surface. Sampled directions are at least 2⁻¹² away from the plane.
 const FLAT: f32 = 1.0 / 16_384.0;
 
-/// Why something is kept from the camera.
+/// Why something is hidden from the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Kept {
     /// Object id of the shell.
     pub shell: u32,
-    /// Whether the shell holds the camera, instead of what is kept from it.
+    /// `true`: the shell contains the camera. `false`: it contains what is hidden.
     pub holds_camera: bool,
 }
 
-/// What cannot be seen, in any number of bounces.
+/// Everything that cannot be seen, after any number of bounces.
 pub struct Separation {
-    /// Connected piece of each triangle, and what is known of each piece.
+    /// Connected piece of each triangle, and the result for each piece.
     piece: Vec<u32>,
     pieces: Vec<Option<Kept>>,
-    /// By point light.
+    /// The result for each point light.
     pub points: Vec<Option<Kept>>,
-    /// What is infinitely far: suns and environment.
+    /// The result for everything at infinity: suns and environment.
     pub sky: Option<Kept>,
 }
 
@@ -71,19 +71,19 @@ impl Separation {
         self.pieces[self.piece[triangle as usize] as usize]
     }
 
-    /// Whether any triangle is kept from the camera.
+    /// Returns `true` if any triangle is hidden from the camera.
     pub fn any(&self) -> bool {
         self.pieces.iter().any(Option::is_some)
     }
 }
 
-/// Whether no light passes a surface of this material, at any point.
+/// Returns `true` if no light passes a surface of this material at any point.
 fn is_opaque(material: &Material) -> bool {
     let passes = matches!(material.surface, Surface::ThinGlass { .. } | Surface::Glass { .. });
     !passes && !material.is_cutout()
 }
 
-/// Whether the triangle is shaded by its geometric normal.
+/// Returns `true` if the triangle is shaded by its geometric normal.
 fn is_flat(geometry: &Geometry, triangle: u32) -> bool {
     let geometric = geometry.geometric_normal(triangle);
     let normals = geometry.triangles[triangle as usize].map(|v| geometry.normals[v as usize]);
@@ -92,15 +92,15 @@ fn is_flat(geometry: &Geometry, triangle: u32) -> bool {
 
 struct Search<'a> {
     frame: &'a Frame,
-    /// By material.
+    /// For each material.
     opaque: &'a [bool],
-    /// Triangles by piece, and the pieces' boxes.
+    /// Triangles by piece, and the bounding boxes of the pieces.
     members: Groups,
     bounds: Vec<Bounds>,
     tree: Tree,
     /// Largest coordinate of anything that rays start from or end at.
     extent: f32,
-    /// Triangles that may still be visited.
+    /// Number of triangles that may still be visited.
     budget: usize,
     found: Separation,
 }
@@ -124,7 +124,7 @@ impl<'a> Search<'a> {
         self.opaque[self.frame.geometry.material(triangle) as usize]
     }
 
-    /// Opaque triangles of those pieces that may have something inside: a light, the camera, another piece.
+    /// Opaque triangles of the pieces that may contain something: a light, the camera, or another piece.
     fn around_something(&self) -> Vec<u32> {
         let lights = self.frame.points.iter().map(|light| light.position);
         let points: Vec<Vec3> = lights.chain([self.frame.camera.origin]).collect();
@@ -142,7 +142,7 @@ impl<'a> Search<'a> {
     }
 
     fn run(mut self, mut shells: Vec<Shell>) -> Separation {
-        // The largest first: they keep most, and what they keep needs no second reason.
+        // Largest first: they hide most, and what they hide needs no second reason.
         let volume = |s: &Shell| (s.bounds.high - s.bounds.low).element_product();
         shells.sort_by(|a, b| volume(b).total_cmp(&volume(a)).then_with(|| a.triangles.cmp(&b.triangles)));
         for shell in &shells {
@@ -157,7 +157,8 @@ impl<'a> Search<'a> {
         affordable
     }
 
-    /// Finds what one shell keeps from the camera, if the shell can be relied on.
+    /// Finds what one shell hides from the camera. Does nothing if the shell does not meet the conditions of
+    /// the proof.
     fn look_at(&mut self, shell: &Shell) -> Option<()> {
         let (frame, geometry) = (self.frame, &*self.frame.geometry);
         let camera = &frame.camera;
@@ -201,8 +202,9 @@ impl<'a> Search<'a> {
         Some(())
     }
 
-    /// The pieces that lie wholly on the side of a shell where the camera is not; `None` if anything lets light slip past the
-    /// shell, or if looking would take too long.
+    /// The pieces that are wholly on the side of a shell without the camera.
+    ///
+    /// `None` if anything lets light past the shell, or if the budget is exhausted.
     fn pieces_beyond(&mut self, wall: &Wall<'_>, shell: &Shell, inside: bool) -> Option<Vec<u32>> {
         let geometry = &*self.frame.geometry;
         let reach = wall.reach();
@@ -211,7 +213,7 @@ impl<'a> Search<'a> {
             close[p as usize] = true;
             false
         });
-        // What is nowhere near the shell is outside.
+        // Pieces that are not near the shell are outside.
         let mut beyond: Vec<u32> =
             (0..).zip(&close).filter(|(_, close)| inside && !**close).map(|p| p.0).collect();
         for piece in (0..).zip(&close).filter(|(_, close)| **close).map(|p| p.0) {
@@ -219,7 +221,7 @@ impl<'a> Search<'a> {
                 return None;
             }
             let mut touches = false;
-            // What floats freely in a room need not be looked at triangle by triangle.
+            // Pieces that do not touch the shell need not be examined triangle by triangle.
             let members = self.members.get(piece);
             let members = if wall.may_meet(&self.bounds[piece as usize]) { members } else { &[] };
             for &t in members {
@@ -247,7 +249,7 @@ impl<'a> Search<'a> {
     }
 }
 
-/// The object that most of a shell's triangles belong to; of several, the first.
+/// The object that most of a shell's triangles belong to. Ties go to the lowest id.
 fn object_of(geometry: &Geometry, shell: &Shell) -> u32 {
     let mut objects: Vec<u32> = shell.triangles.iter().map(|&t| geometry.object(t)).collect();
     objects.sort_unstable();

@@ -1,4 +1,4 @@
-//! Closed opaque surfaces.
+//! Finds shells: closed opaque surfaces.
 
 use super::weld::{Edges, Groups, Sets, number};
 use crate::bounds::Bounds;
@@ -6,16 +6,19 @@ use forelight_scene::Geometry;
 
 /// Triangles without a border: every edge belongs to an even number of them.
 pub struct Shell {
-    /// Ascending.
+    /// Triangle indices, ascending.
     pub triangles: Vec<u32>,
     pub bounds: Bounds,
-    /// Whether the windings' normals all point outward (`Some(true)`) or all inward; `None` if they are mixed.
+    /// Whether all geometric normals point outward (`Some(true)`) or inward (`Some(false)`). `None` if they
+    /// are mixed.
     pub outward: Option<bool>,
 }
 
-/// The shells that some opaque triangles make up; `corners` are welded vertices, by triangle of the scene. A sheet that ends
-/// somewhere (a picture that is joined to the wall by one edge) is no part of a shell, and does not open the one that it is
-/// joined to.
+/// Finds the shells that some opaque triangles form. `corners` holds the welded vertices of every triangle of
+/// the scene.
+///
+/// A sheet with a free border, such as a picture joined to a wall by one edge, is not part of a shell. It
+/// does not open the shell that it is joined to.
 pub fn shells(geometry: &Geometry, corners: &[[u32; 3]], opaque: &[u32]) -> Vec<Shell> {
     let proper = |&t: &u32| {
         let [a, b, c] = corners[t as usize];
@@ -59,13 +62,13 @@ pub fn shells(geometry: &Geometry, corners: &[[u32; 3]], opaque: &[u32]) -> Vec<
     found
 }
 
-/// The triangles that are left when those with a free edge are taken away until there are none.
+/// Repeatedly removes triangles with a free edge. Returns which triangles remain.
 fn peel(edges: &Edges) -> Vec<bool> {
     let mut alive = vec![true; edges.of_side.len() / 3];
     let mut left: Vec<u32> = (0..edges.len() as u32).map(|edge| edges.sides(edge).len() as u32).collect();
     let mut free: Vec<u32> = (0..edges.len() as u32).filter(|&edge| left[edge as usize] == 1).collect();
     while let Some(edge) = free.pop() {
-        // The one triangle that is left there, unless it went by another of its edges.
+        // The only triangle left at this edge, unless it was already removed via another edge.
         let last = edges.sides(edge).iter().map(|side| side / 3).find(|&t| alive[t as usize]);
         let Some(t) = last else { continue };
         alive[t as usize] = false;
@@ -80,7 +83,7 @@ fn peel(edges: &Edges) -> Vec<bool> {
     alive
 }
 
-/// The sign of the volume that consistently wound triangles enclose; `None` if it is about zero.
+/// The sign of the volume enclosed by consistently wound triangles. `None` if the volume is close to zero.
 fn winds_outward(geometry: &Geometry, triangles: &[u32], bounds: &Bounds) -> Option<bool> {
     let size = (bounds.high - bounds.low).as_dvec3();
     let centre = bounds.low.as_dvec3() + 0.5 * size;

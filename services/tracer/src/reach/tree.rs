@@ -1,28 +1,28 @@
-//! A tree over many boxes.
+//! A bounding volume hierarchy over many boxes.
 
 use crate::bounds::Bounds;
 use glam::DVec3;
 
-/// Items in a leaf at most.
+/// Largest number of items per leaf.
 const LEAF: usize = 4;
 
-/// A binary tree over boxes, split at the median of their centres.
+/// A binary tree over boxes. Nodes are split at the median of the boxes' centres.
 pub struct Tree {
     nodes: Vec<Node>,
-    /// Items, those of a leaf together, with their boxes.
+    /// Items with their boxes. The items of a leaf are adjacent.
     items: Vec<(u32, Bounds)>,
 }
 
 struct Node {
     bounds: Bounds,
-    /// First item of a leaf, or the second child of an inner node, whose first child follows it.
+    /// Leaf: its first item. Inner node: its second child; the first child is the next node.
     at: u32,
-    /// Items of a leaf; 0 marks an inner node.
+    /// Number of items of a leaf. 0 marks an inner node.
     count: u32,
 }
 
 impl Tree {
-    /// The tree over items 0, 1, 2, … with these boxes.
+    /// Builds the tree over items 0, 1, 2, … with these boxes.
     pub fn new(boxes: impl Iterator<Item = Bounds>) -> Self {
         let mut tree = Self { nodes: Vec::new(), items: boxes.zip(0..).map(|(b, i)| (i, b)).collect() };
         if !tree.items.is_empty() {
@@ -51,8 +51,10 @@ impl Tree {
         self.split(from + half, to);
     }
 
-    /// Calls `found` for every item whose box `wanted` accepts; it must accept every box that holds one that it accepts.
-    /// Stops early, with `true`, when `found` says `true`.
+    /// Calls `found` for every item whose box `wanted` accepts. Stops with `true` when `found` returns
+    /// `true`.
+    ///
+    /// If `wanted` accepts a box, it must accept every box around it.
     fn any(&self, wanted: impl Fn(&Bounds) -> bool, mut found: impl FnMut(u32) -> bool) -> bool {
         let mut stack = [0u32; 40];
         let mut height = usize::from(!self.nodes.is_empty());
@@ -77,7 +79,7 @@ impl Tree {
         false
     }
 
-    /// Whether `found` says `true` to any of the items whose boxes overlap `bounds`.
+    /// Returns `true` if `found` returns `true` for any of the items whose boxes overlap `bounds`.
     pub fn any_overlapping(&self, bounds: &Bounds, found: impl FnMut(u32) -> bool) -> bool {
         self.any(|b| b.overlaps(bounds), found)
     }

@@ -1,4 +1,4 @@
-//! A shell, ready to be asked what lies inside it and what comes close.
+//! A shell prepared for queries: which points it contains, and what comes close to it.
 
 use super::facet::{Facet, Sides};
 use super::shell::Shell;
@@ -7,7 +7,8 @@ use crate::bounds::Bounds;
 use forelight_scene::Geometry;
 use glam::DVec3;
 
-/// Directions of the rays that tell inside from outside; far from the axes, to which most models have faces parallel.
+/// Directions of the rays that distinguish inside from outside. They are far from the axes, because most
+/// models have faces parallel to these.
 const PROBES: [DVec3; 8] = [
     DVec3::new(0.531, 0.293, 0.795),
     DVec3::new(-0.417, 0.811, 0.409),
@@ -19,21 +20,21 @@ const PROBES: [DVec3; 8] = [
     DVec3::new(-0.673, 0.167, -0.721),
 ];
 
-/// Probes that have to agree.
+/// Number of probes that must agree.
 const AGREEING: usize = 3;
 
 pub struct Wall<'a> {
     shell: &'a Shell,
     facets: Vec<Facet>,
     tree: Tree,
-    /// What is closer than this may touch, metres.
+    /// Anything closer than this may touch the shell, metres.
     margin: f32,
-    /// Positions closer than this are not told apart, metres: several units in the last place of anything here.
+    /// Smallest length by which positions can differ, metres: several ulps of the largest coordinate.
     rounding: f64,
 }
 
 impl<'a> Wall<'a> {
-    /// `extent` is the largest coordinate of anything that rays start from or end at.
+    /// Prepares a shell. `extent` is the largest coordinate of anything that rays start from or end at.
     pub fn new(geometry: &Geometry, shell: &'a Shell, extent: f32) -> Self {
         let tree = Tree::new(shell.triangles.iter().map(|&t| Bounds::of(geometry.corners(t))));
         let facets = shell.triangles.iter().map(|&t| Facet::new(geometry, t)).collect();
@@ -41,12 +42,12 @@ impl<'a> Wall<'a> {
         Self { shell, facets, tree, margin: margin(shell, extent), rounding }
     }
 
-    /// Nothing outside this box comes close to the shell.
+    /// A box with everything that comes close to the shell.
     pub fn reach(&self) -> Bounds {
         self.shell.bounds.grown(self.margin)
     }
 
-    /// Whether a point is inside; `None` if that is too close to call.
+    /// Returns whether a point is inside. `None` if the probes cannot decide.
     pub fn holds(&self, point: DVec3) -> Option<bool> {
         let mut answers = [0; 2];
         for probe in PROBES {
@@ -64,7 +65,7 @@ impl<'a> Wall<'a> {
         None
     }
 
-    /// Whether a sphere comes close to the shell.
+    /// Returns `true` if a sphere comes close to the shell.
     pub fn is_near_point(&self, centre: DVec3, radius: f32) -> bool {
         let distance = self.margin + radius;
         let bounds = Bounds::of([centre.as_vec3()]).grown(distance);
@@ -73,12 +74,13 @@ impl<'a> Wall<'a> {
         self.tree.any_overlapping(&bounds, near)
     }
 
-    /// Whether anything in a box may come close to the shell.
+    /// Returns `true` if anything in a box may come close to the shell.
     pub fn may_meet(&self, bounds: &Bounds) -> bool {
         self.tree.any_overlapping(&bounds.grown(self.margin), |_| true)
     }
 
-    /// How a triangle that is not of the shell meets it; `sealed` says that no ray leaves it on the other side than it came from.
+    /// How a triangle outside the shell's own meets the shell. `sealed` means that no ray leaves the triangle
+    /// on the side that it did not come from.
     pub fn meets(&self, facet: &Facet, sealed: bool, camera_inside: bool) -> Meeting {
         let (lit, mut meeting) = (self.lit_sides(camera_inside), Meeting::Apart);
         let bounds = Bounds::of(facet.corners.map(|p| p.as_vec3())).grown(self.margin);
@@ -94,12 +96,12 @@ impl<'a> Wall<'a> {
         meeting
     }
 
-    /// Whether rays that leave the shell, on the side that the camera is on, may start on the other: where it meets itself in an
-    /// acute angle.
+    /// Returns `true` if rays that leave the shell on the camera's side may start on the other side. This
+    /// happens where the shell meets itself at an acute angle.
     pub fn leaks(&self, camera_inside: bool) -> bool {
         let lit = self.lit_sides(camera_inside);
         self.facets.iter().enumerate().any(|(i, facet)| {
-            // Most neighbours do not face each other, which is found out sooner than how far they are apart.
+            // Most neighbours do not face each other, which is quicker to test than their distance.
             let bounds = Bounds::of(facet.corners.map(|p| p.as_vec3())).grown(self.margin);
             self.tree.any_overlapping(&bounds, |j| {
                 let own = &self.facets[j as usize];
@@ -110,7 +112,7 @@ impl<'a> Wall<'a> {
         })
     }
 
-    /// Sides of the facets on which light goes about that the camera sees.
+    /// Sides of the triangles that face the camera's side of the shell.
     fn lit_sides(&self, camera_inside: bool) -> Sides {
         match self.shell.outward {
             None => Sides::Both,
@@ -123,17 +125,19 @@ impl<'a> Wall<'a> {
 /// How a triangle meets a shell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Meeting {
-    /// Not at all.
+    /// It does not touch the shell.
     Apart,
-    /// It does, or may.
+    /// It touches the shell, or may touch it.
     Touches,
-    /// It does, and rays that leave it may start beyond the shell.
+    /// It touches the shell, and rays that leave it may start beyond the shell.
     Leaks,
 }
 
-/// Distance within which something may touch the shell: several times what ray origins are moved off surfaces (2⁻¹⁸ of the largest
-/// coordinate of the triangle that they leave; see `forelight_bvh::offset_origin`), and well above the rounding of rays that come
-/// from far away.
+/// Distance within which something may touch the shell.
+///
+/// It is several times the offset of ray origins, and well above the rounding errors of rays that come from
+/// far away. The offset is 2⁻¹⁸ of the largest coordinate of the triangle's corners; see
+/// `forelight_bvh::offset_origin`.
 fn margin(shell: &Shell, extent: f32) -> f32 {
     (shell.bounds.reach() / 16_384.0).max(extent / 65_536.0)
 }

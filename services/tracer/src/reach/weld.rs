@@ -1,15 +1,16 @@
-//! Which corners of triangles are the same point, which edges the same line, and what hangs together.
+//! Mesh connectivity: welded vertices, edges, and disjoint sets.
 
 use crate::random::hash;
 use glam::Vec3;
 
-/// For each vertex the first one at exactly the same position. Linear: an open hash table of positions by their bits.
+/// For each vertex, the first vertex at exactly the same position. Takes linear time, with an open hash table
+/// of the positions' bits.
 pub fn weld(positions: &[Vec3]) -> Vec<u32> {
     const FREE: u32 = u32::MAX;
     let mask = (2 * positions.len()).next_power_of_two().max(2) - 1;
     let mut table = vec![FREE; mask + 1];
     let first = |(index, position): (usize, &Vec3)| {
-        // Adding zero makes −0 and 0 one number.
+        // Adding zero turns −0 into 0.
         let [x, y, z] = (*position + 0.0).to_array().map(f32::to_bits);
         let mut slot = hash(u64::from(x) << 32 ^ u64::from(y) << 16 ^ hash(u64::from(z))) as usize & mask;
         loop {
@@ -26,7 +27,7 @@ pub fn weld(positions: &[Vec3]) -> Vec<u32> {
     positions.iter().enumerate().map(first).collect()
 }
 
-/// Disjoint sets of 0, 1, …; each set's representative is its lowest member.
+/// Disjoint sets of 0, 1, … The representative of a set is its lowest member.
 pub struct Sets {
     parent: Vec<u32>,
 }
@@ -56,14 +57,17 @@ impl Sets {
     }
 }
 
-/// Consecutive numbers for those items that represent a set, in ascending order; the others get that of their representative,
-/// items that are not `wanted` none. Also the number of sets.
+/// Numbers the sets consecutively, in the order of their first wanted item. Returns the number of each wanted
+/// item's set, and the number of sets.
+///
+/// Items that are not `wanted` get no number of their own.
 pub fn number(representatives: &[u32], wanted: impl Fn(usize) -> bool) -> (Vec<Option<u32>>, usize) {
     let mut numbers: Vec<Option<u32>> = vec![None; representatives.len()];
     let mut count = 0;
     for (item, &representative) in representatives.iter().enumerate() {
         if wanted(item) {
-            // A representative is its set's lowest member, so it has come by already, unless it is not wanted itself.
+            // A representative is its set's lowest member, so it already has its number, unless it is not
+            // wanted itself.
             let known = numbers[representative as usize];
             numbers[representative as usize] = known.or_else(|| {
                 count += 1;
@@ -75,14 +79,14 @@ pub fn number(representatives: &[u32], wanted: impl Fn(usize) -> bool) -> (Vec<O
     (numbers, count as usize)
 }
 
-/// Items by the group that they belong to, in ascending order within each.
+/// Items grouped, and ascending within each group.
 pub struct Groups {
     start: Vec<u32>,
     items: Vec<u32>,
 }
 
 impl Groups {
-    /// Groups 0 … `groups` − 1 of items 0, 1, …; items without a group are in none.
+    /// Groups 0 … `groups` − 1 of items 0, 1, … Items may have no group.
     pub fn new(groups: usize, of: impl Iterator<Item = Option<u32>> + Clone) -> Self {
         let mut start = vec![0u32; groups + 1];
         for group in of.clone().flatten() {
@@ -117,13 +121,13 @@ impl Groups {
 pub struct Edges {
     /// Edge of each side (3 t + s).
     pub of_side: Vec<u32>,
-    /// The sides of all edges, one edge after the other, and where each begins.
+    /// The sides of all edges in sequence, and where each edge begins.
     sides: Vec<u32>,
     start: Vec<u32>,
 }
 
 impl Edges {
-    /// `corners` are welded vertices below `vertices`.
+    /// Finds the edges. `corners` are welded vertices, all below `vertices`.
     pub fn new(vertices: usize, corners: &[[u32; 3]]) -> Self {
         let ends = |side: u32| {
             let (t, s) = (side as usize / 3, side as usize % 3);
@@ -134,7 +138,7 @@ impl Edges {
             let (a, b) = ends(side);
             Some(a.min(b))
         });
-        // Sides by their lower end; the few of each are then sorted by the other one.
+        // Group the sides by their lower end. The few sides of each group are then sorted by their upper end.
         let Groups { start: at_vertex, items: mut sides } = Groups::new(vertices, lower);
         let mut of_side = vec![0; sides.len()];
         let mut start = Vec::with_capacity(sides.len() / 2 + 1);

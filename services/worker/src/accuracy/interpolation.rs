@@ -13,12 +13,12 @@
 //!
 //! an unbiased estimate of the cache's part alone. That of a single pixel may be negative; the mean over the image is hardly.
 
+use super::gathers::{LESS_NOISY, cost, scaled, times_the_rays};
 use super::pilot::Pilot;
-use super::related::{LESS_NOISY, cost, scaled, times_the_rays};
 use super::{AccuracyObserver, is_cancelled, traced};
-use crate::noise::FrameNoise;
+use crate::profile::ShotError;
+use crate::profile::noise::FrameNoise;
 use crate::renderer::{FrameRenderer, Renderer};
-use crate::shot::ShotError;
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{RenderSettings, Spent};
 

@@ -4,9 +4,9 @@
 //! E[(x − a)(x − b)] = E[(x − t)²] with t what both converge to: the halves' own noise drops out, and need not be small.
 
 use super::AccuracyObserver;
+use crate::profile::ShotError;
 use crate::render::{Given, render_frame};
 use crate::renderer::Renderer;
-use crate::shot::ShotError;
 use forelight_protocol::{AccuracyDoc, CacheMode, MeasuredRung, RenderSettings, RenderSettingsRequest};
 use forelight_tracer::Image;
 

@@ -1,11 +1,13 @@
 //! A pilot: profiled pixels of one kind of setting.
 
 use super::{AccuracyObserver, AccuracyOptions};
-use crate::ambient::uncovered_gathers;
-use crate::noise::{FrameNoise, Zones, noise_strata};
-use crate::quote::{QuoteOptions, quantiles};
+use crate::own::uncovered_gathers;
+use crate::profile::noise::{FrameNoise, Zones, noise_strata};
+use crate::profile::{
+    Observer, ShotError, cost_of_record, forecast_strata, profile_ready, record_prior_cost,
+};
+use crate::quote::QuoteOptions;
 use crate::renderer::{FrameRenderer, RenderError, Renderer};
-use crate::shot::{Observer, ShotError, cost_of_record, forecast_strata, profile_ready, record_prior_cost};
 use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise};
 use forelight_forecast::{
     Calibration, Cost, Expansion, ForecastError, FramePopulation, Observation, ProfiledFrame, RecordStrata,
@@ -13,6 +15,7 @@ use forelight_forecast::{
 };
 use forelight_preview::Preview;
 use forelight_protocol::{FixedCosts, ImageError, Quantiles, RenderSettings, Spent};
+use forelight_quote::quantiles;
 use forelight_tracer::{Pixel, RecordCost};
 use std::collections::BTreeMap;
 

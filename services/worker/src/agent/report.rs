@@ -1,10 +1,8 @@
 //! How a task ends: with its result, with an error, or given back.
 
 use super::{Agent, describe, is_lost};
-use crate::backoff::Backoff;
-use crate::client::Client;
-use crate::execute::{Control, ExecuteError, Outcome};
-use crate::transport::ClientError;
+use crate::agent::execute::{Control, ExecuteError, Outcome};
+use forelight_client::{Backoff, Client, ClientError};
 use forelight_protocol::{
     Lease, LogLevel, ProblemKind, RenewRequest, ResultRequest, TaskError, without_secrets,
 };

@@ -3,7 +3,7 @@
 use crate::room::{Nobody, Rig};
 use forelight_preview::Choice;
 use forelight_protocol::{CacheMode, Quantiles, RenderSettings, RenderSettingsRequest, TaskResult, TaskSpec};
-use forelight_worker::{Ambient, Given, QuoteOptions, Renderer, quote, render_frame};
+use forelight_worker::{Ambient, Given, QuoteOptions, quote, render_frame};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
@@ -15,7 +15,9 @@ fn the_records_that_the_preview_counted_are_those_of_the_render() {
         let options =
             QuoteOptions { samples: 64, profile_frames: Some(1), seed: 2, ..QuoteOptions::default() };
         let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
-        for (forecast, counted) in quoted.document.frames.iter().zip(&quoted.counted.cache_records) {
+        let counted: Vec<&Vec<u32>> =
+            quoted.preview().frames.iter().map(|frame| &frame.cache_records).collect();
+        for (forecast, counted) in quoted.document.frames.iter().zip(&counted) {
             let cancel = AtomicBool::new(false);
             let frame = forecast.frame;
             let stats = render_frame(&shot, frame, &rig.settings, Given::default(), &|_| (), &cancel)
@@ -37,7 +39,7 @@ fn the_records_that_the_preview_counted_are_those_of_the_render() {
             assert!(stats.effects.iter().any(|effect| effect == "irradiance cache"), "{:?}", stats.effects);
         }
         assert!(quoted.document.effects.iter().any(|effect| effect == "irradiance cache"));
-        assert_ne!(quoted.counted.cache_records[0], quoted.counted.cache_records[2], "the camera moved");
+        assert_ne!(counted[0], counted[2], "the camera moved");
     }
 }
 
@@ -107,7 +109,7 @@ fn a_camera_sample_more_costs_what_the_explanation_says_of_it() {
         let at = |spp| RenderSettings { spp, ..rig.settings.clone() };
         let options = QuoteOptions { samples: 32 * 24, ..QuoteOptions::default() };
         let quoted = quote(&shot, &[0], &at(spp), &options, &Nobody).unwrap();
-        let explained = quoted.explained(&shot.info().strata, &at(spp));
+        let explained = quoted.measured().explain(&at(spp), None).unwrap();
         let work = |spp| {
             let cancel = AtomicBool::new(false);
             let given = Given::default();

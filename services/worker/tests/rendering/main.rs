@@ -3,4 +3,5 @@
 mod cached;
 mod quotes;
 mod room;
+mod sharing;
 mod tasks;

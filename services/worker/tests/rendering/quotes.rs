@@ -3,7 +3,8 @@
 use crate::room::{Nobody, Rig};
 use forelight_forecast::Strategy;
 use forelight_preview::Choice;
-use forelight_protocol::RenderStats;
+use forelight_protocol::{PreviewResult, RenderStats};
+use forelight_quote::{Measured, MeasuredProfile};
 use forelight_worker::{
     Ambient, Given, Observer, QuoteOptions, ShotError, profile_frame, quote, render_frame,
 };
@@ -48,7 +49,8 @@ fn pixels_cost_what_the_quote_says_of_each() {
         let rendered = render_frame(&shot, frame, &rig.settings, Given::default(), &|_| (), &cancel);
         let truth = &rendered.unwrap().unwrap().image.pixels;
         assert_eq!((mean.len(), p80.len()), (truth.len(), truth.len()));
-        let total = quoted.forecast.frames[frame as usize].strata.iter();
+        let estimate = quoted.measured().estimate().unwrap();
+        let total = estimate.shot.frames[frame as usize].strata.iter();
         let total: f64 = total.map(|known| f64::from(known.pixels) * known.mean.work).sum();
         assert!((mean.iter().sum::<f64>() / total - 1.0).abs() < 1e-9);
         let below = truth.iter().zip(&p80).filter(|(pixel, most)| pixel.work as f64 <= **most).count();
@@ -59,6 +61,31 @@ fn pixels_cost_what_the_quote_says_of_each() {
         assert!((share - 0.8).abs() < noise, "frame {frame}: {share}");
     }
     assert!(quoted.pixel_work(&shot, &rig.settings, 2, None).unwrap().is_none(), "it is not in the quote");
+}
+
+/// A farm quotes from documents that workers sent as JSON.
+#[test]
+fn measurements_that_went_through_json_give_the_same_quote_and_explanation_to_the_last_bit() {
+    for rig in [Rig::new(), Rig::cached(2)] {
+        let shot = Ambient::new(Choice::Cpu).open(&rig.bundle()).unwrap();
+        let options = QuoteOptions { samples: 48, seed: 3, ..QuoteOptions::default() };
+        let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
+        let json = serde_json::to_string(quoted.preview()).unwrap();
+        let preview: PreviewResult = serde_json::from_str(&json).unwrap();
+        let sent = |profile: &MeasuredProfile| {
+            let json = serde_json::to_string(&profile.result).unwrap();
+            MeasuredProfile::new(serde_json::from_str(&json).unwrap(), 1.0, profile.spp)
+        };
+        let profiles: Vec<MeasuredProfile> = quoted.measured().profiles.iter().map(sent).collect();
+        let measured = Measured::new(&preview, &profiles);
+        let found = measured.quote(None).unwrap();
+        let of = quoted.document.of.clone().unwrap();
+        assert_eq!(found.job.document(of, found.frames), quoted.document);
+        let explained = |measured: Measured<'_>| measured.explain(&rig.settings, None).unwrap();
+        let explanation = explained(measured);
+        assert_eq!(explanation, explained(quoted.measured()));
+        assert!(explanation.objects.len() > 1 && !explanation.words.is_empty(), "{explanation:?}");
+    }
 }
 
 #[test]
@@ -143,7 +170,8 @@ fn a_frame_in_the_dark_is_forecast_from_one_in_the_dark() {
             ..QuoteOptions::default()
         };
         let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
-        assert_eq!(quoted.counted.lights, [0, 1, 0]);
+        let lights: Vec<u32> = quoted.preview().frames.iter().map(|frame| frame.lights).collect();
+        assert_eq!(lights, [0, 1, 0]);
         let render = |frame| {
             let given = Given::default();
             let rendered = render_frame(&shot, frame, &rig.settings, given, &|_| (), &AtomicBool::new(false));

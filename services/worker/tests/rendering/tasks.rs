@@ -95,8 +95,8 @@ fn a_profile_that_is_asked_for_ladders_lays_them_out_beside_the_same_pixels() {
         let rungs = ladders.rungs.iter().filter(|rung| rung.ladder == kind);
         let found: Vec<_> = rungs.map(|rung| rung.settings.clone()).collect();
         // What the profile tells by itself is not laid out again, but for what the others are held against.
-        let all = kind.rungs(&settings).unwrap();
-        let expected = if kind.is_own(&settings) { vec![settings.clone()] } else { all };
+        let all = forelight_quote::ladder(kind, &settings).unwrap();
+        let expected = if forelight_quote::is_own(kind, &settings) { vec![settings.clone()] } else { all };
         assert_eq!(found, expected, "{kind:?}");
     }
     // What they took is in the task's account, and not in that of its pixels.

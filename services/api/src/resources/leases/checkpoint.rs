@@ -10,7 +10,7 @@ use utoipa::IntoParams;
 use super::counted;
 use crate::error::{ApiResult, Problems};
 use crate::extract::{QueryParameters, Segment, WorkerToken, number, whole};
-use crate::openapi::FileContent;
+use crate::schema::FileContent;
 use crate::state::App;
 
 /// Whose checkpoint it is.

@@ -42,7 +42,7 @@ pub(super) async fn wait_for_task(
         if let Some(worker) = request.worker {
             app.store.check_worker(request.node_id, worker).await?;
         }
-        let room = app.check_room();
+        let room = app.check_disk_space();
         let (node, ttl, now) = (request.node_id, app.lease_ttl, app.now());
         let claimed = match request.task_id {
             wanted if room.is_err() => app.store.claim_nothing_new(node, wanted, key, now).await?,

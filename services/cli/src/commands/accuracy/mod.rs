@@ -4,15 +4,16 @@ mod plot;
 mod table;
 
 use super::blocking;
-use crate::atomic_file::{self, write_bytes};
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::local::Local;
-use crate::options::{ConnectionOptions, MachineOptions, QualityOptions};
-use crate::output::{self, Bars};
 use anyhow::{Context, Result};
 use forelight_protocol::{AccuracyDoc, JobId, LadderKind};
+use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::Local;
+use forelight_terminal::options::{MachineOptions, QualityOptions};
+use forelight_terminal::output::{self, Bars};
 use forelight_worker::{
     AccuracyObserver, AccuracyOptions, MeasureOptions, Renderer, ShotError, measure, predict,
 };

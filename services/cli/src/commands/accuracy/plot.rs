@@ -1,10 +1,11 @@
 //! The ladders as a picture: error over CPU time, both logarithmic.
 
 use super::value;
-use crate::drawing::{self, Area, Drawn};
-use crate::quantities::seconds;
 use anyhow::Result;
 use forelight_protocol::{AccuracyDoc, AccuracyRung, ImageError, LadderKind};
+use forelight_quote::points;
+use forelight_terminal::drawing::{self, Area, Drawn};
+use forelight_terminal::quantities::seconds;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -81,7 +82,7 @@ fn draw(area: &Area<'_>, title: &str, document: &AccuracyDoc) -> Drawn {
 
 /// Rungs that have a place on logarithmic axes.
 fn marks(document: &AccuracyDoc) -> Vec<Mark<'_>> {
-    let points = document.points();
+    let points = points(document);
     let placed = document.rungs.iter().enumerate().filter_map(|(index, rung)| {
         let (cost, error) = points[index].filter(|&(cost, error)| cost > 0.0 && error > 0.0)?;
         Some(Mark { index, rung, at: (cost.log10(), error.log10()), error: rung.error? })

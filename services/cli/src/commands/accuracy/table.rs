@@ -1,9 +1,9 @@
 //! The ladders for people.
 
 use super::{thousandths, value};
-use crate::quantities::{count, percent, seconds};
-use crate::table::{Align, Table};
 use forelight_protocol::{AccuracyDoc, AccuracyRung, CacheMode, Integrator, LadderKind, RenderSettings};
+use forelight_terminal::quantities::{count, percent, seconds};
+use forelight_terminal::table::{Align, Table};
 
 /// Everything: a table for every ladder, and what they rest on.
 pub fn text(document: &AccuracyDoc) -> String {

@@ -1,14 +1,11 @@
-//! `forelight budget`: what tonight and the nights after it will cost, against budgets; and the budgets.
+//! `forelight budget`: forecasts the cost of nights against budgets, and sets the budgets.
 
 mod page;
 mod table;
 
-use crate::atomic_file::write_bytes;
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::failure::{BadInput, Threatened};
-use crate::options::ConnectionOptions;
-use crate::output;
-use crate::quantities::parse_money;
+use crate::failure::Threatened;
 use anyhow::{Context, Result};
 use clap::{Subcommand, ValueEnum};
 use forelight_protocol::{
@@ -16,9 +13,13 @@ use forelight_protocol::{
     BudgetThreshold, Money, Night, Timestamp,
 };
 use forelight_store::{DATABASE, Store};
+use forelight_terminal::atomic_file::write_bytes;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::output;
+use forelight_terminal::quantities::parse_money;
 use std::path::{Path, PathBuf};
 
-/// What tonight and the nights after it will cost, against budgets; sets budgets
+/// Forecast the cost of tonight and later nights against budgets, or set budgets
 #[derive(Debug, clap::Args)]
 #[command(args_conflicts_with_subcommands = true)]
 #[command(after_help = "\
@@ -29,27 +30,27 @@ Examples:
   forelight budget list --json
   forelight budget --database farm-data --json   without the service
 
-A night is the 24 hours from noon of the date that it is named by. Amounts stay below P50, P80 and P95 with that probability. \
-The forecast is kept as what was said of its first night, in one place however often it is asked for: run it again at will.
+A night is named by a date, and lasts 24 hours from noon of that date. Amounts stay below P50, P80 and P95 with that \
+probability. The farm keeps one forecast for each first night, so that you may run the command as often as you like.
 
-Exit codes for cron: 0 fine; 3 a budget is more likely than one in five to be exceeded; 1 and 2 as everywhere. \
-deploy/forelight-budget.timer and deploy/forelight-budget.crontab run it every evening.")]
+Exit codes for cron: 0 all budgets hold; 3 a budget is exceeded with a probability above 20 %; 1 and 2 as for all \
+commands. deploy/forelight-budget.timer and deploy/forelight-budget.crontab run the command every evening.")]
 pub struct Args {
     #[command(subcommand)]
     what: Option<What>,
-    /// Date on which the first night begins; without it, tonight
+    /// Date on which the first night begins, such as 2026-03-01 [default: tonight]
     #[arg(long, value_name = "YYYY-MM-DD", value_parser = parse_date)]
     date: Option<Date>,
-    /// Nights
+    /// Number of nights
     #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=60))]
     days: u32,
-    /// Time zone of the nights, such as Europe/Berlin; without it, that of this machine
+    /// Time zone of the nights, such as Europe/Berlin [default: this machine's]
     #[arg(long, value_name = "ZONE")]
     zone: Option<String>,
-    /// Write amounts by night, project, job and node class into this file
+    /// Write the amounts by night, project, job and node class into this CSV file
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// Write a page for people into this file
+    /// Write the forecast as a page into this HTML file
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
     /// Print the forecast as JSON to standard output
@@ -59,12 +60,12 @@ pub struct Args {
     place: Place,
 }
 
-/// A service, or its data.
+/// The service, or its data folder.
 #[derive(Debug, clap::Args)]
 struct Place {
     #[command(flatten)]
     connection: ConnectionOptions,
-    /// Work on the data folder of a farm on this machine, whether its service runs or not
+    /// Use this data folder of a farm on this machine instead of the service, which may run or not
     #[arg(long, value_name = "DIR", help_heading = "Connection")]
     database: Option<PathBuf>,
 }
@@ -75,33 +76,33 @@ enum What {
     List(ListArgs),
 }
 
-/// Set a project's budget; one of the same project and period is replaced
+/// Set a project's budget, and replace its budget for the same period
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   forelight budget set hero-film 250
   forelight budget set hero-film 4000 --per month --warn 75 --stop 110 --zone Europe/Berlin
 
-Without --warn, --drain and --stop: a warning at 80 per cent, nothing new is started at 100.")]
+Without --warn, --drain and --stop, the farm warns at 80 % and starts no new tasks at 100 %.")]
 struct SetArgs {
-    /// The project
+    /// Name of the project
     project: String,
-    /// How much, in units of the farm's currency
+    /// Amount in the farm's currency, such as 250
     #[arg(value_parser = parse_money)]
     amount: i64,
-    /// For which time
+    /// Period of the budget
     #[arg(long, value_enum, default_value_t = Per::Night)]
     per: Per,
-    /// Per cent at which an event warns
+    /// Percentage of the budget at which the farm reports a warning event, 1 to 1000
     #[arg(long, value_name = "PERCENT", value_parser = clap::value_parser!(u32).range(1..=1000))]
     warn: Option<u32>,
-    /// Per cent at which what runs is finished and nothing new is started
+    /// Percentage at which the project's running tasks finish and no new ones start, 1 to 1000
     #[arg(long, value_name = "PERCENT", value_parser = clap::value_parser!(u32).range(1..=1000))]
     drain: Option<u32>,
-    /// Per cent at which what runs is stopped
+    /// Percentage at which the project's running tasks stop, 1 to 1000
     #[arg(long, value_name = "PERCENT", value_parser = clap::value_parser!(u32).range(1..=1000))]
     stop: Option<u32>,
-    /// Time zone of nights and months; without it, that of this machine
+    /// Time zone of nights and months, such as Europe/Berlin [default: this machine's]
     #[arg(long, value_name = "ZONE")]
     zone: Option<String>,
     /// Print the budget as JSON to standard output
@@ -111,7 +112,7 @@ struct SetArgs {
     place: Place,
 }
 
-/// All budgets and how they stand
+/// List all budgets with their use
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -126,11 +127,11 @@ struct ListArgs {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Per {
-    /// Every night anew
+    /// The amount is for each night
     Night,
-    /// Every month anew
+    /// The amount is for each month
     Month,
-    /// Once and for all
+    /// The amount is for all time together
     Total,
 }
 
@@ -157,7 +158,7 @@ async fn forecast(args: Args) -> Result<()> {
             let found = forelight_api::budget_forecast(&store, &request, Timestamp::now()).await;
             store.close().await;
             found.map_err(|error| match error {
-                forelight_api::NightError::Invalid { .. } => {
+                forelight_api::BudgetForecastError::Invalid { .. } => {
                     anyhow::Error::from(BadInput::new(error.to_string()))
                 }
                 other => other.into(),
@@ -175,7 +176,7 @@ async fn forecast(args: Args) -> Result<()> {
     threatened(&found)
 }
 
-/// The error that tells cron.
+/// An error with exit code 3 if a budget is threatened, for cron.
 fn threatened(found: &BudgetForecast) -> Result<()> {
     let mut projects: Vec<&str> = found
         .budgets
@@ -241,29 +242,26 @@ async fn list(args: ListArgs) -> Result<()> {
 
 async fn open(folder: &Path) -> Result<Store> {
     if !folder.is_dir() {
-        return Err(BadInput::new(format!("--database {}: there is no such folder", folder.display()))
-            .hint("name the folder that the farm was started with (--data there)")
+        return Err(BadInput::new(format!("--database {}: this folder does not exist", folder.display()))
+            .hint("name the folder that the farm's service has as --data")
             .into());
     }
     if !folder.join(DATABASE).is_file() {
-        return Err(BadInput::new(format!(
-            "--database {}: there is no farm in this folder",
-            folder.display()
-        ))
-        .hint("name the folder that the farm was started with (--data there)")
-        .into());
+        return Err(BadInput::new(format!("--database {}: this folder holds no farm", folder.display()))
+            .hint("name the folder that the farm's service has as --data")
+            .into());
     }
     Store::open_beside(folder)
         .await
         .with_context(|| format!("cannot open the farm's data in {}", folder.display()))
 }
 
-/// The zone that was given, or this machine's.
+/// The time zone that was given, or this machine's.
 fn zone(given: Option<String>) -> Result<String> {
     let zone = given.unwrap_or_else(|| jiff::tz::TimeZone::system().iana_name().unwrap_or("UTC").to_owned());
     if Night::of(&zone, Timestamp::now()).is_none() {
-        return Err(BadInput::new(format!("--zone {zone}: there is no such time zone"))
-            .hint("write for instance Europe/Berlin")
+        return Err(BadInput::new(format!("--zone {zone}: this time zone is unknown"))
+            .hint("write a name such as Europe/Berlin")
             .into());
     }
     Ok(zone)

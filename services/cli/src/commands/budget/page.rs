@@ -1,8 +1,8 @@
-//! A forecast of nights as a page: one file, without scripts, and without anything from elsewhere.
+//! A forecast of nights as an HTML page: one file without scripts or outside resources.
 
 use super::table::{chance, clock, expected, parts, period, record};
-use crate::quantities::money;
 use forelight_protocol::{BudgetForecast, Money, MoneyForecast};
+use forelight_terminal::quantities::money;
 use std::fmt::Write as _;
 
 const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;max-width:62rem;margin:2rem auto;padding:0 1rem;color:#222;background:#fff}\
@@ -34,7 +34,7 @@ pub(super) fn html(found: &BudgetForecast) -> String {
     };
     let _ = writeln!(
         page,
-        "<p>{} in the middle, and with 80 % probability no more than <b>{}</b>. {verdict}<br>\
+        "<p>P50: {}. P80: <b>{}</b>. {verdict}<br>\
          <small>Made {} ({}), from {} scenarios. {}</small></p>",
         money(found.cost.p50.0),
         money(found.cost.p80.0),
@@ -69,7 +69,7 @@ fn budgets(page: &mut String, found: &BudgetForecast) {
         );
     }
     page.push_str(
-        "</table>\n<p><small>Dark: spent; then P50, P80, P95; the red line is the budget.</small></p>\n",
+        "</table>\n<p><small>Dark: spent. Then P50, P80, P95. The red line is the budget.</small></p>\n",
     );
 }
 
@@ -96,7 +96,7 @@ fn nights(page: &mut String, found: &BudgetForecast) {
             }
         }
     }
-    page.push_str("</table>\n<p><small>Quantiles are of sums: those of the parts do not add up to those of the whole.</small></p>\n");
+    page.push_str("</table>\n<p><small>The quantiles of the parts do not add up to the quantile of the whole.</small></p>\n");
 }
 
 fn not_ready(page: &mut String, found: &BudgetForecast) {
@@ -117,7 +117,7 @@ fn not_ready(page: &mut String, found: &BudgetForecast) {
     }
     if !found.unknown.is_empty() {
         let names: Vec<String> = found.unknown.iter().map(|name| escaped(name)).collect();
-        let _ = writeln!(page, "<p>Not forecast yet, and in no number here: {}.</p>", names.join(", "));
+        let _ = writeln!(page, "<p>Not forecast yet, and not counted above: {}.</p>", names.join(", "));
     }
 }
 
@@ -146,14 +146,14 @@ fn cells(spent: Money, cost: &MoneyForecast) -> String {
     [spent, cost.p50, cost.p80, cost.p95].iter().map(|amount| format!("<td>{}", money(amount.0))).collect()
 }
 
-/// Spent, P50, P80 and P95 as a bar whose whole length is `most`.
+/// Spent, P50, P80 and P95 as a bar. `most` is its whole length.
 fn bar(spent: Money, cost: &MoneyForecast, limit: Option<Money>, most: Money) -> String {
     let share = |amount: Money| 100.0 * amount.0 as f64 / most.0.max(1) as f64;
     let piece = |class: &str, amount: Money| {
         format!("<i class=\"{class}\" style=\"left:0;width:{:.1}%\"></i>", share(amount))
     };
     let mut bar = "<div class=\"bar\">".to_owned();
-    // The longest first: the others lie on it.
+    // The longest first, since the others are drawn over it.
     for (class, amount) in [("p95", cost.p95), ("p80", cost.p80), ("p50", cost.p50), ("spent", spent)] {
         bar += &piece(class, amount);
     }
@@ -163,7 +163,7 @@ fn bar(spent: Money, cost: &MoneyForecast, limit: Option<Money>, most: Money) ->
     bar + "</div>"
 }
 
-/// Text that cannot become markup.
+/// Text with the characters of markup escaped.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")

@@ -1,10 +1,10 @@
 //! A forecast of nights as text and as comma-separated values.
 
-use crate::quantities::money;
-use crate::table::{Align, Table};
 use forelight_protocol::{
     Budget, BudgetForecast, BudgetOutlook, CostLine, Money, MoneyForecast, NightForecast, NotReady, Timestamp,
 };
+use forelight_terminal::quantities::money;
+use forelight_terminal::table::{Align, Table};
 
 const AMOUNTS: [(&str, Align); 4] =
     [("spent", Align::Right), ("P50", Align::Right), ("P80", Align::Right), ("P95", Align::Right)];
@@ -13,19 +13,19 @@ fn amounts(spent: Money, cost: &MoneyForecast) -> [String; 4] {
     [spent, cost.p50, cost.p80, cost.p95].map(|amount| money(amount.0))
 }
 
-/// Day and time in a zone; of a zone that is not known, UTC.
+/// Day and time in a time zone. An unknown zone counts as UTC.
 pub(super) fn clock(at: Timestamp, zone: &str) -> String {
     let instant = jiff::Timestamp::from_microsecond(at.micros()).unwrap_or_default();
     let zone = jiff::tz::TimeZone::get(zone).unwrap_or(jiff::tz::TimeZone::UTC);
     instant.to_zoned(zone).strftime("%d %b %H:%M").to_string()
 }
 
-/// Probability in words.
+/// A probability in per cent.
 pub(super) fn chance(probability: f64) -> String {
     format!("{:.0} %", probability * 100.0)
 }
 
-/// What a budget is for, in a line.
+/// The period of a budget, such as `night from 01 Mar 12:00`.
 pub(super) fn period(budget: &BudgetOutlook, zone: &str) -> String {
     match budget.period {
         forelight_protocol::BudgetPeriod::Total => "in all".to_owned(),
@@ -33,12 +33,12 @@ pub(super) fn period(budget: &BudgetOutlook, zone: &str) -> String {
     }
 }
 
-/// When a job is expected, as far as that is known.
+/// When a job is expected to be ready at P50, P80 and P95. A hyphen stands for an unknown time.
 pub(super) fn expected(job: &NotReady, zone: &str) -> [String; 3] {
     job.finish.map(|at| at.map_or_else(|| "-".to_owned(), |at| clock(at, zone)))
 }
 
-/// Everything, for a terminal.
+/// The whole forecast for a terminal.
 pub(super) fn text(found: &BudgetForecast) -> String {
     let mut text = String::new();
     let mut head = vec![("night", Align::Left), ("", Align::Left)];
@@ -92,7 +92,7 @@ pub(super) fn text(found: &BudgetForecast) -> String {
         text += &format!("\n{}", table.render());
     }
     if !found.unknown.is_empty() {
-        text += &format!("\nnot forecast yet, and in no number above: {}\n", found.unknown.join(", "));
+        text += &format!("\nnot forecast yet, and not counted above: {}\n", found.unknown.join(", "));
     }
     if let Some(at) = found.compared_with {
         text += &format!("\nchanged since the forecast of {}:", clock(at, &found.zone));
@@ -107,25 +107,24 @@ pub(super) fn text(found: &BudgetForecast) -> String {
     text + &format!("\n{}\n", record(found))
 }
 
-/// The track record, in a sentence.
+/// The track record of past forecasts in a sentence.
 pub(super) fn record(found: &BudgetForecast) -> String {
     let record = &found.track_record;
     if record.nights == 0 {
-        return "No night is over that was forecast before: how often such forecasts are right is not known yet."
-            .to_owned();
+        return "There is no track record yet: no night with a forecast has ended.".to_owned();
     }
     format!(
-        "Of {} nights that were forecast and are over, {} cost no more than the P50, {} no more than the P80, {} no more than the P95.",
+        "Of {} past nights with a forecast, {} cost at most the P50, {} at most the P80, {} at most the P95.",
         record.nights, record.within_p50, record.within_p80, record.within_p95
     )
 }
 
-/// What a night's cost is made of, and what each list is called.
+/// The parts of a night's cost: three lists, each with its name.
 pub(super) fn parts(night: &NightForecast) -> [(&[CostLine], &'static str); 3] {
     [(&night.projects, "project"), (&night.jobs, "job"), (&night.node_classes, "nodes:")]
 }
 
-/// How budgets stand.
+/// The budgets with their use.
 pub(super) fn budgets(budgets: &[Budget]) -> String {
     let mut table = Table::new(&[
         ("project", Align::Left),
@@ -155,7 +154,7 @@ pub(super) fn budgets(budgets: &[Budget]) -> String {
     table.render()
 }
 
-/// Amounts by night, in micro-units, as RFC 4180 has it.
+/// The amounts by night in micro-units, as comma-separated values (RFC 4180).
 pub(super) fn csv(found: &BudgetForecast) -> String {
     let mut text = "night,what,name,job_id,spent,p50,p80,p95\r\n".to_owned();
     let mut row =
@@ -183,7 +182,8 @@ pub(super) fn csv(found: &BudgetForecast) -> String {
     text
 }
 
-/// A field, quoted where it has to be. What a spreadsheet would take for a formula begins with an apostrophe.
+/// A field with quotes where they are needed. An apostrophe in front keeps a spreadsheet from reading a
+/// formula.
 fn quoted(field: &str) -> String {
     let safe = if field.starts_with(['=', '+', '-', '@', '\t', '\r']) {
         format!("'{field}")

@@ -1,32 +1,31 @@
-//! `forelight export`: a shot as a job for another farm's scheduler.
+//! `forelight export`: writes a shot as a job for another farm's scheduler.
 
 mod openjd;
 mod template;
 
-use crate::atomic_file::write_bytes;
 use crate::commands::cache::NO_USE_FOR_A_CACHE;
-use crate::failure::BadInput;
-use crate::json_file;
-use crate::local::Local;
-use crate::options::{MachineOptions, PreviewBackend, QualityOptions, duration};
-use crate::output::{self, Bars};
-use crate::quantities::{money, seconds};
 use anyhow::Result;
 use clap::ValueEnum;
 use forelight_protocol::{
     CacheMode, ForecastDoc, FrameSet, ProcessCosts, QuotedShot, RenderSettings, RenderStats, SceneSummary,
 };
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::json_file;
+use forelight_terminal::local::Local;
+use forelight_terminal::options::{MachineOptions, PreviewBackend, QualityOptions, duration};
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::quantities::{money, seconds};
 use forelight_worker::Renderer;
 use openjd::ExportedShot;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use template::{GREATEST_INTEGER, LONGEST_JOB_NAME, LONGEST_VALUE};
 
-/// A task may take so many times what is forecast with 95 % before it is taken to hang: other machines are slower, and others work on
-/// them.
+/// Time limit of a task, relative to its P95. Other machines may be slower, and may run other programs as
+/// well.
 const PATIENCE: f64 = 4.0;
 
-/// No limit that follows from a forecast is shorter, in seconds: a machine also has to load the scene.
+/// Shortest time limit from a forecast, seconds. A machine also has to load the scene.
 const SHORTEST_LIMIT: f64 = 600.0;
 
 /// Write a shot as a job that other render farms can run
@@ -37,47 +36,52 @@ Examples:
   forelight export kitchen/ --cache on --cache-parts 8 --width 1920 --spp 64 --out job.json
   forelight export kitchen/ --frames 0-47 --forecast quote.json --stats 12.json --threads 8 --out job.json
 
-The job is an Open Job Description template: `openjd run job.json` runs it on this machine, and farms that read such templates \
-anywhere. Flags become the defaults of its parameters, which can be set anew when it is submitted. Bundle has a default if the bundle \
-is beside the template or in a folder there, since a template may not point elsewhere; otherwise it has to be said at submission. \
-With --cache on, steps before the renders make the irradiance cache of the shot, in a folder that all machines have to see. What a \
-machine has to have is said as far as it is known: by --threads its cores, by --stats its memory. With --forecast, a task that takes \
-four times what is forecast (P95, on one core; at least 10 minutes) is stopped.")]
+The job is an Open Job Description template. `openjd run job.json` runs it on this machine, and so does every farm \
+that reads such templates. The flags become defaults of the job's parameters, which may be changed at submission. \
+The parameter Bundle has a default only if the bundle is in the template's folder or below it, since a template may \
+not point elsewhere. Otherwise set it at submission.
+
+With --cache on, steps before the renders make the irradiance cache of the shot, in a folder that all machines must \
+share. --threads sets the cores that a machine must have, and --stats its memory. With --forecast, a task is stopped \
+after four times its forecast CPU time (P95, on one core), and not before 10 minutes.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file
     bundle: PathBuf,
     /// Frames, such as 0-47 or 0,5,9-12 [default: the whole shot]
     #[arg(long, value_name = "LIST")]
     frames: Option<FrameSet>,
-    /// What the job is written as
+    /// Format of the job
     #[arg(long, value_name = "FORMAT", default_value = "openjd")]
     format: Format,
-    /// Template to write, .json [default: standard output]
+    /// File to write the template to, NAME.json [default: standard output]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Name of the job [default: the scene's]
+    /// Name of the job [default: the scene's name]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
-    /// Tasks among which each level of the cache is divided, with --cache on
+    /// Number of tasks that fill each level of the cache. Needs --cache on
     #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256), requires = "cache")]
     cache_parts: u32,
-    /// Threads of a task, and cores that a machine must have [default: one per core, whatever there are]
+    /// Threads of a task, and cores that a machine must have [default: one thread per core, any number of
+    /// cores]
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// What a frame of the shot took, as `forelight render --stats` wrote it: its memory is what a machine must have
+    /// Statistics of a frame of the shot, from `forelight render --stats`. A machine must have that frame's
+    /// memory
     #[arg(long, value_name = "FILE")]
     stats: Option<PathBuf>,
-    /// A quote of these frames with this quality, as `forelight forecast --json` wrote it: for the description, and limits of time
+    /// Quote of these frames at this quality, from `forelight forecast --json`. It gives the time limits, and
+    /// becomes part of the description
     #[arg(long, value_name = "FILE")]
     forecast: Option<PathBuf>,
-    /// Stop a task after so long, such as 30m or 2h [default: what follows from --forecast; no limit without]
+    /// Time limit of a task, such as 30m or 2h [default: from --forecast, or else none]
     #[arg(long, value_name = "DURATION", value_parser = duration)]
     timeout: Option<Duration>,
     #[command(flatten)]
     quality: QualityOptions,
 }
 
-/// Descriptions of jobs.
+/// Formats of jobs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Format {
     /// Open Job Description, revision 2023-09, as JSON.
@@ -87,7 +91,7 @@ enum Format {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     if let Some(out) = args.out.as_deref().filter(|out| out.extension().is_none_or(|end| end != "json")) {
-        let why = "the name must end in .json, by which others know how to read it";
+        let why = "the name must end in .json, because other programs choose the format by it";
         return Err(BadInput::new(format!("--out {}: {why}", out.display())).into());
     }
     let quote = |path| json_file::read_written_by("forelight forecast --json", path);
@@ -99,7 +103,7 @@ pub fn run(args: &Args) -> Result<()> {
     let local = Local::open(&args.bundle, &machine, &Bars::new(args.out.is_none()))?;
     let settings = local.settings(&args.quality)?;
     let frames = local.frames(args.frames.as_ref())?;
-    let frames = FrameSet::from_frames(frames).ok_or_else(|| BadInput::new("--frames: there are none"))?;
+    let frames = FrameSet::from_frames(frames).ok_or_else(|| BadInput::new("--frames: the list is empty"))?;
     let Format::Openjd = args.format;
     let shot =
         exported(args, &local.shot.info().summary, settings, frames, forecast.as_ref(), stats.as_ref())?;
@@ -107,16 +111,19 @@ pub fn run(args: &Args) -> Result<()> {
     let Some(out) = &args.out else {
         return output::json(&template);
     };
-    write_bytes(out, (output::pretty(&template)? + "\n").as_bytes())?;
+    json_file::write(Some(out), &template)?;
     let steps: Vec<&str> = template.steps.iter().map(|step| step.name.as_str()).collect();
     let mut report = format!("steps   {}\nframes  {}\n", steps.join(", "), shot.frames);
     if shot.bundle.is_none() {
-        report += "Bundle has no default, since it is not beside the template: say it at submission\n";
+        report += "bundle  no default, since it is not in the template's folder; set the parameter Bundle at submission\n";
     }
     output::print(&report)
 }
 
-/// The shot, once nothing is left in it that a template cannot hold.
+/// The shot for the template.
+///
+/// # Errors
+/// If a template cannot hold it, or --forecast or --stats is of something else.
 fn exported(
     args: &Args,
     scene: &SceneSummary,
@@ -129,18 +136,18 @@ fn exported(
         return Err(BadInput::new(format!("--cache: {NO_USE_FOR_A_CACHE}")).into());
     }
     if settings.cache == CacheMode::Off && args.cache_parts > 1 {
-        return Err(
-            BadInput::new("--cache-parts: there is no cache to divide; it goes with --cache on").into()
-        );
+        return Err(BadInput::new("--cache-parts: there is no cache; add --cache on").into());
     }
     if settings.seed > GREATEST_INTEGER {
-        let why =
-            format!("{} is beyond {GREATEST_INTEGER}, the greatest integer of a template", settings.seed);
+        let why = format!(
+            "{} is greater than {GREATEST_INTEGER}, the largest integer of a template",
+            settings.seed
+        );
         return Err(BadInput::new(format!("--seed: {why}")).into());
     }
     let list = frames.to_string();
     if list.len() > LONGEST_VALUE {
-        let why = format!("the list has {} characters; a template holds {LONGEST_VALUE}", list.len());
+        let why = format!("the list has {} characters; a template holds at most {LONGEST_VALUE}", list.len());
         return Err(BadInput::new(format!("--frames: {why}")).hint("export the shot as several jobs").into());
     }
     if let Some(quote) = forecast {
@@ -150,7 +157,7 @@ fn exported(
     if let Some(stats) = stats.filter(|stats| (stats.width, stats.height) != size) {
         let (width, height) = (stats.width, stats.height);
         let why = format!(
-            "it is of an image of {width} x {height} pixels, not of {} x {}: its memory says little of these",
+            "it is of an image of {width} x {height} pixels, not of {} x {}; memory depends on the size",
             size.0, size.1
         );
         return Err(BadInput::new(format!("--stats: {why}")).into());
@@ -172,10 +179,10 @@ fn exported(
     })
 }
 
-/// Refuses a quote of something else.
+/// Checks that a quote is of this scene and quality.
 fn check_quoted(quote: &ForecastDoc, scene: &SceneSummary, settings: &RenderSettings) -> Result<()> {
     let Some(QuotedShot { scene: quoted, settings: asked }) = &quote.of else { return Ok(()) };
-    let hint = "forelight forecast --json makes a quote of this one";
+    let hint = "`forelight forecast --json` makes a quote of this shot";
     if *quoted != scene.digest {
         let why = "it is of another scene, or of an earlier version of this one";
         return Err(BadInput::new(format!("--forecast: {why}")).hint(hint).into());
@@ -189,46 +196,47 @@ fn check_quoted(quote: &ForecastDoc, scene: &SceneSummary, settings: &RenderSett
     Ok(())
 }
 
-/// A name that a job may have.
+/// Checks the name of a job.
 fn job_name(name: &str) -> Result<&str> {
     let length = name.chars().count();
     let wrong = match length {
         0 => "a job has to have a name".to_owned(),
         _ if length > LONGEST_JOB_NAME => {
-            format!("the name has {length} characters; a job's has at most {LONGEST_JOB_NAME}")
+            format!("the name has {length} characters; a job's name has at most {LONGEST_JOB_NAME}")
         }
         _ if name.contains(char::is_control) => format!("{name:?} holds control characters"),
         _ => return Ok(name),
     };
     Err(BadInput::new(format!("--name: {wrong}"))
-        .hint("--name gives the job another name than the scene's")
+        .hint("set another name than the scene's with --name")
         .into())
 }
 
-/// The bundle as it is seen from the template's folder, if it is there: a template may neither hold an absolute path nor lead out
-/// of its folder.
+/// The path of the bundle from the template's folder. `None` if the bundle is not in that folder or below: a
+/// template may hold neither an absolute path nor one that leads out of its folder.
 fn bundle_default(bundle: &Path, out: Option<&Path>) -> Result<Option<String>> {
     let folder = match out.and_then(Path::parent) {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     };
-    // A folder that is yet to be made holds no bundle.
+    // A folder that does not exist yet holds no bundle.
     let (Ok(folder), Ok(bundle)) = (folder.canonicalize(), bundle.canonicalize()) else { return Ok(None) };
     let Ok(below) = bundle.strip_prefix(&folder) else { return Ok(None) };
     let wrong = |why: &str| BadInput::new(format!("bundle {}: {why}", bundle.display()));
-    let below = below.to_str().ok_or_else(|| wrong("its name is not Unicode, which a template has to be"))?;
+    let below =
+        below.to_str().ok_or_else(|| wrong("its name is not valid Unicode, as a template requires"))?;
     if below.contains(char::is_control) {
-        return Err(wrong("its name holds control characters, which a template may not").into());
+        return Err(wrong("its name holds control characters, which a template must not").into());
     }
     let length = below.chars().count();
     if length > LONGEST_VALUE {
-        let why = format!("its name has {length} characters; a template holds {LONGEST_VALUE}");
+        let why = format!("its name has {length} characters; a template holds at most {LONGEST_VALUE}");
         return Err(wrong(&why).into());
     }
     Ok(Some(if below.is_empty() { ".".to_owned() } else { below.to_owned() }))
 }
 
-/// How long tasks may take, in seconds; without end where nothing is known.
+/// Time limits of tasks, seconds. `None` is no limit.
 #[derive(Debug, PartialEq, Eq)]
 struct Limits {
     frame: Option<u64>,
@@ -236,11 +244,12 @@ struct Limits {
 }
 
 impl Limits {
-    /// The limit that was asked for, or what follows from a forecast: for a frame from the dearest, for the cache, which may be most of
-    /// the work, from all together.
+    /// The limit that was asked for, or limits from a forecast. A frame's limit follows from the most
+    /// expensive frame. The cache's limit follows from all frames together, since the cache may be most of
+    /// the work.
     ///
     /// # Errors
-    /// If the forecast is of other frames, or holds what is no time.
+    /// If the forecast is of other frames, or a time is out of range.
     fn new(asked: Option<Duration>, forecast: Option<&ForecastDoc>, frames: &FrameSet) -> Result<Self> {
         let mut limits = Self { frame: None, cache: None };
         if let Some(quote) = forecast {
@@ -250,7 +259,7 @@ impl Limits {
                 return Err(BadInput::new(format!("--forecast: it is of {quoted}, not of {frames}")).into());
             }
             let dearest = quote.frames.iter().map(|frame| frame.cpu_seconds.p95).fold(0.0, f64::max);
-            // Each task is a process.
+            // Each task is a process, which loads the scene and builds its tree.
             let ProcessCosts { load, build } = quote.once.unwrap_or_default();
             let once = load.plus(build).cpu_nanos as f64 * 1e-9;
             let all = quote.total.cpu_seconds.p95;
@@ -264,16 +273,16 @@ impl Limits {
     }
 }
 
-/// The limit of a task that is forecast to take so many seconds.
+/// The time limit of a task with this forecast (P95), both in seconds.
 fn limit(p95: f64) -> Result<u64> {
-    // About thirty years: beyond it, a file is wrong rather than a frame dear.
+    // About thirty years. A greater number means that the file is wrong.
     if !(0.0..=1e9).contains(&p95) {
-        return Err(BadInput::new(format!("--forecast: {p95} seconds of CPU time cannot be")).into());
+        return Err(BadInput::new(format!("--forecast: {p95} seconds of CPU time is out of range")).into());
     }
     Ok((p95 * PATIENCE).max(SHORTEST_LIMIT).ceil() as u64)
 }
 
-/// What people read of the job. Names are left out: a description may not hold every character.
+/// The description of the job, for people. It holds no names, since a description excludes some characters.
 fn description(
     scene: &SceneSummary,
     settings: &RenderSettings,
@@ -382,8 +391,8 @@ mod tests {
         let asked = Some(Duration::from_millis(1500));
         assert_eq!(limits(asked, Some(&dear)).unwrap(), Limits { frame: Some(2), cache: Some(2) });
         assert!(message(limits(None, Some(&quote("0-8", 1.0)))).contains("the frames 0-8, not of 0-9"));
-        assert!(message(limits(None, Some(&quote("0-9", -1.0)))).contains("cannot be"));
-        assert!(message(limits(None, Some(&quote("0-9", 1e300)))).contains("cannot be"));
+        assert!(message(limits(None, Some(&quote("0-9", -1.0)))).contains("out of range"));
+        assert!(message(limits(None, Some(&quote("0-9", 1e300)))).contains("out of range"));
     }
 
     fn scene() -> SceneSummary {
@@ -428,7 +437,7 @@ mod tests {
                     },
                     1,
                 )),
-                "--cache: these settings have no use",
+                "--cache: these settings use no",
             ),
         ] {
             assert!(message.starts_with(flag), "{message}");

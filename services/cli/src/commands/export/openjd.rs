@@ -1,34 +1,34 @@
-//! A shot as an Open Job Description job: a step of renders, one task a frame, and before it, where there is a cache, the steps that
-//! plan it, fill it and put its parts together.
+//! A shot as an Open Job Description job. One step renders, with a task for each frame. With an irradiance
+//! cache, steps before it plan, fill and merge the cache.
 
 use super::template::{
     Action, Actions, Amount, Attribute, Cancelation, DataFlow, Dependency, HostRequirements, JobTemplate,
     LONGEST_JOB_NAME, ObjectType, Parameter, ParameterSpace, ParameterType, Script, Step, TaskParameter,
 };
-use crate::options::{IntegratorName, Materials, PreviewBackend};
 use clap::ValueEnum;
 use forelight_protocol::{CacheMode, FrameSet, Integrator, MaterialMode, RenderSettings};
+use forelight_terminal::options::PreviewBackend;
 
-/// What is exported.
+/// The shot to export.
 #[derive(Debug, Clone)]
 pub struct ExportedShot {
     /// Name of the job.
     pub name: String,
-    /// What people read of it.
+    /// Description for people.
     pub description: String,
-    /// Where the bundle is, seen from the template's folder; `None` if it has to be said at submission.
+    /// Path of the bundle from the template's folder. `None` if it has to be set at submission.
     pub bundle: Option<String>,
-    /// Whether the bundle is a folder, and not a file.
+    /// Whether the bundle is a folder. Otherwise it is a file.
     pub bundle_is_folder: bool,
     /// The frames.
     pub frames: FrameSet,
     /// Their quality.
     pub settings: RenderSettings,
-    /// Tasks that fill a level of the cache.
+    /// Number of tasks that fill a level of the cache.
     pub cache_parts: u32,
-    /// Threads of a task; as many as the machine has cores, if it does not matter.
+    /// Threads of a task. `None` is one per core.
     pub threads: Option<u16>,
-    /// Memory that a task takes, in MiB, where that is known.
+    /// Memory of a task, MiB, if it is known.
     pub memory_mib: Option<u64>,
     /// Seconds after which a frame's task is stopped.
     pub frame_limit: Option<u64>,
@@ -65,15 +65,15 @@ impl ExportedShot {
         let mut name = Parameter::new("JobName", ParameterType::String, "Name of the job");
         name.max_length = Some(LONGEST_JOB_NAME);
         let frames = "Frames, such as 0-47 or 0,5,9-12";
-        let program = "The program, as the machines find it";
-        let preview = "Who makes ID previews: the GPU where there is one, the GPU or nothing, the CPU";
+        let program = "Name or path of the forelight program on the machines";
+        let preview = "Device for ID previews: auto (the GPU if there is one), gpu, or cpu";
         let folder = |name, flow, what| Parameter::path(name, ObjectType::Directory, flow, what);
         let mut parameters = vec![
             name.default(self.name.clone()),
             Parameter::new("Forelight", ParameterType::String, program).default("forelight"),
             bundle,
             Parameter::new("Frames", ParameterType::String, frames).default(self.frames.to_string()),
-            folder("Images", DataFlow::Out, "Folder of the images, and of what each took").default("images"),
+            folder("Images", DataFlow::Out, "Folder of the images and their statistics").default("images"),
             Parameter::new("ImageFormat", ParameterType::String, "Format of the images")
                 .default("exr")
                 .one_of(["exr", "png"]),
@@ -82,14 +82,15 @@ impl ExportedShot {
                 .one_of(names::<PreviewBackend>()),
         ];
         if self.is_cached() {
-            let what = "Folder of the irradiance cache, which all machines see";
+            let what = "Folder of the irradiance cache, which all machines must share";
             parameters.push(folder("CacheFolder", DataFlow::InOut, what).default("cache"));
         }
         parameters.extend(self.quality().into_iter().map(|quality| quality.parameter));
         parameters
     }
 
-    /// The flags of quality. All are given, whatever their defaults: a job renders the same with a later version.
+    /// The flags of quality. All are given, so that a later version with other defaults renders the same
+    /// images.
     fn quality(&self) -> Vec<Flag> {
         let settings = &self.settings;
         let whole = |flag, name, value: u32, what| Flag {
@@ -100,14 +101,8 @@ impl ExportedShot {
             flag,
             parameter: Parameter::new(name, ParameterType::String, what).default(value).one_of(values),
         };
-        let integrator = match settings.integrator {
-            Integrator::Ambient => "ambient",
-            Integrator::Path => "path",
-        };
-        let materials = match settings.materials {
-            MaterialMode::Full => "full",
-            MaterialMode::Lambert => "lambert",
-        };
+        let integrator = settings.integrator.name();
+        let materials = settings.materials.name();
         let mut bounces = whole(
             "--ambient-bounces",
             "AmbientBounces",
@@ -115,18 +110,17 @@ impl ExportedShot {
             "Diffuse bounces of indirect light",
         );
         if self.is_cached() && self.cache_parts > 1 {
-            // There are steps for each level of the cache.
+            // The number of steps depends on the levels of the cache.
             bounces.parameter = bounces.parameter.one_of([settings.ambient_bounces]);
         }
         let seed = Parameter::new("Seed", ParameterType::Int, "Seed of all random numbers");
         // Only `ambient` reads a cache.
-        let integrators =
-            if self.is_cached() { vec![integrator.to_owned()] } else { names::<IntegratorName>() };
+        let integrators = if self.is_cached() { vec![integrator.to_owned()] } else { names::<Integrator>() };
         let mut flags = vec![
             whole("--width", "Width", settings.width, "Image width in pixels"),
             whole("--height", "Height", settings.height, "Image height in pixels"),
             whole("--spp", "Spp", settings.spp, "Camera samples per pixel"),
-            one_of("--integrator", "Integrator", integrator, integrators, "How light is simulated"),
+            one_of("--integrator", "Integrator", integrator, integrators, "Integrator: ambient or path"),
             bounces,
             whole(
                 "--ambient-divisions",
@@ -139,13 +133,13 @@ impl ExportedShot {
                 "--materials",
                 "Materials",
                 materials,
-                names::<Materials>(),
-                "Materials as they are, or every surface as Lambert",
+                names::<MaterialMode>(),
+                "The scene's materials (full), or every surface diffuse (lambert)",
             ),
             Flag { flag: "--seed", parameter: seed.default(settings.seed) },
         ];
         if self.is_cached() {
-            let accuracy = "Error that the cache may make, 0.01 to 1";
+            let accuracy = "Error of the irradiance cache, 0.01 to 1";
             flags.push(Flag {
                 flag: "--cache-accuracy",
                 parameter: Parameter::new("CacheAccuracy", ParameterType::Float, accuracy)
@@ -155,7 +149,7 @@ impl ExportedShot {
                 "--cache-rays",
                 "CacheRays",
                 settings.cache_rays,
-                "Rays gathered at a place of the cache",
+                "Rays of each record of the irradiance cache",
             ));
         }
         flags
@@ -176,8 +170,8 @@ impl ExportedShot {
         steps
     }
 
-    /// The steps that make the shot's cache. With parts, a level is filled by many tasks and put together before the next one, since
-    /// the levels above read it.
+    /// The steps that make the shot's cache. With parts, many tasks fill a level. The parts of a level are
+    /// merged before the next level, which reads them.
     fn cache_steps(&self) -> Vec<Step> {
         let mut args = strings(["cache", "plan", &of("Bundle"), "--frames", &of("Frames")]);
         args.extend(["--out".to_owned(), cache_file("plan")]);
@@ -213,7 +207,7 @@ impl ExportedShot {
         steps
     }
 
-    /// The flags that every command has which traces light.
+    /// The flags of all commands that trace light.
     fn how(&self) -> Vec<String> {
         let quality = self.quality().into_iter();
         let mut flags: Vec<String> =
@@ -238,7 +232,7 @@ impl ExportedShot {
     ) -> Step {
         let cores = self.threads.map(|threads| Amount { name: "amount.worker.vcpu", min: threads.into() });
         let memory = self.memory_mib.map(|min| Amount { name: "amount.worker.memory", min });
-        // Told to terminate, the program ends at once and leaves nothing half-written.
+        // The program ends at once when it is told to terminate, and leaves no incomplete files.
         let cancelation = Cancelation { mode: "NOTIFY_THEN_TERMINATE", notify_period_in_seconds: 30 };
         Step {
             name: name.to_owned(),
@@ -280,7 +274,7 @@ fn strings<const COUNT: usize>(words: [&str; COUNT]) -> Vec<String> {
     words.map(str::to_owned).to_vec()
 }
 
-/// The values of a flag, as they are typed.
+/// The names of a flag's values.
 fn names<T: ValueEnum>() -> Vec<String> {
     let values = T::value_variants().iter().filter_map(ValueEnum::to_possible_value);
     values.map(|value| value.get_name().to_owned()).collect()

@@ -1,21 +1,22 @@
-//! The parts of a job template of the Open Job Description specification (<https://github.com/OpenJobDescription/openjd-specifications>,
-//! revision 2023-09) that an exported shot consists of. No extension of the specification is used: every farm that reads templates
-//! reads these.
+//! The parts of an Open Job Description template that an exported shot uses. The specification is
+//! <https://github.com/OpenJobDescription/openjd-specifications>, revision 2023-09. The templates use none of
+//! its extensions, so that every farm that reads templates reads these.
 //!
-//! A template knows *format strings*, in which `{{Param.Name}}` stands for a value and two braces cannot be escaped. So nothing that
-//! a user named is written into one: names and paths are the defaults of parameters, which are taken as they are.
+//! A template has *format strings*, in which `{{Param.Name}}` stands for a value. Two braces cannot be
+//! escaped. So no name from a user is written into a format string: names and paths are defaults of
+//! parameters, which are taken as they are.
 
 use serde::Serialize;
 use serde_json::Value;
 
-/// Most characters of a job's name, once its parameters are put in.
+/// Largest number of characters of a job's name, with its parameters resolved.
 pub const LONGEST_JOB_NAME: usize = 128;
-/// Most characters of a parameter's value.
+/// Largest number of characters of a parameter's value.
 pub const LONGEST_VALUE: usize = 1024;
-/// Greatest integer of a parameter that every reader of templates can hold.
+/// Largest integer that every reader of templates can hold.
 pub const GREATEST_INTEGER: u64 = i64::MAX as u64;
 
-/// A job: steps, each of one or many tasks, over parameters that are set when the job is submitted.
+/// A job: steps with one or many tasks each, and parameters that are set at submission.
 #[derive(Debug, Serialize)]
 #[serde(rename_all = "camelCase")]
 pub struct JobTemplate {
@@ -25,9 +26,9 @@ pub struct JobTemplate {
     pub name: String,
     /// For people.
     pub description: String,
-    /// What is set at submission.
+    /// Parameters that are set at submission.
     pub parameter_definitions: Vec<Parameter>,
-    /// The steps, each after those that it depends on.
+    /// The steps. Each one follows those that it depends on.
     pub steps: Vec<Step>,
 }
 
@@ -35,26 +36,26 @@ pub struct JobTemplate {
 #[derive(Debug, Serialize)]
 #[serde(rename_all = "camelCase")]
 pub struct Parameter {
-    /// What `{{Param.…}}` names it by.
+    /// The name in `{{Param.…}}`.
     pub name: &'static str,
     /// What values it takes.
     #[serde(rename = "type")]
     pub kind: ParameterType,
     /// For people.
     pub description: &'static str,
-    /// What a path leads to.
+    /// Whether a path leads to a file or a folder.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub object_type: Option<ObjectType>,
-    /// Whether tasks read or write what a path leads to.
+    /// Whether tasks read or write the file or folder.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub data_flow: Option<DataFlow>,
-    /// Most characters.
+    /// Largest number of characters.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_length: Option<usize>,
-    /// The values that there are; any if empty.
+    /// The allowed values. An empty list allows any value.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub allowed_values: Vec<Value>,
-    /// What it is if nothing is said; without a default, something has to be.
+    /// The default. A parameter without one has to be set at submission.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub default: Option<Value>,
 }
@@ -72,12 +73,12 @@ impl Parameter {
         Self { default: Some(value.into()), ..self }
     }
 
-    /// The same with these values alone.
+    /// The same, restricted to these values.
     pub fn one_of(self, values: impl IntoIterator<Item = impl Into<Value>>) -> Self {
         Self { allowed_values: values.into_iter().map(Into::into).collect(), ..self }
     }
 
-    /// A path, and what tasks do with what it leads to.
+    /// A path.
     pub fn path(
         name: &'static str,
         object_type: ObjectType,
@@ -95,11 +96,11 @@ impl Parameter {
 pub enum ParameterType {
     /// A whole number.
     Int,
-    /// A decimal number, which is kept as it is written.
+    /// A decimal number, kept as it is written.
     Float,
     /// Text.
     String,
-    /// A path, which a farm may replace by where its own machines see the same.
+    /// A path. A farm may map it to the path on its own machines.
     Path,
 }
 
@@ -113,7 +114,7 @@ pub enum ObjectType {
     Directory,
 }
 
-/// What tasks do with what a path leads to.
+/// What tasks do with a file or folder.
 #[derive(Debug, Clone, Copy, Serialize)]
 #[serde(rename_all = "UPPERCASE")]
 pub enum DataFlow {
@@ -129,21 +130,21 @@ pub enum DataFlow {
 #[derive(Debug, Serialize)]
 #[serde(rename_all = "camelCase")]
 pub struct Step {
-    /// Name, of which there is but one.
+    /// Unique name.
     pub name: String,
-    /// Steps that have to be done before.
+    /// Steps that have to end before this one.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub dependencies: Vec<Dependency>,
-    /// The tasks; one if there is no space.
+    /// The tasks. `None` is one task.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub parameter_space: Option<ParameterSpace>,
-    /// What a machine has to have.
+    /// Requirements of the machine.
     pub host_requirements: HostRequirements,
     /// What a task does.
     pub script: Script,
 }
 
-/// A step that has to be done before.
+/// A step that has to end before.
 #[derive(Debug, Serialize)]
 #[serde(rename_all = "camelCase")]
 pub struct Dependency {
@@ -155,14 +156,14 @@ pub struct Dependency {
 #[derive(Debug, Serialize)]
 #[serde(rename_all = "camelCase")]
 pub struct ParameterSpace {
-    /// The one parameter that tells them apart.
+    /// The parameter that differs between the tasks.
     pub task_parameter_definitions: [TaskParameter; 1],
 }
 
-/// A parameter of which every task has another value.
+/// A parameter with another value for every task.
 #[derive(Debug, Serialize)]
 pub struct TaskParameter {
-    /// What `{{Task.Param.…}}` names it by.
+    /// The name in `{{Task.Param.…}}`.
     pub name: &'static str,
     /// What values it takes.
     #[serde(rename = "type")]
@@ -171,32 +172,32 @@ pub struct TaskParameter {
     pub range: String,
 }
 
-/// What a machine has to have.
+/// Requirements of the machine.
 #[derive(Debug, Clone, Serialize)]
 pub struct HostRequirements {
-    /// Of what it needs how much.
+    /// Amounts, such as cores and memory.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub amounts: Vec<Amount>,
-    /// Of what kind it is.
+    /// Kinds, such as the operating system.
     pub attributes: Vec<Attribute>,
 }
 
-/// So much of something.
+/// A required amount.
 #[derive(Debug, Clone, Serialize)]
 pub struct Amount {
     /// The specification's name of it.
     pub name: &'static str,
-    /// At least; memory in MiB.
+    /// The smallest amount that suffices. Memory is in MiB.
     pub min: u64,
 }
 
-/// A kind of machine.
+/// A required kind.
 #[derive(Debug, Clone, Serialize)]
 #[serde(rename_all = "camelCase")]
 pub struct Attribute {
     /// The specification's name of it.
     pub name: &'static str,
-    /// What will do.
+    /// The kinds that suffice.
     pub any_of: Vec<&'static str>,
 }
 
@@ -215,26 +216,26 @@ pub struct Actions {
     pub on_run: Action,
 }
 
-/// A program that is run, without a shell.
+/// A program, run without a shell.
 #[derive(Debug, Serialize)]
 pub struct Action {
     /// The program, a format string.
     pub command: String,
     /// Its arguments, each a format string.
     pub args: Vec<String>,
-    /// Seconds after which it is stopped.
+    /// Time limit, seconds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub timeout: Option<u64>,
-    /// How it is stopped.
+    /// How the program is stopped.
     pub cancelation: Cancelation,
 }
 
-/// How a task is stopped: told to, and killed if it does not.
+/// How a task is stopped: notified first, then killed.
 #[derive(Debug, Serialize)]
 #[serde(rename_all = "camelCase")]
 pub struct Cancelation {
     /// The specification's name of this.
     pub mode: &'static str,
-    /// How long it is waited for.
+    /// Time between the notice and the kill.
     pub notify_period_in_seconds: u32,
 }

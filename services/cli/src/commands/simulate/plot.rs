@@ -1,8 +1,8 @@
-//! A simulation as a picture: how busy the farm was, and what being in time cost.
+//! A simulation as a plot: utilisation over time, and cost against jobs in time.
 
-use crate::drawing::{self, Area, Drawn};
 use anyhow::Result;
 use forelight_simulator::{PolicyKind, Report};
+use forelight_terminal::drawing::{self, Area, Drawn};
 use plotters::prelude::*;
 
 const WIDTH: u32 = 1100;
@@ -20,7 +20,7 @@ fn colour(policy: PolicyKind) -> RGBColor {
     }
 }
 
-/// Two pictures for each world, one below the other.
+/// Two plots for each world, one below the other.
 pub fn svg(worlds: &[(&str, &[Report])]) -> Result<String> {
     let size = (WIDTH, HEIGHT * 2 * worlds.len().max(1) as u32);
     drawing::svg(size, |area| draw(area, worlds))
@@ -36,7 +36,7 @@ fn draw(area: &Area<'_>, worlds: &[(&str, &[Report])]) -> Drawn {
     Ok(())
 }
 
-/// Of each policy the report with the largest pool: the pools of one policy look much alike here.
+/// Utilisation of each policy, with its largest pool only, since the pools of one policy look alike here.
 fn utilisation(area: &Area<'_>, name: &str, reports: &[Report]) -> Drawn {
     let shown: Vec<&Report> = PolicyKind::ALL
         .into_iter()

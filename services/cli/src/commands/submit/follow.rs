@@ -1,13 +1,13 @@
 //! Following a job by its events, with a bar for each stage.
 
-use crate::failure::Interrupted;
-use crate::interrupt::Interrupt;
-use crate::output::Bars;
-use crate::quantities::seconds;
 use anyhow::{Context, Result};
+use forelight_client::{Backoff, Client, EventStream};
 use forelight_forecast::FIRST_FRAMES;
 use forelight_protocol::{Event, EventId, EventKind, Job, JobId, JobState, LiveForecast, TaskId, TaskKind};
-use forelight_worker::{Backoff, Client, EventStream};
+use forelight_terminal::failure::Interrupted;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::output::Bars;
+use forelight_terminal::quantities::seconds;
 use indicatif::ProgressBar;
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};

@@ -1,13 +1,14 @@
 //! Fetching a job's images, and the contact sheet.
 
-use crate::atomic_file::write_bytes;
 use crate::contact_sheet::{Cell, contact_sheet};
-use crate::failure::Interrupted;
-use crate::interrupt::Interrupt;
-use crate::output::Bars;
 use anyhow::{Context, Result, bail};
+use forelight_client::{Client, ClientError, FramePicture};
 use forelight_protocol::{ArtifactHash, FrameRow, Job, ProblemKind};
-use forelight_worker::{Client, ClientError, FramePicture, png};
+use forelight_terminal::atomic_file::write_bytes;
+use forelight_terminal::failure::Interrupted;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::output::Bars;
+use forelight_worker::png;
 use futures::{StreamExt, TryStreamExt};
 use image::RgbImage;
 use std::path::{Path, PathBuf};

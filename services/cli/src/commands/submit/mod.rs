@@ -6,19 +6,20 @@ mod report;
 
 use super::worker::task_limits;
 use crate::archive;
+use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::failure::BadInput;
-use crate::interrupt::Interrupt;
-use crate::local::settings_request;
-use crate::options::{ConfidenceLevel, ConnectionOptions, QualityOptions, Sharing, duration};
-use crate::output::{self, Bars};
-use crate::quantities::{Deadline, parse_bytes, parse_deadline, parse_money, parse_seconds};
 use anyhow::{Context, Result, bail};
+use forelight_client::Client;
 use forelight_protocol::{
-    BundleRef, CacheSharing, FrameSet, Job, JobId, JobRequest, JobState, Ladders, Money, Per,
+    BundleRef, CacheSharing, Confidence, FrameSet, Job, JobId, JobRequest, JobState, Ladders, Money, Per,
     RenderSettingsRequest, SceneSummary, Timestamp, Within,
 };
-use forelight_worker::Client;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::settings_request;
+use forelight_terminal::options::{QualityOptions, duration};
+use forelight_terminal::output::{self, Bars};
+use forelight_terminal::quantities::{Deadline, parse_bytes, parse_deadline, parse_money, parse_seconds};
 use std::path::{Path, PathBuf};
 use uuid::Uuid;
 
@@ -65,7 +66,7 @@ pub struct Args {
     per_frame: bool,
     /// How sure the booking, and the choice of samples, has to be
     #[arg(long, value_name = "LEVEL", default_value = "p80")]
-    confidence: ConfidenceLevel,
+    confidence: Confidence,
     /// Name of the job [default: the bundle's]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
@@ -89,7 +90,7 @@ pub struct Args {
     ladders: bool,
     /// Whether the frames share one irradiance cache, with --cache on
     #[arg(long, value_name = "WAY", default_value = "auto")]
-    cache_sharing: Sharing,
+    cache_sharing: CacheSharing,
     /// Most memory that a worker may use for one of the tasks, such as 8GiB; beyond it the task is ended [default: no limit]
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     task_memory: Option<u64>,
@@ -189,14 +190,14 @@ fn request(
         bundle,
         frames,
         settings,
-        cache: args.cache_sharing.into(),
+        cache: args.cache_sharing,
         samples: args.samples,
         profile_frames: args.profile_frames,
         ladders: if args.ladders { Ladders::All } else { Ladders::Own },
         within: within(args),
         deadline,
         budget: args.budget.map(Money),
-        confidence: args.confidence.into(),
+        confidence: args.confidence,
         priority: args.priority,
         weight: args.weight,
         limits: task_limits(args.task_memory, args.task_time),

@@ -1,12 +1,12 @@
 //! What was said and what was, frame by frame.
 
 use crate::caches;
-use crate::commands::explain;
-use crate::quantities::{clock, count, money, percent, seconds};
-use crate::table::{Align, Table};
 use forelight_protocol::{
     AllottedStats, CacheQuote, ForecastDoc, FrameRow, FrameState, Job, JobState, LeftOut, Timestamp, Verdict,
 };
+use forelight_terminal::output;
+use forelight_terminal::quantities::{clock, count, money, percent, seconds};
+use forelight_terminal::table::{Align, Table};
 use serde::Serialize;
 
 /// All of it, for machines.
@@ -151,7 +151,7 @@ fn verdict(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: 
             text += &made_caches(cache, job);
         }
         if !quote.effects.is_empty() {
-            text += &format!("simulated  {}\n", explain::effects(&quote.effects));
+            text += &format!("simulated  {}\n", output::list(&quote.effects));
         }
         for LeftOut { what, reason } in &quote.left_out {
             text += &format!("left out   {what}: {reason}\n");

@@ -1,4 +1,7 @@
-//! The writer: a scene in memory, and the files of its bundle.
+//! The bundle writer: a scene in memory, and the files of its bundle.
+//!
+//! Geometry becomes one OBJ file and its MTL library, textures become PNG files, and the rest goes to
+//! `scene.json`. All coordinates are rounded, so that the files are the same on every machine.
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
@@ -10,126 +13,127 @@ use serde::Serialize;
 
 use super::mesh::Mesh;
 
-/// Coordinates, normals and texture coordinates are written in steps of this: a tenth of a millimetre.
+/// Coordinates are written in steps of a tenth of a millimetre; normals and texture coordinates in steps of
+/// 10⁻⁴.
 const STEPS_PER_UNIT: f64 = 1e4;
 
-/// The colour of a surface.
+/// The base colour of a surface.
 #[derive(Clone, Copy, Debug)]
 pub enum Base {
-    /// A linear reflectance.
+    /// A linear reflectance, red, green and blue.
     Colour([f64; 3]),
-    /// The name of a texture of the scene.
+    /// The name of one of the scene's textures.
     Texture(&'static str),
 }
 
-/// What a surface is made of.
+/// The material of a surface.
 #[derive(Clone, Copy, Debug)]
 pub enum Surface {
-    /// Lambert.
+    /// Lambertian.
     Matte(Base),
-    /// A dielectric coat of this roughness over Lambert.
+    /// A dielectric coat of this roughness over a Lambertian base.
     Plastic(Base, f64),
-    /// A metal: reflectance at normal incidence, and roughness (0 is a mirror).
+    /// A metal: reflectance at normal incidence, and roughness. Roughness 0 is a mirror.
     Metal([f64; 3], f64),
-    /// A pane of glass without thickness, with this transmittance.
+    /// A glass pane without thickness, with this transmittance.
     Pane([f64; 3]),
     /// Solid glass with this transmittance.
     Glass([f64; 3]),
-    /// A lamp's surface: it emits this radiance from its front.
+    /// A light-emitting surface with this radiance on its front side.
     Lamp([f64; 3]),
 }
 
-/// A thing in the scene: its name, and its parts, each of one material.
+/// An object: its name, and its parts with one material each.
 #[derive(Clone, Debug)]
 pub struct Object {
-    /// A name without spaces, of one object only.
+    /// The name, unique in the scene and without spaces.
     pub name: String,
-    /// Materials by name, each with the surface made of it.
+    /// The parts: material name and mesh.
     pub parts: Vec<(&'static str, Mesh)>,
 }
 
 /// A file of a bundle.
 #[derive(Clone, Debug)]
 pub struct BundleFile {
-    /// Relative path, with `/`.
+    /// Path relative to the bundle's folder, with `/` as separator.
     pub path: String,
-    /// The bytes.
+    /// Contents.
     pub contents: Vec<u8>,
 }
 
-/// Where the camera stands.
+/// The camera's position and view.
 #[derive(Clone, Debug, Serialize)]
 pub struct Camera {
     /// Eye point, in metres.
     pub origin: [f64; 3],
-    /// A point in the middle of the picture.
+    /// A point in the centre of the image.
     pub target: [f64; 3],
-    /// A direction that is up in the picture.
+    /// A direction that points up in the image.
     pub up: [f64; 3],
-    /// Full angle of view along `fov_axis`.
+    /// Full angle of view along `fov_axis`, in degrees.
     pub fov_deg: f64,
-    /// `x` or `y`.
+    /// The axis of `fov_deg`: `x` or `y`.
     pub fov_axis: &'static str,
-    /// Picture width in pixels.
+    /// Image width, pixels.
     pub width: u32,
-    /// Picture height in pixels.
+    /// Image height, pixels.
     pub height: u32,
 }
 
-/// Light from all around.
+/// Light from the surroundings.
 #[derive(Clone, Debug, Serialize)]
 #[serde(tag = "type", rename_all = "lowercase")]
 pub enum Environment {
     /// The same radiance from every direction.
     Constant {
-        /// Linear radiance.
+        /// Linear radiance, red, green and blue.
         radiance: [f64; 3],
     },
 }
 
-/// A lamp.
+/// A light source.
 #[derive(Clone, Debug, Serialize)]
 #[serde(tag = "type", rename_all = "lowercase")]
 pub enum Light {
-    /// A parallelogram that shines towards `edge_u × edge_v`.
+    /// A parallelogram that emits towards `edge_u × edge_v`.
     Quad {
         /// One corner, in metres.
         corner: [f64; 3],
-        /// First edge.
+        /// First edge, in metres.
         edge_u: [f64; 3],
-        /// Second edge.
+        /// Second edge, in metres.
         edge_v: [f64; 3],
-        /// Linear radiance.
+        /// Linear radiance, red, green and blue.
         radiance: [f64; 3],
     },
 }
 
-/// A value at a frame.
+/// A keyframe.
 #[derive(Clone, Debug, Serialize)]
 pub struct Key {
     /// Frame number.
     pub frame: u32,
-    /// Three numbers, or the four of a quaternion.
+    /// The value: three numbers, or the four of a quaternion.
     pub value: Vec<f64>,
 }
 
-/// What one property does over time.
+/// The keyframes of one property.
 #[derive(Clone, Debug, Serialize)]
 pub struct Track {
     /// `camera` or `object:NAME`.
     pub target: String,
-    /// The property.
+    /// The animated property.
     pub property: &'static str,
     /// `linear` or `catmull_rom`.
     pub interpolation: &'static str,
-    /// Ascending keys.
+    /// Keyframes in ascending order.
     pub keys: Vec<Key>,
 }
 
-/// What moves.
+/// All animation of a scene.
 #[derive(Clone, Debug, Serialize)]
 pub struct Animation {
-    /// Frames a second.
+    /// Frames per second.
     pub fps: u32,
     /// Number of frames.
     pub frames: u32,
@@ -140,25 +144,25 @@ pub struct Animation {
 /// A whole scene.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// Folder name.
+    /// Name of the scene and of its folder.
     pub name: &'static str,
     /// Camera of frame 0.
     pub camera: Camera,
-    /// Light from all around.
+    /// Light from the surroundings.
     pub environment: Environment,
-    /// Lamps.
+    /// Light sources.
     pub lights: Vec<Light>,
-    /// Movement.
+    /// Animation.
     pub animation: Animation,
     /// Materials by name.
     pub materials: Vec<(&'static str, Surface)>,
     /// Textures by name.
     pub textures: Vec<(&'static str, RgbImage)>,
-    /// The things.
+    /// Objects.
     pub objects: Vec<Object>,
 }
 
-/// The parts of `scene.json`, in the order in which they are written.
+/// The contents of `scene.json`, in the order in which they are written.
 #[derive(Serialize)]
 struct SceneFile<'a> {
     version: u32,
@@ -171,12 +175,12 @@ struct SceneFile<'a> {
 }
 
 impl Scene {
-    /// Adds a part to the object of this name; the first part makes the object.
+    /// Adds a part to the object called `name`, which is created if necessary.
     pub fn add(&mut self, name: impl Into<String>, material: &'static str, mesh: Mesh) {
         self.add_parts(name, vec![(material, mesh)]);
     }
 
-    /// Adds several parts to the object of this name.
+    /// Adds several parts to the object called `name`.
     pub fn add_parts(&mut self, name: impl Into<String>, parts: Vec<(&'static str, Mesh)>) {
         let name = name.into();
         match self.objects.iter_mut().find(|object| object.name == name) {
@@ -185,7 +189,7 @@ impl Scene {
         }
     }
 
-    /// Number of triangles in the bundle.
+    /// Number of triangles in the written bundle.
     pub fn triangle_count(&self) -> usize {
         self.geometry().lines().filter(|line| line.starts_with("f ")).count()
     }
@@ -223,8 +227,8 @@ impl Scene {
         text
     }
 
-    /// The OBJ text. Equal positions, texture coordinates and normals are written once, and triangles that
-    /// rounding has closed are left out.
+    /// The OBJ text. Equal positions, texture coordinates and normals are written once. Triangles that
+    /// collapse when their corners are rounded are left out.
     fn geometry(&self) -> String {
         let mut text = String::from("mtllib scene.mtl\n");
         let mut pools = [Pool::new("v"), Pool::new("vt"), Pool::new("vn")];
@@ -266,7 +270,7 @@ impl Scene {
     }
 }
 
-/// The vectors of one kind that are written already, with their numbers in the file.
+/// The vectors of one kind that are already written, and their indices in the file.
 struct Pool {
     keyword: &'static str,
     known: HashMap<Vec<i64>, usize>,
@@ -277,7 +281,7 @@ impl Pool {
         Pool { keyword, known: HashMap::new() }
     }
 
-    /// The number of a vector (from 1, as OBJ counts); a new one is written to `text`.
+    /// Returns the index of a vector, counted from 1 as in OBJ. A new vector is first written to `text`.
     fn index(&mut self, vector: &[f64], text: &mut String) -> usize {
         let rounded: Vec<i64> = vector.iter().map(|x| (x * STEPS_PER_UNIT).round() as i64).collect();
         let next = self.known.len() + 1;
@@ -289,7 +293,7 @@ impl Pool {
     }
 }
 
-/// A whole number of steps as a decimal number without needless zeros.
+/// Formats a number of steps as a decimal number without trailing zeros.
 fn decimal(steps: i64) -> String {
     let unit = STEPS_PER_UNIT as i64;
     let sign = if steps < 0 { "-" } else { "" };
@@ -329,13 +333,13 @@ fn png(picture: &RgbImage) -> Vec<u8> {
     bytes
 }
 
-/// A camera track.
+/// A Catmull-Rom track for a property of the camera.
 pub fn camera_track(property: &'static str, keys: &[(u32, [f64; 3])]) -> Track {
     let keys = keys.iter().map(|&(frame, value)| Key { frame, value: value.to_vec() }).collect();
     Track { target: "camera".into(), property, interpolation: "catmull_rom", keys }
 }
 
-/// A vector as three numbers, rounded as the file's coordinates are.
+/// A vector as three numbers, rounded like the coordinates in the file.
 pub fn rounded(vector: DVec3) -> [f64; 3] {
     vector.to_array().map(|x| (x * STEPS_PER_UNIT).round() / STEPS_PER_UNIT)
 }

@@ -1,4 +1,4 @@
-//! The corridor: a long hall of few large surfaces, lit from its ceiling and through the window at its end.
+//! The corridor: a long hall with few large surfaces, lit from its ceiling and through the window at its end.
 
 use glam::dvec3;
 
@@ -10,28 +10,28 @@ use super::mesh::{Axis, Mesh, sine_cosine};
 use super::paint;
 use super::shapes::*;
 
-/// Half of the hall's width; its axis is x = 0.
+/// Half the hall's width, metres. The hall's axis is x = 0.
 const HALF_WIDTH: f64 = 1.3;
 
-/// Height of the hall.
+/// Height of the hall, metres.
 const HEIGHT: f64 = 2.7;
 
-/// The end wall's z, and the z of the wall behind the camera.
+/// Z of the end wall, and of the wall behind the camera.
 const ENDS: (f64, f64) = (-10.0, 4.0);
 
-/// Where the glass doors stand (a z).
+/// Z of the glass doors.
 const GLASS_DOORS: f64 = -3.2;
 
-/// The niche in the left wall, with the bench: from and to (z).
+/// Z range of the niche in the left wall. The bench stands in it.
 const NICHE: (f64, f64) = (-2.4, 0.0);
 
-/// Middles (z) of the ceiling lamps.
+/// Z of the ceiling lamps' centres.
 const LAMPS: [f64; 4] = [2.0, -1.2, -5.0, -8.2];
 
-/// Eye points of the camera's dolly.
+/// Keyframes of the camera's position: a slow dolly.
 const EYE: [(u32, [f64; 3]); 3] = [(0, [0.42, 1.56, 3.3]), (24, [0.3, 1.52, 2.5]), (47, [0.12, 1.48, 1.5])];
 
-/// What it looks at.
+/// Keyframes of the camera's target.
 const TARGET: [(u32, [f64; 3]); 3] =
     [(0, [-0.16, 1.22, -3.0]), (24, [-0.12, 1.22, -3.5]), (47, [-0.04, 1.24, -4.5])];
 
@@ -135,7 +135,7 @@ fn textures() -> Vec<(&'static str, image::RgbImage)> {
     ]
 }
 
-/// Floor, ceiling, walls. They overlap by 5 cm, so that no light comes in but through the end window.
+/// Floor, ceiling and walls. They overlap by 5 cm, so that light enters only through the end window.
 fn shell(scene: &mut Scene) {
     let (end, start) = ENDS;
     let length = start - end + 0.1;
@@ -154,7 +154,7 @@ fn shell(scene: &mut Scene) {
     let right =
         quad(dvec3(HALF_WIDTH, -0.05, end - 0.05), dvec3(0.0, 0.0, length), dvec3(0.0, HEIGHT + 0.1, 0.0));
     scene.add("wall_right", "wall_paint", right);
-    // The left wall stands 40 cm deep around the niche. In the frame's own plane x runs along -z of the hall.
+    // The left wall is 40 cm thick at the niche. In the plane of `frame`, x runs along -z of the hall.
     let left =
         frame([-start - 0.05, -0.05], [-end + 0.05, HEIGHT + 0.05], [-NICHE.1, -0.02], [-NICHE.0, 2.3], 0.4);
     scene.add("wall_left", "wall_paint", left.turned(Axis::Y, 90.0).at(-HALF_WIDTH, 0.0, 0.0));
@@ -216,7 +216,7 @@ fn end_window(scene: &mut Scene) {
     scene.add("hill", "hill", hill.textured(3.0, Axis::X));
 }
 
-/// Two glass leaves in a steel frame across the hall, with a fanlight above them. The right leaf stands ajar.
+/// Two glass door leaves in a steel frame across the hall, with a fanlight above. The right leaf is ajar.
 fn glass_doors(scene: &mut Scene) {
     let z = GLASS_DOORS;
     let x = HALF_WIDTH;
@@ -232,7 +232,7 @@ fn glass_doors(scene: &mut Scene) {
     scene.add("glass_wall_frame", "dark_metal", Mesh::join(posts));
     let fanlight = quad(dvec3(-x + 0.05, 2.2, z), dvec3(2.0 * x - 0.1, 0.0, 0.0), dvec3(0.0, 0.47, 0.0));
     scene.add("fanlight", "door_glass", fanlight);
-    // A leaf hangs at x = 0 and reaches to +x; its front is +z.
+    // A leaf's hinge is at x = 0. The leaf extends to +x and faces +z.
     let (width, height) = (1.225, 2.13);
     let leaf = || {
         frame([0.0, 0.008], [width, height], [0.06, 0.16], [width - 0.06, height - 0.06], 0.04)
@@ -262,7 +262,7 @@ fn glass_doors(scene: &mut Scene) {
     scene.add_parts("exit_sign", vec![("white_metal", sign.with(rod)), ("exit_sign", face)]);
 }
 
-/// A closed wooden door in its case with a lever handle; its front is at z = 0, its middle at x = 0.
+/// A closed wooden door in its case, with a lever handle. Its front is at z = 0, its middle at x = 0.
 fn wooden_door(scene: &mut Scene, name: &str, place: impl Fn(Mesh) -> Mesh) {
     let case = frame([-0.57, -0.02], [0.57, 2.23], [-0.48, -0.01], [0.48, 2.13], 0.05).at(0.0, 0.0, 0.025);
     let leaf = rounded_cuboid([-0.477, 0.006, -0.03], [0.477, 2.127, 0.012], 0.003, 1);
@@ -288,7 +288,24 @@ fn side_doors(scene: &mut Scene) {
 }
 
 fn furniture(scene: &mut Scene) {
-    // The bench in the niche: an oak seat on steel legs, with two leather cushions.
+    bench(scene);
+    pictures(scene);
+    // A runner on the floor.
+    let mut rug = rounded_cuboid([-0.5, 0.001, -2.6], [0.5, 0.009, 1.4], 0.003, 1);
+    for vertex in &mut rug.vertices {
+        vertex.uv = glam::dvec2(vertex.position.x + 0.5, (1.4 - vertex.position.z) / 2.0);
+    }
+    scene.add("runner", "runner", rug);
+
+    // One plant at the far end, and one in front of the glass doors.
+    for (i, (x, z)) in [(-0.95, -9.2), (0.98, -2.8)].into_iter().enumerate() {
+        plant(scene, i, x, z);
+    }
+    console(scene);
+}
+
+/// The bench in the niche: an oak seat on steel legs, with two leather cushions.
+fn bench(scene: &mut Scene) {
     let z = (NICHE.0 + NICHE.1) / 2.0;
     let seat = rounded_cuboid([-1.64, 0.4, z - 1.0], [-1.22, 0.44, z + 1.0], 0.006, 2);
     let leg = |z: f64| {
@@ -303,8 +320,10 @@ fn furniture(scene: &mut Scene) {
         ("leather", cushion(z - 0.48).with(cushion(z + 0.48))),
     ];
     scene.add_parts("bench", parts);
+}
 
-    // Pictures: a large one between the doors on the right, a small one in the niche.
+/// Two pictures: a large one between the doors on the right, and a small one in the niche.
+fn pictures(scene: &mut Scene) {
     let picture = |half: [f64; 2]| {
         let (w, h) = (half[0], half[1]);
         let border = frame([-w, -h], [w, h], [-w + 0.035, -h + 0.035], [w - 0.035, h - 0.035], 0.04);
@@ -328,23 +347,14 @@ fn furniture(scene: &mut Scene) {
         (material, hang(material, mesh).turned(Axis::Y, -90.0).at(HALF_WIDTH - 0.035, 1.55, -1.3))
     });
     scene.add_parts("picture_large", large.to_vec());
+    let z = (NICHE.0 + NICHE.1) / 2.0;
     let small = picture([0.48, 0.38])
         .map(|(material, mesh)| (material, hang(material, mesh).turned(Axis::Y, 90.0).at(-1.625, 1.5, z)));
     scene.add_parts("picture_small", small.to_vec());
+}
 
-    // A runner on the floor.
-    let mut rug = rounded_cuboid([-0.5, 0.001, -2.6], [0.5, 0.009, 1.4], 0.003, 1);
-    for vertex in &mut rug.vertices {
-        vertex.uv = glam::dvec2(vertex.position.x + 0.5, (1.4 - vertex.position.z) / 2.0);
-    }
-    scene.add("runner", "runner", rug);
-
-    // A plant at the far end, and one before the glass doors.
-    for (i, (x, z)) in [(-0.95, -9.2), (0.98, -2.8)].into_iter().enumerate() {
-        plant(scene, i, x, z);
-    }
-
-    // A console with a vase and a round mirror above it, on the left wall near the viewer.
+/// On the left wall near the camera: a console table with a vase, and a round mirror above it.
+fn console(scene: &mut Scene) {
     let (z, x) = (1.15, -HALF_WIDTH);
     let top = rounded_cuboid([x + 0.003, 0.8, z - 0.5], [x + 0.3, 0.83, z + 0.5], 0.005, 2);
     let legs = [(0.03, -0.47), (0.27, -0.47), (0.03, 0.47), (0.27, 0.47)].map(|(dx, dz)| {

@@ -1,35 +1,35 @@
-//! Triangle meshes: a list of vertices with their attributes, and the ways to place and join them.
+//! Triangle meshes: vertices with attributes, and operations that place and join meshes.
 
 use glam::{DMat3, DVec2, DVec3, dvec2};
 
-/// A corner of a triangle: position in metres, unit shading normal, texture coordinate (v up).
+/// A corner of a triangle.
 #[derive(Clone, Copy, Debug)]
 pub struct Vertex {
     /// Position, in metres.
     pub position: DVec3,
-    /// Unit normal, on the side that the winding faces.
+    /// Unit shading normal, on the side from which the triangle looks counter-clockwise.
     pub normal: DVec3,
-    /// Texture coordinate.
+    /// Texture coordinates; v points up.
     pub uv: DVec2,
 }
 
-/// Triangles, counter-clockwise seen from the front.
+/// A triangle mesh. Triangles are counter-clockwise seen from the front.
 #[derive(Clone, Debug, Default)]
 pub struct Mesh {
-    /// The vertices; equal ones are merged when the mesh is written.
+    /// Vertices. Equal ones are merged when the mesh is written.
     pub vertices: Vec<Vertex>,
-    /// Three vertex indices a triangle.
+    /// Three vertex indices per triangle.
     pub triangles: Vec<[usize; 3]>,
 }
 
 /// A coordinate axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axis {
-    /// To the right.
+    /// Right.
     X,
     /// Up.
     Y,
-    /// To the viewer.
+    /// Towards the viewer.
     Z,
 }
 
@@ -40,13 +40,14 @@ impl Mesh {
         self.vertices.len() - 1
     }
 
-    /// Adds the two triangles of a four-cornered patch, corners counter-clockwise seen from the front.
+    /// Adds a quadrilateral as two triangles. Its corners run counter-clockwise seen from the front.
     pub fn patch(&mut self, [a, b, c, d]: [usize; 4]) {
         self.triangles.push([a, b, c]);
         self.triangles.push([a, c, d]);
     }
 
-    /// Adds a flat patch with its own four vertices: corners counter-clockwise, texture from (0,0) to (1,1).
+    /// Adds a flat quadrilateral with four vertices of its own, corners counter-clockwise. Its texture
+    /// coordinates run from (0, 0) to (1, 1).
     pub fn flat_patch(&mut self, corners: [DVec3; 4]) {
         let normal = (corners[2] - corners[0]).cross(corners[3] - corners[1]).normalize();
         let uvs = [dvec2(0.0, 0.0), dvec2(1.0, 0.0), dvec2(1.0, 1.0), dvec2(0.0, 1.0)];
@@ -54,7 +55,7 @@ impl Mesh {
         self.patch(indices);
     }
 
-    /// This mesh and another one.
+    /// Appends another mesh.
     pub fn with(mut self, other: Mesh) -> Mesh {
         let first = self.vertices.len();
         self.vertices.extend(other.vertices);
@@ -62,12 +63,12 @@ impl Mesh {
         self
     }
 
-    /// Several meshes as one.
+    /// Joins several meshes into one.
     pub fn join(meshes: impl IntoIterator<Item = Mesh>) -> Mesh {
         meshes.into_iter().fold(Mesh::default(), Mesh::with)
     }
 
-    /// The mesh moved.
+    /// Translates the mesh, in metres.
     pub fn at(mut self, x: f64, y: f64, z: f64) -> Mesh {
         for vertex in &mut self.vertices {
             vertex.position += DVec3::new(x, y, z);
@@ -75,7 +76,8 @@ impl Mesh {
         self
     }
 
-    /// The mesh turned about an axis through the origin, counter-clockwise seen from the axis's tip.
+    /// Rotates the mesh about an axis through the origin. The rotation is counter-clockwise when the axis
+    /// points at the viewer.
     pub fn turned(mut self, axis: Axis, degrees: f64) -> Mesh {
         let (sin, cos) = sine_cosine(degrees);
         let turn = match axis {
@@ -90,7 +92,7 @@ impl Mesh {
         self
     }
 
-    /// The mesh seen from within: winding and normals turned round.
+    /// Reverses winding and normals, so that the mesh is visible from inside.
     pub fn inside_out(mut self) -> Mesh {
         for vertex in &mut self.vertices {
             vertex.normal = -vertex.normal;
@@ -101,7 +103,7 @@ impl Mesh {
         self
     }
 
-    /// The mesh without the triangles whose middle lies above a height.
+    /// Removes the triangles whose centroid is above a height.
     pub fn cut_above(mut self, height: f64) -> Mesh {
         let Mesh { vertices, triangles } = &mut self;
         triangles.retain(|t| t.iter().map(|&i| vertices[i].position.y).sum::<f64>() / 3.0 <= height);
@@ -121,7 +123,7 @@ impl Mesh {
         self
     }
 
-    /// The mesh stretched along the axes about the origin, by positive factors.
+    /// Scales the mesh about the origin by positive factors.
     pub fn stretched(mut self, x: f64, y: f64, z: f64) -> Mesh {
         let factors = DVec3::new(x, y, z);
         for vertex in &mut self.vertices {
@@ -131,8 +133,10 @@ impl Mesh {
         self
     }
 
-    /// Textures the mesh by projection along the axis that each vertex normal is nearest to: one repeat of the
-    /// texture covers `repeat` metres, and the texture's u runs along `grain` wherever that axis is visible.
+    /// Sets the texture coordinates by projection along the axis nearest to each vertex normal.
+    ///
+    /// One repeat of the texture covers `repeat` metres. The texture's u runs along `grain` where that axis
+    /// is visible.
     pub fn textured(mut self, repeat: f64, grain: Axis) -> Mesh {
         for vertex in &mut self.vertices {
             let (p, n) = (vertex.position / repeat, vertex.normal.abs());
@@ -149,7 +153,7 @@ impl Mesh {
     }
 }
 
-/// Sine and cosine of an angle in degrees, the same on every machine.
+/// Sine and cosine of an angle in degrees. The result is the same on every machine.
 pub fn sine_cosine(degrees: f64) -> (f64, f64) {
     libm::sincos(degrees.to_radians())
 }

@@ -1,21 +1,21 @@
-//! Pictures made of hashes and sines: wood, tiles, cloth, leaves, and a painting.
+//! Procedural textures made of hashes and sines: wood, tiles, cloth, leaves, and a painting.
 
 use image::{Rgb, RgbImage};
 
-/// A colour in sRGB, 0 to 1.
+/// An sRGB colour with components in [0, 1].
 pub type Colour = [f64; 3];
 
-/// A picture whose pixel colours come from a function of (u, v), both 0 to 1, v up.
+/// An image whose colours are a function of (u, v), both in [0, 1]. v points up.
 pub fn picture(width: u32, height: u32, colour: impl Fn(f64, f64) -> Colour) -> RgbImage {
     RgbImage::from_fn(width, height, |x, y| {
         let u = (f64::from(x) + 0.5) / f64::from(width);
         let v = 1.0 - (f64::from(y) + 0.5) / f64::from(height);
-        // Two levels are as good as one to the eye, and compress better.
+        // 128 levels per channel look the same as 256 and compress better.
         Rgb(colour(u, v).map(|c| (c.clamp(0.0, 1.0) * 127.0).round() as u8 * 2))
     })
 }
 
-/// A number in 0 to 1 from two integers and a seed.
+/// A pseudo-random number in [0, 1) from two integers and a seed.
 pub fn hash(x: i64, y: i64, seed: u64) -> f64 {
     let mut h = seed ^ 0x9e37_79b9_7f4a_7c15;
     for part in [x as u64, y as u64] {
@@ -26,7 +26,8 @@ pub fn hash(x: i64, y: i64, seed: u64) -> f64 {
     (h >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// Smooth noise in 0 to 1 that repeats after `columns` by `rows` cells; u and v run from 0 to 1 over them.
+/// Smooth noise in [0, 1] that repeats every `columns` by `rows` cells. u and v run from 0 to 1 over these
+/// cells.
 pub fn noise(u: f64, v: f64, (columns, rows): (i64, i64), seed: u64) -> f64 {
     let (x, y) = (u * columns as f64, v * rows as f64);
     let (i, j) = (x.floor() as i64, y.floor() as i64);
@@ -46,23 +47,23 @@ pub fn turbulence(u: f64, v: f64, (columns, rows): (i64, i64), seed: u64) -> f64
         / 1.75
 }
 
-/// Between two numbers.
+/// Linear interpolation between two numbers.
 pub fn mix(a: f64, b: f64, t: f64) -> f64 {
     a + (b - a) * t
 }
 
-/// Between two colours.
+/// Linear interpolation between two colours. `t` is clamped to [0, 1].
 pub fn blend(a: Colour, b: Colour, t: f64) -> Colour {
     let t = t.clamp(0.0, 1.0);
     [0, 1, 2].map(|i| mix(a[i], b[i], t))
 }
 
-/// A colour made lighter or darker.
+/// A colour scaled by a factor.
 pub fn shade(colour: Colour, factor: f64) -> Colour {
     colour.map(|c| c * factor)
 }
 
-/// Boards with their grain along u, `boards` of them side by side, each of a slightly different tone.
+/// `boards` boards side by side, with their grain along u and slightly different tones.
 pub fn wood(size: u32, boards: i64, light: Colour, dark: Colour, seed: u64) -> RgbImage {
     picture(size, size, |u, v| {
         let board = (v * boards as f64).floor() as i64;
@@ -78,21 +79,20 @@ pub fn wood(size: u32, boards: i64, light: Colour, dark: Colour, seed: u64) -> R
     })
 }
 
-/// How tiles are laid: columns and rows in the picture, every second row shifted by half a tile or not, and the
-/// width of the joints as a part of a tile's width and height.
+/// A pattern of tiles.
 #[derive(Clone, Copy, Debug)]
 pub struct Laying {
-    /// Tiles in a row.
+    /// Number of tiles per row.
     pub columns: i64,
-    /// Rows.
+    /// Number of rows.
     pub rows: i64,
-    /// Whether every second row is shifted by half a tile.
+    /// Running bond: every second row is shifted by half a tile.
     pub bond: bool,
-    /// Width of a joint, over the tile's width and over its height.
+    /// Joint width, as a fraction of the tile's width and of its height.
     pub joint: [f64; 2],
 }
 
-/// Tiles with joints between them; `tone` gives a tile's colour from its column, row and place in the picture.
+/// Tiles with joints between them. `tone` gives a tile's colour from its column, row, u and v.
 pub fn tiles(
     size: u32,
     laying: Laying,
@@ -114,7 +114,7 @@ pub fn tiles(
     })
 }
 
-/// Checked cloth: two sets of stripes across each other, with a weave.
+/// Checked cloth: two sets of stripes that cross each other, with a weave.
 pub fn gingham(size: u32, checks: i64, ground: Colour, stripe: Colour) -> RgbImage {
     picture(size, size, |u, v| {
         let on = |t: f64| ((t * checks as f64 * 2.0).floor() as i64).rem_euclid(2) as f64;
@@ -124,7 +124,7 @@ pub fn gingham(size: u32, checks: i64, ground: Colour, stripe: Colour) -> RgbIma
     })
 }
 
-/// Leaves: blots of two greens with dark gaps.
+/// Leaves: blotches in shades between two greens, with dark gaps.
 pub fn leaves(size: u32, light: Colour, dark: Colour, seed: u64) -> RgbImage {
     picture(size, size, |u, v| {
         let coarse = turbulence(u, v, (6, 6), seed);
@@ -134,7 +134,7 @@ pub fn leaves(size: u32, light: Colour, dark: Colour, seed: u64) -> RgbImage {
     })
 }
 
-/// A painting of hills at evening, a lake and a low sun.
+/// A painting of hills in the evening, with a lake and a low sun.
 pub fn landscape(width: u32, height: u32) -> RgbImage {
     picture(width, height, |u, v| {
         let sky = blend([0.98, 0.78, 0.48], [0.35, 0.55, 0.75], (v - 0.45) * 1.9);
@@ -166,7 +166,7 @@ pub fn landscape(width: u32, height: u32) -> RgbImage {
     })
 }
 
-/// The face of a clock: twelve marks on white.
+/// A clock face: twelve marks on white.
 pub fn clock_face(size: u32) -> RgbImage {
     picture(size, size, |u, v| {
         let (x, y) = (u * 2.0 - 1.0, v * 2.0 - 1.0);

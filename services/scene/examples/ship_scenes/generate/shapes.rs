@@ -1,31 +1,34 @@
-//! Shapes: boxes, turned bodies, tubes and surfaces. All wind outwards.
+//! Shapes: boxes, solids of revolution, tubes and surfaces. All face outwards.
 
 use glam::{DVec2, DVec3, dvec2, dvec3};
 
 use super::mesh::{Axis, Mesh, sine_cosine};
 
-/// Profile corners whose sides turn by more than this (its cosine) stay sharp in a turned body.
+/// A profile corner of a solid of revolution stays sharp if its sides turn by more than 41°. This is the
+/// cosine.
 const CREASE_COSINE: f64 = 0.75;
 
-/// A parallelogram that faces `edge_u × edge_v`; the texture covers it once, u along `edge_u`.
+/// A parallelogram that faces `edge_u × edge_v`. The texture covers it once, with u along `edge_u`.
 pub fn quad(corner: DVec3, edge_u: DVec3, edge_v: DVec3) -> Mesh {
     let mut mesh = Mesh::default();
     mesh.flat_patch([corner, corner + edge_u, corner + edge_u + edge_v, corner + edge_v]);
     mesh
 }
 
-/// A sharp-edged box between two corners (smaller first).
+/// A sharp-edged box with corners `low` and `high`.
 pub fn cuboid(low: [f64; 3], high: [f64; 3]) -> Mesh {
     rounded_cuboid(low, high, 0.0, 0)
 }
 
-/// A box whose edges and corners are rounded by `radius`, in `steps` facets for an eighth of a turn.
-/// Rounded edges catch a line of light, as the edges of real things do.
+/// A box with edges and corners rounded by `radius`, with `steps` facets per 45°.
+///
+/// Rounded edges catch highlights, like the edges of real objects.
 pub fn rounded_cuboid(low: [f64; 3], high: [f64; 3], radius: f64, steps: usize) -> Mesh {
     let low = DVec3::from_array(low);
     let high = DVec3::from_array(high);
     let core = [low + radius, high - radius];
-    // Lines across a face: which end of the core they hang on, and how far their normal leans outwards.
+    // Grid lines across a face: the end of the core that they belong to, and how far their normal leans
+    // outwards.
     let lean = |step: usize| {
         if steps == 0 { 0.0 } else { libm::tan((45.0 * step as f64 / steps as f64).to_radians()) }
     };
@@ -66,9 +69,9 @@ pub fn rounded_cuboid(low: [f64; 3], high: [f64; 3], radius: f64, steps: usize) 
     mesh
 }
 
-/// A slab between two corners with a rectangular hole from top to bottom; the hole is given in x and z.
+/// A box with a rectangular hole from top to bottom. The hole is given in x and z.
 pub fn slab_with_hole(low: [f64; 3], high: [f64; 3], hole_low: [f64; 2], hole_high: [f64; 2]) -> Mesh {
-    // Seen from above (x to the right, z down), both rings run counter-clockwise.
+    // Seen from above, with x to the right and z down, both rings run counter-clockwise.
     let ring = |x0: f64, x1: f64, z0: f64, z1: f64| [(x0, z1), (x1, z1), (x1, z0), (x0, z0)];
     let outer = ring(low[0], high[0], low[2], high[2]);
     let inner = ring(hole_low[0], hole_high[0], hole_low[1], hole_high[1]);
@@ -105,7 +108,7 @@ pub fn slab_with_hole(low: [f64; 3], high: [f64; 3], hole_low: [f64; 2], hole_hi
     mesh
 }
 
-/// An upright plate in the xy-plane with a rectangular hole: its front, at z = 0, faces +z.
+/// An upright plate in the xy-plane with a rectangular hole. Its front is at z = 0 and faces +z.
 pub fn frame(low: [f64; 2], high: [f64; 2], hole_low: [f64; 2], hole_high: [f64; 2], depth: f64) -> Mesh {
     slab_with_hole(
         [low[0], -depth, -high[1]],
@@ -116,8 +119,10 @@ pub fn frame(low: [f64; 2], high: [f64; 2], hole_low: [f64; 2], hole_high: [f64;
     .turned(Axis::X, 90.0)
 }
 
-/// A body turned about the y axis. The profile's points are (radius, height); it runs so that the body lies on
-/// its left: up on the outside, down on the inside. Corners sharper than about 40° stay sharp.
+/// A solid of revolution about the y axis.
+///
+/// The profile's points are (radius, height). The solid lies to the left of the profile: up on the outside,
+/// down on the inside. Corners sharper than about 41° stay sharp.
 pub fn turned_body(profile: &[(f64, f64)], segments: usize) -> Mesh {
     let points: Vec<DVec2> = profile.iter().map(|&(r, y)| dvec2(r, y)).collect();
     let sides: Vec<DVec2> = points.windows(2).map(|pair| (pair[1] - pair[0]).normalize()).collect();
@@ -170,7 +175,7 @@ pub fn turned_body(profile: &[(f64, f64)], segments: usize) -> Mesh {
     mesh
 }
 
-/// An upright cylinder on the plane y = 0, with a small rounded rim above and below.
+/// An upright cylinder on y = 0. Its rims are bevelled by `rim`.
 pub fn cylinder(radius: f64, height: f64, rim: f64, segments: usize) -> Mesh {
     turned_body(
         &[
@@ -185,7 +190,7 @@ pub fn cylinder(radius: f64, height: f64, rim: f64, segments: usize) -> Mesh {
     )
 }
 
-/// A sphere about the origin.
+/// A sphere about the origin. `segments` is the number of facets around it.
 pub fn sphere(radius: f64, segments: usize) -> Mesh {
     let rings = segments / 2;
     let profile: Vec<(f64, f64)> = (0..=rings)
@@ -197,7 +202,7 @@ pub fn sphere(radius: f64, segments: usize) -> Mesh {
     turned_body(&profile, segments)
 }
 
-/// A round tube along a path, its ends closed flat. The path's corners should be rounded (see [`rounded_path`]).
+/// A round tube along a path, with flat ends. The path's corners should be rounded (see [`rounded_path`]).
 pub fn tube(path: &[DVec3], radius: f64, sides: usize) -> Mesh {
     let last = path.len() - 1;
     let tangent = |i: usize| (path[(i + 1).min(last)] - path[i.saturating_sub(1)]).normalize();
@@ -206,7 +211,7 @@ pub fn tube(path: &[DVec3], radius: f64, sides: usize) -> Mesh {
     let mut rings: Vec<Vec<usize>> = Vec::new();
     for (i, &centre) in path.iter().enumerate() {
         let along = tangent(i);
-        // The frame is carried along the path without twist.
+        // Carry the frame along the path without twist.
         across = (across - along * across.dot(along)).normalize();
         let other = along.cross(across);
         let spoke = |j: usize| {
@@ -234,7 +239,8 @@ pub fn tube(path: &[DVec3], radius: f64, sides: usize) -> Mesh {
     mesh
 }
 
-/// A path through the given points whose inner corners are replaced by curves that start `radius` before them.
+/// A path through `points` whose inner corners are replaced by quadratic Bézier curves. Each curve starts
+/// `radius` before its corner.
 pub fn rounded_path(points: &[DVec3], radius: f64, steps: usize) -> Vec<DVec3> {
     let mut path = vec![points[0]];
     for corner in points.windows(3) {
@@ -249,7 +255,7 @@ pub fn rounded_path(points: &[DVec3], radius: f64, steps: usize) -> Vec<DVec3> {
     path
 }
 
-/// A ring about the y axis, in the plane y = 0.
+/// A torus about the y axis, in the plane y = 0. `thickness` is the radius of its tube.
 pub fn ring(radius: f64, thickness: f64, segments: usize, sides: usize) -> Mesh {
     let mut mesh = Mesh::default();
     for i in 0..=segments {
@@ -270,7 +276,7 @@ pub fn ring(radius: f64, thickness: f64, segments: usize, sides: usize) -> Mesh 
     mesh
 }
 
-/// A smooth surface over (u, v) in the unit square, in `columns` by `rows` patches; it faces ∂u × ∂v.
+/// A smooth surface over (u, v) in the unit square, with `columns` by `rows` patches. It faces ∂u × ∂v.
 pub fn surface(columns: usize, rows: usize, at: impl Fn(f64, f64) -> DVec3) -> Mesh {
     const STEP: f64 = 1e-4;
     let mut mesh = Mesh::default();
@@ -291,7 +297,7 @@ pub fn surface(columns: usize, rows: usize, at: impl Fn(f64, f64) -> DVec3) -> M
     mesh
 }
 
-/// A flat disc about the z axis that faces +z; the texture's inscribed circle covers it.
+/// A flat disc about the z axis that faces +z. The circle inscribed in the texture maps to its rim.
 pub fn disc(radius: f64, segments: usize) -> Mesh {
     let mut mesh = Mesh::default();
     let middle = mesh.vertex(DVec3::ZERO, DVec3::Z, dvec2(0.5, 0.5));

@@ -24,11 +24,11 @@ impl Numbers {
     }
 }
 
-/// A light as the tree sees it, and enough of it to say what it brings.
+/// A light, with the data to compute its actual contribution.
 struct Lamp {
     bounds: Bounds,
     centre: Vec3,
-    /// Normal of a flat light and whether it shines to both sides, or axis and cosine of a cone.
+    /// Normal of a flat light and whether it emits from both sides, or axis and cosine of a cone.
     shape: Shape,
     intensity: f64,
 }
@@ -58,7 +58,7 @@ impl Lamp {
         Self { bounds, centre, shape: Shape::Cone(axis, cos), intensity }
     }
 
-    /// Irradiance that its centre brings.
+    /// Irradiance from its centre.
     fn brings(&self, receiver: &Receiver) -> f64 {
         let to = self.centre - receiver.position;
         let direction = to.normalize();
@@ -72,7 +72,7 @@ impl Lamp {
     }
 }
 
-/// Lights of all kinds in disorder, some of them many times as bright as others.
+/// Lights of all kinds at random positions, with very different intensities.
 fn disorder(numbers: &mut Numbers, count: usize) -> Vec<Lamp> {
     let one = |i: usize| {
         let centre =
@@ -82,7 +82,7 @@ fn disorder(numbers: &mut Numbers, count: usize) -> Vec<Lamp> {
             0 => Lamp::flat(centre, axis, numbers.within(0.01, 1.0), false, intensity),
             1 => Lamp::flat(centre, axis, 0.1, true, intensity),
             2 => Lamp::cone(centre, axis, numbers.within(-1.0, 0.99), intensity),
-            // Several in one and the same place.
+            // Several lights at the same position.
             _ => Lamp::cone(Vec3::ONE, axis, 0.9, intensity),
         }
     };
@@ -153,7 +153,7 @@ fn probabilities_are_those_of_the_choices_and_sum_to_one() {
             let mut sum = f64::from(nothing) / f64::from(STEPS);
             for (light, &times) in chosen.iter().enumerate() {
                 let probability = tree.probability(&receiver, light, &mut 0);
-                // An interval of this length holds so many of the steps, give or take one.
+                // An interval of this length contains this many steps, give or take one.
                 let expected = probability * f64::from(STEPS);
                 assert!((f64::from(times) - expected).abs() <= 1.01, "{times} times instead of {expected}");
                 sum += probability;
@@ -219,7 +219,8 @@ fn any_visits_every_light_that_bounds_do_not_rule_out() {
     }
 }
 
-/// Variance of the one-sample estimate of the sum of `brought` where light i is chosen with probability `p(i)`, over the squared sum.
+/// Variance of the one-sample estimate of the sum of `brought`, divided by the squared sum. Light i is chosen
+/// with probability `p(i)`.
 fn relative_variance(brought: &[f64], p: impl Fn(usize) -> f64) -> f64 {
     let sum: f64 = brought.iter().sum();
     let squares = brought.iter().enumerate().filter(|(_, b)| **b > 0.0).map(|(i, b)| b * b / p(i));
@@ -228,7 +229,7 @@ fn relative_variance(brought: &[f64], p: impl Fn(usize) -> f64) -> f64 {
 
 #[test]
 fn ten_thousand_lights_in_a_hundred_rooms_are_found_far_better_than_by_chance_or_power() {
-    // Ceiling lamps in rooms of 4 m; what a lamp brings ends at the walls, which the tree knows nothing of.
+    // Ceiling lamps in rooms of 4 m. The walls block their light, which the tree does not know.
     const ROOMS: i32 = 10;
     const LAMPS: usize = 100;
     let mut numbers = Numbers(4);
@@ -279,7 +280,8 @@ fn lights_in_one_place_or_at_extreme_scales_make_a_tree() {
         for brightness in [1e-30f64, 1.0, 1e30] {
             let lamps: Vec<Lamp> = (0..1000)
                 .map(|i| {
-                    // Ever farther from the origin, by powers: planes of equal distance do not halve them.
+                    // Distances from the origin grow geometrically, so planes at equal distances do not halve
+                    // the set.
                     let place = scale * 1.02f32.powi(i) * Vec3::X * if i % 7 == 0 { 0.0 } else { 1.0 };
                     Lamp::cone(place, Vec3::Z, -1.0, brightness * f64::from(1 + i % 3))
                 })

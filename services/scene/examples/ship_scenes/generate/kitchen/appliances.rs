@@ -1,4 +1,4 @@
-//! Oven, hob, hood, fridge, kettle, toaster, and the pots on the hob.
+//! The oven, hob, hood, fridge, kettle and toaster, and the pots on the hob.
 
 use glam::dvec3;
 
@@ -7,7 +7,7 @@ use crate::generate::bundle::Scene;
 use crate::generate::mesh::{Axis, Mesh, sine_cosine};
 use crate::generate::shapes::*;
 
-/// Adds the appliances.
+/// Adds all appliances.
 pub fn furnish(scene: &mut Scene) {
     oven(scene);
     hob(scene);
@@ -87,7 +87,7 @@ fn hob(scene: &mut Scene) {
             let (low, high) = ([x0 - 0.004, top - 0.01, z0 - 0.004], [x1 + 0.004, top, z1 + 0.004]);
             cuboid(low, high)
         };
-        // The bars of one direction lie half a millimetre lower than those of the other.
+        // The bars along z lie 1.2 mm lower than those along x, so that no two surfaces share a plane.
         let across = [-1.72, -1.6, -1.48, -1.36, -1.24].map(|z| bar(x - 0.12, z, x + 0.12, z));
         let along = [-0.12, 0.0, 0.12].map(|dx| bar(x + dx, -1.72, x + dx, -1.24).at(0.0, -0.0012, 0.0));
         let feet = [(-0.12, -1.72), (0.12, -1.72), (-0.12, -1.24), (0.12, -1.24)].map(|(dx, z)| {
@@ -99,7 +99,7 @@ fn hob(scene: &mut Scene) {
 
 fn hood(scene: &mut Scene) {
     let lip = rounded_cuboid([-1.5, 1.6, -1.81], [-0.9, 1.655, -1.3], 0.004, 2);
-    // The canopy, from the lip to the chimney: four leaning sides.
+    // The canopy from the lip to the chimney: three sloping sides. The wall closes the fourth.
     let (low, high) = (1.65, 1.93);
     let bottom = [
         dvec3(-1.49, low, -1.8),
@@ -146,7 +146,7 @@ fn fridge(scene: &mut Scene) {
     scene.add("fridge", "black_plastic", Mesh::join(feet));
 }
 
-/// An open pot on the plane y = 0: flat bottom, straight sides, a rolled rim.
+/// An open pot that stands on y = 0: flat bottom, straight sides, rolled rim.
 fn pot(radius: f64, height: f64, wall: f64) -> Mesh {
     let inner = radius - wall;
     turned_body(
@@ -168,7 +168,7 @@ fn pot(radius: f64, height: f64, wall: f64) -> Mesh {
     )
 }
 
-/// A lid's dome that rests at y = 0, and its knob.
+/// A domed lid that rests at y = 0, and its knob.
 fn lid(radius: f64) -> (Mesh, Mesh) {
     let dome = turned_body(
         &[
@@ -190,7 +190,7 @@ fn lid(radius: f64) -> (Mesh, Mesh) {
     (dome, knob)
 }
 
-/// Two loop handles left and right of a pot.
+/// Two loop handles, left and right of a pot.
 fn loops(radius: f64, height: f64) -> Mesh {
     let one = |side: f64| {
         let r = side * (radius - 0.002);

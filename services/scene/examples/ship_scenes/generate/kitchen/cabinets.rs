@@ -1,4 +1,4 @@
-//! Cupboards, drawers, worktops, shelves, and the sink.
+//! Cupboards, drawers, worktops, shelves and the sink.
 
 use glam::dvec3;
 
@@ -7,13 +7,13 @@ use crate::generate::bundle::Scene;
 use crate::generate::mesh::{Axis, Mesh};
 use crate::generate::shapes::*;
 
-/// Front of the base cupboards' doors along the back wall; along the left wall it is `LEFT_FRONT`.
+/// Z of the door fronts of the base cupboards along the back wall.
 const BACK_FRONT: f64 = -1.197;
 
-/// Front of the base cupboards' doors along the left wall (an x).
+/// X of the door fronts of the base cupboards along the left wall.
 const LEFT_FRONT: f64 = -1.797;
 
-/// Adds cupboards and worktops.
+/// Adds cupboards, worktops, sink and shelves.
 pub fn furnish(scene: &mut Scene) {
     base_cupboards(scene);
     worktops(scene);
@@ -22,7 +22,7 @@ pub fn furnish(scene: &mut Scene) {
     shelves(scene);
 }
 
-/// A door with a raised border, from (0,0) to (width, height); its front is at z = 0, its back at -0.02.
+/// A door with a raised border, from (0, 0) to (width, height). Its front is at z = 0, its back at z = -0.02.
 fn door(width: f64, height: f64) -> Mesh {
     let border = 0.065;
     let rim = frame([0.0, 0.0], [width, height], [border, border], [width - border, height - border], 0.02);
@@ -33,7 +33,7 @@ fn door(width: f64, height: f64) -> Mesh {
     rim.with(panel)
 }
 
-/// A bar handle along x, of the given length, standing off a front at z = 0.
+/// A bar handle along x, on a front at z = 0.
 fn bar_handle(length: f64) -> Mesh {
     let half = length / 2.0;
     let path = [
@@ -45,7 +45,7 @@ fn bar_handle(length: f64) -> Mesh {
     tube(&rounded_path(&path, 0.014, 2), 0.0055, 6)
 }
 
-/// A round knob that stands off a front at z = 0.
+/// A round knob on a front at z = 0.
 fn knob() -> Mesh {
     turned_body(
         &[
@@ -63,7 +63,7 @@ fn knob() -> Mesh {
 }
 
 fn base_cupboards(scene: &mut Scene) {
-    // The carcasses have a hole from top to bottom where the sink hangs.
+    // The carcass has an opening for the sink, from top to bottom.
     let carcass = slab_with_hole([-2.39, 0.1, -1.79], [1.585, 0.865, -1.22], [-0.2, -1.74], [0.5, -1.24]);
     scene.add("carcass_back", "sage_paint", carcass);
     let carcass = cuboid([-2.39, 0.1, -1.215], [-1.82, 0.865, 0.555]);
@@ -92,7 +92,7 @@ fn base_cupboards(scene: &mut Scene) {
     let mut handles = Vec::new();
     for (i, (y, height)) in drawers.into_iter().enumerate() {
         scene.add(format!("drawer_{i}"), "sage_paint", door(0.6, height).at(-0.88, y, BACK_FRONT));
-        // The handle stands on the recessed panel.
+        // The handle sits on the recessed panel.
         handles.push(bar_handle(0.2).at(-0.58, y + height / 2.0, BACK_FRONT - 0.008));
     }
     scene.add("handles_drawers", "brass", Mesh::join(handles));
@@ -114,7 +114,7 @@ fn worktops(scene: &mut Scene) {
 }
 
 fn sink(scene: &mut Scene) {
-    // A box seen from within, cut open at the top, under a flat rim.
+    // The basin is a box seen from inside, cut open at the top, under a flat rim.
     let radius = 0.05;
     let basin = rounded_cuboid([-0.148, 0.7, -1.678], [0.448, WORKTOP + 0.002 + radius, -1.282], radius, 3)
         .cut_above(WORKTOP + 0.002)
@@ -148,7 +148,7 @@ fn sink(scene: &mut Scene) {
 
 fn wall_cupboards(scene: &mut Scene) {
     let (low, high) = (1.5, 2.25);
-    // The closed one, in the corner.
+    // The closed cupboard in the corner.
     scene.add("wall_cupboard", "cream_paint", cuboid([-2.405, low, -1.81], [-1.57, high, -1.46]));
     let mut knobs = Vec::new();
     for (i, x) in [-2.38, -1.978].into_iter().enumerate() {
@@ -160,7 +160,7 @@ fn wall_cupboards(scene: &mut Scene) {
         let knob_x = if i == 0 { x + 0.362 } else { x + 0.033 };
         knobs.push(knob().at(knob_x, low + 0.09, -1.437));
     }
-    // The one with glass doors, right of the window: an open box, two shelves, two framed panes.
+    // The cupboard with glass doors, right of the window: an open box, two shelves, two framed panes.
     let (left, right, back, front) = (0.98, 1.6, -1.81, -1.46);
     let walls = [
         cuboid([left, low, back], [left + 0.018, high, front]),
@@ -204,7 +204,7 @@ fn shelves(scene: &mut Scene) {
         tube(&rounded_path(&path, 0.008, 2), 0.007, 6)
     };
     scene.add("shelf_brackets", "brass", Mesh::join([-1.05, -0.45, 0.15].map(bracket)));
-    // A rail with kitchen tools, under the clock.
+    // A rail with kitchen tools, below the clock.
     let rail = tube(&[dvec3(-0.88, 1.4, -1.74), dvec3(-0.7, 1.4, -1.74), dvec3(-0.5, 1.4, -1.74)], 0.007, 10);
     let holder =
         |x: f64| tube(&[dvec3(x, 1.4, -1.795), dvec3(x, 1.4, -1.765), dvec3(x, 1.4, -1.738)], 0.006, 8);

@@ -1,4 +1,4 @@
-//! Crockery, glass, bottles, jars, books and plants: what stands on worktops and shelves.
+//! Crockery, glasses, bottles, jars, books and plants: everything that stands on worktops and shelves.
 
 use glam::{DVec3, dvec3};
 
@@ -7,7 +7,7 @@ use crate::generate::bundle::Scene;
 use crate::generate::mesh::{Axis, Mesh, sine_cosine};
 use crate::generate::shapes::*;
 
-/// Adds everything that stands on a worktop, a shelf or the sill.
+/// Adds everything that stands on a worktop, a shelf or the window sill.
 pub fn furnish(scene: &mut Scene) {
     shelf(scene);
     left_worktop(scene);
@@ -35,7 +35,7 @@ pub fn plate(radius: f64) -> Mesh {
     )
 }
 
-/// A bowl of the given radius on y = 0; its height is half its radius or more by `depth`.
+/// A bowl on y = 0, with the given radius and depth.
 pub fn bowl(radius: f64, depth: f64) -> Mesh {
     let outside = |t: f64| {
         let (sin, cos) = sine_cosine(t * 90.0);
@@ -54,7 +54,7 @@ pub fn bowl(radius: f64, depth: f64) -> Mesh {
     turned_body(&profile, 24)
 }
 
-/// A cup of the given radius and height on y = 0, with an ear on the +x side.
+/// A cup of the given radius and height on y = 0, with its handle on the +x side.
 pub fn cup(radius: f64, height: f64) -> Mesh {
     let body = turned_body(
         &[
@@ -81,7 +81,7 @@ pub fn cup(radius: f64, height: f64) -> Mesh {
     body.with(tube(&rounded_path(&path, radius * 0.4, 4), 0.0045, 6))
 }
 
-/// A tumbler of solid glass on y = 0: outer wall, rim, inner wall, thick bottom.
+/// A solid glass tumbler on y = 0: outer wall, rim, inner wall, thick bottom.
 pub fn tumbler(radius: f64, height: f64) -> Mesh {
     let wall = 0.0025;
     turned_body(
@@ -102,7 +102,7 @@ pub fn tumbler(radius: f64, height: f64) -> Mesh {
     )
 }
 
-/// A jar of solid glass on y = 0, and its inside's radius and floor.
+/// A solid glass jar on y = 0.
 pub fn jar(radius: f64, height: f64) -> Mesh {
     let wall = 0.003;
     turned_body(
@@ -128,7 +128,7 @@ pub fn jar(radius: f64, height: f64) -> Mesh {
     )
 }
 
-/// What fills a jar up to `level`: a body that keeps a millimetre away from the glass.
+/// The contents of a jar up to `level`. The body keeps a gap of a millimetre to the glass.
 fn filling(radius: f64, level: f64) -> Mesh {
     let inner = radius - 0.0042;
     turned_body(
@@ -145,7 +145,7 @@ fn filling(radius: f64, level: f64) -> Mesh {
     )
 }
 
-/// A bottle of solid glass on y = 0.
+/// A solid glass bottle on y = 0.
 pub fn bottle(radius: f64, height: f64) -> Mesh {
     let neck = radius * 0.36;
     let wall = 0.0028;
@@ -178,7 +178,7 @@ pub fn bottle(radius: f64, height: f64) -> Mesh {
     turned_body(&profile, 20)
 }
 
-/// A book on y = 0, standing, its spine towards +z: cover and pages.
+/// A book that stands on y = 0 with its spine towards +z: cover and pages.
 fn book(thickness: f64, height: f64, depth: f64) -> (Mesh, Mesh) {
     let half = thickness / 2.0;
     let board = 0.0025;
@@ -194,7 +194,7 @@ fn book(thickness: f64, height: f64, depth: f64) -> (Mesh, Mesh) {
     (cover, pages)
 }
 
-/// A row of books along x, on y = 0, as one object: (thickness, height, cover).
+/// A row of books along x on y = 0, as one object. Each book is (thickness, height, cover material).
 fn row_of_books(scene: &mut Scene, books: &[(f64, f64, &'static str)], place: impl Fn(Mesh) -> Mesh) {
     let mut x = 0.0;
     let mut parts = Vec::new();
@@ -210,7 +210,7 @@ fn row_of_books(scene: &mut Scene, books: &[(f64, f64, &'static str)], place: im
     scene.add_parts("books", parts);
 }
 
-/// A pot plant on y = 0: a bush of leaves on arching stalks.
+/// A pot plant on y = 0: leaves on arching stalks.
 fn plant(leaves: usize, reach: f64, height: f64) -> Mesh {
     let leaf = |i: usize| {
         let turn = 137.508 * i as f64;
@@ -273,7 +273,7 @@ fn shelf(scene: &mut Scene) {
     scene.add("shelf_pot", "leaf", place(plant(26, 0.19, 0.2).at(0.0, 0.09, 0.0)));
 }
 
-/// A jar with contents and a wooden lid, as one object.
+/// A jar with contents and a wooden lid, as one object. `place` is where it stands.
 fn store(scene: &mut Scene, name: &str, contents: &'static str, (radius, height): (f64, f64), place: DVec3) {
     let put = |mesh: Mesh| mesh.at(place.x, place.y, place.z);
     scene.add(format!("jar_{name}"), "clear_glass", put(jar(radius, height)));
@@ -294,7 +294,7 @@ fn left_worktop(scene: &mut Scene) {
     let grip = rounded_cuboid([-0.012, -0.004, 0.0], [0.012, 0.014, 0.11], 0.005, 1);
     let place = |mesh: Mesh| mesh.turned(Axis::Y, 20.0).at(-1.9, top + 0.028, 0.35);
     scene.add_parts("bread_knife", vec![("polished_steel", place(blade)), ("black_plastic", place(grip))]);
-    // In the corner: a tray that leans on the tiles, and a big jar before it.
+    // In the corner: a board that leans against the tiles, and two jars in front of it.
     let tray = rounded_cuboid([-0.17, 0.0, -0.008], [0.17, 0.42, 0.008], 0.006, 1);
     scene.add(
         "chopping_board",
@@ -305,7 +305,7 @@ fn left_worktop(scene: &mut Scene) {
     store(scene, "lentils", "orange_peel", (0.055, 0.18), dvec3(-2.05, top, -1.38));
 }
 
-/// A loaf: a round-backed body on y = 0.
+/// A loaf of bread on y = 0, with a rounded top.
 fn surface_of_loaf() -> Mesh {
     sphere(1.0, 20).stretched(0.068, 0.062, 0.145).at(0.0, 0.05, 0.0)
 }

@@ -1,4 +1,4 @@
-//! The kitchen: a closed room with a window, a hundred things small and large, one apple that rolls.
+//! The kitchen: a closed room with a window, a hundred objects of all sizes, and one rolling apple.
 
 mod appliances;
 mod cabinets;
@@ -12,16 +12,16 @@ use super::bundle::{
 };
 use super::paint;
 
-/// Height of the worktops' upper side.
+/// Height of the worktops' upper side, metres.
 const WORKTOP: f64 = 0.9;
 
-/// How far above its support a thing stands, so that two surfaces never share a plane.
+/// Gap between an object and its support, in metres. It keeps two surfaces from sharing a plane.
 const CLEARANCE: f64 = 0.001;
 
-/// Frames in the shot.
+/// Number of frames in the shot.
 const FRAMES: u32 = 48;
 
-/// Eye points and targets at the keys of the camera move.
+/// Keyframes of the camera's position and target.
 const EYE: [(u32, [f64; 3]); 3] = [(0, [1.45, 1.68, 2.95]), (24, [0.95, 1.6, 2.75]), (47, [0.38, 1.52, 2.6])];
 const TARGET: [(u32, [f64; 3]); 3] =
     [(0, [-0.2, 0.98, -1.2]), (24, [-0.12, 0.94, -1.2]), (47, [0.02, 0.88, -1.2])];
@@ -48,7 +48,7 @@ pub fn scene() -> Scene {
                 edge_v: [0.0, 0.0, 0.8],
                 radiance: [33.0, 30.5, 26.5],
             },
-            // The strip under the glass cupboard.
+            // The light strip under the glass cupboard.
             Light::Quad {
                 corner: [1.05, 1.495, -1.56],
                 edge_u: [0.46, 0.0, 0.0],

@@ -1,4 +1,4 @@
-//! Walls, window, garden, and what hangs on the walls.
+//! Walls, window, garden, and the objects on the walls.
 
 use glam::dvec3;
 
@@ -6,7 +6,7 @@ use crate::generate::bundle::Scene;
 use crate::generate::mesh::{Axis, Mesh, sine_cosine};
 use crate::generate::shapes::*;
 
-/// Adds the room.
+/// Adds the room, the garden and the objects on the walls.
 pub fn furnish(scene: &mut Scene) {
     shell(scene);
     window(scene);
@@ -14,8 +14,8 @@ pub fn furnish(scene: &mut Scene) {
     on_the_walls(scene);
 }
 
-/// Floor, ceiling and walls: x from -2.4 to 2.4, z from -1.8 to 3.4, y from 0 to 2.6. They overlap by 5 cm at the
-/// edges, so that no light comes in but through the window.
+/// Floor, ceiling and walls: x from -2.4 to 2.4, z from -1.8 to 3.4, y from 0 to 2.6. They overlap by 5 cm at
+/// the edges, so that light enters only through the window.
 fn shell(scene: &mut Scene) {
     let (width, depth, height) = (4.9, 5.3, 2.7);
     let floor = quad(dvec3(-2.45, 0.0, 3.45), dvec3(width, 0.0, 0.0), dvec3(0.0, 0.0, -depth));
@@ -32,7 +32,7 @@ fn shell(scene: &mut Scene) {
     scene.add("wall_front", "wall_paint", front);
     let skirting = rounded_cuboid([2.385, -0.01, -1.0], [2.42, 0.09, 3.42], 0.004, 1);
     scene.add("skirting", "white_paint", skirting);
-    // Tiles above the worktops; their backs lie inside the wall.
+    // Tiles above the worktops. Their backs are inside the wall.
     let (back_face, front_face, low) = (-1.805, -1.791, 0.88);
     let splash = [
         cuboid([-2.41, low, back_face], [-0.531, 1.507, front_face]),
@@ -67,7 +67,7 @@ fn window(scene: &mut Scene) {
         10,
     );
     scene.add("window_catch", "brass", catch);
-    // A blind, gathered at the top of the opening.
+    // A blind, gathered at the top of the window.
     let blind = surface(8, 32, |u, v| {
         let (wave, _) = sine_cosine(v * 4.0 * 360.0);
         let (sway, _) = sine_cosine(u * 500.0 + v * 900.0);
@@ -85,7 +85,7 @@ fn window(scene: &mut Scene) {
     scene.add("lawn", "lawn", lawn);
 }
 
-/// The housing around the ceiling light.
+/// The housing of the ceiling light.
 fn lamp(scene: &mut Scene) {
     let housing = slab_with_hole([-0.59, 2.495, 0.11], [0.79, 2.62, 0.99], [-0.555, 0.145], [0.755, 0.955]);
     scene.add("ceiling_lamp", "brushed_steel", housing);

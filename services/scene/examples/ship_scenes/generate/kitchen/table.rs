@@ -1,4 +1,4 @@
-//! The table with its cloth, the chairs, what is on the table, and the apple that rolls over it.
+//! The table and its cloth, the chairs, the objects on the table, and the rolling apple.
 
 use glam::{DVec3, dvec2, dvec3};
 
@@ -8,19 +8,19 @@ use crate::generate::bundle::{Key, Scene, Track, rounded};
 use crate::generate::mesh::{Axis, Mesh, sine_cosine};
 use crate::generate::shapes::*;
 
-/// Middle of the table.
+/// Centre of the table, x and z.
 const MIDDLE: (f64, f64) = (0.78, 0.62);
 
-/// Half of the table's length (along x) and of its width.
+/// Half the table's length (along x) and half its width.
 const HALF: (f64, f64) = (0.66, 0.42);
 
-/// Height of the cloth's upper side.
+/// Height of the cloth's upper side, metres.
 const CLOTH: f64 = 0.752;
 
-/// Radius of an apple.
+/// Radius of an apple, metres.
 const APPLE: f64 = 0.038;
 
-/// Adds table, chairs and what is on the table.
+/// Adds the table, the chairs and the objects on the table.
 pub fn furnish(scene: &mut Scene) {
     let (x, z) = MIDDLE;
     let top = rounded_cuboid([-HALF.0, 0.715, -HALF.1], [HALF.0, 0.748, HALF.1], 0.004, 2);
@@ -42,11 +42,12 @@ pub fn furnish(scene: &mut Scene) {
     rolling_apple(scene);
 }
 
-/// The cloth: flat on the table, bent over its edges, with folds that grow downwards.
+/// The cloth: flat on the table and bent over its edges. Its folds grow downwards.
 fn cloth() -> Mesh {
     let hang = 0.2;
     let bend = 0.018;
-    // Two fifths of the grid lines lie on each side's overhang, so that the bend is smooth.
+    // The flat part takes 40 % of the grid lines. The overhang on both sides takes the rest, so the bend is
+    // smooth.
     let along = |t: f64, half: f64| {
         let side = if t < 0.5 { -1.0 } else { 1.0 };
         let from_middle = (t - 0.5).abs() * 2.0;
@@ -58,7 +59,7 @@ fn cloth() -> Mesh {
         side * reach
     };
     let mut cloth = surface(40, 34, |u, v| {
-        // The surface faces upwards when u runs along x and v against z.
+        // The surface faces up if u runs along x and v runs against z.
         let (s, t) = (along(u, HALF.0 + 0.002), along(1.0 - v, HALF.1 + 0.002));
         let (over_x, over_z) = ((s.abs() - HALF.0 - 0.002).max(0.0), (t.abs() - HALF.1 - 0.002).max(0.0));
         let over = libm::sqrt(over_x * over_x + over_z * over_z);
@@ -79,7 +80,7 @@ fn cloth() -> Mesh {
         let fold = 0.1 * down * (1.0 + 0.5 * (fold_x + fold_z)) + 0.6 * down * (over_x.min(over_z) / hang);
         flat + outwards * (out + fold) - DVec3::Y * down
     });
-    // The checks keep their size all over the cloth: four to 24 cm.
+    // The checks have the same size all over the cloth: four per 24 cm.
     for vertex in &mut cloth.vertices {
         let (u, v) = (vertex.uv.x, vertex.uv.y);
         vertex.uv = dvec2(along(u, HALF.0), along(v, HALF.1)) / 0.24;
@@ -87,7 +88,7 @@ fn cloth() -> Mesh {
     cloth
 }
 
-/// A chair that faces -z (its back is at +z), standing on y = 0.
+/// A chair that stands on y = 0 and faces -z. Its backrest is at +z.
 fn chair() -> Mesh {
     let seat = rounded_cuboid([-0.21, 0.43, -0.2], [0.21, 0.46, 0.21], 0.01, 2);
     let leg = |x: f64, z: f64| {
@@ -108,14 +109,14 @@ fn chair() -> Mesh {
     Mesh::join(legs.into_iter().chain(back)).with(seat)
 }
 
-/// An apple about the origin, its stalk along +y: skin and stalk.
+/// An apple about the origin, with its stalk along +y: flesh and stalk.
 fn apple() -> (Mesh, Mesh) {
     let rings = 14;
     let profile: Vec<(f64, f64)> = (0..=rings)
         .map(|i| {
             let (sin, cos) = sine_cosine(180.0 * f64::from(i) / f64::from(rings));
             let radius = if i == 0 || i == rings { 0.0 } else { sin * (1.0 - 0.1 * cos) / 1.005 };
-            // The dimple at the stalk is deeper than the one below.
+            // The dimple at the stalk is deeper than the one at the bottom.
             let dimple = |depth: f64, width: f64| depth / (1.0 + (radius / width) * (radius / width));
             let height = -0.92 * cos - if cos < 0.0 { dimple(0.34, 0.26) } else { -dimple(0.2, 0.2) };
             (radius * APPLE, height * APPLE)
@@ -182,8 +183,10 @@ fn on_the_table(scene: &mut Scene) {
     );
 }
 
-/// The apple that moves. It lies on its side, its stalk towards the viewer, about the origin; its track carries it
-/// over the cloth towards -x, slower and slower, turning by its way over its radius: it rolls and does not slip.
+/// The rolling apple. It lies on its side about the origin, with its stalk towards the camera.
+///
+/// Its track moves it over the cloth towards -x with decreasing speed. It rolls without slipping: its
+/// rotation angle is the distance divided by its radius.
 fn rolling_apple(scene: &mut Scene) {
     let (flesh, stalk) = apple();
     let lay = |mesh: Mesh| mesh.turned(Axis::X, 90.0);

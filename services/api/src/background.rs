@@ -1,0 +1,141 @@
+//! What the service does by itself: one task advances jobs and plans the farm, one takes leases back that ran out.
+
+use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
+use std::time::Duration;
+
+use forelight_protocol::JobId;
+use forelight_store::{Store, StoreError};
+use futures::FutureExt as _;
+use tokio::sync::mpsc;
+use tokio::time::Instant;
+
+use crate::clock::SteadyClock;
+use crate::conductor::Conductor;
+use crate::state::App;
+
+/// How long after a panic a loop begins again.
+const AFTER_PANIC: Duration = Duration::from_secs(1);
+
+/// A loop that ends by a panic, which is a defect, begins again: without it the service would take requests and do nothing about them.
+async fn again_after_panic(name: &str, run: impl Future<Output = ()>) -> bool {
+    match AssertUnwindSafe(run).catch_unwind().await {
+        Ok(()) => false,
+        Err(_) => {
+            tracing::error!("{name} panicked; it begins again");
+            tokio::time::sleep(AFTER_PANIC).await;
+            true
+        }
+    }
+}
+
+/// Advances jobs and plans the farm for as long as the service runs.
+pub(crate) async fn run_conductor(app: App, mut jobs: mpsc::UnboundedReceiver<JobId>) {
+    while again_after_panic("advancing jobs", conduct(&app, &mut jobs)).await {}
+}
+
+/// Takes leases back that ran out, for as long as the service runs.
+pub(crate) async fn run_sweep(app: App, clock: Arc<SteadyClock>) {
+    while again_after_panic("the sweep", sweep(&app, &clock)).await {}
+}
+
+/// The least time between two plans that nobody waits for; after one that took long, four times as long as that.
+const BREATH: Duration = Duration::from_millis(500);
+
+/// Advances jobs as they are announced, and all that wait once in a while: an advance may have failed for a reason that
+/// has passed. Plans the farm anew when something happened, one plan at a time: what happens meanwhile, or soon after, is in the next.
+async fn conduct(app: &App, jobs: &mut mpsc::UnboundedReceiver<JobId>) {
+    let conductor = Conductor::new(app.store.clone(), app.clock.clone(), app.metrics.clone());
+    let mut again = tokio::time::interval(app.lease_ttl.max(Duration::from_secs(1)));
+    let mut wanted = app.store.watch_plans();
+    let mut not_before = Instant::now();
+    // What was due when the service died is due now.
+    let mut due = true;
+    loop {
+        tokio::select! {
+            () = app.stopping.cancelled() => return,
+            announced = jobs.recv() => match announced {
+                Some(job) => conductor.advance(job).await,
+                None => return,
+            },
+            changed = wanted.changed(), if !due => match changed {
+                Ok(()) => due = true,
+                Err(_) => return,
+            },
+            () = tokio::time::sleep_until(not_before), if due => {
+                wanted.borrow_and_update();
+                let begun = Instant::now();
+                conductor.replan_if_due().await;
+                due = false;
+                not_before = Instant::now() + BREATH.max(begun.elapsed() * 4);
+            },
+            _ = again.tick() => {
+                conductor.advance_all().await;
+                conductor.watch().await;
+                due = true;
+            }
+        }
+    }
+}
+
+/// A clock that is this much off was set; less is what a time server corrects all day.
+const CLOCK_WAS_SET: Duration = Duration::from_secs(1);
+
+/// Takes back tasks whose leases have run out, four times a lease; before that, follows a clock that was set.
+async fn sweep(app: &App, clock: &SteadyClock) {
+    let mut ticks = tokio::time::interval((app.lease_ttl / 4).max(Duration::from_millis(100)));
+    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    let mut lacks_room = false;
+    loop {
+        tokio::select! {
+            () = app.stopping.cancelled() => return,
+            _ = ticks.tick() => {}
+        }
+        lacks_room = app.log_disk_space(lacks_room);
+        if let Err(error) = follow(&app.store, clock).await {
+            tracing::warn!(%error, "the clock was set and could not be followed; the next sweep tries again");
+        }
+        match app.store.sweep(app.now()).await {
+            Ok(swept) if swept.expired > 0 => {
+                app.metrics.leases_expired.add(u64::from(swept.expired));
+                tracing::info!(leases = swept.expired, "leases ran out; their tasks are ready again");
+            }
+            Ok(_) => {}
+            Err(error) => tracing::warn!(%error, "the sweep failed; the next one tries again"),
+        }
+        match app.store.enforce_budgets(app.now()).await {
+            Ok(0) => {}
+            Ok(changed) => {
+                tracing::info!(budgets = changed, "actions of budgets came into force or are over")
+            }
+            Err(error) => {
+                tracing::warn!(%error, "budgets could not be looked at; the next sweep tries again")
+            }
+        }
+    }
+}
+
+/// Has the service's time follow the system's, if that was set, and takes everything along that is to end some time after now. The order
+/// is such that in between nothing can seem to have run out.
+async fn follow(store: &Store, clock: &SteadyClock) -> Result<(), StoreError> {
+    let micros = clock.set_by();
+    if micros.unsigned_abs() < CLOCK_WAS_SET.as_micros() as u64 {
+        clock.follow(micros);
+        return Ok(());
+    }
+    tracing::warn!(
+        seconds = micros as f64 * 1e-6,
+        "the system's clock was set; leases go on as long as they would have"
+    );
+    if micros < 0 {
+        clock.follow(micros);
+    }
+    let moved = store.clock_was_set(micros).await;
+    match (micros < 0, &moved) {
+        (false, Ok(())) => clock.follow(micros),
+        // Not moved: as if it had not been noticed.
+        (true, Err(_)) => clock.follow(-micros),
+        _ => {}
+    }
+    moved
+}

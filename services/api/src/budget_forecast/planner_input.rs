@@ -1,0 +1,91 @@
+//! What is booked, as the scenarios carry it out: with the nodes' calendars, the speeds that they have for each job's class of work, what finished
+//! frames have taught about their jobs, and the parts of shared caches before the frames that wait for them.
+
+use std::collections::BTreeMap;
+
+use forelight_planner::{self as planner, Interval};
+use forelight_protocol::{JobId, NodeId};
+
+use crate::conductor::farm::{Farm, Snapshot};
+
+/// The farm and the bookings that are still to be done of jobs that are not held back. In it a node is known by its place in the snapshot, and a job by its
+/// place in `jobs`.
+pub(super) fn planner_input(snapshot: &Snapshot, jobs: &[JobId]) -> (planner::Input, planner::Plan) {
+    let farm = Farm::new(snapshot);
+    let nodes: BTreeMap<NodeId, u64> = snapshot.nodes.iter().map(|node| node.id).zip(0..).collect();
+    let places: BTreeMap<JobId, u64> = farm.jobs.iter().map(|asked| asked.job.id).zip(0..).collect();
+    let now = snapshot.now.micros();
+    let mut bookings = under_way(&farm, snapshot, &nodes, &places);
+    let mut input = planner::Input { fixed: Vec::new(), ..farm.input.clone() };
+    for booking in &bookings {
+        stay_open(&mut input.nodes[booking.node as usize], now, booking.end);
+    }
+    let held = |job: u64| farm.jobs[job as usize].held;
+    bookings.extend(seeds(snapshot, &nodes, &places, false).filter(|booking| !held(booking.job)));
+    bookings.extend(farm.standing.iter().filter(|booking| !held(booking.job)).cloned());
+    bookings.sort_unstable();
+    // The caller's jobs are more: those that are not booked yet have nothing to be carried out.
+    let own: BTreeMap<JobId, u64> = jobs.iter().copied().zip(0..).collect();
+    let renamed: Vec<Option<u64>> = farm.jobs.iter().map(|asked| own.get(&asked.job.id).copied()).collect();
+    let name = |job: u64| renamed.get(job as usize).copied().flatten();
+    bookings.retain_mut(|booking| name(booking.job).map(|own| booking.job = own).is_some());
+    input.jobs.retain_mut(|job| name(job.id).map(|own| job.id = own).is_some());
+    for job in &mut input.jobs {
+        // The parts of its cache are bookings here, and say in each scenario anew when its frames can begin.
+        job.release = now;
+    }
+    (input, planner::Plan { bookings, ..planner::Plan::default() })
+}
+
+/// What is with workers: frames, and parts of caches. A frame that another node has than the one where it is booked takes as long as that one needs for it.
+fn under_way(
+    farm: &Farm,
+    snapshot: &Snapshot,
+    nodes: &BTreeMap<NodeId, u64>,
+    places: &BTreeMap<JobId, u64>,
+) -> Vec<planner::Booking> {
+    let now = snapshot.now.micros();
+    let frames = snapshot.projected.frames.iter().filter(|frame| frame.under_way).filter_map(|frame| {
+        let (&node, &job) = nodes.get(&frame.node_id).zip(places.get(&frame.booking.job_id))?;
+        let own = &farm.input.nodes[node as usize];
+        let booked =
+            nodes.get(&frame.booking.node_id).map_or(own, |&booked| &farm.input.nodes[booked as usize]);
+        let class = farm.input.jobs[job as usize].class;
+        let left = frame.end.micros().saturating_sub(now).max(1) as f64;
+        // Speeds are above zero.
+        let left = left * booked.speed_of(class) as f64 / own.speed_of(class) as f64;
+        let task = planner::Task::Frame(i64::from(frame.booking.frame));
+        Some(planner::Booking { start: now, node, job, task, end: now.saturating_add(left.ceil() as i64) })
+    });
+    frames.chain(seeds(snapshot, nodes, places, true)).collect()
+}
+
+/// Parts of caches that a worker has, or has not.
+fn seeds<'a>(
+    snapshot: &'a Snapshot,
+    nodes: &'a BTreeMap<NodeId, u64>,
+    places: &'a BTreeMap<JobId, u64>,
+    under_way: bool,
+) -> impl Iterator<Item = planner::Booking> + 'a {
+    let now = snapshot.now.micros();
+    let parts = snapshot.projected.cache_parts.iter();
+    parts.filter(move |part| part.under_way == under_way).filter_map(move |part| {
+        let (&node, &job) = nodes.get(&part.node_id).zip(places.get(&part.booking.job_id))?;
+        // That there are others does not matter here.
+        let task =
+            planner::Task::SeedPart { part: part.booking.part, parts: part.booking.part.saturating_add(1) };
+        Some(planner::Booking {
+            start: part.start.micros().max(now),
+            node,
+            job,
+            task,
+            end: part.end.micros(),
+        })
+    })
+}
+
+/// What a worker has it goes on with, though its node's window be closed: for as long as is expected, and as long again should it take longer.
+fn stay_open(node: &mut planner::Node, now: i64, end: i64) {
+    let end = end.saturating_add(end.saturating_sub(now));
+    node.calendar.push(Interval { start: now, end: Some(end) });
+}

@@ -1,0 +1,126 @@
+//! Carrying out what is booked in many scenarios, and adding up what that costs.
+
+use forelight_planner as planner;
+use forelight_protocol::{BudgetForecast, BudgetOutlook, JobId, Night, NightRecord, NotReady, Timestamp};
+use forelight_store::OpenJob;
+
+use super::basis::Basis;
+use super::error::BudgetForecastError;
+use super::money::{Paid, add, at, quantiles};
+use super::periods::{THREATENED, outlook, periods};
+use super::planner_input::planner_input;
+use super::sums::Sums;
+use crate::conductor::farm::Snapshot;
+
+/// Scenarios, fewer on farms with so many bookings that it would take long.
+const SCENARIOS: usize = 2000;
+const MOST_DRAWS: usize = 4_000_000;
+
+/// Seed of the scenarios: constant, so that forecasts differ only if the farm does.
+const SEED: u64 = 0x6e69_6768_7473;
+
+pub(super) fn work_out(basis: &Basis, snapshot: &Snapshot) -> Result<BudgetForecast, BudgetForecastError> {
+    let jobs: Vec<JobId> = basis.jobs.iter().map(|open| open.job.id).collect();
+    let (input, plan) = planner_input(snapshot, &jobs);
+    let scenarios = (MOST_DRAWS / plan.bookings.len().max(1)).clamp(200, SCENARIOS);
+    let mut sums = Sums::new(basis, scenarios);
+    let mut periods = periods(basis, scenarios);
+    let mut ends: Vec<Vec<i64>> = vec![vec![i64::MIN; scenarios]; basis.jobs.len()];
+    let count = u32::try_from(scenarios).unwrap_or(u32::MAX);
+    planner::scenarios(&input, &plan, count, SEED, |scenario, stretches| {
+        let scenario = scenario as usize;
+        for stretch in stretches {
+            let (job, node) = (stretch.job as usize, stretch.node as usize);
+            ends[job][scenario] = ends[job][scenario].max(stretch.end);
+            let paid = Paid {
+                price: basis.nodes[node].price_per_hour,
+                from: Timestamp::from_micros(stretch.start),
+                until: Timestamp::from_micros(stretch.end),
+            };
+            let [project, own] = sums.of_jobs[job];
+            for (index, night) in basis.nights.iter().enumerate() {
+                let cost = paid.within(night.from, night.until);
+                if cost > 0 {
+                    for group in [0, project, own, sums.of_nodes[node]] {
+                        add(&mut sums.to_come[index][group], scenarios, scenario, cost);
+                    }
+                    sums.all[scenario] = sums.all[scenario].saturating_add(cost);
+                }
+            }
+            for period in
+                periods.iter_mut().filter(|period| period.budget.project == basis.jobs[job].job.project)
+            {
+                let cost = paid.within(period.from, basis.horizon(period.until));
+                add(&mut period.to_come, scenarios, scenario, cost);
+            }
+        }
+    })?;
+    sums.to_come.iter_mut().flatten().for_each(|draws| draws.sort_unstable());
+    sums.all.sort_unstable();
+    ends.iter_mut().for_each(|ends| ends.sort_unstable());
+    let spent = sums.spent.iter().fold(0i64, |sum, night| sum.saturating_add(night[0]));
+    let budgets: Vec<BudgetOutlook> = periods.into_iter().map(outlook).collect();
+    let middle = |night: &Night| night.from.plus_micros(night.until.micros_since(night.from) / 2);
+    Ok(BudgetForecast {
+        date: basis.nights[0].date,
+        days: u32::try_from(basis.nights.len()).unwrap_or(u32::MAX),
+        zone: basis.zone.clone(),
+        made_at: basis.now,
+        beforehand: basis.now < middle(&basis.nights[0]),
+        scenarios: count,
+        nights: (0..basis.nights.len()).map(|index| sums.night(basis, index)).collect(),
+        cost: quantiles(&sums.all, spent),
+        threatened: budgets.iter().any(|budget| budget.threatened),
+        budgets,
+        not_ready: basis
+            .jobs
+            .iter()
+            .zip(&ends)
+            .filter_map(|(job, ends)| not_ready(basis, job, ends))
+            .collect(),
+        unknown: basis
+            .jobs
+            .iter()
+            .filter(|job| job.forecast.is_none())
+            .map(|job| job.job.name.clone())
+            .collect(),
+        compared_with: None,
+        changes: Vec::new(),
+        track_record: NightRecord::default(),
+    })
+}
+
+fn not_ready(basis: &Basis, open: &OpenJob, ends: &[i64]) -> Option<NotReady> {
+    let job = &open.job;
+    let horizon = basis.nights.last()?.until;
+    let deadline = job.deadline.filter(|&deadline| deadline <= horizon)?;
+    let known = open.forecast.is_some();
+    let late = ends.iter().filter(|&&end| end > deadline.micros()).count();
+    let never = open.held || job.deadline.is_some_and(|deadline| deadline <= basis.now);
+    let probability = if never { 1.0 } else { late as f64 / ends.len().max(1) as f64 };
+    if known && probability <= THREATENED {
+        return None;
+    }
+    let finish = |per_cent| {
+        let end = at(ends, per_cent).filter(|_| known && !open.held)?;
+        (end > i64::MIN && end < i64::MAX).then(|| Timestamp::from_micros(end))
+    };
+    let reason = if !known {
+        "it is not forecast yet"
+    } else if open.held {
+        "its project's budget is used up"
+    } else if deadline <= basis.now {
+        "its deadline has passed"
+    } else {
+        "what is booked takes longer"
+    };
+    Some(NotReady {
+        job_id: job.id,
+        name: job.name.clone(),
+        project: job.project.clone(),
+        deadline,
+        probability: known.then_some(probability),
+        finish: [finish(50), finish(80), finish(95)],
+        reason: reason.to_owned(),
+    })
+}

@@ -1,0 +1,30 @@
+//! Checks of fields that several requests have.
+
+use std::ops::RangeInclusive;
+
+use forelight_protocol::Money;
+
+use crate::error::{ApiError, ApiResult};
+
+/// The highest sum of money that is taken: a million million units, with which no sum overflows.
+pub(crate) const HIGHEST_SUM: Money = Money(1_000_000_000_000_000_000);
+
+/// A name is something that people can tell apart on a screen.
+pub(crate) fn check_name(pointer: &str, name: &str, longest: usize) -> ApiResult<()> {
+    let length = name.chars().count();
+    if !(1..=longest).contains(&length) || name.trim().is_empty() {
+        return Err(ApiError::invalid(pointer, format!("a name has 1 to {longest} characters")));
+    }
+    if name.chars().any(char::is_control) {
+        return Err(ApiError::invalid(pointer, "a name has no control characters"));
+    }
+    Ok(())
+}
+
+/// A number of this range.
+pub(crate) fn within(pointer: &str, value: i64, range: RangeInclusive<i64>) -> ApiResult<()> {
+    if range.contains(&value) {
+        return Ok(());
+    }
+    Err(ApiError::invalid(pointer, format!("{value} is not within {} to {}", range.start(), range.end())))
+}

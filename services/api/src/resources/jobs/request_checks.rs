@@ -1,0 +1,129 @@
+//! Whether a job can be taken: every field, with the place of what is wrong.
+
+use forelight_protocol::{
+    BadSetting, BundleSource, CacheMode, CacheSharing, JobRequest, Ladders, Money, RenderSettings,
+    RenderSettingsRequest, SceneSummary,
+};
+use forelight_store::{NewJob, StoreError};
+
+use crate::bundle_inspection;
+use crate::error::{ApiError, ApiResult};
+use crate::resources::checks::{HIGHEST_SUM, check_name, within};
+use crate::state::App;
+
+/// No deadline is further away: ten years, in microseconds. A wrong digit in a year is told.
+const LATEST_DEADLINE: i64 = 3653 * 86_400_000_000;
+
+/// A job request with all of it checked, cheapest things first: the bundle is looked into last.
+pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<NewJob> {
+    check_name("/name", &request.name, 200)?;
+    check_name("/project", &request.project, 200)?;
+    within("/samples", i64::from(request.samples), 16..=1_000_000)?;
+    if let Some(frames) = request.profile_frames {
+        within("/profile_frames", i64::from(frames), 1..=1000)?;
+    }
+    within("/priority", i64::from(request.priority), -1000..=1000)?;
+    within("/weight", i64::from(request.weight), 1..=1000)?;
+    if let Some(bytes) = request.limits.memory_bytes {
+        within("/limits/memory_bytes", i64::try_from(bytes).unwrap_or(i64::MAX), 1 << 20..=1 << 50)?;
+    }
+    if let Some(millis) = request.limits.wall_ms {
+        // A month.
+        within("/limits/wall_ms", i64::try_from(millis).unwrap_or(i64::MAX), 1..=31 * 86_400_000)?;
+    }
+    if let Some(limit) = request.within {
+        let amounts = [limit.cpu_micros, limit.money.map(Money::micro_units)];
+        match amounts {
+            [Some(micros), None] => within("/within/cpu_micros", micros, 1..=i64::MAX)?,
+            [None, Some(money)] => within("/within/money", money, 1..=HIGHEST_SUM.micro_units())?,
+            _ => return Err(ApiError::invalid("/within", "give exactly one of `cpu_micros` and `money`")),
+        }
+    }
+    if let Some(budget) = request.budget {
+        within("/budget", budget.micro_units(), 0..=HIGHEST_SUM.micro_units())?;
+    }
+    if let Some(deadline) = request.deadline {
+        let wrong =
+            |reason: &str| ApiError::invalid("/deadline", format!("the deadline {deadline} {reason}"));
+        match deadline.micros_since(app.now()) {
+            ..=0 => return Err(wrong("has passed")),
+            LATEST_DEADLINE.. => return Err(wrong("is more than ten years away")),
+            _ => {}
+        }
+    }
+    let frames = request.frames.count();
+    if frames > app.limits.frames {
+        return Err(ApiError::invalid(
+            "/frames",
+            format!("{frames} frames; a job has at most {}", app.limits.frames),
+        ));
+    }
+    check_settings(&request.settings)?;
+    if request.cache == CacheSharing::Shared && request.settings.complete((1, 1)).cache == CacheMode::Off {
+        let reason = "a cache cannot be shared where there is none: set `settings.cache` to `on`";
+        return Err(ApiError::invalid("/cache", reason));
+    }
+    if request.cache == CacheSharing::Shared && request.within.is_some() {
+        let reason = "frames whose camera samples are chosen for a limit make their own caches: leave out `cache` or `within`";
+        return Err(ApiError::invalid("/cache", reason));
+    }
+    if request.ladders == Ladders::All && request.within.is_some() {
+        let reason = "camera samples are chosen for a limit here, not by what they cost: leave out `ladders` or `within`";
+        return Err(ApiError::invalid("/ladders", reason));
+    }
+    let (source, scene) = find_bundle(app, &mut request).await?;
+    if request.frames.last() >= scene.frames {
+        let reason = format!(
+            "frame {} is asked for, the scene has frames 0 to {}",
+            request.frames.last(),
+            scene.frames.saturating_sub(1)
+        );
+        return Err(ApiError::invalid("/frames", reason));
+    }
+    let settings = request.settings.complete((scene.width, scene.height));
+    check_size(app, &settings)?;
+    Ok(NewJob { request, scene, source, settings })
+}
+
+/// Checks what does not depend on the scene; its camera's size is checked when it is known.
+fn check_settings(settings: &RenderSettingsRequest) -> ApiResult<()> {
+    settings.complete((1, 1)).check().map_err(bad_setting)
+}
+
+fn bad_setting(BadSetting { name, reason }: BadSetting) -> ApiError {
+    ApiError::invalid(format!("/settings/{name}"), reason)
+}
+
+fn check_size(app: &App, settings: &RenderSettings) -> ApiResult<()> {
+    if settings.pixels() > app.limits.pixels {
+        let reason = format!(
+            "{} × {} pixels; an image has at most {} pixels",
+            settings.width, settings.height, app.limits.pixels
+        );
+        return Err(ApiError::invalid("/settings/width", reason));
+    }
+    settings.check().map_err(bad_setting)
+}
+
+/// Where the bundle is and what is in it. A path is replaced by its canonical form.
+async fn find_bundle(app: &App, request: &mut JobRequest) -> ApiResult<(BundleSource, SceneSummary)> {
+    match (&request.bundle.id, &request.bundle.path) {
+        (Some(id), None) => match app.store.bundle(*id).await {
+            Ok(bundle) => Ok((BundleSource::Artifact(bundle.hash), bundle.scene)),
+            Err(StoreError::NotFound(_)) => Err(ApiError::invalid("/bundle/id", "there is no such bundle")),
+            Err(error) => Err(error.into()),
+        },
+        (None, Some(path)) => {
+            let canonical = bundle_inspection::resolve(app, path).await?;
+            let Some(text) = canonical.to_str().map(str::to_owned) else {
+                return Err(ApiError::invalid("/bundle/path", "the path of a bundle is UTF-8"));
+            };
+            let scene = bundle_inspection::inspect(app, canonical, path)
+                .await
+                .map_err(|error| error.at("/bundle/path"))?;
+            request.bundle.path = Some(text.clone());
+            Ok((BundleSource::Path(text), scene))
+        }
+        _ => Err(ApiError::invalid("/bundle", "give exactly one of `id` and `path`")),
+    }
+}

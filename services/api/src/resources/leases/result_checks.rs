@@ -1,0 +1,161 @@
+//! Whether a result is one of the task that was handed out. A forecast and a plan rest on it, so what makes no sense is
+//! refused here, with its place.
+
+mod fields;
+mod profile;
+
+use forelight_protocol::{
+    AllottedStats, CacheFillResult, CacheFillSpec, CacheMergeResult, CachePlanResult, CachePlanSpec,
+    PreviewResult, PreviewSpec, RenderResult, RenderSpec, TaskResult, TaskSpec,
+};
+
+use self::fields::{
+    cache_bytes, effects, frame, frame_count, image_error, left_out, once, prior_cost, record_levels, spent,
+    storable, strata, wrong,
+};
+use crate::error::ApiResult;
+
+/// Checks a result against its task.
+pub(super) fn check(spec: &TaskSpec, result: &TaskResult) -> ApiResult<()> {
+    match (spec, result) {
+        (TaskSpec::Preview(spec), TaskResult::Preview(result)) => preview(spec, result),
+        (TaskSpec::Profile(spec), TaskResult::Profile(result)) => profile::check(spec, result),
+        (TaskSpec::CachePlan(spec), TaskResult::CachePlan(result)) => cache_plan(spec, result),
+        (TaskSpec::CacheFill(spec), TaskResult::CacheFill(result)) => cache_fill(spec, result),
+        (TaskSpec::CacheMerge(_), TaskResult::CacheMerge(result)) => cache_merge(result),
+        (TaskSpec::Render(spec), TaskResult::Render(result)) => render(spec, result),
+        (spec, result) => wrong(
+            "/result",
+            format!("this is the result of a {} task; the task is a {} task", result.kind(), spec.kind()),
+        ),
+    }
+}
+
+fn preview(spec: &PreviewSpec, result: &PreviewResult) -> ApiResult<()> {
+    const AT: &str = "/result/preview";
+    strata(&format!("{AT}/strata"), &result.strata)?;
+    prior_cost(&format!("{AT}/background_prior_cost"), result.background_prior_cost)?;
+    if let Some(cost) = result.record_prior_cost {
+        prior_cost(&format!("{AT}/record_prior_cost"), cost)?;
+    }
+    frame_count(&format!("{AT}/frames"), result.frames.len(), spec.frames.len())?;
+    for (i, (seen, &expected)) in result.frames.iter().zip(&spec.frames).enumerate() {
+        let at = format!("{AT}/frames/{i}");
+        frame(&format!("{at}/frame"), seen.frame, expected)?;
+        if seen.pixels.len() != result.strata.len() {
+            let reason =
+                format!("there are {} numbers for {} strata", seen.pixels.len(), result.strata.len());
+            return wrong(at + "/pixels", reason);
+        }
+        let pixels: u64 = seen.pixels.iter().map(|&n| u64::from(n)).sum::<u64>() + u64::from(seen.background);
+        if pixels != spec.settings.pixels() {
+            let reason = format!("the strata have {pixels} pixels; the image has {}", spec.settings.pixels());
+            return wrong(at + "/pixels", reason);
+        }
+        record_levels(&format!("{at}/cache_records"), &spec.settings, seen.cache_records.len())?;
+    }
+    spent(&format!("{AT}/spent"), result.spent)
+}
+
+fn cache_plan(spec: &CachePlanSpec, result: &CachePlanResult) -> ApiResult<()> {
+    const AT: &str = "/result/cache_plan";
+    record_levels(&format!("{AT}/records"), &spec.settings, result.records.len())?;
+    if result.cache.is_some() {
+        cache_bytes(&format!("{AT}/bytes"), result.bytes)?;
+    }
+    storable(&format!("{AT}/bytes"), [result.bytes])?;
+    frame_count(&format!("{AT}/frames"), result.frames.len(), spec.frames.len())?;
+    for (i, (planned, &expected)) in result.frames.iter().zip(&spec.frames).enumerate() {
+        let at = format!("{AT}/frames/{i}");
+        frame(&format!("{at}/frame"), planned.frame, expected)?;
+        record_levels(&format!("{at}/records"), &spec.settings, planned.records.len())?;
+        record_levels(&format!("{at}/own"), &spec.settings, planned.own.len())?;
+        if planned.own.iter().zip(&planned.records).any(|(own, all)| own > all) {
+            return wrong(at + "/own", "a level has more own records than records");
+        }
+        storable(&at, planned.plan_rays.into_iter().chain([planned.dropped]))?;
+        spent(&format!("{at}/plan"), planned.plan)?;
+    }
+    spent(&format!("{AT}/spent"), result.spent)
+}
+
+fn cache_fill(spec: &CacheFillSpec, result: &CacheFillResult) -> ApiResult<()> {
+    const AT: &str = "/result/cache_fill";
+    cache_bytes(&format!("{AT}/bytes"), result.bytes)?;
+    if spec.parts == 1 && !result.full {
+        return wrong(
+            format!("{AT}/full"),
+            "the cache has one part, so it is full after this; the result says that it is not",
+        );
+    }
+    storable(&format!("{AT}/filled"), [result.filled])?;
+    spent(&format!("{AT}/spent"), result.spent)
+}
+
+fn cache_merge(result: &CacheMergeResult) -> ApiResult<()> {
+    cache_bytes("/result/cache_merge/bytes", result.bytes)?;
+    spent("/result/cache_merge/spent", result.spent)
+}
+
+/// The camera samples of a frame that was given an amount of work.
+fn samples_where_they_pay(spec: &RenderSpec, allotted: &AllottedStats) -> ApiResult<()> {
+    const AT: &str = "/result/render/stats/allotted";
+    if spec.work.is_none() {
+        return wrong(AT, "the task takes the same number of camera samples in every pixel; leave this out");
+    }
+    let AllottedStats { least, most, mean, error, .. } = allotted;
+    let (low, high) = (f64::from(*least), f64::from(*most));
+    if *least == 0 || !(low..=high).contains(mean) {
+        return wrong(
+            format!("{AT}/mean"),
+            "the mean is not between the least and the most number of samples, or the least is 0",
+        );
+    }
+    image_error(&format!("{AT}/error"), *error)
+}
+
+fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {
+    const AT: &str = "/result/render/stats";
+    let stats = &result.stats;
+    let settings = &spec.settings;
+    frame(&format!("{AT}/frame"), stats.frame, spec.frame)?;
+    once(&format!("{AT}/once"), stats.once)?;
+    stats.allotted.iter().try_for_each(|allotted| samples_where_they_pay(spec, allotted))?;
+    let spp = stats.allotted.as_ref().map_or(settings.spp, |allotted| allotted.mean.round() as u32);
+    for (name, actual, expected) in [
+        ("width", stats.width, settings.width),
+        ("height", stats.height, settings.height),
+        ("spp", stats.spp, spp),
+    ] {
+        if actual != expected {
+            return wrong(
+                format!("{AT}/{name}"),
+                format!("the result has {actual}; the task has {expected}"),
+            );
+        }
+    }
+    for (name, seconds) in [
+        ("cpu_seconds", stats.cpu_seconds),
+        ("wall_seconds", stats.wall_seconds),
+        ("reused_cpu_seconds", stats.reused_cpu_seconds),
+    ] {
+        if !(0.0..=1e12).contains(&seconds) {
+            return wrong(format!("{AT}/{name}"), "seconds are 0 to 1e12");
+        }
+    }
+    storable(AT, [stats.work, stats.reused_work, stats.rays.total()])?;
+    if stats.work_by_ray.is_some_and(|by_ray| by_ray.total() > stats.work) {
+        return wrong(format!("{AT}/work_by_ray"), "the sum is more than the frame's work");
+    }
+    effects(&format!("{AT}/effects"), &stats.effects)?;
+    left_out(&format!("{AT}/left_out"), &stats.left_out)?;
+    record_levels(&format!("{AT}/cache_records"), settings, stats.cache_records.len())?;
+    if stats.reused_pixels > settings.pixels() {
+        let reason = format!("{} pixels; the image has {}", stats.reused_pixels, settings.pixels());
+        return wrong(format!("{AT}/reused_pixels"), reason);
+    }
+    if stats.reused_work > stats.work {
+        return wrong(format!("{AT}/reused_work"), "this is more than the frame's work");
+    }
+    Ok(())
+}

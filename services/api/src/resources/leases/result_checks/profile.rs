@@ -1,0 +1,175 @@
+//! Whether a profile is one of the task that was handed out.
+
+use std::collections::BTreeSet;
+
+use forelight_protocol::{AccuracyDoc, LadderKind, NoiseCell, ProfileResult, ProfileSpec, Quantiles};
+
+use super::fields::{effects, frame, image_error, left_out, levels, once, spent, storable, strata, wrong};
+use crate::error::ApiResult;
+
+const AT: &str = "/result/profile";
+
+/// Checks a profile against its task.
+pub(super) fn check(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
+    frame(&format!("{AT}/frame"), result.frame, spec.frame)?;
+    strata(&format!("{AT}/strata"), &result.strata)?;
+    samples(spec, result)?;
+    shared_samples(spec, result)?;
+    cache_samples(spec, result)?;
+    noise(&format!("{AT}/noise"), spec, &result.noise)?;
+    effects(&format!("{AT}/effects"), &result.effects)?;
+    left_out(&format!("{AT}/left_out"), &result.left_out)?;
+    if result.renderer.as_ref().is_some_and(|name| !(1..=200).contains(&name.chars().count())) {
+        return wrong(format!("{AT}/renderer"), "a renderer's name has 1 to 200 characters");
+    }
+    let fixed = &result.fixed;
+    for (name, cost) in
+        [("load", fixed.load), ("build", fixed.build), ("plan", fixed.plan), ("write", fixed.write)]
+    {
+        spent(&format!("{AT}/fixed/{name}"), cost)?;
+    }
+    once(&format!("{AT}/once"), result.once)?;
+    if let Some(document) = &result.ladders {
+        ladders(&format!("{AT}/ladders"), spec, document)?;
+    }
+    storable(&format!("{AT}/fixed/plan_rays"), fixed.plan_rays)?;
+    spent(&format!("{AT}/spent"), result.spent)
+}
+
+/// The profiled pixels: each is in the image, once, with numbers that can be kept.
+fn samples(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
+    if result.samples.is_empty() {
+        return wrong(format!("{AT}/samples"), "a profile has 1 pixel or more");
+    }
+    let mut seen = BTreeSet::new();
+    for (i, sample) in result.samples.iter().enumerate() {
+        let at = format!("{AT}/samples/{i}");
+        if u64::from(sample.pixel) >= spec.settings.pixels() {
+            let reason =
+                format!("there is no pixel {}; the image has {}", sample.pixel, spec.settings.pixels());
+            return wrong(at + "/pixel", reason);
+        }
+        if !seen.insert(sample.pixel) {
+            return wrong(at + "/pixel", format!("pixel {} is in the list twice", sample.pixel));
+        }
+        if sample.stratum as usize > result.strata.len() {
+            let reason =
+                format!("there is no stratum {}; the profile has {}", sample.stratum, result.strata.len());
+            return wrong(at + "/stratum", reason);
+        }
+        storable(&at, [sample.work, sample.cpu_nanos].into_iter().chain(sample.rays))?;
+        let by_ray: u128 = sample.work_by_ray.iter().map(|&work| u128::from(work)).sum();
+        if by_ray != 0 && by_ray != u128::from(sample.work) {
+            let reason = format!("the sum is {by_ray}; the pixel's work is {}", sample.work);
+            return wrong(at + "/work_by_ray", reason);
+        }
+    }
+    Ok(())
+}
+
+/// The same pixels with a shared cache, if the task has one.
+fn shared_samples(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
+    let at = format!("{AT}/shared_samples");
+    let expected = if spec.cache.is_some() { result.samples.len() } else { 0 };
+    if result.shared_samples.len() != expected {
+        let reason = format!(
+            "there are {} pixels with the shared cache; the task calls for {expected}",
+            result.shared_samples.len()
+        );
+        return wrong(at, reason);
+    }
+    for (i, sample) in result.shared_samples.iter().enumerate() {
+        storable(&format!("{at}/{i}"), [sample.work, sample.cpu_nanos].into_iter().chain(sample.rays))?;
+    }
+    Ok(())
+}
+
+/// Sampled records of irradiance caches: of levels that the settings call for.
+fn cache_samples(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
+    let levels = levels(&spec.settings);
+    for (name, samples) in
+        [("cache_samples", &result.cache_samples), ("shared_cache_samples", &result.shared_cache_samples)]
+    {
+        for (i, sample) in samples.iter().enumerate() {
+            let at = format!("{AT}/{name}/{i}");
+            if sample.level as usize >= levels {
+                let reason =
+                    format!("there is no cache level {}; the settings call for {levels}", sample.level);
+                return wrong(at + "/level", reason);
+            }
+            storable(&at, [sample.work, sample.cpu_nanos].into_iter().chain(sample.rays))?;
+        }
+    }
+    Ok(())
+}
+
+/// What tells how noisy the image will be: numbers that can be added up, of pixels that the image has.
+fn noise(pointer: &str, spec: &ProfileSpec, cells: &[NoiseCell]) -> ApiResult<()> {
+    const DROPS: usize = 32;
+    const HIGHEST: f32 = 1e30;
+    let pixels: u64 = cells.iter().map(|cell| u64::from(cell.pixels)).sum();
+    if !cells.is_empty() && pixels != spec.settings.pixels() {
+        let reason = format!("the cells have {pixels} pixels; the image has {}", spec.settings.pixels());
+        return wrong(pointer, reason);
+    }
+    for (i, cell) in cells.iter().enumerate() {
+        if cell.samples.is_empty() {
+            return wrong(format!("{pointer}/{i}/samples"), "a cell has 1 sampled pixel or more");
+        }
+        for (j, sample) in cell.samples.iter().enumerate() {
+            let at = format!("{pointer}/{i}/samples/{j}");
+            if !(0.0..=HIGHEST).contains(&sample.brightness) {
+                return wrong(at + "/brightness", format!("a brightness is 0 to {HIGHEST:e}"));
+            }
+            if sample.drops.is_empty() || sample.drops.len() > DROPS {
+                return wrong(at + "/drops", format!("a pixel has 1 to {DROPS} drops of variance"));
+            }
+            if sample.drops.iter().any(|drop| !(0.0..=HIGHEST).contains(drop)) {
+                return wrong(at + "/drops", format!("a drop of variance is 0 to {HIGHEST:e}"));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Ladders are of the settings that were asked for, and priced by numbers that can be multiplied.
+fn ladders(pointer: &str, spec: &ProfileSpec, document: &AccuracyDoc) -> ApiResult<()> {
+    const HIGHEST: f64 = 1e30;
+    if !spec.ladders {
+        return wrong(pointer, "the task does not ask for ladders; leave them out");
+    }
+    if document.settings != spec.settings {
+        return wrong(format!("{pointer}/settings"), "these are not the settings of the task");
+    }
+    let all =
+        LadderKind::ALL.map(|kind| (kind, forelight_quote::ladder(kind, &spec.settings).unwrap_or_default()));
+    let mut seen = BTreeSet::new();
+    for (i, rung) in document.rungs.iter().enumerate() {
+        let at = format!("{pointer}/rungs/{i}");
+        let place = all.iter().find(|(kind, _)| *kind == rung.ladder).and_then(|(kind, rungs)| {
+            Some((*kind, rungs.iter().position(|settings| *settings == rung.settings)?))
+        });
+        if place.is_none_or(|place| !seen.insert(place)) {
+            let reason = "a ladder around the task's settings has no rung of these settings, or it is in the list twice";
+            return wrong(at + "/settings", reason);
+        }
+        for (name, price) in [("work", rung.work), ("cpu_seconds", rung.cpu_seconds)] {
+            let Quantiles { mean, p50, p80, p95 } = price;
+            if ![mean, p50, p80, p95].iter().all(|number| (0.0..=HIGHEST).contains(number)) {
+                return wrong(format!("{at}/{name}"), format!("each number is 0 to {HIGHEST:e}"));
+            }
+        }
+        rung.error.map_or(Ok(()), |error| image_error(&format!("{at}/error"), error))?;
+    }
+    let reasons = document.missing.iter().map(|missing| missing.reason.len());
+    if document.missing.len() > 100 || reasons.max().unwrap_or(0) > 4096 {
+        let reason = "there are at most 100 entries, each of at most 4096 bytes";
+        return wrong(format!("{pointer}/missing"), reason);
+    }
+    // No rung is profiled by more pixels than the image has.
+    let most = all.iter().map(|(_, rungs)| rungs.len() as u64).sum::<u64>() * spec.settings.pixels();
+    if document.profiled.pixels > most {
+        return wrong(format!("{pointer}/profiled/pixels"), format!("all rungs together have {most} pixels"));
+    }
+    storable(&format!("{pointer}/spent/work"), [document.spent.work])
+}

@@ -1,0 +1,305 @@
+//! Budgets, the ledger behind them, and forecasts of nights.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::support::{Answer, Farm};
+use forelight_api::{Clock as _, ManualClock};
+use forelight_protocol::{
+    AnswersDoc, Budget, BudgetAction, BudgetForecast, BudgetList, Job, JobState, Lease, LeaseOrder, Money,
+    Node, ProblemKind, Renewal, Timestamp,
+};
+use reqwest::StatusCode;
+use serde_json::{Value, json};
+
+/// A farm whose clock stands at six in the evening.
+async fn farm() -> (Farm, Arc<ManualClock>) {
+    farm_with_leases_of(Duration::from_secs(120)).await
+}
+
+async fn farm_with_leases_of(lease_ttl: Duration) -> (Farm, Arc<ManualClock>) {
+    let clock = Arc::new(ManualClock::at("2026-03-01T18:00:00Z".parse().unwrap()));
+    let own = clock.clone();
+    let farm = Farm::with(move |config| {
+        config.clock = own;
+        config.lease_ttl = lease_ttl;
+    })
+    .await;
+    (farm, clock)
+}
+
+async fn job(farm: &Farm, node: &Node, project: &str, deadline: Option<&str>) -> Job {
+    let mut request = farm.job_request("0-9");
+    request["project"] = json!(project);
+    request["name"] = json!(format!("shot of {project}"));
+    if let Some(deadline) = deadline {
+        request["deadline"] = json!(deadline);
+    }
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
+    let booked = farm.until_booked(node, &job).await;
+    assert!(matches!(booked.state, JobState::Booked | JobState::Rendering), "{booked:?}");
+    booked
+}
+
+fn budget(project: &str, amount: i64, thresholds: Value) -> Value {
+    json!({"project": project, "period": "night", "amount": amount, "thresholds": thresholds})
+}
+
+async fn set(farm: &Farm, budget: &Value) -> Budget {
+    farm.operator.post("/v1/budgets", budget).await.parsed(StatusCode::OK).await
+}
+
+async fn forecast(farm: &Farm, request: &Value) -> BudgetForecast {
+    farm.viewer.post("/v1/budget-forecasts", request).await.parsed(StatusCode::OK).await
+}
+
+async fn renew(farm: &Farm, lease: &Lease) -> Renewal {
+    let path = format!("/v1/leases/{}", lease.lease_id);
+    let request = farm.worker.request(reqwest::Method::PATCH, &path).json(&json!({"fence": lease.fence}));
+    request.send().await.unwrap().parsed(StatusCode::OK).await
+}
+
+/// The farm's only budget, after it was looked after: with this action in force.
+async fn in_force(farm: &Farm, clock: &ManualClock, action: Option<BudgetAction>) -> Budget {
+    farm.service.store().enforce_budgets(clock.now()).await.unwrap();
+    let list: BudgetList = farm.viewer.get("/v1/budgets").await.parsed(StatusCode::OK).await;
+    assert_eq!(list.items[0].action, action, "{list:?}");
+    list.items[0].clone()
+}
+
+/// The same, by the service's own doing.
+async fn soon_in_force(farm: &Farm, action: Option<BudgetAction>) -> Budget {
+    for _ in 0..200 {
+        let list: BudgetList = farm.viewer.get("/v1/budgets").await.parsed(StatusCode::OK).await;
+        if list.items[0].action == action {
+            return list.items[0].clone();
+        }
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    panic!("{action:?} does not come into force");
+}
+
+/// The job, as soon as it says why it waits.
+async fn soon_waits(farm: &Farm, job: &Job) -> Job {
+    for _ in 0..200 {
+        let job = farm.job(job).await;
+        if job.waits.is_some() {
+            return job;
+        }
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    panic!("{} does not say why it waits", job.name);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_night_is_forecast_by_project_job_and_class_and_asking_again_changes_nothing() {
+    let (farm, _) = farm().await;
+    let node = farm.node("a").await;
+    let film = job(&farm, &node, "film", Some("2026-03-01T18:00:30Z")).await;
+    job(&farm, &node, "advert", None).await;
+    let first = forecast(&farm, &json!({"days": 2})).await;
+    assert_eq!((first.date.to_string().as_str(), first.days, first.nights.len()), ("2026-03-01", 2, 2));
+    let night = &first.nights[0];
+    assert_eq!(night.projects.iter().map(|line| line.name.as_str()).collect::<Vec<_>>(), ["advert", "film"]);
+    assert_eq!((night.jobs.len(), night.node_classes.len()), (2, 1));
+    let cost = night.cost;
+    assert!(cost.p50 < cost.p80 && cost.p80 < cost.p95, "{cost:?}");
+    // Sums of quantiles are more than quantiles of sums: errors of different jobs are not alike.
+    assert!(cost.p95.0 < night.projects.iter().map(|line| line.cost.p95.0).sum::<i64>());
+    assert_eq!(night.node_classes[0].cost, cost);
+    assert_eq!((first.nights[1].cost.p95, first.cost), (Money(0), cost));
+    // Two jobs of ten frames, each about 50 CPU seconds of this node's two cores, and a thousandth of a unit a second.
+    assert!((480_000..530_000).contains(&cost.p50.0), "{cost:?}");
+    let late = first.not_ready.iter().find(|late| late.job_id == film.id).expect("120 seconds of work in 30");
+    assert!(late.probability == Some(1.0) && late.finish[0] <= late.finish[2], "{late:?}");
+    assert!(!first.threatened && first.budgets.is_empty() && first.beforehand);
+    assert_eq!(forecast(&farm, &json!({"days": 2})).await, first);
+
+    let tight = set(&farm, &budget("film", cost.p50.0 / 4, json!([]))).await;
+    assert_eq!((tight.spent.0 > 0, tight.action), (false, None));
+    let second = forecast(&farm, &json!({"date": "2026-03-01"})).await;
+    assert!(second.threatened && second.budgets[0].probability_over > 0.9, "{:?}", second.budgets);
+    set(&farm, &budget("film", cost.p95.0, json!([]))).await;
+    let third = forecast(&farm, &json!({})).await;
+    assert!(!third.threatened && third.budgets[0].probability_over < 0.05, "{:?}", third.budgets);
+    // One night, however often.
+    let kept = farm.service.store().budget_forecasts_before("UTC", Timestamp::from_micros(i64::MAX), 10);
+    let kept = kept.await.unwrap();
+    assert_eq!(kept.len(), 1);
+    assert_eq!(kept[0].forecast, third);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn drain_finishes_what_runs_and_the_next_night_begins_anew() {
+    let (farm, clock) = farm().await;
+    let node = farm.node("a").await;
+    job(&farm, &node, "film", None).await;
+    set(
+        &farm,
+        &budget(
+            "film",
+            1_000,
+            json!([{"percent": 50, "action": "warn"}, {"percent": 100, "action": "drain"}]),
+        ),
+    )
+    .await;
+    let running = farm.next_task(&node).await;
+    // What the frame that runs will still cost counts as well as what it cost.
+    let drained = in_force(&farm, &clock, Some(BudgetAction::Drain)).await;
+    assert!(drained.spent.0 + drained.committed.0 >= 1_000, "{drained:?}");
+    assert_eq!(farm.claim(&node).await, None);
+    assert_eq!(renew(&farm, &running).await.order, LeaseOrder::Continue);
+    clock.advance_micros(10_000_000);
+    renew(&farm, &running).await;
+    farm.finish(&running).await;
+    assert_eq!(farm.claim(&node).await, None);
+    // Quotes of the project are held, too.
+    let held: Job = {
+        let mut request = farm.job_request("0-1");
+        request["project"] = json!("film");
+        farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await
+    };
+    assert_eq!(farm.claim(&node).await, None);
+    // Others are not.
+    let other = farm.submit("0-1").await;
+    assert_eq!(farm.claim(&node).await.map(|lease| lease.job_id), Some(other.id));
+
+    let spent = in_force(&farm, &clock, Some(BudgetAction::Drain)).await.spent;
+    assert!((9_000..12_000).contains(&spent.0), "ten seconds at a thousandth of a unit: {spent:?}");
+    clock.advance_micros(18 * 3_600_000_000);
+    let anew = in_force(&farm, &clock, None).await;
+    assert_eq!((anew.spent, anew.from.to_string().as_str()), (Money(0), "2026-03-02T12:00:00.000000Z"));
+    let again = farm.next_task(&node).await;
+    assert!([held.id, running.job_id].contains(&again.job_id));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn stop_takes_back_what_runs_until_the_budget_is_set_again() {
+    let (farm, clock) = farm().await;
+    let node = farm.node("a").await;
+    let film = job(&farm, &node, "film", None).await;
+    let running = farm.next_task(&node).await;
+    clock.advance_micros(500_000);
+    set(&farm, &budget("film", 100, json!([{"percent": 100, "action": "stop"}]))).await;
+    assert_eq!(in_force(&farm, &clock, Some(BudgetAction::Stop)).await.committed, Money(0));
+    assert_eq!(renew(&farm, &running).await.order, LeaseOrder::Stop);
+    assert_eq!(farm.claim(&node).await, None);
+    // It stays so, although nothing is committed any more.
+    clock.advance_micros(5_000_000);
+    in_force(&farm, &clock, Some(BudgetAction::Stop)).await;
+    assert_eq!(farm.claim(&node).await, None);
+    let refused = farm.report(&running, farm.made_up_result(&running).await).await;
+    assert_eq!(refused.status(), StatusCode::CONFLICT);
+
+    set(&farm, &budget("film", 10_000_000, json!([{"percent": 100, "action": "stop"}]))).await;
+    let again = farm.next_task(&node).await;
+    assert_eq!((again.task_id, again.fence), (running.task_id, running.fence + 1));
+    farm.finish(&again).await;
+    assert_eq!(farm.job(&film).await.frames_done, 1);
+    let events = farm.service.store().events_after(None, 0, 10_000).await.unwrap();
+    let said: Vec<&str> = events
+        .iter()
+        .filter(|event| event.kind == forelight_protocol::EventKind::Budget)
+        .filter_map(|event| event.message.as_deref())
+        .collect();
+    assert_eq!(said.len(), 1, "{said:?}");
+    assert!(said[0].contains("film") && said[0].contains("stopped"), "{said:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_that_has_begun_says_that_a_budget_holds_it_and_not_when_it_is_ready() {
+    let (farm, clock) = farm().await;
+    let node = farm.node("a").await;
+    let film = job(&farm, &node, "film", None).await;
+    let done = farm.next_task(&node).await;
+    farm.finish(&done).await;
+    assert!(farm.job(&film).await.eta.is_some());
+    let running = farm.next_task(&node).await;
+    clock.advance_micros(500_000);
+    set(&farm, &budget("film", 100, json!([{"percent": 100, "action": "stop"}]))).await;
+    in_force(&farm, &clock, Some(BudgetAction::Stop)).await;
+    renew(&farm, &running).await;
+    let held = soon_waits(&farm, &film).await;
+    let waits = held.waits.unwrap();
+    assert!(waits.is_for_money() && waits.because.contains("budget of project film"), "{waits:?}");
+    assert_eq!((held.eta, waits.until), (None, None));
+    let path = format!("/v1/jobs/{}/answers", held.id);
+    let answers: AnswersDoc = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
+    assert!(answers.why_not[0].contains("budget of project film is used up"), "{:?}", answers.why_not);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_service_looks_after_budgets_by_itself() {
+    let (farm, _) = farm_with_leases_of(Duration::from_millis(800)).await;
+    let node = farm.node("a").await;
+    job(&farm, &node, "film", None).await;
+    set(&farm, &budget("film", 1_000, json!([{"percent": 100, "action": "stop"}]))).await;
+    let running = farm.next_task(&node).await;
+    soon_in_force(&farm, Some(BudgetAction::Stop)).await;
+    assert_eq!(renew(&farm, &running).await.order, LeaseOrder::Stop);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_track_record_counts_nights_that_were_forecast_before_and_changes_are_told() {
+    let (farm, clock) = farm().await;
+    let node = farm.node("a").await;
+    let film = job(&farm, &node, "film", None).await;
+    let said = forecast(&farm, &json!({})).await;
+    assert_eq!(said.track_record.nights, 0);
+    for _ in 0..10 {
+        let lease = farm.next_task(&node).await;
+        clock.advance_micros(900_000);
+        farm.finish(&lease).await;
+    }
+    clock.advance_micros(20 * 3_600_000_000);
+    let next = forecast(&farm, &json!({})).await;
+    let record = next.track_record;
+    assert_eq!((record.nights, record.within_p50, record.within_p95), (1, 1, 1));
+    assert_eq!(next.compared_with, Some(said.made_at));
+    let gone = &next.changes[0];
+    assert_eq!((gone.job_id, gone.after), (film.id, None));
+    assert_eq!(gone.before, Some(said.nights[0].jobs[0].cost.p80));
+    assert!(next.cost.p95 == Money(0) && next.budgets.is_empty());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_operators_set_budgets_and_every_wrong_field_is_named() {
+    let (farm, _) = farm().await;
+    let good = budget("film", 1_000, json!([]));
+    for client in [&farm.viewer, &farm.submitter, &farm.worker] {
+        client.post("/v1/budgets", &good).await.problem(ProblemKind::Forbidden).await;
+    }
+    farm.worker.get("/v1/budgets").await.problem(ProblemKind::Forbidden).await;
+    farm.worker.post("/v1/budget-forecasts", &json!({})).await.problem(ProblemKind::Forbidden).await;
+    let with = |key: &str, value: Value| {
+        let mut request = good.clone();
+        request[key] = value;
+        request
+    };
+    for (request, pointer) in [
+        (with("project", json!("")), "/project"),
+        (with("amount", json!(-1)), "/amount"),
+        (with("amount", json!(i64::MAX)), "/amount"),
+        (with("period", json!("year")), "/period"),
+        (with("zone", json!("Mars/Olympus")), "/zone"),
+        (with("thresholds", json!([{"percent": 0, "action": "warn"}])), "/thresholds/0/percent"),
+        (with("thresholds", json!([{"percent": 5, "action": "shout"}])), "/thresholds/0/action"),
+        (with("thresholds", json!(vec![json!({"percent": 5, "action": "warn"}); 11])), "/thresholds"),
+        (with("colour", json!("blue")), "/colour"),
+    ] {
+        let problem = farm.operator.post("/v1/budgets", &request).await.problem(ProblemKind::Invalid).await;
+        assert_eq!(problem.pointer.as_deref(), Some(pointer), "{request}");
+    }
+    for (request, pointer) in [
+        (json!({"days": 0}), "/days"),
+        (json!({"days": 61}), "/days"),
+        (json!({"date": "2026-02-30"}), "/date"),
+        (json!({"date": "2020-01-01"}), "/date"),
+        (json!({"zone": "Nowhere"}), "/zone"),
+    ] {
+        let answer = farm.viewer.post("/v1/budget-forecasts", &request).await;
+        assert_eq!(answer.problem(ProblemKind::Invalid).await.pointer.as_deref(), Some(pointer), "{request}");
+    }
+    let list: BudgetList = farm.viewer.get("/v1/budgets").await.parsed(StatusCode::OK).await;
+    assert_eq!(list.items, []);
+}

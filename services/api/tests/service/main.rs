@@ -1,0 +1,18 @@
+//! The service over HTTP, on a data folder of its own, with workers whose results are made up.
+
+mod accuracy;
+mod budgets;
+mod calibration;
+mod cost_limits;
+mod document;
+mod events;
+mod job_life;
+mod living_estimate;
+mod nodes;
+mod plans;
+mod requests;
+mod results;
+#[path = "../support/mod.rs"]
+mod support;
+mod uploads;
+mod workers;

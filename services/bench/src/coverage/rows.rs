@@ -1,0 +1,158 @@
+//! How often the truths of a group of shots stayed below each quantile.
+
+use super::case::{Case, Judged, NOMINAL, Tally};
+use super::share::Share;
+use forelight_forecast::Past;
+use serde::Serialize;
+
+/// What a forecast is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Level {
+    /// A pixel of a profiled frame that was not profiled.
+    Pixel,
+    /// The pixels of one surface in a profiled frame.
+    Stratum,
+    /// A frame.
+    Frame,
+    /// All frames.
+    Shot,
+}
+
+impl Level {
+    /// All levels, from the smallest unit to the largest.
+    pub const ALL: [Level; 4] = [Level::Pixel, Level::Stratum, Level::Frame, Level::Shot];
+
+    /// The level's name in a table.
+    pub const fn title(self) -> &'static str {
+        match self {
+            Level::Pixel => "pixel",
+            Level::Stratum => "stratum",
+            Level::Frame => "frame",
+            Level::Shot => "shot",
+        }
+    }
+
+    /// The forecasts of a case; of pixels there is but a tally.
+    fn of(self, case: &Case) -> &[Judged] {
+        match self {
+            Level::Pixel => &[],
+            Level::Stratum => &case.strata,
+            Level::Frame => &case.frames,
+            Level::Shot => &case.shot,
+        }
+    }
+}
+
+/// The measurements.
+#[derive(Debug, Serialize)]
+pub struct Coverage {
+    pub samples: u32,
+    pub profile_frames: u32,
+    pub rows: Vec<Row>,
+}
+
+/// Forecasts of one level of one kind of shots.
+#[derive(Debug, Serialize)]
+pub struct Row {
+    pub shots: String,
+    pub level: Level,
+    /// Quotes.
+    pub cases: usize,
+    /// Different shots, of which each is a witness, whatever the number of its quotes.
+    pub independent: usize,
+    /// Forecasts.
+    pub forecasts: usize,
+    /// Jobs on which the calibrated quantiles rest.
+    pub calibrated_on: usize,
+    pub points: Vec<Point>,
+}
+
+/// A quantile.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Point {
+    /// Share of the truths that are promised to be at or below it.
+    pub nominal: f64,
+    /// Share that was, with quantiles as the formulas make them.
+    pub formulas: Share,
+    /// The same with quantiles calibrated on other cases; absent where these were too few.
+    pub calibrated: Option<Share>,
+}
+
+impl Row {
+    /// The point of this quantile.
+    pub fn point(&self, nominal: f64) -> Option<&Point> {
+        self.points.iter().find(|point| point.nominal == nominal)
+    }
+}
+
+/// Cases of one shot, or of one scene at one quality.
+pub struct Group {
+    /// Whether it may calibrate the others of its kind, or is judged.
+    pub calibrates: bool,
+    pub family: String,
+    pub cases: Vec<Case>,
+}
+
+/// The row of a level of the judged groups. Their quantiles are calibrated on the teachers.
+pub fn row(shots: &str, level: Level, judged: &[&Group], teachers: &[&Group]) -> Row {
+    let mut past = Past::default();
+    for case in teachers.iter().flat_map(|group| &group.cases) {
+        past.push(level.of(case).iter().filter_map(Judged::residual).collect());
+    }
+    if level == Level::Pixel {
+        return row_of_pixels(shots, judged);
+    }
+    // Per group, the share of its forecasts that held.
+    let held = |holds: &dyn Fn(&Judged) -> bool| -> Vec<f64> {
+        let share = |group: &&Group| {
+            let all = || group.cases.iter().flat_map(|case| level.of(case));
+            let count = all().count();
+            (count > 0).then(|| all().filter(|judged| holds(judged)).count() as f64 / count as f64)
+        };
+        judged.iter().filter_map(share).collect()
+    };
+    let point = |&nominal: &f64| {
+        let limit = past.quantile(nominal);
+        let below = |judged: &Judged, limit: f64| judged.residual().is_none_or(|z| z <= limit);
+        Point {
+            nominal,
+            formulas: Share::of(&held(&|judged| judged.actual <= judged.forecast.at(nominal))),
+            calibrated: limit.map(|limit| Share::of(&held(&|judged| below(judged, limit)))),
+        }
+    };
+    let forecasts = |group: &&Group| group.cases.iter().map(|case| level.of(case).len()).sum::<usize>();
+    Row {
+        shots: shots.to_owned(),
+        level,
+        cases: judged.iter().map(|group| group.cases.len()).sum(),
+        independent: judged.len(),
+        forecasts: judged.iter().map(forecasts).sum(),
+        calibrated_on: past.jobs(),
+        points: NOMINAL.iter().map(point).collect(),
+    }
+}
+
+fn row_of_pixels(shots: &str, judged: &[&Group]) -> Row {
+    let pixels = |group: &Group| group.cases.iter().map(|case| case.pixels.pixels).sum::<u64>();
+    let point = |(place, &nominal): (usize, &f64)| {
+        let sum = |group: &Group, of: &dyn Fn(&Tally) -> u64| -> u64 {
+            group.cases.iter().map(|case| of(&case.pixels)).sum()
+        };
+        let share = |group: &&Group| {
+            let promised = sum(group, &|tally| tally.promised[place]);
+            (promised > 0).then(|| sum(group, &|tally| tally.held[place]) as f64 / promised as f64)
+        };
+        let shares: Vec<f64> = judged.iter().filter_map(share).collect();
+        Point { nominal, formulas: Share::of(&shares), calibrated: None }
+    };
+    Row {
+        shots: shots.to_owned(),
+        level: Level::Pixel,
+        cases: judged.iter().map(|group| group.cases.len()).sum(),
+        independent: judged.len(),
+        forecasts: judged.iter().map(|group| pixels(group) as usize).sum(),
+        calibrated_on: 0,
+        points: NOMINAL.iter().enumerate().map(point).collect(),
+    }
+}

@@ -1,0 +1,271 @@
+//! What a claim, a renewal and a completion take at least: the statements written by hand, on a database file of its own.
+//!
+//! The file has the farm's schema, with its constraints, indexes and triggers, the farm's pragmas and the farm's transactions: what is read and written here
+//! is what has to be for the three of them to be true after a power cut. What the farm does beside that (the living estimate, what it learns about
+//! nodes, sharing a flush among writers) is left out.
+
+use anyhow::{Context, Result, anyhow};
+use forelight_protocol::{NodeId, TaskResult, Timestamp};
+use rusqlite::{Connection, OptionalExtension as _, Transaction, TransactionBehavior, params};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+use uuid::Uuid;
+
+use super::filling::{LEASE, image, rendered};
+
+/// Numbers of threads that are tried.
+const THREADS: [u32; 3] = [1, 2, 4];
+
+/// A database file, and how many threads get most out of it.
+pub struct Bare {
+    path: PathBuf,
+    node: NodeId,
+    result: String,
+    /// Threads that do best: set by [`Bare::try_threads`].
+    pub threads: u32,
+}
+
+impl Bare {
+    /// A database that the farm has filled, and does not use any more.
+    pub fn new(database: &Path, node: NodeId) -> Result<Self> {
+        let result: TaskResult = rendered(0, 1);
+        Ok(Self { path: database.to_owned(), node, result: serde_json::to_string(&result)?, threads: 1 })
+    }
+
+    /// Finds out how many threads do best, each number in so much time.
+    pub fn try_threads(&mut self, time: Duration) -> Result<()> {
+        let mut best = 0.0;
+        for threads in THREADS {
+            let rate = self.round(threads, time)?;
+            if rate > best {
+                (best, self.threads) = (rate, threads);
+            }
+        }
+        Ok(())
+    }
+
+    /// Calls a second of as many threads as do best.
+    pub fn best_round(&self, time: Duration) -> Result<f64> {
+        self.round(self.threads, time)
+    }
+
+    fn round(&self, threads: u32, time: Duration) -> Result<f64> {
+        let start = Instant::now();
+        let calls: Result<u32> = std::thread::scope(|scope| {
+            let workers: Vec<_> = (0..threads).map(|_| scope.spawn(|| self.work(start, time))).collect();
+            workers
+                .into_iter()
+                .map(|worker| worker.join().map_err(|_| anyhow!("a thread of the bench panicked"))?)
+                .sum()
+        });
+        Ok(f64::from(calls?) / start.elapsed().as_secs_f64())
+    }
+
+    /// Takes frames one after the other until the time is over; says how many calls that were.
+    fn work(&self, start: Instant, time: Duration) -> Result<u32> {
+        let mut connection = Connection::open(&self.path)?;
+        connection.busy_timeout(Duration::from_secs(5))?;
+        connection.execute_batch(
+            "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; PRAGMA foreign_keys = ON",
+        )?;
+        connection.set_prepared_statement_cache_capacity(64);
+        let mut calls = 0;
+        while start.elapsed() < time {
+            let held = self.claim(&mut connection)?;
+            self.renew(&mut connection, &held)?;
+            self.complete(&mut connection, &held)?;
+            calls += 3;
+        }
+        Ok(calls)
+    }
+
+    fn claim(&self, connection: &mut Connection) -> Result<Held> {
+        let now = Timestamp::now().micros();
+        let write = Write::begin(connection)?;
+        write.run(
+            "UPDATE nodes SET last_seen_at = max(last_seen_at, ?) WHERE id = ?",
+            params![now, self.node()],
+        )?;
+        let expired =
+            "SELECT id FROM leases WHERE state = 'active' AND expires_at <= ? ORDER BY expires_at, id";
+        let expired: Option<Vec<u8>> =
+            write.0.prepare_cached(expired)?.query_row([now], |row| row.get(0)).optional()?;
+        anyhow::ensure!(expired.is_none(), "a lease has run out: fewer seconds, please");
+        let next = "SELECT id, job_id, frame, spec FROM tasks INDEXED BY tasks_ready_any WHERE state = 'ready' AND kind IN ('cache_fill', 'render') \
+                    AND held = 0 AND not_before <= ? ORDER BY due_at, priority DESC, job_id, frame, part LIMIT 1";
+        let found = write.0.prepare_cached(next)?.query_row([now], |row| {
+            Ok((
+                row.get::<_, Vec<u8>>(0)?,
+                row.get::<_, Vec<u8>>(1)?,
+                row.get::<_, i64>(2)?,
+                row.get::<_, String>(3)?,
+            ))
+        });
+        let (task, job, frame, spec) =
+            found.optional()?.context("there are no frames left: fewer rounds, please")?;
+        let taken = "UPDATE tasks SET state = 'leased', fence = fence + 1, progress = 0, node_id = ?, started_at = ? \
+                     WHERE id = ? AND state = 'ready' RETURNING fence";
+        let fence: i64 =
+            write.0.prepare_cached(taken)?.query_row(params![self.node(), now, task], |row| row.get(0))?;
+        let lease = Uuid::now_v7().as_bytes().to_vec();
+        write.run(
+            "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at) VALUES (?, ?, ?, ?, 1.0, 'active', ?, ?)",
+            params![lease, task, self.node(), fence, now, expiry(now)],
+        )?;
+        write.run("UPDATE jobs SET state = 'rendering' WHERE id = ? AND state = 'booked'", params![job])?;
+        write.event("task_leased", &job, frame, now)?;
+        write.run(
+            "INSERT INTO idempotency (principal, key, request_hash, status, body, created_at) VALUES (?, ?, ?, 200, ?, ?)",
+            params![[0u8; 32], Uuid::now_v7().to_string(), [0u8; 32], spec, now],
+        )?;
+        write.commit()?;
+        Ok(Held { lease, task, job, frame, fence })
+    }
+
+    fn renew(&self, connection: &mut Connection, held: &Held) -> Result<()> {
+        let now = Timestamp::now().micros();
+        let write = Write::begin(connection)?;
+        write.check(held)?;
+        write.run("UPDATE leases SET expires_at = ? WHERE id = ?", params![expiry(now), held.lease])?;
+        write.run(
+            "UPDATE nodes SET last_seen_at = max(last_seen_at, ?), paused = 0 WHERE id = ?",
+            params![now, self.node()],
+        )?;
+        write.run("UPDATE tasks SET progress = 0.5 WHERE id = ?", params![held.task])?;
+        write.event("task_progress", &held.job, held.frame, now)?;
+        write.commit()
+    }
+
+    fn complete(&self, connection: &mut Connection, held: &Held) -> Result<()> {
+        let now = Timestamp::now().micros();
+        let write = Write::begin(connection)?;
+        write.check(held)?;
+        let image = image().0;
+        let hash = *blake3::hash(self.result.as_bytes()).as_bytes();
+        write.run(
+            "INSERT INTO results (task_id, lease_id, body, body_hash, committed_at) VALUES (?, ?, ?, ?, ?)",
+            params![held.task, held.lease, self.result, hash, now],
+        )?;
+        write.run("INSERT INTO result_artifacts (task_id, hash) VALUES (?, ?)", params![held.task, image])?;
+        write.run(
+            "UPDATE leases SET state = 'committed', ended_at = ? WHERE id = ?",
+            params![now, held.lease],
+        )?;
+        write.run(
+            "UPDATE nodes SET last_seen_at = max(last_seen_at, ?) WHERE id = ?",
+            params![now, self.node()],
+        )?;
+        write.run(
+            "UPDATE tasks SET state = 'done', progress = 1, finished_at = ? WHERE id = ?",
+            params![now, held.task],
+        )?;
+        write.event("task_done", &held.job, held.frame, now)?;
+        write.run(
+            "UPDATE frames SET actual = ?1, actual_work = 1000.0, actual_cpu = 1.0, artifacts = '{}', finished_at = ?2 WHERE job_id = ?3 AND frame = ?4",
+            params![self.result, now, held.job, held.frame],
+        )?;
+        write.run(
+            "UPDATE jobs SET state = 'done', finished_at = ?1 WHERE id = ?2 AND state = 'rendering' \
+             AND NOT EXISTS (SELECT 1 FROM frames WHERE job_id = ?2 AND actual IS NULL)",
+            params![now, held.job],
+        )?;
+        write.commit()
+    }
+
+    fn node(&self) -> &[u8] {
+        self.node.0.as_bytes()
+    }
+}
+
+/// A frame that a thread has.
+struct Held {
+    lease: Vec<u8>,
+    task: Vec<u8>,
+    job: Vec<u8>,
+    frame: i64,
+    fence: i64,
+}
+
+/// When a lease of now ends.
+fn expiry(now: i64) -> i64 {
+    now.saturating_add(i64::try_from(LEASE.as_micros()).unwrap_or(i64::MAX))
+}
+
+/// A transaction that has the write lock from its beginning.
+struct Write<'c>(Transaction<'c>);
+
+impl<'c> Write<'c> {
+    fn begin(connection: &'c mut Connection) -> Result<Self> {
+        Ok(Self(connection.transaction_with_behavior(TransactionBehavior::Immediate)?))
+    }
+
+    fn run(&self, statement: &str, values: impl rusqlite::Params) -> Result<()> {
+        self.0.prepare_cached(statement)?.execute(values)?;
+        Ok(())
+    }
+
+    /// The lease is still ours.
+    fn check(&self, held: &Held) -> Result<()> {
+        let read = "SELECT l.state, l.fence FROM leases l JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = l.node_id WHERE l.id = ?";
+        let (state, fence): (String, i64) = self
+            .0
+            .prepare_cached(read)?
+            .query_row(params![held.lease], |row| Ok((row.get(0)?, row.get(1)?)))?;
+        anyhow::ensure!(state == "active" && fence == held.fence, "a lease was lost");
+        Ok(())
+    }
+
+    fn event(&self, kind: &str, job: &[u8], frame: i64, now: i64) -> Result<()> {
+        let job_id = Uuid::from_slice(job)?;
+        let body = format!(
+            r#"{{"id":0,"at":{now},"kind":"{kind}","job_id":"{job_id}","task_kind":"render","frame":{frame}}}"#
+        );
+        self.run(
+            "INSERT INTO events (at, kind, job_id, body) VALUES (?, ?, ?, ?)",
+            params![now, kind, job, body],
+        )
+    }
+
+    fn commit(self) -> Result<()> {
+        Ok(self.0.commit()?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::filling::fill;
+    use super::*;
+    use forelight_protocol::JobState;
+    use forelight_store::{Store, StoreError};
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn what_is_written_by_hand_is_what_the_farm_reads_as_frames_that_are_done() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        let node = fill(&store, 3, 1).await.unwrap()[0].id;
+        store.close().await;
+        drop(store);
+        let path = folder.path().join(forelight_store::DATABASE);
+        let bare = Bare::new(&path, node).unwrap();
+        let mut connection = Connection::open(&path).unwrap();
+        for _ in 0..3 {
+            let held = bare.claim(&mut connection).unwrap();
+            bare.renew(&mut connection, &held).unwrap();
+            bare.complete(&mut connection, &held).unwrap();
+        }
+        let none_left = bare.claim(&mut connection).err().unwrap();
+        assert!(none_left.to_string().contains("no frames left"), "{none_left}");
+        drop(connection);
+        // The lock of the folder goes with the last clone of the store, of which one may still end in the background.
+        let mut store = Store::open(folder.path()).await;
+        for _ in 0..200 {
+            if !matches!(store, Err(StoreError::InUse(_))) {
+                break;
+            }
+            tokio::time::sleep(Duration::from_millis(10)).await;
+            store = Store::open(folder.path()).await;
+        }
+        let jobs = store.unwrap().jobs(&forelight_store::JobFilter::default(), None, 10).await.unwrap();
+        assert_eq!((jobs[0].state, jobs[0].frames_done), (JobState::Done, 3));
+    }
+}

@@ -1,0 +1,191 @@
+//! A farm's worth of made-up jobs, written straight into the store.
+
+use anyhow::{Result, anyhow, bail};
+use bytes::Bytes;
+use forelight_protocol::{
+    ArtifactHash, BundleSource, Capabilities, Confidence, FrameForecast, FrameSet, Job, JobRequest,
+    JobVerdict, Money, Node, NodeRegistration, PlanReason, Quantiles, RayQuantiles, Rays, RenderArtifacts,
+    RenderResult, RenderStats, SceneDigest, SceneSummary, TaskKind, TaskResult, TaskSpec, Timestamp, Verdict,
+};
+use forelight_quote::JobForecast;
+use forelight_store::{Answered, NewBooking, NewJob, NewJobPlan, NewPlan, Store};
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+/// Duration of leases: long, so that none runs out while calls are measured.
+pub const LEASE: Duration = Duration::from_secs(30);
+
+/// The images of frames that nobody rendered.
+const IMAGE: &[u8] = b"an image";
+
+/// The name of a simulated worker's node.
+pub fn name_of(worker: u32) -> String {
+    format!("node-{worker}")
+}
+
+/// Puts jobs of so many frames in all into a farm, ready to be rendered, all booked on nobody who asks; and the nodes of so many workers, before them: a
+/// node that joins later calls for a new plan of all frames, and that is not what is measured.
+pub async fn fill(store: &Store, frames: u32, workers: u32) -> Result<Vec<Node>> {
+    /// Frames of a job.
+    const FRAMES: u32 = 1000;
+    /// What a frame takes, in microseconds: as `frame_forecasts` and `rendered` say.
+    const SECOND: i64 = 1_000_000;
+    let now = Timestamp::now();
+    let mut nodes = Vec::new();
+    for worker in 0..workers {
+        nodes.push(register(store, &name_of(worker)).await?);
+    }
+    let node = register(store, "planner").await?;
+    let stream = futures::stream::iter([Ok::<_, std::io::Error>(Bytes::from_static(IMAGE))]);
+    store.artifacts().put(image(), stream, 1 << 10, now).await?;
+    let mut left = frames;
+    while left > 0 {
+        let count = left.min(FRAMES);
+        left -= count;
+        let job = submit(store, count).await?;
+        let lease = store.claim(node.id, LEASE, None, now).await?;
+        let Some(Answered::Fresh(preview)) = lease else { bail!("the preview was not handed out") };
+        if preview.spec.kind() != TaskKind::Preview {
+            bail!("a {} came before the preview", preview.spec.kind());
+        }
+        store.commit_result(preview.lease_id, preview.fence, &previewed(&preview.spec)?, now).await?;
+        // No frame is profiled: the forecast is made up, and the plan puts all on one node.
+        store.start_profiling(job.id, &[], false, now).await?;
+        // One after the other from an hour on, each for as long as it is forecast to take: whatever comes is in time, and no news to the plan.
+        let bookings: Vec<_> = (job.frames.iter().zip(i64::from(frames - left - count)..))
+            .map(|(frame, place)| {
+                let start = now.plus_micros((3600 + place) * SECOND);
+                NewBooking { frame, node: node.id, start, end: start.plus_micros(SECOND) }
+            })
+            .collect();
+        let finish = bookings.last().map(|booking| booking.end);
+        let verdict = JobVerdict {
+            job_id: job.id,
+            verdict: Verdict::OnTime,
+            confidence: Confidence::P80,
+            finish,
+            cost: Some(Money(0)),
+            reasons: Vec::new(),
+            ways_out: Vec::new(),
+        };
+        let plan = NewPlan {
+            parent: store.newest_plan().await?,
+            reason: PlanReason::JobForecast,
+            shared_cache: None,
+            wanted: store.wanted_plan().await?,
+            jobs: vec![NewJobPlan { verdict, bookings, begun: BTreeSet::new(), factor: 1.0 }],
+            outlooks: Vec::new(),
+        };
+        store.book(job.id, &JobForecast::default(), &frame_forecasts(&job), None, &plan, now).await?;
+    }
+    Ok(nodes)
+}
+
+/// A node of this name.
+async fn register(store: &Store, name: &str) -> Result<Node> {
+    match store.register_node(&registration(name), None, Timestamp::now()).await? {
+        Answered::Fresh(node) => Ok(node),
+        Answered::Repeated(_) => Err(anyhow!("a request without a key was answered before")),
+    }
+}
+
+/// What a simulated worker says of its node.
+pub fn registration(name: &str) -> NodeRegistration {
+    NodeRegistration {
+        name: name.to_owned(),
+        speed: 1.0,
+        price_per_hour: Money(0),
+        cores: 1,
+        capabilities: Capabilities::default(),
+        schedule: None,
+        worker: None,
+    }
+}
+
+async fn submit(store: &Store, frames: u32) -> Result<Job> {
+    let request: JobRequest = serde_json::from_value(serde_json::json!({
+        "name": "bench", "bundle": {"path": "/nowhere"}, "frames": FrameSet::range(0, frames - 1).to_string(),
+    }))?;
+    let scene = SceneSummary {
+        name: "bench".to_owned(),
+        digest: SceneDigest([0; 32]),
+        frames,
+        width: 8,
+        height: 8,
+        objects: 1,
+        materials: 1,
+        triangles: 2,
+    };
+    let settings = request.settings.complete((8, 8));
+    let new = NewJob { request, scene, source: BundleSource::Path("/nowhere".to_owned()), settings };
+    match store.create_job(&new, None, Timestamp::now()).await? {
+        Answered::Fresh(job) => Ok(job),
+        Answered::Repeated(_) => Err(anyhow!("a request without a key was answered before")),
+    }
+}
+
+/// The artefact that stands for all images.
+pub fn image() -> ArtifactHash {
+    ArtifactHash(*blake3::hash(IMAGE).as_bytes())
+}
+
+/// A preview in which nothing is seen.
+fn previewed(spec: &TaskSpec) -> Result<TaskResult> {
+    let TaskSpec::Preview(spec) = spec else { bail!("the task is a {}", spec.kind()) };
+    let frames: Vec<serde_json::Value> = spec
+        .frames
+        .iter()
+        .map(|frame| serde_json::json!({"frame": frame, "pixels": [], "background": 64, "cache_records": [], "preview_png": null}))
+        .collect();
+    Ok(serde_json::from_value(serde_json::json!({"preview": {
+        "strata": [], "background_prior_cost": 1.0, "record_prior_cost": null, "frames": frames, "backend": "cpu",
+        "spent": {"work": 0, "cpu_nanos": 0},
+    }}))?)
+}
+
+/// The result of a frame that nobody rendered, as large as a real one.
+pub fn rendered(frame: u32, spp: u32) -> TaskResult {
+    TaskResult::Render(RenderResult {
+        stats: RenderStats {
+            frame,
+            width: 8,
+            height: 8,
+            spp,
+            effects: vec!["ambient".to_owned()],
+            left_out: Vec::new(),
+            rays: Rays { primary: 64 * u64::from(spp), ..Rays::default() },
+            cache_records: Vec::new(),
+            cache: None,
+            allotted: None,
+            work: 1000,
+            work_by_class: None,
+            work_by_ray: None,
+            cpu_seconds: 1.0,
+            once: None,
+            wall_seconds: 1.0,
+            peak_rss_bytes: 1,
+            reused_pixels: 0,
+            reused_rays: 0,
+            reused_work: 0,
+            reused_cpu_seconds: 0.0,
+        },
+        artifacts: RenderArtifacts {
+            image_exr: image(),
+            image_png: image(),
+            cost_map_png: image(),
+            preview_png: None,
+        },
+    })
+}
+
+fn frame_forecasts(job: &Job) -> Vec<FrameForecast> {
+    let one = Quantiles { mean: 1.0, p50: 1.0, p80: 1.0, p95: 1.0 };
+    let forecast = |frame| FrameForecast {
+        frame,
+        rays: RayQuantiles::default(),
+        cache_records: Vec::new(),
+        work: one,
+        cpu_seconds: one,
+    };
+    job.frames.iter().map(forecast).collect()
+}

@@ -1,0 +1,7 @@
+//! Benches of the service: lease calls, and thousands of workers.
+
+mod bare;
+mod filling;
+pub mod leases;
+mod service;
+pub mod workers;

@@ -1,0 +1,89 @@
+//! The service in a process of its own.
+
+use anyhow::{Context, Result, bail};
+use forelight_protocol::Role;
+use forelight_terminal::failure::BadInput;
+use std::fs;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// A temporary folder for databases: below `parent`, or where the system keeps temporary files.
+pub fn temporary_folder(parent: Option<&Path>) -> Result<TempDir> {
+    let Some(parent) = parent else { return Ok(tempfile::tempdir()?) };
+    let folder = tempfile::tempdir_in(parent);
+    Ok(folder.map_err(|error| BadInput::new(format!("--folder {}: {error}", parent.display())))?)
+}
+
+/// A service in a process of its own. It dies with this value.
+pub struct ServiceProcess {
+    child: Child,
+    /// `http://host:port`.
+    pub address: String,
+    /// A worker's token.
+    pub token: String,
+}
+
+impl ServiceProcess {
+    /// Starts `forelight serve` with the data in this folder, and waits until it listens.
+    pub fn start(data: &Path) -> Result<Self> {
+        let output = data.with_extension("out");
+        let child = Command::new(std::env::current_exe().context("cannot find this program")?)
+            .args(["serve", "--listen", "127.0.0.1:0", "--data"])
+            .arg(data)
+            .stdin(Stdio::null())
+            .stdout(fs::File::create(&output)?)
+            .stderr(Stdio::null())
+            .env("RUST_LOG", "warn")
+            .spawn()
+            .context("cannot start the service")?;
+        let mut service = Self { child, address: String::new(), token: String::new() };
+        let start = Instant::now();
+        while service.address.is_empty() {
+            if let Some(status) = service.child.try_wait()? {
+                bail!("the service ended: {status}");
+            }
+            if start.elapsed() > Duration::from_secs(60) {
+                bail!("the service does not listen after a minute");
+            }
+            std::thread::sleep(Duration::from_millis(20));
+            let printed = fs::read_to_string(&output)?;
+            if let Some((line, _)) = printed.split_once('\n') {
+                service.address = line.trim_start_matches("listening on ").to_owned();
+            }
+        }
+        let token = data.join("tokens").join(format!("{}.token", Role::Worker));
+        service.token = fs::read_to_string(token)?.trim().to_owned();
+        Ok(service)
+    }
+
+    /// A number of `/proc/PID/status`, in bytes.
+    pub fn status_bytes(&self, name: &str) -> Result<u64> {
+        let status = fs::read_to_string(format!("/proc/{}/status", self.child.id()))?;
+        let line = status.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(':'));
+        let kibibytes = line.and_then(|rest| rest.split_whitespace().next()?.parse::<u64>().ok());
+        Ok(kibibytes.with_context(|| format!("the system does not say {name}"))? * 1024)
+    }
+
+    /// CPU seconds that the process has used.
+    pub fn cpu_seconds(&self) -> Result<f64> {
+        let stat = fs::read_to_string(format!("/proc/{}/stat", self.child.id()))?;
+        // After the name in brackets, which may hold anything, come the state and then numbers.
+        let rest = stat.rsplit_once(')').map_or("", |(_, rest)| rest);
+        let ticks: Vec<f64> =
+            rest.split_whitespace().skip(11).take(2).filter_map(|n| n.parse().ok()).collect();
+        let [user, system] = ticks[..] else { bail!("the system does not say CPU times") };
+        /// Linux counts in hundredths of a second, whatever its kernel ticks in.
+        const TICKS: f64 = 100.0;
+        Ok((user + system) / TICKS)
+    }
+}
+
+impl Drop for ServiceProcess {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

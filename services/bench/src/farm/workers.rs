@@ -1,0 +1,198 @@
+//! `forelight bench workers`: thousands of workers with one service.
+//!
+//! Every simulated worker holds the lease of a frame, has a connection of its own that it keeps open, and renews its lease at the interval
+//! asked for, with progress: the heartbeat that brings orders back. They begin at even distances over the interval. The
+//! service is a process of its own; workers and service share the machine.
+
+use super::filling::{LEASE, fill};
+use super::service::{ServiceProcess, temporary_folder};
+use crate::report::Report;
+use crate::statistics::quantile;
+use anyhow::{Result, anyhow, bail};
+use forelight_client::{Backoff, Client, Token};
+use forelight_protocol::{Lease, LeaseOrder, RenewRequest, Timestamp};
+use forelight_store::{Answered, Store};
+use forelight_terminal::failure::Interrupted;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::options::duration;
+use forelight_terminal::output::Bars;
+use serde::Serialize;
+use std::path::PathBuf;
+use std::time::Duration;
+use tokio::task::JoinSet;
+use tokio::time::Instant;
+
+/// Measure a service with thousands of workers
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight bench workers
+  forelight bench workers --workers 1000 --heartbeat 2s --time 30s --json
+
+Each worker has a connection of its own. Latency is what the worker sees, from the request to the whole answer.")]
+pub struct Args {
+    /// Workers
+    #[arg(long, value_name = "COUNT", default_value_t = 5000, value_parser = clap::value_parser!(u32).range(1..=20_000))]
+    workers: u32,
+    /// Time between two heartbeats of a worker
+    #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = duration)]
+    heartbeat: Duration,
+    /// How long to measure
+    #[arg(long, value_name = "DURATION", default_value = "60s", value_parser = duration)]
+    time: Duration,
+    /// Folder for the database: on the disk that is to be measured [default: a temporary folder]
+    #[arg(long, value_name = "DIR")]
+    folder: Option<PathBuf>,
+    /// Print the measurements as JSON to standard output
+    #[arg(long)]
+    json: bool,
+}
+
+/// What was measured.
+#[derive(Debug, Serialize)]
+struct Document {
+    workers: u32,
+    heartbeat_seconds: f64,
+    seconds: f64,
+    heartbeats: usize,
+    heartbeats_per_second: f64,
+    errors: usize,
+    /// The first error, if there was one.
+    first_error: Option<String>,
+    p50_ms: f64,
+    p99_ms: f64,
+    longest_ms: f64,
+    server_peak_bytes: u64,
+    /// Of the server, over the time that was measured: 1 is one core.
+    server_cores: f64,
+}
+
+/// What one worker saw.
+#[derive(Default)]
+struct Seen {
+    seconds: Vec<f64>,
+    errors: Vec<String>,
+}
+
+/// Runs the command.
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let document = runtime.block_on(measure(args, interrupt))?;
+    report(&document).printed(args.json, &document)
+}
+
+async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
+    // A connection at each worker; the service raises its own limit when it starts.
+    forelight_terminal::open_files::allow(u64::from(args.workers) + 256)?;
+    let folder = temporary_folder(args.folder.as_deref())?;
+    let bars = Bars::new(args.json);
+    let data = folder.path().join("data");
+    let leases = lease(&data, args.workers, &bars).await?;
+    let service = ServiceProcess::start(&data)?;
+    let cpu = service.cpu_seconds()?;
+    let start = Instant::now();
+    let end = start + args.time;
+    let mut set = JoinSet::new();
+    for (number, lease) in (0u32..).zip(leases) {
+        let client = Client::new(&service.address, Some(Token::new(&service.token)))?
+            .with_backoff(Backoff { attempts: Some(1), ..Backoff::PATIENT });
+        let first = start + args.heartbeat.mul_f64(f64::from(number) / f64::from(args.workers));
+        let heartbeat = args.heartbeat;
+        set.spawn(async move { worker(&client, &lease, first, end, heartbeat).await });
+    }
+    let spinner = bars.spinner(format!("{} workers for {} s", args.workers, args.time.as_secs()));
+    let mut all = Seen::default();
+    let stopped = interrupt.token();
+    loop {
+        let seen = tokio::select! {
+            () = stopped.cancelled() => return Err(Interrupted.into()),
+            seen = set.join_next() => seen,
+        };
+        let Some(seen) = seen else { break };
+        let seen = seen.map_err(|error| anyhow!(error))?;
+        all.seconds.extend(seen.seconds);
+        all.errors.extend(seen.errors);
+    }
+    spinner.finish_and_clear();
+    let seconds = start.elapsed().as_secs_f64();
+    let server_cores = (service.cpu_seconds()? - cpu) / seconds;
+    all.seconds.sort_by(f64::total_cmp);
+    let millis = |share| 1e3 * quantile(&all.seconds, share);
+    Ok(Document {
+        workers: args.workers,
+        heartbeat_seconds: args.heartbeat.as_secs_f64(),
+        seconds,
+        heartbeats: all.seconds.len(),
+        heartbeats_per_second: all.seconds.len() as f64 / seconds,
+        errors: all.errors.len(),
+        first_error: all.errors.into_iter().next(),
+        p50_ms: millis(0.5),
+        p99_ms: millis(0.99),
+        longest_ms: millis(1.0),
+        server_peak_bytes: service.status_bytes("VmHWM")?,
+        server_cores,
+    })
+}
+
+/// A farm on which so many nodes hold a lease each; made without the service, which has not begun.
+async fn lease(data: &std::path::Path, workers: u32, bars: &Bars) -> Result<Vec<Lease>> {
+    let bar = bars.bar("leases", u64::from(workers));
+    let store = Store::open(data).await?;
+    let nodes = fill(&store, workers, workers).await?;
+    let mut leases = Vec::new();
+    for node in nodes {
+        // Long enough for the slowest machine to be ready; the service gives each another term when it starts.
+        let claimed = store.claim(node.id, Duration::from_secs(3600), None, Timestamp::now()).await?;
+        let Some(Answered::Fresh(lease)) = claimed else { bail!("a frame was not handed out") };
+        leases.push(lease);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    store.close().await;
+    Ok(leases)
+}
+
+async fn worker(client: &Client, lease: &Lease, first: Instant, end: Instant, heartbeat: Duration) -> Seen {
+    /// Progress of a heartbeat: two hundred of them are a frame.
+    const STEP: f64 = 0.005;
+    let mut seen = Seen::default();
+    let mut next = first;
+    let mut progress: f64 = 0.0;
+    while next < end {
+        tokio::time::sleep_until(next).await;
+        progress = (progress + STEP).min(1.0);
+        let renewal = RenewRequest { fence: lease.fence, progress, ..RenewRequest::default() };
+        let begun = Instant::now();
+        match client.renew(lease.lease_id, &renewal, LEASE).await {
+            Ok(renewed) if renewed.order == LeaseOrder::Continue => {
+                seen.seconds.push(begun.elapsed().as_secs_f64());
+            }
+            Ok(renewed) => seen.errors.push(format!("the order was {:?}", renewed.order)),
+            Err(error) => seen.errors.push(error.to_string()),
+        }
+        // At the same beat, however long the answer took.
+        next += heartbeat;
+    }
+    seen
+}
+
+fn report(document: &Document) -> Report {
+    let error = document.first_error.as_ref().map_or(String::new(), |error| format!(", the first: {error}"));
+    Report::default().text(format!(
+        "{} workers, a heartbeat every {} s, for {:.0} s: {} heartbeats, {:.0} a second\n\
+         latency {:.1} ms (median), {:.1} ms (p99), {:.1} ms (longest)\n\
+         errors {}{error}\n\
+         server {:.0} MB at its peak, {:.2} cores\n",
+        document.workers,
+        document.heartbeat_seconds,
+        document.seconds,
+        document.heartbeats,
+        document.heartbeats_per_second,
+        document.p50_ms,
+        document.p99_ms,
+        document.longest_ms,
+        document.errors,
+        document.server_peak_bytes as f64 * 1e-6,
+        document.server_cores
+    ))
+}

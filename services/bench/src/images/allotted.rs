@@ -1,0 +1,59 @@
+//! Rungs whose camera samples follow from an error: all that `forelight render --error` does after a bundle is loaded.
+
+use super::picture::Picture;
+use super::rendered::Rendered;
+use anyhow::{Context, Result};
+use forelight_preview::Choice;
+use forelight_protocol::{Confidence, RenderSettings};
+use forelight_terminal::failure::Interrupted;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::watching::{Stopping, allotment_failure};
+use forelight_tracer::process_cpu_nanos;
+use forelight_worker::{Aim, AllotOptions, Ambient, AmbientShot, Given, Renderer, render_allotted};
+use std::path::Path;
+use std::time::Instant;
+
+/// Pixels that are profiled.
+const SAMPLES: u32 = 256;
+
+/// A bundle as a farm's worker opens it.
+pub struct Allotted {
+    shot: AmbientShot,
+    frame: u32,
+}
+
+impl Allotted {
+    /// Loads the bundle and builds its tree.
+    pub fn open(bundle: &Path, frame: u32, settings: &RenderSettings) -> Result<Self> {
+        let shot = Ambient::new(Choice::Cpu).open(bundle);
+        let shot = shot.with_context(|| format!("bundle {}", bundle.display()))?;
+        shot.frame(frame, settings)?;
+        Ok(Self { shot, frame })
+    }
+
+    /// Renders it with an even chance of this error, on the current thread pool.
+    pub fn render(&self, settings: &RenderSettings, error: f64, interrupt: &Interrupt) -> Result<Rendered> {
+        let (start, used) = (Instant::now(), process_cpu_nanos());
+        let options =
+            AllotOptions { aim: Aim::Error(error), confidence: Confidence::P50, samples: SAMPLES, seed: 0 };
+        let stopping = Stopping(interrupt);
+        let rendered =
+            render_allotted(&self.shot, self.frame, settings, Given::default(), &options, &|_| (), &stopping);
+        let rendered =
+            rendered.map_err(|error| allotment_failure("--error", error))?.ok_or(Interrupted)?.rendered;
+        let (cpu_nanos, wall_seconds) = (process_cpu_nanos() - used, start.elapsed().as_secs_f64());
+        let stats = &rendered.stats;
+        let forecast = stats.allotted.as_ref().and_then(|allotted| allotted.forecast.as_ref());
+        let profiled = forecast.map_or(0, |forecast| forecast.profiling_work);
+        let cache = stats.cache.as_ref();
+        Ok(Rendered {
+            picture: Picture::of(&rendered.image),
+            work: stats.work + profiled,
+            plan: cache.map_or(0, |cache| cache.plan_work),
+            fill: cache.map_or(0, |cache| cache.fill_work),
+            records: stats.cache_records.clone(),
+            cpu_seconds: cpu_nanos as f64 * 1e-9,
+            wall_seconds,
+        })
+    }
+}

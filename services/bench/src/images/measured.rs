@@ -1,0 +1,143 @@
+//! The measurements.
+
+use super::ladder::{Cost, Rung, cost_at};
+use super::picture::{Distance, Picture};
+use super::quality::Quality;
+use super::rendered::Rendered;
+use crate::statistics::median;
+use anyhow::Result;
+use serde::Serialize;
+
+/// A bundle, measured.
+#[derive(Debug, Serialize)]
+pub struct Measured {
+    pub bundle: String,
+    pub size: u32,
+    pub ambient_bounces: u32,
+    pub threads: usize,
+    pub repeats: u32,
+    pub reference: Converged,
+    pub rungs: Vec<MeasuredRung>,
+    /// How often every cached rung that is compared on the same samples is cheaper than gathering at an equal error.
+    pub cached: Vec<Saved>,
+    /// Wall time on one thread / on two.
+    pub second_thread: Vec<SpeedUp>,
+    pub peers: Vec<MeasuredPeer>,
+}
+
+/// The converged image.
+#[derive(Debug, Serialize)]
+pub struct Converged {
+    pub flags: String,
+    pub mean: f64,
+    /// Gathering on the same samples: its flags, and an upper estimate of its own noise, relative to its mean.
+    pub gathered: Option<Gathered>,
+}
+
+#[derive(Debug, Serialize)]
+pub struct Gathered {
+    pub flags: String,
+    pub noise: f64,
+}
+
+#[derive(Debug, Serialize)]
+pub struct MeasuredRung {
+    pub flags: String,
+    pub cached: bool,
+    /// Distance from the converged image.
+    pub error: Distance,
+    /// Distance from what the same camera samples see with gathers of very many rays.
+    pub indirect_error: Option<Distance>,
+    /// Deterministic.
+    pub work: u64,
+    /// Shares of it that went into planning and filling the cache.
+    pub plan_share: f64,
+    pub fill_share: f64,
+    pub records: Vec<u64>,
+    /// User and system time of the process while it rendered (loading the bundle and building the tree were before): the median.
+    pub cpu_seconds: f64,
+    /// (highest − lowest) / median.
+    pub cpu_spread: f64,
+}
+
+/// A cached rung against gathering at an equal error, on the same samples.
+#[derive(Debug, Serialize)]
+pub struct Saved {
+    pub flags: String,
+    pub error: f64,
+    pub work: Option<f64>,
+    pub cpu_seconds: Option<f64>,
+}
+
+#[derive(Debug, Serialize)]
+pub struct SpeedUp {
+    pub flags: String,
+    /// Median over the repeats.
+    pub ratio: f64,
+    pub lowest: f64,
+    pub highest: f64,
+}
+
+/// Another program's image, and how often its CPU time ours is at an equal error.
+#[derive(Debug, Serialize)]
+pub struct MeasuredPeer {
+    pub name: String,
+    pub cpu_seconds: f64,
+    pub error: Distance,
+    /// Its converged image against ours.
+    pub reference: Option<Distance>,
+    pub ratio: Option<f64>,
+    pub ratio_lit: Option<f64>,
+    /// Whether our cheapest rung is better than it, so that the ratio is a lower bound.
+    pub bound: bool,
+}
+
+/// A rung's renders in numbers.
+pub fn summary(
+    rung: &Quality,
+    renders: &[Rendered],
+    converged: &Picture,
+    gathered: Option<&Picture>,
+) -> Result<MeasuredRung> {
+    let first = &renders[0];
+    let mut seconds: Vec<f64> = renders.iter().map(|r| r.cpu_seconds).collect();
+    seconds.sort_by(f64::total_cmp);
+    let cpu_seconds = median(&seconds);
+    Ok(MeasuredRung {
+        flags: rung.to_string(),
+        cached: rung.is_cached(),
+        error: first.picture.distance(converged)?,
+        indirect_error: gathered.map(|picture| first.picture.distance(picture)).transpose()?,
+        work: first.work,
+        plan_share: first.plan as f64 / first.work as f64,
+        fill_share: first.fill as f64 / first.work as f64,
+        records: first.records.clone(),
+        cpu_seconds,
+        cpu_spread: (seconds[seconds.len() - 1] - seconds[0]) / cpu_seconds,
+    })
+}
+
+/// Every cached rung against the gathering ones at its error, on the same samples.
+pub fn saved(rungs: &[MeasuredRung]) -> Vec<Saved> {
+    let of = |cost: fn(&MeasuredRung) -> f64, error: f64| -> Cost {
+        let gathering = rungs.iter().filter(|rung| !rung.cached);
+        cost_at(gathering.filter_map(|r| Some(Rung { error: r.indirect_error?.rmse, cost: cost(r) })), error)
+    };
+    let cached = rungs.iter().filter(|rung| rung.cached);
+    cached
+        .filter_map(|rung| {
+            let error = rung.indirect_error?.rmse;
+            let times = |cost: fn(&MeasuredRung) -> f64| match of(cost, error) {
+                Cost::Is(gathering) => Some(gathering / cost(rung)),
+                // Nothing is known about gathering at so great an error, or so small a one.
+                Cost::AtMost(_) | Cost::Unknown => None,
+            };
+            Some(Saved {
+                flags: rung.flags.clone(),
+                error,
+                work: times(|r| r.work as f64),
+                cpu_seconds: times(|r| r.cpu_seconds),
+            })
+        })
+        .collect()
+}

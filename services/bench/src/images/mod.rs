@@ -1,0 +1,50 @@
+//! `forelight bench images`: what an image error costs, with an irradiance cache, without one, and in other programs.
+
+mod allotted;
+mod args;
+mod ladder;
+mod measure;
+mod measured;
+mod peer;
+mod picture;
+mod quality;
+mod rendered;
+mod report;
+
+pub use args::Args;
+
+use crate::report::Report;
+use anyhow::Result;
+use forelight_terminal::atomic_file;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::json_file;
+use forelight_terminal::output::{self, Bars};
+
+/// Runs the command.
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
+    if args.bundles.len() > 1 && !args.peer.is_empty() {
+        return Err(BadInput::new("--peer: an image belongs to one bundle, and there are several").into());
+    }
+    atomic_file::check([args.out.as_deref()])?;
+    let bars = Bars::new(args.json);
+    let rungs = if args.rung.is_empty() { quality::ladder() } else { args.rung.clone() };
+    let mut report = Report::default();
+    let mut measured = Vec::with_capacity(args.bundles.len());
+    for bundle in &args.bundles {
+        let bench = measure::Bench::open(args, bundle, &rungs, &bars, interrupt)?;
+        let scene = bench.measure(&rungs)?;
+        let own = report::of(&scene);
+        if !args.json {
+            // The next bundle may take hours.
+            output::print(&own.for_terminal())?;
+        }
+        report = report.then(own);
+        measured.push(scene);
+    }
+    json_file::write(args.out.as_deref(), &measured)?;
+    if args.json {
+        output::json(&measured)?;
+    }
+    Ok(report)
+}

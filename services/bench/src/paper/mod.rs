@@ -1,0 +1,173 @@
+//! `forelight bench paper`: the paper's experiment, whole: seven strategies and two of ours, at four ambient levels, with many seeds.
+
+mod chart;
+mod experiment;
+mod figures;
+mod level;
+mod noise;
+mod picture;
+mod predicted;
+mod report;
+mod study;
+mod trial;
+
+use crate::conventions::{PAPER_SIZE, slug};
+use crate::report::Report;
+use anyhow::{Context, Result};
+use experiment::study;
+use figures::File;
+use forelight_terminal::atomic_file::write_bytes;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::Local;
+use forelight_terminal::options::MachineOptions;
+use forelight_terminal::output::{self, Bars};
+use forelight_worker::Renderer;
+use level::Task;
+use std::path::PathBuf;
+use study::Study;
+
+/// The paper's experiment: nine ways to forecast a frame, at four ambient levels, with many seeds
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight bench paper kitchen/ corridor/
+  forelight bench paper kitchen/ --size 128 --seeds 100 --out kitchen-report/
+  forelight bench paper kitchen/ --out report/ --json > paper.json
+
+The frame is rendered once at each level, with one camera ray a pixel, and every strategy forecasts it from the costs of its pixels, \
+once with each seed. The folder gets report.md, with tables like the paper's 1 to 5 and the ones that it does not print, the \
+pictures of its figures 1 to 9, and the error against the number of profiled pixels as SVG.")]
+pub struct Args {
+    /// Scene bundles: folders or zip files
+    #[arg(required = true, value_name = "BUNDLE")]
+    bundles: Vec<PathBuf>,
+    /// Frame number
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    frame: u32,
+    /// Width and height of the image in pixels
+    #[arg(long, value_name = "PIXELS", default_value_t = PAPER_SIZE, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    size: u32,
+    /// Pixels to profile, 1 to a million
+    #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    samples: u32,
+    /// Forecasts by each strategy at each level
+    #[arg(long, value_name = "COUNT", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    seeds: u32,
+    /// Renders at each level, of whose CPU times the median counts, pixel by pixel
+    #[arg(long, value_name = "TIMES", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=99))]
+    repeats: u32,
+    /// Rays of a gather of indirect light, with a cache and without one: 48, 192, 432, 768, ...
+    #[arg(long, value_name = "RAYS", default_value_t = 192, value_parser = clap::value_parser!(u32).range(48..=65_536))]
+    gather_rays: u32,
+    /// Folder for the report
+    #[arg(long, value_name = "DIR", default_value = "report")]
+    out: PathBuf,
+    /// Print the measurements as JSON to standard output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    machine: MachineOptions,
+}
+
+/// Runs the command.
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
+    let bars = Bars::new(args.json);
+    let mut studies = Vec::with_capacity(args.bundles.len());
+    let mut files = Vec::new();
+    for (place, bundle) in args.bundles.iter().enumerate() {
+        let local = Local::open(bundle, &args.machine, &bars)?;
+        let folder = slug(place, &local.shot.info().summary.name);
+        let study = study(task(args, &local), &folder, &mut files, &bars, interrupt);
+        studies.push((folder, study.with_context(|| format!("bundle {}", bundle.display()))?));
+    }
+    // Nothing is written before all is measured.
+    files.push(File { path: "report.md".into(), contents: report::markdown(&studies).into_bytes() });
+    for File { path, contents } in &files {
+        write_bytes(&args.out.join(path), contents)?;
+    }
+    let studies: Vec<Study> = studies.into_iter().map(|(_, study)| study).collect();
+    let report = report::summary(&studies).printed(args.json, &studies)?;
+    if !args.json {
+        output::line(format!("\nThe report is {}.", args.out.join("report.md").display()))?;
+    }
+    Ok(report)
+}
+
+fn task<'a>(args: &Args, local: &'a Local) -> Task<'a> {
+    let &Args { frame, size, samples, seeds, repeats, gather_rays, .. } = args;
+    Task { local, frame, size, gather_rays, samples, seeds, repeats }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use forelight_terminal::options::parsed;
+
+    /// Runs the experiment on a floor with a block on it, under a lamp or in the dark; the report, and the measurements.
+    fn experiment(lamp: &str, flags: &[&str]) -> (tempfile::TempDir, Vec<(String, Study)>) {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = format!(
+            r#"{{"version":1,"name":"a|block","geometry":["t.obj"],"lights":[{lamp}],
+            "camera":{{"origin":[0,3,6],"target":[0,0,0],"up":[0,1,0],"fov_deg":50,"fov_axis":"x","width":4,"height":4}}}}"#
+        );
+        std::fs::write(folder.path().join("scene.json"), scene).unwrap();
+        let mesh = "o floor\nv -9 0 -9\nv 9 0 -9\nv 9 0 9\nv -9 0 9\nf 1 4 3 2\n\
+                    o block\nv -1 0 0\nv 1 0 0\nv 1 2 0\nv -1 2 0\nf 5 6 7 8\n";
+        std::fs::write(folder.path().join("t.obj"), mesh).unwrap();
+        let (bundle, out) = (folder.path().display().to_string(), folder.path().join("report"));
+        let out = out.display().to_string();
+        let fixed = ["paper", &bundle, "--out", &out, "--json", "--preview", "cpu", "--gather-rays", "48"];
+        let args: Args = parsed(fixed.iter().chain(flags));
+        let bars = Bars::new(true);
+        let local = Local::open(folder.path(), &args.machine, &bars).unwrap();
+        let mut files = Vec::new();
+        let study = study(task(&args, &local), "1-t", &mut files, &bars, &Interrupt::default()).unwrap();
+        let studies = vec![("1-t".to_owned(), study)];
+        run(&args, &Interrupt::default()).unwrap();
+        (folder, studies)
+    }
+
+    const LAMP: &str = r#"{"type":"point","position":[2,5,3],"intensity":[40,40,40]}"#;
+
+    #[test]
+    fn the_experiment_writes_a_whole_report_and_every_number_of_it_is_one() {
+        for (lamp, flags) in [
+            (LAMP, ["--size", "24", "--samples", "40", "--seeds", "3"]),
+            ("", ["--size", "1", "--samples", "1000", "--seeds", "1"]),
+        ] {
+            let (folder, studies) = experiment(lamp, &flags);
+            let out = folder.path().join("report");
+            let report = std::fs::read_to_string(out.join("report.md")).unwrap();
+            for word in ["NaN", "inf ", "inf%"] {
+                assert!(!report.contains(word), "{report}");
+            }
+            let pictures: Vec<&str> = report
+                .match_indices("](")
+                .map(|(at, _)| {
+                    let rest = &report[at + 2..];
+                    &rest[..rest.find(')').unwrap()]
+                })
+                .collect();
+            assert!(pictures.len() > 60);
+            for picture in pictures {
+                assert!(out.join(picture).is_file(), "{picture}");
+            }
+            let text = serde_json::to_string(&studies).unwrap();
+            assert!(!text.contains("null,\"work\"") && !text.contains("NaN"), "{text}");
+            assert_eq!(studies[0].1.levels.len(), 4);
+        }
+    }
+
+    #[test]
+    fn as_many_samples_as_pixels_leave_no_error_but_that_of_the_records() {
+        let (_folder, studies) = experiment(LAMP, &["--size", "12", "--samples", "144", "--seeds", "2"]);
+        for level in &studies[0].1.levels {
+            assert!(level.actual.work > 0.0);
+            for outcome in level.outcomes.iter().filter(|_| !level.level.is_cached()) {
+                let error = outcome.error.work;
+                assert!(error.largest < 1e-12, "{:?} {:?}: {error:?}", level.level, outcome.strategy);
+            }
+            assert_eq!(level.records.is_empty(), !level.level.is_cached());
+        }
+    }
+}

@@ -1,0 +1,256 @@
+//! `forelight bench plan`: how good and how fast plans are. A studio's week with hundreds of jobs, and small farms of which every plan
+//! can be tried.
+
+use crate::report::Report;
+use anyhow::{Result, anyhow};
+use forelight_planner::{Event, Input, Plan, plan, replan, verify};
+use forelight_simulator::reference::{Size, cheapest_by_trying_everything, studio, tiny};
+use forelight_terminal::quantities::{percent, seconds};
+use forelight_terminal::table::{Align, Table};
+use forelight_tracer::clocked;
+use serde::Serialize;
+
+/// Measure plans: time, cost against the bound, and small ones against the optimum
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight bench plan
+  forelight bench plan --seeds 3 --tiny 1000 --json > plan.json
+
+Times are CPU seconds of one thread, so that what else the machine does hardly matters.")]
+pub struct Args {
+    /// Studios to draw
+    #[arg(long, value_name = "COUNT", default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    seeds: u64,
+    /// Jobs of a studio
+    #[arg(long, value_name = "COUNT", default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    jobs: u64,
+    /// Frames of all jobs together
+    #[arg(long, value_name = "COUNT", default_value_t = 20_000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    frames: u64,
+    /// Nodes of a studio
+    #[arg(long, value_name = "COUNT", default_value_t = 500, value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    nodes: u64,
+    /// Small farms of each kind to try everything on
+    #[arg(long, value_name = "COUNT", default_value_t = 1000)]
+    tiny: u64,
+    /// Print the measurements as JSON to standard output
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Serialize)]
+struct Document {
+    studios: Vec<Studio>,
+    tiny: Vec<Tiny>,
+}
+
+/// One studio's week.
+#[derive(Debug, Serialize)]
+struct Studio {
+    seed: u64,
+    jobs: usize,
+    frames: usize,
+    nodes: usize,
+    kept: usize,
+    plan_seconds: f64,
+    verify_seconds: f64,
+    cost: i64,
+    cost_bound: i64,
+    above_bound: f64,
+    replans: Vec<Replan>,
+}
+
+/// One event on it.
+#[derive(Debug, Serialize)]
+struct Replan {
+    event: &'static str,
+    seconds: f64,
+    moved: usize,
+    /// Share of the bookings that the event does not concern.
+    others_moved: f64,
+    at_risk: usize,
+}
+
+/// Small farms of one kind.
+#[derive(Debug, Serialize)]
+struct Tiny {
+    billed_in_steps: bool,
+    farms: u64,
+    with_a_plan: u64,
+    /// A plan exists, but none was found.
+    missed: u64,
+    optimal: u64,
+    mean_above_optimum: f64,
+    worst_above_optimum: f64,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<Report> {
+    let size = Size { jobs: args.jobs, frames: args.frames, nodes: args.nodes, ..Size::default() };
+    let studios = (1..=args.seeds).map(|seed| measure(size, seed)).collect::<Result<Vec<_>>>()?;
+    let tiny = [false, true]
+        .into_iter()
+        .map(|steps| try_everything(args.tiny, steps))
+        .collect::<Result<Vec<_>>>()?;
+    let document = Document { studios, tiny };
+    report(&document).printed(args.json, &document)
+}
+
+/// The result of some work, and the CPU seconds of this thread that it took.
+fn timed<T>(work: impl FnOnce() -> T) -> (T, f64) {
+    let (done, nanos) = clocked(work);
+    (done, nanos as f64 * 1e-9)
+}
+
+fn checked(input: &Input, plan: &Plan) -> Result<()> {
+    verify(input, plan).map_err(|violations| {
+        let first = violations.first().map(ToString::to_string).unwrap_or_default();
+        anyhow!("the verifier finds {} faults, the first: {first}", violations.len())
+    })
+}
+
+fn measure(size: Size, seed: u64) -> Result<Studio> {
+    let input = studio(size, seed);
+    let (found, plan_seconds) = timed(|| plan(&input));
+    let found = found?;
+    let (faults, verify_seconds) = timed(|| checked(&input, &found));
+    faults?;
+    let mut replans = Vec::new();
+    for (event, name, concerned) in events(&input, &found) {
+        let (after, seconds) = timed(|| replan(&input, &found, &event));
+        let after = after?;
+        checked(&after.input, &after.plan)?;
+        let moved = after.difference.moved.len();
+        let others = found.bookings.len().saturating_sub(concerned).max(1);
+        let others_moved = moved.saturating_sub(concerned) as f64 / others as f64;
+        replans.push(Replan { event: name, seconds, moved, others_moved, at_risk: after.at_risk.len() });
+    }
+    Ok(Studio {
+        seed,
+        jobs: input.jobs.len(),
+        frames: input.jobs.iter().map(|job| job.frames.len()).sum(),
+        nodes: input.nodes.len(),
+        kept: found.jobs.iter().filter(|entry| entry.verdict.is_kept()).count(),
+        plan_seconds,
+        verify_seconds,
+        cost: found.cost,
+        cost_bound: found.cost_bound,
+        above_bound: found.cost as f64 / found.cost_bound.max(1) as f64 - 1.0,
+        replans,
+    })
+}
+
+/// What may happen on the second day, and how many bookings it concerns.
+fn events(input: &Input, plan: &Plan) -> Vec<(Event, &'static str, usize)> {
+    const DAY: i64 = 86_400_000_000;
+    let mut events = Vec::new();
+    let Some(first) =
+        plan.bookings.iter().find(|booking| booking.start > DAY && booking.task.frame().is_some())
+    else {
+        return events;
+    };
+    let from = first.start;
+    let on_node = plan.bookings.iter().filter(|b| b.node == first.node && b.end > from).count();
+    events.push((Event::NodeDown { node: first.node, from, until: None }, "node dies", on_node));
+    let until = first.end + (first.end - first.start);
+    let late = Event::Takes { job: first.job, task: first.task, until };
+    let behind =
+        plan.bookings.iter().filter(|b| b.node == first.node && b.start < until && b.end > from).count();
+    events.push((late, "frame takes twice as long", behind));
+    if let Some(job) = input.jobs.iter().find(|job| job.release > DAY) {
+        let new = forelight_planner::Job {
+            id: input.jobs.iter().map(|job| job.id).max().map_or(0, |id| id + 1),
+            name: "new".to_owned(),
+            ..job.clone()
+        };
+        events.push((Event::JobAdded { job: Box::new(new) }, "job comes in", 0));
+    }
+    events
+}
+
+fn try_everything(farms: u64, billed_in_steps: bool) -> Result<Tiny> {
+    let mut tried = Tiny {
+        billed_in_steps,
+        farms,
+        with_a_plan: 0,
+        missed: 0,
+        optimal: 0,
+        mean_above_optimum: 0.0,
+        worst_above_optimum: 0.0,
+    };
+    for seed in 0..farms {
+        let input = tiny(seed, billed_in_steps);
+        let found = plan(&input)?;
+        checked(&input, &found)?;
+        let Some(optimum) = cheapest_by_trying_everything(&input) else { continue };
+        tried.with_a_plan += 1;
+        if !found.jobs.iter().all(|entry| entry.verdict.is_kept()) {
+            tried.missed += 1;
+            continue;
+        }
+        let above = if optimum == 0 { 0.0 } else { found.cost as f64 / optimum as f64 - 1.0 };
+        tried.optimal += u64::from(found.cost == optimum);
+        tried.mean_above_optimum += above;
+        tried.worst_above_optimum = tried.worst_above_optimum.max(above);
+    }
+    tried.mean_above_optimum /= (tried.with_a_plan - tried.missed).max(1) as f64;
+    Ok(tried)
+}
+
+fn report(document: &Document) -> Report {
+    let mut table = Table::new(&[
+        ("seed", Align::Right),
+        ("frames", Align::Right),
+        ("in time", Align::Right),
+        ("plan", Align::Right),
+        ("check", Align::Right),
+        ("above bound", Align::Right),
+        ("event", Align::Left),
+        ("replan", Align::Right),
+        ("moved", Align::Right),
+        ("of the others", Align::Right),
+        ("at risk", Align::Right),
+    ]);
+    for studio in &document.studios {
+        let mut cells = vec![
+            studio.seed.to_string(),
+            studio.frames.to_string(),
+            format!("{}/{}", studio.kept, studio.jobs),
+            seconds(studio.plan_seconds),
+            seconds(studio.verify_seconds),
+            percent(studio.above_bound),
+        ];
+        for replan in &studio.replans {
+            cells.extend([
+                replan.event.to_owned(),
+                format!("{:.0} ms", replan.seconds * 1e3),
+                replan.moved.to_string(),
+                percent(replan.others_moved),
+                replan.at_risk.to_string(),
+            ]);
+            table.row(std::mem::replace(&mut cells, vec![String::new(); 6]));
+        }
+    }
+    let mut small = Table::new(&[
+        ("small farms", Align::Left),
+        ("tried", Align::Right),
+        ("with a plan", Align::Right),
+        ("missed", Align::Right),
+        ("optimal", Align::Right),
+        ("mean above optimum", Align::Right),
+        ("worst", Align::Right),
+    ]);
+    for tiny in &document.tiny {
+        small.row([
+            if tiny.billed_in_steps { "billed by the hour" } else { "billed as used" }.to_owned(),
+            tiny.farms.to_string(),
+            tiny.with_a_plan.to_string(),
+            tiny.missed.to_string(),
+            tiny.optimal.to_string(),
+            percent(tiny.mean_above_optimum),
+            percent(tiny.worst_above_optimum),
+        ]);
+    }
+    Report::default().table(table).text("\n").table(small)
+}

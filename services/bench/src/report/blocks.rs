@@ -1,0 +1,90 @@
+//! Tables, and text between them.
+
+use anyhow::Result;
+use forelight_terminal::output;
+use forelight_terminal::table::Table;
+use serde::Serialize;
+
+/// What a bench says.
+#[derive(Debug, Default)]
+pub struct Report(Vec<Block>);
+
+#[derive(Debug)]
+enum Block {
+    /// As a terminal shows it, every line ended.
+    Text(String),
+    Table(Table),
+}
+
+impl Report {
+    /// Adds a table.
+    #[must_use]
+    pub fn table(mut self, table: Table) -> Self {
+        self.0.push(Block::Table(table));
+        self
+    }
+
+    /// Adds text as a terminal shows it, every line ended.
+    #[must_use]
+    pub fn text(mut self, text: impl Into<String>) -> Self {
+        self.0.push(Block::Text(text.into()));
+        self
+    }
+
+    /// Adds everything that another report says.
+    #[must_use]
+    pub fn then(mut self, other: Report) -> Self {
+        self.0.extend(other.0);
+        self
+    }
+
+    /// Prints the document as JSON if `json` is set, and the report if not. Returns the report.
+    pub fn printed(self, json: bool, document: &impl Serialize) -> Result<Self> {
+        if json {
+            output::json(document)?
+        } else {
+            output::print(&self.for_terminal())?
+        }
+        Ok(self)
+    }
+
+    /// The report as a terminal shows it.
+    pub fn for_terminal(&self) -> String {
+        let block = |block: &Block| match block {
+            Block::Text(text) => text.clone(),
+            Block::Table(table) => table.render(),
+        };
+        self.0.iter().map(block).collect()
+    }
+
+    /// The report in Markdown. Every line of text becomes a paragraph.
+    pub fn markdown(&self) -> String {
+        let mut parts = Vec::new();
+        for block in &self.0 {
+            match block {
+                Block::Text(text) => {
+                    let paragraphs = text.lines().map(|line| line.split_whitespace().collect::<Vec<_>>());
+                    let paragraphs = paragraphs.filter(|words| !words.is_empty());
+                    parts.extend(paragraphs.map(|words| words.join(" ") + "\n"));
+                }
+                Block::Table(table) => parts.push(table.markdown()),
+            }
+        }
+        parts.join("\n")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Report;
+    use forelight_terminal::table::{Align, Table};
+
+    #[test]
+    fn a_terminal_shows_blocks_as_they_are_and_markdown_makes_paragraphs_of_lines() {
+        let mut table = Table::new(&[("bundle", Align::Left)]);
+        table.row(["kitchen".into()]);
+        let report = Report::default().text("calls for  sun\nleft out   sky\n").table(table).text("\n");
+        assert_eq!(report.for_terminal(), "calls for  sun\nleft out   sky\nbundle\n-------\nkitchen\n\n");
+        assert_eq!(report.markdown(), "calls for sun\n\nleft out sky\n\n| bundle |\n| --- |\n| kitchen |\n");
+    }
+}

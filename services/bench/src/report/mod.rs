@@ -1,0 +1,8 @@
+//! What a bench reports: for people on a terminal, and as a section of a Markdown file.
+
+mod blocks;
+mod origin;
+pub mod page;
+
+pub use blocks::Report;
+pub use origin::Origin;

@@ -1,0 +1,55 @@
+//! The full render of every frame, whose costs can be kept for the next time.
+
+use anyhow::Result;
+use forelight_protocol::{RenderSettings, RenderStats};
+use forelight_terminal::failure::Interrupted;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::json_file;
+use forelight_terminal::local::Local;
+use forelight_terminal::output::Bars;
+use forelight_worker::{Renderer, render_ready};
+use std::path::{Path, PathBuf};
+
+/// What each of these frames takes. Of an image whose cost lies in the folder `kept`, under a name that everything that the image
+/// depends on has a part in, nothing is rendered; what is rendered is kept there.
+pub fn of_frames(
+    local: &Local,
+    frames: &[u32],
+    settings: &RenderSettings,
+    kept: Option<&Path>,
+    bars: &Bars,
+    interrupt: &Interrupt,
+) -> Result<Vec<RenderStats>> {
+    let bar = bars.bar("rendering", frames.len() as u64);
+    let mut all = Vec::with_capacity(frames.len());
+    for &frame in frames {
+        all.push(local.pool.install(|| of_frame(local, frame, settings, kept, interrupt))?);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok(all)
+}
+
+fn of_frame(
+    local: &Local,
+    frame: u32,
+    settings: &RenderSettings,
+    kept: Option<&Path>,
+    interrupt: &Interrupt,
+) -> Result<RenderStats> {
+    let ready = local.shot.frame(frame, settings)?;
+    let path = kept.map(|folder| -> PathBuf {
+        // The fingerprint knows the tracer's version; what else counts as a frame's cost is this program's.
+        let image: String = ready.profile(&[]).fingerprint.iter().map(|byte| format!("{byte:02x}")).collect();
+        folder.join(format!("{image}-{}.json", env!("CARGO_PKG_VERSION")))
+    });
+    if let Some(path) = path.as_deref().filter(|path| path.exists()) {
+        return json_file::read(path);
+    }
+    let rendered =
+        render_ready(&*ready, settings, None, &|_| (), &|_| (), interrupt.flag())?.ok_or(Interrupted)?;
+    if let Some(path) = path {
+        json_file::write(Some(&path), &rendered.stats)?;
+    }
+    Ok(rendered.stats)
+}

@@ -1,0 +1,12 @@
+//! The service's REST API as typed calls, a file for each subject.
+
+mod artifacts;
+mod events;
+mod farm;
+mod jobs;
+mod leases;
+mod nodes;
+
+pub use events::EventStream;
+pub use jobs::FramePicture;
+pub use leases::Claimed;

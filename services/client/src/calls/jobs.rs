@@ -1,0 +1,129 @@
+//! Bundles, jobs, their quotes and their frames.
+
+use crate::client::Client;
+use crate::error::ClientError;
+use crate::transport::{Payload, Request};
+use bytes::Bytes;
+use forelight_protocol::{
+    AccuracyDoc, AnswersDoc, Bundle, ForecastDoc, FramePage, FrameRow, Job, JobCheck, JobId, JobPage,
+    JobRequest, Money, Timestamp,
+};
+use reqwest::Method;
+use std::path::Path;
+use std::time::Duration;
+use uuid::Uuid;
+
+/// Limit of one attempt at an answer about a plan. The service works them out one at a time, and a large farm takes a
+/// while.
+const PLANNING: Duration = Duration::from_secs(90);
+
+/// The pictures that a frame may have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FramePicture {
+    /// Object and material ids in colour.
+    Preview,
+    /// The cost of each pixel in colour.
+    CostMap,
+    /// The image for viewing, 8 bits a channel.
+    Png,
+    /// The image in linear radiance.
+    Exr,
+}
+
+impl FramePicture {
+    /// The last part of its address.
+    pub const fn file_name(self) -> &'static str {
+        match self {
+            Self::Preview => "preview.png",
+            Self::CostMap => "cost-map.png",
+            Self::Png => "image.png",
+            Self::Exr => "image.exr",
+        }
+    }
+}
+
+impl Client {
+    /// Uploads a bundle as a zip file. An upload that is repeated with the same key is one upload.
+    pub async fn upload_bundle(&self, zip: &Path, key: Uuid) -> Result<Bundle, ClientError> {
+        let request =
+            Request::new(Method::POST, "/v1/bundles").payload(Payload::File(zip.into(), "application/zip"));
+        self.transport.json(&request.with_key(key)).await
+    }
+
+    /// Submits a job. A submission that is repeated with the same key is one job.
+    pub async fn submit(&self, job: &JobRequest, key: Uuid) -> Result<Job, ClientError> {
+        self.transport.json(&Request::json(Method::POST, "/v1/jobs", job).with_key(key)).await
+    }
+
+    /// What submitting a job would answer. The service keeps nothing of it.
+    pub async fn check(&self, job: &JobRequest) -> Result<JobCheck, ClientError> {
+        self.transport.json(&Request::json(Method::POST, "/v1/jobs/check", job)).await
+    }
+
+    /// One job.
+    pub async fn job(&self, id: JobId) -> Result<Job, ClientError> {
+        self.get(format!("/v1/jobs/{id}")).await
+    }
+
+    /// Cancels a job. Cancelling it again changes nothing.
+    pub async fn cancel(&self, id: JobId) -> Result<Job, ClientError> {
+        self.transport.json(&Request::new(Method::POST, format!("/v1/jobs/{id}/cancel"))).await
+    }
+
+    /// The newest jobs of exactly this name, at most 50.
+    pub async fn jobs_named(&self, name: &str) -> Result<Vec<Job>, ClientError> {
+        self.newest_jobs(&[("name", name)], 50).await
+    }
+
+    /// The newest jobs that match these filters (`state`, `project`, `name`). `most` is at most 200.
+    pub async fn newest_jobs(&self, filters: &[(&str, &str)], most: u32) -> Result<Vec<Job>, ClientError> {
+        let mut path = format!("/v1/jobs?page_size={most}");
+        for (name, value) in filters {
+            let value: String = value.bytes().map(|byte| format!("%{byte:02X}")).collect();
+            path += &format!("&{name}={value}");
+        }
+        let page: JobPage = self.get(path).await?;
+        Ok(page.items)
+    }
+
+    /// A job's quote.
+    pub async fn forecast(&self, id: JobId) -> Result<ForecastDoc, ClientError> {
+        self.get(format!("/v1/jobs/{id}/forecast")).await
+    }
+
+    /// The ladders of qualities in a job's quote.
+    pub async fn accuracy(&self, id: JobId) -> Result<AccuracyDoc, ClientError> {
+        self.get(format!("/v1/jobs/{id}/accuracy")).await
+    }
+
+    /// The answers about a job's plan. A deadline or budget that is given replaces the job's own.
+    pub async fn answers(
+        &self,
+        id: JobId,
+        deadline: Option<Timestamp>,
+        budget: Option<Money>,
+    ) -> Result<AnswersDoc, ClientError> {
+        let deadline = deadline.map(|deadline| format!("deadline={deadline}"));
+        let budget = budget.map(|budget| format!("budget={}", budget.micro_units()));
+        let query: Vec<String> = deadline.into_iter().chain(budget).collect();
+        let path = format!("/v1/jobs/{id}/answers?{}", query.join("&"));
+        self.transport.json(&Request::get(path).timeout(Some(PLANNING))).await
+    }
+
+    /// A job's price against its deadline, as SVG.
+    pub async fn price_curve(&self, id: JobId) -> Result<Bytes, ClientError> {
+        self.bytes(&Request::get(format!("/v1/jobs/{id}/price-curve.svg")).timeout(Some(PLANNING))).await
+    }
+
+    /// All frames of a job, ascending.
+    pub async fn frames(&self, id: JobId) -> Result<Vec<FrameRow>, ClientError> {
+        let parts = |page: FramePage| (page.items, page.next_page_token);
+        self.all_pages(&format!("/v1/jobs/{id}/frames"), parts).await
+    }
+
+    /// One picture of one frame, into memory.
+    pub async fn picture(&self, id: JobId, frame: u32, picture: FramePicture) -> Result<Bytes, ClientError> {
+        let path = format!("/v1/jobs/{id}/frames/{frame}/{}", picture.file_name());
+        self.bytes(&Request::get(path).timeout(None)).await
+    }
+}

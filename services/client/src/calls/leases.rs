@@ -1,0 +1,89 @@
+//! Leases: a worker's claims, renewals, checkpoints and results.
+
+use crate::client::Client;
+use crate::error::ClientError;
+use crate::transport::{Payload, Request, retry_after};
+use bytes::Bytes;
+use forelight_protocol::{
+    ClaimRequest, Lease, LeaseId, ProblemKind, ReleaseRequest, RenewRequest, Renewal, ResultAnswer,
+    ResultRequest,
+};
+use reqwest::{Method, StatusCode};
+use std::time::Duration;
+use uuid::Uuid;
+
+/// The answer to a claim.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Claimed {
+    /// A task.
+    Lease(Box<Lease>),
+    /// No task became ready within the waiting time of the request.
+    Nothing,
+    /// The node sleeps by its calendar. The worker must not ask again before this time has passed.
+    Asleep(Duration),
+}
+
+impl Claimed {
+    /// The lease, if there is one.
+    pub fn lease(self) -> Option<Lease> {
+        match self {
+            Self::Lease(lease) => Some(*lease),
+            Self::Nothing | Self::Asleep(_) => None,
+        }
+    }
+}
+
+impl Client {
+    /// Asks for a task, and waits for one as long as the request says.
+    ///
+    /// If the answer is lost, repeating the claim with the same key gets the same lease. With another key, that lease
+    /// would stay unused until it expires.
+    pub async fn claim(&self, claim: &ClaimRequest, key: Uuid) -> Result<Claimed, ClientError> {
+        let patience = Duration::from_millis(u64::from(claim.wait_ms)) + Duration::from_secs(15);
+        let request = Request::json(Method::POST, "/v1/leases", claim).timeout(Some(patience)).with_key(key);
+        let response = self.transport.send(&request).await?;
+        let status = response.status();
+        if status == StatusCode::NO_CONTENT {
+            return Ok(retry_after(response.headers()).map_or(Claimed::Nothing, Claimed::Asleep));
+        }
+        let body = self.transport.body(&request, response).await?;
+        self.transport.parse(&request, status, &body).map(Claimed::Lease)
+    }
+
+    /// Renews a lease. One attempt takes at most `patience`.
+    pub async fn renew(
+        &self,
+        lease: LeaseId,
+        renewal: &RenewRequest,
+        patience: Duration,
+    ) -> Result<Renewal, ClientError> {
+        let request = Request::json(Method::PATCH, format!("/v1/leases/{lease}"), renewal);
+        self.transport.json(&request.timeout(Some(patience))).await
+    }
+
+    /// Keeps the tiles of a frame that are finished so far.
+    pub async fn put_checkpoint(&self, lease: LeaseId, fence: u64, tiles: Bytes) -> Result<(), ClientError> {
+        let path = format!("/v1/leases/{lease}/checkpoint?fence={fence}");
+        self.transport.send(&Request::new(Method::PUT, path).payload(Payload::Bytes(tiles))).await.map(drop)
+    }
+
+    /// The tiles of the lease's frame that an earlier worker finished; `None` if there are none.
+    pub async fn checkpoint(&self, lease: LeaseId) -> Result<Option<Bytes>, ClientError> {
+        match self.bytes(&Request::get(format!("/v1/leases/{lease}/checkpoint")).timeout(None)).await {
+            Ok(tiles) => Ok(Some(tiles)),
+            Err(error) if error.is(ProblemKind::NotFound) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Reports a task's result or error.
+    pub async fn report(&self, lease: LeaseId, result: &ResultRequest) -> Result<ResultAnswer, ClientError> {
+        self.transport.json(&Request::json(Method::POST, format!("/v1/leases/{lease}/result"), result)).await
+    }
+
+    /// Gives a task back unfinished.
+    pub async fn release(&self, lease: LeaseId, fence: u64) -> Result<(), ClientError> {
+        let path = format!("/v1/leases/{lease}/release");
+        self.transport.send(&Request::json(Method::POST, path, &ReleaseRequest { fence })).await.map(drop)
+    }
+}

@@ -1,0 +1,37 @@
+//! Nodes and the logs of their tasks.
+
+use crate::client::Client;
+use crate::error::ClientError;
+use crate::transport::Request;
+use forelight_protocol::{
+    JoinRequest, Node, NodeChange, NodeId, NodePage, NodeRegistration, TaskId, TaskLog,
+};
+use reqwest::Method;
+use uuid::Uuid;
+
+impl Client {
+    /// Registers a node. If there is one of this name, it is updated and keeps its id.
+    pub async fn register(&self, node: &NodeRegistration, key: Uuid) -> Result<Node, ClientError> {
+        self.transport.json(&Request::json(Method::POST, "/v1/nodes", node).with_key(key)).await
+    }
+
+    /// Joins the farm; this client's token is the one-time token. Repeating it with the same hash is harmless.
+    pub async fn join(&self, request: &JoinRequest) -> Result<Node, ClientError> {
+        self.transport.json(&Request::json(Method::POST, "/v1/nodes/join", request)).await
+    }
+
+    /// All nodes, oldest first.
+    pub async fn nodes(&self) -> Result<Vec<Node>, ClientError> {
+        self.all_pages("/v1/nodes", |page: NodePage| (page.items, page.next_page_token)).await
+    }
+
+    /// Gives a node orders, or changes its speed, price, calendar or terms.
+    pub async fn change_node(&self, node: NodeId, change: &NodeChange) -> Result<Node, ClientError> {
+        self.transport.json(&Request::json(Method::PATCH, format!("/v1/nodes/{node}"), change)).await
+    }
+
+    /// The log of a task: the lines of all its attempts.
+    pub async fn task_log(&self, task: TaskId) -> Result<TaskLog, ClientError> {
+        self.get(format!("/v1/tasks/{task}/log")).await
+    }
+}

@@ -1,0 +1,65 @@
+//! A client of one service: its address, its token, its back-off. The calls are in `calls`, a file for each subject.
+
+use crate::backoff::Backoff;
+use crate::error::ClientError;
+use crate::transport::{Request, Token, Transport};
+use bytes::Bytes;
+use forelight_protocol::PageToken;
+use serde::de::DeserializeOwned;
+
+/// A client of one service. It is cheap to clone; clones share their connections.
+#[derive(Debug, Clone)]
+pub struct Client {
+    pub(crate) transport: Transport,
+}
+
+impl Client {
+    /// A client of the service at `address` (`http://host:port`). It retries as [`Backoff::PATIENT`] says.
+    pub fn new(address: &str, token: Option<Token>) -> Result<Self, ClientError> {
+        Ok(Self { transport: Transport::new(address, token, Backoff::PATIENT)? })
+    }
+
+    /// The same client with another back-off.
+    pub fn with_backoff(&self, backoff: Backoff) -> Self {
+        Self { transport: self.transport.with_backoff(backoff) }
+    }
+
+    /// The address of the service.
+    pub fn address(&self) -> &str {
+        self.transport.base()
+    }
+
+    /// Succeeds if the service answers and is ready for work.
+    pub async fn ready(&self) -> Result<(), ClientError> {
+        self.transport.send(&Request::get("/readyz")).await.map(drop)
+    }
+
+    /// The JSON document at this path.
+    pub(crate) async fn get<T: DeserializeOwned>(&self, path: impl Into<String>) -> Result<T, ClientError> {
+        self.transport.json(&Request::get(path)).await
+    }
+
+    /// The answer to a request as bytes.
+    pub(crate) async fn bytes(&self, request: &Request) -> Result<Bytes, ClientError> {
+        let response = self.transport.send(request).await?;
+        self.transport.body(request, response).await
+    }
+
+    /// The items of all pages of a list.
+    pub(crate) async fn all_pages<P: DeserializeOwned, T>(
+        &self,
+        path: &str,
+        parts: impl Fn(P) -> (Vec<T>, Option<PageToken>),
+    ) -> Result<Vec<T>, ClientError> {
+        let mut all = Vec::new();
+        let mut page = format!("{path}?page_size=200");
+        loop {
+            let (items, next) = parts(self.get(page).await?);
+            all.extend(items);
+            match next {
+                Some(token) => page = format!("{path}?page_size=200&page_token={token}"),
+                None => return Ok(all),
+            }
+        }
+    }
+}

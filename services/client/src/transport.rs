@@ -1,0 +1,272 @@
+//! Sends a request until it is answered.
+//!
+//! Every request of this crate may be sent twice. Results carry a fencing token, artefacts are named by their hash, and
+//! a request that creates something (a claim creates a lease) carries an idempotency key. A request is therefore sent
+//! again in two cases:
+//!
+//! * no answer came: the connection was refused or reset, or the attempt timed out;
+//! * the answer was "not now": 429, 502, 503, 504, 507 (the service's disk is full), or an idempotency key whose first
+//!   request is still running.
+
+use crate::backoff::Backoff;
+use crate::error::ClientError;
+use bytes::Bytes;
+use forelight_protocol::Problem;
+use reqwest::header::{CONTENT_LENGTH, CONTENT_TYPE, HeaderMap, HeaderName, HeaderValue, RETRY_AFTER};
+use reqwest::{Method, Response, StatusCode};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::fmt;
+use std::path::PathBuf;
+use std::time::Duration;
+use tokio_util::io::ReaderStream;
+use uuid::Uuid;
+
+/// A bearer token. Its debug form hides it, so no log shows it.
+#[derive(Clone)]
+pub struct Token(String);
+
+impl Token {
+    /// The token of this text. White space around it is dropped, such as the last line feed of a file.
+    pub fn new(text: &str) -> Self {
+        Self(text.trim().to_owned())
+    }
+}
+
+impl fmt::Debug for Token {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Token(…)")
+    }
+}
+
+/// The body of a request.
+#[derive(Debug, Clone)]
+pub(crate) enum Payload {
+    Empty,
+    Json(Bytes),
+    Bytes(Bytes),
+    /// A file, streamed anew for each attempt, with its media type.
+    File(PathBuf, &'static str),
+}
+
+/// One request, which can be sent as often as needed.
+#[derive(Debug, Clone)]
+pub(crate) struct Request {
+    pub method: Method,
+    pub path: String,
+    pub payload: Payload,
+    pub headers: HeaderMap,
+    /// Limit of one attempt; `None` if the length of the transfer is not known.
+    pub timeout: Option<Duration>,
+}
+
+impl Request {
+    pub fn new(method: Method, path: impl Into<String>) -> Self {
+        Self {
+            method,
+            path: path.into(),
+            payload: Payload::Empty,
+            headers: HeaderMap::new(),
+            timeout: Some(SHORT_REQUEST),
+        }
+    }
+
+    pub fn get(path: impl Into<String>) -> Self {
+        Self::new(Method::GET, path)
+    }
+
+    /// A request whose body is this document.
+    pub fn json<T: Serialize>(method: Method, path: impl Into<String>, body: &T) -> Self {
+        // The wire types have string keys and finite numbers only, so they always have a JSON form.
+        let body = serde_json::to_vec(body).unwrap_or_default();
+        Self::new(method, path).payload(Payload::Json(body.into()))
+    }
+
+    pub fn payload(mut self, payload: Payload) -> Self {
+        if matches!(payload, Payload::Bytes(_) | Payload::File(..)) {
+            self.timeout = None;
+        }
+        self.payload = payload;
+        self
+    }
+
+    pub fn timeout(mut self, timeout: Option<Duration>) -> Self {
+        self.timeout = timeout;
+        self
+    }
+
+    /// The same request with an idempotency key: the service carries it out once, however often it is sent.
+    pub fn with_key(mut self, key: Uuid) -> Self {
+        if let Ok(key) = HeaderValue::from_str(&key.to_string()) {
+            self.headers.insert(HeaderName::from_static("idempotency-key"), key);
+        }
+        self
+    }
+}
+
+/// Limit of one attempt at a short JSON request.
+const SHORT_REQUEST: Duration = Duration::from_secs(30);
+/// A transfer that stays silent for this long has lost its connection.
+const SILENCE: Duration = Duration::from_secs(75);
+
+/// The connection to one service.
+#[derive(Debug, Clone)]
+pub(crate) struct Transport {
+    http: reqwest::Client,
+    /// The address, without a slash at its end.
+    base: String,
+    token: Option<Token>,
+    backoff: Backoff,
+}
+
+impl Transport {
+    pub fn new(address: &str, token: Option<Token>, backoff: Backoff) -> Result<Self, ClientError> {
+        let wrong = |reason: String| ClientError::Address { address: address.into(), reason };
+        let url = reqwest::Url::parse(address).map_err(|e| wrong(e.to_string()))?;
+        if url.scheme() != "http" {
+            return Err(wrong("it must begin with http://".into()));
+        }
+        let host = url.host_str().ok_or_else(|| wrong("it names no host".into()))?;
+        let mut builder = reqwest::Client::builder()
+            .connect_timeout(Duration::from_secs(5))
+            .read_timeout(SILENCE)
+            // Only http:// is spoken here. No certificates are loaded, so machines without any work too.
+            .tls_certs_only([])
+            // A redirect could carry the token to another host.
+            .redirect(reqwest::redirect::Policy::none())
+            .user_agent(concat!("forelight/", env!("CARGO_PKG_VERSION")));
+        if host == "localhost"
+            || host.trim_matches(['[', ']']).parse().is_ok_and(|ip: std::net::IpAddr| ip.is_loopback())
+        {
+            builder = builder.no_proxy();
+        }
+        let http = builder.build().map_err(|e| wrong(e.to_string()))?;
+        Ok(Self { http, base: address.trim_end_matches('/').to_owned(), token, backoff })
+    }
+
+    pub fn base(&self) -> &str {
+        &self.base
+    }
+
+    /// The same connection with another back-off.
+    pub fn with_backoff(&self, backoff: Backoff) -> Self {
+        Self { backoff, ..self.clone() }
+    }
+
+    /// Sends until there is an answer other than "not now". Returns it if it is a success.
+    pub async fn send(&self, request: &Request) -> Result<Response, ClientError> {
+        let mut failures = 0;
+        loop {
+            let (error, asked) = match self.attempt(request).await? {
+                Ok(response) if response.status().is_success() => return Ok(response),
+                Ok(response) => {
+                    let asked = retry_after(response.headers());
+                    let error = refusal(response).await;
+                    if !error.is_not_now() {
+                        return Err(error);
+                    }
+                    (error, asked)
+                }
+                Err(source) => (self.unreachable(request, source), None),
+            };
+            failures += 1;
+            let Some(wait) = self.backoff.jittered(failures, asked) else { return Err(error) };
+            tracing::debug!(path = request.path, failures, ?wait, %error, "asking again");
+            tokio::time::sleep(wait).await;
+        }
+    }
+
+    /// Sends, and reads the answer as JSON. A connection that breaks in the middle of the answer is a failed attempt.
+    pub async fn json<T: DeserializeOwned>(&self, request: &Request) -> Result<T, ClientError> {
+        let mut failures = 0;
+        loop {
+            let response = self.send(request).await?;
+            let status = response.status();
+            match response.bytes().await {
+                Ok(body) => return self.parse(request, status, &body),
+                Err(source) => {
+                    failures += 1;
+                    let Some(wait) = self.backoff.jittered(failures, None) else {
+                        return Err(self.unreachable(request, source));
+                    };
+                    tokio::time::sleep(wait).await;
+                }
+            }
+        }
+    }
+
+    /// The whole body of an answer.
+    pub async fn body(&self, request: &Request, response: Response) -> Result<Bytes, ClientError> {
+        response.bytes().await.map_err(|source| self.unreachable(request, source))
+    }
+
+    /// The JSON document in an answer's body.
+    pub fn parse<T: DeserializeOwned>(
+        &self,
+        request: &Request,
+        status: StatusCode,
+        body: &[u8],
+    ) -> Result<T, ClientError> {
+        serde_json::from_slice(body).map_err(|error| ClientError::Unexpected {
+            url: self.url(request),
+            status,
+            excerpt: error.to_string(),
+        })
+    }
+
+    /// The error of a request whose answer did not come, or broke off.
+    pub fn unreachable(&self, request: &Request, source: reqwest::Error) -> ClientError {
+        ClientError::Unreachable { url: self.url(request), source: source.without_url() }
+    }
+
+    fn url(&self, request: &Request) -> String {
+        format!("{}{}", self.base, request.path)
+    }
+
+    /// One attempt. The outer error is one that another attempt cannot mend.
+    async fn attempt(&self, request: &Request) -> Result<Result<Response, reqwest::Error>, ClientError> {
+        let mut builder = self.http.request(request.method.clone(), self.url(request));
+        if let Some(token) = &self.token {
+            builder = builder.bearer_auth(&token.0);
+        }
+        if let Some(timeout) = request.timeout {
+            builder = builder.timeout(timeout);
+        }
+        builder = builder.headers(request.headers.clone());
+        builder = match &request.payload {
+            Payload::Empty => builder,
+            Payload::Json(body) => builder.header(CONTENT_TYPE, "application/json").body(body.clone()),
+            Payload::Bytes(body) => {
+                builder.header(CONTENT_TYPE, "application/octet-stream").body(body.clone())
+            }
+            Payload::File(path, media_type) => {
+                let failed = |source| ClientError::File { path: path.clone(), source };
+                let file = tokio::fs::File::open(path).await.map_err(failed)?;
+                let length = file.metadata().await.map_err(failed)?.len();
+                let stream = reqwest::Body::wrap_stream(ReaderStream::with_capacity(file, 1 << 16));
+                builder.header(CONTENT_TYPE, *media_type).header(CONTENT_LENGTH, length).body(stream)
+            }
+        };
+        Ok(builder.send().await)
+    }
+}
+
+/// The service's refusal as an error.
+async fn refusal(response: Response) -> ClientError {
+    let (status, url) = (response.status(), response.url().to_string());
+    let body = response.bytes().await.unwrap_or_default();
+    match serde_json::from_slice::<Problem>(&body) {
+        Ok(problem) => ClientError::Refused(Box::new(problem)),
+        Err(_) => {
+            let text = String::from_utf8_lossy(&body);
+            let excerpt = text.split_whitespace().collect::<Vec<_>>().join(" ").chars().take(200).collect();
+            ClientError::Unexpected { url, status, excerpt }
+        }
+    }
+}
+
+/// The wait that the service asks for in `Retry-After`, in whole seconds. The service does not use the header's other
+/// form, a date.
+pub(crate) fn retry_after(headers: &HeaderMap) -> Option<Duration> {
+    headers.get(RETRY_AFTER)?.to_str().ok()?.trim().parse().ok().map(Duration::from_secs)
+}

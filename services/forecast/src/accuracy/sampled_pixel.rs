@@ -1,0 +1,20 @@
+//! A pixel of an unfinished image, with what its samples show so far.
+
+/// A pixel of an unfinished image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SampledPixel {
+    /// Number of samples so far.
+    pub samples: u32,
+    /// Mean of the samples, over the three channels.
+    pub brightness: f64,
+    /// Variance of one sample, mean over the channels. `None` for a pixel with a single sample.
+    pub variance: Option<f64>,
+    /// Total cost of the samples, in any unit that all pixels share.
+    pub cost: f64,
+    /// The profile's variance curve of pixels like this one: `[A, B]` of A / n^1.5 + B / n.
+    pub profiled: [f64; 2],
+    /// The effect of the later samples, which are half to three quarters of all. First the number of samples
+    /// before them; then the squared change of the mean that they brought, mean over the channels. `None` for
+    /// a pixel with a single sample.
+    pub grown: Option<(u32, f64)>,
+}

@@ -1,0 +1,44 @@
+//! Cost in work and CPU time, as measured by a worker.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// Cost in work and CPU time.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Spent {
+    /// Deterministic count of operations.
+    pub work: u64,
+    /// CPU time over all threads in nanoseconds.
+    pub cpu_nanos: u64,
+}
+
+impl Spent {
+    /// The sum of both. Saturating.
+    #[must_use]
+    pub const fn plus(self, other: Self) -> Self {
+        Self {
+            work: self.work.saturating_add(other.work),
+            cpu_nanos: self.cpu_nanos.saturating_add(other.cpu_nanos),
+        }
+    }
+
+    /// The mean. `None` if there are none.
+    pub fn mean(all: impl ExactSizeIterator<Item = Self>) -> Option<Self> {
+        let count = u64::try_from(all.len()).ok().filter(|&count| count > 0)?;
+        let sum = all.fold(Self::default(), Self::plus);
+        Some(Self { work: sum.work / count, cpu_nanos: sum.cpu_nanos / count })
+    }
+
+    /// Converts a cost that a node of this speed measured to a node of speed 1.
+    #[must_use]
+    pub fn at_speed_one(self, speed: f64) -> Self {
+        Self { cpu_nanos: at_speed_one(self.cpu_nanos, speed), ..self }
+    }
+}
+
+/// Converts CPU time that a node of this speed measured to a node of speed 1. In nanoseconds.
+pub fn at_speed_one(cpu_nanos: u64, speed: f64) -> u64 {
+    // The conversion saturates at the ends of the range.
+    (cpu_nanos as f64 * speed).round() as u64
+}

@@ -1,0 +1,14 @@
+//! The lights of `scene.json`.
+
+use crate::animation::Animated;
+use glam::DVec3;
+
+/// A light from `scene.json`.
+///
+/// Positions and edges are in metres, `radiance` in W/(m² sr), `intensity` in W/sr, and `irradiance` in W/m².
+#[derive(Debug)]
+pub(crate) enum LightSource {
+    Quad { corner: DVec3, edge_u: DVec3, edge_v: DVec3, radiance: Animated<DVec3> },
+    Point { position: DVec3, intensity: Animated<DVec3> },
+    Sun { direction: DVec3, irradiance: Animated<DVec3>, angle_deg: f64 },
+}

@@ -1,0 +1,74 @@
+//! JSON documents that the user names.
+
+use crate::atomic_file::write_bytes;
+use crate::bounded_file;
+use crate::failure::BadInput;
+use crate::output::pretty;
+use anyhow::Result;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::path::Path;
+
+/// Bytes of a document at most.
+const MOST: u64 = 1 << 28;
+
+/// Reads a document.
+///
+/// # Errors
+/// With the file, the field and the reason.
+pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T> {
+    parse(path, |wrong| wrong)
+}
+
+/// The same of what a command writes, which is named where the document is another one.
+pub fn read_written_by<T: DeserializeOwned>(command: &str, path: &Path) -> Result<T> {
+    parse(path, |wrong| wrong.hint(format!("such a file is written by `{command}`")))
+}
+
+/// Writes a document, if a file is named.
+pub fn write(path: Option<&Path>, document: &impl Serialize) -> Result<()> {
+    path.map_or(Ok(()), |path| write_bytes(path, (pretty(document)? + "\n").as_bytes()))
+}
+
+fn parse<T: DeserializeOwned>(path: &Path, hinted: impl Fn(BadInput) -> BadInput) -> Result<T> {
+    let wrong = |why: String| hinted(BadInput::new(format!("{}: {why}", path.display())));
+    let text = bounded_file::read(path, MOST)?;
+    let mut reader = serde_json::Deserializer::from_slice(&text);
+    let document = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
+        // What is no JSON at all has no field.
+        let is_whole = error.path().iter().next().is_none();
+        let place = if is_whole { String::new() } else { format!("{}: ", error.path()) };
+        wrong(format!("{place}{}", error.inner()))
+    })?;
+    reader.end().map_err(|error| wrong(error.to_string()))?;
+    Ok(document)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use forelight_protocol::RenderSettingsRequest;
+    use std::fs;
+
+    #[test]
+    fn what_is_wrong_is_said_with_file_and_field() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("x.json");
+        let message = || read::<RenderSettingsRequest>(&path).unwrap_err().to_string();
+        assert!(message().contains("x.json: No such file"), "{}", message());
+        for (text, reason) in [
+            (r#"{"spp": "many"}"#, "x.json: spp: invalid type"),
+            (r#"{"spp": 4} {}"#, "x.json: trailing characters"),
+            ("spp: 4", "x.json: expected value at line 1"),
+            (r#"{"spp": 4"#, "EOF"),
+        ] {
+            fs::write(&path, text).unwrap();
+            assert!(message().contains(reason), "{text}: {}", message());
+        }
+        let other = read_written_by::<RenderSettingsRequest>("forelight x --out", &path).unwrap_err();
+        let other = other.downcast_ref::<BadInput>().unwrap();
+        assert!(format!("{other:?}").contains("written by `forelight x --out`"), "{other:?}");
+        fs::write(&path, r#"{"spp": 4}"#).unwrap();
+        assert_eq!(read::<RenderSettingsRequest>(&path).unwrap().spp, Some(4));
+    }
+}

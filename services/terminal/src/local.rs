@@ -1,0 +1,149 @@
+//! Work on this machine: a bundle opened, settings completed, a thread pool.
+
+use crate::failure::BadInput;
+use crate::options::{MachineOptions, PreviewBackend, QualityOptions};
+use crate::output::Bars;
+use anyhow::{Context, Result};
+use forelight_preview::Choice;
+use forelight_protocol::{FrameSet, RenderSettings, RenderSettingsRequest};
+use forelight_worker::{Ambient, AmbientShot, Renderer};
+use std::path::Path;
+
+/// A bundle, opened for work on this machine.
+pub struct Local {
+    /// The bundle.
+    pub shot: AmbientShot,
+    /// Threads that trace light.
+    pub pool: rayon::ThreadPool,
+}
+
+impl Local {
+    /// Opens a bundle.
+    pub fn open(bundle: &Path, machine: &MachineOptions, bars: &Bars) -> Result<Self> {
+        if !bundle.exists() {
+            let missing = format!("bundle {}: there is no such file or folder", bundle.display());
+            return Err(BadInput::new(missing).into());
+        }
+        let pool = thread_pool(machine.threads)?;
+        let ambient = Ambient::new(preview_choice(machine.preview));
+        let spinner = bars.spinner(format!("loading {}", bundle.display()));
+        let shot = pool.install(|| ambient.open(bundle));
+        spinner.finish_and_clear();
+        Ok(Self { shot: shot.with_context(|| format!("bundle {}", bundle.display()))?, pool })
+    }
+
+    /// The settings, with what was left out completed from the bundle's camera.
+    pub fn settings(&self, quality: &QualityOptions) -> Result<RenderSettings> {
+        quality.check()?;
+        let scene = &self.shot.info().summary;
+        let settings =
+            settings_request(quality, (scene.width, scene.height)).complete((scene.width, scene.height));
+        settings.check().map_err(|wrong| {
+            BadInput::new(format!("--{}: {}", wrong.name.replace('_', "-"), wrong.reason))
+        })?;
+        Ok(settings)
+    }
+
+    /// The frames, checked against the shot; all of them if none were named.
+    pub fn frames(&self, wanted: Option<&FrameSet>) -> Result<Vec<u32>> {
+        match wanted {
+            None => Ok((0..self.shot.info().summary.frames).collect()),
+            Some(wanted) => {
+                self.check_frame("--frames", wanted.last())?;
+                Ok(wanted.iter().collect())
+            }
+        }
+    }
+
+    /// Whether the shot has a frame, that a flag names.
+    pub fn check_frame(&self, flag: &str, frame: u32) -> Result<(), BadInput> {
+        let last = self.shot.info().summary.frames.saturating_sub(1);
+        if frame <= last {
+            return Ok(());
+        }
+        let reason = format!("{flag}: frame {frame} is outside the shot, which has frames 0 to {last}");
+        Err(BadInput::new(reason))
+    }
+}
+
+/// The pool on which this command traces.
+pub fn thread_pool(threads: Option<u16>) -> Result<rayon::ThreadPool> {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads.map_or(0, usize::from))
+        .thread_name(|index| format!("trace-{index}"))
+        .build()
+        .context("cannot start threads")
+}
+
+/// The previewer's word for the flag.
+pub fn preview_choice(backend: PreviewBackend) -> Choice {
+    match backend {
+        PreviewBackend::Auto => Choice::Auto,
+        PreviewBackend::Gpu => Choice::Gpu,
+        PreviewBackend::Cpu => Choice::Cpu,
+    }
+}
+
+/// The flags as a request. If only one side of the image is given, the other keeps the camera's shape.
+pub fn settings_request(quality: &QualityOptions, camera: (u32, u32)) -> RenderSettingsRequest {
+    let (width, height) = match (quality.width, quality.height) {
+        (Some(width), None) => (Some(width), Some(scaled(width, camera.1, camera.0))),
+        (None, Some(height)) => (Some(scaled(height, camera.0, camera.1)), Some(height)),
+        both => both,
+    };
+    RenderSettingsRequest {
+        width,
+        height,
+        spp: quality.spp,
+        integrator: quality.integrator,
+        ambient_bounces: quality.ambient_bounces,
+        ambient_divisions: quality.ambient_divisions,
+        max_depth: quality.max_depth,
+        cache: quality.cache,
+        cache_accuracy: quality.cache_accuracy,
+        cache_rays: quality.cache_rays,
+        materials: quality.materials,
+        seed: quality.seed,
+    }
+}
+
+/// `side` · `other` / `own`, rounded, at least 1.
+fn scaled(side: u32, other: u32, own: u32) -> u32 {
+    let own = u64::from(own.max(1));
+    let scaled = (u64::from(side) * u64::from(other) + own / 2) / own;
+    u32::try_from(scaled).unwrap_or(u32::MAX).max(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_side_of_the_image_brings_the_other_in_the_cameras_shape() {
+        let mut quality = QualityOptions {
+            width: Some(640),
+            height: None,
+            spp: None,
+            integrator: None,
+            ambient_bounces: None,
+            ambient_divisions: None,
+            max_depth: None,
+            cache: None,
+            cache_accuracy: None,
+            cache_rays: None,
+            materials: None,
+            seed: None,
+        };
+        let size = |quality: &QualityOptions| {
+            let settings = settings_request(quality, (1280, 720)).complete((1280, 720));
+            (settings.width, settings.height)
+        };
+        assert_eq!(size(&quality), (640, 360));
+        quality.height = Some(100);
+        assert_eq!(size(&quality), (640, 100));
+        quality.width = None;
+        assert_eq!(size(&quality), (178, 100));
+        quality.height = None;
+        assert_eq!(size(&quality), (1280, 720));
+    }
+}

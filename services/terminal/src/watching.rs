@@ -1,0 +1,88 @@
+//! Work that shows how far it is, and ends when the user wants to stop.
+
+use crate::failure::{BadInput, Interrupted};
+use crate::interrupt::Interrupt;
+use crate::local::Local;
+use crate::output::Bars;
+use anyhow::{Context, Result};
+use forelight_protocol::RenderSettings;
+use forelight_worker::{AccuracyObserver, AllotError, Observer, Quote, QuoteOptions, ShotError, quote};
+use indicatif::ProgressBar;
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+/// Bars for the steps of a quote, and the user's wish to stop.
+pub struct QuoteWatcher<'a> {
+    previews: ProgressBar,
+    profiles: ProgressBar,
+    interrupt: &'a Interrupt,
+}
+
+impl<'a> QuoteWatcher<'a> {
+    /// Bars for a quote of so many frames.
+    pub fn new(bars: &Bars, frames: usize, interrupt: &'a Interrupt) -> Self {
+        Self { previews: bars.bar("previews", frames as u64), profiles: bars.bar("profiling", 0), interrupt }
+    }
+
+    /// A quote of the bundle that was opened as `local`, watched, until the user stops it.
+    pub fn quote(
+        &self,
+        local: &Local,
+        bundle: &Path,
+        frames: &[u32],
+        settings: &RenderSettings,
+        options: &QuoteOptions,
+    ) -> Result<Quote> {
+        let quoted = local.pool.install(|| quote(&local.shot, frames, settings, options, self));
+        self.previews.finish_and_clear();
+        self.profiles.finish_and_clear();
+        match quoted {
+            Err(ShotError::Cancelled) => Err(Interrupted.into()),
+            Err(ShotError::Render(error)) => {
+                Err(error).with_context(|| format!("bundle {}", bundle.display()))
+            }
+            other => Ok(other?),
+        }
+    }
+}
+
+impl Observer for QuoteWatcher<'_> {
+    fn previewed(&self, done: usize, all: usize) {
+        self.previews.set_length(all as u64);
+        self.previews.set_position(done as u64);
+    }
+
+    fn profiled(&self, done: usize, all: usize) {
+        self.profiles.set_length(all as u64);
+        self.profiles.set_position(done as u64);
+    }
+
+    fn is_cancelled(&self) -> bool {
+        self.interrupt.is_set()
+    }
+}
+
+/// The user's wish to stop.
+pub struct Stopping<'a>(pub &'a Interrupt);
+
+impl AccuracyObserver for Stopping<'_> {
+    fn predicted(&self, _: usize, _: usize) {}
+
+    fn cancel(&self) -> &AtomicBool {
+        self.0.flag()
+    }
+}
+
+/// A time too short is the user's to mend, or the money that buys it; `flag` gave it.
+pub fn allotment_failure(flag: &str, error: AllotError) -> anyhow::Error {
+    match error {
+        AllotError::TooLittle { .. } => BadInput::new(format!("{flag}: {error}"))
+            .hint("give it more, profile fewer pixels (--samples), or ask for a smaller image")
+            .into(),
+        AllotError::TooLittleForCache { .. } => BadInput::new(format!("{flag}: {error}"))
+            .hint("give it more, ask for a rougher cache (--cache-rays, --cache-accuracy), or do without one (--cache off)")
+            .into(),
+        AllotError::Shot(ShotError::Render(error)) => error.into(),
+        error => error.into(),
+    }
+}

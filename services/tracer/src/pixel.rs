@@ -1,0 +1,85 @@
+//! Pixels: finished, and in progress.
+
+use crate::cost::WorkByRay;
+use crate::random::Drawn;
+use glam::{DVec3, Vec3};
+
+/// One finished pixel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pixel {
+    /// Linear Rec. 709 radiance, the mean over the samples.
+    pub color: [f32; 3],
+    /// Rays by category, in the order of [`crate::RAY_NAMES`].
+    pub rays: [u32; 7],
+    /// Deterministic work.
+    pub work: u64,
+    /// Work by the category of the ray that caused it.
+    pub work_by_ray: WorkByRay,
+    /// The part of `work` that later samples do not have: the rays beyond the minimum at points that no cache
+    /// record covers ([`crate::UncoveredGathers`]). All other work is proportional to the number of samples.
+    pub extra_work: u64,
+    /// CPU time, nanoseconds.
+    pub cpu_nanos: u64,
+    /// Number of cache reads at points that no record covers, where the sample gathered for itself.
+    pub uncovered: u32,
+    /// Stratum that the first camera sample met, or [`Pixel::NOTHING`].
+    pub stratum: u32,
+}
+
+impl Pixel {
+    /// Stratum of a pixel whose first sample met no surface.
+    pub const NOTHING: u32 = u32::MAX;
+}
+
+/// Callback for finished pixels, each with its row-major index.
+pub type PixelsFinished<'a> = dyn Fn(&[(u32, Pixel)]) + Sync + 'a;
+
+/// A pixel that can receive more samples.
+#[derive(Debug, Clone)]
+pub(crate) struct Underway {
+    /// How far its random sequences are drawn.
+    pub drawn: Drawn,
+    /// Sum of its samples' radiance, in order.
+    pub sum: DVec3,
+    /// Sum of the squared radiance, averaged over the channels.
+    pub squares: f64,
+    pub samples: u32,
+    /// The sum at the last two sample counts that were powers of two.
+    pub before: [(u32, DVec3); 2],
+    /// Cost of its samples. The colour is only valid after [`Self::finished`].
+    pub pixel: Pixel,
+}
+
+impl Default for Underway {
+    fn default() -> Self {
+        let pixel = Pixel {
+            color: [0.0; 3],
+            rays: [0; 7],
+            work: 0,
+            work_by_ray: [0; 7],
+            extra_work: 0,
+            cpu_nanos: 0,
+            uncovered: 0,
+            stratum: Pixel::NOTHING,
+        };
+        let before = [(0, DVec3::ZERO); 2];
+        Self { drawn: Drawn::default(), sum: DVec3::ZERO, squares: 0.0, samples: 0, before, pixel }
+    }
+}
+
+impl Underway {
+    /// Adds the radiance of one sample.
+    pub fn add(&mut self, sample: Vec3) {
+        self.sum += sample.as_dvec3();
+        self.samples += 1;
+        if self.samples.is_power_of_two() {
+            self.before = [self.before[1], (self.samples, self.sum)];
+        }
+    }
+
+    /// The finished pixel. It is black if there are no samples.
+    pub fn finished(&self) -> Pixel {
+        let color = (self.sum / f64::from(self.samples.max(1))).as_vec3().to_array();
+        Pixel { color, ..self.pixel }
+    }
+}

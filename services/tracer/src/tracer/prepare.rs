@@ -1,0 +1,131 @@
+//! Prepares a frame for tracing: builds the tree, collects the lights, and composes the kernel.
+
+use super::Tracer;
+use crate::Settings;
+use crate::cost::{Cost, Tally, build_work, clocked};
+use crate::effects::{CalledFor, Effects};
+use crate::environment::Sky;
+use crate::fresnel;
+use crate::kernel::kernel;
+use crate::lights::{Lights, Looks, Luminaires};
+use crate::media::{Media, Ranks};
+use crate::reach::{Reach, reachable};
+use crate::tree::Tree;
+use forelight_protocol::{Integrator, MaterialMode};
+use forelight_scene::{Color, Frame, Material, Sun, Surface};
+use glam::Vec3;
+use std::sync::{Arc, Mutex, OnceLock};
+
+impl Tracer {
+    /// Builds the tree and collects the lights.
+    ///
+    /// The camera is resized to the settings' width and height. Objects and lights that cannot affect the
+    /// image are left out; see [`Self::left_out`].
+    pub fn new(frame: &Frame, settings: &Settings) -> Self {
+        Self::build(frame, settings, None, false)
+    }
+
+    /// Like [`Self::new`], with a tree built earlier for the same geometry.
+    ///
+    /// If other triangles can affect this frame's image, a new tree is built.
+    pub fn with_bvh(frame: &Frame, settings: &Settings, bvh: Arc<Tree>) -> Self {
+        Self::build(frame, settings, Some(bvh), false)
+    }
+
+    /// Like [`Self::new`], but leaves nothing out. It shows what leaving things out saves; images have the
+    /// same bits.
+    ///
+    /// Lights that cannot affect the image are sampled only if all lights are. They never take part in a
+    /// choice among many.
+    pub fn complete(frame: &Frame, settings: &Settings) -> Self {
+        Self::build(frame, settings, None, true)
+    }
+
+    fn build(frame: &Frame, settings: &Settings, bvh: Option<Arc<Tree>>, complete: bool) -> Self {
+        let mut frame = frame.clone();
+        frame.camera = frame.camera.resized(settings.width, settings.height);
+        let materials: Vec<Material> = match settings.materials {
+            MaterialMode::Full => frame.materials.to_vec(),
+            MaterialMode::Lambert => frame.materials.iter().map(as_lambert).collect(),
+        };
+        let internal = materials.iter().map(|m| match m.surface {
+            Surface::Plastic { ior, .. } => fresnel::internal_diffuse(ior),
+            _ => 0.0,
+        });
+        let (reach, finding) = clocked(|| reachable(&frame, &materials));
+        let everything = Reach::everything(&frame);
+        let included = if complete { &everything } else { &reach };
+        let known = bvh.filter(|bvh| bvh.is_over(&frame.geometry, included));
+        let (bvh, build) = known.map(|bvh| (bvh, Cost::default())).unwrap_or_else(|| {
+            let (tree, building) = clocked(|| Tree::new(&frame.geometry, included));
+            let work = build_work(tree.triangles(frame.geometry.triangles.len()), tree.size().0);
+            (Arc::new(tree), Cost { work, cpu_nanos: finding + building })
+        });
+        let luminaires = Luminaires::new(&frame, &reach, complete);
+        let sky = if included.environment() { Sky::new(&frame) } else { Sky::Black };
+        let points: Vec<usize> = (0..frame.points.len()).filter(|&i| included.point_light(i)).collect();
+        let suns: Vec<usize> = (0..frame.suns.len()).filter(|&i| included.sun(i)).collect();
+        // Lights that cannot affect the image are never chosen, so they do not count.
+        let choice =
+            luminaires.reaching() + (0..frame.points.len()).filter(|&i| reach.point_light(i)).count();
+        let looks = Looks::new(choice);
+        let called_for = CalledFor {
+            materials: &included.materials(&frame.geometry, &materials),
+            area_lights: luminaires.all.len(),
+            points: points.len(),
+            suns: &suns.iter().map(|&i| frame.suns[i]).collect::<Vec<Sun>>(),
+            looks,
+            sky: &sky,
+            camera: &frame.camera,
+            settings,
+        };
+        let effects = called_for.effects();
+        let chosen = settings.integrator == Integrator::Path || effects.has(Effects::LIGHT_CHOICE);
+        let lights = if chosen { Lights::new(&frame, &materials, &sky, &reach) } else { Lights::default() };
+        let mut tracer = Self {
+            internal: internal.collect(),
+            ranks: Ranks::new(&materials),
+            camera_media: Media::default(),
+            cache: OnceLock::new(),
+            given: Mutex::default(),
+            reach,
+            luminaires,
+            points,
+            suns,
+            lights,
+            sky,
+            effects,
+            looks,
+            kernel: kernel(effects, settings.integrator, looks),
+            materials,
+            settings: settings.clone(),
+            bvh,
+            frame,
+            build,
+            pixel_work: Tally::default(),
+            gather_work: Tally::default(),
+            samples: OnceLock::new(),
+            content: OnceLock::new(),
+        };
+        if !tracer.ranks.is_empty() {
+            tracer.camera_media = tracer.media_at(tracer.frame.camera.origin);
+        }
+        tracer
+    }
+
+    /// Uses a kernel with additional effects. It shows what leaving effects out saves; images and counters
+    /// have the same bits.
+    pub fn with_kernel_for(self, effects: Effects) -> Self {
+        Self { kernel: kernel(self.effects | effects.bits(), self.settings.integrator, self.looks), ..self }
+    }
+}
+
+/// The material as two-sided Lambertian: its diffuse colour or texture, or 0.5 grey for metals and glass.
+/// Emission is kept.
+fn as_lambert(material: &Material) -> Material {
+    let albedo = match material.surface {
+        Surface::Lambert { albedo } | Surface::Plastic { albedo, .. } => albedo,
+        _ => Color::plain(Vec3::splat(0.5)),
+    };
+    Material { surface: Surface::Lambert { albedo }, ..material.clone() }
+}

@@ -1,0 +1,271 @@
+//! A render that holds to its time.
+//!
+//! Forecasts of work hold to a few per cent, but what a unit of work takes differs between a short profile and the render, between
+//! busy and idle hours. So the render looks at its clock. It goes in passes (`forelight_tracer::Passes`): the first gives every
+//! pixel one sample; each of the others gives the samples that make the least error for a part of the time that is left, reckoned with
+//! the seconds that the pass before it took for a unit of work, by what the image shows by then ([`crate::adaptive::tiles`]). The last ones take nearly all that is left, and whatever is not
+//! finished when the time is up stays with the samples that it has: pixels are complete at every number of samples, and a pass goes
+//! over the image in scattered tiles.
+//!
+//! The clock decides how many samples the pixels get, and nothing else.
+
+use crate::adaptive::allocation::{AllotError, Allotment, Made};
+use crate::adaptive::tiles::Tiles;
+use crate::render::seconds;
+use crate::renderer::{FrameRenderer, Progress, RenderError, Step};
+use forelight_protocol::{BudgetClock, Confidence, WithinStats};
+use forelight_scene::Frame;
+use forelight_tracer::{Image, Passes, SampleCounts, process_cpu_nanos};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Instant;
+
+/// Share of the time left that the second and the third pass are given: what a unit of work takes is better known after each.
+const CAREFUL: [f64; 2] = [0.25, 0.5];
+/// The same of all later ones.
+const BOLD: f64 = 0.9;
+/// A pass is worth its while if so much of the whole time is left for it.
+const WORTHWHILE: f64 = 0.01;
+/// Share of the whole time that is kept back: for the pixels that are being traced when the time is up, and for putting the image together
+/// on a machine that is busy with other things.
+const MARGIN: f64 = 0.015;
+/// Writing is kept back so many times, for the same reason.
+const WRITING: f64 = 1.5;
+/// Of the first pass so much is to be done before it is given up for being late.
+const SEEN: f64 = 0.1;
+/// The least image may take so many times the time that was given: it would be a pity to throw it away for less.
+const LATE: f64 = 1.03;
+/// What a refusal says would do is so much more than what was found: no two runs take the same.
+const ENOUGH: f64 = 1.1;
+/// Records that are gathered of each level, to see how long all of them take.
+const RECORDS: usize = 16;
+
+/// A clock that is running.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Stopwatch {
+    /// Wall time since an instant.
+    Wall(Instant),
+    /// CPU time of all threads of this process, since it had used so many nanoseconds.
+    Cpu(u64),
+}
+
+impl Stopwatch {
+    /// Seconds so far.
+    pub fn elapsed(&self) -> f64 {
+        match self {
+            Self::Wall(start) => start.elapsed().as_secs_f64(),
+            Self::Cpu(start) => seconds(process_cpu_nanos().saturating_sub(*start)),
+        }
+    }
+
+    /// Which seconds these are.
+    pub fn kind(&self) -> BudgetClock {
+        match self {
+            Self::Wall(_) => BudgetClock::Wall,
+            Self::Cpu(_) => BudgetClock::Cpu,
+        }
+    }
+
+    /// So many CPU seconds of work that all threads of the current pool can share, on this clock.
+    fn of_cpu(&self, cpu_seconds: f64) -> f64 {
+        match self {
+            Self::Wall(_) => cpu_seconds / rayon::current_num_threads() as f64,
+            Self::Cpu(_) => cpu_seconds,
+        }
+    }
+}
+
+/// A time that a render must not exceed.
+#[derive(Clone, Copy)]
+pub struct Budget<'a> {
+    /// From the clock's beginning until the image is written.
+    pub seconds: f64,
+    /// What it has shown so far counts too.
+    pub clock: Stopwatch,
+    /// Writes an image as the finished one will be written: for finding out how long that takes, which is kept back.
+    pub rehearse: &'a (dyn Fn(&Image, &Frame) + Sync),
+}
+
+impl Budget<'_> {
+    fn too_little(&self, least: f64) -> AllotError {
+        AllotError::TooLittle { given: self.seconds, least: least * ENOUGH }
+    }
+}
+
+/// Plans the frame's irradiance cache and sees by a few of its records whether filling it fits.
+///
+/// # Errors
+/// If it does not.
+pub(crate) fn fits_the_cache(
+    ready: &dyn FrameRenderer,
+    budget: &Budget<'_>,
+    seed: u64,
+) -> Result<(), AllotError> {
+    let records = ready.sample_records(RECORDS, seed);
+    let of_level = |(level, count): (usize, u32)| {
+        let costs = records.iter().filter(|record| record.level as usize == level);
+        let (number, nanos) = costs.fold((0u64, 0), |(n, sum), record| (n + 1, sum + record.cost.cpu_nanos));
+        f64::from(count) * seconds(nanos) / number.max(1) as f64
+    };
+    let fill: f64 = ready.cache_records().into_iter().enumerate().map(of_level).sum();
+    let (given, filled) = (budget.seconds, budget.clock.elapsed() + budget.clock.of_cpu(fill));
+    if fill > 0.0 && filled > given { Err(AllotError::TooLittleForCache { given, filled }) } else { Ok(()) }
+}
+
+/// Renders a frame whose cache is filled in what is left of the time. `None` if `cancel` was set.
+pub(crate) fn render_within(
+    ready: &dyn FrameRenderer,
+    allotment: &Allotment<'_>,
+    budget: &Budget<'_>,
+    confidence: Confidence,
+    progress: &(dyn Fn(Progress) + Sync),
+    cancel: &AtomicBool,
+) -> Result<Option<Made>, AllotError> {
+    let clock = &budget.clock;
+    let first = allotment.least_work() * allotment.seconds_per_work * allotment.surety(confidence);
+    let least = clock.elapsed() + clock.of_cpu(first);
+    if least > budget.seconds {
+        return Err(budget.too_little(least));
+    }
+    let mut run = Run::new(ready, budget, progress, cancel);
+    let (width, height) = allotment.size();
+    let projected =
+        run.first_pass(&SampleCounts::new(vec![1; (width * height) as usize]).map_err(RenderError::from)?)?;
+    if cancel.load(Ordering::Relaxed) {
+        return Ok(None);
+    }
+    let Ok(mut counts) = run.passes.counts() else {
+        return Err(budget.too_little(least.max(projected)));
+    };
+    run.keep_back_for_writing();
+    let tiles = Tiles::new(allotment);
+    let mut survey = tiles.survey(&run.passes)?;
+    for share in CAREFUL.into_iter().chain(std::iter::repeat(BOLD)) {
+        let left = run.end - clock.elapsed();
+        if left < WORTHWHILE * budget.seconds || run.rate <= 0.0 {
+            break;
+        }
+        let work = run.passes.totals().work as f64 + share * left / run.rate;
+        let Some(wanted) = survey.samples_for_budget(work) else { break };
+        let wanted = tiles.laid_out(&wanted)?.or_more(&counts);
+        if wanted == counts {
+            break;
+        }
+        run.pass(&wanted)?;
+        if cancel.load(Ordering::Relaxed) {
+            return Ok(None);
+        }
+        counts = run.passes.counts().map_err(RenderError::from)?;
+        survey = tiles.survey(&run.passes)?;
+    }
+    let within = WithinStats {
+        clock: clock.kind(),
+        given_seconds: budget.seconds,
+        spent_seconds: clock.elapsed(),
+        passes: run.number,
+        cost: None,
+    };
+    let finished = ready.finished(&run.passes);
+    Ok(Some(Made { finished, samples: counts, survey, within: Some(within) }))
+}
+
+/// Passes over a frame.
+struct Run<'a> {
+    ready: &'a dyn FrameRenderer,
+    budget: &'a Budget<'a>,
+    progress: &'a (dyn Fn(Progress) + Sync),
+    cancel: &'a AtomicBool,
+    passes: Passes,
+    number: u32,
+    /// When to stop tracing, on the clock.
+    end: f64,
+    /// Seconds of the clock for a unit of work, in the pass before.
+    rate: f64,
+    /// When tracing began.
+    began: f64,
+}
+
+impl<'a> Run<'a> {
+    fn new(
+        ready: &'a dyn FrameRenderer,
+        budget: &'a Budget<'a>,
+        progress: &'a (dyn Fn(Progress) + Sync),
+        cancel: &'a AtomicBool,
+    ) -> Self {
+        Self {
+            passes: ready.begin(),
+            number: 0,
+            end: budget.seconds * (1.0 - MARGIN),
+            rate: 0.0,
+            began: budget.clock.elapsed(),
+            ready,
+            budget,
+            progress,
+            cancel,
+        }
+    }
+
+    /// Gives every pixel its first sample, and returns when that is done on the clock, or would have been: without these there is no image.
+    /// So it does not wait for the time to be up if that would be too late, and takes a little longer if that is all that is missing.
+    fn first_pass(&mut self, wanted: &SampleCounts) -> Result<f64, RenderError> {
+        let (clock, began, parts) = (self.budget.clock, self.began, self.passes.parts() as f64);
+        let (end, latest) = (self.end, LATE * self.budget.seconds);
+        let done = AtomicUsize::new(0);
+        let projected = || {
+            let share = done.load(Ordering::Relaxed) as f64 / parts;
+            let now = clock.elapsed();
+            (share, if share > 0.0 { began + (now - began) / share } else { now })
+        };
+        // Who has been late once does not go on: a hole anywhere is no image.
+        let late = AtomicBool::new(false);
+        let told = || {
+            done.fetch_add(1, Ordering::Relaxed);
+            // The more is done the surer the projection is, and the more would be lost.
+            let (share, at) = projected();
+            if share >= SEEN && at > end + (latest - end) * share {
+                late.store(true, Ordering::Relaxed);
+            }
+        };
+        let is_late = || late.load(Ordering::Relaxed) || clock.elapsed() > latest;
+        self.pass_until(wanted, &is_late, &told)?;
+        Ok(projected().1)
+    }
+
+    /// Brings the pixels to so many samples, as far as there is time.
+    fn pass(&mut self, wanted: &SampleCounts) -> Result<(), RenderError> {
+        let (clock, end) = (self.budget.clock, self.end);
+        self.pass_until(wanted, &|| clock.elapsed() >= end, &|| ())
+    }
+
+    /// The same until something is so; told of every part that is done.
+    fn pass_until(
+        &mut self,
+        wanted: &SampleCounts,
+        is_over: &(dyn Fn() -> bool + Sync),
+        done: &(dyn Fn() + Sync),
+    ) -> Result<(), RenderError> {
+        let (clock, end, began) = (&self.budget.clock, self.end, self.began);
+        let start = clock.elapsed();
+        let pixels = wanted.as_slice().len() as u64;
+        let shown = || {
+            done();
+            let share = (clock.elapsed() - began) / (end - began).max(f64::MIN_POSITIVE);
+            let done = (pixels as f64 * share.clamp(0.0, 1.0)) as u64;
+            (self.progress)(Progress { step: Step::Tracing, done, all: pixels });
+        };
+        let stop = || self.cancel.load(Ordering::Relaxed) || is_over();
+        let took = self.ready.go_on(&mut self.passes, wanted, &stop, &shown)?;
+        self.number += 1;
+        self.rate = (clock.elapsed() - start) / (took.work as f64).max(1.0);
+        Ok(())
+    }
+
+    fn keep_back_for_writing(&mut self) {
+        let start = self.budget.clock.elapsed();
+        // Where no other pass fits anyway there is nothing to keep back.
+        if self.end - start < WORTHWHILE * self.budget.seconds {
+            return;
+        }
+        (self.budget.rehearse)(&self.passes.image(), self.ready.frame());
+        self.end -= WRITING * (self.budget.clock.elapsed() - start);
+    }
+}

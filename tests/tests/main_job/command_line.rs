@@ -1,0 +1,146 @@
+//! Jobs that `forelight submit` sends and follows.
+
+use crate::{HEIGHT, WIDTH, farm, in_a_year};
+use forelight_protocol::{ForecastDoc, FrameRow, Quantiles};
+use forelight_tests::bundles::{shipped, zip_of};
+use forelight_tests::pictures::{Channels, assert_png};
+use forelight_tests::processes::{run, run_well};
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+use std::path::Path;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn submitting_by_the_command_line_brings_every_picture_and_a_contact_sheet() {
+    let service = farm().await;
+    let (data, scene) = (service.data(), shipped("corridor"));
+    let out = service.folder().join("images");
+    let submit = |bundle: &Path, more: &[&str]| -> Vec<String> {
+        let bundle = bundle.display().to_string();
+        let data = data.display().to_string();
+        let farm = ["--server", service.address(), "--data", &data, "--width", "48", "--spp", "1"];
+        ["submit", &bundle].into_iter().chain(farm).chain(more.iter().copied()).map(str::to_owned).collect()
+    };
+    let folder = out.display().to_string();
+    let key = "0198c0de-0000-7000-8000-000000000003";
+    let deadline = in_a_year().to_string();
+    let wanted = ["--frames", "0-2", "--deadline", &deadline, "--idempotency-key", key];
+    let arguments = submit(&scene, &[&wanted[..], &["--out", &folder, "--json"]].concat());
+    let printed: Value =
+        serde_json::from_str(&run_well(&arguments)).expect("JSON is printed and nothing else");
+    assert_eq!(printed["job"]["state"], "done");
+    assert_eq!(printed["frames"].as_array().map(Vec::len), Some(3));
+    assert!(printed["forecast"]["total"]["work"]["p80"].as_f64() > Some(0.0));
+
+    let mut expected = BTreeSet::from(["contact-sheet.png".to_owned()]);
+    for frame in 0..3 {
+        for end in [".exr", ".png", "-cost.png", "-preview.png"] {
+            expected.insert(format!("frame-{frame:04}{end}"));
+        }
+    }
+    let names: BTreeSet<String> =
+        std::fs::read_dir(&out).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    assert_eq!(names, expected);
+    for name in &names {
+        let content = std::fs::read(out.join(name)).unwrap();
+        if name == "contact-sheet.png" {
+            let sheet = image::load_from_memory(&content).expect("the sheet is a picture");
+            assert!(sheet.width() >= WIDTH && sheet.height() >= HEIGHT);
+        } else if name.ends_with(".exr") {
+            assert_eq!(Channels::of(&content).size, (WIDTH as usize, HEIGHT as usize));
+        } else {
+            assert_png(&content, WIDTH, HEIGHT, name);
+        }
+    }
+
+    // The same submission again is the same job, and the table for people has a line for each of its frames.
+    let again = run_well(&submit(&scene, &wanted));
+    assert_eq!(again.trim(), printed["job"]["id"].as_str().unwrap());
+    let data = data.display().to_string();
+    let follow =
+        ["submit", "--job", again.trim(), "--follow", "--server", service.address(), "--data", &data];
+    let table = run_well(&follow);
+    assert!(table.contains("delivered  3 of 3 frames"), "{table}");
+
+    // What cannot be is said in one line, with the exit code for wrong input.
+    let missing = service.folder().join("no such bundle");
+    let empty = service.folder().join("empty.zip");
+    std::fs::write(&empty, zip_of([])).unwrap();
+    let past_the_end = ["--frames", "0-48"];
+    for (bundle, more, said) in
+        [(&missing, &[][..], "no such bundle"), (&empty, &[], "scene.json"), (&scene, &past_the_end, "48")]
+    {
+        let output = run(&submit(bundle, more));
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{error}");
+        let line = error.lines().find(|line| line.starts_with("error: ")).unwrap_or_default();
+        assert!(line.contains(said), "{error}");
+        assert_eq!(error.matches("error: ").count(), 1, "{error}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_time_for_a_shot_is_spent_frame_by_frame_where_it_pays() {
+    let service = farm().await;
+    let (scene, data) = (shipped("corridor").display().to_string(), service.data().display().to_string());
+    let job = ["submit", &scene, "--server", service.address(), "--data", &data, "--frames", "0,24"];
+    let quality = ["--width", "48", "--spp", "2", "--samples", "64", "--profile-frames", "1"];
+    let printed = run_well(&[&job[..], &quality, &["--within", "3s", "--follow", "--json"]].concat());
+    let printed: Value = serde_json::from_str(&printed).expect("JSON is printed and nothing else");
+    assert_eq!(printed["job"]["state"], "done", "{printed}");
+    let quote: ForecastDoc = serde_json::from_value(printed["forecast"].clone()).expect("a quote");
+    let frames: Vec<FrameRow> = serde_json::from_value(printed["frames"].clone()).expect("frames");
+    assert!(quote.chosen_spp > Some(2) && quote.total.cpu_seconds.p80 <= 3.0, "{quote:?}");
+    for (forecast, row) in quote.frames.iter().zip(&frames) {
+        let actual = row.actual.as_ref().expect("what it took");
+        let share = actual.work as f64 / forecast.work.mean;
+        assert!((share - 1.0).abs() < 0.02, "{share} of the work that it was given");
+        let samples = actual.allotted.as_ref().expect("how its samples lie");
+        assert!(samples.most > samples.least && samples.error.p50 > 0.0, "{samples:?}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn with_a_cache_the_number_of_records_is_known_before_and_what_was_gathered_for_the_quote_is_taken_over()
+ {
+    let service = farm().await;
+    let (scene, data) = (shipped("kitchen").display().to_string(), service.data().display().to_string());
+    let job = [
+        "submit",
+        &scene,
+        "--server",
+        service.address(),
+        "--data",
+        &data,
+        "--frames",
+        "0,1,40",
+        "--follow",
+        "--json",
+    ];
+    let quality =
+        ["--width", "48", "--spp", "2", "--ambient-bounces", "2", "--cache", "on", "--cache-rays", "48"];
+    let profile = ["--samples", "64", "--profile-frames", "1"];
+    let printed = run_well(&[&job[..], &quality, &profile].concat());
+    let printed: Value = serde_json::from_str(&printed).expect("JSON is printed and nothing else");
+    assert_eq!(
+        (&printed["job"]["state"], &printed["job"]["settings"]["cache"]),
+        (&json!("done"), &json!("on"))
+    );
+    let quote: ForecastDoc = serde_json::from_value(printed["forecast"].clone()).expect("a quote");
+    let frames: Vec<FrameRow> = serde_json::from_value(printed["frames"].clone()).expect("frames");
+    assert!(quote.effects.iter().any(|effect| effect == "irradiance cache"), "{:?}", quote.effects);
+    let mut all = [0.0; 2];
+    for (forecast, row) in quote.frames.iter().zip(&frames) {
+        let actual = row.actual.as_ref().expect("what it took");
+        assert_eq!(actual.cache_records.len(), 2, "{actual:?}");
+        for (level, (known, &count)) in forecast.cache_records.iter().zip(&actual.cache_records).enumerate() {
+            assert_eq!(*known, Quantiles::known(count as f64), "frame {}, level {level}", row.frame);
+            all[level] += count as f64;
+        }
+        let cache = actual.cache.expect("what the cache came to");
+        let profiled = quote.profiled.frames.contains(&row.frame);
+        assert_eq!((cache.reused_records > 0, actual.reused_work > 0), (profiled, profiled), "{actual:?}");
+        let error = row.work.and_then(|work| work.error).expect("the error");
+        assert!(error.abs() < 0.5, "frame {}: {error}", row.frame);
+    }
+    assert_eq!(quote.total.cache_records, all.map(Quantiles::known));
+}
